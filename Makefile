@@ -22,8 +22,6 @@ ALL      ?= rfsm_timeevent rfsm.clock rfsm_seqand rfsmpp rfsm.history rfsm_check
             $(subst /,.,$(basename $(wildcard $(ROOMS:%=rfsm/%/*.lua))))
 ROOMS    := shared checks explore tests
 DIST     ?= dist
-SIZED    ?= rfsm rfsm_timeevent rfsm_seqand rfsmpp rfsm_checks rfsm.fast rfsm.emem \
-            rfsm.await rfsm.monitor rfsm.preview rfsm.rtt rfsm.marsh rfsm.dot rfsm.proto
 ifneq ($(word 2,x$(DESTDIR)$(PREFIX)),)
 $(error PREFIX and DESTDIR: no blanks expected, got '$(DESTDIR)$(PREFIX)')
 endif
@@ -170,8 +168,8 @@ deb:                    ## Debian packages of the last commit in DIST/deb, and w
 rocks:                  ## a rock of the last commit in DIST/rocks, for each Lua; luarocks test
 	@tools/packaging/rocks.sh $(DIST)/rocks
 
-size:                   ## the live heap that each of SIZED takes, with LUA
-	@$(LUA) tools/size.lua $(SIZED)
+size:                   ## the memory that MODEL takes on a robot
+	@tools/rfsm size $(MODEL)
 
 install:                ## copy modules and tools below PREFIX; STRIP=1: as bytecode
 	@set -e; for d in $(LUADIRS:%=$(DESTDIR)%); do \

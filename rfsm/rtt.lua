@@ -2,33 +2,39 @@
 --
 -- `gen_read_events` and `gen_read_str_events` make a getevents of input ports,
 -- `gen_raise_event` sends events to an output port, `gen_write_fqn` makes a hook that
--- writes the FQN of the active leaf. The launchers are in `rfsm.rtt.launch`, which is
--- loaded when one of them is used.
+-- writes the FQN of the active leaf. The launchers are in `rfsm.rtt.component` and
+-- `rfsm.rtt.launch`, which are loaded when one of them is used.
 --
 -- Variables are made once and used again, so that reading, raising and writing allocate
 -- nothing in the steady state. The module loads without RTT, and needs no rttlib. In a
--- Lua with a TLSF pool, loading it sets the garbage collector.
+-- Lua with a TLSF pool, loading it sets the garbage collector, and has machines do
+-- without rfsm.fast.
 --
 -- @module rfsm.rtt
 -- @license BSD-3-Clause
 
-local collectgarbage, error, package, pcall = collectgarbage, error, package, pcall
-local rawget, rawset, require, select = rawget, rawset, require, select
+local collectgarbage, error, package = collectgarbage, error, package
+local ipairs, pcall, rawget, rawset = ipairs, pcall, rawget, rawset
+local require, select = require, select
 local setmetatable, tostring, type = setmetatable, tostring, type
 local min = math.min
 
 -- The pool of a TLSF component fails when it is full, and Lua 5.1 does not collect
--- because memory is short. So the collector never pauses there, from now on: what is
--- loaded next is large. Lua 5.5 has other parameters.
+-- because memory is short. So the collector never pauses there, from now on, and is
+-- through with the heap before 5 % of it are garbage. RTT's Lua is 5.1.
 if rawget(_G, "tlsf") then
   pcall(collectgarbage, "setpause", 100)
-  pcall(collectgarbage, "setstepmul", 1000)
+  pcall(collectgarbage, "setstepmul", 3000)
 end
 
 local rfsm = require "rfsm"
 local held_port = require "rfsm.rtt.port"
 
+-- What rfsm/fast.lua makes takes 2 KiB for each state.
+if rawget(_G, "tlsf") then rfsm.save_memory() end
+
 ---@class rfsm.rtt
+---@field launched rfsm.rtt.Launched? what was launched last in this Lua
 ---@field service_launch_rfsm fun(file: string, exec_str: function, ...): boolean
 ---@field component_launch_rfsm fun(args: rfsm.rtt.Launch): any
 ---@field service_halt_rfsm fun(component: any, seconds?: number): boolean
@@ -119,21 +125,25 @@ local function new_trigger()
   return is_lua_component and own:getOperation("trigger") or function() end
 end
 
--- A call reads so many samples of a port at most: all of a burst may not fit in a pool.
+-- A call reads so many samples of a port at most, if not told otherwise: all of a burst
+-- may not fit in a pool.
 local MOST = 64
 
 -- Makes a getevents of ports; blames the caller of the public function for wrong ones.
 -- When a port raises, the events of the others are kept for the next call. When samples
 -- are left, an update is triggered, since they trigger none any more.
 local function gen_reader(where, kind, ...)
-  local n, readers, is_taken = select("#", ...), {}, false
+  local bound, readers, is_taken = (...), {}, false
+  local has_bound = type(bound) == "number" and bound >= 1
+  local ports = { select(has_bound and 2 or 1, ...) }
+  local n = select("#", ...) - (has_bound and 1 or 0)
+  if not has_bound then bound = MOST end
   local events = { nil, nil, nil, nil, nil, nil, nil, nil } -- room for the first ones
   if n == 0 then error(where .. ": at least one port expected, got none", 3) end
   for i = 1, n do
-    local port = (select(i, ...))
-    local problem = port_problem(port, "read", kind)
+    local problem = port_problem(ports[i], "read", kind)
     if problem then error(("%s: port %d: %s"):format(where, i, problem), 3) end
-    readers[i] = new_reader(port)
+    readers[i] = new_reader(ports[i])
   end
   local trigger = new_trigger()
   return function()
@@ -141,7 +151,7 @@ local function gen_reader(where, kind, ...)
     is_taken = false
     local has_more = false
     for i = 1, n do
-      local most = min(#events + MOST, i * MOST) -- so those kept have an end
+      local most = min(#events + bound, i * bound) -- so those kept have an end
       has_more = readers[i](events, most) or has_more
     end
     is_taken = true
@@ -152,8 +162,8 @@ end
 
 --- Make a getevents that reads new samples of input ports, in the order given.
 --
--- A call reads at most 64 samples of each port. If some are left, a Lua component is
--- updated once more.
+-- A call reads at most 64 samples of each port, or the number that is given before the
+-- ports. If some are left, a Lua component is updated once more.
 --
 -- Samples of types that have a type of Lua become values of Lua. A sample of another
 -- type is a Variable of its own. The list returned is valid until the next call.
@@ -162,7 +172,7 @@ end
 --    fsm.getevents = rfsm_rtt.gen_read_events(commands, alarms)
 --
 -- @raise when a port is no input port
----@param ... any input ports, at least one
+---@param ... any perhaps a number; input ports, at least one
 ---@return fun(): any[] getevents
 ---@nodiscard
 function rfsm_rtt.gen_read_events(...)
@@ -171,7 +181,7 @@ end
 
 --- Make a getevents that reads new samples of input ports of type string, likewise.
 -- @raise when a port is no input port, or one of another type
----@param ... any input ports, at least one
+---@param ... any perhaps a number; input ports, at least one
 ---@return fun(): string[] getevents
 ---@nodiscard
 function rfsm_rtt.gen_read_str_events(...)
@@ -266,6 +276,49 @@ function rfsm_rtt.gen_write_fqn(port)
 end
 
 -- Launchers: loaded when they are used ---------------------------------------------
+
+--- Return why a launch has failed; if for lack of memory, also what to do.
+---@param problem any
+---@return string reason
+function rfsm_rtt.reason(problem)
+  pcall(collectgarbage)
+  local text = rfsm.text_of(problem)
+  if not text:find("not enough memory", 1, true) then return text end
+  return text .. ": enlarge the pool by `pool = KIB` of the launch; 'rfsm size' prints "
+    .. "how much a chart needs"
+end
+
+local NOT_NEEDED = { "rtt.component", "rtt.update", "rtt.settings", "shared.options",
+  "shared.limit", "shared.calls", "advice" }
+
+--- Forget the modules that a launch has loaded. Lua 5.1 refuses one for ever when its
+-- loading has failed, so this also comes first.
+function rfsm_rtt.forget_modules()
+  for _, name in ipairs(NOT_NEEDED) do package.loaded["rfsm." .. name] = nil end
+end
+
+--- Launch a machine in the component of this Lua, in its configureHook.
+--
+-- The component gets ports, attributes, and hooks that run the machine. Called again,
+-- it begins anew with the chart as it is then. Ports that are there stay connected.
+--
+-- @usage
+--    function configureHook()
+--      return rfsm_rtt.launch { fsmfile = "gripper.lua" }
+--    end
+--
+-- @raise when an argument is wrong or the launch fails; then no port is left
+---@param args rfsm.rtt.Launch
+---@return boolean launched true
+function rfsm_rtt.launch(args)
+  if rfsm_rtt.launched then rfsm_rtt.launched.forget() end
+  rfsm_rtt.forget_modules()
+  local ok, why = pcall(function() require("rfsm.rtt.component").launch(args) end)
+  if ok then ok, why = pcall(rfsm_rtt.launched.finish) end
+  rfsm_rtt.forget_modules()
+  if not ok then error("rfsm.rtt.launch: " .. rfsm_rtt.reason(why), 2) end
+  return true
+end
 
 setmetatable(rfsm_rtt, { __index = function(_, name)
   if type(name) ~= "string" or not name:find("_rfsm$") then return nil end

@@ -41,6 +41,7 @@ describe("the usage of rfsm", function()
     mermaid = "[--stub] [-o FILE] [-v] FILE [FILE] ...",
     web = "[--stub] [-a HOST:PORT] [-m N] [-p N] [--host HOST] [-v] [FILE]",
     watch = "[-m N] [-n N] [-v] HOST[:PORT]",
+    size = "[--stub] [--lua LUA] [-v] FILE",
   }
   for name, usage in pairs(USAGES) do -- any order: each stands alone
     it(name .. " is " .. usage, function()
@@ -54,7 +55,7 @@ describe("the usage of rfsm", function()
 
   it("is printed without a command", function()
     local out, err, status = run ""
-    assert.matches("\n   watch +Print a machine", out)
+    assert.matches("\n   size +Print the memory", out)
     assert.same({ "", 0 }, { err, status })
     assert.equal(out, (run "help"))
   end)

@@ -173,20 +173,56 @@ describe("a core alone in a folder", function()
   end)
 end)
 
-describe("tools/size.lua", function()
-  it("prints the heap that a module takes, from source and stripped", function()
-    local lines = lines_of(("'%s' tools/size.lua rfsm.marsh rfsm.json"):format(arg[-1]))
-    local source, stripped = lines[4]:match("^together +([%d.]+) +([%d.]+)$")
-    assert.is_true(tonumber(stripped) < tonumber(source))
-    assert.matches("^rfsm.marsh +[%d.]+ +[%d.]+$", lines[2])
+describe("rfsm size", function()
+  -- Returns the rows of a table: lists of numbers by name; and the other lines.
+  local function table_of(command)
+    local rows, others = {}, {}
+    for _, line in ipairs(lines_of(command .. " 2>&1")) do
+      local name, cells = line:match("^(.-)  +([%d ]+)$")
+      if name then
+        rows[name] = {}
+        for cell in cells:gmatch("%d+") do table.insert(rows[name], tonumber(cell)) end
+      else
+        others[#others + 1] = line
+      end
+    end
+    return rows, others
+  end
+
+  local function size(file, lua)
+    return table_of(("LUA='%s' tools/rfsm size --lua '%s' %s"):format(arg[-1], lua,
+      file))
+  end
+
+  it("prints heap and pool, from source and stripped, and what modules add", function()
+    local rows, others = size("examples/on_off.lua", arg[-1])
+    local chart = rows["on_off.lua: 2 states, 3 transitions"]
+    local together, library = rows.together, rows["rfsm and rfsm.rtt"]
+    local base = rows["Lua with RTT, rttlib and a launch"]
+    local sum = base[1] + library[1] + chart[1]
+    assert.is_true(math.abs(together[1] - sum) <= 2) -- they are rounded
+    for _, name in ipairs { "+ rfsmpp", "+ rfsm.record", "+ rfsm.proto" } do
+      assert.is_true(rows[name][1] > 0)
+    end
+    local pool = others[#others]:match("^launch { pool = (%d+) } leaves room for")
+    assert.is_true(together[2] < pool + 0 and pool % 50 == 0)
   end)
 
-  it("shows that the modules of a component of RTT take at most 350 KiB", function()
-    if _VERSION ~= "Lua 5.1" then return end -- that is RTT's Lua
-    local lines = lines_of(("'%s' tools/size.lua rfsm rfsm.rtt rfsm_timeevent rfsmpp")
-      :format(arg[-1]))
-    local source = lines[#lines]:match("^together +([%d.]+)")
-    assert.is_true(tonumber(source) <= 350, source)
+  it("shows that the library and a launch take 700 KiB, stripped 580", function()
+    if #lines_of("command -v lua5.1 luac5.1") < 2 then return end -- RTT's Lua
+    local rows = size("examples/on_off.lua", "lua5.1")
+    assert.is_true(rows.together[2] <= 700 and rows.together[4] <= 580)
+    assert.is_true(rows.together[3] < rows.together[1])
+  end)
+
+  it("reports a chart with a problem, and a Lua that is not there", function()
+    local file = helper.file_with("return 3")
+    for lua, text in pairs { [arg[-1]] = file, ["no-such-lua"] = "not found" } do
+      local rows, others = size(file, lua)
+      assert.same({}, rows)
+      assert.is_truthy(others[1]:find(text, 1, true))
+      assert.matches("^rfsm size: ", others[1])
+    end
   end)
 end)
 

@@ -209,9 +209,11 @@ describe("service_launch_rfsm", function()
 
   -- Fields of the chart and of the launch, code, expressions and their values.
   for title, case in pairs { -- any order: each is a spec of its own
-    ["leaves the printers of a chart alone"] = {
-      "info = false, warn = print, err = print,", {}, "",
-      "fsm.warn == print, fsm.err == print", "true true",
+    ["leaves the printers of a chart alone, but counts the errors"] = {
+      "info = false, warn = print, err = function(text) said = text end,", {},
+      "fsm.err('oil')",
+      "fsm.warn == print, said, rtt.getTC():getAttribute('rfsm_errors'):get()",
+      "true oil 1",
     },
     ["leaves events to a chart that has a getevents"] = {
       "getevents = function() return mail end,", {},
@@ -619,10 +621,9 @@ extra_in_ports = { port }]] }
       exec_str("fsm.pre_step_hook = nil")
       local failures = arm:getAttribute("rfsm_failures"):get()
       assert.is_true(failures >= 2)
-      assert.equal(failures, #logged("Error: rfsm.rtt: not enough memory"))
+      assert.is_truthy(logged("Error: rfsm.rtt: not enough memory")[1])
       send("e_back")
       assert.equal("a", came())
-      assert.is_true(arm:getAttribute("rfsm_live"):get() < 900)
       assert.is_true(arm:getAttribute("rfsm_peak"):get() > 900)
     end)
 
@@ -645,14 +646,12 @@ extra_in_ports = { port }]] }
 
   it("collects before a pool is full, and not at each update #standin", function()
     if not rtt_helper.is_standin then return end
-    local send, _, arm, exec_str = started { luatype = "OCL::LuaTLSFComponent" }
-    exec_str("tlsf.fill(0.96)")
-    send("e_none")
-    assert.equal(512, arm:getAttribute("rfsm_live"):get())
-    exec_str("n = 0 collectgarbage = function() n = n + 1 end")
-    exec_str("tlsf.fill(0.94)")
-    send("e_none")
-    assert.equal("0", evaluate(exec_str, "n"))
+    local send, _, _, exec_str = started { luatype = "OCL::LuaTLSFComponent" }
+    for _, case in ipairs { { 0.96, "524288" }, { 0.94, "985661" } } do
+      exec_str(("tlsf.fill(%g)"):format(case[1]))
+      send("e_none")
+      assert.equal(case[2], evaluate(exec_str, "math.floor((tlsf.stats()))"))
+    end
   end)
 
   it("has room for 20 states with timers in the pool of a TLSF component", function()
@@ -674,19 +673,29 @@ return rfsm.state(root)]] }
     assert.equal("s2", leaf_of(exec_str))
   end)
 
-  it("does without rfsm.fast in a pool that is three quarters full", function()
-    local FULL = "tlsf.stats = function() return 800000, 800000, 1048576 end "
-    local NOTE = "require('rfsm').save_memory = function() is_without = true end"
-    for _, case in ipairs {
-      { name = "arm", luatype = "OCL::LuaTLSFComponent", prestr = FULL .. NOTE,
-        is_without = "true" },
-      { name = "leg", luatype = "OCL::LuaComponent", prestr = NOTE,
-        is_without = "nil" },
+  it("does without rfsm.fast in a pool, and logs that", function()
+    for luatype, text in pairs { -- any order: each stands alone
+      ["OCL::LuaTLSFComponent"] = " of %d+ KiB in use %(%d+ %%%), without rfsm%.fast$",
+      ["OCL::LuaComponent"] = " KiB in use$",
     } do
-      local _, exec_str = launched { name = case.name, luatype = case.luatype,
-        prestr = case.prestr }
-      assert.equal(case.is_without, evaluate(exec_str, "tostring(is_without)"))
+      local name = luatype:match("Lua(.*)")
+      local arm = launched { name = name, luatype = luatype }
+      local lines = logged("is launched in '" .. name .. "'")
+      assert.equal(1, #lines)
+      assert.matches("^Info: rfsm%.rtt: '.*' is launched in '.*': %d+" .. text,
+        lines[1])
+      assert.is_true(arm:getAttribute("rfsm_live"):get() > 10)
     end
+  end)
+
+  it("has a pool of the size that is wanted when the chart is loaded", function()
+    local POOL = "(select(3, tlsf.stats()) / 1024 + 0.5)"
+    for name, case in pairs { arm = { 2000, "2000" }, leg = { 10, "0*1[0-9]+" } } do
+      local _, exec_str = launched { name = name, luatype = "OCL::LuaTLSFComponent",
+        pool = case[1], fsmfile = chart_file("size = math.floor" .. POOL .. ",") }
+      assert.matches("^" .. case[2] .. "$", evaluate(exec_str, "fsm.size"))
+    end
+    assert.equal("PreOperational", launched { name = "foot", pool = 2000 }:getState())
   end)
 
   -- Updates that go from state to state, after `before` of them: what was opened, read
@@ -786,19 +795,52 @@ return rfsm.state { info = false, warn = false,
     assert.equal(0, arm:getAttribute("rfsm_overruns"):get())
   end)
 
-  it("logs where the chart never becomes idle, unless it says why", function()
-    local AGAIN = "rfsm.trans { src = 'b', tgt = 'a', events = { 'e_done' } },"
-      .. "rfsm.trans { src = 'a', tgt = 'b', events = { 'e_done' } },"
-    launched { fsmfile = chart_file(AGAIN) }
-    local lines = logged("run never becomes idle")
-    assert.equal(1, #lines)
-    assert.matches("^Warning: root%.a: .* root%.a %-> root%.b.*%[endless%]$", lines[1])
-    local _, exec_leg = launched { name = "leg", fsmfile = file_with(
-      "local rfsm = require 'rfsm' return rfsm.state { "
-      .. "a = rfsm.state { checks = { endless = 'a heartbeat' } }, b = rfsm.state {}, "
-      .. "rfsm.trans { src = 'initial', tgt = 'a' }, " .. AGAIN .. "}") }
-    assert.equal(1, #logged("run never becomes idle"))
-    assert.equal("nil", evaluate(exec_leg, "package.loaded['rfsm.checks.loops']"))
+  it("loads no check: `rfsm check` at the desk has them all", function()
+    local _, exec_str = launched { poststr = [[
+      for name in pairs(package.loaded) do
+        if name:find "^rfsm.check" then has_checks = true end
+      end]] }
+    assert.equal("nil", evaluate(exec_str, "has_checks"))
+  end)
+
+  it("counts the errors that are reported, and those of updates", function()
+    local send, _, arm, exec_str = started()
+    exec_str("fsm.b.entry = function() error('jam', 0) end")
+    for _, event in ipairs { "e_go", "e_back", "e_go" } do send(event) end
+    exec_str("fsm.pre_step_hook = function() error('torn', 0) end")
+    send("e_none")
+    assert.same({ 2, 2 }, { arm:getAttribute("rfsm_errors"):get(),
+      arm:getAttribute("rfsm_failures"):get() })
+  end)
+
+  it("calls error() of the component at an error if it shall", function()
+    for name, case in pairs { -- any order: each stands alone
+      arm = { "fsm.b.entry = function() error('jam', 0) end", "RunTimeError" },
+      leg = { "fsm.pre_step_hook = function() error('torn', 0) end", "RunTimeError" },
+      foot = { "", "Running" },
+    } do
+      local arm, exec_str = launched { name = name, error = true }
+      local out = feed(name .. ".events_in")
+      start(arm, spin)
+      exec_str(case[1])
+      out:write("e_go")
+      spin()
+      assert.equal(case[2], arm:getState())
+      exec_str("fsm.pre_step_hook = nil")
+      arm:recover()
+      arm:getOperation("trigger")()
+      spin()
+      assert.equal("Running b", arm:getState() .. " " .. leaf_of(exec_str))
+    end
+  end)
+
+  it("reads as many samples of a port at once as it may", function()
+    local _, exec_str = launched { samples = 3, steps = 1 }
+    local out = feed("arm.events_in", 100)
+    for _ = 1, 8 do out:write("e_none") end
+    for _, count in ipairs { 3, 3, 2, 0 } do
+      assert.equal(tostring(count), evaluate(exec_str, "#fsm.getevents()"))
+    end
   end)
 
   it("is entered in startHook if it shall, so that the first event is not lost",
@@ -1004,45 +1046,74 @@ function startHook() return true end]])
         refused_with { fsmfile = file_with "return {" })
     end)
 
-    for title, case in pairs { -- what is logged, fields; any order: each is a spec
-      ["a chart that is none"] = { "no valid rfsm in file", { chart = "return 3" } },
+    for title, case in pairs { -- the reason, fields; any order: each is a spec
+      ["a chart that is none"] = { "rfsm.load: no valid rfsm in file 'FILE' found.",
+        { chart = "return 3" } },
       ["a chart that raises a table"] = { "as text", { chart = raising "as text" } },
-      ["a chart with problems"] = { "no machine, problems of the chart: 2", {
+      ["a chart with problems"] = { "no machine:\n  FILE:1: root.a.entry: "
+        .. "function expected, got number 3\n  FILE:1: root.trans[1] "
+        .. "(initial -> aa): tgt 'aa': no state or connector is named 'aa' in 'root' "
+        .. "(did you mean 'a'?)", {
         chart = "return rfsm.state { a = rfsm.state { entry = 3 }, "
           .. "rfsm.trans { src = 'initial', tgt = 'aa' } }" } },
+      ["a chart whose loading has no end"] = {
+        "FILE:1: loading takes more than 0.1 s, is there a loop without end?", {
+        chart = "while true do end",
+        prestr = "require('rfsm.shared.limit').SECONDS = 0.1" } },
       ["a prestr that raises"] = { "no arm", { prestr = "error('no arm', 0)" } },
       ["a poststr that raises"] = { "no leg", { poststr = "error('no leg', 0)" } },
-      ["a type that the deployer does not know"] = { "", { luatype = "OCL::Lua" } },
     } do
       it(title, function()
         local fields = case[2]
-        fields.fsmfile, fields.chart = fields.chart and file_with(fields.chart), nil
-        assert.equal("RTT's log has the reason", refused_with(fields))
-        check_logged(case[1])
+        fields.fsmfile = file_with(fields.chart or "return rfsm.state {}")
+        fields.chart = nil
+        local text = "launch of '" .. fields.fsmfile .. "': "
+          .. case[1]:gsub("FILE", fields.fsmfile)
+        assert.equal(text, refused_with(fields))
+        check_logged(text:match("[^\n]+"))
       end)
     end
 
+    it("a chart for which the pool is too small, and says what to do", function()
+      local text = refused_with { luatype = "OCL::LuaTLSFComponent",
+        fsmfile = file_with "error('not enough memory', 0)" }
+      assert.matches("': not enough memory while the chart is loaded, %d+ of %d+ KiB "
+        .. "in use %(%d+ %%%) without that: enlarge the pool by `pool = KIB` of the "
+        .. "launch; 'rfsm size' prints how much a chart needs$", text)
+    end)
+
     it("a name that a component has, and leaves that one alone", function()
       local arm = launched()
-      assert.equal("RTT's log has the reason", refused_with {})
+      assert.equal("the deployer loads no 'arm' of type 'OCL::LuaComponent', RTT's log "
+        .. "has the reason", refused_with {})
       assert.same({ "arm" }, rtt_helper.loaded())
       assert.is_true(arm:configure())
     end)
 
-    it("a type without Lua, no deployer", function()
-      assert.matches("has no operation exec_str",
-        refused_with { luatype = "OCL::HelloWorld" })
-      assert.matches("no peer nobody", refused_with { deployer = "nobody" })
-      assert.matches("getOperation", refused_with { deployer = {} })
-    end)
+    for _, case in ipairs { -- what is reported, fields
+      { "the deployer loads no 'arm' of type 'OCL::Lua', RTT's log has the reason",
+        { luatype = "OCL::Lua" } },
+      { "luatype: type of a Lua component expected, got 'OCL::HelloWorld'",
+        { luatype = "OCL::HelloWorld" } },
+      { "deployer: a deployer or the name of a peer expected, got string 'nobody'",
+        { deployer = "nobody" } },
+      { "deployer: a deployer or the name of a peer expected, got number 7",
+        { deployer = 7 } },
+      { "deployer: a deployer or the name of a peer expected, got table",
+        { deployer = {} } },
+    } do
+      it("what is no deployer or type, such as " .. case[1], function()
+        assert.equal(case[1], refused_with(case[2]))
+      end)
+    end
   end)
 end)
 
 -- The collector: of a pool, and of other Luas --------------------------------------
 
--- Lua 5.5 sets it in another way.
+-- Since 5.4 it is set in another way.
 describe("the collector of a component's Lua", function()
-  if _VERSION == "Lua 5.5" then return end
+  if _VERSION > "Lua 5.3" then return end
   local pause, step_multiplier
 
   before_each(function()
@@ -1068,9 +1139,9 @@ describe("the collector of a component's Lua", function()
 
   local POOL = "OCL::LuaTLSFComponent"
   for title, case in pairs { -- any order: each is a spec of its own
-    ["never pauses in a pool where rfsm.rtt is loaded"] = { "100 1000", loading, POOL },
-    ["never pauses in a pool after a launch"] = { "100 1000", launching, POOL },
-    ["is as a prestr sets it"] = { "120 1000", launching, POOL,
+    ["never pauses in a pool where rfsm.rtt is loaded"] = { "100 3000", loading, POOL },
+    ["never pauses in a pool after a launch"] = { "100 3000", launching, POOL },
+    ["is as a prestr sets it"] = { "120 3000", launching, POOL,
       "collectgarbage('setpause', 120)" },
     ["is left alone without a pool"] = { "200 200", loading, "OCL::LuaComponent" },
   } do

@@ -232,6 +232,49 @@ describe("a Lua of RTT", function()
     assert.is_false(deploy("unloadComponent", "arm"))
   end)
 
+  it("calls errorHook in place of updateHook from error() to recover() or stop()",
+    function()
+      exec_str("words = '' function updateHook() words = words .. ' update' end "
+        .. "function errorHook() words = words .. ' error' end")
+      exec_str("rtt.getTC():error()")
+      assert(arm:configure())
+      local function trigger()
+        arm:getOperation("trigger")()
+        spin()
+      end
+      assert(arm:start())
+      spin()
+      exec_str("rtt.getTC():error()")
+      spin()
+      assert.equal("RunTimeError", arm:getState())
+      trigger()
+      assert.is_true(arm:recover())
+      assert.is_false(arm:recover())
+      trigger()
+      assert.equal(" update error update", evaluate(exec_str, "words"))
+      exec_str("rtt.getTC():error()")
+      assert.is_true(arm:stop())
+      assert.equal("Stopped", arm:getState())
+    end)
+
+  it("is configured without a configureHook, also if its file fails", function()
+    arm:getProperty("lua_file"):set("/nowhere/x.lua")
+    assert.is_true(arm:configure())
+    assert.equal(1, #logged("cannot open /nowhere/x.lua"))
+  end)
+
+  it("with a pool enlarges that once", function()
+    local _, exec_leg = rtt_helper.load("leg", "OCL::LuaTLSFComponent")
+    local ADD = "local bytes = rtt.Variable.new('uint') bytes:assign(500 * 1024) "
+      .. "before = select(3, tlsf.stats()) "
+      .. "rtt.getTC():getOperation('tlsf_incmem')(bytes)"
+    assert.is_true(exec_leg(ADD))
+    assert.is_true(math.abs(500 - evaluate(exec_leg,
+      "(select(3, tlsf.stats()) - before) / 1024")) < 16)
+    assert.is_false(exec_leg(ADD))
+    assert.equal(1, #logged("region already increased"))
+  end)
+
   it("has attributes, whose values stay when they are removed", function()
     local attribute = rtt.Attribute.new("uint", "count")
     local value = attribute:getRaw()

@@ -5,6 +5,7 @@ local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local search = require "rfsm.shared.search"
 local chart = require "rfsm.shared.chart"
+local limit = require "rfsm.shared.limit"
 local json = require "rfsm.json"
 local mermaid = require "rfsm.mermaid"
 local record = require "rfsm.record"
@@ -318,9 +319,9 @@ describe("loading a chart", function()
     assert.is_true(not jit or jit.status())
   end)
 
-  local seconds = chart.SECONDS
+  local seconds = limit.SECONDS
 
-  teardown(function() chart.SECONDS = seconds end)
+  teardown(function() limit.SECONDS = seconds end)
 
   it("warns once of a global that its own code reads, not of those of a module",
     function()
@@ -385,7 +386,7 @@ describe("loading a chart", function()
   end)
 
   it("has an end", function()
-    chart.SECONDS = 0.05
+    limit.SECONDS = 0.05
     local _, problem = open { ["chart.lua"] = "\nwhile true do end" }
     assert.equal("chart.lua:2: loading takes more than 0.05 s, is there a loop without "
       .. "end?", problem)
@@ -395,7 +396,7 @@ describe("loading a chart", function()
   -- rests. Returns the model, the problem, and the seconds.
   local function open_slowly(text, has_stubs)
     local now, results = 0, nil
-    chart.SECONDS = seconds
+    limit.SECONDS = seconds
     helper.with(os, { time = function() return now end,
       clock = function() return 0 end, execute = function() now = now + 1 end,
     }, function()

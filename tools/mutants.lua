@@ -58,7 +58,7 @@ local ROOMS = {
   { name = "postgres", files = { "rfsm/postgres.lua", "rfsm/postgres/*.lua" },
     specs = { "postgres_client", "postgres" } },
   { name = "rtt", files = { "rfsm/rtt.lua", "rfsm/rtt/*.lua" },
-    specs = { "rtt_standin", "rtt", "rtt_launch" } },
+    specs = { "rtt_standin", "rtt", "rtt_launch", "rtt_own" } },
   { name = "cli", files = { "rfsm/cli/*.lua" }, specs = { "cli", "tools" } },
   { name = "pp", files = { "rfsmpp.lua" }, specs = { "pp" } },
   { name = "shared", files = { "rfsm/advice.lua", "rfsm/shared/*.lua" },

@@ -14,7 +14,7 @@ local cli = {}
 
 local COMMANDS = {
   "check", "sim", "viz", "snapshot", "redis", "postgres", "json", "plantuml", "dot",
-  "mermaid", "web", "watch",
+  "mermaid", "web", "watch", "size",
 }
 
 local function print_version()

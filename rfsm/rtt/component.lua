@@ -5,28 +5,32 @@
 -- @module rfsm.rtt.component
 -- @license BSD-3-Clause
 
-local rfsm_rtt = require "rfsm.rtt" -- first: it sets the collector of a pool
+local rfsm_rtt = require "rfsm.rtt" -- first: it makes a pool safe
 local rfsm = require "rfsm"
 local held_port = require "rfsm.rtt.port"
+local limit = require "rfsm.shared.limit"
 local update = require "rfsm.rtt.update"
 
 local assert, collectgarbage, coroutine = assert, collectgarbage, coroutine
 local error, ipairs, loadfile, package = error, ipairs, loadfile, package
-local pairs, pcall, rawget, rawset = pairs, pcall, rawget, rawset
-local require, type = require, type
+local os, pairs, pcall, rawequal = os, pairs, pcall, rawequal
+local rawget, rawset, require = rawget, rawset, require
+local concat = table.concat
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 -- What stays after the launch holds these, and not all of the module.
 local add_attributes, ATTRIBUTES = update.add_attributes, update.ATTRIBUTES
-local make_room, new_reporter, printer =
-  update.make_room, update.new_reporter, update.printer
+local new_reporter = update.new_reporter
 
 local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 
 --- What a launch has asked for, and what belongs to its machine.
 ---@class rfsm.rtt.Launched : rfsm.rtt.Launch
 ---@field is_component boolean false: a service
+---@field is_own boolean? does the component launch in its own configureHook?
+---@field theirs table<string, function> the program's hooks, by name
+---@field log fun(level: string, ...) writes to RTT's log
 ---@field rtt table the module of RTT
 ---@field component any the TaskContext
 ---@field ports table<string, rfsm.rtt.Port> by field of the launch
@@ -55,30 +59,10 @@ local function new_port(launch, field, held)
   local real = launch.rtt[class].new(facts.type, facts.name, facts.desc)
   local is_trigger = class == "InputPort" and launch.is_component
   launch.component[is_trigger and "addEventPort" or "addPort"](launch.component, real)
-  held.real = real
+  held.real, held.is_made = real, true
   if held.last and field == "fqn_port" then real:write(held.last) end
   if field ~= "timer" then return end
   real:connect(launch.component:getPeer(launch.timer):getPort("timer_0"))
-end
-
--- Holds the port that a field of the launch asks for: true, or its name. RTT would
--- replace and disconnect one whose name is used again. With `ports = "configure"`, the
--- port is made when the component is configured.
-local function add_port(launch, field)
-  local wanted, target = launch[field], launch.component
-  if not wanted then return nil end
-  local class, name, _, text, kind = unpack(PORTS[field], 1, 5)
-  if wanted ~= true and field ~= "timer" then name = wanted end
-  local held = held_port.reserve(target, { name = name, type = kind or "string",
-    desc = text, porttype = class == "InputPort" and "in" or "out" })
-  if launch.ports_at ~= "configure" then
-    if held_port.of(target, name) then
-      error(("'%s' has a port '%s' already"):format(target:getName(), name), 0)
-    end
-    new_port(launch, field, held)
-  end
-  launch.ports[field] = held
-  return held
 end
 
 -- Raises if a port that was found has another direction or type than that of a launch.
@@ -87,6 +71,32 @@ local function check_port(held)
   if found.porttype == wanted.porttype and found.type == wanted.type then return end
   error(("port '%s': %sput port of type %s expected, got an %sput port of type %s")
     :format(held.name, wanted.porttype, wanted.type, found.porttype, found.type), 0)
+end
+
+-- Makes a port. RTT would replace and disconnect one whose name is used again. A
+-- component that launches by itself may have it, also from the launch before.
+local function provide_port(launch, field, held)
+  if launch.is_own and held:find() then return check_port(held) end
+  if held_port.of(held.component, held.name) then
+    error(("'%s' has a port '%s' already"):format(held.component:getName(), held.name),
+      0)
+  end
+  new_port(launch, field, held)
+end
+
+-- Holds the port that a field of the launch asks for: true, or its name. With
+-- `ports = "configure"`, the port is made when the component is configured.
+local function add_port(launch, field)
+  local wanted = launch[field]
+  if not wanted then return nil end
+  local class, name, _, text, kind = unpack(PORTS[field], 1, 5)
+  if wanted ~= true and field ~= "timer" then name = wanted end
+  local held = held_port.reserve(launch.component, { name = name,
+    type = kind or "string", desc = text,
+    porttype = class == "InputPort" and "in" or "out" })
+  if launch.ports_at ~= "configure" then provide_port(launch, field, held) end
+  launch.ports[field] = held
+  return held
 end
 
 local function set_port_globals(launch)
@@ -123,62 +133,44 @@ local function port_of(getevents)
   end }
 end
 
--- Makes the getevents of the machine: the port for events replaces that of the chart.
 -- The global `extra_in_ports` lists more ports, of a prefile.
-local function add_getevents(launch, fsm, getevents)
-  if launch.ev_inport == nil then
-    launch.ev_inport = not getevents and not held_port.of(launch.component, "events_in")
-  end
+local function hold_extra_ports(launch)
   local extra = rawget(_G, "extra_in_ports") or {}
   if extra[1] then rfsm_rtt.gen_read_events(unpack(extra)) end -- raises for wrong ones
   for i, real in ipairs(extra) do
     launch.extra[i] = held_port.hold(real, real:info())
   end
+end
+
+-- Makes the getevents of the machine: the port for events replaces that of the chart.
+local function add_getevents(launch, fsm, getevents)
+  if launch.ev_inport == nil and not getevents then
+    launch.ev_inport = launch.is_own or not held_port.of(launch.component, "events_in")
+  end
+  hold_extra_ports(launch)
   local input = add_port(launch, "ev_inport")
-  if not input and not extra[1] then return end
+  if not input and not launch.extra[1] then return end
   local first = input or getevents and port_of(getevents)
   local sources = first and { first, unpack(launch.extra) } or launch.extra
-  fsm.getevents = rfsm_rtt.gen_read_events(unpack(sources))
+  fsm.getevents = rfsm_rtt.gen_read_events(launch.samples, unpack(sources))
 end
+
+local function is_code() return true end
 
 -- Returns the machine, and the getevents of the chart.
-local function load_machine(rtt, file)
-  local model = rfsm.load(file)
+local function load_machine(launch)
+  local ok, model = limit.load(limit.SECONDS, is_code, { os.time }, rfsm.load,
+    launch.fsmfile)
+  if not ok then error(model, 0) end
   for name, level in pairs { err = "Error", warn = "Warning", info = "Info" } do
-    if model[name] == nil then model[name] = printer(rtt, level) end -- any order
-  end
-  local fsm, _, problems = rfsm.init(model)
-  if not fsm then error("no machine, problems of the chart: " .. #problems, 0) end
-  return fsm, model.getevents
-end
-
--- Logs the cycles on which the machine never becomes idle. Exploring the chart, and
--- even all static checks, would need more memory than the pool of a component has.
-local function report_endless(launch, fsm)
-  local is_kept = {}
-  for name in pairs(package.loaded) do is_kept[name] = true end -- any order: a set
-  local log = printer(launch.rtt, "Warning")
-  local function add(code, state, text)
-    local silences = type(state.checks) == "table" and state.checks or {}
-    if not silences[code] then
-      log(("%s: %s [%s]"):format(state._fqn, text, code))
+    if model[name] == nil then -- any order
+      model[name] = update.printer(launch, level)
     end
   end
-  local ok, problem = pcall(function() require("rfsm.checks.loops").check(fsm, add) end)
-  if not ok then
-    make_room(problem)
-    log("not checked for cycles without an event:", problem)
-  end
-  for name in pairs(package.loaded) do -- any order: each alone
-    if not is_kept[name] then package.loaded[name] = nil end
-  end
-end
-
--- Has the machine compiled now. A pool that is three quarters full does without text of
--- rfsm/fast.lua, which takes up to 2 KiB a transition.
-local function prepare(fsm)
-  if update.is_short_of_memory() then rfsm.save_memory() end
-  rfsm.prepare(fsm)
+  launch.stage = "the machine is made"
+  local fsm, _, problems = rfsm.init(model)
+  if not fsm then error("no machine:\n  " .. concat(problems, "\n  "), 0) end
+  return fsm, model.getevents
 end
 
 -- Hooks --------------------------------------------------------------------------
@@ -204,7 +196,7 @@ local function warn_of_timers(launch)
       local name = rfsm.text_of(event)
       if name:find("^e_after%(") or name:find("^e_at%(") then
         local text = "%s is late: a component without a period needs timer = true"
-        return printer(launch.rtt, "Warning")(text:format(name))
+        return launch.log("Warning", text:format(name))
       end
     end
   end
@@ -216,6 +208,7 @@ end
 local function wrap(launch, name, ours, always)
   local theirs = rawget(_G, name)
   if theirs == launch.hooks[name] and theirs then return end
+  launch.theirs[name] = theirs
   launch.hooks[name] = function()
     local ok, result = true, true
     if theirs then ok, result = pcall(theirs) end
@@ -226,8 +219,11 @@ local function wrap(launch, name, ours, always)
   rawset(_G, name, launch.hooks[name])
 end
 
+-- A component that launches by itself does so in its configureHook.
 local function wrap_hooks(launch)
-  wrap(launch, "configureHook", function() make_ready(launch) end)
+  if not launch.is_own then
+    wrap(launch, "configureHook", function() make_ready(launch) end)
+  end
   wrap(launch, "startHook", function()
     make_ready(launch)
     warn_of_timers(launch)
@@ -284,6 +280,32 @@ local function run(load, source, name)
   if source then assert(load(source, name))() end
 end
 
+-- Has the deployer, a peer, load a component that writes to its port when a time has
+-- passed.
+local function add_timer(launch)
+  if not launch.timer then return end
+  local target, name = launch.component, launch.deployer or "Deployer"
+  local found, deployer = pcall(target.getPeer, target, name)
+  if not found then
+    error(("timer: a deployer that is a peer of '%s' expected, there is no '%s'")
+      :format(target:getName(), name), 0)
+  end
+  launch.timer = target:getName() .. "_timer"
+  if pcall(target.getPeer, target, launch.timer) then return end
+  local load = deployer:getOperation("loadComponent")
+  if not load(launch.timer, "OCL::TimerComponent") then
+    error("timer: the deployer does not load '" .. launch.timer .. "'", 0)
+  end
+  launch.unload_timer = function()
+    deployer:getPeer(launch.timer):stop()
+    deployer:getOperation("unloadComponent")(launch.timer)
+  end
+  local timer = deployer:getPeer(launch.timer)
+  target:addPeer(timer)
+  timer:configure()
+  timer:start()
+end
+
 -- Adds ports to which the machine writes; returns the function that writes the FQN.
 local function add_outputs(launch)
   local fqn, out = add_port(launch, "fqn_port"), add_port(launch, "ev_outport")
@@ -309,68 +331,129 @@ local function connect(launch, fsm, getevents, write_fqn)
   launch.variables.rfsm_halted:assign(not launch.eehook)
 end
 
+-- Returns the updateHook of the program, or that of the launch.
+local function update_hook(launch, trigger)
+  if not launch.is_component then return nil end
+  local theirs = rawget(_G, "updateHook")
+  if not theirs then launch.hooks.updateHook = function() trigger() end end
+  return theirs or launch.hooks.updateHook
+end
+
 local function set_up(launch)
+  if launch.pool then update.enlarge_pool(launch, launch.pool) end
   run(loadfile, launch.prefile)
   run(loadstring, launch.prestr, "=prestr")
+  add_timer(launch)
   local write_fqn = add_outputs(launch)
-  local fsm, getevents = load_machine(launch.rtt, launch.fsmfile)
+  launch.stage = "the chart is loaded"
+  pcall(collectgarbage)
+  local fsm, getevents = load_machine(launch)
+  launch.stage = "the machine is connected"
+  pcall(collectgarbage)
   connect(launch, fsm, getevents, write_fqn)
   set_port_globals(launch)
   launch.fsm, launch.meter = fsm, update.new_meter(launch)
+  launch.finish = update.new_finisher(launch)
   local trigger = update.new_trigger(launch, fsm, make_ready)
-  launch.hooks.updateHook = launch.is_component and function() trigger() end or nil
-  set_globals { fsm = fsm, trigger = trigger, updateHook = launch.hooks.updateHook }
+  set_globals { fsm = fsm, trigger = trigger,
+    updateHook = update_hook(launch, trigger) }
   run(loadfile, launch.postfile)
   run(loadstring, launch.poststr, "=poststr")
-  report_endless(launch, fsm)
-  prepare(fsm)
+  fsm.err = update.counted(launch, fsm.err)
+  if launch.is_component then wrap_hooks(launch) end
   return launch.eehook and new_hook(launch, trigger) or nil
+end
+
+-- Returns why nothing can be launched in this Lua; nil if it can.
+local function obstacle()
+  if not rfsm.prepare then return "another rfsm is loaded in this Lua" end
+  if not package.loaded.rtt then return "no module 'rtt' in this Lua" end
+  if not rfsm.is_initialized_root(rawget(_G, "fsm")) then return nil end
+  return "a machine was launched here before, it is the global 'fsm'"
+end
+
+-- Returns a function that gives the program its hooks back, those that it has not
+-- defined anew, and forgets the machine: a pool may not have room for two.
+local function new_forgetter(launch)
+  return function()
+    for name, hook in pairs(launch.hooks) do -- any order: each is a global of its own
+      if rawget(_G, name) == hook then rawset(_G, name, launch.theirs[name]) end
+    end
+    if rawequal(rawget(_G, "fsm"), launch.fsm) then rawset(_G, "fsm", nil) end
+    for _, name in ipairs { "trigger", "setfqn" } do rawset(_G, name, nil) end
+    launch.fsm, launch.hooks, launch.theirs = nil, {}, {}
+    pcall(collectgarbage)
+  end
 end
 
 -- Takes away what a launch has made. Ports and attributes are no garbage for Lua.
 local function undo(launch)
   for _, field in ipairs(FIELDS) do
-    local real = launch.ports[field] and launch.ports[field].real
-    if real then
-      launch.component:removePort(real:info().name) -- else `delete` ends the process
-      real:delete()
+    local held = launch.ports[field]
+    if held and held.is_made and held.real then
+      launch.component:removePort(held.name) -- else `delete` ends the process
+      held.real:delete()
     end
   end
   for _, name in ipairs(launch.attributes) do
     launch.component:removeAttribute(name)
   end
+  if launch.unload_timer then pcall(launch.unload_timer) end
+  launch.forget()
 end
 
---- Launch a machine in this Lua; return the hook to enable as the last act, if there is
--- one. Raises an error with the name of the chart.
---
 -- Charts rely on rttlib, which makes constructors callable and operations methods, and
 -- on utils: both are loaded if they can be had.
-function component.launch(launch)
-  local where = "launch of '" .. launch.fsmfile .. "': "
-  if not rfsm.prepare then error(where .. "another rfsm is loaded in this Lua", 0) end
-  local rtt = package.loaded.rtt
-  if not rtt then error(where .. "no module 'rtt' in this Lua", 0) end
-  if rfsm.is_initialized_root(rawget(_G, "fsm")) then
-    error(where .. "a machine was launched here before, it is the global 'fsm'", 0)
-  end
+local function load_libraries()
   pcall(require, "rttlib")
   local has_utils, utils = pcall(require, "utils")
   if has_utils and not rawget(_G, "utils") then set_globals { utils = utils } end
-  launch.rtt, launch.component, launch.hooks = rtt, rtt.getTC(), {}
+end
+
+-- Completes the record of a launch.
+local function begin(launch)
+  local rtt = package.loaded.rtt
+  launch.rtt, launch.component = rtt, rtt.getTC()
+  launch.hooks, launch.theirs, launch.stage = {}, {}, "the launch begins"
   launch.ports_at, launch.ports, launch.extra = launch.ports, {}, {}
   launch.variables, launch.attributes = {}, {}
-  launch.is_ready = not launch.is_component
+  launch.is_ready = launch.is_own or not launch.is_component
+  launch.log, launch.flush = update.new_log(rtt)
+end
+
+--- Launch a machine in this Lua; return the hook to enable as the last act, if there is
+-- one. Raises an error with the name of the chart. Call `launch.finish` behind it, when
+-- most of this module is garbage.
+---@param launch rfsm.rtt.Launched
+function component.start(launch)
+  launch.where = "launch of '" .. launch.fsmfile .. "': "
+  local problem = obstacle()
+  if problem then error(launch.where .. problem, 0) end
+  load_libraries()
+  begin(launch)
+  launch.undo, launch.forget = function() undo(launch) end, new_forgetter(launch)
   local ok, result = pcall(set_up, launch)
-  for _, name in ipairs { "component", "update" } do -- most is not needed any more
-    package.loaded["rfsm.rtt." .. name] = nil
-  end
-  if ok and launch.is_component then wrap_hooks(launch) end
-  if not ok then undo(launch) end
-  collectgarbage()
-  if not ok then error(where .. rfsm.text_of(result), 0) end
-  launch.meter()
+  rfsm_rtt.forget_modules()
+  if not ok then update.fail(launch, result) end
+  rfsm_rtt.launched = launch
   return result
+end
+
+-- Returns the settings; those modules are garbage from then on.
+local function read(args)
+  local settings = require "rfsm.rtt.settings"
+  local launch = settings.read(settings.OWN, args, "fsmfile")
+  rfsm_rtt.forget_modules()
+  return launch
+end
+
+--- Launch a machine in the component of this Lua, as `rfsm.rtt.launch` does.
+---@param args rfsm.rtt.Launch
+function component.launch(args)
+  local launch = read(args)
+  set_globals(launch.env)
+  launch.is_own = true
+  component.start(launch)
 end
 
 return component

@@ -10,54 +10,18 @@
 
 local rfsm = require "rfsm"
 local component = require "rfsm.rtt.component"
-local options = require "rfsm.shared.options"
+local files = require "rfsm.shared.files"
+local rfsm_rtt = require "rfsm.rtt"
+local settings = require "rfsm.rtt.settings"
 
-local debug, error, ipairs, loadfile = debug, error, ipairs, loadfile
+local debug, error, ipairs, os = debug, error, ipairs, os
 local package, pairs, pcall, tostring = package, pairs, pcall, tostring
 local type = type
-local concat, huge = table.concat, math.huge
+local concat = table.concat
 
 local rtt_launch = {}
 
--- Arguments, and the text that the other Lua executes ------------------------------
-
-local function is_anything() return true end
-local function is_env(value) return type(value) == "table" and value[1] == nil end
-local function is_file(value)
-  if type(value) == "string" then return loadfile(value) end
-end
-
-local function is_word(word)
-  return function(value) return value == word end
-end
-
-local BOOLEAN = { "boolean", options.is_a "boolean" }
-local STRING = { "string", options.is_a "string" }
-local FILE, NAME = { "file name", is_file }, { "name", is_anything }
-
--- Fields of both launches, for options.read.
-local COMMON = {
-  env = { "table of globals by name", is_env, {} },
-  fsmfile = FILE, prefile = FILE, postfile = FILE, prestr = STRING, poststr = STRING,
-  fqn_port = { "string", options.is_a "string", "fqn" },
-  ev_inport = NAME, ev_outport = NAME,
-  run = BOOLEAN, running_only = BOOLEAN, sync = BOOLEAN,
-  steps = { "whole number, at least 1", options.is_whole(1, huge) },
-}
-
-local function with_common(fields)
-  for name, field in pairs(COMMON) do fields[name] = field end -- any order: a set
-  return fields
-end
-
-local SERVICE = with_common {
-  exec_str = { "operation exec_str", is_anything }, eehook = BOOLEAN,
-}
-local COMPONENT = with_common {
-  name = STRING, deployer = NAME, luatype = STRING, timer = BOOLEAN,
-  enter = { "'start'", is_word "start" },
-  ports = { "'configure'", is_word "configure" },
-}
+-- The text that the other Lua executes ---------------------------------------------
 
 -- Returns a value as Lua writes it; raises if Lua cannot write it, or if it has no end.
 local function to_text(value, path)
@@ -77,15 +41,27 @@ local function to_text(value, path)
   return "{ " .. concat(texts, ", ") .. " }"
 end
 
--- Our modules come first, from where this one is: another rfsm may be installed.
+-- Our modules come first, from where this one is: another rfsm may be installed. The
+-- reason of a failure is written into a file, since `exec_str` returns false only.
 -- Nothing is done in this Lua after the hook is enabled, since OCL takes no lock.
 local PROGRAM = [[
 local launch = %s
-package.path = %q .. package.path .. %q
-for name, value in pairs(launch.env) do rawset(_G, name, value) end
-local ok, component = pcall(require, "rfsm.rtt.component")
-if not ok then error("launch of '" .. launch.fsmfile .. "': " .. component, 0) end
-local hook = component.launch(launch)
+local ok, hook = pcall(function()
+  package.path = %q .. package.path .. %q
+  for name, value in pairs(launch.env) do rawset(_G, name, value) end
+  return require("rfsm.rtt.component").start(launch)
+end)
+local why = hook
+if ok then ok, why = pcall(launch.finish) end
+if not ok then
+  pcall(collectgarbage)
+  local file = io.open(%q, "w")
+  if file then
+    file:write(tostring(why))
+    file:close()
+  end
+  error(why, 0)
+end
 if hook then hook:enable() end
 ]]
 
@@ -96,30 +72,21 @@ local function own_template()
   return folder and folder .. "?.lua;" or ""
 end
 
--- Returns the settings of a launch; raises if one is wrong, or a named one is missing.
-local function read(fields, args, ...)
-  local launch, problem = options.read(fields, args)
-  if not launch then error(problem, 0) end
-  for _, name in ipairs { ... } do
-    if launch[name] == nil then
-      error(name .. ": " .. fields[name][1] .. " expected, got nil", 0)
-    end
-  end
-  if launch.steps and (launch.sync or launch.run) then
-    error("steps: expected without sync and run, which are numbers of steps", 0)
-  end
-  return launch
-end
-
-local function program(launch)
-  return PROGRAM:format(to_text(launch, ""), own_template(), ";" .. package.path)
-end
-
 -- Launch ----------------------------------------------------------------------------
 
--- Calls an operation; raises if it returns false.
-local function call(operation, ...)
-  if operation(...) == false then error("RTT's log has the reason", 0) end
+local NO_REASON = "RTT's log has the reason"
+
+-- Launches in the Lua of an operation exec_str; raises the reason of a failure.
+local function execute(exec_str, launch)
+  local file = os.tmpname()
+  local program = PROGRAM:format(to_text(launch, ""), own_template(),
+    ";" .. package.path, file)
+  local is_called, is_done = pcall(exec_str, program)
+  local reason = files.read(file)
+  os.remove(file)
+  if not is_called then error(is_done, 0) end
+  if is_done ~= false then return end
+  error(reason and reason ~= "" and rfsm_rtt.reason(reason) or NO_REASON, 0)
 end
 
 --- Launch a machine in a Lua service of a component.
@@ -128,9 +95,7 @@ end
 -- The service's Lua gets the globals `fsm`, `trigger`, `setfqn`, `eehook`. With
 -- `eehook` the machine takes a step at each update, otherwise at each `trigger()`.
 --
--- Fields of `options`: `run` (run the machine, do not only step), `steps`,
--- `running_only` (not while the component is stopped or not configured), and the fields
--- of rfsm.rtt.Launch for ports and programs.
+-- Fields of `options` are those of rfsm.rtt.Launch from `fsmfile` on.
 --
 -- @usage
 --    local exec_str = component:provides("Lua"):getOperation("exec_str")
@@ -150,9 +115,9 @@ function rtt_launch.service_launch_rfsm(file, exec_str, eehook, env, more)
       error("options: table expected, " .. rfsm.got(more), 0)
     end
     for name, value in pairs(more or {}) do args[name] = value end -- any order
-    local launch = read(SERVICE, args, "fsmfile", "exec_str")
-    launch.exec_str, launch.is_component = nil, false
-    call(exec_str, program(launch))
+    local launch = settings.read(settings.SERVICE, args, "fsmfile", "exec_str")
+    launch.exec_str = nil
+    execute(exec_str, launch)
   end)
   if ok then return true end
   error("rfsm.rtt.service_launch_rfsm: " .. rfsm.text_of(why), 2)
@@ -201,62 +166,40 @@ function rtt_launch.service_resume_rfsm(exec_str)
   error("rfsm.rtt.service_resume_rfsm: RTT's log has the reason", 2)
 end
 
--- Loads a component that writes to its port when a time has passed.
-local function load_timer(deployer, name)
-  call(deployer:getOperation("loadComponent"), name, "OCL::TimerComponent")
-  local timer = deployer:getPeer(name)
-  timer:configure()
-  timer:start()
-  return timer
-end
-
-local function unload(deployer, name)
-  pcall(function() deployer:getPeer(name):stop() end)
-  pcall(deployer:getOperation("unloadComponent"), name)
+-- Returns the deployer: a component, or a peer's name.
+local function find_deployer(wanted)
+  local found, peer = true, wanted
+  if type(wanted) == "string" then
+    local own = package.loaded.rtt.getTC()
+    found, peer = pcall(function() return own:getPeer(wanted) end)
+  end
+  local is_deployer = found and pcall(function() peer:getOperation("loadComponent") end)
+  if is_deployer then return peer end
+  error("deployer: a deployer or the name of a peer expected, " .. rfsm.got(wanted), 0)
 end
 
 local function launch_component(args)
-  local launch = read(COMPONENT, args, "name", "fsmfile")
+  local launch = settings.read(settings.COMPONENT, args, "name", "fsmfile")
   local name, kind = launch.name, launch.luatype or "OCL::LuaComponent"
-  local deployer = launch.deployer or "Deployer"
-  local timer = launch.timer and name .. "_timer" or nil
-  launch.deployer, launch.is_component, launch.timer = nil, true, timer
-  local text = program(launch)
-  if type(deployer) == "string" then
-    deployer = package.loaded.rtt.getTC():getPeer(deployer)
+  local deployer = find_deployer(launch.deployer or "Deployer")
+  launch.deployer = deployer:getName()
+  to_text(launch, "") -- before anything is loaded
+  if not deployer:getOperation("loadComponent")(name, kind) then
+    error(("the deployer loads no '%s' of type '%s', %s"):format(name, kind, NO_REASON),
+      0)
   end
-  call(deployer:getOperation("loadComponent"), name, kind)
   local target = deployer:getPeer(name)
   local ok, why = pcall(function()
+    if not target:hasOperation("exec_str") then
+      error("luatype: type of a Lua component expected, got '" .. kind .. "'", 0)
+    end
     target:addPeer(deployer)
-    if timer then target:addPeer(load_timer(deployer, timer)) end
-    call(target:getOperation("exec_str"), text)
+    execute(target:getOperation("exec_str"), launch)
   end)
   if ok then return target end
-  unload(deployer, name)
-  if timer then unload(deployer, timer) end
+  deployer:getOperation("unloadComponent")(name)
   error(why, 0)
 end
-
---- The arguments of component_launch_rfsm.
----@class rfsm.rtt.Launch
----@field name string of the new component
----@field fsmfile string the chart
----@field deployer? any the deployer, or the name of a peer ("Deployer")
----@field luatype? string type of the component ("OCL::LuaComponent")
----@field sync? boolean an update is one step; default: it runs the machine
----@field steps? integer an update is as many at most; default of a run: 1000
----@field enter? "start" enter the machine in startHook; default: in the first update
----@field ports? "configure" make ports in configureHook; default: in the launch
----@field timer? boolean wake an event-driven component for time events
----@field ev_inport? string|boolean port for events ("events_in"), false: none
----@field ev_outport? string|boolean port ("events_out") to which `emit_event` writes
----@field fqn_port? string port for the FQN of the active leaf ("fqn")
----@field prefile? string file to run before the chart is loaded
----@field prestr? string text to run after prefile
----@field postfile? string file to run at the end, when the global `fsm` is there
----@field poststr? string text to run after postfile
----@field env? table<string, any> globals: strings, numbers, booleans, tables of these
 
 --- Launch a machine in a component of its own.
 --

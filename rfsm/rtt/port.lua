@@ -25,6 +25,7 @@ end
 ---@field facts table<string, any> what `info` returned first
 ---@field real any|false the port, false as long as there is none
 ---@field was_found boolean did the component have it?
+---@field is_made boolean? has the launch made it?
 ---@field last any the last value written
 ---@field samples table<string, any> Variables by text, for texts that are known before
 local Port = {}

@@ -8,65 +8,111 @@
 local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 
-local collectgarbage, ipairs, pcall, rawget = collectgarbage, ipairs, pcall, rawget
-local require, select, type = require, select, type
-local huge, max = math.huge, math.max
+local collectgarbage, error, getmetatable = collectgarbage, error, getmetatable
+local ipairs = ipairs
+local pcall, rawget, require, select = pcall, rawget, require, select
+local setmetatable, type = setmetatable, type
+local huge, remove = math.huge, table.remove
+local newproxy = rawget(_G, "newproxy")
+local text_of = calls.text -- what stays after the launch holds this, not the module
 
 local update = {}
 
 -- Memory: a pool of a fixed size -------------------------------------------------
 
+-- The collector itself allocates, and raises in a pool that is full.
+local function collect() pcall(collectgarbage) end
+
 -- Lua 5.1 collects when the heap has grown by a factor, not when memory is short. So a
 -- pool that is full stays full: even the report of the error fails.
-function update.make_room(problem)
+local function make_room(problem)
   if type(problem) == "string" and problem:find("not enough memory", 1, true) then
-    collectgarbage()
+    collect()
   end
 end
 
-local make_room = update.make_room
-
--- Returns a function that returns the KiB in use, and the most that ever were; in a
--- TLSF pool also its size. Those of a pool count what it adds to each block.
-local function new_gauge()
+-- Returns the KiB in use, and of a TLSF pool the most that ever were, and its size.
+-- Those of a pool count what it adds to each block.
+local function usage()
   local tlsf = rawget(_G, "tlsf")
-  if not (tlsf and tlsf.stats) then
-    local most = 0
-    return function()
-      local kib = collectgarbage("count")
-      most = max(most, kib)
-      return kib, most, huge
-    end
-  end
-  local stats = tlsf.stats
-  return function()
-    local used, most, size = stats()
-    return used / 1024, most / 1024, size / 1024
-  end
+  if not (tlsf and tlsf.stats) then return collectgarbage("count"), 0, huge end
+  local used, most, size = tlsf.stats()
+  return used / 1024, most / 1024, size / 1024
 end
 
---- Are three quarters of the pool in use? False if this Lua has none.
-function update.is_short_of_memory()
-  collectgarbage()
-  local used, _, size = new_gauge()()
-  return used > 3 / 4 * size
+-- Collects all garbage, and returns the memory in use as a text.
+local function memory_text()
+  collect()
+  local used, _, size = usage()
+  if size == huge then return ("%.0f KiB in use"):format(used) end
+  return ("%.0f of %.0f KiB in use (%.0f %%)"):format(used, size, 100 * used / size)
 end
 
--- Returns a function that notes the memory in use. It is called first when all garbage
--- was collected. It collects when nine tenths of the rest of the pool are in use.
+--- Enlarge the pool of a component to so many KiB; without a pool nothing happens.
+function update.enlarge_pool(launch, kib)
+  local _, _, size = usage()
+  if size + 16 > kib then return end -- it is, but for what the pool itself takes
+  local bytes = launch.rtt.Variable.new("uint")
+  bytes:assign((kib - size) * 1024)
+  launch.component:getOperation("tlsf_incmem")(bytes)
+end
+
+-- Has `note` called when the collector has come to the end of its cycle.
+local function when_collected(note)
+  if not newproxy then return setmetatable({}, { __gc = note }) end
+  getmetatable(newproxy(true)).__gc = note
+end
+
+--- Return a function that notes the memory in use. What is in use at the end of a cycle
+-- of the collector is live. It collects when nine tenths of the rest of a pool are in
+-- use; it is called first when all garbage was collected.
 function update.new_meter(launch)
-  local gauge, variables = new_gauge(), launch.variables
-  local before, highest, limit = huge, 0, false
+  local variables, peak, limit, is_collected = launch.variables, 0, false, true
+  local function note() is_collected = true end
   return function()
-    local used, most, size = gauge()
+    local used, most, size = usage()
     if limit and used > limit then
-      collectgarbage()
-      used, limit = gauge(), false
+      collect()
+      used, limit = usage(), false
     end
     limit = limit or used + 0.9 * (size - used)
-    if used < before then variables.rfsm_live:assign(used) end
-    if most > highest then variables.rfsm_peak:assign(most) end
-    before, highest = used, max(highest, most)
+    if is_collected then
+      is_collected = false
+      variables.rfsm_live:assign(collectgarbage("count"))
+      pcall(when_collected, note)
+    end
+    if most < used then most = used end
+    if most > peak then variables.rfsm_peak:assign(most) end
+    if most > peak then peak = most end
+  end
+end
+
+--- Undo a launch that has failed, and raise the reason; if that was a lack of memory,
+-- also what was done then.
+function update.fail(launch, problem)
+  collect() -- or undoing fails, too
+  launch.undo()
+  local text, memory = rfsm.text_of(problem), memory_text()
+  if text:find("not enough memory", 1, true) then
+    text = ("%s while %s, %s without that"):format(text, launch.stage, memory)
+  end
+  error(launch.where .. text, 0)
+end
+
+local fail = update.fail
+
+--- Return a function that prepares the machine, and logs what was launched.
+function update.new_finisher(launch)
+  return function()
+    collect()
+    launch.stage = "the machine is prepared"
+    local ok, problem = pcall(rfsm.prepare, launch.fsm)
+    if not ok then fail(launch, problem) end
+    launch.undo, launch.finish = nil, nil
+    launch.log("Info", ("rfsm.rtt: '%s' is launched in '%s': %s%s"):format(
+      launch.fsmfile, launch.component:getName(), memory_text(),
+      rawget(_G, "tlsf") and ", without rfsm.fast" or ""))
+    launch.meter()
   end
 end
 
@@ -74,8 +120,8 @@ end
 
 --- The attributes of each launch, by name, and those of a service: their types.
 update.ATTRIBUTES = {
-  rfsm_overruns = "uint", rfsm_failures = "uint", rfsm_live = "double",
-  rfsm_peak = "double",
+  rfsm_errors = "uint", rfsm_overruns = "uint", rfsm_failures = "uint",
+  rfsm_live = "double", rfsm_peak = "double",
 }
 update.OF_SERVICE = { rfsm_halt = "bool", rfsm_halted = "bool" }
 
@@ -93,6 +139,7 @@ function update.add_attributes(launch, types)
       launch.attributes[#launch.attributes + 1] = name
     end
     local value, before = attribute:getRaw(), launch.variables[name]
+    if launch.is_own and not before then value:assign(0) end -- it begins anew
     if before and not ok then value:assign(before) end
     launch.variables[name] = value
   end
@@ -109,31 +156,91 @@ end
 
 -- Log ----------------------------------------------------------------------------
 
--- Returns a printer to RTT's log. It logs texts only, since OCL mutes the log of the
--- whole process at an error that is no text.
-function update.printer(rtt, level)
-  return function(...)
+local MOST_LINES = 16 -- of different texts
+
+local function write(rtt, line)
+  rtt.logl(line.level, line.text
+    .. (line.count > 1 and (" (%d times)"):format(line.count) or ""))
+  line.second, line.count = rtt.getTime(), 0
+end
+
+--- Return a function log(level, ...) to RTT's log, and a function that writes what is
+-- due. A line that comes again is written once a second, with the number of times.
+--
+-- It logs texts only, since OCL mutes the log of the whole process at an error that is
+-- no text.
+function update.new_log(rtt)
+  local lines, is_behind = {}, false
+
+  -- Returns the line of that text; the oldest one goes.
+  local function find(level, text)
+    for i = 1, #lines do
+      if lines[i].text == text and lines[i].level == level then return lines[i] end
+    end
+    local oldest = lines[MOST_LINES] and remove(lines, 1)
+    if oldest and oldest.count > 0 then write(rtt, oldest) end
+    lines[#lines + 1] = { level = level, text = text, count = 0, second = false }
+    return lines[#lines]
+  end
+
+  local function log(level, ...)
     for i = 1, select("#", ...) do make_room((select(i, ...))) end
-    rtt.logl(level, calls.text(" ", ...))
+    local line = find(level, text_of(" ", ...))
+    line.count = line.count + 1
+    if line.second ~= rtt.getTime() then return write(rtt, line) end
+    is_behind = true
+  end
+
+  return log, function()
+    if not is_behind then return end
+    local second = rtt.getTime()
+    is_behind = false
+    for i = 1, #lines do
+      local line = lines[i]
+      if line.count > 0 and line.second ~= second then write(rtt, line) end
+      is_behind = is_behind or line.count > 0
+    end
   end
 end
 
-local printer = update.printer
+--- Return a printer of a machine, which writes to RTT's log.
+function update.printer(launch, level)
+  local log = launch.log
+  return function(...) log(level, ...) end
+end
+
+-- Returns a function that counts in an attribute, and calls error() of the component if
+-- the launch has asked for it.
+local function new_alert(launch, name)
+  local count, target, calls_error = new_counter(launch, name), launch.component,
+    launch.error
+  return function()
+    count()
+    if calls_error then target:error() end
+  end
+end
+
+--- Return `err` of the machine with a count of its calls.
+function update.counted(launch, err)
+  local alert = new_alert(launch, "rfsm_errors")
+  return function(...)
+    alert()
+    if err then return err(...) end
+  end
+end
 
 -- Returns a function that reports what an update raised. It never raises, since RTT
 -- removes a hook that fails.
 function update.new_reporter(launch)
-  local log, count = printer(launch.rtt, "Error"), new_counter(launch, "rfsm_failures")
+  local log, alert = launch.log, new_alert(launch, "rfsm_failures")
   return function(problem)
     make_room(problem)
-    count()
-    pcall(log, "rfsm.rtt:", problem)
+    alert()
+    pcall(log, "Error", "rfsm.rtt:", problem)
   end
 end
 
 -- Updates ------------------------------------------------------------------------
-
-local STEPS = 1000 -- of an update that runs the machine; a run that is longer goes on
 
 -- Returns a function that wakes an event-driven component for the next time event.
 local function new_alarm(launch, fsm)
@@ -152,8 +259,7 @@ end
 -- Returns a function that makes the steps of an update.
 local function new_update(launch, fsm, again, make_ready)
   local count, alarm = new_counter(launch, "rfsm_overruns"), new_alarm(launch, fsm)
-  local runs = launch.run or launch.is_component and not launch.sync
-  local steps = launch.steps or runs and STEPS or 1
+  local steps = launch.steps
   return function()
     if not launch.is_ready then make_ready(launch) end
     local is_idle = rfsm.step(fsm, steps)
@@ -174,7 +280,7 @@ function update.new_trigger(launch, fsm, make_ready)
     or function() end
   local report = update.new_reporter(launch)
   local advance = new_update(launch, fsm, again, make_ready)
-  local meter, target = launch.meter, launch.component
+  local meter, target, flush = launch.meter, launch.component, launch.flush
   local running_only, has_failed = launch.running_only, false
   return function()
     if running_only and target:getState() ~= "Running" then return true end
@@ -182,6 +288,7 @@ function update.new_trigger(launch, fsm, make_ready)
     if not ok then report(problem) end
     if ok == has_failed then pcall(again) end
     has_failed = not ok
+    pcall(flush)
     meter()
     return true
   end

@@ -8,6 +8,7 @@
 
 local rfsm = require "rfsm"
 local load_file = rfsm.load -- before `search` replaces it
+local limit = require "rfsm.shared.limit"
 local search = require "rfsm.shared.search"
 local stubs = require "rfsm.shared.stubs"
 
@@ -15,8 +16,7 @@ local error, getmetatable, io, ipairs, next = error, getmetatable, io, ipairs, n
 local os, pcall, rawget, rawset, require = os, pcall, rawget, rawset, require
 local setmetatable, type = setmetatable, type
 local concat = table.concat
-local debug, jit = rawget(_G, "debug"), rawget(_G, "jit")
-local getinfo = debug and debug.getinfo
+local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
 
 local chart = {}
 
@@ -145,52 +145,16 @@ end
 
 -- Bounds: what must not happen while a chart is loaded ---------------------------
 
-chart.SECONDS = 5 -- for loading
-
 local function refuse_exit() error("os.exit is called while the chart is loaded", 2) end
 
--- Returns "file:line: " of the chart's innermost function on the stack.
-local function line_of_chart()
-  local level, info = 3, getinfo(3, "Sl")
-  while info and not (info.currentline > 0 and search.world_of(info.source)) do
-    level = level + 1
-    info = getinfo(level, "Sl")
-  end
-  return info and ("%s:%d: "):format(info.short_src, info.currentline) or ""
-end
-
--- Returns the hook that ends the loading of a chart. A chart that waits for something
--- calls a function to do so: each call looks at the clock on the wall.
-local function new_limit(world)
-  local time, clock = os.time, os.clock
-  local wall, processor = time() + chart.SECONDS, clock() + chart.SECONDS
-  return function(event)
-    if not world.is_loading or time() <= wall
-      and (event ~= "count" or clock() < processor) then return end
-    world.is_late = true
-    error(("%sloading takes more than %g s, is there a loop without end?"):format(
-      line_of_chart(), chart.SECONDS), 0)
-  end
-end
-
--- Returns load(file), which may neither end the program nor go on without end. LuaJIT
--- does not call the hook in compiled code.
+-- Returns load(file), which may neither end the program nor go on without end.
 local function within_bounds(world, load, file)
-  local sethook, exit = debug and debug.sethook, os.exit
-  local is_compiling = sethook and jit and jit.status()
-  local hook, mask, count
-  if is_compiling then jit.off() end
-  if sethook then
-    hook, mask, count = debug.gethook()
-    sethook(new_limit(world), "c", 10000)
-  end
+  local exit = os.exit
   if not world.has_stubs then rawset(os, "exit", refuse_exit) end
-  world.is_loading = true
-  local ok, model = pcall(load, file)
-  world.is_loading = false -- from here on the hook does nothing
+  local ok, model, is_late = limit.load(limit.SECONDS, search.world_of,
+    { os.time, os.clock }, load, file)
   rawset(os, "exit", exit)
-  if sethook then sethook(hook, mask, count) end
-  if is_compiling then jit.on() end
+  world.is_late = is_late or false
   return ok and model or error(model, 0)
 end
 

@@ -26,7 +26,6 @@ local search = {}
 ---@field folders string[] that are searched
 ---@field has_stubs boolean
 ---@field insists boolean a global is a stub also where the code asks if it exists
----@field is_loading boolean its file is run now
 ---@field is_late boolean that took too long
 ---@field names string[] of the stubs, in the order in which they were needed
 ---@field stubs table<string, table> by name
@@ -186,8 +185,8 @@ function search.enter(file, source, has_stubs)
   forget(folder)
   current = {
     source = source, folders = { folder, parent_of(folder) },
-    has_stubs = has_stubs or false, insists = false, is_loading = false,
-    is_late = false, names = {}, stubs = {},
+    has_stubs = has_stubs or false, insists = false, is_late = false,
+    names = {}, stubs = {},
   }
   world_of_source[source], latest = current, current
   return current

@@ -214,6 +214,8 @@ end)
 
 -- Connections: one sample, or a buffer -----------------------------------------
 
+local IS_ACTIVE = { Running = true, RunTimeError = true } -- states of a component
+
 local DATA = 0 -- keeps one sample; a buffer drops what comes when it is full
 
 local default_policy -- a Variable
@@ -331,7 +333,7 @@ function OutputPort.write(port, value)
   for _, connection in ipairs(port.connections) do
     connection_write(connection, value)
     local component = connection.to.is_event and connection.to.component
-    if component and component.state == "Running" then component.is_triggered = true end
+    if component and IS_ACTIVE[component.state] then component.is_triggered = true end
   end
 end
 
@@ -616,7 +618,23 @@ local function leave(from, to, hook)
   end
 end
 
-TaskContext.stop = leave("Running", "Stopped", "stopHook")
+-- errorHook is called in place of updateHook until somebody recovers.
+function TaskContext.error(component)
+  if component.state == "Running" then component.state = "RunTimeError" end
+end
+
+function TaskContext.recover(component)
+  if component.state ~= "RunTimeError" then return false end
+  component.state = "Running"
+  return true
+end
+
+local stop = leave("Running", "Stopped", "stopHook")
+
+function TaskContext.stop(component)
+  TaskContext.recover(component)
+  return stop(component)
+end
 TaskContext.cleanup = leave("Stopped", "PreOperational", "cleanupHook")
 
 -- One turn of the thread: hooks, in every state, then updateHook.
@@ -628,7 +646,9 @@ local function execute(component)
     if not hook then die("an enabled EEHook was collected") end
     if hook.run() then i = i + 1 else table.remove(hooks, i) end
   end
-  if component.state == "Running" then call_hook(component, "updateHook", false) end
+  local hook = component.state == "Running" and "updateHook"
+    or component.state == "RunTimeError" and "errorHook"
+  if hook then call_hook(component, hook, false) end
 end
 
 -- Gives each thread that was triggered its turn, until none is.
@@ -796,11 +816,19 @@ local POOL = 1048576 -- bytes
 -- garbage: from then on what needs memory fails, until somebody collects.
 FACTORIES["OCL::LuaTLSFComponent"] = function(name)
   local component = FACTORIES["OCL::LuaComponent"](name)
-  local globals, used = component.lua.globals, POOL / 2
+  local globals, used, size = component.lua.globals, POOL / 2, POOL
   globals.tlsf = {
-    stats = function() return used, POOL, POOL end,
+    stats = function() return used, size, size end,
     fill = function(part) used = POOL * part end,
   }
+  component.operations.tlsf_incmem = operation(1, function(bytes)
+    if size > POOL then
+      error("tlsf_rtt_incmem: region already increased, (increasing cur. only possible "
+        .. "once)", 0)
+    end
+    size = size + methods.tolua(bytes)
+    return false
+  end)
   function globals.collectgarbage(what, ...)
     if what == nil or what == "collect" then used = POOL / 2 end
     return collectgarbage(what, ...)
@@ -848,7 +876,7 @@ end)
 
 DEPLOYER.unloadComponent = operation(1, function(name)
   local component = deployer.peers[name]
-  if not component or component.state == "Running" then
+  if not component or IS_ACTIVE[component.state] then
     return refuse("Can't unload component '" .. name .. "'")
   end
   TaskContext.cleanup(component)

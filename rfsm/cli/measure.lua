@@ -1,0 +1,86 @@
+-- Prints the live heap in KiB that loading something adds, for `rfsm size`, which runs
+-- this in a Lua of its own:
+--
+--   LUA measure.lua source|stripped PATH module NAME
+--   LUA measure.lua source|stripped PATH chart FILE [stub]
+
+local form, path, kind, name, has_stubs = ...
+local version = _VERSION:match("[%d.]+$")
+local execute, loadfile = os.execute, loadfile -- before a chart's are held back
+
+package.path = path
+
+-- Lua 5.1 and 5.2 strip nothing: their compiler does.
+local function load_stripped(file)
+  if rawget(_G, "jit") or version > "5.2" then
+    local text = string.dump(assert(loadfile(file)), true)
+    return assert((rawget(_G, "loadstring") or load)(text, "=?"))
+  end
+  local output = os.tmpname()
+  execute(("luac%s -s -o '%s' '%s'"):format(version, output, file))
+  local chunk = assert(loadfile(output))
+  os.remove(output)
+  return chunk
+end
+
+local function search(module)
+  for template in package.path:gmatch("[^;]+") do
+    local file = template:gsub("%?", (module:gsub("%.", "/")))
+    local handle = file:find("%.lua$") and io.open(file)
+    if handle then
+      handle:close()
+      return load_stripped(file)
+    end
+  end
+end
+
+if form == "stripped" then
+  local searchers = rawget(package, "searchers") or rawget(package, "loaders")
+  table.insert(searchers, 2, search)
+end
+
+local function kib()
+  collectgarbage()
+  collectgarbage()
+  return collectgarbage("count")
+end
+
+local before = kib()
+
+local function report(what)
+  local now = kib()
+  print(("%s %.1f"):format(what, now - before))
+  before = now
+end
+
+local rfsm = require "rfsm"
+rfsm.save_memory() -- as in a pool
+require "rfsm.rtt"
+
+if kind == "module" then
+  before = kib()
+  require(name)
+  return report("module")
+end
+
+report("library")
+
+-- What the tools need to load a chart, and an init to warn, is no part of the chart.
+local chart = require "rfsm.shared.chart"
+for _, tool in ipairs { "rfsm.advice", "rfsmpp", "rfsm.monitor" } do require(tool) end
+before = kib()
+local model, problem = chart.load(name, has_stubs == "stub")
+if not model then
+  print("problem " .. problem)
+  return
+end
+model.err, model.warn, model.info, model.dbg = false, false, false, false
+local fsm, _, problems = rfsm.init(model)
+if not fsm then
+  print("problem " .. chart.line(name, problems[1]))
+  return
+end
+rfsm.prepare(fsm)
+report("chart")
+print("states " .. #rfsm.elements(fsm, rfsm.is_state) - 1)
+print("transitions " .. #rfsm.elements(fsm, rfsm.is_trans))

@@ -1,0 +1,28 @@
+-- The whole program of a Lua component of Orocos RTT: name this file in the property
+-- `lua_file`. The fields of its launch are the global `rfsm_launch`, which the property
+-- `lua_string` may set. Without it the chart is NAME.lua in the current folder, by the
+-- name of the component.
+--
+--   gripper.lua_file = "/usr/local/share/lua/5.1/rfsm/rtt/program.lua"
+--   gripper.lua_string = "rfsm_launch = { fsmfile = 'charts/gripper.lua' }"
+--
+-- OCL ignores a failure of this file, and takes a missing configureHook for success. So
+-- the hook is all that is here, and it does all.
+
+local source = debug.getinfo(1, "S").source
+
+local function launch()
+  local folder = source:match("^@(.*)rfsm[/\\]rtt[/\\]program%.lua$")
+  if folder and not package.loaded.rfsm then
+    package.path = folder .. "?.lua;" .. folder .. "compat/?.lua;" .. package.path
+  end
+  local fields = rawget(_G, "rfsm_launch")
+    or { fsmfile = rawget(_G, "rtt").getTC():getName() .. ".lua" }
+  return require("rfsm.rtt").launch(fields)
+end
+
+rawset(_G, "configureHook", function()
+  local ok, why = pcall(launch)
+  if not ok then error(tostring(why), 0) end -- a text: others mute RTT's log
+  return true
+end)

@@ -1,0 +1,108 @@
+--- What a launch may be asked for: names, tests, defaults, and older names.
+--
+-- @module rfsm.rtt.settings
+-- @license BSD-3-Clause
+
+local options = require "rfsm.shared.options"
+
+local error, ipairs, loadfile, type = error, ipairs, loadfile, type
+local huge = math.huge
+
+local settings = {}
+
+--- The arguments of a launch. `name`, `luatype` and `ports` are for a new component,
+-- those up to `pool` for a component.
+---@class rfsm.rtt.Launch
+---@field name? string of a new component
+---@field deployer? any the deployer, or the name of a peer ("Deployer")
+---@field luatype? string type of a new component ("OCL::LuaComponent")
+---@field enter? "start" enter the machine in startHook; default: in the first update
+---@field ports? "configure" make ports in configureHook; default: in the launch
+---@field timer? boolean wake an event-driven component for time events
+---@field pool? integer KiB that a TLSF pool shall have at least
+---@field fsmfile string the chart
+---@field steps? integer an update makes as many at most (1000, in a service 1)
+---@field samples? integer an update reads as many of each port at most (64)
+---@field running_only? boolean not while the component is stopped or not configured
+---@field error? boolean an error of the machine calls error() of the component
+---@field ev_inport? string|boolean port for events ("events_in"), false: none
+---@field ev_outport? string|boolean port ("events_out") to which `emit_event` writes
+---@field fqn_port? string port for the FQN of the active leaf ("fqn")
+---@field prefile? string file to run before the chart is loaded
+---@field prestr? string text to run after prefile
+---@field postfile? string file to run at the end, when the global `fsm` is there
+---@field poststr? string text to run after postfile
+---@field env? table<string, any> globals: strings, numbers, booleans, tables of these
+---@field sync? boolean older name of `steps = 1`
+---@field run? boolean older name of `steps = 1000`
+
+local function is_anything() return true end
+local function is_env(value) return type(value) == "table" and value[1] == nil end
+local function is_file(value)
+  if type(value) == "string" then return loadfile(value) end
+end
+
+local function is_word(word)
+  return function(value) return value == word end
+end
+
+local BOOLEAN = { "boolean", options.is_a "boolean" }
+local STRING = { "string", options.is_a "string" }
+local FILE, NAME = { "file name", is_file }, { "name", is_anything }
+local COUNT = { "whole number, at least 1", options.is_whole(1, huge) }
+
+-- Returns the fields of all launches and these, for options.read.
+local function with_common(fields)
+  fields.env = { "table of globals by name", is_env, {} }
+  fields.fqn_port = { "string", options.is_a "string", "fqn" }
+  fields.fsmfile, fields.prefile, fields.postfile = FILE, FILE, FILE
+  fields.prestr, fields.poststr = STRING, STRING
+  fields.ev_inport, fields.ev_outport = NAME, NAME
+  fields.run, fields.sync, fields.error = BOOLEAN, BOOLEAN, BOOLEAN
+  fields.running_only = BOOLEAN
+  fields.steps, fields.samples = COUNT, COUNT
+  return fields
+end
+
+local function with_own(fields)
+  fields.deployer, fields.timer, fields.pool = NAME, BOOLEAN, COUNT
+  fields.enter = { "'start'", is_word "start" }
+  return with_common(fields)
+end
+
+--- By kind of launch, for `read`: in a service, in a new component, in this one.
+settings.SERVICE = with_common {
+  exec_str = { "operation exec_str", is_anything }, eehook = BOOLEAN,
+}
+settings.COMPONENT = with_own {
+  name = STRING, luatype = STRING, ports = { "'configure'", is_word "configure" },
+}
+settings.OWN = with_own {}
+
+local STEPS = 1000 -- of an update that runs the machine; a run that is longer goes on
+
+-- Makes one number of the three that say how many steps an update makes.
+local function set_steps(launch)
+  if launch.steps and (launch.sync or launch.run) then
+    error("steps: expected without sync and run, which are numbers of steps", 0)
+  end
+  local runs = launch.run or launch.is_component and not launch.sync
+  launch.steps = launch.steps or runs and STEPS or 1
+end
+
+--- Return the settings of a launch; raise if one is wrong, or a named one is missing.
+function settings.read(fields, args, ...)
+  local launch, problem = options.read(fields, args)
+  if not launch then error(problem, 0) end
+  for _, name in ipairs { ... } do
+    if launch[name] == nil then
+      error(name .. ": " .. fields[name][1] .. " expected, got nil", 0)
+    end
+  end
+  launch.is_component = fields ~= settings.SERVICE
+  set_steps(launch)
+  launch.samples = launch.samples or 64
+  return launch
+end
+
+return settings

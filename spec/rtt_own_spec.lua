@@ -1,0 +1,230 @@
+-- Components that launch their machine in their own configureHook, and
+-- rfsm/rtt/program.lua as a component's whole program. On the stand-in in
+-- spec/support/rtt.lua, or in a rttlua.
+
+local helper = require "spec.helper"
+local rtt_helper = require "spec.support.rtt_helper" -- before rfsm.rtt
+
+local rtt = rtt_helper.rtt
+local file_with, chart_file = helper.file_with, rtt_helper.chart_file
+local evaluate, spin, advance = rtt_helper.evaluate, rtt_helper.spin, rtt_helper.advance
+local deploy, load, logged = rtt_helper.deploy, rtt_helper.load, rtt_helper.logged
+local feed, listen, leaves = rtt_helper.feed, rtt_helper.listen, rtt_helper.leaves
+
+before_each(rtt_helper.reset)
+after_each(rtt_helper.reset)
+
+-- A component whose program launches a chart with these fields, and has this code.
+local function own(fields, code, luatype)
+  local arm, exec_str = load("arm", luatype)
+  arm:getProperty("lua_file"):set(file_with(([[
+local rfsm_rtt = require "rfsm.rtt"
+%s
+function configureHook() return rfsm_rtt.launch { %s } end]]):format(code or "",
+    fields or ("fsmfile = %q"):format(chart_file()))))
+  return arm, exec_str
+end
+
+describe("rfsm.rtt.launch", function()
+  it("gives a component its ports, and a machine that runs", function()
+    local arm = own()
+    assert.is_true(arm:configure())
+    local out, names = feed("arm.events_in"), listen("arm.fqn")
+    assert(arm:start())
+    spin()
+    out:write("e_go")
+    spin()
+    assert.equal("<none> a b", leaves(names))
+    assert.equal(0, arm:getAttribute("rfsm_failures"):get())
+    assert.equal(1, #logged("is launched in 'arm'"))
+  end)
+
+  it("works in a TLSF component, and leaves the modules of the launch", function()
+    local arm, exec_str = own(nil, nil, "OCL::LuaTLSFComponent")
+    assert.is_true(arm:configure())
+    assert.equal("true false false false false", evaluate(exec_str,
+      "rfsm.is_initialized_root(fsm), package.loaded['rfsm.rtt.component'] ~= nil, "
+      .. "package.loaded['rfsm.rtt.settings'] ~= nil, "
+      .. "package.loaded['rfsm.shared.options'] ~= nil, "
+      .. "package.loaded['rfsm.rtt.launch'] ~= nil"))
+  end)
+
+  it("begins anew when it is configured again; a port that is there stays connected",
+    function()
+      local arm, exec_str = own()
+      assert(arm:configure())
+      local out, names = feed("arm.events_in"), listen("arm.fqn")
+      for _, leave in ipairs { "stop", "cleanup", "none" } do
+        assert(arm:start())
+        spin()
+        out:write("e_go")
+        spin()
+        assert.equal("<none> a b", leaves(names))
+        arm:stop()
+        if leave == "cleanup" then arm:cleanup() end
+        assert(arm:configure())
+        assert.equal("false 0", evaluate(exec_str, "fsm._act_leaf, "
+          .. "rtt.getTC():getAttribute('rfsm_failures'):get()"))
+      end
+    end)
+
+  it("makes the ports again that a clean-up has deleted", function()
+    local arm = own(nil, "function cleanupHook() rttlib.tc_cleanup() end")
+    for _ = 1, 3 do
+      assert(arm:configure())
+      local out, names = feed("arm.events_in"), listen("arm.fqn")
+      assert(arm:start())
+      spin()
+      out:write("e_go")
+      spin()
+      assert.equal("<none> a b", leaves(names))
+      arm:stop()
+      arm:cleanup()
+      assert.same({}, arm:getPortNames())
+    end
+  end)
+
+  it("uses ports that the program has made, and refuses those of another type",
+    function()
+      for kind, is_right in pairs { string = true, int = false } do -- any order
+        local arm = own(("fsmfile = %q, fqn_port = 'state'"):format(chart_file()),
+          ("rtt.getTC():addPort(rtt.OutputPort.new('%s', 'state'))"):format(kind))
+        assert.equal(is_right, arm:configure())
+        assert.same(is_right and { "state", "events_in" } or { "state" },
+          arm:getPortNames())
+        rtt_helper.reset()
+      end
+    end)
+
+  it("reads the chart again, and no machine is left of the one before", function()
+    local chart = chart_file()
+    local arm, exec_str = own(("fsmfile = %q"):format(chart))
+    assert(arm:configure())
+    exec_str("weak = setmetatable({ fsm }, { __mode = 'v' })")
+    local text = helper.content(chart):gsub("tgt = \"a\"", "tgt = \"b\"", 1)
+    local file = assert(io.open(chart, "w"))
+    file:write(text)
+    file:close()
+    assert(arm:configure())
+    exec_str("trigger() collectgarbage() collectgarbage()")
+    assert.equal("root.b nil", evaluate(exec_str, "fsm._act_leaf._fqn, weak[1]"))
+  end)
+
+  it("keeps the hooks of the program, calls its updateHook in place of ours", function()
+    local arm, exec_str = own(nil, [[
+words = ""
+function startHook()
+  words = words .. " start" .. tostring(fsm._act_leaf)
+  return true
+end
+function updateHook() words = words .. " update" trigger() end
+function stopHook() words = words .. " stop" .. fsm._act_leaf._id end]])
+    for _, words in ipairs { " startfalse update stopa", " startfalse update stopa" } do
+      assert(arm:configure())
+      assert(arm:start())
+      spin()
+      arm:stop()
+      assert.equal(words, evaluate(exec_str, "words"))
+    end
+  end)
+
+  it("wakes a component without a period for time events, with a deployer as peer",
+    function()
+      local fields = ("fsmfile = %q, timer = true"):format(file_with [[
+require "rfsm_timeevent"
+return rfsm.state { info = false, a = rfsm.state {}, b = rfsm.state {},
+  rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "b", events = { "e_after(0.2)" } } }]])
+      local arm, exec_str = own(fields, "require 'rfsm'")
+      assert.is_false(arm:configure())
+      assert.equal(1, #logged("timer: a deployer that is a peer of 'arm' expected, "
+        .. "there is no 'Deployer'"))
+      arm:addPeer(rtt_helper.deployer())
+      for _ = 1, 2 do
+        assert(arm:configure())
+        assert(arm:start())
+        spin()
+        assert.equal("a", evaluate(exec_str, "fsm._act_leaf._id"))
+        advance(0.3)
+        assert.equal("b", evaluate(exec_str, "fsm._act_leaf._id"))
+        arm:stop()
+      end
+      assert.same({ "arm", "arm_timer" }, rtt_helper.loaded())
+    end)
+
+  for _, case in ipairs { -- fields, what is logged, the chart
+    { "", "rfsm.rtt.launch: fsmfile: file name expected, got nil" },
+    { "fsm_file = 'x'", "rfsm.rtt.launch: unknown option 'fsm_file' (did you mean "
+      .. "'fsmfile'?)" },
+    { "fsmfile = '/nowhere/x.lua'", "fsmfile: cannot open /nowhere/x.lua" },
+    { "fsmfile = %q", "no valid rfsm in file", "return 3" },
+    { "fsmfile = %q, poststr = 'error \"no leg\"'", "no leg" },
+  } do
+    it("fails with the reason, and leaves nothing: " .. case[2], function()
+      local chart = case[3] and file_with(case[3]) or chart_file()
+      local arm, exec_str = own(case[1]:format(chart), "function updateHook() end")
+      assert.is_false(arm:configure())
+      assert.equal("PreOperational", arm:getState())
+      assert.is_truthy(logged(case[2])[1])
+      assert.same({}, arm:getPortNames())
+      assert.equal("nil function", evaluate(exec_str, "fsm, type(updateHook)"))
+    end)
+  end
+end)
+
+describe("rfsm/rtt/program.lua as lua_file", function()
+  local PROGRAM = "rfsm/rtt/program.lua"
+
+  local function whole(text, luatype)
+    local arm, exec_str = load("arm", luatype)
+    arm:getProperty("lua_file"):set(PROGRAM)
+    arm:getProperty("lua_string"):set(text)
+    return arm, exec_str
+  end
+
+  it("launches what lua_string says, again when it is configured again", function()
+    local arm, exec_str = whole(("rfsm_launch = { fsmfile = %q, fqn_port = 'state' }")
+      :format(chart_file()))
+    for _ = 1, 2 do
+      assert.is_true(arm:configure())
+      local names = listen("arm.state")
+      assert(arm:start())
+      spin()
+      assert.equal("a", leaves(names):match("%S+$"))
+      arm:stop()
+      arm:cleanup()
+    end
+    assert.equal("true", evaluate(exec_str, "rfsm.is_initialized_root(fsm)"))
+  end)
+
+  it("launches the file with the name of the component", function()
+    local arm = whole("")
+    assert.is_false(arm:configure())
+    assert.equal(1, #logged("fsmfile: cannot open arm.lua"))
+  end)
+
+  for _, case in ipairs { -- lua_string, what is logged
+    { "rfsm_launch = {", "unexpected symbol" },
+    { "rfsm_launch = 3", "table of options expected, got 3" },
+    { "rfsm_launch = { chart = 1 }", "unknown option 'chart'" },
+  } do
+    it("is not configured with lua_string " .. case[1], function()
+      local arm = whole(case[1])
+      assert.is_false(arm:configure())
+      assert.is_truthy(logged(case[2])[1] or logged("'}' expected")[1])
+      rtt.logl("Error", "the log goes on")
+      assert.equal(1, #logged("the log goes on"))
+    end)
+  end
+
+  it("is all that XML or .ops must set, for a component of the deployer", function()
+    local arm = whole(("rfsm_launch = { fsmfile = %q }"):format(chart_file()),
+      "OCL::LuaTLSFComponent")
+    assert(deploy("setActivity", "arm", 0.01, 0, 0))
+    assert(arm:configure())
+    local names = listen("arm.fqn")
+    assert(arm:start())
+    advance(0.05)
+    assert.equal("<none> a", leaves(names))
+  end)
+end)
