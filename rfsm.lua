@@ -1489,27 +1489,29 @@ local function reset_now(fsm)
   fsm._reset_wanted = false
 end
 
--- What is pending becomes current: the queue and the list of the last iteration, which
--- is empty, change places. If that was cut short, both are one list, or the one of the
--- last iteration has events: they come first.
-local function take_queue(fsm)
-  local queue, spare = fsm._intq, fsm._curq
-  if rawequal(queue, spare) or spare[1] ~= nil then
-    queue = rawequal(queue, spare) and queue or append(append({}, spare), queue)
-    spare = {}
+do
+  -- What is pending becomes current: the queue and the list of the last iteration,
+  -- which is empty, change places. If that was cut short, both are one list, or the one
+  -- of the last iteration has events: they come first.
+  local function take_queue(fsm)
+    local queue, spare = fsm._intq, fsm._curq
+    if rawequal(queue, spare) or spare[1] ~= nil then
+      queue = rawequal(queue, spare) and queue or append(append({}, spare), queue)
+      spare = {}
+    end
+    fsm._curq = queue
+    fsm._intq = spare
   end
-  fsm._curq = queue
-  fsm._intq = spare
-end
 
-function PHASES.gather(fsm, after_free)
-  if fsm._reset_wanted then
-    fsm._curq = {}
-    reset_now(fsm)
+  function PHASES.gather(fsm, after_free)
+    if fsm._reset_wanted then
+      fsm._curq = {}
+      reset_now(fsm)
+    end
+    if fsm._hook < 0 then take_queue(fsm) end
+    ask_hooks(fsm)
+    return search(fsm, after_free)
   end
-  if fsm._hook < 0 then take_queue(fsm) end
-  ask_hooks(fsm)
-  return search(fsm, after_free)
 end
 
 -- Search: the path that the events enable .........................................
@@ -1632,95 +1634,99 @@ local function first_enabled(fsm, list, events)
   end
 end
 
--- Returns the first enabled transition of the states from the root to the leaf.
-local function choose_by_node(fsm, leaf, events)
-  local traces = is_traced(fsm)
-  if traces then
-    report(fsm, "dbg", "TRANSITION",
-      "searching transitions for events: " .. list_text(events))
-  end
-  for i, node in ipairs(line_to(leaf)) do
+local choice_of, choose, list_choices
+
+do
+  -- Returns the first enabled transition of the states from the root to the leaf.
+  local function choose_by_node(fsm, leaf, events)
+    local traces = is_traced(fsm)
     if traces then
-      report(fsm, "dbg", "CHECKING", "depth:", i - 1,
-        "for transitions from " .. node.fqn)
+      report(fsm, "dbg", "TRANSITION",
+        "searching transitions for events: " .. list_text(events))
     end
-    local plan, def = fsm._plan, first_enabled(fsm, node.otrs, events)
-    if def or fsm._plan ~= plan then return def end
-  end
-  if traces then report(fsm, "dbg", "TRANSITION", "no enabled paths found") end
-end
-
-local OTHER = {} -- stands for all events that no transition from the leaf names
-local NO_CHOICE = { run = false, run_hooked = false, find = false }
-
--- Lists the transitions that each event may trigger while the leaf is active, in
--- order. `ignored` is the leaf's e_done if nothing waits for it, else NaN, which equals
--- no event.
-local function list_choices(leaf)
-  local choices, lists = { [OTHER] = {} }, {}
-  lists[1] = choices[OTHER]
-  local function add_to(list, def)
-    if list[#list] ~= def then list[#list + 1] = def end
-  end
-  local function add_to_events(def)
-    for _, event in ipairs(def.events) do
-      local list = choices[event] or append({}, choices[OTHER])
-      if not choices[event] then choices[event], lists[#lists + 1] = list, list end
-      add_to(list, def)
+    for i, node in ipairs(line_to(leaf)) do
+      if traces then
+        report(fsm, "dbg", "CHECKING", "depth:", i - 1,
+          "for transitions from " .. node.fqn)
+      end
+      local plan, def = fsm._plan, first_enabled(fsm, node.otrs, events)
+      if def or fsm._plan ~= plan then return def end
     end
+    if traces then report(fsm, "dbg", "TRANSITION", "no enabled paths found") end
   end
-  for _, node in ipairs(line_to(leaf)) do
-    for _, def in ipairs(node.otrs) do
-      local is_for_all = not def.events or def.is_asked
-      if not is_for_all then add_to_events(def) end
-      for _, list in ipairs(is_for_all and lists or NONE) do add_to(list, def) end
+
+  local OTHER = {} -- stands for all events that no transition from the leaf names
+  local NO_CHOICE = { run = false, run_hooked = false, find = false }
+
+  -- Lists the transitions that each event may trigger while the leaf is active, in
+  -- order. `ignored` is the leaf's e_done if nothing waits for it, else NaN, which
+  -- equals no event.
+  function list_choices(leaf)
+    local choices, lists = { [OTHER] = {} }, {}
+    lists[1] = choices[OTHER]
+    local function add_to(list, def)
+      if list[#list] ~= def then list[#list + 1] = def end
     end
-  end
-  if not choices[OTHER][1] then choices[OTHER] = NO_CHOICE end
-  local done = choices[leaf.done_event] or choices[OTHER]
-  leaf.ignored = done[1] and 0 / 0 or leaf.done_event
-  leaf.choices = choices
-  return choices
-end
-
--- Returns the candidates of one event.
-local function choice_of(leaf, event)
-  local choices = leaf.choices ~= NONE and leaf.choices or list_choices(leaf)
-  return choices[event] or choices[OTHER]
-end
-
--- Returns the candidates of the events, in order; nil if they have several lists.
-local function candidates_of(leaf, events)
-  local common = NONE
-  for i = 1, #events do
-    local list = events[i] ~= leaf.ignored and choice_of(leaf, events[i]) or NONE
-    if list[1] and list ~= common then
-      if common ~= NONE then return nil end
-      common = list
+    local function add_to_events(def)
+      for _, event in ipairs(def.events) do
+        local list = choices[event] or append({}, choices[OTHER])
+        if not choices[event] then choices[event], lists[#lists + 1] = list, list end
+        add_to(list, def)
+      end
     end
+    for _, node in ipairs(line_to(leaf)) do
+      for _, def in ipairs(node.otrs) do
+        local is_for_all = not def.events or def.is_asked
+        if not is_for_all then add_to_events(def) end
+        for _, list in ipairs(is_for_all and lists or NONE) do add_to(list, def) end
+      end
+    end
+    if not choices[OTHER][1] then choices[OTHER] = NO_CHOICE end
+    local done = choices[leaf.done_event] or choices[OTHER]
+    leaf.ignored = done[1] and 0 / 0 or leaf.done_event
+    leaf.choices = choices
+    return choices
   end
-  return common
-end
 
--- Returns the transition that the events enable, nil if there is none: found among the
--- `candidates`, if they are known. If a guard has merged something into the machine it
--- is searched again, once.
-local function choose(fsm, leaf, events, candidates, is_again)
-  if events[1] == nil then return nil end
-  local plan, state = fsm._plan, leaf["_%def"]
-  local find, from = choose_by_node, state
-  if not candidates then
-    candidates = not is_traced(fsm) and candidates_of(state, events)
+  -- Returns the candidates of one event.
+  function choice_of(leaf, event)
+    local choices = leaf.choices ~= NONE and leaf.choices or list_choices(leaf)
+    return choices[event] or choices[OTHER]
   end
-  if candidates then
-    if candidates[1] == nil then return nil end
-    find = candidates.find or compiled(candidates, "find") or first_enabled
-    from = candidates
+
+  -- Returns the candidates of the events, in order; nil if they have several lists.
+  local function candidates_of(leaf, events)
+    local common = NONE
+    for i = 1, #events do
+      local list = events[i] ~= leaf.ignored and choice_of(leaf, events[i]) or NONE
+      if list[1] and list ~= common then
+        if common ~= NONE then return nil end
+        common = list
+      end
+    end
+    return common
   end
-  fsm._search = fsm._search + 1
-  local def = find(fsm, from, events)
-  if fsm._plan == plan then return def end
-  return not is_again and choose(fsm, leaf, events, nil, true) or nil
+
+  -- Returns the transition that the events enable, nil if there is none: found among
+  -- the `candidates`, if they are known. If a guard has merged something into the
+  -- machine it is searched again, once.
+  function choose(fsm, leaf, events, candidates, is_again)
+    if events[1] == nil then return nil end
+    local plan, state = fsm._plan, leaf["_%def"]
+    local find, from = choose_by_node, state
+    if not candidates then
+      candidates = not is_traced(fsm) and candidates_of(state, events)
+    end
+    if candidates then
+      if candidates[1] == nil then return nil end
+      find = candidates.find or compiled(candidates, "find") or first_enabled
+      from = candidates
+    end
+    fsm._search = fsm._search + 1
+    local def = find(fsm, from, events)
+    if fsm._plan == plan then return def end
+    return not is_again and choose(fsm, leaf, events, nil, true) or nil
+  end
 end
 
 -- Warns of events that were sent before the first entry, and that its path does not
@@ -2289,77 +2295,81 @@ end
 -- The machine is in a leaf, nobody traces, and there is one event, apart from an e_done
 -- that nothing waits for, or none.
 
--- One iteration of a machine with hooks. The lists of events have changed places.
-local function iterate_hooked(fsm, after_free)
-  fsm._hook = -1
-  fsm._phase = "gather"
-  ask_hooks(fsm)
-  local leaf, events, choice = fsm._act_leaf, fsm._curq, nil
-  if leaf and fsm.dbg == silent then
+local iterate
+
+do
+  -- One iteration of a machine with hooks. The lists of events have changed places.
+  local function iterate_hooked(fsm, after_free)
+    fsm._hook = -1
+    fsm._phase = "gather"
+    ask_hooks(fsm)
+    local leaf, events, choice = fsm._act_leaf, fsm._curq, nil
+    if leaf and fsm.dbg == silent then
+      local def, event, more = leaf["_%def"], events[1], events[2]
+      if event == def.ignored then event, more = more, events[3] end
+      if event ~= nil and more == nil then
+        choice = def.choices[event] or choice_of(def, event)
+        local run = choice.run_hooked
+        if run == nil then run = quick_run(def, choice, "run_hooked") end
+        if run and run(fsm) then return conclude(fsm, "counted") end
+      end
+    end
+    return search(fsm, after_free, choice)
+  end
+
+  -- One iteration without events.
+  local function rest(fsm, leaf, after_free)
+    local events = fsm._curq
+    if leaf._mode == "done" and not leaf._doo_co then
+      events[1] = nil
+      return true, true
+    elseif events[1] ~= nil then
+      fsm._phase = "search"
+      return search(fsm, after_free)
+    end
+    fsm._at = 0
+    fsm._phase = "doo"
+    local idle = run_doo(fsm, leaf)
+    if not fsm._is_usual then return finish_cycle(fsm, idle) end
+    fsm._phase = "idle"
+    return true, idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
+  end
+
+  -- One iteration. Returns nil if the machine cannot be entered, else whether it counts
+  -- as a step and whether the machine is idle. `after_free`: the last iteration did not
+  -- count. The two lists of events change places; `take_queue` repairs what an
+  -- interrupt leaves here.
+  function iterate(fsm, after_free) -- luacheck: ignore 561 (a call would cost)
+    local leaf = fsm._act_leaf
+    if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
+      return go_on(fsm, after_free)
+    end
+    local events = fsm._intq
+    local spare = fsm._curq
+    fsm._curq = events
+    fsm._intq = spare
+    if fsm._is_hooked then return iterate_hooked(fsm, after_free) end
     local def, event, more = leaf["_%def"], events[1], events[2]
     if event == def.ignored then event, more = more, events[3] end
-    if event ~= nil and more == nil then
+    if event == nil then return rest(fsm, leaf, after_free) end
+    local choice
+    if more == nil then
       choice = def.choices[event] or choice_of(def, event)
-      local run = choice.run_hooked
-      if run == nil then run = quick_run(def, choice, "run_hooked") end
-      if run and run(fsm) then return conclude(fsm, "counted") end
+      local run = choice.run
+      if run == nil then run = quick_run(def, choice, "run") end
+      local is_taken = run and run(fsm)
+      if is_taken and (fsm._is_lent or not fsm._is_usual) then
+        return conclude(fsm, "counted")
+      elseif is_taken or not (choice[1] or after_free) then
+        events[2] = nil
+        events[1] = nil
+        fsm._phase = "idle"
+        return is_taken or false, false
+      end
     end
-  end
-  return search(fsm, after_free, choice)
-end
-
--- One iteration without events.
-local function rest(fsm, leaf, after_free)
-  local events = fsm._curq
-  if leaf._mode == "done" and not leaf._doo_co then
-    events[1] = nil
-    return true, true
-  elseif events[1] ~= nil then
     fsm._phase = "search"
-    return search(fsm, after_free)
+    return search(fsm, after_free, choice)
   end
-  fsm._at = 0
-  fsm._phase = "doo"
-  local idle = run_doo(fsm, leaf)
-  if not fsm._is_usual then return finish_cycle(fsm, idle) end
-  fsm._phase = "idle"
-  return true, idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
-end
-
--- One iteration. Returns nil if the machine cannot be entered, else whether it counts
--- as a step and whether the machine is idle. `after_free`: the last iteration did not
--- count. The two lists of events change places; `take_queue` repairs what an interrupt
--- leaves here.
-local function iterate(fsm, after_free) -- luacheck: ignore 561 (a call would cost)
-  local leaf = fsm._act_leaf
-  if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
-    return go_on(fsm, after_free)
-  end
-  local events = fsm._intq
-  local spare = fsm._curq
-  fsm._curq = events
-  fsm._intq = spare
-  if fsm._is_hooked then return iterate_hooked(fsm, after_free) end
-  local def, event, more = leaf["_%def"], events[1], events[2]
-  if event == def.ignored then event, more = more, events[3] end
-  if event == nil then return rest(fsm, leaf, after_free) end
-  local choice
-  if more == nil then
-    choice = def.choices[event] or choice_of(def, event)
-    local run = choice.run
-    if run == nil then run = quick_run(def, choice, "run") end
-    local is_taken = run and run(fsm)
-    if is_taken and (fsm._is_lent or not fsm._is_usual) then
-      return conclude(fsm, "counted")
-    elseif is_taken or not (choice[1] or after_free) then
-      events[2] = nil
-      events[1] = nil
-      fsm._phase = "idle"
-      return is_taken or false, false
-    end
-  end
-  fsm._phase = "search"
-  return search(fsm, after_free, choice)
 end
 
 -- The iteration was ended by an error: one that was kept for its end, one of a step
@@ -3042,43 +3052,45 @@ function rfsm.mapfsm(f, fsm, pred, depth)
   return results
 end
 
-local function itself(element) return element end
+do
+  local function itself(element) return element end
 
--- Lists the elements of a machine that is being prepared, all of its plan, which has
--- the order of their definitions then.
-local function planned_elements(fsm, pred)
-  local nodes, transitions, order = fsm._nodes, fsm._transitions, fsm._plan.order
-  if not order then
-    order = rfsm.mapfsm(function(element) return element["_%def"] end, fsm)
-    fsm._plan.order = order
-  end
-  local list, is_simple = {}, pred == rfsm.is_trans -- as most preproc functions ask
-  for i = 1, #order do
-    local def = order[i]
-    if def.kind == "transition" then
-      list[#list + 1] = (is_simple or not pred or pred(transitions[def.index]))
-        and transitions[def.index] or nil
-    elseif not is_simple and (not pred or pred(nodes[def.index])) then
-      list[#list + 1] = nodes[def.index]
+  -- Lists the elements of a machine that is being prepared, all of its plan, which has
+  -- the order of their definitions then.
+  local function planned_elements(fsm, pred)
+    local nodes, transitions, order = fsm._nodes, fsm._transitions, fsm._plan.order
+    if not order then
+      order = rfsm.mapfsm(function(element) return element["_%def"] end, fsm)
+      fsm._plan.order = order
     end
+    local list, is_simple = {}, pred == rfsm.is_trans -- as most preproc functions ask
+    for i = 1, #order do
+      local def = order[i]
+      if def.kind == "transition" then
+        list[#list + 1] = (is_simple or not pred or pred(transitions[def.index]))
+          and transitions[def.index] or nil
+      elseif not is_simple and (not pred or pred(nodes[def.index])) then
+        list[#list + 1] = nodes[def.index]
+      end
+    end
+    return list
   end
-  return list
-end
 
---- List an element and those below it that `pred` accepts, for extensions.
---
--- A preproc function `f(fsm, merged)` works on `rfsm.elements(merged or fsm, pred)`.
--- Machines that share `structure_of` have their elements at the same positions.
---
----@param obj table a machine or an element of one
----@param pred? fun(obj: any): boolean default is_fsmobj
----@return table[] elements parents before children
-function rfsm.elements(obj, pred)
-  local is_root = rfsm.is_root(obj)
-  if is_root and obj._preparing then return planned_elements(obj, pred) end
-  local list = not is_root and (not pred or pred(obj)) and { obj } or {}
-  if rfsm.is_trans(obj) then return list end
-  return append(list, rfsm.mapfsm(itself, obj, pred)) -- a root is in it
+  --- List an element and those below it that `pred` accepts, for extensions.
+  --
+  -- A preproc function `f(fsm, merged)` works on `rfsm.elements(merged or fsm, pred)`.
+  -- Machines that share `structure_of` have their elements at the same positions.
+  --
+  ---@param obj table a machine or an element of one
+  ---@param pred? fun(obj: any): boolean default is_fsmobj
+  ---@return table[] elements parents before children
+  function rfsm.elements(obj, pred)
+    local is_root = rfsm.is_root(obj)
+    if is_root and obj._preparing then return planned_elements(obj, pred) end
+    local list = not is_root and (not pred or pred(obj)) and { obj } or {}
+    if rfsm.is_trans(obj) then return list end
+    return append(list, rfsm.mapfsm(itself, obj, pred)) -- a root is in it
+  end
 end
 
 --- List the machines that run in a state, in the order in which they are stepped.
@@ -3121,26 +3133,29 @@ function rfsm.machines(fsm)
   return places
 end
 
--- Returns a node of a machine, or of one in its states, by its name, "root.par.left.a".
-local function find_by_name(fsm, name)
-  for _, at in ipairs(rfsm.machines(fsm)) do
-    for _, node in ipairs(at.machine._nodes) do
-      if at.prefix .. node._fqn:sub(5) == name then return node end
+do
+  -- Returns a node of a machine, or of one in its states, by its name,
+  -- "root.par.left.a".
+  local function find_by_name(fsm, name)
+    for _, at in ipairs(rfsm.machines(fsm)) do
+      for _, node in ipairs(at.machine._nodes) do
+        if at.prefix .. node._fqn:sub(5) == name then return node end
+      end
     end
   end
-end
 
---- Is a state active, in the machine or in one that runs in its states?
----@param fsm rfsm.Machine
----@param state rfsm.State|string the name begins as `rfsm.machines` says
----@return boolean
-function rfsm.is_in(fsm, state)
-  check_machine(fsm, "rfsm.is_in")
-  local node = type(state) == "string" and find_by_name(fsm, state) or state
-  if not is_state(node) or not node._mode then
-    error("rfsm.is_in: state of the machine expected, " .. got(state), 2)
+  --- Is a state active, in the machine or in one that runs in its states?
+  ---@param fsm rfsm.Machine
+  ---@param state rfsm.State|string the name begins as `rfsm.machines` says
+  ---@return boolean
+  function rfsm.is_in(fsm, state)
+    check_machine(fsm, "rfsm.is_in")
+    local node = type(state) == "string" and find_by_name(fsm, state) or state
+    if not is_state(node) or not node._mode then
+      error("rfsm.is_in: state of the machine expected, " .. got(state), 2)
+    end
+    return node._mode ~= "inactive"
   end
-  return node._mode ~= "inactive"
 end
 
 --- Load and compile now what would be loaded and compiled while a machine runs.
