@@ -2,6 +2,7 @@
 -- straight code runs.
 
 local helper = require "spec.helper"
+local interrupts = require "spec.support.interrupts"
 local rfsm = require "rfsm"
 require "rfsm.history"
 require "rfsm_seqand"
@@ -51,6 +52,7 @@ describe("a copy of all tables of a machine", function()
       rfsm.entry_hook_add(fsm, fsm.b, hook "entry hook")
       rfsm.exit_hook_add(fsm, fsm.a, hook "exit hook")
       rfsm.post_step_hook_add(fsm, hook "post")
+      rfsm.path_hook_add(fsm, hook "path")
     end },
     { what = "has a doo", members = { b = busy { doo = doo } } },
     { what = "has timers", members = {
@@ -120,4 +122,23 @@ describe("a copy of all tables of a machine", function()
       end)
     end
   end
+
+  it("whose step was cut short goes on as that does", function()
+    notes = {}
+    local fsm, at = new_machine({ members = { b = flip_flop() } }, 5), 0
+    interrupts.without_jit(function()
+      repeat
+        at = at + 1
+        play(fsm, "back")
+        rfsm.send_events(fsm, "e")
+        local is_reached = interrupts.raise(at, interrupts.VALUES[2], rfsm.step, fsm)
+        local copy = helper.copy_of(fsm)
+        notes = {}
+        play(copy, "e")
+        play(fsm, "e")
+        assert.same(notes[fsm], notes[copy])
+      until not is_reached
+    end)
+    assert.is_true(at > 100)
+  end)
 end)

@@ -61,8 +61,9 @@ local function random_machines()
     next_seed = next_seed + 1
     local fsm = rfsm.init(bare.model_of(charts.generate(next_seed),
       { entry = callback, doo = callback, guard = callback, effect = callback }))
-    return fsm, #rfsm.mapfsm(function(tr) return not tr._is_internal or nil end, fsm,
-      rfsm.is_trans)
+    return fsm, #rfsm.mapfsm(function(tr)
+      return rfsm.target_of(tr) ~= "internal" or nil
+    end, fsm, rfsm.is_trans)
   end
 end
 

@@ -412,6 +412,108 @@ describe("an extension may ask", function()
   end)
 end)
 
+describe("a path hook", function()
+  -- initial --1--> a --2--> k --3--> b.initial --b1--> b.x, b --4--> a,
+  -- b.x --b2--> internal. Number 0 has the text of 2 and is tried first, in vain.
+  local function machine(uses, change)
+    local trace = {}
+    local function no() return false end
+    local fsm = helper.init(state { checkevents = false, emem = false, err = false,
+      a = state { exit = helper.noting(trace, "exit") }, k = rfsm.conn {},
+      b = state { x = state {}, trans { src = "initial", tgt = "x" },
+        trans { src = "x", tgt = "internal", events = { "i" },
+          effect = helper.noting(trace, "effect") } },
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "k", events = { "e" } },
+      trans { src = "k", tgt = "b" },
+      trans { src = "b", tgt = "a", events = { "e" } },
+      [0] = trans { src = "a", tgt = "k", events = { "e" }, guard = no },
+    })
+    if change then change(fsm) end
+    for _ = 1, uses do
+      for _, event in ipairs { "e", "i", "e" } do helper.post_and_run(fsm, event) end
+    end
+    rfsm.reset(fsm)
+    helper.clear(trace)
+    return fsm, trace
+  end
+
+  -- Names transitions by where they are in the machine.
+  local function names(fsm, path)
+    local texts = {}
+    for i, tr in ipairs(path) do
+      for name, owner in pairs { [""] = fsm, b = fsm.b } do -- any order: one has it
+        for n = 0, 5 do
+          if rawequal(owner[n], tr) then texts[i] = name .. n end
+        end
+      end
+    end
+    return table.concat(texts, " ")
+  end
+
+  local CASES = {
+    ["a new machine"] = { uses = 0 },
+    ["a machine in use"] = { uses = 9 },
+    ["a prepared machine"] = { uses = 0, change = rfsm.prepare },
+    ["a machine with dbg"] = { uses = 9, change = function(fsm)
+      fsm.dbg = function() end
+    end },
+  }
+  for _, name in ipairs(rfsm.sorted_keys(CASES)) do
+    it("is called before each path is taken, with its transitions: " .. name, function()
+      local fsm, trace = machine(CASES[name].uses, CASES[name].change)
+      rfsm.path_hook_add(fsm, function(of, path)
+        assert(rawequal(of, fsm))
+        trace[#trace + 1] = names(fsm, path)
+      end)
+      for _, event in ipairs { "e_init_fsm", "e", "i", "other", "e" } do
+        helper.post_and_run(fsm, event)
+      end
+      assert.same({ "1", "2 3 b1", "exit", "b2", "effect", "4" }, trace)
+    end)
+  end
+
+  it("gets a list that it may keep", function()
+    local fsm, kept = machine(0), {}
+    rfsm.path_hook_add(fsm, function(_, path) kept[#kept + 1] = path end)
+    for _ = 1, 12 do helper.post_and_run(fsm, "e") end
+    for i, path in ipairs(kept) do
+      assert.equal(i == 1 and "1" or i % 2 == 0 and "2 3 b1" or "4", names(fsm, path))
+      for j = 1, i - 1 do assert.is_false(rawequal(path, kept[j])) end
+    end
+    assert.equal(12, #kept)
+  end)
+
+  it("that fails is told when the iteration is over; the path is taken", function()
+    for _, uses in ipairs { 0, 9 } do
+      local fsm, trace = machine(uses)
+      rfsm.run(fsm)
+      rfsm.path_hook_add(fsm, function() error("no path", 0) end)
+      rfsm.path_hook_add(fsm, helper.noting(trace, "second"))
+      rfsm.send_events(fsm, "e")
+      assert.same({ false, "no path" }, { pcall(rfsm.step, fsm) })
+      assert.same({ "second", "exit" }, trace)
+      assert.equal("root.b.x", rfsm.get_actleaf_fqn(fsm))
+    end
+  end)
+
+  it("may be added and removed in a run, which counts from the next path on", function()
+    for _, uses in ipairs { 0, 9 } do
+      local fsm, trace = machine(uses)
+      local second = helper.noting(trace, "second")
+      rfsm.run(fsm)
+      fsm.a.exit = function() rfsm.path_hook_add(fsm, second) end
+      rfsm.path_hook_add(fsm, function()
+        local is_removed = rfsm.path_hook_rm(fsm, second)
+        trace[#trace + 1] = "first removes: " .. tostring(is_removed)
+      end)
+      for _, event in ipairs { "e", "i", "i" } do helper.post_and_run(fsm, event) end
+      assert.same({ "first removes: false", "first removes: true", "second", "effect",
+        "first removes: false", "effect" }, trace)
+    end
+  end)
+end)
+
 describe("a watch hook", function()
   -- a --e--> b (its entry, the guard in front of it and the doo of c fail) --e--> c
   local function watched()

@@ -165,8 +165,8 @@ describe("a step that is suspended in its coroutine", function()
     assert(coroutine.wrap(function() pcall(coroutine.yield, 1) end)() == 1)
   end)
 
-  local MIDDLE = "%s: the machine is in the middle of a step; if its coroutine is never "
-    .. "resumed, rfsm.init(fsm) makes a fresh machine"
+  local MIDDLE = "%s: the machine is in the middle of a step; if its coroutine is "
+    .. "never resumed, rfsm.init(fsm) makes a fresh machine"
 
   local function members_with(place, f)
     if place == "exit" then return { a = state { exit = f } } end

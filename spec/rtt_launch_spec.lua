@@ -676,7 +676,7 @@ return rfsm.state(root)]] }
 
   it("does without rfsm.fast in a pool that is three quarters full", function()
     local FULL = "tlsf.stats = function() return 800000, 800000, 1048576 end "
-    local NOTE = "require('rfsm').without_fast = function() is_without = true end"
+    local NOTE = "require('rfsm').save_memory = function() is_without = true end"
     for _, case in ipairs {
       { name = "arm", luatype = "OCL::LuaTLSFComponent", prestr = FULL .. NOTE,
         is_without = "true" },

@@ -177,7 +177,7 @@ end
 -- Has the machine compiled now. A pool that is three quarters full does without text of
 -- rfsm/fast.lua, which takes up to 2 KiB a transition.
 local function prepare(fsm)
-  if update.is_short_of_memory() then rfsm.without_fast() end
+  if update.is_short_of_memory() then rfsm.save_memory() end
   rfsm.prepare(fsm)
 end
 

@@ -26,10 +26,10 @@ end
 -- For a hook: does something run that `drive` has called? `is_right` is asked about the
 -- sources of all functions in between, first that of the running one.
 local function is_inside(is_right)
-  local level, info = 4, debug.getinfo(4, "fS")
+  local level, info = 3, debug.getinfo(3, "fS")
   if info.func == drive then return false end
   while info and info.func ~= drive do
-    if not is_right(info.short_src, level > 4) then return false end
+    if not is_right(info.short_src, level > 3) then return false end
     level = level + 1
     info = debug.getinfo(level, "fS")
   end

@@ -520,9 +520,9 @@ local function after(random) return random * 16807 % 2147483647 end
 -- More than any of these steps needs.
 local MANY = 1e6
 
---- Runs the chart on the core and interrupts each operation, in callbacks too. Each time
--- the machine must go on, and at the end another one of its model must agree with the
--- oracle. Returns a text: what went wrong; nil when nothing did.
+--- Runs the chart on the core and interrupts each operation, in callbacks too. Each
+-- time the machine must go on, and at the end another one of its model must agree with
+-- the oracle. Returns a text: what went wrong; nil when nothing did.
 function runs.interrupt(chart)
   local world = new_world(chart)
   local model = model_of(world)
