@@ -201,11 +201,13 @@ end
 local function enter_state(fsm, state)
   local timers, own = state._timers, fsm._timeevent
   local is_unusual = own.is_unusual
-  timers.alone = false
   if is_unusual and own.has_at then own[false] = -huge end
-  if timers.delay then
+  if not timers.delay then
+    timers.alone = false
+  else
     local soon = own[true]
-    timers.sec, own[true] = false, -huge
+    own[true] = -huge
+    timers.sec, timers.alone = false, false
     local time, sec, nsec = read(fsm, true)
     if time then
       timers.sec, timers.nsec = sec, nsec

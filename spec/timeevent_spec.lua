@@ -1045,13 +1045,13 @@ describe("an interrupt in a timer", function()
   -- Steps, and goes on 9 s later; returns what was raised. The names are taken from the
   -- events if one record may have been cut short.
   local function finish(fsm, fired, is_record_lost)
-    local set, hook = {}, fsm.post_step_hook
-    fsm.post_step_hook = function(_, events)
+    local set = {}
+    rfsm.post_step_hook_add(fsm, function(_, events)
       for _, event in ipairs(events) do set["TIMEEVENT " .. event] = true end
-    end
+    end)
     rfsm.run(fsm)
     run_after(fsm, 9)
-    fsm.post_step_hook = hook
+    for _, text in ipairs(fired) do set[text] = true end
     set["TIMEEVENT e_done@root.a"] = nil
     if is_record_lost then fired = rfsm.sorted_keys(set) end
     table.sort(fired)
