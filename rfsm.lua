@@ -6,9 +6,9 @@
 -- and `rfsm.send_events` feeds it. The caller drives: nothing here waits by itself.
 --
 -- The file reads in the order the data flows: model elements, load, check, clone,
--- resolve, compile, machine, run, build, use, tools, merge. An FQN is a fully qualified
--- name ("root.a.b"); an iteration is one turn of the loop inside `step`. What a machine
--- does is complete here; rfsm/fast.lua makes it faster.
+-- resolve, compile, machine, report, run, build, use, merge, names. An FQN is a fully
+-- qualified name ("root.a.b"); an iteration is one turn of the loop inside `step`. What
+-- a machine does is complete here; rfsm/fast.lua makes it faster.
 --
 -- @module rfsm
 -- @license BSD-3-Clause
@@ -45,15 +45,11 @@ local rfsm = { _VERSION = "rfsm 1.0.0" }
 
 -- Model elements: constructors, predicates, order -----------------------------
 
-local State = { rfsm = "state" }
-
-local Transition = { rfsm = "transition" }
-
+local State, Transition = { rfsm = "state" }, { rfsm = "transition" }
 local Connector = { rfsm = "connector" }
+local CLASSES = { state = State, transition = Transition, connector = Connector }
 
-local Machine = { rfsm = "state" }
-
-local KINDS = { state = "state", transition = "transition", connector = "connector" }
+local Machine = { rfsm = "state", __eq = rawequal }
 
 --- Return the kind of a model element, nil for any other value, for extensions.
 --
@@ -66,9 +62,9 @@ function rfsm.kind_of(value)
   local class = getmetatable(value)
   local mark = type(class) == "table" and rawget(class, "rfsm")
   if not mark then return nil end
-  if KINDS[mark] then return mark end
-  local ok, kind = pcall(function() return KINDS[value:type()] end)
-  return ok and kind or nil
+  if CLASSES[mark] then return mark end
+  local ok, kind = pcall(function() return value:type() end)
+  return ok and CLASSES[kind] and kind or nil
 end
 
 local kind_of = rfsm.kind_of
@@ -213,7 +209,7 @@ function rfsm.is_leaf(value) return is_state(value) and not has_nodes(value) end
 --- Is `value` the root of a machine?
 ---@param value any
 ---@return boolean
-function rfsm.is_root(value) return getmetatable(value) == Machine end
+function rfsm.is_root(value) return rawequal(getmetatable(value), Machine) end
 
 --- Is `value` a machine, the result of `rfsm.init`?
 ---@param value any
@@ -458,16 +454,12 @@ end
 -- The name of an element in messages: an FQN, or root.trans[2] (a -> b), with
 -- `field`.
 local function name_of(def, field)
-  local suffix = field and "." .. field or ""
+  local suffix, key = field and "." .. field or "", text_of(def.id)
   if def.kind ~= "transition" then return def.fqn .. suffix end
-  local key, model, arrow = def.id, def.model, ""
-  if type(model.src) == "string" and type(model.tgt) == "string" then
-    arrow = (" (%s -> %s)"):format(model.src, model.tgt)
-  end
-  if type(key) == "number" then
-    return ("%s.trans[%s]%s%s"):format(def.parent.fqn, text_of(key), suffix, arrow)
-  end
-  return def.parent.fqn .. "." .. text_of(key) .. suffix .. arrow
+  if type(def.id) == "number" then key = "trans[" .. key .. "]" end
+  local name, model = def.parent.fqn .. "." .. key .. suffix, def.model
+  if type(model.src) ~= "string" or type(model.tgt) ~= "string" then return name end
+  return ("%s (%s -> %s)"):format(name, model.src, model.tgt)
 end
 
 local function add(list, def, field, text, ...)
@@ -517,7 +509,7 @@ end
 ---@return any model the value itself if it is no part of a machine
 function rfsm.model_of(value)
   local class = getmetatable(value)
-  if class == Machine then return rfsm.structure_of(value).model end
+  if rawequal(class, Machine) then return rfsm.structure_of(value).model end
   local def = type(class) == "table" and rawget(class, "_%def")
   return def and def.model or value
 end
@@ -603,7 +595,7 @@ do
   local function fields_of(model)
     local class = getmetatable(model)
     local base = class.__index
-    if KINDS[class.rfsm] and base == class or not kind_of(base) then return model end
+    if CLASSES[class.rfsm] and base == class or not kind_of(base) then return model end
     local fields = {}
     for key, value in pairs(fields_of(base)) do -- any order: each stands alone
       if not kind_of(value) then fields[key] = value end
@@ -710,24 +702,15 @@ do
     add_member(parent, key, def)
   end
 
-  local function clone_connector(build, def)
-    for key, value in pairs(fields_of(def.model)) do -- any order: each stands alone
-      local kind = kind_of(value)
-      if kind then
-        add(build.warnings, def, nil, "a connector holds no %s, '%s' is ignored", kind,
-          text_of(key))
-      else
-        clone_field(build, def, key, value)
-      end
-    end
-  end
-
-  local function clone_state(build, def)
+  local function clone_node(build, def)
     local has_transition = false
     for key, value in pairs(fields_of(def.model)) do -- any order: sorted later
       local kind = kind_of(value)
       if not kind then
         clone_field(build, def, key, value)
+      elseif def.kind == "connector" then
+        add(build.warnings, def, nil, "a connector holds no %s, '%s' is ignored", kind,
+          text_of(key))
       elseif kind == "transition" then
         new_transition(build, value, def, key)
         has_transition = true
@@ -742,8 +725,7 @@ do
     end
   end
 
-  for _, f in ipairs({ check_events, clone_connector, clone_state, fields_of,
-    new_transition }) do
+  for _, f in ipairs({ check_events, clone_node, fields_of, new_transition }) do
     interpret(f)
   end
 
@@ -753,10 +735,8 @@ do
     while nodes[i] do
       if is_inside_itself(nodes[i]) then
         add(build.problems, nodes[i], nil, "a state cannot contain itself")
-      elseif nodes[i].kind == "state" then
-        clone_state(build, nodes[i])
       else
-        clone_connector(build, nodes[i])
+        clone_node(build, nodes[i])
       end
       i = i + 1
     end
@@ -766,6 +746,14 @@ end
 -- Resolve: names become nodes, `e_done` gets the name of its source -------------
 
 local find_entrance, resolve
+
+-- Returns the nearest node that is, or contains, each of two nodes.
+local function find_lca(a, b)
+  while a ~= b do
+    if a.depth >= b.depth then a = a.parent else b = b.parent end
+  end
+  return a
+end
 
 do
   -- Walks from `def` down the names of a path "a.b"; nil and a reason when one fails.
@@ -805,14 +793,6 @@ do
     return def or root.members.root and find_below(root, name), reason
   end
 
-  -- How many ancestors two nodes share.
-  local function shared_depth(a, b)
-    while a.depth > b.depth do a = a.parent end
-    while b.depth > a.depth do b = b.parent end
-    while a ~= b do a, b = a.parent, b.parent end
-    return a.depth
-  end
-
   -- A node table of the model may be mounted more than once: the nearest clone counts.
   local function find_mounted(build, composite, ref)
     local nearest, most, is_tie = nil, -1, false
@@ -821,7 +801,7 @@ do
       return build.plan.nodes[live.index]
     end
     for _, mount in ipairs(build.mounts[model_of(ref)] or {}) do
-      local depth = shared_depth(composite, mount)
+      local depth = find_lca(composite, mount).depth
       if depth >= most then nearest, most, is_tie = mount, depth, depth == most end
     end
     if is_tie then
@@ -955,18 +935,15 @@ do
     return key_before(a.id, b.id)
   end
 
-  local CLASSES = { state = State, transition = Transition, connector = Connector }
-
   -- What elements inherit, for each class: the methods. The events of a transition are
   -- a list of the caller's own, since machines share the definition.
-  local INHERITED = {}
-  for kind, class in pairs(CLASSES) do -- any order: each stands alone
-    INHERITED[kind] = { __index = { type = class.type, new = class.new } }
-  end
+  local INHERITED = {
+    state = { __index = State }, connector = { __index = Connector }, transition = {},
+  }
 
   function INHERITED.transition.__index(proto, key)
     if key == "events" then return append({}, proto["_%def"].events or NONE) end
-    return key ~= "rfsm" and CLASSES.transition[key] or nil
+    return Transition[key]
   end
 
   -- Makes the metatable of an element, in which absent fields are looked up.
@@ -1008,24 +985,18 @@ do
       if nodes[i].otrs[2] then sort(nodes[i].otrs, tried_before) end
     end
     plan.events, nodes[1].plan = events, plan
+    -- The path that enters a root without states, and begins all other first entries.
+    nodes[1].entrance = { from = nodes[1], segments = NONE, entered = nodes[1] }
     return plan
   end
 
-  -- Returns the nearest ancestor of both ends that stays active. States in it are left
-  -- and entered. The root also stays active under a transition from the root.
-  local function find_lca(src, tgt)
-    local a, b = src.parent, tgt.parent
-    while a ~= b do
-      if a.depth >= b.depth then a = a.parent else b = b.parent end
-    end
-    return a
-  end
-
   -- Lists the states that a transition enters, outermost first, and notes the fields
-  -- that a run reads, once. Returns the definition.
+  -- that a run reads, once. Returns the definition. The `lca` contains both ends and
+  -- stays active: states in it are left and entered. It may be the root.
   function compile_transition(def)
     if def.connector ~= nil then return def end
-    local lca, tgt, entries = find_lca(def.src, def.tgt), def.tgt, {}
+    local tgt, entries = def.tgt, {}
+    local lca = find_lca(def.src.parent, tgt.parent)
     local state = tgt.kind == "state" and tgt or tgt.parent
     if def.is_internal then lca, state = tgt, tgt end
     for i = state.depth - lca.depth, 1, -1 do
@@ -1049,7 +1020,7 @@ end
 local function new_plan(model)
   return {
     model = model, nodes = {}, transitions = {}, events = {}, trail = false,
-    warnings = {}, created = {}, variant = false,
+    warnings = NONE, created = NONE, variant = false,
   }
 end
 
@@ -1080,67 +1051,63 @@ local function copy_plan(plan)
   return copy
 end
 
-local make_trail, is_current
-
-do
-  -- Calls f(t) for each table of the model that a plan was made of.
-  local function each_table(plan, f)
-    local function visit(model)
-      f(model)
-      local base = getmetatable(model).__index
-      if base ~= getmetatable(model) and kind_of(base) then visit(base) end
-    end
-    for _, def in ipairs(plan.nodes) do visit(def.model) end
-    for _, def in ipairs(plan.transitions) do
-      visit(def.model)
-      if type(def.model.events) == "table" then f(def.model.events) end
-    end
+-- Calls f(t) for each table of the model that a plan was made of.
+local function each_table(plan, f)
+  local function visit(model)
+    f(model)
+    local base = getmetatable(model).__index
+    if base ~= getmetatable(model) and kind_of(base) then visit(base) end
   end
-
-  -- Notes a model, table by table, as the walk of `next` finds it: numbers stand for
-  -- keys and values, so that no value is ever compared with another by `==`. A 0 ends a
-  -- table.
-  function make_trail(plan)
-    local ids, n, tables, trail, plain = {}, 0, {}, {}, {}
-    local function id_of(value)
-      if value ~= value then return 0 end -- NaN: never the same
-      if not ids[value] then n, ids[value] = n + 1, n + 1 end
-      return ids[value]
-    end
-    each_table(plan, function(t)
-      tables[#tables + 1] = t
-      for key, value in next, t do
-        trail[#trail + 1], trail[#trail + 2] = id_of(key), id_of(value)
-        if type(value) == "table" and not getmetatable(value) then
-          plain[#plain + 1] = value
-        end
-      end
-      trail[#trail + 1] = 0
-    end)
-    return { ids = ids, tables = tables, trail = trail, plain = plain }
+  for _, def in ipairs(plan.nodes) do visit(def.model) end
+  for _, def in ipairs(plan.transitions) do
+    visit(def.model)
+    if type(def.model.events) == "table" then f(def.model.events) end
   end
-
-  -- Is the model still the same as when the plan was made?
-  function is_current(plan)
-    local noted = plan.trail
-    local ids, tables, trail, at = noted.ids, noted.tables, noted.trail, 1
-    for i = 1, #tables do
-      for key, value in next, tables[i] do
-        if ids[key] ~= trail[at] or ids[value] ~= trail[at + 1] then return false end
-        at = at + 2
-      end
-      if trail[at] ~= 0 then return false end
-      at = at + 1
-    end
-    for i = 1, #noted.plain do
-      if getmetatable(noted.plain[i]) then return false end -- it has become an element
-    end
-    return true
-  end
-
-  interpret(make_trail, true)
-  interpret(is_current)
 end
+
+-- Notes a model, table by table, as the walk of `next` finds it: numbers stand for
+-- keys and values, so that no value is ever compared with another by `==`. A 0 ends a
+-- table.
+local function make_trail(plan)
+  local ids, n, tables, trail, plain = {}, 0, {}, {}, {}
+  local function id_of(value)
+    if value ~= value then return 0 end -- NaN: never the same
+    if not ids[value] then n, ids[value] = n + 1, n + 1 end
+    return ids[value]
+  end
+  each_table(plan, function(t)
+    tables[#tables + 1] = t
+    for key, value in next, t do
+      trail[#trail + 1], trail[#trail + 2] = id_of(key), id_of(value)
+      if type(value) == "table" and not getmetatable(value) then
+        plain[#plain + 1] = value
+      end
+    end
+    trail[#trail + 1] = 0
+  end)
+  return { ids = ids, tables = tables, trail = trail, plain = plain }
+end
+
+-- Is the model still the same as when the plan was made?
+local function is_current(plan)
+  local noted = plan.trail
+  local ids, tables, trail, at = noted.ids, noted.tables, noted.trail, 1
+  for i = 1, #tables do
+    for key, value in next, tables[i] do
+      if ids[key] ~= trail[at] or ids[value] ~= trail[at + 1] then return false end
+      at = at + 2
+    end
+    if trail[at] ~= 0 then return false end
+    at = at + 1
+  end
+  for i = 1, #noted.plain do
+    if getmetatable(noted.plain[i]) then return false end -- it has become an element
+  end
+  return true
+end
+
+interpret(make_trail, true)
+interpret(is_current)
 
 -- Machine: an instance of a plan ------------------------------------------------
 --
@@ -1161,12 +1128,12 @@ local function OWN() end
 
 local OWN_ONLY = { OWN }
 
--- Fields that few machines ever set.
+-- Fields that a machine inherits until it sets them.
 local DEFAULTS = {
   rfsm = "state", type = State.type, new = State.new, _id = "root", _fqn = "root",
   dbg = silent, getevents = no_events, _entry_hooks = false, _exit_hooks = false,
-  _reset_hooks = false, _path_hooks = false, _watch_hooks = false, _failure = false,
-  _reset_wanted = false, _preparing = false,
+  _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
+  _snapshot_hooks = false, _failure = false, _reset_wanted = false, _preparing = false,
 }
 
 -- The fields that a machine has from the start.
@@ -1176,7 +1143,17 @@ local function own_fields()
     _intq = { "e_init_fsm" }, _curq = {}, _initialized = false,
     -- the structure
     ["_%def"] = false, _plan = false, _nodes = false, _transitions = {},
-    -- the iteration, see "Run"
+    -- the iteration, see "Run":
+    --   _path       the path under way
+    --   _ways       what searches note about connectors; _search numbers the searches
+    --   _at         number of the action, or of the part of a doo cycle, begun last
+    --   _hook       number of the step hook begun last; -1: getevents was not asked
+    --   _given      events of getevents that are in no list yet
+    --   _outcome    free | counted | idle | refused: what the iteration was
+    --   _is_usual   nothing was interrupted, failed or reset: `iterate` may be quick
+    --   _is_lent    a callback may have kept the list of current events
+    --   _is_cut     an error has ended the iteration: the next step goes on with it
+    --   _is_hooked  a step hook, path hook or getevents was set once
     _phase = "idle", _path = false, _ways = {}, _search = 0,
     _outcome = "free", _at = 0, _hook = 0, _is_usual = false, _is_cut = false,
     _given = false, _is_lent = false,
@@ -1190,7 +1167,7 @@ local borrowers = setmetatable({}, { __mode = "k" })
 -- All machines, so that one access decides if a value is one.
 local machines = setmetatable({}, { __mode = "k" })
 
-Machine.__index, Machine.__eq = DEFAULTS, rawequal
+Machine.__index = DEFAULTS
 
 -- These fields are absent until a hook is set: then `__newindex` is called.
 local STEP_HOOKS = { getevents = true, pre_step_hook = true, post_step_hook = true }
@@ -1205,35 +1182,31 @@ function Machine.__newindex(fsm, key, value)
   rawset(fsm, key, value)
 end
 
-local clone_data
-
-do
-  -- Returns the copy of `value`. A plain table is filled later.
-  local function copy_of(copies, value, pending)
-    if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
-    if not copies[value] then
-      copies[value], pending[#pending + 1] = {}, value
-    end
-    return copies[value]
+-- Returns the copy of `value`. A plain table is filled later.
+local function copy_of(copies, value, pending)
+  if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
+  if not copies[value] then
+    copies[value], pending[#pending + 1] = {}, value
   end
-
-  -- Copies a plain table; a list of pending tables instead of recursion bears any
-  -- depth.
-  function clone_data(copies, value)
-    local pending = {}
-    local copy = copy_of(copies, value, pending)
-    while pending[1] do
-      local source = pending[#pending]
-      pending[#pending] = nil
-      for k, v in pairs(source) do -- any order: each pair stands alone
-        copies[source][copy_of(copies, k, pending)] = copy_of(copies, v, pending)
-      end
-    end
-    return copy
-  end
-
-  interpret(clone_data)
+  return copies[value]
 end
+
+-- Copies a plain table; a list of pending tables instead of recursion bears any
+-- depth.
+local function clone_data(copies, value)
+  local pending = {}
+  local copy = copy_of(copies, value, pending)
+  while pending[1] do
+    local source = pending[#pending]
+    pending[#pending] = nil
+    for k, v in pairs(source) do -- any order: each pair stands alone
+      copies[source][copy_of(copies, k, pending)] = copy_of(copies, v, pending)
+    end
+  end
+  return copy
+end
+
+interpret(clone_data)
 
 -- Gives an element its callbacks and the user's data.
 local function give_data(element, def, copies)
@@ -1276,7 +1249,7 @@ local function list_otrs(fsm, plan)
   local transitions, nodes = fsm._transitions, fsm._nodes
   for i = 1, #plan.nodes do
     local otrs = plan.nodes[i].otrs
-    local list = { otrs[1] and transitions[otrs[1].index] }
+    local list = { otrs[1] and transitions[otrs[1].index] } -- of size 1 from the start
     for j = 2, #otrs do list[j] = transitions[otrs[j].index] end
     nodes[i]._otrs = list
   end
@@ -1374,20 +1347,24 @@ function rfsm.is_interrupt(failure)
     or failure:find("^[^\n]*:%d+: interrupted!$") ~= nil)
 end
 
--- Tells those who watch what has happened; see `rfsm.watch_hook_add`.
-local function tell(fsm, ...)
-  for _, hook in ipairs(fsm._watch_hooks or NONE) do
+-- Calls hooks of extensions, such as `_watch_hooks`. An error is kept.
+local function tell(fsm, hooks, ...)
+  for _, hook in ipairs(hooks or NONE) do
     local ok, failure = pcall(hook, fsm, ...)
     if not ok then keep_failure(fsm, failure) end
   end
 end
 
--- A callback of a state or transition failed.
+-- Reports that a callback has failed. For a doo `callback` is nil: its coroutine made
+-- the call.
 local function report_callback(fsm, name, owner, callback, failure)
   if rfsm.is_interrupt(failure) then return keep_failure(fsm, failure) end
-  if not is_callable(callback) then failure = "function expected, " .. got(callback) end
-  tell(fsm, "failed", owner, name, failure)
+  if callback ~= nil and not is_callable(callback) then
+    failure = "function expected, " .. got(callback)
+  end
+  tell(fsm, fsm._watch_hooks, "failed", owner, name, failure)
   local text = "error executing " .. name .. " of " .. (owner._fqn or tostring(owner))
+  if name == "doo" then text = "doo program of state '" .. owner._fqn .. "' failed" end
   report(fsm, "err", name:upper(), text .. ": ", failure)
 end
 
@@ -1468,7 +1445,7 @@ local function append_getevents(fsm, list)
   fsm._given = false
 end
 
--- Calls the step hooks behind the one with the number `_hook`.
+-- Calls the step hooks behind number `_hook`.
 local function run_hooks(fsm, hooks, slot)
   for i = fsm._hook + 1, #hooks do
     local hook = hooks[i]
@@ -1485,8 +1462,8 @@ local function run_hooks(fsm, hooks, slot)
   end
 end
 
--- Asks getevents, if `_hook` is -1, and the pre step hooks. The list of current events
--- holds those that were pending.
+-- Asks getevents, unless that was done before an interrupt, and calls the pre step
+-- hooks. The list of current events has those that were pending.
 local function ask_hooks(fsm)
   if fsm._hook < 0 or fsm._given then
     fsm._hook = 0
@@ -1498,7 +1475,8 @@ local function ask_hooks(fsm)
   fsm._phase = "search"
 end
 
-local function set_inactive(fsm)
+-- Makes a machine as it was after init, but for the events of the current iteration.
+local function reset_now(fsm)
   for _, node in ipairs(fsm._nodes) do
     if node._mode then
       node._mode, node._doo_co = "inactive", nil
@@ -1506,21 +1484,9 @@ local function set_inactive(fsm)
     end
   end
   fsm._act_leaf = false
-end
-
-local function run_reset_hooks(fsm)
-  for _, hook in ipairs(fsm._reset_hooks or NONE) do
-    local ok, failure = pcall(hook, fsm)
-    if not ok then keep_failure(fsm, failure) end
-  end
-  fsm._reset_wanted = false
-end
-
--- Makes a machine as it was after init, but for the events of the current iteration.
-local function reset_now(fsm)
-  set_inactive(fsm)
   fsm._intq = { "e_init_fsm" }
-  run_reset_hooks(fsm)
+  tell(fsm, fsm._reset_hooks)
+  fsm._reset_wanted = false
 end
 
 -- What is pending becomes current: the queue and the list of the last iteration, which
@@ -1612,77 +1578,47 @@ local function ask(fsm, def, events)
   return def
 end
 
-local lead, note_of, warn_of_conflict
+-- Returns what the searches of a machine note about a connector: `search` is the number
+-- of the last one that came here, `way` the transition that leads on, false while it is
+-- looked for. `_search` is the number of the current one.
+local function note_of(fsm, connector)
+  local note = fsm._ways[connector] or { search = 0, way = false }
+  fsm._ways[connector] = note
+  return note
+end
 
-do
-  -- Returns what the searches of a machine note about a connector: `search` is the
-  -- number of the last one that came here, `way` the transition that leads on, false
-  -- while it is looked for. The rest is for `find_way` alone.
-  function note_of(fsm, connector)
-    local note = fsm._ways[connector]
-    if not note then
-      note = { otrs = connector.otrs, search = 0, way = false,
-        position = 0, found = false, others = false, outer = false, asked = false }
-      fsm._ways[connector] = note
+local function warn_of_conflict(fsm, ways)
+  report(fsm, "warn", "conflicting transitions from src " .. ways[1].src.fqn .. " to")
+  for _, def in ipairs(ways) do report(fsm, "warn", "\t" .. def.tgt.fqn) end
+end
+
+local lead
+
+-- Finds the way out of a connector, once a search: its first transition that leads on.
+-- Further ones of the same priority are asked, too, to warn of a conflict. Until one is
+-- found the connector has no way out, so that cycles end.
+local function find_way(fsm, connector, note, events)
+  local way, pn, others = false, nil, nil
+  note.search, note.way = fsm._search, false
+  for _, def in ipairs(connector.otrs) do
+    if way and (def.pn or 0) ~= pn then break end
+    local found = matches(def, events) and lead(fsm, ask(fsm, def, events), events)
+    if found and way then
+      others = append(others or { way }, { found })
+    elseif found then
+      way, pn = found, found.pn or 0
     end
-    return note
   end
+  if others then warn_of_conflict(fsm, others) end
+  note.way = way
+end
 
-  local function add_way(note, def)
-    if not note.found then
-      note.found = def
-    else
-      note.others = append(note.others or { note.found }, { def })
-    end
-  end
-
-  function warn_of_conflict(fsm, ways)
-    report(fsm, "warn", "conflicting transitions from src " .. ways[1].src.fqn .. " to")
-    for _, def in ipairs(ways) do report(fsm, "warn", "\t" .. def.tgt.fqn) end
-  end
-
-  -- Asks the next transition of a connector. Returns the note of the connector to which
-  -- it leads, if the search has not been there.
-  local function ask_next(fsm, note, def, events)
-    note.position = note.position + 1
-    def = matches(def, events) and ask(fsm, def, events)
-    local there = def and def.connector and note_of(fsm, def.connector)
-    note.asked = def
-    if there and there.search ~= fsm._search then return there end
-    if def and not (there and not there.way) then add_way(note, def) end
-  end
-
-  -- Finds the way out of a connector, and of those to which its transitions lead, each
-  -- once a search: (a) begins with a connector, (b) asks its next transition, also
-  -- further ones of the same priority, to warn of a conflict, (c) goes back to the
-  -- connector from which it came. Until then a connector has no way out, so that cycles
-  -- end.
-  local function find_way(fsm, there, events)
-    local note = false
-    repeat
-      if there then -- (a)
-        there.search, there.way, there.position = fsm._search, false, 0
-        there.found, there.others, there.outer = false, false, note
-        note = there
-      end
-      local def, found = note.otrs[note.position + 1], note.found
-      if def and (not found or (def.pn or 0) == (found.pn or 0)) then -- (b)
-        there = ask_next(fsm, note, def, events)
-      else -- (c)
-        if note.others then warn_of_conflict(fsm, note.others) end
-        note.way, note, there = found, note.outer, nil
-        if note and found then add_way(note, note.asked) end
-      end
-    until not note
-  end
-
-  -- Returns the definition of an open transition if there is a path on from its target.
-  function lead(fsm, def, events)
-    if not (def and def.connector) then return def end
-    local note = note_of(fsm, def.connector)
-    if note.search ~= fsm._search then find_way(fsm, note, events) end
-    return note.way and def or nil
-  end
+-- Returns the definition of an open transition if there is a path on from its target.
+function lead(fsm, def, events)
+  if not (def and def.connector) then return def end
+  local note = note_of(fsm, def.connector)
+  if note.search ~= fsm._search then find_way(fsm, def.connector, note, events) end
+  return note.way and def or nil
 end
 
 -- Returns the first transition of a list that is enabled, nil if there is none, or a
@@ -1690,13 +1626,13 @@ end
 local function first_enabled(fsm, list, events)
   local plan = fsm._plan
   for i = 1, #list do
-    local def = matches(list[i], events) and ask(fsm, list[i], events)
-    local found = def and lead(fsm, def, events)
-    if found or fsm._plan ~= plan then return found or nil end
+    local def = matches(list[i], events)
+      and lead(fsm, ask(fsm, list[i], events), events)
+    if def or fsm._plan ~= plan then return def or nil end
   end
 end
 
--- The same for the whole configuration: node by node from the root down to the leaf.
+-- Returns the first enabled transition of the states from the root to the leaf.
 local function choose_by_node(fsm, leaf, events)
   local traces = is_traced(fsm)
   if traces then
@@ -1767,19 +1703,24 @@ local function candidates_of(leaf, events)
 end
 
 -- Returns the transition that the events enable, nil if there is none: found among the
--- candidates in `list`, if they are known. If a guard has merged something into the
--- machine it is searched again.
-local function choose(fsm, leaf, events, list)
+-- `candidates`, if they are known. If a guard has merged something into the machine it
+-- is searched again, once.
+local function choose(fsm, leaf, events, candidates, is_again)
   if events[1] == nil then return nil end
-  local plan, def, find = fsm._plan, leaf["_%def"], nil
-  if not list then list = not is_traced(fsm) and candidates_of(def, events) end
-  if list and list[1] == nil then return nil end
-  if list then find = list.find or compiled(list, "find") or first_enabled end
+  local plan, state = fsm._plan, leaf["_%def"]
+  local find, from = choose_by_node, state
+  if not candidates then
+    candidates = not is_traced(fsm) and candidates_of(state, events)
+  end
+  if candidates then
+    if candidates[1] == nil then return nil end
+    find = candidates.find or compiled(candidates, "find") or first_enabled
+    from = candidates
+  end
   fsm._search = fsm._search + 1
-  if not find then list, find = def, choose_by_node end
-  def = find(fsm, list, events)
-  if fsm._plan ~= plan then return choose(fsm, leaf, events) end
-  return def
+  local def = find(fsm, from, events)
+  if fsm._plan == plan then return def end
+  return not is_again and choose(fsm, leaf, events, nil, true) or nil
 end
 
 -- Warns of events that were sent before the first entry, and that its path does not
@@ -1799,13 +1740,6 @@ local function warn_of_lost_events(fsm, path, events)
     .. "them: " .. list_text(lost))
 end
 
--- Returns the path that enters a root without states, and begins all other first
--- entries.
-local function entrance_of(root)
-  root.entrance = root.entrance or { from = root, segments = NONE, entered = root }
-  return root.entrance
-end
-
 -- First entry: the path from `initial`, nil if there is none.
 local function find_entry(fsm, events)
   local root = fsm._plan.nodes[1]
@@ -1813,7 +1747,7 @@ local function find_entry(fsm, events)
   local def = not root.is_leaf
     and first_enabled(fsm, root.members.initial.otrs, events)
   if not (def or root.is_leaf) then return nil end
-  local path = path_of(entrance_of(root), def, fsm._ways)
+  local path = path_of(root.entrance, def, fsm._ways)
   warn_of_lost_events(fsm, path, events)
   return path
 end
@@ -1921,10 +1855,7 @@ do
   end
 
   function RECORDS.exits(def)
-    local outermost = def.src
-    while outermost.parent ~= def.lca and outermost.parent ~= outermost do
-      outermost = outermost.parent
-    end
+    local outermost = line_to(def.src)[def.lca.depth + 2] or def.src -- of the root
     return "TRANS_EXIT", "exiting all up to (including):", outermost.fqn, ", lca:",
       def.lca.fqn
   end
@@ -2058,8 +1989,8 @@ do
     return at.list
   end
 
-  -- Each segment: (a) the states up to the lca are left, (b) the effect is run, (c) the
-  -- states down to the target are entered.
+  -- Each segment: (a) the states up to the lca are left, (b) the effect is run,
+  -- (c) those down to the target are entered.
   function list_actions(path)
     local from, list = path.from, { actions = {}, args = {} }
     add_action(list, show_path, path)
@@ -2088,8 +2019,9 @@ local function new_path(at, def)
   return path
 end
 
--- Returns the path from `at`, the definition of a state, with the transition `def` and
--- those out of its connectors. They are kept in a tree, by their transitions.
+-- Returns the path from `at` with the transition `def` and those out of its connectors.
+-- Paths are kept in a tree: `at` is where one begins (a leaf, or the entrance of the
+-- root), or a path so far.
 function path_of(at, def, ways)
   if def then
     local path = at.paths and at.paths[def] or new_path(at, def)
@@ -2156,7 +2088,7 @@ do
     return at[name]
   end
 
-  -- The same, if it is used often.
+  -- Compiles it once it was asked for more than OFTEN times; until then returns false.
   function compiled(at, name)
     if at[name] ~= nil then return at[name] end
     at.used = (at.used or 0) + 1
@@ -2189,28 +2121,38 @@ do
     return run
   end
 
-  local MOST_SEGMENTS = 6 -- of paths that are compiled before they are taken
+  -- So many paths of a leaf and event, of so many segments, are made before they are
+  -- taken.
+  local MOST_PATHS, MOST_SEGMENTS = 50, 6
+  local paths_left = 0
 
   -- Makes now what the paths from `at` with the transition `def` would get in a run.
   local function prepare_paths(at, def, name)
     local path = at.paths and at.paths[def] or new_path(at, def)
-    if not def.connector then return compile_text(path_of(path), name) end
-    if #path.segments == MOST_SEGMENTS then return end
-    for _, way in ipairs(def.connector.otrs) do prepare_paths(path, way, name) end
-  end
-
-  -- The same for the first entry.
-  function prepare_entry(root)
-    local initial = root.members.initial
-    for _, def in ipairs(initial and initial.otrs or NONE) do
-      prepare_paths(entrance_of(root), def, "run")
+    local connector = compile_transition(def).connector
+    if not connector then
+      paths_left = paths_left - 1
+      return compile_text(path_of(path), name)
+    end
+    for _, way in ipairs(#path.segments < MOST_SEGMENTS and connector.otrs or NONE) do
+      if paths_left > 0 then prepare_paths(path, way, name) end
     end
   end
 
-  -- The same for a list of candidates.
+  -- The same for the paths that begin with one of a list of transitions.
+  local function prepare_list(at, list, name)
+    paths_left = MOST_PATHS
+    for _, def in ipairs(list) do prepare_paths(at, def, name) end
+  end
+
+  function prepare_entry(root)
+    local initial = root.members.initial
+    prepare_list(root.entrance, initial and initial.otrs or NONE, "run")
+  end
+
   function prepare_choice(leaf, choice, name)
+    prepare_list(leaf, choice, name)
     for _, def in ipairs(choice) do
-      prepare_paths(leaf, def, name)
       if choice[2] or def.guard or def.is_asked or def.connector then
         compile_text(choice, "find")
       end
@@ -2224,21 +2166,9 @@ end
 local run_doo
 
 do
-  -- Makes the coroutine of a doo, in which the engine runs nothing.
-  local function new_doo(doo)
-    if type(doo) == "function" then return coroutine.create(doo) end
-    return coroutine.create(function(...) return doo(...) end)
-  end
-
   -- The coroutine is dropped last: if a doo's end is cut short, it is done again.
   local function fail_doo(fsm, leaf, failure)
-    if rfsm.is_interrupt(failure) then
-      keep_failure(fsm, failure)
-    else
-      tell(fsm, "failed", leaf, "doo", failure)
-      report(fsm, "err", "DOO",
-        "doo program of state '" .. leaf._fqn .. "' failed: ", failure)
-    end
+    report_callback(fsm, "doo", leaf, nil, failure)
     leaf._doo_co = nil
   end
 
@@ -2253,7 +2183,7 @@ do
     if leaf._mode ~= "done" then complete(fsm, leaf) end
     if fsm._at < 2 then
       fsm._at = 2
-      tell(fsm, "ended", leaf)
+      tell(fsm, fsm._watch_hooks, "ended", leaf)
     end
     if is_traced(fsm) then
       report(fsm, "dbg", "DOO",
@@ -2265,7 +2195,8 @@ do
   -- Makes the coroutine of a leaf's doo. Returns nil if there is none, which completes
   -- the leaf, or if there are no coroutines: the doo has failed then.
   local function start_doo(fsm, leaf)
-    if not leaf.doo then return complete(fsm, leaf) end
+    local doo = leaf.doo
+    if not doo then return complete(fsm, leaf) end
     if is_traced(fsm) then
       report(fsm, "dbg", "DOO", "created coroutine for " .. leaf._fqn .. " doo")
     end
@@ -2273,27 +2204,28 @@ do
       leaf._mode = "done"
       return fail_doo(fsm, leaf, "there are no coroutines here")
     end
-    leaf._doo_co = new_doo(leaf.doo)
+    leaf._doo_co = coroutine.create(type(doo) == "function" and doo
+      or function(...) return doo(...) end)
     return leaf._doo_co
   end
 
   local resume, status = coroutine and coroutine.resume, coroutine and coroutine.status
 
-  -- One cycle of the active leaf's doo; true when it is idle or done. What fails is
-  -- done at once: cut short, it must not complete.
+  -- One cycle of the active leaf's doo; true when it is idle or done. `_at` is 1 from
+  -- the resume on, 2 when its end was told, 3 when getevents was asked again. A doo
+  -- that failed is done at once, so that an interrupt here cannot make it complete.
   function run_doo(fsm, leaf)
     local co = leaf._doo_co or leaf._mode ~= "done" and start_doo(fsm, leaf)
     if not co then return true end
     local ok, idle = true, false
     if fsm._at < 1 then
       fsm._at = 1
-      if fsm._watch_hooks then tell(fsm, "resumed", leaf) end
+      if fsm._watch_hooks then tell(fsm, fsm._watch_hooks, "resumed", leaf) end
       ok, idle = resume(co, fsm, leaf, "doo")
       if not ok then leaf._mode = "done" end
     end
     if ok and status(co) ~= "dead" then return not not idle end
-    local finish_doo = ok and end_doo or fail_doo
-    finish_doo(fsm, leaf, idle)
+    if ok then end_doo(fsm, leaf) else fail_doo(fsm, leaf, idle) end
     return true
   end
 end
@@ -2352,10 +2284,12 @@ local function go_on(fsm, after_free)
   return PHASES[fsm._phase](fsm, after_free)
 end
 
--- The usual iterations are written out: the machine is in a leaf, nobody traces, and
--- there is one event, apart from an e_done that nothing waits for, or none.
+-- The usual iterations, written out ................................................
+--
+-- The machine is in a leaf, nobody traces, and there is one event, apart from an e_done
+-- that nothing waits for, or none.
 
--- That of a machine with hooks. The lists of events have changed places.
+-- One iteration of a machine with hooks. The lists of events have changed places.
 local function iterate_hooked(fsm, after_free)
   fsm._hook = -1
   fsm._phase = "gather"
@@ -2374,7 +2308,7 @@ local function iterate_hooked(fsm, after_free)
   return search(fsm, after_free, choice)
 end
 
--- That without events.
+-- One iteration without events.
 local function rest(fsm, leaf, after_free)
   local events = fsm._curq
   if leaf._mode == "done" and not leaf._doo_co then
@@ -2394,7 +2328,8 @@ end
 
 -- One iteration. Returns nil if the machine cannot be entered, else whether it counts
 -- as a step and whether the machine is idle. `after_free`: the last iteration did not
--- count.
+-- count. The two lists of events change places; `take_queue` repairs what an interrupt
+-- leaves here.
 local function iterate(fsm, after_free) -- luacheck: ignore 561 (a call would cost)
   local leaf = fsm._act_leaf
   if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
@@ -2438,8 +2373,8 @@ end
 
 -- Build: a plan of a model, and a machine of the plan -------------------------------
 
--- A copy of all tables of a machine has a copy of its plan, which the metatables of its
--- elements do not know: it gets theirs.
+-- A program may copy all tables of a machine. The copy has a copy of the plan, too,
+-- which the metatables of its elements do not know: it gets theirs.
 local function adopt_copy(fsm)
   local node = fsm._nodes[2]
   local root = node and node["_%def"].parent or fsm["_%def"]
@@ -2453,7 +2388,7 @@ end
 ---@param level? integer the function to blame: 3, the default, for the caller's caller
 function rfsm.check_machine(fsm, where, level)
   if machines[fsm] then return end
-  if getmetatable(fsm) == Machine and rawget(fsm, "_initialized") then
+  if rawequal(getmetatable(fsm), Machine) and rawget(fsm, "_initialized") then
     if not fsm._preparing then adopt_copy(fsm) end -- else `init` goes on with it
     return
   end
@@ -2475,9 +2410,8 @@ function rfsm.structure_of(fsm)
   return fsm._plan
 end
 
-local function check_function(f, where, level)
-  if is_callable(f) then return end
-  error(where .. ": function expected, " .. got(f), level or 3)
+local function check_function(f, where)
+  if not is_callable(f) then error(where .. ": function expected, " .. got(f), 3) end
 end
 
 -- Is `value` a node of that machine? A live state, if `kind` says so.
@@ -2534,7 +2468,9 @@ do
   local is_sparing = false
 
   function new_build(plan)
-    return { plan = plan, problems = {}, warnings = {}, created = {}, mounts = {} }
+    plan.warnings, plan.created = {}, {}
+    return { plan = plan, problems = {}, warnings = plan.warnings,
+      created = plan.created, mounts = {} }
   end
 
   -- The user's data at the root that has the name of one of the machine's fields is
@@ -2553,7 +2489,7 @@ do
     end
   end
 
-  -- A path into a composite ends at an `initial` that nothing leaves.
+  -- Reports each `initial` that no transition leaves: nothing could enter there.
   local function check_ways_in(build)
     for _, def in ipairs(build.plan.nodes) do
       if def.id == "initial" and def.kind == "connector" and not def.is_left then
@@ -2598,7 +2534,6 @@ do
     local build = build_plan(model)
     if build.problems[1] then return nil, lines_of(build.problems) end
     plan = compile(build.plan)
-    plan.warnings, plan.created = build.warnings, build.created
     if is_sparing then return plan end
     plan.trail = make_trail(plan)
     plans[model], latest_plan = plan, plan
@@ -2649,12 +2584,8 @@ end
 local function left_composites(plan)
   local left = {}
   for _, def in ipairs(plan.transitions) do
-    local composite, tgt = def.src.parent, def.tgt
-    while tgt.depth > composite.depth do tgt = tgt.parent end
-    while composite ~= tgt do
-      left[composite], composite = true, composite.parent
-      if tgt.depth > composite.depth then tgt = tgt.parent end
-    end
+    local composite, lca = def.src.parent, find_lca(def.src.parent, def.tgt.parent)
+    while composite ~= lca do left[composite], composite = true, composite.parent end
   end
   return left
 end
@@ -2745,27 +2676,20 @@ do
     tr.events = type(events) == "string" and { events } or events
   end
 
-  -- Has a transition still the ends, the priority and the events of a plan?
-  local function is_as_planned(tr, def, nodes)
-    local events, known = rawget(tr, "events"), def.events or NONE
-    if type(events) ~= "table" or #events ~= #known
-      or (rawget(tr, "pn") or nil) ~= def.pn
-      or not rawequal(tr.src, nodes[def.src.index])
-      or not rawequal(tr.tgt, nodes[def.tgt.index]) then
-      return false
-    end
-    for i = 1, #known do
-      if not rawequal(events[i], known[i]) then return false end
-    end
-    return true
-  end
-
-  -- Has each transition of a machine what `plan` has?
+  -- Has each transition of a machine the ends, the priority and the events of a plan?
   local function fits(fsm, plan)
-    local transitions = fsm._transitions
-    for i = 1, #transitions do
-      if not is_as_planned(transitions[i], plan.transitions[i], fsm._nodes) then
+    local nodes = fsm._nodes
+    for i, tr in ipairs(fsm._transitions) do
+      local def, events = plan.transitions[i], rawget(tr, "events")
+      local known = def.events or NONE
+      if type(events) ~= "table" or #events ~= #known
+        or (rawget(tr, "pn") or nil) ~= def.pn
+        or not rawequal(tr.src, nodes[def.src.index])
+        or not rawequal(tr.tgt, nodes[def.tgt.index]) then
         return false
+      end
+      for j = 1, #known do
+        if not rawequal(events[j], known[j]) then return false end
       end
     end
     return true
@@ -2800,10 +2724,9 @@ do
       for _, tr in ipairs(fsm._transitions) do
         problems[#problems + 1] = check_transition(fsm, tr)
       end
-      found = not problems[1] and (find_plan(fsm, plan) or new_variant(fsm, plan))
+      found = problems[1] and plan or find_plan(fsm, plan) or new_variant(fsm, plan)
     end
     for _, tr in ipairs(fsm._transitions) do tr.events, tr.pn = nil, nil end
-    if not found then return end
     if found ~= plan then use_plan(fsm, found) end
   end
 
@@ -2929,18 +2852,18 @@ function rfsm.send_events(fsm, event, ...)
   local queue = fsm._intq
   if event ~= nil then queue[#queue + 1] = event end
   if select("#", ...) > 0 then queue_more(queue, ...) end
-  if fsm._watch_hooks then tell(fsm, "sent", event, ...) end
+  if fsm._watch_hooks then tell(fsm, fsm._watch_hooks, "sent", event, ...) end
 end
 
--- A step is under way unless an error has cut it short. So is one that a callback has
--- suspended, with its coroutine.
+-- A step is under way unless an error has cut it short, also while a callback has
+-- suspended the coroutine that called it.
 local function check_no_step(fsm, where, level)
   if fsm._phase == "idle" or fsm._is_cut then return end
   error(where .. ": the machine is in the middle of a step; if its coroutine is never "
     .. "resumed, rfsm.init(fsm) makes a fresh machine", level)
 end
 
--- The same iteration as by `iterate`. An error that ends it marks the machine.
+-- Calls `iterate`; an error that ends it marks the machine.
 local function try(fsm, after_free)
   local ok, counted, idle = pcall(iterate, fsm, after_free)
   if not ok then raise_cut(fsm, counted) end
@@ -3151,13 +3074,11 @@ end
 ---@param pred? fun(obj: any): boolean default is_fsmobj
 ---@return table[] elements parents before children
 function rfsm.elements(obj, pred)
-  if rfsm.is_root(obj) and obj._preparing then return planned_elements(obj, pred) end
-  if rfsm.is_trans(obj) then return (not pred or pred(obj)) and { obj } or {} end
-  local list = rfsm.mapfsm(itself, obj, pred)
-  if not rfsm.is_root(obj) and (not pred or pred(obj)) then
-    return append({ obj }, list)
-  end
-  return list
+  local is_root = rfsm.is_root(obj)
+  if is_root and obj._preparing then return planned_elements(obj, pred) end
+  local list = not is_root and (not pred or pred(obj)) and { obj } or {}
+  if rfsm.is_trans(obj) then return list end
+  return append(list, rfsm.mapfsm(itself, obj, pred)) -- a root is in it
 end
 
 --- List the machines that run in a state, in the order in which they are stepped.
@@ -3258,18 +3179,15 @@ function rfsm.map_from_to(fsm, f, from, to)
     error("rfsm.map_from_to: two nodes of the fsm expected, " .. got(from) .. " and "
       .. got(to), 2)
   end
-  local is_upwards = from["_%def"].depth >= to["_%def"].depth
-  local node, last = is_upwards and from or to, is_upwards and to or from
-  local line, results = { node }, {}
-  while node ~= last and node ~= fsm do
-    node = node._parent
-    if is_upwards then line[#line + 1] = node else insert(line, 1, node) end
-  end
-  if node ~= last then
+  local up, down, results = from["_%def"], to["_%def"], {}
+  local line = line_to(up.depth >= down.depth and up or down)
+  if line[up.depth + 1] ~= up or line[down.depth + 1] ~= down then
     error(("rfsm.map_from_to: '%s' and '%s' are not on one line"):format(from._fqn,
       to._fqn), 2)
   end
-  for i = 1, #line do results[#results + 1] = f(fsm, line[i]) end
+  for depth = up.depth, down.depth, up.depth > down.depth and -1 or 1 do
+    results[#results + 1] = f(fsm, fsm._nodes[line[depth + 1].index])
+  end
   return results
 end
 
@@ -3565,7 +3483,7 @@ function rfsm.snapshot_hook_add(fsm, name, save, load)
   check_machine(fsm, "rfsm.snapshot_hook_add")
   check_function(save, "rfsm.snapshot_hook_add")
   check_function(load, "rfsm.snapshot_hook_add")
-  fsm._snapshot_hooks = append(append({}, fsm._snapshot_hooks or {}),
+  fsm._snapshot_hooks = append(append({}, fsm._snapshot_hooks or NONE),
     { { name = name, save = save, load = load } })
 end
 
@@ -3580,7 +3498,8 @@ function rfsm.place(fsm, leaf, mode, queue)
   check_between_steps(fsm, "rfsm.place")
   if leaf then
     move_to(leaf, mode)
-    run_reset_hooks(fsm)
+    tell(fsm, fsm._reset_hooks)
+    fsm._reset_wanted = false
   else
     reset_now(fsm)
   end
@@ -3656,7 +3575,6 @@ do
       end
     end
     resolve(build, first)
-    plan.warnings, plan.created = build.warnings, build.created
     return build
   end
 
@@ -3701,6 +3619,14 @@ do
     use_targets(fsm, plan, moved)
   end
 
+  -- A preproc function has raised an error, perhaps within another one.
+  local function stop_preprocessing(fsm, outer)
+    fsm._preparing = outer
+    for _, tr in ipairs(outer and NONE or fsm._transitions) do
+      tr.events, tr.pn = nil, nil
+    end
+  end
+
   local function refuse(fsm, reason)
     report(fsm, "err", reason)
     return false, reason
@@ -3735,8 +3661,12 @@ do
     compile(plan)
     make_elements(fsm, plan, first_node, first_transition)
     use_targets(fsm, plan, moved)
+    local outer = fsm._preparing
     local ok, found = pcall(preprocess, fsm, parent[id])
-    if not ok then found = { "a preproc function failed: " .. text_of(found) } end
+    if not ok then
+      found = { "a preproc function failed: " .. text_of(found) }
+      stop_preprocessing(fsm, outer)
+    end
     if found[1] then
       undo_merge(fsm, old, moved)
       return refuse(fsm, summary("rfsm.fsm_merge", found))
@@ -3744,7 +3674,7 @@ do
     report_lines(fsm, "info", build.created)
     report_findings(fsm, first_node, first_transition)
     report_dead_ends(fsm, first_node)
-    tell(fsm, "merged", parent[id])
+    tell(fsm, fsm._watch_hooks, "merged", parent[id])
     return true
   end
 end

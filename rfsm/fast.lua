@@ -55,7 +55,7 @@ local nodes, s0, s1, tr, f = fsm._nodes, fsm._act_leaf, nil, nil, nil
 if not is_chosen then]]
 local CHECK = [[
 tr = fsm._transitions[x$k]
-if tr.guard or tr.tgt ~= nodes[t$k] then return false end]]
+if tr.guard or nodes[t$k] ~= tr.tgt then return false end]]
 local BEGIN = [[
 end
 fsm._path = path
@@ -197,7 +197,7 @@ if not ok then answer = refuse_guard(fsm, tr, guard, answer) end
 end
 if answer ~= false then
 def = d$n
-if tr.tgt ~= nodes[t$n] then def = lead(fsm, retarget(fsm, def, tr.tgt), events)]]
+if nodes[t$n] ~= tr.tgt then def = lead(fsm, retarget(fsm, def, tr.tgt), events)]]
 local GO_ON = [[
 else
 note = ways[c$n] or note_of(fsm, c$n)

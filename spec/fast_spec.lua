@@ -487,6 +487,36 @@ describe("without rfsm.fast", function()
     end)
   end
 
+  it("a machine calls no __eq of a target that is no node", function()
+    local fsm = flip_flop(rfsm)
+    fsm.err = false
+    for _ = 1, 10 do helper.post_and_run(fsm, "e") end
+    fsm[2].tgt = setmetatable({}, { __eq = function() return true end })
+    fsm[3].tgt = fsm[2].tgt
+    local leaf = rfsm.get_actleaf_fqn(fsm)
+    helper.post_and_run(fsm, "e")
+    assert.equal(leaf, rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  -- a -> k1 =10=> k2 =10=> ... b: 10,000 paths
+  it("a machine makes a bounded number of paths before they are taken", function()
+    local model = { info = false, warn = false, a = rfsm.state {}, b = rfsm.state {},
+      rfsm.trans { src = "initial", tgt = "a" },
+      rfsm.trans { src = "a", tgt = "k1", events = { "e" } } }
+    for i = 1, 4 do
+      model["k" .. i] = rfsm.conn {}
+      for pn = 1, 10 do
+        model[#model + 1] = rfsm.trans { src = "k" .. i, pn = pn,
+          tgt = i < 4 and "k" .. i + 1 or "b" }
+      end
+    end
+    local fsm = rfsm.init(rfsm.state(model))
+    debug.sethook(function() error("too many instructions") end, "", 500000)
+    local ok, problem = pcall(rfsm.prepare, fsm)
+    debug.sethook()
+    assert.same({ true }, { ok, problem })
+  end)
+
   it("a machine goes on after rfsm.save_memory", function()
     compiling.with(load, function(core)
       core.save_memory()

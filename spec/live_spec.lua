@@ -667,6 +667,37 @@ describe("the older names", function()
   end)
 end)
 
+describe("a merge", function()
+  it("whose preproc function fails leaves the others at work", function()
+    local preproc, calls, fails = rfsm.preproc, {}, true
+    rfsm.preproc = { noting(calls, "one"), function(_, merged)
+      calls[#calls + 1] = "two"
+      if merged and fails then error("on purpose", 0) end
+    end }
+    finally(function() rfsm.preproc = preproc end)
+    local fsm = started()
+    local errors = said(fsm, "err")
+    assert.is_false(rfsm.fsm_merge(fsm, fsm, state { final = true }, "x"))
+    calls, fails = {}, false
+    rfsm.preproc[1] = noting(calls, "one")
+    assert.is_true(rfsm.fsm_merge(fsm, fsm, state { final = true }, "x"))
+    assert.same({ "one", "two" }, calls)
+    assert.same({ "rfsm.fsm_merge: the model has 1 problem\n  a preproc function "
+      .. "failed: on purpose" }, errors)
+  end)
+
+  it("by a guard, each time it is asked, ends the search", function()
+    local count = 0
+    local fsm = started()
+    fsm[2].guard = function()
+      count = count + 1
+      rfsm.fsm_merge(fsm, fsm, state { final = true }, "x" .. count)
+    end
+    post_and_run(fsm, "e")
+    assert.same({ 2, "root.a" }, { count, rfsm.get_actleaf_fqn(fsm) })
+  end)
+end)
+
 describe("check_no_otrs", function()
   it("warns of each node that nothing leaves", function()
     local fsm = started { c = state {}, d = state { final = true } }
