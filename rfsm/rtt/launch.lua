@@ -78,9 +78,8 @@ local NO_REASON = "RTT's log has the reason"
 
 -- Launches in the Lua of an operation exec_str; raises the reason of a failure.
 local function execute(exec_str, launch)
-  local file = os.tmpname()
-  local program = PROGRAM:format(to_text(launch, ""), own_template(),
-    ";" .. package.path, file)
+  local fields, file = to_text(launch, ""), os.tmpname()
+  local program = PROGRAM:format(fields, own_template(), ";" .. package.path, file)
   local is_called, is_done = pcall(exec_str, program)
   local reason = files.read(file)
   os.remove(file)
