@@ -682,8 +682,7 @@ describe("a merge", function()
     rfsm.preproc[1] = noting(calls, "one")
     assert.is_true(rfsm.fsm_merge(fsm, fsm, state { final = true }, "x"))
     assert.same({ "one", "two" }, calls)
-    assert.same({ "rfsm.fsm_merge: the model has 1 problem\n  a preproc function "
-      .. "failed: on purpose" }, errors)
+    assert.matches("\n  a preproc function failed: on purpose", errors[1])
   end)
 
   it("by a guard, each time it is asked, ends the search", function()

@@ -557,7 +557,7 @@ describe("charts of the client", function()
     local timeevent, seconds = require "rfsm_timeevent", 5
     timeevent.set_gettime_hook(function() return seconds, 0 end)
     assert(connect():create("1", "timed"))
-    assert.equal(5, (require("rfsm.clock").read(false)))
+    assert.equal(5, (require("rfsm.clock").read({})))
     timeevent.set_gettime_hook(nil)
   end)
 end)
