@@ -13,7 +13,7 @@ const filesIn = folder => readdirSync(folder, { recursive: true }).map(name => f
 const die = text => { console.error("playground: " + text); process.exit(1); };
 
 // Files that need sockets, processes or a terminal.
-const ABSENT = /^rfsm\/(cli|proto|redis|server|postgres|rtt|fleet|web\/(http|remote))\b/;
+const ABSENT = /^rfsm\/(cli\/(?!review\b)|proto|redis|server|postgres|rtt|fleet|web\/(http|remote))\b/;
 
 function libraryFiles() {
   const names = [...readdirSync(".").filter(name => !name.startsWith(".")), ...filesIn("compat/"), ...filesIn("rfsm/")]
