@@ -943,18 +943,21 @@ do
 
   function INHERITED.transition.__index(proto, key)
     if key == "events" then return append({}, proto["_%def"].events or NONE) end
+    if key == "_id" then return proto["_%def"].id end
     return Transition[key]
   end
 
   -- Makes the metatable of an element, in which absent fields are looked up.
   local function make_proto(def)
-    local proto = {
+    local proto = def.proto or {
       ["_%def"] = def, rfsm = def.kind, __tostring = CLASSES[def.kind].__tostring,
       __eq = rawequal, -- so that no other one's is ever asked
-      __index = false, _id = def.id, _fqn = def.fqn,
+      __index = false,
     }
     if def.kind == "transition" then
       proto.pn, proto.guard, proto.effect = def.pn, false, false
+    else
+      proto._id, proto._fqn = def.id, def.fqn
     end
     proto.__index = proto
     def.proto = setmetatable(proto, INHERITED[def.kind])
@@ -1051,6 +1054,18 @@ local function copy_plan(plan)
   return copy
 end
 
+-- Returns a plan with the definitions of one that only one machine has, for changes.
+local function renewed(plan)
+  local variant = new_plan(plan.model)
+  variant.nodes, variant.transitions = plan.nodes, plan.transitions
+  variant.warnings, variant.created = plan.warnings, plan.created
+  for _, def in ipairs(plan.nodes) do def.paths = nil end
+  for _, def in ipairs(plan.transitions) do
+    def.connector, def.aimed, def.is_asked = nil, nil, nil
+  end
+  return variant
+end
+
 -- Calls f(t) for each table of the model that a plan was made of.
 local function each_table(plan, f)
   local function visit(model)
@@ -1144,7 +1159,7 @@ local function own_fields()
     -- the structure
     ["_%def"] = false, _plan = false, _nodes = false, _transitions = {},
     -- the iteration, see "Run":
-    --   _path       the path under way
+    --   _path       the path under way, or taken since `took_path` was asked
     --   _ways       what searches note about connectors; _search numbers the searches
     --   _at         number of the action, or of the part of a doo cycle, begun last
     --   _hook       number of the step hook begun last; -1: getevents was not asked
@@ -1347,12 +1362,16 @@ function rfsm.is_interrupt(failure)
     or failure:find("^[^\n]*:%d+: interrupted!$") ~= nil)
 end
 
--- Calls hooks of extensions, such as `_watch_hooks`. An error is kept.
+-- Calls hooks of extensions from number `at` on, such as `_watch_hooks`. An error is
+-- kept. There is no loop, for which LuaJIT would give up compiling the host's.
+local function tell_from(at, fsm, hooks, ...)
+  local ok, failure = pcall(hooks[at], fsm, ...)
+  if not ok then keep_failure(fsm, failure) end
+  if hooks[at + 1] then return tell_from(at + 1, fsm, hooks, ...) end
+end
+
 local function tell(fsm, hooks, ...)
-  for _, hook in ipairs(hooks or NONE) do
-    local ok, failure = pcall(hook, fsm, ...)
-    if not ok then keep_failure(fsm, failure) end
-  end
+  if hooks then return tell_from(1, fsm, hooks, ...) end
 end
 
 -- Reports that a callback has failed. For a doo `callback` is nil: its coroutine made
@@ -2713,7 +2732,7 @@ do
 
   -- Returns a plan whose transitions are what the preproc functions have made of them.
   local function new_variant(fsm, plan)
-    local variant = copy_plan(plan)
+    local variant = plan.trail and copy_plan(plan) or renewed(plan)
     for i, tr in ipairs(fsm._transitions) do
       local def = variant.transitions[i]
       def.src = variant.nodes[tr.src["_%def"].index]
@@ -2862,7 +2881,8 @@ function rfsm.send_events(fsm, event, ...)
   local queue = fsm._intq
   if event ~= nil then queue[#queue + 1] = event end
   if select("#", ...) > 0 then queue_more(queue, ...) end
-  if fsm._watch_hooks then tell(fsm, fsm._watch_hooks, "sent", event, ...) end
+  local hooks = fsm._watch_hooks
+  if hooks then return tell_from(1, fsm, hooks, "sent", event, ...) end
 end
 
 -- A step is under way unless an error has cut it short, also while a callback has
@@ -3448,6 +3468,17 @@ do
     return fsm._outcome == "idle" and fsm._intq[1] == nil
   end
 
+  --- Has the machine taken a path since this was last asked? For its host, which asks
+  -- between steps, and has no need of a path hook then.
+  ---@param fsm rfsm.Machine
+  ---@return boolean
+  function rfsm.took_path(fsm)
+    check_machine(fsm, "rfsm.took_path")
+    local path = fsm._path
+    if fsm._phase ~= "take" then fsm._path = false end
+    return path ~= false
+  end
+
   --- Have `hook(fsm, path)` called before a path is taken: the list of its transitions.
   --
   -- For those who watch. Its error is raised when the iteration is over.
@@ -3518,7 +3549,7 @@ function rfsm.place(fsm, leaf, mode, queue)
   else
     reset_now(fsm)
   end
-  fsm._intq, fsm._curq = queue, {}
+  fsm._intq, fsm._curq, fsm._path = queue, {}, false
   raise_failure(fsm)
 end
 
@@ -3527,7 +3558,7 @@ end
 -- Makes a machine use another plan, in which its elements have the same positions.
 function use_plan(fsm, plan)
   fsm._ways = {}
-  if fsm._phase == "idle" then fsm._path = false end
+  if fsm._phase == "idle" then fsm._path = fsm._path and NONE end
   fsm._plan, fsm["_%def"] = plan, plan.nodes[1]
   for i = 2, #fsm._nodes do setmetatable(fsm._nodes[i], plan.nodes[i].proto) end
   for i, tr in ipairs(fsm._transitions) do
