@@ -65,6 +65,7 @@ build = {
     ["rfsm.explore.fairness"] = "rfsm/explore/fairness.lua",
     ["rfsm.explore.graph"] = "rfsm/explore/graph.lua",
     ["rfsm.explore.independence"] = "rfsm/explore/independence.lua",
+    ["rfsm.explore.kept"] = "rfsm/explore/kept.lua",
     ["rfsm.explore.monitors"] = "rfsm/explore/monitors.lua",
     ["rfsm.explore.properties"] = "rfsm/explore/properties.lua",
     ["rfsm.explore.reactions"] = "rfsm/explore/reactions.lua",
