@@ -3537,13 +3537,13 @@ end
 
 --- Have snapshots hold what an extension keeps of a machine, under `name`.
 --
--- `save(fsm, how)` returns plain data, nil if there is nothing to keep. `load(fsm,
+-- `save(fsm)` returns plain data, nil if there is nothing to keep. `load(fsm,
 -- data, how)` takes it back, also nil, and raises an error if the data is not its own.
 -- `is_explored`: explorations keep it, too, because transitions depend on it.
 --
 ---@param fsm rfsm.Machine
 ---@param name string
----@param save fun(fsm: rfsm.Machine, how: table): any
+---@param save fun(fsm: rfsm.Machine): any
 ---@param load fun(fsm: rfsm.Machine, data: any, how: table)
 ---@param is_explored? boolean
 function rfsm.snapshot_hook_add(fsm, name, save, load, is_explored)
