@@ -2662,6 +2662,11 @@ end
 ---@type (fun(fsm: rfsm.Machine, merged?: table): string[]?)[]
 rfsm.preproc = {}
 
+--- Functions `f(event)` of extensions that make events: the name of the extension if it
+-- makes the event, and the FQN of the state that has to be active, if one has to.
+---@type (fun(event: string): string?, string?)[]
+rfsm.makers = {}
+
 local preprocess, use_plan
 
 do
@@ -3113,16 +3118,35 @@ do
   end
 end
 
+--- What an extension that runs machines in a state keeps in its field `_regions`.
+---@class rfsm.Regions
+---@field [integer] rfsm.Machine in the order in which they are stepped
+---@field names any[] their names, in that order
+---@field entry? function the user's, where that of the state is the extension's
+---@field exit? function likewise
+
 --- List the machines that run in a state, in the order in which they are stepped.
---
--- An extension that runs machines in a state lists them in its field `_regions`, whose
--- own field `names` has their names.
---
 ---@param state rfsm.State a state of a machine
----@return rfsm.Machine[] regions empty where there are none
+---@return rfsm.Machine[] regions empty where there are none; not to be changed
+---@return rfsm.Regions? own what the extension keeps; nil: none runs machines there
 function rfsm.regions(state)
-  local regions = is_state(state) and rawget(state, "_regions")
-  return append({}, type(regions) == "table" and regions or NONE)
+  local own = is_state(state) and rawget(state, "_regions")
+  if type(own) ~= "table" then return NONE, nil end
+  return append({}, own), own
+end
+
+--- List the nodes to which a transition may lead.
+--
+-- An extension that has a transition into a composite lead anywhere in it, while the
+-- machine runs, notes the target that it has in the model in the field `_initial`.
+--
+---@param tr rfsm.Transition a transition of a machine
+---@return (rfsm.State|rfsm.Connector)[] targets its target; or `_initial` and the nodes
+-- of that composite
+function rfsm.targets(tr)
+  local initial = tr._initial
+  if not initial then return { tr.tgt } end
+  return append({ initial }, rfsm.elements(initial._parent, rfsm.is_node))
 end
 
 --- A machine, and where it runs.
@@ -3143,8 +3167,9 @@ function rfsm.machines(fsm)
       machine = machine, owner = owner, state = state, prefix = prefix,
     }
     for _, leaf in ipairs(rfsm.elements(machine, rfsm.is_leaf)) do
-      for i, region in ipairs(rfsm.regions(leaf)) do
-        local name = text_of(leaf._regions.names[i])
+      local regions, own = rfsm.regions(leaf)
+      for i, region in ipairs(regions) do
+        local name = text_of(own.names[i])
         visit(region, machine, leaf, prefix .. leaf._fqn:sub(5) .. "." .. name)
       end
     end
@@ -3515,27 +3540,54 @@ do
   --- Remove a reset hook. Return whether it was there.
   ---@type fun(fsm: rfsm.Machine, hook: function): boolean
   rfsm.reset_hook_rm = hook_remover("rfsm.reset_hook_rm", "_reset_hooks")
+
+  --- Have `hook(fsm, state)` list the events that an extension reacts to while a state
+  -- is active, besides those of the transitions from it; nil for none.
+  --
+  -- For those who ask, by `rfsm.reactions`: what nothing reacts to is left out of
+  -- explorations, and reported as unknown. A function in the list is a predicate.
+  --
+  ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
+  rfsm.reaction_hook_add = hook_adder("rfsm.reaction_hook_add", "_reaction_hooks")
+end
+
+--- List the events that extensions react to while a state is active, besides those of
+--- the transitions from it.
+---@param fsm rfsm.Machine
+---@param state rfsm.State
+---@return any[] events
+function rfsm.reactions(fsm, state)
+  local list = {}
+  for _, hook in ipairs(fsm._reaction_hooks or NONE) do
+    append(list, hook(fsm, state) or NONE)
+  end
+  return list
 end
 
 -- Snapshots: what an extension keeps of a machine, and where the machine stands ....
 
 --- Have snapshots hold what an extension keeps of a machine, under `name`.
 --
--- `save(fsm, how)` returns plain data, nil if there is nothing to keep. `load(fsm,
+-- `save(fsm)` returns plain data, nil if there is nothing to keep. `load(fsm,
 -- data, how)` takes it back, also nil, and raises an error if the data is not its own.
+-- `is_explored`: explorations keep it, too, because transitions depend on it.
 --
----@type fun(fsm: rfsm.Machine, name: string, save: function, load: function)
-function rfsm.snapshot_hook_add(fsm, name, save, load)
+---@param fsm rfsm.Machine
+---@param name string
+---@param save fun(fsm: rfsm.Machine): any
+---@param load fun(fsm: rfsm.Machine, data: any, how: table)
+---@param is_explored? boolean
+function rfsm.snapshot_hook_add(fsm, name, save, load, is_explored)
   check_machine(fsm, "rfsm.snapshot_hook_add")
   check_function(save, "rfsm.snapshot_hook_add")
   check_function(load, "rfsm.snapshot_hook_add")
   fsm._snapshot_hooks = append(append({}, fsm._snapshot_hooks or NONE),
-    { { name = name, save = save, load = load } })
+    { { name = name, save = save, load = load, is_explored = is_explored } })
 end
 
 --- List what `snapshot_hook_add` was called with, in that order, for extensions.
 ---@param fsm rfsm.Machine
----@return { name: string, save: function, load: function }[] hooks not to be changed
+---@return { name: string, save: function, load: function, is_explored?: boolean }[]
 function rfsm.snapshot_hooks(fsm) return fsm._snapshot_hooks or NONE end
 
 --- Reset a machine and have it stand in a leaf, false for none; no callback runs.
