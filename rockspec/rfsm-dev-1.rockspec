@@ -136,6 +136,7 @@ build = {
     ["rfsm.shared.alphabet"] = "rfsm/shared/alphabet.lua",
     ["rfsm.shared.calls"] = "rfsm/shared/calls.lua",
     ["rfsm.shared.chart"] = "rfsm/shared/chart.lua",
+    ["rfsm.shared.code"] = "rfsm/shared/code.lua",
     ["rfsm.shared.files"] = "rfsm/shared/files.lua",
     ["rfsm.shared.instrument"] = "rfsm/shared/instrument.lua",
     ["rfsm.shared.limit"] = "rfsm/shared/limit.lua",

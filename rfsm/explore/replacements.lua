@@ -9,6 +9,7 @@
 local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local code = require "rfsm.shared.code"
 local files = require "rfsm.shared.files"
 local opts = require "rfsm.shared.options"
 
@@ -91,8 +92,8 @@ local function lines_of(source)
   if source:sub(1, 1) == "@" then
     text = io and files.read(source:sub(2)) or ""
   end
-  for line in (text .. "\n"):gmatch("(.-)\r?\n") do
-    lines[#lines + 1] = line:gsub("%-%-.*$", "")
+  for line in (code.of(text, true) .. "\n"):gmatch("(.-)\r?\n") do
+    lines[#lines + 1] = line
   end
   sources[source] = lines
   return lines
