@@ -354,6 +354,20 @@ describe("a rehearsal", function()
     assert.same({ "off", "started" }, seen)
   end)
 
+  it("has fakes that count as 0, are texts, and end a loop", function()
+    local run = rfsm_checks.rehearsal(rfsm.load_str [[
+      local rfsm = require "rfsm"
+      return rfsm.state { info = false, warn = false,
+        a = rfsm.state { entry = function()
+          for _ in crane.all() do crane.count() end
+          crane.move(crane.height + 1, "to " .. crane.name)
+        end },
+        rfsm.trans { src = "initial", tgt = "a" } }
+    ]], { callbacks = true })
+    assert.equal("initial --> a: entry a, crane.all(), crane.move(0, to crane.name)",
+      run:step())
+  end)
+
   it("passes on an interrupt, and takes the fakes back", function()
     local run = rfsm_checks.rehearsal(state { info = false, warn = false,
       a = state { entry = function() error("interrupted!", 0) end },

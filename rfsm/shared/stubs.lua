@@ -15,14 +15,15 @@ local concat = table.concat
 local stubs = {}
 
 local Stub = {}
--- The names and fields of stubs, which themselves are empty.
+-- The names, fields and listeners of stubs, which themselves are empty.
 local names = setmetatable({}, { __mode = "k" })
 local fields = setmetatable({}, { __mode = "k" })
+local listeners = setmetatable({}, { __mode = "k" })
 
---- Return a stub.
-function stubs.new(name)
+--- Return a stub. `listener(name, ...)` is told of the calls of it and its fields.
+function stubs.new(name, listener)
   local stub = setmetatable({}, Stub)
-  names[stub], fields[stub] = name, {}
+  names[stub], fields[stub], listeners[stub] = name, {}, listener
   return stub
 end
 
@@ -37,7 +38,7 @@ function Stub.__index(stub, key)
   if type(key) == "number" and key > MOST then return nil end
   local known = fields[stub]
   if not known[key] then
-    known[key] = stubs.new(names[stub] .. "." .. rfsm.text_of(key))
+    known[key] = stubs.new(names[stub] .. "." .. rfsm.text_of(key), listeners[stub])
   end
   return known[key]
 end
@@ -48,6 +49,10 @@ local LONGEST = 200 -- bytes of a name
 function Stub.__call(stub, ...)
   local texts, count = {}, select("#", ...)
   if count == 2 and (...) == nil and select(2, ...) == nil then return nil end
+  if listeners[stub] then
+    listeners[stub](names[stub], ...)
+    return stub
+  end
   for i = 1, count do
     local argument = select(i, ...)
     if type(argument) == "string" then texts[#texts + 1] = '"' .. argument .. '"' end
