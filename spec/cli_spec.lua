@@ -23,11 +23,11 @@ local function last_line(text) return text:match("([^\n]*)\n$") end
 
 describe("the usage of rfsm", function()
   local USAGES = {
-    check = "[--stub] [-a] [-q] [-s] [--codes] [-x] [--static] [-k N] "
+    check = "[--stub] [--machine N] [-a] [-q] [-s] [--codes] [-x] [--static] [-k N] "
       .. "[--configurations N] [--seconds N] [--record FILE] [--tests KIND] "
       .. "[--callbacks] [-o FILE] [-v] FILE [FILE] ...",
     sim = "[--stub] [-e CODE] [-i] [-r FILE] [-d] [-q] [-v] FILE",
-    viz = "[--stub] [-T FORMAT] [-o FILE] [--active FQN] [--depth N] "
+    viz = "[--stub] [--machine N] [-T FORMAT] [-o FILE] [--active FQN] [--depth N] "
       .. "[--coverage JSON] [--trace JSON] [--direction DIRECTION] [-v] FILE "
       .. "[FILE] ...",
     snapshot = "[-v] {diff} OLD NEW",
@@ -35,10 +35,10 @@ describe("the usage of rfsm", function()
       .. "[--diff] [--stats URL] [-v] [[NAME=]FILE] ...",
     postgres = "[--ids N] [--ids-for S] [-o FILE] [--client] [--history] [--notify] "
       .. "[-v] [[NAME=]FILE] ...",
-    json = "[--stub] [-o FILE] [-v] FILE [FILE] ...",
-    plantuml = "[--stub] [-o FILE] [-v] FILE [FILE] ...",
-    dot = "[--stub] [-o FILE] [-v] FILE [FILE] ...",
-    mermaid = "[--stub] [-o FILE] [-v] FILE [FILE] ...",
+    json = "[--stub] [--machine N] [-o FILE] [-v] FILE [FILE] ...",
+    plantuml = "[--stub] [--machine N] [-o FILE] [-v] FILE [FILE] ...",
+    dot = "[--stub] [--machine N] [-o FILE] [-v] FILE [FILE] ...",
+    mermaid = "[--stub] [--machine N] [-o FILE] [-v] FILE [FILE] ...",
     web = "[--stub] [-a HOST:PORT] [-m N] [-p N] [--host HOST] [-v] [FILE]",
     watch = "[-m N] [-n N] [-v] HOST[:PORT]",
     size = "[--stub] [--lua LUA] [-v] FILE",

@@ -16,6 +16,7 @@ local function new_encoder(name, language, ending)
   function encoder.add_arguments(command)
     common.add_files(command)
     common.add_stub(command)
+    common.add_machine(command)
     command:option("-o --output", "one file for all results; - is stdout")
       :argname("FILE")
   end

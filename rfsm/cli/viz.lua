@@ -19,6 +19,7 @@ local viz = { summary = "Draw charts.",
 function viz.add_arguments(command)
   common.add_files(command)
   common.add_stub(command)
+  common.add_machine(command)
   command:option("-T --format", concat(FORMATS, ", ")
     .. "; without it the ending of the output decides, or it is dot")
     :argname("FORMAT"):choices(FORMATS)
