@@ -197,7 +197,8 @@ describe("a stub", function()
       return setmetatable(copy, getmetatable(value))
     end
     assert.equal("a stub.x()", tostring(copy_of(stubs.new "lib").x(7)))
-    local model = rfsm.state { part = copy_of(stubs.new_state "part"), b = rfsm.state {},
+    local part = copy_of(stubs.new_state "part")
+    local model = rfsm.state { part = part, b = rfsm.state {},
       rfsm.trans { src = "initial", tgt = "part" },
       rfsm.trans { src = "part.ready", tgt = "b" } }
     stubs.complete(model)

@@ -51,8 +51,9 @@ function writes.text_of(callback)
     return nil
   end
   local lines = lines_of(info.source)
-  return concat(lines, "\n", max(info.linedefined, 1),
+  local text = concat(lines, "\n", max(info.linedefined, 1),
     min(max(info.lastlinedefined, 1), #lines))
+  return text:match("%f[%w_]function%f[^%w_].*%f[%w_]end%f[^%w_]") or text
 end
 
 --- List the upvalues of a function: `name`, `value`.
