@@ -29,8 +29,9 @@ end
 
 local function names_of(known)
   local names = {}
-  for _, event in ipairs(known.list) do names[#names + 1] = text_of(event) end
-  for _, event in ipairs(known.awaited) do names[#names + 1] = event end
+  for _, list in ipairs { known.list, known.reactions } do
+    for _, event in ipairs(list) do names[#names + 1] = text_of(event) end
+  end
   return names
 end
 

@@ -15,12 +15,15 @@ house.FLOORS = {
   { name = "engine", "engine" },
   { name = "extensions", "shared", "clock", "timeevent", "seqand", "emem", "await",
     "preview", "monitor", "history", "strict", "defer", "pp" },
-  { name = "rooms", "marsh", "json", "pictures", "dot", "mermaid", "plantuml",
-    "snapshot", "record", "checks", "explore", "observe", "tests", "rfsm_checks",
-    "server" },
+  { name = "rooms", "marsh", "pictures", "snapshot", "record", "checks", "explore",
+    "observe", "tests", "rfsm_checks", "server" }, -- and the exporters
   { name = "hosts", "rtt", "proto", "redis", "postgres", "sim", "web", "system" },
   { name = "command", "cli" },
 }
+
+for _, exporter in ipairs(require("rfsm.cli.exporters").list) do
+  table.insert(house.FLOORS[3], exporter.name)
+end
 
 -- Files whose room is not their name.
 local ROOM_OF = {

@@ -12,7 +12,7 @@ local read = require("rfsm.shared.files").read
 local match = require "rfsm.shared.match"
 
 local ipairs, package, pcall, rawget = ipairs, package, pcall, rawget
-local require, setmetatable, type = require, setmetatable, type
+local require, select, setmetatable, type = require, select, setmetatable, type
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 
 local source = {}
@@ -212,7 +212,7 @@ function source.check(fsm, add)
     return files[name]
   end })
   for _, obj in ipairs(rfsm.elements(fsm)) do
-    for _, field in ipairs(obj._regions and {} or FIELDS) do
+    for _, field in ipairs(select(2, rfsm.regions(obj)) and {} or FIELDS) do
       check_callback(files, obj, field, add)
     end
   end

@@ -24,7 +24,8 @@ local function pending_in(conf)
   local pending = {}
   for _, position in ipairs(conf) do
     local leaf = position.leaf
-    if leaf and leaf.doo and position.mode == "active" and not leaf._regions then
+    local _, own_regions = rfsm.regions(leaf)
+    if leaf and leaf.doo and position.mode == "active" and not own_regions then
       pending["doo " .. position.known.path] = leaf
     end
   end

@@ -9,6 +9,7 @@
 local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local instrument = require "rfsm.shared.instrument"
 local location = require "rfsm.shared.location"
 local opts = require "rfsm.shared.options"
 local writes = require "rfsm.explore.writes"
@@ -87,7 +88,8 @@ local FIELDS = { "entry", "exit", "doo", "guard", "effect" }
 local function each_callback(fsm, f)
   for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, obj in ipairs(rfsm.elements(entry.machine)) do
-      local own, path = obj._regions or obj, location.path(obj, entry.prefix)
+      local own = instrument.owner_of_callbacks(obj)
+      local path = location.path(obj, entry.prefix)
       for _, field in ipairs(FIELDS) do
         local name = field .. " " .. path
         if rfsm.is_callable(own[field]) then

@@ -74,11 +74,12 @@ local host, charts, options
 local function note_events(chart, fsm)
   local known = alphabet.of_all(fsm)
   chart.events = {}
-  for _, event in ipairs(known.list) do
-    local text = text_of(event)
-    if #text <= MAX_EVENT then chart.events[text] = event end
+  for _, list in ipairs { known.list, known.reactions } do
+    for _, event in ipairs(list) do
+      local text = text_of(event)
+      if #text <= MAX_EVENT then chart.events[text] = event end
+    end
   end
-  for _, name in ipairs(known.awaited) do chart.events[name] = name end
   chart.takes_all = known.takes_any or known.predicates[1] ~= nil
 end
 
