@@ -67,13 +67,20 @@ local function write_tests(options, parser)
     parser:error("one FILE expected, tests are those of one chart, got "
       .. #options.files)
   end
+  if file == "-" then parser:error("FILE expected, tests load it again, got -") end
   local model = common.try(common.load_model(file, options.stub, options.machine))
   local old_text = options.output ~= "-" and files.read(options.output)
   local text, result = common.call(file, require("rfsm.tests.tests").busted, file,
-    model, options.callbacks, options.output, old_text)
+    model, { callbacks = options.callbacks, stub = options.stub,
+      machine = options.machine, file = file }, options.output, old_text)
+  if not result.runs[1] then common.fail(file .. ": no run of it repeats itself") end
   common.write(options.output, text)
   io.stderr:write(("rfsm check: %d of %d transitions in %d steps\n"):format(
     result.taken, result.transitions, result.steps))
+  if result.skipped > 0 then
+    io.stderr:write(("rfsm check: left out: %d runs that do not repeat themselves\n")
+      :format(result.skipped))
+  end
   if old_text then report_difference(old_text, text) end
 end
 

@@ -125,6 +125,20 @@ local function call_apart(callback, fsm, ...)
   return sent, ok, failure
 end
 
+-- How the interpreters begin their own messages, each in words of its own.
+local OWN_WORDS = { "^attempt to ", "^bad argument ", "stack overflow",
+  "^number .* has no integer", "^invalid " }
+
+-- Returns ": " and the text of a failure without its location; empty if the words are
+-- those of the interpreter.
+local function text_of_failure(failure)
+  local text = rfsm.text_of(failure):gsub("^.-:%d+: ", "")
+  for _, words in ipairs(OWN_WORDS) do
+    if text:find(words) then return "" end
+  end
+  return ": " .. text
+end
+
 -- Returns a function that calls the callback, notes its name, what it sends, and the
 -- failure.
 local function new_call(self, name, callback)
@@ -134,7 +148,7 @@ local function new_call(self, name, callback)
     local sent, ok, failure = call_apart(callback, ...)
     for i = 1, #sent do called[#called + 1] = "sends " .. rfsm.text_of(sent[i]) end
     if not ok then
-      called[#called + 1] = "fails: " .. rfsm.text_of(failure):gsub("^.-:%d+: ", "")
+      called[#called + 1] = "fails" .. text_of_failure(failure)
     end
   end
 end
