@@ -78,7 +78,7 @@ describe("the usage of rfsm", function()
     ["viz --depth x y"] = "Error: --depth: whole number above 0 expected, got 'x'",
     ["viz -T svg a b"] = "Error: one FILE expected, svg holds one chart, got 2",
     ["viz x.lua -o y.gif"] = "Error: the ending of 'y.gif' is no format, -T expected "
-      .. "(svg, png, pdf, dot, plantuml, mermaid, json)",
+      .. "(" .. table.concat(commands.formats(), ", ") .. ")",
     ["watch -n 1.5 host"] = "Error: --count: whole number above 0 expected, got '1.5'",
     ["watch -m 0 host"] = "Error: --machine: whole number above 0 expected, got '0'",
     ["watch a:b"] = "Error: HOST or HOST:PORT expected, got 'a:b'",
