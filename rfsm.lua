@@ -1730,16 +1730,15 @@ do
   -- the `candidates`, if they are known. If a guard has merged something into the
   -- machine it is searched again, once.
   function choose(fsm, leaf, events, candidates, is_again)
-    local plan, find = fsm._plan, choose_by_node
-    local from = candidates or leaf["_%def"]
+    local plan, find, from = fsm._plan, choose_by_node, leaf["_%def"]
     if not candidates then
       if events[1] == nil then return nil end
       candidates = not is_traced(fsm) and candidates_of(from, events)
-      from = candidates or from
     end
     if candidates then
       if candidates[1] == nil then return nil end
       find = candidates.find or compiled(candidates, "find") or first_enabled
+      from = candidates
     end
     fsm._search = fsm._search + 1
     local def = find(fsm, from, events)
@@ -1810,8 +1809,8 @@ local function take_path(fsm, leaf, path)
   return conclude(fsm, "counted")
 end
 
--- Goes on after the search from a leaf: takes the path of the transition that was found,
--- if there is one.
+-- Goes on after the search from a leaf: takes the path of the transition that was
+-- found, if there is one.
 local function follow(fsm, after_free, leaf, def)
   if fsm._act_leaf ~= leaf then -- a guard has moved the machine
     leaf = innermost(fsm)
