@@ -245,9 +245,11 @@ end
 ---@param value any
 ---@return string
 function rfsm.text_of(value)
-  if type(value) == "number" then return ("%.14g"):format(value) end
+  local kind = type(value)
+  if kind == "string" then return value end
+  if kind == "number" then return ("%.14g"):format(value) end
   local ok, text = pcall(tostring, value)
-  return ok and type(text) == "string" and text or type(value)
+  return ok and type(text) == "string" and text or kind
 end
 
 local is_callable, text_of = rfsm.is_callable, rfsm.text_of
@@ -289,7 +291,8 @@ local function list_text(values)
 end
 
 local function end_text(node)
-  return is_node(node) and (node._fqn or kind_of(node)) or text_of(node)
+  local kind = kind_of(node)
+  return kind and kind ~= "transition" and (node._fqn or kind) or text_of(node)
 end
 
 -- state root.a (active)
@@ -1907,7 +1910,8 @@ do
 
   for name, words in pairs(RECORDS) do -- any order: each stands alone
     recorders[name] = function(fsm, arg, at)
-      if fsm.dbg == silent or not fsm.dbg then return end
+      local dbg = fsm.dbg
+      if dbg == silent or not dbg then return end
       fsm._at = at
       report(fsm, "dbg", words(arg, fsm))
     end
