@@ -531,7 +531,8 @@ describe("without rfsm.fast", function()
         core.save_memory()
         core.preproc[1] = function(fsm)
           fsm[2].events, fsm[3].pn = { "go" }, 1
-          core.send_events(fsm, "e") -- what a run notes is not kept
+          core.run(fsm) -- what a run notes is not kept
+          core.send_events(fsm, "e")
           core.run(fsm)
           fsm[2].tgt = fsm.c
         end
