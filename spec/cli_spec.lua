@@ -28,8 +28,8 @@ describe("the usage of rfsm", function()
       .. "[--callbacks] [-o FILE] [-v] FILE [FILE] ...",
     sim = "[--stub] [-e CODE] [-i] [-r FILE] [-d] [-q] [-v] FILE",
     viz = "[--stub] [--machine N] [-T FORMAT] [-o FILE] [--active FQN] [--depth N] "
-      .. "[--coverage JSON] [--trace JSON] [--direction DIRECTION] [-v] FILE "
-      .. "[FILE] ...",
+      .. "[--coverage JSON] [--trace JSON] [--direction DIRECTION] [--like SVG] [-v] "
+      .. "FILE [FILE] ...",
     snapshot = "[-v] {diff} OLD NEW",
     redis = "[--ids N] [--ids-for S] [-o FILE] [-l URL] [--index] [--history N] "
       .. "[--diff] [--stats URL] [-v] [[NAME=]FILE] ...",
@@ -197,6 +197,15 @@ describe("rfsm viz", function()
     end
     assert.same({ "", "rfsm viz: /no/file: No such file or directory\n", 1 },
       { run("viz --trace /no/file " .. chart) })
+  end)
+
+  it("keeps the order of a former picture", function()
+    local old = helper.file_with('<g id="root.on" class="node state">\n'
+      .. '<g id="root.initial" class="node">\n<g id="root.off" class="node">\n')
+    local graph = run(("viz --like %s examples/on_off.lua"):format(old))
+    assert.matches("root_on %[.*root_initial %[.*root_off %[", graph)
+    assert.same({ "", "rfsm viz: /no/old.svg: No such file or directory\n", 1 },
+      { run("viz --like /no/old.svg examples/on_off.lua") })
   end)
 end)
 
