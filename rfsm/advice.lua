@@ -318,24 +318,30 @@ local IS_CALLBACK = {
   entry = true, exit = true, doo = true, guard = true, effect = true,
 }
 
+-- Returns the warning of a constructor or of a plain table in place of an element.
+local function unmade(def, key, value)
+  for _, name in ipairs({ "state", "trans", "conn" }) do
+    if rawequal(value, rfsm[name]) then
+      return ("rfsm.%s is not called (rfsm.%s{...})"):format(name, name)
+    end
+  end
+  if type(value) ~= "table" or getmetatable(value) ~= nil then return "" end
+  local text = unmarked(value, key)
+  return text ~= "" and text or unwritten(def, key, value)
+end
+
 --- Return the warning of a field that counts as the user's data, and where it stands.
 ---@param def rfsm.Def the element that has the field
 ---@return string text
 ---@return string? field
 function advice.datum(def, key, value)
-  local field, is_table = rfsm.text_of(key), type(value) == "table"
-  for _, name in ipairs({ "state", "trans", "conn" }) do
-    if rawequal(value, rfsm[name]) then
-      return ("rfsm.%s is not called (rfsm.%s{...})"):format(name, name), field
-    end
-  end
-  local text = is_table and getmetatable(value) == nil and unmarked(value, key) or ""
-  if text == "" and is_table then text = unwritten(def, key, value) end
-  if def.kind == "transition" then text = unnamed(def, key, value) end
+  local field, text = rfsm.text_of(key), unmade(def, key, value)
   if text ~= "" then
     return text, field
   elseif def.kind == "connector" and IS_CALLBACK[key] then
     return ("a connector has no %s, this one is ignored"):format(key), field
+  elseif def.kind == "transition" and unnamed(def, key, value) ~= "" then
+    return unnamed(def, key, value)
   elseif type(key) == "string" and not rfsm.is_meta(key) then
     return misspelt(def, key, value)
   end
