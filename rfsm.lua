@@ -382,7 +382,10 @@ function rfsm.load(file)
   end
   if not loadfile then error("rfsm.load: there is no loadfile here", 2) end
   local chunk, problem = loadfile(file)
-  if not chunk then error("rfsm.load: " .. problem, 0) end
+  if not chunk then
+    local hint = loadfile(file .. ".lua") and (" (did you mean '%s.lua'?)"):format(file)
+    error("rfsm.load: " .. problem .. (hint or ""), 0)
+  end
   return run_chunk(chunk, file, "rfsm.load: no valid rfsm in file '" .. file .. "'")
 end
 
@@ -579,7 +582,7 @@ do
       local event = events[i]
       if event == nil then
         add(build.problems, def, "events", "list of events expected, got a table with "
-          .. "holes or keys")
+          .. "holes or keys" .. advise("list", events))
         return false
       elseif event ~= event then
         add(build.problems, def, ("events[%d]"):format(i), "an event cannot be NaN")
@@ -722,7 +725,8 @@ do
       end
     end
     if def.is_leaf and has_transition then
-      add(build.warnings, def, nil, "a transition inside a leaf state")
+      add(build.warnings, def, nil, "a transition inside a leaf state%s",
+        advise("plain_states", def.model))
     elseif def.doo and not def.is_leaf then
       add(build.problems, def, "doo", "only a leaf state can have a doo")
     end
@@ -760,7 +764,7 @@ end
 
 do
   -- Walks from `def` down the names of a path "a.b"; nil and a reason when one fails.
-  -- For a name alone a hint may come from `all` nodes.
+  -- A hint may come from `all` nodes.
   local function find_below(def, path, all)
     for name in (path .. "."):gmatch("([^.]*)%.") do
       local child = def.members[name]
@@ -772,7 +776,7 @@ do
             name, kind, kind == "table" and " (did you mean rfsm.state{...}?)" or "")
         end
         return nil, ("no state or connector is named '%s' in '%s'%s"):format(name,
-          def.fqn, advise("nearest_node", name, def, all or NONE))
+          def.fqn, advise("nearest_node", name, def, all, path))
       end
       def = child
     end
@@ -784,16 +788,17 @@ do
   -- (c) others from the root, where `root.` in front is optional, and a state may be
   -- named so.
   local function find_named(build, composite, name)
-    local root, relative = build.plan.nodes[1], name:match("^%.%.?([^.].*)$")
-    if relative then return find_below(composite, relative) end
+    local all, relative = build.plan.nodes, name:match("^%.%.?([^.].*)$")
+    local root = all[1]
+    if relative then return find_below(composite, relative, all) end
     if not name:find(".", 1, true) then
-      local def, reason = find_below(composite, name, build.plan.nodes)
+      local def, reason = find_below(composite, name, all)
       if name == "root" then return def or root end
       return def, reason
     end
-    if name:sub(1, 5) ~= "root." then return find_below(root, name) end
-    local def, reason = find_below(root, name:sub(6))
-    return def or root.members.root and find_below(root, name), reason
+    if name:sub(1, 5) ~= "root." then return find_below(root, name, all) end
+    local def, reason = find_below(root, name:sub(6), all)
+    return def or root.members.root and find_below(root, name, all), reason
   end
 
   -- A node table of the model may be mounted more than once: the nearest clone counts.
@@ -850,7 +855,8 @@ do
     if initial and initial.kind == "connector" then return initial end
     if node.parent == node then return nil end -- a problem of the root's own
     add(build.problems, def, nil, "tgt '%s': the composite has no initial transition "
-      .. "(rfsm.trans{ src='initial', tgt=... })", node.fqn)
+      .. "(rfsm.trans{ src='initial', tgt=... })%s", node.fqn,
+      advise("regions", node.model))
   end
 
   local function resolve_e_done(build, def)
@@ -2846,7 +2852,8 @@ end
 ---@nodiscard
 function rfsm.init(model)
   if not is_state(model) then
-    error("invalid fsm model passed to rfsm.init: state expected, " .. got(model), 2)
+    error("invalid fsm model passed to rfsm.init: state expected, " .. got(model)
+      .. (type(model) == "string" and " (did you mean rfsm.load?)" or ""), 2)
   end
   model = model_of(model)
   local plan, problems = plan_of(model)
@@ -2974,7 +2981,8 @@ end
 
 local function step_often(fsm, n)
   if type(n) ~= "number" then
-    error("rfsm.step: number of steps expected, " .. got(n), 3)
+    error("rfsm.step: number of steps expected, " .. got(n)
+      .. (type(n) == "string" and " (did you mean rfsm.send_events?)" or ""), 3)
   end
   return advance(fsm, n == n and n or 1, try(fsm)) -- NaN is 1
 end
@@ -3226,7 +3234,8 @@ do
     check_machine(fsm, "rfsm.is_in")
     local node = type(state) == "string" and find_by_name(fsm, state) or state
     if not is_state(node) or not node._mode then
-      error("rfsm.is_in: state of the machine expected, " .. got(state), 2)
+      error("rfsm.is_in: state of the machine expected, " .. got(state)
+        .. (type(state) == "string" and advise("state_name", fsm, state) or ""), 2)
     end
     return node._mode ~= "inactive"
   end

@@ -36,6 +36,7 @@ build = {
     ["rfsm.await"] = "rfsm/await.lua",
     ["rfsm.checkevents"] = "rfsm/checkevents.lua",
     ["rfsm.checks"] = "rfsm/checks.lua",
+    ["rfsm.checks.bodies"] = "rfsm/checks/bodies.lua",
     ["rfsm.checks.codes"] = "rfsm/checks/codes.lua",
     ["rfsm.checks.event_names"] = "rfsm/checks/event_names.lua",
     ["rfsm.checks.loops"] = "rfsm/checks/loops.lua",
