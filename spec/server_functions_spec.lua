@@ -4,6 +4,7 @@
 local host_of = require "spec.support.server_host"
 local encoding = require "rfsm.snapshot.encoding"
 local rfsm = require "rfsm"
+local share = require "spec.support.share"
 local timeevent = require "rfsm_timeevent"
 
 local state, trans = rfsm.state, rfsm.trans
@@ -446,7 +447,7 @@ describe("what is due", function()
 
   it("is bounded: what is sent waits meanwhile, in order", function()
     f.rfsm_create({ "q" }, { "fast" })
-    clock.now = 1010
+    clock.now = 1009.9921875
     assert.same({ "root.a", "done", "kept" },
       f.rfsm_send({ "q" }, { "e_stop", "ID", "1" }))
     assert.same({ "root.a", "done", "known" },
@@ -541,6 +542,10 @@ describe("an event with data", function()
       assert.equal("", written())
     end)
   end
+end)
+
+it("does what one machine does whose host is punctual", function()
+  assert.is_nil(share.problem(require "spec.support.claims.fleet", 60))
 end)
 
 describe("the last field of a reply", function()

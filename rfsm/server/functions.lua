@@ -40,6 +40,7 @@ local MAX_DATA, MAX_VALUE = 65536, 1048576 -- bytes
 local MAX_STEPS, MAX_LOG = 1000, 1000
 local MAX_DUE, RESTLESS = 200, 20 -- steps of a move; so many is one that does not rest
 local LEAST_PASSED = 0.1 -- seconds that such a move gets on, unless it skips some
+local SAME = 1e-6 -- seconds: a timer fires a nanosecond after its time
 local MAX_ID, MAX_LATER = 64, 100 -- bytes, events of a machine
 local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 
@@ -255,12 +256,12 @@ end
 local function advance_to_due(machine)
   local later, seen = machine.list[LATER] or NONE, times.seen()
   local left, entry = timeevent.next_deadline(machine.fsm) or huge, later[1]
-  if entry and entry[1] < seen + left then
+  if entry and (entry[1] <= seen or entry[1] + SAME < seen + left) then
     if entry[1] > now() then return nil end
     times.advance_to(entry[1])
     return send_entry(machine, remove(later, 1))
   end
-  if seen + left > now() then return nil end
+  if seen + left > now() + SAME then return nil end
   times.advance(left)
   return "(time)"
 end
@@ -295,7 +296,7 @@ end
 -- Brings a machine to the present; returns false if it has not got there.
 local function catch_up(machine)
   local due = first_due(machine.list)
-  if due < huge and due <= now() then return run_due(machine) end
+  if due < huge and due <= now() + SAME then return run_due(machine) end
   times.set(false)
   return true
 end

@@ -26,7 +26,7 @@ function host.new(trace, clock)
     EXISTS = function(key) return values[key] and 1 or 0 end,
     TIME = function()
       local seconds = math.floor(clock.now)
-      return { ("%d"):format(seconds), ("%d"):format((clock.now - seconds) * 1e6) }
+      return { ("%.0f"):format(seconds), ("%.0f"):format((clock.now - seconds) * 1e6) }
     end,
     TYPE = function() return { ok = "none" } end,
     ZRANGEBYLEX = function() return {} end,
