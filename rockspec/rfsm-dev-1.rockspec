@@ -89,6 +89,7 @@ build = {
     ["rfsm.observe.coverage"] = "rfsm/observe/coverage.lua",
     ["rfsm.observe.names"] = "rfsm/observe/names.lua",
     ["rfsm.observe.outline"] = "rfsm/observe/outline.lua",
+    ["rfsm.observe.stream"] = "rfsm/observe/stream.lua",
     ["rfsm.observe.subscriber"] = "rfsm/observe/subscriber.lua",
     ["rfsm.observe.values"] = "rfsm/observe/values.lua",
     ["rfsm.observe.watch_properties"] = "rfsm/observe/watch_properties.lua",
