@@ -24,6 +24,7 @@ local EXPORTERS = {
 local function add_arguments(command)
   common.add_files(command)
   common.add_stub(command)
+  common.add_machine(command)
   command:option("-o --output", "one file for all results; - is stdout")
     :argname("FILE")
 end

@@ -210,9 +210,19 @@ local function paths_in(self, moment)
 end
 
 -- Returns the replacement of a callback.
-local function new_replacement(self, what, path, part, obj, callback)
+local function new_replacement(self, what, path, part, callback)
   if callback and self.runs[callback] then part.is_bound = true end
-  return replacements.new(self, what, path, part, obj, callback)
+  return replacements.new(self, what, path, part, callback)
+end
+
+local function new_replacement_of_doo(self, part, path, doo)
+  local free = new_doo(self, part, path)
+  if self.runs[doo] then
+    part.is_bound = true
+    return data.new_doo(self, path, doo, free)
+  end
+  self.free.doos = true
+  return free
 end
 
 local function make_state(self, part, state)
@@ -220,7 +230,7 @@ local function make_state(self, part, state)
   self.names[path], self.paths[#self.paths + 1] = state, path
   self.part_of[path], self.path_of[state] = part, path
   local own = instrument.owner_of_callbacks(state)
-  local entry = new_replacement(self, "entry", path, part, state, own.entry)
+  local entry = new_replacement(self, "entry", path, part, own.entry)
   own.entry = entry
   if not part.is_single or not rfsm.is_root(state) and rfsm.is_composite(state)
     and location.is_passable(state) then
@@ -229,10 +239,10 @@ local function make_state(self, part, state)
       note_moment(self, state)
     end
   end
-  own.exit = new_replacement(self, "exit", path, part, state, own.exit)
+  own.exit = new_replacement(self, "exit", path, part, own.exit)
   if state.doo and own == state then
     replacements.note_writer(self, "doo " .. path, state.doo)
-    state.doo, self.free.doos = new_doo(self, part, path), true
+    state.doo = new_replacement_of_doo(self, part, path, state.doo)
   end
   state.prepare = nil
   if state.doo or state._timers then
@@ -259,7 +269,7 @@ local function make_transition(self, part, tr)
     if self.runs[tr.guard] or self.rules[tr.guard] then part.is_bound = true end
     tr.guard = data.new_guard(self, path, tr.guard)
   end
-  local replacement = new_replacement(self, "effect", path, part, tr, tr.effect)
+  local replacement = new_replacement(self, "effect", path, part, tr.effect)
   tr.likely = nil
   tr.effect = function(...)
     self.taken[#self.taken + 1] = number
@@ -567,6 +577,7 @@ end
 ---@return true?
 function Subject:step(events, choices)
   self.choices, self.asked, self.steps = choices, 0, self.steps + 1
+  self.changed = nil
   clear(self.taken)
   clear(self.moments)
   clear(self.last_events)
@@ -580,6 +591,7 @@ function Subject:step(events, choices)
     queue[#queue + 1] = events[i].event
   end
   local ok, failure = pcall(rfsm.step, self.parts[1].fsm)
+  if self.is_touched then data.put_back(self) end
   if ok then
     keep_passed(self)
     return true
@@ -755,7 +767,6 @@ local function check_options(self, options)
   replacements.check_names(self, self.flags_of, "flags")
   replacements.check_names(self, self.sends, "sends")
   check_alphabet(self, options.alphabet)
-  data.check_met(self, options)
 end
 
 --- Make a subject of a model, in the configuration before the first entry.
@@ -770,16 +781,19 @@ function subject.new(model, options, way)
     names = {}, paths = {}, part_of = {}, path_of = {}, callbacks = {}, writers = {},
     free = {}, sent = {},
     flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
-    is_dry_run = options.dry_run, calls_callbacks = options.callbacks, called = {},
+    calls_callbacks = options.callbacks, called = {},
     choices = {}, is_known = {}, askers = {}, is_doo = {}, asked = 0,
     taken = {}, moments = {}, passed = {}, last_events = {}, ids = {}, entered = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
     alphabet = options.alphabet, time = clock.simulated(), steps = 0,
     is_endless = false, notes_events = false, leaves_out = false,
-    trimmed = false }, Subject)
+    trimmed = false, is_touched = false, changed = nil }, Subject)
+  local fsm = new_machine(self, model)
+  self.dry_sends = options.dry_run
+    and replacements.dry_run(new_machine(self, model)) or {}
   replacements.read_flags(self, options.flags or {})
-  data.read_options(self, options)
-  add_parts(self, new_machine(self, model), way)
+  data.read_options(self, options, fsm)
+  add_parts(self, fsm, way)
   if not way then check_options(self, options) end
   data.check_first(self)
   return self
