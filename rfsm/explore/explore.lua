@@ -343,7 +343,7 @@ local function each_set(walk, from, conf, group, sets, f)
   local try = { from = from, conf = conf, group = group, events = false,
     is_internal = false }
   for _, set in ipairs(sets) do
-    if set[1] ~= nil or is_over or subject.is_busy(conf) then
+    if set[1] ~= nil or is_over or subject.may_act(conf) then
       try.events = match.joined(set, timers)
       try.is_internal = set[1] == nil and not is_over
       each_choice(walk, try, f)

@@ -81,6 +81,9 @@ local function find_rest(walk, numbers)
   for _, number in ipairs(numbers) do
     local conf = walk:configuration(number)
     local is_idle = not subject.is_busy(conf)
+    graph.each_step(walk, number, function(tgt, is_internal)
+      is_idle = is_idle and (tgt == number or not is_internal)
+    end)
     if is_idle and order.is_empty(pending_in(conf)) then return number end
   end
 end

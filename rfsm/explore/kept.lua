@@ -50,12 +50,13 @@ end
 --- Return what a machine keeps now, and a text of it.
 ---@param own rfsm_checks.Kept
 ---@param event_numbers table<any, integer>
----@return any[] values
+---@return any[] values field `is_data`: an extension keeps something
 ---@return string key
 function kept.read(own, fsm, event_numbers)
   local values, texts, n = {}, {}, #own.hooks
   for i, hook in ipairs(own.hooks) do
     values[i] = hook.save(fsm)
+    values.is_data = values.is_data or values[i] ~= nil
     texts[i] = text_of(values[i], event_numbers)
   end
   for i, tr in ipairs(own.transitions) do
