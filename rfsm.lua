@@ -382,7 +382,10 @@ function rfsm.load(file)
   end
   if not loadfile then error("rfsm.load: there is no loadfile here", 2) end
   local chunk, problem = loadfile(file)
-  if not chunk then error("rfsm.load: " .. problem, 0) end
+  if not chunk then
+    local hint = loadfile(file .. ".lua") and (" (did you mean '%s.lua'?)"):format(file)
+    error("rfsm.load: " .. problem .. (hint or ""), 0)
+  end
   return run_chunk(chunk, file, "rfsm.load: no valid rfsm in file '" .. file .. "'")
 end
 
@@ -579,7 +582,7 @@ do
       local event = events[i]
       if event == nil then
         add(build.problems, def, "events", "list of events expected, got a table with "
-          .. "holes or keys")
+          .. "holes or keys" .. advise("list", events))
         return false
       elseif event ~= event then
         add(build.problems, def, ("events[%d]"):format(i), "an event cannot be NaN")
@@ -722,7 +725,8 @@ do
       end
     end
     if def.is_leaf and has_transition then
-      add(build.warnings, def, nil, "a transition inside a leaf state")
+      add(build.warnings, def, nil, "a transition inside a leaf state%s",
+        advise("plain_states", def.model))
     elseif def.doo and not def.is_leaf then
       add(build.problems, def, "doo", "only a leaf state can have a doo")
     end
@@ -760,7 +764,7 @@ end
 
 do
   -- Walks from `def` down the names of a path "a.b"; nil and a reason when one fails.
-  -- For a name alone a hint may come from `all` nodes.
+  -- A hint may come from `all` nodes.
   local function find_below(def, path, all)
     for name in (path .. "."):gmatch("([^.]*)%.") do
       local child = def.members[name]
@@ -772,7 +776,7 @@ do
             name, kind, kind == "table" and " (did you mean rfsm.state{...}?)" or "")
         end
         return nil, ("no state or connector is named '%s' in '%s'%s"):format(name,
-          def.fqn, advise("nearest_node", name, def, all or NONE))
+          def.fqn, advise("nearest_node", name, def, all, path))
       end
       def = child
     end
@@ -784,16 +788,17 @@ do
   -- (c) others from the root, where `root.` in front is optional, and a state may be
   -- named so.
   local function find_named(build, composite, name)
-    local root, relative = build.plan.nodes[1], name:match("^%.%.?([^.].*)$")
-    if relative then return find_below(composite, relative) end
+    local all, relative = build.plan.nodes, name:match("^%.%.?([^.].*)$")
+    local root = all[1]
+    if relative then return find_below(composite, relative, all) end
     if not name:find(".", 1, true) then
-      local def, reason = find_below(composite, name, build.plan.nodes)
+      local def, reason = find_below(composite, name, all)
       if name == "root" then return def or root end
       return def, reason
     end
-    if name:sub(1, 5) ~= "root." then return find_below(root, name) end
-    local def, reason = find_below(root, name:sub(6))
-    return def or root.members.root and find_below(root, name), reason
+    if name:sub(1, 5) ~= "root." then return find_below(root, name, all) end
+    local def, reason = find_below(root, name:sub(6), all)
+    return def or root.members.root and find_below(root, name, all), reason
   end
 
   -- A node table of the model may be mounted more than once: the nearest clone counts.
@@ -850,7 +855,8 @@ do
     if initial and initial.kind == "connector" then return initial end
     if node.parent == node then return nil end -- a problem of the root's own
     add(build.problems, def, nil, "tgt '%s': the composite has no initial transition "
-      .. "(rfsm.trans{ src='initial', tgt=... })", node.fqn)
+      .. "(rfsm.trans{ src='initial', tgt=... })%s", node.fqn,
+      advise("regions", node.model))
   end
 
   local function resolve_e_done(build, def)
@@ -2691,6 +2697,11 @@ end
 ---@type (fun(fsm: rfsm.Machine, merged?: table): string[]?)[]
 rfsm.preproc = {}
 
+--- Functions `f(event)` of extensions that make events: the name of the extension if it
+-- makes the event, and the FQN of the state that has to be active, if one has to.
+---@type (fun(event: string): string?, string?)[]
+rfsm.makers = {}
+
 local preprocess, use_plan
 
 do
@@ -2841,7 +2852,8 @@ end
 ---@nodiscard
 function rfsm.init(model)
   if not is_state(model) then
-    error("invalid fsm model passed to rfsm.init: state expected, " .. got(model), 2)
+    error("invalid fsm model passed to rfsm.init: state expected, " .. got(model)
+      .. (type(model) == "string" and " (did you mean rfsm.load?)" or ""), 2)
   end
   model = model_of(model)
   local plan, problems = plan_of(model)
@@ -2969,7 +2981,8 @@ end
 
 local function step_often(fsm, n)
   if type(n) ~= "number" then
-    error("rfsm.step: number of steps expected, " .. got(n), 3)
+    error("rfsm.step: number of steps expected, " .. got(n)
+      .. (type(n) == "string" and " (did you mean rfsm.send_events?)" or ""), 3)
   end
   return advance(fsm, n == n and n or 1, try(fsm)) -- NaN is 1
 end
@@ -3142,16 +3155,35 @@ do
   end
 end
 
+--- What an extension that runs machines in a state keeps in its field `_regions`.
+---@class rfsm.Regions
+---@field [integer] rfsm.Machine in the order in which they are stepped
+---@field names any[] their names, in that order
+---@field entry? function the user's, where that of the state is the extension's
+---@field exit? function likewise
+
 --- List the machines that run in a state, in the order in which they are stepped.
---
--- An extension that runs machines in a state lists them in its field `_regions`, whose
--- own field `names` has their names.
---
 ---@param state rfsm.State a state of a machine
----@return rfsm.Machine[] regions empty where there are none
+---@return rfsm.Machine[] regions empty where there are none; not to be changed
+---@return rfsm.Regions? own what the extension keeps; nil: none runs machines there
 function rfsm.regions(state)
-  local regions = is_state(state) and rawget(state, "_regions")
-  return append({}, type(regions) == "table" and regions or NONE)
+  local own = is_state(state) and rawget(state, "_regions")
+  if type(own) ~= "table" then return NONE, nil end
+  return append({}, own), own
+end
+
+--- List the nodes to which a transition may lead.
+--
+-- An extension that has a transition into a composite lead anywhere in it, while the
+-- machine runs, notes the target that it has in the model in the field `_initial`.
+--
+---@param tr rfsm.Transition a transition of a machine
+---@return (rfsm.State|rfsm.Connector)[] targets its target; or `_initial` and the nodes
+-- of that composite
+function rfsm.targets(tr)
+  local initial = tr._initial
+  if not initial then return { tr.tgt } end
+  return append({ initial }, rfsm.elements(initial._parent, rfsm.is_node))
 end
 
 --- A machine, and where it runs.
@@ -3172,8 +3204,9 @@ function rfsm.machines(fsm)
       machine = machine, owner = owner, state = state, prefix = prefix,
     }
     for _, leaf in ipairs(rfsm.elements(machine, rfsm.is_leaf)) do
-      for i, region in ipairs(rfsm.regions(leaf)) do
-        local name = text_of(leaf._regions.names[i])
+      local regions, own = rfsm.regions(leaf)
+      for i, region in ipairs(regions) do
+        local name = text_of(own.names[i])
         visit(region, machine, leaf, prefix .. leaf._fqn:sub(5) .. "." .. name)
       end
     end
@@ -3201,7 +3234,8 @@ do
     check_machine(fsm, "rfsm.is_in")
     local node = type(state) == "string" and find_by_name(fsm, state) or state
     if not is_state(node) or not node._mode then
-      error("rfsm.is_in: state of the machine expected, " .. got(state), 2)
+      error("rfsm.is_in: state of the machine expected, " .. got(state)
+        .. (type(state) == "string" and advise("state_name", fsm, state) or ""), 2)
     end
     return node._mode ~= "inactive"
   end
@@ -3544,27 +3578,54 @@ do
   --- Remove a reset hook. Return whether it was there.
   ---@type fun(fsm: rfsm.Machine, hook: function): boolean
   rfsm.reset_hook_rm = hook_remover("rfsm.reset_hook_rm", "_reset_hooks")
+
+  --- Have `hook(fsm, state)` list the events that an extension reacts to while a state
+  -- is active, besides those of the transitions from it; nil for none.
+  --
+  -- For those who ask, by `rfsm.reactions`: what nothing reacts to is left out of
+  -- explorations, and reported as unknown. A function in the list is a predicate.
+  --
+  ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
+  rfsm.reaction_hook_add = hook_adder("rfsm.reaction_hook_add", "_reaction_hooks")
+end
+
+--- List the events that extensions react to while a state is active, besides those of
+--- the transitions from it.
+---@param fsm rfsm.Machine
+---@param state rfsm.State
+---@return any[] events
+function rfsm.reactions(fsm, state)
+  local list = {}
+  for _, hook in ipairs(fsm._reaction_hooks or NONE) do
+    append(list, hook(fsm, state) or NONE)
+  end
+  return list
 end
 
 -- Snapshots: what an extension keeps of a machine, and where the machine stands ....
 
 --- Have snapshots hold what an extension keeps of a machine, under `name`.
 --
--- `save(fsm, how)` returns plain data, nil if there is nothing to keep. `load(fsm,
+-- `save(fsm)` returns plain data, nil if there is nothing to keep. `load(fsm,
 -- data, how)` takes it back, also nil, and raises an error if the data is not its own.
+-- `is_explored`: explorations keep it, too, because transitions depend on it.
 --
----@type fun(fsm: rfsm.Machine, name: string, save: function, load: function)
-function rfsm.snapshot_hook_add(fsm, name, save, load)
+---@param fsm rfsm.Machine
+---@param name string
+---@param save fun(fsm: rfsm.Machine): any
+---@param load fun(fsm: rfsm.Machine, data: any, how: table)
+---@param is_explored? boolean
+function rfsm.snapshot_hook_add(fsm, name, save, load, is_explored)
   check_machine(fsm, "rfsm.snapshot_hook_add")
   check_function(save, "rfsm.snapshot_hook_add")
   check_function(load, "rfsm.snapshot_hook_add")
   fsm._snapshot_hooks = append(append({}, fsm._snapshot_hooks or NONE),
-    { { name = name, save = save, load = load } })
+    { { name = name, save = save, load = load, is_explored = is_explored } })
 end
 
 --- List what `snapshot_hook_add` was called with, in that order, for extensions.
 ---@param fsm rfsm.Machine
----@return { name: string, save: function, load: function }[] hooks not to be changed
+---@return { name: string, save: function, load: function, is_explored?: boolean }[]
 function rfsm.snapshot_hooks(fsm) return fsm._snapshot_hooks or NONE end
 
 --- Reset a machine and have it stand in a leaf, false for none; no callback runs.

@@ -445,6 +445,12 @@ insert(rfsm.preproc, 1, function(fsm, merged)
   end
 end)
 
+rfsm.makers[#rfsm.makers + 1] = function(event)
+  local fqn = event:match("^e_after%s*%(.*@(root.*)$")
+    or event:match("^e_at%s*%(.*@(root.*)$")
+  if fqn then return "timer", fqn end
+end
+
 -- Public functions -----------------------------------------------------------------
 
 --- Make an event that comes when its state has been active for more than `x` seconds.
@@ -502,7 +508,7 @@ local function earliest(fsm)
   local least, state = huge, fsm._mode ~= "inactive" and fsm
   if fsm._timeevent then least = min(remaining(fsm, true), remaining(fsm, false)) end
   while state do
-    for _, region in ipairs(state._regions and rfsm.regions(state) or {}) do
+    for _, region in ipairs((rfsm.regions(state))) do
       least = min(least, earliest(region))
     end
     state = state._actchild
