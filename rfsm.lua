@@ -3795,16 +3795,17 @@ do
     local problems = lines_of(build.problems)
     if problems[1] then return refuse(fsm, summary("rfsm.fsm_merge", problems)) end
     compile(plan)
-    make_elements(fsm, plan, first_node, first_transition)
-    use_targets(fsm, plan, moved)
     local outer = fsm._preparing
-    local ok, found = pcall(preprocess, fsm, parent[id])
-    if not ok then
-      found = { "a preproc function failed: " .. text_of(found) }
-      stop_preprocessing(fsm, outer)
-    end
-    if found[1] then
+    local ok, found = pcall(function()
+      make_elements(fsm, plan, first_node, first_transition)
+      use_targets(fsm, plan, moved)
+      return preprocess(fsm, parent[id])
+    end)
+    if not ok then stop_preprocessing(fsm, outer) end
+    if not ok or found[1] then
       undo_merge(fsm, old, moved)
+      if rfsm.is_interrupt(found) then error(found, 0) end
+      if not ok then found = { "a preproc function failed: " .. text_of(found) } end
       return refuse(fsm, summary("rfsm.fsm_merge", found))
     end
     report_lines(fsm, "info", build.created)
