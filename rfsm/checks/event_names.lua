@@ -28,12 +28,19 @@ end
 
 local MARKS = { [","] = "a comma", ["|"] = "a '|'" }
 
+-- Is an event what somebody says? A part between commas has several words then, none of
+-- which is an event by its name.
+local function is_sentence(event)
+  return not event:find("|") and not event:find("%f[%w]e_") and not event:find("%s$")
+    and event:find("%a%s+%a") ~= nil
+end
+
 -- Finds names with a comma, bar or blank, except in word(a, b) and behind @; and lists,
 -- which no other table equals.
 local function check_odd_events(tr, add)
   for _, event in ipairs(tr.events or {}) do
     local mark = type(event) == "string" and not match.maker_of(event)
-      and event:match("^[^(@]*"):match("[,|%s]")
+      and not is_sentence(event) and event:match("^[^(@]*"):match("[,|%s]")
     if mark then
       local name = MARKS[event:match("^[^(@]*"):match("[,|]")] or "a blank"
       add("odd-event", tr, ("'%s' is one event with %s in its name%s"):format(event,
