@@ -245,9 +245,11 @@ end
 ---@param value any
 ---@return string
 function rfsm.text_of(value)
-  if type(value) == "number" then return ("%.14g"):format(value) end
+  local kind = type(value)
+  if kind == "string" then return value end
+  if kind == "number" then return ("%.14g"):format(value) end
   local ok, text = pcall(tostring, value)
-  return ok and type(text) == "string" and text or type(value)
+  return ok and type(text) == "string" and text or kind
 end
 
 local is_callable, text_of = rfsm.is_callable, rfsm.text_of
@@ -289,7 +291,8 @@ local function list_text(values)
 end
 
 local function end_text(node)
-  return is_node(node) and (node._fqn or kind_of(node)) or text_of(node)
+  local kind = kind_of(node)
+  return kind and kind ~= "transition" and (node._fqn or kind) or text_of(node)
 end
 
 -- state root.a (active)
@@ -379,7 +382,10 @@ function rfsm.load(file)
   end
   if not loadfile then error("rfsm.load: there is no loadfile here", 2) end
   local chunk, problem = loadfile(file)
-  if not chunk then error("rfsm.load: " .. problem, 0) end
+  if not chunk then
+    local hint = loadfile(file .. ".lua") and (" (did you mean '%s.lua'?)"):format(file)
+    error("rfsm.load: " .. problem .. (hint or ""), 0)
+  end
   return run_chunk(chunk, file, "rfsm.load: no valid rfsm in file '" .. file .. "'")
 end
 
@@ -576,7 +582,7 @@ do
       local event = events[i]
       if event == nil then
         add(build.problems, def, "events", "list of events expected, got a table with "
-          .. "holes or keys")
+          .. "holes or keys" .. advise("list", events))
         return false
       elseif event ~= event then
         add(build.problems, def, ("events[%d]"):format(i), "an event cannot be NaN")
@@ -719,7 +725,8 @@ do
       end
     end
     if def.is_leaf and has_transition then
-      add(build.warnings, def, nil, "a transition inside a leaf state")
+      add(build.warnings, def, nil, "a transition inside a leaf state%s",
+        advise("plain_states", def.model))
     elseif def.doo and not def.is_leaf then
       add(build.problems, def, "doo", "only a leaf state can have a doo")
     end
@@ -757,7 +764,7 @@ end
 
 do
   -- Walks from `def` down the names of a path "a.b"; nil and a reason when one fails.
-  -- For a name alone a hint may come from `all` nodes.
+  -- A hint may come from `all` nodes.
   local function find_below(def, path, all)
     for name in (path .. "."):gmatch("([^.]*)%.") do
       local child = def.members[name]
@@ -769,7 +776,7 @@ do
             name, kind, kind == "table" and " (did you mean rfsm.state{...}?)" or "")
         end
         return nil, ("no state or connector is named '%s' in '%s'%s"):format(name,
-          def.fqn, advise("nearest_node", name, def, all or NONE))
+          def.fqn, advise("nearest_node", name, def, all, path))
       end
       def = child
     end
@@ -781,16 +788,17 @@ do
   -- (c) others from the root, where `root.` in front is optional, and a state may be
   -- named so.
   local function find_named(build, composite, name)
-    local root, relative = build.plan.nodes[1], name:match("^%.%.?([^.].*)$")
-    if relative then return find_below(composite, relative) end
+    local all, relative = build.plan.nodes, name:match("^%.%.?([^.].*)$")
+    local root = all[1]
+    if relative then return find_below(composite, relative, all) end
     if not name:find(".", 1, true) then
-      local def, reason = find_below(composite, name, build.plan.nodes)
+      local def, reason = find_below(composite, name, all)
       if name == "root" then return def or root end
       return def, reason
     end
-    if name:sub(1, 5) ~= "root." then return find_below(root, name) end
-    local def, reason = find_below(root, name:sub(6))
-    return def or root.members.root and find_below(root, name), reason
+    if name:sub(1, 5) ~= "root." then return find_below(root, name, all) end
+    local def, reason = find_below(root, name:sub(6), all)
+    return def or root.members.root and find_below(root, name, all), reason
   end
 
   -- A node table of the model may be mounted more than once: the nearest clone counts.
@@ -847,7 +855,8 @@ do
     if initial and initial.kind == "connector" then return initial end
     if node.parent == node then return nil end -- a problem of the root's own
     add(build.problems, def, nil, "tgt '%s': the composite has no initial transition "
-      .. "(rfsm.trans{ src='initial', tgt=... })", node.fqn)
+      .. "(rfsm.trans{ src='initial', tgt=... })%s", node.fqn,
+      advise("regions", node.model))
   end
 
   local function resolve_e_done(build, def)
@@ -1730,11 +1739,10 @@ do
   -- the `candidates`, if they are known. If a guard has merged something into the
   -- machine it is searched again, once.
   function choose(fsm, leaf, events, candidates, is_again)
-    if events[1] == nil then return nil end
-    local plan, state = fsm._plan, leaf["_%def"]
-    local find, from = choose_by_node, state
+    local plan, find, from = fsm._plan, choose_by_node, leaf["_%def"]
     if not candidates then
-      candidates = not is_traced(fsm) and candidates_of(state, events)
+      if events[1] == nil then return nil end
+      candidates = not is_traced(fsm) and candidates_of(from, events)
     end
     if candidates then
       if candidates[1] == nil then return nil end
@@ -1810,26 +1818,31 @@ local function take_path(fsm, leaf, path)
   return conclude(fsm, "counted")
 end
 
--- The phase "search". `list` has the candidates, if they are known.
-function search(fsm, after_free, list)
-  local leaf, events = fsm._act_leaf, fsm._curq
-  if not leaf then
-    local path = find_entry(fsm, events)
-    if not path then return refuse_entry(fsm, events) end
-    return take_path(fsm, nil, path)
-  end
-  local def = choose(fsm, leaf, events, list)
+-- Goes on after the search from a leaf: takes the path of the transition that was
+-- found, if there is one.
+local function follow(fsm, after_free, leaf, def)
   if fsm._act_leaf ~= leaf then -- a guard has moved the machine
     leaf = innermost(fsm)
     if def and fsm._nodes[def.lca.index]._mode == "inactive" then def = nil end
   end
   if def then return take_path(fsm, leaf, path_of(leaf["_%def"], def, fsm._ways)) end
-  if events[1] == nil or after_free then
+  if fsm._curq[1] == nil or after_free then
     fsm._at = 0
     fsm._phase = "doo"
     return PHASES.doo(fsm)
   end
   return conclude(fsm, "free")
+end
+
+-- The phase "search". `list` has the candidates, if they are known.
+function search(fsm, after_free, list)
+  local leaf, events = fsm._act_leaf, fsm._curq
+  if leaf then
+    return follow(fsm, after_free, leaf, choose(fsm, leaf, events, list))
+  end
+  local path = find_entry(fsm, events)
+  if not path then return refuse_entry(fsm, events) end
+  return take_path(fsm, nil, path)
 end
 
 -- Take: the actions of a path .....................................................
@@ -1903,7 +1916,8 @@ do
 
   for name, words in pairs(RECORDS) do -- any order: each stands alone
     recorders[name] = function(fsm, arg, at)
-      if fsm.dbg == silent or not fsm.dbg then return end
+      local dbg = fsm.dbg
+      if dbg == silent or not dbg then return end
       fsm._at = at
       report(fsm, "dbg", words(arg, fsm))
     end
@@ -2048,9 +2062,9 @@ end
 -- Paths are kept in a tree: `at` is where one begins (a leaf, or the entrance of the
 -- root), or a path so far.
 function path_of(at, def, ways)
-  if def then
-    local path = at.paths and at.paths[def] or new_path(at, def)
-    return path_of(path, def.connector and ways[def.connector].way, ways)
+  if def then -- no loop, for which LuaJIT would give up compiling that around it
+    at = at.paths and at.paths[def] or new_path(at, def)
+    if def.connector then return path_of(at, ways[def.connector].way, ways) end
   end
   if not at.actions then list_actions(at) end
   return at
@@ -2354,6 +2368,15 @@ do
     return true, idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
   end
 
+  -- Returns the text of the path that a search has found, if that is there, and the
+  -- machine is still a usual one.
+  local function found_run(fsm, leaf, def)
+    if not fsm._is_usual or fsm.dbg ~= silent or fsm._act_leaf ~= leaf then
+      return nil
+    end
+    return path_of(leaf["_%def"], def, fsm._ways).run
+  end
+
   -- One iteration. Returns nil if the machine cannot be entered, else whether it counts
   -- as a step and whether the machine is idle. `after_free`: the last iteration did not
   -- count. The two lists of events change places; `take_queue` repairs what an
@@ -2377,11 +2400,23 @@ do
       local run = choice.run
       if run == nil then run = quick_run(def, choice, "run") end
       local is_taken = run and run(fsm)
-      if is_taken and (fsm._is_lent or not fsm._is_usual) then
+      if not is_taken and choice.find then
+        fsm._phase = "search"
+        local found = choose(fsm, leaf, events, choice)
+        run = found and found_run(fsm, leaf, found)
+        if not run then return follow(fsm, after_free, leaf, found) end
+        is_taken = run(fsm, true)
+      end
+      if is_taken and not fsm._is_usual then
         return conclude(fsm, "counted")
       elseif is_taken or not (choice[1] or after_free) then
-        events[2] = nil
-        events[1] = nil
+        if fsm._is_lent then
+          fsm._curq = {}
+          fsm._is_lent = false
+        else
+          events[2] = nil
+          events[1] = nil
+        end
         fsm._phase = "idle"
         return is_taken or false, false
       end
@@ -2817,7 +2852,8 @@ end
 ---@nodiscard
 function rfsm.init(model)
   if not is_state(model) then
-    error("invalid fsm model passed to rfsm.init: state expected, " .. got(model), 2)
+    error("invalid fsm model passed to rfsm.init: state expected, " .. got(model)
+      .. (type(model) == "string" and " (did you mean rfsm.load?)" or ""), 2)
   end
   model = model_of(model)
   local plan, problems = plan_of(model)
@@ -2945,7 +2981,8 @@ end
 
 local function step_often(fsm, n)
   if type(n) ~= "number" then
-    error("rfsm.step: number of steps expected, " .. got(n), 3)
+    error("rfsm.step: number of steps expected, " .. got(n)
+      .. (type(n) == "string" and " (did you mean rfsm.send_events?)" or ""), 3)
   end
   return advance(fsm, n == n and n or 1, try(fsm)) -- NaN is 1
 end
@@ -3197,7 +3234,8 @@ do
     check_machine(fsm, "rfsm.is_in")
     local node = type(state) == "string" and find_by_name(fsm, state) or state
     if not is_state(node) or not node._mode then
-      error("rfsm.is_in: state of the machine expected, " .. got(state), 2)
+      error("rfsm.is_in: state of the machine expected, " .. got(state)
+        .. (type(state) == "string" and advise("state_name", fsm, state) or ""), 2)
     end
     return node._mode ~= "inactive"
   end

@@ -103,6 +103,21 @@ return rfsm.state {
   rfsm.trans { src = "done", tgt = "done", events = { "e_again" } },
 }]]
 
+-- open --e_pay--> paid --5 s--> late --e_again--> open --e_note--> paid
+local ORDER = [[
+return rfsm.state {
+  keep = { "id" }, open = rfsm.state {}, paid = rfsm.state {}, late = rfsm.state {},
+  rfsm.trans { src = "initial", tgt = "open" },
+  rfsm.trans { src = "open", tgt = "paid", events = { "e_pay" } },
+  rfsm.trans { src = "paid", tgt = "late", events = { "e_after(5)" } },
+  rfsm.trans { src = "late", tgt = "open", events = { "e_again" } },
+  rfsm.trans { src = "open", tgt = "paid", events = { rfsm.named "e_note" },
+    effect = function(fsm, _, _, events)
+      fsm.id = events[1].id
+      fsm.emit("noted", events[1])
+    end },
+}]]
+
 local EVENTS = servers.EVENTS or 500
 local CLIENTS = servers.EVENTS and 20 or 10
 
@@ -522,6 +537,39 @@ SELECT rfsm.cancel('1', 'a');
 SELECT pg_sleep(0.002) \gset
 SELECT rfsm.wake();
 SELECT state, event FROM rfsm.machines;]]))
+  end)
+
+  it("runs what is due before what is sent, and notes each move", function()
+    load_charts({ history = true }, "order=" .. helper.file_with(ORDER))
+    assert.equal([[
+root.paid
+root.open
+root.paid|done|taken|0
+e_pay|root.open|root.paid
+(time)|root.paid|root.late
+e_again|root.late|root.open
+{"name":"e_note","id":1795422184068123,"x":0.1234567890123456}|root.open|root.paid
+{"root": {"id": 1795422184068123}}
+{"x": 0.1234567890123456, "id": 1795422184068123, "name": "e_note"}
+t
+known
+dropped
+]], sql([[
+SELECT rfsm.create('1', 'order') \gset
+SELECT rfsm.send('1', 'e_pay');
+UPDATE rfsm.machines SET due = due - interval '1 minute', value = jsonb_set(
+  jsonb_set(value, '{3}', to_jsonb((value->>3)::int - 60)), '{5}',
+  to_jsonb((value->>5)::float8 - 60));
+SELECT rfsm.send_at('1', now() - interval '1 second', 'e_again', id => 'a');
+SELECT state, mode, outcome, cardinality(errors) FROM rfsm.reply('1', ARRAY[
+  '{"name":"e_note","id":1795422184068123,"x":0.1234567890123456}'], 'b');
+SELECT event, src, tgt FROM rfsm.history ORDER BY id OFFSET 1;
+SELECT data FROM rfsm.machines;
+SELECT data FROM rfsm.out;
+SELECT due IS NOT NULL FROM rfsm.machines;
+SELECT outcome FROM rfsm.reply('1', ARRAY['e_pay'], 'b');
+SELECT outcome FROM rfsm.reply('1', ARRAY['e_pay'], 'c');]]))
+    has_usual_charts = false
   end)
 
   it("reports why", function()

@@ -55,9 +55,9 @@ describe("a fleet", function()
   before_each(function() server:cli("FLUSHALL") end)
 
   it("creates machines, sends them events and shows them", function()
-    assert.same({ leaf = "root.off", mode = "done", errors = {} },
+    assert.same({ leaf = "root.off", mode = "done", errors = {}, outcome = "taken" },
       machines:create(1, "lamp", { owner = "me" }))
-    assert.same({ leaf = "root.on", mode = "done",
+    assert.same({ leaf = "root.on", mode = "done", outcome = "taken",
       errors = { "ENTRY error executing entry of root.on:  no bulb" } },
       machines:send(1, "e_on"))
     local view = machines:get(1)
@@ -70,8 +70,9 @@ describe("a fleet", function()
   end)
 
   it("is the same from any client", function()
-    assert.equal("root.off\ndone\n", server:cli("FCALL rfsm_create 1 {robot:42} lamp"))
-    assert.equal("root.busy\nactive\n",
+    assert.equal("root.off\ndone\ntaken\n",
+      server:cli("FCALL rfsm_create 1 {robot:42} lamp"))
+    assert.equal("root.busy\nactive\ntaken\n",
       server:cli("FCALL rfsm_send 1 {robot:42} e_busy"))
     assert.equal("{robot:42}\n", server:cli("FCALL rfsm_due 1 {robot:42}"))
   end)
@@ -192,7 +193,7 @@ describe("a fleet", function()
     repeat tries = tries + 1 until other:cli("FUNCTION KILL") == "OK\n" or tries > 5000
     assert.matches("killed by user", caller:read("*a"))
     caller:close()
-    assert.same({ leaf = "root.a", mode = "done", errors = {} },
+    assert.same({ leaf = "root.a", mode = "done", errors = {}, outcome = "taken" },
       looping:send(1, "e_fine"))
   end)
 
@@ -256,7 +257,7 @@ describe("rfsm redis", function()
     local chart, library = helper.file_with(COUNTER), helper.file_with("")
     assert.equal("", run(("c=%s -o %s --load %s"):format(chart, library, server:url())))
     assert.matches("^#!lua name=rfsm\n", helper.content(library))
-    assert.equal("root.even\ndone\n", server:cli("FCALL rfsm_create 1 x c"))
+    assert.equal("root.even\ndone\ntaken\n", server:cli("FCALL rfsm_create 1 x c"))
   end)
 
   it("reports a chart with a mistake, and loads nothing", function()

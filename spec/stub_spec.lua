@@ -354,7 +354,8 @@ describe("loading a chart", function()
         ["chart.lua"] = "local _, _ = of_chart, of_chart\nrequire 'part' "
           .. "return rfsm.state { x = of_chart, y = e_go }" }
       local _, warnings = chart.load(file)
-      assert.same({ file .. ":1: warning: undefined global 'of_chart'",
+      assert.same({ file .. ":1: warning: undefined global 'of_chart' (nil while the "
+          .. "chart is loaded)",
         file .. ":2: warning: undefined global 'e_go' (an event is a string, in "
           .. "quotes)" }, warnings)
       assert.is_nil(getmetatable(_G))
@@ -393,7 +394,8 @@ describe("loading a chart", function()
     assert.is_false(fsm)
     assert.same({ file .. ":1: root.entry: function expected, got number 7" },
       problems)
-    assert.same({ file .. ":1: warning: undefined global 'of_chart'" }, lines)
+    assert.same({ file .. ":1: warning: undefined global 'of_chart' (nil while the "
+      .. "chart is loaded)" }, lines)
   end)
 
   it("returns the machine and its model, or the failure", function()

@@ -37,6 +37,8 @@ function viz.add_arguments(command)
     .. "writes them"):argname("JSON")
   command:option("--direction", "TB (down) or LR (to the right)"):argname("DIRECTION")
     :choices { "TB", "LR" }
+  command:option("--like", "keep the order of states in a former picture, for a diff")
+    :argname("SVG")
 end
 
 local function read_values(file)
@@ -83,6 +85,7 @@ function viz.run(options, parser)
     active = options.active[1] and options.active,
     coverage = options.coverage and read_coverage(options.coverage),
     trace = options.trace and read_trace(options.trace),
+    like = options.like and common.try(files.read(options.like)),
   }
   local machine
   local text = concat(common.encode_all(options, function(fsm, title)

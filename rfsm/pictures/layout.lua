@@ -142,15 +142,16 @@ local function graph_of(chart, positions)
   return concat(texts, "\n") .. "\n"
 end
 
+local MOST = 1000 -- nodes of which Graphviz lays out the whole in about a second
+
 --- Return the graph of a chart, with positions; nil and the problem if there is one.
 -- `graph` is that of the whole, without positions.
 function layout.draw(chart, graph, run)
-  local answer, problem = run((graph:gsub("^[^\n]*", "digraph {", 1)))
-  if not answer then return nil, problem end
-  local whole = plain.read(chart, (answer:gsub("\\\r?\n", "")))
-  local best
-  best, problem = lay_out(chart, run)
+  local best, problem = lay_out(chart, run)
   if not best then return nil, problem end
+  local answer = #chart.nodes <= MOST
+    and run((graph:gsub("^[^\n]*", "digraph {", 1)))
+  local whole = answer and plain.read(chart, (answer:gsub("\\\r?\n", "")))
   best = whole and choice.of(best, whole, chart.kind) or best
   for _, node in ipairs(best == whole and chart.nodes or {}) do node.least = nil end
   return graph_of(chart, best)

@@ -46,6 +46,14 @@ function chart.first_line(failure)
   return ((text:match("[^\n]+") or text):gsub(":%s*$", ""))
 end
 
+-- Returns the hint for a function of the library that is not there.
+local function hint_for(text)
+  local name = text:match("call a nil value %(field '(.-)'%)$")
+    or text:match("call field '(.-)' %(a nil value%)$")
+  if not name or rfsm[name] ~= nil then return "" end
+  return require("rfsm.advice").function_meant(name)
+end
+
 --- Return why a chart cannot be used, in one line with its file.
 function chart.reason(file, failure)
   local text = chart.first_line(failure)
@@ -56,6 +64,7 @@ function chart.reason(file, failure)
   text = text:gsub("^rfsm%.json: ", ""):gsub("^rfsm%.load[_str]*: ", "")
     :gsub("^failed to load chunk: ", ""):gsub("^rfsm%.%l+%.encode: ", "")
     :gsub("'=stdin'", "stdin")
+  text = text .. hint_for(text)
   if text:find(chart.name_of(file), 1, true) then return text end
   return chart.name_of(file) .. ": " .. text
 end
@@ -95,7 +104,8 @@ local function warning_of(name, reader)
   local file, line = reader.source:match("^@(.*)"), reader.currentline
   if file and is_asked(file, line, name) then return nil end
   return ("%s:%d: warning: undefined global '%s'%s"):format(file or "stdin", line, name,
-    name:find("^e_") and " (an event is a string, in quotes)" or "")
+    name:find("^e_") and " (an event is a string, in quotes)"
+      or " (nil while the chart is loaded)")
 end
 
 -- Returns a stub for a global; nil if the code tests if it exists.

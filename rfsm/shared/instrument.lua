@@ -31,20 +31,12 @@ function instrument.listen(changes, fsm, name, note)
   end)
 end
 
---- Add a hook to a machine: before or after each step ("pre_step", "post_step"), or
--- when it is reset ("reset"). The hook keeps no list of events.
+--- Add a hook of a kind to a machine: "pre_step" and "post_step" of each iteration,
+-- "path", "watch", "reset". The hook keeps no list of events.
 function instrument.hook(changes, fsm, kind, hook, where)
   rfsm[kind .. "_hook_add"](fsm, rfsm.borrows(hook), where)
   changes[#changes + 1] = { remove = function()
     rfsm[kind .. "_hook_rm"](fsm, hook)
-  end }
-end
-
---- Add a hook that is called when a state is entered.
-function instrument.entry_hook(changes, fsm, state, hook)
-  rfsm.entry_hook_add(fsm, state, hook)
-  changes[#changes + 1] = { remove = function()
-    rfsm.entry_hook_rm(fsm, state, hook)
   end }
 end
 

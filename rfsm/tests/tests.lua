@@ -11,6 +11,7 @@
 
 local rfsm = require "rfsm"
 local explore = require "rfsm.explore.explore"
+local graph = require "rfsm.explore.graph"
 local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
 local subject = require "rfsm.explore.subject"
@@ -100,31 +101,15 @@ end
 
 -- Runs ..............................................................................
 
-local function is_wanted(edge, left)
-  for _, key in ipairs(edge.shows) do
-    if left[key] then return true end
-  end
-  return false
-end
-
--- Returns the steps up to the last one.
-local function way_to(edge, came)
-  local way = { edge }
-  while came[way[1].from] do table.insert(way, 1, came[way[1].from]) end
-  return way
-end
-
--- Returns the shortest list of steps from a configuration whose last one is wanted.
+-- Returns the shortest list of steps from a configuration whose last one shows a fact
+-- in `left`.
 local function find_way(walk, start, left)
-  local came, pending = { [start] = false }, { start }
-  for _, number in ipairs(pending) do -- which gets longer
-    for _, edge in ipairs(walk.edges[number] or {}) do
-      if is_wanted(edge, left) then return way_to(edge, came) end
-      if came[edge.tgt] == nil then
-        came[edge.tgt], pending[#pending + 1] = edge, edge.tgt
-      end
+  return graph.find_way(walk.edges, start, function(edge)
+    for _, key in ipairs(edge.shows) do
+      if left[key] then return true end
     end
-  end
+    return false
+  end)
 end
 
 local LONG = 12 -- steps after which a run may end
