@@ -1,9 +1,11 @@
 -- Data in an exploration: fields that callbacks set, and rules for guards.
 
 local ab = require "spec.support.ab"
+local claim = require "spec.support.claims.data"
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
+local share = require "spec.support.share"
 
 local state = rfsm.state
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -417,5 +419,11 @@ describe("guards that stay free", function()
       assert.is_false(ok)
       assert.equal(case.text, (helper.without_file(text):gsub("^%S+:%d+: ", "")))
     end
+  end)
+end)
+
+describe(claim.name, function()
+  it("holds for random charts", function()
+    assert.is_nil(share.problem(claim, 30, true))
   end)
 end)

@@ -18,7 +18,7 @@ local memory = require "rfsm.explore.memory"
 local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 local replacements = require "rfsm.explore.replacements"
-local writes = require "rfsm.explore.writes"
+local writes = require "rfsm.shared.writes"
 
 local coroutine, error, ipairs = coroutine, error, ipairs
 local rawget, rawset, table, type = rawget, rawset, table, type

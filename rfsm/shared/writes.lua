@@ -1,10 +1,10 @@
---- Writes: what functions assign to, by their text. Exploration asks it of callbacks
---- that are not called.
+--- Writes: what functions assign to, by their text; for checks, and for exploration,
+--- which asks it of callbacks that are not called.
 --
 -- The text of a function is that of its lines, without comments. Functions that it
 -- names count, too. A computed key and `rawset` may be a write to anything.
 --
--- @module rfsm.explore.writes
+-- @module rfsm.shared.writes
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
