@@ -55,6 +55,7 @@ local diagram = {}
 ---@field arrows rfsm.pictures.Arrow[] those with both ends in this composite
 ---@field initial? rfsm.pictures.Node
 ---@field rows string[] "entry / f", internal transitions and the like
+---@field at string file and line of callbacks
 ---@field mode? "active"|"done"
 ---@field mark? "covered"|"missed"|"traced"
 ---@field is_final? true
@@ -69,6 +70,7 @@ local diagram = {}
 ---@field src rfsm.pictures.Node
 ---@field tgt rfsm.pictures.Node an `initial` where the transition stays inside
 ---@field home? rfsm.pictures.Node the innermost composite around both ends
+---@field at string file and line of guard and effect
 ---@field parts string[] "e1, e2", "[guard]", "/ effect", "(pn 1)", if there are any
 ---@field mark? "covered"|"missed"|"traced"
 
@@ -208,10 +210,14 @@ local function rows_of(tab)
     return rows
   end
   for _, field in ipairs { "entry", "doo", "exit" } do
-    if tab[field] then rows[#rows + 1] = field .. " / " .. clean(tab[field]) end
+    if tab[field] and tab[field] ~= marsh.UNKNOWN then
+      rows[#rows + 1] = field .. " / " .. clean(tab[field])
+    end
   end
   return rows
 end
+
+local function at_of(tab) return clean(tab.at or "") end
 
 local MODES = { active = "active", done = "done" }
 
@@ -222,8 +228,9 @@ local function read_node(chart, tab, parent, fqn, depth)
   local node = {
     name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, id), parent = parent,
     kind = is_cut and "leaf" or kind, is_cut = is_cut or nil,
-    nodes = {}, arrows = {}, rows = rows_of(tab), mode = MODES[tab.mode],
-    depth = parent and parent.depth + 1 or 0, is_final = tab.final,
+    nodes = {}, arrows = {}, rows = rows_of(tab), at = at_of(tab),
+    mode = MODES[tab.mode], depth = parent and parent.depth + 1 or 0,
+    is_final = tab.final,
   }
   chart.by_fqn[fqn] = node
   chart.nodes[#chart.nodes + 1] = node
@@ -299,7 +306,7 @@ local function read_transition(chart, tr, key, words)
   end
   local is_inner = tgt.kind ~= "initial" or is_inside(src, tgt.parent)
   add_arrow(chart, { key = key, src = src, tgt = is_inner and tgt or tgt.parent,
-    parts = parts })
+    parts = parts, at = at_of(tr) })
 end
 
 -- Order: that of a former picture ----------------------------------------------
