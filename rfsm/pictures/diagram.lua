@@ -25,6 +25,7 @@ local diagram = {}
 ---@field title? string
 ---@field active? string|string[] FQNs of active states; else those of a live machine
 ---@field depth? integer levels to draw; deeper ones are left out
+---@field folded? string[] FQNs of composites that are drawn without what is in them
 ---@field direction? "TB"|"LR" from top to bottom, or from left to right
 ---@field coverage? rfsm.pictures.Coverage
 ---@field trace? (string|rfsm.pictures.Step)[] a run; a text is an FQN or a key
@@ -85,6 +86,7 @@ local diagram = {}
 ---@field arrows rfsm.pictures.Arrow[] those that begin or end at the root
 ---@field all rfsm.pictures.Arrow[] all arrows
 ---@field taken table<string, boolean> identifiers that are given
+---@field folded table<string, boolean> FQNs
 
 -- Text ------------------------------------------------------------------------
 
@@ -221,10 +223,12 @@ local function at_of(tab) return clean(tab.at or "") end
 
 local MODES = { active = "active", done = "done" }
 
+local function is_closed(chart, fqn, depth) return depth == 0 or chart.folded[fqn] end
+
 -- Reads a node and those in it, to a depth; `by_fqn` gets them all.
 local function read_node(chart, tab, parent, fqn, depth)
   local kind, id = diagram.kind_of(tab), fqn:gsub("%W", "_")
-  local is_cut = depth == 0 and kind == "composite"
+  local is_cut = kind == "composite" and is_closed(chart, fqn, depth)
   local node = {
     name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, id), parent = parent,
     kind = is_cut and "leaf" or kind, is_cut = is_cut or nil,
@@ -425,7 +429,8 @@ end
 -- Description, test, default of each.
 local OPTIONS = {
   title = { "string", is_a("string", "number") }, depth = { "number", is_a "number" },
-  active = { "string", is_a("string", "table") }, coverage = { "table", is_a "table" },
+  active = { "string", is_a("string", "table") }, folded = { "list", is_a "table" },
+  coverage = { "table", is_a "table" },
   trace = { "table", is_a "table" }, like = { "string", is_a "string" },
   direction = { "'TB' or 'LR'", function(x) return x == "TB" or x == "LR" end, "TB" },
 }
@@ -435,6 +440,7 @@ local function is_description(value)
 end
 
 local function read_description(chart, tab, settings)
+  for _, fqn in ipairs(settings.folded or {}) do chart.folded[fqn] = true end
   chart.root = read_node(chart, tab, nil, "root", settings.depth or 1 / 0)
   if settings.like then keep_order(chart, settings.like) end
   diagram.each_transition(tab, marsh.gen_event_text(), function(...)
@@ -453,7 +459,7 @@ function diagram.read(source, where, options)
   local title = tostring(settings.title or "")
   local chart = {
     title = title ~= "" and clean(title) or nil, direction = settings.direction,
-    nodes = {}, arrows = {}, all = {}, by_fqn = {}, taken = {},
+    nodes = {}, arrows = {}, all = {}, by_fqn = {}, taken = {}, folded = {},
   }
   local tab = is_read and source or marsh.model2tab(source, true)
   if not pcall(read_description, chart, tab, settings) then
