@@ -145,7 +145,7 @@ end
 
 -- Pictures ------------------------------------------------------------------------
 
--- Answers with the picture of a machine in which some composites, by number, are folded.
+-- Answers with the picture of a machine with some composites, by number, folded.
 -- A page asks again while it is drawn.
 local function picture_reply(server, request, shown)
   if not is_drawn(shown) then return { status = 404 } end
