@@ -272,10 +272,8 @@ describe("a chart of somebody else", function()
 
   it("draws nothing but a picture", function()
     visit(nil, [[
-      local Picture = require "rfsm.web.picture"
-      function Picture:take()
-        if not self.is_pending then return nil end
-        self.is_pending = false
+      local Painter = require "rfsm.web.picture"
+      function Painter:ask()
         return '<svg xmlns="http://www.w3.org/2000/svg" onload="window.evil = 1">'
           .. '<script>window.evil = 2</script><style>#title { display: none }</style>'
           .. '<image href="http://127.0.0.1:1/"/><a href="javascript:evil = 3">'
