@@ -5,7 +5,7 @@ local helper = require "spec.helper"
 local new_random = require "spec.support.random"
 local postgres = require "rfsm.postgres"
 local rfsm = require "rfsm"
-local servers = require "spec.support.postgres"
+local servers = require "spec.support.servers"
 
 local compile = rawget(_G, "loadstring") or load
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -72,7 +72,8 @@ if not (servers.HAS_STORMS or _VERSION == "Lua 5.4") then return end
 
 local has_luasql, luasql = pcall(require, "luasql.postgres")
 
-local missing = servers.missing() or not has_luasql and "lua-sql-postgres is missing"
+local missing = servers.no_postgres()
+  or not has_luasql and "lua-sql-postgres is missing"
 if missing then return it("runs in PostgreSQL", function() pending(missing) end) end
 
 -- The other states do what they must not.
@@ -141,7 +142,7 @@ local function load_charts(options, ...)
   assert.equal("", server:sql((script.sql({ ... }, options))))
 end
 
-setup(function() server = servers.start("-c fsync=off") end)
+setup(function() server = servers.postgres("-c fsync=off") end)
 
 before_each(function()
   if has_usual_charts then return end
@@ -1064,11 +1065,10 @@ describe("the warehouse", function()
   end
 
   it("does in PostgreSQL what it does in Redis", function()
-    local redis = require "spec.support.redis"
-    if redis.missing() then return pending(redis.missing()) end
-    local there = redis.beside("LUA_INIT= PORT=$((20000 + $$ % 20000)) "
+    if servers.no_redis() then return pending(servers.no_redis()) end
+    local there = servers.beside("LUA_INIT= PORT=$((20000 + $$ % 20000)) "
       .. "examples/warehouse/fleet.sh lua5.1")
-    local here = redis.beside("LUA_INIT= examples/warehouse/postgres.sh lua5.3")
+    local here = servers.beside("LUA_INIT= examples/warehouse/postgres.sh lua5.3")
     local expected = by_order(there())
     assert.equal("9 shipped, 3 cancelled\n", expected[13])
     assert.same(expected, by_order(here()))

@@ -1,8 +1,8 @@
 -- A fleet in Redis: the real server, started here on loopback and stopped again.
 
-local servers = require "spec.support.redis"
+local servers = require "spec.support.servers"
 
-local missing = servers.missing()
+local missing = servers.no_redis()
 if missing then return it("serves a fleet", function() pending(missing) end) end
 
 local fleet = require "rfsm.fleet"
@@ -47,7 +47,7 @@ describe("a fleet", function()
   local server, machines
 
   setup(function()
-    server = servers.start()
+    server = servers.redis()
     machines = load_charts(server:url(), "lamp=" .. helper.file_with(LAMP),
       "counter=" .. helper.file_with(COUNTER), "untidy=" .. helper.file_with(UNTIDY))
   end)
@@ -183,7 +183,7 @@ describe("a fleet", function()
         rfsm.trans { src = "initial", tgt = "a" },
         rfsm.trans { src = "a", tgt = "b", events = { "e_loop" } },
         rfsm.trans { src = "a", tgt = "a", events = { "e_fine" } } }]]) }
-    local other = servers.start("--busy-reply-threshold 20")
+    local other = servers.redis("--busy-reply-threshold 20")
     local looping = fleet.connect(other:url())
     assert(looping:load(loop))
     assert(looping:create(1, "loop"))
@@ -220,7 +220,7 @@ end)
 
 describe("a new version of a chart", function()
   it("takes machines at their next event if it can, or leaves them", function()
-    local server = servers.start()
+    local server = servers.redis()
     local function counter(...)
       return "c=" .. helper.file_with(servers.counter(...))
     end
@@ -253,7 +253,7 @@ describe("rfsm redis", function()
   end
 
   it("writes a library, and loads it", function()
-    local server = servers.start()
+    local server = servers.redis()
     local chart, library = helper.file_with(COUNTER), helper.file_with("")
     assert.equal("", run(("c=%s -o %s --load %s"):format(chart, library, server:url())))
     assert.matches("^#!lua name=rfsm\n", helper.content(library))
@@ -278,7 +278,7 @@ if not servers.HAS_STORMS then return end
 
 describe("a server that is killed", function()
   it("has lost no acknowledged event when it is back", function()
-    local server = servers.start("--appendonly yes --appendfsync always")
+    local server = servers.redis("--appendonly yes --appendfsync always")
     local machines = load_charts(server:url(),
       "counter=" .. helper.file_with(COUNTER))
     for i = 1, 20 do machines:create("c:{1}:" .. i, "counter") end
@@ -304,7 +304,7 @@ describe("a cluster of three nodes", function()
   local function start_cluster()
     local nodes, ids = {}, {}
     for i = 1, 3 do
-      nodes[i] = servers.start("--cluster-enabled yes --cluster-node-timeout 2000")
+      nodes[i] = servers.redis("--cluster-enabled yes --cluster-node-timeout 2000")
       ids[i] = nodes[i]:cli("CLUSTER MYID"):match("%x+")
       -- equal epochs are settled some time later, and take a moved slot back
       nodes[i]:cli("CLUSTER SET-CONFIG-EPOCH " .. i)

@@ -329,9 +329,9 @@ describe("a snapshot that is wrong", function()
   for _, case in ipairs {
     { "no table", "text", "snapshot expected, got string" },
     { "no version", with("version", nil),
-      "snapshot of format 1 or 2 expected, got none" },
+      "snapshot of format 2 expected, got none" },
     { "version 3", with("version", 3),
-      "snapshot of format 1 or 2 expected, got format 3" },
+      "snapshot of format 2 expected, got format 3" },
     { "a composite", with("leaf", "root.on"), "leaf: 'root.on' is a composite" },
     { "no such leaf", with("leaf", "root.x"), "leaf: no state is 'root.x'" },
     { "a leaf of another type", with("leaf", 7), "leaf: string expected, got number" },

@@ -43,11 +43,12 @@ local decode
 local function note_events(chart, fsm)
   local known = alphabet.of_all(fsm)
   chart.events, chart.named, chart.takes_all = {}, {}, known.takes_any
-  for _, event in ipairs(known.list) do
-    local text = text_of(event)
-    if #text <= MAX_EVENT then chart.events[text] = event end
+  for _, list in ipairs { known.list, known.reactions } do
+    for _, event in ipairs(list) do
+      local text = text_of(event)
+      if #text <= MAX_EVENT then chart.events[text] = event end
+    end
   end
-  for _, name in ipairs(known.awaited) do chart.events[name] = name end
   for _, predicate in ipairs(known.predicates) do
     local name = rfsm.event_name(predicate)
     if name then chart.named[name] = true else chart.takes_all = true end

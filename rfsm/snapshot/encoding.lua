@@ -8,7 +8,6 @@
 --    { "%s", count, ... }        a table that is too deep for MessagePack in Redis: the
 --                                number of its keys, then for each the key, and the
 --                                value, after "t" if that is such a table, else "v"
---    { "%p", table }             in format 1: the snapshot of a region
 --    { "%z" }                    nil in a field that is not nil at first
 --
 -- @module rfsm.snapshot.encoding
@@ -290,8 +289,6 @@ local function unpack_table(packed, depth)
     return unpack_number(packed[2])
   elseif first == "%s" and type(packed[2]) == "number" then
     return unpack((from_flat(packed, 2, depth)), depth + 1)
-  elseif first == "%p" then
-    return packed[2]
   elseif first == "%z" then
     return NIL
   end
