@@ -61,6 +61,8 @@ host.STATEMENTS = {
     WHERE key = $1]],
   emit = "INSERT INTO rfsm.out (key, what, data) VALUES ($1, $2, $3::jsonb)",
   log = "INSERT INTO rfsm.log (key, error) VALUES ($1, $2)",
+  trim = [[DELETE FROM rfsm.log WHERE key = $1 AND id <= (SELECT id FROM rfsm.log
+    WHERE key = $1 ORDER BY id DESC OFFSET 1000 LIMIT 1)]],
 }
 
 -- Commands of Redis -----------------------------------------------------------
@@ -135,6 +137,7 @@ local function save_effects(server, row, execute)
     execute("log", row.key, text)
     server.warn(row.key .. ": " .. text)
   end
+  if row.errors[1] then execute("trim", row.key) end
 end
 
 -- Writes a row, of which `view` is what rfsm_get shows; false if a new one is there.

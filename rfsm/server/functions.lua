@@ -553,20 +553,28 @@ function functions.rfsm_send_at(keys, args)
   return save(machine)
 end
 
--- rfsm_cancel KEY id: takes back what rfsm_send_at has sent; returns whether it was.
-function functions.rfsm_cancel(keys, args)
-  local key = key_of(keys)
-  local list = read_value(key)
-  for i, entry in ipairs(list[LATER] or {}) do
-    if entry[2] == args[1] then
-      local machine = load_machine(key, list)
-      remove(list[LATER], i)
-      run(machine)
-      save(machine)
-      return 1
-    end
+-- Removes the events with an id from those that wait; returns whether they were there.
+local function remove_later(list, id)
+  for i, entry in ipairs(list[LATER] or NONE) do
+    if entry[2] == id then return remove(list[LATER], i) ~= nil end
   end
-  return 0
+  return false
+end
+
+-- rfsm_cancel KEY id: takes back what rfsm_send_at has sent, unless its time has come;
+-- returns whether it was.
+function functions.rfsm_cancel(keys, args)
+  local key, is_there = key_of(keys), false
+  local list = read_value(key)
+  for _, entry in ipairs(list[LATER] or NONE) do
+    is_there = is_there or entry[2] == args[1]
+  end
+  if not is_there then return 0 end
+  local machine = load_machine(key, list)
+  run(machine)
+  is_there = remove_later(list, args[1])
+  save(machine)
+  return is_there and 1 or 0
 end
 
 local function tick(key)
