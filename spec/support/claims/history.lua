@@ -51,7 +51,7 @@ local function add_model(calls, chart)
   end
 end
 
-return { name = "history and its model", run = driven.claim(function(seed)
+return { name = "history and its model", add_model = add_model, run = driven.claim(function(seed)
   local chart = charts.generate(seed)
   charts.add_histories(chart)
   local at, expected, actual = runs.compare(chart, add_model)
