@@ -210,7 +210,8 @@ end
 -- Before a path is taken, whose first transition may take some; or when none is.
 local function defer(machine, events, tr)
   for _, event in ipairs(events) do
-    if is_deferred(machine, event) and not (tr and matches(tr, { event })) then
+    if #machine.deferred < 64 and is_deferred(machine, event)
+      and not (tr and matches(tr, { event })) then
       machine.deferred[#machine.deferred + 1] = event
       dbg(machine, "DEFERRED", event)
     end

@@ -399,7 +399,7 @@ local function but_undeclared(warn)
   if not warn then return nil end
   return function(text, ...)
     if tostring(text):find("^WARNING: undeclared event ") then return end
-    if tostring(text):find(" is deferred, but no transition takes it$") then return end
+    if tostring(text):find("%.defer: '.*' is ") then return end
     return warn(text, ...)
   end
 end
