@@ -3587,6 +3587,18 @@ do
   --
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.reaction_hook_add = hook_adder("rfsm.reaction_hook_add", "_reaction_hooks")
+
+  --- Have `hook(fsm)` list the events that an extension keeps for later; nil for none.
+  --- For those who show the queue.
+  ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
+  rfsm.waiting_hook_add = hook_adder("rfsm.waiting_hook_add", "_waiting_hooks")
+end
+
+-- Returns what the hooks of a list return, in one list.
+local function collect(hooks, ...)
+  local list = {}
+  for _, hook in ipairs(hooks or NONE) do append(list, hook(...) or NONE) end
+  return list
 end
 
 --- List the events that extensions react to while a state is active, besides those of
@@ -3595,12 +3607,13 @@ end
 ---@param state rfsm.State
 ---@return any[] events
 function rfsm.reactions(fsm, state)
-  local list = {}
-  for _, hook in ipairs(fsm._reaction_hooks or NONE) do
-    append(list, hook(fsm, state) or NONE)
-  end
-  return list
+  return collect(fsm._reaction_hooks, fsm, state)
 end
+
+--- List the events that extensions keep for later.
+---@param fsm rfsm.Machine
+---@return any[] events
+function rfsm.waiting(fsm) return collect(fsm._waiting_hooks, fsm) end
 
 -- Snapshots: what an extension keeps of a machine, and where the machine stands ....
 

@@ -3,7 +3,7 @@
 -- @module rfsm.shared.alphabet
 -- @license BSD-3-Clause
 
-local calls = require "rfsm.shared.calls"
+local match = require "rfsm.shared.match"
 local rfsm = require "rfsm"
 
 local ipairs, type = ipairs, type
@@ -59,12 +59,7 @@ function alphabet.of_all(fsm) return collect(rfsm.machines(fsm)) end
 
 --- Is an event one of an alphabet, or does a predicate there take it?
 function alphabet.has(known, event)
-  if known.set[event] then return true end
-  for _, predicate in ipairs(known.predicates) do
-    local ok, answer = calls.try(predicate, event)
-    if ok and answer then return true end
-  end
-  return false
+  return known.set[event] or match.takes(known.predicates, event)
 end
 
 return alphabet
