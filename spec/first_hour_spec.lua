@@ -9,17 +9,17 @@ local source = require "rfsm.checks.source"
 require "rfsm_timeevent"
 require "rfsm.await"
 
--- A chart is in chart.lua, where state and trans are those of rfsm, INITIAL the way into
+-- A chart is in chart.lua, where state and trans are those of rfsm, INITIAL the way to
 -- `a` and BACK that from b to a. `events: e_x` are sent to it, strictly, each with its
--- run; with - it is not run. A program has `lamp`, a strict machine of off and on that is in off.
+-- run; with - it is not run. A program has `lamp`, a strict machine that is in off.
 local HEAD = "local state, trans = rfsm.state, rfsm.trans "
 local PARTS = {
   INITIAL = 'trans { src = "initial", tgt = "a" }',
   BACK = 'trans { src = "b", tgt = "a", events = { "e_go" } }',
 }
 
--- Behind a chart or program: `--C` before each line of `rfsm check`, `--S` before what a
--- strict machine warns of, reports to `err`, or raises.
+-- Behind a chart or program: `--C` before each line of `rfsm check`, `--S` before what
+-- a strict machine warns of, reports to `err`, or raises.
 local MISTAKES = [==[
 == busy_doo
 -- events: e_go
@@ -686,10 +686,11 @@ local function run_program(said, text)
 end
 
 -- The Luas have different words for some failures.
-local function as_in_all_luas(line)
-  return (helper.without_file(line)
+local function as_in_all_luas(line, file)
+  return (helper.without_file(line:gsub(file, ""))
     :gsub("call (%l+) '([%w_]+)' %(a nil value%)", "call a nil value (%1 '%2')")
-    :gsub(":%d+: (attempt to yield).*", "%1"):gsub("( error .*)%f[:]:%d+: (rfsm%.)", "%1%2")
+    :gsub(":%d+: (attempt to yield).*", "%1")
+    :gsub("( error .*)%f[:]:%d+: (rfsm%.)", "%1%2")
     :gsub("^S raised: [%w.]+:%d+: (rfsm%.)", "S raised: %1")
     :gsub("(attempt to yield) .*", "%1"):gsub(": No such file or directory", ""))
 end
@@ -697,6 +698,7 @@ end
 -- Returns what is said of a mistake, with marks.
 local function said_of(text)
   local lines, said, events = {}, {}, text:match("^%-%- events:([^\n]*)\n")
+  local file = "chart%.lua"
   if not events then
     run_program(said, text)
   else
@@ -706,11 +708,10 @@ local function said_of(text)
       for _, line in ipairs(checked(name)) do lines[#lines + 1] = "C " .. line end
       if events ~= " -" then run_chart(said, name, events) end
     end)
-    for i, line in ipairs(said) do said[i] = line:gsub(name:gsub("%W", "%%%0"), "") end
-    for i, line in ipairs(lines) do lines[i] = line:gsub(name:gsub("%W", "%%%0"), "") end
+    file = name:gsub("%W", "%%%0")
   end
   for _, line in ipairs(said) do lines[#lines + 1] = "S " .. line end
-  for i, line in ipairs(lines) do lines[i] = as_in_all_luas(line) end
+  for i, line in ipairs(lines) do lines[i] = as_in_all_luas(line, file) end
   return lines
 end
 
