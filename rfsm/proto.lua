@@ -299,7 +299,7 @@ local function receive(server)
   return failure
 end
 
--- The path that was taken: for subscribers that ask, since tracing has its cost ---
+-- The path that was taken: for subscribers that ask -----------------------------
 
 local function wants_path(feed)
   local is_wanted = false
@@ -307,14 +307,19 @@ local function wants_path(feed)
   return is_wanted
 end
 
--- Has the `dbg` of a machine note the path that is taken, or no more.
-local function trace_path(feed, is_wanted)
-  if is_wanted and not feed.tracer[1] then
-    instrument.listen(feed.tracer, feed.fsm, "dbg", function(id, text)
-      if id == "EXEC_PATH" then feed.path = rfsm.text_of(text) end
+local function label_of(node)
+  return node._fqn .. "[" .. rfsm.fsmobj_tochar(node) .. "]"
+end
+
+-- Has a feed note the paths that its machine takes, or no more.
+local function follow_paths(feed, is_wanted)
+  if is_wanted and not feed.hooks[1] then
+    instrument.hook(feed.hooks, feed.fsm, "path", function(_, path)
+      feed.path = label_of(path[1].src)
+      for _, tr in ipairs(path) do feed.path = feed.path .. "->" .. label_of(tr.tgt) end
     end)
-  elseif not is_wanted and feed.tracer[1] then
-    instrument.give_back(feed.tracer)
+  elseif not is_wanted then
+    instrument.give_back(feed.hooks)
   end
 end
 
@@ -324,12 +329,12 @@ end
 -- that never run have none.
 local function attach(fsm, server)
   local feed = { server = server, fsm = fsm, number = 0, cnt = 0, graph = false,
-    path = false, tracer = {} }
+    path = false, hooks = {} }
   local hooks = {}
 
   local function before_step()
     if server.is_closed then
-      trace_path(feed, false)
+      follow_paths(feed, false)
       return instrument.give_back(hooks)
     end
     if feed.number == 0 then
@@ -337,7 +342,7 @@ local function attach(fsm, server)
       feed.number, server.feeds[server.count] = server.count, feed
     end
     local failure = receive(server)
-    trace_path(feed, wants_path(feed))
+    follow_paths(feed, wants_path(feed))
     send_graph(feed)
     if failure then rfsm.report(fsm, "err", "PROTO", "the clock failed: ", failure) end
   end

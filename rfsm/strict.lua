@@ -43,8 +43,9 @@ end
 -- Returns the names of all events, and those of events with data.
 local function names_of(known)
   local names, named = {}, {}
-  for _, event in ipairs(known.list) do names[#names + 1] = text_of(event) end
-  for _, event in ipairs(known.awaited) do names[#names + 1] = event end
+  for _, list in ipairs { known.list, known.reactions } do
+    for _, event in ipairs(list) do names[#names + 1] = text_of(event) end
+  end
   for _, predicate in ipairs(known.predicates) do
     named[#named + 1] = rfsm.event_name(predicate)
   end

@@ -220,13 +220,13 @@ describe("a subscription", function()
       client:peek())
   end)
 
-  it("brings the paths that are taken to whom asks, and traces for nobody else",
+  it("brings the paths that are taken to whom asks, and looks for nobody else",
     function()
       local fsm, client, server = served()
-      local other, own = started(lamp()), rawget(fsm, "dbg")
+      local other = started(lamp())
       client:send { type = "subscribe", path = true, fsm = 2 }
       rfsm.step(fsm)
-      assert.equal(own, rawget(fsm, "dbg"))
+      assert.is_false(fsm._path_hooks)
       rfsm.step(other)
       client:lines(2)
       local asking = new_client(server)
@@ -236,12 +236,11 @@ describe("a subscription", function()
       for i = 1, 3 do paths[i] = asking:read().path or false end
       assert.same({ false, "root.off[LS]->root.on[LS]", false },
         { paths[1], asking:read().path or paths[2], paths[3] })
-      local tracer = rawget(fsm, "dbg")
       rfsm.step(fsm)
-      assert.equal(tracer, rawget(fsm, "dbg")) -- one is enough
+      assert.equal(1, #fsm._path_hooks) -- one is enough
       asking:send { type = "unsubscribe" }
       rfsm.step(fsm)
-      assert.equal(own, rawget(fsm, "dbg"))
+      assert.is_false(fsm._path_hooks)
     end)
 
   it("is served before the machine has been entered, or if it cannot be", function()

@@ -940,7 +940,7 @@ describe("rfsm.web.serve", function()
 
   -- What a program can see of the printers and hooks of its machine.
   local function outside_of(fsm)
-    return { fsm.dbg, rawget(fsm, "dbg") or false, #fsm._pre_hooks, #fsm._post_hooks,
+    return { fsm.dbg, fsm._path_hooks, #fsm._pre_hooks, #fsm._post_hooks,
       #(fsm._reset_hooks or {}) }
   end
 
@@ -959,12 +959,12 @@ describe("rfsm.web.serve", function()
     server:step(0)
     assert.same(before, outside_of(fsm))
     local page = http.page(server)
-    assert.is_false(fsm.dbg == before[1])
+    assert.is_table(fsm._path_hooks)
     page.tcp:close()
     http.until_done(server, function() return server.http.streams == 0 end)
     now = now + 1
     server:step(0)
-    assert.is_false(fsm.dbg == before[1]) -- a page that is loaded anew
+    assert.is_table(fsm._path_hooks) -- a page that is loaded anew
     now = now + 5
     server:step(0)
     assert.same(before, outside_of(fsm))
@@ -991,7 +991,7 @@ describe("rfsm.web.serve", function()
     at = at + 1
     http.until_done(server, function()
       page.tcp:receive("*a")
-      return fsm.dbg ~= before[1]
+      return fsm._path_hooks ~= before[2]
     end)
     at = at + 1
     helper.post_and_run(fsm, "e_push")
@@ -1079,7 +1079,7 @@ describe("rfsm.web.serve", function()
       server:step(0)
     end
     assert.same(before, outside_of(right)) -- nobody looks at this one
-    assert.is_false(left.dbg == before[1])
+    assert.is_table(left._path_hooks)
     assert.same({ 404, 404, 404 }, { (http.request(server, "GET", "/chart?machine=3")),
       (http.request(server, "GET", "/chart?machine=0")),
       (http.command(server, { command = "send", event = "e_push" }, 3)) })
@@ -1361,8 +1361,7 @@ describe("the command line", function()
       .. command .. " 2>&1 | tail -1"))
   end
 
-  local LAST_COMMAND = "   size                  Print the memory that a chart needs "
-    .. "on a robot."
+  local LAST_COMMAND = "   json                  Write charts as JSON."
 
   for command, expected in pairs { -- any order: each stands alone
     ["rfsm-web"] = "Error: FILE or --attach expected",

@@ -14,8 +14,8 @@ local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 
 local ipairs, package, pcall, rawget = ipairs, package, pcall, rawget
-local require, setmetatable, table, tonumber = require, setmetatable, table, tonumber
-local type = type
+local require, select, setmetatable, table = require, select, setmetatable, table
+local tonumber, type = tonumber, type
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 
 local source = {}
@@ -250,7 +250,7 @@ function source.check(fsm, add)
   end })
   check_tables(files, fsm, add)
   for _, obj in ipairs(rfsm.elements(fsm)) do
-    for _, field in ipairs(obj._regions and {} or FIELDS) do
+    for _, field in ipairs(select(2, rfsm.regions(obj)) and {} or FIELDS) do
       check_callback(files, fsm, obj, field, add)
     end
   end

@@ -7,6 +7,7 @@ local rfsm = require "rfsm"
 local opts = require "rfsm.shared.options"
 local location = require "rfsm.shared.location"
 local order = require "rfsm.shared.order"
+local stream = require "rfsm.observe.stream"
 
 local error, ipairs = error, ipairs
 local setmetatable, type = setmetatable, type
@@ -26,44 +27,42 @@ local OUTCOMES = { "true", "false" }
 
 -- Count .............................................................................
 
-local function count_state(own, fsm, state, path)
-  own.states[path] = own.states[path] or 0
-  rfsm.entry_hook_add(fsm, state, function()
-    own.states[path] = own.states[path] + 1
-  end)
+local function add(t, key) t[key] = t[key] + 1 end
+
+-- Adds the states, transitions and guards of a machine that are not counted yet.
+local function add_elements(own, paths, at)
+  for _, element in ipairs(rfsm.elements(at.machine)) do
+    local path, is_trans = location.path(element, at.prefix), rfsm.is_trans(element)
+    local counts = is_trans and own.transitions or own.states
+    if is_trans or rfsm.is_state(element) then counts[path] = counts[path] or 0 end
+    if is_trans and element.guard then
+      own.guards[path] = own.guards[path] or { ["true"] = 0, ["false"] = 0, failed = 0 }
+    end
+    paths[element] = path
+  end
 end
 
--- A call counts as failed until it returns: an error is not caught here.
-local function counting_guard(guard, counts)
-  return function(tr, events)
+-- Returns the listener that counts.
+local function new_counter(own, fsm)
+  local counter, paths = {}, {}
+  function counter.merged()
+    for _, at in ipairs(rfsm.machines(fsm)) do add_elements(own, paths, at) end
+  end
+  counter.merged()
+  function counter.entered(_, state) add(own.states, paths[state]) end
+  function counter.taken(_, path)
+    for _, tr in ipairs(path) do add(own.transitions, paths[tr]) end
+  end
+  -- A call counts as failed until it returns: an error is not caught here.
+  function counter.guard(_, tr, guard, events)
+    local counts = own.guards[paths[tr]]
     counts.failed = counts.failed + 1
     local answer = guard(tr, events)
     counts.failed = counts.failed - 1
-    local outcome = answer ~= false and "true" or "false"
-    counts[outcome] = counts[outcome] + 1
+    add(counts, answer ~= false and "true" or "false")
     return answer
   end
-end
-
-local function count_transition(own, tr, path)
-  local effect = tr.effect
-  own.transitions[path] = own.transitions[path] or 0
-  tr.effect = function(...)
-    own.transitions[path] = own.transitions[path] + 1
-    if effect then return effect(...) end
-  end
-  if not tr.guard then return end
-  own.guards[path] = own.guards[path] or { ["true"] = 0, ["false"] = 0, failed = 0 }
-  tr.guard = counting_guard(tr.guard, own.guards[path])
-end
-
-local function count_machine(own, fsm, prefix)
-  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
-    count_state(own, fsm, state, location.path(state, prefix))
-  end
-  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
-    count_transition(own, tr, location.path(tr, prefix))
-  end
+  return counter
 end
 
 -- Report ............................................................................
@@ -132,9 +131,7 @@ function coverage.coverage(fsm, earlier)
     end
     own[field] = copy_of(counts)
   end
-  for _, entry in ipairs(rfsm.machines(fsm)) do
-    count_machine(own, entry.machine, entry.prefix)
-  end
+  stream.follow(fsm, new_counter(own, fsm))
   return own
 end
 

@@ -15,7 +15,7 @@ local opts = require "rfsm.shared.options"
 local location = require "rfsm.shared.location"
 local properties = require "rfsm.explore.properties"
 local order = require "rfsm.shared.order"
-local instrument = require "rfsm.shared.instrument"
+local stream = require "rfsm.observe.stream"
 
 local error, ipairs, package, type = error, ipairs, package, type
 local concat, remove = table.concat, table.remove
@@ -41,7 +41,7 @@ local watch_properties = {}
 ---@field forwarded any[] events of the iteration before, which belongs to this step
 ---@field moments { state: rfsm.State, active: fun(name: string): boolean }[] of this
 -- step, when a state was entered through which it may pass
----@field changes table[] the hooks
+---@field stream rfsm.observe.Stream
 ---@field trace { text: string, at: number|false }[] the latest steps
 local Watched = {}
 Watched.__index = Watched
@@ -59,12 +59,12 @@ local function read_clock(own)
 end
 
 -- Returns a function that tells of a path if the state is active; and one that returns
--- such a function for this moment.
+-- such a function for a moment within a path of transitions, behind some changes.
 local function views_of(fsm)
   local states = {}
-  for _, entry in ipairs(rfsm.machines(fsm)) do
-    for _, state in ipairs(rfsm.elements(entry.machine, rfsm.is_state)) do
-      states[location.path(state, entry.prefix)] = state
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    for _, state in ipairs(rfsm.elements(at.machine, rfsm.is_state)) do
+      states[location.path(state, at.prefix)] = state
     end
   end
   return function(name)
@@ -72,10 +72,18 @@ local function views_of(fsm)
       location.refuse_name(name, "state", rfsm.sorted_keys(states))
     end
     return states[name]._mode ~= "inactive"
-  end, function()
+  end, function(changes)
     local is_active = {}
     for path, state in order.each(states) do -- any order: a set
       is_active[path] = state._mode ~= "inactive"
+    end
+    for _, change in ipairs(changes) do
+      for path in order.each(states) do -- any order: a set
+        local is_inside = (path .. "."):sub(1, #change.path + 1) == change.path .. "."
+        if is_inside then
+          is_active[path] = change.is_entered and path == change.path
+        end
+      end
     end
     return function(name) return is_active[name] end
   end
@@ -156,18 +164,19 @@ local function look_at(own, monitor, look, events)
   monitor.is_told = is_violated
 end
 
-local function begin_iteration(own)
+local function begin_iteration(own, at)
+  if at.machine ~= own.fsm then return end
   own.now, own.leaf = read_clock(own), own.fsm._act_leaf or false
 end
 
 -- Do the regions of the active leaf get the events in the next iteration, which belongs
 -- to the same step? Not if a transition was taken.
 local function are_forwarded(fsm)
-  return fsm._act_leaf._regions and rfsm.is_free(fsm)
+  return rfsm.regions(fsm._act_leaf)[1] and rfsm.is_free(fsm)
 end
 
-local function end_iteration(own, events)
-  if not own.fsm._act_leaf then return end
+local function end_iteration(own, at, events)
+  if at.machine ~= own.fsm or not own.fsm._act_leaf then return end
   note_step(own, events)
   if are_forwarded(own.fsm) then
     own.forwarded = match.joined(own.forwarded, events)
@@ -203,21 +212,28 @@ local function monitors_of(where, given, active)
   return list
 end
 
--- Has composites through which a step may pass note what is active then, if a monitor
--- looks at that.
-local function note_moments(own, fsm, snapshot)
-  local is_needed = false
+local function looks_at_moments(own)
   for _, monitor in ipairs(own.monitors) do
-    is_needed = is_needed or monitors.passes[monitor.property.kind]
+    if monitors.passes[monitor.property.kind] then return true end
   end
-  if not is_needed then return end
-  for _, entry in ipairs(rfsm.machines(fsm)) do
-    for _, state in ipairs(rfsm.elements(entry.machine, rfsm.is_composite)) do
-      if not rfsm.is_root(state) and location.is_passable(state) then
-        instrument.entry_hook(own.changes, entry.machine, state, function()
-          own.moments[#own.moments + 1] = { state = state, active = snapshot() }
-        end)
-      end
+  return false
+end
+
+-- Has a listener note what is active when a composite is entered through which the step
+-- may pass.
+local function note_moments(own, listener, snapshot)
+  local changes = {} -- of the path that is taken
+  local function note(at, state, is_entered)
+    changes[#changes + 1] = { path = location.path(state, at.prefix),
+      is_entered = is_entered }
+  end
+  function listener.taken() changes = {} end
+  function listener.left(at, state) note(at, state, false) end
+  function listener.entered(at, state)
+    note(at, state, true)
+    if rfsm.is_composite(state) and not rfsm.is_root(state)
+      and location.is_passable(state) then
+      own.moments[#own.moments + 1] = { state = state, active = snapshot(changes) }
     end
   end
 end
@@ -231,7 +247,7 @@ local function begin(own)
 end
 
 --- Watch no more: the machine has none of its hooks any longer.
-function Watched:stop() instrument.give_back(self.changes) end
+function Watched:stop() self.stream:stop() end
 
 --- Return the seconds until the time of a property is over; nil if none is running. A
 -- host that sleeps until the next deadline of a timer may see to this one, too.
@@ -267,20 +283,19 @@ function watch_properties.watch_properties(fsm, given)
   end
   local active, snapshot = views_of(fsm)
   local own = setmetatable({ fsm = fsm, active = active, now = 0, leaf = false,
-    is_timed = false, changes = {} }, Watched)
+    is_timed = false }, Watched)
   own.monitors = monitors_of(where, given, own.active)
   for _, monitor in ipairs(own.monitors) do
     own.is_timed = own.is_timed or monitor.property.seconds ~= nil
   end
-  note_moments(own, fsm, snapshot)
   begin(own)
-  instrument.hook(own.changes, fsm, "pre_step", function()
-    begin_iteration(own)
-  end, "before")
-  instrument.hook(own.changes, fsm, "post_step", function(_, events)
-    end_iteration(own, events)
-  end)
-  instrument.hook(own.changes, fsm, "reset", function() begin(own) end)
+  local listener = {
+    began = function(at) begin_iteration(own, at) end,
+    passed = function(at, events) end_iteration(own, at, events) end,
+    reset = function(at) if at.machine == fsm then begin(own) end end,
+  }
+  if looks_at_moments(own) then note_moments(own, listener, snapshot) end
+  own.stream = stream.follow(fsm, listener)
   return own
 end
 

@@ -53,9 +53,8 @@ end
 ---@return { name: string, machine: rfsm.Machine }[] regions
 function location.regions_of(state)
   local regions, machines = {}, {}
-  for i, machine in ipairs(rfsm.regions(state)) do
-    machines[state._regions.names[i]] = machine
-  end
+  local list, own = rfsm.regions(state)
+  for i, machine in ipairs(list) do machines[own.names[i]] = machine end
   for i, name in ipairs(rfsm.sorted_keys(machines)) do
     regions[i] = { name = text_of(name), machine = machines[name] }
   end
@@ -80,8 +79,8 @@ function location.refuse_name(name, kind, names)
     type(name) == "string" and advice.nearest_name(name, names) or ""), 0)
 end
 
--- Is a node in a composite?
-local function is_inside(node, state)
+--- Is a node a state, or in it?
+function location.is_inside(node, state)
   while node ~= state and not rfsm.is_root(node) do node = node._parent end
   return node == state
 end
@@ -93,7 +92,7 @@ function location.is_passable(state)
   local is_found = false
   rfsm.mapfsm(function(connector)
     for _, tr in ipairs(connector._otrs) do
-      is_found = is_found or not is_inside(tr.tgt, state)
+      is_found = is_found or not location.is_inside(tr.tgt, state)
     end
   end, state, rfsm.is_conn)
   return is_found

@@ -1,10 +1,9 @@
 --- The view of a machine in this program, and of the regions in its states.
 --
--- While it is observed, its hooks and printers note what happens, and go on as before.
--- Otherwise only failures and warnings are noted, and the machine runs as without a
--- page. Guards are called only for the question why.
+-- Failures and warnings are always noted; what else happens while it is observed. No
+-- guard is called but for the question why.
 --
--- The file reads in this order: the machines, failures, what a observed machine does,
+-- The file reads in this order: the machines, failures, what an observed machine does,
 -- the present state, questions.
 --
 -- @module rfsm.web.local_view
@@ -18,11 +17,13 @@ local outline = require "rfsm.observe.outline"
 local location = require "rfsm.shared.location"
 local breakpoints = require "rfsm.observe.breakpoints"
 local instrument = require "rfsm.shared.instrument"
+local stream = require "rfsm.observe.stream"
 local values = require "rfsm.observe.values"
 local View = require "rfsm.web.view"
 
 local ipairs, rawget = ipairs, rawget
-local setmetatable, tostring, type = setmetatable, tostring, type
+local setmetatable, type = setmetatable, type
+local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local utf8 = marsh.utf8
 
@@ -31,11 +32,15 @@ local MAX_LOST = 20 -- so many events without an effect are named
 --- A machine that is observed.
 ---@class rfsm.web.LocalView : rfsm.web.View
 ---@field fsm rfsm.Machine
----@field machines rfsm.web.Observed[]
+---@field machines table[] as `rfsm.machines`
+---@field numbers table<table, integer> of nodes and transitions; none if merged in
+---@field path table<rfsm.Machine, string> taken in its current iteration, for a reader
 ---@field lost any[] events that took no transition since the last transition
 ---@field last_lost any[] such events of the last entry in the log
 ---@field entered table<integer, integer> how often a state was entered while observed
----@field is_observed boolean
+---@field stream rfsm.observe.Stream|false while it is observed
+---@field failing rfsm.observe.Stream
+---@field printers table[] changes of err and warn
 ---@field points rfsm.observe.Breakpoint[] breakpoints
 ---@field hit string|false the breakpoint that was reached since this was set to false
 local LocalView = setmetatable({}, { __index = View })
@@ -43,84 +48,39 @@ LocalView.__index = LocalView
 
 -- The machines: that of the view, and those inside its states -----------------------
 
---- A machine of a view.
----@class rfsm.web.Observed
----@field fsm rfsm.Machine
----@field prefix string the FQN of its root in the description
----@field numbers table<rfsm.State, integer> of its nodes
----@field by_fqn table<string, integer> of its nodes by their FQN in the machine
----@field transitions table<string, rfsm.Transition> by their texts
----@field edges table<rfsm.Transition, integer> their numbers
----@field path_texts table<string, string> for a reader
----@field path string|false of the transition in the current iteration
----@field printers table[] changes of err and warn
----@field tracer table[] change of dbg, and hooks, while it is observed
-
-local function add_transitions(view, observed)
-  for _, tr in ipairs(rfsm.elements(observed.fsm, rfsm.is_trans)) do
-    local text = tostring(tr)
-    observed.transitions[text] = observed.transitions[text] or tr
-    observed.edges[tr] = view.outline.edge_of[location.path(tr, observed.prefix)]
-  end
-end
-
--- Returns a table of paths as a reader sees them, by their texts in a trace.
-local function new_path_texts(prefix)
-  local begin = prefix == "root" and "" or prefix .. ": "
-  return setmetatable({}, { __index = function(texts, text)
-    texts[text] = begin .. text:gsub("%[%w+%]", ""):gsub("%->", " \226\134\146 ")
-    return texts[text]
-  end })
-end
-
+-- Notes the numbers of the elements of a machine.
 local function add_machine(view, at)
-  local fsm, prefix = at.machine, at.prefix
-  local observed = { fsm = fsm, prefix = prefix, path = false, numbers = {},
-    by_fqn = {}, transitions = {}, edges = {}, path_texts = new_path_texts(prefix),
-    printers = {}, tracer = {} }
-  add_transitions(view, observed)
-  for _, node in ipairs(rfsm.elements(fsm, rfsm.is_node)) do
-    local number = view.outline.number_of[location.path(node, prefix)]
-    observed.numbers[node], observed.by_fqn[node._fqn] = number, number
-    view.outline.nodes[number + 1].file = rfsm.location_of(node):match("^(.-:%d+): ")
-    view.node_of[number] = node
+  local lists, numbers = view.outline, view.numbers
+  for _, element in ipairs(rfsm.elements(at.machine)) do
+    local path = location.path(element, at.prefix)
+    if rfsm.is_trans(element) then
+      numbers[element] = lists.edge_of[path]
+    else
+      local number = lists.number_of[path]
+      numbers[element], view.node_of[number] = number, element
+      lists.nodes[number + 1].file = rfsm.location_of(element):match("^(.-:%d+): ")
+    end
   end
-  view.machines[#view.machines + 1] = observed
-  return observed
 end
 
 -- Failures: noted also while nobody observes ----------------------------------------
 
--- Returns the arguments of a printer as a line, without the id of the record.
-local function line_of(...)
-  return (calls.text(" ", ...):gsub("^%u+:? ", ""):gsub(":  ", ": "))
-end
-
--- Returns the number of the node in a report; for a guard or an effect the source.
-local function node_in(observed, line)
-  local fqn = line:match("src='(root[^']*)'") or line:match("'(root[^']*)' failed")
-    or line:match(" of (root.-): ")
-  return observed.by_fqn[fqn]
-end
-
-local function note_failure(view, observed, ...)
-  local line = line_of(...)
-  local number = node_in(observed, line)
-  if number then view:add_failure(number) end
-  view:note("error", line)
-end
-
-local function listen_to_failures(view, observed)
-  local fsm = observed.fsm
-  instrument.listen(observed.printers, fsm, "err", function(...)
-    note_failure(view, observed, ...)
-  end)
-  instrument.listen(observed.printers, fsm, "warn", function(...)
-    view:note("warning", line_of(...))
+-- Has a printer of a machine note what it prints, without the id of the record.
+local function listen_to(view, fsm, name, kind)
+  instrument.listen(view.printers, fsm, name, function(...)
+    view:note(kind, (calls.text(" ", ...):gsub("^%u+:? ", ""):gsub(":  ", ": ")))
   end)
 end
 
--- What a observed machine does -----------------------------------------------------
+-- Returns a listener that counts failures: of a guard or an effect at the source.
+local function new_counter(view)
+  return { failed = function(_, element)
+    local number = view.numbers[rfsm.is_trans(element) and element.src or element]
+    if number then view:add_failure(number) end
+  end }
+end
+
+-- What an observed machine does ------------------------------------------------------
 
 -- Notes the breakpoint that is reached, if one is.
 local function check_points(view, kind, value)
@@ -129,31 +89,11 @@ local function check_points(view, kind, value)
   end)
 end
 
--- The meaning of the records of a trace for the page.
-local RECORDS = {}
-
-function RECORDS.EXEC_PATH(_, observed, text)
-  observed.path = observed.path_texts[text]
-end
-
-function RECORDS.EFFECT(view, observed, text)
-  local tr = observed.transitions[text]
-  if not tr then return end -- merged in
-  view:see_edge(observed.edges[tr])
-  check_points(view, "transition", tr)
-end
-
-function RECORDS.STATE_ENTER(view, observed, fqn)
-  local number = observed.by_fqn[fqn]
-  check_points(view, "state", observed.prefix .. fqn:sub(#"root" + 1))
-  if number then view.entered[number] = (view.entered[number] or 0) + 1 end
-end
-
 -- Appends the numbers of the active states of a machine, from its root on.
-local function add_active(numbers, observed)
-  local node = rfsm.get_sta_mode(observed.fsm) ~= "inactive" and observed.fsm
+local function add_active(view, fsm, numbers)
+  local node = rfsm.get_sta_mode(fsm) ~= "inactive" and fsm
   while node do
-    numbers[#numbers + 1] = observed.numbers[node] -- nil, if it was merged in
+    numbers[#numbers + 1] = view.numbers[node]
     node = rfsm.actchild_get(node)
   end
   return numbers
@@ -162,7 +102,7 @@ end
 -- Numbers of the active states, from the root down, those of regions behind.
 local function active_numbers(view)
   local numbers = {}
-  for _, observed in ipairs(view.machines) do add_active(numbers, observed) end
+  for _, at in ipairs(view.machines) do add_active(view, at.machine, numbers) end
   return numbers
 end
 
@@ -175,66 +115,78 @@ local function add_lost(view, events)
   end
 end
 
+local function text_of_path(at, path)
+  local texts = { location.prefix(at.prefix) .. path[1].src._fqn }
+  for i, tr in ipairs(path) do texts[i + 1] = tr.tgt._fqn end
+  return concat(texts, " \226\134\146 ")
+end
+
+local function see_active(view, fsm)
+  for _, number in ipairs(add_active(view, fsm, {})) do view:see_node(number) end
+end
+
 -- Logs an iteration, unless nothing happened in it.
-local function note_step(view, observed, events)
+local function note_step(view, fsm, events)
+  local path = view.path[fsm]
   for i = 1, view.points[1] and #events or 0 do
     check_points(view, "event", events[i])
   end
-  if observed.path then
-    for _, number in ipairs(add_active({}, observed)) do view:see_node(number) end
-    view:note("step", observed.path, { unpack(events) }, active_numbers(view))
-    view.lost = {}
-  elseif observed.fsm == view.fsm then
+  if path then
+    see_active(view, fsm)
+    view:note("step", path, { unpack(events) }, active_numbers(view))
+    view.lost, view.path[fsm] = {}, nil
+  elseif fsm == view.fsm then
     add_lost(view, events)
   end
-  observed.path = false
   view:touch()
 end
 
-local function attach(view, observed)
-  local fsm = observed.fsm
-  instrument.listen(observed.tracer, fsm, "dbg", function(id, text)
-    local take = RECORDS[id]
-    if take then take(view, observed, text) end
-  end)
-  -- before the user's hooks, which may fail
-  instrument.hook(observed.tracer, fsm, "post_step", function(_, events)
-    note_step(view, observed, events)
-  end, "before")
-  instrument.hook(observed.tracer, fsm, "reset", function() view:touch() end)
+-- Returns a listener that notes what the machine does.
+local function new_listener(view)
+  return {
+    taken = function(at, path)
+      view.path[at.machine] = text_of_path(at, path)
+      for _, tr in ipairs(path) do
+        view:see_edge(view.numbers[tr])
+        check_points(view, "transition", tr)
+      end
+    end,
+    entered = function(at, state)
+      local number = view.numbers[state]
+      if number then view.entered[number] = (view.entered[number] or 0) + 1 end
+      if view.points[1] then
+        check_points(view, "state", location.path(state, at.prefix))
+      end
+    end,
+    finished = function(at, events) note_step(view, at.machine, events) end,
+    reset = function() view:touch() end,
+  }
 end
 
 --- Begin or end to note what the machine does.
 function LocalView:observe(is_wanted)
-  if self.is_observed == is_wanted then return end
-  self.is_observed, self.lost = is_wanted, {}
-  for _, observed in ipairs(self.machines) do
-    if is_wanted then
-      attach(self, observed)
-    else
-      instrument.give_back(observed.tracer)
-    end
-    observed.path = false
-    for _, number in ipairs(add_active({}, observed)) do self:see_node(number) end
-  end
+  if is_wanted == (self.stream ~= false) then return end
+  if self.stream then self.stream:stop() end
+  self.stream = is_wanted and stream.follow(self.fsm, new_listener(self))
+  self.path, self.lost = {}, {}
+  for _, at in ipairs(self.machines) do see_active(self, at.machine) end
   self:touch()
 end
 
 --- Leave the machine as it was.
 function LocalView:close()
   self:observe(false)
-  for _, observed in ipairs(self.machines) do
-    instrument.give_back(observed.printers)
-  end
+  self.failing:stop()
+  instrument.give_back(self.printers)
 end
 
 -- The present state ----------------------------------------------------------------
 
 local function queue_texts(view)
   local texts = {}
-  for i, observed in ipairs(view.machines) do
-    for _, text in ipairs(view:texts_of(observed.fsm._intq)) do
-      texts[#texts + 1] = i == 1 and text or observed.prefix .. ": " .. text
+  for _, at in ipairs(view.machines) do
+    for _, text in ipairs(view:texts_of(at.machine._intq)) do
+      texts[#texts + 1] = location.prefix(at.prefix) .. text
     end
   end
   return texts
@@ -306,11 +258,14 @@ end
 --- View a machine; `observe` begins to do so. The clock returns seconds, for the log.
 function LocalView.new(fsm, clock)
   local view = View.create(LocalView, marsh.model2tab(fsm, true), clock)
-  view.fsm, view.machines, view.node_of = fsm, {}, {}
-  view.lost, view.last_lost, view.entered, view.is_observed = {}, {}, {}, false
-  view.points, view.hit = {}, false
-  for _, at in ipairs(rfsm.machines(fsm)) do
-    listen_to_failures(view, add_machine(view, at))
+  view.fsm, view.machines, view.numbers, view.node_of = fsm, rfsm.machines(fsm), {}, {}
+  view.lost, view.last_lost, view.entered, view.path = {}, {}, {}, {}
+  view.points, view.hit, view.stream, view.printers = {}, false, false, {}
+  view.failing = stream.follow(fsm, new_counter(view))
+  for _, at in ipairs(view.machines) do
+    add_machine(view, at)
+    listen_to(view, at.machine, "err", "error")
+    listen_to(view, at.machine, "warn", "warning")
   end
   return view
 end
