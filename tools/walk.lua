@@ -33,7 +33,9 @@ local function path_of(svg, id)
   local _, last = svg:find('<g id="' .. id .. '"', 1, true)
   local path = last and svg:match("<path[^>]*/>", last)
   local looks = { ["stroke-width"] = "1" }
-  for name, value in (path or ""):gmatch('([%w-]+)="([^"]*)"') do looks[name] = value end
+  for name, value in (path or ""):gmatch('([%w-]+)="([^"]*)"') do
+    looks[name] = value
+  end
   return path, looks
 end
 
@@ -100,7 +102,7 @@ local tall = height + 44
 svg = svg:gsub('height="[%d.]+pt"', ('height="%dpt"'):format(tall), 1)
   :gsub('viewBox="[^"]*"', ('viewBox="0 0 %d %d"'):format(width, tall), 1)
   :gsub("</svg>", function()
-    return ('<rect y="%d" width="%d" height="44" fill="white"/>\n'):format(height, width)
-      .. captions(frames, tonumber(width), tonumber(height)) .. "\n</svg>"
+    return ('<rect y="%d" width="%d" height="44" fill="white"/>\n'):format(height,
+      width) .. captions(frames, tonumber(width), tonumber(height)) .. "\n</svg>"
   end)
 show((svg:gsub("\n$", "")))

@@ -69,14 +69,19 @@ end
 
 -- Charts in -------------------------------------------------------------------
 
+-- Returns a name of a file with slashes, which Windows takes, too.
+local function with_slashes(name)
+  return package.config:byte() == 92 and name:gsub("\\", "/") .. "" or name
+end
+
 function common.add_file(command)
   return command:argument("file", "the chart: a Lua file that returns a state")
-    :argname("FILE")
+    :argname("FILE"):convert(with_slashes)
 end
 
 function common.add_files(command)
   command:argument("files", "Lua files that return a chart; - is stdin"):args("+")
-    :argname("FILE")
+    :argname("FILE"):convert(with_slashes)
 end
 
 function common.add_stub(command)
@@ -142,7 +147,7 @@ common.is_size = opts.is_whole(1, 1e6) -- of a list in a server
 -- Adds the charts of a library, and how long it knows ids of events.
 function common.add_charts(command)
   command:argument("files", "Lua files that return a chart"):args("*")
-    :argname("[NAME=]FILE")
+    :argname("[NAME=]FILE"):convert(with_slashes)
   common.add_number(command, "--ids", "keep so many ids of events of each machine, "
     .. "default 16; with --ids-for 1000", common.is_size)
   common.add_number(command, "--ids-for", "keep ids of events for so many seconds",
