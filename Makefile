@@ -2,7 +2,7 @@
 # make test               lint, then every spec on every interpreter
 # make help               list the targets
 #
-# sim, fleet, fleet-postgres, test, test-web, test-site, test-hosts and doc install missing
+# sim, fleet, fleet-postgres, test, test-web, test-site, test-hosts, doc and deb install missing
 # Debian packages if you are root or have password-free sudo. Otherwise they print the
 # command to type. site and test-site need npm.
 
@@ -62,8 +62,7 @@ fleet-postgres:         ## the same warehouse in a PostgreSQL server of its own
 
 test:                   ## lint, then every spec on each of LUAS
 	@tools/deps.sh test $(LUAS)
-	@$(MAKE) --no-print-directory lint
-	@BUSTED="$(BUSTED)" tools/test.sh $(LUAS)
+	@BUSTED="$(BUSTED)" LINT="$(MAKE) --no-print-directory lint" tools/test.sh $(LUAS)
 
 test-web:               ## the page in headless Chromium, with LUA
 	@tools/deps.sh web
@@ -170,6 +169,7 @@ dist:                   ## dist/rfsm.lua: BUNDLE in one file; rfsm-all.lua: with
 	@cd $(DIST) && sha256sum rfsm.lua rfsm-all.lua > SHA256SUMS
 
 deb:                    ## Debian packages of the last commit in DIST/deb, and what lintian says
+	@tools/deps.sh deb
 	@tools/packaging/deb.sh $(DIST)/deb
 
 rocks:                  ### a rock of the last commit in DIST/rocks, for each Lua; luarocks test
@@ -201,11 +201,11 @@ uninstall:              ## remove the files that install copied, and empty direc
 	@for d in $(LUADIRS:%=$(DESTDIR)%); do (cd $$d 2>/dev/null && rm -f $(NAMES) $(PAGE)) || true; done
 	@rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,$(notdir $(TOOLS)))
 	@rmdir $(foreach d,$(LUADIRS:%=$(DESTDIR)%),$(addprefix $(d)/,$(sort $(dir $(DEEPER))) rfsm)) 2>/dev/null || true
-	@$(if $(filter /usr /usr/local,$(DESTDIR)$(PREFIX)),,$(REMOVE_EMPTY))
-
-# Not in /usr and /usr/local: these directories are the system's there, also empty.
-REMOVE_EMPTY = for d in $(LUADIRS) $(addprefix $(PREFIX)/,share/lua share bin) $(PREFIX); do \
+	@for d in $(LUADIRS) $(PREFIX)/share/lua $(OWN_DIRS); do \
 	  rmdir $(DESTDIR)$$d 2>/dev/null || true; done
+
+# In /usr and /usr/local these directories are the system's, also empty.
+OWN_DIRS = $(if $(filter /usr /usr/local,$(DESTDIR)$(PREFIX)),,$(addprefix $(PREFIX)/,share bin) $(PREFIX))
 
 clean:                  ## remove what the targets made
 	rm -rf out dist

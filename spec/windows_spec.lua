@@ -21,8 +21,8 @@ end
 local function output_of(...)
   local words = { "[0] = [[tools\\rfsm]]" }
   for _, word in ipairs { ... } do words[#words + 1] = ("%q"):format(word) end
-  local file = helper.file_with(("%s\narg = { %s }\ndofile 'tools/rfsm'\n"):format(SYSTEM,
-    table.concat(words, ", ")))
+  local file = helper.file_with(("%s\narg = { %s }\ndofile 'tools/rfsm'\n"):format(
+    SYSTEM, table.concat(words, ", ")))
   return (helper.text_of(("%s %s </dev/null 2>&1"):format(helper.interpreter(), file))
     :gsub("\n$", ""))
 end

@@ -6,6 +6,7 @@
 -- @license BSD-3-Clause
 
 local common = require "rfsm.cli.common"
+local files = require "rfsm.shared.files"
 
 local concat = table.concat
 
@@ -29,6 +30,16 @@ local function add_arguments(command)
     :argname("FILE")
 end
 
+-- Writes a text to the file beside a chart, and reports if that was another one.
+local function write_beside(file, ending, text)
+  local output = file == "-" and "-" or file:gsub("%.lua$", "") .. ending
+  local old = output ~= "-" and files.read(output)
+  common.write(output, text)
+  if old and old ~= text then
+    io.stderr:write("rfsm ", common.command, ": ", output, " was replaced\n")
+  end
+end
+
 -- Makes the command of an exporter.
 local function new_command(exporter)
   local ending = "." .. exporter.ending
@@ -36,7 +47,7 @@ local function new_command(exporter)
     local texts = common.encode_all(options, require("rfsm." .. exporter.name).encode)
     if options.output then return common.write(options.output, concat(texts)) end
     for i, file in ipairs(options.files) do
-      common.write(file == "-" and "-" or file:gsub("%.lua$", "") .. ending, texts[i])
+      write_beside(file, ending, texts[i])
     end
   end
 
