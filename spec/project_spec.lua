@@ -226,6 +226,13 @@ describe("rfsm size", function()
   end)
 end)
 
+describe("make help", function()
+  it("fits a terminal", function()
+    local lines = lines_of("make -s help")
+    assert.is_true(#lines > 10 and #lines <= 24)
+  end)
+end)
+
 describe("the command", function()
   -- Returns which of these Luas runs it; those in `with` have argparse.
   local function chosen(names, with)

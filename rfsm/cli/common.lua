@@ -80,19 +80,25 @@ function common.add_file(command)
 end
 
 function common.add_files(command)
-  command:argument("files", "Lua files that return a chart; - is stdin"):args("+")
-    :argname("FILE"):convert(with_slashes)
+  return command:argument("files", "Lua files that return a chart; - is stdin")
+    :args("+"):argname("FILE"):convert(with_slashes)
+end
+
+-- Adds an option of two names. The help has the short one: with both it has two lines.
+function common.add_option(command, names, text, default)
+  local short, long = names:match("(%-%a) (%-%-%a+)")
+  local option = command:option(short, text, default)
+  if not option.hidden_name then return option:name(long) end -- before argparse 0.7
+  return option:hidden_name(long):target(long:sub(3))
 end
 
 function common.add_stub(command)
-  command:flag("--stub", "in place of modules and globals that are not here, put "
-    .. "values that do nothing")
+  command:flag("--stub", "modules and globals that are missing do nothing")
 end
 
 -- For commands whose charts may be programs that make several machines.
 function common.add_machine(command)
-  common.add_number(command, "--machine", "of a program that makes machines, take this "
-    .. "one (1)")
+  common.add_number(command, "--machine", "of a program: number of the machine (1)")
 end
 
 -- Ends the program with status 2 if a file cannot be read.
@@ -129,7 +135,8 @@ local is_count = opts.is_whole(1, math.huge)
 
 -- Adds an option with a number, by default a whole one above 0.
 function common.add_number(command, names, description, is_right, expected)
-  return command:option(names, description):argname("N"):convert(function(text)
+  local add = names:find(" ") and common.add_option or command.option
+  return add(command, names, description):argname("N"):convert(function(text)
     local number = tonumber(text)
     if number and (is_right or is_count)(number) then return number end
     return nil, ("%s: %s expected, got '%s'"):format(names:match("%S+$"),

@@ -26,7 +26,7 @@ local function add_arguments(command)
   common.add_files(command)
   common.add_stub(command)
   common.add_machine(command)
-  command:option("-o --output", "one file for all results; - is stdout")
+  common.add_option(command, "-o --output", "one file for all; - is stdout")
     :argname("FILE")
 end
 
