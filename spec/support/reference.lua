@@ -201,7 +201,8 @@ end
 
 local function is_deferred(machine, event)
   for _, fqn in ipairs(event ~= "e_init_fsm" and configuration(machine) or {}) do
-    local list = not tostring(event):find("^e_done@root") and machine.chart.nodes[fqn].defer
+    local list = machine.chart.nodes[fqn].defer
+    if tostring(event):find("^e_done@root") then return false end
     if list and matches({ events = list }, { event }) then return true end
   end
   return false
