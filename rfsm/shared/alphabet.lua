@@ -3,10 +3,6 @@
 -- @module rfsm.shared.alphabet
 -- @license BSD-3-Clause
 
-<<<<<<< HEAD
-local match = require "rfsm.shared.match"
-=======
->>>>>>> firsthour
 local rfsm = require "rfsm"
 
 local ipairs, type = ipairs, type
@@ -60,12 +56,4 @@ function alphabet.of(fsm) return collect { { machine = fsm } } end
 --- Collect the events that the transitions of a machine and its regions name.
 function alphabet.of_all(fsm) return collect(rfsm.machines(fsm)) end
 
-<<<<<<< HEAD
---- Is an event one of an alphabet, or does a predicate there take it?
-function alphabet.has(known, event)
-  return known.set[event] or match.takes(known.predicates, event)
-end
-
-=======
->>>>>>> firsthour
 return alphabet
