@@ -155,8 +155,8 @@ describe("deferral", function()
     send(fsm, "e_x")
     assert.same({}, warned)
     local found = rfsm_checks.explore(fsm, { alphabet = { "e_x", "e_free" } })
-    assert.equal("6 configurations, 3 of 4 transitions taken, 7 steps run",
-      tostring(found):match("^[^\n]*"))
+    assert.equal("6 configurations, 3 of 4 transitions taken",
+      tostring(found):match("^(.-), %d+ steps"))
   end)
 
   it("traces what it does", function()
