@@ -218,6 +218,23 @@ describe("data anywhere", function()
     _G.verdict_count = nil
   end)
 
+  it("that a guard changes leaves it open, however it does that", function()
+    local function set(fsm) fsm.n = fsm.n + 1 end
+    local lib = { set = set }
+    local GUARDS = {
+      function(tr) tr.src._parent.n = 1 end,
+      function(tr) set(tr.src._parent) return tr.src._parent.n >= 3 end,
+      function(tr) lib.set(tr.src._parent) return tr.src._parent.n >= 3 end,
+      function(tr) rawset(tr.src._parent, "n", 1) return true end,
+    }
+    for i, guard in ipairs(GUARDS) do
+      local _, _, result = judge(function() return counting(nil, guard) end,
+        { run = { guard } })
+      assert.equal("the field 'n', which vars does not name",
+        result.untried[#result.untried], i)
+    end
+  end)
+
   it("that is added or taken away leaves it open", function()
     local function is_set(tr) return tr.src._parent.m ~= nil end
     local function set(fsm) fsm.m = 1 end

@@ -30,7 +30,7 @@ error invalid: the model cannot become a machine
   correct what the text names
 warning unreachable: no path of transitions leads to a node
   see which transition leads to it, or remove it
-warning dead-end: nothing leads on from a leaf; a note where a sequence ends
+warning dead-end: nothing leads on from a leaf
   add a transition, or declare final = true
 warning closed: no path leads through a connector
   see which guards and events its transitions need together

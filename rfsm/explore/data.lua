@@ -274,8 +274,9 @@ end
 ---@return function
 function data.new_guard(self, path, guard)
   if self.runs[guard] then
+    local only_reads = writes.only_reads(guard)
     return function(...)
-      self.is_touched = true
+      self.is_touched = self.is_touched or not only_reads
       local ok, answer = calls.try(guard, ...)
       return self:choose(path, false, ok and answer ~= false)
     end

@@ -191,6 +191,20 @@ function writes.each(callback, f, seen)
   any_text(callback, function(text, _, other) f(text, other) end, seen)
 end
 
+--- Does a function only read, as far as its text tells: no assignment but to local
+--- variables, and no call?
+---@param callback any
+---@return boolean
+function writes.only_reads(callback)
+  local text = writes.text_of(callback) or ""
+  local body = text:gsub("^function[^(]*%b()", ""):gsub("local%s+[%w_,%s]+=", "")
+  for word in ("and or not return if elseif while until in"):gmatch("%l+") do
+    body = body:gsub("%f[%w_]" .. word .. "%f[^%w_]", "+")
+  end
+  return text ~= "" and not (body:find("[^=~<>]=[^=]") or body:find("%f[%w]function")
+    or body:find("[%w_%])]%s*[({\"']"))
+end
+
 --- May a function write a field of one of these names?
 ---@param callback any
 ---@param names string[] may be patterns
