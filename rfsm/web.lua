@@ -14,6 +14,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
 local calls = require "rfsm.shared.calls"
 local files = require "rfsm.shared.files"
 local Served = require "rfsm.web.served"
@@ -129,6 +130,16 @@ local function decode(server, text)
   return ok and type(message) == "table" and message or nil
 end
 
+-- Returns a hint for an event that no transition names.
+local function hint_for(source, message)
+  local lists, event, names = source.view.outline, message.event, {}
+  if message.command ~= "send" or type(event) ~= "string" or lists.event_of[event] then
+    return nil
+  end
+  for i, other in ipairs(lists.events) do names[i] = other.text end
+  return ("no transition names '%s'%s"):format(event, advice.nearest_name(event, names))
+end
+
 local function command_reply(server, request, shown)
   if request.headers["x-rfsm-token"] ~= server.token then return { status = 403 } end
   local source, message = shown.source, decode(server, request.body)
@@ -140,6 +151,7 @@ local function command_reply(server, request, shown)
   if type(answer) == "table" then
     return { type = "application/json", body = server.json.encode(answer) }
   end
+  answer = answer or hint_for(source, message)
   return { status = answer and 200 or 204, body = answer }
 end
 

@@ -298,6 +298,17 @@ return rfsm.state {
     window:wait "!document.querySelector('#keys').open"
   end)
 
+  it("has file and line of callbacks as a tooltip, and the nearest event", function()
+    visit_picture(CHART)
+    assert.matches("^entry ball_tracking.lua:%d+$", window:run [[
+      return document.getElementById("root.setup").querySelector("title").textContent]])
+    assert.same({}, texts "#view a")
+    window:type "/e_stopp\n"
+    window:wait "!document.querySelector('#refused').hidden"
+    assert.same({ "no transition names 'e_stopp' (did you mean 'e_stop'?)" },
+      texts "#refused")
+  end)
+
   it("shows a machine elsewhere", function()
     local door = proto.install { port = 0, allow_send = true }
     host = rfsm.init(rfsm.load "examples/on_off.lua")
@@ -410,7 +421,7 @@ describe("the diagram", function()
   end)
 
   it("hides what is not beside the active state, and shows what is found", function()
-    visit(helper.file_with(LARGE))
+    visit_picture(helper.file_with(LARGE))
     local count = window:run "return folded.size"
     assert.is_true(count > 80 and count < 111, count)
     assert.same({}, window:run [[
@@ -588,8 +599,56 @@ describe("the history", function()
     assert.same({ "tracking" }, lit())
     assert.is_false(window:run "return $('to-now').hidden")
     window:keep_shot "history"
+    assert.matches("^%d+%.%d+ s +root.operational.tracking +e_ball", window:run
+      "return $('scrub').getAttribute('aria-valuetext')")
+    assert.same({ "setup", "searching", "tracking", "stopped" }, window:run
+      "return [...$('legend').children].map(e => e.textContent)")
     window:click "#to-now"
     assert.same({ "stopped" }, lit())
+  end)
+
+  -- Returns the colour of the bar of the innermost state at the right end.
+  local function colour_now()
+    return window:run [[
+      const canvas = $("time-line"), ratio = devicePixelRatio;
+      const y = (TOP + canvas.clientHeight - AXIS) / 2 * ratio;
+      return [...canvas.getContext("2d").getImageData(canvas.width - 4 * ratio, y, 1, 1)
+        .data].join(" ")]]
+  end
+
+  it("shows what is now, before anything has happened, too", function()
+    local fsm = helper.ring(3)
+    rfsm.run(fsm)
+    visit_served(fsm)
+    window:wait "document.querySelectorAll('#legend span').length == 1"
+    local before = colour_now()
+    assert.not_equal("0 0 0 0", before)
+    helper.post_and_run(fsm, "e_push")
+    window:wait "now.leaf == 'root.s2' && withStates().length == 1"
+    assert.not_equal(before, colour_now())
+  end)
+
+  it("has a contrast of 4.5:1 in each bar, light and dark", function()
+    for _, scheme in ipairs { "light", "dark" } do
+      prefer(scheme)
+      visit(CHART)
+      assert.same({}, window:run [[
+        const pen = document.createElement("canvas").getContext("2d");
+        const luminance = ([r, g, b]) => [r, g, b].map(v => v / 255)
+          .map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
+          .reduce((sum, v, i) => sum + v * [0.2126, 0.7152, 0.0722][i], 0);
+        const of = colour => {
+          pen.fillStyle = colour;
+          pen.fillRect(0, 0, 1, 1);
+          return luminance(pen.getImageData(0, 0, 1, 1).data);
+        };
+        const text = of(isDark.matches ? "#000" : "#fff"), faint = [];
+        for (let i = 0; i < 400; i++) {
+          const list = [of(colourOf(i)), text].sort((a, b) => b - a);
+          if ((list[0] + 0.05) / (list[1] + 0.05) < 4.5) faint.push(i);
+        }
+        return faint]])
+    end
   end)
 end)
 
