@@ -799,6 +799,39 @@ describe("a machine that is forced", function()
   end)
 end)
 
+describe("values of the version before", function()
+  local codec = require "rfsm.server.codec"
+
+  local function with_value(text)
+    local unpack_value = host.pack.unpack
+    function host.pack.unpack(key)
+      host.pack.unpack = unpack_value
+      unpack_value(key)
+      return codec.decode(text)
+    end
+  end
+
+  it("go on: timers, awaits, ids, events that come later", function()
+    with_value('["rfsm","c",{"version":2,"chart":"6e3c8444031-2c59b6","done":true,'
+      .. '"leaf":"root.a","data":{"root":["%t","n",0]},"ext":{"timers":'
+      .. '{"e_after(5)@root.a":5},"await":{"await(e_x, e_y)@root.a":{"e_x":true}}}},'
+      .. '1000,0,1002,["1","2"],[[1002,"9","e_y"],[1003,"8","e_a"]]]')
+    clock.now = 1004
+    assert.same({ "root.a", "done", "taken" }, call("tick"))
+    assert.equal('{"root":{"n":1}}', call("get")[12])
+    for _, id in ipairs { "1", "2", "9", "8" } do
+      assert.equal("known", call("send", "e_b", "ID", id)[3])
+    end
+    assert.equal("1008.000000", call("get")[16])
+  end)
+
+  it("go on: without anything but a state", function()
+    with_value('["rfsm","c",{"version":2,"chart":"6e3c8444031-2c59b6","done":true,'
+      .. '"leaf":"root.b","data":{"root":["%t","n",1]}}]')
+    assert.same({ "root.a", "done", "taken" }, call("send", "e_a"))
+  end)
+end)
+
 describe("versions of a chart", function()
   local function version(by, more)
     return function()
