@@ -72,7 +72,7 @@ local function writer_to(sink)
   if type(sink) == "table" and type(sink.write) ~= "function" then
     return function(rec) sink[#sink + 1] = rec end
   end
-  return journal.writer(sink)
+  return journal.writer(sink), true
 end
 
 -- Returns a clock that reads another one, and notes the reading in the present record.
@@ -251,6 +251,7 @@ end
 --- End the recording.
 function Recorder:stop()
   tracks.detach(self.tracks)
+  if self.tracks[1] and self.is_journal then self.write(nil) end
   if self.file then self.file:close() end
   self.tracks, self.file = {}, nil
 end
@@ -283,7 +284,7 @@ function record.record(fsm, sink)
     recorder.sink, recorder.file = file, file
   end
   header.snapshot, header.file = snap, rfsm.location_of(fsm):match("^(.*):%d+: root$")
-  recorder.write = writer_to(recorder.sink)
+  recorder.write, recorder.is_journal = writer_to(recorder.sink)
   header.guards = tracks.guard_texts(fsm)
   recorder.write(header)
   recorder.tracks = tracks.attach(fsm, add_recorder, recorder)
@@ -379,11 +380,13 @@ function record.replay(model, recording, options)
 end
 
 --- Read the records of a run in a file. An incomplete last line is left out.
--- @raise if the file cannot be read, a line is no record, or there is no such run
+-- @raise if the file cannot be read, a line is no record or is missing, or there is no
+-- such run
 ---@param file string
 ---@param run? integer the last one if it is absent
 ---@return table[] recording
----@return { runs: integer, is_cut: boolean } about `is_cut`: a line was left out
+---@return { runs: integer, is_cut: boolean, has_end: boolean } about `is_cut`: a line
+-- was left out; `has_end`: the recorder was stopped, and no line is missing
 ---@nodiscard
 function record.read(file, run)
   local ok, recording, about = pcall(journal.read, file, run)

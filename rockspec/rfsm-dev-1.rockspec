@@ -47,6 +47,7 @@ build = {
     ["rfsm.cli.check"] = "rfsm/cli/check.lua",
     ["rfsm.cli.common"] = "rfsm/cli/common.lua",
     ["rfsm.cli.exporters"] = "rfsm/cli/exporters.lua",
+    ["rfsm.cli.fleet"] = "rfsm/cli/fleet.lua",
     ["rfsm.cli.main"] = "rfsm/cli/main.lua",
     ["rfsm.cli.measure"] = "rfsm/cli/measure.lua",
     ["rfsm.cli.postgres"] = "rfsm/cli/postgres.lua",

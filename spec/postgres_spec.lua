@@ -646,6 +646,67 @@ SELECT count(*) FROM rfsm.out;]]))
   end)
 end)
 
+describe("an operator", function()
+  it("holds, releases, forces and ends machines", function()
+    assert.equal([[
+root.even
+root.even|t
+root.even
+kept
+root.odd
+root.even
+|root.even
+e_tick|root.odd
+(force)|root.even
+root.even|
+t
+f
+0
+]], sql([[
+SELECT rfsm.create('1', 'counter') \gset
+SELECT rfsm.hold('1');
+SELECT state, due IS NULL FROM rfsm.machines;
+SELECT rfsm.send('1', 'e_tick');
+SELECT outcome FROM rfsm.reply('1', ARRAY['e_tick'], 'x');
+SELECT rfsm.cancel('1', 'x') \gset
+SELECT rfsm.release('1');
+SELECT rfsm.force('1', 'root.even');
+SELECT rfsm.remove('1') AS was_there \gset
+SELECT event, tgt FROM rfsm.history WHERE tgt IS NOT NULL ORDER BY id;
+SELECT src, tgt FROM rfsm.history WHERE tgt IS NULL;
+SELECT :'was_there';
+SELECT rfsm.remove('1');
+SELECT count(*) FROM rfsm.machines;]]))
+    assert.equal("ERROR:  rfsm.force: chart 'counter' has no leaf 'root.add' (did you "
+      .. "mean 'root.odd'?)\n", sql([[
+SELECT rfsm.create('1', 'counter') \gset
+SELECT rfsm.force('1', 'root.add');]]))
+  end)
+
+  it("sends dead entries again, drops them, and reads numbers", function()
+    assert.equal([[
+rfsm_dead|||2
+rfsm_entries|||0
+rfsm_machines|counter|root.even|1
+rfsm_overdue|||1
+rfsm_timers|||1
+t
+f
+t
+1|x
+]], sql([[
+SELECT rfsm.create('1', 'counter') \gset
+UPDATE rfsm.machines SET due = now() - interval '2 minutes';
+INSERT INTO rfsm.dead VALUES (7, now(), '1', 'x', NULL, 5, 'no'),
+  (8, now(), '1', 'y', NULL, 5, 'no');
+SELECT * FROM rfsm.stats();
+SELECT rfsm.again(7);
+SELECT rfsm.again(7);
+SELECT rfsm.drop(8);
+SELECT key, what FROM rfsm.out;]]))
+  end)
+end)
+
 describe("a role that may use the schema", function()
   local FORGED = {
     "SELECT * FROM rfsm.machines", "SELECT * FROM rfsm.out", "SELECT * FROM rfsm.log",
@@ -655,6 +716,8 @@ describe("a role that may use the schema", function()
     "INSERT INTO rfsm.machines SELECT * FROM rfsm.machines",
     "TRUNCATE rfsm.machines", "DROP TABLE rfsm.machines",
     "SELECT rfsm.call('rfsm_send', '1', ARRAY['e_tick'], NULL)",
+    "SELECT rfsm.hold('1')", "SELECT rfsm.release('1')", "SELECT rfsm.remove('1')",
+    "SELECT rfsm.force('1', 'root.odd')", "SELECT rfsm.drop(1)",
     "SELECT rfsm.take()", "SELECT rfsm.done(1)", "SELECT rfsm.fail(1, 'x')",
     "CREATE TABLE rfsm.x (y int)", "CREATE FUNCTION rfsm.f() RETURNS int LANGUAGE sql "
       .. "AS 'SELECT 1'",

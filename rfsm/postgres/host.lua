@@ -59,6 +59,8 @@ host.STATEMENTS = {
     WHERE key = $1 RETURNING key]],
   move = [[UPDATE rfsm.machines SET state = $2, event = $3, since = clock_timestamp()
     WHERE key = $1]],
+  remove = [[WITH log AS (DELETE FROM rfsm.log WHERE key = $1)
+    DELETE FROM rfsm.machines WHERE key = $1 RETURNING key]],
   emit = "INSERT INTO rfsm.out (key, what, data) VALUES ($1, $2, $3::jsonb)",
   log = "INSERT INTO rfsm.log (key, error) VALUES ($1, $2)",
   trim = [[DELETE FROM rfsm.log WHERE key = $1 AND id <= (SELECT id FROM rfsm.log
@@ -94,6 +96,12 @@ local function new_commands(server, row_of)
   function commands.SET()
     local row = row_of()
     row.is_new, row.is_changed, row.list = row.list == nil, true, row.packed
+  end
+
+  function commands.DEL(key)
+    local row = row_of()
+    if key ~= row.key then return 1 end -- its log is gone with it
+    return #(row.execute or server.execute)("remove", key)
   end
 
   function commands.TIME()

@@ -133,6 +133,24 @@ CREATE OR REPLACE FUNCTION rfsm.why(key text, event text)
   SELECT unnest(rfsm.call('rfsm_why', key, ARRAY[event], NULL))
 $$;
 
+-- The verbs of an operator. A machine that is held rests; its events and timers wait.
+CREATE OR REPLACE FUNCTION rfsm.hold(key text) RETURNS text $OWNER AS $$
+  SELECT (rfsm.call('rfsm_hold', key, NULL, NULL))[1]
+$$;
+
+CREATE OR REPLACE FUNCTION rfsm.release(key text) RETURNS text $OWNER AS $$
+  SELECT (rfsm.call('rfsm_release', key, NULL, NULL))[1]
+$$;
+
+CREATE OR REPLACE FUNCTION rfsm.force(key text, state text) RETURNS text $OWNER AS $$
+  SELECT (rfsm.call('rfsm_force', key, ARRAY[state], NULL))[1]
+$$;
+
+CREATE OR REPLACE FUNCTION rfsm.remove(key text) RETURNS boolean $OWNER AS $$
+  SELECT (rfsm.call('rfsm_remove', key, NULL, NULL))[1] = '1'
+$$;
+REVOKE EXECUTE ON FUNCTION rfsm.hold, rfsm.release, rfsm.force, rfsm.remove FROM PUBLIC;
+
 -- Runs machines that are due and that no other worker has; returns how many. One that
 -- cannot run waits for a minute, and the log has the reason. One that another session
 -- has is left to the next call.
@@ -228,7 +246,34 @@ CREATE OR REPLACE FUNCTION rfsm.fail(id bigint, reason text)
   SELECT EXISTS (SELECT FROM failed)
 $$;
 
-REVOKE EXECUTE ON FUNCTION rfsm.take, rfsm.done, rfsm.fail FROM PUBLIC;
+-- A dead entry is sent again, or dropped. Returns whether it was there.
+CREATE OR REPLACE FUNCTION rfsm.again(id bigint) RETURNS boolean $OWNER AS $$
+  WITH gone AS (DELETE FROM rfsm.dead d WHERE d.id = again.id RETURNING *),
+    sent AS (INSERT INTO rfsm.out (key, what, data)
+      SELECT key, what, data FROM gone RETURNING 1)
+  SELECT EXISTS (SELECT FROM sent)
+$$;
+
+CREATE OR REPLACE FUNCTION rfsm.drop(id bigint) RETURNS boolean $OWNER AS $$
+  WITH gone AS (DELETE FROM rfsm.dead d WHERE d.id = "drop".id RETURNING 1)
+  SELECT EXISTS (SELECT FROM gone)
+$$;
+
+-- Numbers for monitoring.
+CREATE OR REPLACE FUNCTION rfsm.stats()
+  RETURNS TABLE (name text, chart text, state text, value bigint) $OWNER AS $$
+  SELECT 'rfsm_machines', m.chart, m.state, count(*) FROM rfsm.machines m
+    GROUP BY m.chart, m.state
+  UNION ALL SELECT 'rfsm_timers', NULL, NULL, count(due) FROM rfsm.machines
+  UNION ALL SELECT 'rfsm_overdue', NULL, NULL, count(*) FROM rfsm.machines
+    WHERE due < clock_timestamp() - interval '1 minute'
+  UNION ALL SELECT 'rfsm_entries', NULL, NULL, count(*) FROM rfsm.out
+  UNION ALL SELECT 'rfsm_dead', NULL, NULL, count(*) FROM rfsm.dead
+  ORDER BY 1, 2, 3
+$$;
+
+REVOKE EXECUTE ON FUNCTION rfsm.take, rfsm.done, rfsm.fail, rfsm.again, rfsm.drop,
+  rfsm.stats FROM PUBLIC;
 ]]
 
 schema.HISTORY = [[
