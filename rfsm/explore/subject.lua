@@ -734,16 +734,6 @@ function Subject:named_texts()
   return list
 end
 
---- List the events that transitions name and the machine does not make itself.
----@return any[] events
-function Subject:outside_events()
-  local list = {}
-  for _, event in ipairs(self.event_list) do
-    if not self:maker_of(event) then list[#list + 1] = event end
-  end
-  return list
-end
-
 -- Takes a region out of its state.
 local function leave_out(entry)
   local _, regions = rfsm.regions(entry.state)
