@@ -152,10 +152,15 @@ local function check_events(fsm, at, ...)
   end
 end
 
--- Returns "lamp.lua:7: " for the caller of the function that calls this.
+-- The folder of this library's modules, as their chunks are named.
+local own_folder = getinfo and getinfo(1, "S").source:match("^(@.*rfsm/)") or "none"
+
+-- Returns "lamp.lua:7: " for the caller of the function that calls this, "" for one of
+-- this library's.
 local function caller()
   local info = getinfo and getinfo(3, "Sl")
-  return info and info.currentline > 0
+  local is_own = info and info.source:sub(1, #own_folder) == own_folder
+  return info and info.currentline > 0 and not is_own
     and ("%s:%d: "):format(info.short_src, info.currentline) or ""
 end
 
