@@ -1134,6 +1134,7 @@ local DEFAULTS = {
   dbg = silent, getevents = no_events, _entry_hooks = false, _exit_hooks = false,
   _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
   _snapshot_hooks = false, _failure = false, _reset_wanted = false, _preparing = false,
+  _cuts = 0, -- iterations that an error has ended
 }
 
 -- The fields that a machine has from the start.
@@ -1830,9 +1831,10 @@ local function call_hooks(fsm, hooks, what, at)
   end
 end
 
--- Tells those who watch which transitions are about to be taken.
+-- Tells those who watch which transitions are about to be taken: none where a root
+-- without states is entered.
 local function show_path(fsm, path, at)
-  if not fsm._path_hooks or not path.segments[1] then return end
+  if not fsm._path_hooks then return end
   local list = {}
   for i, def in ipairs(path.segments) do list[i] = fsm._transitions[def.index] end
   call_hooks(fsm, fsm._path_hooks, list, at)
@@ -2376,6 +2378,7 @@ end
 -- hook, or one that is no callback's own. Without this mark, what was cut short could
 -- not be told from a step that goes on.
 local function raise_cut(fsm, failure)
+  fsm._cuts = fsm._cuts + 1
   fsm._is_usual = false
   fsm._is_cut = true
   error(failure, 0)

@@ -83,7 +83,7 @@ end
 local function path_hook(listener, at)
   local has_states = listener.left or listener.entered
   return function(fsm, path)
-    if listener.taken then listener.taken(at, path, fsm._curq) end
+    if listener.taken and path[1] then listener.taken(at, path, fsm._curq) end
     if has_states then tell_states(at, listener, path) end
   end
 end
