@@ -115,7 +115,7 @@ end
 ---@class rfsm.observe.RewindOptions
 ---@field bytes? integer that they may take, 32 MiB; the present one is always there
 ---@field about? fun(): any what is kept with each
----@field prepare? fun(about: any) sets what timers read, before the machine is put there
+---@field prepare? fun(about: any) called before the machine is put there: its clock
 
 --- Begin to note the places of a machine.
 --
