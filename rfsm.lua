@@ -245,9 +245,11 @@ end
 ---@param value any
 ---@return string
 function rfsm.text_of(value)
-  if type(value) == "number" then return ("%.14g"):format(value) end
+  local kind = type(value)
+  if kind == "string" then return value end
+  if kind == "number" then return ("%.14g"):format(value) end
   local ok, text = pcall(tostring, value)
-  return ok and type(text) == "string" and text or type(value)
+  return ok and type(text) == "string" and text or kind
 end
 
 local is_callable, text_of = rfsm.is_callable, rfsm.text_of
@@ -289,7 +291,8 @@ local function list_text(values)
 end
 
 local function end_text(node)
-  return is_node(node) and (node._fqn or kind_of(node)) or text_of(node)
+  local kind = kind_of(node)
+  return kind and kind ~= "transition" and (node._fqn or kind) or text_of(node)
 end
 
 -- state root.a (active)
@@ -379,7 +382,10 @@ function rfsm.load(file)
   end
   if not loadfile then error("rfsm.load: there is no loadfile here", 2) end
   local chunk, problem = loadfile(file)
-  if not chunk then error("rfsm.load: " .. problem, 0) end
+  if not chunk then
+    local hint = loadfile(file .. ".lua") and (" (did you mean '%s.lua'?)"):format(file)
+    error("rfsm.load: " .. problem .. (hint or ""), 0)
+  end
   return run_chunk(chunk, file, "rfsm.load: no valid rfsm in file '" .. file .. "'")
 end
 
@@ -576,7 +582,7 @@ do
       local event = events[i]
       if event == nil then
         add(build.problems, def, "events", "list of events expected, got a table with "
-          .. "holes or keys")
+          .. "holes or keys" .. advise("list", events))
         return false
       elseif event ~= event then
         add(build.problems, def, ("events[%d]"):format(i), "an event cannot be NaN")
@@ -719,7 +725,8 @@ do
       end
     end
     if def.is_leaf and has_transition then
-      add(build.warnings, def, nil, "a transition inside a leaf state")
+      add(build.warnings, def, nil, "a transition inside a leaf state%s",
+        advise("plain_states", def.model))
     elseif def.doo and not def.is_leaf then
       add(build.problems, def, "doo", "only a leaf state can have a doo")
     end
@@ -757,7 +764,7 @@ end
 
 do
   -- Walks from `def` down the names of a path "a.b"; nil and a reason when one fails.
-  -- For a name alone a hint may come from `all` nodes.
+  -- A hint may come from `all` nodes.
   local function find_below(def, path, all)
     for name in (path .. "."):gmatch("([^.]*)%.") do
       local child = def.members[name]
@@ -769,7 +776,7 @@ do
             name, kind, kind == "table" and " (did you mean rfsm.state{...}?)" or "")
         end
         return nil, ("no state or connector is named '%s' in '%s'%s"):format(name,
-          def.fqn, advise("nearest_node", name, def, all or NONE))
+          def.fqn, advise("nearest_node", name, def, all, path))
       end
       def = child
     end
@@ -781,16 +788,17 @@ do
   -- (c) others from the root, where `root.` in front is optional, and a state may be
   -- named so.
   local function find_named(build, composite, name)
-    local root, relative = build.plan.nodes[1], name:match("^%.%.?([^.].*)$")
-    if relative then return find_below(composite, relative) end
+    local all, relative = build.plan.nodes, name:match("^%.%.?([^.].*)$")
+    local root = all[1]
+    if relative then return find_below(composite, relative, all) end
     if not name:find(".", 1, true) then
-      local def, reason = find_below(composite, name, build.plan.nodes)
+      local def, reason = find_below(composite, name, all)
       if name == "root" then return def or root end
       return def, reason
     end
-    if name:sub(1, 5) ~= "root." then return find_below(root, name) end
-    local def, reason = find_below(root, name:sub(6))
-    return def or root.members.root and find_below(root, name), reason
+    if name:sub(1, 5) ~= "root." then return find_below(root, name, all) end
+    local def, reason = find_below(root, name:sub(6), all)
+    return def or root.members.root and find_below(root, name, all), reason
   end
 
   -- A node table of the model may be mounted more than once: the nearest clone counts.
@@ -847,7 +855,8 @@ do
     if initial and initial.kind == "connector" then return initial end
     if node.parent == node then return nil end -- a problem of the root's own
     add(build.problems, def, nil, "tgt '%s': the composite has no initial transition "
-      .. "(rfsm.trans{ src='initial', tgt=... })", node.fqn)
+      .. "(rfsm.trans{ src='initial', tgt=... })%s", node.fqn,
+      advise("regions", node.model))
   end
 
   local function resolve_e_done(build, def)
@@ -943,18 +952,21 @@ do
 
   function INHERITED.transition.__index(proto, key)
     if key == "events" then return append({}, proto["_%def"].events or NONE) end
+    if key == "_id" then return proto["_%def"].id end
     return Transition[key]
   end
 
   -- Makes the metatable of an element, in which absent fields are looked up.
   local function make_proto(def)
-    local proto = {
+    local proto = def.proto or {
       ["_%def"] = def, rfsm = def.kind, __tostring = CLASSES[def.kind].__tostring,
       __eq = rawequal, -- so that no other one's is ever asked
-      __index = false, _id = def.id, _fqn = def.fqn,
+      __index = false,
     }
     if def.kind == "transition" then
       proto.pn, proto.guard, proto.effect = def.pn, false, false
+    else
+      proto._id, proto._fqn = def.id, def.fqn
     end
     proto.__index = proto
     def.proto = setmetatable(proto, INHERITED[def.kind])
@@ -1051,6 +1063,18 @@ local function copy_plan(plan)
   return copy
 end
 
+-- Returns a plan with the definitions of one that only one machine has, for changes.
+local function renewed(plan)
+  local variant = new_plan(plan.model)
+  variant.nodes, variant.transitions = plan.nodes, plan.transitions
+  variant.warnings, variant.created = plan.warnings, plan.created
+  for _, def in ipairs(plan.nodes) do def.paths = nil end
+  for _, def in ipairs(plan.transitions) do
+    def.connector, def.aimed, def.is_asked = nil, nil, nil
+  end
+  return variant
+end
+
 -- Calls f(t) for each table of the model that a plan was made of.
 local function each_table(plan, f)
   local function visit(model)
@@ -1145,7 +1169,7 @@ local function own_fields()
     -- the structure
     ["_%def"] = false, _plan = false, _nodes = false, _transitions = {},
     -- the iteration, see "Run":
-    --   _path       the path under way
+    --   _path       the path under way, or taken since `took_path` was asked
     --   _ways       what searches note about connectors; _search numbers the searches
     --   _at         number of the action, or of the part of a doo cycle, begun last
     --   _hook       number of the step hook begun last; -1: getevents was not asked
@@ -1348,12 +1372,16 @@ function rfsm.is_interrupt(failure)
     or failure:find("^[^\n]*:%d+: interrupted!$") ~= nil)
 end
 
--- Calls hooks of extensions, such as `_watch_hooks`. An error is kept.
+-- Calls hooks of extensions from number `at` on, such as `_watch_hooks`. An error is
+-- kept. There is no loop, for which LuaJIT would give up compiling the host's.
+local function tell_from(at, fsm, hooks, ...)
+  local ok, failure = pcall(hooks[at], fsm, ...)
+  if not ok then keep_failure(fsm, failure) end
+  if hooks[at + 1] then return tell_from(at + 1, fsm, hooks, ...) end
+end
+
 local function tell(fsm, hooks, ...)
-  for _, hook in ipairs(hooks or NONE) do
-    local ok, failure = pcall(hook, fsm, ...)
-    if not ok then keep_failure(fsm, failure) end
-  end
+  if hooks then return tell_from(1, fsm, hooks, ...) end
 end
 
 -- Reports that a callback has failed. For a doo `callback` is nil: its coroutine made
@@ -1712,11 +1740,10 @@ do
   -- the `candidates`, if they are known. If a guard has merged something into the
   -- machine it is searched again, once.
   function choose(fsm, leaf, events, candidates, is_again)
-    if events[1] == nil then return nil end
-    local plan, state = fsm._plan, leaf["_%def"]
-    local find, from = choose_by_node, state
+    local plan, find, from = fsm._plan, choose_by_node, leaf["_%def"]
     if not candidates then
-      candidates = not is_traced(fsm) and candidates_of(state, events)
+      if events[1] == nil then return nil end
+      candidates = not is_traced(fsm) and candidates_of(from, events)
     end
     if candidates then
       if candidates[1] == nil then return nil end
@@ -1792,26 +1819,31 @@ local function take_path(fsm, leaf, path)
   return conclude(fsm, "counted")
 end
 
--- The phase "search". `list` has the candidates, if they are known.
-function search(fsm, after_free, list)
-  local leaf, events = fsm._act_leaf, fsm._curq
-  if not leaf then
-    local path = find_entry(fsm, events)
-    if not path then return refuse_entry(fsm, events) end
-    return take_path(fsm, nil, path)
-  end
-  local def = choose(fsm, leaf, events, list)
+-- Goes on after the search from a leaf: takes the path of the transition that was
+-- found, if there is one.
+local function follow(fsm, after_free, leaf, def)
   if fsm._act_leaf ~= leaf then -- a guard has moved the machine
     leaf = innermost(fsm)
     if def and fsm._nodes[def.lca.index]._mode == "inactive" then def = nil end
   end
   if def then return take_path(fsm, leaf, path_of(leaf["_%def"], def, fsm._ways)) end
-  if events[1] == nil or after_free then
+  if fsm._curq[1] == nil or after_free then
     fsm._at = 0
     fsm._phase = "doo"
     return PHASES.doo(fsm)
   end
   return conclude(fsm, "free")
+end
+
+-- The phase "search". `list` has the candidates, if they are known.
+function search(fsm, after_free, list)
+  local leaf, events = fsm._act_leaf, fsm._curq
+  if leaf then
+    return follow(fsm, after_free, leaf, choose(fsm, leaf, events, list))
+  end
+  local path = find_entry(fsm, events)
+  if not path then return refuse_entry(fsm, events) end
+  return take_path(fsm, nil, path)
 end
 
 -- Take: the actions of a path .....................................................
@@ -1886,7 +1918,8 @@ do
 
   for name, words in pairs(RECORDS) do -- any order: each stands alone
     recorders[name] = function(fsm, arg, at)
-      if fsm.dbg == silent or not fsm.dbg then return end
+      local dbg = fsm.dbg
+      if dbg == silent or not dbg then return end
       fsm._at = at
       report(fsm, "dbg", words(arg, fsm))
     end
@@ -2031,9 +2064,9 @@ end
 -- Paths are kept in a tree: `at` is where one begins (a leaf, or the entrance of the
 -- root), or a path so far.
 function path_of(at, def, ways)
-  if def then
-    local path = at.paths and at.paths[def] or new_path(at, def)
-    return path_of(path, def.connector and ways[def.connector].way, ways)
+  if def then -- no loop, for which LuaJIT would give up compiling that around it
+    at = at.paths and at.paths[def] or new_path(at, def)
+    if def.connector then return path_of(at, ways[def.connector].way, ways) end
   end
   if not at.actions then list_actions(at) end
   return at
@@ -2337,6 +2370,15 @@ do
     return true, idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
   end
 
+  -- Returns the text of the path that a search has found, if that is there, and the
+  -- machine is still a usual one.
+  local function found_run(fsm, leaf, def)
+    if not fsm._is_usual or fsm.dbg ~= silent or fsm._act_leaf ~= leaf then
+      return nil
+    end
+    return path_of(leaf["_%def"], def, fsm._ways).run
+  end
+
   -- One iteration. Returns nil if the machine cannot be entered, else whether it counts
   -- as a step and whether the machine is idle. `after_free`: the last iteration did not
   -- count. The two lists of events change places; `take_queue` repairs what an
@@ -2360,11 +2402,23 @@ do
       local run = choice.run
       if run == nil then run = quick_run(def, choice, "run") end
       local is_taken = run and run(fsm)
-      if is_taken and (fsm._is_lent or not fsm._is_usual) then
+      if not is_taken and choice.find then
+        fsm._phase = "search"
+        local found = choose(fsm, leaf, events, choice)
+        run = found and found_run(fsm, leaf, found)
+        if not run then return follow(fsm, after_free, leaf, found) end
+        is_taken = run(fsm, true)
+      end
+      if is_taken and not fsm._is_usual then
         return conclude(fsm, "counted")
       elseif is_taken or not (choice[1] or after_free) then
-        events[2] = nil
-        events[1] = nil
+        if fsm._is_lent then
+          fsm._curq = {}
+          fsm._is_lent = false
+        else
+          events[2] = nil
+          events[1] = nil
+        end
         fsm._phase = "idle"
         return is_taken or false, false
       end
@@ -2646,6 +2700,11 @@ end
 ---@type (fun(fsm: rfsm.Machine, merged?: table): string[]?)[]
 rfsm.preproc = {}
 
+--- Functions `f(event)` of extensions that make events: the name of the extension if it
+-- makes the event, and the FQN of the state that has to be active, if one has to.
+---@type (fun(event: string): string?, string?)[]
+rfsm.makers = {}
+
 local preprocess, use_plan
 
 do
@@ -2716,7 +2775,7 @@ do
 
   -- Returns a plan whose transitions are what the preproc functions have made of them.
   local function new_variant(fsm, plan)
-    local variant = copy_plan(plan)
+    local variant = plan.trail and copy_plan(plan) or renewed(plan)
     for i, tr in ipairs(fsm._transitions) do
       local def = variant.transitions[i]
       def.src = variant.nodes[tr.src["_%def"].index]
@@ -2796,7 +2855,8 @@ end
 ---@nodiscard
 function rfsm.init(model)
   if not is_state(model) then
-    error("invalid fsm model passed to rfsm.init: state expected, " .. got(model), 2)
+    error("invalid fsm model passed to rfsm.init: state expected, " .. got(model)
+      .. (type(model) == "string" and " (did you mean rfsm.load?)" or ""), 2)
   end
   model = model_of(model)
   local plan, problems = plan_of(model)
@@ -2865,7 +2925,8 @@ function rfsm.send_events(fsm, event, ...)
   local queue = fsm._intq
   if event ~= nil then queue[#queue + 1] = event end
   if select("#", ...) > 0 then queue_more(queue, ...) end
-  if fsm._watch_hooks then tell(fsm, fsm._watch_hooks, "sent", event, ...) end
+  local hooks = fsm._watch_hooks
+  if hooks then return tell_from(1, fsm, hooks, "sent", event, ...) end
 end
 
 -- A step is under way unless an error has cut it short, also while a callback has
@@ -2923,7 +2984,8 @@ end
 
 local function step_often(fsm, n)
   if type(n) ~= "number" then
-    error("rfsm.step: number of steps expected, " .. got(n), 3)
+    error("rfsm.step: number of steps expected, " .. got(n)
+      .. (type(n) == "string" and " (did you mean rfsm.send_events?)" or ""), 3)
   end
   return advance(fsm, n == n and n or 1, try(fsm)) -- NaN is 1
 end
@@ -3096,16 +3158,35 @@ do
   end
 end
 
+--- What an extension that runs machines in a state keeps in its field `_regions`.
+---@class rfsm.Regions
+---@field [integer] rfsm.Machine in the order in which they are stepped
+---@field names any[] their names, in that order
+---@field entry? function the user's, where that of the state is the extension's
+---@field exit? function likewise
+
 --- List the machines that run in a state, in the order in which they are stepped.
---
--- An extension that runs machines in a state lists them in its field `_regions`, whose
--- own field `names` has their names.
---
 ---@param state rfsm.State a state of a machine
----@return rfsm.Machine[] regions empty where there are none
+---@return rfsm.Machine[] regions empty where there are none; not to be changed
+---@return rfsm.Regions? own what the extension keeps; nil: none runs machines there
 function rfsm.regions(state)
-  local regions = is_state(state) and rawget(state, "_regions")
-  return append({}, type(regions) == "table" and regions or NONE)
+  local own = is_state(state) and rawget(state, "_regions")
+  if type(own) ~= "table" then return NONE, nil end
+  return append({}, own), own
+end
+
+--- List the nodes to which a transition may lead.
+--
+-- An extension that has a transition into a composite lead anywhere in it, while the
+-- machine runs, notes the target that it has in the model in the field `_initial`.
+--
+---@param tr rfsm.Transition a transition of a machine
+---@return (rfsm.State|rfsm.Connector)[] targets its target; or `_initial` and the nodes
+-- of that composite
+function rfsm.targets(tr)
+  local initial = tr._initial
+  if not initial then return { tr.tgt } end
+  return append({ initial }, rfsm.elements(initial._parent, rfsm.is_node))
 end
 
 --- A machine, and where it runs.
@@ -3126,8 +3207,9 @@ function rfsm.machines(fsm)
       machine = machine, owner = owner, state = state, prefix = prefix,
     }
     for _, leaf in ipairs(rfsm.elements(machine, rfsm.is_leaf)) do
-      for i, region in ipairs(rfsm.regions(leaf)) do
-        local name = text_of(leaf._regions.names[i])
+      local regions, own = rfsm.regions(leaf)
+      for i, region in ipairs(regions) do
+        local name = text_of(own.names[i])
         visit(region, machine, leaf, prefix .. leaf._fqn:sub(5) .. "." .. name)
       end
     end
@@ -3155,7 +3237,8 @@ do
     check_machine(fsm, "rfsm.is_in")
     local node = type(state) == "string" and find_by_name(fsm, state) or state
     if not is_state(node) or not node._mode then
-      error("rfsm.is_in: state of the machine expected, " .. got(state), 2)
+      error("rfsm.is_in: state of the machine expected, " .. got(state)
+        .. (type(state) == "string" and advise("state_name", fsm, state) or ""), 2)
     end
     return node._mode ~= "inactive"
   end
@@ -3451,6 +3534,17 @@ do
     return fsm._outcome == "idle" and fsm._intq[1] == nil
   end
 
+  --- Has the machine taken a path since this was last asked? For its host, which asks
+  -- between steps, and has no need of a path hook then.
+  ---@param fsm rfsm.Machine
+  ---@return boolean
+  function rfsm.took_path(fsm)
+    check_machine(fsm, "rfsm.took_path")
+    local path = fsm._path
+    if fsm._phase ~= "take" then fsm._path = false end
+    return path ~= false
+  end
+
   --- Have `hook(fsm, path)` called before a path is taken: the list of its transitions.
   --
   -- For those who watch. Its error is raised when the iteration is over.
@@ -3487,27 +3581,54 @@ do
   --- Remove a reset hook. Return whether it was there.
   ---@type fun(fsm: rfsm.Machine, hook: function): boolean
   rfsm.reset_hook_rm = hook_remover("rfsm.reset_hook_rm", "_reset_hooks")
+
+  --- Have `hook(fsm, state)` list the events that an extension reacts to while a state
+  -- is active, besides those of the transitions from it; nil for none.
+  --
+  -- For those who ask, by `rfsm.reactions`: what nothing reacts to is left out of
+  -- explorations, and reported as unknown. A function in the list is a predicate.
+  --
+  ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
+  rfsm.reaction_hook_add = hook_adder("rfsm.reaction_hook_add", "_reaction_hooks")
+end
+
+--- List the events that extensions react to while a state is active, besides those of
+--- the transitions from it.
+---@param fsm rfsm.Machine
+---@param state rfsm.State
+---@return any[] events
+function rfsm.reactions(fsm, state)
+  local list = {}
+  for _, hook in ipairs(fsm._reaction_hooks or NONE) do
+    append(list, hook(fsm, state) or NONE)
+  end
+  return list
 end
 
 -- Snapshots: what an extension keeps of a machine, and where the machine stands ....
 
 --- Have snapshots hold what an extension keeps of a machine, under `name`.
 --
--- `save(fsm, how)` returns plain data, nil if there is nothing to keep. `load(fsm,
+-- `save(fsm)` returns plain data, nil if there is nothing to keep. `load(fsm,
 -- data, how)` takes it back, also nil, and raises an error if the data is not its own.
+-- `is_explored`: explorations keep it, too, because transitions depend on it.
 --
----@type fun(fsm: rfsm.Machine, name: string, save: function, load: function)
-function rfsm.snapshot_hook_add(fsm, name, save, load)
+---@param fsm rfsm.Machine
+---@param name string
+---@param save fun(fsm: rfsm.Machine): any
+---@param load fun(fsm: rfsm.Machine, data: any, how: table)
+---@param is_explored? boolean
+function rfsm.snapshot_hook_add(fsm, name, save, load, is_explored)
   check_machine(fsm, "rfsm.snapshot_hook_add")
   check_function(save, "rfsm.snapshot_hook_add")
   check_function(load, "rfsm.snapshot_hook_add")
   fsm._snapshot_hooks = append(append({}, fsm._snapshot_hooks or NONE),
-    { { name = name, save = save, load = load } })
+    { { name = name, save = save, load = load, is_explored = is_explored } })
 end
 
 --- List what `snapshot_hook_add` was called with, in that order, for extensions.
 ---@param fsm rfsm.Machine
----@return { name: string, save: function, load: function }[] hooks not to be changed
+---@return { name: string, save: function, load: function, is_explored?: boolean }[]
 function rfsm.snapshot_hooks(fsm) return fsm._snapshot_hooks or NONE end
 
 --- Reset a machine and have it stand in a leaf, false for none; no callback runs.
@@ -3521,7 +3642,7 @@ function rfsm.place(fsm, leaf, mode, queue)
   else
     reset_now(fsm)
   end
-  fsm._intq, fsm._curq = queue, {}
+  fsm._intq, fsm._curq, fsm._path = queue, {}, false
   raise_failure(fsm)
 end
 
@@ -3530,7 +3651,7 @@ end
 -- Makes a machine use another plan, in which its elements have the same positions.
 function use_plan(fsm, plan)
   fsm._ways = {}
-  if fsm._phase == "idle" then fsm._path = false end
+  if fsm._phase == "idle" then fsm._path = fsm._path and NONE end
   fsm._plan, fsm["_%def"] = plan, plan.nodes[1]
   for i = 2, #fsm._nodes do setmetatable(fsm._nodes[i], plan.nodes[i].proto) end
   for i, tr in ipairs(fsm._transitions) do

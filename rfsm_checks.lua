@@ -43,9 +43,8 @@ local rfsm_checks = {}
 ---@field events table<any, boolean> empty until the first event comes
 ---@field predicates function[]|false functions in events; false: nothing collected yet
 
-local function add_events(known, tr)
-  for i = 1, tr.events and #tr.events or 0 do
-    local event = tr.events[i]
+local function add_events(known, events)
+  for _, event in ipairs(events) do
     known.events[event] = true
     if type(event) == "function" then
       known.predicates[#known.predicates + 1] = event
@@ -53,13 +52,14 @@ local function add_events(known, tr)
   end
 end
 
--- Collects the events of the transitions, those that they await, and those of the
--- engine itself.
+-- Collects the events of the transitions, of extensions and of the engine itself.
 local function collect_known(fsm, known)
   known.events, known.predicates = { e_init_fsm = true }, {}
-  for _, tr in ipairs(elements(fsm, rfsm.is_trans)) do add_events(known, tr) end
-  for _, await in ipairs(fsm._awaits or {}) do
-    for _, event in ipairs(await.wanted) do known.events[event] = true end
+  for _, tr in ipairs(elements(fsm, rfsm.is_trans)) do
+    add_events(known, tr.events or {})
+  end
+  for _, state in ipairs(elements(fsm, is_state)) do
+    add_events(known, rfsm.reactions(fsm, state))
   end
   for _, leaf in ipairs(elements(fsm, is_leaf)) do
     known.events["e_done@" .. leaf._fqn] = true

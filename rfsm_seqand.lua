@@ -310,7 +310,8 @@ local function prepare_state(fsm, state, problems)
   local count = #problems
   if has_transitions[state.substates] then
     rfsm.report(fsm, "warn", "WARNING: " .. rfsm.location_of(state)
-      .. ": a transition in a sequential AND state, it belongs into a region")
+      .. ": a transition in a sequential AND state, it belongs into a region (none "
+      .. "leads from one region to another)")
   end
   state.substates = new_substates(fsm, state, problems)
   if #problems > count then return end

@@ -123,14 +123,18 @@ end
 ---@field sec number|false the time of the latest entry; false: it is not known
 ---@field nsec number
 ---@field delay number|false the shortest e_after; huge: there are functions only
----@field alone table<table, table>|false deadlines of timers that were set since then:
--- { sec =, nsec = }; huge: not armed, false: not known yet
+---@field entry integer number of the latest entry
 
 --- A timer. It is armed with all timers of its state when that is entered.
 ---@class rfsm_timeevent.Timer
 ---@field name string of the event that it raises
 ---@field event rfsm_timeevent.Timeevent
 ---@field timers rfsm_timeevent.Timers the list that it is in
+---@field entry integer|false it was set alone since that entry of its state
+---@field sec number|false its deadline then; huge: not armed, false: not known yet
+---@field nsec number
+---@field left number nanoseconds until it expires, when that was last looked for
+---@field rank integer its position among all timers then
 
 local MARGIN = 0.001 -- seconds; more than the error of a time as one number
 
@@ -143,17 +147,18 @@ local function is_usual(event) return event.is_relative and event.sec end
 -- Returns the deadline of a timer; false if it is not known.
 local function deadline_of(timer)
   local timers, event = timer.timers, timer.event
-  local alone = timers.alone and timers.alone[timer]
-  if alone then return alone.sec, alone.nsec end
+  if timer.entry == timers.entry then return timer.sec, timer.nsec end
   if not (timers.sec and is_usual(event)) then return false, 0 end
   return timers.sec + event.sec, timers.nsec + event.nsec
 end
 
--- Sets the deadline of a timer alone, and returns it.
+-- Sets the deadline of a timer alone, and returns it. `entry` comes last: then both
+-- numbers are there.
 local function set(fsm, timer, sec, nsec)
-  local own, timers, kind = fsm._timeevent, timer.timers, timer.event.is_relative
-  timers.alone = timers.alone or {}
-  timers.alone[timer] = { sec = sec, nsec = nsec }
+  local own, kind = fsm._timeevent, timer.event.is_relative
+  timer.entry = false
+  timer.sec, timer.nsec = sec, nsec
+  timer.entry = timer.timers.entry
   own[kind] = min(own[kind], (sec or -huge) + nsec * 1e-9 - MARGIN)
   return sec, nsec
 end
@@ -202,12 +207,13 @@ local function enter_state(fsm, state)
   local timers, own = state._timers, fsm._timeevent
   local is_unusual = own.is_unusual
   if is_unusual and own.has_at then own[false] = -huge end
+  local entry = timers.entry + 1
   if not timers.delay then
-    timers.alone = false
+    timers.entry = entry
   else
     local soon = own[true]
     own[true] = -huge
-    timers.sec, timers.alone = false, false
+    timers.sec, timers.entry = false, entry
     local time, sec, nsec = read(fsm, true)
     if time then
       timers.sec, timers.nsec = sec, nsec
@@ -223,7 +229,8 @@ end
 local function list_timers(fsm)
   local list, state = {}, fsm._mode ~= "inactive" and fsm
   while state do
-    for _, timer in ipairs(state._timers or {}) do list[#list + 1] = timer end
+    local timers = state._timers
+    for i = 1, timers and #timers or 0 do list[#list + 1] = timers[i] end
     state = state._actchild
   end
   return list
@@ -237,8 +244,10 @@ end
 -- Lists the timers of one kind that have expired, in order. Arms those that wait for
 -- the clock. Returns also the nanoseconds until the first of the others expires.
 local function find_expired(fsm, is_relative, now, now_nsec)
-  local expired, least = {}, huge
-  for rank, timer in ipairs(list_timers(fsm)) do
+  local list, count, least = list_timers(fsm), 0, huge
+  for rank = 1, #list do
+    local timer = list[rank]
+    list[rank] = nil
     if timer.event.is_relative == is_relative then
       local sec, nsec = deadline_of(timer)
       if not sec then sec, nsec = arm(fsm, timer, now, now_nsec) end
@@ -246,22 +255,23 @@ local function find_expired(fsm, is_relative, now, now_nsec)
       if left >= 0 then
         least = min(least, left)
       else
-        expired[#expired + 1] = { timer = timer, left = left, rank = rank }
+        count = count + 1
+        timer.left, timer.rank, list[count] = left, rank, timer
       end
     end
   end
-  sort(expired, expires_before)
-  return expired, least
+  sort(list, expires_before)
+  return list, least
 end
 
 -- Cut short, an event may be in the list twice, which means the same.
 local function raise_expired(fsm, is_relative, time, sec, nsec)
   if not time then return report_clock(fsm, sec) end
   local events, expired, least = fsm._curq, find_expired(fsm, is_relative, sec, nsec)
-  for _, at in ipairs(expired) do
-    events[#events + 1] = at.timer.name
-    set(fsm, at.timer, huge, 0)
-    report(fsm, "dbg", "TIMEEVENT", at.timer.name)
+  for _, timer in ipairs(expired) do
+    events[#events + 1] = timer.name
+    set(fsm, timer, huge, 0)
+    report(fsm, "dbg", "TIMEEVENT", timer.name)
   end
   fsm._timeevent[is_relative] = time + least * 1e-9 - MARGIN
 end
@@ -359,7 +369,7 @@ local function prepare_timers(fsm, state)
     rfsm.snapshot_hook_add(fsm, "timers", save, load)
   end
   if not state._timers then
-    state._timers = { sec = false, nsec = 0, delay = false, alone = false }
+    state._timers = { sec = false, nsec = 0, delay = false, entry = 0 }
     rfsm.entry_hook_add(fsm, state, enter_state)
   end
   return state._timers
@@ -383,7 +393,8 @@ end
 
 local function add_timer(fsm, state, name, event)
   local own, timers = fsm._timeevent, state._timers
-  local timer = { name = name, event = event, timers = timers }
+  local timer = { name = name, event = event, timers = timers, entry = false,
+    sec = false, nsec = 0, left = 0, rank = 0 }
   timers[#timers + 1] = timer
   if event.is_relative then
     local delay = event.sec and event.sec + event.nsec * 1e-9 - MARGIN or huge
@@ -433,6 +444,12 @@ insert(rfsm.preproc, 1, function(fsm, merged)
     end
   end
 end)
+
+rfsm.makers[#rfsm.makers + 1] = function(event)
+  local fqn = event:match("^e_after%s*%(.*@(root.*)$")
+    or event:match("^e_at%s*%(.*@(root.*)$")
+  if fqn then return "timer", fqn end
+end
 
 -- Public functions -----------------------------------------------------------------
 
@@ -491,7 +508,7 @@ local function earliest(fsm)
   local least, state = huge, fsm._mode ~= "inactive" and fsm
   if fsm._timeevent then least = min(remaining(fsm, true), remaining(fsm, false)) end
   while state do
-    for _, region in ipairs(state._regions and rfsm.regions(state) or {}) do
+    for _, region in ipairs((rfsm.regions(state))) do
       least = min(least, earliest(region))
     end
     state = state._actchild

@@ -10,7 +10,7 @@ package.path = "./?.lua;" .. package.path
 
 local fleet = require "rfsm.fleet"
 local redis = require "rfsm.redis"
-local servers = require "spec.support.redis"
+local servers = require "spec.support.servers"
 
 local CALLS, TAGS = 10000, 64
 local machines, rounds = tonumber(arg[1]) or 1000, tonumber(arg[2]) or 5
@@ -55,7 +55,7 @@ local timed = write_file((CHART:gsub('events = { "e_next" } }',
 local due = write_file(DUE)
 local library = write_file((redis.bundle { "area=" .. chart, "timed=" .. timed,
   "due=" .. due }))
-local server = servers.start("--maxmemory 0")
+local server = servers.redis("--maxmemory 0")
 assert(server:cli("-x FUNCTION LOAD REPLACE <" .. library):find("rfsm"))
 for _, name in ipairs { chart, timed, due, library } do os.remove(name) end
 

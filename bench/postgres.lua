@@ -9,7 +9,7 @@ package.path = "./?.lua;" .. package.path
 
 local helper = require "spec.helper"
 local script = require "rfsm.postgres.script"
-local servers = require "spec.support.postgres"
+local servers = require "spec.support.servers"
 
 local EVENTS, MACHINES = tonumber(arg[1]) or 20000, tonumber(arg[2]) or 1000
 local CLIENTS = 20
@@ -39,7 +39,7 @@ UPDATE plain SET chart = 'c', version = '%s',
   mode = 'done', since = clock_timestamp(), event = 'e_next', due = NULL,
   data = '%s', value = '%s' WHERE key = 'm' || :m;]]
 
-local server = servers.start()
+local server = servers.postgres()
 
 local function load_chart(options)
   assert(server:sql((script.sql({ "c=" .. CHART }, options))) == "")

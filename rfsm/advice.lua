@@ -107,6 +107,23 @@ function advice.other_word(model, field)
   return (" (there is '%s', did you mean '%s'?)"):format(words[1], field)
 end
 
+--- Return the hint for a table of events that is no list.
+---@return string hint " ('guard' belongs beside events)"
+function advice.list(events)
+  for _, field in ipairs(FIELDS.transition) do
+    if events[field] ~= nil then
+      return (" ('%s' belongs beside events)"):format(field)
+    end
+  end
+  for _, word in ipairs({ "e_after", "e_at" }) do
+    local seconds = events[word]
+    if seconds ~= nil then
+      return (" (did you mean { '%s(%s)' }?)"):format(word, rfsm.text_of(seconds))
+    end
+  end
+  return ""
+end
+
 -- Names -------------------------------------------------------------------------
 
 local function find_nearest(name, names)
@@ -133,18 +150,39 @@ function advice.nearest_name(name, names)
   return " (there " .. verb .. " '" .. concat(names, "', '") .. "')"
 end
 
+-- Names of other libraries that are no nodes here, and their hints.
+local NO_NODES = {
+  final = " (an end is a state with final = true)",
+  history = " (did you mean the field history = 'shallow' of the composite?)",
+  any = " (for each of its states: a transition of the composite around them)",
+}
+NO_NODES["[*]"], NO_NODES["end"], NO_NODES.H = NO_NODES.final, NO_NODES.final,
+  NO_NODES.history
+NO_NODES["*"] = NO_NODES.any
+
+-- Returns the first FQN that ends in a path, of which '/' may divide the parts.
+local function find_elsewhere(path, all)
+  local tail, found = "." .. path:gsub("[/\\]+", "."):gsub("^%.+", ""), {}
+  for _, other in ipairs(all) do
+    local fqn = other.depth > 0 and other.id ~= "initial" and other.fqn or ""
+    if fqn:sub(-#tail) == tail then found[#found + 1] = fqn end
+  end
+  sort(found)
+  return found[1]
+end
+
 --- Return the hint for a node that does not exist in a composite.
 ---@param def rfsm.Def the composite
----@param all rfsm.Def[] nodes to look at for the same name elsewhere
+---@param all rfsm.Def[] nodes to look at for the same path elsewhere
+---@param path string in which the name stands
 ---@return string hint as `nearest_name`
-function advice.nearest_node(name, def, all)
-  local elsewhere, names = {}, {}
-  for _, other in ipairs(all) do
-    if other.id == name then elsewhere[#elsewhere + 1] = other.fqn end
-  end
-  sort(elsewhere)
-  if elsewhere[1] and name ~= "initial" then
-    return " (did you mean '" .. elsewhere[1] .. "'?)"
+function advice.nearest_node(name, def, all, path)
+  local elsewhere, names = find_elsewhere(path, all), {}
+  if elsewhere then return " (did you mean '" .. elsewhere .. "'?)" end
+  if rawget(def.model, "substates") then
+    return " (a region is a machine of its own: no transition leads into or out of it)"
+  elseif NO_NODES[name] then
+    return NO_NODES[name]
   end
   for member, other in pairs(def.members) do -- any order: sorted below
     local is_named = type(member) == "string" and other.kind ~= "transition"
@@ -152,6 +190,40 @@ function advice.nearest_node(name, def, all)
   end
   sort(names)
   return advice.nearest_name(name, names)
+end
+
+--- Return the hint for a state that does not exist in a machine.
+---@return string hint as `nearest_name`
+function advice.state_name(fsm, name)
+  local names = {}
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
+    names[#names + 1] = state._fqn
+    if state._id == name then return " (did you mean '" .. state._fqn .. "'?)" end
+  end
+  return advice.nearest_name(name, names)
+end
+
+-- Functions of other libraries, and those that were probably meant.
+local FUNCTIONS = {
+  choice = "conn", junction = "conn", fork = "seqand", join = "seqand",
+  parallel = "seqand", region = "seqand", orthogonal = "seqand", post = "send_events",
+  send = "send_events", fire = "send_events", emit = "send_events", new = "init",
+  create = "init", update = "step", tick = "step", start = "run",
+  current_state = "get_actleaf_fqn", get_state = "get_actleaf_fqn",
+}
+
+local TO_STATES = { "goto", "set_state", "change_state", "transition_to", "enter" }
+
+--- Return the hint for a function that the library does not have.
+---@return string hint " (did you mean rfsm.send_events?)"
+function advice.function_meant(name)
+  for _, word in ipairs(TO_STATES) do
+    if plain(name):find(plain(word), 1, true) == 1 then
+      return " (a machine moves by its transitions: send an event)"
+    end
+  end
+  local meant = FUNCTIONS[name] or find_nearest(name, rfsm.sorted_keys(rfsm))
+  return meant and " (did you mean rfsm." .. meant .. "?)" or ""
 end
 
 -- Events ------------------------------------------------------------------------
@@ -188,18 +260,49 @@ end
 
 -- Mistakes: what is allowed, and probably not what was meant ----------------------
 
+-- Names of tables that other libraries have for states and transitions.
+local LISTS = { states = true, substates = true, transitions = true, children = true }
+
 -- Returns the warning of a plain table that looks like a state or transition that
 -- somebody forgot to mark.
-local function unmarked(t)
+local function unmarked(t, key)
   if rawget(t, "src") ~= nil and rawget(t, "tgt") ~= nil then
     return "a plain table that has 'src' and 'tgt' is ignored (did you mean "
       .. "rfsm.trans{...}?)"
   end
   for _, value in pairs(t) do -- any order: one element decides
     if rfsm.is_fsmobj(value) then
-      return "a plain table that contains states or transitions is ignored (did you "
-        .. "mean rfsm.state{...}?)"
+      return "a plain table that contains states or transitions is ignored ("
+        .. (LISTS[key] and "they stand in the state itself)"
+        or key == "regions" and "did you mean rfsm.seqand{...}?)"
+        or "did you mean rfsm.state{...}?)")
     end
+  end
+  return ""
+end
+
+-- Returns the warning of a table that names a neighbour: on = { e_go = "b" }.
+local function unwritten(def, key, value)
+  local event = def.kind == "state" and def.parent ~= def
+    and (key == "on" or key == "transitions") and rfsm.sorted_keys(value)[1]
+  local tgt = event and value[event]
+  if type(tgt) ~= "string" or not rfsm.is_node(def.parent.model[tgt]) then return "" end
+  return ("a state has no field '%s' (beside it: rfsm.trans{ src = '%s', tgt = '%s', "
+    .. "events = { '%s' } })"):format(key, def.id, tgt, rfsm.text_of(event))
+end
+
+local WAITS = { timeout = true, after = true, delay = true }
+
+-- Returns the warning of a transition on any event that names its event in another way.
+local function unnamed(def, key, value)
+  local model = def.model
+  if model.events or not (model.src and model.tgt) then return "" end
+  if type(key) == "number" and type(value) == "string" then
+    return ("'%s' stands beside the events, any event triggers it (events = { '%s' })")
+      :format(value, value)
+  elseif WAITS[key] and type(value) == "number" then
+    return ("a transition has no field '%s', any event triggers it (events = { "
+      .. "'e_after(%s)' })"):format(key, rfsm.text_of(value))
   end
   return ""
 end
@@ -217,26 +320,58 @@ local IS_CALLBACK = {
   entry = true, exit = true, doo = true, guard = true, effect = true,
 }
 
+-- Returns the warning of a constructor or of a plain table in place of an element.
+local function unmade(def, key, value)
+  for _, name in ipairs({ "state", "trans", "conn" }) do
+    if rawequal(value, rfsm[name]) then
+      return ("rfsm.%s is not called (rfsm.%s{...})"):format(name, name)
+    end
+  end
+  if type(value) ~= "table" or getmetatable(value) ~= nil then return "" end
+  local text = unmarked(value, key)
+  return text ~= "" and text or unwritten(def, key, value)
+end
+
 --- Return the warning of a field that counts as the user's data, and where it stands.
 ---@param def rfsm.Def the element that has the field
 ---@return string text
 ---@return string? field
 function advice.datum(def, key, value)
-  local field, is_table = rfsm.text_of(key), type(value) == "table"
-  for _, name in ipairs({ "state", "trans", "conn" }) do
-    if rawequal(value, rfsm[name]) then
-      return ("rfsm.%s is not called (rfsm.%s{...})"):format(name, name), field
-    end
-  end
-  local text = is_table and getmetatable(value) == nil and unmarked(value) or ""
+  local field, text = rfsm.text_of(key), unmade(def, key, value)
   if text ~= "" then
     return text, field
   elseif def.kind == "connector" and IS_CALLBACK[key] then
     return ("a connector has no %s, this one is ignored"):format(key), field
+  elseif def.kind == "transition" and unnamed(def, key, value) ~= "" then
+    return unnamed(def, key, value)
   elseif type(key) == "string" and not rfsm.is_meta(key) then
     return misspelt(def, key, value)
   end
   return ""
+end
+
+--- Return the hint that states of a leaf are plain tables.
+---@param model rfsm.State a state with transitions and without states
+---@return string hint " ('a', 'b' are plain tables: rfsm.state{...} makes states)"
+function advice.plain_states(model)
+  local is_plain, names = {}, {}
+  for _, tr in pairs(model) do -- any order: sorted below
+    for _, name in ipairs(rfsm.is_trans(tr) and { tr.src, tr.tgt } or {}) do
+      local value = type(name) == "string" and rawget(model, name)
+      is_plain[name] = type(value) == "table" and getmetatable(value) == nil or nil
+    end
+  end
+  for name in pairs(is_plain) do names[#names + 1] = name end -- sorted below
+  sort(names)
+  if not names[1] then return "" end
+  return (" ('%s' %s plain: did you mean rfsm.state{...}?)"):format(
+    concat(names, "', '"), names[2] and "are" or "is")
+end
+
+--- Return the hint that regions were meant by a composite without `initial`.
+function advice.regions(model)
+  local is_meant = model.parallel == true or model.type == "parallel"
+  return is_meant and " (did you mean rfsm.seqand{...}?)" or ""
 end
 
 --- Return the warning of an `initial` that may not be enabled: its composite has no

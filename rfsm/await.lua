@@ -87,6 +87,15 @@ local function load(fsm, kept)
   end
 end
 
+-- The reaction hook.
+local function list_wanted(_, state)
+  local wanted = {}
+  for _, await in ipairs(state._await or {}) do
+    for _, event in ipairs(await.wanted) do wanted[#wanted + 1] = event end
+  end
+  return wanted
+end
+
 -- Prepare: await(...) becomes an event ----------------------------------------------
 
 -- Replaces the FQN of the source, which may have a comma or parenthesis in it, while a
@@ -151,7 +160,8 @@ local function add_await(fsm, state, await)
     fsm._awaits = {}
     rfsm.pre_step_hook_add(fsm, rfsm.borrows(check_awaits))
     rfsm.reset_hook_add(fsm, reset)
-    rfsm.snapshot_hook_add(fsm, "await", save, load)
+    rfsm.snapshot_hook_add(fsm, "await", save, load, true)
+    rfsm.reaction_hook_add(fsm, list_wanted)
   end
   if not state._await then
     state._await = {}
@@ -195,6 +205,10 @@ rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
     end
   end
   return problems
+end
+
+rfsm.makers[#rfsm.makers + 1] = function(event)
+  return event:find("^await%s*%(.*%)@root") and "await" or nil
 end
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_await", rfsm_await) end

@@ -95,6 +95,7 @@ local function place_label(chart, arrow)
   if not (arrow.parts[1] or is_round) then return end
   local is_down = chart.direction == "TB"
   arrow.label = {
+    is_round = is_round,
     id = diagram.new_id(chart, arrow.src.id .. "_to_" .. arrow.tgt.id),
     text = is_round and looks.hung_label(arrow, chart.direction)
       or looks.line_label(arrow, chart.direction),
@@ -201,12 +202,15 @@ end
 --- Have Graphviz lay out a machine, or a description.
 ---@param fsm rfsm.Machine
 ---@param options? rfsm.pictures.Options
+---@param run? rfsm.pictures.Run where Graphviz is no program
 ---@return string? graph with the position of everything in it
 ---@return string? problem in one line
 ---@nodiscard
-function dot.layout(fsm, options)
+function dot.layout(fsm, options, run)
   local chart = diagram.read(fsm, "rfsm.dot.layout", options)
-  return layout.draw(chart, function(graphs) return dot.render(graphs, "dot") end)
+  return layout.draw(chart, draw(chart), run or function(graphs)
+    return dot.render(graphs, "dot")
+  end)
 end
 
 return dot

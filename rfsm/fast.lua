@@ -51,10 +51,10 @@ end
 
 local HEAD = [[
 return function(fsm, is_chosen)
-local nodes, s0, s1, tr, f = fsm._nodes, fsm._act_leaf, nil, nil, nil
+local nodes, s0, s1, f, tr = fsm._nodes, fsm._act_leaf, nil, nil, fsm._transitions[x1]
 if not is_chosen then]]
 local CHECK = [[
-tr = fsm._transitions[x$k]
+$fetch
 if tr.guard or nodes[t$k] ~= tr.tgt then return false end]]
 local BEGIN = [[
 end
@@ -88,7 +88,7 @@ local LEAVE_LEAF = [[
 fsm._act_leaf = false
 if $a._doo_co then $a._doo_co = nil end]]
 local EFFECT = [[
-tr = fsm._transitions[x$k]
+$fetch
 f = tr.effect
 if f and not borrowers[f] then fsm._is_lent = true end
 ]]
@@ -157,7 +157,8 @@ end
 -- Writes the function of a path; nil if that is too much for one.
 local function write_path(writers, path, is_hooked)
   local text = new_text()
-  text.places, text.is_hooked, text.at = {}, is_hooked, 0
+  text.places = { fetch = path.segments[2] and "tr = fsm._transitions[x$k]" or "" }
+  text.is_hooked, text.at = is_hooked, 0
   bind(text, "path", path)
   write(text, HEAD)
   for k, def in ipairs(path.segments) do
@@ -204,8 +205,7 @@ note = ways[c$n] or note_of(fsm, c$n)
 if note.search == number then
 if not note.way then def = nil end
 else
-note.search = number
-note.way = false
+note.search, note.way = number, false
 local w$k, x$k = nil, nil]]
 local GO_BACK = [[
 if x$k then warn_of_conflict(fsm, x$k) end

@@ -1,7 +1,8 @@
 --- History: a composite with `history = "shallow"` or `"deep"` is entered where it was
 -- left: at the substate, or the leaf, that was active last. The memory is the targets
 -- of the transitions that enter it, which are set whenever a leaf is entered. So
--- snapshots hold it, and whatever asks where a transition leads knows it.
+-- snapshots hold it, and whatever asks where a transition leads (`rfsm.targets`) knows
+-- it.
 --
 -- @module rfsm.history
 -- @license BSD-3-Clause

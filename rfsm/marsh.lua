@@ -58,8 +58,8 @@ local function append(lists, key, value)
   list[#list + 1] = value
 end
 
--- Returns the target that a transition has without rfsm/history.lua.
-local function target_of(tr) return tr._initial or tr.tgt end
+-- Returns the target that a transition has in the model.
+local function target_of(tr) return rfsm.targets(tr)[1] end
 
 -- Notes which child of a composite a transition leads to, and from which one; a child
 -- that is entered from outside is noted for the composite.
@@ -285,7 +285,7 @@ end
 ---@field callback_text? fun(f: function, field?: string): string only of a full one
 ---@field event_text fun(event: any): string
 ---@field regions_of table<rfsm.State, rfsm.Place[]> of the whole machine
----@field has_history? boolean rfsm.history is at work in the machine
+---@field has_history table<rfsm.State, true> composites entered where they were left
 
 local function regions_by_state(fsm)
   local regions_of = {}
@@ -303,7 +303,8 @@ end
 -- extension, which may have put itself before entry and exit and keep the user's.
 local function callbacks_of(state, regions)
   if not regions then return state end
-  local kept, source = state._regions or {}, source_of(state.doo)
+  local _, kept = rfsm.regions(state)
+  local source = source_of(state.doo)
   local function user_s(field)
     local f = kept[field] or state[field]
     return (not f or source_of(f) ~= source) and f or nil
@@ -356,8 +357,7 @@ local function add_details(writer, tab, state)
   local regions, mode = writer.regions_of[state], rfsm.get_sta_mode(state)
   add_texts(writer, tab, callbacks_of(state, regions), PROGRAMS)
   tab.final = state.final and true or nil
-  tab.history = writer.has_history and type(state.history) == "string"
-    and state.history or nil
+  tab.history = writer.has_history[state] and state.history or nil
   tab.mode = mode ~= "inactive" and mode or nil
   if not regions then return end
   tab.regions = {}
@@ -383,12 +383,22 @@ local function node_table(writer, node)
   return tab
 end
 
+-- Returns the set of the composites into which transitions lead where they were left.
+local function histories_of(fsm)
+  local composites = {}
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+    local targets = rfsm.targets(tr)
+    if targets[2] then composites[targets[1]._parent] = true end
+  end
+  return composites
+end
+
 -- Returns the table of a machine under a name; texts are those of `texts`.
 function machine_table(fsm, id, prefix, texts)
   local walk, transitions, names = new_walk(fsm)
   local tab = node_table({ walk = walk, transitions = transitions, names = names,
     prefix = prefix, callback_text = texts.callback_text, event_text = texts.event_text,
-    regions_of = texts.regions_of, has_history = fsm._history ~= nil }, fsm)
+    regions_of = texts.regions_of, has_history = histories_of(fsm) }, fsm)
   tab.id = id
   return tab
 end

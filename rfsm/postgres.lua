@@ -64,7 +64,8 @@ function postgres.charts(arguments, options)
   if not settings then error("rfsm.postgres.charts: " .. problem, 2) end
   local text, warnings = script.library(arguments, settings)
   local globals, answer = host.new {
-    json = codec, log = function(_, line) print(line) end, warn = function() end,
+    json = { encode = codec.encode, decode = codec.decode, datum = rfsm.text_of },
+    log = function(_, line) print(line) end, warn = function() end,
     refuse = function(reason) error(reason, 0) end,
   }
   sandbox.run(text, globals, "PostgreSQL")

@@ -16,6 +16,7 @@ local migrate = require "rfsm.snapshot.migrate"
 local each = require("rfsm.shared.order").each
 local opts = require "rfsm.shared.options"
 local encoding = require "rfsm.snapshot.encoding"
+local exact_json = require "rfsm.shared.exact_json"
 local rfsm = require "rfsm"
 
 local error, ipairs, pcall = error, ipairs, pcall
@@ -52,9 +53,9 @@ local function pack_queue(queue, path)
   path.owner = (path.prefix == "root" and "" or path.prefix .. " ") .. "queue"
   for i = 1, #queue do
     path[1] = i
-    if not is_scalar(queue[i]) then
-      fail("%s: an event that is a %s cannot be saved, only text, number or boolean",
-        location_of(path, 1), type(queue[i]))
+    if not encoding.is_event(queue[i]) then
+      fail("%s: an event that is a %s cannot be saved, only text, number, boolean, or "
+        .. "a plain table with a text 'name'", location_of(path, 1), type(queue[i]))
     end
     list[i] = pack(queue[i], path, 1)
   end
@@ -193,7 +194,7 @@ local function unpack_queue(part)
   for _ in each(part.queue) do count = count + 1 end -- any order: a number
   for i = 1, count do
     local event = unpack(part.queue[i], 2)
-    if not is_scalar(event) or event ~= event then
+    if not encoding.is_event(event) then
       fail("queue[%d]: event expected, got %s", i, type(event))
     end
     queue[i] = event
@@ -430,7 +431,7 @@ end
 --- Return a machine as a plain table.
 --
 -- @usage
---    local text = json.encode(snapshot.take(fsm))
+--    local text = snapshot.encode(snapshot.take(fsm))
 --
 -- @raise if a step is under way, or something cannot be saved
 ---@param fsm rfsm.Machine
@@ -458,6 +459,12 @@ function snapshot.try_take(fsm)
   if not problem then error(snap, 0) end
   return nil, problem
 end
+
+--- Return a snapshot as JSON: one text for one snapshot, on every Lua.
+---@param snap rfsm.snapshot.Snapshot
+---@return string text for any decoder of JSON
+---@nodiscard
+function snapshot.encode(snap) return exact_json.encode(snap) end
 
 --- How a snapshot becomes a machine.
 ---@class rfsm.snapshot.Options

@@ -1,5 +1,5 @@
---- Strict: warnings of events that are odd, early or undeclared, and of fields that are
---- not there, with the sender's file and line.
+--- Strict: warnings of events that are odd, early, lost or undeclared, of fields that
+--- are not there, with the caller's file and line, and of a run that does not end.
 --
 -- It is on for machines whose root has `strict = true`, and for all if the environment
 -- has RFSM_STRICT=1: the core loads it then. Each warning comes once a machine.
@@ -10,28 +10,70 @@
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
+local match = require "rfsm.shared.match"
 
-local getmetatable, ipairs, rawget = getmetatable, ipairs, rawget
-local select, type = select, type
+local getmetatable, ipairs, pairs, rawequal = getmetatable, ipairs, pairs, rawequal
+local rawget, select, tonumber, type = rawget, select, tonumber, type
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 local text_of = rfsm.text_of
 
 local strict = { is_watching = false }
 
--- Each warning that was given is noted in the field `_strict` of the machine.
+--- What is noted about a machine, in its field `_strict`.
+---@class rfsm.strict.Notes
+---@field told table<string, true> warnings that were given
+---@field models table<table, table> element -> the callbacks of its model
+---@field path rfsm.Transition[]|false taken in this iteration
+---@field count integer|false iterations since `rfsm.run` was called
+---@field event any that of the last iteration that had one
+---@field event_at integer the count then
+
 local function warn(fsm, text)
-  if fsm._strict[text] then return end
-  fsm._strict[text] = true
+  if fsm._strict.told[text] then return end
+  fsm._strict.told[text] = true
   rfsm.report(fsm, "warn", "WARNING: " .. text)
 end
 
 -- Events ............................................................................
 
+-- Returns the names of all events, and those of events with data.
 local function names_of(known)
-  local names = {}
-  for _, event in ipairs(known.list) do names[#names + 1] = text_of(event) end
-  for _, event in ipairs(known.awaited) do names[#names + 1] = event end
-  return names
+  local names, named = {}, {}
+  for _, list in ipairs { known.list, known.reactions } do
+    for _, event in ipairs(list) do names[#names + 1] = text_of(event) end
+  end
+  for _, predicate in ipairs(known.predicates) do
+    named[#named + 1] = rfsm.event_name(predicate)
+  end
+  return names, named
+end
+
+-- Returns the hint for an event that no transition names.
+local function hint_for(known, event)
+  local names, named = names_of(known)
+  local other = tonumber(event)
+  if type(event) == "string" and other and known.set[other] then
+    return (" (did you mean the number %s?)"):format(event)
+  end
+  for _, name in ipairs(named) do
+    if name == event then return (" (did you mean { name = '%s' }?)"):format(name) end
+  end
+  if known.set["e_" .. text_of(event)] then event = "e_" .. event end
+  return advice.nearest_name(text_of(event), names)
+end
+
+-- Returns the warning of a plain table. One with a name is an event with data.
+local function oddness_of_table(known, event)
+  local _, named = names_of(known)
+  if event[1] ~= nil then
+    return "a list is one event (did you mean rfsm.send_events(fsm, unpack(list))?)"
+  elseif named[1] and event.name == nil then
+    return "the table has no field 'name'" .. advice.nearest_name("name", named)
+  elseif named[1] then
+    return ("no transition names the event { name = '%s' }%s"):format(
+      text_of(event.name), advice.nearest_name(text_of(event.name), named))
+  end
+  return "a table is an event of its own, as each argument is"
 end
 
 local function is_state_name(fsm, event)
@@ -43,28 +85,27 @@ end
 
 local function oddness_of(fsm, known, event)
   if type(event) == "table" and not getmetatable(event) then
-    return event[1] ~= nil and "a list is one event (did you mean "
-      .. "rfsm.send_events(fsm, unpack(list))?)"
-      or "a table is an event of its own, as each argument is"
+    return oddness_of_table(known, event)
   elseif type(event) ~= "string" then
-    return ("no transition names the event %s"):format(text_of(event))
+    local hint = type(event) == "number" and hint_for(known, event) or ""
+    return ("no transition names the event %s%s"):format(text_of(event), hint)
   elseif is_state_name(fsm, event) then
-    return ("'%s' is the name of a state, no event"):format(event)
+    return ("'%s' is the name of a state, no event%s"):format(event,
+      known.set["e_" .. event] and hint_for(known, event) or "")
   elseif event:match("^[^(@]*"):find("[,|%s]") then
     local hint = advice.event_meant(event)
     return ("'%s' is one event%s"):format(event,
       hint ~= "" and hint or " (write an argument for each)")
   end
-  return ("no transition names the event '%s'%s"):format(event,
-    advice.nearest_name(event, names_of(known)))
+  return ("no transition names the event '%s'%s"):format(event, hint_for(known, event))
 end
 
 -- Warns once of an event that comes before the machine is entered.
 local function check_early(fsm, at, event)
   local name = text_of(event)
-  local is_told = fsm._strict["early: " .. name]
-  if is_told or rfsm.get_sta_mode(fsm) ~= "inactive" then return end
-  fsm._strict["early: " .. name] = true
+  local told = fsm._strict.told
+  if told["early: " .. name] or rfsm.get_sta_mode(fsm) ~= "inactive" then return end
+  told["early: " .. name] = true
   warn(fsm, ("%sevent '%s' is sent before the first step, whose entry consumes it")
     :format(at, name))
 end
@@ -75,7 +116,8 @@ local function check_events(fsm, at, ...)
   for i = 1, select("#", ...) do
     local event = select(i, ...)
     if event == nil then
-      warn(fsm, ("%sargument %d is nil, which is no event"):format(at, i))
+      warn(fsm, ("%sargument %d is nil, which is no event (is it a name without "
+        .. "quotes?)"):format(at, i))
     elseif not alphabet.has(known, event) then
       warn(fsm, at .. oddness_of(fsm, known, event))
     else
@@ -84,18 +126,63 @@ local function check_events(fsm, at, ...)
   end
 end
 
-local function sender()
+-- Returns "lamp.lua:7: " for the caller of the function that calls this.
+local function caller()
   local info = getinfo and getinfo(3, "Sl")
   return info and info.currentline > 0
     and ("%s:%d: "):format(info.short_src, info.currentline) or ""
 end
 
--- From the first strict machine on events go this way.
-local function watch_senders()
-  local send_events = rfsm.send_events
+-- A region gets the events of its parent machine, which were checked there.
+local function is_watched(fsm)
+  return rfsm.is_root(fsm) and fsm._strict and not rawget(fsm, "_owner")
+end
+
+-- Functions ........................................................................
+
+-- Functions that programs call as methods of a machine.
+local METHODS = {}
+for name in ("run step send_events reset is_in is_idle"):gmatch("%S+") do
+  METHODS[name] = true
+end
+
+-- Warns of reads of functions that are not there: rfsm.send_event, fsm:run().
+local function watch_reads(fsm)
+  local Library, Machine = getmetatable(rfsm), getmetatable(fsm)
+  local load_field, defaults, told = Library.__index, Machine.__index, {}
+  function Library.__index(_, name)
+    local value = load_field(rfsm, name)
+    local is_new = value == nil and type(name) == "string" and not told[name]
+    local hint = is_new and advice.function_meant(name) or ""
+    if hint == "" then return value end
+    told[name] = true
+    rfsm.report(fsm, "warn", ("WARNING: %srfsm has no function '%s'%s"):format(caller(),
+      name, hint))
+  end
+  function Machine.__index(machine, name)
+    local value = defaults[name]
+    if value == nil and METHODS[name] and rawget(machine, "_strict") then
+      warn(machine, ("%sa machine has no field '%s' (did you mean rfsm.%s(fsm)?)")
+        :format(caller(), name, name))
+    end
+    return value
+  end
+end
+
+-- From the first strict machine on calls go this way.
+local function watch_calls()
+  local send_events, run = rfsm.send_events, rfsm.run
   function rfsm.send_events(fsm, ...)
-    if rfsm.is_root(fsm) and fsm._strict then check_events(fsm, sender(), ...) end
+    if is_watched(fsm) then check_events(fsm, caller(), ...) end
     return send_events(fsm, ...)
+  end
+  function rfsm.run(fsm, ...)
+    if is_watched(fsm) and select("#", ...) > 0 then
+      warn(fsm, caller() .. "rfsm.run takes a machine only (did you mean "
+        .. "rfsm.send_events?)")
+    end
+    if is_watched(fsm) then fsm._strict.count = 0 end
+    return run(fsm)
   end
 end
 
@@ -104,31 +191,122 @@ end
 local CALLBACKS = { state = { "entry", "exit", "doo" },
   transition = { "guard", "effect" }, connector = {} }
 
--- Warns of callbacks that cannot be called, and of fields that are nearly those of the
--- library, in an element of a machine.
-local function check_fields(fsm, obj)
-  local kind = rfsm.kind_of(obj)
-  for _, field in ipairs(CALLBACKS[kind]) do
+-- Returns the callbacks that an element's model has.
+local function callbacks_of_model(obj)
+  local model, callbacks = rfsm.model_of(obj), {}
+  for _, field in ipairs(CALLBACKS[rfsm.kind_of(obj)]) do
+    callbacks[field] = model[field]
+  end
+  return callbacks
+end
+
+-- Warns of a callback that was put into the model after the machine was made.
+local function check_model(fsm, obj)
+  local notes, model = fsm._strict.models, callbacks_of_model(obj)
+  notes[obj] = notes[obj] or model
+  for field, value in pairs(model) do -- any order: each has its own text
+    if not rawequal(notes[obj][field], value) then
+      warn(fsm, ("%s: was set in the model after rfsm.init (set it in the machine)")
+        :format(rfsm.location_of(obj, field)))
+    end
+  end
+end
+
+-- Is it a state or transition of a model, which `rfsm.init` has not seen?
+local function is_foreign(value)
+  return rfsm.is_fsmobj(value) and rawget(value, "_parent") == nil
+end
+
+-- Warns of callbacks that cannot be called.
+local function check_callbacks(fsm, obj)
+  for _, field in ipairs(CALLBACKS[rfsm.kind_of(obj)]) do
     local value = obj[field]
     if value and not rfsm.is_callable(value) then
       warn(fsm, ("%s: function expected, got %s '%s'"):format(
         rfsm.location_of(obj, field), type(value), text_of(value)))
     end
   end
+end
+
+-- Warns of fields that are nearly those of the library, and of elements of models.
+local function check_fields(fsm, obj)
+  local kind = rfsm.is_root(obj) and "root" or rfsm.kind_of(obj)
   for _, key in ipairs(rfsm.sorted_keys(obj)) do
-    local is_field = type(key) == "string" and not rfsm.is_meta(key)
-    local meant = is_field and rfsm.is_callable(obj[key])
-      and advice.field_meant(rfsm.is_root(obj) and "root" or kind, key) or ""
+    local value = not rfsm.is_meta(key) and obj[key]
+    local meant = type(key) == "string" and rfsm.is_callable(value)
+      and advice.field_meant(kind, key) or ""
     if meant ~= "" then
       warn(fsm, ("%s: a %s has no field '%s' (did you mean '%s'?)"):format(
-        rfsm.location_of(obj), kind, key, meant))
+        rfsm.location_of(obj), rfsm.kind_of(obj), key, meant))
+    elseif is_foreign(value) then
+      warn(fsm, ("%s.%s: a %s that was added after rfsm.init is not looked at (did you "
+        .. "mean rfsm.fsm_merge?)"):format(rfsm.location_of(obj), text_of(key),
+        rfsm.kind_of(value)))
+    end
+  end
+end
+
+-- Iterations ........................................................................
+
+local MANY = 10000 -- iterations of one run
+
+-- Warns of a run that goes on and on. One with an idle hook is meant to.
+local function check_end(fsm, events)
+  local notes, leaf = fsm._strict, fsm._act_leaf
+  notes.count = notes.count and notes.count + 1
+  if events[1] ~= nil then notes.event, notes.event_at = events[1], notes.count or 0 end
+  if notes.count ~= MANY or fsm.idle_hook then return end
+  warn(fsm, ("rfsm.run has made %d iterations and goes on, in '%s': %s"):format(MANY,
+    leaf and leaf._fqn or "root", MANY - notes.event_at > 9
+    and "its doo is never idle (rfsm.yield(true) lets run return)"
+    or ("event '%s' comes again and again"):format(text_of(notes.event))))
+end
+
+-- The path hook.
+local function note_path(fsm, path) fsm._strict.path = path end
+
+local function is_named_in(path, event)
+  for _, tr in ipairs(path) do
+    if match.triggers(tr, event) ~= false then return true end
+  end
+  return false
+end
+
+-- Returns an active state that an event would leave.
+local function waiting_for(fsm, event)
+  local state = fsm._act_leaf
+  while state do
+    for _, tr in ipairs(state._otrs) do
+      if match.names(tr, event) then return state._fqn end
+    end
+    state = state._parent ~= state and state._parent
+  end
+end
+
+-- The post step hook: warns of events that came together with the one that was used,
+-- and for which the state that is active now waits.
+local function check_lost(fsm, events)
+  local path = fsm._strict.path
+  fsm._strict.path = false
+  if not path or rfsm.is_conn(path[1].src) then return end
+  for _, event in ipairs(events) do
+    local fqn = type(event) == "string" and not event:find("@", 1, true)
+      and not is_named_in(path, event) and waiting_for(fsm, event)
+    if fqn then
+      warn(fsm, ("event '%s' came together with another one and is discarded, '%s' "
+        .. "waits for it (call rfsm.run before it is sent)"):format(event, fqn))
     end
   end
 end
 
 -- The pre step hook. Events of getevents have no sender.
 local function check_machine(fsm, events)
-  for _, obj in ipairs(rfsm.elements(fsm)) do check_fields(fsm, obj) end
+  check_end(fsm, events)
+  for _, obj in ipairs(rfsm.elements(fsm)) do
+    check_callbacks(fsm, obj)
+    check_fields(fsm, obj)
+    check_model(fsm, obj)
+  end
   for _, event in ipairs(events) do
     if event ~= "e_init_fsm" then check_early(fsm, "", event) end
   end
@@ -139,11 +317,18 @@ end
 --- Have a machine warn of what is odd.
 ---@param fsm rfsm.Machine
 function strict.watch(fsm)
-  if not strict.is_watching then watch_senders() end
+  if not strict.is_watching then
+    watch_calls()
+    watch_reads(fsm)
+  end
   strict.is_watching = true
   if fsm._strict then return end
-  fsm._strict = {}
+  fsm._strict = { told = {}, models = {}, path = false, count = false,
+    event = false, event_at = 0 }
+  for _, obj in ipairs(rfsm.elements(fsm)) do check_model(fsm, obj) end
   rfsm.pre_step_hook_add(fsm, check_machine)
+  rfsm.path_hook_add(fsm, note_path)
+  rfsm.post_step_hook_add(fsm, check_lost)
 end
 
 rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)

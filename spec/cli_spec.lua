@@ -23,22 +23,22 @@ local function last_line(text) return text:match("([^\n]*)\n$") end
 
 describe("the usage of rfsm", function()
   local USAGES = {
-    check = "[--stub] [-a] [-q] [-s] [--codes] [-x] [--static] [-k N] "
+    check = "[--stub] [--machine N] [-a] [-q] [-s] [--codes] [-x] [--static] [-k N] "
       .. "[--configurations N] [--seconds N] [--record FILE] [--tests KIND] "
       .. "[--callbacks] [-o FILE] [-v] FILE [FILE] ...",
     sim = "[--stub] [-e CODE] [-i] [-r FILE] [-d] [-q] [-v] FILE",
-    viz = "[--stub] [-T FORMAT] [-o FILE] [--active FQN] [--depth N] "
-      .. "[--coverage JSON] [--trace JSON] [--direction DIRECTION] [-v] FILE "
-      .. "[FILE] ...",
+    viz = "[--stub] [--machine N] [-T FORMAT] [-o FILE] [--active FQN] [--depth N] "
+      .. "[--coverage JSON] [--trace JSON] [--direction DIRECTION] [--like SVG] [-v] "
+      .. "FILE [FILE] ...",
     snapshot = "[-v] {diff} OLD NEW",
     redis = "[--ids N] [--ids-for S] [-o FILE] [-l URL] [--index] [--history N] "
       .. "[--diff] [--stats URL] [-v] [[NAME=]FILE] ...",
     postgres = "[--ids N] [--ids-for S] [-o FILE] [--client] [--history] [--notify] "
       .. "[-v] [[NAME=]FILE] ...",
-    json = "[--stub] [-o FILE] [-v] FILE [FILE] ...",
-    plantuml = "[--stub] [-o FILE] [-v] FILE [FILE] ...",
-    dot = "[--stub] [-o FILE] [-v] FILE [FILE] ...",
-    mermaid = "[--stub] [-o FILE] [-v] FILE [FILE] ...",
+    json = "[--stub] [--machine N] [-o FILE] [-v] FILE [FILE] ...",
+    plantuml = "[--stub] [--machine N] [-o FILE] [-v] FILE [FILE] ...",
+    dot = "[--stub] [--machine N] [-o FILE] [-v] FILE [FILE] ...",
+    mermaid = "[--stub] [--machine N] [-o FILE] [-v] FILE [FILE] ...",
     web = "[--stub] [-a HOST:PORT] [-m N] [-p N] [--host HOST] [-v] [FILE]",
     watch = "[-m N] [-n N] [-v] HOST[:PORT]",
     size = "[--stub] [--lua LUA] [-v] FILE",
@@ -78,7 +78,7 @@ describe("the usage of rfsm", function()
     ["viz --depth x y"] = "Error: --depth: whole number above 0 expected, got 'x'",
     ["viz -T svg a b"] = "Error: one FILE expected, svg holds one chart, got 2",
     ["viz x.lua -o y.gif"] = "Error: the ending of 'y.gif' is no format, -T expected "
-      .. "(dot, svg, png, pdf, plantuml, mermaid, json)",
+      .. "(" .. table.concat(commands.formats(), ", ") .. ")",
     ["watch -n 1.5 host"] = "Error: --count: whole number above 0 expected, got '1.5'",
     ["watch -m 0 host"] = "Error: --machine: whole number above 0 expected, got '0'",
     ["watch a:b"] = "Error: HOST or HOST:PORT expected, got 'a:b'",
@@ -197,6 +197,15 @@ describe("rfsm viz", function()
     end
     assert.same({ "", "rfsm viz: /no/file: No such file or directory\n", 1 },
       { run("viz --trace /no/file " .. chart) })
+  end)
+
+  it("keeps the order of a former picture", function()
+    local old = helper.file_with('<g id="root.on" class="node state">\n'
+      .. '<g id="root.initial" class="node">\n<g id="root.off" class="node">\n')
+    local graph = run(("viz --like %s examples/on_off.lua"):format(old))
+    assert.matches("root_on %[.*root_initial %[.*root_off %[", graph)
+    assert.same({ "", "rfsm viz: /no/old.svg: No such file or directory\n", 1 },
+      { run("viz --like /no/old.svg examples/on_off.lua") })
   end)
 end)
 

@@ -45,8 +45,9 @@ local function fcall(name, arguments)
   return ("h:6379 FCALL %s 6 %s%s"):format(name, KEYS, arguments or "")
 end
 
-local STANDING = { "root.a", "done", "first", "second" }
-local REPLY = { leaf = "root.a", mode = "done", errors = { "first", "second" } }
+local STANDING = { "root.a", "done", "first", "second", "taken" }
+local REPLY = { leaf = "root.a", mode = "done", errors = { "first", "second" },
+  outcome = "taken" }
 
 describe("the client of a fleet", function()
   for _, case in ipairs {
@@ -59,6 +60,10 @@ describe("the client of a fleet", function()
     { name = "send", call = function(c) return c:send(1, "e_a", 5, true) end,
       sent = fcall("rfsm_send", " e_a 5 true ID me-1"), answer = STANDING,
       reply = REPLY },
+    { name = "send", call = function(c) return c:send(1, { name = "e", n = { 1 } }) end,
+      sent = fcall("rfsm_send", ' {"n":[1],"name":"e"} ID me-1'),
+      answer = { "root.a", "done", "first", "second" }, -- of the version before
+      reply = { leaf = "root.a", mode = "done", errors = { "first", "second" } } },
     { name = "send_after", call = function(c) return c:send_after(1, 2.5, "e") end,
       sent = fcall("rfsm_send_at", " +2.500000 e ID me-1"), answer = STANDING,
       reply = "me-1" },

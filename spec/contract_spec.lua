@@ -210,7 +210,8 @@ describe("FIX queue:", function()
     "entry_hook_add", "entry_hook_rm", "exit_hook_add", "pre_step_hook_add",
     "pre_step_hook_rm", "is_free",
     "post_step_hook_add", "post_step_hook_rm", "reset_hook_add", "reset_hook_rm",
-    "snapshot_hook_add", "place", "fsm_merge", "exit_state", "map_from_to",
+    "snapshot_hook_add", "reaction_hook_add", "place", "fsm_merge",
+    "exit_state", "map_from_to",
     "node_find_enabled", "check_between_steps" }) do
     it(name .. " on what is no fsm blames the caller", function()
       local function call(...) rfsm[name](...) end -- two levels for the last

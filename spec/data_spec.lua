@@ -6,6 +6,7 @@ local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 
 local state = rfsm.state
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local never = rfsm_checks.never
 local chart, go = ab.chart, ab.go
 
@@ -100,6 +101,241 @@ describe("fields that are followed", function()
   end)
 end)
 
+-- a counts e_x, and goes to bad on e_y from the third one on.
+local function counting(effect, guard, members)
+  local all = { n = 0, d = { n = 0 }, a = state { n = 0 }, bad = state {},
+    [2] = go("a", "internal", "e_x", { effect = effect }),
+    [3] = go("a", "bad", "e_y", { guard = guard }) }
+  for key, value in pairs(members or {}) do all[key] = value end
+  return chart(all)
+end
+
+-- Judges that bad is never reached. A witness is followed on a machine of its own.
+local function judge(make, options)
+  options.properties = { rfsm_checks.never "root.bad" }
+  local result = rfsm_checks.explore(make(), options)
+  local judged = result.properties[1]
+  if judged.holds == false then
+    local fsm = rfsm.init(make())
+    for _, step in ipairs(judged.witness) do
+      rfsm.send_events(fsm, unpack(step.values))
+      rfsm.step(fsm)
+    end
+    assert.equal("root.bad", rfsm.get_actleaf_fqn(fsm))
+  end
+  return judged.holds, result.untried[1], result
+end
+
+describe("data anywhere", function()
+  local upvalue
+  local list = setmetatable({ n = 0 }, { __index = { none = true } })
+  local PLACES = {
+    ["a state"] = { path = "a.n", get = function(fsm) return fsm.a end },
+    ["a table"] = { path = "d.n", get = function(fsm) return fsm.d end },
+    ["a transition"] = { path = "trans[3].n", get = function(fsm) return fsm[3] end },
+    ["the machine"] = { path = "n", get = function(fsm) return fsm end },
+    ["an object"] = { path = "obj.n", get = function(fsm) return fsm.obj end },
+  }
+
+  for name, place in pairs(PLACES) do -- any order: each stands alone
+    local get = place.get
+    local function count(fsm) get(fsm).n = get(fsm).n + 1 end
+    local function is_three(tr) return get(tr.src._parent).n >= 3 end
+    local function make()
+      list.n = 0
+      local model = counting(count, is_three, { obj = list })
+      model[3].n = 0
+      return model
+    end
+
+    it(("in %s is followed"):format(name), function()
+      local function is_at_three(tr) return get(tr.src._parent).n == 3 end
+      local function count_to_three(fsm)
+        if get(fsm).n < 3 then get(fsm).n = get(fsm).n + 1 end
+      end
+      local function make_bounded()
+        local model = make()
+        model[2].effect, model[3].guard = count_to_three, is_at_three
+        return model
+      end
+      local holds = judge(make_bounded, { run = { "effect root.trans[2]",
+        "guard root.trans[3]" }, vars = { [place.path] = { 0, 3 } } })
+      assert.is_false(holds)
+    end)
+
+    it(("in %s that vars does not name leaves it open"):format(name), function()
+      local holds, untried = judge(make, { run = { count, is_three } })
+      assert.is_nil(holds)
+      assert.equal(("the field '%s', which vars does not name"):format(place.path),
+        untried)
+      assert.equal(0, list.n)
+    end)
+  end
+
+  it("in a region is followed", function()
+    local function count(fsm) if fsm.n < 3 then fsm.n = fsm.n + 1 end end
+    local function is_three(tr) return tr.src._parent.n >= 3 end
+    local function make()
+      require "rfsm_seqand"
+      return state { info = false, warn = false, par = rfsm.seqand { r = state {
+        info = false, warn = false, n = 0, a = state {}, bad = state {},
+        go("initial", "a"), go("a", "internal", "e_x", { effect = count }),
+        go("a", "bad", "e_y", { guard = is_three }) } }, go("initial", "par") }
+    end
+    local function verdict_of(options)
+      options.run = { "effect root.par.r.trans[2]", is_three }
+      options.properties = { never "root.par.r.bad" }
+      return rfsm_checks.explore(make(), options)
+    end
+    local result = verdict_of {}
+    assert.is_nil(result.properties[1].holds)
+    assert.same({ "the field 'par.r.n', which vars does not name" }, result.untried)
+    result = verdict_of { vars = { ["par.r.n"] = { 0, 3 } } }
+    assert.is_false(result.properties[1].holds)
+    local fsm = rfsm.init(make())
+    for _, step in ipairs(result.properties[1].witness) do
+      rfsm.send_events(fsm, unpack(step.values))
+      rfsm.step(fsm)
+    end
+    assert.equal("root.bad", rfsm.get_actleaf_fqn(fsm.par.substates.r))
+  end)
+
+  it("in an upvalue or a global leaves it open, and is put back", function()
+    upvalue, _G.verdict_count = 0, 0
+    local function count() upvalue = upvalue + 1 end
+    local function add() _G.verdict_count = _G.verdict_count + 1 end
+    local function is_three() return upvalue + rawget(_G, "verdict_count") >= 3 end
+    for _, case in ipairs { { count, "upvalue" }, { add, "verdict_count" } } do
+      local holds, untried = judge(function() return counting(case[1], is_three) end,
+        { run = { case[1], is_three } })
+      assert.is_nil(holds)
+      assert.equal(("the variable '%s', which vars does not name"):format(case[2]),
+        untried)
+      assert.equal(0, upvalue + _G.verdict_count)
+    end
+    _G.verdict_count = nil
+  end)
+
+  it("that is added or taken away leaves it open", function()
+    local function is_set(tr) return tr.src._parent.m ~= nil end
+    local function set(fsm) fsm.m = 1 end
+    local function unset(fsm) fsm.d.n = nil end
+    local _, untried = judge(function() return counting(set, is_set) end,
+      { run = { set, is_set } })
+    assert.equal("the field 'm', which vars does not name", untried)
+    _, untried = judge(function() return counting(unset, is_set) end,
+      { run = { unset, is_set } })
+    assert.equal("the field 'd.n', which vars does not name", untried)
+  end)
+end)
+
+describe("callbacks that are not run", function()
+  local field, others = "n", { insert = table.insert }
+  local function is_three(tr) return tr.src._parent.n >= 3 end
+  local shared = 0
+  local function is_shared(tr) return shared + tr.src._parent.n >= 3 end
+  local function set(fsm) fsm.n = 3 end
+  local WRITERS = {
+    set,
+    function(fsm) fsm["n"] = 3 end,
+    function(fsm) fsm[field] = 3 end,
+    function(fsm) rawset(fsm, "n", 3) end,
+    function(fsm) fsm.m, fsm.n = 1, 3 end,
+    function(fsm) fsm.n, fsm.m = 3, 1 end,
+    function(fsm) set(fsm) end,
+    function(fsm) others.insert(fsm.n, 3) end,
+  }
+
+  it("and may write data leave it open", function()
+    for i, effect in ipairs(WRITERS) do
+      local holds, _, result = judge(function() return counting(effect, is_three) end,
+        { run = { is_three }, vars = { n = { 0, 3 } } })
+      assert.is_nil(holds, i)
+      assert.equal("data that the effect root.trans[2] may write, which is not run",
+        result.untried[#result.untried])
+    end
+    local holds = judge(function() return counting(function() shared = 3 end, is_shared)
+      end, { run = { is_shared } })
+    assert.is_nil(holds)
+  end)
+
+  it("are entries, doos and free guards, too", function()
+    for _, callback in ipairs { "entry", "exit", "doo" } do
+      local holds, untried = judge(function()
+        return counting(nil, is_three, { a = state { [callback] = set } })
+      end, { run = { is_three } })
+      assert.is_nil(holds)
+      assert.matches("^data that the " .. callback .. " root%.a may write", untried)
+    end
+    local _, untried = judge(function()
+      return counting(nil, is_three, { [4] = go("a", "b", "e_z", { guard = set }) })
+    end, { run = { is_three } })
+    assert.matches("^data that the guard root%.trans%[4%] may write", untried)
+  end)
+
+  it("and write other things are a premise", function()
+    local seen = {}
+    local function note(_, _, events)
+      local n = 3
+      local own = { n = n, [1] = n }
+      seen[events], own[n] = own, n == 3
+      return seen
+    end
+    local holds, _, result = judge(function()
+      return counting(note, is_three, { a = state { entry = note } })
+    end, { run = { is_three } })
+    assert.is_true(holds)
+    assert.equal("one event a step; 2 callbacks not run", result.premises)
+  end)
+
+  it("do not set targets either", function()
+    local key = "tgt"
+    local EFFECTS = { function(_, tr) rawset(tr, "tgt", 1) end,
+      function(_, tr) tr[key] = 1 end }
+    for i = 1, 2 do
+      local effect = EFFECTS[i]
+      local _, untried = judge(function() return counting(effect, is_three) end,
+        { run = { is_three } })
+      assert.equal("targets that the effect root.trans[2] may write", untried)
+    end
+  end)
+end)
+
+describe("a doo that is run", function()
+  local function is_set(tr) return tr.src._parent.m == 1 end
+
+  local function make(doo)
+    return function()
+      return chart { m = 0, a = state { doo = doo }, bad = state {},
+        [2] = go("a", "bad", "e_y", { guard = is_set }),
+        [3] = go("a", "b", "e_done") }
+    end
+  end
+
+  it("ends, and its data are followed", function()
+    local function set(fsm) fsm.m = 1 end
+    assert.is_false((judge(make(set), { run = { "doo root.a", is_set },
+      vars = { m = { 0, 1 } } })))
+    local holds, untried = judge(make(set), { run = { set, is_set } })
+    assert.is_nil(holds)
+    assert.equal("the field 'm', which vars does not name", untried)
+    local function unset(fsm) fsm.m = 0 end
+    local is_never, _, result = judge(make(unset), { run = { unset, is_set } })
+    assert.is_true(is_never)
+    assert.equal("one event a step", result.premises)
+  end)
+
+  it("is not known to go on", function()
+    local function wait(fsm)
+      rfsm.yield(true)
+      fsm.m = 1
+    end
+    local holds, untried = judge(make(wait), { run = { wait, is_set } })
+    assert.is_nil(holds)
+    assert.equal("how the doo root.a goes on", untried)
+  end)
+end)
+
 describe("guards that stay free", function()
   local function yes() return true end
   local function left() return true end
@@ -156,12 +392,18 @@ describe("guards that stay free", function()
       { options = { vars = { tries = { 0, 3, 6 } } }, text = WRONG_RANGE },
       { options = { vars = { "tries" } }, text = "rfsm_checks.explore: vars: name of a "
         .. "field expected, got 1" },
-      { options = { vars = { tries = { 0, 3 } } }, text = "vars: the chart begins with "
-        .. "values of the field 'tries' such as nil" },
-      { options = { run = { "f" } }, text = "rfsm_checks.explore: run: list of "
-        .. "functions expected, got table" },
-      { options = { run = {} }, text = "rfsm_checks.explore: run: list of functions "
+      { options = { vars = { tries = { 0, 3 } } }, text = "vars: no field is named "
+        .. "'tries'" },
+      { options = { vars = { a = { 0, 3 } } }, text = "vars: 'a' is a state (name a "
+        .. "field of it, such as 'a.n')" },
+      { options = { run = { 7 } }, text = "rfsm_checks.explore: run: list of callbacks "
         .. "expected, got table" },
+      { options = { run = {} }, text = "rfsm_checks.explore: run: list of callbacks "
+        .. "expected, got table" },
+      { options = { run = { "entry root.b" } }, text = "run: no callback 'entry root.b'"
+        .. " (did you mean 'entry root.a'?)" },
+      { options = { same = { "entry root.a" } }, text = "same: no guard "
+        .. "'entry root.a'" },
       { options = { run = { yes } }, text = "run: function 1 is no callback of the "
         .. "chart" },
       { options = { same = { { yes }, { 7 } } }, text = "rfsm_checks.explore: same: "
@@ -170,7 +412,8 @@ describe("guards that stay free", function()
         .. "guard of the chart" },
     }
     for _, case in ipairs(CASES_OF_ERRORS) do
-      local ok, text = pcall(rfsm_checks.explore, chart(), case.options)
+      local ok, text = pcall(rfsm_checks.explore, chart { a = state {
+        entry = function() end } }, case.options)
       assert.is_false(ok)
       assert.equal(case.text, (helper.without_file(text):gsub("^%S+:%d+: ", "")))
     end

@@ -2,6 +2,7 @@
 
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
+local servers = require "spec.support.servers"
 local timeevent = require "rfsm_timeevent"
 
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -242,44 +243,25 @@ describe("the host in C", function()
   end
 end)
 
--- The host in nginx, where that is installed, or unpacked in the folder NGINX_ROOT.
 describe("the host in nginx", function()
-  local folder = os.getenv "NGINX_ROOT" or ""
-  local modules = folder .. "/usr/lib/nginx/modules"
-  local has_http, http = pcall(require, "socket.http")
-  local has_module = io.open(modules .. "/ngx_http_lua_module.so")
-
   if not rawget(_G, "jit") then return end -- it has LuaJIT in it
-  if not (has_http and has_module) then
-    return pending("luasocket, or nginx with its Lua module (NGINX_ROOT), is missing")
-  end
+  if servers.no_nginx() then return pending(servers.no_nginx()) end
+  local http = require "socket.http"
+
+  teardown(servers.stop_all)
 
   -- Calls f(url) while nginx runs; returns its log.
   local function with_nginx(f)
-    local server = require("socket").bind("127.0.0.1", 0)
-    local port = ("%d"):format(select(2, server:getsockname()))
-    server:close()
-    local scratch = os.tmpname() .. "_nginx"
+    local port, scratch = servers.free_port(), os.tmpname() .. "_nginx"
     local conf = helper.file_with((helper.content("examples/hosts/nginx.conf")
       :gsub("8090", port):gsub("/tmp/rfsm_nginx", scratch)))
-    local pipe = io.popen(([[
-      root='%s' modules='%s'
-      export LD_LIBRARY_PATH=$(echo $root/usr/lib/*-gnu $root/lib/*-gnu | tr ' ' :)
-      export LUA_PATH="$root/usr/share/lua/5.1/?.lua;;" PATH="$root/usr/sbin:$PATH"
-      echo $$
-      exec nginx -e stderr -p "$PWD" -c '%s' -g "master_process off;
-        load_module $modules/ndk_http_module.so;
-        load_module $modules/ngx_http_lua_module.so;" 2>&1
-    ]]):format(folder, modules, conf))
-    local pid = pipe:read "*l"
+    local server = servers.nginx(conf)
     local ok, problem = pcall(f, "http://127.0.0.1:" .. port .. "/")
-    os.execute("kill " .. pid)
-    local log = pipe:read "*a"
-    pipe:close()
+    server:kill()
     os.remove(scratch)
     helper.remove_files()
-    if not ok then error(tostring(problem) .. "\n" .. log, 0) end
-    return log
+    if not ok then error(tostring(problem) .. "\n" .. server:log(), 0) end
+    return server:log()
   end
 
   -- Asks until the answer is the one expected.

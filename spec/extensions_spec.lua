@@ -514,6 +514,55 @@ describe("a path hook", function()
   end)
 end)
 
+describe("took_path", function()
+  -- a --e--> b --e--> a; "wait" is what nothing waits for
+  local function flip_flop(fields)
+    local model = { a = state {}, b = state {}, emem = false, checkevents = false,
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = { "e" } },
+      trans { src = "b", tgt = "a", events = { "e" } } }
+    for name, value in pairs(fields or {}) do model[name] = value end -- any order
+    return helper.init(state(model))
+  end
+
+  for _, uses in ipairs { 0, 9 } do
+    it("tells once that a path was taken, after " .. uses .. " uses", function()
+      local fsm, seen = flip_flop(), {}
+      for _ = 1, uses do helper.post_and_run(fsm, "e") end
+      rfsm.reset(fsm)
+      rfsm.took_path(fsm)
+      for i, event in ipairs { "e_init_fsm", "wait", "e", "wait" } do
+        helper.post_and_run(fsm, event)
+        seen[2 * i - 1], seen[2 * i] = rfsm.took_path(fsm), rfsm.took_path(fsm)
+      end
+      assert.same({ true, false, false, false, true, false, false, false }, seen)
+    end)
+  end
+
+  it("tells of a path before an element was merged, not before a snapshot is put",
+    function()
+      local fsm = flip_flop()
+      rfsm.run(fsm)
+      assert(rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = "b" }))
+      assert.is_true(rfsm.took_path(fsm))
+      helper.post_and_run(fsm, "e")
+      rfsm.place(fsm, fsm.a, "done", {})
+      assert.is_false(rfsm.took_path(fsm))
+    end)
+
+  it("is true in a callback of the path, which goes on all the same", function()
+    local seen, fsm = {}, nil
+    fsm = flip_flop { dbg = function() end, b = state { entry = function()
+      seen[#seen + 1] = rfsm.took_path(fsm)
+    end } }
+    rfsm.run(fsm)
+    rfsm.took_path(fsm)
+    helper.post_and_run(fsm, "e")
+    assert.same({ { true }, "root.b", true },
+      { seen, rfsm.get_actleaf_fqn(fsm), rfsm.took_path(fsm) })
+  end)
+end)
+
 describe("a watch hook", function()
   -- a --e--> b (its entry, the guard in front of it and the doo of c fail) --e--> c
   local function watched()

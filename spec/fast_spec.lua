@@ -524,6 +524,32 @@ describe("without rfsm.fast", function()
     end)
   end)
 
+  -- A plan of its own is changed by preproc functions, not copied.
+  it("a machine has the events and targets of preproc functions after it",
+    function()
+      compiling.with(load, function(core)
+        core.save_memory()
+        core.preproc[1] = function(fsm)
+          fsm[2].events, fsm[3].pn = { "go" }, 1
+          core.run(fsm) -- what a run notes is not kept
+          core.send_events(fsm, "e")
+          core.run(fsm)
+          fsm[2].tgt = fsm.c
+        end
+        local fsm = core.init(core.state { info = false, warn = false,
+          a = core.state {}, b = core.state {}, c = core.state {},
+          core.trans { src = "initial", tgt = "a" },
+          core.trans { src = "a", tgt = "b", events = { "e" } },
+          core.trans { src = "a", tgt = "b", events = { "other" } } })
+        core.reset(fsm)
+        core.run(fsm)
+        core.send_events(fsm, "go")
+        core.run(fsm)
+        assert.same({ "root.c", 1, "go" },
+          { core.get_actleaf_fqn(fsm), fsm[3].pn, fsm[2].events[1] })
+      end)
+    end)
+
   it("a machine is made again if Control-C came while the file was loaded", function()
     compiling.with(load, function(core)
       local preload = { ["rfsm.fast"] = raising "interrupted!" }

@@ -188,7 +188,8 @@ local MISTAKES = [[
   c = rfsm.state { rfsm.trans { src = "initial", tgt = "x" } },
 --W 6: root.c: a transition inside a leaf state
   c = rfsm.seqand { x = a, rfsm.trans { src = "x", tgt = "x" } },
---W 6: root.c: a transition in a sequential AND state, it belongs into a region
+--W 6: root.c: a transition in a sequential AND state, it belongs into a region (none
+    leads from one region to another)
   k = rfsm.conn { x = rfsm.state {} }, rfsm.trans { src = "k", tgt = "a" },
 --W 6: root.k: a connector holds no state, 'x' is ignored
   c = rfsm.state { x = rfsm.state {}, rfsm.trans { src = "initial", tgt = "x" } },
@@ -251,8 +252,8 @@ return rfsm.state { a = rfsm.state {},
 --> 1: root: the root needs an initial transition INITIAL
 return rfsm.state { states = { a = rfsm.state {} },
   rfsm.trans { src = "initial", tgt = "a" } }
---W 1: root.states: a plain table that contains states or transitions is ignored (did
-    you mean rfsm.state{...}?)
+--W 1: root.states: a plain table that contains states or transitions is ignored (they
+    stand in the state itself)
 --W 1: root: a transition inside a leaf state
   c = rfsm.state { exits = "north" },
   rfsm.trans { src = "c", tgt = "a", events = { "e" }, speed = 3 },

@@ -3,8 +3,10 @@
 local diagram = require "rfsm.pictures.diagram"
 local helper = require "spec.helper"
 local marsh = require "rfsm.marsh"
+local new_random = require "spec.support.random"
 local pictures = require "spec.support.pictures"
 local rfsm = require "rfsm"
+local robots = require "spec.support.robots"
 local share = require "spec.support.share"
 
 local content, file_with = helper.content, helper.file_with
@@ -194,7 +196,9 @@ describe("Graphviz", function()
       for fqn, tab in pairs(nodes) do -- any order
         assert.is_truthy(shapes[id_of(fqn)], fqn)
         check_members(tab, fqn, shapes)
-        if job.options.direction == "TB" then check_regions(tab, fqn, shapes) end
+        if job.options.direction == "TB" and graph:find("class=levels", 1, true) then
+          check_regions(tab, fqn, shapes)
+        end
       end
       for _, tr in ipairs(arrows) do check_arrow(tr, shapes, nodes) end
       check_clear(arrows, shapes, nodes)
@@ -214,6 +218,156 @@ describe("Graphviz", function()
       "&lt;&lt;choice&gt;&gt;", "|", "T &quot;x&quot; \\ &amp; &lt;i&gt;", "new" } do
       assert.is_truthy(picture:find(">" .. text .. "<", 1, true), text)
     end
+  end)
+end)
+
+-- The machine of a chart, which prints nothing.
+local function quiet_machine(path)
+  local fsm
+  helper.printed(function() fsm = helper.init(rfsm.load(path)) end)
+  return fsm
+end
+
+-- The size of a text of 10 pt on a page of A4 with margins, at most 7.
+local function text_on_paper(svg)
+  local width, height = svg:match('<svg width="(%d+)pt" height="(%d+)pt"')
+  local function fits(across, along)
+    return math.min(across / width, along / height)
+  end
+  return math.min(7, 10 * math.max(fits(523, 770), fits(770, 523)))
+end
+
+describe("a picture", function()
+  local list = {}
+  for path in io.popen("ls examples/*.lua"):lines() do
+    list[#list + 1] = { name = path, fsm = quiet_machine(path) }
+  end
+  for _, robot in ipairs(robots) do
+    list[#list + 1] = { name = robot.name, fsm = helper.init(robots.model(robot)) }
+  end
+  local own, plain = {}, {}
+  for i, job in ipairs(list) do own[#own + 1] = share.has(i) and job or nil end
+  for i, job in ipairs(own) do plain[i] = dot.encode(job.fsm) end
+  local svgs, others = pictures.svgs_of(pictures.layouts_of(own)),
+    pictures.svgs_of(plain)
+
+  for i, job in ipairs(own) do
+    it("is no worse than by plain Graphviz: " .. job.name, function()
+      local shapes, tab = pictures.shapes_of(svgs[i]), marsh.model2tab(job.fsm, true)
+      local count, others_count = pictures.crossings(shapes),
+        pictures.crossings(pictures.shapes_of(others[i]))
+      assert.is_true(count <= others_count, count .. " > " .. others_count)
+      assert.is_true(text_on_paper(svgs[i]) >= text_on_paper(others[i]))
+      local nodes, arrows = elements_of(tab, "root", {}, {})
+      for _, tr in ipairs(arrows) do
+        assert.same({}, covered_by(tr, shapes, nodes))
+      end
+    end)
+  end
+end)
+
+-- s1 -> ... s9 with random transitions; `edit` adds one more.
+local function nine_states(number, edit)
+  local model, random = rfsm.state { info = false, warn = false }, new_random(number)
+  for i = 1, 9 do
+    model["s" .. i] = rfsm.state {}
+    model[i] = rfsm.trans { src = i > 1 and "s" .. i - 1 or "initial", tgt = "s" .. i }
+  end
+  local function add(any)
+    model[#model + 1] = rfsm.trans { src = "s" .. any(9), tgt = "s" .. any(9),
+      events = { "e_" .. #model } }
+  end
+  for _ = 1, 4 + number % 4 do add(random) end
+  if edit then add(new_random(1000 * number + edit)) end
+  return helper.init(model)
+end
+
+-- How far states are from where they were, at most: 90 % of them.
+local function movement(distances)
+  table.sort(distances)
+  return distances[math.floor(#distances * 0.9)]
+end
+
+local function add_distances(list, before, after)
+  before, after = pictures.shapes_of(before), pictures.shapes_of(after)
+  for i = 1, 9 do
+    local a, b = before["root.s" .. i].box, after["root.s" .. i].box
+    local x, y = (a.left + a.right - b.left - b.right) / 2,
+      (a.top + a.bottom - b.top - b.bottom) / 2
+    list[#list + 1] = math.sqrt(x * x + y * y)
+  end
+end
+
+local function kind_of(svg) return svg:match('class="graph (%l+)"') end
+
+describe("a picture like a former one", function()
+  it("moves no further than by plain Graphviz when a transition is added", function()
+    local jobs, plain, edits = {}, {}, {}
+    for number = 13, 24 do
+      jobs[#jobs + 1] = { fsm = nine_states(number) }
+    end
+    local former = pictures.svgs_of(pictures.layouts_of(jobs))
+    for i, job in ipairs(jobs) do
+      plain[#plain + 1] = dot.encode(job.fsm)
+      for edit = 1, 3 do
+        local fsm = nine_states(12 + i, edit)
+        plain[#plain + 1] = dot.encode(fsm)
+        edits[#edits + 1] = { fsm = fsm, options = { like = former[i] } }
+      end
+    end
+    local others, own = pictures.svgs_of(plain),
+      pictures.svgs_of(pictures.layouts_of(edits))
+    local moved, others_moved, turned = {}, {}, 0
+    for i, svg in ipairs(own) do
+      local first = math.floor((i - 1) / 3) + 1
+      add_distances(moved, former[first], svg)
+      add_distances(others_moved, others[4 * first - 3], others[i + first])
+      turned = turned + (kind_of(svg) ~= kind_of(former[first]) and 1 or 0)
+    end
+    assert.is_true(movement(moved) <= movement(others_moved))
+    assert.is_true(turned <= 2, turned)
+  end)
+
+  -- a{ c, d }, b
+  local function model(texts)
+    local root = rfsm.state { info = false, warn = false, b = rfsm.state {},
+      a = rfsm.state { c = rfsm.state {}, d = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = texts[1] } } }
+    for i = 2, #texts, 2 do
+      root[#root + 1] = rfsm.trans { src = texts[i], tgt = texts[i + 1] }
+    end
+    return root
+  end
+
+  local function order_of(machine, like)
+    local names = {}
+    for name in dot.encode(machine, { like = like }):gmatch('\n +root_([%w_]+) %[') do
+      names[#names + 1] = name
+    end
+    return table.concat(names, " ")
+  end
+
+  it("has its order of nodes; a new one comes behind what is before it", function()
+    local before = helper.init(model { "c", "initial", "a", "a", "b", ".a.c", ".a.d" })
+    local svg = assert(dot.render(assert(dot.layout(before)), "svg"))
+    local changed = model { "d", "initial", "b", "b", "a", ".a.d", "n", ".a.c", ".a.d" }
+    changed.n = rfsm.state {}
+    local after = helper.init(changed)
+    assert.equal("initial b a_initial a_d a_c n", order_of(after))
+    assert.equal("initial a_initial a_c a_d n b", order_of(after, svg))
+    assert.equal(order_of(after), order_of(after, "<svg/>"))
+  end)
+
+  it("reads names as they are in an SVG, and keeps regions", function()
+    local root = rfsm.state { info = false, warn = false,
+      rfsm.trans { src = "initial", tgt = "a-<&>" } }
+    root["a-<&>"], root.b = rfsm.state {}, rfsm.seqand { y = rfsm.state {},
+      x = rfsm.state {} }
+    local text = order_of(helper.init(root))
+    local like = '<g id="root.b.y" class="node"/><g id="root.b.x" class="node"/>'
+      .. '<g id="root.a&#45;&lt;&amp;&gt;" class="node"/>'
+    assert.equal("initial a____ b_x b_y", text)
+    assert.equal("initial b_x b_y a____", order_of(helper.init(root), like))
   end)
 end)
 
@@ -244,13 +398,6 @@ local function lines_of(svg)
   for line in svg:gmatch("[^\n]+") do lines[#lines + 1] = line end
   table.sort(lines)
   return table.concat(lines, "\n")
-end
-
--- The machine of a chart, which prints nothing.
-local function quiet_machine(path)
-  local fsm
-  helper.printed(function() fsm = helper.init(rfsm.load(path)) end)
-  return fsm
 end
 
 -- The pictures of doc/gallery: their machines, and the options of their drawing.

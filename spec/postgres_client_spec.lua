@@ -66,13 +66,13 @@ local SEND = { "BEGIN", "SELECT value FOR UPDATE", "UPDATE rfsm.machines", "COMM
 describe("a call of the client", function()
   it("is one transaction that locks the row", function()
     local client = connect()
-    assert.same({ leaf = "root.even", mode = "done", errors = {} },
-      client:create("1", "counter"))
+    assert.same({ leaf = "root.even", mode = "done", errors = {},
+      outcome = "taken" }, client:create("1", "counter"))
     assert.same({ "BEGIN", "SELECT value FOR UPDATE", "INSERT INTO rfsm.machines",
       "COMMIT" }, net.trace)
     helper.clear(net.trace)
-    assert.same({ leaf = "root.odd", mode = "done", errors = {} },
-      client:send("1", "e_tick"))
+    assert.same({ leaf = "root.odd", mode = "done", errors = {},
+      outcome = "taken" }, client:send("1", "e_tick"))
     assert.same(SEND, net.trace)
   end)
 
@@ -81,8 +81,8 @@ describe("a call of the client", function()
     client:create("1", "timed", { x = 7 })
     net.now = 1002
     local problem = "ENTRY error executing entry of root.done:  no"
-    assert.same({ leaf = "root.done", mode = "done", errors = { problem } },
-      client:tick("1"))
+    assert.same({ leaf = "root.done", mode = "done", errors = { problem },
+      outcome = "taken" }, client:tick("1"))
     assert.same({ { { "1", "done", '{"x":7}' } }, { { "1", problem } } },
       { net.tables.out, net.tables.log })
   end)
@@ -142,8 +142,7 @@ describe("a call of the client", function()
       problem = "rfsm.create: data: the root of the chart does not keep 'colour'" },
     ["data that is no JSON"] = { method = "create",
       arguments = { "2", "counter", { n = print } },
-      problem = "rfsm.postgres.create: data: type 'function' is not supported by "
-        .. "JSON." },
+      problem = "rfsm.postgres.create: data: a function has no JSON" },
   } do
     it("refuses, and changes nothing: " .. name, function()
       local client = connect()
@@ -443,10 +442,14 @@ describe("JSON of clients", function()
   it("keeps all that a number is, and a field n", function()
     for text, value in pairs {
       ["0.1"] = 0.1, ["9007199254740992"] = 2 ^ 53, ["0.30000000000000004"] = 0.1 + 0.2,
-      ['{"n":2}'] = { n = 2 }, ["[1]"] = { 1 }, ["[]"] = {}, null = 1 / 0,
+      ['{"n":2}'] = { n = 2 }, ["[1]"] = { 1 }, ["{}"] = {},
+      ['{"1":1,"a":{"b":[true]}}'] = { 1, a = { b = { true } } },
+      ['"\\"\\u0001\\n"'] = '"\1\n',
     } do
       assert.equal(text, json.encode(value))
     end
+    assert.error_matches(function() json.encode { 1 / 0 } end,
+      "^the number inf has no JSON$")
     local most = rawget(math, "maxinteger")
     if most then assert.equal("9223372036854775807", json.encode(most)) end
   end)

@@ -5,7 +5,7 @@ local helper = require "spec.helper"
 local new_random = require "spec.support.random"
 local postgres = require "rfsm.postgres"
 local rfsm = require "rfsm"
-local servers = require "spec.support.postgres"
+local servers = require "spec.support.servers"
 
 local compile = rawget(_G, "loadstring") or load
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -72,7 +72,8 @@ if not (servers.HAS_STORMS or _VERSION == "Lua 5.4") then return end
 
 local has_luasql, luasql = pcall(require, "luasql.postgres")
 
-local missing = servers.missing() or not has_luasql and "lua-sql-postgres is missing"
+local missing = servers.no_postgres()
+  or not has_luasql and "lua-sql-postgres is missing"
 if missing then return it("runs in PostgreSQL", function() pending(missing) end) end
 
 -- The other states do what they must not.
@@ -102,6 +103,21 @@ return rfsm.state {
   rfsm.trans { src = "done", tgt = "done", events = { "e_again" } },
 }]]
 
+-- open --e_pay--> paid --5 s--> late --e_again--> open --e_note--> paid
+local ORDER = [[
+return rfsm.state {
+  keep = { "id" }, open = rfsm.state {}, paid = rfsm.state {}, late = rfsm.state {},
+  rfsm.trans { src = "initial", tgt = "open" },
+  rfsm.trans { src = "open", tgt = "paid", events = { "e_pay" } },
+  rfsm.trans { src = "paid", tgt = "late", events = { "e_after(5)" } },
+  rfsm.trans { src = "late", tgt = "open", events = { "e_again" } },
+  rfsm.trans { src = "open", tgt = "paid", events = { rfsm.named "e_note" },
+    effect = function(fsm, _, _, events)
+      fsm.id = events[1].id
+      fsm.emit("noted", events[1])
+    end },
+}]]
+
 local EVENTS = servers.EVENTS or 500
 local CLIENTS = servers.EVENTS and 20 or 10
 
@@ -114,7 +130,7 @@ local function load_charts(options, ...)
   assert.equal("", server:sql((script.sql({ ... }, options))))
 end
 
-setup(function() server = servers.start("-c fsync=off") end)
+setup(function() server = servers.postgres("-c fsync=off") end)
 
 before_each(function()
   if has_usual_charts then return end
@@ -523,6 +539,39 @@ SELECT rfsm.wake();
 SELECT state, event FROM rfsm.machines;]]))
   end)
 
+  it("runs what is due before what is sent, and notes each move", function()
+    load_charts({ history = true }, "order=" .. helper.file_with(ORDER))
+    assert.equal([[
+root.paid
+root.open
+root.paid|done|taken|0
+e_pay|root.open|root.paid
+(time)|root.paid|root.late
+e_again|root.late|root.open
+{"name":"e_note","id":1795422184068123,"x":0.1234567890123456}|root.open|root.paid
+{"root": {"id": 1795422184068123}}
+{"x": 0.1234567890123456, "id": 1795422184068123, "name": "e_note"}
+t
+known
+dropped
+]], sql([[
+SELECT rfsm.create('1', 'order') \gset
+SELECT rfsm.send('1', 'e_pay');
+UPDATE rfsm.machines SET due = due - interval '1 minute', value = jsonb_set(
+  jsonb_set(value, '{3}', to_jsonb((value->>3)::int - 60)), '{5}',
+  to_jsonb((value->>5)::float8 - 60));
+SELECT rfsm.send_at('1', now() - interval '1 second', 'e_again', id => 'a');
+SELECT state, mode, outcome, cardinality(errors) FROM rfsm.reply('1', ARRAY[
+  '{"name":"e_note","id":1795422184068123,"x":0.1234567890123456}'], 'b');
+SELECT event, src, tgt FROM rfsm.history ORDER BY id OFFSET 1;
+SELECT data FROM rfsm.machines;
+SELECT data FROM rfsm.out;
+SELECT due IS NOT NULL FROM rfsm.machines;
+SELECT outcome FROM rfsm.reply('1', ARRAY['e_pay'], 'b');
+SELECT outcome FROM rfsm.reply('1', ARRAY['e_pay'], 'c');]]))
+    has_usual_charts = false
+  end)
+
   it("reports why", function()
     assert.equal("root.trans[2] (off -> on) would be taken on e_on in root.off\n",
       sql([[
@@ -885,11 +934,10 @@ describe("the warehouse", function()
   end
 
   it("does in PostgreSQL what it does in Redis", function()
-    local redis = require "spec.support.redis"
-    if redis.missing() then return pending(redis.missing()) end
-    local there = redis.beside("LUA_INIT= PORT=$((20000 + $$ % 20000)) "
+    if servers.no_redis() then return pending(servers.no_redis()) end
+    local there = servers.beside("LUA_INIT= PORT=$((20000 + $$ % 20000)) "
       .. "examples/warehouse/fleet.sh lua5.1")
-    local here = redis.beside("LUA_INIT= examples/warehouse/postgres.sh lua5.3")
+    local here = servers.beside("LUA_INIT= examples/warehouse/postgres.sh lua5.3")
     local expected = by_order(there())
     assert.equal("9 shipped, 3 cancelled\n", expected[13])
     assert.same(expected, by_order(here()))

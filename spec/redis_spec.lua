@@ -1,8 +1,8 @@
 -- A fleet in Redis: the real server, started here on loopback and stopped again.
 
-local servers = require "spec.support.redis"
+local servers = require "spec.support.servers"
 
-local missing = servers.missing()
+local missing = servers.no_redis()
 if missing then return it("serves a fleet", function() pending(missing) end) end
 
 local fleet = require "rfsm.fleet"
@@ -47,7 +47,7 @@ describe("a fleet", function()
   local server, machines
 
   setup(function()
-    server = servers.start()
+    server = servers.redis()
     machines = load_charts(server:url(), "lamp=" .. helper.file_with(LAMP),
       "counter=" .. helper.file_with(COUNTER), "untidy=" .. helper.file_with(UNTIDY))
   end)
@@ -55,9 +55,9 @@ describe("a fleet", function()
   before_each(function() server:cli("FLUSHALL") end)
 
   it("creates machines, sends them events and shows them", function()
-    assert.same({ leaf = "root.off", mode = "done", errors = {} },
+    assert.same({ leaf = "root.off", mode = "done", errors = {}, outcome = "taken" },
       machines:create(1, "lamp", { owner = "me" }))
-    assert.same({ leaf = "root.on", mode = "done",
+    assert.same({ leaf = "root.on", mode = "done", outcome = "taken",
       errors = { "ENTRY error executing entry of root.on:  no bulb" } },
       machines:send(1, "e_on"))
     local view = machines:get(1)
@@ -70,8 +70,9 @@ describe("a fleet", function()
   end)
 
   it("is the same from any client", function()
-    assert.equal("root.off\ndone\n", server:cli("FCALL rfsm_create 1 {robot:42} lamp"))
-    assert.equal("root.busy\nactive\n",
+    assert.equal("root.off\ndone\ntaken\n",
+      server:cli("FCALL rfsm_create 1 {robot:42} lamp"))
+    assert.equal("root.busy\nactive\ntaken\n",
       server:cli("FCALL rfsm_send 1 {robot:42} e_busy"))
     assert.equal("{robot:42}\n", server:cli("FCALL rfsm_due 1 {robot:42}"))
   end)
@@ -182,7 +183,7 @@ describe("a fleet", function()
         rfsm.trans { src = "initial", tgt = "a" },
         rfsm.trans { src = "a", tgt = "b", events = { "e_loop" } },
         rfsm.trans { src = "a", tgt = "a", events = { "e_fine" } } }]]) }
-    local other = servers.start("--busy-reply-threshold 20")
+    local other = servers.redis("--busy-reply-threshold 20")
     local looping = fleet.connect(other:url())
     assert(looping:load(loop))
     assert(looping:create(1, "loop"))
@@ -192,7 +193,7 @@ describe("a fleet", function()
     repeat tries = tries + 1 until other:cli("FUNCTION KILL") == "OK\n" or tries > 5000
     assert.matches("killed by user", caller:read("*a"))
     caller:close()
-    assert.same({ leaf = "root.a", mode = "done", errors = {} },
+    assert.same({ leaf = "root.a", mode = "done", errors = {}, outcome = "taken" },
       looping:send(1, "e_fine"))
   end)
 
@@ -219,7 +220,7 @@ end)
 
 describe("a new version of a chart", function()
   it("takes machines at their next event if it can, or leaves them", function()
-    local server = servers.start()
+    local server = servers.redis()
     local function counter(...)
       return "c=" .. helper.file_with(servers.counter(...))
     end
@@ -252,11 +253,11 @@ describe("rfsm redis", function()
   end
 
   it("writes a library, and loads it", function()
-    local server = servers.start()
+    local server = servers.redis()
     local chart, library = helper.file_with(COUNTER), helper.file_with("")
     assert.equal("", run(("c=%s -o %s --load %s"):format(chart, library, server:url())))
     assert.matches("^#!lua name=rfsm\n", helper.content(library))
-    assert.equal("root.even\ndone\n", server:cli("FCALL rfsm_create 1 x c"))
+    assert.equal("root.even\ndone\ntaken\n", server:cli("FCALL rfsm_create 1 x c"))
   end)
 
   it("reports a chart with a mistake, and loads nothing", function()
@@ -277,7 +278,7 @@ if not servers.HAS_STORMS then return end
 
 describe("a server that is killed", function()
   it("has lost no acknowledged event when it is back", function()
-    local server = servers.start("--appendonly yes --appendfsync always")
+    local server = servers.redis("--appendonly yes --appendfsync always")
     local machines = load_charts(server:url(),
       "counter=" .. helper.file_with(COUNTER))
     for i = 1, 20 do machines:create("c:{1}:" .. i, "counter") end
@@ -303,7 +304,7 @@ describe("a cluster of three nodes", function()
   local function start_cluster()
     local nodes, ids = {}, {}
     for i = 1, 3 do
-      nodes[i] = servers.start("--cluster-enabled yes --cluster-node-timeout 2000")
+      nodes[i] = servers.redis("--cluster-enabled yes --cluster-node-timeout 2000")
       ids[i] = nodes[i]:cli("CLUSTER MYID"):match("%x+")
       -- equal epochs are settled some time later, and take a moved slot back
       nodes[i]:cli("CLUSTER SET-CONFIG-EPOCH " .. i)

@@ -107,7 +107,7 @@ describe("the alphabet of a machine", function()
   it("has events in the order of the tree, those awaited, and predicates", function()
     local known = alphabet.of(machine())
     assert.same({ "e_2", "await(e_x, e_1)@root.a", object, 7 }, known.list)
-    assert.same({ "e_x", "e_1" }, known.awaited)
+    assert.same({ "e_x", "e_1" }, known.reactions)
     assert.same({ is_odd }, known.predicates)
     for _, event in ipairs { "e_2", "e_x", "e_1", 7, is_odd, object } do
       assert.is_true(known.set[event])

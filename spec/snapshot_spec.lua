@@ -195,15 +195,34 @@ local function refusal(f)
   return (text:gsub("^.-rfsm.snapshot.take: ", ""):gsub("spec/[%w_]+%.lua:%d+: ", ""))
 end
 
+describe("an event with data", function()
+  it("is kept by value in the queue", function()
+    local fsm, event = rfsm.init(lamp()), { name = "e_on", at = { 1, { x = 0.5 } } }
+    rfsm.run(fsm)
+    rfsm.send_events(fsm, event, "e_off")
+    local snap = snapshot.take(fsm)
+    event.at = nil
+    local other = assert(snapshot.restore(lamp(), snap))
+    assert.same({ { name = "e_on", at = { 1, { x = 0.5 } } }, "e_off" }, other._intq)
+    snap.queue[1].name = 5
+    assert.matches("queue%[1%]: event expected, got table",
+      (select(2, snapshot.restore(lamp(), snap))))
+  end)
+end)
+
 describe("take names what cannot be saved:", function()
   local shared = {}
   local deep = {}
   for _ = 1, 20 do deep = { deep } end
   for text, f in pairs {
-    ["queue[2]: an event that is a function cannot be saved, only text, number or "
-      .. "boolean"] = function(fsm) rfsm.send_events(fsm, print) end,
-    ["queue[2]: an event that is a userdata cannot be saved, only text, number or "
-      .. "boolean"] = function(fsm) rfsm.send_events(fsm, io.stdout) end,
+    ["queue[2]: an event that is a function cannot be saved, only text, number, "
+      .. "boolean, or a plain table with a text 'name'"] = function(fsm)
+      rfsm.send_events(fsm, print)
+    end,
+    ["queue[3]: an event that is a userdata cannot be saved, only text, number, "
+      .. "boolean, or a plain table with a text 'name'"] = function(fsm)
+      rfsm.send_events(fsm, { name = "e", at = 1 }, io.stdout)
+    end,
     ["root.on.count.list[2]: a function cannot be saved"] = function(fsm)
       fsm.on.count = { list = { 1, print } }
     end,
@@ -310,9 +329,9 @@ describe("a snapshot that is wrong", function()
   for _, case in ipairs {
     { "no table", "text", "snapshot expected, got string" },
     { "no version", with("version", nil),
-      "snapshot of format 1 or 2 expected, got none" },
+      "snapshot of format 2 expected, got none" },
     { "version 3", with("version", 3),
-      "snapshot of format 1 or 2 expected, got format 3" },
+      "snapshot of format 2 expected, got format 3" },
     { "a composite", with("leaf", "root.on"), "leaf: 'root.on' is a composite" },
     { "no such leaf", with("leaf", "root.x"), "leaf: no state is 'root.x'" },
     { "a leaf of another type", with("leaf", 7), "leaf: string expected, got number" },

@@ -36,6 +36,8 @@ end
 
 local GUARD = "no-value: root.trans[2] (a -> b): the guard returns no value, it never "
   .. "forbids"
+local NEVER_FALSE = "no-value: root.trans[2] (a -> b): the guard never returns false, "
+  .. "and only false forbids"
 local NO_YIELD = "no-yield: root.b: a loop in the doo has no end and no yield"
 local BUSY = "note busy-doo: root.b: the doo is never idle, it yields nothing"
 local ENDS = "note doo-ends: root.b: the doo ends, and no transition waits for e_done"
@@ -67,6 +69,48 @@ local CASES = {
     transition = "guard = function(tr)\n local f = function() return tr end f() end" },
   { name = "no guard with a value", lines = {},
     transition = "guard = function() if 1 then return false end end" },
+  { name = "a guard that returns true or nothing", lines = { NEVER_FALSE },
+    transition = "guard = function(tr) if tr.x then return true end end" },
+  { name = "no guard that returns true only", lines = {},
+    transition = "guard = function() return true end" },
+  { name = "no guard that calls assert", lines = {},
+    transition = "guard = function(tr) assert(tr.x) return 1 end" },
+  { name = "parameters in another order", state = "entry = function(state, fsm)\n"
+    .. "return state, fsm end", lines = {
+    "parameters: root.b: parameter 1 of the entry, 'state', is the machine (entry(fsm, "
+      .. "state))",
+    "parameters: root.b: parameter 2 of the entry, 'fsm', is the state (entry(fsm, "
+      .. "state))" } },
+  { name = "no parameter that is not used, nor one of another name", lines = {},
+    state = "entry = function(state) end,\n exit = function(o, a) return o, a end" },
+  { name = "a yield outside of a doo", state = "exit = function() yield() end,\n"
+    .. "entry = function() coroutine.yield() end", lines = {
+    "wrong-call: root.b: the entry calls coroutine.yield (only a doo may yield)" } },
+  { name = "a call without the machine, and one whose step is under way",
+    state = "entry = function(fsm) rfsm.send_events('e') rfsm.run(fsm) end", lines = {
+    "wrong-call: root.b: rfsm.send_events gets the machine first (rfsm.send_events(fsm,"
+      .. " ...))",
+    "wrong-call: root.b: the entry calls rfsm.run of its machine, whose step is under "
+      .. "way (rfsm.send_events is enough, its events are taken next)" } },
+  { name = "a function of the library as a method", lines = {
+    "wrong-call: root.b: a machine has no method 'run' (rfsm.run(m, ...))" },
+    state = "entry = function(m) m:run() end" },
+  { name = "no method of another object, and no call of another machine", lines = {},
+    state = "entry = function(m) local o = m.other o:run() rfsm.run(o) m:own() end" },
+  { name = "a callback that was called while the chart was loaded",
+    state = "\n entry = type(nil) == '' and 1 or nil, exit = yield and collectgarbage()"
+      .. " and nil, doo = print()", lines = {
+    "called: root.b: print was called while the chart was loaded, and left no doo (doo "
+      .. "= function() print(...) end)" } },
+  { name = "no call that returned a callback", lines = {},
+    state = "entry = assert(print)" },
+  { name = "a key that stands twice", state = "datum = 1,\n datum = 2", lines = {
+    "lost: root.b: 'datum' stands twice, the first one is lost (the second is in line "
+      .. "7)" } },
+  { name = "a doo that waits in a loop", lines = { NO_YIELD },
+    state = "doo = function(fsm)\n local ready while not ready do end return fsm end" },
+  { name = "no doo whose loop may end", lines = { ENDS },
+    state = "doo = function(fsm)\n local n = 1 while n < 9 do n = n + fsm.x end end" },
   { name = "no guard that fails", lines = {},
     transition = "guard = function() error('no') end" },
   { name = "a doo that never yields", lines = { NO_YIELD },

@@ -34,7 +34,8 @@ describe("a strict machine", function()
       .. "rfsm.send_events(fsm, unpack(list))?)" },
     { events = { "e_x", { speed = 3 } }, text = "a table is an event of its own, as "
       .. "each argument is" },
-    { events = { 7 }, text = "no transition names the event 7" },
+    { events = { 7 }, text = "no transition names the event 7 (there are "
+      .. "'e_x', 'await(await_me, and_me)@root.a', 'await_me', 'and_me')" },
     { events = { "b" }, text = "'b' is the name of a state, no event" },
     { events = { "root.b" }, text = "'root.b' is the name of a state, no event" },
     { events = { "e_x e_y" }, text = "'e_x e_y' is one event (write an argument for "
@@ -65,7 +66,8 @@ describe("a strict machine", function()
     local fsm, warnings = watched()
     rfsm.send_events(fsm, "e_x", nil)
     assert.same({ HERE .. "event 'e_x' is sent before the first step, whose entry "
-      .. "consumes it", HERE .. "argument 2 is nil, which is no event" }, warnings)
+      .. "consumes it", HERE .. "argument 2 is nil, which is no event (is it a "
+      .. "name without quotes?)" }, warnings)
   end)
 
   it("warns once of an early event, also of getevents", function()

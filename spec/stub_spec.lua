@@ -180,6 +180,31 @@ describe("a stub", function()
     assert.is_true(count < 100)
   end)
 
+  it("copies a state that it is called with", function()
+    local state = rfsm.state { a = rfsm.state { n = 1 },
+      rfsm.trans { src = "initial", tgt = "a" } }
+    local copy = stubs.new "deepcopy"(7, state)
+    assert.is_true(rfsm.is_state(copy) and rfsm.is_state(copy.a))
+    assert.is_true(rfsm.is_trans(copy[1]))
+    assert.is_false(rawequal(copy, state) or rawequal(copy.a, state.a))
+    assert.same({ 1, "a" }, { copy.a.n, copy[1].tgt })
+  end)
+
+  it("may be copied, also where it stands for a state", function()
+    local function copy_of(value)
+      local copy = {}
+      for key, inner in pairs(value) do copy[key] = inner end -- any order: a copy
+      return setmetatable(copy, getmetatable(value))
+    end
+    assert.equal("a stub.x()", tostring(copy_of(stubs.new "lib").x(7)))
+    local part = copy_of(stubs.new_state "part")
+    local model = rfsm.state { part = part, b = rfsm.state {},
+      rfsm.trans { src = "initial", tgt = "part" },
+      rfsm.trans { src = "part.ready", tgt = "b" } }
+    stubs.complete(model)
+    assert.same({}, select(2, rfsm.verify_early(model)))
+  end)
+
   it("has a name of bounded length", function()
     local long = stub
     for _ = 1, 100 do long = long("0123456789") end
@@ -329,7 +354,8 @@ describe("loading a chart", function()
         ["chart.lua"] = "local _, _ = of_chart, of_chart\nrequire 'part' "
           .. "return rfsm.state { x = of_chart, y = e_go }" }
       local _, warnings = chart.load(file)
-      assert.same({ file .. ":1: warning: undefined global 'of_chart'",
+      assert.same({ file .. ":1: warning: undefined global 'of_chart' (nil while the "
+          .. "chart is loaded)",
         file .. ":2: warning: undefined global 'e_go' (an event is a string, in "
           .. "quotes)" }, warnings)
       assert.is_nil(getmetatable(_G))
@@ -368,7 +394,8 @@ describe("loading a chart", function()
     assert.is_false(fsm)
     assert.same({ file .. ":1: root.entry: function expected, got number 7" },
       problems)
-    assert.same({ file .. ":1: warning: undefined global 'of_chart'" }, lines)
+    assert.same({ file .. ":1: warning: undefined global 'of_chart' (nil while the "
+      .. "chart is loaded)" }, lines)
   end)
 
   it("returns the machine and its model, or the failure", function()
@@ -420,18 +447,68 @@ describe("loading a chart", function()
     ]]))
   end)
 
-  it("has an end, and names the chart's line, if the chart runs a machine", function()
-    local _, problem, now = open_slowly [[
-      local fsm = rfsm.init(rfsm.state { info = false, warn = false, err = false,
-        a = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" },
-        pre_step_hook = function() pcall(os.execute, "sleep 1") end })
-      for _ = 1, 50 do
-        rfsm.step(fsm)
-      end
-      return rfsm.state {}
-    ]]
-    assert.matches("^chart.lua:[35]: " .. TOO_LONG:gsub("%p", "%%%0") .. "$", problem)
-    assert.is_true(now < 10)
+  local PROGRAM = [[
+    local function make(doc)
+      return rfsm.init(rfsm.state { doc = doc,
+        a = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" } })
+    end
+    local fsm = make "one"
+    %s
+    while true do
+      %s(rfsm.step, fsm)
+      os.execute "sleep 1"
+    end
+  ]]
+
+  it("ends before the first step of a machine that the file makes", function()
+    local model, problem, now = open_slowly(PROGRAM:format("", "pcall"))
+    assert.same({ "one", nil, 6 }, { model.doc, problem, now })
+    for _, has_stubs in ipairs { true, false } do
+      local text = PROGRAM:format("", "(function(f, x) f(x) end)")
+      model, _, now = open_slowly(text, has_stubs)
+      assert.same({ "one", 0 }, { model.doc, now })
+    end
+  end)
+
+  it("takes the machine that is asked for, and lists them", function()
+    local file = write_files { ["chart.lua"] = PROGRAM:format('make "two"', "pcall") }
+    limit.SECONDS = 0.05
+    local lines = { "machine 1 of 2 (chart.lua:2, chart.lua:2); --machine N takes "
+      .. "another", "machine 2 of 2 (chart.lua:2, chart.lua:2); --machine N takes "
+      .. "another" }
+    for number, doc in ipairs { "one", "two" } do
+      local model, _, world = chart.load(file, false, number)
+      assert.equal(doc, model.doc)
+      assert.equal("chart.lua: " .. lines[number],
+        (chart.lines_of(file, world)[1]:gsub("[^ (]+/robot/", "")))
+    end
+    local model, problem = chart.load(file, false, 3)
+    assert.is_nil(model)
+    assert.equal("chart.lua: no machine 3, it makes 2 (chart.lua:2, chart.lua:2)",
+      (problem:gsub("[^ (]+/robot/", "")))
+  end)
+
+  it("takes the state that is returned before a machine", function()
+    local model = open { ["chart.lua"] = [[
+      rfsm.init(rfsm.state { info = false, warn = false, doc = "one" })
+      return rfsm.state { doc = "two" }
+    ]] }
+    assert.equal("two", model.doc)
+  end)
+
+  it("takes a model that cannot become a machine, and says so once", function()
+    local err = spy.new(function() end)
+    local model, problem
+    helper.with(_G, { print = err }, function()
+      model, problem = open { ["chart.lua"] = [[
+        local fsm = rfsm.init(rfsm.state { rfsm.trans { src = "a", tgt = "b" } })
+        rfsm.run(fsm)
+      ]] }
+    end)
+    assert.is_true(rfsm.is_state(model))
+    assert.is_nil(problem)
+    assert.is_nil(rawget(model, "err"))
+    assert.spy(err).was_not_called()
   end)
 
   it("is not tried again with more stubs if it takes too long", function()

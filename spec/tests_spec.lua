@@ -233,14 +233,14 @@ describe("the spec of a chart", function()
     local text = tests.busted("lamp.lua", state { warn = false, info = false,
       a = state { doo = function() end }, b = state {},
       trans { src = "initial", tgt = "a" }, trans { src = "a", tgt = "b" },
-      trans { src = "b", tgt = "a", events = { "e_x" } } }, false, "lamp_spec.lua")
+      trans { src = "b", tgt = "a", events = { "e_x" } } }, {}, "lamp_spec.lua")
     assert.matches('assert.equal%("stays in b", run:step { "e_unknown" }%)', text)
     assert.is_nil(text:find("stays in a", 1, true))
   end)
 
   it("has steps of events, time, guards and doos, and such that change nothing",
     function()
-    local text, result = tests.busted("lamp.lua", rfsm.load_str(LAMP), false,
+    local text, result = tests.busted("lamp.lua", rfsm.load_str(LAMP), {},
       "spec/lamp_spec.lua")
     assert.equal(LAMP_SPEC, text)
     assert.same({ 11, 11, 0, 4 }, { result.taken, result.transitions, result.skipped,
@@ -252,7 +252,7 @@ end)
 describe("tests that run callbacks", function()
   it("hold the order of callbacks and what they print", function()
     local file = "examples/on_off.lua"
-    local text = tests.busted(file, load_chart(file), true)
+    local text = tests.busted(file, load_chart(file), { callbacks = true })
     assert.matches("local OPTIONS = { callbacks = true }\n", text)
     assert.matches('it%("goes to off, on, off", function', text)
     assert.matches('assert.equal%("off %-e_push%-> on: entry on, print%(bright%)", '
@@ -262,7 +262,7 @@ describe("tests that run callbacks", function()
 
   it("notice callbacks that are swapped", function()
     local function load() return load_chart("examples/on_off.lua") end
-    local result = tests.plan(load(), true)
+    local result = tests.plan(load(), { callbacks = true })
     assert.is_true(passes(result, load, true))
     assert.is_false(passes(result, function()
       local model = load()
@@ -278,17 +278,17 @@ describe("tests that are written again", function()
     local file, load = "examples/on_off.lua", function()
       return load_chart("examples/on_off.lua")
     end
-    local text = tests.busted(file, load(), false, "spec/lamps/on_off_spec.lua")
+    local text = tests.busted(file, load(), {}, "spec/lamps/on_off_spec.lua")
     assert.matches('\nlocal FILE = here .. "../../examples/on_off.lua"\n', text)
-    assert.matches('"../on_off.lua"', (tests.busted(file, load(), false,
+    assert.matches('"../on_off.lua"', (tests.busted(file, load(), {},
       "examples/spec/on_off_spec.lua")))
     assert.matches('\nlocal FILE = "examples/on_off.lua"\n',
       (tests.busted(file, load())))
     local changed = text:gsub("on %-e_switch%-> off", "nonsense")
     local own = "-- mine\n" .. changed .. "-- more\n"
-    local again = tests.busted(file, load(), false, "spec/lamps/on_off_spec.lua", own)
+    local again = tests.busted(file, load(), {}, "spec/lamps/on_off_spec.lua", own)
     assert.equal("-- mine\n" .. text .. "-- more\n", again)
-    local ok, problem = pcall(tests.busted, file, load(), false, "on_off_spec.lua",
+    local ok, problem = pcall(tests.busted, file, load(), {}, "on_off_spec.lua",
       "nothing marked")
     assert.is_false(ok)
     assert.equal("the output has no marks of an earlier call: it is kept", problem)
@@ -369,7 +369,8 @@ describe("a rehearsal", function()
       return (rfsm_checks.rehearsal(busy(), { callback = true }))
     end)
     assert.matches("tests_spec.lua:%d+: rfsm_checks.rehearsal: unknown option "
-      .. "'callback' %(did you mean 'callbacks'%?%), expected: callbacks, fakes$", text)
+      .. "'callback' %(did you mean 'callbacks'%?%), expected: callbacks, fakes, "
+      .. "machine, stub$", text)
   end)
 
   it("refuses names of what is not there", function()

@@ -231,7 +231,7 @@ describe("rfsm-viz", function()
 
   it("lists its formats", function()
     assert.is_truthy(run("rfsm viz --help"):gsub("%s+", " "):find("-T FORMAT, "
-      .. "dot, svg, png, pdf, plantuml, mermaid, json", 1, true))
+      .. table.concat(commands.formats(), ", "), 1, true))
   end)
 
   it("tells the format by the name of the output", function()
@@ -247,9 +247,10 @@ describe("rfsm-viz", function()
 
   it("refuses unknown formats, and several charts in a picture", function()
     refuses("rfsm viz examples/on_off.lua -T gif", "Error: argument for option '-T' "
-      .. "must be one of 'dot', 'svg', 'png', 'pdf', 'plantuml', 'mermaid', 'json'")
+      .. "must be one of '" .. table.concat(commands.formats(), "', '") .. "'")
     refuses("rfsm viz examples/on_off.lua -o x.gif", "Error: the ending of 'x.gif' "
-      .. "is no format, -T expected (dot, svg, png, pdf, plantuml, mermaid, json)")
+      .. "is no format, -T expected (" .. table.concat(commands.formats(), ", ")
+      .. ")")
     refuses("rfsm viz -T svg examples/on_off.lua examples/on_off.lua",
       "Error: one FILE expected, svg holds one chart, got 2")
   end)
@@ -525,7 +526,7 @@ describe("rfsm-check", function()
         rfsm.trans { src = "b", tgt = "a", events = e_go },
         rfsm.trans { src = "b", tgt = "a", event = "e_x" },
       }
-    ]], "^FILE:1: warning: undefined global 'DEBUG'\n"
+    ]], "^FILE:1: warning: undefined global 'DEBUG' %(nil while the chart is loaded%)\n"
       .. "FILE:5: warning: undefined global 'e_go' %(an event is a string, in "
       .. "quotes%)\n.*FILE:7: warning: root.trans%[4%] %(b %-> a%): a transition has "
       .. "no field 'event'", 0)

@@ -762,69 +762,6 @@ describe("13 tables inside each other", function()
   end
 end)
 
-describe("a snapshot of format 1", function()
-  local OLD = [[{"version":1,"chart":"844974cfc38","leaf":"root.w",
-    "data":{"root":["%t","n",7]},"ext":{"timers":{"e_after(9)@root.w":[9,0]},
-    "seqand":{"root.w":{
-      "left":["%p",{"version":1,"chart":"9d516a469fe","leaf":"root.x","done":true,
-        "data":{"root":{"m":99}},"ext":{"timers":{"e_after(5)@root.x":[5,0]}}}],
-      "right":["%p",{"version":1,"chart":"9d516a469fe","leaf":"root.x","done":true,
-        "data":{"root":{"m":1}},"ext":{"timers":{"e_after(5)@root.x":[5,0]}}}]}}}}]]
-
-  local function arm(keep)
-    return state { emem = false, keep = keep, m = 1, extra = 4, x = state {},
-      y = state {}, trans { src = "initial", tgt = "x" },
-      trans { src = "x", tgt = "y", events = { "e_after(5)" } } }
-  end
-
-  local function robot(keep)
-    return state { info = false, warn = false, emem = false, keep = { "n" }, n = 1,
-      a = state {}, w = rfsm.seqand { left = arm(keep), right = arm(keep) },
-      trans { src = "initial", tgt = "a" },
-      trans { src = "a", tgt = "w", events = { "e_go" } },
-      trans { src = "w", tgt = "a", events = { "e_after(9)" } } }
-  end
-
-  it("is read, and no migration is asked for", function()
-    local fsm = restored(robot { "m" }, (json.decode(OLD)), { migrate = function()
-      error("asked")
-    end })
-    local left = fsm.w.substates.left
-    assert.same({ 7, "root.w", 99, "root.x" }, { fsm.n, rfsm.get_actleaf_fqn(fsm),
-      left.m, rfsm.get_actleaf_fqn(left) })
-    assert.equal(5, math.floor(timeevent.next_deadline(fsm) + 0.5))
-    assert.equal(2, snapshot.take(fsm).version)
-  end)
-
-  it("is compared by what it can say: states and transitions", function()
-    local model = robot { "m" }
-    model.c = state {}
-    local list, snap = {}, json.decode(OLD)
-    local function note(_, difference) list[#list + 1] = difference end
-    snapshot.structure(robot { "m" })
-    assert(snapshot.restore(model, snap, { migrate = note }))
-    snap.structure = { "state root", "state root.a", "state root.w",
-      "root.initial -> root.a", "root.a -> root.w on e_go",
-      "root.w -> root.a on e_after(9)@root.w", "connector root.initial" }
-    assert(snapshot.restore(model, snap, { migrate = note }))
-    assert.same({ { "new: state root.c" }, { "new: state root.c" } }, list)
-  end)
-
-  it("of a region that is gone is refused", function()
-    local model = robot { "m" }
-    model.w = rfsm.seqand { left = arm { "m" } }
-    assert.same({ "region root.w.right" }, select(3, snapshot.restore(model,
-      (json.decode(OLD)))))
-  end)
-
-  it("gets first values for what it lacks, and loses nothing", function()
-    local fsm = restored(robot { "m", "extra" }, (json.decode(OLD)))
-    assert.same({ 99, 4 }, { fsm.w.substates.left.m, fsm.w.substates.left.extra })
-    assert.same({ "field m of root.w.left", "field m of root.w.right" },
-      select(3, snapshot.restore(robot {}, (json.decode(OLD)))))
-  end)
-end)
-
 describe("random charts", function()
   for _, name in ipairs { "migration", "short", "snapshot" } do
     local claim = require("spec.support.claims." .. name)

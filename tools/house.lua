@@ -10,17 +10,20 @@
 
 local house = {}
 
--- From the ground up. A room requires those below it, and of its own floor.
+-- From the ground up. A room requires those below it, and of its own floor. A file in
+-- rfsm/ that is not listed, and has no folder, is an extension.
 house.FLOORS = {
   { name = "engine", "engine" },
-  { name = "extensions", "shared", "clock", "timeevent", "seqand", "emem", "await",
-    "preview", "monitor", "history", "strict", "defer", "pp" },
-  { name = "rooms", "marsh", "json", "pictures", "dot", "mermaid", "plantuml",
-    "snapshot", "record", "checks", "explore", "observe", "tests", "rfsm_checks",
-    "server" },
+  { name = "extensions", "shared", "clock", "timeevent", "seqand", "pp" },
+  { name = "rooms", "marsh", "pictures", "snapshot", "record", "checks", "explore",
+    "observe", "tests", "rfsm_checks", "server" }, -- and the exporters
   { name = "hosts", "rtt", "proto", "redis", "postgres", "sim", "web", "system" },
   { name = "command", "cli" },
 }
+
+for _, exporter in ipairs(require("rfsm.cli.exporters").list) do
+  table.insert(house.FLOORS[3], exporter.name)
+end
 
 -- Files whose room is not their name.
 local ROOM_OF = {
@@ -33,6 +36,15 @@ local ROOM_OF = {
 function house.room_of(file)
   return ROOM_OF[file] or file:match("^rfsm/([%w_]+)")
     or file:match("^rfsm_?([%w_]+)%.lua$")
+end
+
+--- Return the number of the floor of a room; nil if it has none.
+function house.floor_of(room)
+  for number, floor in ipairs(house.FLOORS) do
+    for _, name in ipairs(floor) do
+      if name == room then return number end
+    end
+  end
 end
 
 local function lines_of(command)
@@ -103,6 +115,10 @@ function house.read()
       aliases[#aliases + 1] = { name = name, target = target }
     else
       file_of[name] = file
+      local room = house.room_of(file)
+      if file == "rfsm/" .. room .. ".lua" and not house.floor_of(room) then
+        table.insert(house.FLOORS[2], room)
+      end
       files[#files + 1] = { file = file, room = house.room_of(file), text = text,
         lines = select(2, text:gsub("\n", "")) }
     end
@@ -116,15 +132,6 @@ function house.read()
     end
   end
   return files, file_of
-end
-
---- Return the number of the floor of a room; nil if it has none.
-function house.floor_of(room)
-  for number, floor in ipairs(house.FLOORS) do
-    for _, name in ipairs(floor) do
-      if name == room then return number end
-    end
-  end
 end
 
 --- List the arrows between files: { from, to, name }, where both are entries.

@@ -27,13 +27,13 @@ local ROOMS = {
   { name = "seqand", files = { "rfsm_seqand.lua" }, specs = { "seqand" } },
   { name = "await", files = { "rfsm/await.lua", "rfsm/emem.lua", "rfsm/monitor.lua",
     "rfsm/preview.lua", "rfsm/history.lua" },
-    specs = { "await", "emem", "monitor", "preview", "history" } },
+    specs = { "await", "emem", "monitor", "preview", "history", "reactions" } },
   { name = "checks", files = { "rfsm_checks.lua", "rfsm/checks/*.lua",
     "rfsm/cli/review.lua", "rfsm/shared/location.lua", "rfsm/shared/match.lua" },
-    specs = { "checks", "source", "verdict", "tools" } },
+    specs = { "reactions", "checks", "source", "verdict", "tools" } },
   { name = "explore", files = { "rfsm/explore/*.lua" },
-    specs = { "data", "property", "independence", "timing", "verdict", "explore",
-      "tests" } },
+    specs = { "reactions", "data", "property", "independence", "timing", "verdict",
+      "explore", "tests" } },
   { name = "tests", files = { "rfsm/tests/*.lua" }, specs = { "tests", "tools" } },
   { name = "observe", files = { "rfsm/observe/*.lua" },
     specs = { "coverage", "why", "view", "property", "sim_session", "sim", "proto",
@@ -62,7 +62,7 @@ local ROOMS = {
   { name = "cli", files = { "rfsm/cli/*.lua" }, specs = { "cli", "tools" } },
   { name = "pp", files = { "rfsmpp.lua" }, specs = { "pp" } },
   { name = "shared", files = { "rfsm/advice.lua", "rfsm/shared/*.lua" },
-    specs = { "shared", "stub", "mistakes", "checks", "tools" } },
+    specs = { "shared", "reactions", "stub", "mistakes", "checks", "tools" } },
 }
 
 local function fail(message)

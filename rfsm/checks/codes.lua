@@ -52,8 +52,16 @@ warning never-called: a callback stands where none is called
   guard and effect belong to transitions; entry, exit and doo to states
 warning false-guard: a guard that was false while loading counts as absent
   write a function: guard = function() return speed < max end
-warning no-value: a guard that returns nothing never forbids
-  return true or false
+warning no-value: a guard that returns neither false nor an expression never forbids
+  return false, or a comparison
+warning called: a callback was called while the chart was loaded, nothing is left of it
+  write a function around the call
+warning lost: a key stands twice in a table, the first value is lost
+  give one of them another name
+warning parameters: a callback takes other parameters than it is given
+  guard(tr, events), effect(fsm, tr, _, events), entry(fsm, state)
+warning wrong-call: a callback calls a function in a way that always fails
+  see what the text names
 warning undefined: a callback reads a global that is not defined; a note if the host may
   correct the name, or define it
 warning no-yield: a doo that never returns to the engine
@@ -120,6 +128,7 @@ local WARNINGS = {
   { "never fires here", "never-done" },
   { "no loaded extension knows", "unknown-word" },
   { "its guard is false", "false-guard" },
+  { "any event triggers it (events", "unknown-field" },
   { "an empty list, any event triggers it", "empty-events" },
 }
 

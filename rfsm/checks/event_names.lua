@@ -13,13 +13,24 @@ local event_names = {}
 
 -- e_done@F of no leaf ............................................................
 
+-- Returns the hint for a name that is no FQN of a leaf.
+local function leaf_meant(name, leaves)
+  for _, fqn in ipairs(leaves) do
+    if fqn:sub(-#name - 1) == "." .. name then
+      return " (did you mean 'e_done@" .. fqn .. "'?)"
+    end
+  end
+  return ""
+end
+
 -- `init` warns of an e_done of the source itself.
 local function check_e_done(tr, leaves, add)
   for _, event in ipairs(tr.events or {}) do
     local fqn = type(event) == "string" and event:match("^e_done@(.*)$")
     if fqn and not leaves[fqn] then
-      add("never-done", tr, "event '" .. event .. "' never comes, '" .. fqn
-        .. "' is no leaf state of this machine")
+      add("never-done", tr, ("event '%s' never comes, '%s' is no %s of this machine%s")
+        :format(event, fqn, fqn:find("^root") and "leaf state" or "FQN",
+        leaf_meant(fqn, leaves)))
     end
   end
 end
@@ -28,20 +39,37 @@ end
 
 local MARKS = { [","] = "a comma", ["|"] = "a '|'" }
 
--- Finds names with a comma, bar or blank, except in word(a, b) and behind @; and lists,
--- which no other table equals.
+-- Returns what is odd about the name of an event: a comma, bar or blank, except in
+-- word(a, b) and behind @, or a pattern.
+local function oddness_of_name(event)
+  local word = event:match("^[^(@]*")
+  if match.maker_of(event) then
+    return nil
+  elseif word:find("[,|%s]") then
+    return ("'%s' is one event with %s in its name%s"):format(event,
+      MARKS[word:match("[,|]")] or "a blank", advice.event_meant(event))
+  elseif word:find("%*") or word:find("^[!~]") then
+    return ("'%s' is the name of one event, no pattern (a function in events accepts "
+      .. "several; leave events out for any event)"):format(event)
+  end
+end
+
+-- Returns what is odd about a plain table, which no other table equals.
+local function oddness_of_table(event)
+  if type(event[1]) == "string" then
+    return "a list that holds '" .. event[1] .. "' is one event"
+  elseif type(event.name) == "string" then
+    return ("a table is equal to itself only (did you mean rfsm.named '%s'?)"):format(
+      event.name)
+  end
+end
+
 local function check_odd_events(tr, add)
   for _, event in ipairs(tr.events or {}) do
-    local mark = type(event) == "string" and not match.maker_of(event)
-      and event:match("^[^(@]*"):match("[,|%s]")
-    if mark then
-      local name = MARKS[event:match("^[^(@]*"):match("[,|]")] or "a blank"
-      add("odd-event", tr, ("'%s' is one event with %s in its name%s"):format(event,
-        name, advice.event_meant(event)))
-    elseif type(event) == "table" and not getmetatable(event)
-      and type(event[1]) == "string" then
-      add("odd-event", tr, "a list that holds '" .. event[1] .. "' is one event")
-    end
+    local is_table = type(event) == "table" and not getmetatable(event)
+    local text = type(event) == "string" and oddness_of_name(event)
+      or is_table and oddness_of_table(event)
+    if text then add("odd-event", tr, text) end
   end
 end
 
@@ -111,12 +139,20 @@ local function find_similar(list, users, index, i)
   return least and list[least]
 end
 
+-- Does an event of one transition look like the e_done of its source?
+local function is_nearly_done(event, tr)
+  local word = event:lower():gsub("_", "")
+  return rfsm.is_leaf(tr.src) and (word == "done" or word == "edone")
+end
+
 -- Finds events that one transition uses, and that look like another event.
 local function check_typos(fsm, add)
   local list, users = usage_of(fsm)
   local index = index_of(list)
   for i, event in ipairs(list) do
-    local other = not users[event][2] and find_similar(list, users, index, i)
+    local is_alone = not users[event][2]
+    local other = is_alone and (find_similar(list, users, index, i)
+      or is_nearly_done(event, users[event][1]) and "e_done")
     if other then
       add("typo", users[event][1], ("no other transition uses '%s' (did you mean "
         .. "'%s'?)"):format(event, other))
@@ -129,7 +165,7 @@ end
 function event_names.check(fsm, add)
   local leaves = {}
   for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
-    leaves[leaf._fqn] = true
+    leaves[leaf._fqn], leaves[#leaves + 1] = true, leaf._fqn
   end
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     check_e_done(tr, leaves, add)

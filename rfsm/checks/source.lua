@@ -9,10 +9,13 @@
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local read = require("rfsm.shared.files").read
+local bodies = require "rfsm.checks.bodies"
+local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 
 local ipairs, package, pcall, rawget = ipairs, package, pcall, rawget
-local require, setmetatable, type = require, setmetatable, type
+local require, select, setmetatable, table = require, select, setmetatable, table
+local tonumber, type = tonumber, type
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 
 local source = {}
@@ -40,12 +43,10 @@ source.is_there = luacheck and parser and decoder and getinfo ~= nil
 ---@field functions table<integer, table|false> by line; false: several begin there
 ---@field undefined { name: string, line: integer }[] globals that are read
 ---@field tested table<string, true> names whose existence is tested
+---@field lost table<integer, table[]> by line of a table: keys that stand twice
+---@field called table<integer, table[]> the same: callbacks that are calls
 
--- Calls f(node) for a node and the nodes in it, unless f(node) returns false.
-local function walk(node, f)
-  if type(node) ~= "table" or node.tag and f(node) == false then return end
-  for _, child in ipairs(node) do walk(child, f) end
-end
+local walk, each_node, called_name = bodies.walk, bodies.each_node, bodies.called_name
 
 local TESTS = { ["not"] = true, ["and"] = true, ["or"] = true, eq = true, ne = true }
 
@@ -64,11 +65,13 @@ local function read_file(name)
   text = text:gsub("^#[^\n]*", "")
   local ok, tree = pcall(function() return parser.parse(decoder.decode(text)) end)
   if not ok then return nil end
-  local file = { functions = {}, undefined = {}, tested = {} }
+  local file = { functions = {}, undefined = {}, tested = {}, lost = {},
+    called = {} }
   walk(tree, function(node)
     if node.tag == "Function" then
       file.functions[node.line] = file.functions[node.line] == nil and node or false
     end
+    if node.tag == "Table" then bodies.note_table(file, node) end
     note_tested(node, file.tested)
   end)
   local options = { std = "min", allow_defined = true }
@@ -107,33 +110,6 @@ local function check_globals(file, info, add)
   end
 end
 
--- Calls f(node) for the nodes of a function, but not in inner functions.
-local function each_node(func, f)
-  walk(func[2], function(node)
-    f(node)
-    return node.tag ~= "Function"
-  end)
-end
-
--- Returns the last name of a called function: "yield" for rfsm.yield.
-local function called_name(node)
-  local callee = node[1]
-  return callee.tag == "Index" and callee[2].tag == "String" and callee[2][1]
-    or callee.tag == "Id" and callee[1] or ""
-end
-
--- A guard that raises an error forbids, too.
-local function check_guard(func, add)
-  local has_value = false
-  each_node(func, function(node)
-    has_value = has_value or node.tag == "Return" and node[1] ~= nil
-      or node.tag == "Call" and called_name(node) == "error"
-  end)
-  if not has_value then
-    add("no-value", "the guard returns no value, it never forbids")
-  end
-end
-
 -- Is it a call of a function of Lua or of the library, which cannot yield?
 local function is_plain_call(node)
   local callee = node[1]
@@ -156,7 +132,20 @@ local function effect_of_call(node)
   return tag ~= "Nil" and tag ~= "False" and "idles" or "yields"
 end
 
--- Notes the effects in a loop without a condition.
+-- Is it a loop without an end? One that calls and assigns nothing never changes its
+-- condition.
+local function is_endless(node, condition)
+  if node.tag ~= "While" and node.tag ~= "Repeat" then return false end
+  if condition.tag == (node.tag == "While" and "True" or "False") then return true end
+  local changes = false
+  walk({ node[1], node[2] }, function(inner)
+    changes = changes or EFFECTS[inner.tag] ~= nil or inner.tag == "Call"
+      or inner.tag == "Set" or inner.tag == "Index"
+  end)
+  return not changes
+end
+
+-- Notes the effects in a loop without an end.
 local function look_into(loop, seen)
   local has = {}
   walk(loop, function(node)
@@ -171,8 +160,9 @@ end
 local function check_doo(func, state, add)
   local seen = { yields = true, is_idle = false, has_loop = false }
   each_node(func, function(node)
-    if node.tag == "While" and node[1].tag == "True" then look_into(node[2], seen) end
-    if node.tag == "Repeat" and node[2].tag == "False" then look_into(node[1], seen) end
+    local is_while = node.tag == "While"
+    local condition, loop = node[is_while and 1 or 2], node[is_while and 2 or 1]
+    if is_endless(node, condition) then look_into(loop, seen) end
   end)
   if not seen.yields then
     add("no-yield", "a loop in the doo has no end and no yield")
@@ -191,7 +181,7 @@ end
 local FIELDS = { "entry", "exit", "doo", "guard", "effect" }
 
 -- Checks a callback of an element.
-local function check_callback(files, obj, field, add)
+local function check_callback(files, fsm, obj, field, add)
   local callback = obj[field]
   local info = type(callback) == "function" and getinfo(callback, "S")
   local file = info and files[info.source:match("^@(.*)") or ""]
@@ -199,8 +189,55 @@ local function check_callback(files, obj, field, add)
   local function report(code, text, severity) add(code, obj, text, severity) end
   check_globals(file, info, report)
   local func = file.functions[info.linedefined]
-  if func and field == "guard" then check_guard(func, report) end
+  if func then bodies.check(func, field, fsm, report) end
   if func and field == "doo" then check_doo(func, obj, report) end
+end
+
+-- Returns the tables in a file at the line of each element's constructor, as lists of
+-- elements: { file, line, objects }.
+local function places_of(fsm)
+  local places, by_text = {}, {}
+  for _, obj in ipairs(rfsm.elements(fsm)) do
+    local name, line = location.split(rfsm.location_of(obj)):match("^(.*):(%d+): $")
+    local text = name and name .. ":" .. line
+    if text and not by_text[text] then
+      by_text[text] = { file = name, line = tonumber(line) }
+      places[#places + 1] = by_text[text]
+    end
+    if text then table.insert(by_text[text], obj) end
+  end
+  return places
+end
+
+local function has_field(objects, field)
+  for _, obj in ipairs(objects) do
+    if rfsm.model_of(obj)[field] ~= nil then return true end
+  end
+  return false
+end
+
+-- Describes a callback that was called too early, and the cure.
+local function text_of_call(call)
+  local body = (call.name == "guard" and "return " or "") .. call.by .. "(...)"
+  return ("%s was called while the chart was loaded, and left no %s (%s = function() "
+    .. "%s end)"):format(call.by, call.name, call.name, body)
+end
+
+-- Finds mistakes in the tables that were given to constructors: keys that stand twice,
+-- callbacks that were called and are nil.
+local function check_tables(files, fsm, add)
+  for _, place in ipairs(places_of(fsm)) do
+    local file = files[place.file]
+    for _, lost in ipairs(file and file.lost[place.line] or {}) do
+      add("lost", place[1], ("'%s' stands twice, the first one is lost (the second is "
+        .. "in line %d)"):format(lost.name, lost.line))
+    end
+    for _, call in ipairs(file and file.called[place.line] or {}) do
+      if not has_field(place, call.name) then
+        add("called", place[1], text_of_call(call))
+      end
+    end
+  end
 end
 
 --- Find what is wrong with the text of callbacks.
@@ -211,9 +248,10 @@ function source.check(fsm, add)
     files[name] = read_file(name) or false
     return files[name]
   end })
+  check_tables(files, fsm, add)
   for _, obj in ipairs(rfsm.elements(fsm)) do
-    for _, field in ipairs(obj._regions and {} or FIELDS) do
-      check_callback(files, obj, field, add)
+    for _, field in ipairs(select(2, rfsm.regions(obj)) and {} or FIELDS) do
+      check_callback(files, fsm, obj, field, add)
     end
   end
 end

@@ -10,7 +10,7 @@ local codes = require "rfsm.checks.codes"
 local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
 
-local ipairs, setmetatable, type = ipairs, setmetatable, type
+local ipairs, rawget, setmetatable, type = ipairs, rawget, setmetatable, type
 local concat = table.concat
 local is_conn, is_leaf = rfsm.is_conn, rfsm.is_leaf
 
@@ -91,6 +91,32 @@ local function check_flags(state, flags, add)
           :format(key, flag))
       end
     end
+  end
+end
+
+local HISTORIES = { shallow = true, deep = true, [true] = true }
+
+-- Returns a field that another library has, or an extension that is not loaded, and
+-- the remedy.
+local function foreign_field(state, loaded)
+  local has_history = HISTORIES[state.history] and rfsm.is_composite(state)
+  if has_history and not loaded["rfsm.history"] then
+    return "history", "require \"rfsm.history\""
+  elseif state.type == "final" and not state.final then
+    return "type", "did you mean final = true?"
+  elseif state.type == "parallel" or state.parallel == true then
+    return state.parallel and "parallel" or "type", "did you mean rfsm.seqand{...}?"
+  end
+end
+
+-- Finds such fields, and texts in the field `final`.
+local function check_fields(state, add)
+  local field, remedy = foreign_field(state, rawget(_G, "package").loaded)
+  if field then
+    add("unknown-field", state, "a state has no field '" .. field .. "' (" .. remedy
+      .. ")")
+  elseif type(state.final) == "string" then
+    add("unknown-field", state, "final: true expected, " .. rfsm.got(state.final))
   end
 end
 
@@ -200,6 +226,7 @@ function structure.check(fsm, add)
     if rfsm.is_trans(obj) then check_transition(obj, add) end
     if rfsm.is_state(obj) then
       check_flags(obj, rfsm.is_root(obj) and ROOT_FLAGS or FLAGS, add)
+      check_fields(obj, add)
     end
     check_callbacks(obj, add)
   end

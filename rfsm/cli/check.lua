@@ -24,6 +24,7 @@ end
 function check.add_arguments(command)
   common.add_files(command)
   common.add_stub(command)
+  common.add_machine(command)
   command:flag("-a --all", "print notes, too")
   command:flag("-q --quiet", "print nothing, only set the status")
   command:flag("-s --strict", "count a warning as a problem")
@@ -66,13 +67,20 @@ local function write_tests(options, parser)
     parser:error("one FILE expected, tests are those of one chart, got "
       .. #options.files)
   end
-  local model = common.try(common.load_model(file, options.stub))
+  if file == "-" then parser:error("FILE expected, tests load it again, got -") end
+  local model = common.try(common.load_model(file, options.stub, options.machine))
   local old_text = options.output ~= "-" and files.read(options.output)
   local text, result = common.call(file, require("rfsm.tests.tests").busted, file,
-    model, options.callbacks, options.output, old_text)
+    model, { callbacks = options.callbacks, stub = options.stub,
+      machine = options.machine, file = file }, options.output, old_text)
+  if not result.runs[1] then common.fail(file .. ": no run of it repeats itself") end
   common.write(options.output, text)
   io.stderr:write(("rfsm check: %d of %d transitions in %d steps\n"):format(
     result.taken, result.transitions, result.steps))
+  if result.skipped > 0 then
+    io.stderr:write(("rfsm check: left out: %d runs that do not repeat themselves\n")
+      :format(result.skipped))
+  end
   if old_text then report_difference(old_text, text) end
 end
 
@@ -84,13 +92,13 @@ local function lines_about(file, options)
     local problem
     settings, problem = review.settings_for(file)
     if not settings then common.fail(problem, 2) end
-    return common.load_model(file, options.stub)
+    return common.load_model(file, options.stub, options.machine)
   end)
   if not model then return { warnings }, "error" end
   local ok, lines, gravest = common.with_streams(common.NOWHERE, review.of, file,
     model, warnings, settings, options)
   if not ok then return { chart.reason(file, lines) }, "error" end
-  lines[#lines + 1] = chart.stub_line(file, world)
+  for _, line in ipairs(chart.lines_of(file, world)) do lines[#lines + 1] = line end
   return lines, gravest
 end
 

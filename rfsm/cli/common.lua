@@ -84,6 +84,12 @@ function common.add_stub(command)
     .. "values that do nothing")
 end
 
+-- For commands whose charts may be programs that make several machines.
+function common.add_machine(command)
+  common.add_number(command, "--machine", "of a program that makes machines, take this "
+    .. "one (1)")
+end
+
 -- Ends the program with status 2 if a file cannot be read.
 function common.check_readable(file)
   if file == "-" then return end
@@ -92,13 +98,13 @@ function common.check_readable(file)
 end
 
 -- As chart.load; output goes to stderr.
-function common.load_model(file, has_stubs)
-  return select(2, common.with_streams(io.stderr, chart.load, file, has_stubs))
+function common.load_model(file, has_stubs, number)
+  return select(2, common.with_streams(io.stderr, chart.load, file, has_stubs, number))
 end
 
 -- Returns the machine of a chart, made silently, and the names of its stubs.
-local function load_machine(file, has_stubs)
-  local model, problem, world = common.load_model(file, has_stubs)
+local function load_machine(file, has_stubs, number)
+  local model, problem, world = common.load_model(file, has_stubs, number)
   if not model then common.fail(problem) end
   model.dbg, model.err, model.warn, model.info = false, false, false, false
   local fsm, _, problems = common.call(file, rfsm.init, model)
@@ -106,8 +112,9 @@ local function load_machine(file, has_stubs)
     for i, text in ipairs(problems) do problems[i] = chart.line(file, text) end
     common.fail(concat(problems, "\n"))
   end
-  local line = chart.stub_line(file, world)
-  if line then io.stderr:write("rfsm ", common.command, ": ", line, "\n") end
+  for _, line in ipairs(chart.lines_of(file, world)) do
+    io.stderr:write("rfsm ", common.command, ": ", line, "\n")
+  end
   return fsm, world.names
 end
 
@@ -176,7 +183,7 @@ function common.encode_all(options, encode)
   local texts = {}
   for i, file in ipairs(options.files) do
     local title = (chart.name_of(file):match("[^/]+$") or file):gsub("%.lua$", "")
-    local fsm, names = load_machine(file, options.stub)
+    local fsm, names = load_machine(file, options.stub, options.machine)
     if names[1] then title = ("%s (stubbed: %s)"):format(title, concat(names, ", ")) end
     local text = common.call(file, encode, fsm, title)
     texts[i] = text:sub(-1) == "\n" and text or text .. "\n"

@@ -7,15 +7,14 @@
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local common = require "rfsm.cli.common"
-local encoders = require "rfsm.cli.encoders"
+local exporters = require "rfsm.cli.exporters"
 local opts = require "rfsm.shared.options"
 
 local cli = {}
 
-local COMMANDS = {
-  "check", "sim", "viz", "snapshot", "redis", "postgres", "json", "plantuml", "dot",
-  "mermaid", "web", "watch", "size",
-}
+-- The commands in the order of the help; each but the exporters has its module.
+local COMMANDS = { "check", "sim", "viz", "snapshot", "redis", "postgres", "web",
+  "watch", "size" }
 
 local function print_version()
   print("rfsm " .. rfsm._VERSION:match("%S+$"))
@@ -38,7 +37,7 @@ local function print_help(parser, parsers, argv)
   local command = argv[2] and parsers[argv[2]]
   if argv[2] and not command then
     parser:error(("no command is named '%s'%s, rfsm lists them"):format(argv[2],
-      advice.nearest_name(argv[2], COMMANDS)))
+      advice.nearest_name(argv[2], rfsm.sorted_keys(parsers))))
   end
   print((command or parser):get_help())
   return 0
@@ -62,15 +61,16 @@ function cli.main(argv)
   local parser = argparse("rfsm", "Check, simulate and draw statecharts.")
     :command_target("command")
   local commands, parsers = {}, {}
-  prepare(parser)
-  if parser.add_complete then parser:add_complete() end -- --completion, since 0.7
-  for _, name in ipairs(COMMANDS) do
-    local command = encoders[name] or require("rfsm.cli." .. name)
+  local function add(name, command)
     commands[name] = command
     parsers[name] = parser:command(name, command.summary, command.epilog)
     command.add_arguments(parsers[name])
     prepare(parsers[name])
   end
+  prepare(parser)
+  if parser.add_complete then parser:add_complete() end -- --completion, since 0.7
+  for _, name in ipairs(COMMANDS) do add(name, require("rfsm.cli." .. name)) end
+  for _, command in ipairs(exporters.commands) do add(command.name, command) end
   if argv[1] == nil or argv[1] == "help" then
     return print_help(parser, parsers, argv)
   end

@@ -4,14 +4,18 @@
 -- @license BSD-3-Clause
 
 local common = require "rfsm.cli.common"
+local exporters = require "rfsm.cli.exporters"
 local files = require "rfsm.shared.files"
 
 local concat = table.concat
 
-local FORMATS = { "dot", "svg", "png", "pdf", "plantuml", "mermaid", "json" }
-local IS_TEXT = { dot = true, svg = false, png = false, pdf = false, plantuml = true,
-  mermaid = true, json = true }
-local BY_ENDING = { gv = "dot", puml = "plantuml", mmd = "mermaid" }
+-- Formats: those that Graphviz makes of a graph, and those of the exporters.
+local FORMATS, BY_ENDING = { "svg", "png", "pdf" }, { gv = "dot" }
+local IS_TEXT = { svg = false, png = false, pdf = false }
+for _, exporter in ipairs(exporters.list) do
+  FORMATS[#FORMATS + 1], IS_TEXT[exporter.name] = exporter.name, true
+  BY_ENDING[exporter.ending] = exporter.name
+end
 
 local viz = { summary = "Draw charts.",
   epilog = "Graphviz lays out svg, png and pdf; dot is the graph without positions." }
@@ -19,6 +23,7 @@ local viz = { summary = "Draw charts.",
 function viz.add_arguments(command)
   common.add_files(command)
   common.add_stub(command)
+  common.add_machine(command)
   command:option("-T --format", concat(FORMATS, ", ")
     .. "; without it the ending of the output decides, or it is dot")
     :argname("FORMAT"):choices(FORMATS)
@@ -32,6 +37,8 @@ function viz.add_arguments(command)
     .. "writes them"):argname("JSON")
   command:option("--direction", "TB (down) or LR (to the right)"):argname("DIRECTION")
     :choices { "TB", "LR" }
+  command:option("--like", "keep the order of states in a former picture, for a diff")
+    :argname("SVG")
 end
 
 local function read_values(file)
@@ -78,6 +85,7 @@ function viz.run(options, parser)
     active = options.active[1] and options.active,
     coverage = options.coverage and read_coverage(options.coverage),
     trace = options.trace and read_trace(options.trace),
+    like = options.like and common.try(files.read(options.like)),
   }
   local machine
   local text = concat(common.encode_all(options, function(fsm, title)

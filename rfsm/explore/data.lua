@@ -2,43 +2,49 @@
 --- them, and what is known of guards that stay free.
 --
 -- The functions in `run` are called as in a machine; each step begins with the values
--- of its configuration in the fields `vars`. An answer that is known, of a guard that
--- is called or by a rule, counts as a choice that has no other side.
+-- of its configuration in the fields `vars`. All else that they change is put back, and
+-- where a step has led to is not known then (`rfsm.explore.memory`). An answer that is
+-- known, of a guard that is called or by a rule, counts as a choice that has no other
+-- side.
 --
 -- @module rfsm.explore.data
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
 local calls = require "rfsm.shared.calls"
 local match = require "rfsm.shared.match"
+local memory = require "rfsm.explore.memory"
 local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
+local replacements = require "rfsm.explore.replacements"
+local writes = require "rfsm.explore.writes"
 
-local error, ipairs = error, ipairs
-local rawequal, type = rawequal, type
+local coroutine, error, ipairs = coroutine, error, ipairs
+local rawget, rawset, table, type = rawget, rawset, table, type
 local concat = table.concat
 
 local data = {}
 
 -- Options ...........................................................................
 
-local function is_functions(list)
+local function are_callbacks(list)
   if type(list) ~= "table" or list[1] == nil then return false end
   for _, f in ipairs(list) do
-    if type(f) ~= "function" then return false end
+    if type(f) ~= "function" and type(f) ~= "string" then return false end
   end
   return true
 end
 
---- Is it a list of functions?
-function data.check_functions(list) return is_functions(list) end
+--- Is it a list of functions and names of callbacks?
+function data.check_functions(list) return are_callbacks(list) end
 
---- Is it a list of functions, or a list of such lists?
+--- Is it such a list, or a list of such lists?
 function data.check_groups(list)
-  if is_functions(list) then return true end
+  if are_callbacks(list) then return true end
   if type(list) ~= "table" or list[1] == nil then return false end
   for _, group in ipairs(list) do
-    if not is_functions(group) then return false end
+    if not are_callbacks(group) then return false end
   end
   return true
 end
@@ -80,40 +86,17 @@ local function is_inside(range, value)
   return type(value) == "number" and value >= range[1] and value <= range[2]
 end
 
--- Returns the fields that a machine has of its own, but for those of `vars`.
-local function other_fields(self)
-  local fields = {}
-  for name, value in order.each(self.parts[1].fsm) do -- any order: a copy
-    local is_own = type(name) == "string" and not name:find("^_")
-    if is_own and not self.vars[name] then fields[name] = value end
-  end
-  return fields
-end
-
--- Returns the name of a field that has changed since the beginning, though `vars` does
--- not name it.
-local function find_other(self)
-  local fields = other_fields(self)
-  for _, list in ipairs { fields, self.other_fields } do
-    for _, name in ipairs(rfsm.sorted_keys(list)) do
-      if not rawequal(fields[name], self.other_fields[name]) then return name end
-    end
-  end
-end
-
 --- Return the values of the fields, in the order of their names, and a text of them;
 --- nil and what there is that is not followed.
 ---@param self rfsm_checks.Subject
 ---@return any[]? values
 ---@return string text
 function data.read(self)
-  local values, texts, fsm = {}, {}, self.parts[1].fsm
-  local other = not order.is_empty(self.runs) and find_other(self)
-  if other then
-    return nil, ("the field '%s', which vars does not name"):format(other)
-  end
+  local values, texts = {}, {}
+  if self.changed then return nil, self.changed end
   for i, name in ipairs(self.var_names) do
-    local value = fsm[name]
+    local place = self.var_places[i]
+    local value = rawget(place.home.of, place.key)
     if not is_inside(self.vars[name], value) then
       return nil, ("values of the field '%s' such as %s"):format(name,
         rfsm.text_of(value))
@@ -125,21 +108,115 @@ end
 
 --- Set the fields.
 function data.put(self, values)
-  for i, name in ipairs(self.var_names) do self.parts[1].fsm[name] = values[i] end
+  for i, place in ipairs(self.var_places) do
+    rawset(place.home.of, place.key, values[i])
+  end
 end
 
---- Raise an error if a field has no value to begin with, or another one.
+--- Put back what the callbacks of a step have changed, unless `vars` names it.
+function data.put_back(self)
+  local text = self.memory:put_back()
+  self.is_touched = false
+  self.changed = self.changed or text and text .. ", which vars does not name"
+end
+
+--- Set the fields to the values with which the chart begins: other subjects of the
+--- model may share a table with this one.
+function data.rest(self) data.put(self, self.first_values) end
+
+-- Returns a function that lists texts, each once, and the list.
+local function new_list()
+  local list, is_listed = {}, {}
+  return function(name)
+    if not is_listed[name] then is_listed[name], list[#list + 1] = true, name end
+  end, list
+end
+
+-- Returns the names of fields that the callbacks in `run` read, or `vars` has, and
+-- those of variables. A computed key may be any name.
+local function names_of_data(self)
+  local add, names = new_list()
+  local add_variable, variables = new_list()
+  for _, path in ipairs(self.var_names) do add(path:match("[%w_]+%]?$")) end
+  local seen = {}
+  for _, callback in ipairs(self.run_list) do
+    writes.each(callback, function(text)
+      for name in text:gmatch(writes.ANY) do add(name) end
+      for _, name in ipairs(writes.names_in(text)) do add_variable(name) end
+      if text == "" or writes.reads_any(text) then add(writes.ANY) end
+    end, seen)
+  end
+  return names, variables
+end
+
+-- Notes the callbacks that are not called, and those of them that may write data.
+local function note_others(self, named)
+  local names, variables = names_of_data(self)
+  for _, name in ipairs(rfsm.sorted_keys(named)) do
+    local callback = named[name]
+    if not self.runs[callback] then
+      local is_guard = name:find("^guard ")
+      self.idle_callbacks = self.idle_callbacks + (is_guard and 0 or 1)
+      if writes.may_write(callback, names) or writes.may_set(callback, variables) then
+        table.insert(self.data_writers, name)
+      end
+    end
+  end
+end
+
+--- Return the premises about data.
+---@param self rfsm_checks.Subject
+---@return string[] texts
+function data.premises(self)
+  local texts, count = {}, self.idle_callbacks
+  if count > 0 then
+    texts[1] = ("%d %s not run"):format(count, count == 1 and "callback" or "callbacks")
+  end
+  texts[#texts + 1] = self.memory and self.memory:premise() or nil
+  return texts
+end
+
+--- Note the data of a subject; raise an error for a field that is not there, or has
+--- another value to begin with.
 function data.check_first(self)
-  self.other_fields = other_fields(self)
+  self.var_places, self.first_values, self.memory = {}, {}, false
+  if not (self.var_names[1] or self.run_list[1]) then return end
+  self.memory = memory.of(self)
+  for i, path in ipairs(self.var_names) do
+    local place = self.memory:place_of(path, self.names)
+    self.var_places[i], place.home.followed[place.key] = place, true
+  end
   local values, text = data.read(self)
   if not values then error("vars: the chart begins with " .. text, 0) end
+  self.first_values = values
 end
 
 -- Guards ............................................................................
 
+-- Returns the callbacks that a list has or names; raises an error for others.
+local function found_in(named, list, field)
+  local is_known, found = {}, {}
+  for name, callback in order.each(named) do -- any order: a set
+    local is_right = field == "run" or name:find("^guard ")
+    if is_right then is_known[name], is_known[callback] = callback, callback end
+  end
+  for i, item in ipairs(list) do
+    found[i] = is_known[item]
+    if not found[i] and type(item) == "string" then
+      error(("%s: no %s '%s'%s"):format(field, field == "run" and "callback" or "guard",
+        item, advice.nearest_name(item, rfsm.sorted_keys(is_known))), 0)
+    elseif not found[i] then
+      error(("%s: function %d is no %s of the chart"):format(field, i,
+        field == "run" and "callback" or "guard"), 0)
+    end
+  end
+  return found
+end
+
 -- Notes the rules for guards: the groups that each is in.
-local function add_rules(self, kind, list)
-  for _, group in ipairs(is_functions(list) and { list } or list or {}) do
+local function add_rules(self, kind, list, named)
+  for _, items in ipairs(are_callbacks(list) and { list } or list or {}) do
+    local group = found_in(named, items, kind)
     for _, guard in ipairs(group) do
       self.rules[guard] = self.rules[guard] or {}
       local rules = self.rules[guard]
@@ -154,29 +231,18 @@ end
 --- Read the options.
 ---@param self rfsm_checks.Subject
 ---@param options rfsm_checks.Options
-function data.read_options(self, options)
+---@param fsm rfsm.Machine
+function data.read_options(self, options, fsm)
+  local named = replacements.named(fsm)
   self.vars, self.var_names = options.vars or {}, rfsm.sorted_keys(options.vars or {})
   self.runs, self.rules, self.rule_texts, self.answers = {}, {}, {}, {}
-  self.is_met = {}
-  for _, f in ipairs(options.run or {}) do self.runs[f] = true end
+  self.run_list = found_in(named, options.run or {}, "run")
+  for _, f in ipairs(self.run_list) do self.runs[f] = true end
   for _, kind in ipairs { "exclusive", "complementary", "same" } do
-    add_rules(self, kind, options[kind])
+    add_rules(self, kind, options[kind], named)
   end
-end
-
---- Raise an error for a function in the options that the chart does not have.
-function data.check_met(self, options)
-  for _, field in ipairs { "run", "exclusive", "complementary", "same" } do
-    local list = options[field]
-    for _, group in ipairs(is_functions(list) and { list } or list or {}) do
-      for i, f in ipairs(group) do
-        if not self.is_met[f] then
-          error(("%s: function %d is no %s of the chart"):format(field, i,
-            field == "run" and "callback" or "guard"), 0)
-        end
-      end
-    end
-  end
+  self.idle_callbacks, self.data_writers = 0, {}
+  if self.var_names[1] or self.run_list[1] then note_others(self, named) end
 end
 
 -- Returns the answer that follows from those of the other guards in a group, or nil:
@@ -207,9 +273,9 @@ end
 ---@param guard function
 ---@return function
 function data.new_guard(self, path, guard)
-  self.is_met[guard] = true
   if self.runs[guard] then
     return function(...)
+      self.is_touched = true
       local ok, answer = calls.try(guard, ...)
       return self:choose(path, false, ok and answer ~= false)
     end
@@ -220,6 +286,27 @@ function data.new_guard(self, path, guard)
     local answer = self:choose(path, false, known_answer(self, guard))
     self.answers[guard] = answer
     return answer
+  end
+end
+
+--- Return what a subject has in place of a doo that is called. Its end is known; where
+--- it goes on after a yield is not followed.
+---@param self rfsm_checks.Subject
+---@param path string of its state
+---@param doo function
+---@param free function in its place from then on
+---@return function
+function data.new_doo(self, path, doo, free)
+  return function(...)
+    self.is_touched = true
+    local thread = coroutine.create(doo)
+    coroutine.resume(thread, ...)
+    if coroutine.status(thread) == "dead" then
+      self:choose(path, true, true)
+      return
+    end
+    self.changed = self.changed or ("how the doo %s goes on"):format(path)
+    return free()
   end
 end
 

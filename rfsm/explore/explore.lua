@@ -42,10 +42,10 @@ local explore = {}
 ---@field dry_run? boolean call entries, exits and effects once, for what they send
 ---@field flags? table<string, { on?: string[], off?: string[] }> set by callbacks
 ---@field vars? table<string, any> fields that callbacks in `run` read and set
----@field run? function[] callbacks that are called
----@field exclusive? function[] guards of which one at most is true in a step; or lists
----@field complementary? function[] one is, and no other; or lists
----@field same? function[] guards that answer once a step
+---@field run? (function|string)[] callbacks that are called: "effect root.trans[2]"
+---@field exclusive? any[] guards of which one at most is true in a step; or lists
+---@field complementary? any[] one is, and no other; or lists
+---@field same? any[] guards that answer once a step
 ---@field timers? "in order"|"free" free: a time event may come at any time
 ---@field period? number seconds, the longest time between two steps
 ---@field properties? table<any, table> see `rfsm_checks.never` and others
@@ -393,6 +393,7 @@ function Walk:each_step_again(from, f)
   each_try(self, from, function(_, try, key, label)
     f(try, key and find_known(self, key), label)
   end)
+  data.rest(self.subject)
 end
 
 -- Bounds ............................................................................
@@ -472,7 +473,7 @@ local KNOWN = {
   multiply = { "boolean", is_boolean, false },
   flags = { "table of flags", replacements.check_flags, {} },
   vars = { "table of ranges", data.check_vars },
-  run = { "list of functions", data.check_functions },
+  run = { "list of callbacks", data.check_functions },
   exclusive = { "list of guards", data.check_groups },
   complementary = { "list of guards", data.check_groups },
   same = { "list of guards", data.check_groups },
@@ -481,10 +482,15 @@ local KNOWN = {
   properties = { "table", is_table, {} }, progress = { "function", rfsm.is_callable },
 }
 
--- Callbacks that write the targets of transitions are not followed.
+-- Callbacks that write the targets of transitions are not followed, and those that
+-- write data and are not called.
 local function check_writers(walk)
   for _, name in ipairs(walk.subject.writers) do
     note_untried(walk, "targets", "targets that the " .. name .. " may write")
+  end
+  for _, name in ipairs(walk.subject.data_writers) do
+    note_untried(walk, "values", ("data that the %s may write, which is not run")
+      :format(name))
   end
 end
 
@@ -511,10 +517,11 @@ function explore.walk(model, options, prepare, way)
   walk.timing = timing.new(walk, settings)
   own.leaves_out = not (walk.timing or own.notes_events)
   walk.is_beside = walk.monitored[1] ~= nil or walk.timing ~= false
-    or own.var_names[1] ~= nil
+    or own.var_names[1] ~= nil or own.run_list[1] ~= nil
   find_configuration(walk, own:read() .. key_of_beside(walk, monitors.first(walk),
     walk.timing and walk.timing.none), 0, function() return "" end)
   walk_all(walk, settings)
+  data.rest(own)
   return walk
 end
 
@@ -580,7 +587,9 @@ local function repeat_on(own, events, step)
     end
   end
   for _, part in ipairs(own.parts) do part.rounds = 0 end
+  data.put(own, own.last_values or own.first_values)
   own:step(list, {})
+  own.last_values = data.read(own)
   note_outcome(own, step)
 end
 
@@ -627,6 +636,7 @@ function Walk:witness(number, label, cycle)
   end
   local times = self.timing and self.timing:solve(moments) or {}
   for i, step in ipairs(steps) do step.at = times[i] end
+  data.rest(self.subject)
   return steps
 end
 

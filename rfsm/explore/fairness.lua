@@ -24,7 +24,8 @@ local function pending_in(conf)
   local pending = {}
   for _, position in ipairs(conf) do
     local leaf = position.leaf
-    if leaf and leaf.doo and position.mode == "active" and not leaf._regions then
+    local _, own_regions = rfsm.regions(leaf)
+    if leaf and leaf.doo and position.mode == "active" and not own_regions then
       pending["doo " .. position.known.path] = leaf
     end
   end
@@ -99,28 +100,11 @@ local function find_fair(walk, numbers)
   return order.is_empty(pending) and has_edge and edges or nil
 end
 
--- Returns the shortest list of steps from a configuration whose last one is wanted.
-local function find_way(edges, start, is_wanted)
-  local came, list = { [start] = false }, { start }
-  for _, number in ipairs(list) do -- which gets longer
-    for _, edge in ipairs(edges[number]) do
-      if is_wanted(edge) then
-        local way = { edge }
-        while came[way[1].from] do table.insert(way, 1, came[way[1].from]) end
-        return way
-      end
-      if came[edge.tgt] == nil then
-        came[edge.tgt], list[#list + 1] = edge, edge.tgt
-      end
-    end
-  end
-end
-
 -- Returns the steps of a cycle on which nothing stays pending.
 local function cycle_from(walk, edges, start)
   local cycle, at = {}, start
   local function go(is_wanted)
-    for _, edge in ipairs(find_way(edges, at, is_wanted)) do
+    for _, edge in ipairs(graph.find_way(edges, at, is_wanted)) do
       cycle[#cycle + 1], at = edge, edge.tgt
     end
   end

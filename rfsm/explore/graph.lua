@@ -5,7 +5,7 @@
 
 local ipairs = ipairs
 local abs, min = math.abs, math.min
-local remove, sort = table.remove, table.sort
+local insert, remove, sort = table.insert, table.remove, table.sort
 
 local graph = {}
 
@@ -175,6 +175,27 @@ local function visit_next(walk, search)
   local above = search.visits[depth - 1]
   if above then low[above] = min(low[above], low[number]) end
   if low[number] == order[number] then take_component(search, number) end
+end
+
+--- Return the shortest list of edges from a configuration whose last one is wanted.
+---@param edges table<integer, table[]> by the configuration `from`, with `tgt`
+---@param start integer
+---@param is_wanted fun(edge: table): boolean
+---@return table[]? way
+function graph.find_way(edges, start, is_wanted)
+  local came, list = { [start] = false }, { start }
+  for _, number in ipairs(list) do -- which gets longer
+    for _, edge in ipairs(edges[number] or {}) do
+      if is_wanted(edge) then
+        local way = { edge }
+        while came[way[1].from] do insert(way, 1, came[way[1].from]) end
+        return way
+      end
+      if came[edge.tgt] == nil then
+        came[edge.tgt], list[#list + 1] = edge, edge.tgt
+      end
+    end
+  end
 end
 
 -- Does a step lead from a component to another one?

@@ -51,12 +51,16 @@ local function is_any(tr)
   return triggers == nil or triggers and (rfsm.is_state(tr.src) or tr.guard ~= false)
 end
 
-local function add_events(own, traits, tr)
-  traits.is_any = traits.is_any or is_any(tr)
-  for _, list in ipairs { tr.events or {}, match.awaited(tr) } do
-    for _, event in ipairs(list) do
-      if not own:maker_of(event) then traits.events[event] = true end
-    end
+local function add_events(own, traits, events)
+  for _, event in ipairs(events) do
+    if not own:maker_of(event) then traits.events[event] = true end
+  end
+end
+
+-- Adds the events that extensions react to in the states of a part.
+local function add_reactions(own, traits, part)
+  for _, state in ipairs(rfsm.elements(part.fsm, rfsm.is_state)) do
+    add_events(own, traits, rfsm.reactions(part.fsm, state))
   end
 end
 
@@ -75,9 +79,12 @@ local function traits_of(own, is_timed, are_free)
   for _, part in ipairs(own.parts) do
     traits[part] = { events = {}, is_any = false, is_bound = part.is_bound,
       has_timer = not are_free and has_timer(part) }
+    add_reactions(own, traits[part], part)
   end
   for _, entry in ipairs(own.transitions) do
-    add_events(own, traits[entry.part], entry.tr)
+    local part_traits, tr = traits[entry.part], entry.tr
+    part_traits.is_any = part_traits.is_any or is_any(tr)
+    add_events(own, part_traits, tr.events or {})
   end
   is_timed = is_timed or traits[own.parts[1]].has_timer
   for i = #own.parts, 2, -1 do

@@ -31,7 +31,6 @@ local reactions = {}
 ---@field own table<any, boolean>|false the set without events of regions in the leaf;
 -- false: any event
 
-local add_reactions, add_regions
 
 local function add_event(found, event)
   if type(event) == "function" then
@@ -45,39 +44,41 @@ end
 local function add_events(found, tr)
   if match.begins_on_any(tr) then found.any = true end
   for _, event in ipairs(tr.events or {}) do add_event(found, event) end
-  for _, name in ipairs(match.awaited(tr)) do add_event(found, name) end
+end
+
+-- Adds those that extensions react to in a node.
+local function add_reactions_of(found, fsm, node)
+  for _, event in ipairs(rfsm.reactions(fsm, node)) do add_event(found, event) end
 end
 
 -- Adds all events that the regions of a leaf name, whatever state they are in.
-function add_regions(found, leaf)
+local function add_regions(found, leaf)
   for _, region in ipairs(rfsm.regions(leaf)) do
     for _, tr in ipairs(rfsm.elements(region, rfsm.is_trans)) do
       add_events(found, tr)
     end
-    for _, inner in ipairs(rfsm.elements(region, rfsm.is_leaf)) do
-      add_regions(found, inner)
+    for _, state in ipairs(rfsm.elements(region, rfsm.is_state)) do
+      add_reactions_of(found, region, state)
+      add_regions(found, state)
     end
   end
 end
 
--- Lists the nodes to which a transition may lead. Of a composite with a history it may
--- be any: see rfsm/history.lua.
-local function targets_of(tr)
-  if not tr._initial then return { tr.tgt } end
-  return rfsm.elements(tr._initial._parent, rfsm.is_node)
-end
-
 -- Collects the events of the transitions from a node, and of those behind connectors.
-function add_reactions(found, node, seen)
+local function add_reactions(found, fsm, node, seen)
   if seen[node] then return end
   seen[node] = true
   for _, tr in ipairs(node._otrs) do
     add_events(found, tr)
-    for _, tgt in ipairs(targets_of(tr)) do
-      local add = is_conn(tgt) and add_reactions or add_regions
-      add(found, tgt, seen)
+    for _, tgt in ipairs(rfsm.targets(tr)) do
+      if is_conn(tgt) then
+        add_reactions(found, fsm, tgt, seen)
+      else
+        add_regions(found, tgt)
+      end
     end
   end
+  add_reactions_of(found, fsm, node)
 end
 
 -- Adds the events of the regions of the active leaf to the set alone: those that can
@@ -125,7 +126,7 @@ local function add_sets(found, tr, set, seen)
   seen[tr] = true
   for _, longer in ipairs(extend(set, tr)) do
     local is_end = false
-    for _, tgt in ipairs(targets_of(tr)) do
+    for _, tgt in ipairs(rfsm.targets(tr)) do
       is_end = is_end or not is_conn(tgt)
       for _, way in ipairs(is_conn(tgt) and tgt._otrs or {}) do
         add_sets(found, way, longer, seen)
@@ -150,7 +151,7 @@ function reactions.collect(fsm, leaf)
   local seen, nodes = {}, location.tried(fsm, leaf)
   if not leaf then found.set.e_init_fsm = true end
   for i = #nodes, 1, -1 do
-    add_reactions(found, nodes[i], seen)
+    add_reactions(found, fsm, nodes[i], seen)
     for _, tr in ipairs(nodes[i]._otrs) do add_sets(found, tr, {}, {}) end
   end
   add_timers(found, leaf and nodes or {})

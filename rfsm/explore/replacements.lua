@@ -9,15 +9,13 @@
 local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
-local files = require "rfsm.shared.files"
+local instrument = require "rfsm.shared.instrument"
+local location = require "rfsm.shared.location"
 local opts = require "rfsm.shared.options"
+local writes = require "rfsm.explore.writes"
 
-local error, getmetatable, io, ipairs = error, getmetatable, io, ipairs
-local math, pairs = math, pairs
-local rawget, table, type = rawget, table, type
-local concat, max, min = table.concat, math.max, math.min
-local getinfo = (rawget(_G, "debug") or {}).getinfo
-local getupvalue = (rawget(_G, "debug") or {}).getupvalue
+local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local table, type = table, type
 
 local replacements = {}
 
@@ -81,57 +79,38 @@ end
 --- Is it a list?
 function replacements.check_list(value) return is_list(value) end
 
--- Callbacks that change the chart ....................................................
+-- Callbacks by name ................................................................
 
-local sources = {} -- lines by the source of a function
+local FIELDS = { "entry", "exit", "doo", "guard", "effect" }
 
-local function lines_of(source)
-  if sources[source] then return sources[source] end
-  local text, lines = source, {}
-  if source:sub(1, 1) == "@" then
-    text = io and files.read(source:sub(2)) or ""
+-- Calls f(name, callback, fsm, element, field) for each callback of a machine and its
+-- regions. Those of a sequential AND state are not the library's.
+local function each_callback(fsm, f)
+  for _, entry in ipairs(rfsm.machines(fsm)) do
+    for _, obj in ipairs(rfsm.elements(entry.machine)) do
+      local own = instrument.owner_of_callbacks(obj)
+      local path = location.path(obj, entry.prefix)
+      for _, field in ipairs(FIELDS) do
+        local name = field .. " " .. path
+        if rfsm.is_callable(own[field]) then
+          f(name, own[field], entry.machine, obj, field)
+        end
+      end
+    end
   end
-  for line in (text .. "\n"):gmatch("(.-)\r?\n") do
-    lines[#lines + 1] = line:gsub("%-%-.*$", "")
-  end
-  sources[source] = lines
-  return lines
 end
 
-local may_write_target
-
--- Do the functions that a text names, or that are upvalues of `callback`, write one?
-local function calls_writer(callback, text, seen)
-  local i = 1
-  while getupvalue(callback, i) do
-    local _, value = getupvalue(callback, i)
-    if may_write_target(value, seen) then return true end
-    i = i + 1
-  end
-  for name in text:gmatch("[%a_][%w_]*") do
-    if may_write_target(rawget(_G, name), seen) then return true end
-  end
-  return false
-end
-
--- Is there an assignment to a field `tgt` in the lines of a function, or in those of a
--- function that it names?
-function may_write_target(callback, seen)
-  if type(callback) ~= "function" or seen[callback] then return false end
-  seen[callback] = true
-  local info = getinfo(callback, "S")
-  if info.what == "C" then return false end
-  local text = concat(lines_of(info.source), "\n", max(info.linedefined, 1),
-    min(max(info.lastlinedefined, 1), #lines_of(info.source)))
-  return text:find("%.%s*tgt%s*=[^=]") ~= nil or text:find("%[?[\"']tgt[\"']%]%s*=[^=]")
-    ~= nil or calls_writer(callback, text, seen)
+--- Return the callbacks of a machine and its regions, by name.
+---@return table<string, function> named "effect root.trans[2]"
+function replacements.named(fsm)
+  local named = {}
+  each_callback(fsm, function(name, callback) named[name] = callback end)
+  return named
 end
 
 --- Note a callback that may write the target of a transition.
 function replacements.note_writer(self, name, callback)
-  if getinfo and may_write_target(callback, {}) then
-    table.insert(self.writers, name)
-  end
+  if writes.may_write(callback, { "tgt" }) then table.insert(self.writers, name) end
 end
 
 -- Replacements ......................................................................
@@ -146,6 +125,20 @@ local function call_apart(callback, fsm, ...)
   return sent, ok, failure
 end
 
+-- How the interpreters begin their own messages, each in words of its own.
+local OWN_WORDS = { "^attempt to ", "^bad argument ", "stack overflow",
+  "^number .* has no integer", "^invalid " }
+
+-- Returns ": " and the text of a failure without its location; empty if the words are
+-- those of the interpreter.
+local function text_of_failure(failure)
+  local text = rfsm.text_of(failure):gsub("^.-:%d+: ", "")
+  for _, words in ipairs(OWN_WORDS) do
+    if text:find(words) then return "" end
+  end
+  return ": " .. text
+end
+
 -- Returns a function that calls the callback, notes its name, what it sends, and the
 -- failure.
 local function new_call(self, name, callback)
@@ -155,15 +148,20 @@ local function new_call(self, name, callback)
     local sent, ok, failure = call_apart(callback, ...)
     for i = 1, #sent do called[#called + 1] = "sends " .. rfsm.text_of(sent[i]) end
     if not ok then
-      called[#called + 1] = "fails: " .. rfsm.text_of(failure):gsub("^.-:%d+: ", "")
+      called[#called + 1] = "fails" .. text_of_failure(failure)
     end
   end
 end
 
--- Returns what a callback sends in a dry run.
-local function dry_events(self, callback, fsm, obj, what)
-  if not (self.is_dry_run and callback) then return {} end
-  return (call_apart(callback, fsm, obj, what, {}))
+local IS_DRY = { entry = true, exit = true, effect = true }
+
+--- Return what callbacks send in a dry run, by name. It has a machine of its own.
+function replacements.dry_run(fsm)
+  local sent = {}
+  each_callback(fsm, function(name, callback, machine, obj, field)
+    if IS_DRY[field] then sent[name] = call_apart(callback, machine, obj, field, {}) end
+  end)
+  return sent
 end
 
 -- Returns a function that calls a callback to be run, sets flags, sends events; nil if
@@ -171,7 +169,10 @@ end
 local function new_replacement(self, part, run, flags, events)
   if not (flags[1] or events[1] ~= nil or run) then return nil end
   return function(own, ...)
-    if run then calls.try(run, own, ...) end
+    if run then
+      self.is_touched = true
+      calls.try(run, own, ...)
+    end
     for _, flag in ipairs(flags) do self.flags[flag.number] = flag.value end
     for i = 1, #events do
       rfsm.send_events(own, events[i])
@@ -185,10 +186,9 @@ end
 ---@param what "entry"|"exit"|"effect"
 ---@param path string
 ---@param part rfsm_checks.Part
----@param obj rfsm.State|rfsm.Transition
 ---@param callback function|nil
 ---@return function? replacement nil if it has nothing to do
-function replacements.new(self, what, path, part, obj, callback)
+function replacements.new(self, what, path, part, callback)
   local name = what .. " " .. path
   self.callbacks[name] = part
   replacements.note_writer(self, name, callback)
@@ -196,10 +196,9 @@ function replacements.new(self, what, path, part, obj, callback)
     local short = what == "effect" and what or what .. " " .. path:gsub("^root%.", "")
     return callback and new_call(self, short, callback)
   end
-  if callback then self.is_met[callback] = true end
   local run = self.runs[callback or false] and callback
   local events = self.sends[name] or run and {}
-    or dry_events(self, callback, part.fsm, obj, what)
+    or self.dry_sends[name] or {}
   return new_replacement(self, part, run, self.flags_of[name] or {}, events)
 end
 

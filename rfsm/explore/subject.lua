@@ -8,9 +8,9 @@
 -- The machine, and those inside of sequential AND states, are the *parts* of a subject.
 --
 -- A *position* is where one part is: its active leaf, the mode of that, the events that
--- wait, and those that transitions with await have received. A configuration is a
--- position for each part, and the flags. Events that nothing in the leaf can react
--- to are left out of it. Its key is a text.
+-- wait, and what extensions keep. A configuration is a position for each part, and the
+-- flags. Events that nothing in the leaf can react to are left out of it. Its key is a
+-- text.
 --
 -- The file reads in this order: the machines, configurations, steps, public functions.
 --
@@ -21,6 +21,8 @@ local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local clock = require "rfsm.clock"
 local data = require "rfsm.explore.data"
+local instrument = require "rfsm.shared.instrument"
+local kept = require "rfsm.explore.kept"
 local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
 local reactions = require "rfsm.explore.reactions"
@@ -72,6 +74,7 @@ Subject.__index = Subject
 ---@field fsm rfsm.Machine
 ---@field prefix string see `rfsm.machines`
 ---@field owner rfsm_checks.Part|false the part around it
+---@field kept rfsm_checks.Kept|false what extensions keep of it
 ---@field leaf rfsm.State|false where it is in that part
 ---@field is_bound boolean a callback is called, or there is a rule for a guard
 ---@field known table<rfsm.State|false, rfsm_checks.Leaf>
@@ -115,8 +118,7 @@ Subject.__index = Subject
 ---@field known rfsm_checks.Leaf
 ---@field mode string
 ---@field waiting any[] events
----@field received string a digit for each event of each await
----@field targets table[] see `read_history`
+---@field kept any[]|false what extensions keep, see `rfsm.explore.kept`
 
 --- The positions of all of them, and `flags`, a text.
 ---@alias rfsm_checks.Configuration rfsm_checks.Position[]
@@ -208,17 +210,27 @@ local function paths_in(self, moment)
 end
 
 -- Returns the replacement of a callback.
-local function new_replacement(self, what, path, part, obj, callback)
+local function new_replacement(self, what, path, part, callback)
   if callback and self.runs[callback] then part.is_bound = true end
-  return replacements.new(self, what, path, part, obj, callback)
+  return replacements.new(self, what, path, part, callback)
+end
+
+local function new_replacement_of_doo(self, part, path, doo)
+  local free = new_doo(self, part, path)
+  if self.runs[doo] then
+    part.is_bound = true
+    return data.new_doo(self, path, doo, free)
+  end
+  self.free.doos = true
+  return free
 end
 
 local function make_state(self, part, state)
   local path = location.path(state, part.prefix)
   self.names[path], self.paths[#self.paths + 1] = state, path
   self.part_of[path], self.path_of[state] = part, path
-  local own = state._regions or state -- the callbacks of such a state are the library's
-  local entry = new_replacement(self, "entry", path, part, state, own.entry)
+  local own = instrument.owner_of_callbacks(state)
+  local entry = new_replacement(self, "entry", path, part, own.entry)
   own.entry = entry
   if not part.is_single or not rfsm.is_root(state) and rfsm.is_composite(state)
     and location.is_passable(state) then
@@ -227,10 +239,10 @@ local function make_state(self, part, state)
       note_moment(self, state)
     end
   end
-  own.exit = new_replacement(self, "exit", path, part, state, own.exit)
-  if state.doo and not state._regions then
+  own.exit = new_replacement(self, "exit", path, part, own.exit)
+  if state.doo and own == state then
     replacements.note_writer(self, "doo " .. path, state.doo)
-    state.doo, self.free.doos = new_doo(self, part, path), true
+    state.doo = new_replacement_of_doo(self, part, path, state.doo)
   end
   state.prepare = nil
   if state.doo or state._timers then
@@ -238,13 +250,11 @@ local function make_state(self, part, state)
   end
 end
 
--- Notes the events of a transition, and those that its await waits for.
 local function note_events(self, tr)
   for _, event in ipairs(tr.events or {}) do
     if type(event) ~= "function" then self:number_of_event(event) end
     if match.maker_of(event) == "timer" then self.free.timers = true end
   end
-  for _, name in ipairs(match.awaited(tr)) do self:number_of_event(name) end
 end
 
 local function make_transition(self, part, tr)
@@ -259,7 +269,7 @@ local function make_transition(self, part, tr)
     if self.runs[tr.guard] or self.rules[tr.guard] then part.is_bound = true end
     tr.guard = data.new_guard(self, path, tr.guard)
   end
-  local replacement = new_replacement(self, "effect", path, part, tr, tr.effect)
+  local replacement = new_replacement(self, "effect", path, part, tr.effect)
   tr.likely = nil
   tr.effect = function(...)
     self.taken[#self.taken + 1] = number
@@ -316,6 +326,7 @@ local function add_part(self, part)
   part.known, part.positions, part.ids, part.position = {}, {}, {}, false
   part.plain, part.inner = {}, {}
   part.is_bound, part.is_quiet, part.is_single = false, false, is_single(part)
+  part.kept = kept.of(fsm)
   if part.owner then table.insert(part.owner.inner, part) end
   part.occurrences, part.timed, part.rounds = {}, {}, 0
   self.parts[#self.parts + 1] = part
@@ -327,6 +338,11 @@ local function add_part(self, part)
   end
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     make_transition(self, part, tr)
+  end
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
+    for _, event in ipairs(rfsm.reactions(fsm, state)) do
+      if type(event) ~= "function" then self:number_of_event(event) end
+    end
   end
   add_leaf(part, false, 0)
   for i, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
@@ -341,62 +357,26 @@ end
 -- Leaves out what has no effect in the leaf, and what is there twice. Of events that
 -- count only as any event at all, one is kept if there is no other.
 local function relevant(self, part, leaf, events)
-  local found, kept, is_kept, other = reactions.of(part, leaf), {}, {}, nil
+  local found, list, is_listed, other = reactions.of(part, leaf), {}, {}, nil
   for i = 1, #events do
     local event = events[i]
     local is_known = found.has_predicate or found.set[event]
       or self.wanted[event] ~= nil
-    if is_known and not is_kept[event] then
-      kept[#kept + 1], is_kept[event] = event, true
+    if is_known and not is_listed[event] then
+      list[#list + 1], is_listed[event] = event, true
     elseif not is_known and other == nil then
       other = event
     end
   end
-  if leaf and found.any and kept[1] == nil then kept[1] = other end
-  return kept
-end
-
--- Returns a digit for each event that the transitions with await of a machine wait for:
--- 1 if it was received. See rfsm/await.lua for the tables.
-local function read_awaits(fsm)
-  local digits = {}
-  for _, await in ipairs(fsm._awaits or {}) do
-    for _, event in ipairs(await.wanted) do
-      digits[#digits + 1] = await.received[event] and "1" or "0"
-    end
-  end
-  return concat(digits)
-end
-
-local function put_awaits(fsm, digits)
-  local at = 0
-  for _, await in ipairs(fsm._awaits) do
-    await.missing = 0
-    for _, event in ipairs(await.wanted) do
-      at = at + 1
-      await.received[event] = digits:sub(at, at) == "1"
-      if not await.received[event] then await.missing = await.missing + 1 end
-    end
-  end
-end
-
--- Returns the targets of the transitions that enter a composite with a history, and a
--- text of them. See rfsm/history.lua.
-local function read_history(fsm)
-  local targets, names = {}, {}
-  for i, tr in ipairs(fsm._history or NOTHING) do
-    targets[i], names[i] = tr.tgt, tr.tgt._fqn
-  end
-  return targets, concat(names, ",")
+  if leaf and found.any and list[1] == nil then list[1] = other end
+  return list
 end
 
 -- Does none of the events that wait in a leaf have an effect?
 local function is_plain(self, part, leaf)
-  local fsm, found = part.fsm, reactions.of(part, leaf)
-  if found.any or found.has_predicate or fsm._awaits or fsm._history then
-    return false
-  end
-  for _, event in ipairs(fsm._intq) do
+  local found = reactions.of(part, leaf)
+  if found.any or found.has_predicate or part.kept then return false end
+  for _, event in ipairs(part.fsm._intq) do
     if found.set[event] or self.wanted[event] ~= nil then return false end
   end
   return true
@@ -422,14 +402,16 @@ function find_position(self, part, leaf, mode)
   local waiting = relevant(self, part, leaf, part.fsm._intq)
   for i, event in ipairs(waiting) do numbers[i] = self:number_of_event(event) end
   sort(numbers)
-  local known, received = part.known[leaf], read_awaits(part.fsm)
-  local targets, names = read_history(part.fsm)
-  local key = known.number .. mode .. concat(numbers, ",") .. ":" .. received .. names
+  local known, values, text = part.known[leaf], false, ""
+  if part.kept then
+    values, text = kept.read(part.kept, part.fsm, self.event_numbers)
+  end
+  local key = known.number .. mode .. concat(numbers, ",") .. ":" .. text
   local id = part.ids[key] or #part.positions + 1
   part.ids[key] = id
   part.positions[id] = part.positions[id]
     or { id = id, leaf = leaf, known = known, mode = mode, waiting = waiting,
-      received = received, targets = targets }
+      kept = values }
   return part.positions[id]
 end
 
@@ -463,13 +445,12 @@ local function put_position(part, position)
   local fsm, leaf, waiting = part.fsm, position.leaf, position.waiting
   local queue, mode = fsm._intq, (leaf or fsm)._mode
   part.position, part.rounds = position, 0
-  if rawequal(fsm._act_leaf, leaf) and mode == position.mode and not fsm._awaits then
+  if rawequal(fsm._act_leaf, leaf) and mode == position.mode and not part.kept then
     for i = 1, max(#queue, #waiting) do queue[i] = waiting[i] end
   else
     rfsm.place(fsm, leaf, position.mode, { unpack(waiting) })
-    if fsm._awaits then put_awaits(fsm, position.received) end
+    if part.kept then kept.put(part.kept, fsm, position.kept) end
   end
-  for i, tr in ipairs(fsm._history or NOTHING) do tr.tgt = position.targets[i] end
 end
 
 -- Is there nothing that events can do to a machine, unless they are for its regions?
@@ -478,12 +459,13 @@ local function is_deaf(self, part, position, events)
   for i = 1, own and #events or 0 do
     if own[events[i].event] or self.wanted[events[i].event] ~= nil then return false end
   end
-  return own and true and not (part.fsm._awaits or part.fsm._history)
+  return own and not part.kept
 end
 
 -- Has the active leaf those regions alone in which something may happen, or all.
 local function set_regions(self, leaf, are_all)
-  local regions, count = leaf._regions, 0
+  local _, regions = rfsm.regions(leaf)
+  local count = 0
   for _, part in ipairs(self.parts[1].inner) do
     if part.leaf == leaf and (are_all or not part.is_quiet) then
       count = count + 1
@@ -504,7 +486,8 @@ end
 -- happen: no doo goes on, and no event has an effect. Not if the leaf may be left.
 local function leave_out_quiet(self, conf, events)
   local leaf = self.leaves_out and conf[1].leaf
-  local stays = leaf and leaf._regions and is_deaf(self, self.parts[1], conf[1], events)
+  local _, own = rfsm.regions(leaf)
+  local stays = own and is_deaf(self, self.parts[1], conf[1], events)
   if self.trimmed and not (stays and self.trimmed == leaf) then
     set_regions(self, self.trimmed, true)
   end
@@ -594,6 +577,7 @@ end
 ---@return true?
 function Subject:step(events, choices)
   self.choices, self.asked, self.steps = choices, 0, self.steps + 1
+  self.changed = nil
   clear(self.taken)
   clear(self.moments)
   clear(self.last_events)
@@ -607,6 +591,7 @@ function Subject:step(events, choices)
     queue[#queue + 1] = events[i].event
   end
   local ok, failure = pcall(rfsm.step, self.parts[1].fsm)
+  if self.is_touched then data.put_back(self) end
   if ok then
     keep_passed(self)
     return true
@@ -752,7 +737,7 @@ end
 
 -- Takes a region out of its state.
 local function leave_out(entry)
-  local regions = entry.state._regions
+  local _, regions = rfsm.regions(entry.state)
   for i = #regions, 1, -1 do
     if regions[i] == entry.machine then
       table.remove(regions, i)
@@ -782,7 +767,6 @@ local function check_options(self, options)
   replacements.check_names(self, self.flags_of, "flags")
   replacements.check_names(self, self.sends, "sends")
   check_alphabet(self, options.alphabet)
-  data.check_met(self, options)
 end
 
 --- Make a subject of a model, in the configuration before the first entry.
@@ -797,16 +781,19 @@ function subject.new(model, options, way)
     names = {}, paths = {}, part_of = {}, path_of = {}, callbacks = {}, writers = {},
     free = {}, sent = {},
     flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
-    is_dry_run = options.dry_run, calls_callbacks = options.callbacks, called = {},
+    calls_callbacks = options.callbacks, called = {},
     choices = {}, is_known = {}, askers = {}, is_doo = {}, asked = 0,
     taken = {}, moments = {}, passed = {}, last_events = {}, ids = {}, entered = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
     alphabet = options.alphabet, time = clock.simulated(), steps = 0,
     is_endless = false, notes_events = false, leaves_out = false,
-    trimmed = false }, Subject)
+    trimmed = false, is_touched = false, changed = nil }, Subject)
+  local fsm = new_machine(self, model)
+  self.dry_sends = options.dry_run
+    and replacements.dry_run(new_machine(self, model)) or {}
   replacements.read_flags(self, options.flags or {})
-  data.read_options(self, options)
-  add_parts(self, new_machine(self, model), way)
+  data.read_options(self, options, fsm)
+  add_parts(self, fsm, way)
   if not way then check_options(self, options) end
   data.check_first(self)
   return self

@@ -5,6 +5,7 @@
 
 local rfsm = require "rfsm"
 local codes = require "rfsm.checks.codes"
+local data = require "rfsm.explore.data"
 local explore = require "rfsm.explore.explore"
 local graph = require "rfsm.explore.graph"
 local independence = require "rfsm.explore.independence"
@@ -346,7 +347,9 @@ local function premises_of(walks, options)
   if options.alphabet then texts[#texts + 1] = "no event outside of the alphabet" end
   if walk.way then texts[#texts + 1] = "independent regions one by one" end
   add_times(texts, walks, options.period)
-  for _, text in ipairs(walk.subject.rule_texts) do texts[#texts + 1] = text end
+  for _, list in ipairs { walk.subject.rule_texts, data.premises(walk.subject) } do
+    for _, text in ipairs(list) do texts[#texts + 1] = text end
+  end
   texts[#texts + 1] = next(free) and free_text(free) .. " free" or nil
   return concat(texts, "; ")
 end

@@ -172,7 +172,7 @@ end
 -- Do the regions of the active leaf get the events in the next iteration, which belongs
 -- to the same step? Not if a transition was taken.
 local function are_forwarded(fsm)
-  return fsm._act_leaf._regions and rfsm.is_free(fsm)
+  return rfsm.regions(fsm._act_leaf)[1] and rfsm.is_free(fsm)
 end
 
 local function end_iteration(own, at, events)

@@ -1,10 +1,10 @@
---- Columns: a level that is too long is divided into parts side by side.
+--- Columns: a chain that is too long is divided into parts side by side.
 --
 -- A column has a part of the nodes, in the order of the walk from `initial`. It is a
--- composite without a frame, which Graphviz lays out. An arrow from a column to a later
--- one leaves it below, runs up in the channel before the other one, and enters that
--- from above. One that leads back takes the same way in the other direction. If the
--- direction is LR, the columns are rows.
+-- composite without a frame, which Graphviz lays out. One arrow at most leads from a
+-- column to the next one, or back: it leaves the column below, runs up in the channel
+-- before the next one, and enters that from above. If the direction is LR, the columns
+-- are rows.
 --
 -- Positions have two parts: `u` runs across, from column to column, and `v` along, from
 -- the upper end of the columns to the lower one.
@@ -12,11 +12,11 @@
 -- @module rfsm.pictures.columns
 -- @license BSD-3-Clause
 
-local diagram = require "rfsm.pictures.diagram"
 local lines = require "rfsm.pictures.lines"
 local links = require "rfsm.pictures.links"
 
-local abs, ipairs, log, max = math.abs, ipairs, math.log, math.max
+local abs, floor, ipairs, log = math.abs, math.floor, ipairs, math.log
+local max, min = math.max, math.min
 
 local columns = {}
 
@@ -37,100 +37,45 @@ local function size_of(box, direction)
   return box.height, box.width
 end
 
--- Points, about: behind a node, behind an initial, beside a column, beside a line that
--- passes a node, above and below all columns; the size of a character of a label.
-local GAP, START, CHANNEL, PASS, TRACKS, CHARACTER, LINE = 35, 18, 20, 30, 60, 5.5, 14
-local PITCH = 8 -- between tracks
+local CHANNEL, TRACKS, PITCH = 40, 60, 8 -- points: beside, above and below columns
 
-local function label_width(level)
-  local most = 0
-  for _, link in ipairs(level.links) do
-    for _, line in ipairs(diagram.label_lines(link.arrow)) do
-      most = max(most, #line)
-    end
-  end
-  return most * CHARACTER
-end
-
--- Returns the space between nodes in a column, and that beside them: labels are beside
--- the lines, which run through the middle of columns.
-local function gaps_of(level, across, label)
-  if level.direction == "LR" then return GAP + label, CHANNEL end
-  return GAP, max(0, label - across / 2) + CHANNEL
-end
-
--- Returns how long each node of a level is in its column, with the space behind it.
-local function lengths_of(level, gap)
-  local lengths = {}
+-- Returns the number of the column for each node; columns are as long as each other.
+local function deal(level, count)
+  local numbers, is_down = {}, level.direction == "TB"
+  local length = is_down and level.inner_height or level.inner_width
   for i, box in ipairs(level.boxes) do
-    local node, _, length = level.composite.nodes[i], size_of(box, level.direction)
-    lengths[i] = length + (node.kind == "initial" and START or gap)
-  end
-  return lengths
-end
-
--- Fills columns up to a length. Returns the number of the column of each node.
-local function fill(lengths, most)
-  local numbers, number, sum = {}, 1, 0
-  for i, length in ipairs(lengths) do
-    sum = sum + length
-    if sum > most and i > 1 then number, sum = number + 1, length end
-    numbers[i] = number
+    local along = is_down and length - box.y or box.x
+    numbers[i] = min(count, 1 + floor(along / length * count))
   end
   return numbers
 end
 
--- Deals nodes into columns, of which the longest is as short as it can be. Returns the
--- number of the column of each node, and the length of the longest column.
-local function deal(lengths, count)
-  local least, most = 0, 1
-  for _, length in ipairs(lengths) do
-    least, most = max(least, length), most + length
-  end
-  while most - least > 1 do
-    local middle = (least + most) / 2
-    local numbers = fill(lengths, middle)
-    if numbers[#numbers] > count then least = middle else most = middle end
-  end
-  return fill(lengths, most), most
-end
-
--- Counts the arrows from column to column, and the nodes in columns that these pass.
-local function crossing_of(level, numbers)
-  local crossing, passing = 0, 0
+-- Does one arrow at most lead from each column to the next, and none further?
+local function is_chain(level, numbers)
+  local is_linked = {}
   for _, link in ipairs(level.links) do
-    local upper, lower = link.upper and link.upper.node, link.lower.node
-    local i, j = upper and upper.index, lower and lower.index
-    if upper and lower and numbers[i] ~= numbers[j] then
-      crossing = crossing + 1
-      if numbers[i + 1] == numbers[i] then passing = passing + 1 end
-      if numbers[j - 1] == numbers[j] then passing = passing + 1 end
+    local last = numbers[link.lower.node.index]
+    local first = link.upper and numbers[link.upper.node.index] or last
+    if first ~= last then
+      if last ~= first + 1 or is_linked[last] then return false end
+      is_linked[last] = true
     end
   end
-  return crossing, passing
+  return true
 end
 
-local MOST = 2 -- arrows between columns, for each channel
-
 --- Return the number of the column for each node of a level, nil if columns do not fit:
--- if too many arrows would lead from one to the other.
+-- if it has gates, or is no chain.
 function columns.plan(level)
-  local across, direction, label = 0, level.direction, label_width(level)
-  for _, box in ipairs(level.boxes) do
-    across = max(across, (size_of(box, direction)))
-  end
-  local gap, room = gaps_of(level, across, label)
-  local lengths, best, least = lengths_of(level, gap), nil, columns.misfit(level)
+  if level.gates[1] then return nil end
+  local across, length = size_of(level, level.direction)
+  local best, least = nil, columns.misfit(level)
   for count = 2, #level.boxes do
-    local numbers, length = deal(lengths, count)
-    local crossing, passing = crossing_of(level, numbers)
-    local width, height = (across + room) * count
-      + crossing * (PITCH + (direction == "TB" and label or LINE)) + passing * PASS,
-      length + TRACKS
-    if direction == "LR" then width, height = height, width end
-    local cost = misfit_of(width, height) + crossing / max(1, #level.links)
-    if cost > least then break end
-    best, least = crossing <= MOST * (count - 1) and numbers or nil, cost
+    local width, height = (across + CHANNEL) * count, length / count + TRACKS
+    if level.direction == "LR" then width, height = height, width end
+    local misfit, numbers = misfit_of(width, height), deal(level, count)
+    if misfit > least then break end
+    best, least = is_chain(level, numbers) and numbers or best, misfit
   end
   return best
 end
@@ -156,138 +101,76 @@ function columns.split(chart, level, numbers)
   return levels
 end
 
--- Tracks: where the arrows between columns run --------------------------------
+-- Places: of the columns, and of the arrows between them -----------------------
 
--- Gives each link a track from one column to another; links that do not meet may share
--- one. Returns the size of the tracks.
-local function assign_tracks(crossing, first, last, field)
-  local ends, count = {}, 0
-  for _, link in ipairs(crossing) do
-    local track = 1
-    while ends[track] and ends[track] >= first(link) do track = track + 1 end
-    ends[track], link[field], count = last(link), track, max(count, track)
+-- Places the columns across, each behind its channel. Returns the places and the size
+-- of all: across and along.
+local function place_columns(level)
+  local list, into, u, length = {}, {}, 0, 0
+  for _, link in ipairs(level.links) do into[link.lower.node.index] = link end
+  for i, column in ipairs(level.composite.nodes) do
+    local link, place = into[i], { column = column, link = into[i] }
+    local label = link and link.arrow.label_box
+    place.channel = u + 2 * PITCH
+    u = i > 1 and place.channel + PITCH or 0
+    u = label and u + size_of(label, level.direction) + 4 or u
+    place.u = u
+    local width, height = size_of(column.level, level.direction)
+    list[i], u, length = place, u + width, max(length, height)
   end
-  return count > 0 and (count + 1) * PITCH or 0
+  return list, u, length
 end
 
-local function src_column(link) return link.upper.node.index end
-local function tgt_column(link) return link.lower.node.index end
-
--- The places of columns and tracks in a level.
-local function new_grid(level)
-  local grid = { level = level, direction = level.direction, crossing = {}, u = {} }
-  for _, link in ipairs(level.links) do
-    if link.upper.node and link.lower.node then
-      grid.crossing[#grid.crossing + 1] = link
-    end
-  end
-  links.sort_by(grid.crossing, src_column)
-  grid.below = assign_tracks(grid.crossing, src_column, function(link)
-    return tgt_column(link) - 0.5
-  end, "below")
-  links.sort_by(grid.crossing, tgt_column)
-  grid.above = assign_tracks(grid.crossing, tgt_column, tgt_column, "above")
-  return grid
+-- Returns the corners of the line into a column, from the one before it. `at` returns
+-- the point for a position, `top` and `foot` are where columns begin and end.
+local function corners_of(at, before, place, top, foot, direction)
+  local link = place.link
+  local _, from = size_of(before.column.level, direction)
+  local u, tgt = before.u + link.upper.gate.offset, place.u + link.lower.gate.offset
+  return { at(u, top + from), at(u, foot + PITCH), at(place.channel, foot + PITCH),
+    at(place.channel, top - PITCH), at(tgt, top - PITCH), at(tgt, top) }
 end
 
--- Places the columns across, each behind the tracks in its channel.
-local function place_across(grid, from)
-  local u, length = from, 0
-  for i, column in ipairs(grid.level.composite.nodes) do
-    if i > 1 then u = u + 2 * PITCH end
-    for _, link in ipairs(grid.crossing) do
-      if link.lower.node == column then
-        local label = link.arrow.label_box
-        link.u = u
-        u = u + PITCH + (label and size_of(label, grid.direction) + 4 or 0)
-      end
-    end
-    local width, height = size_of(column.level, grid.direction)
-    grid.u[i] = u
-    u, length = u + width, max(length, height)
-  end
-  grid.across, grid.length = u, length
-end
-
--- Makes room for name and rows: above the columns, or beside them if an arrow leads up
--- from a column to the frame.
-local function place_header(grid, header)
-  local from = 0
-  grid.start = grid.above
-  if header and grid.direction == "TB" then
-    grid.start = grid.start + header.height + PITCH
-    for _, link in ipairs(grid.level.links) do
-      if not link.upper.node then from = header.width + PITCH end
-    end
-  end
-  place_across(grid, from)
-  if header and grid.direction == "TB" then
-    grid.across = max(grid.across, header.width)
-  end
-  grid.foot = grid.start + grid.length
-  grid.along = grid.foot + grid.below
-  return from > 0
-end
-
-local function point_at(grid, u, v)
-  if grid.direction == "TB" then return { u, grid.along - v } end
-  return { v, grid.across - u }
-end
-
--- Returns where a link meets a column: across, and along.
-local function foot_of(grid, finish, is_upper)
-  local column = finish.node
-  local _, length = size_of(column.level, grid.direction)
-  return grid.u[column.index] + finish.gate.offset,
-    grid.start + (is_upper and length or 0)
-end
-
--- Returns the corners of a link between columns, or to a gate of the level.
-local function corners_of(grid, link)
-  local function at(u, v) return point_at(grid, u, v) end
-  if not link.upper.node then
-    local u, v = foot_of(grid, link.lower, false)
-    link.upper.gate.at = at(u, 0)
-    return { at(u, 0), at(u, v) }
-  end
-  local u, v = foot_of(grid, link.upper, true)
-  if not link.lower.node then
-    link.lower.gate.at = at(u, grid.along)
-    return { at(u, v), at(u, grid.along) }
-  end
-  local below, above = grid.foot + link.below * PITCH, grid.start - link.above * PITCH
-  local tgt, top = foot_of(grid, link.lower, false)
-  local label = link.arrow.label_box
+-- Places the arrow into a column; its label is where the detour begins.
+local function place_link(at, before, place, top, foot, direction)
+  local link, label = place.link, place.link.arrow.label_box
+  link.points = lines.rounded(corners_of(at, before, place, top, foot, direction))
   if label then
-    link.label_at = at(link.u + 3 + size_of(label, grid.direction) / 2,
-      (below + above) / 2)
+    local width, height = size_of(label, direction)
+    link.label_at = at(place.channel + 3 + width / 2, foot - height / 2)
   end
-  return { at(u, v), at(u, below), at(link.u, below), at(link.u, above), at(tgt, above),
-    at(tgt, top) }
+end
+
+-- Gives a level its size, and its header a place.
+local function measure(level, across, along, header)
+  if level.direction == "LR" then
+    across, along = along, across + (header and header.height + PITCH or 0)
+  end
+  level.inner_width, level.inner_height = max(across, header and header.width or 0),
+    along
+  level.header = header and { x = level.inner_width / 2,
+    y = level.inner_height - header.height / 2 }
 end
 
 --- Place the columns of a level, and the arrows between them; `header` is the size of
 -- its name and rows.
 function columns.arrange(level, header)
-  local grid = new_grid(level)
-  local is_beside = place_header(grid, header)
-  for i, column in ipairs(level.composite.nodes) do
-    local width, height = size_of(column.level, grid.direction)
-    local middle = point_at(grid, grid.u[i] + width / 2, grid.start + height / 2)
+  local is_down, direction = level.direction == "TB", level.direction
+  local places, across, length = place_columns(level)
+  local top = 2 * PITCH + (header and is_down and header.height + PITCH or 0)
+  local foot = top + length
+  local along = foot + 2 * PITCH
+  local function at(u, v)
+    if is_down then return { u, along - v } end
+    return { v, across - u }
+  end
+  for i, place in ipairs(places) do
+    local width, height = size_of(place.column.level, direction)
+    local middle = at(place.u + width / 2, top + height / 2)
     level.boxes[i] = { x = middle[1], y = middle[2] }
+    if place.link then place_link(at, places[i - 1], place, top, foot, direction) end
   end
-  for _, link in ipairs(level.links) do
-    link.points = lines.rounded(corners_of(grid, link))
-  end
-  level.inner_width, level.inner_height = size_of({ width = grid.across,
-    height = grid.along }, grid.direction)
-  if not header then return end
-  if grid.direction == "LR" then
-    level.inner_height = level.inner_height + header.height + PITCH
-    level.inner_width = max(level.inner_width, header.width)
-  end
-  level.header = { x = is_beside and header.width / 2 or level.inner_width / 2,
-    y = level.inner_height - header.height / 2 }
+  measure(level, across, along, header)
 end
 
 return columns

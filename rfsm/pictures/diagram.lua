@@ -16,7 +16,7 @@ local rfsm = require "rfsm"
 local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
 local rawset, select = rawset, select
 local tonumber, tostring, type = tonumber, tostring, type
-local concat, max = table.concat, math.max
+local concat, max, sort = table.concat, math.max, table.sort
 
 local diagram = {}
 
@@ -28,6 +28,7 @@ local diagram = {}
 ---@field direction? "TB"|"LR" from top to bottom, or from left to right
 ---@field coverage? rfsm.pictures.Coverage
 ---@field trace? (string|rfsm.pictures.Step)[] a run; a text is an FQN or a key
+---@field like? string text of a former picture, an SVG, whose order of nodes is kept
 
 --- A step of a run: of a witness by `rfsm_checks.explore`, or one by `rfsm.record`.
 ---@class rfsm.pictures.Step
@@ -75,6 +76,7 @@ local diagram = {}
 ---@class rfsm.pictures.Chart
 ---@field title? string
 ---@field direction string
+---@field kind? "levels"|"plain" of the former picture
 ---@field root rfsm.pictures.Node
 ---@field nodes rfsm.pictures.Node[] all nodes, parents before children
 ---@field by_fqn table<string, rfsm.pictures.Node>
@@ -300,6 +302,44 @@ local function read_transition(chart, tr, key, words)
     parts = parts })
 end
 
+-- Order: that of a former picture ----------------------------------------------
+
+local ENTITIES = { amp = "&", lt = "<", gt = ">", quot = '"', ["#45"] = "-",
+  ["#39"] = "'" }
+
+-- Returns the numbers of the nodes in an SVG by FQN. A composite has that of the first
+-- node in it.
+local function numbers_in(svg)
+  local numbers, count = {}, 0
+  for id in svg:gmatch('<g id="([^"]*)" class="node') do
+    local fqn = id:gsub("&(#?%w+);", ENTITIES)
+    count = count + 1
+    while fqn and not numbers[fqn] do
+      numbers[fqn], fqn = count, fqn:match("^(.*)%.")
+    end
+  end
+  return numbers
+end
+
+-- Puts nodes in the order of a former picture. What is new comes behind the node that
+-- is before it now. Regions stay in the order in which they are stepped.
+local function keep_order(chart, svg)
+  local numbers, number_of = numbers_in(svg), {}
+  chart.kind = svg:match('class="graph (%l+)"')
+  for _, composite in ipairs(chart.nodes) do
+    local number, nodes = 0, composite.nodes
+    for _, node in ipairs(nodes) do
+      number = not node.is_region and numbers[node.fqn] or number
+      number_of[node] = number
+    end
+    sort(nodes, function(a, b)
+      if number_of[a] ~= number_of[b] then return number_of[a] < number_of[b] end
+      return a.index < b.index
+    end)
+    for i, node in ipairs(nodes) do node.index = i end
+  end
+end
+
 -- Charts ----------------------------------------------------------------------
 
 -- Returns the state for an FQN given by a user, or the drawn one that contains it.
@@ -379,7 +419,7 @@ end
 local OPTIONS = {
   title = { "string", is_a("string", "number") }, depth = { "number", is_a "number" },
   active = { "string", is_a("string", "table") }, coverage = { "table", is_a "table" },
-  trace = { "table", is_a "table" },
+  trace = { "table", is_a "table" }, like = { "string", is_a "string" },
   direction = { "'TB' or 'LR'", function(x) return x == "TB" or x == "LR" end, "TB" },
 }
 
@@ -387,8 +427,9 @@ local function is_description(value)
   return type(value) == "table" and type(value.id) == "string" and value.type == "state"
 end
 
-local function read_description(chart, tab, depth)
-  chart.root = read_node(chart, tab, nil, "root", depth or 1 / 0)
+local function read_description(chart, tab, settings)
+  chart.root = read_node(chart, tab, nil, "root", settings.depth or 1 / 0)
+  if settings.like then keep_order(chart, settings.like) end
   diagram.each_transition(tab, marsh.gen_event_text(), function(...)
     read_transition(chart, ...)
   end)
@@ -408,7 +449,7 @@ function diagram.read(source, where, options)
     nodes = {}, arrows = {}, all = {}, by_fqn = {}, taken = {},
   }
   local tab = is_read and source or marsh.model2tab(source, true)
-  if not pcall(read_description, chart, tab, settings.depth) then
+  if not pcall(read_description, chart, tab, settings) then
     error(where .. ": description by rfsm.marsh expected, got another table", 3)
   end
   if settings.active then mark_active(chart, settings.active, where) end

@@ -55,13 +55,11 @@ local function side_text(level, list, length)
   return cell_of(direction, length, 1, nil, table_of(direction, cells))
 end
 
--- The gates and feet at a side, in the order of their positions.
+-- The gates at a side, in the order of their positions.
 local function gates_at(level, is_upper)
   local list = {}
-  for _, gates in ipairs { level.gates, level.feet } do
-    for _, gate in ipairs(gates) do
-      if gate.is_upper == is_upper then list[#list + 1] = gate end
-    end
+  for _, gate in ipairs(level.gates) do
+    if gate.is_upper == is_upper then list[#list + 1] = gate end
   end
   links.sort_by(list, function(gate) return gate.offset end)
   return list
@@ -73,8 +71,7 @@ local function box_text(level)
   local rows = { side_text(level, gates_at(level, true), across),
     cell_of(level.direction, across, along - 2),
     side_text(level, gates_at(level, false), across) }
-  return (level.ordering and "ordering=" .. level.ordering .. ", " or "")
-    .. 'shape=plain, style="", label=<'
+  return 'shape=plain, style="", label=<'
     .. table_of(level.direction == "LR" and "TB" or "LR", rows) .. ">"
 end
 
@@ -173,9 +170,7 @@ local function end_text(level, finish, is_tail)
   local compass = COMPASS[level.direction][is_tail and 1 or 2]
   if not finish.node then return finish.gate.id .. ":" .. compass end
   local id = "n" .. finish.node.index
-  local gate = finish.gate or finish.foot
-  if gate then return ("%s:%s:%s"):format(id, gate.id, compass) end
-  if finish.is_pinned then return id .. ":" .. compass end
+  if finish.gate then return ("%s:%s:%s"):format(id, finish.gate.id, compass) end
   return finish.node.kind == "connector" and id .. ":p" or id
 end
 
@@ -192,24 +187,6 @@ local function add_link(lines, level, link)
     has_label and ", label=" .. looks.roomy_label(link.arrow) or ""))
 end
 
--- Returns the links of a level: those at a box with an order come in that order.
-local function links_in_order(level)
-  local list, offsets = {}, {}
-  local function note(link, finish, ordering)
-    local node = finish and finish.node
-    if not node or not node.level or node.level.ordering ~= ordering then return end
-    local gate = finish.gate or finish.foot
-    offsets[link] = gate and gate.offset
-  end
-  for i, link in ipairs(level.links) do
-    list[i] = link
-    note(link, link.upper, "out")
-    note(link, link.lower, "in")
-  end
-  links.sort_by(list, function(link) return offsets[link] or 0 end)
-  return list
-end
-
 local LARGE = 100 -- links
 
 local function graph_of(level)
@@ -218,7 +195,6 @@ local function graph_of(level)
   if #level.links > LARGE then
     add(lines, 1, "graph [nslimit=2, nslimit1=2, mclimit=0.5]")
   end
-  if level.is_stretched then add(lines, 1, "graph [ratio=0.75]") end
   if level.is_spread then add(lines, 1, "graph [ranksep=1, nodesep=0.1]") end
   add_border(lines, level)
   add_nodes(lines, level)
@@ -228,7 +204,7 @@ local function graph_of(level)
     add(lines, 1, "graph [nodesep=0.2]")
     add_stack(lines, level)
   end
-  for _, link in ipairs(links_in_order(level)) do
+  for _, link in ipairs(level.links) do
     if not link.is_loop then add_link(lines, level, link) end
     local twin = link.upper and link.upper.gate and link.upper.gate.twin
     if twin and not link.upper.node then -- it stays beside the other gate
@@ -266,20 +242,31 @@ local function read_attributes(text, position)
   end
 end
 
-local function numbers_in(text)
+--- Return the numbers in a text.
+function graphs.numbers_in(text)
   local list = {}
   for number in text:gmatch("[%d.e+-]+") do list[#list + 1] = tonumber(number) end
   return list
 end
 
-local function read_link(link, attributes)
-  local points = {}
-  local rest = attributes.pos:gsub("[es],([^ ]+) ?", function(point)
-    link.tip = numbers_in(point)
+local numbers_in = graphs.numbers_in
+
+--- Return the points of a line, and its tip; it is turned if the tip is at its start.
+function graphs.line_of(text)
+  local line = { points = {}, is_turned = text:find("^s") ~= nil }
+  local rest = text:gsub("[es],([^ ]+) ?", function(point)
+    line.tip = numbers_in(point)
     return ""
   end)
-  for point in rest:gmatch("[^ ]+") do points[#points + 1] = numbers_in(point) end
-  link.points = points
+  for point in rest:gmatch("[^ ]+") do
+    line.points[#line.points + 1] = numbers_in(point)
+  end
+  return line
+end
+
+local function read_link(link, attributes)
+  local line = graphs.line_of(attributes.pos)
+  link.points, link.tip = line.points, line.tip
   link.label_at = attributes.lp and numbers_in(attributes.lp)
 end
 
@@ -323,20 +310,30 @@ local function read_element(level, id, attributes)
   end
 end
 
--- Reads a graph of an answer. Returns where it ends.
-local function read_level(level, text, position)
-  level.boxes, level.arches, level.header, level.usual = {}, {}, nil, nil
+--- Call f(id, attributes, cluster) for each element in a graph of an answer, where
+-- `cluster` is the last one that has begun. Returns where the graph ends.
+function graphs.read(text, position, f)
+  local cluster
   while true do
     local _, stop, id, mark = text:find("\n%s*([^\n{}]-)%s*([%[{}])", position)
-    position = stop + 1
+    position, id = stop + 1, id:gsub('"', "")
     if mark == "[" then
       local attributes
       attributes, position = read_attributes(text, position)
-      read_element(level, id, attributes)
-    elseif mark == "}" and text:find("^\n}", stop - 1) then
+      f(id, attributes, cluster)
+    elseif mark == "{" then
+      cluster = id:match("^subgraph (.*)")
+    elseif text:find("^\n}", stop - 1) then
       return position
     end
   end
+end
+
+local function read_level(level, text, position)
+  level.boxes, level.arches, level.header, level.usual = {}, {}, nil, nil
+  return graphs.read(text, position, function(id, attributes)
+    read_element(level, id, attributes)
+  end)
 end
 
 -- Public functions ------------------------------------------------------------

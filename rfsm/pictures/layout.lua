@@ -1,50 +1,62 @@
 --- A chart with the position of everything in it: a graph that Graphviz only draws.
 --
+-- There are two layouts, that of our levels and a plain one. The better one is drawn.
+--
 -- @module rfsm.pictures.layout
 -- @license BSD-3-Clause
 
+local choice = require "rfsm.pictures.choice"
 local diagram = require "rfsm.pictures.diagram"
 local levels = require "rfsm.pictures.levels"
 local lines = require "rfsm.pictures.lines"
 local looks = require "rfsm.pictures.looks"
+local plain = require "rfsm.pictures.plain"
 
 local ipairs = ipairs
 local concat, add = table.concat, diagram.add
 
 local layout = {}
 
--- Positions: from those in a level to those in the picture --------------------
+--- Where everything is, in points from the lower left corner.
+---@class rfsm.pictures.Layout
+---@field kind "levels"|"plain"
+---@field left number
+---@field bottom number
+---@field width number
+---@field height number
+---@field places table<rfsm.pictures.Node, rfsm.pictures.Place>
+---@field lines { points: number[][], tip: number[], label?: number[] }[] of the arrows
+
+--- The middle of a node, or of the header of a composite, which has a frame.
+---@class rfsm.pictures.Place
+---@field x number
+---@field y number
+---@field left? number
+---@field bottom? number
+---@field width? number
+---@field height? number
+
+-- Levels: from positions in a level to those in the picture --------------------
 
 -- Puts a composite, and all that is in it, where its lower left corner shall be.
-local function move(composite, left, bottom)
+local function move(places, composite, left, bottom)
   local level = composite.level
-  level.left, level.bottom = left, bottom
+  local header = level.header or { x = 0, y = 0 }
   level.x, level.y = left + level.x, bottom + level.y
+  places[composite] = { left = left, bottom = bottom, width = level.width,
+    height = level.height, x = level.x + header.x, y = level.y + header.y }
   for i, node in ipairs(composite.nodes) do
-    local box = level.boxes[i]
-    node.x, node.y = level.x + box.x, level.y + box.y
-    if node.level then
-      move(node, node.x - node.level.width / 2, node.y - node.level.height / 2)
+    local box, inner = level.boxes[i], node.level
+    local x, y = level.x + box.x, level.y + box.y
+    if inner then
+      move(places, node, x - inner.width / 2, y - inner.height / 2)
+    else
+      places[node] = { x = x, y = y }
     end
   end
 end
 
-local function point_text(x, y)
-  return looks.number_text(x) .. "," .. looks.number_text(y)
-end
-
--- Lines: the links of an arrow, joined ----------------------------------------
-
-local function arch_line(box, from, to, direction)
-  if direction == "TB" then
-    local top = box.y + box.height / 2
-    return lines.rounded { from, { from[1], top }, { to[1], top }, to }
-  end
-  local left = box.x - box.width / 2
-  return lines.rounded { from, { left, from[2] }, { left, to[2] }, to }
-end
-
--- Joins the links of an arrow. Returns the line, the tip and the position of the label.
+-- Joins the links of an arrow.
 local function line_of(arrow, direction)
   local line, tip, label, axis = {}, nil, nil, direction == "TB" and 1 or 2
   for _, link in ipairs(arrow.links) do
@@ -54,40 +66,58 @@ local function line_of(arrow, direction)
     if arch and link == arch.legs[2] then
       local box = level.arches[arch.id]
       label = place { box.x, box.y }
-      lines.join(line, arch_line({ x = label[1], y = label[2], width = box.width,
-        height = box.height }, line[#line], points[1], level.direction), axis)
+      lines.join(line, lines.around(line[#line], points[1], level.direction == "TB"
+        and label[2] + box.height / 2 or label[1] - box.width / 2, level.direction),
+        axis)
     end
     lines.join(line, points, axis)
     tip = link.head and place(link.tip) or tip
     label = link.label_at and place(link.label_at) or label
   end
-  return line, tip, label
+  return { points = line, tip = tip, label = label }
+end
+
+-- Returns the layout of our levels, or nil and the problem.
+local function lay_out(chart, run)
+  local problem = levels.lay_out(chart, run)
+  if problem then return nil, problem end
+  local places, arrows, top = {}, {}, chart.top.level
+  move(places, chart.top, 0, 0)
+  for i, arrow in ipairs(chart.all) do arrows[i] = line_of(arrow, chart.direction) end
+  return { kind = "levels", left = 0, bottom = 0, width = top.width,
+    height = top.height, places = places, lines = arrows }
 end
 
 -- The graph -------------------------------------------------------------------
 
-local function position_of(node)
-  local level = node.level
-  if not level then return (', pos="%s"'):format(point_text(node.x, node.y)) end
-  return (', bb="%s,%s", lp="%s"'):format(point_text(level.left, level.bottom),
-    point_text(level.left + level.width, level.bottom + level.height),
-    point_text(level.x + level.header.x, level.y + level.header.y))
+local function point_text(x, y)
+  return looks.number_text(x) .. "," .. looks.number_text(y)
+end
+
+local function box_text(box)
+  return ('bb="%s,%s"'):format(point_text(box.left, box.bottom),
+    point_text(box.left + box.width, box.bottom + box.height))
+end
+
+local function position_text(place)
+  local point = point_text(place.x, place.y)
+  if not place.width then return (', pos="%s"'):format(point) end
+  return (', %s, lp="%s"'):format(box_text(place), point)
 end
 
 -- Returns the identifier for an end of an arrow: at a composite, that of a leaf in it.
 local function anchor_of(node)
-  while node.level do node = node.nodes[1] end
+  while node.nodes[1] do node = node.nodes[1] end
   return node.id
 end
 
 local function end_text(name, node)
-  return node.level and (", %s=cluster_%s"):format(name, node.id) or ""
+  return node.nodes[1] and (", %s=cluster_%s"):format(name, node.id) or ""
 end
 
-local function add_arrow(texts, arrow, chart)
-  local line, tip, label = line_of(arrow, chart.direction)
-  local points = {}
-  for i, point in ipairs(lines.inside(line, chart.root.level or chart.top.level)) do
+local function add_arrow(texts, arrow, line, frame)
+  local points, tip, label = {}, line.tip, line.label
+  for i, point in ipairs(lines.inside(line.points, frame)) do
     points[i] = point_text(point[1], point[2])
   end
   add(texts, 1, ('%s -> %s [%s, %s%s%s, pos="e,%s %s"%s]'):format(
@@ -98,21 +128,33 @@ local function add_arrow(texts, arrow, chart)
       looks.arrow_label(arrow)) or ""))
 end
 
---- Return the graph of a chart, with positions; nil and the problem if there is one.
-function layout.draw(chart, run)
-  local root = chart.root
-  root.name = chart.title or root.name
-  local problem = levels.lay_out(chart, run)
-  if problem then return nil, problem end
-  local top = chart.top
-  move(top, 0, 0)
+local function graph_of(chart, positions)
+  local root, places = chart.root, positions.places
+  local frame = places[root].width and places[root] or positions
   local texts = { "digraph " .. looks.quoted(root.name) .. " {",
     looks.head(chart.direction), ('  graph [layout=nop2, outputorder=nodesfirst, '
-    .. 'bb="0,0,%s"]'):format(point_text(top.level.width, top.level.height)) }
-  looks.add_node(texts, 1, chart.root, position_of)
-  for _, arrow in ipairs(chart.all) do add_arrow(texts, arrow, chart) end
+    .. 'class=%s, %s]'):format(positions.kind, box_text(positions)) }
+  looks.add_node(texts, 1, root, function(node) return position_text(places[node]) end)
+  for i, arrow in ipairs(chart.all) do
+    add_arrow(texts, arrow, positions.lines[i], frame)
+  end
   add(texts, 0, "}")
   return concat(texts, "\n") .. "\n"
+end
+
+local MOST = 1000 -- nodes of which Graphviz lays out the whole in about a second
+
+--- Return the graph of a chart, with positions; nil and the problem if there is one.
+-- `graph` is that of the whole, without positions.
+function layout.draw(chart, graph, run)
+  local best, problem = lay_out(chart, run)
+  if not best then return nil, problem end
+  local answer = #chart.nodes <= MOST
+    and run((graph:gsub("^[^\n]*", "digraph {", 1)))
+  local whole = answer and plain.read(chart, (answer:gsub("\\\r?\n", "")))
+  best = whole and choice.of(best, whole, chart.kind) or best
+  for _, node in ipairs(best == whole and chart.nodes or {}) do node.least = nil end
+  return graph_of(chart, best)
 end
 
 return layout

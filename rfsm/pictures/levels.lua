@@ -1,13 +1,12 @@
 --- The layout of a chart: level by level, the innermost ones first.
 --
--- Graphviz lays out each level. One that is too long is put into columns, a wide one is
--- turned to the other direction. Loops at states are drawn here.
+-- Graphviz lays out each level. A chain that is too long is put into columns, a wide
+-- level is turned to the other direction. Loops at states are drawn here.
 --
 -- @module rfsm.pictures.levels
 -- @license BSD-3-Clause
 
 local columns = require "rfsm.pictures.columns"
-local ends = require "rfsm.pictures.ends"
 local graphs = require "rfsm.pictures.graphs"
 local links = require "rfsm.pictures.links"
 local looks = require "rfsm.pictures.looks"
@@ -96,26 +95,17 @@ local function draw_loops(level)
   end
 end
 
--- Has Graphviz lay out levels, and again while ends of lines must be elsewhere.
 local function lay_out(list, run)
-  local again = list
-  while again[1] do
-    local problem = graphs.lay_out(again, run)
-    if problem then return problem end
-    local mended = {}
-    for _, level in ipairs(again) do
-      if ends.mend(level) then mended[#mended + 1] = level end
-    end
-    again = mended
-  end
-  for _, level in ipairs(list) do draw_loops(level) end
+  local problem = list[1] and graphs.lay_out(list, run)
+  for _, level in ipairs(problem and {} or list) do draw_loops(level) end
+  return problem
 end
 
 -- Levels that do not fit ------------------------------------------------------
 
 local FEWEST, MANY = 6, 8 -- nodes in what is turned, in what is folded
-local TALLEST, WIDEST = 420, 800 -- points, of an inner level that is never changed
-local LONGEST = 1000 -- points, of a root that is never folded
+local TALLEST, WIDEST = 420, 800 -- points, of an inner level that is never turned
+local LONGEST = 1000 -- points, of a level that is never folded: readable on A4
 local MISFIT = log(1.7)
 
 -- Returns the size of a level along its arrows.
@@ -126,16 +116,6 @@ end
 -- Is a level longer along its arrows than across? If not, nodes are side by side.
 local function is_long(level)
   return length_of(level) == max(level.width, level.height)
-end
-
-local function is_misfit(chart, level)
-  local composite = level.composite
-  if #level.boxes < FEWEST or columns.misfit(level) < MISFIT then return false end
-  if composite.nodes[1].is_region then return false end -- then all are
-  if composite == chart.root then
-    return not is_long(level) or length_of(level) > LONGEST
-  end
-  return level.height > TALLEST or level.width > WIDEST
 end
 
 local function divide(chart, list, run)
@@ -216,7 +196,6 @@ local OTHER = { TB = "LR", LR = "TB" }
 
 -- Turns levels to the other direction, and those that get no better back.
 local function turn(list, run)
-  if not list[1] then return nil end
   local before, worse = {}, {}
   for i, level in ipairs(list) do
     before[i], level.direction = columns.misfit(level), OTHER[level.direction]
@@ -230,38 +209,34 @@ local function turn(list, run)
       spread(level, true)
     end
   end
-  return worse[1] and lay_out(worse, run)
+  return lay_out(worse, run)
 end
 
-local WIDE = 1.25 -- times the width that is aimed at
-
--- Are too many nodes of the root side by side? Then Graphviz makes it higher.
-local function is_wide(chart, level)
-  if level.composite ~= chart.root or #level.boxes < FEWEST or is_long(level) then
-    return false
-  end
-  level.is_stretched = level.width / level.height > columns.RATIO * WIDE
-  return level.is_stretched
+local function is_misfit(level)
+  return #level.boxes >= FEWEST and columns.misfit(level) >= MISFIT
+    and not level.composite.nodes[1].is_region -- then all are
 end
 
--- Returns how a level is changed: "turn", "divide" or "stretch"; nil if it stays.
+-- Returns how a level is changed: "turn" or "divide"; nil if it stays.
 local function change_of(chart, level)
-  if not is_misfit(chart, level) then
-    return is_wide(chart, level) and "stretch" or nil
+  if not is_misfit(level) then return nil end
+  if is_long(level) then
+    level.plan = length_of(level) > LONGEST and #level.boxes >= MANY
+      and columns.plan(level)
+    return level.plan and "divide" or nil
   end
-  level.plan = is_long(level) and #level.boxes >= MANY and columns.plan(level)
-  return level.plan and "divide" or is_closed(level) and "turn" or nil
+  local is_large = level.composite == chart.root or level.height > TALLEST
+    or level.width > WIDEST
+  return is_large and is_closed(level) and "turn" or nil
 end
 
 local function mend(chart, list, run)
-  local levels_for = { turn = {}, divide = {}, stretch = {} }
+  local levels_for = { turn = {}, divide = {} }
   for _, level in ipairs(list) do
     local group = levels_for[change_of(chart, level) or false] or {}
     group[#group + 1] = level
   end
-  local stretched = levels_for.stretch
   return turn(levels_for.turn, run) or divide(chart, levels_for.divide, run)
-    or stretched[1] and lay_out(stretched, run) or nil
 end
 
 -- Layout ----------------------------------------------------------------------

@@ -25,14 +25,14 @@ end
 
 local NEAR = 3 -- points: gates of a box are where Graphviz has room for a port
 
---- Add a line to the end of another one, which may have no points yet. It begins where
--- that one ends if it is near, so that there is no bend at a gate; `axis` (1 or 2) is
--- across the direction.
+--- Add a line to the end of another one, which may have no points yet. Given an `axis`
+-- (1 or 2), the one across the direction, it begins where that one ends if it is near,
+-- so that there is no bend at a gate.
 function lines.join(line, more, axis)
   local last = line[#line]
-  local shift = last and last[axis] - more[1][axis] or 0
+  local shift = axis and last and last[axis] - more[1][axis] or 0
   for i, point in ipairs(more) do
-    if i <= 2 and abs(shift) < NEAR then
+    if axis and i <= 2 and abs(shift) < NEAR then
       point = { point[1], point[2] }
       point[axis] = point[axis] + shift
     end
@@ -58,6 +58,14 @@ function lines.rounded(points)
   end
   add_straight(line, points[#points])
   return line
+end
+
+--- Return a line around a label, to the far side of it and back.
+function lines.around(from, to, far, direction)
+  if direction == "TB" then
+    return lines.rounded { from, { from[1], far }, { to[1], far }, to }
+  end
+  return lines.rounded { from, { far, from[2] }, { far, to[2] }, to }
 end
 
 local HALVINGS = 4 -- of a curve, at most

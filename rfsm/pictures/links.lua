@@ -23,16 +23,13 @@ local links = {}
 ---@field direction "TB"|"LR"
 ---@field gates rfsm.pictures.Gate[]
 ---@field gate_of table<string, rfsm.pictures.Gate> by key of the arrow
----@field feet rfsm.pictures.Gate[] where arrows that end at the frame shall meet it
 ---@field links rfsm.pictures.Link[]
 ---@field link_of table<string, rfsm.pictures.Link>
 ---@field boxes rfsm.pictures.Box[] of the nodes
 ---@field arches rfsm.pictures.Box[] of the labels above composites, by number of a link
 ---@field width number
 ---@field height number
----@field is_stretched? boolean Graphviz makes it higher
 ---@field is_spread? boolean leaves are at both sides of a hub
----@field ordering? "in"|"out" lines at its box come in the order of gates and feet
 ---@field header? rfsm.pictures.Box of name and rows
 
 --- A part of a level: its middle, and its size.
@@ -55,8 +52,6 @@ local links = {}
 ---@class rfsm.pictures.End
 ---@field node? rfsm.pictures.Node
 ---@field gate? rfsm.pictures.Gate
----@field foot? rfsm.pictures.Gate of a composite's frame
----@field is_pinned? true in the middle of its side of the node
 
 --- A part of an arrow: between two ends in a level.
 ---@class rfsm.pictures.Link
@@ -89,8 +84,7 @@ end
 --- Return an empty level.
 function links.new_level(composite, direction)
   return { composite = composite, direction = direction, gates = {}, gate_of = {},
-    feet = {}, links = {}, link_of = {}, boxes = {}, arches = {}, width = 0,
-    height = 0 }
+    links = {}, link_of = {}, boxes = {}, arches = {}, width = 0, height = 0 }
 end
 
 -- Returns the gate of an arrow in a level; `mark` tells apart two of one arrow.

@@ -47,6 +47,9 @@ function looks.id_of(text)
   return "id=" .. quoted(diagram.clean(text))
 end
 
+--- Return that id as it is in an answer, without quotes.
+function looks.plain_id(text) return looks.id_of(text):sub(5, -2) end
+
 local function lines_of(text, width)
   return concat(diagram.wrap({ text }, width), "\n")
 end

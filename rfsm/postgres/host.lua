@@ -10,6 +10,7 @@
 
 local ipairs, tostring, type = ipairs, tostring, type
 local floor = math.floor
+local remove = table.remove
 
 --- What a call has to do with one machine.
 ---@class rfsm.postgres.Row
@@ -21,14 +22,15 @@ local floor = math.floor
 ---@field datum any
 ---@field is_new boolean
 ---@field is_changed boolean
----@field event string|nil by which the machine has moved
+---@field moves { by: string, to: string }[] of the machine, in their order
 ---@field emitted { what: string, data: any }[]
 ---@field errors string[] for the log
 
 --- What runs statements.
 ---@class rfsm.postgres.Server
 ---@field execute fun(name: string, ...: any): table[] the rows of a statement of `host`
----@field json table `encode`, `decode`; `list_of`: a value of the column `value`
+---@field json table `encode`, `decode`; `list_of`: a value of the column `value`;
+--- `datum`: JSON for a statement
 ---@field log fun(...: any)
 ---@field warn fun(text: string)
 ---@field refuse fun(text: string): any raises what is wrong with the call, or returns
@@ -55,6 +57,8 @@ host.STATEMENTS = {
     data = $8::jsonb, value = $9::jsonb,
     since = CASE WHEN state = $4 THEN since ELSE clock_timestamp() END
     WHERE key = $1 RETURNING key]],
+  move = [[UPDATE rfsm.machines SET state = $2, event = $3, since = clock_timestamp()
+    WHERE key = $1]],
   emit = "INSERT INTO rfsm.out (key, what, data) VALUES ($1, $2, $3::jsonb)",
   log = "INSERT INTO rfsm.log (key, error) VALUES ($1, $2)",
 }
@@ -103,7 +107,7 @@ local function new_commands(server, row_of)
     if fields.what then
       row.emitted[#row.emitted + 1] = { what = fields.what, data = fields.data }
     elseif fields.event then
-      row.event = fields.event
+      row.moves[#row.moves + 1] = { by = fields.event, to = fields.to }
     else
       row.errors[#row.errors + 1] = fields.error
     end
@@ -121,22 +125,30 @@ local function in_sql(text)
     :gsub("^ERR ", ""))
 end
 
--- Writes a row, of which `view` is what rfsm_get shows; false if a new one is there.
-local function save(server, row, view)
-  local execute, fields = row.execute or server.execute, {}
-  for i = 1, #view, 2 do fields[view[i]] = view[i + 1] end
-  local written = execute(row.is_new and "insert" or "update", row.key, fields.chart,
-    fields.version, fields.leaf, fields.mode, row.event,
-    fields.due ~= "" and fields.due or nil, fields.data, row.datum)
-  if not written[1] then return false end
+-- Writes what callbacks have emitted, and their errors.
+local function save_effects(server, row, execute)
   for _, entry in ipairs(row.emitted) do
-    execute("emit", row.key, entry.what, entry.data ~= "" and entry.data or nil)
+    execute("emit", row.key, entry.what,
+      entry.data ~= "" and server.json.datum(entry.data) or nil)
   end
   for _, text in ipairs(row.errors) do
     execute("log", row.key, text)
     server.warn(row.key .. ": " .. text)
   end
-  return true
+end
+
+-- Writes a row, of which `view` is what rfsm_get shows; false if a new one is there.
+-- Each move is one of the row, so that triggers see it.
+local function save(server, row, view)
+  local execute, fields = row.execute or server.execute, {}
+  local last = remove(row.moves)
+  for i = 1, #view, 2 do fields[view[i]] = view[i + 1] end
+  for _, move in ipairs(row.moves) do execute("move", row.key, move.to, move.by) end
+  local written = execute(row.is_new and "insert" or "update", row.key, fields.chart,
+    fields.version, fields.leaf, fields.mode, last and last.by,
+    fields.due ~= "" and fields.due or nil, server.json.datum(fields.data), row.datum)
+  if written[1] then save_effects(server, row, execute) end
+  return written[1] ~= nil
 end
 
 --- Return what a library needs of Redis: the globals `redis`, `cjson`, `cmsgpack`; and
@@ -166,7 +178,7 @@ function host.new(server)
 
   return globals, function(name, key, args, found)
     local own = { key = key, is_read = host.READ_ONLY[name], emitted = {}, errors = {},
-      list = found and found.list, us = found and found.us,
+      moves = {}, list = found and found.list, us = found and found.us,
       execute = found and found.execute }
     row = own
     local reply, view = functions[name]({ key }, args), nil

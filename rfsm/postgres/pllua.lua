@@ -50,7 +50,9 @@ local function new_json(pgtype)
 
   function json.encode(value) return pgtype.jsonb(exact(value)) end
 
-  function json.decode(text) return json.list_of(pgtype.jsonb:fromstring(text)) end
+  function json.datum(text) return pgtype.jsonb:fromstring(text) end
+
+  function json.decode(text) return json.list_of(json.datum(text)) end
 
   return json
 end

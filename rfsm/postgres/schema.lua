@@ -89,6 +89,12 @@ CREATE OR REPLACE FUNCTION rfsm.send(key text, event text, id text DEFAULT NULL)
   SELECT (rfsm.call('rfsm_send', key, ARRAY[event], id))[1]
 $$;
 
+CREATE OR REPLACE FUNCTION rfsm.reply(key text, events text[], id text DEFAULT NULL,
+  OUT state text, OUT mode text, OUT errors text[], OUT outcome text) LANGUAGE sql AS $$
+  SELECT r[1], r[2], r[3:cardinality(r) - 1], r[cardinality(r)]
+  FROM rfsm.call('rfsm_send', key, events, id) r
+$$;
+
 CREATE OR REPLACE FUNCTION rfsm.send_at(key text, at timestamptz, event text, id text)
   RETURNS text LANGUAGE sql AS $$
   SELECT (rfsm.call('rfsm_send_at', key, ARRAY[extract(epoch FROM at)::text, event],

@@ -11,7 +11,8 @@ local rfsm = require "rfsm"
 local try = require("rfsm.shared.calls").try
 
 local error, next, os, select = error, next, os, select
-local rawget, tonumber, tostring = rawget, tonumber, tostring
+local rawget, tonumber, tostring, type = rawget, tonumber, tostring, type
+local insert = table.insert
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 --- A client: what `rfsm.fleet` and `rfsm.postgres` have in common.
@@ -28,6 +29,8 @@ local Client = {}
 ---@field leaf string FQN
 ---@field mode string
 ---@field errors string[] of its callbacks
+---@field outcome? string what became of the events: "taken", "kept" or "dropped";
+--- "known": a call with this id was made before
 
 --- Return a text that no other client has.
 ---@return string id
@@ -40,11 +43,14 @@ local function next_id(self)
   return self.id .. "-" .. ("%d"):format(self.count)
 end
 
+local OUTCOMES = { taken = true, kept = true, dropped = true, known = true }
+
+-- Returns a reply as a table; a library of the version before has no outcome.
 local function reply_of(list, problem)
   if not list then return nil, problem end
-  local errors = {}
-  for i = 3, #list do errors[i - 2] = list[i] end
-  return { leaf = list[1], mode = list[2], errors = errors }
+  local errors, outcome = {}, OUTCOMES[list[#list]] and list[#list]
+  for i = 3, #list - (outcome and 1 or 0) do errors[i - 2] = list[i] end
+  return { leaf = list[1], mode = list[2], errors = errors, outcome = outcome or nil }
 end
 
 --- Make a machine.
@@ -62,20 +68,22 @@ function Client:create(id, chart, data)
   return reply_of(self:ask("rfsm_create", id, chart, text, "ID", next_id(self)))
 end
 
-local function texts_of(id, ...)
-  local texts = {}
+-- Calls a function that takes events, each with an id; a table is one with data.
+local function ask_with(self, name, id, arguments, ...)
   for i = 1, select("#", ...) do
     local event = select(i, ...)
-    texts[#texts + 1] = event ~= nil and rfsm.text_of(event) or nil
+    local ok, text = true, event ~= nil and rfsm.text_of(event)
+    if type(event) == "table" then ok, text = try(codec.encode, event) end
+    if not ok then return nil, ("%s: event %d: %s"):format(self.where, i, text) end
+    if text then insert(arguments, #arguments - 1, text) end
   end
-  texts[#texts + 1], texts[#texts + 2] = "ID", id
-  return unpack(texts)
+  return self:ask(name, id, unpack(arguments))
 end
 
 --- Send events to a machine, and run it. They are applied once, also if the connection
 -- is lost and they must be sent again.
 ---@param id any
----@param ... any events
+---@param ... any events; a table with a text `name` carries data
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
 function Client:send(id, ...) return self:send_once(next_id(self), id, ...) end
@@ -87,7 +95,7 @@ function Client:send(id, ...) return self:send_once(next_id(self), id, ...) end
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
 function Client:send_once(event_id, id, ...)
-  return reply_of(self:ask("rfsm_send", id, texts_of(event_id, ...)))
+  return reply_of(ask_with(self, "rfsm_send", id, { "ID", event_id }, ...))
 end
 
 --- Send events to a machine when a time has come, if a worker wakes it.
@@ -101,8 +109,8 @@ function Client:send_after(id, seconds, ...)
     error(self.where .. ".send_after: seconds expected, " .. opts.got(seconds), 2)
   end
   local ticket = next_id(self)
-  local reply, problem = self:ask("rfsm_send_at", id, "+" .. ("%.6f"):format(seconds),
-    texts_of(ticket, ...))
+  local time = "+" .. ("%.6f"):format(seconds)
+  local reply, problem = ask_with(self, "rfsm_send_at", id, { time, "ID", ticket }, ...)
   return reply and ticket, problem
 end
 
@@ -141,6 +149,9 @@ end
 ---@param event any
 ---@return string[]? lines
 ---@return string? problem
-function Client:why(id, event) return self:ask("rfsm_why", id, event) end
+function Client:why(id, event)
+  if type(event) == "table" then event = codec.encode(event) end
+  return self:ask("rfsm_why", id, event)
+end
 
 return Client

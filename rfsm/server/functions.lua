@@ -8,35 +8,39 @@
 -- The value of a machine's key is a list in MessagePack. Its first item is "rfsm", for
 -- the others see "Load".
 --
--- The file reads in the order of a call: charts, arguments, load, run, save, functions.
+-- A call moves its machine: first what was due runs, in the order of its times and at
+-- these, then what was sent.
+--
+-- The file reads in the order of a call: arguments, load, move, save, functions.
 --
 -- @module rfsm.server.functions
 -- @license BSD-3-Clause
 
 local advice = require "rfsm.advice"
-local alphabet = require "rfsm.shared.alphabet"
 local calls = require "rfsm.shared.calls"
-local clock = require "rfsm.clock"
-local keys_of = require "rfsm.server.keys"
+local charts = require "rfsm.server.charts"
 local encoding = require "rfsm.snapshot.encoding"
+local keys_of = require "rfsm.server.keys"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 local timeevent = require "rfsm_timeevent"
+local times = require "rfsm.server.times"
 local why = require "rfsm.observe.why"
 require "rfsm.await"
 
-local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
-local pcall, rawget, rawset, select = pcall, rawget, rawset, select
-local setmetatable, tonumber, type = setmetatable, tonumber, type
+local ipairs, pairs, pcall, rawget = ipairs, pairs, pcall, rawget
+local select, tonumber, tostring, type = select, tonumber, tostring, type
 local char = string.char
 local floor, huge, min = math.floor, math.huge, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
-local concat, remove, sort = table.concat, table.remove, table.sort
-local copy_of, fail, is_meta, text_of = encoding.copy_of, encoding.fail, rfsm.is_meta,
-  rfsm.text_of
+local concat, insert, remove = table.concat, table.insert, table.remove
+local fail, now, open, put = encoding.fail, times.now, charts.open, charts.put
 
-local MAX_EVENT, MAX_DATA, MAX_VALUE = 256, 65536, 1048576 -- bytes
+local MAX_DATA, MAX_VALUE = 65536, 1048576 -- bytes
 local MAX_STEPS, MAX_LOG = 1000, 1000
+local MAX_DUE, RESTLESS = 200, 20 -- steps of a move; so many is one that does not rest
+local LEAST_PASSED = 0.1 -- seconds that such a move gets on, unless it skips some
+local SAME = 1e-6 -- seconds: a timer fires a nanosecond after its time
 local MAX_ID, MAX_LATER = 64, 100 -- bytes, events of a machine
 local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 
@@ -55,132 +59,9 @@ local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 ---@field ids? integer so many ids of events each machine keeps (16)
 ---@field ids_for? integer ids are kept for so many seconds, at most `ids` (1000)
 
--- What the library was made with. One library runs in a server, so it is kept here.
-local host, charts, options
-
--- Charts: one machine of each version, into which each call puts a snapshot --------
-
---- One version of a chart.
----@class rfsm.server.Chart
----@field name string
----@field make fun(): rfsm.State
----@field fsm rfsm.Machine|nil made at the first call
----@field blank rfsm.snapshot.Snapshot of a new machine
----@field options rfsm.snapshot.Options how snapshots are put into it
----@field fields rfsm.server.Fields as they were at first
----@field events table<string, any> what it knows, by text
----@field takes_all boolean a transition that any event triggers, or a predicate
-
-local function note_events(chart, fsm)
-  local known = alphabet.of_all(fsm)
-  chart.events = {}
-  for _, event in ipairs(known.list) do
-    local text = text_of(event)
-    if #text <= MAX_EVENT then chart.events[text] = event end
-  end
-  for _, name in ipairs(known.awaited) do chart.events[name] = name end
-  chart.takes_all = known.takes_any or known.predicates[1] ~= nil
-end
-
--- Entries for the stream, and errors, that callbacks of this call have caused.
-local emitted, printed = {}, {}
-
-local function emit(what, data)
-  if type(what) ~= "string" then
-    error("emit: name expected, got " .. type(what), 2)
-  end
-  emitted[#emitted + 1] = { what, data ~= nil and host.json.encode(data) or "" }
-end
-
-local function collect_print(...)
-  printed[#printed + 1] = calls.text(" ", ...)
-end
-
--- One machine of a chart serves all. Callbacks may have changed fields that the chart
--- does not keep: `clean` undoes that before each call. New fields are noted when they
--- are set, the others are compared.
-
--- Pairs of element and new field, in a flat list; the first fields of each element.
-local added, known_of = {}, setmetatable({}, { __mode = "k" })
-
--- Has a metatable note the fields that are added.
-local function watch(class)
-  if rawget(class, "is_watched") then return end
-  local set = class.__newindex or rawset
-  class.is_watched = true
-  function class.__newindex(obj, key, value)
-    set(obj, key, value)
-    local known = not is_meta(key) and known_of[obj]
-    if known and not (known[key] or rfsm.is_fsmobj(value)) then
-      added[#added + 1], added[#added + 2] = obj, key
-    end
-  end
-end
-
---- Fields of elements as they were at first, in lists side by side. Those that hold
--- plain tables, which callbacks may change, are in lists of the same kind.
----@class rfsm.server.Fields
----@field objs table[]
----@field keys any[]
----@field values any[]
----@field tables rfsm.server.Fields?
-
-local function new_fields(tables)
-  return { objs = {}, keys = {}, values = {}, tables = tables }
-end
-
-local function note_fields(fields, obj)
-  local known, is_kept = {}, { keep = true }
-  for _, name in ipairs(obj.keep or {}) do is_kept[name] = true end
-  for key, value in pairs(obj) do -- any order: each stands alone
-    known[key] = true
-    if not (is_meta(key) or rfsm.is_fsmobj(value) or is_kept[key]) then
-      local is_table = type(value) == "table" and getmetatable(value) == nil
-      local list = is_table and fields.tables or fields
-      local n = #list.objs + 1
-      list.objs[n], list.keys[n], list.values[n] = obj, key, copy_of(value)
-    end
-  end
-  for name in pairs(is_kept) do known[name] = true end -- any order: a set
-  known_of[obj] = known
-  watch(getmetatable(obj))
-end
-
--- Gives the elements the fields back that they had at first. This runs in each call.
-local function clean(chart)
-  for i = #added, 2, -2 do
-    rawset(added[i - 1], added[i], nil)
-    added[i - 1], added[i] = nil, nil
-  end
-  local fields = chart.fields
-  local objs, keys, values = fields.objs, fields.keys, fields.values
-  for i = 1, #objs do
-    if objs[i][keys[i]] ~= values[i] then rawset(objs[i], keys[i], values[i]) end
-  end
-  objs, keys, values = fields.tables.objs, fields.tables.keys, fields.tables.values
-  for i = 1, #objs do rawset(objs[i], keys[i], copy_of(values[i])) end
-end
-
--- Makes the machine of a chart when it is first needed; returns the chart.
-local function open(chart)
-  if chart.fsm then return chart end
-  local ok, model = pcall(chart.make)
-  if not ok then fail("chart '%s': %s", chart.name, text_of(model)) end
-  model.info, model.warn, model.err = false, false, collect_print
-  local fsm, _, problems = rfsm.init(model)
-  if not fsm then fail("chart '%s': %s", chart.name, problems[1]) end
-  fsm.emit, chart.blank = emit, snapshot.take(fsm)
-  note_events(chart, fsm)
-  chart.options = { migrate = fsm.migrate, rename = fsm.rename, trusted = true }
-  chart.fields = new_fields(new_fields())
-  for _, at in ipairs(rfsm.machines(fsm)) do
-    for _, obj in ipairs(rfsm.elements(at.machine)) do
-      note_fields(chart.fields, obj)
-    end
-  end
-  chart.fsm = fsm
-  return chart
-end
+-- What the library was made with: versions of charts by name, the newest last. One
+-- library runs in a server, so it is kept here.
+local host, versions, options
 
 -- Arguments ----------------------------------------------------------------------
 
@@ -192,24 +73,8 @@ local function reason_of(failure)
 end
 
 local function versions_of(name)
-  return charts[name] or fail("no chart is named '%s'%s", shown(name),
-    advice.nearest_name(shown(name), rfsm.sorted_keys(charts)))
-end
-
-local function events_of(chart, texts)
-  local events = {}
-  for i, text in ipairs(texts) do
-    if #text > MAX_EVENT then
-      fail("event %d: at most %d bytes expected, got %d", i, MAX_EVENT, #text)
-    end
-    local event = chart.events[text]
-    if event == nil and not chart.takes_all then
-      fail("no transition of chart '%s' has the event '%s'%s", chart.name, text,
-        advice.nearest_name(text, rfsm.sorted_keys(chart.events)))
-    end
-    events[i] = event == nil and text or event
-  end
-  return events
+  return versions[name] or fail("no chart is named '%s'%s", shown(name),
+    advice.nearest_name(shown(name), rfsm.sorted_keys(versions)))
 end
 
 -- Takes `ID id` away from the end of arguments; returns the id, nil if there is none.
@@ -224,10 +89,10 @@ local function take_id(args)
 end
 
 -- Returns a time in seconds: of the clock, or from now on with a + in front.
-local function time_of(text, now)
+local function time_of(text)
   local offset, number = text:match("^(%+?)(%d+%.?%d*)$")
   if not number then fail("seconds, or +seconds expected, got '%s'", shown(text)) end
-  return tonumber(number) + (offset == "+" and now or 0)
+  return tonumber(number) + (offset == "+" and now() or 0)
 end
 
 local function whole_of(text, default, most)
@@ -243,24 +108,8 @@ end
 -- Positions in the value of a machine: the name of its chart, the snapshot, when that
 -- was taken and when the machine is due, if it is; the ids of the latest events, the
 -- oldest first, each before its time if it is kept for a time; the events that come
--- later: { time, id, event, ... }.
+-- later, in their order: { time, id, event, ... }.
 local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER = 2, 3, 4, 5, 6, 7, 8
-
--- The clock of the machines, read once a call: `sec` is false until it is needed.
-local sec, nsec, time = false, 0, nil
-
-local function gettime()
-  if not sec then
-    time = time or host.call("TIME")
-    sec, nsec = tonumber(time[1]), tonumber(time[2]) * 1000
-  end
-  return sec, nsec
-end
-
-local function now()
-  gettime()
-  return sec + nsec / 1e9
-end
 
 --- A machine that a call works on.
 ---@class rfsm.server.Machine
@@ -269,8 +118,24 @@ end
 ---@field fsm rfsm.Machine
 ---@field list any[] in the value of the key; the new one is made of it
 ---@field leaf string|false|nil where it was, as the index knows it: before a rename
----@field moved_by string the events of this call
----@field notes string[]|nil for the log
+---@field at string where it is; "": it was not entered
+---@field moves { by: string, from: string, to: string }[] of this call
+---@field is_idle boolean after the last step
+---@field outcome string|false what became of the events: "taken", "kept" or "dropped";
+--- false: not taken
+---@field base rfsm.snapshot.Snapshot|false before the events were sent; false: what was
+--- due has run since then
+---@field base_sec integer|false the time of that snapshot
+---@field base_nsec integer
+
+local NONE = {}
+
+local function new_machine(key, chart, list, leaf)
+  charts.set_effects()
+  return { key = key, chart = chart, fsm = chart.fsm, list = list, leaf = leaf,
+    at = leaf or "", moves = {}, is_idle = true, outcome = false, base = list[SNAP],
+    base_sec = list[SEC], base_nsec = list[NSEC] }
+end
 
 local function list_of(key, value)
   local ok, list = pcall(host.pack.unpack, value)
@@ -288,19 +153,12 @@ local function read_value(key)
   return list_of(key, value)
 end
 
-local function put(chart, snap)
-  clean(chart)
-  local ok, problem = snapshot.put(chart.fsm, snap, chart.options)
-  chart.options.is_tidy = false
-  return ok, problem
-end
-
 -- Has the newest version of a chart take a snapshot, if it is of that version or moves
 -- to it; else the version that it is of.
-local function place(versions, snap)
-  local newest, own = open(versions[#versions]), nil
+local function place(list, snap)
+  local newest, own = open(list[#list]), nil
   if snap.chart ~= newest.blank.chart then
-    for _, chart in ipairs(versions) do
+    for _, chart in ipairs(list) do
       if open(chart).blank.chart == snap.chart then own = chart end
     end
     newest.options.old = own and own.fsm
@@ -310,17 +168,15 @@ local function place(versions, snap)
   return own, put(own, snap)
 end
 
+-- Loads a machine; it sees the time at which it was saved.
 local function load_machine(key, list)
-  sec, nsec = list[SEC] or false, list[NSEC]
-  local leaf = list[SNAP].leaf
+  times.set(list[SEC], list[NSEC])
   local chart, ok, problem = place(versions_of(list[NAME]), list[SNAP])
   if not ok then fail("the machine at '%s': %s", shown(key), problem) end
-  sec = false
-  return { key = key, chart = chart, fsm = chart.fsm, list = list, leaf = leaf,
-    moved_by = "" }
+  return new_machine(key, chart, list, list[SNAP].leaf)
 end
 
--- Run ----------------------------------------------------------------------------
+-- Move: what is due, then what was sent -----------------------------------------------
 
 -- Was an event with this id applied, or is it to come?
 local function has_id(list, id)
@@ -354,36 +210,143 @@ local function add_id(machine, id)
   end
 end
 
-local function send(machine, texts)
-  for _, event in ipairs(events_of(machine.chart, texts)) do
-    rfsm.send_events(machine.fsm, event)
+-- Steps a machine at the time that it sees, and notes where it moves; returns whether
+-- it has taken a path.
+local function step(machine, by)
+  local is_idle, is_taken = charts.step(machine.chart, MAX_STEPS)
+  local leaf = machine.fsm._act_leaf
+  local at = leaf and leaf._fqn or ""
+  machine.is_idle = is_idle
+  if at ~= machine.at then
+    machine.moves[#machine.moves + 1] = { by = by, from = machine.at, to = at }
+    machine.at = at
   end
-  machine.moved_by = (machine.moved_by == "" and "" or machine.moved_by .. " ")
-    .. concat(texts, " ")
+  return is_taken
+end
+
+local function send(machine, events)
+  for _, event in ipairs(events) do rfsm.send_events(machine.fsm, event) end
+end
+
+-- Has events wait, behind those that wait for the same time.
+local function add_later(machine, time, id, texts)
+  local later = machine.list[LATER] or {}
+  local at = #later + 1
+  if at > MAX_LATER then fail("at most %d events may wait", MAX_LATER) end
+  while at > 1 and later[at - 1][1] > time do at = at - 1 end
+  insert(later, at, { time, id or "", unpack(texts) })
+  machine.list[LATER] = later
 end
 
 -- Sends events whose time has come. One that is not known any more goes to the log.
-local function send_later(machine)
-  local later = machine.list[LATER]
-  while later and later[1] and later[1][1] <= now() do
-    local entry = remove(later, 1)
-    local ok, problem = pcall(send, machine, { select(3, unpack(entry)) })
-    add_id(machine, entry[2])
-    if not ok then
-      machine.notes = machine.notes or {}
-      machine.notes[#machine.notes + 1] = "rfsm_send_at: " .. encoding.reason(problem)
-    end
+local function send_entry(machine, entry)
+  local texts = { select(3, unpack(entry)) }
+  local ok, events = pcall(charts.events, machine.chart, texts)
+  if entry[2] ~= "" then add_id(machine, entry[2]) end
+  if ok then
+    send(machine, events)
+  else
+    charts.note("rfsm_send_at: " .. encoding.reason(events))
   end
+  return concat(texts, " ")
+end
+
+-- Lets time pass until the next thing is due, a timer or events that wait, unless that
+-- is later than now. Returns by what the machine is to be stepped, else nil.
+local function advance_to_due(machine)
+  local later, seen = machine.list[LATER] or NONE, times.seen()
+  local left, entry = timeevent.next_deadline(machine.fsm) or huge, later[1]
+  if entry and (entry[1] <= seen or entry[1] + SAME < seen + left) then
+    if entry[1] > now() then return nil end
+    times.advance_to(entry[1])
+    return send_entry(machine, remove(later, 1))
+  end
+  if seen + left > now() + SAME then return nil end
+  times.advance(left)
+  return "(time)"
+end
+
+-- Returns when the first thing is due: as it was saved, or has been sent since.
+local function first_due(list)
+  local due, later = list[DUE] or huge, list[LATER]
+  return later and later[1] and min(due, later[1][1]) or due
+end
+
+-- Was a machine saved before it had come to rest?
+local function was_restless(list)
+  return list[DUE] and list[DUE] <= times.seen()
+end
+
+-- Runs what is due as if the host had been punctual: each at its time, until the
+-- machine rests. Then it sees the present. Returns false if that is too much: it sees
+-- the time that it has reached, and is due. If its timers are too fast it skips some.
+local function run_due(machine)
+  local budget, begun = MAX_DUE, times.seen()
+  local by = was_restless(machine.list) and "(time)" or advance_to_due(machine)
+  while by and budget > 0 do
+    if step(machine, by) then machine.outcome = "taken" end
+    budget = budget - (machine.is_idle and 1 or RESTLESS)
+    by = budget > 0 and advance_to_due(machine)
+  end
+  machine.base = false
+  if budget > 0 or times.seen() - begun < LEAST_PASSED then times.set(false) end
+  return budget > 0
+end
+
+-- Brings a machine to the present; returns false if it has not got there.
+local function catch_up(machine)
+  local due = first_due(machine.list)
+  if due < huge and due <= now() + SAME then return run_due(machine) end
+  times.set(false)
+  return true
+end
+
+-- Runs what is due, then sends events, all at once; if there is too much due they wait.
+local function move(machine, texts, id)
+  local events = charts.events(machine.chart, texts)
+  if not catch_up(machine) then
+    add_later(machine, now(), id, texts)
+    machine.outcome = "kept"
+    return
+  end
+  if not machine.base then
+    machine.base = snapshot.take(machine.fsm)
+    machine.base_sec, machine.base_nsec = times.get()
+  end
+  send(machine, events)
+  machine.outcome = step(machine, concat(texts, " ")) and "taken" or false
+end
+
+-- Runs what is due. Else, or if it does not rest, the machine runs now.
+local function run(machine)
+  local is_present = catch_up(machine)
+  machine.outcome = machine.outcome or "kept"
+  if not is_present or not machine.base and machine.is_idle then return end
+  if step(machine, "(time)") then machine.outcome = "taken" end
+end
+
+-- Has an event that no transition took changed what the machine keeps? As timers run
+-- on, the machine goes back to where it was, until now.
+local function has_changed(machine, snap)
+  local sec, nsec = times.get()
+  local emitted, printed = charts.effects()
+  charts.set_effects({}, {}) -- those of a function `load` do not count
+  times.set(machine.base_sec, machine.base_nsec)
+  local ok = put(machine.chart, machine.base)
+  times.set(sec, nsec)
+  local before = ok and snapshot.take(machine.fsm)
+  charts.set_effects(emitted, printed)
+  return not ok or snapshot.encode(before) ~= snapshot.encode(snap)
 end
 
 -- Save: first all that may fail, then the writes -----------------------------------
 
 -- Returns when a machine is to be woken; nil: not before an event comes.
-local function due_of(machine, is_idle)
-  if not is_idle and machine.fsm._act_leaf then return now() end
+local function due_of(machine)
+  if not machine.is_idle and machine.fsm._act_leaf then return times.seen() end
   local snap, later = machine.list[SNAP], machine.list[LATER]
   local left = (snap.ext or snap.regions) and timeevent.next_deadline(machine.fsm)
-  local due = left and now() + left or nil
+  local due = left and times.seen() + left or nil
   later = later and later[1]
   if later then due = min(due or later[1], later[1]) end
   return due
@@ -396,7 +359,7 @@ local function pack_machine(list, due)
     if not list[LATER][1] then list[LATER] = nil end
   end
   if due then
-    list[SEC], list[NSEC] = gettime()
+    list[SEC], list[NSEC] = times.get()
     list[DUE] = due
   elseif list[IDS] ~= nil then
     list[SEC], list[NSEC], list[DUE] = false, false, false
@@ -439,12 +402,12 @@ local function add_due(machine, due)
 end
 
 -- Adds what callbacks emitted to the stream of the tag, their errors to the log.
-local function add_streams(machine)
+local function add_streams(machine, emitted, errors)
   for _, entry in ipairs(emitted) do
     add_write("stream", "XADD", keys_of.out(machine.key), "*", "machine", machine.key,
       "what", entry[1], "data", entry[2])
   end
-  for _, text in ipairs(printed) do
+  for _, text in ipairs(errors) do
     add_write("stream", "XADD", keys_of.log(machine.key), "MAXLEN", "~", MAX_LOG, "*",
       "error", text)
   end
@@ -475,45 +438,50 @@ local function old_members(machine, index)
   return members
 end
 
--- Adds what index, history and channel say of a new active leaf.
-local function add_move(machine, leaf)
-  local key, name = machine.key, machine.chart.name
-  if options.index then
-    local index = keys_of.index(key)
-    local old = old_members(machine, index)
-    if old[1] then add_write("zset", "ZREM", index, unpack(old)) end
-    add_write("zset", "ZADD", index, 0, keys_of.member(name, leaf, key))
-  end
-  if options.history then
-    add_write("stream", "XADD", keys_of.history(key), "MAXLEN", options.history, "*",
-      "event", machine.moved_by, "from", machine.leaf or "", "to", leaf)
-  end
-  add_write(nil, "SPUBLISH", keys_of.channel(key), leaf)
+local function add_to_index(machine)
+  local index, name = keys_of.index(machine.key), machine.chart.name
+  local old = old_members(machine, index)
+  if old[1] then add_write("zset", "ZREM", index, unpack(old)) end
+  add_write("zset", "ZADD", index, 0, keys_of.member(name, machine.at, machine.key))
 end
 
--- Runs a machine until it is idle; one that never is goes on when it is due. If it is
--- cut short the chart is left without a machine, and gets a new one. Writes all that
--- has changed, and returns the reply: leaf, mode, errors.
-local function advance(machine)
-  emitted, printed, machine.chart.fsm = {}, machine.notes or {}, nil
-  local fsm, chart, list = machine.fsm, machine.chart, machine.list
-  local is_idle, leaf = rfsm.step(fsm, MAX_STEPS), fsm._act_leaf
-  chart.fsm = fsm
-  list[SNAP] = snapshot.take(fsm)
+-- Adds what index, history and channel say of new active leaves.
+local function add_moves(machine)
+  local key = machine.key
+  if options.index and machine.at ~= (machine.leaf or "") then add_to_index(machine) end
+  for _, at in ipairs(machine.moves) do
+    if options.history then
+      add_write("stream", "XADD", keys_of.history(key), "MAXLEN", options.history, "*",
+        "event", at.by, "from", at.from, "to", at.to)
+    end
+    add_write(nil, "SPUBLISH", keys_of.channel(key), at.to)
+  end
+end
+
+-- Writes all that has changed, and returns the reply: leaf, mode, errors, and what
+-- became of the events. The id of events that were dropped is not kept.
+local function save(machine, id)
+  local chart, list, leaf = machine.chart, machine.list, machine.fsm._act_leaf
+  list[SNAP] = snapshot.take(machine.fsm)
   chart.options.is_tidy = list[SNAP].targets == nil
-  local due = due_of(machine, is_idle)
-  local reply = { leaf and leaf._fqn or "", leaf and leaf._mode or "inactive" }
+  local due, emitted, errors = due_of(machine), charts.effects()
+  local reply = { machine.at, leaf and leaf._mode or "inactive" }
+  if not machine.outcome then
+    machine.outcome = has_changed(machine, list[SNAP]) and "kept" or "dropped"
+  end
+  if machine.outcome ~= "dropped" then add_id(machine, id) end
   writes = {}
   add_due(machine, due)
-  add_streams(machine)
+  add_streams(machine, emitted, errors)
   add_write(nil, "SET", machine.key, pack_machine(list, due))
-  if reply[1] ~= (machine.leaf or "") then add_move(machine, reply[1]) end
+  add_moves(machine)
   local ok, problem = pcall(host.call, unpack(writes[1]))
   if not ok then
     fail("%s %s: %s", writes[1][1], shown(writes[1][2]), reason_of(problem))
   end
   for i = 2, #writes do host.call(unpack(writes[i])) end
-  for _, text in ipairs(printed) do reply[#reply + 1] = text end
+  for _, text in ipairs(errors) do reply[#reply + 1] = text end
+  reply[#reply + 1] = machine.outcome
   return reply
 end
 
@@ -523,14 +491,7 @@ local functions = {}
 
 local function set_data(fsm, text)
   if not text then return end
-  if #text > MAX_DATA then
-    fail("data: at most %d bytes expected, got %d", MAX_DATA, #text)
-  end
-  local ok, data = pcall(host.json.decode, text)
-  if not ok or type(data) ~= "table" then fail("data: a JSON object expected") end
-  local about = { owner = "data", base = 0, seen = {} }
-  data = encoding.unpack(encoding.pack(data, about, 0), 0)
-  local is_kept = {}
+  local data, is_kept = charts.read_json("data", text, MAX_DATA), {}
   for _, name in ipairs(fsm.keep or {}) do is_kept[name] = true end
   for _, name in ipairs(rfsm.sorted_keys(data)) do
     if not is_kept[name] then
@@ -540,31 +501,30 @@ local function set_data(fsm, text)
   end
 end
 
--- Returns the reply for an event that was applied before.
-local function reply_of(list)
+-- Returns leaf and mode of a machine as it was saved, and whatever follows.
+local function reply_of(list, ...)
   local snap = list[SNAP]
   return { snap.leaf or "", snap.leaf and (snap.done and "done" or "active")
-    or "inactive" }
+    or "inactive", ... }
 end
 
 -- rfsm_create KEY chart [data] [ID id]: makes a machine and runs it.
 function functions.rfsm_create(keys, args)
   local key, id = key_of(keys), take_id(args)
-  local versions = versions_of(args[1] or "")
-  local chart = open(versions[#versions])
-  local fsm = chart.fsm
+  local found = versions_of(args[1] or "")
+  local chart = open(found[#found])
   if host.call("EXISTS", key) == 1 then
     local list = id and read_value(key)
-    if list and has_id(list, id) then return reply_of(list) end
+    if list and has_id(list, id) then return reply_of(list, "known") end
     fail("something is at '%s'", shown(key))
   end
+  times.set(false)
   local ok, problem = put(chart, chart.blank)
   if not ok then fail("%s", problem) end
-  set_data(fsm, args[2])
-  local machine = { key = key, chart = chart, fsm = fsm, list = { "rfsm", args[1] },
-    leaf = false, moved_by = "" }
-  add_id(machine, id)
-  return advance(machine)
+  set_data(chart.fsm, args[2])
+  local machine = new_machine(key, chart, { "rfsm", args[1] }, false)
+  machine.outcome = step(machine, "") and "taken" or "kept"
+  return save(machine, id)
 end
 
 -- rfsm_send KEY event... [ID id]: sends events to a machine and runs it.
@@ -572,12 +532,10 @@ function functions.rfsm_send(keys, args)
   local key, id = key_of(keys), take_id(args)
   if not args[1] then fail("an event expected, got none") end
   local list = read_value(key)
-  if id and has_id(list, id) then return reply_of(list) end
+  if id and has_id(list, id) then return reply_of(list, "known") end
   local machine = load_machine(key, list)
-  send_later(machine)
-  send(machine, args)
-  add_id(machine, id)
-  return advance(machine)
+  move(machine, args, id)
+  return save(machine, machine.outcome ~= "kept" and id)
 end
 
 -- rfsm_send_at KEY time event... ID id: sends events when a time has come.
@@ -586,19 +544,13 @@ function functions.rfsm_send_at(keys, args)
   local text = remove(args, 1)
   if not (id and args[1]) then fail("a time, events and ID id expected") end
   local list = read_value(key)
-  if has_id(list, id) then return reply_of(list) end
+  if has_id(list, id) then return reply_of(list, "known") end
   local machine = load_machine(key, list)
-  events_of(machine.chart, args)
-  local later = list[LATER] or {}
-  if #later >= MAX_LATER then fail("at most %d events may wait", MAX_LATER) end
-  later[#later + 1] = { time_of(text, now()), id, unpack(args) }
-  sort(later, function(a, b)
-    if a[1] ~= b[1] then return a[1] < b[1] end
-    return a[2] < b[2]
-  end)
-  list[LATER] = later
-  send_later(machine)
-  return advance(machine)
+  charts.events(machine.chart, args)
+  add_later(machine, time_of(text), id, args)
+  catch_up(machine)
+  machine.outcome = machine.outcome or "kept"
+  return save(machine)
 end
 
 -- rfsm_cancel KEY id: takes back what rfsm_send_at has sent; returns whether it was.
@@ -607,8 +559,10 @@ function functions.rfsm_cancel(keys, args)
   local list = read_value(key)
   for i, entry in ipairs(list[LATER] or {}) do
     if entry[2] == args[1] then
+      local machine = load_machine(key, list)
       remove(list[LATER], i)
-      advance(load_machine(key, list))
+      run(machine)
+      save(machine)
       return 1
     end
   end
@@ -622,9 +576,8 @@ local function tick(key)
     return false
   end
   local machine = load_machine(key, list_of(key, value))
-  send_later(machine)
-  if machine.moved_by == "" then machine.moved_by = "(time)" end
-  return advance(machine)
+  run(machine)
+  return save(machine)
 end
 
 -- rfsm_tick KEY: runs a machine, because it is due. One that is gone is due no more.
@@ -659,7 +612,6 @@ function functions.rfsm_wake(keys, args)
   local has_aside, count, failed = host.call("EXISTS", aside) == 1, 0, 0
   for _, key in ipairs(list) do
     local ok, problem = pcall(tick, key)
-    sec = false
     if ok then
       count = count + 1
       if has_aside then host.call("ZREM", aside, key) end
@@ -685,7 +637,7 @@ local function data_of(snap)
   local data = {}
   local function add(part, prefix)
     for fqn, fields in pairs(part.data or {}) do -- any order: a copy
-      data[prefix .. fqn:sub(5)] = encoding.to_json(encoding.unpack(fields, 0))
+      data[prefix .. fqn:sub(5)] = encoding.unpack(fields, 0)
     end
   end
   add(snap, "root")
@@ -704,8 +656,8 @@ function functions.rfsm_get(keys)
   local due = list[DUE] and ("%.6f"):format(list[DUE]) or ""
   return { "chart", list[NAME], "version", snap.chart, "leaf", leaf,
     "mode", reply_of(list)[2],
-    "configuration", concat(names, " "), "data", host.json.encode(data_of(snap)),
-    "queue", queue[1] ~= nil and host.json.encode(queue) or "[]", "due", due }
+    "configuration", concat(names, " "), "data", charts.json_of(data_of(snap)),
+    "queue", queue[1] ~= nil and charts.json_of(queue) or "[]", "due", due }
 end
 
 -- rfsm_why KEY event: the answer of each transition, from the outermost state inwards.
@@ -713,7 +665,8 @@ function functions.rfsm_why(keys, args)
   if #args ~= 1 then fail("one event expected, got %d", #args) end
   local key, lines = key_of(keys), {}
   local machine = load_machine(key, read_value(key))
-  local _, text = why.why(machine.fsm, events_of(machine.chart, args)[1])
+  times.set(false)
+  local _, text = why.why(machine.fsm, charts.events(machine.chart, args)[1])
   for line in text:gmatch("[^\n]+") do lines[#lines + 1] = line end
   return lines
 end
@@ -793,16 +746,18 @@ end
 ---@param settings? rfsm.server.Options
 return function(redis, list, settings)
   local made = {}
-  host, charts, options = redis, {}, settings or {}
+  host, versions, options = redis, {}, settings or {}
   options.ids = options.ids or options.ids_for and 1000 or 16
-  clock.set_hook(gettime)
+  times.open(host)
+  charts.use(function(text) return host.json.decode(text) end)
   for _, chart in ipairs(list) do
-    charts[chart.name] = charts[chart.name] or {}
-    charts[chart.name][#charts[chart.name] + 1] = chart
+    versions[chart.name] = versions[chart.name] or {}
+    versions[chart.name][#versions[chart.name] + 1] = chart
   end
   for name, f in pairs(functions) do -- any order: each stands alone
     made[name] = function(keys, args)
-      sec, time, asked = false, nil, {}
+      times.begin()
+      asked = {}
       local ok, reply = pcall(f, keys, args)
       if ok then return reply end
       return host.error_reply("ERR " .. name .. ": " .. reason_of(reply))

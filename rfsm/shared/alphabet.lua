@@ -13,7 +13,7 @@ local alphabet = {}
 --- The events that a machine knows.
 ---@class rfsm.Alphabet
 ---@field list any[] those that transitions name, in the order of the tree
----@field awaited string[] the events in await(...)
+---@field reactions any[] those that extensions react to besides
 ---@field predicates function[]
 ---@field set table<any, boolean> all of these
 ---@field takes_any boolean a transition from a state has no events, so it takes any
@@ -23,25 +23,29 @@ local function add(known, list, event)
   list[#list + 1], known.set[event] = event, true
 end
 
+local function add_all(known, list, events)
+  for _, event in ipairs(events) do
+    add(known, type(event) == "function" and known.predicates or list, event)
+  end
+end
+
 local function add_transition(known, tr)
   local own = tr.events or {}
   if own[1] == nil and rfsm.is_state(tr.src) then known.takes_any = true end
-  for _, event in ipairs(own) do
-    add(known, type(event) == "function" and known.predicates or known.list, event)
-  end
+  add_all(known, known.list, own)
 end
 
 local function add_machine(known, fsm)
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     add_transition(known, tr)
   end
-  for _, await in ipairs(fsm._awaits or {}) do -- see rfsm/await.lua
-    for _, event in ipairs(await.wanted) do add(known, known.awaited, event) end
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
+    add_all(known, known.reactions, rfsm.reactions(fsm, state))
   end
 end
 
 local function collect(machines)
-  local known = { list = {}, awaited = {}, predicates = {}, set = {},
+  local known = { list = {}, reactions = {}, predicates = {}, set = {},
     takes_any = false }
   for _, at in ipairs(machines) do add_machine(known, at.machine) end
   return known

@@ -9,6 +9,8 @@
 local rfsm = require "rfsm"
 local load_file = rfsm.load -- before `search` replaces it
 local limit = require "rfsm.shared.limit"
+local location = require "rfsm.shared.location"
+local order = require "rfsm.shared.order"
 local search = require "rfsm.shared.search"
 local stubs = require "rfsm.shared.stubs"
 
@@ -27,13 +29,13 @@ function chart.name_of(file) return file == "-" and "stdin" or file end
 -- such as "warning: " comes behind the location.
 function chart.line(file, text, kind)
   local name = chart.name_of(file)
-  local location, rest = text:match("^(%S+:%d+: )(.*)$")
+  local place, rest = text:match("^(%S+:%d+: )(.*)$")
   if text:sub(1, #name) == name then -- may have blanks
-    location, rest = text:match("^(:%d+: )(.*)$", #name + 1)
-    location = location and name .. location
+    place, rest = text:match("^(:%d+: )(.*)$", #name + 1)
+    place = place and name .. place
   end
-  if not location then location, rest = name .. ": ", text end
-  return location .. (kind or "") .. rest
+  if not place then place, rest = name .. ": ", text end
+  return place .. (kind or "") .. rest
 end
 
 local NO_ERROR = "<no error object>" -- in place of nil, since 5.5
@@ -42,6 +44,14 @@ local NO_ERROR = "<no error object>" -- in place of nil, since 5.5
 function chart.first_line(failure)
   local text = rfsm.text_of(failure)
   return ((text:match("[^\n]+") or text):gsub(":%s*$", ""))
+end
+
+-- Returns the hint for a function of the library that is not there.
+local function hint_for(text)
+  local name = text:match("call a nil value %(field '(.-)'%)$")
+    or text:match("call field '(.-)' %(a nil value%)$")
+  if not name or rfsm[name] ~= nil then return "" end
+  return require("rfsm.advice").function_meant(name)
 end
 
 --- Return why a chart cannot be used, in one line with its file.
@@ -54,6 +64,7 @@ function chart.reason(file, failure)
   text = text:gsub("^rfsm%.json: ", ""):gsub("^rfsm%.load[_str]*: ", "")
     :gsub("^failed to load chunk: ", ""):gsub("^rfsm%.%l+%.encode: ", "")
     :gsub("'=stdin'", "stdin")
+  text = text .. hint_for(text)
   if text:find(chart.name_of(file), 1, true) then return text end
   return chart.name_of(file) .. ": " .. text
 end
@@ -93,7 +104,8 @@ local function warning_of(name, reader)
   local file, line = reader.source:match("^@(.*)"), reader.currentline
   if file and is_asked(file, line, name) then return nil end
   return ("%s:%d: warning: undefined global '%s'%s"):format(file or "stdin", line, name,
-    name:find("^e_") and " (an event is a string, in quotes)" or "")
+    name:find("^e_") and " (an event is a string, in quotes)"
+      or " (nil while the chart is loaded)")
 end
 
 -- Returns a stub for a global; nil if the code tests if it exists.
@@ -158,6 +170,86 @@ local function within_bounds(world, load, file)
   return ok and model or error(model, 0)
 end
 
+-- Programs: files that make machines, and return no state --------------------------
+
+local HALT = {} -- the error that ends the loading of a program
+
+local function halt(world)
+  world.is_halted = true
+  error(HALT, 0)
+end
+
+local PRINTERS = { "dbg", "info", "warn", "err" }
+
+-- Returns init(model), silently: what is wrong is said once, when the chart is used.
+local function init_silently(init, model)
+  if not rfsm.is_state(model) then return init(model) end
+  local own = {}
+  for _, name in ipairs(PRINTERS) do
+    own[name] = rawget(model, name)
+    if own[name] == nil then rawset(model, name, false) end
+  end
+  local ok, fsm, text, problems = pcall(init, model)
+  for _, name in ipairs(PRINTERS) do rawset(model, name, own[name]) end
+  if not ok then error(fsm, 0) end
+  return fsm, text, problems
+end
+
+local NO_STATE = "no valid rfsm in" -- in the failure of `rfsm.load`
+
+-- Notes the models of machines that are made. A model that has problems ends the
+-- loading.
+local function note_machine(world, depth, init, model)
+  world.depth = depth + 1
+  local ok, fsm, text, problems = pcall(init_silently, init, model)
+  world.depth = depth
+  if not ok then error(fsm, 0) end
+  if depth > 0 then return fsm, text, problems end
+  local number = #world.models + 1
+  world.models[number] = rfsm.model_of(model)
+  if not fsm then halt(world) end
+  world.places[number] = location.split(rfsm.location_of(fsm)):gsub(": $", "")
+  world.is_made[fsm] = true
+  return fsm, text, problems
+end
+
+-- Loads a file while the machines are noted that it makes. The first step of one of
+-- them ends that.
+local function noting_machines(world, load, file)
+  local init, plain = rfsm.init, { step = rfsm.step, run = rfsm.run }
+  rawset(rfsm, "init", function(model)
+    return note_machine(world, world.depth, init, model)
+  end)
+  for name, f in order.each(plain) do -- any order: each stands alone
+    rawset(rfsm, name, function(fsm, ...)
+      if world.is_made[fsm or world] then halt(world) end
+      return f(fsm, ...)
+    end)
+  end
+  local ok, model = pcall(within_bounds, world, load, file)
+  for name, f in order.each(plain) do rawset(rfsm, name, f) end -- likewise
+  rawset(rfsm, "init", init)
+  return ok and model or error(model, 0)
+end
+
+-- Returns the lines of the models: "chart.lua:7, chart.lua:12".
+local function places_of(world)
+  local texts = {}
+  for i in ipairs(world.models) do texts[i] = world.places[i] or "with problems" end
+  return concat(texts, ", ")
+end
+
+-- Returns the model of a machine that a program makes, in place of its failure.
+local function chosen_model(file, world, ok, model)
+  local is_program = world.models[1] and not ok
+    and (world.is_halted or rfsm.text_of(model):find(NO_STATE, 1, true))
+  local number = world.number or 1
+  if not (is_program or ok and world.number) then return ok, model end
+  if world.models[number] then return true, world.models[number] end
+  return false, ("%s: no machine %d, it makes %d%s"):format(chart.name_of(file), number,
+    #world.models, world.models[1] and " (" .. places_of(world) .. ")" or "")
+end
+
 local function load_stdin() -- without a first line for the shell (#!)
   local text = io.read("*a"):gsub("^#[^\n]*", "")
   return rfsm.load_str(text, "=stdin")
@@ -165,12 +257,13 @@ end
 
 -- Loads the model in a file once. `insists`: globals whose existence is asked for are
 -- stubs, too.
-local function try_load(file, has_stubs, insists)
+local function try_load(file, has_stubs, number, insists)
   local warnings, source = {}, file == "-" and "=stdin" or "@" .. file
   local world = search.enter(file, source, has_stubs)
-  world.insists = insists or false
-  local ok, model = with_notes(world, warnings, within_bounds, world,
-    file == "-" and load_stdin or load_file, file)
+  world.insists, world.number = insists or false, number
+  local load = file == "-" and load_stdin or load_file
+  local ok, model = chosen_model(file, world, with_notes(world, warnings,
+    noting_machines, world, load, file))
   search.leave()
   return ok, model, warnings, world
 end
@@ -178,17 +271,19 @@ end
 --- Load the model in a file; `-` is stdin. With stubs, modules and globals that are not
 -- here are stubs.
 --
--- A chart that reads the global `rfsm_timeevent` switches time events on.
+-- A chart that reads the global `rfsm_timeevent` switches time events on. Of a program
+-- that returns no state the model of the first machine is loaded that it makes, or that
+-- of machine `number`.
 --
 ---@return rfsm.State? model nil if there is none
 ---@return string[]|string warnings a line for each undefined global; or the problem
 ---@return rfsm.shared.World world `names` are those of the stubs
-function chart.load(file, has_stubs)
+function chart.load(file, has_stubs, number)
   find_given("rfsmpp") -- for callbacks; these two change no machines
   find_given("rfsm_ext")
-  local ok, model, warnings, world = try_load(file, has_stubs)
+  local ok, model, warnings, world = try_load(file, has_stubs, number)
   if not (ok or world.is_late) and has_stubs and file ~= "-" then
-    local is_better, other, more, other_world = try_load(file, true, true)
+    local is_better, other, more, other_world = try_load(file, true, number, true)
     if is_better then ok, model, warnings, world = true, other, more, other_world end
   end
   if ok and has_stubs then stubs.complete(model) end
@@ -196,9 +291,19 @@ function chart.load(file, has_stubs)
   return nil, chart.reason(file, model), world
 end
 
---- Return the line that names the stubs of a chart; nil if it has none.
-function chart.stub_line(file, world)
-  return world.names[1] and chart.line(file, "stubbed: " .. concat(world.names, ", "))
+--- Return the lines that name the stubs of a chart, and the machines of a program that
+-- makes several.
+---@return string[] lines
+function chart.lines_of(file, world)
+  local lines, models = {}, world.models
+  if world.names[1] then
+    lines[1] = chart.line(file, "stubbed: " .. concat(world.names, ", "))
+  end
+  if models[2] then
+    lines[#lines + 1] = chart.line(file, ("machine %d of %d (%s); --machine N takes "
+      .. "another"):format(world.number or 1, #models, places_of(world)))
+  end
+  return lines
 end
 
 --- Make the machine of the chart in a file by a function such as `rfsm.init`; return it
@@ -208,7 +313,7 @@ function chart.open(file, init, warn, has_stubs)
   local model, warnings, world = chart.load(file, has_stubs)
   if not model then return false, { warnings } end
   for _, line in ipairs(warnings) do warn(line) end
-  if world.names[1] then warn(chart.stub_line(file, world)) end
+  for _, line in ipairs(chart.lines_of(file, world)) do warn(line) end
   local ok, fsm, _, problems = pcall(init, model)
   if not ok then return false, { chart.reason(file, fsm) } end
   if fsm then return fsm, model end

@@ -40,6 +40,13 @@ function instrument.hook(changes, fsm, kind, hook, where)
   end }
 end
 
+--- Return what has the user's entry and exit of a state: those of one whose regions an
+--- extension runs are the extension's.
+function instrument.owner_of_callbacks(state)
+  local _, own = rfsm.regions(state)
+  return own or state
+end
+
 local ROOT_FIELDS = { "idle_hook", "pre_step_hook", "post_step_hook" }
 local STATE_FIELDS, TRANSITION_FIELDS = { "entry", "exit" }, { "effect", "likely" }
 
@@ -55,11 +62,9 @@ function instrument.take_functions(changes, fsm)
   local doers = {}
   take_away(changes, fsm, ROOT_FIELDS)
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
-    local regions = rawget(state, "_regions")
-    -- the entry, exit and doo of a sequential AND state advance its regions; the
-    -- functions of the chart are fields of `_regions`
-    take_away(changes, regions or state, STATE_FIELDS)
-    if state.doo and not regions then doers[#doers + 1] = state end
+    local owner = instrument.owner_of_callbacks(state)
+    take_away(changes, owner, STATE_FIELDS)
+    if state.doo and owner == state then doers[#doers + 1] = state end
   end
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     take_away(changes, tr, TRANSITION_FIELDS)

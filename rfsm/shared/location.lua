@@ -53,9 +53,8 @@ end
 ---@return { name: string, machine: rfsm.Machine }[] regions
 function location.regions_of(state)
   local regions, machines = {}, {}
-  for i, machine in ipairs(rfsm.regions(state)) do
-    machines[state._regions.names[i]] = machine
-  end
+  local list, own = rfsm.regions(state)
+  for i, machine in ipairs(list) do machines[own.names[i]] = machine end
   for i, name in ipairs(rfsm.sorted_keys(machines)) do
     regions[i] = { name = text_of(name), machine = machines[name] }
   end

@@ -75,30 +75,17 @@ function match.may_enable(tr, list, seen)
   return false
 end
 
---- List the events that a transition with await waits for, see rfsm/await.lua.
----@param tr rfsm.Transition
----@return string[] names empty for all other transitions
-function match.awaited(tr)
-  local list = {}
-  for _, await in ipairs(tr.src._await or {}) do
-    for _, name in ipairs(match.names(tr, await.name) and await.wanted or {}) do
-      list[#list + 1] = name
-    end
-  end
-  return list
-end
-
 --- Who makes an event? What a machine makes itself has the FQN of its source behind @.
 ---@param event any
----@return "engine"|"await"|"timer"|nil maker nil: it comes from outside
+---@return string? maker "engine" or an extension; nil: it comes from outside
 ---@return string? fqn of a timer: the state that has to be active
 function match.maker_of(event)
   if type(event) ~= "string" then return nil end
   if event == "e_init_fsm" or event:find("^e_done@root") then return "engine" end
-  if event:find("^await%s*%(.*%)@root") then return "await" end
-  local fqn = event:match("^e_after%s*%(.*@(root.*)$")
-    or event:match("^e_at%s*%(.*@(root.*)$")
-  if fqn then return "timer", fqn end
+  for _, maker in ipairs(rfsm.makers) do
+    local name, fqn = maker(event)
+    if name then return name, fqn end
+  end
 end
 
 return match

@@ -29,6 +29,12 @@ local search = {}
 ---@field is_late boolean that took too long
 ---@field names string[] of the stubs, in the order in which they were needed
 ---@field stubs table<string, table> by name
+---@field models rfsm.State[] of the machines that its code makes
+---@field places table<integer, string> of these in the file, if they have no problem
+---@field is_made table<rfsm.Machine, true> these machines
+---@field depth integer how many machines are being made, each for the one before
+---@field is_halted boolean its first step would have come
+---@field number? integer the machine that is wanted
 local current = nil ---@type rfsm.shared.World? of the chart that is being loaded
 local latest = nil ---@type rfsm.shared.World? of the chart that was loaded last
 
@@ -186,7 +192,8 @@ function search.enter(file, source, has_stubs)
   current = {
     source = source, folders = { folder, parent_of(folder) },
     has_stubs = has_stubs or false, insists = false, is_late = false,
-    names = {}, stubs = {},
+    names = {}, stubs = {}, models = {}, places = {}, is_made = {}, depth = 0,
+    is_halted = false,
   }
   world_of_source[source], latest = current, current
   return current

@@ -1,11 +1,13 @@
 --- Stubs: inert values in place of missing ones, such as the modules of a robot.
 --
--- To index or call a stub returns a stub. In a concatenation a stub is its name, such
--- as 'rf.findFile("arm.lua")'; in arithmetic it is 0. A loop over it ends.
+-- To index or call a stub returns a stub; to call it with a state, a copy of that. In a
+-- concatenation a stub is its name, such as 'rf.findFile("arm.lua")'; in arithmetic it
+-- is 0. A loop over it ends.
 --
 -- @module rfsm.shared.stubs
 -- @license BSD-3-Clause
 
+local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
 local getmetatable, ipairs, rawget, rawset = getmetatable, ipairs, rawget, rawset
@@ -31,32 +33,54 @@ function stubs.name_of(value)
   return type(value) == "table" and getmetatable(value) == Stub and names[value] or nil
 end
 
+-- Returns the name of a stub, also of a copy that code of a chart has made.
+local function name_of(stub) return names[stub] or "a stub" end
+
 local MOST = 9 -- last element, so that a loop over elements ends
 
 function Stub.__index(stub, key)
   if type(key) == "number" and key > MOST then return nil end
-  local known = fields[stub]
+  local known = fields[stub] or {}
+  fields[stub] = known
   if not known[key] then
-    known[key] = stubs.new(names[stub] .. "." .. rfsm.text_of(key))
+    known[key] = stubs.new(name_of(stub) .. "." .. rfsm.text_of(key))
   end
   return known[key]
 end
 
 local LONGEST = 200 -- bytes of a name
 
+-- Returns the state among the arguments of a call.
+local function find_state(...)
+  for i = 1, select("#", ...) do
+    local argument = select(i, ...)
+    if rfsm.is_state(argument) then return argument end
+  end
+end
+
+-- Returns a copy of an element and of those in it.
+local function copy_of(element)
+  local copy = {}
+  for key, value in order.each(element) do -- any order: a copy
+    copy[key] = rfsm.is_fsmobj(value) and copy_of(value) or value
+  end
+  return setmetatable(copy, getmetatable(element))
+end
+
 -- A loop over a stub calls it with two nils, and ends.
 function Stub.__call(stub, ...)
-  local texts, count = {}, select("#", ...)
+  local texts, count, state = {}, select("#", ...), find_state(...)
+  if state then return copy_of(state) end
   if count == 2 and (...) == nil and select(2, ...) == nil then return nil end
   for i = 1, count do
     local argument = select(i, ...)
     if type(argument) == "string" then texts[#texts + 1] = '"' .. argument .. '"' end
   end
-  local name = ("%s(%s)"):format(names[stub], concat(texts, ", "))
-  return stubs.new(#name <= LONGEST and name or names[stub])
+  local name = ("%s(%s)"):format(name_of(stub), concat(texts, ", "))
+  return stubs.new(#name <= LONGEST and name or name_of(stub))
 end
 
-function Stub.__tostring(stub) return names[stub] end
+function Stub.__tostring(stub) return name_of(stub) end
 
 function Stub.__concat(a, b) return rfsm.text_of(a) .. rfsm.text_of(b) end
 
@@ -71,7 +95,12 @@ Stub.__lt, Stub.__le = no, no
 
 -- States: stubs with the substates that transitions name --------------------------
 
-local is_stubbed = setmetatable({}, { __mode = "k" }) -- states
+local MARK = " is a stub" -- behind the name in the field `doc`, so that copies have it
+
+local function is_stubbed(state)
+  local doc = rawget(state, "doc")
+  return type(doc) == "string" and doc:sub(-#MARK) == MARK
+end
 
 -- Returns a constructor that notes no location, which would be one in this file.
 local function without_location(constructor)
@@ -84,9 +113,7 @@ local new_state, new_trans, new_conn = without_location(rfsm.state),
 
 --- Return a state in place of a missing one.
 function stubs.new_state(name)
-  local state = new_state { doc = name .. " is a stub" }
-  is_stubbed[state] = true
-  return state
+  return new_state { doc = name .. MARK }
 end
 
 -- Gives a stub a substate; the first one is its initial state.
@@ -103,7 +130,7 @@ local function complete_path(root, state, path)
   for name in path:gmatch("[^.]+") do
     local stub = stubs.name_of(rawget(state, name))
     if stub then state[name] = stubs.new_state(stub) end
-    if is_stubbed[state] and not rawget(state, name) then add_substate(state, name) end
+    if is_stubbed(state) and not rawget(state, name) then add_substate(state, name) end
     state = rawget(state, name)
     if not rfsm.is_state(state) then return end
   end

@@ -9,6 +9,7 @@
 -- @license BSD-3-Clause
 
 local calls = require "rfsm.shared.calls"
+local match = require "rfsm.shared.match"
 local shape = require "rfsm.snapshot.shape"
 local migrate = require "rfsm.snapshot.migrate"
 local rfsm = require "rfsm"
@@ -64,7 +65,7 @@ local function timers_of(fsm, leaf)
   for _, tr in ipairs(shape.of(fsm).transitions) do
     for _, event in ipairs(is_around[tr.src] and tr.events or {}) do
       local name = rfsm.text_of(event)
-      if name:find("^e_after%(.*@root") or name:find("^e_at%(.*@root") then
+      if match.maker_of(name) == "timer" then
         list[#list + 1], is_there[name] = name, true
       end
     end

@@ -8,22 +8,21 @@
 --    { "%s", count, ... }        a table that is too deep for MessagePack in Redis: the
 --                                number of its keys, then for each the key, and the
 --                                value, after "t" if that is such a table, else "v"
---    { "%p", table }             in format 1: the snapshot of a region
 --    { "%z" }                    nil in a field that is not nil at first
 --
 -- @module rfsm.snapshot.encoding
 -- @license BSD-3-Clause
 
 local calls = require "rfsm.shared.calls"
+local exact_json = require "rfsm.shared.exact_json"
 local each = require("rfsm.shared.order").each
 local rfsm = require "rfsm"
 
 local error, getmetatable, ipairs = error, getmetatable, ipairs
-local pcall, rawequal, rawget = pcall, rawequal, rawget
-local tonumber, type = tonumber, type
+local rawequal, rawget, tonumber, type = rawequal, rawget, tonumber, type
 local floor, huge, min = math.floor, math.huge, math.min
 local math_type, to_integer = rawget(math, "type"), rawget(math, "tointeger")
-local text_of = rfsm.text_of
+local is_null, text_of = exact_json.is_null, rfsm.text_of
 
 -- How many tables may be inside each other: in the value of a field; in packed data.
 local MAX_DEPTH, MAX_PACKED_DEPTH = 13, 40
@@ -79,15 +78,10 @@ local function is_scalar(value)
   return kind == "string" or kind == "number" or kind == "boolean"
 end
 
---- Is a value what decoders of JSON return for null?
-local function is_null(value)
-  local kind = type(value)
-  if kind == "userdata" then return text_of(value):find("[Nn][Ui][Ll]") ~= nil end
-  local class = kind == "table" and getmetatable(value)
-  local to_json = type(class) == "table" and rawget(class, "__tojson")
-  if type(to_json) ~= "function" then return false end
-  local ok, text = pcall(to_json, value)
-  return ok and text == "null"
+--- Is a value an event that can be kept: a scalar, or a plain table with a name?
+local function is_event(value)
+  if type(value) ~= "table" then return is_scalar(value) and value == value end
+  return getmetatable(value) == nil and type(value.name) == "string"
 end
 
 --- Return a value; a plain table as a copy, and those in it. `copies` were made before.
@@ -225,7 +219,7 @@ end
 -- that JSON has not as texts.
 local function to_json(value)
   if type(value) == "number" and value - value ~= 0 then return digits_of(value) end
-  if type(value) ~= "table" then return value end
+  if type(value) ~= "table" or is_null(value) then return value end
   local copy, count = {}, 0
   for key, inner in each(value) do -- any order: a copy
     count = count + 1
@@ -244,6 +238,10 @@ local NUMBERS = { nan = 0 / 0, inf = huge, ["-inf"] = -huge }
 local function unpack_number(digits)
   local number = NUMBERS[digits] or type(digits) == "string" and tonumber(digits)
   if not number then fail("a number as text expected, got %s", type(digits)) end
+  local is_whole = not math_type and digits:find("^%-?%d+$")
+  if is_whole and ("%.0f"):format(number) ~= digits then
+    fail("the number %s: this Lua has only whole numbers up to 2^53 exactly", digits)
+  end
   return number
 end
 
@@ -291,8 +289,6 @@ local function unpack_table(packed, depth)
     return unpack_number(packed[2])
   elseif first == "%s" and type(packed[2]) == "number" then
     return unpack((from_flat(packed, 2, depth)), depth + 1)
-  elseif first == "%p" then
-    return packed[2]
   elseif first == "%z" then
     return NIL
   end
@@ -338,7 +334,7 @@ end
 
 return {
   NIL = NIL, as_table = as_table, copy_of = copy_of, fail = fail, is_flat = is_flat,
-  is_null = is_null, is_safe = is_safe, is_scalar = is_scalar,
+  is_event = is_event, is_null = is_null, is_safe = is_safe, is_scalar = is_scalar,
   location_of = location_of, pack = pack, reason = reason, text_of_fail = text_of_fail,
   to_json = to_json, try = try, unpack = unpack,
 }

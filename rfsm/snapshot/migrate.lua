@@ -51,49 +51,13 @@ local function check_fields(snap, fields, where)
   fail("%s%s: %s expected, got %s", where, field, fields[field], type(snap[field]))
 end
 
--- Returns what an extension kept under a name, and takes it away.
-local function take_extension(snap, name)
-  local ext = type(snap.ext) == "table" and encoding.copy_of(snap.ext) or {}
-  local kept = encoding.unpack(ext[name], 2)
-  ext[name] = nil
-  snap.ext = (not order.is_empty(ext) or type(snap.ext) ~= "table") and ext or nil
-  return type(kept) == "table" and kept or {}
-end
-
--- Adds the regions in a snapshot of format 1, which were kept by an extension.
-local function add_regions(regions, snap, prefix, depth)
-  if not snap.ext then return end
-  if depth > 40 then fail("regions: at most 40 inside each other expected") end
-  for fqn, list in each(take_extension(snap, "seqand")) do -- any order: a set
-    if type(list) ~= "table" then fail("ext: table of snapshots expected") end
-    for name, inner in each(list) do -- any order: likewise
-      if type(inner) ~= "table" then fail("ext: table of snapshots expected") end
-      local part = copy_fields(inner)
-      local place = prefix .. text_of(fqn):sub(5) .. "." .. text_of(name)
-      add_regions(regions, part, place, depth + 1)
-      part.version, regions[place] = nil, part
-    end
-  end
-end
-
-local function convert_format_1(snap)
-  local regions = {}
-  snap.version = migrate.VERSION
-  add_regions(regions, snap, "root", 0)
-  snap.regions = not order.is_empty(regions) and regions or nil
-end
-
--- Returns a snapshot in today's format, a copy without nulls of JSON, and whether it
--- was of format 1. Raises what is wrong with its fields.
+-- Returns a copy without nulls of JSON. Raises what is wrong with its fields.
 local function check_shape(snap)
   if type(snap) ~= "table" then fail("snapshot expected, got %s", type(snap)) end
   snap = copy_fields(snap)
-  local version = snap.version
-  if version == 1 then
-    convert_format_1(snap)
-  elseif version ~= migrate.VERSION then
-    fail("snapshot of format 1 or %d expected, got %s", migrate.VERSION,
-      version == nil and "none" or "format " .. text_of(version))
+  if snap.version ~= migrate.VERSION then
+    fail("snapshot of format %d expected, got %s", migrate.VERSION,
+      snap.version == nil and "none" or "format " .. text_of(snap.version))
   end
   if not snap.chart then fail("chart: string expected, got nil") end
   check_fields(snap, WHOLE, "")
@@ -106,7 +70,7 @@ local function check_shape(snap)
     snap.regions[prefix] = part
     check_fields(part, PART, text_of(prefix) .. ": ")
   end
-  return snap, version == 1
+  return snap
 end
 
 -- Parts: a machine and its regions --------------------------------------------------
@@ -283,24 +247,18 @@ local function known_lines(fsm, snap)
     local was = name and shape.named(name) or not name and chart
     if not was then return nil end
     shape.append(old, at.prefix, was.lines)
+    shape.append(old, at.prefix, was.fields)
     shape.append(new, at.prefix, chart.lines)
-    if name and name:find("-", 1, true) then
-      shape.append(old, at.prefix, was.fields)
-      shape.append(new, at.prefix, chart.fields)
-    end
+    shape.append(new, at.prefix, chart.fields)
   end
   return old, new
 end
 
 -- Returns the lines of the chart of a snapshot, and those of the machine to compare.
 local function lines_of(fsm, snap, given)
-  local chart, has_fields = shape.of(fsm).chart, false
-  if given then return shape.structure(given), chart.all end
-  if not snap.structure then return known_lines(fsm, snap) end
-  for _, line in ipairs(snap.structure) do
-    has_fields = has_fields or type(line) == "string" and line:find("^field ") ~= nil
-  end
-  return snap.structure, has_fields and chart.all or chart.lines
+  local lines = given and shape.structure(given) or snap.structure
+  if lines then return lines, shape.of(fsm).chart.all end
+  return known_lines(fsm, snap)
 end
 
 local function missing(lost)
@@ -420,11 +378,8 @@ local function changes(fsm, snap)
 end
 
 -- Returns a snapshot of another chart as one for that of a machine, and as `to`.
-local function adapt(fsm, snap, options, most, is_format_1)
+local function adapt(fsm, snap, options, most)
   local lost = migrate.lost(fsm, snap)
-  if most == "kept" and is_format_1 and not lost[1] then
-    return snap, select(2, changes(fsm, snap))
-  end
   local old, new = lines_of(fsm, snap, options.old)
   local list = old and migrate.difference(old, new) or missing(lost)
   if most == "structure" and not (options.rename or options.migrate) then
@@ -437,15 +392,15 @@ local function adapt(fsm, snap, options, most, is_format_1)
   return snap, select(2, changes(fsm, snap)), new_events(old, options.rename)
 end
 
---- Return a snapshot as one for the chart of a machine, a copy in today's format.
+--- Return a snapshot as one for the chart of a machine, a copy.
 -- Raises what is wrong with its fields, or the list of what differs, or would be lost.
 ---@return rfsm.snapshot.Snapshot snap
 ---@return table<string, string>? changes by prefix; nil if it is of the same chart
 ---@return fun(prefix: string, event: string)? is_new
 function migrate.to(fsm, snap, options)
-  local given, is_format_1 = check_shape(snap)
+  local given = check_shape(snap)
   local most = changes(fsm, given)
-  if most then return adapt(fsm, given, options, most, is_format_1) end
+  if most then return adapt(fsm, given, options, most) end
   return given
 end
 

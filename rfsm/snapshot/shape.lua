@@ -108,7 +108,7 @@ end
 
 --- What is known of the structure that machines share.
 ---@class rfsm.snapshot.Chart
----@field lines string[] of states, connectors and transitions, as in format 1
+---@field lines string[] of states, connectors and transitions
 ---@field fields string[] of what is kept, and of regions
 ---@field all string[] both, and those of the regions
 ---@field structure string fingerprint of `lines`
@@ -176,7 +176,7 @@ local function chart_of(fsm)
   if self.fields[1] then
     self.name = self.name .. "-" .. fingerprint_of(self.fields):sub(-6)
   end
-  charts[key], by_name[self.structure], by_name[self.name] = self, self, self
+  charts[key], by_name[self.name] = self, self
   count = count % MAX_LATEST + 1
   shape.latest[count] = self
   for _, at in ipairs(places) do

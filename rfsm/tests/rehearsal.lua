@@ -8,11 +8,13 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local chart = require "rfsm.shared.chart"
 local opts = require "rfsm.shared.options"
 local location = require "rfsm.shared.location"
 local subject = require "rfsm.explore.subject"
 
-local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local error, getmetatable, ipairs = error, getmetatable, ipairs
+local math, pairs = math, pairs
 local pcall, rawget, rawset, require = pcall, rawget, rawset, require
 local select, setmetatable = select, setmetatable
 local table, type = table, type
@@ -107,23 +109,32 @@ local function with_fakes(own, f, ...)
 end
 
 local KNOWN = {
-  callbacks = { "boolean", function(x) return type(x) == "boolean" end, false },
-  fakes = { "table", function(x) return type(x) == "table" end, {} },
+  callbacks = { "boolean", opts.is_a "boolean", false },
+  fakes = { "table", opts.is_a "table", {} },
+  stub = { "boolean", opts.is_a "boolean", false },
+  machine = { "whole number above 0", opts.is_whole(1, math.huge) },
 }
+
+-- Returns the model in a file; raises an error if there is none.
+local function load(file, settings)
+  local model, problem = chart.load(file, settings.stub, settings.machine)
+  return model or error("rfsm_checks.rehearsal: " .. problem, 0)
+end
 
 --- Begin the rehearsal of a chart.
 -- @raise if it is not valid, or an option is wrong
----@param chart string|rfsm.State a file or a model
----@param options? { callbacks: boolean?, fakes: table<string, any>? } `callbacks`: run
--- entries, exits and effects, with `fakes` as globals. By default `print` and globals
--- that are not there are fakes, whose calls are noted
+---@param what string|rfsm.State a file or a model
+---@param options? { callbacks: boolean?, fakes: table<string, any>?, stub: boolean?,
+-- machine: integer? } `callbacks`: run entries, exits and effects, with `fakes` as
+-- globals. By default `print` and globals that are not there are fakes, whose calls are
+-- noted. `stub`, `machine`: open the file as `rfsm check` does with these
 ---@return rfsm_checks.Rehearsal
-function rehearsal.rehearsal(chart, options)
+function rehearsal.rehearsal(what, options)
   local settings, problem = opts.read(KNOWN, options or {})
   if not settings then error("rfsm_checks.rehearsal: " .. problem, 2) end
-  local model = type(chart) == "string" and rfsm.load(chart) or chart
+  local model = type(what) == "string" and load(what, settings) or what
   if not rfsm.is_state(model) then
-    error("rfsm_checks.rehearsal: file or state expected, got " .. type(chart), 2)
+    error("rfsm_checks.rehearsal: file or state expected, got " .. type(what), 2)
   end
   local own = subject.new(model, { callbacks = settings.callbacks })
   own.choose, own.said, own.is_asked = answer, {}, {}

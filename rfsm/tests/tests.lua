@@ -11,13 +11,14 @@
 
 local rfsm = require "rfsm"
 local explore = require "rfsm.explore.explore"
+local graph = require "rfsm.explore.graph"
 local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
 local subject = require "rfsm.explore.subject"
 local reactions = require "rfsm.explore.reactions"
 local rehearsal = require "rfsm.tests.rehearsal"
 
-local error, ipairs, pairs, rawget = error, ipairs, pairs, rawget
+local error, ipairs, pairs = error, ipairs, pairs
 local tonumber, type = tonumber, type
 local ceil, max = math.ceil, math.max
 local concat = table.concat
@@ -32,6 +33,7 @@ local tests = {}
 ---@field taken integer how many transitions they take
 ---@field transitions integer of the chart
 ---@field skipped integer runs that a rehearsal cannot repeat
+---@field makers table<string, true> "timer", "await": of the chart's events
 
 --- A step of a rehearsal, and its result.
 ---@class rfsm_checks.TestStep
@@ -99,31 +101,15 @@ end
 
 -- Runs ..............................................................................
 
-local function is_wanted(edge, left)
-  for _, key in ipairs(edge.shows) do
-    if left[key] then return true end
-  end
-  return false
-end
-
--- Returns the steps up to the last one.
-local function way_to(edge, came)
-  local way = { edge }
-  while came[way[1].from] do table.insert(way, 1, came[way[1].from]) end
-  return way
-end
-
--- Returns the shortest list of steps from a configuration whose last one is wanted.
+-- Returns the shortest list of steps from a configuration whose last one shows a fact
+-- in `left`.
 local function find_way(walk, start, left)
-  local came, pending = { [start] = false }, { start }
-  for _, number in ipairs(pending) do -- which gets longer
-    for _, edge in ipairs(walk.edges[number] or {}) do
-      if is_wanted(edge, left) then return way_to(edge, came) end
-      if came[edge.tgt] == nil then
-        came[edge.tgt], pending[#pending + 1] = edge, edge.tgt
-      end
+  return graph.find_way(walk.edges, start, function(edge)
+    for _, key in ipairs(edge.shows) do
+      if left[key] then return true end
     end
-  end
+    return false
+  end)
 end
 
 local LONG = 12 -- steps after which a run may end
@@ -210,8 +196,9 @@ end
 
 -- Rehearses a planned run; with `waits` time goes by for its timers. Returns the steps;
 -- nil if the rehearsal departs from the plan. Notes the leaves that are visited.
-local function rehearse(walk, model, run, waits, is_seen, callbacks)
-  local steps, own = {}, rehearsal.rehearsal(model, { callbacks = callbacks })
+local function rehearse(walk, model, run, waits, is_seen, options)
+  local steps = {}
+  local own = rehearsal.rehearsal(model, { callbacks = options.callbacks })
   local function add(what)
     steps[#steps + 1] = { what = what, result = own:step(what) }
   end
@@ -228,16 +215,37 @@ end
 
 -- Public functions ..................................................................
 
+--- How tests are made.
+---@class rfsm_checks.TestOptions
+---@field callbacks? boolean run entries, exits and effects
+---@field stub? boolean open the file with stubs
+---@field machine? integer open this one of a program
+---@field file? string where the model is from: each run is tried on it once more
+
+-- Are the results of a run the same on the chart as its file has it?
+local function does_repeat(steps, options)
+  if not options.file then return true end
+  local own = rehearsal.rehearsal(options.file, { callbacks = options.callbacks,
+    stub = options.stub, machine = options.machine })
+  for _, step in ipairs(steps) do
+    if own:step(step.what) ~= step.result then return false end
+  end
+  return true
+end
+
 --- Plan runs that take every transition of a model that can be taken.
----@param callbacks? boolean run entries, exits and effects
+---@param options? rfsm_checks.TestOptions
 ---@return rfsm_checks.Tests
-function tests.plan(model, callbacks)
-  callbacks = callbacks or false
+function tests.plan(model, options)
+  options = options or {}
   local walk = explore.walk(model, { together = 2, timers = "free" },
     watch_steps)
   local left, most, result = {}, 1, { runs = {}, steps = 0, least = 0,
     taken = #rfsm.sorted_keys(walk.taken), transitions = #walk.subject.transitions,
-    skipped = 0 }
+    skipped = 0, makers = {} }
+  for _, event in ipairs(walk.subject.event_list) do
+    result.makers[match.maker_of(event) or "none"] = true
+  end
   for _, list in pairs(walk.edges) do -- any order: a set, and the greatest
     for _, edge in ipairs(list) do
       most = max(most, edge.taken)
@@ -247,9 +255,9 @@ function tests.plan(model, callbacks)
   result.least = ceil(result.taken / most)
   local is_seen = {}
   for _, run in ipairs(plan(walk, left)) do
-    local steps = rehearse(walk, model, run, true, is_seen, callbacks)
-      or rehearse(walk, model, run, false, is_seen, callbacks)
-    if steps then
+    local steps = rehearse(walk, model, run, true, is_seen, options)
+      or rehearse(walk, model, run, false, is_seen, options)
+    if steps and does_repeat(steps, options) then
       result.runs[#result.runs + 1] = { steps = steps }
       result.steps = result.steps + #steps
     else
@@ -306,7 +314,7 @@ local HEAD = [[
 
 local here = debug.getinfo(1, "S").source:match("^@(.*/)") or ""
 local FILE = %s
-local OPTIONS = { callbacks = %s }
+local OPTIONS = { %s }
 
 ]]
 
@@ -371,18 +379,25 @@ local function merge(old, head, body)
   return old:sub(1, from) .. body .. old:sub(to)
 end
 
+local function options_text(options)
+  local texts = { "callbacks = " .. rfsm.text_of(options.callbacks or false) }
+  if options.stub then texts[2] = "stub = true" end
+  if options.machine then texts[#texts + 1] = "machine = " .. options.machine end
+  return concat(texts, ", ")
+end
+
 --- Write the runs of a chart as a spec for busted.
 ---@param file string of the chart
----@param callbacks? boolean the runs run entries, exits and effects, too
+---@param options? rfsm_checks.TestOptions
 ---@param output? string the file of the spec; the chart is loaded relative to it
 ---@param old? string the text of that file, in which the marked lines are replaced
 ---@return string text
 ---@return rfsm_checks.Tests
-function tests.busted(file, model, callbacks, output, old)
-  callbacks = callbacks or false
-  local result = tests.plan(model, callbacks)
-  local modules = rawget(_G, "package").loaded.rfsm_timeevent
-    and 'require "rfsm_timeevent"\n' or ""
+function tests.busted(file, model, options, output, old)
+  options = options or {}
+  local result = tests.plan(model, options)
+  local modules = (result.makers.timer and 'require "rfsm_timeevent"\n' or "")
+    .. (result.makers.await and 'require "rfsm_await"\n' or "")
   local blocks = {}
   for i, run in ipairs(result.runs) do
     local lines = { ("  it(%q, function()"):format(name_of(run)),
@@ -391,7 +406,8 @@ function tests.busted(file, model, callbacks, output, old)
     blocks[i] = concat(lines, "\n") .. "\n  end)\n"
   end
   local head = HEAD:format(file, result.taken, result.transitions, result.steps,
-    RUNS[callbacks], modules, file_text(file, output), rfsm.text_of(callbacks))
+    RUNS[options.callbacks or false], modules, file_text(file, output),
+    options_text(options))
   return merge(old, head, ("describe(%q, function()\n"):format(file)
     .. concat(blocks, "\n") .. "end)\n"), result
 end

@@ -3,9 +3,8 @@
 -- @module rfsm.web.picture
 -- @license BSD-3-Clause
 
-local diagram = require "rfsm.pictures.diagram"
+local dot = require "rfsm.dot"
 local files = require "rfsm.shared.files"
-local layout = require "rfsm.pictures.layout"
 
 local coroutine, io, os, setmetatable = coroutine, io, os, setmetatable
 
@@ -51,8 +50,7 @@ end
 
 local function draw(picture, graph, description)
   if description then
-    local chart = diagram.read(description, "rfsm.web.picture")
-    graph = layout.draw(chart, function(graphs)
+    graph = dot.layout(description, nil, function(graphs)
       return picture:run(graphs, "dot"), "no Graphviz"
     end) or graph
   end

@@ -3,29 +3,9 @@
 
 local helper = require "spec.helper"
 local has_socket, socket = pcall(require, "socket")
+local servers = require "spec.support.servers"
 
-local lines_of = helper.lines_of
-local running, logs = {}, {} -- process ids; names of files
-
--- Starts a command in the background; returns a function that reads its output so far.
-local function start(command)
-  local log = os.tmpname()
-  logs[#logs + 1] = log
-  command = ("exec %s >'%s' 2>&1 </dev/null & echo $!"):format(command, log)
-  running[#running + 1] = lines_of(command)[1]
-  return function() return helper.content(log) end
-end
-
--- Stops what was started as number i, the last one first, and waits for its end.
-local function stop(i)
-  local id = table.remove(running, i)
-  os.execute(("kill %s; timeout 10 tail --pid=%s -f /dev/null"):format(id, id))
-end
-
-local function stop_all()
-  while running[1] do stop() end
-  for i = #logs, 1, -1 do os.remove(table.remove(logs, i)) end
-end
+local lines_of, start = helper.lines_of, servers.program
 
 -- Asks until the answer is found, for a minute at most.
 local function wait_for(what, ask, ...)
@@ -42,13 +22,6 @@ local function output_of(command)
   return table.concat(lines_of(command .. " 2>&1"), "\n")
 end
 
-local function free_port()
-  local server = socket.bind("127.0.0.1", 0)
-  local port = ("%d"):format(select(2, server:getsockname()))
-  server:close()
-  return port
-end
-
 -- Describes a host, if its programs and modules are here.
 local function host(name, programs, modules, f)
   describe(name, function()
@@ -60,7 +33,7 @@ local function host(name, programs, modules, f)
     for _, module in ipairs(modules) do
       if not pcall(require, module) then missing[#missing + 1] = module end
     end
-    after_each(stop_all)
+    after_each(servers.stop_all)
     if missing[1] then
       assert(os.getenv "PENDING" ~= "no", "missing: " .. table.concat(missing, ", "))
       return pending(name .. ": missing are " .. table.concat(missing, ", "))
@@ -100,28 +73,28 @@ end)
 host("the host in LÖVE", { "love", "Xvfb", "dot", "stdbuf" }, {}, function()
   it("comes back to the leg of the round that the guard had left", function()
     local screen = start "sh -c 'exec Xvfb -displayfd 1 -screen 0 800x600x24'"
-    wait_for("\n", screen)
+    wait_for("\n", screen.log, screen)
     local game = start(("env DISPLAY=:%s LIBGL_ALWAYS_SOFTWARE=1 SDL_AUDIODRIVER=dummy "
-      .. "stdbuf -oL love examples/hosts/love 60"):format(screen():match("%d+\n")
+      .. "stdbuf -oL love examples/hosts/love 60"):format(screen:log():match("%d+\n")
       :match("%d+")))
     wait_for("root.patrol.east\nroot.hunt\nroot.search\nroot.patrol\n"
-      .. "root.patrol.east\n", game)
-    assert.is_nil(game():find "Error")
+      .. "root.patrol.east\n", game.log, game)
+    assert.is_nil(game:log():find "Error")
   end)
 end)
 
 host("the host on MQTT", { "mosquitto", "mosquitto_sub" }, { "luv" }, function()
   it("reads topics, keeps its state, comes back, and has a last will", function()
-    local port = free_port()
+    local port = servers.free_port()
     local function state()
       return output_of("timeout 1 mosquitto_sub -t heating/state -C 1 -p " .. port)
     end
     local function send(topic, text)
       output_of(("mosquitto_pub -p %s -t heating/%s -m %s"):format(port, topic, text))
     end
-    start(LUA .. "mqtt_host.lua " .. port)
+    local here = start(LUA .. "mqtt_host.lua " .. port)
     for _ = 1, 2 do -- the broker comes later, and goes for a time
-      start("mosquitto -p " .. port)
+      local broker = start("mosquitto -p " .. port)
       wait_for("off", state)
       wait_for("heating", function()
         send("room", "17.5")
@@ -131,18 +104,18 @@ host("the host on MQTT", { "mosquitto", "mosquitto_sub" }, { "luv" }, function()
       wait_for("airing", state)
       send("window", "shut")
       wait_for("off", state)
-      stop()
+      broker:kill()
     end
     start("mosquitto -p " .. port)
     wait_for("off", state)
-    stop(1)
+    here:kill()
     wait_for("offline", state)
   end)
 end)
 
 host("the server on luv", {}, { "luv" }, function()
   it("has a thousand connections, with a machine each", function()
-    local port, peers = free_port(), {}
+    local port, peers = servers.free_port(), {}
     start(LUA .. "luv_server.lua " .. port)
     wait_for("yes", function()
       peers[1] = peers[1] or socket.connect("127.0.0.1", port)

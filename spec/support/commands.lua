@@ -55,4 +55,13 @@ function commands.run(command, modules)
   return out.text, err.text, status.status
 end
 
+--- Returns the formats of `rfsm viz`: pictures, and one for each exporter.
+function commands.formats()
+  local formats = { "svg", "png", "pdf" }
+  for _, exporter in ipairs(require("rfsm.cli.exporters").list) do
+    formats[#formats + 1] = exporter.name
+  end
+  return formats
+end
+
 return commands

@@ -1,8 +1,6 @@
 -- Models that are hard to draw: random ones of depth 6 with regions, and odd names.
 
-local diagram = require "rfsm.pictures.diagram"
 local dot = require "rfsm.dot"
-local layout = require "rfsm.pictures.layout"
 local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
 
@@ -138,9 +136,8 @@ end
 function pictures.layouts_of(list)
   local graphs, works, answers = {}, {}, {}
   for i, job in ipairs(list) do
-    local chart = diagram.read(job.fsm, "layouts_of", job.options)
     works[i] = coroutine.wrap(function()
-      graphs[i] = layout.draw(chart, coroutine.yield)
+      graphs[i] = dot.layout(job.fsm, job.options, coroutine.yield)
     end)
   end
   while works[1] do

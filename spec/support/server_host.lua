@@ -1,5 +1,6 @@
 -- A table in place of Redis, for the functions that run inside.
 
+local codec = require "rfsm.server.codec"
 local encoding = require "rfsm.snapshot.encoding"
 local rfsm = require "rfsm"
 
@@ -25,7 +26,7 @@ function host.new(trace, clock)
     EXISTS = function(key) return values[key] and 1 or 0 end,
     TIME = function()
       local seconds = math.floor(clock.now)
-      return { ("%d"):format(seconds), ("%d"):format((clock.now - seconds) * 1e6) }
+      return { ("%.0f"):format(seconds), ("%.0f"):format((clock.now - seconds) * 1e6) }
     end,
     TYPE = function() return { ok = "none" } end,
     ZRANGEBYLEX = function() return {} end,
@@ -41,12 +42,7 @@ function host.new(trace, clock)
     end,
     may = function() return true end,
     error_reply = function(text) return { err = text } end,
-    json = {
-      encode = function(data)
-        return type(data) == "table" and data.root and data.root.n or "json"
-      end,
-      decode = function() return {} end,
-    },
+    json = { decode = codec.decode },
     pack = {
       pack = function(list)
         packed = encoding.copy_of(list)

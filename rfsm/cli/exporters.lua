@@ -1,0 +1,55 @@
+--- The exporters. Each is a module `rfsm.NAME` with `encode(fsm)`, and a command that
+-- writes each chart to a file. The help, `rfsm viz` and the floors of the house read
+-- this table.
+--
+-- @module rfsm.cli.exporters
+-- @license BSD-3-Clause
+
+local common = require "rfsm.cli.common"
+
+local concat = table.concat
+
+--- One exporter.
+---@class rfsm.cli.Exporter
+---@field name string
+---@field language string as the help has it
+---@field ending string of the files
+local EXPORTERS = {
+  { name = "dot", language = "Graphviz graphs", ending = "dot" },
+  { name = "plantuml", language = "PlantUML diagrams", ending = "puml" },
+  { name = "mermaid", language = "Mermaid diagrams", ending = "mmd" },
+  { name = "json", language = "JSON", ending = "json" },
+}
+
+local function add_arguments(command)
+  common.add_files(command)
+  common.add_stub(command)
+  common.add_machine(command)
+  command:option("-o --output", "one file for all results; - is stdout")
+    :argname("FILE")
+end
+
+-- Makes the command of an exporter.
+local function new_command(exporter)
+  local ending = "." .. exporter.ending
+  local function run(options)
+    local texts = common.encode_all(options, require("rfsm." .. exporter.name).encode)
+    if options.output then return common.write(options.output, concat(texts)) end
+    for i, file in ipairs(options.files) do
+      common.write(file == "-" and "-" or file:gsub("%.lua$", "") .. ending, texts[i])
+    end
+  end
+
+  return { name = exporter.name,
+    summary = "Write charts as " .. exporter.language .. ".",
+    epilog = "The result for a.lua is a" .. ending .. ".",
+    add_arguments = add_arguments, run = run }
+end
+
+local exporters = { list = EXPORTERS, commands = {} }
+
+for i, exporter in ipairs(EXPORTERS) do
+  exporters.commands[i] = new_command(exporter)
+end
+
+return exporters

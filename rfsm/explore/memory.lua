@@ -1,0 +1,231 @@
+--- Memory: the data that callbacks of a subject can change, and how it is put back.
+--
+-- A *home* is a table with data: an element of a part, a table in one, or a table that
+-- a callback in `run` names. Its data are the fields that are not the engine's. A
+-- *cell* is an upvalue or a global that such a callback names. When a step has called
+-- one, each datum that `vars` does not name is compared with its value at the
+-- beginning. The first one that differs is reported, and all of them are put back.
+--
+-- @module rfsm.explore.memory
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
+local location = require "rfsm.shared.location"
+local order = require "rfsm.shared.order"
+local writes = require "rfsm.explore.writes"
+
+local _G, error, ipairs, next, rawequal, rawget = _G, error, ipairs, next, rawequal,
+  rawget
+local jit = rawget(_G, "jit")
+local rawset, setmetatable, type = rawset, setmetatable, type
+local package = rawget(_G, "package")
+local setupvalue = (rawget(_G, "debug") or {}).setupvalue
+local getupvalue = (rawget(_G, "debug") or {}).getupvalue
+
+local memory = {}
+
+--- What callbacks can change.
+---@class rfsm_checks.Memory
+---@field homes rfsm_checks.Home[]
+---@field cells { name: string, read: fun(): any, write: fun(x: any), value: any }[]
+---@field places table<string, { home: rfsm_checks.Home, key: any }> fields, by path
+---@field seen table<any, true> tables and functions that were looked at
+---@field is_cut boolean there is more
+---@field is_blind boolean the text of a callback is not known
+local Memory = {}
+Memory.__index = Memory
+
+--- A table with data.
+---@class rfsm_checks.Home
+---@field of table
+---@field name string its path: "on", "trans[2]"; empty for the machine
+---@field kept table<any, any> the values at the beginning
+---@field count integer of these
+---@field followed table<any, true> keys that `vars` names
+
+local MANY = 1000 -- homes; of more it is not known what they have
+
+-- Homes .............................................................................
+
+local function is_datum(key, value)
+  return not rfsm.is_meta(key) and not rfsm.is_fsmobj(value)
+end
+
+local function path_to(name, key)
+  if type(key) ~= "string" then return ("%s[%s]"):format(name, rfsm.text_of(key)) end
+  return name == "" and key or name .. "." .. key
+end
+
+-- Adds a table, and those in it. A field of a state or of a table in one has a place.
+local function add_home(self, of, name, has_places)
+  self.seen[of], self.is_cut = true, self.is_cut or #self.homes == MANY
+  if self.is_cut then return end
+  local home, keys = { of = of, name = name, kept = {}, count = 0, followed = {} }, {}
+  self.homes[#self.homes + 1] = home
+  for key, value in order.each(of) do -- any order: each stands alone
+    if is_datum(key, value) then
+      home.kept[key], home.count = value, home.count + 1
+      self.places[has_places and path_to(name, key) or {}] = { home = home, key = key }
+    end
+    if type(value) == "table" and not rfsm.is_meta(key) then keys[key] = value end
+  end
+  for _, key in ipairs(rfsm.sorted_keys(keys)) do
+    if not self.seen[keys[key]] then
+      add_home(self, keys[key], path_to(name, key), has_places)
+    end
+  end
+end
+
+-- Cells .............................................................................
+
+local LIBRARIES = { "_G", "bit", "bit32", "coroutine", "debug", "ffi", "io", "jit",
+  "math", "os", "package", "string", "table", "utf8" }
+
+-- Marks the tables of Lua and of this library: they are not looked into.
+local function skip_libraries(self)
+  local loaded = package and package.loaded or {}
+  for _, name in ipairs(LIBRARIES) do self.seen[loaded[name] or name] = true end
+  for name, module in order.each(loaded) do -- any order: a set
+    if rfsm.text_of(name):find("^rfsm") then self.seen[module] = true end
+  end
+end
+
+local function add_cell(self, name, read, write)
+  local value = read()
+  self.cells[#self.cells + 1] = { name = name, read = read, write = write,
+    value = value }
+  if type(value) == "table" and not self.seen[value] then
+    add_home(self, value, name, false)
+  end
+end
+
+-- Adds the upvalues and globals that a function names.
+local function add_cells(self, text, callback)
+  for i, upvalue in ipairs(writes.upvalues_of(callback)) do
+    add_cell(self, upvalue.name, function()
+      local _, value = getupvalue(callback, i)
+      return value
+    end, function(value) setupvalue(callback, i, value) end)
+  end
+  for _, name in ipairs(writes.names_in(text)) do
+    if not self.seen["global " .. name] then
+      self.seen["global " .. name] = true
+      add_cell(self, name, function() return rawget(_G, name) end,
+        function(value) rawset(_G, name, value) end)
+    end
+  end
+end
+
+-- Compare ...........................................................................
+
+local function is_same(a, b)
+  return rawequal(a, b) or a ~= a and b ~= b -- NaN
+end
+
+-- Returns the key of a datum of a home that is not there any more.
+local function missing_key(home)
+  for _, key in ipairs(rfsm.sorted_keys(home.kept)) do
+    if rawget(home.of, key) == nil and not home.followed[key] then return key end
+  end
+end
+
+-- Returns the key of a datum of a home that has changed, was added or has gone.
+local function changed_key(home)
+  local kept, followed, count = home.kept, home.followed, 0
+  for key, value in next, home.of do -- any order: it is put back as a whole
+    local first = kept[key]
+    if first ~= nil then count = count + 1 end
+    if not (rawequal(first, value) or followed[key])
+      and (first ~= nil and not is_same(first, value) or is_datum(key, value)) then
+      return key
+    end
+  end
+  return count < home.count and missing_key(home) or nil
+end
+
+if jit then jit.off(changed_key) end -- it runs often: see `rfsm.shared.order`
+
+-- Puts back the data of a home.
+local function restore(home)
+  for key, value in order.each(home.kept) do -- any order: each stands alone
+    if not home.followed[key] then rawset(home.of, key, value) end
+  end
+  local more = {}
+  for key, value in order.each(home.of) do -- likewise
+    if home.kept[key] == nil and is_datum(key, value) then more[#more + 1] = key end
+  end
+  for _, key in ipairs(more) do rawset(home.of, key, nil) end
+end
+
+--- Put back the data that `vars` does not name.
+---@return string? text the first datum that has changed; nil if none has
+function Memory:put_back()
+  local text
+  for _, home in ipairs(self.homes) do
+    local key = changed_key(home)
+    if key ~= nil then
+      restore(home)
+      text = text or ("the field '%s'"):format(path_to(home.name, key))
+    end
+  end
+  for _, cell in ipairs(self.cells) do
+    if not is_same(cell.read(), cell.value) then
+      cell.write(cell.value)
+      text = text or ("the variable '%s'"):format(cell.name)
+    end
+  end
+  return text
+end
+
+--- Return a premise: what was not looked at; nil if there is nothing.
+---@return string?
+function Memory:premise()
+  if self.is_blind then return "upvalues and globals not looked at" end
+  return self.is_cut and "not all data looked at" or nil
+end
+
+-- Public functions ..................................................................
+
+--- Return the place of a field by its path; raise an error if there is none.
+---@param path string "tries", "on.n", "par.left.n"
+---@param names table<string, rfsm.State> the states
+---@return { home: rfsm_checks.Home, key: any }
+function Memory:place_of(path, names)
+  if self.places[path] then return self.places[path] end
+  if names["root." .. path] then
+    error(("vars: '%s' is a state (name a field of it, such as '%s.n')"):format(path,
+      path), 0)
+  end
+  local paths = {}
+  for name in order.each(self.places) do -- any order: sorted below
+    if type(name) == "string" then paths[name] = true end
+  end
+  error(("vars: no field is named '%s'%s"):format(path,
+    advice.nearest_name(path, rfsm.sorted_keys(paths))), 0)
+end
+
+--- Note the data that the functions of a subject can change.
+---@param self rfsm_checks.Subject
+---@return rfsm_checks.Memory
+function memory.of(self)
+  local own = setmetatable({ homes = {}, cells = {}, places = {}, seen = {},
+    is_cut = false, is_blind = false }, Memory)
+  skip_libraries(own)
+  local list = {}
+  for _, part in ipairs(self.parts) do
+    for _, obj in ipairs(rfsm.elements(part.fsm)) do
+      own.seen[obj] = true
+      list[#list + 1] = { obj, (location.path(obj, part.prefix):gsub("^root%.?", "")) }
+    end
+  end
+  for _, pair in ipairs(list) do add_home(own, pair[1], pair[2], true) end
+  local seen = {}
+  for _, callback in ipairs(self.run_list) do
+    own.is_blind = own.is_blind or (writes.text_of(callback) or "") == ""
+    writes.each(callback, function(text, other) add_cells(own, text, other) end, seen)
+  end
+  return own
+end
+
+return memory

@@ -1,0 +1,218 @@
+--- Writes: what functions assign to, by their text. Exploration asks it of callbacks
+--- that are not called.
+--
+-- The text of a function is that of its lines, without comments. Functions that it
+-- names count, too. A computed key and `rawset` may be a write to anything.
+--
+-- @module rfsm.explore.writes
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local files = require "rfsm.shared.files"
+local match = require "rfsm.shared.match"
+
+local io, ipairs, math, rawget = io, ipairs, math, rawget
+local setmetatable, type = setmetatable, type
+local concat, max, min = table.concat, math.max, math.min
+local getinfo = (rawget(_G, "debug") or {}).getinfo
+local getupvalue = (rawget(_G, "debug") or {}).getupvalue
+
+local writes = {}
+
+-- Texts .............................................................................
+
+local sources = {} -- lines by the source of a function
+
+local function lines_of(source)
+  if sources[source] then return sources[source] end
+  local text, lines = source, {}
+  if source:sub(1, 1) == "@" then
+    text = io and files.read(source:sub(2)) or ""
+  end
+  for line in (text .. "\n"):gmatch("(.-)\r?\n") do
+    lines[#lines + 1] = line:gsub("%-%-.*$", "")
+  end
+  sources[source] = lines
+  return lines
+end
+
+-- Returns the beginning of the sources of this library: "@/usr/share/lua/5.1/rfsm".
+local function own_source()
+  return getinfo(rfsm.init, "S").source:match("^(@.*rfsm)%.lua$") or "@rfsm.lua"
+end
+
+--- Return the text of a function of the chart; nil for all others, and without the
+--- library `debug`.
+---@param callback any
+---@return string?
+function writes.text_of(callback)
+  local info = getinfo and type(callback) == "function" and getinfo(callback, "S")
+  if not info or info.what == "C" or info.source:find(own_source(), 1, true) == 1 then
+    return nil
+  end
+  local lines = lines_of(info.source)
+  local text = concat(lines, "\n", max(info.linedefined, 1),
+    min(max(info.lastlinedefined, 1), #lines))
+  return text:match("%f[%w_]function%f[^%w_].*%f[%w_]end%f[^%w_]") or text
+end
+
+--- List the upvalues of a function: `name`, `value`.
+---@return { name: string, value: any }[]
+function writes.upvalues_of(callback)
+  local list, i = {}, 1
+  while getupvalue do
+    local name, value = getupvalue(callback, i)
+    if not name then break end
+    list[i], i = { name = name, value = value }, i + 1
+  end
+  return list
+end
+
+-- The functions of Lua, whatever a program has put in their place, and its words.
+local OWN_NAMES = {}
+for name in ([[and break do else elseif end false for function goto if in local nil not
+  or repeat return then true until while assert collectgarbage dofile error getmetatable
+  ipairs load loadfile loadstring next pairs pcall print rawequal rawget rawlen rawset
+  require select setmetatable tonumber tostring type unpack xpcall]]):gmatch("%l+") do
+  OWN_NAMES[name] = true
+end
+
+--- List the names in a text that stand alone, not behind a point, each once; but for
+--- those of Lua.
+---@return string[]
+function writes.names_in(text)
+  local list, is_listed = {}, setmetatable({}, { __index = OWN_NAMES })
+  for before, name in (" " .. text):gmatch("([^%w_])([%a_][%w_]*)") do
+    if before ~= "." and before ~= ":" and not is_listed[name] then
+      is_listed[name], list[#list + 1] = true, name
+    end
+  end
+  return list
+end
+
+-- Lists the functions that a text names: upvalues, globals, and fields of these.
+local function called_by(text, upvalues)
+  local list = {}
+  local function add(value)
+    if type(value) == "function" then list[#list + 1] = value end
+  end
+  for _, name in ipairs(rfsm.sorted_keys(upvalues)) do add(upvalues[name]) end
+  for _, name in ipairs(writes.names_in(text)) do add(rawget(_G, name)) end
+  for name, field in text:gmatch("([%a_][%w_]*)%s*[.:]%s*([%a_][%w_]*)") do
+    local owner = upvalues[name] or rawget(_G, name)
+    add(type(owner) == "table" and rawget(owner, field) or nil)
+  end
+  return list
+end
+
+-- Assignments .......................................................................
+
+-- What stands between a name and the sign of an assignment: an index, more targets.
+local BEHIND = { "%s*=[^=]", "%s*%b[]%s*=[^=]", "%s*,[%w_.,%s%[%]\"']-=[^=]" }
+
+-- Functions that change the list that they are given.
+local CHANGERS = { insert = true, remove = true, sort = true }
+
+-- Does a text assign to a field of this name, or change the list there?
+local function assigns(text, name)
+  for _, behind in ipairs(BEHIND) do
+    if text:find("%.%s*" .. name .. "%f[^%w_]" .. behind)
+      or text:find("%[%s*[\"']" .. name .. "[\"']%s*%]" .. behind) then
+      return true
+    end
+  end
+  for called in text:gmatch("(%l+)%s*%(%s*[%w_.]*%." .. name .. "%f[^%w_]") do
+    if CHANGERS[called] then return true end
+  end
+  return false
+end
+
+-- Is it a table that the function makes, or one of the world that nobody else names?
+local function is_apart(text, upvalues, base, names)
+  if base:find("[^%w_]") or match.has(names, base) then return false end
+  local value = upvalues[base] or rawget(_G, base)
+  return type(value) == "table" and not rfsm.is_fsmobj(value)
+    or text:find("local%s+" .. base .. "%s*=%s*{") ~= nil
+end
+
+-- Does a text assign to a key that it computes, and that may be a name?
+local function computes_key(text, upvalues, names)
+  if text:find("%f[%w_]rawset%f[^%w_]") then return true end
+  for _, behind in ipairs { "%s*=%f[^=]", "%s*,[%w_.,%s]-=%f[^=]" } do
+    for base, key in text:gmatch("([%w_.]*[%w_%])])%s*(%b[])" .. behind) do
+      local is_plain = key:find("^%[%s*[\"'%d#]") ~= nil
+      if not (is_plain or is_apart(text, upvalues, base, names)) then return true end
+    end
+  end
+  return false
+end
+
+-- Does a text assign to a name that is no local variable of it?
+local function assigns_variable(text, name)
+  local rest = " " .. text:gsub("local%s+[%w_,%s]+=", "")
+  for _, sign in ipairs { "%s*=[^=]", "%s*,[%w_.,%s%[%]\"']-=[^=]" } do
+    if rest:find("[^%w_.:]%s*" .. name .. sign) then return true end
+  end
+  return false
+end
+
+-- Calls f(text, upvalues, callback) for a function and those that it names, each once,
+-- until that is true.
+local function any_text(callback, f, seen)
+  local text = not seen[callback or seen] and writes.text_of(callback)
+  if not text then return false end
+  seen[callback] = true
+  local upvalues = {}
+  for _, upvalue in ipairs(writes.upvalues_of(callback)) do
+    upvalues[upvalue.name] = upvalue.value
+  end
+  if f(text, upvalues, callback) then return true end
+  for _, other in ipairs(called_by(text, upvalues)) do
+    if any_text(other, f, seen) then return true end
+  end
+  return false
+end
+
+--- A pattern of all names, for functions below.
+writes.ANY = "[%a_][%w_]*"
+
+--- Does a text read fields by keys that it computes?
+function writes.reads_any(text)
+  return text:find("[%w_%])]%s*%[%s*[%a_]") ~= nil or text:find("%f[%w_]pairs%s*%(")
+    or text:find("%f[%w_]next%s*%(") or text:find("%f[%w_]rawget%s*%(")
+end
+
+--- Call f(text, callback) for a function and those that it names, each once.
+---@param callback function
+---@param f fun(text: string, callback: function)
+---@param seen table<function, true> those that were called before
+function writes.each(callback, f, seen)
+  any_text(callback, function(text, _, other) f(text, other) end, seen)
+end
+
+--- May a function write a field of one of these names?
+---@param callback any
+---@param names string[] may be patterns
+---@return boolean
+function writes.may_write(callback, names)
+  return any_text(callback, function(text, upvalues)
+    if computes_key(text, upvalues, names) then return true end
+    for _, name in ipairs(names) do
+      if assigns(text, name) then return true end
+    end
+  end, {})
+end
+
+--- May a function write an upvalue or global of one of these names?
+---@param callback any
+---@param names string[]
+---@return boolean
+function writes.may_set(callback, names)
+  return any_text(callback, function(text)
+    for _, name in ipairs(names) do
+      if assigns_variable(text, name) then return true end
+    end
+  end, {})
+end
+
+return writes

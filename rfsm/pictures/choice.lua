@@ -1,0 +1,105 @@
+--- The better one of two layouts: that of our levels, and a plain one of the whole.
+--
+-- Fewer crossings win, then text that is readable on paper, then shorter lines. One
+-- does not win if its text is too small to read, and smaller than that of the other.
+--
+-- @module rfsm.pictures.choice
+-- @license BSD-3-Clause
+
+local ipairs, sort = ipairs, table.sort
+local max, min, sqrt = math.max, math.min, math.sqrt
+
+local choice = {}
+
+local PIECES = 8 -- straight ones, in place of a curve
+
+-- Appends the pieces of a line to a list, each with its lower end first. Returns the
+-- length of the line.
+local function add_pieces(list, line)
+  local points, length = line.points, 0
+  local x, y = points[1][1], points[1][2]
+  for i = 1, #points - 3, 3 do
+    local a, b, c, d = points[i], points[i + 1], points[i + 2], points[i + 3]
+    for k = 1, PIECES do
+      local t, u = k / PIECES, 1 - k / PIECES
+      local p, q, r, s = u * u * u, 3 * u * u * t, 3 * u * t * t, t * t * t
+      local x2 = p * a[1] + q * b[1] + r * c[1] + s * d[1]
+      local y2 = p * a[2] + q * b[2] + r * c[2] + s * d[2]
+      length = length + sqrt((x2 - x) * (x2 - x) + (y2 - y) * (y2 - y))
+      list[#list + 1] = y < y2 and { x, y, x2, y2, line } or { x2, y2, x, y, line }
+      x, y = x2, y2
+    end
+  end
+  return length
+end
+
+-- At which side of a piece is a point? Above 0, below 0, or on it.
+local function side_of(piece, x, y)
+  return (piece[3] - piece[1]) * (y - piece[2]) - (piece[4] - piece[2]) * (x - piece[1])
+end
+
+local function is_crossing(one, other)
+  return one[5] ~= other[5]
+    and max(one[1], one[3]) > min(other[1], other[3])
+    and min(one[1], one[3]) < max(other[1], other[3])
+    and side_of(one, other[1], other[2]) * side_of(one, other[3], other[4]) < 0
+    and side_of(other, one[1], one[2]) * side_of(other, one[3], one[4]) < 0
+end
+
+-- Counts the crossings of pieces; only those at one height are compared.
+local function count_crossings(pieces)
+  sort(pieces, function(a, b) return a[2] < b[2] end) -- any order of equal ones will do
+  local count = 0
+  for i, piece in ipairs(pieces) do
+    local j, top = i + 1, piece[4]
+    local other = pieces[j]
+    while other and other[2] < top do
+      if is_crossing(piece, other) then count = count + 1 end
+      j = j + 1
+      other = pieces[j]
+    end
+  end
+  return count
+end
+
+local SHORT, LONG = 523, 770 -- points, of a page of A4 with margins
+local READABLE = 0.7 -- of the size of labels, 10 pt
+
+-- Returns how far a picture is made smaller on paper, if text gets too small.
+local function scale_of(layout)
+  local width, height = layout.width, layout.height
+  return min(READABLE, max(min(SHORT / width, LONG / height),
+    min(LONG / width, SHORT / height)))
+end
+
+--- Count the crossings of the arrows in a layout. Returns the length of all, too.
+---@param layout rfsm.pictures.Layout
+---@return integer count
+---@return number length in points
+function choice.measure(layout)
+  local pieces, length = {}, 0
+  for _, line in ipairs(layout.lines) do length = length + add_pieces(pieces, line) end
+  return count_crossings(pieces), length
+end
+
+local MORE, LONGER = 2, 1.25 -- crossings, and length, of one that stays as it was
+
+--- Return the better one of two layouts: one of levels, and a plain one. That of a kind
+-- is kept if the other one is hardly better.
+---@param levels rfsm.pictures.Layout
+---@param plain rfsm.pictures.Layout
+---@param kind? "levels"|"plain" what the former picture was
+---@return rfsm.pictures.Layout
+function choice.of(levels, plain, kind)
+  local own, own_length = choice.measure(levels)
+  local other, other_length = choice.measure(plain)
+  local scale, other_scale = scale_of(levels), scale_of(plain)
+  if scale < other_scale then return plain end
+  if kind == "plain" then own, own_length = own + MORE, own_length * LONGER end
+  if kind == "levels" then other, other_length = other + MORE, other_length * LONGER end
+  local is_better = own < other
+    or own == other and (scale > other_scale or own_length <= other_length)
+  return is_better and levels or plain
+end
+
+return choice

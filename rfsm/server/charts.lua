@@ -1,0 +1,277 @@
+--- The charts of a library: one machine of each version, into which each call puts a
+--- snapshot.
+--
+-- @module rfsm.server.charts
+-- @license BSD-3-Clause
+
+local advice = require "rfsm.advice"
+local alphabet = require "rfsm.shared.alphabet"
+local calls = require "rfsm.shared.calls"
+local encoding = require "rfsm.snapshot.encoding"
+local exact_json = require "rfsm.shared.exact_json"
+local rfsm = require "rfsm"
+local snapshot = require "rfsm.snapshot"
+
+local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local pcall, rawget, rawset = pcall, rawget, rawset
+local setmetatable, type = setmetatable, type
+local copy_of, fail, is_meta, text_of = encoding.copy_of, encoding.fail, rfsm.is_meta,
+  rfsm.text_of
+
+local MAX_EVENT, MAX_NAMED = 256, 8192 -- bytes of an event, of one with data
+
+local charts = {}
+
+-- The decoder of the host.
+local decode
+
+-- Machines of charts ---------------------------------------------------------------
+
+--- One version of a chart.
+---@class rfsm.server.Chart
+---@field name string
+---@field make fun(): rfsm.State
+---@field fsm rfsm.Machine|nil made at the first call
+---@field blank rfsm.snapshot.Snapshot of a new machine
+---@field options rfsm.snapshot.Options how snapshots are put into it
+---@field fields rfsm.server.Fields as they were at first
+---@field regions rfsm.Machine[] those in its states
+---@field events table<string, any> what it knows, by text
+---@field named table<string, true> names of events with data
+---@field takes_all boolean a transition that any event triggers, or a predicate
+
+local function note_events(chart, fsm)
+  local known = alphabet.of_all(fsm)
+  chart.events, chart.named, chart.takes_all = {}, {}, known.takes_any
+  for _, list in ipairs { known.list, known.reactions } do
+    for _, event in ipairs(list) do
+      local text = text_of(event)
+      if #text <= MAX_EVENT then chart.events[text] = event end
+    end
+  end
+  for _, predicate in ipairs(known.predicates) do
+    local name = rfsm.event_name(predicate)
+    if name then chart.named[name] = true else chart.takes_all = true end
+  end
+end
+
+-- Entries for the stream, and errors, that callbacks of this call have caused: the name
+-- and the data of each, texts.
+local emitted, printed = {}, {}
+
+local function emit(what, data)
+  if type(what) ~= "string" then
+    error("emit: name expected, got " .. type(what), 2)
+  end
+  emitted[#emitted + 1] = { what, data ~= nil and charts.json_of(data) or "" }
+end
+
+local function collect_print(...)
+  printed[#printed + 1] = calls.text(" ", ...)
+end
+
+-- One machine of a chart serves all. Callbacks may have changed fields that the chart
+-- does not keep: `clean` undoes that before each call. New fields are noted when they
+-- are set, the others are compared.
+
+-- Pairs of element and new field, in a flat list; the first fields of each element.
+local added, known_of = {}, setmetatable({}, { __mode = "k" })
+
+-- Has a metatable note the fields that are added.
+local function watch(class)
+  if rawget(class, "is_watched") then return end
+  local set = class.__newindex or rawset
+  class.is_watched = true
+  function class.__newindex(obj, key, value)
+    set(obj, key, value)
+    local known = not is_meta(key) and known_of[obj]
+    if known and not (known[key] or rfsm.is_fsmobj(value)) then
+      added[#added + 1], added[#added + 2] = obj, key
+    end
+  end
+end
+
+--- Fields of elements as they were at first, in lists side by side. Those that hold
+-- plain tables, which callbacks may change, are in lists of the same kind.
+---@class rfsm.server.Fields
+---@field objs table[]
+---@field keys any[]
+---@field values any[]
+---@field tables rfsm.server.Fields?
+
+local function new_fields(tables)
+  return { objs = {}, keys = {}, values = {}, tables = tables }
+end
+
+local function note_fields(fields, obj)
+  local known, is_kept = {}, { keep = true }
+  for _, name in ipairs(obj.keep or {}) do is_kept[name] = true end
+  for key, value in pairs(obj) do -- any order: each stands alone
+    known[key] = true
+    if not (is_meta(key) or rfsm.is_fsmobj(value) or is_kept[key]) then
+      local is_table = type(value) == "table" and getmetatable(value) == nil
+      local list = is_table and fields.tables or fields
+      local n = #list.objs + 1
+      list.objs[n], list.keys[n], list.values[n] = obj, key, copy_of(value)
+    end
+  end
+  for name in pairs(is_kept) do known[name] = true end -- any order: a set
+  known_of[obj] = known
+  watch(getmetatable(obj))
+end
+
+-- Gives the elements the fields back that they had at first. This runs in each call.
+local function clean(chart)
+  for i = #added, 2, -2 do
+    rawset(added[i - 1], added[i], nil)
+    added[i - 1], added[i] = nil, nil
+  end
+  local fields = chart.fields
+  local objs, keys, values = fields.objs, fields.keys, fields.values
+  for i = 1, #objs do
+    if objs[i][keys[i]] ~= values[i] then rawset(objs[i], keys[i], values[i]) end
+  end
+  objs, keys, values = fields.tables.objs, fields.tables.keys, fields.tables.values
+  for i = 1, #objs do rawset(objs[i], keys[i], copy_of(values[i])) end
+end
+
+-- JSON ------------------------------------------------------------------------------
+
+--- Return data as JSON; number keys become texts, and numbers that JSON has not.
+function charts.json_of(data) return exact_json.encode(encoding.to_json(data)) end
+
+--- Return the plain table that a text of JSON stands for, without what is null.
+---@param owner string what has the table, for messages
+---@param text string
+---@param most integer bytes
+function charts.read_json(owner, text, most)
+  if #text > most then
+    fail("%s: at most %d bytes expected, got %d", owner, most, #text)
+  end
+  local ok, data = pcall(decode, text)
+  if not ok or type(data) ~= "table" then fail("%s: a JSON object expected", owner) end
+  local inexact = exact_json.find_inexact(text)
+  if inexact then
+    fail("%s: the number %s: whole numbers below 2^53 expected", owner, inexact)
+  end
+  local about = { owner = owner, base = 0, seen = {} }
+  return encoding.unpack(encoding.pack(data, about, 0), 0)
+end
+
+-- Machines --------------------------------------------------------------------------
+
+--- Make the machine of a chart if there is none yet; return the chart.
+local function open(chart)
+  if chart.fsm then return chart end
+  local ok, model = pcall(chart.make)
+  if not ok then fail("chart '%s': %s", chart.name, text_of(model)) end
+  model.info, model.warn, model.err = false, false, collect_print
+  local fsm, _, problems = rfsm.init(model)
+  if not fsm then fail("chart '%s': %s", chart.name, problems[1]) end
+  fsm.emit, chart.blank = emit, snapshot.take(fsm)
+  note_events(chart, fsm)
+  chart.options = { migrate = fsm.migrate, rename = fsm.rename, trusted = true }
+  chart.fields = new_fields(new_fields())
+  chart.regions = {}
+  for i, at in ipairs(rfsm.machines(fsm)) do
+    chart.regions[i - 1] = i > 1 and at.machine or nil
+    for _, obj in ipairs(rfsm.elements(at.machine)) do
+      note_fields(chart.fields, obj)
+    end
+  end
+  chart.fsm = fsm
+  return chart
+end
+
+
+--- Put a snapshot into the machine of a chart.
+function charts.put(chart, snap)
+  clean(chart)
+  local ok, problem = snapshot.put(chart.fsm, snap, chart.options)
+  chart.options.is_tidy = false
+  return ok, problem
+end
+
+charts.open = open
+
+--- Step the machine of a chart until it is idle, or so often; return whether it is, and
+--- whether a path was taken. If it is cut short the chart gets a new machine.
+function charts.step(chart, steps)
+  local fsm, regions = chart.fsm, chart.regions
+  chart.fsm, fsm._path = nil, false
+  for i = 1, #regions do regions[i]._path = false end
+  local is_idle = rfsm.step(fsm, steps)
+  local path = fsm._path
+  for i = 1, #regions do path = path or regions[i]._path end
+  chart.fsm = fsm
+  return is_idle, path ~= false
+end
+
+--- Add a line to what callbacks have printed.
+charts.note = collect_print
+
+--- Return what callbacks have emitted, and printed.
+function charts.effects() return emitted, printed end
+
+--- Set that to other lists, or to none.
+function charts.set_effects(entries, lines)
+  if entries or emitted[1] ~= nil then emitted = entries or {} end
+  if lines or printed[1] ~= nil then printed = lines or {} end
+end
+
+-- Events ----------------------------------------------------------------------------
+
+-- Returns the events that a chart knows as a client writes them.
+local function known_events(chart)
+  local texts = rfsm.sorted_keys(chart.events)
+  for _, name in ipairs(rfsm.sorted_keys(chart.named)) do
+    texts[#texts + 1] = ('{"name":"%s"}'):format(name)
+  end
+  return texts
+end
+
+local function refuse(chart, shown, like)
+  fail("no transition of chart '%s' has the event '%s'%s", chart.name, shown,
+    advice.nearest_name(like, known_events(chart)))
+end
+
+-- Returns an event that carries data.
+local function named_event(chart, number, text)
+  local event = charts.read_json("event " .. number, text, MAX_NAMED)
+  local name = event.name
+  if type(name) ~= "string" then
+    fail("event %d: an object with a text 'name' expected", number)
+  end
+  if not (chart.named[name] or chart.takes_all) then
+    refuse(chart, name, chart.events[name] ~= nil and name
+      or ('{"name":"%s"}'):format(name))
+  end
+  return event
+end
+
+local function plain_event(chart, number, text)
+  if #text > MAX_EVENT then
+    fail("event %d: at most %d bytes expected, got %d", number, MAX_EVENT, #text)
+  end
+  local event = chart.events[text]
+  if event ~= nil then return event end
+  if not chart.takes_all then
+    refuse(chart, text, chart.named[text] and ('{"name":"%s"}'):format(text) or text)
+  end
+  return text
+end
+
+--- Return the events of texts: a JSON object is an event with data.
+function charts.events(chart, texts)
+  local events = {}
+  for i, text in ipairs(texts) do
+    local read = text:byte() == 123 and named_event or plain_event -- {
+    events[i] = read(chart, i, text)
+  end
+  return events
+end
+
+--- Set what charts use of the host: its decoder of JSON.
+function charts.use(host_decode) decode = host_decode end
+
+return charts

@@ -1,0 +1,133 @@
+--- JSON that is the same on every Lua: sorted keys, numbers with all their digits.
+--
+-- A list is a table whose keys are 1 to n; the empty table is an object. Other keys
+-- that are numbers become texts.
+--
+-- @module rfsm.shared.exact_json
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+
+local error, getmetatable, ipairs, next = error, getmetatable, ipairs, next
+local pcall, rawget, tonumber, tostring = pcall, rawget, tonumber, tostring
+local type = type
+local floor = math.floor
+local concat = table.concat
+local text_of = rfsm.text_of
+local math_type = rawget(math, "type")
+
+local exact_json = {}
+
+local EXACT = 2 ^ 53 -- up to which every Lua has the whole numbers
+local MAX_DEPTH = 100
+
+--- Is a value what decoders of JSON return for null?
+local function is_null(value)
+  local kind = type(value)
+  if kind == "userdata" then return text_of(value):find("[Nn][Ui][Ll]") ~= nil end
+  local class = kind == "table" and getmetatable(value)
+  local to_json = type(class) == "table" and rawget(class, "__tojson")
+  if type(to_json) ~= "function" then return false end
+  local ok, text = pcall(to_json, value)
+  return ok and text == "null"
+end
+
+exact_json.is_null = is_null
+
+local function digits_of(n)
+  if n - n ~= 0 then error("the number " .. tostring(n) .. " has no JSON", 0) end
+  if math_type and math_type(n) == "integer" then return ("%d"):format(n) end
+  if floor(n) == n and n <= EXACT and n >= -EXACT then return ("%.0f"):format(n) end
+  for digits = 14, 16 do
+    local text = ("%." .. digits .. "g"):format(n)
+    if tonumber(text) == n then return text end
+  end
+  return ("%.17g"):format(n)
+end
+
+local ESCAPES = { ['"'] = '\\"', ["\\"] = "\\\\", ["\n"] = "\\n", ["\t"] = "\\t" }
+
+local function escape(char)
+  return ESCAPES[char] or ("\\u%04x"):format(char:byte())
+end
+
+local function quote(text) return '"' .. text:gsub('[%c"\\]', escape) .. '"' end
+
+local write
+
+local function write_list(parts, list, depth)
+  for i = 1, #list do
+    parts[#parts + 1] = i == 1 and "[" or ","
+    write(parts, list[i], depth)
+  end
+  parts[#parts + 1] = "]"
+end
+
+local function write_object(parts, object, depth)
+  parts[#parts + 1] = "{"
+  for i, key in ipairs(rfsm.sorted_keys(object)) do
+    local kind = type(key)
+    if kind ~= "string" and kind ~= "number" then
+      error("a text or number as key expected, got " .. kind, 0)
+    end
+    parts[#parts + 1] = (i > 1 and "," or "") .. quote(text_of(key)) .. ":"
+    write(parts, object[key], depth)
+  end
+  parts[#parts + 1] = "}"
+end
+
+-- Is a table a list? A key beside 1 to n makes it none.
+local function is_list(t)
+  local count = 0
+  if rawget(t, 1) == nil then return false end
+  for _ in next, t do count = count + 1 end -- any order: a number
+  return count == #t
+end
+
+function write(parts, value, depth)
+  local kind = type(value)
+  if kind == "string" then
+    parts[#parts + 1] = quote(value)
+  elseif kind == "number" then
+    parts[#parts + 1] = digits_of(value)
+  elseif kind == "boolean" then
+    parts[#parts + 1] = tostring(value)
+  elseif is_null(value) then
+    parts[#parts + 1] = "null"
+  elseif kind ~= "table" then
+    error("a " .. kind .. " has no JSON", 0)
+  elseif depth == MAX_DEPTH then
+    error("at most " .. MAX_DEPTH .. " tables inside each other expected", 0)
+  elseif is_list(value) then
+    write_list(parts, value, depth + 1)
+  else
+    write_object(parts, value, depth + 1)
+  end
+end
+
+--- Return a value as a text.
+-- @raise if it holds what JSON has not: a function, NaN, a table in itself
+---@param value any
+---@return string text
+function exact_json.encode(value)
+  local parts = {}
+  write(parts, value, 0)
+  return concat(parts)
+end
+
+--- Return the first number in a text of JSON that some Lua cannot hold: a whole number
+--- from 2^53 on, or one beyond all bounds. Nil if there is none.
+---@param text string
+---@return string? digits
+function exact_json.find_inexact(text)
+  text = text:gsub("\\.", ""):gsub('"[^"]*"', "")
+  for digits in text:gmatch("[%d.eE+-]+") do
+    local number = tonumber(digits) or 0
+    local is_whole = digits:find("^-?%d+$") ~= nil
+    if number - number ~= 0 or is_whole and (number >= EXACT or number <= -EXACT) then
+      return digits
+    end
+  end
+end
+
+return exact_json
