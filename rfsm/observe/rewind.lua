@@ -96,7 +96,7 @@ end
 ---@return string? problem
 function Rewind:go(number)
   self:note()
-  local place = self[number]
+  local place = type(number) == "number" and self[number]
   if not place or place.problem then
     return false, place and place.problem or "there is no such place"
   end
