@@ -3,7 +3,7 @@
 -- RFSM_N=10000 makes the random part longer.
 
 local claim = require "spec.support.claims.record"
-local interrupted = require "spec.support.claims.interrupted"
+local interrupted_claim = require "spec.support.claims.interrupted"
 local helper = require "spec.helper"
 local json = require "dkjson"
 local kept = require "spec.support.kept"
@@ -963,7 +963,7 @@ it("what is recorded, in a list or a file, gives the same run", function()
 end)
 
 it("what is recorded is replayed, whatever was interrupted and reset", function()
-  assert.is_nil(share.problem(interrupted, 30, true))
+  assert.is_nil(share.problem(interrupted_claim, 30, true))
 end)
 
 describe("a random run", function()
