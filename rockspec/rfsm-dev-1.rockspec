@@ -90,6 +90,7 @@ build = {
     ["rfsm.observe.coverage"] = "rfsm/observe/coverage.lua",
     ["rfsm.observe.names"] = "rfsm/observe/names.lua",
     ["rfsm.observe.outline"] = "rfsm/observe/outline.lua",
+    ["rfsm.observe.rewind"] = "rfsm/observe/rewind.lua",
     ["rfsm.observe.stream"] = "rfsm/observe/stream.lua",
     ["rfsm.observe.subscriber"] = "rfsm/observe/subscriber.lua",
     ["rfsm.observe.values"] = "rfsm/observe/values.lua",
