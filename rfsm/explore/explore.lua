@@ -515,6 +515,9 @@ function explore.walk(model, options, prepare, way)
   check_writers(walk)
   if prepare then prepare(walk) end
   walk.timing = timing.new(walk, settings)
+  if walk.timing and walk.timing.is_inexact then
+    note_untried(walk, "sets", "the order of times with more than 15 digits")
+  end
   own.leaves_out = not (walk.timing or own.notes_events)
   walk.has_contexts = walk.monitored[1] ~= nil or walk.timing ~= false
     or own.var_names[1] ~= nil or own.run_list[1] ~= nil

@@ -79,6 +79,10 @@ register("rfsm_send_at")
 register("rfsm_cancel")
 register("rfsm_tick")
 register("rfsm_wake")
+register("rfsm_hold")
+register("rfsm_release")
+register("rfsm_force")
+register("rfsm_remove")
 register("rfsm_get", "no-writes")
 register("rfsm_due", "no-writes")
 register("rfsm_why", "no-writes")
@@ -191,8 +195,9 @@ function library.text(arguments, server, options)
     parts[#parts + 1] = CHART:format(name, text, file)
   end
   parts[#parts + 1] = ("\nlocal options = { index = %s, history = %s, ids = %s, "
-    .. "ids_for = %s }"):format(options.index and "true" or "nil",
-    options.history or "nil", options.ids or "nil", options.ids_for or "nil")
+    .. "ids_for = %s, notes = %s }"):format(options.index and "true" or "nil",
+    options.history or "nil", options.ids or "nil", options.ids_for or "nil",
+    options.notes and "true" or "nil")
   parts[#parts + 1] = FOOT
   return concat(parts), warnings
 end

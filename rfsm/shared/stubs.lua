@@ -86,9 +86,29 @@ function Stub.__call(stub, ...)
   return stubs.new(#name <= LONGEST and name or name_of(stub))
 end
 
-function Stub.__tostring(stub) return name_of(stub) end
+local shown = {} -- names of stubs that are part of texts
+
+function Stub.__tostring(stub)
+  shown[name_of(stub)] = true
+  return name_of(stub)
+end
 
 function Stub.__concat(a, b) return rfsm.text_of(a) .. rfsm.text_of(b) end
+
+--- Forget the texts in which stubs were shown: another chart is loaded.
+function stubs.forget() shown = {} end
+
+--- Does a text have the name of a stub in it, in place of what is missing?
+---@param text string
+---@return boolean
+function stubs.is_in(text)
+  for name in order.each(shown) do -- any order: is there one?
+    local from, to = text:find(name, 1, true)
+    local is_word = from and not text:sub(from - 1, from - 1):find("[%w_]")
+    if is_word and not text:find("^[%w_]", to + 1) then return true end
+  end
+  return false
+end
 
 local function zero() return 0 end
 local function no() return false end
