@@ -307,7 +307,7 @@ describe("machines of one model", function()
     model.late = {}
     rfsm.init(model)
     state(model.late) -- marks the table itself
-    assert.is_true(rfsm.is_leaf(rfsm.init(model).late))
+    assert.equal("root.late", rfsm.init(model).late._fqn)
   end)
 
   it("do not keep models alive that nobody uses", function()
