@@ -16,8 +16,8 @@ local compile = rawget(_G, "loadstring") or load
 local ROOMS = {
   { name = "core", files = { "rfsm.lua" }, specs = { "transition", "doo", "check",
     "cheatsheet", "idioms", "contract", "live", "machine", "mistakes", "robust",
-    "extensions", "alloc", "scale", "interrupt", "failing_programs", "strict", "alone",
-    "timeevent", "oracle", "house" } },
+    "extensions", "fast", "alloc", "scale", "interrupt", "failing_programs", "strict",
+    "alone", "timeevent", "oracle", "house" } },
   { name = "fast", files = { "rfsm/fast.lua" },
     specs = { "transition", "fast", "live", "machine", "robust", "interrupt",
       "contract", "extensions", "alloc", "scale", "failing_programs", "house",
