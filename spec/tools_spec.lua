@@ -133,6 +133,14 @@ for _, writer in ipairs(WRITERS) do
       end
       check(("%s '%s' '%s'"):format(tool, a, b), table.concat(texts))
     end)
+
+    it("reports that it has replaced another text", function()
+      local chart = write_file("c.lua", CHART)
+      local result = write_file("c." .. writer.ending, "mine\n")
+      check(("%s '%s'"):format(writer.tool, chart), "",
+        ("%s: %s was replaced\n"):format(name, result))
+      check(("%s '%s'"):format(writer.tool, chart), "")
+    end)
   end)
 end
 
@@ -230,7 +238,7 @@ describe("rfsm-viz", function()
   end)
 
   it("lists its formats", function()
-    assert.is_truthy(run("rfsm viz --help"):gsub("%s+", " "):find("-T FORMAT, "
+    assert.is_truthy(run("rfsm viz --help"):gsub("%s+", " "):find("-T FORMAT "
       .. table.concat(commands.formats(), ", "), 1, true))
   end)
 

@@ -159,7 +159,8 @@ local function check_fields(state, add)
     add("unknown-field", state, "a state has no field '" .. field .. "' (" .. remedy
       .. ")")
   elseif type(state.final) == "string" then
-    add("unknown-field", state, "final: true expected, " .. rfsm.got(state.final))
+    add("unknown-field", state, "final: true expected, " .. rfsm.got(state.final)
+      .. " (final = true)")
   end
 end
 

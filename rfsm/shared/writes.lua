@@ -8,6 +8,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local code = require "rfsm.shared.code"
 local files = require "rfsm.shared.files"
 local match = require "rfsm.shared.match"
 
@@ -29,8 +30,8 @@ local function lines_of(source)
   if source:sub(1, 1) == "@" then
     text = io and files.read(source:sub(2)) or ""
   end
-  for line in (text .. "\n"):gmatch("(.-)\r?\n") do
-    lines[#lines + 1] = line:gsub("%-%-.*$", "")
+  for line in (code.of(text, true) .. "\n"):gmatch("(.-)\r?\n") do
+    lines[#lines + 1] = line
   end
   sources[source] = lines
   return lines
