@@ -3,6 +3,7 @@
 -- RFSM_N=10000 makes the random part longer.
 
 local claim = require "spec.support.claims.record"
+local interrupted_claim = require "spec.support.claims.interrupted"
 local helper = require "spec.helper"
 local json = require "dkjson"
 local kept = require "spec.support.kept"
@@ -82,21 +83,15 @@ describe("a recording", function()
     assert.same({ { "e_init_fsm" }, { "e_more" } }, { sink[2].events, sink[2].added })
   end)
 
-  it("begins and goes back between two steps only", function()
-    local model, texts, fsm, recorder = worker({}, yes), {}, nil, nil
+  it("begins between two steps only", function()
+    local model, text, fsm = worker({}, yes), nil, nil
     local begin = record.record
-    function model.busy.entry()
-      texts[1] = helper.refusal(begin, fsm, {})
-      texts[2] = select(2, pcall(recorder.back, recorder))
-    end
+    function model.busy.entry() text = helper.refusal(begin, fsm, {}) end
     fsm = helper.init(model)
-    recorder = begin(fsm, {})
     rfsm.run(fsm)
     helper.post_and_run(fsm, "e_go")
-    for i, where in ipairs { "record", "back" } do
-      assert.is_truthy(texts[i]:find(("rfsm.record.%s: the machine is in the middle of "
-        .. "a step"):format(where), 1, true), texts[i])
-    end
+    assert.is_truthy(text:find("rfsm.record.record: the machine is in the middle of "
+      .. "a step", 1, true), text)
   end)
 
   it("of a machine that cannot be saved at the end has no machine, but the reason",
@@ -269,7 +264,7 @@ describe("a recording", function()
     recorded(sink)
     local text = helper.content(file)
     assert.equal(10, select(2, text:gsub("\n", "")))
-    assert.matches('^{"record":2,', text)
+    assert.matches('^{"record":1,', text)
     assert.same(json.decode(json.encode(sink)), (record.read(file)))
     local cut = helper.file_with(text:sub(1, -3))
     assert.same({ runs = 1, is_cut = true, has_end = false },
@@ -322,15 +317,15 @@ describe("a recording", function()
   end)
 
   it("in a file has its fields in a fixed order", function()
-    assert.equal('{"m":1,"fresh":true,"had":{},"events":["a"],"added":[],"got":[],'
-      .. '"clock":[],"guards":[],"reset":true,"sent":[],"leaf":"x","done":true,'
-      .. '"kept":{},"regions":[]}', (journal.encode { m = 1, fresh = true,
-      had = json.decode "{}", events = { "a" }, added = {}, got = {}, clock = {},
-      guards = {}, reset = true, sent = {}, leaf = "x", done = true,
+    assert.equal('{"m":1,"from":7,"had":{},"events":["a"],"added":[],"clock":[],'
+      .. '"guards":[],"reset":true,"sent":[],"leaf":"x","done":true,"kept":{},'
+      .. '"regions":[],"inner":[]}', (journal.encode { m = 1, from = 7,
+      had = json.decode "{}", events = { "a" }, added = {}, clock = {},
+      guards = {}, reset = true, sent = {}, leaf = "x", done = true, inner = {},
       kept = json.decode "{}", regions = {} }:gsub("%[%]", "[]")))
     local file = helper.file_with("")
     recorded(file)
-    assert.matches('^{"record":2,"guards":%[%[.-%]%],"snapshot":{',
+    assert.matches('^{"record":1,"guards":%[%[.-%]%],"snapshot":{',
       helper.content(file):gsub('"file":"[^"]*",', ""))
   end)
 
@@ -455,12 +450,6 @@ describe("a recording", function()
         state { err = false, entry = 7 }, sink)) })
   end)
 
-  it("goes back in a list only, and blames the caller", function()
-    local recorder = recorded(function() end)
-    assert.equal("rfsm.record: back: a recording in a list expected",
-      helper.refusal(recorder.back, recorder))
-  end)
-
   it("shows a callback that leaves targets as they are", function()
     local function model(retarget)
       return helper.chart({ "e_b" }, { emem = false, entry = retarget })
@@ -534,15 +523,6 @@ describe("a recording", function()
     local before = said
     assert(record.replay(model, sink, { dry = true, to = 3 }))
     assert.is_true(said <= 2 * before, said) -- of the machine that is returned
-  end)
-
-  it("of files of format 1 is read as before", function()
-    local sink = {}
-    recorded(sink)
-    local texts = {}
-    for i, rec in ipairs(sink) do texts[i] = json.encode(rec) end
-    local file = helper.file_with(table.concat(texts, "\n"))
-    assert.same(json.decode(json.encode(sink)), (record.read(file)))
   end)
 
   it("in the same file is a run more; a line that was cut harms no other", function()
@@ -637,13 +617,11 @@ describe("the clock", function()
       now = 15.5
       rfsm.run(fsm)
       assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
-      assert.is_true(recorder:back(2))
-      assert.equal(5, math.floor(timeevent.next_deadline(fsm)))
       recorder:stop()
     end))
     assert.equal(own, rawget(fsm, "gettime"))
     local again = assert(record.replay(timed(nil), sink))
-    assert.same({ "root.a", nil },
+    assert.same({ "root.b", nil },
       { rfsm.get_actleaf_fqn(again), rawget(again, "gettime") })
   end)
 
@@ -721,11 +699,10 @@ describe("the events of getevents", function()
     local recorder = record.record(fsm, sink)
     rfsm.run(fsm)
     rfsm.run(fsm)
-    assert.same({ "e_x", "e_go" }, sink[3].got)
     assert.same({ "e_done@root.a", "e_x", "e_go" }, sink[3].events)
     assert.same({ "e_done@root.a" }, sink[2].sent)
     assert.same({ "e_done@root.b" }, sink[3].sent)
-    assert.same({ "e_y" }, sink[4].got)
+    assert.same({ "e_done@root.b", "e_y" }, sink[4].events)
     recorder:stop()
     local again = assert(record.replay(polled {}, sink))
     assert.equal("root.b", rfsm.get_actleaf_fqn(again))
@@ -907,7 +884,8 @@ describe("an interrupt while it is recorded", function()
     is_due = false
     assert.same({ name, false, "interrupted!" }, { name, ok, failure })
     rfsm.run(fsm)
-    assert.equal(1, fsm.count)
+    helper.post_and_run(fsm, "e_go")
+    assert.equal(2, fsm.count)
     recorder:stop()
     assert(record.replay(model, sink))
     assert(record.replay(model, sink, { dry = true }))
@@ -997,66 +975,22 @@ it("a step whose hook has failed is not recorded, with its regions, if a reset f
     rfsm.post_step_hook_rm(fsm, fail)
     rfsm.reset(fsm)
     helper.post_and_run(fsm, "e_x")
-    assert.same({ 1, true, 1 }, { sink[2].m, sink[3].fresh, sink[4].m })
+    local rec = sink[2]
+    assert.same({ { "e_init_fsm", "e_x" }, 1, 1, nil },
+      { rec.events, rec.inner[1].m, #rec.inner, rec.from.snapshot.leaf })
     assert(record.replay(regions(), sink))
   end)
 
-describe("back", function()
-  it("moves the machine, and forgets what came since", function()
-    local sink = {}
-    local recorder, fsm, trace = recorded(sink)
-    local count = #trace
-    assert.is_true(recorder:back(1))
-    assert.is_true(recorder:back(5))
-    assert.same({ "root.busy", 1, 3, 4, count },
-      { rfsm.get_actleaf_fqn(fsm), fsm.count, recorder.count, #sink, #trace })
-    rfsm.run(fsm)
-    assert.equal("root.idle", rfsm.get_actleaf_fqn(fsm))
-    assert(record.replay(worker({}, yes), sink))
-    assert.is_true(recorder:back(100))
-    assert.same({ false, 0, 1 }, { rfsm.get_actleaf_fqn(fsm), recorder.count, #sink })
-  end)
-
-  it("gives timers the time they had", function()
-    local now = 10
-    timeevent.set_gettime_hook(function() return now, 0 end)
-    local fsm = helper.init(state { info = false, warn = false, a = state {},
-      b = state {}, trans { src = "initial", tgt = "a" },
-      trans { src = "a", tgt = "b", events = { "e_after(5)" } } })
-    local recorder = record.record(fsm, {})
-    rfsm.step(fsm)
-    now = 13
-    rfsm.step(fsm)
-    now = 100
-    rfsm.step(fsm)
-    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
-    assert.is_true(recorder:back(1))
-    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
-    assert.equal(2, math.floor(timeevent.next_deadline(fsm)))
-  end)
-
-  it("reports why it cannot", function()
-    local sink = {}
-    local recorder, fsm = recorded(sink)
-    sink[5].leaf = "root.nowhere"
-    assert.same({ false, "step 4: active leaf root.nowhere(done) expected, got "
-      .. "root.idle(done)" }, { recorder:back(1) })
-    assert.same({ "root.idle", 9 }, { rfsm.get_actleaf_fqn(fsm), recorder.count })
-  end)
-
-  it("is in a module with a global", function()
-    assert.equal(record, rawget(_G, "rfsm_record"))
-  end)
-
-  it("needs the records", function()
-    local recorder = recorded(function() end)
-    assert.error_matches(function() recorder:back() end,
-      "rfsm.record: back: a recording in a list expected")
-  end)
+it("the module of recordings has a global", function()
+  assert.equal(record, rawget(_G, "rfsm_record"))
 end)
 
 it("what is recorded, in a list or a file, gives the same run", function()
   assert.is_nil(share.problem(claim, 10))
+end)
+
+it("what is recorded is replayed, whatever was interrupted and reset", function()
+  assert.is_nil(share.problem(interrupted_claim, 30, true))
 end)
 
 describe("a random run", function()
@@ -1065,12 +999,12 @@ describe("a random run", function()
     for seed = FIRST, FIRST + N - 1 do seeds[#seeds + 1] = seed end
     for _, seed in ipairs(seeds) do
       local lines, watch = kept.watcher()
-      local sink, recorder = {}, nil
-      local fsm = kept.run(seed, function(machine)
+      local sink = {}
+      kept.run(seed, function(machine)
         watch(machine)
-        recorder = record.record(machine, sink)
+        record.record(machine, sink)
       end)
-      f(seed, sink, lines, recorder, fsm)
+      f(seed, sink, lines)
     end
   end
 
@@ -1084,19 +1018,4 @@ describe("a random run", function()
       end)
     end)
   end
-
-  it("goes back to where it was", function()
-    each_run(function(seed, sink, _, recorder, fsm)
-      local n = seed % recorder.count
-      local records = {}
-      for i = 2, #sink do
-        if not sink[i].m then records[#records + 1] = sink[i] end
-      end
-      local expected = records[recorder.count - n] or {}
-      assert(recorder:back(n))
-      assert.same({ expected.leaf or false, expected.done or false },
-        { rfsm.get_actleaf_fqn(fsm), fsm._act_leaf and fsm._act_leaf._mode == "done" },
-        "seed " .. seed)
-    end)
-  end)
 end)

@@ -19,7 +19,7 @@ local tostring, type = tostring, type
 local concat = table.concat
 local same = tracks.same
 
-local journal = { VERSION = 2 } -- of files; 1 is a file of whole records
+local journal = { VERSION = 1 }
 
 -- Short records -------------------------------------------------------------------
 
@@ -30,8 +30,22 @@ local function usual(leaf, is_done)
   return is_done and leaf and { "e_done@" .. leaf } or nil
 end
 
+-- Returns the last record of the machine of a record; none behind a snapshot.
+local function last_of(all, rec)
+  if rec.from then
+    for machine in order.each(all) do all[machine] = nil end -- any order: all of them
+  end
+  return all[rec.m or 0] or NONE
+end
+
+local function each_of(f, list, ...)
+  local results = {}
+  for i, item in ipairs(list) do results[i] = f(item, ...) end
+  return results
+end
+
 -- Returns a record without the fields that follow from the last one of its machine.
-local function shorten(rec, before)
+local function without_known(rec, before)
   local short, events = {}, rec.events
   for key, value in order.each(rec) do -- any order: each stands alone
     if not SHORT[key] then short[key] = value end
@@ -47,10 +61,17 @@ local function shorten(rec, before)
   return short
 end
 
+local function shorten(rec, all)
+  local short = without_known(rec, last_of(all, rec))
+  if rec.inner then short.inner = each_of(shorten, rec.inner, all) end
+  all[rec.m or 0] = rec
+  return short
+end
+
 local function list_or_nil(list) return list[1] ~= nil and list or nil end
 
-local function lengthen(short, before)
-  local rec = {}
+local function lengthen(short, all)
+  local rec, before = {}, last_of(all, short)
   for key, value in order.each(short) do rec[key] = value end -- any order: a copy
   local is_told = short.leaf ~= nil
   rec.events = list_or_nil(short.events or before.sent or NONE)
@@ -60,13 +81,15 @@ local function lengthen(short, before)
     rec.leaf, rec.done = before.leaf, before.done
   end
   rec.sent = list_or_nil(short.sent or is_told and usual(rec.leaf, rec.done) or NONE)
+  if short.inner then rec.inner = each_of(lengthen, short.inner, all) end
+  all[rec.m or 0] = rec
   return rec
 end
 
 -- Write ---------------------------------------------------------------------------
 
-local KEY_ORDER = { "n", "record", "file", "m", "fresh", "had", "events", "added",
-  "got", "clock", "guards", "reset", "sent", "leaf", "done", "kept", "regions" }
+local KEY_ORDER = { "n", "record", "file", "m", "from", "had", "events", "added",
+  "clock", "guards", "reset", "sent", "leaf", "done", "kept", "regions", "inner" }
 
 local function json() return opts.need("rfsm.record", "dkjson") end
 
@@ -136,12 +159,10 @@ function journal.writer(stream)
       line = journal.encode { ["end"] = number }
     elseif rec.record then
       before, number = {}, 0
-      line = journal.encode { record = journal.VERSION, file = rec.file,
-        clock = rec.clock, guards = rec.guards, snapshot = rec.snapshot }
+      line = journal.encode(rec)
     else
-      local machine = rec.m or 0
-      local short = shorten(rec, before[machine] or NONE)
-      before[machine], number = rec, number + 1
+      local short = shorten(rec, before)
+      number = number + 1
       line = is_usual(short) and plain_line(short, number, quote)
       short.n = number
       line = line or journal.encode(short)
@@ -218,19 +239,13 @@ local function split(text)
 end
 
 local function expand(run)
-  local header, before, list = run[1], {}, {}
+  local before, list = {}, {}
   for i, rec in ipairs(run) do
-    if i > 1 and header.record == journal.VERSION then
-      if type(rec) ~= "table" then
-        error(("record %d: table expected, got %s"):format(i, type(rec)), 0)
-      end
-      local machine = rec.m or 0
-      rec = lengthen(rec, before[machine] or NONE)
-      before[machine] = rec
+    if type(rec) ~= "table" then
+      error(("record %d: table expected, got %s"):format(i, type(rec)), 0)
     end
-    list[i] = rec
+    list[i] = i > 1 and lengthen(rec, before) or rec
   end
-  if header.record == journal.VERSION then header.record = 1 end
   return list
 end
 

@@ -188,7 +188,7 @@ function library.text(arguments, server, options)
         server)
     end
     check_chart(file, text, server)
-    for _, line in ipairs(sandbox.endless(sandbox.code_of(text))) do
+    for _, line in ipairs(sandbox.endless(text)) do
       warnings[#warnings + 1] = ("%s:%d: warning: this loop has no end: in %s it "
         .. "would hold up all others"):format(file, line, server)
     end
