@@ -242,9 +242,10 @@ describe("the command", function()
     os.execute("mkdir " .. folder .. "; ln -s $(command -v readlink) " .. folder)
     local function status(list, name) return list:find(name, 1, true) and 0 or 1 end
     for name in names:gmatch("%S+") do
-      helper.write(folder .. "/" .. name, ("#!/bin/sh\ncase $2 in\n*redis*) exit %d;;\n"
-        .. "*argparse*) exit %d;;\n*_G*) exit 0;;\nesac\necho %s\n"):format(
-        status(own or "", name), status(with, name), name))
+      local text = "#!/bin/sh\n[ $1 = -e ] || { echo %s; exit; }\ncase $2 in\n"
+        .. "*redis*) exit %d;;\n*argparse*) exit %d;;\nesac\n"
+      helper.write(folder .. "/" .. name, text:format(name, status(own or "", name),
+        status(with, name)))
       os.execute("chmod +x " .. folder .. "/" .. name)
     end
     local lines = lines_of(("LUA= PATH=%s /bin/sh tools/rfsm %s 2>&1"):format(folder,
