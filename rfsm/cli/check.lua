@@ -85,6 +85,13 @@ local function write_tests(options, parser)
   if old_text then report_difference(old_text, text) end
 end
 
+-- Returns why a chart cannot be checked; a problem of its declarations has their file.
+local function reason(file, failure)
+  local text = chart.first_line(failure)
+  local name = require("rfsm.cli.review").properties_of(file)
+  return text:find(name, 1, true) == 1 and text or chart.reason(file, failure)
+end
+
 -- Returns lines about the chart in a file, and the gravest severity.
 local function lines_about(file, options)
   local review = require("rfsm.cli.review")
@@ -98,7 +105,7 @@ local function lines_about(file, options)
   if not model then return { warnings }, "error" end
   local ok, lines, gravest = common.with_streams(common.NOWHERE, review.of, file,
     model, warnings, settings, options)
-  if not ok then return { chart.reason(file, lines) }, "error" end
+  if not ok then return { reason(file, lines) }, "error" end
   for _, line in ipairs(chart.lines_of(file, world)) do lines[#lines + 1] = line end
   return lines, gravest
 end

@@ -13,8 +13,8 @@ local opts = require "rfsm.shared.options"
 local cli = {}
 
 -- The commands in the order of the help; each but the exporters has its module.
-local COMMANDS = { "check", "sim", "viz", "snapshot", "redis", "postgres", "web",
-  "watch", "size" }
+local COMMANDS = { "check", "sim", "viz", "snapshot", "redis", "postgres", "fleet",
+  "web", "watch", "size" }
 
 local function print_version()
   print("rfsm " .. rfsm._VERSION:match("%S+$"))

@@ -34,9 +34,8 @@ function claim.hooks_of(fsm)
   for _, entry in ipairs(rfsm.machines(fsm)) do
     local machine = entry.machine
     for _, list in ipairs { machine._pre_hooks, machine._post_hooks,
-      machine._reset_hooks or {}, machine._path_hooks or {},
-      machine._watch_hooks or {} } do
-      for _, hook in ipairs(list) do texts[#texts + 1] = tostring(hook) end
+      machine._reset_hooks, machine._path_hooks } do
+      for _, hook in ipairs(list or {}) do texts[#texts + 1] = tostring(hook) end
     end
     for _, state in ipairs(rfsm.elements(machine, rfsm.is_state)) do
       for _, hook in ipairs((machine._entry_hooks or {})[state] or {}) do
