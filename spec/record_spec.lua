@@ -956,6 +956,25 @@ describe("a recorder", function()
     assert(record.replay(worker({}, yes), sink, { dry = true }))
   end)
 
+  it("refuses a machine that cannot be saved, and blames the caller", function()
+    local model = worker({}, yes)
+    model.count = print
+    local fsm = helper.init(model)
+    assert.equal("rfsm.record.record: root.count: a function cannot be saved",
+      helper.refusal(record.record, fsm, {}))
+    assert.equal(1, #fsm._pre_hooks)
+  end)
+
+  it("reads the machine's own clock for its first snapshot", function()
+    local fsm, sink = helper.init(state { info = false, warn = false,
+      gettime = function() return 42, 0 end, a = state {}, b = state {},
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = { "e_after(5)" } } }), {}
+    rfsm.run(fsm)
+    record.record(fsm, sink)
+    assert.same({ { 42, 0 } }, sink[1].clock)
+  end)
+
   it("leaves the error of a guard as it is", function()
     local said = {}
     local model = worker({}, function() error("no sensor", 0) end)
