@@ -459,7 +459,7 @@ local function load_sends(fsm, kept)
   if kept == nil then return end
   prepare_machine(fsm)
   local now, now_nsec = read_or_raise(fsm, true)
-  for _, send in ipairs(type(kept) == "table" and kept or { kept }) do
+  for _, send in ipairs(kept) do
     if type(send) ~= "table" or send.event == nil then
       error("list of events with `after` expected", 0)
     end
