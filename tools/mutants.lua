@@ -23,7 +23,7 @@ local ROOMS = {
       "contract", "extensions", "alloc", "scale", "failing_programs", "house",
       "oracle" } },
   { name = "timeevent", files = { "rfsm_timeevent.lua", "rfsm/clock.lua" },
-    specs = { "timeevent", "alone" } },
+    specs = { "timeevent", "sends", "alone" } },
   { name = "seqand", files = { "rfsm_seqand.lua" }, specs = { "seqand" } },
   { name = "await", files = { "rfsm/await.lua", "rfsm/emem.lua", "rfsm/monitor.lua",
     "rfsm/preview.lua", "rfsm/history.lua", "rfsm/defer.lua" },
