@@ -1063,18 +1063,6 @@ local function copy_plan(plan)
   return copy
 end
 
--- Returns a plan with the definitions of one that only one machine has, for changes.
-local function renewed(plan)
-  local variant = new_plan(plan.model)
-  variant.nodes, variant.transitions = plan.nodes, plan.transitions
-  variant.warnings, variant.created = plan.warnings, plan.created
-  for _, def in ipairs(plan.nodes) do def.paths = nil end
-  for _, def in ipairs(plan.transitions) do
-    def.connector, def.aimed, def.is_asked = nil, nil, nil
-  end
-  return variant
-end
-
 -- Calls f(t) for each table of the model that a plan was made of.
 local function each_table(plan, f)
   local function visit(model)
@@ -2776,6 +2764,18 @@ do
   local function find_plan(fsm, plan)
     if plan.variant and fits(fsm, plan.variant) then return plan.variant end
     return fits(fsm, plan) and plan or nil
+  end
+
+  -- Returns a plan with the definitions of one that only one machine has, for changes.
+  local function renewed(plan)
+    local variant = new_plan(plan.model)
+    variant.nodes, variant.transitions = plan.nodes, plan.transitions
+    variant.warnings, variant.created = plan.warnings, plan.created
+    for _, def in ipairs(plan.nodes) do def.paths = nil end
+    for _, def in ipairs(plan.transitions) do
+      def.connector, def.aimed, def.is_asked = nil, nil, nil
+    end
+    return variant
   end
 
   -- Returns a plan whose transitions are what the preproc functions have made of them.
