@@ -1158,6 +1158,7 @@ local DEFAULTS = {
   dbg = silent, getevents = no_events, _entry_hooks = false, _exit_hooks = false,
   _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
   _snapshot_hooks = false, _failure = false, _reset_wanted = false, _preparing = false,
+  _cuts = 0, -- iterations that an error has ended
 }
 
 -- The fields that a machine has from the start.
@@ -1371,7 +1372,7 @@ function rfsm.is_interrupt(failure)
     or failure:find("^[^\n]*:%d+: interrupted!$") ~= nil)
 end
 
--- Calls hooks of extensions from number `at` on, such as `_watch_hooks`. An error is
+-- Calls hooks of extensions from number `at` on, such as `_reset_hooks`. An error is
 -- kept. There is no loop, for which LuaJIT would give up compiling the host's.
 local function tell_from(at, fsm, hooks, ...)
   local ok, failure = pcall(hooks[at], fsm, ...)
@@ -1383,6 +1384,11 @@ local function tell(fsm, hooks, ...)
   if hooks then return tell_from(1, fsm, hooks, ...) end
 end
 
+-- Calls the watch hooks for what happens.
+local function tell_watch(fsm, what, ...)
+  if fsm._watch_hooks then return tell(fsm, fsm._watch_hooks[what], ...) end
+end
+
 -- Reports that a callback has failed. For a doo `callback` is nil: its coroutine made
 -- the call.
 local function report_callback(fsm, name, owner, callback, failure)
@@ -1390,7 +1396,7 @@ local function report_callback(fsm, name, owner, callback, failure)
   if callback ~= nil and not is_callable(callback) then
     failure = "function expected, " .. got(callback)
   end
-  tell(fsm, fsm._watch_hooks, "failed", owner, name, failure)
+  tell_watch(fsm, "failed", owner, name, failure)
   local text = "error executing " .. name .. " of " .. (owner._fqn or tostring(owner))
   if name == "doo" then text = "doo program of state '" .. owner._fqn .. "' failed" end
   report(fsm, "err", name:upper(), text .. ": ", failure)
@@ -1862,9 +1868,10 @@ local function call_hooks(fsm, hooks, what, at)
   end
 end
 
--- Tells those who watch which transitions are about to be taken.
+-- Tells those who watch which transitions are about to be taken: none where a root
+-- without states is entered.
 local function show_path(fsm, path, at)
-  if not fsm._path_hooks or not path.segments[1] then return end
+  if not fsm._path_hooks then return end
   local list = {}
   for i, def in ipairs(path.segments) do list[i] = fsm._transitions[def.index] end
   call_hooks(fsm, fsm._path_hooks, list, at)
@@ -2222,7 +2229,7 @@ do
     if leaf._mode ~= "done" then complete(fsm, leaf) end
     if fsm._at < 2 then
       fsm._at = 2
-      tell(fsm, fsm._watch_hooks, "ended", leaf)
+      tell_watch(fsm, "ended", leaf)
     end
     if is_traced(fsm) then
       report(fsm, "dbg", "DOO",
@@ -2259,7 +2266,7 @@ do
     local ok, idle = true, false
     if fsm._at < 1 then
       fsm._at = 1
-      if fsm._watch_hooks then tell(fsm, fsm._watch_hooks, "resumed", leaf) end
+      if fsm._watch_hooks then tell_watch(fsm, "resumed", leaf) end
       ok, idle = resume(co, fsm, leaf, "doo")
       if not ok then leaf._mode = "done" end
     end
@@ -2430,6 +2437,7 @@ end
 -- hook, or one that is no callback's own. Without this mark, what was cut short could
 -- not be told from a step that goes on.
 local function raise_cut(fsm, failure)
+  fsm._cuts = fsm._cuts + 1
   fsm._is_usual = false
   fsm._is_cut = true
   error(failure, 0)
@@ -2922,8 +2930,8 @@ function rfsm.send_events(fsm, event, ...)
   local queue = fsm._intq
   if event ~= nil then queue[#queue + 1] = event end
   if select("#", ...) > 0 then queue_more(queue, ...) end
-  local hooks = fsm._watch_hooks
-  if hooks then return tell_from(1, fsm, hooks, "sent", event, ...) end
+  local hooks = fsm._watch_hooks and fsm._watch_hooks.sent
+  if hooks then return tell_from(1, fsm, hooks, event, ...) end
 end
 
 -- A step is under way unless an error has cut it short, also while a callback has
@@ -3553,23 +3561,47 @@ do
   ---@type fun(fsm: rfsm.Machine, hook: function): boolean
   rfsm.path_hook_rm = hook_remover("rfsm.path_hook_rm", "_path_hooks")
 
-  --- Have `hook(fsm, what, ...)` called when something happens, for those who watch.
+  local WATCHED = { sent = true, failed = true, resumed = true, ended = true,
+    merged = true }
+
+  --- Have `hook(fsm, ...)` called when something happens, for those who watch.
   --
   -- Other hooks tell what a step does. This one tells of the rest, by `what`:
   --
-  --    "sent", event ...                  events were sent
-  --    "failed", element, callback, error "entry", "guard" ... of an element failed
-  --    "resumed", leaf; "ended", leaf     a doo is resumed; it has come to its end
-  --    "merged", element                  the machine has a new element
+  --    "sent": event ...                  events were sent
+  --    "failed": element, callback, error "entry", "guard" ... of an element failed
+  --    "resumed", "ended": leaf           a doo is resumed; it has come to its end
+  --    "merged": element                  the machine has a new element
   --
   -- Its error is raised when the iteration is over.
   --
-  ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
-  rfsm.watch_hook_add = hook_adder("rfsm.watch_hook_add", "_watch_hooks")
+  ---@param fsm rfsm.Machine
+  ---@param what "sent"|"failed"|"resumed"|"ended"|"merged"
+  ---@param hook function
+  function rfsm.watch_hook_add(fsm, what, hook)
+    check_machine(fsm, "rfsm.watch_hook_add")
+    check_function(hook, "rfsm.watch_hook_add")
+    if not WATCHED[what] then
+      error("rfsm.watch_hook_add: 'sent', 'failed', 'resumed', 'ended' or 'merged' "
+        .. "expected, " .. got(what), 2)
+    end
+    local hooks = fsm._watch_hooks or {}
+    hooks[what] = append(append({}, hooks[what] or NONE), { hook })
+    fsm._watch_hooks = hooks
+  end
 
   --- Remove a watch hook. Return whether it was there.
-  ---@type fun(fsm: rfsm.Machine, hook: function): boolean
-  rfsm.watch_hook_rm = hook_remover("rfsm.watch_hook_rm", "_watch_hooks")
+  ---@param fsm rfsm.Machine
+  ---@param what "sent"|"failed"|"resumed"|"ended"|"merged"
+  ---@param hook function
+  ---@return boolean
+  function rfsm.watch_hook_rm(fsm, what, hook)
+    check_machine(fsm, "rfsm.watch_hook_rm")
+    local hooks = fsm._watch_hooks or NONE
+    local others = without(hooks[what] or NONE, hook)
+    if others then hooks[what] = reduced(others) end
+    return others ~= nil
+  end
 
   --- Have `hook(fsm)` called when the machine is reset, for the data of an extension.
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
@@ -3587,6 +3619,18 @@ do
   --
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.reaction_hook_add = hook_adder("rfsm.reaction_hook_add", "_reaction_hooks")
+
+  --- Have `hook(fsm)` list the events that an extension keeps for later; nil for none.
+  --- For those who show the queue.
+  ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
+  rfsm.waiting_hook_add = hook_adder("rfsm.waiting_hook_add", "_waiting_hooks")
+end
+
+-- Returns what the hooks of a list return, in one list.
+local function collect(hooks, ...)
+  local list = {}
+  for _, hook in ipairs(hooks or NONE) do append(list, hook(...) or NONE) end
+  return list
 end
 
 --- List the events that extensions react to while a state is active, besides those of
@@ -3595,12 +3639,13 @@ end
 ---@param state rfsm.State
 ---@return any[] events
 function rfsm.reactions(fsm, state)
-  local list = {}
-  for _, hook in ipairs(fsm._reaction_hooks or NONE) do
-    append(list, hook(fsm, state) or NONE)
-  end
-  return list
+  return collect(fsm._reaction_hooks, fsm, state)
 end
+
+--- List the events that extensions keep for later.
+---@param fsm rfsm.Machine
+---@return any[] events
+function rfsm.waiting(fsm) return collect(fsm._waiting_hooks, fsm) end
 
 -- Snapshots: what an extension keeps of a machine, and where the machine stands ....
 
@@ -3795,22 +3840,23 @@ do
     local problems = lines_of(build.problems)
     if problems[1] then return refuse(fsm, summary("rfsm.fsm_merge", problems)) end
     compile(plan)
-    make_elements(fsm, plan, first_node, first_transition)
-    use_targets(fsm, plan, moved)
     local outer = fsm._preparing
-    local ok, found = pcall(preprocess, fsm, parent[id])
-    if not ok then
-      found = { "a preproc function failed: " .. text_of(found) }
-      stop_preprocessing(fsm, outer)
-    end
-    if found[1] then
+    local ok, found = pcall(function()
+      make_elements(fsm, plan, first_node, first_transition)
+      use_targets(fsm, plan, moved)
+      return preprocess(fsm, parent[id])
+    end)
+    if not ok then stop_preprocessing(fsm, outer) end
+    if not ok or found[1] then
       undo_merge(fsm, old, moved)
+      if rfsm.is_interrupt(found) then error(found, 0) end
+      if not ok then found = { "a preproc function failed: " .. text_of(found) } end
       return refuse(fsm, summary("rfsm.fsm_merge", found))
     end
     report_lines(fsm, "info", build.created)
     report_findings(fsm, first_node, first_transition)
     report_dead_ends(fsm, first_node)
-    tell(fsm, fsm._watch_hooks, "merged", parent[id])
+    tell_watch(fsm, "merged", parent[id])
     return true
   end
 end

@@ -315,7 +315,7 @@ end
 local function follow_paths(feed, is_wanted)
   if is_wanted and not feed.hooks[1] then
     instrument.hook(feed.hooks, feed.fsm, "path", function(_, path)
-      feed.path = label_of(path[1].src)
+      feed.path = path[1] and label_of(path[1].src) or false
       for _, tr in ipairs(path) do feed.path = feed.path .. "->" .. label_of(tr.tgt) end
     end)
   elseif not is_wanted then

@@ -6,7 +6,8 @@
 -- callbacks or, `dry`, without. A recording is a list of records, in a file one line of
 -- JSON each; only files and specs need the package dkjson.
 --
--- The records of a region come before the record of the iteration around them.
+-- An iteration that an interrupt has cut short is in no record: the next one has a
+-- snapshot, as has one before which the machine was reset or moved.
 --
 -- @module rfsm.record
 -- @license BSD-3-Clause
@@ -21,13 +22,13 @@ local snapshot = require "rfsm.snapshot"
 local instrument = require "rfsm.shared.instrument"
 local tracks = require "rfsm.record.track"
 
-local error, ipairs, pcall, rawget, rawset = error, ipairs, pcall, rawget, rawset
+local error, ipairs, pcall = error, ipairs, pcall
+local rawequal, rawget, rawset = rawequal, rawget, rawset
 local setmetatable, type = setmetatable, type
-local max = math.max
 local concat = table.concat
 local text_of = rfsm.text_of
 
-local record = { VERSION = 1 }
+local record = { VERSION = journal.VERSION }
 
 -- Records -----------------------------------------------------------------------
 
@@ -42,11 +43,12 @@ local record = { VERSION = 1 }
 --- One iteration of one machine. An absent field is empty or false.
 ---@class rfsm.record.Record
 ---@field m? integer number of a region
----@field fresh? true the machine was reset before
+---@field inner? rfsm.record.Record[] iterations of regions in this one
+---@field from? { snapshot: rfsm.snapshot.Snapshot, clock: any[]? } where the machine
+-- stands, if that does not follow from the records before
 ---@field events? any[] of the iteration, before hooks have changed them
 ---@field added? any[] events that hooks have added, such as time events, for a reader
 ---@field had? table the user's data, if it has changed since the last iteration
----@field got? any[] events that getevents returned since the last iteration
 ---@field clock? any[] readings: { seconds, nanoseconds } or { failure }
 ---@field guards? any[] number of a transition, result, number ...: a text is a failure
 ---@field reset? true a callback has reset the machine
@@ -63,7 +65,11 @@ local record = { VERSION = 1 }
 ---@class rfsm.record.Recorder
 ---@field count integer iterations so far
 ---@field sink any
----@field inner rfsm.record.Record[] of regions, written with the iteration around them
+---@field name? string of the file that the recorder has opened
+---@field timed table|false what gets the readings of the clock
+---@field is_moved boolean the machine was reset or moved since the last iteration
+---@field cuts integer iterations that were cut short, when that was noted last
+---@field tracks rfsm.record.Track[] empty while it is stopped
 local Recorder = {}
 Recorder.__index = Recorder
 
@@ -72,7 +78,7 @@ local function writer_to(sink)
   if type(sink) == "table" and type(sink.write) ~= "function" then
     return function(rec) sink[#sink + 1] = rec end
   end
-  return journal.writer(sink)
+  return journal.writer(sink), true
 end
 
 -- Returns a clock that reads another one, and notes the reading in the present record.
@@ -91,9 +97,9 @@ end
 local function noting_getevents(track, own)
   return function()
     local events, waiting = own(), #track.fsm._intq
-    if type(events) ~= "table" then return events end
-    for i = 1, #events do tracks.note(track, "got", tracks.pack_event(events[i])) end
-    if track.rec then track.first, track.last = waiting + 1, waiting + #events end
+    if track.rec and type(events) == "table" then
+      track.first, track.last = waiting + 1, waiting + #events
+    end
     return events
   end
 end
@@ -135,25 +141,53 @@ local function has_doo(leaf) return leaf and leaf.doo and leaf._mode ~= "done" e
 
 local NONE = {}
 
--- A record that is still there is dropped: a hook has failed, or an interrupt was
--- followed by a reset.
+-- Returns how many iterations were cut short, also one that an interrupt in a callback
+-- will end.
+local function count_cuts(recorder)
+  local count = 0
+  for _, track in ipairs(recorder.tracks) do
+    local failure = track.fsm._failure
+    count = count + track.fsm._cuts
+    if failure and rfsm.is_interrupt(failure[1]) then count = count + 1 end
+  end
+  return count
+end
+
+-- Does the present state follow from the records?
+local function is_known(recorder)
+  return not recorder.is_moved and recorder.cuts == count_cuts(recorder)
+end
+
+-- Notes in a record where the machine stands, unless it cannot be saved, or a region is
+-- in the middle of a step that was cut short.
+local function note_place(recorder, rec)
+  for i = 2, #recorder.tracks do
+    if recorder.tracks[i].fsm._phase ~= "idle" then return end
+  end
+  rec.from = {}
+  recorder.timed = rec.from
+  rec.from.snapshot = snapshot.try_take(recorder.fsm)
+  recorder.timed = rec
+  if not rec.from.snapshot then return end
+  recorder.is_moved, recorder.cuts = false, count_cuts(recorder)
+end
+
+-- A record that is still there is dropped: its iteration was cut short or refused.
 local function begin(recorder, track, events)
   local dropped, leaf = track.rec or NONE, track.fsm._act_leaf
-  local rec = { m = track.m, fresh = track.is_fresh or nil,
-    got = track.got or dropped.got, events = tracks.pack_events(events),
-    had = dropped.had }
-  track.rec = rec
+  local rec = { m = track.m, events = tracks.pack_events(events), had = dropped.had }
+  track.rec, track.first, track.last = rec, 1, 0
+  if track.m == nil then
+    track.leaf, track.mode, track.has_doo = leaf, leaf and leaf._mode, has_doo(leaf)
+    recorder.timed, recorder.is_moved = rec, recorder.is_moved or dropped.reset or false
+    if not is_known(recorder) then note_place(recorder, rec) end
+  end
   note_change(track, rec, "had")
-  track.got, track.first, track.last = nil, 1, 0
   tracks.wrap(track)
-  if track.m ~= nil then return end
-  track.leaf, track.mode, track.has_doo = leaf, leaf and leaf._mode, has_doo(leaf)
-  recorder.timed = rec
-  if recorder.inner[1] then recorder.inner = {} end
 end
 
 -- The fields of a record that show that its iteration had an effect.
-local EFFECTS = { "events", "got", "guards", "sent", "kept", "had", "fresh", "reset",
+local EFFECTS = { "events", "guards", "sent", "kept", "had", "from", "reset",
   "regions" }
 
 -- Is an iteration left out? Only one of the outermost machine is, if it had no event,
@@ -188,28 +222,19 @@ local function note_results(recorder, track, rec, events)
   note_data(recorder, track, rec)
 end
 
--- Writes the records of the regions in an iteration, then that of the iteration.
-local function write(recorder, rec)
-  for _, inner in ipairs(recorder.inner) do recorder.write(inner) end
-  recorder.count = recorder.count + 1
-  recorder.write(rec)
-end
-
--- Notes the results and writes the record. After an interrupt meanwhile it does so
--- anew, then it raises that.
+-- Notes the results. The record of a region becomes a part of that of the iteration
+-- around it; that one is written.
 local function finish(recorder, track, events)
-  local rec = track.rec
+  local rec, outer = track.rec, recorder.tracks[1].rec
   if not rec then return end
-  local is_whole, interrupt = pcall(note_results, recorder, track, rec, events)
-  if not is_whole then pcall(note_results, recorder, track, rec, events) end
-  track.rec, track.is_fresh = false, false
+  note_results(recorder, track, rec, events)
+  track.rec = false -- a reset behind an interrupt here is none in this record
   if track.m ~= nil then
-    recorder.inner[#recorder.inner + 1] = rec
-  else
-    recorder.timed = false
-    if events[1] ~= nil or not is_empty(track, rec) then write(recorder, rec) end
+    if outer then tracks.note(outer, "inner", rec) end
+  elseif is_known(recorder) and (events[1] ~= nil or not is_empty(track, rec)) then
+    recorder.write(rec)
+    recorder.count = recorder.count + 1
   end
-  if not is_whole then error(interrupt, 0) end
 end
 
 local function call_guard(track, number, guard, tr, events)
@@ -218,18 +243,25 @@ local function call_guard(track, number, guard, tr, events)
     tracks.note(track.rec, "guards", number, ok and answer ~= false or not ok
       and text_of(answer))
   end
-  if not ok then error(answer, 0) end
-  return answer
+  if ok then return answer end
+  track.failing = tr
+  error(answer, 0)
 end
 
 local function add_recorder(track, recorder)
-  track.is_fresh, track.kept = false, snapshot.take_data(track.fsm)
+  track.kept = snapshot.take_data(track.fsm)
   track.observed = tracks.observe_data(track.fsm)
-  function track.begin(_, events) begin(recorder, track, events) end
-  function track.finish(_, events) finish(recorder, track, events) end
-  function track.reset() -- in an iteration, or after one that was cut short
-    track.is_fresh = true
+  function track.began(events) begin(recorder, track, events) end
+  function track.finished(events) finish(recorder, track, events) end
+  function track.reset() -- between two iterations, or by a callback
+    if not recorder.tracks[1].rec then recorder.is_moved = true end
     if track.rec then track.rec.reset = true end
+  end
+  -- What advances regions fails by an interrupt alone, and so may a guard.
+  function track.failed(element, name)
+    local is_own = name == "guard" and not rawequal(element, track.failing)
+    if is_own or select(2, rfsm.regions(element)) then recorder.is_moved = true end
+    track.failing = nil
   end
   function track.guard(...) return call_guard(track, ...) end
   function track.clock(own) return noting_clock(recorder, own, track.fsm) end
@@ -241,18 +273,31 @@ local function take_first(recorder, fsm)
   local changes = {}
   instrument.put(changes, fsm, "gettime",
     noting_clock(recorder, rawget(fsm, "gettime"), fsm))
-  local is_whole, ok, snap = pcall(calls.try, snapshot.take, fsm)
+  local ok, snap, problem = pcall(snapshot.try_take, fsm)
   instrument.give_back(changes)
-  recorder.timed = false
-  if not is_whole then error(ok, 0) end
-  return ok, snap
+  if not ok then error(snap, 0) end
+  return snap, problem
+end
+
+--- Record no more, up to `go_on`. Guards, getevents and clock are those of the machine.
+function Recorder:pause()
+  tracks.detach(self.tracks)
+  self.tracks = {}
+end
+
+--- Record again after `pause`, in the same recording.
+function Recorder:go_on()
+  if self.tracks[1] then return end
+  self.timed, self.is_moved, self.cuts = false, true, 0
+  self.tracks = tracks.attach(self.fsm, add_recorder, self)
 end
 
 --- End the recording.
 function Recorder:stop()
-  tracks.detach(self.tracks)
+  self:pause()
+  if self.is_journal then self.write(nil) end
   if self.file then self.file:close() end
-  self.tracks, self.file = {}, nil
+  self.is_journal, self.file = false, nil
 end
 
 -- Public functions ------------------------------------------------------------
@@ -274,47 +319,21 @@ function record.record(fsm, sink)
   rfsm.check_between_steps(fsm, "rfsm.record.record")
   local header = { record = record.VERSION }
   local recorder = setmetatable({ fsm = fsm, sink = sink, count = 0, timed = header,
-    inner = {} }, Recorder)
-  local ok, snap = take_first(recorder, fsm)
-  if not ok then error("rfsm.record.record: " .. text_of(snap), 2) end
+    tracks = {} }, Recorder)
+  local snap, problem = take_first(recorder, fsm)
+  if not snap then error("rfsm.record.record: " .. problem, 2) end
   if type(sink) == "string" then
-    local file, problem = journal.open(sink)
-    if not file then error("rfsm.record.record: " .. problem, 2) end
-    recorder.sink, recorder.file = file, file
+    recorder.file, problem = journal.open(sink)
+    if not recorder.file then error("rfsm.record.record: " .. problem, 2) end
+    recorder.sink, recorder.name = recorder.file, sink
   end
   header.snapshot, header.file = snap, rfsm.location_of(fsm):match("^(.*):%d+: root$")
-  recorder.write = writer_to(recorder.sink)
+  recorder.write, recorder.is_journal = writer_to(recorder.sink)
   header.guards = tracks.guard_texts(fsm)
   recorder.write(header)
-  recorder.tracks = tracks.attach(fsm, add_recorder, recorder)
+  recorder:go_on()
+  recorder.is_moved, recorder.cuts = false, count_cuts(recorder)
   return recorder
-end
-
---- Put the machine into its state `n` (1) iterations ago, and forget the records since.
--- No callback runs. Variables that the chart does not keep stay as they are.
---
--- @raise if the sink is no list
----@param n? integer
----@return boolean ok
----@return string? problem
-function Recorder:back(n)
-  if type(self.sink) ~= "table" or self.sink[1] == nil then
-    error("rfsm.record: back: a recording in a list expected", 2)
-  end
-  rfsm.check_between_steps(self.fsm, "rfsm.record.back")
-  local count, model = max(self.count - (n or 1), 0), rfsm.model_of(self.fsm)
-  local session = replay(model, self.sink, { dry = true, to = count })
-  local problem = session.problem or session.unsaved
-  if problem then return false, problem end
-  local ok, text = snapshot.put(self.fsm, session.snap)
-  if not ok then return false, text end
-  tracks.truncate(self.sink, count)
-  self.count = count
-  for _, track in ipairs(self.tracks) do
-    track.is_fresh, track.got, track.rec = false, nil, false
-    track.kept = snapshot.take_data(track.fsm)
-  end
-  return true
 end
 
 -- Returns the records of a recording or of a file; nil and the problem if it is none.
@@ -350,6 +369,7 @@ end
 ---@field dry? boolean call no callbacks
 ---@field migrate? boolean replay also if the chart has changed, up to a difference
 ---@field guards? boolean call guards, too, and compare their results
+---@field each? fun(fsm: rfsm.Machine, rec: rfsm.record.Record) called after each step
 ---@field watch? fun(fsm: rfsm.Machine) called before the first step, to set a `dbg`
 
 --- Run a machine through a recording.
@@ -379,11 +399,13 @@ function record.replay(model, recording, options)
 end
 
 --- Read the records of a run in a file. An incomplete last line is left out.
--- @raise if the file cannot be read, a line is no record, or there is no such run
+-- @raise if the file cannot be read, a line is no record or is missing, or there is no
+-- such run
 ---@param file string
 ---@param run? integer the last one if it is absent
 ---@return table[] recording
----@return { runs: integer, is_cut: boolean } about `is_cut`: a line was left out
+---@return { runs: integer, is_cut: boolean, has_end: boolean } about `is_cut`: a line
+-- was left out; `has_end`: the recorder was stopped, and no line is missing
 ---@nodiscard
 function record.read(file, run)
   local ok, recording, about = pcall(journal.read, file, run)

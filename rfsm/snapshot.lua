@@ -446,6 +446,20 @@ function snapshot.take(fsm, options)
   return snap
 end
 
+--- Return a machine as a plain table, for those who watch: also at the beginning of an
+-- iteration, whose events are not in it. Nil and the reason if it cannot be saved. Any
+-- other error is raised, such as that of a debug hook.
+---@param fsm rfsm.Machine
+---@return rfsm.snapshot.Snapshot?
+---@return string? problem
+function snapshot.try_take(fsm)
+  local ok, snap = pcall(take, fsm)
+  if ok then return snap end
+  local problem = encoding.text_of_fail(snap)
+  if not problem then error(snap, 0) end
+  return nil, problem
+end
+
 --- Return a snapshot as JSON: one text for one snapshot, on every Lua.
 ---@param snap rfsm.snapshot.Snapshot
 ---@return string text for any decoder of JSON

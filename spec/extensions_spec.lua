@@ -579,15 +579,18 @@ describe("a watch hook", function()
       trans { src = "b", tgt = "c", events = { "e" } },
       trans { src = "c", tgt = "d", events = { "e" } },
     })
-    local function hook(machine, what, ...)
-      assert(rawequal(machine, fsm))
-      local words = { what }
-      for i = 1, select("#", ...) do words[i + 1] = tostring((select(i, ...))) end
-      trace[#trace + 1] = table.concat(words, " "):gsub("T={ src='root%.", "{")
-        :gsub("', tgt='root%.", " ")
+    local hooks = {}
+    for _, what in ipairs { "sent", "failed", "resumed", "ended", "merged" } do
+      hooks[what] = function(machine, ...)
+        assert(rawequal(machine, fsm))
+        local words = { what }
+        for i = 1, select("#", ...) do words[i + 1] = tostring((select(i, ...))) end
+        trace[#trace + 1] = table.concat(words, " "):gsub("T={ src='root%.", "{")
+          :gsub("', tgt='root%.", " ")
+      end
+      rfsm.watch_hook_add(fsm, what, hooks[what])
     end
-    rfsm.watch_hook_add(fsm, hook)
-    return fsm, trace, hook
+    return fsm, trace, hooks
   end
 
   it("is told of events, failures and doos, in order", function()
@@ -608,11 +611,13 @@ describe("a watch hook", function()
   end)
 
   it("is told of what is merged, and of nothing once it is removed", function()
-    local fsm, trace, hook = watched()
+    local fsm, trace, hooks = watched()
     assert(rfsm.fsm_merge(fsm, fsm, state { final = true }, "z"))
     assert.same({ "merged state root.z (inactive)" }, trace)
-    assert.same({ true, false },
-      { rfsm.watch_hook_rm(fsm, hook), rfsm.watch_hook_rm(fsm, hook) })
+    for what, hook in pairs(hooks) do -- any order: all of them
+      assert.same({ false, true, false }, { rfsm.watch_hook_rm(fsm, "other", hook),
+        rfsm.watch_hook_rm(fsm, what, hook), rfsm.watch_hook_rm(fsm, what, hook) })
+    end
     rfsm.send_events(fsm, "e")
     rfsm.run(fsm)
     assert.equal(1, #trace)
@@ -621,12 +626,16 @@ describe("a watch hook", function()
   it("that fails is told at the iteration's end, and the machine goes on", function()
     local fsm = watched()
     rfsm.run(fsm)
-    rfsm.watch_hook_add(fsm, function(_, what)
-      if what == "failed" then error("no watch", 0) end
-    end)
+    rfsm.watch_hook_add(fsm, "failed", function() error("no watch", 0) end)
     rfsm.send_events(fsm, "e")
     assert.same({ false, "no watch" }, { pcall(rfsm.step, fsm) })
     assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  it("is for something that there is", function()
+    assert.equal("rfsm.watch_hook_add: 'sent', 'failed', 'resumed', 'ended' or "
+      .. "'merged' expected, got string 'send'", helper.refusal(rfsm.watch_hook_add,
+      watched(), "send", print))
   end)
 
   it("may ask if the machine is idle, in a step hook beside it", function()

@@ -3,6 +3,7 @@
 -- RFSM_N=10000 makes the random part longer.
 
 local claim = require "spec.support.claims.record"
+local interrupted_claim = require "spec.support.claims.interrupted"
 local helper = require "spec.helper"
 local json = require "dkjson"
 local kept = require "spec.support.kept"
@@ -82,21 +83,15 @@ describe("a recording", function()
     assert.same({ { "e_init_fsm" }, { "e_more" } }, { sink[2].events, sink[2].added })
   end)
 
-  it("begins and goes back between two steps only", function()
-    local model, texts, fsm, recorder = worker({}, yes), {}, nil, nil
+  it("begins between two steps only", function()
+    local model, text, fsm = worker({}, yes), nil, nil
     local begin = record.record
-    function model.busy.entry()
-      texts[1] = helper.refusal(begin, fsm, {})
-      texts[2] = select(2, pcall(recorder.back, recorder))
-    end
+    function model.busy.entry() text = helper.refusal(begin, fsm, {}) end
     fsm = helper.init(model)
-    recorder = begin(fsm, {})
     rfsm.run(fsm)
     helper.post_and_run(fsm, "e_go")
-    for i, where in ipairs { "record", "back" } do
-      assert.is_truthy(texts[i]:find(("rfsm.record.%s: the machine is in the middle of "
-        .. "a step"):format(where), 1, true), texts[i])
-    end
+    assert.is_truthy(text:find("rfsm.record.record: the machine is in the middle of "
+      .. "a step", 1, true), text)
   end)
 
   it("of a machine that cannot be saved at the end has no machine, but the reason",
@@ -269,10 +264,11 @@ describe("a recording", function()
     recorded(sink)
     local text = helper.content(file)
     assert.equal(10, select(2, text:gsub("\n", "")))
-    assert.matches('^{"record":2,', text)
+    assert.matches('^{"record":1,', text)
     assert.same(json.decode(json.encode(sink)), (record.read(file)))
     local cut = helper.file_with(text:sub(1, -3))
-    assert.same({ runs = 1, is_cut = true }, select(2, record.read(cut)))
+    assert.same({ runs = 1, is_cut = true, has_end = false },
+      select(2, record.read(cut)))
     assert.equal(9, #record.read(cut))
     assert.equal("root.idle", rfsm.get_actleaf_fqn(assert(
       record.replay(worker({}, yes), cut, { dry = true }))))
@@ -280,7 +276,31 @@ describe("a recording", function()
     assert.matches(": no JSON: .* at line 2$", select(2, pcall(record.read, broken)))
   end)
 
-  it("of an event and its completion takes 60 bytes in a file", function()
+  it("in a file has an end, and no line may be missing", function()
+    local file = helper.file_with("")
+    recorded(file):stop()
+    assert.is_true(select(2, record.read(file)).has_end)
+    local lines = {}
+    for line in helper.content(file):gmatch("[^\n]+") do lines[#lines + 1] = line end
+    assert.equal(11, #lines)
+    for gone = 2, 10 do
+      local line = table.remove(lines, gone)
+      local ok, problem = pcall(record.read,
+        helper.file_with(table.concat(lines, "\n") .. "\n"))
+      assert.is_false(ok)
+      assert.matches(("record %d is missing: record %d comes in its place$"):format(
+        gone - 1, gone), problem)
+      table.insert(lines, gone, line)
+    end
+    lines[11] = nil
+    local about = select(2, record.read(helper.file_with(table.concat(lines, "\n"))))
+    assert.same({ runs = 1, is_cut = false, has_end = false }, about)
+    for i = 2, 10 do lines[i] = lines[i]:gsub('"n":%d+,?', "") end -- as it was before
+    assert.same(record.read(file), (record.read(helper.file_with(table.concat(lines,
+      "\n")))))
+  end)
+
+  it("of an event and its completion takes 75 bytes in a file", function()
     local file = helper.file_with("")
     local fsm = helper.init(state { info = false, warn = false, off = state {},
       on = state {}, trans { src = "initial", tgt = "off" },
@@ -292,20 +312,20 @@ describe("a recording", function()
     for _ = 1, 10 do helper.post_and_run(fsm, "e_push") end
     for _ = 1, 1000 do rfsm.run(fsm) end -- nothing comes
     recorder:stop()
-    assert.is_true(#helper.content(file) - before <= 600)
+    assert.is_true(#helper.content(file) - before <= 750)
     assert.equal(20, recorder.count)
   end)
 
   it("in a file has its fields in a fixed order", function()
-    assert.equal('{"m":1,"fresh":true,"had":{},"events":["a"],"added":[],"got":[],'
-      .. '"clock":[],"guards":[],"reset":true,"sent":[],"leaf":"x","done":true,'
-      .. '"kept":{},"regions":[]}', (journal.encode { m = 1, fresh = true,
-      had = json.decode "{}", events = { "a" }, added = {}, got = {}, clock = {},
-      guards = {}, reset = true, sent = {}, leaf = "x", done = true,
+    assert.equal('{"m":1,"from":7,"had":{},"events":["a"],"added":[],"clock":[],'
+      .. '"guards":[],"reset":true,"sent":[],"leaf":"x","done":true,"kept":{},'
+      .. '"regions":[],"inner":[]}', (journal.encode { m = 1, from = 7,
+      had = json.decode "{}", events = { "a" }, added = {}, clock = {},
+      guards = {}, reset = true, sent = {}, leaf = "x", done = true, inner = {},
       kept = json.decode "{}", regions = {} }:gsub("%[%]", "[]")))
     local file = helper.file_with("")
     recorded(file)
-    assert.matches('^{"record":2,"guards":%[%[.-%]%],"snapshot":{',
+    assert.matches('^{"record":1,"guards":%[%[.-%]%],"snapshot":{',
       helper.content(file):gsub('"file":"[^"]*",', ""))
   end)
 
@@ -334,11 +354,12 @@ describe("a recording", function()
         { m = 1, leaf = "root.r" }, { m = 1, leaf = "root.r" },
         { events = { 7 }, leaf = "root.a" },
       }
-      local usual = { '{"events":["e_\\"a"],"leaf":"root.a"}',
-        '{"events":[true,false],"sent":["e_b"]}', '{"leaf":"root.b","done":true}', "{}",
-        "{}", '{"events":["x"],"leaf":false,"done":true}' }
-      local odd = { '{"m":1,"leaf":"root.r"}', '{"m":1}',
-        '{"events":[7],"leaf":"root.a"}' }
+      local usual = { '{"n":1,"events":["e_\\"a"],"leaf":"root.a"}',
+        '{"n":2,"events":[true,false],"sent":["e_b"]}',
+        '{"n":3,"leaf":"root.b","done":true}', '{"n":4}', '{"n":5}',
+        '{"n":6,"events":["x"],"leaf":false,"done":true}' }
+      local odd = { '{"n":7,"m":1,"leaf":"root.r"}', '{"n":8,"m":1}',
+        '{"n":9,"events":[7],"leaf":"root.a"}' }
       local expected = {}
       for _, text in ipairs(usual) do expected[#expected + 1] = text end
       assert.same(expected, lines_of({ unpack(records, 1, 6) }, error))
@@ -377,7 +398,7 @@ describe("a recording", function()
     recorder:stop() -- again does no harm
     local lines = {}
     recorded { write = function(_, line) lines[#lines + 1] = line end }
-    local run = table.concat(lines, "\n") .. "\n"
+    local run = table.concat(lines, "\n") .. '\n{"end":9}\n'
     assert.equal(run .. run, helper.content(file))
   end)
 
@@ -427,12 +448,6 @@ describe("a recording", function()
     assert.same({ false, "rfsm.init: the model has 1 problem" },
       { (function(fsm, text) return fsm, text:match("^[^\n]*") end)(record.replay(
         state { err = false, entry = 7 }, sink)) })
-  end)
-
-  it("goes back in a list only, and blames the caller", function()
-    local recorder = recorded(function() end)
-    assert.equal("rfsm.record: back: a recording in a list expected",
-      helper.refusal(recorder.back, recorder))
   end)
 
   it("shows a callback that leaves targets as they are", function()
@@ -510,15 +525,6 @@ describe("a recording", function()
     assert.is_true(said <= 2 * before, said) -- of the machine that is returned
   end)
 
-  it("of files of format 1 is read as before", function()
-    local sink = {}
-    recorded(sink)
-    local texts = {}
-    for i, rec in ipairs(sink) do texts[i] = json.encode(rec) end
-    local file = helper.file_with(table.concat(texts, "\n"))
-    assert.same(json.decode(json.encode(sink)), (record.read(file)))
-  end)
-
   it("in the same file is a run more; a line that was cut harms no other", function()
     local file = helper.file_with("")
     recorded(file)
@@ -526,12 +532,13 @@ describe("a recording", function()
     helper.write(file, text:sub(1, -3))
     recorded(file)
     recorded(file)
-    assert.same({ 9, { runs = 3, is_cut = true } },
+    assert.same({ 9, { runs = 3, is_cut = true, has_end = false } },
       { #record.read(file, 1), select(2, record.read(file, 1)) })
     for _, number in ipairs { 2, 3 } do
       assert.same(whole, (record.read(file, number)))
     end
-    assert.same({ whole, { runs = 3, is_cut = false } }, { record.read(file) })
+    assert.same({ whole, { runs = 3, is_cut = false, has_end = false } },
+      { record.read(file) })
     for _, number in ipairs { 0, 4, 1.5, "x" } do
       assert.equal("rfsm.record: " .. file .. ": run: number from 1 to 3 expected, got "
         .. tostring(number), select(2, pcall(record.read, file, number)))
@@ -610,13 +617,11 @@ describe("the clock", function()
       now = 15.5
       rfsm.run(fsm)
       assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
-      assert.is_true(recorder:back(2))
-      assert.equal(5, math.floor(timeevent.next_deadline(fsm)))
       recorder:stop()
     end))
     assert.equal(own, rawget(fsm, "gettime"))
     local again = assert(record.replay(timed(nil), sink))
-    assert.same({ "root.a", nil },
+    assert.same({ "root.b", nil },
       { rfsm.get_actleaf_fqn(again), rawget(again, "gettime") })
   end)
 
@@ -694,11 +699,10 @@ describe("the events of getevents", function()
     local recorder = record.record(fsm, sink)
     rfsm.run(fsm)
     rfsm.run(fsm)
-    assert.same({ "e_x", "e_go" }, sink[3].got)
     assert.same({ "e_done@root.a", "e_x", "e_go" }, sink[3].events)
     assert.same({ "e_done@root.a" }, sink[2].sent)
     assert.same({ "e_done@root.b" }, sink[3].sent)
-    assert.same({ "e_y" }, sink[4].got)
+    assert.same({ "e_done@root.b", "e_y" }, sink[4].events)
     recorder:stop()
     local again = assert(record.replay(polled {}, sink))
     assert.equal("root.b", rfsm.get_actleaf_fqn(again))
@@ -880,7 +884,8 @@ describe("an interrupt while it is recorded", function()
     is_due = false
     assert.same({ name, false, "interrupted!" }, { name, ok, failure })
     rfsm.run(fsm)
-    assert.equal(1, fsm.count)
+    helper.post_and_run(fsm, "e_go")
+    assert.equal(2, fsm.count)
     recorder:stop()
     assert(record.replay(model, sink))
     assert(record.replay(model, sink, { dry = true }))
@@ -970,66 +975,22 @@ it("a step whose hook has failed is not recorded, with its regions, if a reset f
     rfsm.post_step_hook_rm(fsm, fail)
     rfsm.reset(fsm)
     helper.post_and_run(fsm, "e_x")
-    assert.same({ 1, true, 1 }, { sink[2].m, sink[3].fresh, sink[4].m })
+    local rec = sink[2]
+    assert.same({ { "e_init_fsm", "e_x" }, 1, 1, nil },
+      { rec.events, rec.inner[1].m, #rec.inner, rec.from.snapshot.leaf })
     assert(record.replay(regions(), sink))
   end)
 
-describe("back", function()
-  it("moves the machine, and forgets what came since", function()
-    local sink = {}
-    local recorder, fsm, trace = recorded(sink)
-    local count = #trace
-    assert.is_true(recorder:back(1))
-    assert.is_true(recorder:back(5))
-    assert.same({ "root.busy", 1, 3, 4, count },
-      { rfsm.get_actleaf_fqn(fsm), fsm.count, recorder.count, #sink, #trace })
-    rfsm.run(fsm)
-    assert.equal("root.idle", rfsm.get_actleaf_fqn(fsm))
-    assert(record.replay(worker({}, yes), sink))
-    assert.is_true(recorder:back(100))
-    assert.same({ false, 0, 1 }, { rfsm.get_actleaf_fqn(fsm), recorder.count, #sink })
-  end)
-
-  it("gives timers the time they had", function()
-    local now = 10
-    timeevent.set_gettime_hook(function() return now, 0 end)
-    local fsm = helper.init(state { info = false, warn = false, a = state {},
-      b = state {}, trans { src = "initial", tgt = "a" },
-      trans { src = "a", tgt = "b", events = { "e_after(5)" } } })
-    local recorder = record.record(fsm, {})
-    rfsm.step(fsm)
-    now = 13
-    rfsm.step(fsm)
-    now = 100
-    rfsm.step(fsm)
-    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
-    assert.is_true(recorder:back(1))
-    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
-    assert.equal(2, math.floor(timeevent.next_deadline(fsm)))
-  end)
-
-  it("reports why it cannot", function()
-    local sink = {}
-    local recorder, fsm = recorded(sink)
-    sink[5].leaf = "root.nowhere"
-    assert.same({ false, "step 4: active leaf root.nowhere(done) expected, got "
-      .. "root.idle(done)" }, { recorder:back(1) })
-    assert.same({ "root.idle", 9 }, { rfsm.get_actleaf_fqn(fsm), recorder.count })
-  end)
-
-  it("is in a module with a global", function()
-    assert.equal(record, rawget(_G, "rfsm_record"))
-  end)
-
-  it("needs the records", function()
-    local recorder = recorded(function() end)
-    assert.error_matches(function() recorder:back() end,
-      "rfsm.record: back: a recording in a list expected")
-  end)
+it("the module of recordings has a global", function()
+  assert.equal(record, rawget(_G, "rfsm_record"))
 end)
 
 it("what is recorded, in a list or a file, gives the same run", function()
   assert.is_nil(share.problem(claim, 10))
+end)
+
+it("what is recorded is replayed, whatever was interrupted and reset", function()
+  assert.is_nil(share.problem(interrupted_claim, 30, true))
 end)
 
 describe("a random run", function()
@@ -1038,12 +999,12 @@ describe("a random run", function()
     for seed = FIRST, FIRST + N - 1 do seeds[#seeds + 1] = seed end
     for _, seed in ipairs(seeds) do
       local lines, watch = kept.watcher()
-      local sink, recorder = {}, nil
-      local fsm = kept.run(seed, function(machine)
+      local sink = {}
+      kept.run(seed, function(machine)
         watch(machine)
-        recorder = record.record(machine, sink)
+        record.record(machine, sink)
       end)
-      f(seed, sink, lines, recorder, fsm)
+      f(seed, sink, lines)
     end
   end
 
@@ -1057,19 +1018,4 @@ describe("a random run", function()
       end)
     end)
   end
-
-  it("goes back to where it was", function()
-    each_run(function(seed, sink, _, recorder, fsm)
-      local n = seed % recorder.count
-      local records = {}
-      for i = 2, #sink do
-        if not sink[i].m then records[#records + 1] = sink[i] end
-      end
-      local expected = records[recorder.count - n] or {}
-      assert(recorder:back(n))
-      assert.same({ expected.leaf or false, expected.done or false },
-        { rfsm.get_actleaf_fqn(fsm), fsm._act_leaf and fsm._act_leaf._mode == "done" },
-        "seed " .. seed)
-    end)
-  end)
 end)

@@ -1,5 +1,4 @@
--- A session of the simulator in this process: lines typed, what is printed, with small
--- chunks of history.
+-- A session of the simulator in this process: lines typed, what is printed.
 
 local helper = require "spec.helper"
 
@@ -32,9 +31,7 @@ function stderr.write(_, ...) printed[#printed + 1] = "! " .. table.concat { ...
 
 -- Returns what `case.input` prints with `case.chart`.
 local function said(case)
-  local chunk, limit = history.CHUNK, history.LIMIT
-  history.CHUNK, history.LIMIT = case.chunk or chunk, case.limit or limit
-  printed = {}
+  history.BYTES, printed = case.bytes, {}
   local sim
   helper.with(io, { stderr = stderr }, function()
     local file = helper.file_with(case.chart)
@@ -46,8 +43,7 @@ local function said(case)
       if not ok then printed[#printed + 1] = "! " .. problem end
     end
   end)
-  history.CHUNK, history.LIMIT = chunk, limit
-  if sim.history.recorder then sim.history.recorder:stop() end
+  history.BYTES = nil
   local text = table.concat(printed, "\n") .. "\n"
   text = text:gsub("\27%[[%d;]*m", "")
   return (text:gsub("active: (%S+)\nqueue: ", "at %1"):gsub(" *\n+", "\n"))
@@ -74,35 +70,9 @@ return rfsm.state { warn = false, info = false, ]] .. (more or "") .. [[
 }]]
 end
 
--- What is printed for twelve times e_go and `history`, of which six to eight are kept.
-local TWELVE = [=[
-at root.a(done)
-at root.b(done) e_done@root.b
-at root.c(done) e_done@root.c
-at root.a(done) e_done@root.a
-at root.b(done) e_done@root.b
-at root.c(done) e_done@root.c
-at root.a(done) e_done@root.a
-at root.b(done) e_done@root.b
-at root.c(done) e_done@root.c
-at root.a(done) e_done@root.a
-at root.b(done) e_done@root.b
-at root.c(done) e_done@root.c
-at root.a(done) e_done@root.a
-   7  e_done@root.b, e_go             root.c(done)
-   8  e_done@root.c, e_go             root.a(done)
-   9  e_done@root.a, e_go             root.b(done)
-  10  e_done@root.b, e_go             root.c(done)
-  11  e_done@root.c, e_go             root.a(done)
-  12  e_done@root.a, e_go             root.b(done)
-  13  e_done@root.b, e_go             root.c(done)
-  14  e_done@root.c, e_go             root.a(done)
-]=]
-
-describe("the history in chunks", function()
+describe("the history", function()
   check {
-    { does = "ends where it was left for another way", chunk = 2, chart = ring(),
-      input = [=[
+    { does = "ends where it was left for another way", chart = ring(), input = [=[
 run
 ses e_go
 ses e_go
@@ -113,29 +83,28 @@ ses e_go
 se e_go
 history
 goto 5
-goto 3
+goto 2
 forward
+goto 0
 ]=], output = [=[
 at root.a(done)
 at root.b(done) e_done@root.b
 at root.c(done) e_done@root.c
 at root.a(done) e_done@root.a
 at root.b(done) e_done@root.b
-   1  e_init_fsm                      root.a(done)
-   2  e_done@root.a                   root.a(done)
-   3  e_go                            root.b(done)
+   1                                  root.a(done)
+   2  e_go                            root.b(done)
 at root.c(done) e_done@root.c
 queue:  e_done@root.c, e_go
-   1  e_init_fsm                      root.a(done)
-   2  e_done@root.a                   root.a(done)
-   3  e_go                            root.b(done)
-   4  e_done@root.b, e_go             root.c(done)
-! goto: number of an iteration from 0 to 4 expected, got 5
+   1                                  root.a(done)
+   2  e_go                            root.b(done)
+   3  e_go                            root.c(done)
+! goto: number of an advance from 0 to 3 expected, got 5
 at root.b(done) e_done@root.b
-at root.c(done) e_done@root.c
+at root.c(done) e_done@root.c, e_go
+at <none> e_init_fsm
 ]=] },
-    { does = "goes another way each time, over chunks that are gone", chunk = 2,
-      chart = ring(), input = [=[
+    { does = "goes another way each time", chart = ring(), input = [=[
 run
 for i = 1, 6 do ses 'e_go' end
 goto 4
@@ -144,6 +113,7 @@ goto 1
 step
 ses e_go
 history
+history 2
 goto 2
 ]=], output = [=[
 at root.a(done)
@@ -153,17 +123,19 @@ at root.a(done) e_done@root.a
 at root.b(done) e_done@root.b
 at root.c(done) e_done@root.c
 at root.a(done) e_done@root.a
-at root.c(done) e_done@root.c
 at root.a(done) e_done@root.a
-at root.a(done) e_done@root.a
+at root.b(done) e_done@root.b
+at root.a(done)
 at root.a(done)
 at root.b(done) e_done@root.b
-   1  e_init_fsm                      root.a(done)
-   2  e_done@root.a                   root.a(done)
+   1                                  root.a(done)
+   2                                  root.a(done)
+   3  e_go                            root.b(done)
+   2                                  root.a(done)
    3  e_go                            root.b(done)
 at root.a(done)
 ]=] },
-    { does = "forgets what was undone with a reset", chunk = 2, chart = ring(),
+    { does = "forgets what was undone with a reset", chart = ring(),
       input = [=[
 run
 ses e_go
@@ -180,14 +152,14 @@ at root.b(done) e_done@root.b
 at root.c(done) e_done@root.c
 at root.b(done) e_done@root.b
 at <none> e_init_fsm
-! goto: number of an iteration from 0 to 3 expected, got 4
-   1  e_init_fsm                      root.a(done)
-   2  e_done@root.a                   root.a(done)
-   3  e_go                            root.b(done)
+! goto: number of an advance from 0 to 3 expected, got 4
+   1                                  root.a(done)
+   2  e_go                            root.b(done)
+   3                                  <none>
 at <none> e_init_fsm
 at <none> e_init_fsm
 ]=] },
-    { does = "goes back over resets", chunk = 2, chart = ring(), input = [=[
+    { does = "goes back over resets", chart = ring(), input = [=[
 run
 ses e_go
 reset
@@ -220,65 +192,59 @@ at root.a(done)
 at root.b(done) e_done@root.b
 at <none> e_init_fsm
 at root.a(done)
-   1  e_init_fsm                      root.a(done)
-   2  e_done@root.a                   root.a(done)
-   3  e_go                            root.b(done)
-   4  e_init_fsm                      root.a(done)
-   5  e_done@root.a                   root.a(done)
+   1                                  root.a(done)
+   2  e_go                            root.b(done)
+   3                                  <none>
+   4                                  <none>
+   5                                  root.a(done)
 ]=] },
-    { does = "keeps a reset at the end of a chunk", chunk = 1, chart = ring(),
-      input = [=[
+    { does = "keeps what waits where an advance begins", chart = ring(), input = [=[
 run
-ses e_go
-reset
 se e_go
 step
-ses e_go
-history
-goto 3
-goto 4
-goto 5
+back
+step
+back
+se e_other
+back
+forward
 ]=], output = [=[
 at root.a(done)
+queue:  e_go
 at root.b(done) e_done@root.b
+at root.a(done) e_go
+at root.b(done) e_done@root.b
+at root.a(done) e_go
+! no transition names the event 'e_other' (there is 'e_go')
+queue:  e_go, e_other
 at <none> e_init_fsm
-queue:  e_init_fsm, e_go
-at root.a(done) e_done@root.a
-at root.b(done) e_done@root.b
-   1  e_init_fsm                      root.a(done)
-   2  e_done@root.a                   root.a(done)
-   3  e_go                            root.b(done)
-   4  e_init_fsm, e_go                root.a(done)
-   5  e_done@root.a, e_go             root.b(done)
-at root.b(done) e_done@root.b
-at root.a(done) e_done@root.a
-at root.b(done) e_done@root.b
+at root.a(done) e_go
 ]=] },
-    { does = "forgets the oldest iterations and advances", chunk = 3, limit = 6,
-      chart = ring(), input = [=[
+    { does = "forgets the oldest places", bytes = 3000, chart = ring(), input = [=[
 run
-for i = 1, 12 do ses 'e_go' end
+for i = 1, 5 do ses 'e_go' end
 history
-goto 5
+goto 1
 goto 6
-goto 14
 back 20
 back
 forward 20
-]=], output = TWELVE .. [=[
-! goto: number of an iteration from 6 to 14 expected, got 5
+]=], output = [=[
+at root.a(done)
 at root.b(done) e_done@root.b
+at root.c(done) e_done@root.c
 at root.a(done) e_done@root.a
 at root.b(done) e_done@root.b
+at root.c(done) e_done@root.c
+   4  e_go                            root.a(done)
+   5  e_go                            root.b(done)
+   6  e_go                            root.c(done)
+! goto: number of an advance from 4 to 6 expected, got 1
+at root.c(done) e_done@root.c
+at root.a(done) e_done@root.a
 ! back: nothing was done
-at root.a(done) e_done@root.a
+at root.c(done) e_done@root.c
 ]=] },
-    { does = "grows also in advances that are one call", chunk = 3, limit = 6,
-      chart = ring("idle_hook = function() end, "), input = [=[
-step 2
-for i = 1, 12 do ses 'e_go' end
-history
-]=], output = TWELVE },
     { does = "shows events that are no texts", chart = ring(), input = [=[
 run
 ser(true, 1.5)
@@ -291,16 +257,34 @@ at root.a(done)
 at root.a(done)
 ! no transition names the event '{ 1 }'
 at root.a(done)
-   3  true, 1.5                       root.a(done)
-   4  table                           root.a(done)
+   2  true, 1.5                       root.a(done)
+   3  table                           root.a(done)
+]=] },
+    { does = "has the advances that failed", chart = ring(
+        "pre_step_hook = function(fsm, events) if events[1] == 'e_bad' then "
+        .. "error('bad', 0) end end, "), input = [=[
+run
+ser e_bad
+back
+ser e_go
+history
+]=], output = [=[
+at root.a(done)
+! no transition names the event 'e_bad' (there is 'e_go')
+at root.a(done) e_bad
+! bad
+at root.a(done)
+at root.b(done)
+   1                                  root.a(done)
+   2  e_go                            root.b(done)
 ]=] },
   }
 end)
 
 describe("a machine that cannot be saved", function()
   check {
-    { does = "has no history, and a reason", chart = ring "keep = { 'x' }, x = print, ",
-      input = [=[
+    { does = "goes back to no place, and says why", chart = ring(
+        "keep = { 'x' }, x = print, "), input = [=[
 run
 history
 back
@@ -309,21 +293,18 @@ goto 1
 goto 0
 fsm.x = 1
 ses e_go
-history
 back
 ]=], output = (([=[
 at root.a(done)
+   1                                  root.a(done)
 REASON
-! goto: nothing was recorded: REASON
+! goto: REASON
 ! forward: nothing was undone
-! goto: number of an iteration from 0 to 0 expected, got 1
-! goto: nothing was recorded: REASON
+! goto: REASON
+! goto: REASON
 at root.b(done) e_done@root.b
-   1  e_go                            root.b(done)
-REASON
-at root.a(done) e_go
-]=]):gsub("REASON", "rfsm.record.record: "
-      .. "rfsm.snapshot.take: root.x: a function cannot be saved")) },
+at root.a(done)
+]=]):gsub("REASON", "root.x: a function cannot be saved")) },
   }
 end)
 
@@ -378,10 +359,10 @@ at root.c(done) e_done@root.c
 clock:  3 s
 at root.a(done)
 clock:  0 s
+at root.a(done)
+clock:  1 s
 at root.b(done) e_done@root.b
 clock:  1 s
-at root.b(done)
-clock:  3 s
 ]=] },
     { does = "goes on from the chart's clock to a timer", chart = [[
 local rfsm = require "rfsm"
@@ -464,7 +445,7 @@ ser e_stop
 at root.a(done)
 at root.spin(done) e_done@root.spin
 ]=] .. STOPPED .. [=[
-10002  e_done@root.spin                root.spin(done)
+   2  e_spin                          root.spin(done)
 at root.spin(done) e_done@root.spin
 ]=] .. STOPPED .. [=[
 at root.a(done)
@@ -573,8 +554,8 @@ at root.b(done)
 ! no transition names the event 'true'
 queue:  e_go, 5, true
 queue:  e_go, 5, true, e_init_fsm
-at root.a(done) e_done@root.a
-! goto: number of an iteration from 0 to 4 expected, got 9
+at root.a(done)
+! goto: number of an advance from 0 to 2 expected, got 9
 false
 step([n])    advance by n transitions or doo cycles (1)
 Enters the machine when it is called first. Example: step 3
@@ -721,7 +702,6 @@ describe("a line", function()
     helper.with(io, { stderr = stderr }, function()
       helper.with(terminal, { read = read }, function() prompt.converse(sim) end)
     end)
-    sim.history.recorder:stop()
     assert.same({ "> ", ">> ", ">> ", ">> ", "> ", ">> " }, prompts)
     assert.matches("^! stdin:%d: [^\n]*<eof>'?\n$", printed[1])
     assert.is_nil(printed[2])

@@ -181,7 +181,7 @@ local COMPLAINTS = {
   ["forward"] = "forward: nothing was undone\n",
   ["clock x"] = "clock: number expected, got string\n",
   ["next"] = "next: no timer is armed\n",
-  ["goto(-1)"] = "^goto: number of an iteration from 0 to %d+ expected, got %-1\n$",
+  ["goto(-1)"] = "^goto: number of an advance from 0 to %d+ expected, got %-1\n$",
   ["back 0"] = "back: number from 1 expected, got 0\n",
   ["view x.doc"] = "view: file.svg, .png, .pdf or .dot expected, got 'x.doc'\n",
   ["view /no/x.dot"] = "view: /no/x.dot: No such file or directory\n",
@@ -338,14 +338,11 @@ return rfsm.state {
   idle = rfsm.state {},
   busy = rfsm.state { doo = function() while true do rfsm.yield() end end },
   spin = rfsm.state { doo = function() while true do end end },
-  deaf = rfsm.state { doo = function() while true do pcall(poll) end end },
-  mute = rfsm.state { entry = function() while true do pcall(poll) end end },
+  mute = rfsm.state { entry = function() while true do poll() end end },
   rfsm.trans { src = "initial", tgt = "idle" },
   rfsm.trans { src = "idle", tgt = "busy", events = "e_busy" },
   rfsm.trans { src = "idle", tgt = "spin", events = "e_spin" },
-  rfsm.trans { src = "idle", tgt = "deaf", events = "e_deaf" },
   rfsm.trans { src = "idle", tgt = "mute", events = "e_mute" },
-  rfsm.trans { src = "deaf", tgt = "idle", events = "e_stop" },
   rfsm.trans { src = "mute", tgt = "idle", events = "e_stop" },
   rfsm.trans { src = "busy", tgt = "idle", events = "e_stop" },
   rfsm.trans { src = "spin", tgt = "idle", events = "e_stop" },
@@ -385,12 +382,9 @@ describe("at a terminal", function()
     assert.matches("%* busy[^\n]*\n.*active: root.busy%(%l+%)", text)
   end)
 
-  it("Control-C gets out of a callback that catches every error", function()
+  it("Control-C ends an entry, and the transition is complete", function()
     local at = open_terminal("-q " .. file_with(BUSY))
     at.type_in("taken:  root.initial -> root.idle", "run", "Enter")
-    at.type_in("root.deaf on e_deaf", "ser e_deaf", "Enter")
-    at.type_in("interrupted!", "C-c")
-    at.type_in("root.deaf -> root.idle", "ser e_stop", "Enter")
     at.type_in("root.mute on e_mute", "ser e_mute", "Enter")
     at.type_in("active: root.mute(done)", "C-c")
     at.type_in("root.mute -> root.idle", "ser e_stop", "Enter")
@@ -514,7 +508,7 @@ local function wander(sim, count)
   for _ = 1, count do
     if dice(9) == 1 then sim.env.reset() else sim.env.se(events[dice(#events)]) end
     sim.env.step()
-    places[sim.history.count] = place_of(sim)
+    places[sim.history.at] = place_of(sim)
   end
   return places
 end
@@ -524,8 +518,8 @@ for _, file in ipairs(FILES) do
   prompt.install(sim)
   sim.env.clock(0)
   local places = wander(sim, 8)
-  while sim.history.count > 0 do
-    local n = math.max(sim.history.count - dice(7), 0)
+  while sim.history.at > 0 do
+    local n = math.max(sim.history.at - dice(7), 0)
     local ok, problem = pcall(history.go_to, sim, n)
     if not ok then
       io.write(file, ": ", problem, "\n")
@@ -541,7 +535,7 @@ io.write("done")
 ]]
 
 describe("goto", function()
-  it("leads back to any iteration of any example, each on two of the Luas", function()
+  it("leads back to any advance of any example, each on two of the Luas", function()
     local files, count, dynamic = {}, 0, "examples/dynamic.lua"
     for file in output_of("ls examples/*.lua"):gmatch("%S+") do
       count = count + 1
@@ -560,36 +554,11 @@ it("random commands do what the same calls do, and back leads where it was", fun
   assert.is_nil(share.problem(require "spec.support.claims.sim", 3))
 end)
 
-it("the history keeps its size", function()
-  local drive = require "spec.support.drive"
-  local session = drive.require "rfsm.sim.session"
-  local history = drive.require "rfsm.sim.history"
-  local prompt = drive.require "rfsm.sim.prompt"
-  local opened = assert(session.open("examples/on_off.lua", false))
-  prompt.install(opened)
-  local chunk, limit = history.CHUNK, history.LIMIT
-  history.CHUNK, history.LIMIT = 10, 100
-  drive.silently(function()
-    for _ = 1, 300 do opened.env.ses("e_nothing") end
-  end)
-  history.CHUNK, history.LIMIT = chunk, limit
-  local own, count = opened.history, 0
-  for _, part in ipairs(own.chunks) do count = count + part.count end
-  assert.is_true(count >= 100 and count <= 120, count)
-  assert.equal(own.last, own.chunks[1].first + count)
-  assert.is_true(#own.marks <= 121)
-  local ok, problem = pcall(history.go_to, opened, own.chunks[1].first - 1)
-  assert.is_false(ok)
-  assert.matches(("from %d to %d expected"):format(own.chunks[1].first, own.last),
-    problem)
-  own.recorder:stop()
-end)
-
 it("the history is gone through: back, forward, goto, go_to in Lua", function()
-  assert.equal(AT_END .. "active: <none>\nqueue:  e_init_fsm\n" .. AFTER
-    .. AT_WORLD .. "active: <none>\nqueue:  e_init_fsm\n" .. AFTER .. AT_HELLO
-    .. "   1  e_init_fsm                      root.hello(done)\n",
-    said("run\nback\nforward\ngoto 2\ngoto 0\ngoto 3\n"
+  assert.equal(AT_HELLO .. "hello\nworld\n" .. AFTER
+    .. AT_HELLO .. AFTER .. AT_NONE .. AFTER .. AT_HELLO
+    .. "   1                                  root.hello(done)\n",
+    said("step\nrun\nback\nforward\ngoto 0\ngoto 2\n"
       .. "if true then go_to(1) end\nhistory"))
 end)
 
@@ -610,7 +579,6 @@ describe("the Tab key", function()
     opened.is_over = true
     helper.with(terminal, { new_reader = function(f) complete = f end },
       function() prompt.converse(opened) end)
-    opened.history.recorder:stop()
     return complete(word, before)
   end
 
@@ -930,11 +898,11 @@ goto 3
 history
 ]=],
       output = [[
+  24  e_back                          root.idle(done)
   25  e_back                          root.idle(done)
-  26  e_back                          root.idle(done)
 at root.idle(done)
-   1  e_init_fsm                      root.idle(done)
-   2  e_done@root.idle                root.idle(done)
+   1                                  root.idle(done)
+   2  e_back                          root.idle(done)
    3  e_back                          root.idle(done)
 ]] },
   } do
@@ -1022,34 +990,11 @@ describe("an advance", function()
     assert.same({ "0", "0.5", "0", "0.5", "0.5" }, times)
   end)
 
-  it("has that time also after goto to its last iteration", function()
+  it("has that time also after goto", function()
     local out = said("clock 0\nse e_restart\nclock 1\nse e_restart\nclock 1\n"
-      .. "goto 6\nclock\ngoto 2\nclock\n")
+      .. "goto 2\nclock\ngoto 1\nclock\ngoto 0\nclock\n")
     local times = {}
     for time in out:gmatch("clock:  ([%d.]+) s") do times[#times + 1] = time end
-    assert.same({ "0", "1", "2", "1", "0" }, times)
-  end)
-
-  it("is kept in chunks, each with a snapshot", function()
-    local chart = file_with([[
-      return rfsm.state { info = false, warn = false, a = rfsm.state {},
-        rfsm.trans { src = "initial", tgt = "a" },
-        rfsm.trans { src = "a", tgt = "a", events = { "e_a" } } }]])
-    assert.equal("3 2\n1", helper.output_of(([[
-      package.path = "./?.lua;" .. package.path
-      local say = print
-      function print() end
-      local rfsm, history = require "rfsm", require "rfsm.sim.history"
-      history.CHUNK = 3
-      local sim = require("rfsm.sim.session").open(%q, false)
-      for _ = 1, 5 do
-        rfsm.send_events(sim.fsm, "e_a")
-        history.mark(sim)
-        sim:advance(1)
-      end
-      say(sim.history.chunks[1].count .. " " .. sim.history.chunks[2].count)
-      history.back(sim, 4)
-      say(sim.history.count)
-    ]]):format(chart)))
+    assert.same({ "0", "1", "2", "1", "0", "0" }, times)
   end)
 end)

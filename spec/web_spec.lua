@@ -691,11 +691,24 @@ describe("a page", function()
     ]])
     local page, first = http.page(server)
     assert.equal("note: not idle after 1000 steps", texts_of(first.log)[3])
-    for _ = 1, 12 do -- more than can be undone
-      assert.is_true(page:command("run").can_back)
+    for _ = 1, 2 do assert.is_true(page:command("run").can_back) end
+    assert.is_true(page:command("back").can_back)
+    assert.is_false(page:command("back").can_back)
+    for _, to in ipairs { 0, 1, -1, 0.5, "at", "go" } do
+      assert.equal(400, (http.command(server, { command = "back", to = to })))
     end
-    assert.equal(204, (http.command(server, { command = "back" })))
-    assert.is_false(page:next().can_back)
+  end)
+
+  it("says why it cannot go back", function()
+    local server = open([[
+      local rfsm = require "rfsm"
+      return rfsm.state { keep = { "f" }, f = print, a = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "a" } }
+    ]])
+    local page = http.page(server)
+    assert.is_false(page:command("run").can_back)
+    local status, reply = http.command(server, { command = "back" })
+    assert.same({ 400, "root.f: a function cannot be saved\n" }, { status, reply })
   end)
 
   it("is told what could do something, and goes back past guards", function()

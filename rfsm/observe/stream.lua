@@ -16,8 +16,7 @@
 --    reset(at)
 --    merged(at, element)
 --
--- Regions belong to the stream. So does what is merged, unless the listener has none of
--- guard, failed, sent, resumed, ended, merged.
+-- Regions belong to the stream, and so does what is merged.
 --
 -- @module rfsm.observe.stream
 -- @license BSD-3-Clause
@@ -32,6 +31,7 @@ local ipairs, rawequal, setmetatable = ipairs, rawequal, setmetatable
 --- A listener that follows a machine.
 ---@class rfsm.observe.Stream
 ---@field fsm rfsm.Machine
+---@field machines table[] as `rfsm.machines`
 ---@field listener table<string, function>
 ---@field changes table[] the hooks and guards
 ---@field is_known table<table, true> machines, and transitions with a guard
@@ -83,7 +83,7 @@ end
 local function path_hook(listener, at)
   local has_states = listener.left or listener.entered
   return function(fsm, path)
-    if listener.taken then listener.taken(at, path, fsm._curq) end
+    if listener.taken and path[1] then listener.taken(at, path, fsm._curq) end
     if has_states then tell_states(at, listener, path) end
   end
 end
@@ -102,19 +102,7 @@ end
 
 local join
 
--- Returns the watch hook of a machine.
-local function watcher(own, at)
-  local listener = own.listener
-  return function(_, what, ...)
-    if what == "merged" then
-      join(own)
-      if listener.guard then replace_guards(own, at, (...)) end
-    end
-    if listener[what] then listener[what](at, ...) end
-  end
-end
-
-local WATCHED = { "guard", "failed", "sent", "resumed", "ended", "merged" }
+local WATCHED = { "failed", "sent", "resumed", "ended" }
 
 -- The hooks for what is told of each iteration: kind, place.
 local ITERATION = { began = { "pre_step", "before" },
@@ -122,12 +110,17 @@ local ITERATION = { began = { "pre_step", "before" },
 
 local function attach(own, at)
   local listener, fsm, changes = own.listener, at.machine, own.changes
-  for _, name in ipairs(WATCHED) do
-    if listener[name] then
-      instrument.hook(changes, fsm, "watch", watcher(own, at))
-      break
+  for _, what in ipairs(WATCHED) do
+    local f = listener[what]
+    if f then
+      instrument.watch(changes, fsm, what, function(_, ...) f(at, ...) end)
     end
   end
+  instrument.watch(changes, fsm, "merged", function(_, element)
+    join(own)
+    if listener.guard then replace_guards(own, at, element) end
+    if listener.merged then listener.merged(at, element) end
+  end)
   if listener.guard then replace_guards(own, at, fsm) end
   if listener.taken or listener.left or listener.entered then
     instrument.hook(changes, fsm, "path", path_hook(listener, at))
@@ -146,7 +139,8 @@ end
 
 -- Follows the machines that are not followed yet.
 function join(own)
-  for _, at in ipairs(rfsm.machines(own.fsm)) do
+  own.machines = rfsm.machines(own.fsm)
+  for _, at in ipairs(own.machines) do
     if not own.is_known[at.machine] then
       own.is_known[at.machine] = true
       attach(own, at)

@@ -2,7 +2,8 @@
 --
 -- A line leaves out what follows from the lines before: queued events, a leaf that has
 -- not changed, the completion of a leaf. So a file is a third as long as its records.
--- The last line of a run may be incomplete.
+-- Each has its number `n`, and a run that was stopped ends with the last one, so that a
+-- line that is missing is noticed. The last line of a run may be incomplete.
 --
 -- @module rfsm.record.journal
 -- @license BSD-3-Clause
@@ -18,7 +19,7 @@ local tostring, type = tostring, type
 local concat = table.concat
 local same = tracks.same
 
-local journal = { VERSION = 2 } -- of files; 1 is a file of whole records
+local journal = { VERSION = 1 }
 
 -- Short records -------------------------------------------------------------------
 
@@ -29,8 +30,22 @@ local function usual(leaf, is_done)
   return is_done and leaf and { "e_done@" .. leaf } or nil
 end
 
+-- Returns the last record of the machine of a record; none behind a snapshot.
+local function last_of(all, rec)
+  if rec.from then
+    for machine in order.each(all) do all[machine] = nil end -- any order: all of them
+  end
+  return all[rec.m or 0] or NONE
+end
+
+local function each_of(f, list, ...)
+  local results = {}
+  for i, item in ipairs(list) do results[i] = f(item, ...) end
+  return results
+end
+
 -- Returns a record without the fields that follow from the last one of its machine.
-local function shorten(rec, before)
+local function without_known(rec, before)
   local short, events = {}, rec.events
   for key, value in order.each(rec) do -- any order: each stands alone
     if not SHORT[key] then short[key] = value end
@@ -46,10 +61,17 @@ local function shorten(rec, before)
   return short
 end
 
+local function shorten(rec, all)
+  local short = without_known(rec, last_of(all, rec))
+  if rec.inner then short.inner = each_of(shorten, rec.inner, all) end
+  all[rec.m or 0] = rec
+  return short
+end
+
 local function list_or_nil(list) return list[1] ~= nil and list or nil end
 
-local function lengthen(short, before)
-  local rec = {}
+local function lengthen(short, all)
+  local rec, before = {}, last_of(all, short)
   for key, value in order.each(short) do rec[key] = value end -- any order: a copy
   local is_told = short.leaf ~= nil
   rec.events = list_or_nil(short.events or before.sent or NONE)
@@ -59,13 +81,15 @@ local function lengthen(short, before)
     rec.leaf, rec.done = before.leaf, before.done
   end
   rec.sent = list_or_nil(short.sent or is_told and usual(rec.leaf, rec.done) or NONE)
+  if short.inner then rec.inner = each_of(lengthen, short.inner, all) end
+  all[rec.m or 0] = rec
   return rec
 end
 
 -- Write ---------------------------------------------------------------------------
 
-local KEY_ORDER = { "record", "file", "m", "fresh", "had", "events", "added", "got",
-  "clock", "guards", "reset", "sent", "leaf", "done", "kept", "regions" }
+local KEY_ORDER = { "n", "record", "file", "m", "from", "had", "events", "added",
+  "clock", "guards", "reset", "sent", "leaf", "done", "kept", "regions", "inner" }
 
 local function json() return opts.need("rfsm.record", "dkjson") end
 
@@ -113,8 +137,8 @@ end
 local LISTS = { "events", "sent" }
 
 -- Returns the line of a short record with the usual fields; nil if it has others.
-local function plain_line(short, quote)
-  local parts, leaf = {}, short.leaf
+local function plain_line(short, number, quote)
+  local parts, leaf = { ('"n":%d'):format(number) }, short.leaf
   for _, name in ipairs(LISTS) do
     local list = short[name] and plain_list(short[name], quote)
     if short[name] and not list then return nil end
@@ -126,20 +150,22 @@ local function plain_line(short, quote)
   return "{" .. concat(parts, ",") .. "}"
 end
 
---- Return a function that writes the records of a run to a stream.
+--- Return a function that writes the records of a run to a stream; nil ends the run.
 function journal.writer(stream)
-  local quote, before = new_quote(), {}
+  local quote, before, number = new_quote(), {}, 0
   return function(rec)
     local line
-    if rec.record then
-      before = {}
-      line = journal.encode { record = journal.VERSION, file = rec.file,
-        clock = rec.clock, guards = rec.guards, snapshot = rec.snapshot }
+    if not rec then
+      line = journal.encode { ["end"] = number }
+    elseif rec.record then
+      before, number = {}, 0
+      line = journal.encode(rec)
     else
-      local machine = rec.m or 0
-      local short = shorten(rec, before[machine] or NONE)
-      before[machine] = rec
-      line = is_usual(short) and plain_line(short, quote) or journal.encode(short)
+      local short = shorten(rec, before)
+      number = number + 1
+      line = is_usual(short) and plain_line(short, number, quote)
+      short.n = number
+      line = line or journal.encode(short)
     end
     stream:write(line, "\n")
     if stream.flush then stream:flush() end
@@ -162,13 +188,34 @@ end
 ---@class rfsm.record.Run
 ---@field [integer] table its lines, decoded
 ---@field is_cut boolean its last line is incomplete
+---@field has_end boolean it was stopped, and all lines are there
+
+local function check_number(run, number)
+  if number ~= nil and number ~= #run then
+    error(("record %d is missing: record %s comes in its place"):format(#run,
+      rfsm.text_of(number)), 0)
+  end
+end
+
+-- Adds a record, or the end, to a run; in files of before they have no numbers.
+local function add_record(run, value)
+  if type(value) == "table" and value["end"] then
+    check_number(run, value["end"] + 1)
+    run.has_end = true
+    return
+  elseif type(value) == "table" then
+    check_number(run, value.n)
+    value.n = nil
+  end
+  run[#run + 1] = value
+end
 
 -- Adds a line to the runs. After a line that is no JSON only a header may come.
 local function add_line(runs, line, number)
   local value, _, problem = json().decode(line, 1, nil)
   local run = runs[#runs]
   if type(value) == "table" and value.record then
-    runs[#runs + 1] = { value, is_cut = false }
+    runs[#runs + 1] = { value, is_cut = false, has_end = false }
   elseif runs.problem or not (problem or run) then
     error(runs.problem or ("line %d: header expected"):format(number), 0)
   elseif problem then
@@ -176,7 +223,7 @@ local function add_line(runs, line, number)
     if run then run.is_cut = true end
     return
   else
-    run[#run + 1] = value
+    add_record(run, value)
   end
   runs.problem = nil
 end
@@ -192,19 +239,13 @@ local function split(text)
 end
 
 local function expand(run)
-  local header, before, list = run[1], {}, {}
+  local before, list = {}, {}
   for i, rec in ipairs(run) do
-    if i > 1 and header.record == journal.VERSION then
-      if type(rec) ~= "table" then
-        error(("record %d: table expected, got %s"):format(i, type(rec)), 0)
-      end
-      local machine = rec.m or 0
-      rec = lengthen(rec, before[machine] or NONE)
-      before[machine] = rec
+    if type(rec) ~= "table" then
+      error(("record %d: table expected, got %s"):format(i, type(rec)), 0)
     end
-    list[i] = rec
+    list[i] = i > 1 and lengthen(rec, before) or rec
   end
-  if header.record == journal.VERSION then header.record = 1 end
   return list
 end
 
@@ -219,7 +260,8 @@ function journal.read(name, number)
     error(("run: number from 1 to %d expected, got %s"):format(#runs,
       rfsm.text_of(number)), 0)
   end
-  return expand(run), { runs = #runs, is_cut = run.is_cut }
+  return expand(run), { runs = #runs, is_cut = run.is_cut,
+    has_end = run.has_end }
 end
 
 return journal

@@ -23,8 +23,6 @@ local list_text, leaf_text, same = tracks.list_text, tracks.leaf_text, tracks.sa
 --- A machine that is being replayed.
 ---@class rfsm.record.Session
 ---@field records rfsm.record.Record[] of the outermost machine
----@field inner table<integer, rfsm.record.Record[]> of its regions
----@field step_of table<rfsm.record.Record, integer> the iteration around each of those
 ---@field at integer how many records have been replayed
 ---@field last integer how many are to be replayed
 ---@field is_dry boolean
@@ -70,9 +68,9 @@ local function next_record(session, track)
   local rec = track.records[track.at + 1]
   if track.m == nil then
     local is_over = session.problem or session.at >= session.last
-    if is_over or rec.fresh and not track.is_fresh then error(STOP, 0) end
-    track.is_fresh = false
-  elseif not rec or session.step_of[rec] ~= session.at + 1 then
+    if is_over or rec.from and not track.is_put then error(STOP, 0) end
+    track.is_put = false
+  elseif not rec then
     depart(session, "machine %d in a sequential AND state takes a step that was not "
       .. "recorded", track.m)
     error(STOP, 0)
@@ -81,12 +79,26 @@ local function next_record(session, track)
   return rec
 end
 
+-- Gives the regions their records in an iteration.
+local function hand_out(session, inner)
+  for i = 2, #session.tracks do
+    session.tracks[i].at, session.tracks[i].records = 0, {}
+  end
+  for _, rec in ipairs(inner) do
+    local track = session.tracks[rec.m + 1]
+    if track then tracks.note(track, "records", rec) end
+  end
+end
+
 local function begin_again(session, track, events)
   local rec = next_record(session, track)
   track.rec, track.guard_at = rec, 0
   fill(session, events, rec.events)
   if rec.had then snapshot.put_data(track.fsm, rec.had) end
-  if track.m == nil then session.readings = { unpack(rec.clock or {}) } end
+  if track.m == nil then
+    session.readings = { unpack(rec.clock or {}) }
+    hand_out(session, rec.inner or {})
+  end
   if rec.reset and session.is_dry then rfsm.reset(track.fsm) end
 end
 
@@ -183,12 +195,12 @@ local function answer_again(session, track, is_called, number, guard, tr, events
 end
 
 -- A doo that ends when the recorded one ended or failed. Its e_done is in the record.
-local function doo_again(session, track)
+local function doo_again(track)
   return function(_, state)
     while true do
-      local rec, following = track.rec, track.records[track.at + 1]
+      local rec = track.rec
       if rec and rec.done and rec.leaf == state._fqn then return end
-      rfsm.yield(not (track.m and session.step_of[following] == session.at + 1))
+      rfsm.yield(not (track.m and track.records[track.at + 1]))
     end
   end
 end
@@ -214,32 +226,50 @@ local function add_player(track, session, options)
   local fsm = track.fsm
   track.numbers = numbers_of(track, session)
   track.at, track.guard_at = 0, 0
-  track.records = track.m and (session.inner[track.m] or {}) or session.records
+  track.records = track.m and {} or session.records
   if session.is_dry then
     for _, state in ipairs(instrument.take_functions(track.changes, fsm)) do
-      instrument.put(track.changes, state, "doo", doo_again(session, track))
+      instrument.put(track.changes, state, "doo", doo_again(track))
     end
   end
-  function track.begin(_, events) begin_again(session, track, events) end
-  function track.finish() finish_again(session, track) end
+  function track.began(events) begin_again(session, track, events) end
+  function track.finished() finish_again(session, track) end
   function track.reset() end
+  function track.failed() end
   function track.getevents() return no_events end
   function track.clock() return session.clock end
   function track.guard(...) return answer_again(session, track, options.guards, ...) end
 end
 
+local function itself(snap) return snap end
+
+-- Puts a machine where a recording, or a part of it, begins.
+local function put(session, fsm, from)
+  session.readings = { unpack(from.clock or {}) }
+  return snapshot.put(fsm, from.snapshot,
+    { migrate = session.options.migrate and itself or nil })
+end
+
+-- Takes a step. Returns whether that was recorded, too.
+local function take_step(session, track)
+  local before, from = session.at, session.records[session.at + 1].from
+  local ok, failure = true, nil
+  if from then ok, failure = put(session, track.fsm, from) end
+  track.is_put = ok
+  if ok then ok, failure = calls.try(rfsm.step, track.fsm) end
+  if not ok and not rawequal(failure, STOP) then
+    depart(session, "%s", reason(failure))
+  elseif session.at == before then
+    depart(session, "the machine takes no step")
+  end
+  return not session.problem
+end
+
 -- Advances the machine to the end of the recording, or to where it departs from it.
 local function run(session, track)
-  while session.at < session.last and not session.problem do
-    local before = session.at
-    track.is_fresh = session.records[before + 1].fresh
-    if track.is_fresh then rfsm.reset(track.fsm) end
-    local ok, failure = calls.try(rfsm.step, track.fsm)
-    if not ok and not rawequal(failure, STOP) then
-      depart(session, "%s", reason(failure))
-    elseif session.at == before then
-      depart(session, "the machine takes no step")
-    end
+  local each = session.options.each or function() end
+  while session.at < session.last and take_step(session, track) do
+    each(track.fsm, session.records[session.at])
   end
 end
 
@@ -251,25 +281,18 @@ local function quiet(model)
   return setmetatable(copy, getmetatable(model))
 end
 
--- Splits a recording: the records of the machine, and those of its regions by number.
 local function new_session(recording, options)
-  local session = { records = {}, inner = {}, step_of = {}, at = 0, last = 0,
+  local session = { records = {}, at = 0, last = 0, options = options,
     is_dry = options.dry and true or false, guards = recording[1].guards,
     problem = nil }
+  for i = 2, #recording do session.records[i - 1] = recording[i] end
   session.clock = clock.new(function() return read_again(session) end)
-  for i = 2, #recording do
-    local rec = recording[i]
-    session.step_of[rec] = #session.records + 1
-    tracks.note(rec.m and session.inner or session, rec.m or "records", rec)
-  end
   session.last = options.to or #session.records
   session.last = min(max(session.last, 0), #session.records)
   return session
 end
 
-local function itself(snap) return snap end
-
-local function begin(session, model, header, options)
+local function begin(session, model, header)
   local fsm, problem = rfsm.init(session.is_dry and quiet(model) or model)
   if not fsm then
     session.problem = problem
@@ -279,10 +302,8 @@ local function begin(session, model, header, options)
   for _, at in ipairs(rfsm.machines(fsm)) do
     instrument.put(changes, at.machine, "gettime", session.clock)
   end
-  session.readings = { unpack(header.clock or {}) }
   local ok
-  ok, problem = snapshot.put(fsm, header.snapshot,
-    { migrate = options.migrate and itself or nil })
+  ok, problem = put(session, fsm, header)
   instrument.give_back(changes)
   session.fsm, session.problem = ok and fsm or nil, problem
 end
@@ -290,15 +311,14 @@ end
 local function go_through(session)
   run(session, session.tracks[1])
   if session.problem then return end
-  local ok, snap = calls.try(snapshot.take, session.fsm)
-  if ok then session.snap = snap else session.unsaved = text_of(snap) end
+  session.snap, session.unsaved = snapshot.try_take(session.fsm)
 end
 
 --- Run a machine through a recording, which was checked; the session has the machine, a
 -- snapshot of it, or a problem.
 return function(model, recording, options)
   local session = new_session(recording, options)
-  begin(session, model, recording[1], options)
+  begin(session, model, recording[1])
   if session.problem then return session end
   session.tracks = tracks.attach(session.fsm, add_player, session, options)
   if options.watch then options.watch(session.fsm) end

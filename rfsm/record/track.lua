@@ -10,6 +10,7 @@ local order = require "rfsm.shared.order"
 local encoding = require "rfsm.snapshot.encoding"
 local rfsm = require "rfsm"
 local instrument = require "rfsm.shared.instrument"
+local stream = require "rfsm.observe.stream"
 
 local ipairs = ipairs
 local rawequal, rawget, select, tostring = rawequal, rawget, select, tostring
@@ -74,16 +75,6 @@ function track.note(t, field, ...)
   for i = 1, select("#", ...) do list[#list + 1] = (select(i, ...)) end
 end
 
---- Drop the records after iteration number `count`.
-function track.truncate(records, count)
-  local kept = 1
-  for i = 2, #records do
-    if not records[i].m then count = count - 1 end
-    if count >= 0 and not records[i].m then kept = i end
-  end
-  for i = #records, kept + 1, -1 do records[i] = nil end
-end
-
 -- Changes of data that the chart keeps, and of targets -------------------------------
 
 --- Return the values of a machine that `may_have_changed` compares.
@@ -128,9 +119,10 @@ end
 ---@field fsm rfsm.Machine
 ---@field m integer|nil its number, if it is a region
 ---@field rec rfsm.record.Record|false of the present iteration
----@field begin function the pre step hook
----@field finish function the post step hook
----@field reset function the reset hook
+---@field began fun(events: any[])
+---@field finished fun(events: any[])
+---@field reset fun()
+---@field failed fun(element: table, name: string)
 ---@field guard function called in place of each guard: number, guard, arguments
 ---@field clock fun(own: function?): function returns a clock in place of its own
 ---@field getevents fun(own: function): function|nil likewise getevents
@@ -153,17 +145,6 @@ function track.wrap(own)
   if rawget(fsm, "getevents") then wrap(own, "getevents", own.getevents) end
 end
 
-local function replace_guards(own)
-  for number, tr in ipairs(rfsm.elements(own.fsm, rfsm.is_trans)) do
-    local guard = tr.guard
-    if guard then
-      instrument.put(own.changes, tr, "guard", function(_, events)
-        return own.guard(number, guard, tr, events)
-      end)
-    end
-  end
-end
-
 --- Return the guards of a machine and its regions, nil if there are none: for each
 -- machine a list { number, text, number, text ... }.
 function track.guard_texts(fsm)
@@ -180,26 +161,39 @@ function track.guard_texts(fsm)
   return has_some and lists or nil
 end
 
+-- Returns the numbers of the transitions of a machine.
+local function numbers_of(fsm)
+  local numbers = {}
+  for i, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do numbers[tr] = i end
+  return numbers
+end
+
 --- Make the tracks of a machine and its regions, by add(track, ...).
 function track.attach(fsm, add, ...)
-  local tracks = {}
+  local tracks, of = {}, {}
   for i, at in ipairs(rfsm.machines(fsm)) do
-    local machine = at.machine
-    local own = { fsm = machine, m = i > 1 and i - 1 or nil, rec = false, changes = {},
-      wrapped = {} }
+    local own = { fsm = at.machine, m = i > 1 and i - 1 or nil, rec = false,
+      changes = {}, wrapped = {}, number_of = numbers_of(at.machine) }
     add(own, ...)
     track.wrap(own)
-    replace_guards(own)
-    instrument.hook(own.changes, machine, "pre_step", own.begin, "before")
-    instrument.hook(own.changes, machine, "post_step", own.finish, "before")
-    instrument.hook(own.changes, machine, "reset", own.reset)
-    tracks[i] = own
+    tracks[i], of[at.machine] = own, own
   end
+  tracks.stream = stream.follow(fsm, {
+    began = function(at, events) of[at.machine].began(events) end,
+    finished = function(at, events) of[at.machine].finished(events) end,
+    reset = function(at) of[at.machine].reset() end,
+    failed = function(at, ...) of[at.machine].failed(...) end,
+    guard = function(at, tr, guard, events)
+      local own = of[at.machine]
+      return own.guard(own.number_of[tr], guard, tr, events)
+    end,
+  })
   return tracks
 end
 
 --- Leave the machines as they were.
 function track.detach(tracks)
+  if tracks.stream then tracks.stream:stop() end
   for _, own in ipairs(tracks) do instrument.give_back(own.changes) end
 end
 

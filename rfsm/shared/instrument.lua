@@ -32,11 +32,19 @@ function instrument.listen(changes, fsm, name, note)
 end
 
 --- Add a hook of a kind to a machine: "pre_step" and "post_step" of each iteration,
--- "path", "watch", "reset". The hook keeps no list of events.
+-- "path", "reset". The hook keeps no list of events.
 function instrument.hook(changes, fsm, kind, hook, where)
   rfsm[kind .. "_hook_add"](fsm, rfsm.borrows(hook), where)
   changes[#changes + 1] = { remove = function()
     rfsm[kind .. "_hook_rm"](fsm, hook)
+  end }
+end
+
+--- Add a watch hook.
+function instrument.watch(changes, fsm, what, hook)
+  rfsm.watch_hook_add(fsm, what, hook)
+  changes[#changes + 1] = { remove = function()
+    rfsm.watch_hook_rm(fsm, what, hook)
   end }
 end
 

@@ -84,15 +84,17 @@ end, { completes = "events" })
 add("ses(...)", "send events, then step()", [[
 Example: ses e_push    or, in Lua, ses("e_push")]],
 function(sim, ...)
+  history.mark(sim)
   sim:send(...)
-  advance(sim, 1)
+  sim:advance(1)
 end, { completes = "events" })
 
 add("ser(...)", "send events, then run()", [[
 Example: ser e_push    or, in Lua, ser("e_push")]],
 function(sim, ...)
+  history.mark(sim)
   sim:send(...)
-  advance(sim)
+  sim:advance()
 end, { completes = "events" })
 
 group "Look"
@@ -197,7 +199,7 @@ group "Back"
 
 add("back([n])", "undo the last n advances (1)", [[
 No function of the chart is called. Variables of the chart keep their values, except
-those that its states `keep`. Events that were sent since are forgotten.]],
+those that its states `keep`; a doo begins anew.]],
 function(sim, n)
   history.back(sim, n or 1)
   sim:show()
@@ -215,18 +217,18 @@ local function go_to(sim, n)
   sim:show()
 end
 
-add("goto(n)", "go to where iteration n ended", [[
+add("goto(n)", "go to where advance n ended; goto 0: to the beginning", [[
 history() has the numbers. For the rest see back. goto is a word of Lua since 5.2:
 where a line is more than this command, it is called go_to(n).]], go_to)
 
 add("go_to(n)", "the same in Lua", "", go_to)
 
-add("history([n])", "list the last n iterations (20)", [[
-The number, the events, also those of timers, and the active leaf at its end. The last
-40,000 iterations are kept.]],
+add("history([n])", "list the last n advances (20)", [[
+The number, the events, also those of timers, and the active leaf at its end. The oldest
+are forgotten when all take more than 32 MiB.]],
 function(sim, n) history.show(sim, check("history", n or 20, "number")) end)
 
-add("record(file)", "write the history to a file, and all that follows", [[
+add("record(file)", "write what follows to a file", [[
 `rfsm sim --replay file` runs the chart through it. record(false) ends it.
 Example: record run.jsonl]],
 function(sim, file)

@@ -1,248 +1,83 @@
---- The history of a session: each iteration is recorded, to go back and forward to it.
---
--- It consists of chunks, each a recording that begins with a snapshot. To go to an
--- iteration, one chunk is replayed without the functions of the chart, and the machine
--- of the session gets a snapshot of the replayed one. So the time does not depend on
--- the length of the history, and the oldest chunk may be forgotten.
+--- The history of a session: the places where advances have ended, and its recordings.
 --
 -- @module rfsm.sim.history
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local calls = require "rfsm.shared.calls"
 local record = require "rfsm.record"
-local journal = require "rfsm.record.journal"
 local replay = require "rfsm.record.replay"
+local rewind = require "rfsm.observe.rewind"
 local snapshot = require "rfsm.snapshot"
-local terminal = require "rfsm.sim.terminal"
 local tracks = require "rfsm.record.track"
-local order = require "rfsm.shared.order"
 
-local error, io, ipairs = error, io, ipairs
+local error, io, ipairs, type = error, io, ipairs, type
 local max, min = math.max, math.min
-local pcall, print, type = pcall, print, type
-local concat, remove = table.concat, table.remove
+local print = print
+local concat = table.concat
 local text_of = rfsm.text_of
 
-local history = { CHUNK = 500, LIMIT = 40000 } -- iterations: in a chunk, in all
+local history = { BYTES = nil } -- of the places; nil: what rewind has
 
---- A recording of some iterations.
----@class rfsm.sim.Chunk
----@field first integer the number of the iteration before it
----@field count integer iterations in it
----@field list table[] the records, as of `rfsm.record`
+local START = { sec = 0, nsec = 0 } -- of the simulated time
 
---- The beginning of an advance.
----@class rfsm.sim.Mark
----@field count integer
----@field sec? number simulated time
----@field nsec? number
----@field is_fresh boolean the machine was not entered
-
---- The chunks and advances of a session.
----@class rfsm.sim.History
----@field chunks rfsm.sim.Chunk[] the oldest first; at the end those undone by `back`
----@field fresh rfsm.sim.Chunk|false the next chunk, which has no iteration yet
----@field count integer iterations up to now
----@field last integer the same, and the iterations that were undone
----@field marks rfsm.sim.Mark[] of the advances, also of those undone
----@field at integer how many advances are not undone
----@field tip? rfsm.sim.Mark the end of the last advance, once `back` has left it
----@field recorder? rfsm.record.Recorder nil while nothing is recorded
----@field problem? string the reason why nothing is recorded
----@field write? fun(rec: table) writes to a file, too
----@field file? file*
----@field name? string
-
--- Chunks --------------------------------------------------------------------------
-
-local function stop(own)
-  if own.recorder then own.recorder:stop() end
-  own.recorder = nil
+local function about(sim)
+  local leaf, now = sim.fsm._act_leaf, sim.time and sim.time.passed or START
+  return { came = sim.came, sec = now.sec, nsec = now.nsec,
+    leaf = leaf and tracks.leaf_text(leaf._fqn, leaf._mode == "done") or "<none>" }
 end
 
-local function first_of(own) return own.chunks[1] and own.chunks[1].first or 0 end
-
-local function forget(own)
-  while own.chunks[2] and own.last - first_of(own) > history.LIMIT do
-    remove(own.chunks, 1)
-  end
-  while own.marks[1] and own.marks[1].count < first_of(own) do
-    remove(own.marks, 1)
-    own.at = own.at - 1
-  end
-end
-
-local function drop_future(own)
-  for i = #own.marks, own.at + 1, -1 do own.marks[i] = nil end
-  own.tip = nil
-  if own.count == own.last then return end
-  for i = #own.chunks, 1, -1 do
-    local chunk = own.chunks[i]
-    if chunk.first >= own.count and i > 1 then
-      own.chunks[i] = nil
-    elseif chunk.first + chunk.count > own.count then
-      chunk.count = own.count - chunk.first
-      tracks.truncate(chunk.list, chunk.count)
-    end
-  end
-  own.last = own.count
-end
-
-local function add(own, rec)
-  if rec.record then
-    own.fresh = { first = own.count, count = 0, list = { rec } }
-    return
-  end
-  if own.fresh then
-    drop_future(own)
-    own.chunks[#own.chunks + 1], own.fresh = own.fresh, false
-    forget(own)
-  end
-  local chunk = own.chunks[#own.chunks]
-  chunk.list[#chunk.list + 1] = rec
-  if own.write then own.write(rec) end
-  if rec.m then return end
-  own.count, chunk.count = own.count + 1, chunk.count + 1
-  own.last = own.count
-end
-
--- Records from now on, in a new chunk.
-local function continue(sim)
-  local own = sim.history
-  local ok, result = pcall(record.record, sim.fsm, function(rec) add(own, rec) end)
-  own.recorder = ok and result or nil
-  own.problem = not ok and text_of(result) or nil
-end
-
---- Begin a history.
-function history.start(sim)
-  if sim.history then stop(sim.history) end
-  sim.history = { chunks = {}, fresh = false, count = 0, last = 0, marks = {}, at = 0 }
-  continue(sim)
-end
-
---- Call a function while nothing is recorded, and the guards are those of the chart.
-function history.pause(sim, f)
-  stop(sim.history)
-  local ok, failure = pcall(f)
-  continue(sim)
-  if not ok then error(failure, 0) end
-end
-
---- Begin a new chunk if the last one is long enough; between two steps.
-function history.cut(sim)
-  local own = sim.history
-  local chunk = own.chunks[#own.chunks]
-  if own.recorder and not own.fresh and chunk and chunk.count >= history.CHUNK then
-    terminal.uninterrupted(function()
-      stop(own)
-      continue(sim)
-    end)
-  end
-end
-
--- Marks: where advances begin -----------------------------------------------------
-
-local function new_mark(sim)
+local function set_time(sim, place)
   local now = sim.time and sim.time.passed or {}
-  return { count = sim.history.count, sec = now.sec, nsec = now.nsec,
-    is_fresh = not sim.fsm._act_leaf }
+  now.sec, now.nsec = place.sec, place.nsec
+end
+
+--- Begin a history. A recording goes on with another run.
+function history.start(sim)
+  sim.came = {}
+  sim.history = rewind.new(sim.fsm, { bytes = history.BYTES,
+    about = function() return about(sim) end,
+    prepare = function(place) set_time(sim, place) end })
+  if not sim.recorder then return end
+  sim.recorder:stop()
+  sim.recorder = record.record(sim.fsm, sim.recorder.name)
 end
 
 --- Note that an advance begins.
 function history.mark(sim)
-  local problem = sim.history.problem
-  if not sim.history.recorder then -- a gap cannot be replayed
-    history.start(sim)
-    sim.history.problem = problem
+  sim.history:leave()
+  sim.came = {}
+  if sim.recorder then sim.recorder:go_on() end
+end
+
+--- Let the guards be those of the chart, up to the next advance.
+function history.pause(sim)
+  if sim.recorder then sim.recorder:pause() end
+end
+
+--- Note the events of the present advance.
+function history.note_events(sim, events)
+  for _, event in ipairs(tracks.pack_events(events) or {}) do
+    sim.came[#sim.came + 1] = text_of(type(event) == "table" and event[2] or event)
   end
-  history.cut(sim)
-  local own = sim.history
-  drop_future(own)
-  own.at = own.at + 1
-  own.marks[own.at] = new_mark(sim)
-end
-
--- Returns how many marks are before iteration n.
-local function count_marks(own, n)
-  local i = #own.marks
-  while i > 0 and own.marks[i].count >= n do i = i - 1 end
-  return i
-end
-
--- Sets the simulated time to that of a mark; returns the time before.
-local function set_time(time, mark)
-  if not (time and mark and mark.sec) then return nil end
-  local now = time.passed
-  local before = { sec = now.sec, nsec = now.nsec }
-  now.sec, now.nsec = mark.sec, mark.nsec
-  return before
 end
 
 -- Go to ---------------------------------------------------------------------------
 
--- Replays records with a model that prints nothing.
-local function replay_list(sim, list, options)
-  local model = sim.model
-  local info, warn = model.info, model.warn
-  model.info, model.warn, options.migrate = false, false, true
-  local ok, session = pcall(replay, model, list, options)
-  model.info, model.warn = info, warn
-  if not ok then error(session, 0) end
-  return session.snap, session.problem or session.unsaved, session.fsm and session.at
+local function go(sim, number)
+  local place, problem = sim.history:go(number)
+  if not place then error("goto: " .. text_of(problem), 0) end
+  sim.came = place.about.came
 end
 
-local function put(sim, snap)
-  local ok, problem, difference = snapshot.put(sim.fsm, snap)
-  if ok then return end
-  if difference then
-    problem = "the machine has changed, " .. concat(difference, ", ")
-  end
-  error("goto: " .. problem, 0)
-end
-
--- Returns the last chunk that begins with or before iteration n.
-local function find_chunk(own, n)
-  local i = #own.chunks
-  while i > 1 and own.chunks[i].first > n do i = i - 1 end
-  return own.chunks[i]
-end
-
--- Puts the machine into its state after iteration n, at the time of a mark.
-local function move(sim, n, mark)
-  local own, chunk = sim.history, find_chunk(sim.history, n)
-  if not (own.recorder or chunk) then
-    error("goto: nothing was recorded: " .. text_of(own.problem), 0)
-  end
-  if own.count == own.last then own.tip = own.tip or new_mark(sim) end
-  if not chunk then return end -- nothing has happened
-  history.pause(sim, function()
-    local before = set_time(sim.time, mark)
-    local snap, problem = replay_list(sim, chunk.list,
-      { dry = true, to = n - chunk.first })
-    if not snap then
-      set_time(sim.time, before)
-      error("goto: " .. text_of(problem), 0)
-    end
-    put(sim, snap)
-    own.count = n
-  end)
-  if own.file then history.save(sim, own.name) end
-end
-
---- Put the machine into its state after iteration n.
+--- Put the machine into its place after advance n.
 function history.go_to(sim, n)
-  local own = sim.history
-  local first = first_of(own)
-  if type(n) ~= "number" or n < first or n > own.last or n % 1 ~= 0 then
-    error(("goto: number of an iteration from %d to %d expected, got %s"):format(first,
-      own.last, text_of(n)), 0)
+  local way = sim.history
+  if type(n) ~= "number" or n < way.first or n > way.last or n % 1 ~= 0 then
+    error(("goto: number of an advance from %d to %d expected, got %s"):format(
+      way.first, way.last, text_of(n)), 0)
   end
-  local at = count_marks(own, n)
-  local following = own.marks[at + 1]
-  local mark = following and following.count == n and following or own.marks[at]
-  move(sim, n, n == own.last and own.tip or mark)
-  own.at = at
+  go(sim, n)
 end
 
 local function check_count(name, n)
@@ -251,119 +86,69 @@ local function check_count(name, n)
   end
 end
 
--- Goes to where advance `at` has ended.
-local function move_to_mark(sim, at)
-  local own = sim.history
-  local mark = own.marks[at + 1] or own.tip
-  move(sim, mark.count, mark)
-  own.at = at
-  if mark.is_fresh then rfsm.reset(sim.fsm) end
-end
-
 --- Undo the last advances.
 function history.back(sim, n)
-  local at = sim.history.at
+  local way = sim.history
   check_count("back", n)
-  if at == 0 then error("back: nothing was done", 0) end
-  move_to_mark(sim, max(at - n, 0))
+  if way.at == way.first then error("back: nothing was done", 0) end
+  go(sim, max(way.at - n, way.first))
 end
 
 --- Do again what `back` has undone.
 function history.forward(sim, n)
-  local at, last = sim.history.at, #sim.history.marks
+  local way = sim.history
   check_count("forward", n)
-  if at == last then error("forward: nothing was undone", 0) end
-  move_to_mark(sim, min(at + n, last))
+  if way.at == way.last then error("forward: nothing was undone", 0) end
+  go(sim, min(way.at + n, way.last))
 end
 
--- Files ---------------------------------------------------------------------------
+-- Recordings ----------------------------------------------------------------------
 
--- Returns the first record of a chunk in a file with one header for all chunks.
-local function continued(rec, header)
-  if header.snapshot.leaf or rec.m then return rec end
-  local copy = { fresh = true }
-  for key, value in order.each(rec) do copy[key] = value end -- any order: a copy
-  return copy
-end
-
--- Calls f(record) for the records up to now, with one header.
-local function each_record(own, f)
-  if not own.chunks[1] and own.fresh then f(own.fresh.list[1]) end
-  for i, chunk in ipairs(own.chunks) do
-    local n, is_first = chunk.first, i > 1
-    if i == 1 then f(chunk.list[1]) end
-    for j = 2, #chunk.list do
-      local rec = chunk.list[j]
-      if n >= own.count then return end
-      f(is_first and continued(rec, chunk.list[1]) or rec)
-      if not rec.m then n, is_first = n + 1, false end
-    end
-  end
-end
-
---- Write the history to a file, and all that follows; without a name, end that.
+--- Write what follows to a file; without a name, end that.
 function history.save(sim, name)
-  local own = sim.history
-  if own.file then own.file:close() end
-  own.file, own.write, own.name = nil, nil, name
+  if sim.recorder then sim.recorder:stop() end
+  sim.recorder = nil
   if not name then return end
   local file, problem = io.open(name, "w")
   if not file then error("record: " .. problem, 0) end
-  own.file, own.write = file, journal.writer(file)
-  each_record(own, own.write)
+  file:close()
+  local ok, recorder = calls.try(record.record, sim.fsm, name)
+  if not ok then error("record: " .. text_of(recorder), 0) end
+  sim.recorder = recorder
 end
 
-local function count_iterations(list)
-  local count = 0
-  for i = 2, #list do
-    if not list[i].m then count = count + 1 end
-  end
-  return count
-end
-
---- Run the chart through the recording in a file. Raises an error if the run departs
--- from it; the machine stays at that iteration.
+--- Run the chart through the recording in a file, each step an advance; return the
+-- number of steps, and a problem if the run departs from it.
 function history.replay(sim, name)
-  local list, about = record.read(name)
-  local own, is_dry = sim.history, sim.saved ~= nil
-  stop(own)
-  local snap, problem, step = replay_list(sim, list, { dry = is_dry })
-  if not snap and step then
-    snap = replay_list(sim, list, { dry = true, to = step })
-  end
-  if not snap then error(name .. ": " .. text_of(problem), 0) end
-  put(sim, snap)
-  if problem then tracks.truncate(list, step) end
-  own.count = count_iterations(list)
-  own.last, own.chunks = own.count, { { first = 0, count = own.count, list = list } }
-  continue(sim)
-  if problem then error(name .. ": " .. text_of(problem), 0) end
-  if about.is_cut then error(name .. ": the last line was cut off", 0) end
+  local list, run = record.read(name)
+  local model = sim.model
+  local info, warn = model.info, model.warn
+  model.info, model.warn = false, false
+  local ok, session = calls.try(replay, model, list, { dry = sim.saved ~= nil,
+    migrate = true, each = function(fsm, rec)
+      history.mark(sim)
+      history.note_events(sim, rec.events or {})
+      history.note_events(sim, rec.added or {})
+      local is_put, problem = snapshot.put(sim.fsm, snapshot.take(fsm))
+      if not is_put then error(problem, 0) end
+    end })
+  model.info, model.warn = info, warn
+  if not ok then error(session, 0) end
+  return session.at, session.problem or session.unsaved
+    or run.is_cut and "the last line was cut off" or nil
 end
 
 -- Show ----------------------------------------------------------------------------
 
-local function add_texts(texts, events)
-  for _, event in ipairs(events or {}) do
-    texts[#texts + 1] = text_of(type(event) == "table" and event[2] or event)
-  end
-  return texts
-end
-
---- Print so many of the last iterations.
+--- Print so many of the last advances.
 function history.show(sim, last)
-  local own = sim.history
-  local n = first_of(own)
-  each_record(own, function(rec)
-    if rec.record or rec.m then return end
-    n = n + 1
-    if n > own.count - last then
-      local events = add_texts(add_texts({}, rec.events), rec.added)
-      print(("%4d  %-30s  %s"):format(n, concat(events, ", "),
-        rec.leaf and tracks.leaf_text(rec.leaf, rec.done) or "<none>"))
-    end
-  end)
-  if own.problem then print(own.problem) end
+  local way = sim.history
+  local problem = way:note().problem
+  for number = max(way.first, way.at - last + 1, 1), way.at do
+    local place = way[number].about
+    print(("%4d  %-30s  %s"):format(number, concat(place.came, ", "), place.leaf))
+  end
+  if problem then print(problem) end
 end
 
 return history

@@ -74,7 +74,7 @@ function Observer:detach() self.stream:stop() end
 --- List the events that no transition has taken and that no queue holds, as they came.
 function Observer:discarded()
   local is_pending, list = {}, {}
-  for _, at in ipairs(rfsm.machines(self.sim.fsm)) do
+  for _, at in ipairs(self.stream.machines) do
     for _, event in ipairs(at.machine._intq) do is_pending[event] = true end
   end
   for _, event in ipairs(self.seen) do

@@ -25,7 +25,7 @@ local values = require "rfsm.observe.values"
 local error, ipairs, pcall, print = error, ipairs, pcall, print
 local rawget, select, setmetatable = rawget, select, setmetatable
 local type = type
-local min, concat = math.min, table.concat
+local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local complain, text_of = terminal.complain, rfsm.text_of
 
@@ -41,7 +41,9 @@ local complain, text_of = terminal.complain, rfsm.text_of
 ---@field hooks (fun(fsm: rfsm.Machine))[] called after each advance
 ---@field points rfsm.observe.Breakpoint[] breakpoints and expressions that are watched
 ---@field picture? string|false file that is kept up to date
----@field history rfsm.sim.History
+---@field history rfsm.observe.Rewind
+---@field came string[] events of the advance
+---@field recorder? rfsm.record.Recorder
 ---@field time? rfsm.sim.Time the simulated clock
 ---@field saved? table[] changes of `dry`
 ---@field env table what typed code sees: the commands, then the globals
@@ -72,10 +74,16 @@ function Session:print_active()
   print("active: " .. (leaf and leaf._fqn .. "(" .. leaf._mode .. ")" or "<none>"))
 end
 
+local function print_events(title, events)
+  local texts = {}
+  for i = 1, #events do texts[i] = text_of(events[i]) end
+  print(title .. concat(texts, ", "))
+end
+
 function Session:print_queue()
-  local queue, texts = self.fsm._intq, {}
-  for i = 1, #queue do texts[i] = text_of(queue[i]) end
-  print("queue:  " .. concat(texts, ", "))
+  local waiting = rfsm.waiting(self.fsm)
+  print_events("queue:  ", self.fsm._intq)
+  if waiting[1] ~= nil then print_events("waiting:  ", waiting) end
 end
 
 --- Show the active states and the queue.
@@ -95,50 +103,45 @@ end
 
 --- Keep a picture up to date from now on; false ends that.
 function Session:draw(file)
-  local problem = nil
-  history.pause(self, function() problem = file and drawing.draw(self.fsm, file) end)
+  history.pause(self)
+  local problem = file and drawing.draw(self.fsm, file)
   self.picture = not problem and file
   if problem then complain("view: " .. problem) end
 end
 
--- Advances up to a breakpoint, or in parts, one for each chunk of the history. Returns
--- true if the machine is idle.
-local function advance_in_parts(observed, sim, n)
-  local fsm, left, part = sim.fsm, n, sim.points[1] and 1 or history.CHUNK
-  local is_idle
-  repeat
-    is_idle = rfsm.step(fsm, min(left, part))
-    left = left - part
-    history.cut(sim)
-  until is_idle or left < 1 or observed.is_hit or not fsm._act_leaf
-  -- not entered: it was reset, or cannot be entered; then the rest ends at once
-  if is_idle or left < 1 or sim.points[1] then return is_idle end
-  return rfsm.step(fsm, left)
-end
-
--- The same, but with one call if records are shown or the chart has an idle hook, with
--- which a machine is never idle.
+-- Advances up to a breakpoint, or until the machine is not entered. Returns whether it
+-- is idle; with an idle hook it never is.
 local function advance(sim, observed, n)
-  local is_whole = sim.level or sim.fsm.idle_hook
-  if not is_whole or sim.points[1] then return advance_in_parts(observed, sim, n) end
-  return rfsm.step(sim.fsm, n) and not sim.fsm.idle_hook
+  local fsm = sim.fsm
+  if not sim.points[1] then return rfsm.step(fsm, n) and not fsm.idle_hook end
+  for _ = 1, n do
+    if rfsm.step(fsm) then return true end
+    if observed.is_hit or not fsm._act_leaf then return false end
+  end
+  return false
 end
 
 local MAX_RUN = 10000 -- iterations: a chart may have no end
+
+function Session:print_hits(observed)
+  for i, point in ipairs(self.points) do
+    if observed.hits[i] then
+      print(("stopped at %d: %s %s"):format(i, point.kind, point.name))
+    end
+  end
+end
 
 --- Advance by n steps, or until the machine is idle, and show the result, also if that
 -- failed.
 function Session:advance(n)
   local observed = observer.attach(self, self.follows and not self.level)
   local ok, result = pcall(advance, self, observed, n or MAX_RUN)
+  if not ok then calls.try(rfsm.check_between_steps, self.fsm, "advance") end
   observed:detach()
+  history.note_events(self, observed.seen)
   self:print_discarded(observed:discarded())
   self:show()
-  for i, point in ipairs(self.points) do
-    if observed.hits[i] then
-      print(("stopped at %d: %s %s"):format(i, point.kind, point.name))
-    end
-  end
+  self:print_hits(observed)
   if ok and not (n or result or observed.is_hit) and self.fsm._act_leaf then
     print("stopped after 10,000 iterations, 'run' goes on")
   end
@@ -250,10 +253,9 @@ end
 
 --- Take the functions of the chart away, or give them back.
 function Session:set_dry(is_dry)
-  history.pause(self, function()
-    instrument.give_back(self.saved or {})
-    self.saved = is_dry and take_functions(self.fsm) or nil
-  end)
+  history.pause(self)
+  instrument.give_back(self.saved or {})
+  self.saved = is_dry and take_functions(self.fsm) or nil
 end
 
 --- Read the chart anew. If that fails the machine stays.

@@ -9,12 +9,13 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local calls = require "rfsm.shared.calls"
 local history = require "rfsm.sim.history"
 local prompt = require "rfsm.sim.prompt"
 local session = require "rfsm.sim.session"
 local terminal = require "rfsm.sim.terminal"
 
-local io, ipairs, pcall, print = io, ipairs, pcall, print
+local io, ipairs, print = io, ipairs, print
 local complain = terminal.complain
 
 local rfsm_sim = { VERSION = rfsm._VERSION:match("%S+$") }
@@ -34,13 +35,17 @@ end
 
 -- Runs the machine through a recording; returns false if that cannot be read.
 local function replay(sim, file)
-  local ok, problem = pcall(history.replay, sim, file)
-  if not ok then complain("rfsm sim: " .. rfsm.text_of(problem)) end
-  if sim.history.count > 0 then
-    print(("replayed %d iterations of %s"):format(sim.history.count, file))
+  local ok, count, problem = calls.try(history.replay, sim, file)
+  if not ok then
+    complain("rfsm sim: " .. rfsm.text_of(count))
+    return false
+  end
+  if problem then complain("rfsm sim: " .. file .. ": " .. problem) end
+  if count > 0 then
+    print(("replayed %d iterations of %s"):format(count, file))
     sim:show()
   end
-  return ok or sim.history.count > 0
+  return not problem or count > 0
 end
 
 local function greet(is_terminal)

@@ -12,7 +12,7 @@ local pcall, print, rawget, require = pcall, print, rawget, require
 local tostring = tostring
 local concat = table.concat
 local debug = rawget(_G, "debug") or {}
-local getinfo, sethook = debug.getinfo, debug.sethook
+local sethook = debug.sethook
 local jit = rawget(_G, "jit")
 
 local terminal = {}
@@ -26,14 +26,11 @@ end
 -- Control-C, any number of times --------------------------------------------------
 --
 -- The interpreter alone survives only the first Control-C. So luaposix (or luv) counts
--- them, and a debug hook raises an error for each, also in a doo. If a callback catches
--- the error, the hook raises it again at each instruction until the callback has ended.
+-- them, and a debug hook raises an error for each, also in a doo.
 
 local PERIOD = 10000 -- VM instructions between two looks
 local counter -- luaposix or luv, once interrupts are caught
 local count, seen = 0, 0 -- Control-Cs typed, and raised as errors
-local is_pending = false -- an error was raised, and may have been caught by a callback
-local caught = false -- false, or the callback that may catch it: thread and depth
 local is_busy = false -- C code runs that calls back; an error must not leave it
 
 --- The source of the count.
@@ -89,56 +86,9 @@ function terminal.is_interrupted()
   return is_new
 end
 
--- The folder of this library, as sources of functions begin.
-local HOME = getinfo and getinfo(1, "S").source:match("^(@.*)rfsm/sim/terminal%.lua$")
-
--- Returns "chart" for a function of a chart or a typed one, "C", or "library".
-local function origin_of(source)
-  if source == "=[C]" then return "C" end
-  if source == "=stdin" or source == "=(command line)" then return "chart" end
-  if source:sub(1, 1) ~= "@" then return "library" end
-  if not HOME or source:sub(1, #HOME) ~= HOME then return "chart" end
-  local name = source:sub(#HOME + 1)
-  local is_ours = name:find("^rfsm/") or name:find("^rfsm[%w_]*%.lua$")
-  return is_ours and "library" or "chart"
-end
-
--- Returns where a callback runs: its thread, its depth on the stack (`depth`), that of
--- the running function (`now`), whether this function belongs to the chart
--- (`is_foreign`), and whether the library has called a callback at all (`is_there`).
-local function running_callback()
-  local level, last, is_complete = 3, nil, false
-  local info = getinfo(level, "S")
-  local is_foreign = origin_of(info.source) == "chart"
-  while info do
-    local origin = origin_of(info.source)
-    if origin == "chart" and not is_complete then last = level end
-    if origin == "library" and last then is_complete = true end
-    level = level + 1
-    info = getinfo(level, "S")
-  end
-  return { thread = coroutine.running() or "main", depth = level - (last or level),
-    now = level - 3, is_foreign = is_foreign, is_there = is_complete }
-end
-
--- Has the callback ended that may have caught the error?
-local function is_left(here)
-  return here.thread ~= caught.thread or here.now < caught.depth
-end
-
 function poll()
-  if is_busy then return end
-  local here = caught and running_callback()
-  if here and is_left(here) then
-    caught = false
-    sethook(poll, "", PERIOD)
-  elseif here and here.is_foreign then
-    error("interrupted!", 2)
-  end
-  if not terminal.is_interrupted() then return end
+  if is_busy or not terminal.is_interrupted() then return end
   print() -- behind the terminal's ^C
-  is_pending, caught = true, running_callback()
-  if caught.is_there then sethook(poll, "", 1) else caught = false end
   error("interrupted!", 2) -- the core knows this text
 end
 
@@ -151,11 +101,6 @@ function terminal.catch_interrupts()
   if jit then jit.off() end -- its code calls no hook
 end
 
---- Raise the error of Control-C again if it was raised since `settle`.
-function terminal.insist()
-  if is_pending then error("interrupted!", 0) end
-end
-
 --- Call a function that Control-C must not end; it is raised afterwards.
 function terminal.uninterrupted(f, ...)
   local was_busy = is_busy
@@ -165,9 +110,8 @@ function terminal.uninterrupted(f, ...)
   if not ok then error(failure, 0) end
 end
 
---- Forget the Control-C that was raised.
+--- Look for Control-C again, whatever has taken the debug hook.
 function terminal.settle()
-  is_pending, caught = false, false
   if counter then sethook(poll, "", PERIOD) end
 end
 
@@ -178,7 +122,7 @@ function terminal.is_caught() return counter ~= nil end
 function terminal.interruptible(callback)
   return function(...)
     sethook(poll, "", PERIOD)
-    return (callback(...)) -- no tail call: `running_callback` looks for this function
+    return callback(...)
   end
 end
 

@@ -41,19 +41,17 @@ end
 local function start(sim)
   if sim.time then return end
   local starts = { [true] = read(sim.fsm, true), [false] = read(sim.fsm, false) }
-  history.pause(sim, function()
-    sim.time = { passed = clock.simulated(), changes = {}, starts = starts }
-    time.install(sim, sim.fsm)
-  end)
+  history.pause(sim)
+  sim.time = { passed = clock.simulated(), changes = {}, starts = starts }
+  time.install(sim, sim.fsm)
 end
 
 --- Go on with the real clock.
 function time.use_real(sim)
   if not sim.time then return end
-  history.pause(sim, function()
-    instrument.give_back(sim.time.changes)
-    sim.time = nil
-  end)
+  history.pause(sim)
+  instrument.give_back(sim.time.changes)
+  sim.time = nil
 end
 
 --- Return seconds for a reader.

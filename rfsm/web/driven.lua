@@ -1,9 +1,9 @@
 --- A chart that the page drives, with a clock that the page can stop.
 --
--- A turn is a command of the page, or a timer that ran out. To go back, the events from
--- outside are replayed without callbacks. When the file has changed it is loaded anew,
--- and the machine is put into the state that was active, if the chart still has it. The
--- output of the chart goes to the log of the page.
+-- A turn is a command of the page, or a timer that ran out; the page may go back to
+-- where it began. When the file has changed it is loaded anew, and the machine is put
+-- into the state that was active, if the chart still has it. The output of the chart
+-- goes to the log of the page.
 --
 -- The file reads in this order: load, turns, commands, timers and the file.
 --
@@ -15,7 +15,7 @@ local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local clock = require "rfsm.clock"
 local files = require "rfsm.shared.files"
-local record = require "rfsm.record"
+local rewind = require "rfsm.observe.rewind"
 local snapshot = require "rfsm.snapshot"
 local LocalView = require "rfsm.web.local_view"
 local breakpoints = require "rfsm.observe.breakpoints"
@@ -25,17 +25,9 @@ local ipairs, os, pcall = ipairs, os, pcall
 local rawget, rawset, setmetatable = rawget, rawset, setmetatable
 local type, remove = type, table.remove
 local ceil, huge, max, min = math.ceil, math.huge, math.max, math.min
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
-local MAX_RECORDED = 10000 -- iterations that can be undone
 local LOOK_TIME = 0.5 -- seconds between two looks at the file
 local TICK = 1e-6 -- seconds are rounded up to multiples of it
-
---- Where a turn began.
----@class rfsm.web.Turn
----@field now number
----@field count integer? iterations that were recorded
----@field queue any[]
 
 --- A chart and its machine.
 ---@class rfsm.web.Driven
@@ -43,9 +35,7 @@ local TICK = 1e-6 -- seconds are rounded up to multiples of it
 ---@field view rfsm.web.LocalView|false false while the chart has a mistake
 ---@field problems string[] those of the chart; empty if it runs
 ---@field generation integer counts the charts that a page has to draw
----@field turn integer the number of turns
----@field turns table<integer, rfsm.web.Turn> those that can be undone
----@field recorder rfsm.record.Recorder|false false if the chart cannot be recorded
+---@field way rfsm.observe.Rewind|false place n is the beginning of turn n + 1
 ---@field snap table? of the machine, while the chart has a mistake
 ---@field time rfsm.clock.Clock seconds since the machine began, as the chart reads them
 ---@field is_live boolean does the clock go on by itself?
@@ -98,25 +88,22 @@ local function start_clock(session)
   session.since = session.real() - session.time:now()
 end
 
-local function start_recorder(session)
-  if session.recorder then session.recorder:stop() end
-  local ok, recorder = pcall(record.record, session.view.fsm, {})
-  session.recorder, session.turns = ok and recorder or false, {}
+-- Begins the way back anew.
+local function start_way(session)
+  local time = session.time
+  session.way = rewind.new(session.view.fsm, {
+    about = function() return time:now() end,
+    prepare = function(now) time:advance(now - time:now()) end,
+  })
 end
 
 local function begin_turn(session)
-  local recorder = session.recorder
-  if recorder and recorder.count > MAX_RECORDED then start_recorder(session) end
   if session.is_live then
     local now = ceil((session.real() - session.since) / TICK) * TICK
     session.time:advance(max(now - session.time:now(), 0))
   end
-  session.turn, session.stopped = session.turn + 1, false
-  session.turns[session.turn] = {
-    now = session.time:now(), count = session.recorder and session.recorder.count,
-    queue = { unpack(session.view.fsm._intq) },
-  }
-  session.view:begin_turn(session.turn)
+  session.stopped = false
+  session.view:begin_turn(session.way:leave())
 end
 
 local function step(session) return rfsm.step(session.view.fsm) end
@@ -135,11 +122,6 @@ local function run(session)
   view:note("note", ("not idle after %d steps"):format(Driven.MAX_STEPS))
 end
 
-local function take_snapshot(fsm)
-  local ok, snap = pcall(snapshot.take, fsm)
-  return ok and snap or nil
-end
-
 -- Begins with a machine, in the state of a snapshot if the chart still has it.
 local function begin(session, fsm, snap)
   session.view = LocalView.new(fsm, function() return session.time:now() end)
@@ -152,17 +134,16 @@ local function begin(session, fsm, snap)
     session.time:advance(-session.time:now())
     run(session)
   end
-  start_recorder(session)
+  start_way(session)
   start_clock(session)
 end
 
 -- Loads the chart; `keeps_state`: the new machine goes on in the state of the old one.
 local function load(session, keeps_state)
-  local snap = keeps_state and (session.view and take_snapshot(session.view.fsm)
+  local snap = keeps_state and (session.way and session.way:note().snap
     or session.snap) or nil
   session.text, session.view, session.early = read(session.file), false, {}
-  session.generation, session.turn = session.generation + 1, 0
-  session.recorder, session.turns = false, {}
+  session.generation, session.way = session.generation + 1, false
   local fsm, problems = chart.open(session.file, function(model)
     return init(session, model)
   end, function(line) tell(session, "warning", line) end, session.has_stubs)
@@ -197,16 +178,11 @@ end
 
 -- Undoes the turns after number `to`, without any callback.
 function commands.back(session, message)
-  local to = message.to or session.turn - 1
-  local turn = session.turns[type(to) == "number" and to + 1]
-  if not (turn and session.recorder) then return "there is no such turn" end
-  session.time:advance(turn.now - session.time:now())
-  local ok, problem = session.recorder:back(session.recorder.count - turn.count)
-  if not ok then return problem end
-  local fsm = session.view.fsm -- events that a page has sent are in no record
-  rfsm.send_events(fsm, unpack(turn.queue, #fsm._intq + 1))
-  for i = to + 1, session.turn do session.turns[i] = nil end
-  session.turn = to
+  local to = message.to or session.way.at - 1
+  local is_before = type(to) == "number" and to < session.way.at
+  if not is_before then return "there is no such turn" end
+  local place, problem = session.way:go(to)
+  if not place then return problem end
   session.view:go_back(to)
   start_clock(session)
 end
@@ -307,14 +283,15 @@ function Driven:describe(message)
   for i, point in ipairs(self.points) do
     message.points[i] = utf8(point.name)
   end
-  message.can_back = self.recorder ~= false and self.turns[self.turn] ~= nil
+  local place = self.way and self.way[self.way.at - 1] or {}
+  message.can_back = place.snap ~= nil
 end
 
 --- Open a chart, also one with mistakes; `real` is the clock of the wall, in seconds.
 function Driven.open(file, real, has_stubs)
   local session = setmetatable({
     file = file, title = file:match("[^/]+$"), real = real, view = false, problems = {},
-    generation = 0, turn = 0, turns = {}, recorder = false, since = 0,
+    generation = 0, way = false, since = 0,
     time = clock.simulated(), is_live = true, points = {}, stopped = false,
     has_stubs = has_stubs,
     look_at = real() + LOOK_TIME, text = "", early = {}, snap = nil,

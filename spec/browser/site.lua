@@ -412,6 +412,21 @@ describe("the site", function()
     assert.is_true(window:run "return document.querySelector('img').naturalWidth > 0")
   end)
 
+  for _, width in ipairs { 1280, 390 } do
+    it("runs the first chart of the playground in its index, " .. width .. " wide",
+      function()
+        window:resize(width, 844)
+        window:open("file://" .. FOLDER .. "index.html")
+        window:run "document.querySelector('.live').scrollIntoView()"
+        window:call("POST", "/frame", { id = 0 })
+        window:wait(DRAWN)
+        window:wait "now.leaf == 'root.off'"
+        window:keep_shot("index-live-" .. width)
+        assert.is_true(window:run("return document.documentElement.scrollWidth <= "
+          .. "window.innerWidth"))
+      end)
+  end
+
   it("says in its index what each page is for", function()
     window:open("file://" .. FOLDER .. "index.html")
     assert.same({}, window:run [[

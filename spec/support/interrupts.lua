@@ -97,9 +97,10 @@ function interrupts.without_jit(f, ...)
   if not jit then return f(...) end
   jit.off()
   jit.flush()
-  local ok, problem = pcall(f, ...)
+  local ok, result, more = pcall(f, ...)
   jit.on()
-  if not ok then error(problem, 0) end
+  if not ok then error(result, 0) end
+  return result, more
 end
 
 return interrupts

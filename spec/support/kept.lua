@@ -238,15 +238,18 @@ local function note_machine(fsm)
   note(table.concat(texts, ","))
 end
 
+local function plainly(f, ...) return f(...) end
+
 -- Does operations number `first` to `last`; the clock shows what those before set.
-local function run(fsm, operations, first, last)
+-- `call(f, ...)` calls f(...) for each.
+local function run(fsm, operations, first, last, call)
   now = 0
   timeevent.set_gettime_hook(gettime)
   for i = 1, last do
     local op = operations[i]
     coming = i % 4 == 0 and { "e2", 7 } or {}
     if i >= first then
-      OPERATIONS[op[1]](fsm, op)
+      (call or plainly)(OPERATIONS[op[1]], fsm, op)
       note_machine(fsm)
     elseif op[1] == "wait" then
       now = now + op[2]
@@ -301,13 +304,14 @@ function kept.watcher()
   end
 end
 
---- Does a whole run; returns the machine. `watch(fsm)` is called before it.
-function kept.run(seed, watch)
+--- Does a whole run; returns the machine. `watch(fsm)` is called before it, and each
+--- operation by `call(f, ...)` if that is given.
+function kept.run(seed, watch, call)
   local fsm, operations = assert(rfsm.init(kept.model(seed))), kept.operations(seed)
   trace = {}
   dress(fsm)
   watch(fsm)
-  run(fsm, operations, 1, #operations)
+  run(fsm, operations, 1, #operations, call)
   return fsm
 end
 

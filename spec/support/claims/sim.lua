@@ -1,13 +1,13 @@
 -- The simulator: commands leave the machine where the same calls in Lua leave it; back,
--- goto and forward land where the machine stood then.
+-- goto and forward land where the machine stood then, also behind an interrupt.
 
 local drive = require "spec.support.drive"
 local kept = require "spec.support.kept"
 local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
 
+local interrupts = require "spec.support.interrupts"
 local session = drive.require "rfsm.sim.session"
-local history = drive.require "rfsm.sim.history"
 local prompt = drive.require "rfsm.sim.prompt"
 
 local COMMANDS = {
@@ -33,79 +33,92 @@ local COMMANDS = {
   end,
 }
 
--- Events of one advance are known only when it is over: places by iteration.
+-- Notes the places of advances by number, with the events that wait for the next one.
 local function wander(sim, fsm, random, places)
+  places[0] = drive.place(fsm)
   for _ = 1, 25 do
     local kind = random(9)
     COMMANDS[kind == 9 and 4 or kind % 3 + 1](sim, fsm, random)
     local problem = drive.difference(sim.fsm, fsm)
     if problem then return problem end
-    local is_sent = kind ~= 9 and kind % 3 + 1 == 1 -- what waits then is forgotten
-    places.at_end = not is_sent and drive.place(fsm)
-    if kind ~= 9 and not is_sent then
-      places[#places + 1] = { place = drive.place(fsm), at = sim.history.at,
-        count = sim.history.count }
-    end
+    places[sim.history.at] = drive.place(fsm)
   end
 end
 
--- Back by each mark, then forward again: the same places.
-local function check_way_back(sim, places)
-  local count = #places
-  for i = count - 1, 1, -1 do
-    while sim.history.at > places[i].at do sim.env.back() end
-    local leaf = drive.place(sim.fsm)
-    if leaf ~= places[i].place then
-      return "back to " .. i .. ": " .. leaf .. "\nwas: " .. places[i].place
-    end
-  end
-  while sim.history.at < #sim.history.marks do sim.env.forward() end
+local function check_place(sim, places, what)
+  local at = sim.history.at
   local place = drive.place(sim.fsm)
-  if places.at_end and place ~= places.at_end then
-    return "forward: " .. place .. "\nwas: " .. places.at_end
+  if place ~= places[at] then
+    return ("%s %d: %s\nwas: %s"):format(what, at, place, places[at])
   end
 end
 
--- Goes to iterations in any order.
+-- Back by each advance, then forward again: the same places.
+local function check_way_back(sim, places)
+  local last, problem = sim.history.at, nil
+  while sim.history.at > sim.history.first and not problem do
+    sim.env.back()
+    problem = check_place(sim, places, "back to")
+  end
+  while sim.history.at < last and not problem do
+    sim.env.forward()
+    problem = check_place(sim, places, "forward to")
+  end
+  return problem
+end
+
+local function go_anywhere(sim, random)
+  local first, last = sim.history.first, sim.history.last
+  sim.env.go_to(first + random:below(last - first + 1) - 1)
+end
+
+-- Goes to advances in any order.
 local function check_jumps(sim, random, places)
   for _ = 1, 6 do
-    local stop = places[1] and random:pick(places)
-    if not stop then return end
-    sim.env.go_to(stop.count)
-    local leaf = sim.fsm._act_leaf and sim.fsm._act_leaf._fqn or ""
-    if not stop.place:find(leaf, 1, true) then
-      return ("goto %d: %s\nwas: %s"):format(stop.count, leaf, stop.place)
-    end
+    go_anywhere(sim, random)
+    local problem = check_place(sim, places, "goto")
+    if problem then return problem end
   end
 end
 
 -- Goes back, and on in another way: what was undone is gone, the new way is kept.
 local function check_new_way(sim, random, places)
-  local stop = places[1] and random:pick(places)
-  if not stop then return end
-  sim.env.go_to(stop.count)
+  go_anywhere(sim, random)
   sim.env.ses(random:pick(drive.EVENTS))
-  local place, count = drive.place(sim.fsm), sim.history.count
-  if sim.history.last ~= count then return "what was undone can be reached" end
-  for n = 0, count do sim.env.go_to(n) end
-  if drive.place(sim.fsm) ~= place then
-    return "the end: " .. drive.place(sim.fsm) .. "\nwas: " .. place
+  local at = sim.history.at
+  places[at] = drive.place(sim.fsm)
+  if sim.history.last ~= at then return "what was undone can be reached" end
+  for n = sim.history.first, at do sim.env.go_to(n) end
+  return check_place(sim, places, "the end")
+end
+
+-- Goes back after an advance that was interrupted anywhere, and reset by chance.
+local function check_interrupted(sim, random)
+  for _ = 1, 8 do
+    local places, way = { [sim.history.at] = drive.place(sim.fsm) }, sim.history
+    local last = way.at
+    interrupts.raise_anywhere(random(3000), random:pick(interrupts.VALUES), sim.env.ses,
+      random:pick(drive.EVENTS))
+    if random:chance(30) then sim.env.reset() end
+    if way.at > last then
+      sim.env.go_to(last)
+      local problem = check_place(sim, places, "interrupted, then back to")
+      if problem then return problem end
+    end
+    pcall(sim.env.step, 5)
   end
 end
 
 local function check(seed)
-  local random, places, chunk = new_random(seed), {}, history.CHUNK
-  history.CHUNK = random(12)
+  local random, places = new_random(seed), {}
   local sim = assert(drive.with_file(seed, function(name)
     return (session.open(name, false))
   end))
   prompt.install(sim)
-  local problem = wander(sim, assert(rfsm.init(kept.model(seed))), random, places)
+  return wander(sim, assert(rfsm.init(kept.model(seed))), random, places)
     or check_way_back(sim, places) or check_jumps(sim, random, places)
     or check_new_way(sim, random, places)
-  history.CHUNK = chunk
-  sim.history.recorder:stop()
-  return problem
+    or interrupts.without_jit(check_interrupted, sim, random)
 end
 
 return { name = "sim", run = drive.each(check) }

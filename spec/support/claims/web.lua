@@ -42,15 +42,15 @@ local function wander(session, fsm, random, places)
     COMMANDS[random(4)](session, fsm, random)
     local problem = drive.difference(session.view.fsm, fsm)
     if problem then return problem end
-    places[session.turn] = drive.place(fsm)
+    places[session.way.at] = drive.place(fsm)
   end
 end
 
 local function check_back(session, random, places)
-  while session.turn > 0 and session.turns[session.turn] do
-    local to = session.turn - random(math.min(session.turn, 3))
+  while session.way.at > 0 do
+    local to = session.way.at - random(math.min(session.way.at, 3))
     local problem = session.commands.back(session, { to = to })
-    if problem then return nil end -- its turns are forgotten
+    if problem then return problem end
     local place = drive.place(session.view.fsm)
     if places[to] and place ~= places[to] then
       return ("back to %d: %s\nwas: %s"):format(to, place, places[to])
@@ -72,7 +72,6 @@ local function check(seed)
   local problem = wander(session, fsm, random, places)
     or check_back(session, random, places)
   Driven.MAX_STEPS = steps
-  if session.recorder then session.recorder:stop() end
   return problem
 end
 

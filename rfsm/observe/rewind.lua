@@ -1,0 +1,140 @@
+--- The way back: places of a machine, each a snapshot, and back to one of them.
+--
+-- No callback runs and no guard is asked on the way. What a snapshot cannot hold does
+-- not go back: data outside of `keep`, and a doo, which begins anew. The oldest places
+-- are forgotten.
+--
+-- @module rfsm.observe.rewind
+-- @license BSD-3-Clause
+
+local opts = require "rfsm.shared.options"
+local order = require "rfsm.shared.order"
+local rfsm = require "rfsm"
+local snapshot = require "rfsm.snapshot"
+
+local error, setmetatable, type = error, setmetatable, type
+local huge = math.huge
+local concat = table.concat
+
+local rewind = {}
+
+-- Description, test, default of each option.
+local OPTIONS = {
+  about = { "function", rfsm.is_callable, function() end },
+  bytes = { "number of bytes", opts.is_whole(0, huge), 32 * 1024 * 1024 },
+  prepare = { "function", rfsm.is_callable, function() end },
+}
+
+--- A place of a machine.
+---@class rfsm.observe.Place
+---@field snap? rfsm.snapshot.Snapshot nil if the machine could not be saved
+---@field problem? string the reason
+---@field about any what the option `about` has returned
+---@field size integer bytes, about
+
+--- The places of a machine, by number: 0 is where it stood first.
+---@class rfsm.observe.Rewind
+---@field fsm rfsm.Machine
+---@field settings table
+---@field first integer the oldest place
+---@field at integer the present place
+---@field last integer the last place, behind those that were undone
+---@field size integer bytes of all places
+---@field [integer] rfsm.observe.Place the present one is there once it was noted
+local Rewind = {}
+Rewind.__index = Rewind
+
+-- Returns about how many bytes a value takes.
+local function size_of(value)
+  if type(value) == "string" then return 24 + #value end
+  if type(value) ~= "table" then return 0 end
+  local size = 56
+  for key, inner in order.each(value) do -- any order: a sum
+    size = size + 40 + size_of(key) + size_of(inner)
+  end
+  return size
+end
+
+local function forget(self, number)
+  self.size = self.size - (self[number] and self[number].size or 0)
+  self[number] = nil
+end
+
+--- Note the present place, unless `go` has led there. A step that was interrupted is
+-- finished first.
+---@return rfsm.observe.Place
+function Rewind:note()
+  local at = self.at
+  if at < self.last and self[at] then return self[at] end
+  rfsm.check_between_steps(self.fsm, "rfsm.observe.rewind.note")
+  local snap, problem = snapshot.try_take(self.fsm)
+  local about = self.settings.about()
+  forget(self, at)
+  self[at] = { snap = snap, problem = problem, about = about,
+    size = 100 + size_of(snap) + size_of(about) }
+  self.size = self.size + self[at].size
+  return self[at]
+end
+
+--- Note the place from which the machine goes on. Those that were undone are forgotten.
+---@return integer number of the next place
+function Rewind:leave()
+  for number = self.at, self.last do forget(self, number) end
+  self.last = self.at
+  self:note()
+  while self.size > self.settings.bytes and self.first < self.at do
+    forget(self, self.first)
+    self.first = self.first + 1
+  end
+  self.at, self.last = self.at + 1, self.at + 1
+  return self.at
+end
+
+--- Put the machine into a place.
+---@param number integer
+---@return rfsm.observe.Place|false place false if there is none, or it was not saved
+---@return string? problem
+function Rewind:go(number)
+  self:note()
+  local place = type(number) == "number" and self[number]
+  if not place or place.problem then
+    return false, place and place.problem or "there is no such place"
+  end
+  self.settings.prepare(place.about)
+  local ok, problem, difference = snapshot.put(self.fsm, place.snap)
+  if ok then
+    self.at = number
+    return place
+  end
+  self.settings.prepare(self[self.at].about)
+  return false, difference and "the machine has changed, " .. concat(difference, ", ")
+    or problem
+end
+
+--- How places are kept.
+---@class rfsm.observe.RewindOptions
+---@field bytes? integer that they may take, 32 MiB; the present one is always there
+---@field about? fun(): any what is kept with each
+---@field prepare? fun(about: any) called before the machine is put there: its clock
+
+--- Begin to note the places of a machine.
+--
+-- @usage
+--    local way = rewind.new(fsm)
+--    way:leave()
+--    rfsm.run(fsm)
+--    way:go(0)
+--
+---@param fsm rfsm.Machine
+---@param options? rfsm.observe.RewindOptions
+---@return rfsm.observe.Rewind
+---@nodiscard
+function rewind.new(fsm, options)
+  rfsm.check_machine(fsm, "rfsm.observe.rewind.new")
+  local settings, problem = opts.read(OPTIONS, options or {})
+  if not settings then error("rfsm.observe.rewind.new: " .. problem, 2) end
+  return setmetatable({ fsm = fsm, settings = settings, first = 0, at = 0, last = 0,
+    size = 0 }, Rewind)
+end
+
+return rewind
