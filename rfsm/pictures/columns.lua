@@ -20,10 +20,10 @@ local max, min = math.max, math.min
 
 local columns = {}
 
-columns.RATIO = 4 / 3 -- of width to height
+local RATIO = 4 / 3 -- of width to height
 
 local function misfit_of(width, height)
-  return abs(log(width / height / columns.RATIO))
+  return abs(log(width / height / RATIO))
 end
 
 --- Return how far a level is from the ratio that is aimed at; 0 if it has it.

@@ -139,30 +139,6 @@ local function add_regions(lines, composite)
   add(lines, 1, ("{ rank=same; %s [style=invis] }"):format(concat(ids, " -> ")))
 end
 
-local ALIGN = 100 -- more than the weight of the arrows at a composite
-
--- Returns the nodes to which an arrow leads from another node of a level.
-local function targets_in(level)
-  local is_target = {}
-  for _, link in ipairs(level.links) do
-    local upper, lower = link.upper and link.upper.node, link.lower.node
-    if upper and lower and upper ~= lower then is_target[lower] = true end
-  end
-  return is_target
-end
-
--- Puts a composite in a column, and what no arrow there leads to, below what is before.
-local function add_stack(lines, level)
-  local is_target, before = targets_in(level), nil
-  for i, node in ipairs(level.composite.nodes) do
-    if before and (node.level or not is_target[node]) then
-      add(lines, 1, ("n%d -> n%d [style=invis, weight=%d]"):format(i - 1, i,
-        before.level and node.level and ALIGN or 0))
-    end
-    before = node
-  end
-end
-
 local COMPASS = { TB = { "s", "n" }, LR = { "e", "w" } }
 
 -- Returns an end of an edge. A line meets a frame at a right angle.
@@ -200,10 +176,6 @@ local function graph_of(level)
   add_nodes(lines, level)
   add_arches(lines, level)
   add_regions(lines, composite)
-  if composite.is_column then
-    add(lines, 1, "graph [nodesep=0.2]")
-    add_stack(lines, level)
-  end
   for _, link in ipairs(level.links) do
     if not link.is_loop then add_link(lines, level, link) end
     local twin = link.upper and link.upper.gate and link.upper.gate.twin
