@@ -17,6 +17,7 @@ local pcall, rawget, rawset = pcall, rawget, rawset
 local setmetatable, type = setmetatable, type
 local copy_of, fail, is_meta, text_of = encoding.copy_of, encoding.fail, rfsm.is_meta,
   rfsm.text_of
+local took_path = rfsm.took_path
 
 local MAX_EVENT, MAX_NAMED = 256, 8192 -- bytes of an event, of one with data
 
@@ -198,13 +199,14 @@ charts.open = open
 --- whether a path was taken. If it is cut short the chart gets a new machine.
 function charts.step(chart, steps)
   local fsm, regions = chart.fsm, chart.regions
-  chart.fsm, fsm._path = nil, false
-  for i = 1, #regions do regions[i]._path = false end
+  chart.fsm = nil
+  took_path(fsm) -- before this step
+  for i = 1, #regions do took_path(regions[i]) end
   local is_idle = rfsm.step(fsm, steps)
-  local path = fsm._path
-  for i = 1, #regions do path = path or regions[i]._path end
+  local is_taken = took_path(fsm)
+  for i = 1, #regions do is_taken = took_path(regions[i]) or is_taken end
   chart.fsm = fsm
-  return is_idle, path ~= false
+  return is_idle, is_taken
 end
 
 -- Lists the names of leaves.
