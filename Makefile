@@ -2,7 +2,7 @@
 # make test               lint, then every spec on every interpreter
 # make help               list the targets
 #
-# sim, fleet, fleet-postgres, test, test-web, test-site, test-hosts and doc install missing
+# sim, fleet, fleet-postgres, test, test-web, test-site, test-hosts, doc and deb install missing
 # Debian packages if you are root or have password-free sudo. Otherwise they print the
 # command to type. site and test-site need npm.
 
@@ -36,14 +36,17 @@ TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/*/*.lua bench/*.lua)
 
-.PHONY: all help sim fleet fleet-postgres test test-web test-site test-hosts lint fuzz torture mutants bench soak bench-profile examples doc site gallery deps transcript house
+.PHONY: all help help-all sim fleet fleet-postgres test test-web test-site test-hosts lint fuzz torture mutants bench soak bench-profile examples doc site gallery functions deps transcript house
 .PHONY: rockspec rocks dist deb size install uninstall clean
 .DEFAULT_GOAL := all
 
 all: test               ## the same as test
 
 help:                   ## this list
-	@grep -hE '^[a-z][a-z%-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 16
+	@grep -hE '^[a-z][a-z%-]*:.* ## ' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 16
+
+help-all:               ## this list, and the targets for those who change the library
+	@grep -hE '^[a-z][a-z%-]*:.* ###? ' $(MAKEFILE_LIST) | sed -E 's/:[^#]*###? */\t/' | expand -t 16
 
 sim:                    ## open MODEL in the simulator, with LUA
 	@tools/deps.sh sim
@@ -59,43 +62,42 @@ fleet-postgres:         ## the same warehouse in a PostgreSQL server of its own
 
 test:                   ## lint, then every spec on each of LUAS
 	@tools/deps.sh test $(LUAS)
-	@$(MAKE) --no-print-directory lint
-	@BUSTED="$(BUSTED)" tools/test.sh $(LUAS)
+	@BUSTED="$(BUSTED)" LINT="$(MAKE) --no-print-directory lint" tools/test.sh $(LUAS)
 
 test-web:               ## the page in headless Chromium, with LUA
 	@tools/deps.sh web
 	@AXE=$${AXE:-$$(tools/deps.sh axe)} $(BUSTED) --lua=$$(command -v $(LUA)) \
 	  --pattern=page spec/browser
 
-test-hosts:             ## the hosts in Neovim, LÖVE, on MQTT and luv, with LUA
+test-hosts:             ### the hosts in Neovim, LÖVE, on MQTT and luv, with LUA
 	@tools/deps.sh hosts
 	@$(BUSTED) --lua=$$(command -v $(LUA)) --pattern=hosts spec/hosts
 
-test-site: site         ## the site in headless Chromium, with LUA
+test-site: site         ### the site in headless Chromium, with LUA
 	@tools/deps.sh web
 	@AXE=$${AXE:-$$(tools/deps.sh axe)} $(BUSTED) --lua=$$(command -v $(LUA)) \
 	  --pattern=site spec/browser
 
-test-with-%:            ## test-with-luajit, ...: the specs on one interpreter
+test-with-%:            ### test-with-luajit, ...: the specs on one interpreter
 	@$(BUSTED) --lua=$$(command -v $*)
 
-lint:                   ## luacheck, and the syntax under the oldest Lua
+lint:                   ### luacheck, and the syntax under the oldest Lua
 	luacheck -q .
 	@luac5.1 -p $(FILES) tools/rfsm
 
-fuzz:                   ## compare core and oracle on N random charts from SEED, with LUA
+fuzz:                   ### compare core and oracle on N random charts from SEED, with LUA
 	$(LUA) spec/support/fuzz.lua $(N) $(SEED)
 
 torture: N = 1000
-torture:                ## the claims (or CLAIM) on N random charts each, from SEED, with LUA
+torture:                ### the claims (or CLAIM) on N random charts each, from SEED, with LUA
 	@$(LUA) spec/support/torture.lua $(N) $(SEED) $(CLAIM)
 
 mutants: N = 100
 mutants: LUA = $(firstword $(shell command -v luajit lua5.4))
-mutants:                ## change ROOM's files N times from SEED: do its specs notice?
+mutants:                ### change ROOM's files N times from SEED: do its specs notice?
 	@$(LUA) tools/mutants.lua "$(ROOM)" $(N) $(SEED)
 
-bench:                  ## run the measurements in bench/, with LUA
+bench:                  ### run the measurements in bench/, with LUA
 	$(LUA) bench/run.lua
 	$(LUA) bench/latency.lua
 	$(LUA) bench/growth.lua
@@ -103,22 +105,22 @@ bench:                  ## run the measurements in bench/, with LUA
 	$(LUA) bench/extensions.lua
 
 soak: MINUTES = 60
-soak:                   ## a machine that two pages watch for MINUTES of its time, with LUA
+soak:                   ### a machine that two pages watch for MINUTES of its time, with LUA
 	$(LUA) bench/soak.lua $(MINUTES)
 
-bench-profile:          ## print the hottest functions and lines, with LUA
+bench-profile:          ### print the hottest functions and lines, with LUA
 	$(LUA) bench/profile.lua
 
-examples:               ## load and initialise every example, with LUA
+examples:               ### load and initialise every example, with LUA
 	@$(LUA) tools/try-examples.lua $(EXAMPLES)
 
 $(LUAS:%=examples-with-%): examples-with-%:
 	@why=$$($* -e '' 2>&1) || { echo "$*: skipped, $$why"; exit 0; }; \
 	$(MAKE) --no-print-directory examples LUA=$*
 
-examples-all: $(LUAS:%=examples-with-%)  ## the same on each of LUAS
+examples-all: $(LUAS:%=examples-with-%)  ### the same on each of LUAS
 
-transcript:             ## run the sessions in doc/sim.md again, with LUA
+transcript:             ### run the sessions in doc/sim.md again, with LUA
 	@$(LUA) tools/transcript.lua doc/sim.md > doc/sim.md.new && mv doc/sim.md.new doc/sim.md
 
 doc:                    ## out/: HTML pages of documents and API; warnings are errors
@@ -135,25 +137,29 @@ site:                   ## out/: those pages and the playground, for file: or an
 	@du -sk out | sed 's/\([0-9]*\).*/out: \1 KiB/'
 
 # lamp.lua is the chart of the README
-gallery:                ## doc/gallery/: pictures of the examples and of larger charts
+gallery:                ### doc/gallery/: pictures of the README, the examples and larger charts
 	@set -e; trap 'rm -f lamp.lua' EXIT; \
 	sed -n '/^-- lamp.lua/,/^```$$/p' README.md | sed '$$d' > lamp.lua; \
 	for f in lamp.lua $(EXAMPLES) doc/gallery/*.lua; do \
 	  $(LUA) tools/rfsm viz $$f -o doc/gallery/$$(basename $$f .lua).svg; \
 	done; \
+	$(LUA) tools/walk.lua lamp.lua e_switch e_go e_halt e_switch > doc/gallery/walk.svg; \
 	for n in loops recipe; do \
 	  $(LUA) tools/rfsm viz --direction LR doc/gallery/$$n.lua -o doc/gallery/$${n}_lr.svg; \
 	done
+
+functions:              ### doc/functions.md: a line for each public function, with LUA
+	$(LUA) tools/functions.lua > doc/functions.md.new && mv doc/functions.md.new doc/functions.md
 
 deps:                   ## install the packages for sim, test and doc
 	@tools/deps.sh sim
 	@tools/deps.sh test $(LUAS)
 	@tools/deps.sh doc
 
-house:                  ## print the floors of the library, its rooms, and who requires whom
+house:                  ### print the floors of the library, its rooms, and who requires whom
 	@$(LUA) tools/house.lua
 
-rockspec:               ## the lists of the dev rockspec; with VERSION, the rockspec of a release
+rockspec:               ### the lists of the dev rockspec; with VERSION, the rockspec of a release
 	$(LUA) tools/rockspec.lua $(if $(VERSION),$(VERSION) $(URL) > rockspec/rfsm-$(VERSION)-1.rockspec)
 
 dist:                   ## dist/rfsm.lua: BUNDLE in one file; rfsm-all.lua: with ALL; their hashes
@@ -163,9 +169,10 @@ dist:                   ## dist/rfsm.lua: BUNDLE in one file; rfsm-all.lua: with
 	@cd $(DIST) && sha256sum rfsm.lua rfsm-all.lua > SHA256SUMS
 
 deb:                    ## Debian packages of the last commit in DIST/deb, and what lintian says
+	@tools/deps.sh deb
 	@tools/packaging/deb.sh $(DIST)/deb
 
-rocks:                  ## a rock of the last commit in DIST/rocks, for each Lua; luarocks test
+rocks:                  ### a rock of the last commit in DIST/rocks, for each Lua; luarocks test
 	@tools/packaging/rocks.sh $(DIST)/rocks
 
 size:                   ## the memory that MODEL takes on a robot
@@ -194,11 +201,11 @@ uninstall:              ## remove the files that install copied, and empty direc
 	@for d in $(LUADIRS:%=$(DESTDIR)%); do (cd $$d 2>/dev/null && rm -f $(NAMES) $(PAGE)) || true; done
 	@rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,$(notdir $(TOOLS)))
 	@rmdir $(foreach d,$(LUADIRS:%=$(DESTDIR)%),$(addprefix $(d)/,$(sort $(dir $(DEEPER))) rfsm)) 2>/dev/null || true
-	@$(if $(filter /usr /usr/local,$(DESTDIR)$(PREFIX)),,$(REMOVE_EMPTY))
-
-# Not in /usr and /usr/local: these directories are the system's there, also empty.
-REMOVE_EMPTY = for d in $(LUADIRS) $(addprefix $(PREFIX)/,share/lua share bin) $(PREFIX); do \
+	@for d in $(LUADIRS) $(PREFIX)/share/lua $(OWN_DIRS); do \
 	  rmdir $(DESTDIR)$$d 2>/dev/null || true; done
+
+# In /usr and /usr/local these directories are the system's, also empty.
+OWN_DIRS = $(if $(filter /usr /usr/local,$(DESTDIR)$(PREFIX)),,$(addprefix $(PREFIX)/,share bin) $(PREFIX))
 
 clean:                  ## remove what the targets made
 	rm -rf out dist

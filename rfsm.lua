@@ -3619,6 +3619,18 @@ do
   --
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.reaction_hook_add = hook_adder("rfsm.reaction_hook_add", "_reaction_hooks")
+
+  --- Have `hook(fsm)` list the events that an extension keeps for later; nil for none.
+  --- For those who show the queue.
+  ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
+  rfsm.waiting_hook_add = hook_adder("rfsm.waiting_hook_add", "_waiting_hooks")
+end
+
+-- Returns what the hooks of a list return, in one list.
+local function collect(hooks, ...)
+  local list = {}
+  for _, hook in ipairs(hooks or NONE) do append(list, hook(...) or NONE) end
+  return list
 end
 
 --- List the events that extensions react to while a state is active, besides those of
@@ -3627,12 +3639,13 @@ end
 ---@param state rfsm.State
 ---@return any[] events
 function rfsm.reactions(fsm, state)
-  local list = {}
-  for _, hook in ipairs(fsm._reaction_hooks or NONE) do
-    append(list, hook(fsm, state) or NONE)
-  end
-  return list
+  return collect(fsm._reaction_hooks, fsm, state)
 end
+
+--- List the events that extensions keep for later.
+---@param fsm rfsm.Machine
+---@return any[] events
+function rfsm.waiting(fsm) return collect(fsm._waiting_hooks, fsm) end
 
 -- Snapshots: what an extension keeps of a machine, and where the machine stands ....
 
@@ -3827,16 +3840,17 @@ do
     local problems = lines_of(build.problems)
     if problems[1] then return refuse(fsm, summary("rfsm.fsm_merge", problems)) end
     compile(plan)
-    make_elements(fsm, plan, first_node, first_transition)
-    use_targets(fsm, plan, moved)
     local outer = fsm._preparing
-    local ok, found = pcall(preprocess, fsm, parent[id])
-    if not ok then
-      found = { "a preproc function failed: " .. text_of(found) }
-      stop_preprocessing(fsm, outer)
-    end
-    if found[1] then
+    local ok, found = pcall(function()
+      make_elements(fsm, plan, first_node, first_transition)
+      use_targets(fsm, plan, moved)
+      return preprocess(fsm, parent[id])
+    end)
+    if not ok then stop_preprocessing(fsm, outer) end
+    if not ok or found[1] then
       undo_merge(fsm, old, moved)
+      if rfsm.is_interrupt(found) then error(found, 0) end
+      if not ok then found = { "a preproc function failed: " .. text_of(found) } end
       return refuse(fsm, summary("rfsm.fsm_merge", found))
     end
     report_lines(fsm, "info", build.created)

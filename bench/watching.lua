@@ -48,9 +48,6 @@ local function measure_page(count)
   local plain, fsm = helper.ring(count), helper.ring(count)
   local server = web.serve(fsm, { port = 0 })
   local step = function() server:step(0) end
-  server:step(0) -- begins the picture
-  local drawing = server.shown[1].drawing
-  while drawing and drawing.is_pending do server:step(0.05) end
   running(plain)(2 * count) -- each leaf is known then
   running(fsm)(2 * count)
   local closed = measure.best_in_turn({ running(plain), running(fsm, step),

@@ -111,9 +111,7 @@ end
 ---@return string hint " ('guard' belongs beside events)"
 function advice.list(events)
   for _, field in ipairs(FIELDS.transition) do
-    if events[field] ~= nil then
-      return (" ('%s' belongs beside events)"):format(field)
-    end
+    if events[field] ~= nil then return " ('" .. field .. "' belongs beside events)" end
   end
   for _, word in ipairs({ "e_after", "e_at" }) do
     local seconds = events[word]

@@ -14,8 +14,7 @@
 
 local ipairs, pairs = ipairs, pairs
 local concat = table.concat
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
-local jit = rawget(_G, "jit")
+local jit, unpack = rawget(_G, "jit"), rawget(table, "unpack") or rawget(_G, "unpack")
 local MAX_VALUES = 50 -- bound to one function: Lua 5.1 allows 60
 
 -- A text under construction: `names` and `values` are bound to it.
@@ -51,7 +50,7 @@ end
 
 local HEAD = [[
 return function(fsm, is_chosen)
-local nodes, s0, s1, f, tr = fsm._nodes, fsm._act_leaf, nil, nil, fsm._transitions[x1]
+local nodes, s0, s1, f, tr = fsm._nodes, fsm._act_leaf, nil, nil, $tr
 if not is_chosen then]]
 local CHECK = [[
 $fetch
@@ -157,7 +156,8 @@ end
 -- Writes the function of a path; nil if that is too much for one.
 local function write_path(writers, path, is_hooked)
   local text = new_text()
-  text.places = { fetch = path.segments[2] and "tr = fsm._transitions[x$k]" or "" }
+  local fetch = path.segments[2] and "tr = fsm._transitions[x$k]" -- else that is once
+  text.places = { fetch = fetch or "", tr = fetch and "nil" or "fsm._transitions[x1]" }
   text.is_hooked, text.at = is_hooked, 0
   bind(text, "path", path)
   write(text, HEAD)

@@ -106,9 +106,9 @@ end
 ---@return string? problem
 function Fleet:ask(name, id, ...)
   local key, tag = self:key_of(id)
-  local ok, reply = pcall(self.call, self, tag, "FCALL", name, 6, key,
+  local ok, reply = pcall(self.call, self, tag, "FCALL", name, 7, key,
     keys_of.due(key), keys_of.out(key), keys_of.log(key), keys_of.index(key),
-    keys_of.history(key), ...)
+    keys_of.history(key), keys_of.since(key), ...)
   if ok then return reply or nil, not reply and "no machine" or nil end
   return nil, reply
 end
@@ -188,12 +188,13 @@ end
 ---@param chart string
 ---@param state string FQN of a leaf or composite
 ---@param limit? integer default 100
+---@param seconds? integer only those that are in their leaf for so long
 ---@return string[]? keys
 ---@return string? problem
-function Fleet:find(chart, state, limit)
+function Fleet:find(chart, state, limit, seconds)
   limit = limit or 100
-  local ok, replies = pcall(call_tags, self, "rfsm_find", { keys_of.index }, chart,
-    state, limit)
+  local ok, replies = pcall(call_tags, self, "rfsm_find", { keys_of.index,
+    keys_of.since }, chart, state, limit, seconds)
   if not ok then return nil, replies end
   local found = {}
   for _, reply in ipairs(replies) do
@@ -350,6 +351,60 @@ function Fleet:work(group, worker, f, options)
   return total, failures
 end
 
+-- Dead entries ---------------------------------------------------------------------
+
+--- An entry that failed too often.
+---@class rfsm.fleet.Dead
+---@field tag string
+---@field id string
+---@field machine string
+---@field what string
+---@field data string JSON
+---@field deliveries string
+---@field error string
+---@field group string in which it failed
+
+--- Return dead entries, the oldest of each hash tag first.
+---@param limit? integer of each tag (100)
+---@return rfsm.fleet.Dead[] entries
+function Fleet:dead(limit)
+  local entries = {}
+  for i = 0, self.tags - 1 do
+    local tag = ("%d"):format(i)
+    for _, raw in ipairs(self:call(tag, "XRANGE", keys_of.dead("{" .. tag .. "}"), "-",
+      "+", "COUNT", limit or 100)) do
+      local entry = {}
+      for j = 1, #raw[2], 2 do entry[raw[2][j]] = raw[2][j + 1] end
+      entry.tag, entry.id = tag, raw[1]
+      entries[#entries + 1] = entry
+    end
+  end
+  return entries
+end
+
+--- Drop a dead entry.
+---@param tag string
+---@param id string
+---@return boolean was_there
+function Fleet:drop(tag, id)
+  return self:call(tag, "XDEL", keys_of.dead("{" .. tag .. "}"), id) == 1
+end
+
+--- Send a dead entry again, to all groups.
+---@param tag string
+---@param id string
+---@return boolean was_there
+function Fleet:again(tag, id)
+  local key = "{" .. tag .. "}"
+  local raw = self:call(tag, "XRANGE", keys_of.dead(key), id, id)[1]
+  if not raw then return false end
+  local entry = {}
+  for i = 1, #raw[2], 2 do entry[raw[2][i]] = raw[2][i + 1] end
+  self:call(tag, "XADD", keys_of.out(key), "*", "machine", entry.machine, "what",
+    entry.what, "data", entry.data)
+  return self:drop(tag, id)
+end
+
 -- Libraries and numbers --------------------------------------------------------------
 
 --- Load a library into the server, or each node of the cluster, in place of the one
@@ -381,10 +436,11 @@ local function label(text) return (text:gsub('[\\"\n]', { ["\\"] = "\\\\",
   ['"'] = '\\"', ["\n"] = "\\n" })) end
 
 --- Return the numbers of all machines in the server, as Prometheus reads them: by chart
--- and state (the library needs --index), due, put aside, and entries that wait.
+-- and state (the library needs --index), due, put aside, entries that wait, overdue for
+-- a minute, and dead entries.
 ---@return string text
 function Fleet:stats()
-  local states, sums = {}, { 0, 0, 0 }
+  local states, sums = {}, { 0, 0, 0, 0, 0 }
   self.connection:each_master(function(call)
     scan_tags(call, function(tag)
       local reply = call("FCALL", "rfsm_stats", 1, keys_of.index("{" .. tag .. "}"))
@@ -393,14 +449,15 @@ function Fleet:stats()
           label(reply[1][i + 1]))
         states[name] = (states[name] or 0) + reply[1][i + 2]
       end
-      for i = 1, 3 do sums[i] = sums[i] + reply[i + 1] end
+      for i = 1, #sums do sums[i] = sums[i] + (reply[i + 1] or 0) end
     end)
   end)
   local lines = { "# TYPE rfsm_machines gauge" }
   for _, name in ipairs(rfsm.sorted_keys(states)) do
     lines[#lines + 1] = ("%s %d"):format(name, states[name])
   end
-  for i, name in ipairs { "rfsm_timers", "rfsm_aside", "rfsm_entries" } do
+  for i, name in ipairs { "rfsm_timers", "rfsm_aside", "rfsm_entries", "rfsm_overdue",
+    "rfsm_dead" } do
     lines[#lines + 1] = ("# TYPE %s gauge\n%s %d"):format(name, name, sums[i])
   end
   return concat(lines, "\n") .. "\n"

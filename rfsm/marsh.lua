@@ -14,6 +14,7 @@ local rfsm = require "rfsm"
 local io, ipairs, rawget, rawset = rawget(_G, "io"), ipairs, rawget, rawset
 local select, setmetatable = select, setmetatable
 local tonumber, type = tonumber, type
+local concat = table.concat
 local compile = rawget(_G, "loadstring") or rawget(_G, "load")
 local math_type, debug = rawget(math, "type"), rawget(_G, "debug")
 
@@ -31,6 +32,7 @@ local marsh = {}
 ---@field words? string[] its events for a reader: "e_go", "after 5 s", "done"
 ---@field guard? string a text of the callback
 ---@field effect? string likewise
+---@field at? string file and line of both: "guard chart.lua:7, effect chart.lua:9"
 ---@field doc? string that field of the model, for a reader
 
 --- A node as a plain table. Only a composite has the two lists. A full one has the
@@ -43,6 +45,7 @@ local marsh = {}
 ---@field entry? string a text of the callback
 ---@field exit? string likewise
 ---@field doo? string likewise
+---@field at? string file and line of each: "entry chart.lua:7"
 ---@field doc? string that field of the model, for a reader
 ---@field final? true that field of the model
 ---@field history? "shallow"|"deep" likewise, see rfsm/history.lua
@@ -120,7 +123,7 @@ local function new_walk(fsm)
   end, transitions, names
 end
 
--- Callbacks: their name, text or comment in the source, or their line ---------
+-- Callbacks: their name, text, comment or calls in the source ------------------
 
 --- Read a source file. A host without `io` may replace this function.
 ---@param name string of the chunk, without its first character: "chart.lua"
@@ -199,13 +202,48 @@ local function comment_of(info, lines)
   return #text <= LONGEST_COMMENT and text or nil
 end
 
+local IS_KEYWORD = {}
+for word in ("and do else elseif end for function if in local not or repeat return "
+  .. "then until while"):gmatch("%a+") do
+  IS_KEYWORD[word] = true
+end
+
+-- Calls f(call) for each call in a body, but for none in arguments.
+local function each_call(body, f)
+  local position = 1
+  while true do
+    local name, at = body:match("%f[%w_]([%a_][%w_.:]*)%s*()[(\"{]", position)
+    if not name then return end
+    position = at + 1
+    if not IS_KEYWORD[name] then
+      local arguments = body:match("^%b()", at) or body:match("^%b{}", at) or '""'
+      f(name .. (arguments:find("^%(%s*%)") and "()" or "(..)"))
+      position = at + #arguments
+    end
+  end
+end
+
+-- Returns the calls in the body of a function, in short: "motor.stop(), log(..)".
+local function calls_of(info, lines)
+  local text = concat(lines, "\n", info.linedefined, info.lastlinedefined)
+  text = text:gsub('"[^"\n]*"', '""'):gsub("'[^'\n]*'", '""')
+    :gsub("%-%-[^\n]*", "")
+  local result, last = nil, nil
+  each_call(text:match("function%s*%b()(.*)") or "", function(call)
+    if call == last or last == ".." then return end
+    last = (not result or #result + #call < LONGEST) and call or ".."
+    result = (result and result .. ", " or "") .. last
+  end)
+  return result
+end
+
 -- Returns the text of a function, the value of a field, in its source.
 local function text_in_source(f, info, lines, field)
   local line = lines[info.linedefined]
   if not line then return nil end
   local _, count = line:gsub("%f[%w_]function%f[^%w_]", "")
   return name_in_line(f, line, count) or body_of(info, lines, count, field)
-    or comment_of(info, lines)
+    or comment_of(info, lines) or count == 1 and calls_of(info, lines) or nil
 end
 
 -- Returns the text of a value; nil if it is an address, which no two runs share.
@@ -219,24 +257,31 @@ local function text_without_address(value)
   return not is_address and kind ~= "function" and kind ~= "thread" and text or nil
 end
 
--- Returns a function that gives a callback a text, the same on each run and each Lua.
--- The file of the first callback is not named.
+--- The text of a callback whose source says nothing of it.
+marsh.UNKNOWN = ".."
+
+-- Returns a function that gives a callback a text, the same on each run and each Lua,
+-- and file and line, "" if there are none.
 local function new_callback_text()
-  local sources, first = {}, nil
+  local sources = {}
   local function new_text(f, field)
     local info = debug and type(f) == "function" and debug.getinfo(f, "S")
-    if not info or info.what == "C" then return text_without_address(f) or type(f) end
+    if not info or info.what == "C" then
+      return text_without_address(f) or type(f) ~= "function" and type(f)
+    end
     local source = info.source
-    first, sources[source] = first or source, sources[source] or lines_of(source)
-    local text = text_in_source(f, info, sources[source], field)
-    if text then return text end
-    local file = source ~= first and source:match("^[@=].-([^/\\]*)$") or ""
-    return file .. ":" .. info.linedefined
+    sources[source] = sources[source] or lines_of(source)
+    local file = source:match("^[@=].-([^/\\]*)$") or ""
+    return text_in_source(f, info, sources[source], field),
+      file .. ":" .. info.linedefined
   end
-  local texts = {}
+  local texts, places = {}, {}
   return function(f, field)
-    texts[f] = texts[f] or new_text(f, field)
-    return texts[f]
+    if not texts[f] then
+      local text, place = new_text(f, field)
+      texts[f], places[f] = text or marsh.UNKNOWN, place or ""
+    end
+    return texts[f], places[f]
   end
 end
 
@@ -317,17 +362,29 @@ local function path_of(writer, node) return writer.prefix .. node._fqn:sub(5) en
 local function add_texts(writer, tab, element, fields)
   for _, field in ipairs(fields) do
     local f = element[field]
-    tab[field] = f and writer.callback_text(f, field) or nil
+    if f then
+      local text, place = writer.callback_text(f, field)
+      tab[field] = text
+      if place ~= "" then
+        tab.at = (tab.at and tab.at .. ", " or "") .. field .. " " .. place
+      end
+    end
   end
   tab.doc = type(element.doc) == "string" and element.doc or nil
 end
 
 local EFFECTS, PROGRAMS = { "guard", "effect" }, { "entry", "exit", "doo" }
 
+-- Returns a name for a function that is an event: its text, or file and line.
+local function name_of(writer, f)
+  local text, place = writer.callback_text(f)
+  return text ~= marsh.UNKNOWN and text or place
+end
+
 local function add_words(writer, tab, tr)
   local words = {}
   for i, event in ipairs(tab.events) do
-    words[i] = type(event) == "function" and writer.callback_text(event)
+    words[i] = type(event) == "function" and name_of(writer, event)
       or marsh.words_of(writer.event_text(event), tr.src._fqn)
   end
   tab.words = words
@@ -500,8 +557,8 @@ end
 -- Marks a list, so that dkjson does not write an empty one as an object.
 local function as_array(list) return setmetatable(list, { __jsontype = "array" }) end
 
-local TEXTS = { "id", "src", "tgt", "key", "doc", "guard", "effect", "entry", "exit",
-  "doo" }
+local TEXTS = { "id", "src", "tgt", "key", "at", "doc", "guard", "effect", "entry",
+  "exit", "doo" }
 local LISTS = { "events", "words", "transitions", "subnodes", "regions" }
 
 local function each(tab, keys, f)

@@ -78,7 +78,7 @@ local function writer_to(sink)
   if type(sink) == "table" and type(sink.write) ~= "function" then
     return function(rec) sink[#sink + 1] = rec end
   end
-  return journal.writer(sink)
+  return journal.writer(sink), true
 end
 
 -- Returns a clock that reads another one, and notes the reading in the present record.
@@ -260,7 +260,7 @@ local function add_recorder(track, recorder)
   -- What advances regions fails by an interrupt alone, and so may a guard.
   function track.failed(element, name)
     local is_own = name == "guard" and not rawequal(element, track.failing)
-    if is_own or element._regions then recorder.is_moved = true end
+    if is_own or select(2, rfsm.regions(element)) then recorder.is_moved = true end
     track.failing = nil
   end
   function track.guard(...) return call_guard(track, ...) end
@@ -295,8 +295,9 @@ end
 --- End the recording.
 function Recorder:stop()
   self:pause()
+  if self.is_journal then self.write(nil) end
   if self.file then self.file:close() end
-  self.file = nil
+  self.is_journal, self.file = false, nil
 end
 
 -- Public functions ------------------------------------------------------------
@@ -327,7 +328,7 @@ function record.record(fsm, sink)
     recorder.sink, recorder.name = recorder.file, sink
   end
   header.snapshot, header.file = snap, rfsm.location_of(fsm):match("^(.*):%d+: root$")
-  recorder.write = writer_to(recorder.sink)
+  recorder.write, recorder.is_journal = writer_to(recorder.sink)
   header.guards = tracks.guard_texts(fsm)
   recorder.write(header)
   recorder:go_on()
@@ -398,11 +399,13 @@ function record.replay(model, recording, options)
 end
 
 --- Read the records of a run in a file. An incomplete last line is left out.
--- @raise if the file cannot be read, a line is no record, or there is no such run
+-- @raise if the file cannot be read, a line is no record or is missing, or there is no
+-- such run
 ---@param file string
 ---@param run? integer the last one if it is absent
 ---@return table[] recording
----@return { runs: integer, is_cut: boolean } about `is_cut`: a line was left out
+---@return { runs: integer, is_cut: boolean, has_end: boolean } about `is_cut`: a line
+-- was left out; `has_end`: the recorder was stopped, and no line is missing
 ---@nodiscard
 function record.read(file, run)
   local ok, recording, about = pcall(journal.read, file, run)

@@ -25,7 +25,10 @@ function redis.name_of(argument) return library.name_of(argument) end
 ---@return string[] warnings
 ---@nodiscard
 function redis.bundle(arguments, options)
-  local text, warnings = library.text(arguments, "Redis", options or {})
+  options = options or {}
+  local text, warnings = library.text(arguments, "Redis", { index = options.index,
+    history = options.history, notes = options.history ~= nil, ids = options.ids,
+    ids_for = options.ids_for })
   return "#!lua name=rfsm\n" .. text, warnings
 end
 

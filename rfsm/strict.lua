@@ -19,6 +19,8 @@ local text_of = rfsm.text_of
 
 local strict = { is_watching = false }
 
+local latest = nil -- the strict machine that was made last: it reports for the library
+
 --- What is noted about a machine, in its field `_strict`.
 ---@class rfsm.strict.Notes
 ---@field told table<string, true> warnings that were given
@@ -27,6 +29,8 @@ local strict = { is_watching = false }
 ---@field count integer|false iterations since `rfsm.run` was called
 ---@field event any that of the last iteration that had one
 ---@field event_at integer the count then
+---@field structure table|false that whose alphabet is `known`
+---@field known rfsm.Alphabet|false
 
 local function warn(fsm, text)
   if fsm._strict.told[text] then return end
@@ -110,15 +114,37 @@ local function check_early(fsm, at, event)
     :format(at, name))
 end
 
+-- Returns the alphabet of a machine. A merge gives it another structure.
+local function alphabet_of(fsm)
+  local notes, structure = fsm._strict, rfsm.structure_of(fsm)
+  if notes.structure ~= structure then
+    notes.structure, notes.known = structure, alphabet.of_all(fsm)
+  end
+  return notes.known
+end
+
+-- May a transition accept an event? Predicates of the user are not called, they may
+-- accept any.
+local function may_accept(known, event)
+  if known.set[event] then return true end
+  for _, predicate in ipairs(known.predicates) do
+    local name = rfsm.event_name(predicate)
+    if not name or type(event) == "table" and rawget(event, "name") == name then
+      return true
+    end
+  end
+  return false
+end
+
 -- Warns of what is sent to a machine. `at`: the sender, "lamp.lua:7: ".
 local function check_events(fsm, at, ...)
-  local known = alphabet.of_all(fsm)
+  local known = alphabet_of(fsm)
   for i = 1, select("#", ...) do
     local event = select(i, ...)
     if event == nil then
       warn(fsm, ("%sargument %d is nil, which is no event (is it a name without "
         .. "quotes?)"):format(at, i))
-    elseif not alphabet.has(known, event) then
+    elseif not may_accept(known, event) then
       warn(fsm, at .. oddness_of(fsm, known, event))
     else
       check_early(fsm, at, event)
@@ -126,10 +152,15 @@ local function check_events(fsm, at, ...)
   end
 end
 
--- Returns "lamp.lua:7: " for the caller of the function that calls this.
+-- The folder of this library's modules, as their chunks are named.
+local own_folder = getinfo and getinfo(1, "S").source:match("^(@.*rfsm/)") or "none"
+
+-- Returns "lamp.lua:7: " for the caller of the function that calls this, "" for one of
+-- this library's.
 local function caller()
   local info = getinfo and getinfo(3, "Sl")
-  return info and info.currentline > 0
+  local is_own = info and info.source:sub(1, #own_folder) == own_folder
+  return info and info.currentline > 0 and not is_own
     and ("%s:%d: "):format(info.short_src, info.currentline) or ""
 end
 
@@ -147,8 +178,8 @@ for name in ("run step send_events reset is_in is_idle"):gmatch("%S+") do
 end
 
 -- Warns of reads of functions that are not there: rfsm.send_event, fsm:run().
-local function watch_reads(fsm)
-  local Library, Machine = getmetatable(rfsm), getmetatable(fsm)
+local function watch_reads()
+  local Library, Machine = getmetatable(rfsm), getmetatable(latest)
   local load_field, defaults, told = Library.__index, Machine.__index, {}
   function Library.__index(_, name)
     local value = load_field(rfsm, name)
@@ -156,8 +187,8 @@ local function watch_reads(fsm)
     local hint = is_new and advice.function_meant(name) or ""
     if hint == "" then return value end
     told[name] = true
-    rfsm.report(fsm, "warn", ("WARNING: %srfsm has no function '%s'%s"):format(caller(),
-      name, hint))
+    rfsm.report(latest, "warn", ("WARNING: %srfsm has no function '%s'%s"):format(
+      caller(), name, hint))
   end
   function Machine.__index(machine, name)
     local value = defaults[name]
@@ -302,7 +333,9 @@ end
 -- The pre step hook. Events of getevents have no sender.
 local function check_machine(fsm, events)
   check_end(fsm, events)
-  for _, obj in ipairs(rfsm.elements(fsm)) do
+  local count = fsm._strict.count or 0
+  local is_due = count < 100 or count % 100 == 0 -- a long run is not slowed down
+  for _, obj in ipairs(is_due and rfsm.elements(fsm) or {}) do
     check_callbacks(fsm, obj)
     check_fields(fsm, obj)
     check_model(fsm, obj)
@@ -317,14 +350,15 @@ end
 --- Have a machine warn of what is odd.
 ---@param fsm rfsm.Machine
 function strict.watch(fsm)
+  latest = fsm
   if not strict.is_watching then
     watch_calls()
-    watch_reads(fsm)
+    watch_reads()
   end
   strict.is_watching = true
   if fsm._strict then return end
   fsm._strict = { told = {}, models = {}, path = false, count = false,
-    event = false, event_at = 0 }
+    event = false, event_at = 0, structure = false, known = false }
   for _, obj in ipairs(rfsm.elements(fsm)) do check_model(fsm, obj) end
   rfsm.pre_step_hook_add(fsm, check_machine)
   rfsm.path_hook_add(fsm, note_path)

@@ -14,12 +14,12 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
 local calls = require "rfsm.shared.calls"
-local dot = require "rfsm.dot"
 local files = require "rfsm.shared.files"
 local Served = require "rfsm.web.served"
 local opts = require "rfsm.shared.options"
-local Picture = require "rfsm.web.picture"
+local Painter = require "rfsm.web.picture"
 
 local error, ipairs, pcall = error, ipairs, pcall
 local rawget, rawset, require, setmetatable = rawget, rawset, require, setmetatable
@@ -69,18 +69,13 @@ Server.__index = Server
 ---@field source table its view, its title, its commands
 ---@field number integer
 ---@field streams integer pages that show it
----@field graph string the drawing, in Graphviz's language
----@field drawing rfsm.web.Picture|false the picture while Graphviz runs
----@field picture string|false
----@field picture_count integer
----@field drawn integer the generation of the chart that is drawn
 ---@field seen_at number|false when the last page has read; false while one does
 
 -- Adds machines that have become known.
 local function update_shown(server)
   for i = #server.shown + 1, #server.sources do
-    server.shown[i] = { source = server.sources[i], number = i, streams = 0, graph = "",
-      drawing = false, picture = false, picture_count = 0, drawn = 0, seen_at = false }
+    server.shown[i] = { source = server.sources[i], number = i, streams = 0,
+      seen_at = false }
   end
 end
 
@@ -91,8 +86,8 @@ end
 
 -- A page that has another version fetches chart and picture.
 local function version_of(server, shown)
-  return ("%s-%d-%d-%d-%d"):format(server.id, shown.number, #server.shown,
-    shown.source.generation, shown.picture_count)
+  return ("%s-%d-%d-%d"):format(server.id, shown.number, #server.shown,
+    shown.source.generation)
 end
 
 -- Returns the message for a page with a cursor, and its next cursor.
@@ -111,6 +106,12 @@ local function state_message(server, shown, cursor, version)
   return ("event: state\ndata: %s\n\n"):format(text), next_cursor
 end
 
+-- Has a machine a picture? Graphviz takes too long for a very large one.
+local function is_drawn(shown)
+  local view = shown.source.view
+  return view and #view.outline.nodes <= MAX_DRAWN or false
+end
+
 local function chart_reply(server, _, shown)
   local source = shown.source
   local chart = source.view and source.view:chart() or {}
@@ -118,7 +119,7 @@ local function chart_reply(server, _, shown)
   chart.server, chart.machines = server.id, {}
   for i, other in ipairs(server.shown) do chart.machines[i] = other.source.title end
   chart.problems, chart.commands = source.problems, rfsm.sorted_keys(source.commands)
-  chart.has_picture = shown.picture ~= false
+  chart.has_picture = is_drawn(shown)
   return { type = "application/json", body = server.json.encode(chart) }
 end
 
@@ -127,6 +128,16 @@ end
 local function decode(server, text)
   local ok, message = pcall(server.json.decode, text, 1, nil, nil, nil)
   return ok and type(message) == "table" and message or nil
+end
+
+-- Returns a hint for an event that no transition names.
+local function hint_for(source, message)
+  local lists, event, names = source.view.outline, message.event, {}
+  if message.command ~= "send" or type(event) ~= "string" or lists.event_of[event] then
+    return nil
+  end
+  for i, other in ipairs(lists.events) do names[i] = other.text end
+  return ("no transition names '%s'%s"):format(event, advice.nearest_name(event, names))
 end
 
 local function command_reply(server, request, shown)
@@ -140,29 +151,29 @@ local function command_reply(server, request, shown)
   if type(answer) == "table" then
     return { type = "application/json", body = server.json.encode(answer) }
   end
+  answer = answer or hint_for(source, message)
   return { status = answer and 200 or 204, body = answer }
 end
 
 -- Pictures ------------------------------------------------------------------------
 
--- Begins the picture of a new chart, unless Graphviz would take too long.
-local function start_picture(shown)
-  local view = shown.source.view
-  local is_drawn = view and #view.outline.nodes <= MAX_DRAWN
-  local graph = is_drawn and dot.encode(view.description) or ""
-  shown.drawn = shown.source.generation
-  if graph == shown.graph then return end
-  if shown.drawing then shown.drawing:drop() end
-  shown.graph, shown.picture = graph, false
-  shown.drawing = graph ~= "" and Picture.start(graph, view.description)
-end
-
-local function update_picture(shown)
-  if shown.drawn ~= shown.source.generation then start_picture(shown) end
-  local picture = shown.drawing and shown.drawing:take()
-  if picture then
-    shown.picture, shown.picture_count = picture, shown.picture_count + 1
-  end
+-- Answers with the picture of a machine with some composites, by number, folded.
+-- A page asks again while it is drawn.
+local function picture_reply(server, request, shown)
+  if not is_drawn(shown) then return { status = 404 } end
+  local view, numbers = shown.source.view,
+    request.query:match("folded=([%d,]*)") or ""
+  local key = ("%d %d %s"):format(shown.number, shown.source.generation, numbers)
+  local svg = server.painter:ask(key, function()
+    local folded = {}
+    for number in numbers:gmatch("%d+") do
+      local node = view.outline.nodes[number + 1]
+      folded[#folded + 1] = node and node.fqn
+    end
+    return { graph = view.description, folded = folded, machine = shown.number }
+  end)
+  if svg then return { type = "image/svg+xml", body = svg } end
+  return { status = svg == nil and 202 or 404 }
 end
 
 -- Routes --------------------------------------------------------------------------
@@ -172,10 +183,7 @@ local ROUTES = {
     return { type = "text/html", body = server.page, policy = server.policy }
   end },
   ["/chart"] = { GET = chart_reply },
-  ["/picture.svg"] = { GET = function(_, _, shown)
-    if not shown.picture then return { status = 404 } end
-    return { type = "image/svg+xml", body = shown.picture }
-  end },
+  ["/picture.svg"] = { GET = picture_reply },
   ["/events"] = { GET = function(server, request, shown)
     if request.query:match("token=(%x*)") ~= server.token then
       return { status = 403 }
@@ -272,9 +280,7 @@ function Server:step(timeout)
   local wait = timeout or 0
   for _, shown in ipairs(self.shown) do
     shown.source:poll()
-    update_picture(shown)
     wait = min(wait, shown.source:wait())
-    if shown.drawing and shown.drawing.is_pending then wait = min(wait, 0.02) end
   end
   update_shown(self)
   send_changes(self)
@@ -292,8 +298,8 @@ end
 --- Close the port; again does no harm.
 function Server:close()
   self.http:close()
+  self.painter:close()
   for _, shown in ipairs(self.shown) do
-    if shown.drawing then shown.drawing:drop() end
     if shown.source.close then shown.source:close() end
   end
 end
@@ -315,6 +321,7 @@ local function open_server(sources, settings)
   if not token then return nil, "/dev/urandom cannot be read" end
   local server = setmetatable({
     sources = sources, shown = {}, json = settings.json, gettime = settings.gettime,
+    painter = Painter.new(),
     token = token, id = files.random(4), name = settings.host, is_late = false,
   }, Server)
   update_shown(server)

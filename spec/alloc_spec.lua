@@ -3,6 +3,7 @@
 
 local measure = require "bench.measure"
 local rfsm = require "rfsm"
+local timeevent = require "rfsm_timeevent"
 local workloads = require "bench.workloads"
 
 local jit = rawget(_G, "jit")
@@ -120,6 +121,44 @@ describe("an event with", function()
       end)
     end
   end
+end)
+
+describe("a timer", function()
+  -- Garbage of 1,000 events in a ring whose states have a timer: it fires each time, or
+  -- another event comes first.
+  local function grown_with(event, fires)
+    local now = 0
+    local model = { warn = false, info = false, emem = false, checkevents = false,
+      gettime = function() return now, 0 end, a = rfsm.state {}, b = rfsm.state {},
+      rfsm.trans { src = "initial", tgt = "a" },
+      rfsm.trans { src = "a", tgt = "b", events = { event, "e" } },
+      rfsm.trans { src = "b", tgt = "a", events = { event, "e" } } }
+    local fsm = assert(rfsm.init(rfsm.state(model)))
+    rfsm.run(fsm)
+    return with_jit("off", function()
+      return bytes_grown(function(n)
+        for _ = 1, n do
+          now = fires and now + 2 or now
+          if not fires then rfsm.send_events(fsm, "e") end
+          rfsm.run(fsm)
+        end
+      end)
+    end)
+  end
+
+  local function one() return 1 end
+
+  it("leaves one list when it fires #alloc", function()
+    local grown = grown_with("e_after(1)", true)
+    assert.is_true(grown > 0 and grown < 100 * 1000, grown .. " bytes")
+  end)
+
+  it("leaves nothing when it is armed, a function one list #alloc", function()
+    local grown = grown_with("e_after(1)", false)
+    assert.is_true(grown < 5000, grown .. " bytes")
+    grown = grown_with(timeevent.e_after(one), false)
+    assert.is_true(grown < 100 * 1000, grown .. " bytes")
+  end)
 end)
 
 -- Who gets the list of events may keep it: it is not used again then.

@@ -61,6 +61,12 @@ describe("a reference", function()
     }, problems_of(chart { b = twin, c = twin, [2] = trans { src = "a", tgt = twin } }))
   end)
 
+  it("may have a per cent sign in it", function()
+    assert.same({ "root.trans[2] (a -> 50%d): tgt '50%d': no state or connector is "
+      .. "named '50%d' in 'root' (there are 'a', 'initial')" },
+      problems_of(chart { [2] = trans { src = "a", tgt = "50%d" } }))
+  end)
+
   it("that leads nowhere hides what is wrong with its e_done", function()
     local a = state {}
     local ok, problems, warnings = rfsm.verify_early(state {

@@ -4,6 +4,7 @@ local ab = require "spec.support.ab"
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
+local stubs = require "rfsm.shared.stubs"
 local timeevent = require "rfsm_timeevent"
 require "rfsm.await"
 
@@ -363,8 +364,12 @@ local CASES = {
   { "false-guard", "none that is a function, or absent",
     { [4] = go("a", "b", "e_y", { guard = yes }) } },
   { "any-event", "a transition of a state without events",
-    { [4] = go("b", "a", {}, { pn = -1 }) },
-    "root.trans[4] (b -> a): it has no events, and is taken on any" },
+    { c = state {}, [4] = go("a", "c", "e_c"), [5] = go("c", "a") },
+    "root.trans[5] (c -> a): it has no events, and is taken on any" },
+  { "any-event", "that others in the leaf cannot come before",
+    { [4] = go("b", "a", {}, { pn = -1 }), b = state { doo = function() end } },
+    "root.trans[4] (b -> a): it has no events, and is taken on any, before "
+      .. "root.trans[3] (b -> a) can be" },
   { "any-event", "none of a connector", via_k(go("k", "b")) },
   { "empty-events", "a list of events without any", { [4] = go("b", "a", {}) },
     "root.trans[4].events (b -> a): an empty list, any event triggers it (is a name in "
@@ -428,6 +433,8 @@ local CASES = {
       .. "mean 'e_c'?)",
     "root.trans[6] (b -> a): 'e_after 2' is one event with a blank in its name (did "
       .. "you mean 'e_after(2)'?)" },
+  { "odd-event", "nothing that somebody says", { [4] = go("a", "b", { "come here",
+    "go on, please", "stop" }), [5] = go("b", "a", "it is done") } },
   { "odd-event", "none in the name of a state, or in parentheses", {
     ["c d"] = state {}, [4] = go("c d", "b", { "e_done", "e_after( 2 )" }),
     [5] = go("b", "c d", "e_x") } },
@@ -436,6 +443,8 @@ local CASES = {
   { "unknown-word", "an event that looks like a call",
     { [4] = go("a", "b", "every(1)") },
     "root.trans[4].events (a -> b): no loaded extension knows 'every(1)'" },
+  { "unknown-word", "none with the text of a stub in it", { [4] = go("a", "b",
+    "every(" .. stubs.new "config".seconds .. ")") } },
   { "unknown-word", "none of an extension", { [4] = go("a", "b", "e_after(1)") } },
   { "unknown-field", "a field in other words",
     { [4] = go("a", "b", "e", { action = yes }) }, "root.trans[4] (a -> b): a "

@@ -39,10 +39,11 @@ end
 
 local function always(reply) return function() return reply end end
 
-local KEYS = "m:{0}:1 rfsm:due:{0} rfsm:out:{0} m:{0}:1:log rfsm:in:{0} m:{0}:1:history"
+local KEYS = "m:{0}:1 rfsm:due:{0} rfsm:out:{0} m:{0}:1:log rfsm:in:{0} "
+  .. "m:{0}:1:history rfsm:since:{0}"
 
 local function fcall(name, arguments)
-  return ("h:6379 FCALL %s 6 %s%s"):format(name, KEYS, arguments or "")
+  return ("h:6379 FCALL %s 7 %s%s"):format(name, KEYS, arguments or "")
 end
 
 local STANDING = { "root.a", "done", "first", "second", "taken" }
@@ -74,6 +75,14 @@ describe("the client of a fleet", function()
     { name = "tick", call = function(c) return c:tick(1) end, sent = fcall "rfsm_tick",
       answer = { "", "inactive" }, reply = { leaf = "", mode = "inactive",
         errors = {} } },
+    { name = "hold", call = function(c) return c:hold(1) end,
+      sent = fcall "rfsm_hold", answer = STANDING, reply = REPLY },
+    { name = "release", call = function(c) return c:release(1) end,
+      sent = fcall "rfsm_release", answer = STANDING, reply = REPLY },
+    { name = "force", call = function(c) return c:force(1, "root.b") end,
+      sent = fcall("rfsm_force", " root.b"), answer = STANDING, reply = REPLY },
+    { name = "remove", call = function(c) return c:remove(1) end,
+      sent = fcall "rfsm_remove", answer = 1, reply = true },
     { name = "why", call = function(c) return c:why(1, "e") end,
       sent = fcall("rfsm_why", " e"), answer = { "a line" }, reply = { "a line" } },
     { name = "get", call = function(c) return c:get(1) end, sent = fcall "rfsm_get",
@@ -263,8 +272,9 @@ describe("a worker", function()
       end, { tags = 2 })
     assert.same({ { "rfsm:in:{0}x", "y", "rfsm:in:{1}x", "y" },
       { "rfsm:in:{0}x", "y", "rfsm:in:{1}x" } }, found)
-    assert.same({ "h:6379 FCALL rfsm_find 1 rfsm:in:{0} c root.a 100",
-      "h:6379 FCALL rfsm_find 1 rfsm:in:{1} c root.a 3" }, { sent[1], sent[4] })
+    assert.same({ "h:6379 FCALL rfsm_find 2 rfsm:in:{0} rfsm:since:{0} c root.a 100",
+      "h:6379 FCALL rfsm_find 2 rfsm:in:{1} rfsm:since:{1} c root.a 3" },
+      { sent[1], sent[4] })
   end)
 
   -- Answers the commands of a worker; `answers` has replies by command.
@@ -407,7 +417,7 @@ describe("the numbers of a fleet", function()
       { "0", { "rfsm:in:{0}" } } }
     local sent, text = with_client(function(words)
       if words[1] == "SCAN" then return table.remove(scans, 1) end
-      return { { "c", 'root."a\\\n', 2, "c", "root.b", 1 }, 3, 4, 5 }
+      return { { "c", 'root."a\\\n', 2, "c", "root.b", 1 }, 3, 4, 5, 6, 7 }
     end, function(client) return client:stats() end)
     assert.same({ "h:6379 CLUSTER NODES", "h:6379 SCAN 0 MATCH rfsm:*:{*} COUNT 1000",
       "h:6379 FCALL rfsm_stats 1 rfsm:in:{0}", "h:6379 FCALL rfsm_stats 1 rfsm:in:{1}",
@@ -416,7 +426,9 @@ describe("the numbers of a fleet", function()
       .. 'rfsm_machines{chart="c",state="root.\\"a\\\\\\n"} 4\n'
       .. 'rfsm_machines{chart="c",state="root.b"} 2\n# TYPE rfsm_timers gauge\n'
       .. "rfsm_timers 6\n# TYPE rfsm_aside gauge\nrfsm_aside 8\n"
-      .. "# TYPE rfsm_entries gauge\nrfsm_entries 10\n", text)
+      .. "# TYPE rfsm_entries gauge\nrfsm_entries 10\n"
+      .. "# TYPE rfsm_overdue gauge\nrfsm_overdue 12\n"
+      .. "# TYPE rfsm_dead gauge\nrfsm_dead 14\n", text)
   end)
 
   it("need a server, as loading a library does", function()

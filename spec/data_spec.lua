@@ -1,9 +1,11 @@
 -- Data in an exploration: fields that callbacks set, and rules for guards.
 
 local ab = require "spec.support.ab"
+local claim = require "spec.support.claims.data"
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
+local share = require "spec.support.share"
 
 local state = rfsm.state
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -216,6 +218,23 @@ describe("data anywhere", function()
     _G.verdict_count = nil
   end)
 
+  it("that a guard changes leaves it open, however it does that", function()
+    local function set(fsm) fsm.n = fsm.n + 1 end
+    local lib = { set = set }
+    local GUARDS = {
+      function(tr) tr.src._parent.n = 1 end,
+      function(tr) set(tr.src._parent) return tr.src._parent.n >= 3 end,
+      function(tr) lib.set(tr.src._parent) return tr.src._parent.n >= 3 end,
+      function(tr) rawset(tr.src._parent, "n", 1) return true end,
+    }
+    for i, guard in ipairs(GUARDS) do
+      local _, _, result = judge(function() return counting(nil, guard) end,
+        { run = { guard } })
+      assert.equal("the field 'n', which vars does not name",
+        result.untried[#result.untried], i)
+    end
+  end)
+
   it("that is added or taken away leaves it open", function()
     local function is_set(tr) return tr.src._parent.m ~= nil end
     local function set(fsm) fsm.m = 1 end
@@ -417,5 +436,11 @@ describe("guards that stay free", function()
       assert.is_false(ok)
       assert.equal(case.text, (helper.without_file(text):gsub("^%S+:%d+: ", "")))
     end
+  end)
+end)
+
+describe(claim.name, function()
+  it("holds for random charts", function()
+    assert.is_nil(share.problem(claim, 30, true))
   end)
 end)

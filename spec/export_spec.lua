@@ -139,20 +139,20 @@ describe("the text of a callback", function()
     assert.equal("far(1)", text_in("return function()\n  return far(1);\nend"))
     local forty = ("x"):rep(38) .. "()"
     assert.equal(forty, text_in("return function() " .. forty .. " end"))
-    assert.equal(":1", text_in("return function() x" .. forty .. " end"))
-    assert.equal(":1", text_in("return function()\n-- nothing\nend"))
-    assert.equal(":1", text_in("return function()\nlocal a =\n1 return a\nend"))
-    assert.equal(":1", text_in("return function() return function() end end"))
+    assert.equal("x" .. forty, text_in("return function() x = x" .. forty .. " end"))
+    assert.equal("..", text_in("return function()\n-- nothing()\nend"))
+    assert.equal("..", text_in("return function()\nlocal a =\n1 return a\nend"))
+    assert.equal("..", text_in("return function() return function() end end"))
   end)
 
   it("is the body of its field in a line with several functions", function()
     local load = rawget(_G, "loadstring") or load
     for entry, text in pairs { -- any order: each stands alone
       ["function() a() end"] = "a()", ["function(fsm) return weekend end"] = "weekend",
-      ["function() if a then b() end end"] = ":2", ["function() end"] = ":2",
-      ["function() f(function() end) end"] = ":2",
-      ["function() say('the end') end"] = ":2",
-      ["function() a() end, x = { entry = function() b() end }"] = ":2",
+      ["function() if a then b() end end"] = "..", ["function() end"] = "..",
+      ["function() f(function() end) end"] = "..",
+      ["function() say('the end') end"] = "..",
+      ["function() a() end, x = { entry = function() b() end }"] = "..",
     } do
       local chunk = "local state = ...\nreturn state { entry = " .. entry
         .. ", exit = function() last() end }"
@@ -168,7 +168,9 @@ describe("the text of a callback", function()
       trans { src = "initial", tgt = "a" } })
     local a = marsh.model2tab(fsm, true).subnodes[2]
     helper.remove_files()
-    assert.same({ "sub()", sub:match("[^/]*$") .. ":3" }, { a.entry, a.exit })
+    local file = sub:match("[^/]*$")
+    assert.same({ "sub()", "one(), two()",
+      ("entry %s:2, exit %s:3"):format(file, file) }, { a.entry, a.exit, a.at })
   end)
 
   it("is the comment behind its head, or the line of it in front", function()
@@ -177,19 +179,31 @@ describe("the text of a callback", function()
       ["opens the valve"] = "--- opens the valve \nreturn function()" .. two,
       ["shut: it leaks"] = "-- not this\nreturn function() -- shut: it leaks" .. two,
       [("x"):rep(60)] = "-- " .. ("x"):rep(60) .. "\nreturn function()" .. two,
-      [":2"] = "-- " .. ("x"):rep(61) .. "\nreturn function()" .. two,
-      [":3"] = "-- a\n\nreturn function()" .. two,
-      [":4"] = "\n\n-----\nreturn function()" .. two,
-      [":1"] = "return function()" .. two,
     } do
       assert.equal(text, text_in(chunk))
     end
+    for _, chunk in ipairs { "-- " .. ("x"):rep(61) .. "\n", "-- a\n\n", "-----\n" } do
+      assert.equal("near()", text_in(chunk .. "return function()" .. two))
+    end
   end)
 
-  it("is its line otherwise, behind its file if that is not the first one", function()
-    assert.matches("^:%d+$", text_of(function() end))
-    assert.equal(":2", text_in("return\nfunction()\nend"))
-    assert.equal(":1", text_in("return function()\nend", "=rFSM"))
+  it("is the calls in its body, in short", function()
+    for body, text in pairs { -- any order: each stands alone
+      ["motor.stop()\nself.log:put(1, f(2))"] = "motor.stop(), self.log:put(..)",
+      ["say 'x'\nmove { far() }\nprint(\"a()\")"] = "say(..), move(..), print(..)",
+      ["for _, x in ipairs {} do a() end\nb()"] = "ipairs(..), a(), b()",
+      ["if (not a()) then\nreturn (b()) end"] = "a(), b()",
+      ["a() a()\na() b()\na()"] = "a(), b(), a()",
+      ["x = 1 -- a()\nb()"] = "b()", ["x = 1\ny = x"] = "..",
+      [("one_call()\ntwo_calls()\n"):rep(3)]
+        = "one_call(), two_calls(), one_call(), ..",
+    } do
+      assert.equal(text, text_in("return function(fsm)\n" .. body .. "\nend"))
+    end
+  end)
+
+  it("is .. otherwise, with file and line beside it", function()
+    assert.equal("..", text_of(function() end))
     local load = rawget(_G, "loadstring") or load
     local a = load("return function()\nend, function() end", "@lib/a.lua")
     local _, second = a()
@@ -198,12 +212,13 @@ describe("the text of a callback", function()
       x = state { entry = load("return function()\nend", "=c")(), exit = (a()) },
       trans { src = "initial", tgt = "x" },
     }), true)
-    assert.same({ ":2", "b.lua:2", "c:1", ":1" },
-      { tab.entry, tab.exit, tab.subnodes[2].entry, tab.subnodes[2].exit })
+    assert.same({ "..", "..", "entry a.lua:2, exit b.lua:2",
+      "entry c:1, exit a.lua:1" },
+      { tab.entry, tab.exit, tab.at, tab.subnodes[2].at })
   end)
 
   it("needs neither io nor os", function()
-    assert.equal(":3\ntrue\ntrue", helper.output_of([[
+    assert.equal("..\ntrue\ntrue", helper.output_of([[
       io, os = nil, nil
       local rfsm = require "rfsm"
       local fsm = rfsm.init(rfsm.state { info = false, entry = function() go() end })
@@ -221,12 +236,12 @@ describe("the text of a callback", function()
     local text = text_in("\nreturn function()\n\n\nend", "=chart")
     local other = text_in("\nreturn function()\n\n\nend", "@other")
     marsh.read_source = read
-    assert.same({ "opens it", ":2" }, { text, other })
+    assert.same({ "opens it", ".." }, { text, other })
     assert.is_nil(read("/nowhere/x.lua"))
   end)
 
   it("is its type if there is no more to find", function()
-    assert.equal("function", text_of(print))
+    assert.equal("..", text_of(print))
     assert.equal("table", text_of(setmetatable({}, { __call = near })))
   end)
 end)
@@ -257,12 +272,17 @@ describe("the full description", function()
         events = "e", doc = "why" },
       b = state { final = true },
     }), true)
+    local a = tab.subnodes[2]
+    assert.matches("^entry export_spec.lua:%d+, exit export_.*, doo export_", a.at)
     assert.same({ id = "a", type = "state", entry = "near", doo = "near",
-      exit = "near", doc = "all" }, tab.subnodes[2])
+      exit = "near", doc = "all", at = a.at }, a)
     assert.same({ id = "b", type = "state", final = true }, tab.subnodes[3])
+    local line = a.at:match("%d+")
     assert.same({ type = "transition", src = "root.a", tgt = "root.a", events = { "e" },
       words = { "e" }, guard = "near", effect = "near", pn = 2, internal = true,
-      key = "root.go", doc = "why" }, tab.transitions[2])
+      key = "root.go", doc = "why",
+      at = ("guard export_spec.lua:%s, effect export_spec.lua:%s"):format(line, line),
+    }, tab.transitions[2])
     assert.equal("root.trans[1]", tab.transitions[1].key)
   end)
 
@@ -400,7 +420,7 @@ describe("an object in JSON", function()
     }))
     local keys, last = {}, text:match('{([^{}]*"key":"root%.trans%[2%]"[^{}]*)}')
     for key in last:gmatch('"(%l+)":') do keys[#keys + 1] = key end
-    assert.equal("type key src tgt pn events words guard effect internal",
+    assert.equal("type key src tgt pn events words guard effect internal at",
       table.concat(keys, " "))
     assert.matches('"id":"a",%s*"doc":"first",%s*"final":true', text)
   end)

@@ -464,7 +464,7 @@ describe("an operator", function()
     local output = servers.output_of("timeout 5 redis-cli -p " .. server.port
       .. " FCALL rfsm_stats 1 {0}")
     server:cli("FUNCTION KILL") -- it may go on
-    assert.equal("timed root.a 5 5 0 0 ", (output:gsub("\n", " ")))
+    assert.equal("timed root.a 5 5 0 0 0 0 ", (output:gsub("\n", " ")))
   end)
 
   for name, text in pairs { rename = "{ ['root.odd'] = 'root.uneven' }",
@@ -482,7 +482,7 @@ describe("an operator", function()
       assert.same({ "(time)", "root.odd", "root.uneven" }, { move.event, move.from,
         move.to })
       machines:send(1, "e_tick")
-      assert.equal("counter root.even 1 0 0 0", call("rfsm_stats 1 {0}"))
+      assert.equal("counter root.even 1 0 0 0 0 0", call("rfsm_stats 1 {0}"))
     end)
   end
 
@@ -500,7 +500,8 @@ describe("an operator", function()
     machines:send(1, "e_b")
     server:cli("DEL " .. key_of(1))
     assert(machines:create(1, "counter"))
-    assert.same({ {}, "counter root.even 1 0 0 0" }, { machines:find("timed", "root"),
+    assert.same({ {}, "counter root.even 1 0 0 0 0 0" }, {
+      machines:find("timed", "root"),
       call("rfsm_stats 1 {0}") })
   end)
 
@@ -529,8 +530,61 @@ rfsm_timers 3
 rfsm_aside 0
 # TYPE rfsm_entries gauge
 rfsm_entries 1
+# TYPE rfsm_overdue gauge
+rfsm_overdue 0
+# TYPE rfsm_dead gauge
+rfsm_dead 0
 ]], (table.concat(helper.lines_of("tools/rfsm redis --stats " .. server:url()), "\n")
       .. "\n"))
+  end)
+end)
+
+describe("rfsm fleet", function()
+  local function fleet_command(...)
+    return servers.output_of("tools/rfsm fleet --tags 1 " .. server:url() .. " "
+      .. table.concat({ ... }, " "))
+  end
+
+  it("finds, holds, forces and ends machines", function()
+    local key = key_of(1)
+    assert(machines:create(1, "timed"))
+    assert.equal("root.a done kept\n", fleet_command("hold", key))
+    assert.equal("root.a done kept\n", fleet_command("send", key, "e_b"))
+    assert.equal("rfsm fleet: ERR rfsm_hold: the machine at " .. key
+      .. " is held already\n", fleet_command("hold", key))
+    assert.equal("root.b done taken\n", fleet_command("release", key))
+    assert.equal("root.a done kept\n", fleet_command("force", key, "root.a"))
+    assert.matches("chart: timed\n.*leaf: root.a\n", fleet_command("get", key))
+    assert.matches("^[%d.]+ %(force%): root.b %-> root.a\n[%d.]+ e_b: root.a "
+      .. "%-> root.b\n", fleet_command("history", key))
+    assert.matches("^no transition would be taken on e_back in root.a\n",
+      fleet_command("why", key, "e_back"))
+    assert.equal(key:gsub("'", "") .. "\n", fleet_command("find", "timed", "root.a"))
+    assert.equal("", fleet_command("find", "timed", "root.a", "9", "60"))
+    assert.equal("", fleet_command("remove", key))
+    assert.equal("rfsm fleet: it is not there\n", fleet_command("remove", key))
+    assert.equal("", server:cli("KEYS '*'"):gsub("%s", ""))
+  end)
+
+  it("shows dead entries, sends them again and drops them", function()
+    assert(machines:create(1, "timed"))
+    for _ = 1, 2 do assert(machines:send(1, "e_emit")) end
+    machines:work("g", "w", function() error("no stock", 0) end, { tries = 1 })
+    local first, second = fleet_command("dead")
+      :match('^0 (%S+) m:{0}:1 done {"n":1} x1 no stock\n0 (%S+) m:{0}:1 done {"n":2}')
+    assert.matches("\nrfsm_dead 2\n", machines:stats(), 1, true)
+    assert.equal("", fleet_command("again", "0", first))
+    assert.equal("", fleet_command("drop", "0", second))
+    assert.equal("rfsm fleet: it is not there\n", fleet_command("again", "0", first))
+    assert.equal("", fleet_command("dead"))
+    local seen = {}
+    machines:work("g", "w", function(entry) seen[#seen + 1] = entry.data.n end)
+    assert.same({ 1 }, seen)
+  end)
+
+  it("says what a verb needs", function()
+    assert.matches("Error: force KEY STATE expected", fleet_command("force", "x"), 1,
+      true)
   end)
 end)
 

@@ -326,6 +326,29 @@ describe("an interrupt", function()
     end)
   end)
 
+  -- a --e--> b; c is merged, and b --e--> c then
+  it("of fsm_merge leaves the machine with the element, or as it was", function()
+    local MANY, at, is_reached = 1e5, 0, true
+    interrupts.without_jit(function()
+      while is_reached do
+        local fsm, value = in_b {}, interrupts.VALUES[at % 3 + 1]
+        at = at + 7
+        local c = rfsm.state { x = rfsm.state {},
+          rfsm.trans { src = "initial", tgt = "x" } }
+        is_reached = interrupts.raise(at, value, rfsm.fsm_merge, fsm, fsm, c, "c")
+        local is_there = fsm.c ~= nil
+        assert.equal(not is_there, rfsm.fsm_merge(fsm, fsm, rfsm.state {}, "c"))
+        rfsm.fsm_merge(fsm, fsm, rfsm.trans { src = "b", tgt = "c", events = { "e" } })
+        for _, event in ipairs { "e_init_fsm", "e", "e" } do
+          rfsm.send_events(fsm, event)
+          assert.is_false(interrupts.raise(MANY, value, rfsm.run, fsm))
+        end
+        assert.equal(is_there and "root.c.x" or "root.c", rfsm.get_actleaf_fqn(fsm))
+      end
+    end)
+    assert.is_true(at > 500)
+  end)
+
   it("of a callback is its failure, but Control-C reaches the caller", function()
     local failures = {}
     local function forever() while true do helper.clear {} end end

@@ -9,7 +9,7 @@ local helper = require "spec.helper"
 local lines = require "rfsm.pictures.lines"
 local looks = require "rfsm.pictures.looks"
 local marsh = require "rfsm.marsh"
-local Picture = require "rfsm.web.picture"
+local Painter = require "rfsm.web.picture"
 local pictures = require "spec.support.pictures"
 local rfsm = require "rfsm"
 local share = require "spec.support.share"
@@ -569,24 +569,10 @@ describe("dot.layout", function()
     assert.equal(layout_with "%1height=0.4,\n\t\t", layout_with "%1")
   end)
 
-  it("is what a server draws while it goes on", function()
+  it("is what a server draws", function()
     local tab = marsh.model2tab(helper.init(chain(3)), true)
-    local picture = Picture.start(dot.encode(tab), tab)
-    local svg, last = nil, os.time() + 60
-    while picture.is_pending and os.time() < last do svg = picture:take() end
-    assert.equal(dot.render(assert(dot.layout(tab)), "svg"), svg)
-    assert.is_nil(io.open(picture.input))
-    assert.is_nil(io.open(picture.output))
-    assert.is_nil(picture:take())
-  end)
-
-  it("is stopped with its files", function()
-    local picture = Picture.start(dot.encode(helper.init(chain(12))))
-    assert.is_true(picture.is_pending)
-    picture:drop()
-    assert.is_false(picture.is_pending)
-    assert.is_nil(picture:take())
-    assert.is_nil(io.open(picture.input))
+    assert.equal(dot.render(assert(dot.layout(tab)), "svg"),
+      Painter.draw({ graph = tab, folded = {} }))
   end)
 
   it("draws connectors with a ring where arrows cross their frame", function()

@@ -6,7 +6,7 @@ local marsh = require "rfsm.marsh"
 local new_random = require "spec.support.random"
 local pictures = require "spec.support.pictures"
 local rfsm = require "rfsm"
-local robots = require "spec.support.robots"
+local robots = require "spec.support.robot_charts"
 local share = require "spec.support.share"
 
 local content, file_with = helper.content, helper.file_with

@@ -118,6 +118,18 @@ return rfsm.state {
     end },
 }]]
 
+-- a --e_emit--> a, which emits its number
+local EMITTER = [[
+return rfsm.state {
+  keep = { "n" }, n = 0, a = rfsm.state {},
+  rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "internal", events = { "e_emit" },
+    effect = function(fsm)
+      fsm.n = fsm.n + 1
+      fsm.emit("emitted", { n = fsm.n })
+    end },
+}]]
+
 local EVENTS = servers.EVENTS or 500
 local CLIENTS = servers.EVENTS and 20 or 10
 
@@ -136,11 +148,11 @@ before_each(function()
   if has_usual_charts then return end
   server:sql("DROP SCHEMA IF EXISTS rfsm CASCADE")
   load_charts({ history = true }, "lamp=" .. helper.file_with(LAMP),
-    "counter=" .. helper.file_with(COUNTER))
+    "counter=" .. helper.file_with(COUNTER), "emitter=" .. helper.file_with(EMITTER))
   has_usual_charts = true
 end)
 
-local EMPTY = "TRUNCATE rfsm.machines, rfsm.out, rfsm.log, rfsm.history "
+local EMPTY = "TRUNCATE rfsm.machines, rfsm.out, rfsm.log, rfsm.history, rfsm.dead "
   .. "RESTART IDENTITY;\n"
 
 -- All that a schema holds, as text.
@@ -518,7 +530,7 @@ SELECT state, count(*) FROM rfsm.machines GROUP BY state;]]))
 root.even
 0
 t
-rfsm.tick: no chart is named 'gone' (there are 'counter', 'lamp')
+rfsm.tick: no chart is named 'gone' (there are 'counter', 'emitter', 'lamp')
 ]], sql([[
 SELECT rfsm.create('1', 'counter');
 UPDATE rfsm.machines SET value = jsonb_set(value, '{1}', '"gone"'), due = now();
@@ -528,12 +540,12 @@ SELECT error FROM rfsm.log;]]))
   end)
 
   it("gets events at a time, unless they are taken back", function()
-    assert.equal("root.even\nroot.even\nroot.even\nt\nf\n1\nroot.odd|e_tick\n", sql([[
+    assert.equal("root.even\nroot.even\nt\nf\nroot.even\n1\nroot.odd|e_tick\n", sql([[
 SELECT rfsm.create('1', 'counter');
 SELECT rfsm.send_at('1', now() + interval '1 hour', 'e_tick', id => 'a');
+SELECT rfsm.cancel('1', 'a');
+SELECT rfsm.cancel('1', 'a');
 SELECT rfsm.send_at('1', clock_timestamp() + interval '1 ms', 'e_tick', id => 'b');
-SELECT rfsm.cancel('1', 'a');
-SELECT rfsm.cancel('1', 'a');
 SELECT pg_sleep(0.002) \gset
 SELECT rfsm.wake();
 SELECT state, event FROM rfsm.machines;]]))
@@ -588,6 +600,188 @@ SELECT rfsm.create('1', 'counter');
 SELECT rfsm.send('1', 'e_tick');]])
     assert.matches('"rfsm" with payload "{"key" : "1", "chart" : "counter", '
       .. '"state" : "root.odd"}" received', output, 1, true)
+  end)
+end)
+
+describe("an entry that a machine has emitted", function()
+  it("is a worker's for a time, and gone when it is done", function()
+    assert.equal([[
+1|1|emitted|{"n": 1}|1
+2|1|emitted|{"n": 2}|1
+t
+f
+2|2
+]], sql([[
+SELECT rfsm.create('1', 'emitter') \gset
+SELECT rfsm.send('1', 'e_emit') \gset
+SELECT rfsm.send('1', 'e_emit') \gset
+SELECT * FROM rfsm.take();
+SELECT * FROM rfsm.take(5);
+SELECT * FROM rfsm.take(5);
+SELECT rfsm.done(1);
+SELECT rfsm.done(1);
+UPDATE rfsm.out SET due = now();
+SELECT id, try FROM rfsm.take(5);]]))
+  end)
+
+  it("is dead when its tries are used up, and no worker gets it any more", function()
+    assert.equal([[
+t
+1|1
+1|2
+1|3|no worker has finished it
+2|3|no stock
+0
+]], sql([[
+SELECT rfsm.create('1', 'emitter') \gset
+SELECT rfsm.send('1', 'e_emit') \gset
+INSERT INTO rfsm.out (key, what, tries, due) VALUES ('1', 'x', 3, now());
+SELECT rfsm.fail(2, 'no stock');
+SELECT id, try FROM rfsm.take(5, '0 s', 3);
+SELECT id, try FROM rfsm.take(5, '0 s', 3);
+SELECT count(*) FROM rfsm.take(5, '0 s', 3) \gset
+SELECT count(*) FROM rfsm.take(5, '0 s', 3) \gset
+SELECT id, tries, error FROM rfsm.dead ORDER BY id;
+SELECT count(*) FROM rfsm.out;]]))
+  end)
+end)
+
+describe("an operator", function()
+  it("holds, releases, forces and ends machines", function()
+    assert.equal([[
+root.even
+root.even|t
+root.even
+kept
+root.odd
+root.even
+|root.even
+e_tick|root.odd
+(force)|root.even
+root.even|
+t
+f
+0
+]], sql([[
+SELECT rfsm.create('1', 'counter') \gset
+SELECT rfsm.hold('1');
+SELECT state, due IS NULL FROM rfsm.machines;
+SELECT rfsm.send('1', 'e_tick');
+SELECT outcome FROM rfsm.reply('1', ARRAY['e_tick'], 'x');
+SELECT rfsm.cancel('1', 'x') \gset
+SELECT rfsm.release('1');
+SELECT rfsm.force('1', 'root.even');
+SELECT rfsm.remove('1') AS was_there \gset
+SELECT event, tgt FROM rfsm.history WHERE tgt IS NOT NULL ORDER BY id;
+SELECT src, tgt FROM rfsm.history WHERE tgt IS NULL;
+SELECT :'was_there';
+SELECT rfsm.remove('1');
+SELECT count(*) FROM rfsm.machines;]]))
+    assert.equal("ERROR:  rfsm.force: chart 'counter' has no leaf 'root.add' (did you "
+      .. "mean 'root.odd'?)\n", sql([[
+SELECT rfsm.create('1', 'counter') \gset
+SELECT rfsm.force('1', 'root.add');]]))
+  end)
+
+  it("sends dead entries again, drops them, and reads numbers", function()
+    assert.equal([[
+rfsm_dead|||2
+rfsm_entries|||0
+rfsm_machines|counter|root.even|1
+rfsm_overdue|||1
+rfsm_timers|||1
+t
+f
+t
+1|x
+]], sql([[
+SELECT rfsm.create('1', 'counter') \gset
+UPDATE rfsm.machines SET due = now() - interval '2 minutes';
+INSERT INTO rfsm.dead VALUES (7, now(), '1', 'x', NULL, 5, 'no'),
+  (8, now(), '1', 'y', NULL, 5, 'no');
+SELECT * FROM rfsm.stats();
+SELECT rfsm.again(7);
+SELECT rfsm.again(7);
+SELECT rfsm.drop(8);
+SELECT key, what FROM rfsm.out;]]))
+  end)
+end)
+
+describe("a role that may use the schema", function()
+  local FORGED = {
+    "SELECT * FROM rfsm.machines", "SELECT * FROM rfsm.out", "SELECT * FROM rfsm.log",
+    "SELECT * FROM rfsm.history", "SELECT * FROM rfsm.dead",
+    "UPDATE rfsm.machines SET state = 'root.odd'", "DELETE FROM rfsm.machines",
+    "INSERT INTO rfsm.out (key, what) VALUES ('1', 'pay')", "DELETE FROM rfsm.out",
+    "INSERT INTO rfsm.machines SELECT * FROM rfsm.machines",
+    "TRUNCATE rfsm.machines", "DROP TABLE rfsm.machines",
+    "SELECT rfsm.call('rfsm_send', '1', ARRAY['e_tick'], NULL)",
+    "SELECT rfsm.hold('1')", "SELECT rfsm.release('1')", "SELECT rfsm.remove('1')",
+    "SELECT rfsm.force('1', 'root.odd')", "SELECT rfsm.drop(1)",
+    "SELECT rfsm.take()", "SELECT rfsm.done(1)", "SELECT rfsm.fail(1, 'x')",
+    "CREATE TABLE rfsm.x (y int)", "CREATE FUNCTION rfsm.f() RETURNS int LANGUAGE sql "
+      .. "AS 'SELECT 1'",
+    "ALTER FUNCTION rfsm.send(text, text, text) RESET ALL",
+    "DO $$ BEGIN LOCK rfsm.machines; END $$",
+  }
+
+  it("sends, and forges or reads nothing", function()
+    local output = sql([[
+CREATE ROLE shop;
+GRANT USAGE ON SCHEMA rfsm TO shop;
+SELECT rfsm.create('1', 'counter') \gset
+SET ROLE shop;
+SELECT rfsm.send('1', 'e_tick');
+SELECT outcome FROM rfsm.reply('1', ARRAY['e_tick']);
+SELECT rfsm.create('2', 'counter');
+SELECT rfsm.send_at('2', now(), 'e_tick', 'a');
+SELECT rfsm.cancel('2', 'a');
+SELECT rfsm.wake();
+SELECT count(*) > 0 FROM rfsm.why('2', 'e_tick');
+]] .. table.concat(FORGED, ";\n") .. ";")
+    local replies = assert(output:match("^root.odd\ntaken\nroot.even\nroot.odd\nf\n"
+      .. "0\nt\n(.*)$"), output)
+    local others, count = replies:gsub("ERROR:  permission denied for [^\n]*\n", "")
+    local rest, more = others:gsub("ERROR:  must be owner of [^\n]*\n", "")
+    assert.same({ "", #FORGED }, { rest, count + more })
+    sql("DROP OWNED BY shop; DROP ROLE shop")
+  end)
+
+  it("does not lend the owner's rights to names of its own", function()
+    assert.equal("root.odd\n0\n", sql([[
+CREATE SCHEMA trap;
+CREATE FUNCTION trap.now() RETURNS timestamptz LANGUAGE plpgsql AS $$
+BEGIN UPDATE rfsm.machines SET state = 'forged'; RETURN clock_timestamp(); END $$;
+SELECT rfsm.create('1', 'counter') \gset
+SET search_path = trap, pg_catalog;
+CREATE TEMP TABLE machines (key text);
+SELECT rfsm.send('1', 'e_tick');
+SELECT rfsm.wake() \gset
+SELECT count(*) FROM rfsm.machines WHERE state = 'forged';
+SET client_min_messages = error;
+DROP SCHEMA trap CASCADE;]]))
+  end)
+end)
+
+describe("a worker", function()
+  it("goes on after a conflict, and ends when its client is gone", function()
+    local wait = server:beside([[
+SET default_transaction_isolation = 'repeatable read';
+SET application_name = 'working';
+CALL rfsm.work(0.01, '0.1 s');]])
+    sql("SELECT rfsm.create('1', 'counter')")
+    server:wait_for("SELECT count(*) = 1 FROM pg_stat_activity "
+      .. "WHERE application_name = 'working'")
+    server:sql([[
+BEGIN;
+UPDATE rfsm.machines SET due = now();
+SELECT pg_sleep(0.05);
+COMMIT;]])
+    server:wait_for("SELECT due IS NULL FROM rfsm.machines")
+    assert.equal("0\n", server:sql("SELECT count(*) FROM rfsm.log"))
+    server:sql("SELECT pg_terminate_backend(pid) FROM pg_stat_activity "
+      .. "WHERE application_name = 'working'")
+    assert.matches("rfsm.work: %d machines were woken", wait())
   end)
 end)
 

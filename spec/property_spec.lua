@@ -310,6 +310,17 @@ describe("a machine that is watched", function()
     assert.equal(1, #told)
   end)
 
+  it("has a name without an address, whatever its event is", function()
+    for text, event in pairs { -- any order: each stands alone
+      e_paid = { name = "e_paid" }, ["a table"] = { 7 }, ["a function"] = print,
+      ["an object"] = setmetatable({}, { __tostring = function()
+        return "an object"
+      end }) } do
+      assert.equal("after " .. text .. " reach root.b",
+        tostring(after(event).reach "root.b"))
+    end
+  end)
+
   it("refuses other properties, states, flags and values", function()
     local CASES_OF_ERRORS = {
       { given = { from "root.a".can_reach "root.b" },

@@ -267,7 +267,8 @@ describe("a recording", function()
     assert.matches('^{"record":1,', text)
     assert.same(json.decode(json.encode(sink)), (record.read(file)))
     local cut = helper.file_with(text:sub(1, -3))
-    assert.same({ runs = 1, is_cut = true }, select(2, record.read(cut)))
+    assert.same({ runs = 1, is_cut = true, has_end = false },
+      select(2, record.read(cut)))
     assert.equal(9, #record.read(cut))
     assert.equal("root.idle", rfsm.get_actleaf_fqn(assert(
       record.replay(worker({}, yes), cut, { dry = true }))))
@@ -275,7 +276,31 @@ describe("a recording", function()
     assert.matches(": no JSON: .* at line 2$", select(2, pcall(record.read, broken)))
   end)
 
-  it("of an event and its completion takes 60 bytes in a file", function()
+  it("in a file has an end, and no line may be missing", function()
+    local file = helper.file_with("")
+    recorded(file):stop()
+    assert.is_true(select(2, record.read(file)).has_end)
+    local lines = {}
+    for line in helper.content(file):gmatch("[^\n]+") do lines[#lines + 1] = line end
+    assert.equal(11, #lines)
+    for gone = 2, 10 do
+      local line = table.remove(lines, gone)
+      local ok, problem = pcall(record.read,
+        helper.file_with(table.concat(lines, "\n") .. "\n"))
+      assert.is_false(ok)
+      assert.matches(("record %d is missing: record %d comes in its place$"):format(
+        gone - 1, gone), problem)
+      table.insert(lines, gone, line)
+    end
+    lines[11] = nil
+    local about = select(2, record.read(helper.file_with(table.concat(lines, "\n"))))
+    assert.same({ runs = 1, is_cut = false, has_end = false }, about)
+    for i = 2, 10 do lines[i] = lines[i]:gsub('"n":%d+,?', "") end -- as it was before
+    assert.same(record.read(file), (record.read(helper.file_with(table.concat(lines,
+      "\n")))))
+  end)
+
+  it("of an event and its completion takes 75 bytes in a file", function()
     local file = helper.file_with("")
     local fsm = helper.init(state { info = false, warn = false, off = state {},
       on = state {}, trans { src = "initial", tgt = "off" },
@@ -287,7 +312,7 @@ describe("a recording", function()
     for _ = 1, 10 do helper.post_and_run(fsm, "e_push") end
     for _ = 1, 1000 do rfsm.run(fsm) end -- nothing comes
     recorder:stop()
-    assert.is_true(#helper.content(file) - before <= 600)
+    assert.is_true(#helper.content(file) - before <= 750)
     assert.equal(20, recorder.count)
   end)
 
@@ -329,11 +354,12 @@ describe("a recording", function()
         { m = 1, leaf = "root.r" }, { m = 1, leaf = "root.r" },
         { events = { 7 }, leaf = "root.a" },
       }
-      local usual = { '{"events":["e_\\"a"],"leaf":"root.a"}',
-        '{"events":[true,false],"sent":["e_b"]}', '{"leaf":"root.b","done":true}', "{}",
-        "{}", '{"events":["x"],"leaf":false,"done":true}' }
-      local odd = { '{"m":1,"leaf":"root.r"}', '{"m":1}',
-        '{"events":[7],"leaf":"root.a"}' }
+      local usual = { '{"n":1,"events":["e_\\"a"],"leaf":"root.a"}',
+        '{"n":2,"events":[true,false],"sent":["e_b"]}',
+        '{"n":3,"leaf":"root.b","done":true}', '{"n":4}', '{"n":5}',
+        '{"n":6,"events":["x"],"leaf":false,"done":true}' }
+      local odd = { '{"n":7,"m":1,"leaf":"root.r"}', '{"n":8,"m":1}',
+        '{"n":9,"events":[7],"leaf":"root.a"}' }
       local expected = {}
       for _, text in ipairs(usual) do expected[#expected + 1] = text end
       assert.same(expected, lines_of({ unpack(records, 1, 6) }, error))
@@ -372,7 +398,7 @@ describe("a recording", function()
     recorder:stop() -- again does no harm
     local lines = {}
     recorded { write = function(_, line) lines[#lines + 1] = line end }
-    local run = table.concat(lines, "\n") .. "\n"
+    local run = table.concat(lines, "\n") .. '\n{"end":9}\n'
     assert.equal(run .. run, helper.content(file))
   end)
 
@@ -506,12 +532,13 @@ describe("a recording", function()
     helper.write(file, text:sub(1, -3))
     recorded(file)
     recorded(file)
-    assert.same({ 9, { runs = 3, is_cut = true } },
+    assert.same({ 9, { runs = 3, is_cut = true, has_end = false } },
       { #record.read(file, 1), select(2, record.read(file, 1)) })
     for _, number in ipairs { 2, 3 } do
       assert.same(whole, (record.read(file, number)))
     end
-    assert.same({ whole, { runs = 3, is_cut = false } }, { record.read(file) })
+    assert.same({ whole, { runs = 3, is_cut = false, has_end = false } },
+      { record.read(file) })
     for _, number in ipairs { 0, 4, 1.5, "x" } do
       assert.equal("rfsm.record: " .. file .. ": run: number from 1 to 3 expected, got "
         .. tostring(number), select(2, pcall(record.read, file, number)))

@@ -80,7 +80,7 @@ describe("a call", function()
     open { index = true, history = 5 }
     call("send", "e_b")
     local lines = table.concat(trace, "\n")
-    assert.equal("ZREM XADD SET ZREM ZADD XADD SPUBLISH", written())
+    assert.equal("ZREM XADD SET ZREM ZADD ZADD XADD SPUBLISH", written())
     assert.matches("ZREM {1=rfsm:in:{m},2=c\troot.a\tm}", lines, 1, true)
     assert.matches("ZADD {1=rfsm:in:{m},2=0,3=c\troot.b\tm}", lines, 1, true)
     assert.matches("XADD {1={m}:history,2=MAXLEN,3=5,4=*,5=event,6=e_b,7=from,8=root.a,"
@@ -699,18 +699,19 @@ describe("what an operator asks", function()
     open { index = true }
     local asked = answering { EXISTS = 1, ZRANGEBYLEX = { each = { { "c\troot.a\tk1" },
       { "c\troot.b\tk2" }, {}, { "c\troot.a\tk1" }, { "c\troot.b\tk2",
-        "c\troot.b\tk3" } } }, ZCARD = 4, XLEN = 5 }
-    assert.same({ { "c", "root.a", 1, "c", "root.b", 2 }, 4, 4, 5 }, call("stats"))
+        "c\troot.b\tk3" } } }, ZCARD = 4, XLEN = 5, ZCOUNT = 3 }
+    assert.same({ { "c", "root.a", 1, "c", "root.b", 2 }, 4, 4, 5, 3, 5 },
+      call("stats"))
     assert.same({ "ZRANGEBYLEX rfsm:in:{m} [ + LIMIT 0 1",
       "ZRANGEBYLEX rfsm:in:{m} [c\troot.a\n + LIMIT 0 1",
       "ZRANGEBYLEX rfsm:in:{m} [c\troot.b\n + LIMIT 0 1",
       "ZRANGEBYLEX rfsm:in:{m} [c\troot.a\t (c\troot.a\n LIMIT 0 1000", "EXISTS k1",
       "ZRANGEBYLEX rfsm:in:{m} [c\troot.b\t (c\troot.b\n LIMIT 0 1000", "EXISTS k2",
-      "EXISTS k3", "ZCARD rfsm:due:{m}", "ZCARD rfsm:aside:{m}", "XLEN rfsm:out:{m}" },
-      asked)
+      "EXISTS k3", "ZCARD rfsm:due:{m}", "ZCARD rfsm:aside:{m}", "XLEN rfsm:out:{m}",
+      "ZCOUNT rfsm:due:{m} -inf 940.000000", "XLEN rfsm:dead:{m}" }, asked)
     open()
-    answering { ZCARD = 4, XLEN = 5 }
-    assert.same({ {}, 4, 4, 5 }, call("stats"))
+    answering { ZCARD = 4, XLEN = 5, ZCOUNT = 3 }
+    assert.same({ {}, 4, 4, 5, 3, 5 }, call("stats"))
   end)
 
   it("is the history, the newest first", function()
@@ -737,6 +738,97 @@ describe("what an operator asks", function()
     assert.same("root.trans[2] (a -> b) would be taken on e_b in root.a",
       call("why", "e_b")[1])
     assert.equal("", written())
+  end)
+end)
+
+describe("a machine that is held", function()
+  it("rests until it is released, then does all in order", function()
+    open { history = 9, notes = true }
+    call("send_at", "+2", "e_b", "ID", "x")
+    assert.same({ "root.a", "done", "kept" }, call("hold"))
+    assert.equal("ERR rfsm_hold: the machine at 'm' is held already", call("hold"))
+    assert.same({ "due", "", "held", "yes" }, { unpack(call("get"), 15, 18) })
+    clock.now = 1001
+    assert.same({ "root.a", "done", "kept" }, call("send", "e_bad", "ID", "y"))
+    clock.now = 1007
+    assert.same({ "root.a", "done", "kept" }, call("tick"))
+    assert.same({ "root.a", "done", "known" }, call("send", "e_bad", "ID", "y"))
+    assert.same({ "root.a", "done", "kept" }, call("send", "e_a", "ID", "z"))
+    written()
+    assert.same({ "root.a", "done", "taken" }, call("release"))
+    assert.equal('{"root":{"n":1}}', call("get")[12])
+    local events = {}
+    call("send", "e_x")
+    for by in table.concat(trace, "\n"):gmatch("event,6=(%S-),7=") do
+      events[#events + 1] = by
+    end
+    assert.same({ "e_bad", "e_b", "e_a", "e_x" }, events)
+    assert.equal("ERR rfsm_release: the machine at 'm' is not held", call("release"))
+  end)
+
+  it("keeps its timers until then", function()
+    clock.now = 1001
+    call("hold")
+    clock.now = 1003
+    assert.same({ "root.a", "done", "kept" }, call("release"))
+    assert.equal("1005.000000", call("get")[16])
+  end)
+end)
+
+describe("a machine that is forced", function()
+  it("is in the state, with its timers, and no callback has run", function()
+    open { history = 9 }
+    call("send", "e_b")
+    assert.equal("", call("get")[16])
+    clock.now = 1003
+    written()
+    assert.same({ "root.a", "done", "kept" }, call("force", "root.a"))
+    assert.equal("1008.000000", call("get")[16])
+    assert.equal('{"root":{"n":1}}', call("get")[12])
+    assert.matches("event,6=(force),7=from,8=root.b,9=to,10=root.a",
+      table.concat(trace, "\n"), 1, true)
+    call("force", "root.b")
+    assert.equal("", call("get")[16])
+  end)
+
+  it("needs the name of a leaf", function()
+    assert.equal("ERR rfsm_force: chart 'c' has no leaf 'root.d' (did you mean "
+      .. "'root.a'?)", call("force", "root.d"))
+    assert.matches("has no leaf 'root.c'", call("force", "root.c"))
+    assert.equal("", written())
+  end)
+end)
+
+describe("values of the version before", function()
+  local codec = require "rfsm.server.codec"
+
+  local function with_value(text)
+    local unpack_value = host.pack.unpack
+    function host.pack.unpack(key)
+      host.pack.unpack = unpack_value
+      unpack_value(key)
+      return codec.decode(text)
+    end
+  end
+
+  it("go on: timers, awaits, ids, events that come later", function()
+    with_value('["rfsm","c",{"version":2,"chart":"6e3c8444031-2c59b6","done":true,'
+      .. '"leaf":"root.a","data":{"root":["%t","n",0]},"ext":{"timers":'
+      .. '{"e_after(5)@root.a":5},"await":{"await(e_x, e_y)@root.a":{"e_x":true}}}},'
+      .. '1000,0,1002,["1","2"],[[1002,"9","e_y"],[1003,"8","e_a"]]]')
+    clock.now = 1004
+    assert.same({ "root.a", "done", "taken" }, call("tick"))
+    assert.equal('{"root":{"n":1}}', call("get")[12])
+    for _, id in ipairs { "1", "2", "9", "8" } do
+      assert.equal("known", call("send", "e_b", "ID", id)[3])
+    end
+    assert.equal("1008.000000", call("get")[16])
+  end)
+
+  it("go on: without anything but a state", function()
+    with_value('["rfsm","c",{"version":2,"chart":"6e3c8444031-2c59b6","done":true,'
+      .. '"leaf":"root.b","data":{"root":["%t","n",1]}}]')
+    assert.same({ "root.a", "done", "taken" }, call("send", "e_a"))
   end)
 end)
 

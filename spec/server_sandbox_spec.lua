@@ -1,5 +1,6 @@
 -- What of a chart cannot run in Redis, found while it is bundled.
 
+local code = require "rfsm.shared.code"
 local helper = require "spec.helper"
 local redis = require "rfsm.redis"
 local sandbox = require "rfsm.server.sandbox"
@@ -27,14 +28,18 @@ describe("the code of a text", function()
     { text = "a - b 'c' -- d\ne", code = "a - b         \ne" },
   } do
     it("has blanks for strings and comments: " .. case.text:gsub("\n", " "), function()
-      assert.equal(case.code, sandbox.code_of(case.text))
+      assert.equal(case.code, code.of(case.text))
     end)
   end
+
+  it("has its strings, if they are to stay", function()
+    assert.equal("a 'b -- c'     \n[[e -- f]]      ",
+      code.of("a 'b -- c' -- d\n[[e -- f]]--[[ g", true))
+  end)
 end)
 
 describe("a loop without an end", function()
-  -- The lines of the loops in a text.
-  local function lines(text) return sandbox.endless(sandbox.code_of(text)) end
+  local lines = sandbox.endless
 
   for _, text in ipairs { "while true do end", "while 1 do x = x + 1 end",
     "while (true) do if a then b() end end", "repeat x() until false",

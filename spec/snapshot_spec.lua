@@ -298,6 +298,26 @@ describe("a snapshot of another chart", function()
       select(3, snapshot.restore(other(), bare)))
   end)
 
+  it("is compared by the structure in it where its chart is not known", function()
+    snap.chart = "00000000000"
+    table.insert(snap.structure, "field old of root")
+    local _, _, list = snapshot.restore(other(), snap)
+    assert.same({ "new: root.on.low -> root.on.full on e_up",
+      "new: state root.on.full", "gone: root.on.low -> root.on.high on e_up",
+      "gone: state root.on.high", "gone: field old of root" }, list)
+  end)
+
+  it("is told of fields that only the new chart keeps", function()
+    local function plain(keep)
+      return state { info = false, warn = false, keep = keep, n = 1, a = state {},
+        trans { src = "initial", tgt = "a" } }
+    end
+    local list
+    assert(snapshot.restore(plain { "n" }, snapshot.take(helper.started(plain())),
+      { migrate = function(_, difference) list = difference end }))
+    assert.same({ "new: field n of root" }, list)
+  end)
+
   it("moves by a table of new names", function()
     local fsm = assert(snapshot.restore(other(), snap,
       { rename = { ["root.on.high"] = "root.on.full" } }))

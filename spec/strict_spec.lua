@@ -1,8 +1,10 @@
 -- Strict machines: odd, early and undeclared events, and fields that are not there.
 
 local ab = require "spec.support.ab"
+local claim = require "spec.support.claims.strict"
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
+local share = require "spec.support.share"
 local strict = require "rfsm.strict"
 require "rfsm.await"
 
@@ -48,14 +50,21 @@ describe("a strict machine", function()
     { events = { "e_after (2)" }, text = "'e_after (2)' is one event (did you mean "
       .. "'e_after(2)'?)" },
     { events = { "e_x" } },
-    { events = { "e_p" } },
+    { events = { "e_p" }, predicate = function() error("not called") end },
+    { events = { { name = "e_paid" } }, predicate = rfsm.named "e_paid" },
+    { events = { { name = "e_pay" } }, predicate = rfsm.named "e_paid", text = "no "
+      .. "transition names the event { name = 'e_pay' } (did you mean 'e_paid'?)" },
+    { events = { { e = "e_paid" } }, predicate = rfsm.named "e_paid", text = "the "
+      .. "table has no field 'name' (there is 'e_paid')" },
+    { events = { "e_paid" }, predicate = rfsm.named "e_paid", text = "no transition "
+      .. "names the event 'e_paid' (did you mean { name = 'e_paid' }?)" },
     { events = { "await_me", "and_me" } },
   }
   for _, case in ipairs(SENT) do
     it(case.text and "warns: " .. case.text
-      or "does not warn of " .. case.events[1], function()
+      or "does not warn of " .. rfsm.text_of(case.events[1]), function()
       local fsm, warnings = started { [4] = go("a", "b", { "await(await_me, and_me)",
-        function(event) return event == "e_p" end }) }
+        case.predicate }) }
       rfsm.send_events(fsm, case.events[1], case.events[2] or "e_x")
       assert.same({ case.text and HERE .. case.text }, warnings)
       rfsm.run(fsm)
@@ -162,4 +171,8 @@ describe("a strict machine", function()
       assert.matches(":7: no transition names the event 'e_q'$", out)
     end)
   end
+end)
+
+it("a strict machine runs random charts as one that is not, with odd fields", function()
+  assert.is_nil(share.problem(claim, 60))
 end)

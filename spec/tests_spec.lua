@@ -1,6 +1,7 @@
 -- Tests made from charts: they pass, take what can be taken, and notice mutants.
 
 local explore = require "rfsm.explore.explore"
+local outside_events = require("spec.support.claims.explore").outside_events
 local helper = require "spec.helper"
 local mutate = require "spec.support.mutate"
 local rfsm = require "rfsm"
@@ -52,7 +53,7 @@ local function seen_in(model, alphabet)
         table.concat(paths, ","), text_of(tgt) }, " ")] = true
     end
   end)
-  return seen, walked.subject:outside_events()
+  return seen, outside_events(walked.subject)
 end
 
 -- Does a mutant react to the events of the chart as the chart does?
@@ -352,6 +353,20 @@ describe("a rehearsal", function()
     assert.equal("a -e_x-> b: exit a, effect, entry b, sends e_sent, fails: broken",
       run:step { "e_x", guards = { ["a -e_x-> b"] = true } })
     assert.same({ "off", "started" }, seen)
+  end)
+
+  it("has fakes that count as 0, are texts, and end a loop", function()
+    local run = rfsm_checks.rehearsal(rfsm.load_str [[
+      local rfsm = require "rfsm"
+      return rfsm.state { info = false, warn = false,
+        a = rfsm.state { entry = function()
+          for _ in crane.all() do crane.count() end
+          crane.move(crane.height + 1, "to " .. crane.name)
+        end },
+        rfsm.trans { src = "initial", tgt = "a" } }
+    ]], { callbacks = true })
+    assert.equal("initial --> a: entry a, crane.all(), crane.move(0, to crane.name)",
+      run:step())
   end)
 
   it("passes on an interrupt, and takes the fakes back", function()

@@ -42,6 +42,33 @@ local HOLDS = "p: holds (" .. PREMISE .. ")"
 
 local ENTRY = "1. no event: root.trans[1] -> root.a"
 
+describe("timers of many days", function()
+  -- a goes to b after some seconds, and to bad after more.
+  local function model(seconds, more, nothing)
+    return chart { bad = state {}, [2] = go("a", "b", ("e_after(%s)"):format(seconds)),
+      [4] = go("a", "bad", ("e_after(%s)"):format(more)),
+      [5] = nothing and go("b", "a", ("e_after(%s)"):format(nothing)) }
+  end
+
+  it("are in order up to 104 days", function()
+    assert.equal("p: holds (" .. PREMISE .. ")",
+      verdict(model("1209600", "9000000"), never "root.bad"))
+    assert.equal(lines("p", "1. no event: root.trans[1] -> root.a", "2. +1209600 s, "
+      .. "e_after(1209600)@root.a: root.trans[4] -> root.bad"),
+      verdict(model("9000000", "1209600"), never "root.bad"))
+  end)
+
+  it("are free beyond that, which the premises say", function()
+    assert.equal("p: holds (one event a step; timers free)",
+      verdict(model("9100000", "9200000"), rfsm_checks.always "root"))
+  end)
+
+  it("are not known beside such of nanoseconds", function()
+    assert.equal("p: not known",
+      verdict(model("1209600", "9000000", "0.000000001"), never "root.bad"))
+  end)
+end)
+
 describe("timers of active states", function()
   it("expire in the order of their deadlines", function()
     local function race(first, second)

@@ -133,6 +133,14 @@ for _, writer in ipairs(WRITERS) do
       end
       check(("%s '%s' '%s'"):format(tool, a, b), table.concat(texts))
     end)
+
+    it("reports that it has replaced another text", function()
+      local chart = write_file("c.lua", CHART)
+      local result = write_file("c." .. writer.ending, "mine\n")
+      check(("%s '%s'"):format(writer.tool, chart), "",
+        ("%s: %s was replaced\n"):format(name, result))
+      check(("%s '%s'"):format(writer.tool, chart), "")
+    end)
   end)
 end
 
@@ -230,7 +238,7 @@ describe("rfsm-viz", function()
   end)
 
   it("lists its formats", function()
-    assert.is_truthy(run("rfsm viz --help"):gsub("%s+", " "):find("-T FORMAT, "
+    assert.is_truthy(run("rfsm viz --help"):gsub("%s+", " "):find("-T FORMAT "
       .. table.concat(commands.formats(), ", "), 1, true))
   end)
 
@@ -425,16 +433,25 @@ describe("rfsm-check", function()
       .. "root.b%(done%)\nactive: root.a%(done%)\n", (run("rfsm-sim -q --dry --replay '"
       .. folder .. "/run' '" .. folder .. "/chart.lua' -e 'history()' -e 'goto(1)'")))
     for text, problem in pairs { -- any order: each stands alone
-      ["return 7"] = "FILE.lua: FILE_properties.lua: table with the field 'properties' "
+      ["return 7"] = "FILE_properties.lua: table with the field 'properties' "
         .. "expected, got number\n",
-      ["return { properties = { 7 } }"] = "FILE.lua: rfsm_checks.explore: properties: "
+      ["return { properties = { 7 } }"] = "FILE_properties.lua:1: properties: "
         .. "never(...), after(...).reach(...) or another property expected, got "
         .. "number\n",
+      ["return {\n  run = { 'effect root.trans[7]' },\n}"] = "FILE_properties.lua:2: "
+        .. "run: no callback 'effect root.trans[7]'\n",
+      ["return {\n  vars = { no = { 0, 1 } } }"] = "FILE_properties.lua:2: vars: no "
+        .. "field is named 'no'\n",
+      ["return {\n  vras = {} }"] = "FILE_properties.lua:2: unknown option 'vras' (did "
+        .. "you mean 'vars'?), expected: ",
+      ["return { properties = 7,"] = "FILE_properties.lua:1: ",
     } do
       local file = write_file("chart_properties.lua", text)
       local out, _, status = run("rfsm check -x '" .. folder .. "/chart.lua'")
       local name = file:gsub("_properties.lua$", "")
-      assert.equal(problem, (out:gsub(name:gsub("%p", "%%%0"), "FILE")))
+      out = out:gsub(name:gsub("%p", "%%%0"), "FILE")
+      local is_whole = problem:sub(-1) == "\n"
+      assert.equal(problem, is_whole and out or out:sub(1, #problem))
       assert.equal(1, status)
     end
     os.remove(folder .. "/chart_properties.lua")
@@ -449,6 +466,8 @@ describe("rfsm-check", function()
         rfsm.trans { src = "initial", tgt = "a" },
         rfsm.trans { src = "a", tgt = "b", events = { "e_go" },
           checks = { ["unknown-field"] = "later" }, action = 1 },
+        c = rfsm.state {}, rfsm.trans { src = "a", tgt = "c", events = { "e_on" } },
+        rfsm.trans { src = "c", tgt = "a", events = { "e_off" } },
       }
     ]]
     checks(text, "FILE:4: warning: root.b: no exit, neither this state nor one around "
@@ -471,6 +490,8 @@ describe("rfsm-check", function()
         rfsm.trans { src = "a", tgt = "b", events = { "e_go" } },
         rfsm.trans { src = "a", tgt = "FAILED", events = { "e_fail" } },
         rfsm.trans { src = "spare", tgt = "b", events = { "e_go" } },
+        c = rfsm.state {}, rfsm.trans { src = "a", tgt = "c", events = { "e_on" } },
+        rfsm.trans { src = "c", tgt = "a", events = { "e_off" } },
       }
     ]], "FILE:3: warning: root.b: no exit, neither this state nor one around it is "
       .. "ever left (add a transition, or declare final = true) [dead-end]\n"

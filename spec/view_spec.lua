@@ -1,11 +1,11 @@
 -- What a page shows of a machine, without a server: the chart as lists, the log and
 -- what is new in it, the events that could do something, pictures.
 
-local dot = require "rfsm.dot"
 local helper = require "spec.helper"
 local marsh = require "rfsm.marsh"
 local outline = require "rfsm.observe.outline"
-local Picture = require "rfsm.web.picture"
+local Painter = require "rfsm.web.picture"
+require "socket" -- without it a pipe that is closed ends the program
 local rfsm = require "rfsm"
 local View = require "rfsm.web.view"
 
@@ -235,13 +235,31 @@ describe("a view", function()
   end)
 end)
 
-describe("a picture", function()
-  -- Waits until it is drawn, for at most 30 s.
-  local function drawn(picture)
+describe("a painter", function()
+  local painter
+  before_each(function() painter = Painter.new() end)
+  after_each(function() painter:close() end)
+
+  local function request(graph, folded)
+    return function() return { graph = graph, folded = folded or {}, machine = 1 } end
+  end
+
+  -- Asks until it is drawn, for at most 30 s.
+  local function drawn(key, ...)
     for _ = 1, 600 do
-      local svg = picture.svg or picture:take()
-      if svg or not picture.is_pending then return svg end
-      os.execute("sleep 0.05") -- until Graphviz has gone on
+      local svg = painter:ask(key, ...)
+      if svg ~= nil then return svg end
+      os.execute("sleep 0.05") -- until the process has gone on
+    end
+  end
+
+  -- Asks for pictures until there is an answer: the first ones may be lost.
+  local function first_answer(key)
+    for i = 1, 600 do
+      local svg = painter:ask(key .. i, request(lamp()))
+      for _, job in ipairs(painter.jobs) do svg = svg or painter:ask(job.key) end
+      if svg ~= nil then return svg end
+      os.execute("sleep 0.05")
     end
   end
 
@@ -251,42 +269,70 @@ describe("a picture", function()
     return file ~= nil
   end
 
-  it("of a description is laid out level by level, of a graph as it is", function()
-    local tab = lamp()
-    local laid_out, plain = Picture.start(dot.encode(tab), tab),
-      Picture.start("digraph g { here -> there }")
-    assert.is_true(laid_out.is_pending)
-    local svg = drawn(laid_out)
+  -- off, on{ dim }
+  local function nested()
+    return marsh.model2tab(helper.init(state { info = false, warn = false,
+      off = state {}, trans { src = "initial", tgt = "off" },
+      on = state { dim = state {}, trans { src = "initial", tgt = "dim" } },
+      trans { src = "off", tgt = "on" } }), true)
+  end
+
+  it("draws what a description says, with composites folded, in one process", function()
+    local svg = drawn("a", request(nested()))
+    local pipe = painter.pipe
     assert.matches('id="root.off"', svg, 1, true)
+    assert.matches('id="root.on.dim"', svg, 1, true)
     assert.matches("</svg>\n$", svg)
-    assert.matches(">there<", drawn(plain))
-    for _, picture in ipairs { laid_out, plain } do
-      assert.is_false(picture.is_pending)
-      assert.is_nil(picture:take())
+    local folded = drawn("b", request(nested(), { "root.on" }))
+    assert.matches('id="root.on"', folded, 1, true)
+    assert.is_nil(folded:find('id="root.on.dim"', 1, true))
+    assert.equal(svg, painter:ask("a"))
+    assert.is_true(pipe == painter.pipe and pipe ~= false)
+    for _, job in ipairs(painter.jobs) do
       assert.same({ false, false },
-        { is_there(picture.input), is_there(picture.output) })
+        { is_there(job.input), is_there(job.input .. ".svg") })
     end
   end)
 
-  it("may be dropped meanwhile", function()
-    local picture = Picture.start("digraph g { a -> b }")
-    local pid = picture.pid
-    assert.matches("^%d+$", pid)
-    picture:drop()
-    assert.same({ false, false, false }, { picture.is_pending, is_there(picture.input),
-      is_there(picture.output) })
-    assert.is_nil(picture:take())
-    assert.is_nil(picture.pid)
+  it("passes any texts and numbers, and events by their words", function()
+    local tab = lamp()
+    tab.subnodes[2].id, tab.subnodes[2].doc = 'a"\\b', "two\nlines\0\r"
+    for _, tr in ipairs(tab.transitions) do
+      tr.pn, tr.words, tr.events = 0.5, { "any thing" }, { print }
+      tr.src, tr.tgt = "root.initial", 'root.a"\\b'
+    end
+    assert.matches(">any thing %(pn 0.5%)<", drawn("a", request(tab)))
   end)
 
-  it("is none without Graphviz, or if that fails", function()
-    assert.is_nil(drawn(Picture.start("no graph")))
+  it("keeps the last pictures", function()
+    for i = 1, 12 do painter:ask("key " .. i, request(lamp())) end
+    assert.equal(8, #painter.jobs)
+    assert.equal("key 5", painter.jobs[1].key)
+  end)
+
+  it("has none without Graphviz, or if that fails", function()
+    assert.is_false(drawn("a", request({ type = "no chart" })))
     local popen = io.popen
-    helper.with(io, { popen = function(command)
-      return popen((command:gsub("command %-v dot", "command -v no_such_dot")))
+    painter:close()
+    helper.with(io, { popen = function(command, mode)
+      return popen((command:gsub("command %-v dot", "command -v no_such_dot")), mode)
     end }, function()
-      local picture = Picture.start("digraph g { a -> b }")
-      assert.same({ nil, false }, { drawn(picture), picture.is_pending })
+      assert.is_false(first_answer("b"))
     end)
+    helper.with(io, { popen = function() error("not supported", 0) end }, function()
+      painter:close()
+      assert.is_false(painter:ask("d", request(lamp())))
+    end)
+  end)
+
+  it("starts another process if the first has ended", function()
+    local real, count = io.popen, 0
+    helper.with(io, { popen = function(command, mode)
+      count = count + 1
+      return real(count == 1 and "exit" or command, mode)
+    end }, function()
+      assert.matches("</svg>", first_answer("a"))
+    end)
+    assert.is_true(count > 1)
   end)
 end)

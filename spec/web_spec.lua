@@ -5,7 +5,7 @@
 local helper = require "spec.helper"
 local dkjson = require "dkjson"
 local http = require "spec.support.http"
-local Picture = require "rfsm.web.picture"
+local Painter = require "rfsm.web.picture"
 local proto = require "rfsm.proto"
 local rfsm = require "rfsm"
 local share = require "spec.support.share"
@@ -14,7 +14,6 @@ local follow = require "rfsm.proto.follow"
 local web = require "rfsm.web"
 
 local state, trans = rfsm.state, rfsm.trans
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 -- What several specs need -------------------------------------------------------
 
@@ -56,9 +55,6 @@ local function open(text)
   local options = { port = 0, clock = function() return now end }
   return opened(assert(web.open(file, options))), file
 end
-
--- No picture comes in between: a browser's specs have them.
-Picture.start = function() return { take = function() end, drop = function() end } end
 
 before_each(function() now = 0 end)
 
@@ -306,31 +302,36 @@ describe("the server", function()
     for _, tcp in ipairs(clients) do tcp:close() end
   end)
 
-  it("has a picture once it is drawn, which is another chart for a page", function()
-    local picture = nil
-    helper.with(Picture, { start = function()
-      return { is_pending = true, drop = function() end, take = function()
-        local text = picture
-        picture = nil
-        return text
-      end }
+  it("has a picture once it is drawn, one for each set of folded states", function()
+    local asked, svg = {}, nil
+    helper.with(Painter, { ask = function(_, key, request)
+      asked[#asked + 1] = key
+      asked[#asked + 1] = table.concat(request().folded, " ")
+      return svg
     end }, function()
       local server = open()
-      local _, first = http.page(server)
-      local before = http.chart(server)
-      assert.same({ false, 404 },
-        { before.has_picture, (http.request(server, "GET", "/picture.svg")) })
-      picture = "<svg/>"
-      local page, second = http.page(server)
-      local after = http.chart(server)
-      assert.same({ true, 200, "<svg/>" },
-        { after.has_picture, unpack({ http.request(server, "GET", "/picture.svg") },
-          1, 2) })
-      assert.is_true(after.version ~= before.version)
-      assert.same({ before.version, after.version },
-        { first.version, second.version })
-      assert.is_true(page.tcp:close() ~= nil)
+      assert.is_true(http.chart(server).has_picture)
+      assert.equal(202, (http.request(server, "GET", "/picture.svg?machine=1")))
+      svg = "<svg/>"
+      local status, body = http.request(server, "GET",
+        "/picture.svg?machine=1&folded=3,99")
+      assert.same({ 200, "<svg/>" }, { status, body })
+      svg = false
+      assert.equal(404, (http.request(server, "GET", "/picture.svg?folded=")))
     end)
+    assert.same({ "1 1 ", "", "1 1 3,99", "root.on", "1 1 ", "" }, asked)
+  end)
+
+  it("asks for no picture before a page does, and draws none itself", function()
+    local server = open()
+    helper.with(Painter, { ask = error, start = error }, function()
+      helper.with(require "rfsm.pictures.layout", { draw = error }, function()
+        for _ = 1, 5 do server:step(0) end
+        http.page(server)
+        for _ = 1, 5 do server:step(0) end
+      end)
+    end)
+    assert.same({}, server.painter.jobs)
   end)
 
   it("keeps one message for a page that does not read, then drops it", function()
@@ -385,42 +386,29 @@ describe("the server", function()
     return seconds
   end
 
-  it("leaves its port when it is closed, although Graphviz goes on", function()
-    local folder = os.tmpname()
-    os.execute(("rm %s; mkdir %s; ln -s /bin/cat %s/dot"):format(folder, folder,
-      folder))
-    local output = helper.output_of(([[
-      package.path = "./?.lua;" .. package.path
-      local popen = io.popen
-      function io.popen(command)
-        command = command:gsub("</dev/null", "<'%s/fifo'")
-        return popen("PATH='%s':$PATH; " .. command)
-      end
-      os.execute("mkfifo '%s/fifo'")
-      local web = require "rfsm.web"
-      local first = assert(web.open("examples/hello_world.lua", { port = 0 }))
-      first:step(0)
-      first.http:close()
-      local chart, options = "examples/hello_world.lua", { port = first.port }
-      local second, problem = web.open(chart, options)
-      print(first.shown[1].drawing.pid ~= nil, second ~= nil, problem)
-      first:close()
-      if second then second:close() end
-    ]]):gsub("%%s", folder))
-    os.execute("rm -r " .. folder)
-    assert.equal("true\ttrue\tnil", output)
+  it("leaves no descriptor to the process that draws", function()
+    local server = open()
+    http.page(server)
+    repeat
+      local status = http.request(server, "GET", "/picture.svg")
+    until status ~= 202
+    local names = {}
+    for line in helper.text_of("for p in /proc/[0-9]*; do grep -q 'rfsm.web.picture' "
+      .. "$p/cmdline 2>/dev/null && [ $(awk '{print $4}' $p/stat) = 1 ] && "
+      .. "ls $p/fd; done"):gmatch("%d+") do
+      names[line] = true
+    end
+    names["0"], names["1"], names["2"] = nil, nil, nil
+    assert.same({}, names)
   end)
 
-  it("waits until it has something to do: looks at the file, at Graphviz", function()
+  it("waits until it has something to do: looks at the file", function()
     local server = open()
     assert.equal(0.5, wait_of(server))
     now = 0.25
     assert.equal(0.25, wait_of(server))
     now = 3
     assert.equal(0.5, wait_of(server)) -- it has looked
-    server.shown[1].drawing = { is_pending = true, take = function() end,
-      drop = function() end }
-    assert.equal(0.02, wait_of(server))
     server.shown[1].source.look_at = 2 -- should have been at it before
     server.shown[1].source.poll = function() end
     assert.equal(0, wait_of(server))

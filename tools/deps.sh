@@ -6,6 +6,7 @@
 #   tools/deps.sh web           for the tests of the page in a browser
 #   tools/deps.sh hosts         for the tests of the hosts in examples/hosts/
 #   tools/deps.sh doc           for the pages of the API
+#   tools/deps.sh deb           for Debian packages
 #   tools/deps.sh fleet         for machines in Redis, with lua5.3
 #   tools/deps.sh postgres      for machines in PostgreSQL, with lua5.3
 #   tools/deps.sh axe           prints the file of axe-core, which npm fetches once
@@ -28,12 +29,14 @@ missing_for_sim() {
   if not (pcall(require, "posix.signal") or pcall(require, "luv")) then
     print(_VERSION == "Lua 5.4" and "lua-luv" or "lua-posix")
   end'
-  for lua in ${LUA:-} lua5.3 lua5.4 lua luajit lua5.2 lua5.1; do
-    command -v "$lua" >/dev/null 2>&1 || continue
-    "$lua" -e "$code"
-    return
+  for module in argparse _G; do # as tools/rfsm
+    for lua in ${LUA:-lua5.5 lua5.4 lua5.3 lua luajit lua5.2 lua5.1}; do
+      has_module "$lua" "$module" || continue
+      "$lua" -e "$code"
+      return
+    done
   done
-  echo "lua5.3 lua-argparse lua-ansicolors lua-readline lua-posix lua-dkjson"
+  echo "lua5.4 lua-argparse lua-ansicolors lua-readline lua-luv lua-dkjson"
 }
 
 # Interpreters in a folder of their own, such as tools/lua5.5, are not Debian's.
@@ -97,6 +100,16 @@ missing_for_hosts() {
   command -v nvim >/dev/null 2>&1 || echo neovim
 }
 
+missing_for_deb() {
+  command -v dpkg-buildpackage >/dev/null 2>&1 || echo dpkg-dev
+  command -v dh >/dev/null 2>&1 || echo debhelper
+  command -v help2man >/dev/null 2>&1 || echo help2man
+  command -v lintian >/dev/null 2>&1 || echo lintian
+  command -v lua5.3 >/dev/null 2>&1 || echo lua5.3
+  has_module lua5.3 argparse || echo lua-argparse
+  has_module lua5.3 dkjson || echo lua-dkjson
+}
+
 missing_for_doc() {
   command -v ldoc >/dev/null 2>&1 || echo lua-ldoc
   has_module lua5.2 discount || has_module lua5.1 discount || echo lua-discount
@@ -146,7 +159,7 @@ find_axe() {
 
 case "${1:-}" in
   axe) find_axe ;;
-  sim | test | web | hosts | doc | fleet | postgres)
+  sim | test | web | hosts | doc | deb | fleet | postgres)
     target=$1
     shift
     packages=$(missing_for_"$target" "$@")
@@ -155,5 +168,5 @@ case "${1:-}" in
     [ -z "$packages" ] || install_packages $packages ||
       { [ "$target" = sim ] && "$(dirname "$0")/rfsm" --version >/dev/null 2>&1; }
     ;;
-  *) echo "usage: tools/deps.sh sim|web|hosts|axe|doc|fleet|postgres|test LUA ..." >&2; exit 2 ;;
+  *) echo "usage: tools/deps.sh sim|web|hosts|axe|doc|deb|fleet|postgres|test LUA ..." >&2; exit 2 ;;
 esac

@@ -4,7 +4,8 @@
 # after the output of its failures. The last line is the sum: "N passed, N failed,
 # N pending". What is pending lacks a program or a package; each is listed before the
 # sum. With PENDING=no they count as failures.
-# On stderr, every tenth of the files is announced, with the time that the rest will take.
+# On stderr, a line comes every 8 seconds: how many files are through, and the time that
+# the rest will take. With LINT, that command runs beside the specs.
 #
 # Each spec file is a process of its own: collecting garbage stays cheap, and no file
 # sees what another has loaded. It is stopped after LIMIT seconds (300).
@@ -49,16 +50,27 @@ list_pending() { # list_pending LOG ...
     print "pending: " $0 " (" folders[n - 1] ")" }' "$@" | sort
 }
 
-# Announces each tenth of the files, and the time that the rest will take.
+# Announces how many files are through, and the time that the rest will take, once a
+# twentieth is: the first ones tell too little.
 announce() { # announce LOGS
   logs=$1
   read -r all <"$logs/count"
   set -- "$logs"/*/*.done
-  done=$#
-  [ -d "$logs/announced$((done * 10 / all))" ] && return 0
-  mkdir "$logs/announced$((done * 10 / all))" 2>/dev/null || return 0
-  time=$(($(date +%s) - $(cat "$logs/time")))
-  echo "$done of $all files, about $((time * (all - done) / done)) s to go" >&2
+  [ -e "$1" ] && done=$# || done=0
+  time=$(($(date +%s) - $(cat "$logs/time"))) rest=
+  [ $((done * 20)) -lt "$all" ] || rest=", about $((time * (all - done) / done)) s to go"
+  echo "$done of $all files$rest" >&2
+}
+
+# Does that until the process ends. The pause ends with it, too: it has our stdout.
+go_on_announcing() { # go_on_announcing LOGS PROCESS
+  trap 'kill $pause 2>/dev/null; exit' TERM
+  while kill -0 "$2" 2>/dev/null; do
+    (announce "$1")
+    sleep 8 &
+    pause=$!
+    wait "$pause"
+  done
 }
 
 # Runs a file; the last one of an interpreter prints the line.
@@ -83,7 +95,6 @@ run_file() { # run_file LOGS LUA FILE
     cat "$log"
   fi
   mv "$log" "$log.done"
-  (announce "$1")
   lua=$2
   read -r all <"$logs/count"
   set -- "$logs"/*.done
@@ -113,9 +124,17 @@ for lua in "$@"; do
 done >"$logs/files"
 grep -c . "$logs/files" >"$logs/count"
 date +%s >"$logs/time"
+go_on_announcing "$logs" $$ &
+announcer=$!
+trap 'kill $announcer 2>/dev/null; rm -rf "$logs"' EXIT
+{ [ -z "${LINT:-}" ] || $LINT >"$logs/lint" 2>&1; echo $? >"$logs/lint-status"; } &
+linter=$!
 xargs -P "$(($(getconf _NPROCESSORS_ONLN || echo 2) * 2))" -n 2 "$0" --one "$logs" <"$logs/files"
+wait "$linter"
+read -r lint_status <"$logs/lint-status"
+[ "$lint_status" = 0 ] || cat "$logs/lint"
 list_pending "$logs"/*/*.done
 # shellcheck disable=SC2046
 set -- $(count "$logs"/*/*.done)
 echo "$1 passed, $2 failed, $3 pending"
-[ "$2" = 0 ] && [ "$1" != 0 ] && { [ "$3" = 0 ] || [ "${PENDING:-}" != no ]; }
+[ "$lint_status" = 0 ] && [ "$2" = 0 ] && [ "$1" != 0 ] && { [ "$3" = 0 ] || [ "${PENDING:-}" != no ]; }

@@ -70,7 +70,7 @@ note busy-doo: a doo that is never idle, so that run never returns
   yield true where there is nothing to do
 note doo-ends: a doo ends, and nothing waits for its e_done
   add a transition on e_done, or let the doo go on
-note any-event: a transition of a state on any event
+note any-event: a transition of a state on any event; a warning if others come too late
   name its events, or e_done if it waits for none
 warning empty-events: a list of events without any, so that any event matches
   see if a name in it is nil; leave `events` out if any event is meant

@@ -39,11 +39,18 @@ end
 
 local MARKS = { [","] = "a comma", ["|"] = "a '|'" }
 
+-- Is an event what somebody says? A part between commas has several words then, none of
+-- which is an event by its name.
+local function is_sentence(event)
+  return not event:find("|") and not event:find("%f[%w]e_") and not event:find("%s$")
+    and event:find("%a%s+%a") ~= nil
+end
+
 -- Returns what is odd about the name of an event: a comma, bar or blank, except in
 -- word(a, b) and behind @, or a pattern.
 local function oddness_of_name(event)
   local word = event:match("^[^(@]*")
-  if match.maker_of(event) then
+  if match.maker_of(event) or is_sentence(event) then
     return nil
   elseif word:find("[,|%s]") then
     return ("'%s' is one event with %s in its name%s"):format(event,

@@ -85,13 +85,17 @@ end
 
 -- Checks ..........................................................................
 
--- Returns a name that looks like an undefined one. `fsm` does not mean `rfsm`: programs
--- keep their machine in such a global.
+-- Functions of the library that callbacks use. The host may have others of the same
+-- names, such as `report`.
+local USED = { yield = true, send_events = true }
+
+-- Returns a name that looks like an undefined one, but is no module: programs keep
+-- their machine in a global `fsm`.
 local function meant(name)
-  if rfsm[name] ~= nil then return "rfsm." .. name end
-  if name == "fsm" then return nil end
+  if USED[name] then return "rfsm." .. name end
   for _, other in ipairs(rfsm.sorted_keys(_G)) do
-    if type(other) == "string" and advice.is_near(name, other) then return other end
+    local is_other = type(other) == "string" and not package.loaded[other]
+    if is_other and advice.is_near(name, other) then return other end
   end
 end
 

@@ -9,6 +9,7 @@ local advice = require "rfsm.advice"
 local codes = require "rfsm.checks.codes"
 local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
+local writes = require "rfsm.shared.writes"
 
 local ipairs, rawget, setmetatable, type = ipairs, rawget, setmetatable, type
 local concat = table.concat
@@ -39,11 +40,53 @@ function structure.reached(fsm)
   return reached
 end
 
+-- Notes the leaves that a transition to a node enters.
+local function add_leaves(node, leaves, seen)
+  if seen[node] then return end
+  seen[node] = true
+  if is_leaf(node) then leaves[#leaves + 1] = node end
+  local connector = is_conn(node) and node or not is_leaf(node) and node.initial
+  for _, tr in ipairs(connector and connector._otrs or {}) do
+    add_leaves(tr.tgt, leaves, seen)
+  end
+end
+
+--- Do leaves of a machine lead back to each other? Else it is a sequence, which has to
+--- end somewhere.
+---@return boolean
+function structure.has_cycle(fsm)
+  local is_under_way, is_done = {}, {}
+  local function visit(leaf)
+    if is_done[leaf] then return false end
+    if is_under_way[leaf] then return true end
+    is_under_way[leaf] = true
+    local leaves = {}
+    for _, node in ipairs(location.line(fsm, leaf)) do
+      for _, tr in ipairs(node._otrs) do add_leaves(tr.tgt, leaves, {}) end
+    end
+    for _, other in ipairs(leaves) do
+      if other ~= leaf and visit(other) then return true end
+    end
+    is_done[leaf] = true
+    return false
+  end
+  for _, leaf in ipairs(rfsm.elements(fsm, is_leaf)) do
+    if visit(leaf) then return true end
+  end
+  return false
+end
+
 local function has_way_out(fsm, state)
   for _, node in ipairs(location.line(fsm, state)) do
     if node._otrs[1] then return true end
   end
   return false
+end
+
+--- Is a leaf without a way out meant as an end? By its name, or of a sequence.
+---@return boolean
+function structure.is_end(fsm, leaf)
+  return codes.means(leaf, "an end") or not structure.has_cycle(fsm)
 end
 
 -- Finds nodes without a way in or out, but not in an unreachable composite. A composite
@@ -59,7 +102,7 @@ local function check_node(fsm, node, reached, add)
   elseif node ~= fsm and is_leaf(node) and not node.final
     and not has_way_out(fsm, node) then
     add("dead-end", node, "no exit, neither this state nor one around it is ever left",
-      codes.means(node, "an end") and "note")
+      structure.is_end(fsm, node) and "note")
   end
 end
 
@@ -116,14 +159,42 @@ local function check_fields(state, add)
     add("unknown-field", state, "a state has no field '" .. field .. "' (" .. remedy
       .. ")")
   elseif type(state.final) == "string" then
-    add("unknown-field", state, "final: true expected, " .. rfsm.got(state.final))
+    add("unknown-field", state, "final: true expected, " .. rfsm.got(state.final)
+      .. " (final = true)")
+  end
+end
+
+-- Does a doo end in its first cycle, as far as its text tells, and send no event?
+local function ends_at_once(doo)
+  local texts = {}
+  writes.each(doo, function(text) texts[#texts + 1] = text end, {})
+  local text = concat(texts, " ")
+  for _, word in ipairs { "while", "repeat", "for", "goto", "yield", "send_events" } do
+    if text:find("%f[%w_]" .. word .. "%f[^%w_]") then return false end
+  end
+  return texts[1] ~= nil
+end
+
+-- Returns a transition from the same leaf whose events cannot come any more, since `tr`
+-- is taken when the leaf was entered.
+local function find_outrun(tr)
+  local leaf = tr.src
+  if tr.guard or not is_leaf(leaf) or leaf.entry and not ends_at_once(leaf.entry)
+    or leaf.doo and not ends_at_once(leaf.doo) then
+    return nil
+  end
+  for _, other in ipairs(leaf._otrs) do
+    local event = other.events and other.events[1]
+    if event ~= nil and not match.maker_of(event) then return other end
   end
 end
 
 local function check_transition(tr, add)
-  if match.begins_on_any(tr) then
-    add("any-event", tr, "it has no events, and is taken on any")
-  end
+  if not match.begins_on_any(tr) then return end
+  local other = find_outrun(tr)
+  add("any-event", tr, "it has no events, and is taken on any" .. (other
+    and ", before " .. rfsm.location_of(other) .. " can be" or ""),
+    other and "warning" or nil)
 end
 
 -- Which events can reach a connector ..............................................

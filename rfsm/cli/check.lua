@@ -12,8 +12,8 @@ local concat = table.concat
 
 local check = {
   summary = "Report problems and suspicious parts of charts.",
-  epilog = "The status is 0 if no chart has a problem, 1 if one has, 2 if the command "
-    .. "line is wrong or a file cannot be read. A file .rfsmcheck.lua sets severities.",
+  epilog = "FILE: a Lua file that returns a chart; - is stdin. The status is 0 "
+    .. "without a problem, 1 with one, 2 if a file cannot be read.",
 }
 
 local function print_codes()
@@ -22,7 +22,8 @@ local function print_codes()
 end
 
 function check.add_arguments(command)
-  common.add_files(command)
+  common.add_files(command):hidden(true)
+  command:usage("Usage: rfsm check [OPTION] ... FILE [FILE] ...")
   common.add_stub(command)
   common.add_machine(command)
   command:flag("-a --all", "print notes, too")
@@ -35,12 +36,12 @@ function check.add_arguments(command)
   common.add_number(command, "--configurations", "explore so many, at most (10000)")
   common.add_number(command, "--seconds", "explore so long, at most", opts.is_seconds,
     "seconds")
-  command:option("--record", "write the runs that show findings: FILE, FILE.2, ...")
+  command:option("--record", "write runs that show findings: FILE, FILE.2 ...")
     :argname("FILE")
   command:option("--tests", "write a spec that takes every transition")
     :argname("KIND"):choices { "busted" }
   command:flag("--callbacks", "tests: run entries, exits and effects, too")
-  command:option("-o --output", "tests: file to write; - is stdout", "-")
+  common.add_option(command, "-o --output", "tests: file to write, - for stdout", "-")
     :argname("FILE")
 end
 
@@ -84,6 +85,13 @@ local function write_tests(options, parser)
   if old_text then report_difference(old_text, text) end
 end
 
+-- Returns why a chart cannot be checked; a problem of its declarations has their file.
+local function reason(file, failure)
+  local text = chart.first_line(failure)
+  local name = require("rfsm.cli.review").properties_of(file)
+  return text:find(name, 1, true) == 1 and text or chart.reason(file, failure)
+end
+
 -- Returns lines about the chart in a file, and the gravest severity.
 local function lines_about(file, options)
   local review = require("rfsm.cli.review")
@@ -97,7 +105,7 @@ local function lines_about(file, options)
   if not model then return { warnings }, "error" end
   local ok, lines, gravest = common.with_streams(common.NOWHERE, review.of, file,
     model, warnings, settings, options)
-  if not ok then return { chart.reason(file, lines) }, "error" end
+  if not ok then return { reason(file, lines) }, "error" end
   for _, line in ipairs(chart.lines_of(file, world)) do lines[#lines + 1] = line end
   return lines, gravest
 end

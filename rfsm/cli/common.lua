@@ -69,25 +69,36 @@ end
 
 -- Charts in -------------------------------------------------------------------
 
+-- Returns a name of a file with slashes, which Windows takes, too.
+local function with_slashes(name)
+  return package.config:byte() == 92 and name:gsub("\\", "/") .. "" or name
+end
+
 function common.add_file(command)
   return command:argument("file", "the chart: a Lua file that returns a state")
-    :argname("FILE")
+    :argname("FILE"):convert(with_slashes)
 end
 
 function common.add_files(command)
-  command:argument("files", "Lua files that return a chart; - is stdin"):args("+")
-    :argname("FILE")
+  return command:argument("files", "Lua files that return a chart; - is stdin")
+    :args("+"):argname("FILE"):convert(with_slashes)
+end
+
+-- Adds an option of two names. The help has the short one: with both it has two lines.
+function common.add_option(command, names, text, default)
+  local short, long = names:match("(%-%a) (%-%-%a+)")
+  local option = command:option(short, text, default)
+  if not option.hidden_name then return option:name(long) end -- before argparse 0.7
+  return option:hidden_name(long):target(long:sub(3))
 end
 
 function common.add_stub(command)
-  command:flag("--stub", "in place of modules and globals that are not here, put "
-    .. "values that do nothing")
+  command:flag("--stub", "modules and globals that are missing do nothing")
 end
 
 -- For commands whose charts may be programs that make several machines.
 function common.add_machine(command)
-  common.add_number(command, "--machine", "of a program that makes machines, take this "
-    .. "one (1)")
+  common.add_number(command, "--machine", "of a program: number of the machine (1)")
 end
 
 -- Ends the program with status 2 if a file cannot be read.
@@ -124,7 +135,8 @@ local is_count = opts.is_whole(1, math.huge)
 
 -- Adds an option with a number, by default a whole one above 0.
 function common.add_number(command, names, description, is_right, expected)
-  return command:option(names, description):argname("N"):convert(function(text)
+  local add = names:find(" ") and common.add_option or command.option
+  return add(command, names, description):argname("N"):convert(function(text)
     local number = tonumber(text)
     if number and (is_right or is_count)(number) then return number end
     return nil, ("%s: %s expected, got '%s'"):format(names:match("%S+$"),
@@ -142,7 +154,7 @@ common.is_size = opts.is_whole(1, 1e6) -- of a list in a server
 -- Adds the charts of a library, and how long it knows ids of events.
 function common.add_charts(command)
   command:argument("files", "Lua files that return a chart"):args("*")
-    :argname("[NAME=]FILE")
+    :argname("[NAME=]FILE"):convert(with_slashes)
   common.add_number(command, "--ids", "keep so many ids of events of each machine, "
     .. "default 16; with --ids-for 1000", common.is_size)
   common.add_number(command, "--ids-for", "keep ids of events for so many seconds",

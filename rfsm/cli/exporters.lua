@@ -6,6 +6,7 @@
 -- @license BSD-3-Clause
 
 local common = require "rfsm.cli.common"
+local files = require "rfsm.shared.files"
 
 local concat = table.concat
 
@@ -25,8 +26,18 @@ local function add_arguments(command)
   common.add_files(command)
   common.add_stub(command)
   common.add_machine(command)
-  command:option("-o --output", "one file for all results; - is stdout")
+  common.add_option(command, "-o --output", "one file for all; - is stdout")
     :argname("FILE")
+end
+
+-- Writes a text to the file beside a chart, and reports if that was another one.
+local function write_beside(file, ending, text)
+  local output = file == "-" and "-" or file:gsub("%.lua$", "") .. ending
+  local old = output ~= "-" and files.read(output)
+  common.write(output, text)
+  if old and old ~= text then
+    io.stderr:write("rfsm ", common.command, ": ", output, " was replaced\n")
+  end
 end
 
 -- Makes the command of an exporter.
@@ -36,7 +47,7 @@ local function new_command(exporter)
     local texts = common.encode_all(options, require("rfsm." .. exporter.name).encode)
     if options.output then return common.write(options.output, concat(texts)) end
     for i, file in ipairs(options.files) do
-      common.write(file == "-" and "-" or file:gsub("%.lua$", "") .. ending, texts[i])
+      write_beside(file, ending, texts[i])
     end
   end
 

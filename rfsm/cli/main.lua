@@ -13,8 +13,8 @@ local opts = require "rfsm.shared.options"
 local cli = {}
 
 -- The commands in the order of the help; each but the exporters has its module.
-local COMMANDS = { "check", "sim", "viz", "snapshot", "redis", "postgres", "web",
-  "watch", "size" }
+local COMMANDS = { "check", "sim", "viz", "snapshot", "redis", "postgres", "fleet",
+  "web", "watch", "size" }
 
 local function print_version()
   print("rfsm " .. rfsm._VERSION:match("%S+$"))
@@ -27,10 +27,14 @@ local function report_usage(parser, problem)
   os.exit(2)
 end
 
--- Adds what every parser has.
-local function prepare(parser)
+-- Adds what every parser has. The help fits a terminal of 24 lines and 80 columns.
+local function prepare(parser, is_hidden)
   parser.error = report_usage
+  if parser.help_max_width then -- since 0.7
+    parser:usage_max_width(79):help_max_width(79):help_description_margin(26)
+  end
   parser:flag("-v --version", "print the version and end"):action(print_version)
+    :hidden(is_hidden)
 end
 
 local function print_help(parser, parsers, argv)
@@ -65,10 +69,13 @@ function cli.main(argv)
     commands[name] = command
     parsers[name] = parser:command(name, command.summary, command.epilog)
     command.add_arguments(parsers[name])
-    prepare(parsers[name])
+    prepare(parsers[name], true)
   end
-  prepare(parser)
-  if parser.add_complete then parser:add_complete() end -- --completion, since 0.7
+  prepare(parser, false)
+  if parser.add_complete then -- since 0.7
+    parser:add_complete { "--completion", argname = "SHELL",
+      description = "print the completions for bash, zsh or fish" }
+  end
   for _, name in ipairs(COMMANDS) do add(name, require("rfsm.cli." .. name)) end
   for _, command in ipairs(exporters.commands) do add(command.name, command) end
   if argv[1] == nil or argv[1] == "help" then

@@ -6,15 +6,15 @@
 local common = require "rfsm.cli.common"
 
 local postgres = {
-  summary = "Bundle charts as SQL: tables and functions for PostgreSQL.",
+  summary = "Bundle charts as SQL for PostgreSQL.",
   epilog = common.CHART_NAMES,
 }
 
 function postgres.add_arguments(command)
   common.add_charts(command)
-  command:option("-o --output", "file to write; - is stdout", "-"):argname("FILE")
-  command:flag("--client", "only tables, for rfsm.postgres, which runs charts where "
-    .. "PL/Lua is missing")
+  common.add_option(command, "-o --output", "file to write; - is stdout", "-")
+    :argname("FILE")
+  command:flag("--client", "only tables, for rfsm.postgres, without PL/Lua")
   command:flag("--history", "keep the moves of each machine in a table")
   command:flag("--notify", "report moves to those who LISTEN")
 end

@@ -13,15 +13,16 @@ local redis = {
 
 function redis.add_arguments(command)
   common.add_charts(command)
-  command:option("-o --output", "file to write; - is stdout"):argname("FILE")
-  command:option("-l --load", "load the library into this server"):argname("URL")
+  common.add_option(command, "-o --output", "file to write; - is stdout")
+    :argname("FILE")
+  common.add_option(command, "-l --load", "load the library into this server")
+    :argname("URL")
   command:flag("--index", "machines can be found by their state")
   common.add_number(command, "--history", "keep so many moves of each machine",
     common.is_size)
-  command:flag("--diff", "report what a new version means for machines in each state: "
-    .. "of charts with one name, the last and the one before")
-  command:option("--stats", "print the numbers of machines in this server, as "
-    .. "Prometheus reads them"):argname("URL")
+  command:flag("--diff", "report what new versions mean for saved machines")
+  command:option("--stats", "print the numbers of machines there, for Prometheus")
+    :argname("URL")
 end
 
 local function connect(url)

@@ -3,7 +3,9 @@
 -- @module rfsm.cli.review
 -- @license BSD-3-Clause
 
+local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
+local files = require "rfsm.shared.files"
 local exists = require("rfsm.shared.search").exists
 local codes = require "rfsm.checks.codes"
 local match = require "rfsm.shared.match"
@@ -14,7 +16,7 @@ local source = require "rfsm.checks.source"
 local static = require "rfsm.checks.static"
 local verdict = require "rfsm.explore.verdict"
 
-local assert, error, io, ipairs = assert, error, io, ipairs
+local error, io, ipairs = error, io, ipairs
 local loadfile, os, pcall = loadfile, os, pcall
 local package, pairs, rawget = package, pairs, rawget
 local rawset, require, type = rawset, require, type
@@ -72,11 +74,18 @@ end
 
 -- Explore .........................................................................
 
--- Returns the declarations in the file beside a chart: a.lua has a_properties.lua.
+--- Return the name of the file with declarations beside a chart: a.lua has
+--- a_properties.lua.
+function review.properties_of(file)
+  return file:gsub("%.lua$", "") .. "_properties.lua"
+end
+
+-- Returns the declarations beside a chart.
 local function declared_for(file)
-  local name = file:gsub("%.lua$", "") .. "_properties.lua"
+  local name = review.properties_of(file)
   if file == "-" or not exists(name) then return {} end
-  local declared = assert(loadfile(name))()
+  local chunk, problem = loadfile(name)
+  local declared = (chunk or error(problem, 0))()
   if type(declared) ~= "table" then
     error(name .. ": table with the field 'properties' expected, got "
       .. type(declared), 0)
@@ -111,6 +120,25 @@ local function write_witnesses(model, findings, name)
   end
 end
 
+-- Returns the line of a file that has what a problem is about: the name in quotes, or
+-- the option in front.
+local function line_with(text, problem)
+  local wanted, number = problem:match("'(.-)'") or problem:match("^(%w+)") or "", 0
+  for line in (text .. "\n"):gmatch("(.-)\n") do
+    number = number + 1
+    if wanted ~= "" and line:find(wanted, 1, true) then return number .. ": " end
+  end
+  return ""
+end
+
+-- Raises the failure of an exploration; what is wrong with declarations has its line.
+local function refuse(name, failure)
+  local text = type(failure) == "string" and exists(name) and files.read(name)
+  if not text or failure:find("^%S+:%d+: ") then error(failure, 0) end
+  local problem = failure:gsub("^rfsm_checks%.explore: ", "")
+  error(name .. ":" .. (line_with(text, problem):gsub("^$", " ")) .. problem, 0)
+end
+
 -- Explores a chart, with the declarations in the file beside it.
 local function explore(file, model, options)
   local own = declared_for(file)
@@ -119,7 +147,8 @@ local function explore(file, model, options)
   end
   own.configurations = own.configurations or MANY
   own.progress = progress_line()
-  local result = rfsm_checks.explore(model, own)
+  local ok, result = calls.try(rfsm_checks.explore, model, own)
+  if not ok then refuse(review.properties_of(file), result) end
   if own.progress then real_stderr:write("\r\27[K") end
   return result
 end

@@ -6,7 +6,7 @@
 local common = require "rfsm.cli.common"
 
 local command = {
-  summary = "Report what a new version of a chart means for saved machines.",
+  summary = "Report what a new chart means for saved machines.",
   epilog = "Ends with status 1 if machines in some state would not move.",
 }
 

@@ -18,26 +18,26 @@ for _, exporter in ipairs(exporters.list) do
 end
 
 local viz = { summary = "Draw charts.",
-  epilog = "Graphviz lays out svg, png and pdf; dot is the graph without positions." }
+  epilog = "Without -T the ending of the output decides, or it is dot." }
 
 function viz.add_arguments(command)
   common.add_files(command)
   common.add_stub(command)
   common.add_machine(command)
-  command:option("-T --format", concat(FORMATS, ", ")
-    .. "; without it the ending of the output decides, or it is dot")
+  common.add_option(command, "-T --format", concat(FORMATS, ", "))
     :argname("FORMAT"):choices(FORMATS)
-  command:option("-o --output", "file to write; - is stdout", "-"):argname("FILE")
-  command:option("--active", "draw state FQN as active; may be given for each region")
+  common.add_option(command, "-o --output", "file to write; - is stdout", "-")
+    :argname("FILE")
+  command:option("--active", "draw state FQN as active, once for each region")
     :argname("FQN"):count("*")
   common.add_number(command, "--depth", "draw N levels of states")
-  command:option("--coverage", "mark how often a run came to each place: JSON, as "
-    .. "rfsm_checks.coverage writes it"):argname("JSON")
-  command:option("--trace", "number the steps of a run: JSON lines, as rfsm.record "
-    .. "writes them"):argname("JSON")
+  command:option("--coverage", "mark the counts that rfsm_checks.coverage wrote")
+    :argname("JSON")
+  command:option("--trace", "number the steps of a recording (JSON lines)")
+    :argname("JSON")
   command:option("--direction", "TB (down) or LR (to the right)"):argname("DIRECTION")
     :choices { "TB", "LR" }
-  command:option("--like", "keep the order of states in a former picture, for a diff")
+  command:option("--like", "keep the order of states in a former picture")
     :argname("SVG")
 end
 

@@ -6,18 +6,18 @@
 local common = require "rfsm.cli.common"
 
 local web = {
-  summary = "Show a chart, or a machine elsewhere, in the browser.",
+  summary = "Show a chart, or a machine, in the browser.",
   epilog = "The page is for this machine only, unless --host names another address.",
 }
 
 function web.add_arguments(command)
   common.add_file(command):args("?")
   common.add_stub(command)
-  command:option("-a --attach", "watch a machine that answers there by rfsm.proto")
+  common.add_option(command, "-a --attach", "a machine that answers by rfsm.proto")
     :argname("HOST:PORT")
-  command:option("-m --machine", "with --attach: its number at that port (all)")
+  common.add_option(command, "-m --machine", "with -a: its number at that port (all)")
     :argname("N"):convert(tonumber)
-  command:option("-p --port", "of the page; 0 is one that is free", "8044")
+  common.add_option(command, "-p --port", "of the page; 0 is one that is free", "8044")
     :argname("N"):convert(tonumber)
   command:option("--host", "the address of the page", "127.0.0.1"):argname("HOST")
 end

@@ -18,7 +18,7 @@ local memory = require "rfsm.explore.memory"
 local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 local replacements = require "rfsm.explore.replacements"
-local writes = require "rfsm.explore.writes"
+local writes = require "rfsm.shared.writes"
 
 local coroutine, error, ipairs = coroutine, error, ipairs
 local rawget, rawset, table, type = rawget, rawset, table, type
@@ -274,8 +274,9 @@ end
 ---@return function
 function data.new_guard(self, path, guard)
   if self.runs[guard] then
+    local only_reads = writes.only_reads(guard)
     return function(...)
-      self.is_touched = true
+      self.is_touched = self.is_touched or not only_reads
       local ok, answer = calls.try(guard, ...)
       return self:choose(path, false, ok and answer ~= false)
     end

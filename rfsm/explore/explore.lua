@@ -81,9 +81,9 @@ local explore = {}
 ---@field count integer steps that were run
 ---@field wanted any[] events that properties look at
 ---@field monitored rfsm_checks.Judged[] properties whose monitors run along
----@field is_beside boolean something is kept beside configurations: in `besides`
----@field besides table[] `states` of monitors, `time`, `values` of fields, `shape`
----@field beside_ids table<string, integer>
+---@field has_contexts boolean more tells configurations apart: their `contexts`
+---@field contexts table[] `states` of monitors, `time`, `values` of fields, `shape`
+---@field context_ids table<string, integer>
 ---@field kin table<string, integer[]> configurations that differ in their times alone
 ---@field unsure table<integer, rfsm_checks.Group> positions of steps where other
 -- deadlines may be first
@@ -109,23 +109,23 @@ Walk.__index = Walk
 function Walk:configuration(number)
   local key = self.keys[number]
   local conf = self.subject:configuration(key)
-  conf.beside = self.besides[tonumber(key:match("|(%d+)$"))]
+  conf.context = self.contexts[tonumber(key:match("|(%d+)$"))]
   return conf
 end
 
--- Returns the key of what is kept beside a configuration; empty if nothing is. A second
+-- Returns the key of the context of a configuration; empty if there is none. A second
 -- result is the problem of a value that is not followed.
-local function key_of_beside(walk, states, time)
-  if not walk.is_beside then return "" end
+local function key_of_context(walk, states, time)
+  if not walk.has_contexts then return "" end
   local values, text = data.read(walk.subject)
   if not values then return nil, text end
   local shape = concat(states, ",") .. "/" .. text
   text = shape .. (time and "@" .. time.text or "")
-  local id = walk.beside_ids[text]
+  local id = walk.context_ids[text]
   if not id then
-    id = #walk.besides + 1
-    walk.besides[id] = { states = states, time = time, values = values, shape = shape }
-    walk.beside_ids[text] = id
+    id = #walk.contexts + 1
+    walk.contexts[id] = { states = states, time = time, values = values, shape = shape }
+    walk.context_ids[text] = id
   end
   return "|" .. id
 end
@@ -133,7 +133,7 @@ end
 -- Puts the subject into a configuration, to take a step with events.
 local function put(walk, conf, events)
   walk.subject:put(conf, events)
-  if conf.beside then data.put(walk.subject, conf.beside.values) end
+  if conf.context then data.put(walk.subject, conf.context.values) end
 end
 
 --- Does an event wait in a configuration, so that run would go on?
@@ -156,12 +156,12 @@ end
 local function find_known(walk, key)
   if walk.numbers[key] or not walk.timing then return walk.numbers[key] end
   local before, id = key:match("^(.*)|(%d+)$")
-  local beside = walk.besides[tonumber(id)]
-  local time, kin = beside.time, walk.kin
-  local name = ("%s|%s@%s"):format(before, beside.shape, time.shape)
+  local context = walk.contexts[tonumber(id)]
+  local time, kin = context.time, walk.kin
+  local name = ("%s|%s@%s"):format(before, context.shape, time.shape)
   kin[name] = kin[name] or {}
   for _, number in ipairs(kin[name]) do
-    local other = walk.besides[tonumber(walk.keys[number]:match("|(%d+)$"))].time
+    local other = walk.contexts[tonumber(walk.keys[number]:match("|(%d+)$"))].time
     if zones.includes(other.zone, time.zone) then return number end
   end
   return nil, kin[name]
@@ -272,14 +272,14 @@ local MANY_CHOICES = 4096
 -- Returns the key of the configuration that the last step has led to, and where its
 -- clocks come from.
 local function key_after(walk, try, label)
-  local key, beside = walk.subject:read(), try.conf.beside
-  if not walk.is_beside then return key end
+  local key, context = walk.subject:read(), try.conf.context
+  if not walk.has_contexts then return key end
   local states, clocks = monitors.after(walk, try, key, label)
   local time, sources = false, nil
   if walk.timing then
-    time, sources = walk.timing:after(beside.time, try.group, walk, clocks)
+    time, sources = walk.timing:after(context.time, try.group, walk, clocks)
   end
-  local behind, problem = key_of_beside(walk, states, time)
+  local behind, problem = key_of_context(walk, states, time)
   if behind then return key .. behind, sources end
   note_untried(walk, "values", problem)
   return nil, sources
@@ -343,7 +343,7 @@ local function each_set(walk, from, conf, group, sets, f)
   local try = { from = from, conf = conf, group = group, events = false,
     is_internal = false }
   for _, set in ipairs(sets) do
-    if set[1] ~= nil or is_over or subject.is_busy(conf) then
+    if set[1] ~= nil or is_over or subject.may_act(conf) then
       try.events = match.joined(set, timers)
       try.is_internal = set[1] == nil and not is_over
       each_choice(walk, try, f)
@@ -356,7 +356,7 @@ local NO_GROUP = { false }
 -- Lists the groups of deadlines that a step from a configuration may find over.
 local function groups_of(walk, conf)
   if not walk.timing then return NO_GROUP end
-  local groups = walk.timing:groups(conf.beside.time, subject.is_driven(conf))
+  local groups = walk.timing:groups(conf.context.time, subject.is_driven(conf))
   if walk.timing.is_cut then note_untried(walk, "sets", "some orders of deadlines") end
   return groups
 end
@@ -509,16 +509,19 @@ function explore.walk(model, options, prepare, way)
     keys = {}, numbers = {}, from = {}, labels = {}, depth = 0, level_end = 1,
     first = {}, blocks = {}, step_count = 0, choices = {}, taken = {}, endless = nil,
     bound = nil, stuck = {}, has_moved = false, count = 0, expanded = 0, wanted = {},
-    monitored = {}, is_beside = false, besides = {}, beside_ids = {}, kin = {},
+    monitored = {}, has_contexts = false, contexts = {}, context_ids = {}, kin = {},
     unsure = {}, timing = false }, Walk)
   function walk.label() return label_of(walk.try, walk.choices, own.asked) end
   check_writers(walk)
   if prepare then prepare(walk) end
   walk.timing = timing.new(walk, settings)
+  if walk.timing and walk.timing.is_inexact then
+    note_untried(walk, "sets", "the order of times with more than 15 digits")
+  end
   own.leaves_out = not (walk.timing or own.notes_events)
-  walk.is_beside = walk.monitored[1] ~= nil or walk.timing ~= false
+  walk.has_contexts = walk.monitored[1] ~= nil or walk.timing ~= false
     or own.var_names[1] ~= nil or own.run_list[1] ~= nil
-  find_configuration(walk, own:read() .. key_of_beside(walk, monitors.first(walk),
+  find_configuration(walk, own:read() .. key_of_context(walk, monitors.first(walk),
     walk.timing and walk.timing.none), 0, function() return "" end)
   walk_all(walk, settings)
   data.rest(own)

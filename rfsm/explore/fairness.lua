@@ -29,7 +29,7 @@ local function pending_in(conf)
       pending["doo " .. position.known.path] = leaf
     end
   end
-  for _, entry in ipairs(conf.beside.time and conf.beside.time.entries or {}) do
+  for _, entry in ipairs(conf.context.time and conf.context.time.entries or {}) do
     if entry.clock.state then
       pending[("timer %d.%d"):format(entry.clock.number, entry.passed)] =
         entry.clock.state
@@ -81,6 +81,9 @@ local function find_rest(walk, numbers)
   for _, number in ipairs(numbers) do
     local conf = walk:configuration(number)
     local is_idle = not subject.is_busy(conf)
+    graph.each_step(walk, number, function(tgt, is_internal)
+      is_idle = is_idle and (tgt == number or not is_internal)
+    end)
     if is_idle and order.is_empty(pending_in(conf)) then return number end
   end
 end
@@ -133,7 +136,7 @@ local function owing(walk, judged, owes)
   local set, index = {}, nil
   for i, other in ipairs(walk.monitored) do index = other == judged and i or index end
   for number = 2, walk.expanded do
-    set[number] = walk:configuration(number).beside.states[index] == owes
+    set[number] = walk:configuration(number).context.states[index] == owes
   end
   return set
 end

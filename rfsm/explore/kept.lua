@@ -6,8 +6,7 @@
 
 local rfsm = require "rfsm"
 
-local getmetatable, ipairs, rawequal = getmetatable, ipairs, rawequal
-local tostring, type = tostring, type
+local ipairs, rawequal, type = ipairs, rawequal, type
 local concat = table.concat
 
 local kept = {}
@@ -16,13 +15,12 @@ local kept = {}
 ---@class rfsm_checks.Kept
 ---@field hooks table[] snapshot hooks whose data is explored
 ---@field transitions rfsm.Transition[] those with several targets
----@field ids table<any, integer> of values that have no text
 
 --- Return what is kept of a machine; false if nothing is.
 ---@param fsm rfsm.Machine
 ---@return rfsm_checks.Kept|false
 function kept.of(fsm)
-  local own = { hooks = {}, transitions = {}, ids = {} }
+  local own = { hooks = {}, transitions = {} }
   for _, hook in ipairs(rfsm.snapshot_hooks(fsm)) do
     if hook.is_explored then own.hooks[#own.hooks + 1] = hook end
   end
@@ -32,27 +30,19 @@ function kept.of(fsm)
   return (own.hooks[1] or own.transitions[1]) and own or false
 end
 
-local text_of
-
-local function id_of(own, value)
-  if own.ids[value] then return own.ids[value] end
-  own.ids.n = (own.ids.n or 0) + 1
-  own.ids[value] = own.ids.n
-  return own.ids.n
-end
-
--- Returns a text of plain data. Other values, and events, are told apart by identity.
-function text_of(own, value, event_numbers)
+-- Returns a text of plain data, in which events that are no texts have numbers.
+local function text_of(value, event_numbers)
   local kind = type(value)
   if kind == "string" then return #value .. ":" .. value end
   if kind == "number" then return ("%.17g"):format(value) end
-  if kind == "boolean" or kind == "nil" then return tostring(value) end
-  if event_numbers[value] then return "event " .. event_numbers[value] end
-  if kind ~= "table" or getmetatable(value) then return "#" .. id_of(own, value) end
+  if value ~= nil and event_numbers[value] then
+    return "event " .. event_numbers[value]
+  elseif kind ~= "table" then
+    return rfsm.text_of(value)
+  end
   local texts = {}
   for i, key in ipairs(rfsm.sorted_keys(value)) do
-    texts[i] = text_of(own, key, event_numbers) .. "="
-      .. text_of(own, value[key], event_numbers)
+    texts[i] = text_of(key, event_numbers) .. "=" .. text_of(value[key], event_numbers)
   end
   return "{" .. concat(texts, ",") .. "}"
 end
@@ -60,13 +50,14 @@ end
 --- Return what a machine keeps now, and a text of it.
 ---@param own rfsm_checks.Kept
 ---@param event_numbers table<any, integer>
----@return any[] values
+---@return any[] values field `is_data`: an extension keeps something
 ---@return string key
 function kept.read(own, fsm, event_numbers)
   local values, texts, n = {}, {}, #own.hooks
   for i, hook in ipairs(own.hooks) do
     values[i] = hook.save(fsm)
-    texts[i] = text_of(own, values[i], event_numbers)
+    values.is_data = values.is_data or values[i] ~= nil
+    texts[i] = text_of(values[i], event_numbers)
   end
   for i, tr in ipairs(own.transitions) do
     values[n + i], texts[n + i] = tr.tgt, tr.tgt._fqn

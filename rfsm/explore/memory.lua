@@ -13,7 +13,7 @@ local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local location = require "rfsm.shared.location"
 local order = require "rfsm.shared.order"
-local writes = require "rfsm.explore.writes"
+local writes = require "rfsm.shared.writes"
 
 local _G, error, ipairs, next, rawequal, rawget = _G, error, ipairs, next, rawequal,
   rawget

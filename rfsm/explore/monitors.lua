@@ -171,7 +171,7 @@ end
 -- them have expired.
 local function count_clocks(try, judged)
   local count, expired = 0, 0
-  for i, entry in ipairs(try.group and try.conf.beside.time.entries or {}) do
+  for i, entry in ipairs(try.group and try.conf.context.time.entries or {}) do
     if entry.clock.judged == judged then
       count = count + 1
       expired = expired + try.group.over[i]
@@ -207,7 +207,7 @@ end
 function monitors.after(walk, try, key, label)
   local states, clocks, own, view = {}, {}, walk.subject, nil
   for i, judged in ipairs(walk.monitored) do
-    states[i] = try.conf.beside.states[i]
+    states[i] = try.conf.context.states[i]
     view = view or own:view(own:configuration(key))
     if states[i] ~= "violated" and own.parts[1].fsm._act_leaf then
       local came

@@ -17,7 +17,7 @@ local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 
 local error, getmetatable, ipairs = error, getmetatable, ipairs
-local pcall, setmetatable, type = pcall, setmetatable, type
+local pcall, rawget, setmetatable, type = pcall, rawget, setmetatable, type
 local concat, sort = table.concat, table.sort
 local holds = monitors.holds
 
@@ -205,6 +205,16 @@ function properties.at_least(count, event)
     check_event(event, "at_least")))
 end
 
+-- Returns the text of an event, the same in each run.
+local function text_of_event(event)
+  if type(event) == "function" then return "a function" end
+  local class = type(event) == "table" and getmetatable(event)
+  local is_named = type(event) == "table" and type(rawget(event, "name")) == "string"
+  if is_named then return event.name end
+  return type(event) == "table" and not (class and class.__tostring) and "a table"
+    or rfsm.text_of(event)
+end
+
 local function text_of(what)
   if type(what) == "function" then return "a function" end
   return type(what) == "table" and concat(what, " and ") or rfsm.text_of(what)
@@ -226,7 +236,7 @@ local TEXTS = {
 
 function Property:__tostring()
   return (TEXTS[self.kind]:gsub("{(%l+)}", function(field)
-    return text_of(self[field])
+    return (field == "event" and text_of_event or text_of)(self[field])
   end))
 end
 

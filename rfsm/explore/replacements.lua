@@ -12,7 +12,7 @@ local advice = require "rfsm.advice"
 local instrument = require "rfsm.shared.instrument"
 local location = require "rfsm.shared.location"
 local opts = require "rfsm.shared.options"
-local writes = require "rfsm.explore.writes"
+local writes = require "rfsm.shared.writes"
 
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
 local table, type = table, type

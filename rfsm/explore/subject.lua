@@ -645,6 +645,15 @@ function subject.is_busy(conf)
   return not conf[1].leaf or conf[1].mode ~= "done" or subject.is_driven(conf)
 end
 
+--- May such a step lead somewhere? An extension may send an event that it has kept.
+function subject.may_act(conf)
+  local is_data = false
+  for _, position in ipairs(conf) do
+    is_data = is_data or position.kept and position.kept.is_data
+  end
+  return is_data or subject.is_busy(conf)
+end
+
 -- Public functions ................................................................
 
 -- Returns a predicate that is a choice, one for each event in a step.
@@ -721,16 +730,6 @@ function Subject:named_texts()
   local list = {}
   for _, event in ipairs(self.event_list) do
     if type(event) == "string" then list[#list + 1] = event end
-  end
-  return list
-end
-
---- List the events that transitions name and the machine does not make itself.
----@return any[] events
-function Subject:outside_events()
-  local list = {}
-  for _, event in ipairs(self.event_list) do
-    if not self:maker_of(event) then list[#list + 1] = event end
   end
   return list
 end

@@ -20,7 +20,7 @@ local zones = require "rfsm.explore.zones"
 
 local ipairs, math, rawget, setmetatable = ipairs, math, rawget, setmetatable
 local table = table
-local concat, floor = table.concat, math.floor
+local concat, floor, max = table.concat, math.floor, math.max
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local timing = {}
@@ -36,6 +36,7 @@ local timing = {}
 ---@field times table<string, rfsm_checks.Time> by their texts
 ---@field fired table<rfsm_checks.Occurrence, boolean> time events that have come
 ---@field is_cut boolean some groups were left out
+---@field is_inexact boolean some times have too many digits
 local Timing = {}
 Timing.__index = Timing
 
@@ -70,7 +71,8 @@ Timing.__index = Timing
 -- Clocks ............................................................................
 
 local BILLION = 1000000000
-local MOST = 2 ^ 50 -- nanoseconds, 13 days: exact, also as a bound
+local MOST = 2 ^ 53 -- nanoseconds, 104 days: exact
+local MOST_UNITS = 2 ^ 50 -- exact, also as a bound
 
 local function nanoseconds(seconds) return floor(seconds * BILLION + 0.5) end
 
@@ -142,12 +144,15 @@ local function set_unit(self, walk)
     end
   end
   if self.unit == 0 then self.unit = BILLION end
+  local longest = 0
   for _, clock in ipairs(all) do
     for i, deadline in ipairs(clock.deadlines) do
       clock.deadlines[i] = floor(deadline / self.unit)
+      longest = max(longest, clock.deadlines[i])
     end
   end
   self.period = self.period and floor(self.period / self.unit)
+  self.is_inexact = longest >= MOST_UNITS
   return all[1] ~= nil
 end
 

@@ -16,6 +16,7 @@ local properties = require "rfsm.explore.properties"
 local subject = require "rfsm.explore.subject"
 local reactions = require "rfsm.explore.reactions"
 local static = require "rfsm.checks.static"
+local structure = require "rfsm.checks.structure"
 local order = require "rfsm.shared.order"
 
 local ipairs, next, setmetatable = ipairs, next, setmetatable
@@ -177,7 +178,12 @@ local function add_dead_end(walk, findings, number)
   elseif not (are_final or rfsm.is_root(state)) then
     local finding = add_run(walk, findings, "dead-end", state, text,
       "nothing happens any more in this configuration", number)
-    if codes.means(state, "an end") then finding.severity = "note" end
+    local are_ends = true
+    for _, leaf in ipairs(leaves) do
+      are_ends = are_ends
+        and structure.is_end(walk.subject.part_of[leaf.path].fsm, leaf.state)
+    end
+    if are_ends then finding.severity = "note" end
   end
 end
 

@@ -25,6 +25,7 @@ local diagram = {}
 ---@field title? string
 ---@field active? string|string[] FQNs of active states; else those of a live machine
 ---@field depth? integer levels to draw; deeper ones are left out
+---@field folded? string[] FQNs of composites that are drawn without what is in them
 ---@field direction? "TB"|"LR" from top to bottom, or from left to right
 ---@field coverage? rfsm.pictures.Coverage
 ---@field trace? (string|rfsm.pictures.Step)[] a run; a text is an FQN or a key
@@ -55,6 +56,7 @@ local diagram = {}
 ---@field arrows rfsm.pictures.Arrow[] those with both ends in this composite
 ---@field initial? rfsm.pictures.Node
 ---@field rows string[] "entry / f", internal transitions and the like
+---@field at string file and line of callbacks
 ---@field mode? "active"|"done"
 ---@field mark? "covered"|"missed"|"traced"
 ---@field is_final? true
@@ -69,6 +71,7 @@ local diagram = {}
 ---@field src rfsm.pictures.Node
 ---@field tgt rfsm.pictures.Node an `initial` where the transition stays inside
 ---@field home? rfsm.pictures.Node the innermost composite around both ends
+---@field at string file and line of guard and effect
 ---@field parts string[] "e1, e2", "[guard]", "/ effect", "(pn 1)", if there are any
 ---@field mark? "covered"|"missed"|"traced"
 
@@ -83,6 +86,7 @@ local diagram = {}
 ---@field arrows rfsm.pictures.Arrow[] those that begin or end at the root
 ---@field all rfsm.pictures.Arrow[] all arrows
 ---@field taken table<string, boolean> identifiers that are given
+---@field folded table<string, boolean> FQNs
 
 -- Text ------------------------------------------------------------------------
 
@@ -208,22 +212,29 @@ local function rows_of(tab)
     return rows
   end
   for _, field in ipairs { "entry", "doo", "exit" } do
-    if tab[field] then rows[#rows + 1] = field .. " / " .. clean(tab[field]) end
+    if tab[field] and tab[field] ~= marsh.UNKNOWN then
+      rows[#rows + 1] = field .. " / " .. clean(tab[field])
+    end
   end
   return rows
 end
 
+local function at_of(tab) return clean(tab.at or "") end
+
 local MODES = { active = "active", done = "done" }
+
+local function is_closed(chart, fqn, depth) return depth == 0 or chart.folded[fqn] end
 
 -- Reads a node and those in it, to a depth; `by_fqn` gets them all.
 local function read_node(chart, tab, parent, fqn, depth)
   local kind, id = diagram.kind_of(tab), fqn:gsub("%W", "_")
-  local is_cut = depth == 0 and kind == "composite"
+  local is_cut = kind == "composite" and is_closed(chart, fqn, depth)
   local node = {
     name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, id), parent = parent,
     kind = is_cut and "leaf" or kind, is_cut = is_cut or nil,
-    nodes = {}, arrows = {}, rows = rows_of(tab), mode = MODES[tab.mode],
-    depth = parent and parent.depth + 1 or 0, is_final = tab.final,
+    nodes = {}, arrows = {}, rows = rows_of(tab), at = at_of(tab),
+    mode = MODES[tab.mode], depth = parent and parent.depth + 1 or 0,
+    is_final = tab.final,
   }
   chart.by_fqn[fqn] = node
   chart.nodes[#chart.nodes + 1] = node
@@ -299,7 +310,7 @@ local function read_transition(chart, tr, key, words)
   end
   local is_inner = tgt.kind ~= "initial" or is_inside(src, tgt.parent)
   add_arrow(chart, { key = key, src = src, tgt = is_inner and tgt or tgt.parent,
-    parts = parts })
+    parts = parts, at = at_of(tr) })
 end
 
 -- Order: that of a former picture ----------------------------------------------
@@ -418,7 +429,8 @@ end
 -- Description, test, default of each.
 local OPTIONS = {
   title = { "string", is_a("string", "number") }, depth = { "number", is_a "number" },
-  active = { "string", is_a("string", "table") }, coverage = { "table", is_a "table" },
+  active = { "string", is_a("string", "table") }, folded = { "list", is_a "table" },
+  coverage = { "table", is_a "table" },
   trace = { "table", is_a "table" }, like = { "string", is_a "string" },
   direction = { "'TB' or 'LR'", function(x) return x == "TB" or x == "LR" end, "TB" },
 }
@@ -428,6 +440,7 @@ local function is_description(value)
 end
 
 local function read_description(chart, tab, settings)
+  for _, fqn in ipairs(settings.folded or {}) do chart.folded[fqn] = true end
   chart.root = read_node(chart, tab, nil, "root", settings.depth or 1 / 0)
   if settings.like then keep_order(chart, settings.like) end
   diagram.each_transition(tab, marsh.gen_event_text(), function(...)
@@ -446,7 +459,7 @@ function diagram.read(source, where, options)
   local title = tostring(settings.title or "")
   local chart = {
     title = title ~= "" and clean(title) or nil, direction = settings.direction,
-    nodes = {}, arrows = {}, all = {}, by_fqn = {}, taken = {},
+    nodes = {}, arrows = {}, all = {}, by_fqn = {}, taken = {}, folded = {},
   }
   local tab = is_read and source or marsh.model2tab(source, true)
   if not pcall(read_description, chart, tab, settings) then

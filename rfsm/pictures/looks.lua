@@ -70,9 +70,12 @@ end
 -- A cell draws the line, because Graphviz leaves out some <HR/> in a PNG.
 local RULE = '<TR><TD CELLPADDING="0" HEIGHT="1" BGCOLOR="#555555"></TD></TR>'
 
---- Return the name of a state over the rows of what it does.
+--- Return the name of a state over the rows of what it does. A mark behind the name
+-- stands for callbacks without rows.
 function looks.state_label(node)
-  local name = lines_of(node.name .. (node.is_cut and " …" or ""), 28)
+  local has_mark = node.at ~= "" and not node.rows[1]
+  local name = lines_of(node.name .. (has_mark and " •" or "")
+    .. (node.is_cut and " …" or ""), 28)
   if not node.rows[1] then return quoted(name) end
   local rows = {}
   for i, row in ipairs(node.rows) do rows[i] = lines_of(row, 40) end
@@ -105,11 +108,16 @@ local LOOKS = {
   traced = ', color="#D55E00", penwidth=2',
 }
 
+local function tooltip_of(element)
+  return element.at ~= "" and ", tooltip=" .. quoted(element.at) or ""
+end
+
 local function look_of(element, kind)
-  return ('class="%s%s%s%s"%s%s'):format(kind, element.is_region and " region" or "",
+  return ('class="%s%s%s%s"%s%s%s'):format(kind, element.is_region and " region" or "",
     element.mode and " " .. element.mode or "",
     element.mark and " " .. element.mark or "",
-    element.mode and LOOKS.active or "", element.mark and LOOKS[element.mark] or "")
+    element.mode and LOOKS.active or "", element.mark and LOOKS[element.mark] or "",
+    tooltip_of(element))
 end
 
 --- Return the attributes of a node that is no composite.

@@ -59,8 +59,12 @@ host.STATEMENTS = {
     WHERE key = $1 RETURNING key]],
   move = [[UPDATE rfsm.machines SET state = $2, event = $3, since = clock_timestamp()
     WHERE key = $1]],
+  remove = [[WITH log AS (DELETE FROM rfsm.log WHERE key = $1)
+    DELETE FROM rfsm.machines WHERE key = $1 RETURNING key]],
   emit = "INSERT INTO rfsm.out (key, what, data) VALUES ($1, $2, $3::jsonb)",
   log = "INSERT INTO rfsm.log (key, error) VALUES ($1, $2)",
+  trim = [[DELETE FROM rfsm.log WHERE key = $1 AND id <= (SELECT id FROM rfsm.log
+    WHERE key = $1 ORDER BY id DESC OFFSET 1000 LIMIT 1)]],
 }
 
 -- Commands of Redis -----------------------------------------------------------
@@ -92,6 +96,12 @@ local function new_commands(server, row_of)
   function commands.SET()
     local row = row_of()
     row.is_new, row.is_changed, row.list = row.list == nil, true, row.packed
+  end
+
+  function commands.DEL(key)
+    local row = row_of()
+    if key ~= row.key then return 1 end -- its log is gone with it
+    return #(row.execute or server.execute)("remove", key)
   end
 
   function commands.TIME()
@@ -135,6 +145,7 @@ local function save_effects(server, row, execute)
     execute("log", row.key, text)
     server.warn(row.key .. ": " .. text)
   end
+  if row.errors[1] then execute("trim", row.key) end
 end
 
 -- Writes a row, of which `view` is what rfsm_get shows; false if a new one is there.

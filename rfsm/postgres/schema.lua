@@ -28,13 +28,24 @@ CREATE TABLE IF NOT EXISTS rfsm.machines (
   value jsonb NOT NULL          -- snapshot, ids of the latest events, events to come
 ) WITH (fillfactor = 80);
 
--- What machines have emitted, for workers to do and delete.
+-- What machines have emitted, for workers: rfsm.take, then rfsm.done or rfsm.fail.
 CREATE TABLE IF NOT EXISTS rfsm.out (
   id bigint GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
   at timestamptz NOT NULL DEFAULT clock_timestamp(),
   key text COLLATE "C" NOT NULL,
   what text NOT NULL,
   data jsonb
+);
+
+-- Entries that failed too often.
+CREATE TABLE IF NOT EXISTS rfsm.dead (
+  id bigint PRIMARY KEY,        -- as in rfsm.out
+  at timestamptz NOT NULL,
+  key text COLLATE "C" NOT NULL,
+  what text NOT NULL,
+  data jsonb,
+  tries integer NOT NULL,
+  error text
 );
 
 -- Errors of callbacks, and of machines that could not be woken.
@@ -52,6 +63,11 @@ DO $$ BEGIN
     CREATE INDEX machines_due ON rfsm.machines (due) WHERE due IS NOT NULL;
     CREATE INDEX log_key ON rfsm.log (key, id);
   END IF;
+  IF NOT EXISTS (SELECT FROM pg_attribute
+    WHERE attrelid = 'rfsm.out'::regclass AND attname = 'due') THEN
+    ALTER TABLE rfsm.out ADD due timestamptz, -- a worker has it until then
+      ADD tries integer NOT NULL DEFAULT 0, ADD error text; -- the latest one
+  END IF;
 END $$;
 
 -- Is a state another one, or in it?
@@ -61,6 +77,8 @@ CREATE OR REPLACE FUNCTION rfsm.is_in(state text, other text)
 $$;
 ]]
 
+-- Those that anybody may call who has USAGE of the schema run with the rights of the
+-- owner, and find nothing but what their text names.
 schema.FUNCTIONS = [[
 
 CREATE EXTENSION IF NOT EXISTS pllua;
@@ -72,53 +90,73 @@ end
 do
 $CODE$TAG;
 COMMENT ON FUNCTION rfsm.call IS 'library $ID';
+REVOKE EXECUTE ON FUNCTION rfsm.call FROM PUBLIC;
 
 CREATE OR REPLACE FUNCTION rfsm.create(key text, chart text, data jsonb DEFAULT '{}',
-  id text DEFAULT NULL) RETURNS text LANGUAGE sql AS $$
+  id text DEFAULT NULL) RETURNS text $OWNER AS $$
   SELECT (rfsm.call('rfsm_create', key, ARRAY[chart, coalesce(data, '{}')::text],
     id))[1]
 $$;
 
 CREATE OR REPLACE FUNCTION rfsm.send(key text, events text[], id text DEFAULT NULL)
-  RETURNS text LANGUAGE sql AS $$
+  RETURNS text $OWNER AS $$
   SELECT (rfsm.call('rfsm_send', key, events, id))[1]
 $$;
 
 CREATE OR REPLACE FUNCTION rfsm.send(key text, event text, id text DEFAULT NULL)
-  RETURNS text LANGUAGE sql AS $$
+  RETURNS text $OWNER AS $$
   SELECT (rfsm.call('rfsm_send', key, ARRAY[event], id))[1]
 $$;
 
 CREATE OR REPLACE FUNCTION rfsm.reply(key text, events text[], id text DEFAULT NULL,
-  OUT state text, OUT mode text, OUT errors text[], OUT outcome text) LANGUAGE sql AS $$
+  OUT state text, OUT mode text, OUT errors text[], OUT outcome text) $OWNER AS $$
   SELECT r[1], r[2], r[3:cardinality(r) - 1], r[cardinality(r)]
   FROM rfsm.call('rfsm_send', key, events, id) r
 $$;
 
 CREATE OR REPLACE FUNCTION rfsm.send_at(key text, at timestamptz, event text, id text)
-  RETURNS text LANGUAGE sql AS $$
+  RETURNS text $OWNER AS $$
   SELECT (rfsm.call('rfsm_send_at', key, ARRAY[extract(epoch FROM at)::text, event],
     id))[1]
 $$;
 
-CREATE OR REPLACE FUNCTION rfsm.cancel(key text, id text)
-  RETURNS boolean LANGUAGE sql AS $$
+CREATE OR REPLACE FUNCTION rfsm.cancel(key text, id text) RETURNS boolean $OWNER AS $$
   SELECT (rfsm.call('rfsm_cancel', key, ARRAY[id], NULL))[1] = '1'
 $$;
 
-CREATE OR REPLACE FUNCTION rfsm.tick(key text) RETURNS text LANGUAGE sql AS $$
+CREATE OR REPLACE FUNCTION rfsm.tick(key text) RETURNS text $OWNER AS $$
   SELECT (rfsm.call('rfsm_tick', key, NULL, NULL))[1]
 $$;
 
 CREATE OR REPLACE FUNCTION rfsm.why(key text, event text)
-  RETURNS SETOF text LANGUAGE sql AS $$
+  RETURNS SETOF text $OWNER AS $$
   SELECT unnest(rfsm.call('rfsm_why', key, ARRAY[event], NULL))
 $$;
 
+-- The verbs of an operator. A machine that is held rests; its events and timers wait.
+CREATE OR REPLACE FUNCTION rfsm.hold(key text) RETURNS text $OWNER AS $$
+  SELECT (rfsm.call('rfsm_hold', key, NULL, NULL))[1]
+$$;
+
+CREATE OR REPLACE FUNCTION rfsm.release(key text) RETURNS text $OWNER AS $$
+  SELECT (rfsm.call('rfsm_release', key, NULL, NULL))[1]
+$$;
+
+CREATE OR REPLACE FUNCTION rfsm.force(key text, state text) RETURNS text $OWNER AS $$
+  SELECT (rfsm.call('rfsm_force', key, ARRAY[state], NULL))[1]
+$$;
+
+CREATE OR REPLACE FUNCTION rfsm.remove(key text) RETURNS boolean $OWNER AS $$
+  SELECT (rfsm.call('rfsm_remove', key, NULL, NULL))[1] = '1'
+$$;
+REVOKE EXECUTE ON FUNCTION rfsm.hold, rfsm.release, rfsm.force, rfsm.remove FROM PUBLIC;
+
 -- Runs machines that are due and that no other worker has; returns how many. One that
--- cannot run waits for a minute, and the log has the reason.
+-- cannot run waits for a minute, and the log has the reason. One that another session
+-- has is left to the next call.
 CREATE OR REPLACE FUNCTION rfsm.wake(most integer DEFAULT 100)
-  RETURNS integer LANGUAGE plpgsql AS $$
+  RETURNS integer LANGUAGE plpgsql SECURITY DEFINER
+  SET search_path = pg_catalog, pg_temp AS $$
 DECLARE
   each text;
   woken integer := 0;
@@ -129,26 +167,113 @@ BEGIN
     BEGIN
       PERFORM rfsm.tick(each);
       woken := woken + 1;
-    EXCEPTION WHEN OTHERS THEN
-      UPDATE rfsm.machines SET due = now() + interval '1 minute' WHERE key = each;
-      INSERT INTO rfsm.log (key, error) VALUES (each, SQLERRM);
+    EXCEPTION
+      WHEN lock_not_available OR deadlock_detected OR serialization_failure THEN
+        NULL;
+      WHEN OTHERS THEN
+        UPDATE rfsm.machines SET due = now() + interval '1 minute' WHERE key = each;
+        INSERT INTO rfsm.log (key, error) VALUES (each, SQLERRM);
     END;
   END LOOP;
   RETURN woken;
 END $$;
 
--- A worker that wakes machines until it is cancelled, each batch in a transaction.
-CREATE OR REPLACE PROCEDURE rfsm.work(pause double precision DEFAULT 0.1)
-  LANGUAGE plpgsql AS $$
+-- A worker that wakes machines until it is cancelled, each batch in a transaction. A
+-- line to the client now and then: if that is gone, the server ends the session.
+CREATE OR REPLACE PROCEDURE rfsm.work(pause double precision DEFAULT 0.1,
+  report interval DEFAULT '30 seconds') LANGUAGE plpgsql AS $$
+DECLARE
+  woken integer;
+  total bigint := 0;
+  next_report timestamptz := clock_timestamp() + report;
 BEGIN
   LOOP
-    IF rfsm.wake() = 0 THEN
+    COMMIT;
+    SET TRANSACTION ISOLATION LEVEL READ COMMITTED;
+    BEGIN
+      woken := rfsm.wake();
+    EXCEPTION
+      WHEN lock_not_available OR deadlock_detected OR serialization_failure THEN
+        woken := 0;
+    END;
+    total := total + woken;
+    IF clock_timestamp() >= next_report THEN
+      RAISE INFO 'rfsm.work: % machines were woken', total;
+      next_report := clock_timestamp() + report;
+    END IF;
+    IF woken = 0 THEN
       COMMIT;
       PERFORM pg_sleep(pause);
     END IF;
-    COMMIT;
   END LOOP;
 END $$;
+]]
+
+schema.OUTBOX = [[
+
+-- Gives a worker entries that no other has, and counts the try. It has each for a time,
+-- twice as long with each try; then another may take it. Entries that were tried so
+-- often that no try is left go to rfsm.dead before that.
+CREATE OR REPLACE FUNCTION rfsm.take(most integer DEFAULT 1,
+  lease interval DEFAULT '30 seconds', max_tries integer DEFAULT 5)
+  RETURNS TABLE (id bigint, key text, what text, data jsonb, try integer) $OWNER AS $$
+  WITH dead AS (
+    DELETE FROM rfsm.out o WHERE o.id IN (SELECT d.id FROM rfsm.out d
+      WHERE d.tries >= max_tries AND d.due <= clock_timestamp()
+      FOR UPDATE SKIP LOCKED) RETURNING o.*)
+  INSERT INTO rfsm.dead SELECT d.id, d.at, d.key, d.what, d.data, d.tries,
+    coalesce(d.error, 'no worker has finished it') FROM dead d;
+  UPDATE rfsm.out o SET tries = o.tries + 1,
+    due = clock_timestamp() + lease * power(2, o.tries)
+  WHERE o.id IN (SELECT n.id FROM rfsm.out n
+    WHERE coalesce(n.due <= clock_timestamp(), true) AND n.tries < max_tries
+    ORDER BY n.id LIMIT most FOR UPDATE SKIP LOCKED)
+  RETURNING o.id, o.key, o.what, o.data, o.tries;
+$$;
+
+-- The entry is done: call it in the transaction that sends the answer. Returns whether
+-- it was there.
+CREATE OR REPLACE FUNCTION rfsm.done(id bigint) RETURNS boolean $OWNER AS $$
+  WITH gone AS (DELETE FROM rfsm.out o WHERE o.id = done.id RETURNING 1)
+  SELECT EXISTS (SELECT FROM gone)
+$$;
+
+-- The try has failed; the entry comes again when its time has passed. Returns whether
+-- it was there.
+CREATE OR REPLACE FUNCTION rfsm.fail(id bigint, reason text)
+  RETURNS boolean $OWNER AS $$
+  WITH failed AS (UPDATE rfsm.out o SET error = reason WHERE o.id = fail.id RETURNING 1)
+  SELECT EXISTS (SELECT FROM failed)
+$$;
+
+-- A dead entry is sent again, or dropped. Returns whether it was there.
+CREATE OR REPLACE FUNCTION rfsm.again(id bigint) RETURNS boolean $OWNER AS $$
+  WITH gone AS (DELETE FROM rfsm.dead d WHERE d.id = again.id RETURNING *),
+    sent AS (INSERT INTO rfsm.out (key, what, data)
+      SELECT key, what, data FROM gone RETURNING 1)
+  SELECT EXISTS (SELECT FROM sent)
+$$;
+
+CREATE OR REPLACE FUNCTION rfsm.drop(id bigint) RETURNS boolean $OWNER AS $$
+  WITH gone AS (DELETE FROM rfsm.dead d WHERE d.id = "drop".id RETURNING 1)
+  SELECT EXISTS (SELECT FROM gone)
+$$;
+
+-- Numbers for monitoring.
+CREATE OR REPLACE FUNCTION rfsm.stats()
+  RETURNS TABLE (name text, chart text, state text, value bigint) $OWNER AS $$
+  SELECT 'rfsm_machines', m.chart, m.state, count(*) FROM rfsm.machines m
+    GROUP BY m.chart, m.state
+  UNION ALL SELECT 'rfsm_timers', NULL, NULL, count(due) FROM rfsm.machines
+  UNION ALL SELECT 'rfsm_overdue', NULL, NULL, count(*) FROM rfsm.machines
+    WHERE due < clock_timestamp() - interval '1 minute'
+  UNION ALL SELECT 'rfsm_entries', NULL, NULL, count(*) FROM rfsm.out
+  UNION ALL SELECT 'rfsm_dead', NULL, NULL, count(*) FROM rfsm.dead
+  ORDER BY 1, 2, 3
+$$;
+
+REVOKE EXECUTE ON FUNCTION rfsm.take, rfsm.done, rfsm.fail, rfsm.again, rfsm.drop,
+  rfsm.stats FROM PUBLIC;
 ]]
 
 schema.HISTORY = [[

@@ -83,12 +83,18 @@ function script.library(arguments, options)
     ids_for = options.ids_for })
 end
 
+-- Functions in SQL run with the rights of the owner.
+local OWNER = { OWNER =
+  "LANGUAGE sql SECURITY DEFINER SET search_path = pg_catalog, pg_temp" }
+
 local function schema_of(functions, options)
   local triggers = schema.TRIGGERS:gsub("%$(%u+)", {
     HISTORY = options.history and "true" or "false",
     NOTIFY = options.notify and "true" or "false" })
-  return concat { schema.HEAD, functions, options.history and schema.HISTORY or "",
-    options.notify and schema.NOTIFY or "", triggers, schema.FOOT }
+  local outbox = schema.OUTBOX:gsub("%$(OWNER)", OWNER)
+  return concat { schema.HEAD, functions, outbox,
+    options.history and schema.HISTORY or "", options.notify and schema.NOTIFY or "",
+    triggers, schema.FOOT }
 end
 
 --- Return SQL that makes the schema `rfsm` for `rfsm.postgres`: its tables.
@@ -105,7 +111,7 @@ function script.sql(arguments, options)
   local code = HEAD:format(concat(parts)) .. text
   local id = id_of(code)
   local values = { TAG = quote_for(code), CODE = code:gsub("%$ID", id, 1), ID = id }
-  local functions = schema.FUNCTIONS:gsub("%$(%u+)", values)
+  local functions = schema.FUNCTIONS:gsub("%$(OWNER)", OWNER):gsub("%$(%u+)", values)
   return schema_of(functions, options), warnings
 end
 

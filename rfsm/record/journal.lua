@@ -2,7 +2,8 @@
 --
 -- A line leaves out what follows from the lines before: queued events, a leaf that has
 -- not changed, the completion of a leaf. So a file is a third as long as its records.
--- The last line of a run may be incomplete.
+-- Each has its number `n`, and a run that was stopped ends with the last one, so that a
+-- line that is missing is noticed. The last line of a run may be incomplete.
 --
 -- @module rfsm.record.journal
 -- @license BSD-3-Clause
@@ -87,8 +88,8 @@ end
 
 -- Write ---------------------------------------------------------------------------
 
-local KEY_ORDER = { "record", "file", "m", "from", "had", "events", "added", "clock",
-  "guards", "reset", "sent", "leaf", "done", "kept", "regions", "inner" }
+local KEY_ORDER = { "n", "record", "file", "m", "from", "had", "events", "added",
+  "clock", "guards", "reset", "sent", "leaf", "done", "kept", "regions", "inner" }
 
 local function json() return opts.need("rfsm.record", "dkjson") end
 
@@ -136,8 +137,8 @@ end
 local LISTS = { "events", "sent" }
 
 -- Returns the line of a short record with the usual fields; nil if it has others.
-local function plain_line(short, quote)
-  local parts, leaf = {}, short.leaf
+local function plain_line(short, number, quote)
+  local parts, leaf = { ('"n":%d'):format(number) }, short.leaf
   for _, name in ipairs(LISTS) do
     local list = short[name] and plain_list(short[name], quote)
     if short[name] and not list then return nil end
@@ -149,17 +150,22 @@ local function plain_line(short, quote)
   return "{" .. concat(parts, ",") .. "}"
 end
 
---- Return a function that writes the records of a run to a stream.
+--- Return a function that writes the records of a run to a stream; nil ends the run.
 function journal.writer(stream)
-  local quote, before = new_quote(), {}
+  local quote, before, number = new_quote(), {}, 0
   return function(rec)
     local line
-    if rec.record then
-      before = {}
+    if not rec then
+      line = journal.encode { ["end"] = number }
+    elseif rec.record then
+      before, number = {}, 0
       line = journal.encode(rec)
     else
       local short = shorten(rec, before)
-      line = is_usual(short) and plain_line(short, quote) or journal.encode(short)
+      number = number + 1
+      line = is_usual(short) and plain_line(short, number, quote)
+      short.n = number
+      line = line or journal.encode(short)
     end
     stream:write(line, "\n")
     if stream.flush then stream:flush() end
@@ -182,13 +188,34 @@ end
 ---@class rfsm.record.Run
 ---@field [integer] table its lines, decoded
 ---@field is_cut boolean its last line is incomplete
+---@field has_end boolean it was stopped, and all lines are there
+
+local function check_number(run, number)
+  if number ~= nil and number ~= #run then
+    error(("record %d is missing: record %s comes in its place"):format(#run,
+      rfsm.text_of(number)), 0)
+  end
+end
+
+-- Adds a record, or the end, to a run; in files of before they have no numbers.
+local function add_record(run, value)
+  if type(value) == "table" and value["end"] then
+    check_number(run, value["end"] + 1)
+    run.has_end = true
+    return
+  elseif type(value) == "table" then
+    check_number(run, value.n)
+    value.n = nil
+  end
+  run[#run + 1] = value
+end
 
 -- Adds a line to the runs. After a line that is no JSON only a header may come.
 local function add_line(runs, line, number)
   local value, _, problem = json().decode(line, 1, nil)
   local run = runs[#runs]
   if type(value) == "table" and value.record then
-    runs[#runs + 1] = { value, is_cut = false }
+    runs[#runs + 1] = { value, is_cut = false, has_end = false }
   elseif runs.problem or not (problem or run) then
     error(runs.problem or ("line %d: header expected"):format(number), 0)
   elseif problem then
@@ -196,7 +223,7 @@ local function add_line(runs, line, number)
     if run then run.is_cut = true end
     return
   else
-    run[#run + 1] = value
+    add_record(run, value)
   end
   runs.problem = nil
 end
@@ -233,7 +260,8 @@ function journal.read(name, number)
     error(("run: number from 1 to %d expected, got %s"):format(#runs,
       rfsm.text_of(number)), 0)
   end
-  return expand(run), { runs = #runs, is_cut = run.is_cut }
+  return expand(run), { runs = #runs, is_cut = run.is_cut,
+    has_end = run.has_end }
 end
 
 return journal

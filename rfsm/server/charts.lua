@@ -207,6 +207,36 @@ function charts.step(chart, steps)
   return is_idle, path ~= false
 end
 
+-- Lists the names of leaves.
+local function leaves_of(fsm)
+  local names = {}
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
+    names[#names + 1] = state._fqn
+  end
+  return names
+end
+
+--- Put the machine of a chart into a leaf as if it had been entered, with its timers,
+--- but call no callback. Regions are as at first.
+function charts.force(chart, fqn)
+  local fsm, leaf = chart.fsm, nil
+  for _, state in ipairs(rfsm.elements(chart.fsm, rfsm.is_leaf)) do
+    if state._fqn == fqn then leaf = state end
+  end
+  if not leaf then
+    fail("chart '%s' has no leaf '%s'%s", chart.name, fqn,
+      advice.nearest_name(fqn, leaves_of(fsm)))
+  end
+  for _, region in ipairs(chart.regions) do rfsm.reset(region) end
+  local mode = leaf.doo and "active" or "done"
+  rfsm.place(fsm, leaf, mode, leaf.doo and {} or { "e_done@" .. fqn })
+  rfsm.map_from_to(fsm, function(_, state)
+    for _, hook in ipairs(fsm._entry_hooks and fsm._entry_hooks[state] or {}) do
+      hook(fsm, state)
+    end
+  end, fsm, leaf)
+end
+
 --- Add a line to what callbacks have printed.
 charts.note = collect_print
 

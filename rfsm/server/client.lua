@@ -130,6 +130,34 @@ end
 ---@return string? problem
 function Client:tick(id) return reply_of(self:ask("rfsm_tick", id)) end
 
+--- Hold a machine: its events and timers wait until `release`.
+---@param id any
+---@return rfsm.server.Reply? reply
+---@return string? problem
+function Client:hold(id) return reply_of(self:ask("rfsm_hold", id)) end
+
+--- Let a machine go on that was held: what has come due meanwhile runs in order.
+---@param id any
+---@return rfsm.server.Reply? reply
+---@return string? problem
+function Client:release(id) return reply_of(self:ask("rfsm_release", id)) end
+
+--- Put a machine into a leaf, with its timers. No callback of a way there runs.
+---@param id any
+---@param state string FQN
+---@return rfsm.server.Reply? reply
+---@return string? problem
+function Client:force(id, state) return reply_of(self:ask("rfsm_force", id, state)) end
+
+--- End a machine, with its timers and streams.
+---@param id any
+---@return boolean? was_there
+---@return string? problem
+function Client:remove(id)
+  local count, problem = self:ask("rfsm_remove", id)
+  return count and count == 1, problem
+end
+
 --- Look at a machine.
 ---@param id any
 ---@return table? view chart, version, leaf, mode, configuration, data, queue, due

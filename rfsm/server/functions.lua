@@ -40,8 +40,10 @@ local MAX_DATA, MAX_VALUE = 65536, 1048576 -- bytes
 local MAX_STEPS, MAX_LOG = 1000, 1000
 local MAX_DUE, RESTLESS = 200, 20 -- steps of a move; so many is one that does not rest
 local LEAST_PASSED = 0.1 -- seconds that such a move gets on, unless it skips some
+local TIME = "(time)" -- by what a machine moves if there is no event
 local SAME = 1e-6 -- seconds: a timer fires a nanosecond after its time
 local MAX_ID, MAX_LATER = 64, 100 -- bytes, events of a machine
+local OVERDUE = 60 -- seconds after which nobody seems to wake machines
 local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 
 --- What the functions use of Redis.
@@ -56,6 +58,7 @@ local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 ---@class rfsm.server.Options
 ---@field index? boolean machines are found by their state
 ---@field history? integer so many moves of each machine are kept
+---@field notes? boolean also the events that moved nothing
 ---@field ids? integer so many ids of events each machine keeps (16)
 ---@field ids_for? integer ids are kept for so many seconds, at most `ids` (1000)
 
@@ -108,8 +111,8 @@ end
 -- Positions in the value of a machine: the name of its chart, the snapshot, when that
 -- was taken and when the machine is due, if it is; the ids of the latest events, the
 -- oldest first, each before its time if it is kept for a time; the events that come
--- later, in their order: { time, id, event, ... }.
-local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER = 2, 3, 4, 5, 6, 7, 8
+-- later, in their order: { time, id, event, ... }; true if the machine is held.
+local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD = 2, 3, 4, 5, 6, 7, 8, 9
 
 --- A machine that a call works on.
 ---@class rfsm.server.Machine
@@ -217,7 +220,7 @@ local function step(machine, by)
   local leaf = machine.fsm._act_leaf
   local at = leaf and leaf._fqn or ""
   machine.is_idle = is_idle
-  if at ~= machine.at then
+  if at ~= machine.at or options.notes and by ~= TIME then
     machine.moves[#machine.moves + 1] = { by = by, from = machine.at, to = at }
     machine.at = at
   end
@@ -263,7 +266,7 @@ local function advance_to_due(machine)
   end
   if seen + left > now() + SAME then return nil end
   times.advance(left)
-  return "(time)"
+  return TIME
 end
 
 -- Returns when the first thing is due: as it was saved, or has been sent since.
@@ -282,7 +285,7 @@ end
 -- the time that it has reached, and is due. If its timers are too fast it skips some.
 local function run_due(machine)
   local budget, begun = MAX_DUE, times.seen()
-  local by = was_restless(machine.list) and "(time)" or advance_to_due(machine)
+  local by = was_restless(machine.list) and TIME or advance_to_due(machine)
   while by and budget > 0 do
     if step(machine, by) then machine.outcome = "taken" end
     budget = budget - (machine.is_idle and 1 or RESTLESS)
@@ -295,6 +298,7 @@ end
 
 -- Brings a machine to the present; returns false if it has not got there.
 local function catch_up(machine)
+  if machine.list[HELD] then return false end
   local due = first_due(machine.list)
   if due < huge and due <= now() + SAME then return run_due(machine) end
   times.set(false)
@@ -322,7 +326,7 @@ local function run(machine)
   local is_present = catch_up(machine)
   machine.outcome = machine.outcome or "kept"
   if not is_present or not machine.base and machine.is_idle then return end
-  if step(machine, "(time)") then machine.outcome = "taken" end
+  if step(machine, TIME) then machine.outcome = "taken" end
 end
 
 -- Has an event that no transition took changed what the machine keeps? As timers run
@@ -354,10 +358,9 @@ end
 
 -- Returns the value of a machine; its list ends with what is there.
 local function pack_machine(list, due)
-  if list[LATER] then
-    list[IDS] = list[IDS] or false
-    if not list[LATER][1] then list[LATER] = nil end
-  end
+  if list[LATER] and not list[LATER][1] then list[LATER] = nil end
+  if list[HELD] then list[LATER] = list[LATER] or {} end
+  if list[LATER] then list[IDS] = list[IDS] or false end
   if due then
     list[SEC], list[NSEC] = times.get()
     list[DUE] = due
@@ -393,7 +396,7 @@ local function add_write(kind, name, key, ...)
 end
 
 local function add_due(machine, due)
-  if due then
+  if due and not machine.list[HELD] then
     add_write("zset", "ZADD", keys_of.due(machine.key), ("%.6f"):format(due),
       machine.key)
   elseif machine.list[DUE] then
@@ -443,6 +446,8 @@ local function add_to_index(machine)
   local old = old_members(machine, index)
   if old[1] then add_write("zset", "ZREM", index, unpack(old)) end
   add_write("zset", "ZADD", index, 0, keys_of.member(name, machine.at, machine.key))
+  add_write("zset", "ZADD", keys_of.since(machine.key), ("%.6f"):format(now()),
+    machine.key)
 end
 
 -- Adds what index, history and channel say of new active leaves.
@@ -454,7 +459,7 @@ local function add_moves(machine)
       add_write("stream", "XADD", keys_of.history(key), "MAXLEN", options.history, "*",
         "event", at.by, "from", at.from, "to", at.to)
     end
-    add_write(nil, "SPUBLISH", keys_of.channel(key), at.to)
+    if at.from ~= at.to then add_write(nil, "SPUBLISH", keys_of.channel(key), at.to) end
   end
 end
 
@@ -553,20 +558,28 @@ function functions.rfsm_send_at(keys, args)
   return save(machine)
 end
 
--- rfsm_cancel KEY id: takes back what rfsm_send_at has sent; returns whether it was.
-function functions.rfsm_cancel(keys, args)
-  local key = key_of(keys)
-  local list = read_value(key)
-  for i, entry in ipairs(list[LATER] or {}) do
-    if entry[2] == args[1] then
-      local machine = load_machine(key, list)
-      remove(list[LATER], i)
-      run(machine)
-      save(machine)
-      return 1
-    end
+-- Removes the events with an id from those that wait; returns whether they were there.
+local function remove_later(list, id)
+  for i, entry in ipairs(list[LATER] or NONE) do
+    if entry[2] == id then return remove(list[LATER], i) ~= nil end
   end
-  return 0
+  return false
+end
+
+-- rfsm_cancel KEY id: takes back what rfsm_send_at has sent, unless its time has come;
+-- returns whether it was.
+function functions.rfsm_cancel(keys, args)
+  local key, is_there = key_of(keys), false
+  local list = read_value(key)
+  for _, entry in ipairs(list[LATER] or NONE) do
+    is_there = is_there or entry[2] == args[1]
+  end
+  if not is_there then return 0 end
+  local machine = load_machine(key, list)
+  run(machine)
+  is_there = remove_later(list, args[1])
+  save(machine)
+  return is_there and 1 or 0
 end
 
 local function tick(key)
@@ -653,11 +666,62 @@ function functions.rfsm_get(keys)
   for i, event in ipairs(snap.queue or {}) do queue[i] = encoding.unpack(event, 0) end
   for i in leaf:gmatch("()%.") do names[#names + 1] = leaf:sub(1, i - 1) end
   names[#names + 1] = snap.leaf
-  local due = list[DUE] and ("%.6f"):format(list[DUE]) or ""
+  local due = list[DUE] and not list[HELD] and ("%.6f"):format(list[DUE]) or ""
   return { "chart", list[NAME], "version", snap.chart, "leaf", leaf,
     "mode", reply_of(list)[2],
     "configuration", concat(names, " "), "data", charts.json_of(data_of(snap)),
-    "queue", queue[1] ~= nil and charts.json_of(queue) or "[]", "due", due }
+    "queue", queue[1] ~= nil and charts.json_of(queue) or "[]", "due", due,
+    "held", list[HELD] and "yes" or "" }
+end
+
+-- The verbs of an operator.
+
+-- rfsm_hold KEY: has a machine rest; its events wait, and its timers.
+function functions.rfsm_hold(keys)
+  local key = key_of(keys)
+  local list = read_value(key)
+  if list[HELD] then fail("the machine at '%s' is held already", shown(key)) end
+  local machine = load_machine(key, list)
+  run(machine)
+  list[HELD] = true
+  return save(machine)
+end
+
+-- rfsm_release KEY: lets it go on: what has come due meanwhile runs in order.
+function functions.rfsm_release(keys)
+  local key = key_of(keys)
+  local list = read_value(key)
+  if not list[HELD] then fail("the machine at '%s' is not held", shown(key)) end
+  list[HELD] = nil
+  local machine = load_machine(key, list)
+  run(machine)
+  return save(machine)
+end
+
+-- rfsm_force KEY state: puts a machine into a leaf. No callback of a way there runs.
+function functions.rfsm_force(keys, args)
+  local key = key_of(keys)
+  local machine = load_machine(key, read_value(key))
+  times.set(false)
+  charts.force(machine.chart, args[1] or "")
+  machine.outcome = step(machine, "(force)") and "taken" or "kept"
+  return save(machine)
+end
+
+-- rfsm_remove KEY: ends a machine, with its timers, its place in the index and its
+-- streams. Returns whether it was there.
+function functions.rfsm_remove(keys)
+  local key = key_of(keys)
+  if host.call("DEL", key) == 0 then return 0 end
+  host.call("ZREM", keys_of.due(key), key)
+  host.call("ZREM", keys_of.aside(key), key)
+  host.call("DEL", keys_of.log(key), keys_of.history(key))
+  if options.index then
+    local members = old_members({ key = key }, keys_of.index(key))
+    if members[1] then host.call("ZREM", keys_of.index(key), unpack(members)) end
+    host.call("ZREM", keys_of.since(key), key)
+  end
+  return 1
 end
 
 -- rfsm_why KEY event: the answer of each transition, from the outermost state inwards.
@@ -678,37 +742,46 @@ local function is_there(key)
   return not ok or count == 1
 end
 
+-- Has a machine been in its leaf since a time, or longer?
+local function is_since(key, time)
+  local since = time and host.call("ZSCORE", keys_of.since(key), key)
+  return not time or since and tonumber(since) <= time
+end
+
 -- Lists the keys of machines, at most so many, whose members have a head.
-local function keys_with(index, head, limit)
+local function keys_with(index, head, limit, time)
   local found, count = {}, min(limit, 1000)
   local from, to = "[" .. head, "(" .. behind(head)
   repeat
     local members = host.call("ZRANGEBYLEX", index, from, to, "LIMIT", 0, count)
     for _, member in ipairs(members) do
       local key = member:match("\t[^\t]*\t(.*)$")
-      found[#found + 1] = #found < limit and is_there(key) and key or nil
+      local is_one = #found < limit and is_since(key, time) and is_there(key)
+      found[#found + 1] = is_one and key or nil
     end
     from = "(" .. (members[count] or "")
   until #found == limit or not members[count]
   return found
 end
 
--- rfsm_find KEY chart state [limit]: the machines, of those that share the hash tag of
--- the key, whose active leaf is the state, or in it.
+-- rfsm_find KEY chart state [limit [seconds]]: the machines, of those that share the
+-- hash tag of the key, whose active leaf is the state, or in it, for so many seconds.
 function functions.rfsm_find(keys, args)
   if not options.index then fail("the library was made without --index") end
   local index, limit = keys_of.index(keys[1]), whole_of(args[3], 100, 100000)
   if not args[2] then fail("a chart and a state expected") end
-  local head = args[1] .. "\t" .. args[2]
-  local found = keys_with(index, head .. "\t", limit) -- the state itself, those in it
-  for _, key in ipairs(keys_with(index, head .. ".", limit - #found)) do
+  local head, time = args[1] .. "\t" .. args[2], nil
+  if args[4] then time = now() - whole_of(args[4], 0, 1e9) end
+  local found = keys_with(index, head .. "\t", limit, time) -- the state itself
+  for _, key in ipairs(keys_with(index, head .. ".", limit - #found, time)) do
     found[#found + 1] = key
   end
   return found
 end
 
 -- rfsm_stats KEY: for the machines that share the hash tag of the key: chart, state and
--- number, and so on; then numbers of those that are due, put aside, and of entries.
+-- number, and so on; then numbers of those with a time at which they are due, of those
+-- put aside, of entries, of those overdue for a minute, and of dead entries.
 function functions.rfsm_stats(keys)
   local index, reply = keys_of.index(keys[1]), {}
   for _, head in ipairs(options.index and heads_of(index) or {}) do
@@ -720,7 +793,9 @@ function functions.rfsm_stats(keys)
   end
   return { reply, host.call("ZCARD", keys_of.due(keys[1])),
     host.call("ZCARD", keys_of.aside(keys[1])),
-    host.call("XLEN", keys_of.out(keys[1])) }
+    host.call("XLEN", keys_of.out(keys[1])),
+    host.call("ZCOUNT", keys_of.due(keys[1]), "-inf", ("%.6f"):format(now() - OVERDUE)),
+    host.call("XLEN", keys_of.dead(keys[1])) }
 end
 
 -- rfsm_history KEY [count]: the latest moves of a machine, the newest first: time,

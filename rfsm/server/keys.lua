@@ -47,7 +47,7 @@ end
 
 --- Sorted sets, streams and channels of a hash tag; each takes a key with that tag.
 keys.due, keys.out, keys.index = of_tag "due", of_tag "out", of_tag "in"
-keys.aside, keys.dead = of_tag "aside", of_tag "dead"
+keys.aside, keys.dead, keys.since = of_tag "aside", of_tag "dead", of_tag "since"
 
 local function of_machine(suffix)
   return function(key)

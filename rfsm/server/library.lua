@@ -79,6 +79,10 @@ register("rfsm_send_at")
 register("rfsm_cancel")
 register("rfsm_tick")
 register("rfsm_wake")
+register("rfsm_hold")
+register("rfsm_release")
+register("rfsm_force")
+register("rfsm_remove")
 register("rfsm_get", "no-writes")
 register("rfsm_due", "no-writes")
 register("rfsm_why", "no-writes")
@@ -184,15 +188,16 @@ function library.text(arguments, server, options)
         server)
     end
     check_chart(file, text, server)
-    for _, line in ipairs(sandbox.endless(sandbox.code_of(text))) do
+    for _, line in ipairs(sandbox.endless(text)) do
       warnings[#warnings + 1] = ("%s:%d: warning: this loop has no end: in %s it "
         .. "would hold up all others"):format(file, line, server)
     end
     parts[#parts + 1] = CHART:format(name, text, file)
   end
   parts[#parts + 1] = ("\nlocal options = { index = %s, history = %s, ids = %s, "
-    .. "ids_for = %s }"):format(options.index and "true" or "nil",
-    options.history or "nil", options.ids or "nil", options.ids_for or "nil")
+    .. "ids_for = %s, notes = %s }"):format(options.index and "true" or "nil",
+    options.history or "nil", options.ids or "nil", options.ids_for or "nil",
+    options.notes and "true" or "nil")
   parts[#parts + 1] = FOOT
   return concat(parts), warnings
 end

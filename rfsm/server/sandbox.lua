@@ -8,53 +8,14 @@
 -- @license BSD-3-Clause
 
 local calls = require "rfsm.shared.calls"
+local code_of = require("rfsm.shared.code").of
 local rfsm = require "rfsm"
 
 local error, ipairs, pairs = error, ipairs, pairs
 local os, pcall, rawget, require = os, pcall, rawget, require
-local select, setmetatable, type = select, setmetatable, type
-local concat, sort = table.concat, table.sort
+local setmetatable, sort, type = setmetatable, table.sort, type
 
 local sandbox = {}
-
--- Text: comments and strings are blanked, lines stay where they are ------------------
-
-local function blank(text) return (text:gsub("[^\n]", " ")) end
-
--- Returns where a string or comment that begins at a position ends.
-local function end_of_token(text, at)
-  local level = text:match("^%-%-%[(=*)%[", at) or text:match("^%[(=*)%[", at)
-  if level then
-    return select(2, text:find("]" .. level .. "]", at, true)) or #text
-  elseif text:sub(at, at + 1) == "--" then
-    return (text:find("\n", at, true) or #text + 1) - 1
-  end
-  local quote = text:sub(at, at)
-  repeat
-    at = text:find("[\\" .. quote .. "\n]", at + 1) or #text
-    local is_escaped = text:sub(at, at) == "\\"
-    if is_escaped then at = at + 1 end
-  until at >= #text or text:find("^[" .. quote .. "\n]", at) and not is_escaped
-  return at
-end
-
---- Return the code of a text: blanks in place of comments and strings.
-function sandbox.code_of(text)
-  local parts, at = {}, 1
-  while true do
-    local from = text:find("[\"']", at)
-    local comment, long = text:find("--", at, true), text:find("%[=*%[", at)
-    for _, other in ipairs { comment or false, long or false } do
-      if other and (not from or other < from) then from = other end
-    end
-    if not from then break end
-    local last = end_of_token(text, from)
-    parts[#parts + 1] = text:sub(at, from - 1) .. blank(text:sub(from, last))
-    at = last + 1
-  end
-  parts[#parts + 1] = text:sub(at)
-  return concat(parts)
-end
 
 local function line_at(text, at)
   local _, count = text:sub(1, at):gsub("\n", "")
@@ -117,9 +78,9 @@ local function is_endless(code, at)
   return false
 end
 
---- List the lines of a code, as `code_of` returns it, in which a loop has no end.
-function sandbox.endless(code)
-  local lines = {}
+--- List the lines of a text in which a loop has no end.
+function sandbox.endless(text)
+  local lines, code = {}, code_of(text)
   for _, pattern in ipairs { "%f[%w_]while[%s(]+true[%s)]+()do%f[^%w_]",
     "%f[%w_]while[%s(]+1[%s)]+()do%f[^%w_]", "%f[%w_]()repeat%f[^%w_]",
     "%f[%w_]for[^\n,]+,%s*math%.huge%s+()do%f[^%w_]" } do
@@ -158,7 +119,7 @@ end
 -- problem, with file and line, if it cannot run there.
 function sandbox.load(text, file, server)
   server = server or "Redis"
-  local from, name = find_missing(sandbox.code_of(text), server)
+  local from, name = find_missing(code_of(text), server)
   if from then
     return nil, ("%s:%d: '%s' does not exist in %s"):format(file, line_at(text, from),
       name, server)
@@ -184,7 +145,7 @@ end
 
 --- List the modules that a text requires by name, and the line of each.
 function sandbox.required(text)
-  local modules, code = {}, sandbox.code_of(text)
+  local modules, code = {}, code_of(text)
   for at, name in text:gmatch("%f[%w_]()require%s*%(?%s*[\"']([%w_.%-]+)[\"']") do
     if code:sub(at, at + 6) == "require" then
       modules[#modules + 1] = { name = name, line = line_at(text, at) }

@@ -3,7 +3,6 @@
 -- @module rfsm.shared.alphabet
 -- @license BSD-3-Clause
 
-local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 
 local ipairs, type = ipairs, type
@@ -56,15 +55,5 @@ function alphabet.of(fsm) return collect { { machine = fsm } } end
 
 --- Collect the events that the transitions of a machine and its regions name.
 function alphabet.of_all(fsm) return collect(rfsm.machines(fsm)) end
-
---- Is an event one of an alphabet, or does a predicate there take it?
-function alphabet.has(known, event)
-  if known.set[event] then return true end
-  for _, predicate in ipairs(known.predicates) do
-    local ok, answer = calls.try(predicate, event)
-    if ok and answer then return true end
-  end
-  return false
-end
 
 return alphabet

@@ -5,7 +5,8 @@
 
 local rfsm = require "rfsm"
 
-local error, pcall, select = error, pcall, select
+local error, ipairs, pcall = error, ipairs, pcall
+local rawget, rawset, select = rawget, rawset, select
 local concat = table.concat
 local load = rawget(_G, "loadstring") or rawget(_G, "load")
 local setfenv = rawget(_G, "setfenv")
@@ -32,6 +33,24 @@ end
 -- as they are.
 function calls.init_apart(model)
   return (rfsm.seqand and rfsm.seqand.init_apart or rfsm.init)(model)
+end
+
+local PRINTERS = { "dbg", "info", "warn", "err" }
+
+--- Return make(model), such as `rfsm.init`, while the printers of the model are off.
+---@param warn? function|false is called with warnings
+function calls.silently(make, model, warn)
+  local own = {}
+  for _, name in ipairs(PRINTERS) do
+    own[name] = rawget(model, name)
+    if not rfsm.is_fsmobj(own[name]) then
+      rawset(model, name, name == "warn" and warn or false)
+    end
+  end
+  local ok, fsm, text, problems = pcall(make, model)
+  for _, name in ipairs(PRINTERS) do rawset(model, name, own[name]) end
+  if not ok then error(fsm, 0) end
+  return fsm, text, problems
 end
 
 --- Return a text of several lines, such as a problem and a list, as one line.

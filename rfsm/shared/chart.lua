@@ -8,6 +8,7 @@
 
 local rfsm = require "rfsm"
 local load_file = rfsm.load -- before `search` replaces it
+local calls = require "rfsm.shared.calls"
 local limit = require "rfsm.shared.limit"
 local location = require "rfsm.shared.location"
 local order = require "rfsm.shared.order"
@@ -179,20 +180,10 @@ local function halt(world)
   error(HALT, 0)
 end
 
-local PRINTERS = { "dbg", "info", "warn", "err" }
-
 -- Returns init(model), silently: what is wrong is said once, when the chart is used.
 local function init_silently(init, model)
   if not rfsm.is_state(model) then return init(model) end
-  local own = {}
-  for _, name in ipairs(PRINTERS) do
-    own[name] = rawget(model, name)
-    if own[name] == nil then rawset(model, name, false) end
-  end
-  local ok, fsm, text, problems = pcall(init, model)
-  for _, name in ipairs(PRINTERS) do rawset(model, name, own[name]) end
-  if not ok then error(fsm, 0) end
-  return fsm, text, problems
+  return calls.silently(init, model)
 end
 
 local NO_STATE = "no valid rfsm in" -- in the failure of `rfsm.load`

@@ -5,6 +5,7 @@
 -- @module rfsm.shared.match
 -- @license BSD-3-Clause
 
+local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 
 local ipairs, rawequal, rawget, type = ipairs, rawequal, rawget, type
@@ -20,6 +21,17 @@ function match.has(list, event)
   return false
 end
 
+--- Is the event in a list, or does a predicate there take it? One that fails does not.
+function match.takes(list, event)
+  if match.has(list, event) then return true end
+  for i = 1, #list do
+    local ok, answer = false, nil
+    if type(list[i]) == "function" then ok, answer = calls.try(list[i], event) end
+    if ok and answer then return true end
+  end
+  return false
+end
+
 --- Return a copy of a list with one event more.
 function match.with(list, event)
   local longer = { unpack(list) }
@@ -30,7 +42,8 @@ end
 --- Return two lists in one; the first one itself if there is nothing to add.
 function match.joined(list, more)
   if more[1] == nil then return list end
-  local longer = { unpack(list) }
+  local longer = {}
+  for i = 1, #list do longer[i] = list[i] end
   for i = 1, #more do longer[#longer + 1] = more[i] end
   return longer
 end

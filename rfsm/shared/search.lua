@@ -187,6 +187,7 @@ end
 --- Begin to load a chart, whose code has this source; `search.leave` ends that.
 function search.enter(file, source, has_stubs)
   install()
+  stubs.forget()
   local folder = file:match("^.*/") or ""
   forget(folder)
   current = {

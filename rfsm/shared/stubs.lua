@@ -17,14 +17,15 @@ local concat = table.concat
 local stubs = {}
 
 local Stub = {}
--- The names and fields of stubs, which themselves are empty.
+-- The names, fields and listeners of stubs, which themselves are empty.
 local names = setmetatable({}, { __mode = "k" })
 local fields = setmetatable({}, { __mode = "k" })
+local listeners = setmetatable({}, { __mode = "k" })
 
---- Return a stub.
-function stubs.new(name)
+--- Return a stub. `listener(name, ...)` is told of the calls of it and its fields.
+function stubs.new(name, listener)
   local stub = setmetatable({}, Stub)
-  names[stub], fields[stub] = name, {}
+  names[stub], fields[stub], listeners[stub] = name, {}, listener
   return stub
 end
 
@@ -43,7 +44,7 @@ function Stub.__index(stub, key)
   local known = fields[stub] or {}
   fields[stub] = known
   if not known[key] then
-    known[key] = stubs.new(name_of(stub) .. "." .. rfsm.text_of(key))
+    known[key] = stubs.new(name_of(stub) .. "." .. rfsm.text_of(key), listeners[stub])
   end
   return known[key]
 end
@@ -69,9 +70,14 @@ end
 
 -- A loop over a stub calls it with two nils, and ends.
 function Stub.__call(stub, ...)
-  local texts, count, state = {}, select("#", ...), find_state(...)
-  if state then return copy_of(state) end
+  local texts, count = {}, select("#", ...)
   if count == 2 and (...) == nil and select(2, ...) == nil then return nil end
+  if listeners[stub] then
+    listeners[stub](names[stub], ...)
+    return stub
+  end
+  local state = find_state(...)
+  if state then return copy_of(state) end
   for i = 1, count do
     local argument = select(i, ...)
     if type(argument) == "string" then texts[#texts + 1] = '"' .. argument .. '"' end
@@ -80,9 +86,29 @@ function Stub.__call(stub, ...)
   return stubs.new(#name <= LONGEST and name or name_of(stub))
 end
 
-function Stub.__tostring(stub) return name_of(stub) end
+local shown = {} -- names of stubs that are part of texts
+
+function Stub.__tostring(stub)
+  shown[name_of(stub)] = true
+  return name_of(stub)
+end
 
 function Stub.__concat(a, b) return rfsm.text_of(a) .. rfsm.text_of(b) end
+
+--- Forget the texts in which stubs were shown: another chart is loaded.
+function stubs.forget() shown = {} end
+
+--- Does a text have the name of a stub in it, in place of what is missing?
+---@param text string
+---@return boolean
+function stubs.is_in(text)
+  for name in order.each(shown) do -- any order: is there one?
+    local from, to = text:find(name, 1, true)
+    local is_word = from and not text:sub(from - 1, from - 1):find("[%w_]")
+    if is_word and not text:find("^[%w_]", to + 1) then return true end
+  end
+  return false
+end
 
 local function zero() return 0 end
 local function no() return false end

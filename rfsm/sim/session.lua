@@ -75,10 +75,16 @@ function Session:print_active()
   print("active: " .. (leaf and leaf._fqn .. "(" .. leaf._mode .. ")" or "<none>"))
 end
 
+local function print_events(title, events)
+  local texts = {}
+  for i = 1, #events do texts[i] = text_of(events[i]) end
+  print(title .. concat(texts, ", "))
+end
+
 function Session:print_queue()
-  local queue, texts = self.fsm._intq, {}
-  for i = 1, #queue do texts[i] = text_of(queue[i]) end
-  print("queue:  " .. concat(texts, ", "))
+  local waiting = rfsm.waiting(self.fsm)
+  print_events("queue:  ", self.fsm._intq)
+  if waiting[1] ~= nil then print_events("waiting:  ", waiting) end
 end
 
 --- Show the active states and the queue.

@@ -11,6 +11,7 @@ local advice = require "rfsm.advice"
 local chart = require "rfsm.shared.chart"
 local opts = require "rfsm.shared.options"
 local location = require "rfsm.shared.location"
+local stubs = require "rfsm.shared.stubs"
 local subject = require "rfsm.explore.subject"
 
 local error, getmetatable, ipairs = error, getmetatable, ipairs
@@ -58,33 +59,21 @@ local function add_names(own)
   end
 end
 
--- Fakes: what callbacks find in place of `print`, and of globals that are not there. A
--- call is noted: "motor.start(5)".
-
-local Fake = {}
-
-local function new_fake(own, name)
-  return setmetatable({ own = own, name = name }, Fake)
-end
-
-function Fake:__index(key)
-  local name = rawget(self, "name") .. "." .. rfsm.text_of(key)
-  self[key] = new_fake(rawget(self, "own"), name)
-  return self[key]
-end
+-- Fakes: stubs that callbacks find in place of `print`, and of globals that are not
+-- there. A call is noted: "motor.start(5)".
 
 -- Tables and functions have no text that is the same in each run.
 local function text_of_argument(value)
-  if getmetatable(value) == Fake then return rawget(value, "name") end
   local is_plain = type(value) ~= "table" and type(value) ~= "function"
-  return is_plain and rfsm.text_of(value) or type(value)
+  return stubs.name_of(value) or is_plain and rfsm.text_of(value) or type(value)
 end
 
-function Fake:__call(...)
-  local texts, called = {}, rawget(self, "own").called
-  for i = 1, select("#", ...) do texts[i] = text_of_argument((select(i, ...))) end
-  called[#called + 1] = ("%s(%s)"):format(rawget(self, "name"), concat(texts, ", "))
-  return self
+local function new_fake(own, name)
+  return stubs.new(name, function(called, ...)
+    local texts = {}
+    for i = 1, select("#", ...) do texts[i] = text_of_argument((select(i, ...))) end
+    own.called[#own.called + 1] = ("%s(%s)"):format(called, concat(texts, ", "))
+  end)
 end
 
 -- Calls f(...) with fakes as globals.

@@ -95,8 +95,9 @@ end
 ---@field stream? table its messages are about this; its field `streams` counts them
 
 local REASONS = {
-  [200] = "OK", [204] = "No Content", [400] = "Bad Request", [403] = "Forbidden",
-  [404] = "Not Found", [405] = "Method Not Allowed", [413] = "Content Too Large",
+  [200] = "OK", [202] = "Accepted", [204] = "No Content", [400] = "Bad Request",
+  [403] = "Forbidden", [404] = "Not Found", [405] = "Method Not Allowed",
+  [413] = "Content Too Large",
   [431] = "Request Header Fields Too Large", [500] = "Internal Server Error",
   [501] = "Not Implemented",
 }

@@ -1,4 +1,8 @@
---- Pictures that Graphviz draws while the server goes on.
+--- Pictures: one process draws them, the server goes on.
+--
+-- The process is started when a page asks for the first picture, and ends with the
+-- server. It gets the names of files on its stdin, each a Lua program that returns what
+-- is to be drawn, and writes a picture beside it.
 --
 -- @module rfsm.web.picture
 -- @license BSD-3-Clause
@@ -6,86 +10,179 @@
 local dot = require "rfsm.dot"
 local files = require "rfsm.shared.files"
 
-local coroutine, io, os, setmetatable = coroutine, io, os, setmetatable
+local io, ipairs, os, package, pairs = io, ipairs, os, package, pairs
+local pcall, rawget, require, setmetatable = pcall, rawget, require, setmetatable
+local tostring, type = tostring, type
+local concat, remove = table.concat, table.remove
 
-local CPU_SECONDS = 60 -- then a run of Graphviz is stopped
+--- What draws the pictures of a server.
+---@class rfsm.web.Painter
+---@field jobs rfsm.web.Job[] the last ones
+---@field pipe file*|false to the process
+local Painter = {}
+Painter.__index = Painter
 
---- A picture that Graphviz draws.
----@class rfsm.web.Picture
----@field is_pending boolean
----@field work thread yields while Graphviz runs, and returns the picture
----@field pid string? of Graphviz
----@field input string name of a file, as is `output`
-local Picture = {}
-Picture.__index = Picture
+--- A picture that a page has asked for.
+---@class rfsm.web.Job
+---@field key string
+---@field request { graph: rfsm.marsh.Node, folded: string[], machine: integer }
+---@field input string name of a file
+---@field svg string|false|nil false if there is none, nil while it is drawn
 
--- The output has its name once it is complete, also if Graphviz has failed. Sockets of
--- this program are closed first: a port would stay in use while Graphviz runs.
-local COMMAND = "exec 3>&- 4>&- 5>&- 6>&- 7>&- 8>&- 9>&-; "
-  .. "command -v dot >/dev/null && { ulimit -t %d; { "
-  .. "nice dot -T%s '%s' >'%s.part' 2>/dev/null </dev/null & "
-  .. "trap \"kill $! 2>/dev/null; rm -f '%s.part'; exit\" TERM; wait; "
-  .. "mv '%s.part' '%s'; } >/dev/null & echo $!; }"
+-- Requests: a description as a Lua program ------------------------------------
 
-local function begin(picture, graph, format)
-  local output = picture.output
-  if not files.write(picture.input, graph) then return end
-  os.remove(output)
-  local pipe = io.popen(COMMAND:format(CPU_SECONDS, format, picture.input, output,
-    output, output, output))
-  picture.pid = pipe:read("*l")
-  pipe:close()
-end
-
---- Have Graphviz run, and yield until it is done; return its output, nil if it is
--- missing or fails. The playground has its own.
-function Picture:run(graph, format)
-  begin(self, graph, format)
-  while self.pid do
-    local text = files.read(self.output)
-    if text then return text ~= "" and text or nil end
-    coroutine.yield()
+-- Adds the text of a value of a description; events are known by their words.
+local function add_value(texts, value, key)
+  local kind = type(value)
+  if kind == "table" and key ~= "events" then
+    texts[#texts + 1] = "{"
+    for name, inner in pairs(value) do -- any order: it is a table again
+      texts[#texts + 1] = (type(name) == "number" and "[%d]=" or "[%q]="):format(name)
+      add_value(texts, inner, name)
+      texts[#texts + 1] = ","
+    end
+    texts[#texts + 1] = "}"
+  elseif kind == "table" then
+    texts[#texts + 1] = "{" .. ("1,"):rep(#value) .. "}"
+  elseif kind == "number" then
+    texts[#texts + 1] = ("(tonumber %q or 1/0)"):format(tostring(value))
+  else
+    texts[#texts + 1] = kind == "string" and ("%q"):format(value) or tostring(value)
   end
 end
 
-local function draw(picture, graph, description)
-  if description then
-    graph = dot.layout(description, nil, function(graphs)
-      return picture:run(graphs, "dot"), "no Graphviz"
-    end) or graph
+local function text_of(request)
+  local texts = { "return " }
+  add_value(texts, request)
+  return concat(texts)
+end
+
+-- The process -----------------------------------------------------------------
+
+local CPU_SECONDS = 60 -- of a run of Graphviz, and of the process, which is begun anew
+
+local INTERPRETERS = "lua5.4 lua5.3 luajit lua lua5.2 lua5.1"
+
+-- Returns the interpreter of this program if it is one of Lua.
+local function own_interpreter()
+  local arguments = rawget(_G, "arg")
+  local i = 0
+  while type(arguments) == "table" and arguments[i - 1] do i = i - 1 end
+  local name = type(arguments) == "table" and arguments[i] or ""
+  return name:find("^[%w/._-]*$") and name:find("lua[^/]*$") and name or nil
+end
+
+local function quoted(text) return "'" .. text:gsub("'", "'\\''") .. "'" end
+
+-- Starts the process in the background, so that the end of the pipe is not waited for.
+-- The shell closes nine descriptors, the process all others.
+local function start()
+  local own = own_interpreter()
+  local code = ("package.path = %q %s require('rfsm.web.picture').serve()"):format(
+    package.path, own and ("package.cpath = %q"):format(package.cpath) or "")
+  local command = ("command -v dot >/dev/null || exit; for l in %s; do "
+    .. "command -v $l >/dev/null && break; done; exec 3<&0 4>&- 5>&- 6>&- 7>&- 8>&- "
+    .. "9>&-; ulimit -t %d; nice $l -e %s <&3 3<&- >/dev/null 2>&1 &"):format(
+    own or INTERPRETERS, CPU_SECONDS, quoted(code:gsub("\\\n", "\\n")))
+  local ok, pipe = pcall(io.popen, command, "w")
+  return ok and pipe
+end
+
+-- Closes what this process has from its parent, above stderr.
+local function close_inherited()
+  local ok, socket = pcall(require, "socket")
+  for number = 3, ok and 1023 or 0 do
+    local other = socket.tcp()
+    other:setfd(number)
+    other:close()
   end
-  return picture:run(graph, "svg")
 end
 
---- Begin a picture of a graph in Graphviz's language, or of a description, which is
--- laid out level by level, in its place; without Graphviz it never comes.
-function Picture.start(graph, description)
-  local picture = setmetatable({ input = os.tmpname(), output = os.tmpname(),
-    work = coroutine.create(draw), is_pending = true }, Picture)
-  picture.svg = picture:advance(picture, graph, description)
-  return picture
+--- Draw a request; nil if Graphviz is missing or fails. The playground has its own
+-- `run`. `like` is the former picture of the machine.
+function Painter.draw(request, like, run)
+  run = run or dot.render
+  local options = { folded = request.folded, like = like }
+  local graph = dot.layout(request.graph, options, function(graphs)
+    return run(graphs, "dot"), "no Graphviz"
+  end)
+  return run(graph or dot.encode(request.graph, options), "svg")
 end
 
--- Goes on with the work. Returns the picture if it is complete.
-function Picture:advance(...)
-  local ok, svg = coroutine.resume(self.work, ...)
-  if ok and coroutine.status(self.work) == "suspended" then return nil end
-  self.pid = nil
-  self:drop()
-  return ok and svg or nil
+--- Draw what comes from stdin, until that ends.
+function Painter.serve()
+  close_inherited()
+  local last = {} -- pictures, by number of the machine
+  for name in io.lines() do
+    local request = files.read(name)
+    request = request and (rawget(_G, "loadstring") or rawget(_G, "load"))(request)()
+    local ok, svg = pcall(Painter.draw, request, last[request.machine])
+    last[request.machine] = ok and svg or nil
+    files.write(name .. ".part", ok and svg or "")
+    local is_wanted = files.read(name) ~= nil
+    os.rename(name .. ".part", name .. ".svg")
+    if not is_wanted then os.remove(name .. ".svg") end
+  end
 end
 
---- Return the picture, once it is complete; nil before.
-function Picture:take()
-  return self.is_pending and self:advance() or nil
+-- The server ------------------------------------------------------------------
+
+--- Make what draws the pictures of a server.
+function Painter.new() return setmetatable({ jobs = {}, pipe = false }, Painter) end
+
+-- Gives a job to the process, which is started anew if it has ended.
+function Painter:start(job)
+  job.input = os.tmpname()
+  if not files.write(job.input, text_of(job.request)) then job.svg = false end
+  for _ = 1, 2 do
+    self.pipe = self.pipe or start()
+    local is_sent = self.pipe and self.pipe:write(job.input, "\n") and self.pipe:flush()
+    if is_sent then return end
+    self.pipe = false
+  end
+  job.svg = false
 end
 
---- Stop Graphviz, and remove the files.
-function Picture:drop()
-  if self.pid then os.execute("kill " .. self.pid .. " 2>/dev/null") end
-  self.is_pending, self.pid = false, nil
-  os.remove(self.input)
-  os.remove(self.output)
+-- Removes the files of a job.
+local function drop(job)
+  os.remove(job.input)
+  os.remove(job.input .. ".svg")
 end
 
-return Picture
+-- Looks whether a job is done.
+local function look_at(job)
+  local svg = files.read(job.input .. ".svg")
+  if not svg then return end
+  job.svg = svg ~= "" and svg
+  drop(job)
+end
+
+local MOST = 8 -- pictures that are kept
+
+--- Return a picture; false if there is none, nil while it is drawn. `request()` returns
+-- what is to be drawn if it was not asked for before.
+---@param key string
+---@param request fun(): table
+---@return string|false|nil svg
+function Painter:ask(key, request)
+  for _, job in ipairs(self.jobs) do
+    if job.key == key then
+      if job.svg == nil then look_at(job) end
+      return job.svg
+    end
+  end
+  local job = { key = key, request = request() }
+  self.jobs[#self.jobs + 1] = job
+  if #self.jobs > MOST then drop(remove(self.jobs, 1)) end
+  self:start(job)
+  return job.svg
+end
+
+--- End the process, and remove files.
+function Painter:close()
+  for _, job in ipairs(self.jobs) do drop(job) end
+  if self.pipe then self.pipe:close() end
+  self.jobs, self.pipe = {}, false
+end
+
+return Painter

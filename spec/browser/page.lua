@@ -2,6 +2,7 @@
 -- goes on while the browser is asked something. SHOTS=folder keeps screenshots there.
 
 local helper = require "spec.helper"
+local marsh = require "rfsm.marsh"
 local proto = require "rfsm.proto"
 local rfsm = require "rfsm"
 local socket = require "socket"
@@ -56,6 +57,12 @@ local function visit_picture(file)
   local server = visit(file)
   window:wait "document.querySelector('#view > svg .active')"
   return server
+end
+
+-- Has the page draw boxes, as without Graphviz.
+local function show_boxes()
+  window:run "chart.has_picture = false; draw()"
+  window:wait "document.querySelector('#boxes .active')"
 end
 
 -- The names of the leaves that are lit in the diagram.
@@ -171,11 +178,8 @@ describe("the page", function()
   end)
 
   it("draws boxes of its own when there is no picture", function()
-    local server = visit "examples/seqand.lua"
-    server.shown[1].drawing:drop()
-    server.shown[1].picture = false
-    window:run "chart.has_picture = false; draw()"
-    window:wait "document.querySelector('#boxes .active')"
+    visit "examples/seqand.lua"
+    show_boxes()
     window:keep_shot "boxes"
     assert.same({ "open", "open" }, lit())
     assert.equal(2, window:run "return document.querySelectorAll('.region').length")
@@ -198,7 +202,8 @@ describe("the page", function()
       }
     ]]
     visit(file)
-    window:type "v1"
+    show_boxes()
+    window:type "1"
     window:wait "now.leaf == 'root.b'"
     assert.same({}, texts "img, #evil")
   end)
@@ -293,6 +298,17 @@ return rfsm.state {
     window:wait "!document.querySelector('#keys').open"
   end)
 
+  it("has file and line of callbacks as a tooltip, and the nearest event", function()
+    visit_picture(CHART)
+    assert.matches("^entry ball_tracking.lua:%d+$", window:run [[
+      return document.getElementById("root.setup").querySelector("title").textContent]])
+    assert.same({}, texts "#view a")
+    window:type "/e_stopp\n"
+    window:wait "!document.querySelector('#refused').hidden"
+    assert.same({ "no transition names 'e_stopp' (did you mean 'e_stop'?)" },
+      texts "#refused")
+  end)
+
   it("shows a machine elsewhere", function()
     local door = proto.install { port = 0, allow_send = true }
     host = rfsm.init(rfsm.load "examples/on_off.lua")
@@ -330,7 +346,7 @@ local function measure()
   local times = window:run_async [==[
     const done = arguments[0], times = [];
     const isLit = leaf => marks.nodes[chart.nodes.findIndex(n => n.fqn == leaf)]
-      [0].classList.contains("active");
+      ?.[0]?.classList.contains("active");
     const click = () => {
       const before = now.leaf, began = performance.now();
       const look = () => {
@@ -366,12 +382,15 @@ describe("the diagram", function()
 
   it("fits, is zoomed by wheel, fingers and buttons, and dragged", function()
     visit(helper.file_with(LARGE))
-    window:click "#as-boxes"
-    window:wait "document.querySelector('#boxes .active')"
-    local fits = window:run [[
-      const v = $("view"), r = v.firstElementChild.getBoundingClientRect();
-      return r.width <= v.clientWidth && r.height <= v.clientHeight]]
-    assert.is_true(fits)
+    show_boxes()
+    local function fits()
+      return window:run [[
+        const v = $("view"), r = v.firstElementChild.getBoundingClientRect();
+        return r.width <= v.clientWidth && r.height <= v.clientHeight]]
+    end
+    assert.is_false(fits())
+    window:click "#fit"
+    assert.is_true(fits())
     window:keep_shot "large-fit"
     local before = width()
     window:run [[
@@ -396,30 +415,87 @@ describe("the diagram", function()
     assert.equal(250, x)
     window:click "#fit"
     assert.is_true(math.abs(width() - before) < 1)
+    window:click "#fit"
+    assert.is_false(fits())
     window:keep_shot "large"
   end)
 
-  it("hides the states of a composite, and shows one that is found", function()
-    visit(helper.file_with(LARGE))
-    window:click "#as-boxes"
-    window:wait "document.querySelector('#boxes .folded')"
-    local folded = window:run "return folded.size"
-    assert.equal(100, folded)
+  it("hides what is not beside the active state, and shows what is found", function()
+    visit_picture(helper.file_with(LARGE))
+    local count = window:run "return folded.size"
+    assert.is_true(count > 80 and count < 111, count)
     assert.same({}, window:run [[
-      return marks.nodes.filter(([e], i) => chart.nodes[i].fqn.split(".").length == 4
-        && e.offsetParent).map(([e]) => e.textContent)]])
+      return [...folded].filter(i => marks.nodes.some((list, j) =>
+        list.length && upFrom(j).slice(1).includes(i)))]])
     window:type "fs5.s3.s7\n"
-    window:wait "!document.querySelector('#about').hidden"
+    window:wait "!$('about').hidden && $('view').querySelector('.chosen')"
     assert.equal("root.s5.s3.s7", texts("#about dd")[1])
-    assert.equal(99, window:run "return folded.size")
+    assert.is_true(window:run "return folded.size" < count)
     assert.is_true(window:run [[
-      const a = document.querySelector("#boxes .chosen").getBoundingClientRect();
+      const a = document.querySelector("#view .chosen").getBoundingClientRect();
       const v = $("view").getBoundingClientRect();
       return a.left >= v.left && a.right <= v.right && a.top >= v.top
         && a.bottom <= v.bottom]])
-    window:click "#boxes .composite.state .fold"
-    window:wait "folded.size == 100"
+    local number = window:run [[
+      return chart.nodes.findIndex(node => node.fqn == "root.s5.s3")]]
+    window:run [[
+      document.getElementById("root.s5.s3").querySelector("text")
+        .dispatchEvent(new MouseEvent("click", { bubbles: true }))]]
+    window:wait(("folded.has(%d) && marks.nodes[%d][0].matches('.is-folded')")
+      :format(number, number))
+    window:run [[
+      document.getElementById("root.s5.s3").querySelector("text")
+        .dispatchEvent(new MouseEvent("click", { bubbles: true }))]]
+    window:wait "document.getElementById('root.s5.s3.s7')"
   end)
+
+  -- Returns the least size of a text in the diagram that is in view, in pixels, and
+  -- whether the active leaf is in view.
+  local function looks()
+    local found = window:run [=[
+      const v = $("view").getBoundingClientRect(), leaf = marks.nodes[
+        seenOf(now.active.at(-1))][0].getBoundingClientRect();
+      const sizes = [...document.querySelectorAll("#view svg text")]
+        .map(e => parseFloat(getComputedStyle(e).fontSize) * e.getScreenCTM().a);
+      return [Math.min(...sizes), leaf.left >= v.left - 1 && leaf.right <= v.right + 1
+        && leaf.top >= v.top - 1 && leaf.bottom <= v.bottom + 1]]=]
+    return found[1], found[2]
+  end
+
+  for _, count in ipairs { 100, 300 } do
+    it("opens readable, and keeps the active leaf in view: " .. count, function()
+      local model = rfsm.state { info = false, warn = false }
+      local groups = count / 10
+      for g = 0, groups - 1 do
+        local group = rfsm.state { rfsm.trans { src = "initial", tgt = "s0" } }
+        for i = 0, 9 do
+          group["s" .. i] = rfsm.state {}
+          group[#group + 1] = rfsm.trans { src = "s" .. i, tgt = "s" .. (i + 3) % 10,
+            events = { "e_next" } }
+        end
+        model["g" .. g] = group
+        model[#model + 1] = rfsm.trans { src = "g" .. g, tgt = ("g%d"):format(
+          (g + 1) % groups), events = { "e_jump" } }
+      end
+      model[#model + 1] = rfsm.trans { src = "initial", tgt = "g0" }
+      local fsm = helper.init(model)
+      rfsm.run(fsm)
+      visit_served(fsm)
+      window:wait "document.querySelector('#view > svg .active')"
+      window:keep_shot("states" .. count)
+      local size, is_in_view = looks()
+      assert.is_true(size >= 9 and is_in_view, size)
+      assert.is_false(window:run "return $('map').hidden")
+      for i = 1, 50 do
+        helper.post_and_run(fsm, i % 7 == 0 and "e_jump" or "e_next")
+        window:wait(("now.leaf == %q && !isDrawing && active.has(now.active.at(-1))"
+          .. " && marks.nodes[now.active.at(-1)]?.length"):format(
+          (marsh.actinfo2tab(fsm))))
+        size, is_in_view = looks()
+        assert.is_true(size >= 9 and is_in_view, i)
+      end
+    end)
+  end
 
   it("describes a state: callbacks, line, data, how often it was entered", function()
     local file = helper.file_with [[
@@ -523,8 +599,56 @@ describe("the history", function()
     assert.same({ "tracking" }, lit())
     assert.is_false(window:run "return $('to-now').hidden")
     window:keep_shot "history"
+    assert.matches("^%d+%.%d+ s +root.operational.tracking +e_ball", window:run
+      "return $('scrub').getAttribute('aria-valuetext')")
+    assert.same({ "setup", "searching", "tracking", "stopped" }, window:run
+      "return [...$('legend').children].map(e => e.textContent)")
     window:click "#to-now"
     assert.same({ "stopped" }, lit())
+  end)
+
+  -- Returns the colour of the bar of the innermost state at the right end.
+  local function colour_now()
+    return window:run [[
+      const canvas = $("time-line"), ratio = devicePixelRatio;
+      const y = (TOP + canvas.clientHeight - AXIS) / 2 * ratio;
+      return [...canvas.getContext("2d").getImageData(canvas.width - 4 * ratio, y, 1, 1)
+        .data].join(" ")]]
+  end
+
+  it("shows what is now, before anything has happened, too", function()
+    local fsm = helper.ring(3)
+    rfsm.run(fsm)
+    visit_served(fsm)
+    window:wait "document.querySelectorAll('#legend span').length == 1"
+    local before = colour_now()
+    assert.not_equal("0 0 0 0", before)
+    helper.post_and_run(fsm, "e_push")
+    window:wait "now.leaf == 'root.s2' && withStates().length == 1"
+    assert.not_equal(before, colour_now())
+  end)
+
+  it("has a contrast of 4.5:1 in each bar, light and dark", function()
+    for _, scheme in ipairs { "light", "dark" } do
+      prefer(scheme)
+      visit(CHART)
+      assert.same({}, window:run [[
+        const pen = document.createElement("canvas").getContext("2d");
+        const luminance = ([r, g, b]) => [r, g, b].map(v => v / 255)
+          .map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
+          .reduce((sum, v, i) => sum + v * [0.2126, 0.7152, 0.0722][i], 0);
+        const of = colour => {
+          pen.fillStyle = colour;
+          pen.fillRect(0, 0, 1, 1);
+          return luminance(pen.getImageData(0, 0, 1, 1).data);
+        };
+        const text = of(isDark.matches ? "#000" : "#fff"), faint = [];
+        for (let i = 0; i < 400; i++) {
+          const list = [of(colourOf(i)), text].sort((a, b) => b - a);
+          if ((list[0] + 0.05) / (list[1] + 0.05) < 4.5) faint.push(i);
+        }
+        return faint]])
+    end
   end)
 end)
 
@@ -626,7 +750,7 @@ describe("a machine with 1,000 states", function()
   for _, view in ipairs { "boxes", "picture" } do
     it("is lit soon, as " .. view .. "; TIMES=1 prints milliseconds", function()
       visit(helper.file_with(LARGE))
-      if view == "boxes" then window:click "#as-boxes" end
+      if view == "boxes" then show_boxes() end
       window:wait("document.querySelector('#view > "
         .. (view == "boxes" and "div" or "svg") .. " .active')")
       local times = measure()

@@ -93,6 +93,10 @@ describe("the playground", function()
       window:wait "document.querySelector('#problems li')"
       assert.same({ "lamp.lua:16" }, texts "#problems code")
       assert.equal("1 problem", texts("#verdict")[1])
+      assert.is_true(window:run [[ // the last picture stays beside it
+        const problem = $("problems").getBoundingClientRect(), view = $("view");
+        return view.querySelector("#root\\.off") != null && problem.left
+          > view.getBoundingClientRect().right && problem.top < 200]])
       window:wait "document.querySelector('.cm-lint-marker-error')"
       window:keep_shot("playground-mistake-" .. origin)
       window:type(webdriver.BACKSPACE .. webdriver.BACKSPACE .. '"')
@@ -156,6 +160,33 @@ describe("the playground", function()
     ]])
     window:wait "now.leaf == 'root.a' && $('verdict').textContent == '2 warnings'"
     assert.matches("stubbed: camera", window:run "return $('log').innerText")
+  end)
+
+  it("shows 60 columns of the chart, and the log beside it, at 1280 pixels", function()
+    window:resize(1280, 800)
+    visit(nil, ([[
+      local rfsm = require "rfsm"
+      return rfsm.state { a = rfsm.state { entry = function() print "here" end },
+        rfsm.trans { src = "initial", tgt = "a" } }
+--%s]]):format(("x"):rep(58)))
+    wait_for_line "here"
+    assert.is_true(window:run [[
+      const lines = [...document.querySelectorAll(".cm-line")];
+      return lines.at(-1).offsetHeight == lines[0].offsetHeight
+        && $("log").getBoundingClientRect().bottom < 800]])
+  end)
+
+  it("keeps wide texts in their boxes", function()
+    visit(nil, ([[
+      local rfsm = require "rfsm"
+      return rfsm.state { NAME = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = NAME } }
+    ]]):gsub("NAME =", '["日本語の状態の名前"] ='):gsub("NAME", '"日本語の状態の名前"') .. "")
+    window:wait("chart.nodes?.length == 3 && " .. DRAWN)
+    assert.is_true(window:run [[
+      const group = document.querySelector("#view .node.state");
+      return group.querySelector("text").getComputedTextLength()
+        <= group.querySelector("path").getBBox().width]])
   end)
 
   it("lets time go on", function()
@@ -272,10 +303,8 @@ describe("a chart of somebody else", function()
 
   it("draws nothing but a picture", function()
     visit(nil, [[
-      local Picture = require "rfsm.web.picture"
-      function Picture:take()
-        if not self.is_pending then return nil end
-        self.is_pending = false
+      local Painter = require "rfsm.web.picture"
+      function Painter:ask()
         return '<svg xmlns="http://www.w3.org/2000/svg" onload="window.evil = 1">'
           .. '<script>window.evil = 2</script><style>#title { display: none }</style>'
           .. '<image href="http://127.0.0.1:1/"/><a href="javascript:evil = 3">'
@@ -382,6 +411,21 @@ describe("the site", function()
     assert.matches("Statecharts in pure Lua", texts("main > p")[1])
     assert.is_true(window:run "return document.querySelector('img').naturalWidth > 0")
   end)
+
+  for _, width in ipairs { 1280, 390 } do
+    it("runs the first chart of the playground in its index, " .. width .. " wide",
+      function()
+        window:resize(width, 844)
+        window:open("file://" .. FOLDER .. "index.html")
+        window:run "document.querySelector('.live').scrollIntoView()"
+        window:call("POST", "/frame", { id = 0 })
+        window:wait(DRAWN)
+        window:wait "now.leaf == 'root.off'"
+        window:keep_shot("index-live-" .. width)
+        assert.is_true(window:run("return document.documentElement.scrollWidth <= "
+          .. "window.innerWidth"))
+      end)
+  end
 
   it("says in its index what each page is for", function()
     window:open("file://" .. FOLDER .. "index.html")

@@ -401,6 +401,20 @@ function charts.add_histories(chart)
   end
 end
 
+-- Deferral ---------------------------------------------------------------------
+
+--- Gives a chart random lists of deferred events.
+function charts.add_deferrals(chart)
+  local random = new_random(chart.seed + 12)
+  for _, fqn in ipairs(chart.names) do
+    local node = chart.nodes[fqn]
+    if node.kind == "state" and random:chance(40) then
+      node.defer = { random:pick(EVENTS), random:pick(EVENTS) }
+      if random:chance(10) then node.defer[1] = predicate end
+    end
+  end
+end
+
 --- The root of a model, of what the functions return: new_node(fqn, node),
 -- new_transition(tr, i).
 function charts.assemble(chart, new_node, new_transition)

@@ -185,6 +185,7 @@ local ENTITIES = { amp = "&", lt = "<", gt = ">", quot = '"', ["#45"] = "-",
 -- tip of its arrowhead, and the position of its label.
 function pictures.shapes_of(svg)
   local shapes = {}
+  svg = svg:gsub('<g id="a_[^>]*><a [^>]*>\n', ""):gsub("</a>\n</g>\n", "")
   for id, body in svg:gmatch('<g id="([^"]*)" class="%l+ [^"]*">(.-)</g>') do
     local all, path, head = {}, body:match(' d="([^"]*)"'), nil
     for points in body:gmatch('points="([^"]*)"') do head = points_in(points) end

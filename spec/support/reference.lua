@@ -197,6 +197,41 @@ local function configuration(machine)
   return list
 end
 
+-- Deferral (rfsm.defer) -------------------------------------------------------
+
+local function is_deferred(machine, event)
+  for _, fqn in ipairs(event ~= "e_init_fsm" and configuration(machine) or {}) do
+    local list = machine.chart.nodes[fqn].defer
+    if tostring(event):find("^e_done@root") then return false end
+    if list and matches({ events = list }, { event }) then return true end
+  end
+  return false
+end
+
+-- Before a path is taken, whose first transition may take some; or when none is.
+local function defer(machine, events, tr)
+  for _, event in ipairs(events) do
+    if #machine.deferred < 64 and is_deferred(machine, event)
+      and not (tr and matches(tr, { event })) then
+      machine.deferred[#machine.deferred + 1] = event
+      dbg(machine, "DEFERRED", event)
+    end
+  end
+end
+
+local put_back
+
+local function recall(machine, events)
+  for i, event in ipairs(machine.deferred) do
+    if not is_deferred(machine, event) then
+      put_back(machine, events)
+      dbg(machine, "RECALLED", event)
+      return { table.remove(machine.deferred, i) }
+    end
+  end
+  return events
+end
+
 -- One transition --------------------------------------------------------------
 
 -- Calls entry or exit of F, if it has one, with the active leaf that it must see.
@@ -306,6 +341,7 @@ end
 local function take(machine, events)
   local path = find_enabled(machine, configuration(machine), events)
   if not path then return false end
+  if not matches(path[1].tr, {}) then defer(machine, events, path[1].tr) end
   trace_path(machine, path)
   take_path(machine, path, events)
   return true
@@ -380,7 +416,7 @@ local function reset_now(machine)
   for fqn in pairs(machine.chart.nodes) do machine.mode[fqn] = "inactive" end -- a set
   machine.coroutine = {}
   machine.leaf, machine.reset_wanted = nil, false
-  machine.queue = { "e_init_fsm" }
+  machine.queue, machine.deferred = { "e_init_fsm" }, {}
   if machine.calls.was_reset then machine.calls.was_reset() end
 end
 
@@ -397,7 +433,7 @@ local function run_hook(machine, name, events)
 end
 
 -- The events of an iteration that did not take place come first in the queue again.
-local function put_back(machine, events)
+function put_back(machine, events)
   for _, event in ipairs(machine.queue) do events[#events + 1] = event end
   machine.queue = events
 end
@@ -418,6 +454,7 @@ local function gather(machine)
   machine.queue = {}
   local ok, failure = pcall(function()
     ask_getevents(machine, events)
+    events = recall(machine, events)
     run_hook(machine, "pre_hook", events)
   end)
   if ok then return events end
@@ -428,7 +465,7 @@ end
 -- One iteration. Returns "refused", or "free" / "counted" and whether it is idle.
 local function iterate(machine, after_free)
   local events = gather(machine)
-  local result, idle = "counted", false
+  local result, idle, is_taken = "counted", false, true
   if not machine.leaf then
     if not first_entry(machine, events) then
       refuse(machine, events)
@@ -438,12 +475,14 @@ local function iterate(machine, after_free)
     idle = doo_cycle(machine)
     if idle then ask_getevents(machine, machine.queue) end
   elseif not take(machine, events) then
+    is_taken = false
     if after_free then idle = doo_cycle(machine) else result = "free" end
   end
   if machine.reset_wanted then
     reset_now(machine)
     idle = false
   end
+  if not is_taken then defer(machine, events) end
   run_hook(machine, "post_hook", events)
   return result, idle and #machine.queue == 0
 end

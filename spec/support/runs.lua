@@ -227,7 +227,7 @@ local function model_node(world, fqn, node)
     entry = node.entry and program_of(world, "entry", fqn) or nil,
     exit = node.exit and program_of(world, "exit", fqn) or nil,
     doo = node.doo and function() return run_doo(world, fqn) end or nil,
-    history = node.history, final = node.final,
+    history = node.history, final = node.final, defer = node.defer,
   }
 end
 
@@ -393,12 +393,13 @@ local function drive(world, engine)
   return world.trace
 end
 
--- The printer without the warnings of rfsm_checkevents, whose job they are: everything
--- else has to be as it is without that module.
+-- The printer without the warnings of rfsm.checkevents and rfsm.defer, whose job they
+-- are: everything else has to be as it is without these modules.
 local function but_undeclared(warn)
   if not warn then return nil end
   return function(text, ...)
     if tostring(text):find("^WARNING: undeclared event ") then return end
+    if tostring(text):find("%.defer: '.*' is ") then return end
     return warn(text, ...)
   end
 end

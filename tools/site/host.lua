@@ -36,17 +36,25 @@ end
 
 local chart = require "rfsm.shared.chart"
 local review = require "rfsm.cli.review"
-local Picture = require "rfsm.web.picture"
+local Painter = require "rfsm.web.picture"
 local web = require "rfsm.web"
 require("rfsm_timeevent") -- so that their events are known, as to `rfsm check`
 require("rfsm.await")
 
-local graph, drawn = nil, nil -- what is to be drawn, as { text, format }; the result
+local queue = {} -- what is to be drawn: { text, format, what goes on then }
 
-function Picture:run(text, format)
-  graph, drawn = { text, format }, nil
-  while self.is_pending and not drawn do coroutine.yield() end
-  return drawn ~= "" and drawn or nil
+-- Draws in place of a process of its own.
+function Painter:start(job)
+  job.input = "/no file"
+  local work
+  work = coroutine.wrap(function()
+    job.svg = Painter.draw(job.request, self.last, function(text, format)
+      queue[#queue + 1] = { text, format, work }
+      return coroutine.yield()
+    end) or false
+    self.last = job.svg or nil
+  end)
+  work()
 end
 
 local host, file, server = {}, nil, nil
@@ -92,12 +100,11 @@ function host.message() return table.remove(outbox, 1) end
 
 -- Returns what Graphviz has to draw, as { text, format }; nil if there is nothing.
 function host.graph()
-  local wanted = graph
-  graph = nil
-  return wanted
+  return queue[1] and { queue[1][1], queue[1][2] }
 end
 
-function host.draw(text) drawn = text end
+-- Goes on with the picture that was drawn.
+function host.draw(text) table.remove(queue, 1)[3](text ~= "" and text or nil) end
 
 -- Returns what `rfsm check --static` reports.
 function host.check()

@@ -1,7 +1,7 @@
 -- Completes the pages that ldoc has made: pages.lua OUT PICTURE.svg ...
 --
--- Adds the gallery, the description of each example in the index, and links to the
--- playground if OUT/playground.html is there.
+-- Adds the gallery, the description of each example in the index, the playground and
+-- links to it if OUT/playground.html is there.
 
 local out = table.remove(arg, 1)
 
@@ -51,7 +51,8 @@ local function gallery(shell)
     .. "hard to draw, as <code>rfsm viz</code> draws them.</p>\n" }
   for _, file in ipairs(arg) do
     local name = file:match("([%w_]+)%.svg$")
-    local chart = name:gsub("_lr$", "") .. ".lua" -- _lr: from left to right
+    -- _lr: from left to right; walk: the chart of the README moves
+    local chart = name:gsub("_lr$", ""):gsub("^walk$", "lamp") .. ".lua"
     local text = read("examples/" .. chart) or read("doc/gallery/" .. chart)
       or "-- The chart of the introduction."
     parts[#parts + 1] = ('<h2 id="NAME">NAME</h2>\n<p>%s</p>\n%s'
@@ -82,7 +83,19 @@ local function complete(page, up)
   return put(page, "</nav>", more .. "</nav>")
 end
 
-local index = complete(read(out .. "/index.html"), "")
+-- The playground with its first chart, below the moving picture of the index.
+local LIVE = '<iframe class="live" src="playground.html" loading="lazy" '
+  .. 'title="The playground: a chart to change and to run"></iframe>\n'
+
+-- Puts the playground into the index.
+local function with_playground(page)
+  if not has_playground then return page end
+  return (page:gsub('(<img src="gallery/walk%.svg"[^>]*></p>\n)', function(picture)
+    return picture .. LIVE
+  end))
+end
+
+local index = with_playground(complete(read(out .. "/index.html"), ""))
 gallery(index)
 write(out .. "/index.html", index)
 for line in io.lines(out .. "/pages") do

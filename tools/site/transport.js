@@ -83,7 +83,7 @@ export async function ask(place, body) {
   const [path, query] = place.split("?");
   const reply = await post({ does: "ask", path, query, body });
   if (path == "chart" && reply.ok) seen(JSON.parse(reply.text));
-  if (path == "picture.svg") requestAnimationFrame(() => performance.mark("drawn"));
+  if (reply.text.startsWith("<?xml")) requestAnimationFrame(() => performance.mark("drawn"));
   return reply;
 }
 

@@ -379,13 +379,22 @@ local function explore_chart(chart, options, sends)
   error(walk, 0)
 end
 
+--- Lists the events that a subject knows and its machine does not make itself.
+function claim.outside_events(own)
+  local list = {}
+  for _, event in ipairs(own.event_list) do
+    if not own:maker_of(event) then list[#list + 1] = event end
+  end
+  return list
+end
+
 -- Appends in which way exploring the chart of `seed` and random runs differ.
 local function compare(seed, list)
   local chart, random = claim.chart(seed), new_random(seed + 13)
   local options, choice = options_of(chart, random)
   local walk = explore_chart(chart, options, choice.sends)
   if walk.bound then return end
-  local events, shown = walk.subject:outside_events(), explored(walk)
+  local events, shown = claim.outside_events(walk.subject), explored(walk)
   events = options.alphabet or events
   if not options.alphabet then table.insert(events, "e_?") end
   local seen = run_at_random(chart, events, choice, seed)

@@ -12,8 +12,8 @@ local run_seeds = require "spec.support.run_seeds"
 
 local claim = { name = "a machine that is watched, and one that is not", steps = 20 }
 
--- The callbacks note their calls and the events that they get.
-local function noting(trace, random)
+--- Returns makers of callbacks that note their calls and the events that they get.
+function claim.noting(trace, random)
   local make = { doo = driven.yielding(random) }
   for _, kind in ipairs { "guard", "predicate", "effect", "entry", "exit" } do
     make[kind] = function(id)
@@ -49,19 +49,23 @@ function claim.hooks_of(fsm)
   return table.concat(texts, "\n")
 end
 
+--- Has a machine with an even seed note its records, without addresses of predicates.
+function claim.note_records(fsm, seed, trace)
+  if seed % 2 ~= 0 then return end
+  fsm.dbg = function(...)
+    trace[#trace + 1] = table.concat({ ... }, " "):gsub("function: [^,' ]+", "f")
+  end
+end
+
 -- Returns the trace of a random run of a chart; `watch` is called with the machine.
 local function trace_of(chart, seed, watch)
   local trace, random, now = {}, new_random(seed + 37), 0
-  local fsm = rfsm.init(charts.model_of(chart, noting(trace, random), ""))
+  local fsm = rfsm.init(charts.model_of(chart, claim.noting(trace, random), ""))
   fsm.gettime = function() return now, 0 end
   fsm.err = function(text)
     if not tostring(text):find("^property '") then trace[#trace + 1] = text end
   end
-  if seed % 2 == 0 then
-    fsm.dbg = function(...) -- without addresses of predicates
-      trace[#trace + 1] = table.concat({ ... }, " "):gsub("function: [^,' ]+", "f")
-    end
-  end
+  claim.note_records(fsm, seed, trace)
   watch(fsm)
   for _ = 1, claim.steps do
     for _ = 1, random(3) - 1 do

@@ -1,6 +1,6 @@
 -- Two channels of a valve block, copies of one state.
 local rfsm = require "rfsm"
-local utils = require "utils"
+local utils = require "table_utils"
 
 local channel = rfsm.state {
   shut = rfsm.state { entry = function() valve(0) end },

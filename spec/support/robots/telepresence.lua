@@ -1,9 +1,9 @@
 -- Runs with and without the robot's middleware.
 local rfsm = require "rfsm"
-local is_there, rtt = pcall(require, "rtt")
+local is_there, bridge = pcall(require, "bridge")
 
 local function speak(text)
-  if is_there then rtt.logl("Info", text) else print(text) end
+  if is_there then bridge.say(text) else print(text) end
 end
 
 return rfsm.state {

@@ -1,13 +1,14 @@
---- Writes: what functions assign to, by their text. Exploration asks it of callbacks
---- that are not called.
+--- Writes: what functions assign to, by their text; for checks, and for exploration,
+--- which asks it of callbacks that are not called.
 --
 -- The text of a function is that of its lines, without comments. Functions that it
 -- names count, too. A computed key and `rawset` may be a write to anything.
 --
--- @module rfsm.explore.writes
+-- @module rfsm.shared.writes
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local code = require "rfsm.shared.code"
 local files = require "rfsm.shared.files"
 local match = require "rfsm.shared.match"
 
@@ -29,8 +30,8 @@ local function lines_of(source)
   if source:sub(1, 1) == "@" then
     text = io and files.read(source:sub(2)) or ""
   end
-  for line in (text .. "\n"):gmatch("(.-)\r?\n") do
-    lines[#lines + 1] = line:gsub("%-%-.*$", "")
+  for line in (code.of(text, true) .. "\n"):gmatch("(.-)\r?\n") do
+    lines[#lines + 1] = line
   end
   sources[source] = lines
   return lines
@@ -188,6 +189,20 @@ end
 ---@param seen table<function, true> those that were called before
 function writes.each(callback, f, seen)
   any_text(callback, function(text, _, other) f(text, other) end, seen)
+end
+
+--- Does a function only read, as far as its text tells: no assignment but to local
+--- variables, and no call?
+---@param callback any
+---@return boolean
+function writes.only_reads(callback)
+  local text = writes.text_of(callback) or ""
+  local body = text:gsub("^function[^(]*%b()", ""):gsub("local%s+[%w_,%s]+=", "")
+  for word in ("and or not return if elseif while until in"):gmatch("%l+") do
+    body = body:gsub("%f[%w_]" .. word .. "%f[^%w_]", "+")
+  end
+  return text ~= "" and not (body:find("[^=~<>]=[^=]") or body:find("%f[%w]function")
+    or body:find("[%w_%])]%s*[({\"']"))
 end
 
 --- May a function write a field of one of these names?

@@ -1,0 +1,116 @@
+--- `rfsm fleet URL VERB ...`: what an operator does with machines in Redis.
+--
+-- @module rfsm.cli.fleet
+-- @license BSD-3-Clause
+
+local chart = require "rfsm.shared.chart"
+local codec = require "rfsm.server.codec"
+local common = require "rfsm.cli.common"
+local rfsm = require "rfsm"
+
+local concat = table.concat
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+-- Returns a reply as lines: state, mode and outcome, then its errors.
+local function lines_of(reply)
+  local lines = { reply.leaf .. " " .. reply.mode .. " " .. (reply.outcome or "") }
+  for _, text in ipairs(reply.errors) do lines[#lines + 1] = "error: " .. text end
+  return lines
+end
+
+local function reply_lines(name)
+  return function(fleet, ...)
+    local reply, problem = fleet[name](fleet, ...)
+    if not reply then return nil, problem end
+    return lines_of(reply)
+  end
+end
+
+local function list_dead(fleet, limit)
+  local lines = {}
+  for _, entry in ipairs(fleet:dead(limit)) do
+    lines[#lines + 1] = concat({ entry.tag, entry.id, entry.machine, entry.what,
+      entry.data, "x" .. entry.deliveries, entry.error }, " ")
+  end
+  return lines
+end
+
+local function view_lines(fleet, key)
+  local view, problem = fleet:get(key)
+  if not view then return nil, problem end
+  local lines = {}
+  for _, name in ipairs(rfsm.sorted_keys(view)) do
+    local value = view[name]
+    lines[#lines + 1] = name .. ": " .. (type(value) == "table" and codec.encode(value)
+      or rfsm.text_of(value))
+  end
+  return lines
+end
+
+local function history_lines(fleet, key, count)
+  local moves, problem = fleet:history(key, count)
+  for i, move in ipairs(moves or {}) do
+    moves[i] = ("%.3f %s: %s -> %s"):format(move.time, move.event, move.from, move.to)
+  end
+  return moves, problem
+end
+
+local function was_there(name)
+  return function(fleet, ...)
+    local is_done, problem = fleet[name](fleet, ...)
+    if problem then return nil, problem end
+    return is_done and {} or nil, "it is not there"
+  end
+end
+
+-- What each verb takes, and how many of these it needs; it returns lines.
+local VERBS = {
+  find = { "CHART STATE [LIMIT [SECONDS]]", 2, function(fleet, name, state, limit, s)
+    return fleet:find(name, state, tonumber(limit), s)
+  end },
+  get = { "KEY", 1, view_lines }, history = { "KEY [COUNT]", 1, history_lines },
+  why = { "KEY EVENT", 2, function(fleet, ...) return fleet:why(...) end },
+  send = { "KEY EVENT", 2, reply_lines "send" },
+  hold = { "KEY", 1, reply_lines "hold" },
+  release = { "KEY", 1, reply_lines "release" },
+  force = { "KEY STATE", 2, reply_lines "force" },
+  remove = { "KEY", 1, was_there "remove" },
+  dead = { "[LIMIT]", 0, list_dead },
+  again = { "TAG ID", 2, was_there "again" }, drop = { "TAG ID", 2, was_there "drop" },
+}
+
+local function help()
+  local lines = { "Verbs:" }
+  for _, name in ipairs(rfsm.sorted_keys(VERBS)) do
+    lines[#lines + 1] = "   " .. name .. " " .. VERBS[name][1]
+  end
+  return concat(lines, "\n")
+end
+
+local command = {
+  summary = "Look after machines in Redis: find, hold, force, remove; dead entries.",
+  epilog = help(),
+}
+
+function command.add_arguments(parser)
+  parser:argument("url", "of the server, or a node of the cluster"):argname("URL")
+  parser:argument("verb", "what to do"):choices(rfsm.sorted_keys(VERBS)):argname("VERB")
+  parser:argument("arguments", "of the verb; KEY is a whole key, with its {tag}")
+    :args("*"):argname("ARGUMENT")
+  common.add_number(parser, "--tags", "hash tags of the machines (64)")
+end
+
+function command.run(options, parser)
+  local verb, list = VERBS[options.verb], options.arguments
+  if #list < verb[2] then
+    parser:error(options.verb .. " " .. verb[1] .. " expected")
+  end
+  local connected, fleet = pcall(require("rfsm.fleet").connect, options.url,
+    { tags = options.tags })
+  if not connected then common.fail(chart.first_line(fleet)) end
+  for _, line in ipairs(common.try(verb[3](fleet, unpack(list)))) do
+    common.write("-", line .. "\n")
+  end
+end
+
+return command
