@@ -234,18 +234,22 @@ describe("make help", function()
 end)
 
 describe("the command", function()
-  -- Returns which of these Luas runs it; those in `with` have argparse.
-  local function chosen(names, with)
+  -- Returns which of these Luas runs it; those in `with` have argparse, those in `own`
+  -- the package of the command.
+  local function chosen(names, with, command, own)
     local folder = os.tmpname()
     os.remove(folder)
     os.execute("mkdir " .. folder .. "; ln -s $(command -v readlink) " .. folder)
+    local function status(list, name) return list:find(name, 1, true) and 0 or 1 end
     for name in names:gmatch("%S+") do
-      local status = with:find(name, 1, true) and 0 or 1
-      helper.write(folder .. "/" .. name, ("#!/bin/sh\ncase $2 in\n*argparse*) exit %d"
-        .. ";;\n*_G*) exit 0;;\nesac\necho %s\n"):format(status, name))
+      local text = "#!/bin/sh\n[ $1 = -e ] || { echo %s; exit; }\ncase $2 in\n"
+        .. "*redis*) exit %d;;\n*argparse*) exit %d;;\nesac\n"
+      helper.write(folder .. "/" .. name, text:format(name, status(own or "", name),
+        status(with, name)))
       os.execute("chmod +x " .. folder .. "/" .. name)
     end
-    local lines = lines_of(("LUA= PATH=%s /bin/sh tools/rfsm 2>&1"):format(folder))
+    local lines = lines_of(("LUA= PATH=%s /bin/sh tools/rfsm %s 2>&1"):format(folder,
+      command or ""))
     os.execute("rm -r " .. folder)
     return table.concat(lines, " ")
   end
@@ -253,6 +257,11 @@ describe("the command", function()
   it("is run by the newest Lua that has argparse", function()
     assert.equal("lua5.3", chosen("lua5.1 lua5.3 lua5.4", "lua5.1 lua5.3"))
     assert.equal("lua5.4", chosen("lua5.1 lua5.3 lua5.4", "lua5.1 lua5.3 lua5.4"))
+  end)
+
+  it("is run by the newest one that has the package of the command", function()
+    assert.equal("lua5.1", chosen("lua5.1 lua5.3", "lua5.1 lua5.3", "redis", "lua5.1"))
+    assert.equal("lua5.3", chosen("lua5.1 lua5.3", "lua5.1 lua5.3", "redis", ""))
   end)
 
   it("is run by the newest one, which reports it, if none has", function()

@@ -113,9 +113,6 @@ describe("the alphabet of a machine", function()
       assert.is_true(known.set[event])
     end
     assert.is_nil(known.set.e_3)
-    for event, is_in in pairs { e_2 = true, odd = true, e_3 = false, e_x = true } do
-      assert.equal(is_in, alphabet.has(known, event))
-    end
     assert.is_false(known.takes_any)
   end)
 

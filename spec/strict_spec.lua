@@ -174,5 +174,5 @@ describe("a strict machine", function()
 end)
 
 it("a strict machine runs random charts as one that is not, with odd fields", function()
-  assert.is_nil(share.problem(claim, 60))
+  assert.is_nil(share.problem(claim, 30))
 end)

@@ -29,7 +29,7 @@ missing_for_sim() {
   if not (pcall(require, "posix.signal") or pcall(require, "luv")) then
     print(_VERSION == "Lua 5.4" and "lua-luv" or "lua-posix")
   end'
-  for module in argparse _G; do # as tools/rfsm
+  for module in readline argparse _G; do # as tools/rfsm
     for lua in ${LUA:-lua5.5 lua5.4 lua5.3 lua luajit lua5.2 lua5.1}; do
       has_module "$lua" "$module" || continue
       "$lua" -e "$code"
