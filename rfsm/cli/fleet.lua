@@ -79,12 +79,14 @@ local VERBS = {
   again = { "TAG ID", 2, was_there "again" }, drop = { "TAG ID", 2, was_there "drop" },
 }
 
+-- Lists the verbs with their arguments, two in a line.
 local function help()
-  local lines = { "Verbs:" }
-  for _, name in ipairs(rfsm.sorted_keys(VERBS)) do
-    lines[#lines + 1] = "   " .. name .. " " .. VERBS[name][1]
+  local texts = {}
+  for i, name in ipairs(rfsm.sorted_keys(VERBS)) do
+    texts[i] = ("%-39s"):format("   " .. name .. " " .. VERBS[name][1])
+    if i % 2 == 0 then texts[i] = texts[i]:gsub("%s+$", "") .. "\n" end
   end
-  return concat(lines, "\n")
+  return "Verbs:\n" .. concat(texts):gsub("%s+$", "")
 end
 
 local command = {
