@@ -2930,8 +2930,8 @@ function rfsm.send_events(fsm, event, ...)
   local queue = fsm._intq
   if event ~= nil then queue[#queue + 1] = event end
   if select("#", ...) > 0 then queue_more(queue, ...) end
-  local hooks = fsm._watch_hooks and fsm._watch_hooks.sent
-  if hooks then return tell_from(1, fsm, hooks, event, ...) end
+  local hooks = fsm._watch_hooks
+  if hooks and hooks.sent then return tell_from(1, fsm, hooks.sent, event, ...) end
 end
 
 -- A step is under way unless an error has cut it short, also while a callback has

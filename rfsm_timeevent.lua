@@ -9,6 +9,8 @@
 -- clock with one number, before which no timer expires. It is -huge while an entry or a
 -- search is under way: after an interrupt the next iteration searches all timers.
 --
+-- `send_after` sends an event later, whatever state is active then.
+--
 -- @module rfsm_timeevent
 -- @license BSD-3-Clause
 
@@ -18,7 +20,7 @@ local error, getmetatable, ipairs, pcall = error, getmetatable, ipairs, pcall
 local rawget, rawset, require = rawget, rawset, require
 local setmetatable, tonumber, type = setmetatable, tonumber, type
 local abs, floor, huge, max, min = math.abs, math.floor, math.huge, math.max, math.min
-local insert, sort = table.insert, table.sort
+local insert, remove, sort = table.insert, table.remove, table.sort
 local is_callable, report, text_of = rfsm.is_callable, rfsm.report, rfsm.text_of
 
 local rfsm_timeevent = {}
@@ -118,7 +120,7 @@ end
 --- The list of the timers of a state, its field `_timers`. The field `_timeevent` of a
 -- machine has the times in seconds before which no e_after (`true`) or e_at (`false`)
 -- expires, huge if none is armed; `has_at`, and `is_unusual` if there is an e_at or a
--- function.
+-- function; `sends`, events to be sent later, the next one last.
 ---@class rfsm_timeevent.Timers
 ---@field sec number|false the time of the latest entry; false: it is not known
 ---@field nsec number
@@ -241,6 +243,11 @@ local function expires_before(a, b)
   return a.rank < b.rank
 end
 
+-- Returns the nanoseconds from a time to another one.
+local function time_left(sec, nsec, now, now_nsec)
+  return floor((sec - now) * 1e9 + (nsec - now_nsec) + 0.5)
+end
+
 -- Lists the timers of one kind that have expired, in order. Arms those that wait for
 -- the clock. Returns also the nanoseconds until the first of the others expires.
 local function find_expired(fsm, is_relative, now, now_nsec)
@@ -251,7 +258,7 @@ local function find_expired(fsm, is_relative, now, now_nsec)
     if timer.event.is_relative == is_relative then
       local sec, nsec = deadline_of(timer)
       if not sec then sec, nsec = arm(fsm, timer, now, now_nsec) end
-      local left = floor((sec - now) * 1e9 + (nsec - now_nsec) + 0.5)
+      local left = time_left(sec, nsec, now, now_nsec)
       if left >= 0 then
         least = min(least, left)
       else
@@ -264,6 +271,26 @@ local function find_expired(fsm, is_relative, now, now_nsec)
   return list, least
 end
 
+-- Returns the send that comes next, and the nanoseconds until then; huge without one.
+local function next_send(fsm, sec, nsec)
+  local sends = fsm._timeevent.sends
+  local send = sends[#sends]
+  return send, send and time_left(send.sec, send.nsec, sec, nsec) or huge
+end
+
+-- Adds the events whose time has come. Returns the nanoseconds until the next one.
+local function raise_sends(fsm, events, sec, nsec)
+  local sends = fsm._timeevent.sends
+  local send, left = next_send(fsm, sec, nsec)
+  while left < 0 do
+    events[#events + 1] = send.event
+    remove(sends)
+    report(fsm, "dbg", "TIMEEVENT", send.event)
+    send, left = next_send(fsm, sec, nsec)
+  end
+  return left
+end
+
 -- Cut short, an event may be in the list twice, which means the same.
 local function raise_expired(fsm, is_relative, time, sec, nsec)
   if not time then return report_clock(fsm, sec) end
@@ -273,6 +300,7 @@ local function raise_expired(fsm, is_relative, time, sec, nsec)
     set(fsm, timer, huge, 0)
     report(fsm, "dbg", "TIMEEVENT", timer.name)
   end
+  if is_relative then least = min(least, raise_sends(fsm, events, sec, nsec)) end
   fsm._timeevent[is_relative] = time + least * 1e-9 - MARGIN
 end
 
@@ -322,15 +350,21 @@ local function save(fsm)
   return left
 end
 
--- Arms a timer with the time of a snapshot: a number, seconds and nanoseconds, or true
--- if it is not known.
-local function load_timer(fsm, timer, left)
-  local sec, nsec, now, now_nsec = left, 0, 0, 0
-  if left == true then return set(fsm, timer, false, 0) end
+-- Returns the time of a snapshot: a number, or seconds and nanoseconds.
+local function loaded_time(left, what)
+  local sec, nsec = left, 0
   if type(left) == "table" then sec, nsec = left[1], left[2] end
   if type(sec) ~= "number" or type(nsec) ~= "number" or sec - sec ~= nsec - nsec then
-    error("seconds and nanoseconds expected for timer '" .. timer.name .. "'", 0)
+    error("seconds and nanoseconds expected for " .. what, 0)
   end
+  return sec, nsec
+end
+
+-- Arms a timer with the time of a snapshot, which is true if it is not known.
+local function load_timer(fsm, timer, left)
+  local now, now_nsec = 0, 0
+  if left == true then return set(fsm, timer, false, 0) end
+  local sec, nsec = loaded_time(left, "timer '" .. timer.name .. "'")
   if timer.event.is_relative then now, now_nsec = read_or_raise(fsm, true) end
   set(fsm, timer, sec + now, nsec + now_nsec)
 end
@@ -340,7 +374,7 @@ end
 local function load(fsm, left, how)
   local own, is_known = fsm._timeevent, {}
   left = left or {}
-  own[true], own[false] = huge, huge
+  own[true], own[false] = own.sends[1] and -huge or huge, huge
   for _, timer in ipairs(list_timers(fsm)) do
     is_known[timer.name] = true
     set(fsm, timer, huge, 0)
@@ -357,15 +391,90 @@ local function load(fsm, left, how)
   end
 end
 
+-- Sends: events whose time comes later ---------------------------------------------
+
+--- An event to be sent.
+---@class rfsm_timeevent.Send
+---@field event any
+---@field id any what cancels it
+---@field sec number when
+---@field nsec number
+
+local function drop_sends(fsm) fsm._timeevent.sends = {} end
+
+-- Adds the hook for what has expired to a machine, before others, which see the events.
+local function prepare_machine(fsm)
+  if fsm._timeevent then return end
+  fsm._timeevent = { [true] = huge, [false] = huge, has_at = false, is_unusual = false,
+    sends = {} }
+  rfsm.pre_step_hook_add(fsm, rfsm.borrows(check_timers), "before")
+  rfsm.reset_hook_add(fsm, drop_sends)
+end
+
+-- Adds a send before those that come sooner, and before those of its time, which were
+-- added sooner.
+local function add_send(fsm, event, id, sec, nsec)
+  local own = fsm._timeevent
+  local sends, from, to = own.sends, 1, #own.sends
+  while from <= to do
+    local at = floor((from + to) / 2)
+    if time_left(sends[at].sec, sends[at].nsec, sec, nsec) > 0 then
+      from = at + 1
+    else
+      to = at - 1
+    end
+  end
+  insert(sends, from, { event = event, id = id, sec = sec, nsec = nsec })
+  own[true] = min(own[true], sec + nsec * 1e-9 - MARGIN)
+end
+
+local function find_send(fsm, id)
+  for at, send in ipairs(fsm._timeevent and fsm._timeevent.sends or {}) do
+    if rawequal(send.id, id) then return at end
+  end
+end
+
+-- Returns the list of sends, the next one first, as `text` returns each.
+local function list_sends(fsm, text)
+  local sends, list = fsm._timeevent and fsm._timeevent.sends or {}, {}
+  for at = #sends, 1, -1 do list[#list + 1] = text(sends[at]) end
+  return list[1] ~= nil and list or nil
+end
+
+local function event_of(send) return send.event end
+
+local function list_waiting(fsm) return list_sends(fsm, event_of) end
+
+local function save_sends(fsm)
+  local now, now_nsec
+  return list_sends(fsm, function(send)
+    if not now then now, now_nsec = read_or_raise(fsm, true) end
+    return { event = send.event, id = send.id,
+      after = kept_time(send.sec - now, send.nsec - now_nsec) }
+  end)
+end
+
+local function load_sends(fsm, kept)
+  if fsm._timeevent then drop_sends(fsm) end
+  if kept == nil then return end
+  prepare_machine(fsm)
+  local now, now_nsec = read_or_raise(fsm, true)
+  for _, send in ipairs(kept) do
+    if type(send) ~= "table" or send.event == nil then
+      error("list of events with `after` expected", 0)
+    end
+    local sec, nsec = loaded_time(send.after, "an event that is sent later")
+    add_send(fsm, send.event, send.id, normalise(sec + now, nsec + now_nsec))
+  end
+end
+
 -- Prepare: the events of a model become timers -------------------------------------
 
--- Adds the hook for expired timers to a machine, and that for entries to a state.
+-- Adds the hook for entries to a state.
 local function prepare_timers(fsm, state)
-  if not fsm._timeevent then
-    fsm._timeevent = { [true] = huge, [false] = huge, has_at = false,
-      is_unusual = false }
-    -- before other hooks, so that they see the events
-    rfsm.pre_step_hook_add(fsm, rfsm.borrows(check_timers), "before")
+  if not fsm._has_timers then
+    fsm._has_timers = true
+    prepare_machine(fsm)
     rfsm.snapshot_hook_add(fsm, "timers", save, load)
   end
   if not state._timers then
@@ -434,6 +543,10 @@ end
 
 -- First, because awaited time events become names here.
 insert(rfsm.preproc, 1, function(fsm, merged)
+  if not merged then
+    rfsm.snapshot_hook_add(fsm, "sends", save_sends, load_sends)
+    rfsm.waiting_hook_add(fsm, list_waiting)
+  end
   for _, tr in ipairs(rfsm.elements(merged or fsm, rfsm.is_trans)) do
     for i, event in ipairs(tr.events) do
       if getmetatable(event) == Timeevent then
@@ -503,10 +616,19 @@ local function remaining(fsm, is_relative)
   return expired[1] and 0 or (least + 1) / 1e9
 end
 
+-- Likewise until the first event is sent.
+local function until_send(fsm)
+  if not fsm._timeevent.sends[1] then return huge end
+  local _, left = next_send(fsm, read_or_raise(fsm, true))
+  return left < 0 and 0 or (left + 1) / 1e9
+end
+
 -- Likewise of a machine and its active regions, for both kinds.
 local function earliest(fsm)
   local least, state = huge, fsm._mode ~= "inactive" and fsm
-  if fsm._timeevent then least = min(remaining(fsm, true), remaining(fsm, false)) end
+  if fsm._timeevent then
+    least = min(remaining(fsm, true), remaining(fsm, false), until_send(fsm))
+  end
   while state do
     for _, region in ipairs((rfsm.regions(state))) do
       least = min(least, earliest(region))
@@ -514,6 +636,49 @@ local function earliest(fsm)
     state = state._actchild
   end
   return least
+end
+
+--- Send an event to a machine when more than some seconds have passed.
+--
+-- The machine's clock counts, and the state that is active then does not. Events of one
+-- time are sent in the order of these calls.
+--
+-- @usage
+--    rfsm_timeevent.send_after(fsm, 5, "e_retry", "retry")
+--    rfsm_timeevent.cancel(fsm, "retry") --> true
+--
+-- @raise if `seconds` is no such number, an event is waiting with that id, or the clock
+-- fails
+---@param fsm rfsm.Machine
+---@param seconds number finite, not below 0
+---@param event any
+---@param id? any for `cancel`
+function rfsm_timeevent.send_after(fsm, seconds, event, id)
+  local where = "rfsm_timeevent.send_after: "
+  rfsm.check_machine(fsm, "rfsm_timeevent.send_after")
+  if type(seconds) ~= "number" or not (seconds >= 0 and seconds < huge) then
+    error(where .. "seconds, a finite number not below 0, expected, "
+      .. rfsm.got(seconds), 2)
+  elseif event == nil then
+    error(where .. "event expected, got nil", 2)
+  elseif id ~= nil and find_send(fsm, id) then
+    error(where .. "an event with the id " .. text_of(id) .. " is waiting", 2)
+  end
+  local now, sec, nsec = read(fsm, true)
+  if not now then error(where .. "the clock failed: " .. text_of(sec), 2) end
+  prepare_machine(fsm)
+  add_send(fsm, event, id, normalise(sec + seconds, nsec))
+end
+
+--- Send an event of `send_after` never.
+---@param fsm rfsm.Machine
+---@param id any
+---@return boolean was_there false: it was sent, or there is no such id
+function rfsm_timeevent.cancel(fsm, id)
+  rfsm.check_machine(fsm, "rfsm_timeevent.cancel")
+  local at = id ~= nil and find_send(fsm, id)
+  if at then remove(fsm._timeevent.sends, at) end
+  return at and true or false
 end
 
 --- Return how long a host may sleep: seconds until the next timer can fire.

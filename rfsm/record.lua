@@ -369,7 +369,7 @@ end
 ---@field dry? boolean call no callbacks
 ---@field migrate? boolean replay also if the chart has changed, up to a difference
 ---@field guards? boolean call guards, too, and compare their results
----@field each? fun(fsm: rfsm.Machine, rec: rfsm.record.Record) called after each step
+---@field each? fun(fsm: rfsm.Machine, records: table[]) called after each step
 ---@field watch? fun(fsm: rfsm.Machine) called before the first step, to set a `dbg`
 
 --- Run a machine through a recording.

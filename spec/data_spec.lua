@@ -7,6 +7,9 @@ local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local share = require "spec.support.share"
 
+local writes = require "rfsm.shared.writes"
+
+local load_text = rawget(_G, "loadstring") or load
 local state = rfsm.state
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local never = rfsm_checks.never
@@ -235,6 +238,20 @@ describe("data anywhere", function()
     end
   end)
 
+  it("outside of the chart is looked at up to a bound", function()
+    local many, other = {}, {}
+    for i = 1, 1000 do many[i] = { {} } end
+    for i = 1, 400 do other[i] = { {} } end
+    local function is_set(tr) return tr.src._parent.n == many[1000][1].n end
+    local function is_other(tr) return tr.src._parent.n == other[400][1].n end
+    local _, _, result = judge(function() return counting(nil, is_set) end,
+      { run = { is_set } })
+    assert.matches("; not all data looked at$", result.premises)
+    _, _, result = judge(function() return counting(nil, is_other) end,
+      { run = { is_other } })
+    assert.equal("one event a step", result.premises)
+  end)
+
   it("that is added or taken away leaves it open", function()
     local function is_set(tr) return tr.src._parent.m ~= nil end
     local function set(fsm) fsm.m = 1 end
@@ -305,6 +322,17 @@ describe("callbacks that are not run", function()
     end, { run = { is_three } })
     assert.is_true(holds)
     assert.equal("one event a step; 2 callbacks not run", result.premises)
+  end)
+
+  it("and are named like a file of this library are read, too", function()
+    local text = ("return function(fsm) fsm.n = 3 end")
+    local core = debug.getinfo(rfsm.init, "S").source:match("^@(.*)%.lua$")
+    for name, is_read in pairs { ["_robot.lua"] = true, ["_checks.lua"] = false,
+      ["/x.lua"] = false } do -- any order: each stands alone
+      local file = "@" .. core .. name
+      local callback = assert(load_text(text, file))()
+      assert.equal(is_read, writes.text_of(callback) ~= nil)
+    end
   end)
 
   it("do not set targets either", function()

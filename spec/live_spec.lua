@@ -396,6 +396,24 @@ describe("node_find_enabled", function()
   end)
 end)
 
+describe("is_in", function()
+  it("tells of a state or its name, wants a state of the machine, and a machine",
+    function()
+      local fsm = started { b = state { x = state {},
+        trans { src = "initial", tgt = "x" } } }
+      post_and_run(fsm, "e")
+      assert.same({ true, true, true, false },
+        { rfsm.is_in(fsm, fsm), rfsm.is_in(fsm, fsm.b), rfsm.is_in(fsm, "root.b.x"),
+          rfsm.is_in(fsm, "root.a") })
+      for _, other in ipairs { state {}, fsm[2], 5 } do
+        assert.error_matches(function() rfsm.is_in(fsm, other) end,
+          "rfsm.is_in: state of the machine expected, got ", 1, true)
+      end
+      assert.error_matches(function() rfsm.is_in({}, "root") end,
+        "rfsm.is_in: initialised fsm expected, got table", 1, true)
+    end)
+end)
+
 describe("a merge into a live machine", function()
   -- Why a merge is refused.
   local function reason(fsm, ...)
@@ -462,6 +480,12 @@ describe("a merge into a live machine", function()
     assert.is_true(rfsm.fsm_merge(fsm, fsm.b, trans { src = "initial", tgt = "x" }))
     assert.equal(fsm.b.initial, fsm[2].tgt)
     assert.equal("root.b.x", leaf_after(fsm, "e"))
+  end)
+
+  it("takes a transition of another machine by the names in its model", function()
+    local fsm, other = started(), started()
+    assert.is_true((rfsm.fsm_merge(fsm, fsm, other[2])))
+    assert.is_true(fsm[4].src == fsm.a and fsm[4].tgt == fsm.b)
   end)
 
   it("copies plain tables at once, and warns of what is new alone", function()

@@ -302,6 +302,14 @@ describe("machines of one model", function()
     end
   end)
 
+  it("have the states that were plain tables when an earlier one was made", function()
+    local model = new_chart({})
+    model.late = {}
+    rfsm.init(model)
+    state(model.late) -- marks the table itself
+    assert.equal("root.late", rfsm.init(model).late._fqn)
+  end)
+
   it("do not keep models alive that nobody uses", function()
     local models = setmetatable({}, { __mode = "k" })
     for i = 1, 20 do

@@ -899,6 +899,144 @@ describe("an interrupt while it is recorded", function()
   end)
 end)
 
+describe("a recorder", function()
+  it("may pause: the next record has the place, and no other hook is left", function()
+    local sink = {}
+    local recorder, fsm = recorded(sink)
+    recorder:pause()
+    assert.same({ 1, 1, false }, { #fsm._pre_hooks, #fsm._post_hooks,
+      fsm._reset_hooks })
+    helper.post_and_run(fsm, "e_go")
+    recorder:pause() -- again does no harm
+    assert.equal(10, #sink)
+    recorder:go_on()
+    recorder:go_on()
+    assert.equal(2, #fsm._pre_hooks)
+    helper.post_and_run(fsm, "e_go")
+    assert.same({ "root.busy", 3, nil }, { sink[11].from.snapshot.leaf,
+      sink[11].from.snapshot.data.root.count, sink[12] })
+    local again = assert(record.replay(worker({}, yes), sink, { dry = true }))
+    assert.same(snapshot.take(fsm), snapshot.take(again))
+    recorder:stop()
+    recorder:go_on()
+    recorder:stop()
+    assert.equal(1, #fsm._pre_hooks)
+  end)
+
+  it("notes a place again when the machine is put there", function()
+    local sink = {}
+    local _, fsm = recorded(sink)
+    local snap = snapshot.take(fsm)
+    helper.post_and_run(fsm, "e_go")
+    assert(snapshot.put(fsm, snap))
+    local count = #sink
+    assert.equal(12, count)
+    helper.post_and_run(fsm, "e_go")
+    assert.same(snap, sink[count + 1].from.snapshot)
+    assert.is_nil(sink[count + 2].from)
+    for _, is_dry in ipairs { true, false } do
+      assert(record.replay(worker({}, yes), sink, { dry = is_dry }))
+    end
+    assert.same({ false, "step 12: rfsm.snapshot: leaf: no state is 'root.x'", 11 }, {
+      (function()
+        sink[count + 1].from.snapshot.leaf = "root.x"
+        return record.replay(worker({}, yes), sink)
+      end)() })
+  end)
+
+  it("reads the clock for such a place as it was read then", function()
+    local now, sink = 10, {}
+    local function timed()
+      return state { info = false, warn = false, a = state {}, b = state {},
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_after(5)" } } }
+    end
+    local fsm = helper.init(timed())
+    fsm.gettime = function() return now, 0 end
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    now = 12
+    assert(snapshot.put(fsm, snapshot.take(fsm)))
+    now = 13
+    rfsm.step(fsm)
+    helper.post_and_run(fsm, "e_x")
+    now = 16
+    rfsm.run(fsm)
+    local place = sink[4].from
+    assert.same({ { 13, 0 }, "root.b" }, { place.clock[1], rfsm.get_actleaf_fqn(fsm) })
+    assert.equal("root.b", rfsm.get_actleaf_fqn(assert(record.replay(timed(), sink))))
+  end)
+
+  it("waits for a machine that can be saved", function()
+    local sink, fsm = {}, helper.init(worker({}, yes))
+    local recorder = record.record(fsm, sink)
+    rfsm.run(fsm)
+    rfsm.reset(fsm)
+    fsm.count = print
+    rfsm.run(fsm)
+    local count = #sink
+    fsm.count = 5
+    helper.post_and_run(fsm, "e_go")
+    assert.same({ 3, 5, "root.idle" }, { count, sink[4].from.snapshot.data.root.count,
+      sink[4].from.snapshot.leaf })
+    assert.equal(recorder.count, #sink - 1)
+    assert(record.replay(worker({}, yes), sink, { dry = true }))
+  end)
+
+  it("refuses a machine that cannot be saved, and blames the caller", function()
+    local model = worker({}, yes)
+    model.count = print
+    local fsm = helper.init(model)
+    assert.equal("rfsm.record.record: root.count: a function cannot be saved",
+      helper.refusal(record.record, fsm, {}))
+    assert.equal(1, #fsm._pre_hooks)
+  end)
+
+  it("reads the machine's own clock for its first snapshot", function()
+    local fsm, sink = helper.init(state { info = false, warn = false,
+      gettime = function() return 42, 0 end, a = state {}, b = state {},
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = { "e_after(5)" } } }), {}
+    rfsm.run(fsm)
+    record.record(fsm, sink)
+    assert.same({ { 42, 0 } }, sink[1].clock)
+  end)
+
+  it("leaves the error of a guard as it is", function()
+    local said = {}
+    local model = worker({}, function() error("no sensor", 0) end)
+    model.err = function(...) said[#said + 1] = table.concat({ ... }, "") end
+    local fsm = helper.init(model)
+    record.record(fsm, {})
+    rfsm.run(fsm)
+    helper.post_and_run(fsm, "e_go")
+    assert.same({ "GUARDerror executing guard of T={ src='root.idle', tgt='root.busy', "
+      .. "events='e_go' }: no sensor" }, said)
+  end)
+
+  it("leaves alone what is merged in", function()
+    local sink, asked = {}, 0
+    local _, fsm = recorded(sink)
+    assert(rfsm.fsm_merge(fsm, fsm, rfsm.seqand { r = helper.chart "e_x" }, "p"))
+    assert(rfsm.fsm_merge(fsm, fsm, trans { src = "idle", tgt = "p", events = { "e_p" },
+      guard = function() asked = asked + 1 end }))
+    helper.post_and_run(fsm, "e_p")
+    assert.same({ 1, "root.p", nil }, { asked, rfsm.get_actleaf_fqn(fsm),
+      sink[#sink].guards })
+  end)
+
+  it("calls a function after each step of a replay", function()
+    local sink, seen = {}, {}
+    recorded(sink)
+    assert(record.replay(worker({}, yes), sink, { dry = true, to = 3,
+      each = function(fsm, records)
+        seen[#seen + 1] = { rfsm.get_actleaf_fqn(fsm), records }
+      end }))
+    assert.same({ { "root.idle", { sink[2] } }, { "root.busy", { sink[3], sink[4] } } },
+      seen)
+  end)
+end)
+
 describe("an error of a debug hook while it is recorded", function()
   -- initial --> a --> b --> c, and so on; the list may change in each iteration
   local function line()

@@ -450,6 +450,23 @@ at root.spin(done) e_done@root.spin
 ]=] .. STOPPED .. [=[
 at root.a(done)
 ]=] },
+    { does = "is told in one line", chart = endless(), follows = true,
+      input = "step\nser e_spin", output = [=[
+taken:  root.initial -> root.a
+* root
+  * a (done)
+    busy
+    spin
+at root.a(done) e_done@root.a
+taken:  root.a -> root.spin on e_spin
+taken:  root.spin -> root.spin
+        9999 times
+* root
+    a
+    busy
+  * spin (done)
+at root.spin(done) e_done@root.spin
+]=] .. STOPPED },
     { does = "of a doo stops, too", chart = endless(), input = "step\nser e_busy",
       output = "at root.a(done) e_done@root.a\nat root.busy(active)\n" .. STOPPED },
     { does = "stops earlier at a breakpoint", chart = endless(), input = [=[
@@ -632,6 +649,18 @@ no transition would be taken on e_done@root.c in root.c
   root.trans[4] (c -> a): waits for e_go
 e_go
 ]=] },
+    { does = "has the nearest event where it asks why", chart = ring(), input = [=[
+run
+why e_og
+why e_go
+]=], output = [=[
+at root.a(done)
+! no transition names the event 'e_og' (did you mean 'e_go'?)
+no transition would be taken on e_og in root.a
+  root.trans[2] (a -> b): waits for e_go
+root.trans[2] (a -> b) would be taken on e_go in root.a
+  root.trans[2] (a -> b): would be taken
+]=] },
     { does = "stops, and shows values", chart = ring(), input = [=[
 breakpoint(fsm.b)
 breakpoint a->b
@@ -705,5 +734,20 @@ describe("a line", function()
     assert.same({ "> ", ">> ", ">> ", ">> ", "> ", ">> " }, prompts)
     assert.matches("^! stdin:%d: [^\n]*<eof>'?\n$", printed[1])
     assert.is_nil(printed[2])
+  end)
+
+  it("is repeated by Enter alone, at a terminal, if it is a command", function()
+    for _, follows in ipairs { true, false } do
+      local lines = { "step", "", " ", "x = 1", "", "for i = 1, 2 do", "", "end", "" }
+      local i = 0
+      local sim = session.open(helper.file_with(ring()), follows)
+      prompt.install(sim)
+      printed = {}
+      helper.with(terminal, { read = function()
+        i = i + 1
+        return lines[i], false
+      end }, function() prompt.converse(sim) end)
+      assert.equal(follows and 3 or 1, sim.history.at)
+    end
   end)
 end)

@@ -355,6 +355,21 @@ describe("a rehearsal", function()
     assert.same({ "off", "started" }, seen)
   end)
 
+  it("takes events of regions by their paths", function()
+    local function region()
+      return state { info = false, warn = false, x = state {}, y = state {},
+        trans { src = "initial", tgt = "x" },
+        trans { src = "x", tgt = "y", events = { "e_x" } } }
+    end
+    local run = rfsm_checks.rehearsal(state { info = false, warn = false,
+      p = rfsm.seqand { left = region(), right = region() },
+      trans { src = "initial", tgt = "p" } })
+    assert.equal("initial --> p, p.left.initial --> p.left.x, p.right.initial --> "
+      .. "p.right.x", run:step())
+    assert.equal("p.right.x -e_x-> p.right.y",
+      run:step { "e_none", inside = { ["root.p.right"] = { "e_x" } } })
+  end)
+
   it("has fakes that count as 0, are texts, and end a loop", function()
     local run = rfsm_checks.rehearsal(rfsm.load_str [[
       local rfsm = require "rfsm"

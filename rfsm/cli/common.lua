@@ -190,14 +190,15 @@ function common.write(file, text)
   if not ok then common.fail(problem) end
 end
 
--- Encodes the chart in every file before anything is written: encode(fsm, title).
+-- Encodes the chart in every file before anything is written: encode(fsm, title, foot);
+-- the foot names stubs.
 function common.encode_all(options, encode)
   local texts = {}
   for i, file in ipairs(options.files) do
     local title = (chart.name_of(file):match("[^/]+$") or file):gsub("%.lua$", "")
     local fsm, names = load_machine(file, options.stub, options.machine)
-    if names[1] then title = ("%s (stubbed: %s)"):format(title, concat(names, ", ")) end
-    local text = common.call(file, encode, fsm, title)
+    local text = common.call(file, encode, fsm, title,
+      names[1] and "stubbed: " .. concat(names, ", "))
     texts[i] = text:sub(-1) == "\n" and text or text .. "\n"
   end
   return texts

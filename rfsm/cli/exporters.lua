@@ -44,7 +44,10 @@ end
 local function new_command(exporter)
   local ending = "." .. exporter.ending
   local function run(options)
-    local texts = common.encode_all(options, require("rfsm." .. exporter.name).encode)
+    local encode = require("rfsm." .. exporter.name).encode
+    local texts = common.encode_all(options, function(fsm, title, foot)
+      return encode(fsm, { title = title, foot = foot or nil })
+    end)
     if options.output then return common.write(options.output, concat(texts)) end
     for i, file in ipairs(options.files) do
       write_beside(file, ending, texts[i])

@@ -79,18 +79,19 @@ local VERBS = {
   again = { "TAG ID", 2, was_there "again" }, drop = { "TAG ID", 2, was_there "drop" },
 }
 
--- Lists the verbs with their arguments, two in a line.
+-- Two verbs a line, so that the help fits a terminal.
 local function help()
-  local texts = {}
-  for i, name in ipairs(rfsm.sorted_keys(VERBS)) do
-    texts[i] = ("%-39s"):format("   " .. name .. " " .. VERBS[name][1])
-    if i % 2 == 0 then texts[i] = texts[i]:gsub("%s+$", "") .. "\n" end
+  local lines, names = { "Verbs:" }, rfsm.sorted_keys(VERBS)
+  for i = 1, #names, 2 do
+    local name, other = names[i], names[i + 1]
+    lines[#lines + 1] = ("   %-36s %s"):format(name .. " " .. VERBS[name][1],
+      other and other .. " " .. VERBS[other][1] or "")
   end
-  return "Verbs:\n" .. concat(texts):gsub("%s+$", "")
+  return concat(lines, "\n")
 end
 
 local command = {
-  summary = "Look after machines in Redis: find, hold, force, remove; dead entries.",
+  summary = "Look after machines in Redis.",
   epilog = help(),
 }
 

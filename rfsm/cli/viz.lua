@@ -88,8 +88,8 @@ function viz.run(options, parser)
     like = options.like and common.try(files.read(options.like)),
   }
   local machine
-  local text = concat(common.encode_all(options, function(fsm, title)
-    looks.title, machine = title, fsm
+  local text = concat(common.encode_all(options, function(fsm, title, foot)
+    looks.title, looks.foot, machine = title, foot or nil, fsm
     return exporter.encode(fsm, looks)
   end))
   if not IS_TEXT[format] then

@@ -17,7 +17,7 @@ local writes = require "rfsm.shared.writes"
 
 local _G, error, ipairs, next, rawequal, rawget = _G, error, ipairs, next, rawequal,
   rawget
-local jit = rawget(_G, "jit")
+local jit, math = rawget(_G, "jit"), math
 local rawset, setmetatable, type = rawset, setmetatable, type
 local package = rawget(_G, "package")
 local setupvalue = (rawget(_G, "debug") or {}).setupvalue
@@ -31,6 +31,7 @@ local memory = {}
 ---@field cells { name: string, read: fun(): any, write: fun(x: any), value: any }[]
 ---@field places table<string, { home: rfsm_checks.Home, key: any }> fields, by path
 ---@field seen table<any, true> tables and functions that were looked at
+---@field most integer how many homes there may be
 ---@field is_cut boolean there is more
 ---@field is_blind boolean the text of a callback is not known
 local Memory = {}
@@ -44,7 +45,7 @@ Memory.__index = Memory
 ---@field count integer of these
 ---@field followed table<any, true> keys that `vars` names
 
-local MANY = 1000 -- homes; of more it is not known what they have
+local MANY = 1000 -- homes that are no part of the chart; more are not looked at
 
 -- Homes .............................................................................
 
@@ -59,7 +60,7 @@ end
 
 -- Adds a table, and those in it. A field of a state or of a table in one has a place.
 local function add_home(self, of, name, has_places)
-  self.seen[of], self.is_cut = true, self.is_cut or #self.homes == MANY
+  self.seen[of], self.is_cut = true, #self.homes == self.most
   if self.is_cut then return end
   local home, keys = { of = of, name = name, kept = {}, count = 0, followed = {} }, {}
   self.homes[#self.homes + 1] = home
@@ -210,7 +211,7 @@ end
 ---@return rfsm_checks.Memory
 function memory.of(self)
   local own = setmetatable({ homes = {}, cells = {}, places = {}, seen = {},
-    is_cut = false, is_blind = false }, Memory)
+    most = math.huge, is_cut = false, is_blind = false }, Memory)
   skip_libraries(own)
   local list = {}
   for _, part in ipairs(self.parts) do
@@ -220,6 +221,7 @@ function memory.of(self)
     end
   end
   for _, pair in ipairs(list) do add_home(own, pair[1], pair[2], true) end
+  own.most = #own.homes + MANY
   local seen = {}
   for _, callback in ipairs(self.run_list) do
     own.is_blind = own.is_blind or (writes.text_of(callback) or "") == ""

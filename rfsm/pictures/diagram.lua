@@ -23,6 +23,7 @@ local diagram = {}
 --- What may be said of a picture. A string in its place is the title.
 ---@class rfsm.pictures.Options
 ---@field title? string
+---@field foot? string a note in small letters below a picture
 ---@field active? string|string[] FQNs of active states; else those of a live machine
 ---@field depth? integer levels to draw; deeper ones are left out
 ---@field folded? string[] FQNs of composites that are drawn without what is in them
@@ -78,6 +79,7 @@ local diagram = {}
 --- A machine, ready to be drawn.
 ---@class rfsm.pictures.Chart
 ---@field title? string
+---@field foot? string
 ---@field direction string
 ---@field kind? "levels"|"plain" of the former picture
 ---@field root rfsm.pictures.Node
@@ -428,7 +430,8 @@ end
 
 -- Description, test, default of each.
 local OPTIONS = {
-  title = { "string", is_a("string", "number") }, depth = { "number", is_a "number" },
+  title = { "string", is_a("string", "number") }, foot = { "string", is_a "string" },
+  depth = { "number", is_a "number" },
   active = { "string", is_a("string", "table") }, folded = { "list", is_a "table" },
   coverage = { "table", is_a "table" },
   trace = { "table", is_a "table" }, like = { "string", is_a "string" },
@@ -459,6 +462,7 @@ function diagram.read(source, where, options)
   local title = tostring(settings.title or "")
   local chart = {
     title = title ~= "" and clean(title) or nil, direction = settings.direction,
+    foot = settings.foot,
     nodes = {}, arrows = {}, all = {}, by_fqn = {}, taken = {}, folded = {},
   }
   local tab = is_read and source or marsh.model2tab(source, true)
@@ -491,8 +495,16 @@ end
 function diagram.exporter(name, global, draw)
   local exporter = {}
 
+  -- A text has no room below: the foot stands behind the title.
+  local function text_of(chart)
+    if chart.foot then
+      chart.title = ("%s (%s)"):format(chart.title or chart.root.name, chart.foot)
+    end
+    return (draw(chart))
+  end
+
   function exporter.encode(fsm, options)
-    return (draw(diagram.read(fsm, name .. ".encode", options)))
+    return (text_of(diagram.read(fsm, name .. ".encode", options)))
   end
 
   function exporter.save(fsm, file, options)
@@ -501,7 +513,7 @@ function diagram.exporter(name, global, draw)
     if type(file) ~= "string" then
       error(where .. "file name expected, got " .. type(file), 2)
     end
-    local ok, problem = files.write(file, draw(chart))
+    local ok, problem = files.write(file, text_of(chart))
     if not ok then error(where .. problem, 2) end
   end
 

@@ -128,6 +128,8 @@ local function add_arrow(texts, arrow, line, frame)
       looks.arrow_label(arrow)) or ""))
 end
 
+local FOOT = 8 -- points below a picture
+
 local function graph_of(chart, positions)
   local root, places = chart.root, positions.places
   local frame = places[root].width and places[root] or positions
@@ -137,6 +139,11 @@ local function graph_of(chart, positions)
   looks.add_node(texts, 1, root, function(node) return position_text(places[node]) end)
   for i, arrow in ipairs(chart.all) do
     add_arrow(texts, arrow, positions.lines[i], frame)
+  end
+  if chart.foot then
+    add(texts, 1, ('foot [shape=plain, style="", fontsize=8, label=%s, pos="%s"]')
+      :format(looks.quoted(diagram.clean(chart.foot)), point_text(positions.left
+      + positions.width / 2, positions.bottom - FOOT)))
   end
   add(texts, 0, "}")
   return concat(texts, "\n") .. "\n"

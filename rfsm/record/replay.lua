@@ -267,9 +267,10 @@ end
 
 -- Advances the machine to the end of the recording, or to where it departs from it.
 local function run(session, track)
-  local each = session.options.each or function() end
+  local each, before = session.options.each or function() end, 0
   while session.at < session.last and take_step(session, track) do
-    each(track.fsm, session.records[session.at])
+    each(track.fsm, { unpack(session.records, before + 1, session.at) })
+    before = session.at
   end
 end
 

@@ -178,16 +178,19 @@ function track.attach(fsm, add, ...)
     track.wrap(own)
     tracks[i], of[at.machine] = own, own
   end
-  tracks.stream = stream.follow(fsm, {
-    began = function(at, events) of[at.machine].began(events) end,
-    finished = function(at, events) of[at.machine].finished(events) end,
-    reset = function(at) of[at.machine].reset() end,
-    failed = function(at, ...) of[at.machine].failed(...) end,
-    guard = function(at, tr, guard, events)
-      local own = of[at.machine]
-      return own.guard(own.number_of[tr], guard, tr, events)
-    end,
-  })
+  -- what is merged in meanwhile has no track, and no number
+  local listener = { guard = function(at, tr, guard, events)
+    local own = of[at.machine]
+    local number = own and own.number_of[tr]
+    if not number then return guard(tr, events) end
+    return own.guard(number, guard, tr, events)
+  end }
+  for _, name in ipairs { "began", "finished", "reset", "failed" } do
+    listener[name] = function(at, ...)
+      if of[at.machine] then of[at.machine][name](...) end
+    end
+  end
+  tracks.stream = stream.follow(fsm, listener)
   return tracks
 end
 

@@ -205,19 +205,22 @@ local function note_machine(world, depth, init, model)
 end
 
 -- Loads a file while the machines are noted that it makes. The first step of one of
--- them ends that.
+-- them ends that. A module that is loaded meanwhile may keep these functions.
 local function noting_machines(world, load, file)
   local init, plain = rfsm.init, { step = rfsm.step, run = rfsm.run }
+  local is_loading = true
   rawset(rfsm, "init", function(model)
+    if not is_loading then return init(model) end
     return note_machine(world, world.depth, init, model)
   end)
   for name, f in order.each(plain) do -- any order: each stands alone
     rawset(rfsm, name, function(fsm, ...)
-      if world.is_made[fsm or world] then halt(world) end
+      if is_loading and world.is_made[fsm or world] then halt(world) end
       return f(fsm, ...)
     end)
   end
   local ok, model = pcall(within_bounds, world, load, file)
+  is_loading = false
   for name, f in order.each(plain) do rawset(rfsm, name, f) end -- likewise
   rawset(rfsm, "init", init)
   return ok and model or error(model, 0)
@@ -235,7 +238,10 @@ local function chosen_model(file, world, ok, model)
   local is_program = world.models[1] and not ok
     and (world.is_halted or rfsm.text_of(model):find(NO_STATE, 1, true))
   local number = world.number or 1
-  if not (is_program or ok and world.number) then return ok, model end
+  if not (is_program or ok and world.number) then
+    world.models = {} -- they are regions
+    return ok, model
+  end
   if world.models[number] then return true, world.models[number] end
   return false, ("%s: no machine %d, it makes %d%s"):format(chart.name_of(file), number,
     #world.models, world.models[1] and " (" .. places_of(world) .. ")" or "")

@@ -37,9 +37,16 @@ local function lines_of(source)
   return lines
 end
 
--- Returns the beginning of the sources of this library: "@/usr/share/lua/5.1/rfsm".
-local function own_source()
-  return getinfo(rfsm.init, "S").source:match("^(@.*rfsm)%.lua$") or "@rfsm.lua"
+-- The files of this library beside rfsm.lua and the folder rfsm.
+local BESIDE = { ["_checks.lua"] = true, ["_seqand.lua"] = true,
+  ["_timeevent.lua"] = true, ["pp.lua"] = true }
+
+-- Is it the source of a file of this library? A chart beside it may be rfsm_robot.lua.
+local function is_own(source)
+  local core = getinfo(rfsm.init, "S").source
+  local base = core:match("^(@.*rfsm)%.lua$")
+  local rest = base and source:sub(1, #base) == base and source:sub(#base + 1) or ""
+  return source == core or rest:sub(1, 1) == "/" or BESIDE[rest] == true
 end
 
 --- Return the text of a function of the chart; nil for all others, and without the
@@ -48,9 +55,7 @@ end
 ---@return string?
 function writes.text_of(callback)
   local info = getinfo and type(callback) == "function" and getinfo(callback, "S")
-  if not info or info.what == "C" or info.source:find(own_source(), 1, true) == 1 then
-    return nil
-  end
+  if not info or info.what == "C" or is_own(info.source) then return nil end
   local lines = lines_of(info.source)
   local text = concat(lines, "\n", max(info.linedefined, 1),
     min(max(info.lastlinedefined, 1), #lines))

@@ -110,6 +110,7 @@ add("why(...)", "explain the effect that events would have now", [[
 Each transition from the root to the active leaf answers: it would be taken, or the
 reason why not. Without an event: those in the queue. Example: why e_push]],
 function(sim, ...)
+  for i = 1, select("#", ...) do sim:check_event((select(i, ...)), i) end
   print((select(2, rfsm_checks.why(sim.fsm, ...))))
 end, { completes = "events" })
 

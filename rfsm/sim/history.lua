@@ -125,10 +125,12 @@ function history.replay(sim, name)
   local info, warn = model.info, model.warn
   model.info, model.warn = false, false
   local ok, session = calls.try(replay, model, list, { dry = sim.saved ~= nil,
-    migrate = true, each = function(fsm, rec)
+    migrate = true, each = function(fsm, records)
       history.mark(sim)
-      history.note_events(sim, rec.events or {})
-      history.note_events(sim, rec.added or {})
+      for _, rec in ipairs(records) do
+        history.note_events(sim, rec.events or {})
+        history.note_events(sim, rec.added or {})
+      end
       local is_put, problem = snapshot.put(sim.fsm, snapshot.take(fsm))
       if not is_put then error(problem, 0) end
     end })

@@ -53,8 +53,19 @@ function Observer:taken(at, path, events)
     nodes[i + 1] = names.full(at.prefix, tr.tgt._fqn)
   end
   if not self.is_shown then return end
-  print("taken:  " .. concat(nodes, " -> ") .. (by[1] and " on " .. concat(by, ", ")
-    or ""))
+  self:print_taken("taken:  " .. concat(nodes, " -> ")
+    .. (by[1] and " on " .. concat(by, ", ") or ""))
+end
+
+-- Prints a line, but for those that follow and are equal their number.
+function Observer:print_taken(line)
+  if line == self.line then
+    self.times = self.times + 1
+    return
+  end
+  if self.times > 1 then print(("        %d times"):format(self.times)) end
+  if line then print(line) end
+  self.line, self.times = line, 1
 end
 
 function Observer:note_events(events)
@@ -69,7 +80,10 @@ function Observer:note_events(events)
 end
 
 --- Observe no more.
-function Observer:detach() self.stream:stop() end
+function Observer:detach()
+  self.stream:stop()
+  self:print_taken(false)
+end
 
 --- List the events that no transition has taken and that no queue holds, as they came.
 function Observer:discarded()
@@ -89,7 +103,7 @@ local observer = {}
 -- they are to be shown.
 function observer.attach(sim, is_shown)
   local self = setmetatable({ sim = sim, is_shown = is_shown, hits = {}, is_hit = false,
-    is_seen = {}, seen = {}, is_used = {} }, Observer)
+    is_seen = {}, seen = {}, is_used = {}, line = false, times = 1 }, Observer)
   self.stream = stream.follow(sim.fsm, {
     taken = function(...) self:taken(...) end,
     entered = function(at, state)

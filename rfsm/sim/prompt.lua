@@ -200,7 +200,21 @@ local function evaluate(sim, text)
   return "", problem
 end
 
---- Read and evaluate until the end of the input. Return false if a line was wrong.
+-- Returns a line; for an empty one the last one, if that was a command.
+local function repeated(sim, line)
+  if not line:find("%S") then return sim.last_line or line end
+  sim.last_line = commands.find(line:match("^%s*([%w_]*)")) and line
+  return line
+end
+
+-- Evaluates a line behind the open ones; likewise.
+local function take_line(sim, text, line)
+  if text == "" and sim.follows then line = repeated(sim, line) end
+  return evaluate(sim, text .. line .. "\n")
+end
+
+--- Read and evaluate until the end of the input; at a terminal, Enter alone repeats a
+-- command. Return false if a line was wrong.
 function prompt.converse(sim)
   local read = terminal.new_reader(function(...) return complete(sim, ...) end)
   local text, problem, is_right = "", nil, true
@@ -208,7 +222,7 @@ function prompt.converse(sim)
     local line, is_dropped = terminal.read(read, text == "" and "> " or ">> ")
     if line == nil then break end
     if is_dropped or not line then text = "" end
-    if line then text, problem = evaluate(sim, text .. line .. "\n") end
+    if line then text, problem = take_line(sim, text, line) end
     is_right = is_right and (text ~= "" or not problem)
   end
   if text ~= "" then complain(problem) end

@@ -48,6 +48,7 @@ local complain, text_of = terminal.complain, rfsm.text_of
 ---@field saved? table[] changes of `dry`
 ---@field env table what typed code sees: the commands, then the globals
 ---@field missing string[] globals that the current line reads and that do not exist
+---@field last_line? string|false the last line typed, if it was a command
 ---@field is_over boolean ends after this line
 local Session = {}
 Session.__index = Session

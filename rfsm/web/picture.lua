@@ -80,10 +80,10 @@ local function start()
   local own = own_interpreter()
   local code = ("package.path = %q %s require('rfsm.web.picture').serve()"):format(
     package.path, own and ("package.cpath = %q"):format(package.cpath) or "")
-  local command = ("command -v dot >/dev/null || exit; for l in %s; do "
-    .. "command -v $l >/dev/null && break; done; exec 3<&0 4>&- 5>&- 6>&- 7>&- 8>&- "
-    .. "9>&-; ulimit -t %d; nice $l -e %s <&3 3<&- >/dev/null 2>&1 &"):format(
-    own or INTERPRETERS, CPU_SECONDS, quoted(code:gsub("\\\n", "\\n")))
+  local command = ("for l in %s; do command -v $l >/dev/null && break; done; "
+    .. "exec 3<&0 4>&- 5>&- 6>&- 7>&- 8>&- 9>&-; ulimit -t %d; "
+    .. "nice $l -e %s <&3 3<&- >/dev/null 2>&1 &"):format(own or INTERPRETERS,
+    CPU_SECONDS, quoted(code:gsub("\\\n", "\\n")))
   local ok, pipe = pcall(io.popen, command, "w")
   return ok and pipe
 end

@@ -417,11 +417,11 @@ describe("the diagram", function()
     assert.is_true(math.abs(width() - before) < 1)
     window:click "#fit"
     assert.is_false(fits())
-    window:keep_shot "large"
   end)
 
   it("hides what is not beside the active state, and shows what is found", function()
     visit_picture(helper.file_with(LARGE))
+    window:keep_shot "large"
     local count = window:run "return folded.size"
     assert.is_true(count > 80 and count < 111, count)
     assert.same({}, window:run [[
