@@ -319,7 +319,8 @@ end
 local function check_lost(fsm, events)
   local path = fsm._strict.path
   fsm._strict.path = false
-  if not path or rfsm.is_conn(path[1].src) then return end
+  local first = path and path[1] -- none if the root is a leaf
+  if not first or rfsm.is_conn(first.src) then return end
   for _, event in ipairs(events) do
     local fqn = type(event) == "string" and not event:find("@", 1, true)
       and not is_named_in(path, event) and waiting_for(fsm, event)

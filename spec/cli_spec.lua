@@ -39,6 +39,7 @@ describe("the usage of rfsm", function()
     mermaid = "[--stub] [--machine N] [-o FILE] FILE [FILE] ...",
     web = "[--stub] [-a HOST:PORT] [-m N] [-p N] [--host HOST] [FILE]",
     watch = "[-m N] [-n N] HOST[:PORT]",
+    fleet = "[--tags N] URL VERB [ARGUMENT] ...",
     size = "[--stub] [--lua LUA] FILE",
   }
   for name, usage in pairs(USAGES) do -- any order: each stands alone

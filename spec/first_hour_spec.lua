@@ -128,7 +128,8 @@ lamp:run()
 model.on.entry = function() end
 rfsm.send_events(lamp, "e_on")
 rfsm.run(lamp)
---S WARNING: root.on.entry: was set in the model after rfsm.init (set it in the machine)
+--S WARNING: root.on.entry: was set in the model after rfsm.init (set it in
+    the machine)
 == name_parent_folder
 -- events: e_off
 return state { off = state {}, on = state { x = state {},
@@ -213,12 +214,6 @@ return state { both = rfsm.seqand { left = arm(), right = arm(),
       trans { src = "initial", tgt = "both" } }
 --C :4: warning: root.both: a transition in a sequential AND state, it belongs into a
     region (none leads from one region to another) [misplaced]
---C :4: warning: root.both: no exit, neither this state nor one around it is ever left
-    (add a transition, or declare final = true) [dead-end]
---C :2: warning: root.both.left: root.x: no exit, neither this state nor one around it
-    is ever left (add a transition, or declare final = true) [dead-end]
---C :2: warning: root.both.right: root.x: no exit, neither this state nor one around
-    it is ever left (add a transition, or declare final = true) [dead-end]
 --S WARNING: :4: root.both: a transition in a sequential AND state, it belongs into a
     region (none leads from one region to another)
 --S WARNING: no outgoing transitions from node 'root.x'
@@ -228,8 +223,8 @@ return state { both = rfsm.seqand { left = arm(), right = arm(),
 == state_added_late
 lamp.broken = rfsm.state {}
 rfsm.run(lamp)
---S WARNING: root.broken: a state that was added after rfsm.init is not looked at (did
-    you mean rfsm.fsm_merge?)
+--S WARNING: root.broken: a state that was added after rfsm.init is not
+    looked at (did you mean rfsm.fsm_merge?)
 == state_declared_twice
 -- events: e_x
 return state { a = state { entry = function() print "first" end }, b = state {},
@@ -265,8 +260,6 @@ return state { a = state {}, b = state { type = "parallel", regions = { state {}
     ignored (did you mean rfsm.seqand{...}?) [unmarked]
 --C :1: warning: root.b: a state has no field 'type' (did you mean rfsm.seqand{...}?)
     [unknown-field]
---C :2: warning: root.c: no exit, neither this state nor one around it is ever left
-    (add a transition, or declare final = true) [dead-end]
 --C :2: warning: root.c: a state has no field 'type' (did you mean final = true?)
     [unknown-field]
 --S WARNING: :1: root.b.regions: a plain table that contains states or transitions is
@@ -359,8 +352,8 @@ return state { a = state { exit = function() rfsm.send_events("e_left") end },
   trans { src = "b", tgt = "a", events = { "e_left" } } }
 --C :1: warning: root.a: rfsm.send_events gets the machine first
     (rfsm.send_events(fsm, ...)) [wrong-call]
---S EXIT error executing exit of root.a: rfsm.send_events: initialised fsm
-    expected, got string 'e_left'
+--S EXIT error executing exit of root.a: rfsm.send_events: initialised fsm expected,
+    got string 'e_left'
 == run_in_a_callback
 -- events: e_go
 return state { a = state {}, b = state { entry = function(fsm) rfsm.send_events(fsm,
@@ -370,8 +363,8 @@ return state { a = state {}, b = state { entry = function(fsm) rfsm.send_events(
   trans { src = "b", tgt = "a", events = { "e_back" } } }
 --C :1: warning: root.b: the entry calls rfsm.run of its machine, whose step is under
     way (rfsm.send_events is enough, its events are taken next) [wrong-call]
---S ENTRY error executing entry of root.b: rfsm.run: the machine is in the middle
-    of a step; if its coroutine is never resumed, rfsm.init(fsm) makes a fresh machine
+--S ENTRY error executing entry of root.b: rfsm.run: the machine is in the middle of a
+    step; if its coroutine is never resumed, rfsm.init(fsm) makes a fresh machine
 == method_in_a_callback
 -- events: e_go
 return state { a = state {}, b = state { entry = function(fsm)
@@ -554,8 +547,6 @@ return state { a = state { on = { e_go = "b" } }, b = state {},
   BACK }
 --C :1: warning: root.a.on: a state has no field 'on' (beside it: rfsm.trans{ src =
     'a', tgt = 'b', events = { 'e_go' } }) [unknown-field]
---C :1: warning: root.a: no exit, neither this state nor one around it is ever left
-    (add a transition, or declare final = true) [dead-end]
 --C :1: warning: root.b: unreachable, no path of transitions leads here (see which
     transition leads to it, or remove it) [unreachable]
 --S WARNING: :1: root.a.on: a state has no field 'on' (beside it: rfsm.trans{ src =
@@ -569,7 +560,8 @@ return state { a = state {}, b = state {},
   BACK }
 --C :3: warning: root.trans[2] (a -> b): 'e_a and e_b' is one event with a blank in
     its name (write a string for each: events = { "e_a", "e_b" }) [odd-event]
---S WARNING: no transition names the event 'e_a' (there are 'e_a and e_b', 'e_go')
+--S WARNING: no transition names the event 'e_a' (there are 'e_a and e_b',
+    'e_go')
 == event_negated
 -- events: e_x
 return state { a = state {}, b = state {},
@@ -579,7 +571,8 @@ return state { a = state {}, b = state {},
 --C :3: warning: root.trans[2] (a -> b): '!e_stop' is the name of one event, no
     pattern (a function in events accepts several; leave events out for any event)
     [odd-event]
---S WARNING: no transition names the event 'e_x' (there are '!e_stop', 'e_stop')
+--S WARNING: no transition names the event 'e_x' (there are '!e_stop',
+    'e_stop')
 == init_of_a_name
 rfsm.init("lamp.lua")
 --S raised: main.lua:1: invalid fsm model passed to rfsm.init: state expected, got
@@ -589,8 +582,8 @@ rfsm.load "examples/on_off"
 --S raised: rfsm.load: cannot open examples/on_off (did you mean 'examples/on_off.lua'?)
 == run_of_a_model
 rfsm.run(model)
---S raised: rfsm.run: initialised fsm expected, got state (rfsm.init makes
-    one of a state)
+--S raised: rfsm.run: initialised fsm expected, got state (rfsm.init makes one of a
+    state)
 == send_event
 rfsm.send_event(lamp, "e_on")
 --S WARNING: main.lua:1: rfsm has no function 'send_event' (did you mean
@@ -598,15 +591,15 @@ rfsm.send_event(lamp, "e_on")
 --S raised: main.lua:1: attempt to call a nil value (field 'send_event')
 == step_with_an_event
 rfsm.step(lamp, "e_on")
---S raised: rfsm.step: number of steps expected, got string 'e_on' (did
-    you mean rfsm.send_events?)
+--S raised: rfsm.step: number of steps expected, got string 'e_on' (did you mean
+    rfsm.send_events?)
 == run_with_an_event
 rfsm.run(lamp, "e_on")
 --S WARNING: main.lua:1: rfsm.run takes a machine only (did you mean rfsm.send_events?)
 == is_in_misspelt
 rfsm.is_in(lamp, "of")
---S raised: rfsm.is_in: state of the machine expected, got string 'of'
-    (there are 'root', 'root.off', 'root.on')
+--S raised: rfsm.is_in: state of the machine expected, got string 'of' (there are
+    'root', 'root.off', 'root.on')
 == named_event_as_text
 local fsm = strict(rfsm.state { a = rfsm.state {}, b = rfsm.state { final = true },
   rfsm.trans { src = "initial", tgt = "a" },

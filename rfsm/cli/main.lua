@@ -63,7 +63,7 @@ function cli.main(argv)
     os.exit(1)
   end
   local parser = argparse("rfsm", "Check, simulate and draw statecharts.")
-    :command_target("command")
+    :command_target("command"):add_help { "-h --help", hidden = true }
   local commands, parsers = {}, {}
   local function add(name, command)
     commands[name] = command
