@@ -77,7 +77,8 @@ end
 -- The path hook: the states that the path leaves are still active.
 local function before_path(fsm, path)
   fsm._deferred.is_done = true
-  if not match.is_any(path[1]) then keep_others(fsm, fsm._curq, path[1]) end
+  local first = path[1] -- none where a root without states is entered
+  if first and not match.is_any(first) then keep_others(fsm, fsm._curq, first) end
 end
 
 local function end_iteration(fsm, events)
