@@ -158,7 +158,7 @@ describe("the playground", function()
       return rfsm.state { a = rfsm.state { entry = function() camera.start() end },
         rfsm.trans { src = "initial", tgt = "a" } }
     ]])
-    window:wait "now.leaf == 'root.a' && $('verdict').textContent == '2 warnings'"
+    window:wait "now.leaf == 'root.a' && $('verdict').textContent == '1 warning'"
     assert.matches("stubbed: camera", window:run "return $('log').innerText")
   end)
 
@@ -213,7 +213,7 @@ describe("the playground", function()
         rfsm.trans { src = "initial", tgt = "mine" } }
     ]])
     window:wait("now.leaf == 'root.mine' && " .. DRAWN)
-    window:wait "$('verdict').textContent == '2 warnings'"
+    window:wait "$('verdict').textContent == '1 warning'"
   end)
 
   it("opens each example", function()
