@@ -402,6 +402,17 @@ end
 
 local function drop_sends(fsm) fsm._timeevent.sends = {} end
 
+-- Returns the list of sends, the next one first, as `text` returns each.
+local function list_sends(fsm, text)
+  local sends, list = fsm._timeevent and fsm._timeevent.sends or {}, {}
+  for at = #sends, 1, -1 do list[#list + 1] = text(sends[at]) end
+  return list[1] ~= nil and list or nil
+end
+
+local function event_of(send) return send.event end
+
+local function list_waiting(fsm) return list_sends(fsm, event_of) end
+
 -- Adds the hook for what has expired to a machine, before others, which see the events.
 local function prepare_machine(fsm)
   if fsm._timeevent then return end
@@ -409,6 +420,7 @@ local function prepare_machine(fsm)
     sends = {} }
   rfsm.pre_step_hook_add(fsm, rfsm.borrows(check_timers), "before")
   rfsm.reset_hook_add(fsm, drop_sends)
+  rfsm.waiting_hook_add(fsm, list_waiting)
 end
 
 -- Adds a send before those that come sooner, and before those of its time, which were
@@ -433,17 +445,6 @@ local function find_send(fsm, id)
     if rawequal(send.id, id) then return at end
   end
 end
-
--- Returns the list of sends, the next one first, as `text` returns each.
-local function list_sends(fsm, text)
-  local sends, list = fsm._timeevent and fsm._timeevent.sends or {}, {}
-  for at = #sends, 1, -1 do list[#list + 1] = text(sends[at]) end
-  return list[1] ~= nil and list or nil
-end
-
-local function event_of(send) return send.event end
-
-local function list_waiting(fsm) return list_sends(fsm, event_of) end
 
 local function save_sends(fsm)
   local now, now_nsec
@@ -543,10 +544,8 @@ end
 
 -- First, because awaited time events become names here.
 insert(rfsm.preproc, 1, function(fsm, merged)
-  if not merged then
-    rfsm.snapshot_hook_add(fsm, "sends", save_sends, load_sends)
-    rfsm.waiting_hook_add(fsm, list_waiting)
-  end
+  -- each machine, since one that has sent nothing yet may get a snapshot
+  if not merged then rfsm.snapshot_hook_add(fsm, "sends", save_sends, load_sends) end
   for _, tr in ipairs(rfsm.elements(merged or fsm, rfsm.is_trans)) do
     for i, event in ipairs(tr.events) do
       if getmetatable(event) == Timeevent then

@@ -317,13 +317,19 @@ local function added_by(names, off)
   return helper.output_of(requires {} .. KNOWN .. requires(names) .. switch .. COUNT)
 end
 
-local UNUSED = { "rfsm_timeevent", "rfsm_seqand", "rfsm.monitor", "rfsm.await",
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+local UNUSED = { "rfsm_seqand", "rfsm.monitor", "rfsm.await",
   "rfsm.preview", "rfsm_checks", "rfsm.proto", "rfsm.rtt", "rfsmpp", "rfsm.marsh",
   "rfsm.json", "rfsm.plantuml", "rfsm.dot", "rfsm.mermaid" }
 
 describe("a chart that uses no extension", function()
   it("gets no hook and no field when all of them are loaded", function()
     assert.equal("|", added_by(UNUSED))
+  end)
+
+  it("gets what loads a snapshot when rfsm_timeevent is loaded", function()
+    assert.equal("|_snapshot_hooks", added_by { "rfsm_timeevent" })
   end)
 
   -- These two are for every machine: loading them is using them.
@@ -387,12 +393,13 @@ describe("an extension may ask", function()
     }))
     local function save() end
     local function load() end
-    assert.same({}, rfsm.snapshot_hooks(fsm))
+    local own = #rfsm.snapshot_hooks(fsm) -- of extensions that are loaded
     for _, name in ipairs({ "one", "two" }) do
       rfsm.snapshot_hook_add(fsm, name, save, load)
     end
     assert.same({ { name = "one", save = save, load = load },
-      { name = "two", save = save, load = load } }, rfsm.snapshot_hooks(fsm))
+      { name = "two", save = save, load = load } },
+      { unpack(rfsm.snapshot_hooks(fsm), own + 1) })
   end)
 
   it("whether a root wants more warnings", function()

@@ -465,8 +465,8 @@ describe("loading a chart", function()
     assert.same({ "one", nil, 6 }, { model.doc, problem, now })
     for _, has_stubs in ipairs { true, false } do
       local text = PROGRAM:format("", "(function(f, x) f(x) end)")
-      model, _, now = open_slowly(text, has_stubs)
-      assert.same({ "one", 0 }, { model.doc, now })
+      model, problem, now = open_slowly(text, has_stubs)
+      assert.same({ "one", nil, 0 }, { model.doc, problem, now })
     end
   end)
 

@@ -5,7 +5,6 @@ local helper = require "spec.helper"
 local marsh = require "rfsm.marsh"
 local outline = require "rfsm.observe.outline"
 local Painter = require "rfsm.web.picture"
-require "socket" -- without it a pipe that is closed ends the program
 local rfsm = require "rfsm"
 local View = require "rfsm.web.view"
 
@@ -235,6 +234,12 @@ describe("a view", function()
   end)
 end)
 
+-- Without it a pipe that is closed ends the program.
+if not pcall(require, "socket") then
+  pending("a painter: luasocket is missing")
+  return
+end
+
 describe("a painter", function()
   local painter
   before_each(function() painter = Painter.new() end)
@@ -320,14 +325,11 @@ describe("a painter", function()
 
   it("starts another process if the first has ended", function()
     local real, count = io.popen, 0
+    local ended = { write = function() return nil, "Broken pipe" end }
     helper.with(io, { popen = function(command, mode)
       count = count + 1
-      return real(count == 1 and "exit" or command, mode)
+      return count == 1 and ended or real(command, mode)
     end }, function()
-      for i = 1, 600 do -- what is sent before the first one has ended is lost
-        painter:ask("a" .. i, request(lamp()))
-        if count == 2 then break end
-      end
       assert.matches("</svg>", drawn("b", request(lamp())))
     end)
     assert.equal(2, count)

@@ -1362,7 +1362,7 @@ describe("the command line", function()
       .. command .. " 2>&1 | tail -1"))
   end
 
-  local LAST_COMMAND = "   json                  Write charts as JSON."
+  local LAST_COMMAND = "   json                   Write charts as JSON."
 
   for command, expected in pairs { -- any order: each stands alone
     ["rfsm-web"] = "Error: FILE or --attach expected",
