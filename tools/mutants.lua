@@ -49,7 +49,7 @@ local ROOMS = {
   { name = "sim", files = { "rfsm/sim/*.lua" },
     specs = { "sim_terminal", "sim_session", "sim" } },
   { name = "web", files = { "rfsm/web.lua", "rfsm/web/*.lua" },
-    specs = { "view", "web" } },
+    specs = { "view", "painter", "web" } },
   { name = "proto", files = { "rfsm/proto.lua", "rfsm/proto/*.lua" },
     specs = { "proto", "web" } },
   { name = "redis", files = { "rfsm/redis.lua", "rfsm/redis/*.lua",
