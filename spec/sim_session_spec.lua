@@ -712,6 +712,56 @@ stopped at 3: transition root.b -> root.c
 6  state root.c
 there is none
 ]=] },
+    { does = "stops where a condition holds, or fails", chart = ring(), other = ring(),
+      input = [=[
+tries = 0
+breakpoint b if tries > 1
+breakpoint a -> b if tries
+breakpoint e_go if error('one\ntwo', 0)
+breakpoint c if tries == = 1
+delete 2
+run
+ser e_go
+delete 2
+ser e_go
+breakpoint c if tries == 2 and fsm.c._mode == 'done'
+se e_go
+ses e_go
+tries = 2
+se e_go e_go
+step 9
+change()
+reload
+breakpoint
+ser e_go
+se e_go
+run
+delete
+tries = nil
+]=], output = [=[
+1  state root.b if tries > 1
+2  transition root.a -> root.b if tries
+3  event e_go if error('one\ntwo', 0)
+! breakpoint: condition:1: unexpected symbol near '='
+at root.a(done)
+at root.b(done) e_done@root.b
+stopped at 2: event e_go if error('one\ntwo', 0)
+! breakpoint 2: one
+at root.c(done)
+2  state root.c if tries == 2 and fsm.c._mode == 'done'
+queue:  e_go
+at root.a(done) e_done@root.a
+queue:  e_done@root.a, e_go, e_go
+at root.b(done) e_done@root.b
+stopped at 1: state root.b if tries > 1
+at root.b(done) e_done@root.b
+1  state root.b if tries > 1
+2  state root.c if tries == 2 and fsm.c._mode == 'done'
+at root.c(done) e_done@root.c
+stopped at 2: state root.c if tries == 2 and fsm.c._mode == 'done'
+queue:  e_done@root.c, e_go
+at root.a(done)
+]=] },
   }
 end)
 

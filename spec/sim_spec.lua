@@ -168,6 +168,12 @@ local COMPLAINTS = {
   ["help stpe"] = "help: no command is named stpe (did you mean 'step'?)\n",
   ["breakpoint helo"] = "breakpoint: state, event or transition (off -> on) expected, "
     .. "got 'helo' (did you mean 'hello'?)\n",
+  ["breakpoint helo if x"] = "breakpoint: state, event or transition (off -> on) "
+    .. "expected, got 'helo' (did you mean 'hello'?)\n",
+  ["breakpoint hello if"] = "breakpoint: state, event or transition (off -> on) "
+    .. "expected, got 'hello if' (did you mean 'hello'?)\n",
+  ["breakpoint hello if x.y\nrun"] =
+    "^breakpoint 1: condition:1: attempt to index [^\n]*\n$",
   ["delete 9"] = "delete: number of a breakpoint expected, got 9\n",
   ["watch 1 +"] = "^watch:1: [^\n]*\n$",
   ["clock -1"] = "clock: seconds from 0 to 1e9 expected, got -1\n",

@@ -18,6 +18,8 @@ local breakpoints = {}
 ---@field kind "state"|"transition"|"event"|"watch"
 ---@field name string for a reader; the expression
 ---@field value any name, transition or event; of an expression the last value
+---@field condition? string expression that must be true as well, for a reader
+---@field holds? fun(): any its value
 
 local function is_called(node, name)
   local fqn = rfsm.is_node(node) and node._fqn:gsub("%.initial$", "")
@@ -103,10 +105,16 @@ function breakpoints.show_watched(sim)
   end
 end
 
+--- Return a breakpoint or expression for a reader.
+function breakpoints.text(point)
+  return point.kind .. " " .. point.name
+    .. (point.condition and " if " .. point.condition or "")
+end
+
 --- Print the breakpoints and expressions with their numbers.
 function breakpoints.list(sim)
   for i, point in ipairs(sim.points) do
-    print(("%d  %s %s"):format(i, point.kind, point.name))
+    print(("%d  %s"):format(i, breakpoints.text(point)))
   end
   if not sim.points[1] then print("there is none") end
 end
@@ -127,10 +135,10 @@ function breakpoints.renew(sim, complain)
     if point.kind == "state" or point.kind == "transition" then
       local ok, renewed = pcall(of_text, sim.fsm, point.name)
       if ok then
-        sim.points[i] = renewed
+        point.value = renewed.value
       else
-        complain(("%d %s %s: is gone, and no breakpoint now"):format(i,
-          point.kind, point.name))
+        complain(("%d %s: is gone, and no breakpoint now"):format(i,
+          breakpoints.text(point)))
         remove(sim.points, i)
       end
     end

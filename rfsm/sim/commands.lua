@@ -152,14 +152,26 @@ end)
 
 group "Stop"
 
+-- Adds a breakpoint with the condition that a text may have behind `if`.
+local function add_breakpoint(sim, what)
+  local name, condition = nil, nil
+  if type(what) == "string" then name, condition = what:match("^(.-)%s+if%s+(.+)$") end
+  local holds, problem
+  if name then holds, problem = sim.compile(condition, "condition") end
+  if problem then error("breakpoint: " .. problem, 0) end
+  local point = sim.points[breakpoints.add(sim, name or what)]
+  point.condition, point.holds = condition, holds
+end
+
 add("breakpoint(x)", "stop at a state, a transition or an event", [[
 Without an argument: list them. The machine stops behind the step in which the state
-was entered, the transition taken, or the event received.
-Examples: breakpoint on    breakpoint off -> on    breakpoint e_push]],
+was entered, the transition taken, or the event received. Behind `if` stands a condition,
+which is evaluated when that step has ended.
+Examples: breakpoint on    breakpoint off -> on    breakpoint e_push if tries > 2]],
 function(sim, what)
   if what == nil then return breakpoints.list(sim) end
-  local n = breakpoints.add(sim, what)
-  print(("%d  %s %s"):format(n, sim.points[n].kind, sim.points[n].name))
+  add_breakpoint(sim, what)
+  print(#sim.points .. "  " .. breakpoints.text(sim.points[#sim.points]))
 end, { completes = "points", takes_line = true })
 
 add("watch(expr)", "show the value of an expression after each advance", [[

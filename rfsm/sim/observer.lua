@@ -8,14 +8,16 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local calls = require "rfsm.shared.calls"
 local match = require "rfsm.shared.match"
 local names = require "rfsm.observe.names"
 local outline = require "rfsm.observe.outline"
 local breakpoints = require "rfsm.observe.breakpoints"
 local stream = require "rfsm.observe.stream"
 
-local ipairs, print, setmetatable = ipairs, print, setmetatable
+local error, ipairs, print, setmetatable = error, ipairs, print, setmetatable
 local concat = table.concat
+local text_of = rfsm.text_of
 
 local Observer = {}
 Observer.__index = Observer
@@ -27,9 +29,28 @@ local function takes(tr, event)
 end
 
 function Observer:check_points(kind, value)
-  breakpoints.each_reached(self.sim.points, kind, value, function(i)
-    self.hits[i], self.is_hit = true, true
+  breakpoints.each_reached(self.sim.points, kind, value, function(i, point)
+    if point.holds then
+      self.reached[i] = true
+    else
+      self.hits[i], self.is_hit = true, true
+    end
   end)
+end
+
+--- Evaluate the conditions of the breakpoints reached in a step that has ended. One
+-- that fails stops as well.
+function Observer:check_conditions()
+  local problem
+  for i, point in ipairs(self.sim.points) do
+    if self.reached[i] then
+      local ok, value = calls.try(point.holds)
+      if not ok then problem = problem or "breakpoint " .. i .. ": " .. text_of(value) end
+      if value or not ok then self.hits[i], self.is_hit = true, true end
+    end
+  end
+  self.reached = {}
+  if problem then error(problem, 0) end
 end
 
 -- Notes the events that a transition has used; appends their texts to `by`.
@@ -39,7 +60,7 @@ function Observer:note_used(tr, events, by)
     if takes(tr, event) then
       self.is_used[event] = true
       if tr.events[1] ~= nil then
-        by[#by + 1] = (rfsm.text_of(event):gsub("^(e_[%w()._]*)@root.*", "%1"))
+        by[#by + 1] = (text_of(event):gsub("^(e_[%w()._]*)@root.*", "%1"))
       end
     end
   end
@@ -103,7 +124,7 @@ local observer = {}
 -- they are to be shown.
 function observer.attach(sim, is_shown)
   local self = setmetatable({ sim = sim, is_shown = is_shown, hits = {}, is_hit = false,
-    is_seen = {}, seen = {}, is_used = {}, line = false, times = 1 }, Observer)
+    reached = {}, is_seen = {}, seen = {}, is_used = {}, line = false, times = 1 }, Observer)
   self.stream = stream.follow(sim.fsm, {
     taken = function(...) self:taken(...) end,
     entered = function(at, state)

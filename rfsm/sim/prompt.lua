@@ -140,10 +140,16 @@ function prompt.evaluate(sim, text, chunkname)
   return false, first_line(problem), is_incomplete(problem)
 end
 
---- Return true and the value of an expression, or false and the problem in one line.
-function prompt.value_of(sim, text)
-  local chunk, problem = load_in(sim.env, "return " .. text, "=watch")
-  if not chunk then return false, first_line(problem) end
+-- Compiles an expression to a function; nil and the problem in one line if it is none.
+local function compile_value(env, text, name)
+  local chunk, problem = load_in(env, "return " .. text, "=" .. name)
+  return chunk, problem and first_line(problem)
+end
+
+-- Returns true and the value of an expression, or false and the problem in one line.
+local function value_of(env, text)
+  local chunk, problem = compile_value(env, text, "watch")
+  if not chunk then return false, problem end
   local ok, value = pcall(chunk)
   return ok, ok and value or not ok and first_line(value) or value
 end
@@ -154,7 +160,8 @@ function prompt.install(sim)
   for _, command in ipairs(commands.list) do
     env[command.name] = function(...) return command.run(sim, ...) end
   end
-  function sim.value_of(text) return prompt.value_of(sim, text) end
+  function sim.value_of(text) return value_of(env, text) end
+  function sim.compile(text, name) return compile_value(env, text, name) end
   sim.env = setmetatable(env, {
     __index = function(_, name)
       local value = _G[name]
@@ -177,7 +184,8 @@ local function words_after(sim, before)
     words[#words + 1] = name:gsub("^root%.", "")
     words[#words + 1] = "fsm" .. name:match("%..*")
   end
-  if command and command.completes == "points" then return words end
+  local is_name = not before:find("%sif%s") -- and no condition
+  if command and command.completes == "points" and is_name then return words end
   for name in pairs(sim.env) do words[#words + 1] = name end -- any order: sorted
   for name in pairs(rfsm) do words[#words + 1] = "rfsm." .. name end
   return words

@@ -116,7 +116,9 @@ local function advance(sim, observed, n)
   local fsm = sim.fsm
   if not sim.points[1] then return rfsm.step(fsm, n) and not fsm.idle_hook end
   for _ = 1, n do
-    if rfsm.step(fsm) then return true end
+    local is_idle = rfsm.step(fsm)
+    observed:check_conditions()
+    if is_idle then return true end
     if observed.is_hit or not fsm._act_leaf then return false end
   end
   return false
@@ -127,7 +129,7 @@ local MAX_RUN = 10000 -- iterations: a chart may have no end
 function Session:print_hits(observed)
   for i, point in ipairs(self.points) do
     if observed.hits[i] then
-      print(("stopped at %d: %s %s"):format(i, point.kind, point.name))
+      print(("stopped at %d: %s"):format(i, breakpoints.text(point)))
     end
   end
 end
