@@ -165,8 +165,8 @@ end
 
 add("breakpoint(x)", "stop at a state, a transition or an event", [[
 Without an argument: list them. The machine stops behind the step in which the state
-was entered, the transition taken, or the event received. Behind `if` stands a condition,
-which is evaluated when that step has ended.
+was entered, the transition taken, or the event received. The condition behind `if` is
+evaluated when that step has ended.
 Examples: breakpoint on    breakpoint off -> on    breakpoint e_push if tries > 2]],
 function(sim, what)
   if what == nil then return breakpoints.list(sim) end

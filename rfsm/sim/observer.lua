@@ -45,7 +45,7 @@ function Observer:check_conditions()
   for i, point in ipairs(self.sim.points) do
     if self.reached[i] then
       local ok, value = calls.try(point.holds)
-      if not ok then problem = problem or "breakpoint " .. i .. ": " .. text_of(value) end
+      if not ok then problem = ("breakpoint %d: %s"):format(i, text_of(value)) end
       if value or not ok then self.hits[i], self.is_hit = true, true end
     end
   end
@@ -124,7 +124,8 @@ local observer = {}
 -- they are to be shown.
 function observer.attach(sim, is_shown)
   local self = setmetatable({ sim = sim, is_shown = is_shown, hits = {}, is_hit = false,
-    reached = {}, is_seen = {}, seen = {}, is_used = {}, line = false, times = 1 }, Observer)
+    reached = {}, is_seen = {}, seen = {}, is_used = {}, line = false,
+    times = 1 }, Observer)
   self.stream = stream.follow(sim.fsm, {
     taken = function(...) self:taken(...) end,
     entered = function(at, state)
