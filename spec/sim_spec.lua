@@ -266,11 +266,20 @@ describe("the prompt", function()
     local NAMES = "step run se ses ser events why tree pp view showeq showfqn follow "
       .. "dbg add_hook breakpoint watch delete clock next back goto history record dry "
       .. "reset reload help quit"
+    local TOPICS = "advance look stop time undo machine program"
     local out = said("help")
+    for topic in TOPICS:gmatch("%S+") do
+      assert.matches("  " .. topic .. " ", out)
+      out = out .. "~\n" .. said("help " .. topic)
+    end
     local each = said((NAMES:gsub("%S+", "print '~'\nhelp %0\n")))
     for name in NAMES:gmatch("%S+") do
-      assert.matches("%f[%w]" .. name .. "%(", out)
+      assert.matches("^[^~]* " .. name .. "%f[%s]", out)
+      assert.matches("~.*\n  " .. name .. "%(", out)
       assert.matches("~\n" .. name .. "%(", each)
+    end
+    for text in (out .. each):gmatch("[^~]+") do
+      assert.is_true(select(2, text:gsub("\n", "")) < 24, text) -- and the prompt
     end
   end)
 

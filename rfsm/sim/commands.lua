@@ -14,6 +14,7 @@ local drawing = require "rfsm.sim.drawing"
 
 local error, ipairs, next, print = error, ipairs, next, print
 local select, type = select, type
+local concat = table.concat
 local text_of = rfsm.text_of
 
 local commands = {}
@@ -29,9 +30,13 @@ local commands = {}
 ---@field completes? "events"|"points" what the Tab key knows behind it
 
 commands.list = {}
-local by_name, groups = {}, {}
+local by_name, topics, by_title = {}, {}, {}
 
-local function group(title) groups[#groups + 1] = { title = title } end
+-- Begins a topic, which is no command.
+local function topic(title)
+  by_title[title] = { title = title }
+  topics[#topics + 1] = by_title[title]
+end
 
 local function add(usage, brief, text, run, more)
   local command = more or {}
@@ -39,7 +44,7 @@ local function add(usage, brief, text, run, more)
   command.usage, command.brief, command.text, command.run = usage, brief, text, run
   by_name[command.name] = command
   commands.list[#commands.list + 1] = command
-  local last = groups[#groups]
+  local last = topics[#topics]
   last[#last + 1] = command
 end
 
@@ -56,7 +61,7 @@ local function advance(sim, n)
   sim:advance(n)
 end
 
-group "Advance"
+topic "advance"
 
 add("step([n])", "advance by n transitions or doo cycles (1)", [[
 Enters the machine when it is called first. Example: step 3]],
@@ -97,7 +102,7 @@ function(sim, ...)
   sim:advance()
 end, { completes = "events" })
 
-group "Look"
+topic "look"
 
 add("events()", "list the events that would do something now", [[
 Guards are called, nothing else is.]],
@@ -150,7 +155,7 @@ function(sim, hook)
   sim.hooks[#sim.hooks + 1] = hook
 end)
 
-group "Stop"
+topic "stop"
 
 -- Adds a breakpoint with the condition that a text may have behind `if`.
 local function add_breakpoint(sim, what)
@@ -184,7 +189,7 @@ end, { takes_line = true })
 add("delete([n])", "remove the breakpoint or expression n, or all", "",
 function(sim, n) breakpoints.delete(sim, n) end)
 
-group "Time"
+topic "time"
 
 local MAX_SECONDS = 1e9 -- an integer of any Lua holds the time then
 
@@ -208,7 +213,7 @@ function(sim, ...)
   time.go_to_timer(sim)
 end)
 
-group "Back"
+topic "undo"
 
 add("back([n])", "undo the last n advances (1)", [[
 No function of the chart is called. Variables of the chart keep their values, except
@@ -249,7 +254,7 @@ function(sim, file)
   history.save(sim, file or nil)
 end, { takes_line = true })
 
-group "Machine"
+topic "machine"
 
 add("dry(on)", "leave the functions of the chart out", [[
 Entries, exits and effects do nothing, guards let pass, a doo goes on until `se e_done`.
@@ -268,7 +273,7 @@ The machine stays in its state if that is still there, with its queue and its ti
 function is called. A doo begins anew, and so does the history.]],
 function(sim) sim:reload() end)
 
-group "This program"
+topic "program"
 
 -- Lua reads `help step` as two names: the prompt makes a call of it.
 local function print_help(command)
@@ -276,30 +281,43 @@ local function print_help(command)
   if command.text ~= "" then print(command.text) end
 end
 
+local function print_topic(members)
+  for _, command in ipairs(members) do
+    print(("  %-15s%s"):format(command.usage, command.brief))
+  end
+end
+
 local CLOSING = [[
 
-'help step' has more. A command is Lua, step(3), or words: step 3, ser e_push.
+'help advance' has a line for each of these, 'help step' all about one.
+A command is Lua, step(3), or words: step 3, ser e_push.
 'fsm' is the machine, 'rfsm' the library. An expression prints its value.
 Control-C ends what runs, Control-D the program.]]
 
-add("help([c])", "this list, or more about a command", "",
-function(_, name)
-  if name ~= nil then
-    local command = by_name[text_of(name):match("^[%w_]*")]
-    if command then return print_help(command) end
-    local list = {}
-    for _, known in ipairs(commands.list) do list[#list + 1] = known.name end
-    local hint = names.hint(text_of(name), list)
-    error("help: no command is named " .. text_of(name)
-      .. (hint ~= "" and hint or ", help() lists them"), 0)
-  end
-  for _, members in ipairs(groups) do
-    print(members.title)
-    for _, command in ipairs(members) do
-      print(("  %-15s%s"):format(command.usage, command.brief))
-    end
+local function names_of(list)
+  local found = {}
+  for i, member in ipairs(list) do found[i] = member.name or member.title end
+  return found
+end
+
+local function print_topics()
+  for _, members in ipairs(topics) do
+    print(("  %-9s%s"):format(members.title, concat(names_of(members), " ")))
   end
   print(CLOSING)
+end
+
+add("help([x])", "the topics, or more about a topic or a command", "",
+function(_, name)
+  if name == nil then return print_topics() end
+  name = text_of(name)
+  local word = name:match("^[%w_]*")
+  if by_name[word] then return print_help(by_name[word]) end
+  if by_title[word] then return print_topic(by_title[word]) end
+  local hint = names.hint(name, names_of(commands.list))
+  if hint == "" then hint = names.hint(name, names_of(topics)) end
+  error("help: no command is named " .. name
+    .. (hint ~= "" and hint or ", help() lists them"), 0)
 end)
 
 add("quit()", "end, as Control-D does", "", function(sim) sim.is_over = true end)
