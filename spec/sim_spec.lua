@@ -584,12 +584,14 @@ end)
 
 describe("the Tab key", function()
   -- The completions of a word behind a text.
-  local function completions(word, before)
+  local function completions(word, before, file, is_entered)
     local drive = require "spec.support.drive"
     local terminal = require "rfsm.sim.terminal"
     local prompt = drive.require "rfsm.sim.prompt"
-    local opened = drive.require("rfsm.sim.session").open("examples/on_off.lua", false)
+    local opened = drive.require("rfsm.sim.session").open(
+      file or "examples/on_off.lua", false)
     local complete
+    if is_entered then rfsm.run(opened.fsm) end
     prompt.install(opened)
     opened.is_over = true
     helper.with(terminal, { new_reader = function(f) complete = f end },
@@ -613,6 +615,40 @@ describe("the Tab key", function()
       assert.same(case.words, completions(case.word, case.before))
     end)
   end
+
+  local DOOR = [[
+return rfsm.state {
+  shut = rfsm.state {}, open = rfsm.state {}, jammed = rfsm.state {},
+  check = rfsm.conn {},
+  rfsm.trans { src = "initial", tgt = "shut" },
+  rfsm.trans { src = "shut", tgt = "check", events = { "e_open", function() end },
+    guard = function() error("called") end },
+  rfsm.trans { src = "check", tgt = "open", events = { "e_key" } },
+  rfsm.trans { src = "open", tgt = "shut", events = { "e_shut" } },
+  rfsm.trans { src = "open", tgt = "jammed", events = { "e_jam" } },
+  warn = false, info = false,
+}]]
+
+  for _, case in ipairs {
+    { word = "", before = "ser ", words = { "e_key", "e_open" } },
+    { word = "e_o", before = "se e_shut ", words = { "e_open" } },
+    { word = "e_s", before = "ses ", words = { "e_shut" } },
+    { word = "", before = "why ", words = { "e_jam", "e_key", "e_open", "e_shut" } },
+    { word = "e_", before = "breakpoint ", words = { "e_jam", "e_key", "e_open",
+      "e_shut" } },
+    { word = "fsm.o", before = "breakpoint shut if ", words = { "fsm.open" } },
+  } do
+    it(("offers for '%s' behind '%s' what matters"):format(case.word, case.before),
+      function()
+        local file = file_with(DOOR)
+        assert.same(case.words, completions(case.word, case.before, file, true))
+      end)
+  end
+
+  it("offers all events as long as the machine is not entered", function()
+    assert.same({ "e_jam", "e_key", "e_open", "e_shut" },
+      completions("e_", "ser ", file_with(DOOR), false))
+  end)
 end)
 
 it("the tree has 12 siblings of an active state, and counts the others", function()

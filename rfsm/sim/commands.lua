@@ -27,7 +27,8 @@ local commands = {}
 ---@field text string what else there is to know, and an example
 ---@field run fun(sim: rfsm.sim.Session, ...) returns nothing: the prompt would print it
 ---@field takes_line? boolean written as words, the rest of the line is one argument
----@field completes? "events"|"points" what the Tab key knows behind it
+---@field completes? "now"|"events"|"points" words of the Tab key: events, "now" first
+-- those that matter now; "points": names of states as well
 
 commands.list = {}
 local by_name, topics, by_title = {}, {}, {}
@@ -84,7 +85,7 @@ the active leaf. An event is sent also if no transition names it. Example: se e_
 function(sim, ...)
   sim:send(...)
   sim:print_queue()
-end, { completes = "events" })
+end, { completes = "now" })
 
 add("ses(...)", "send events, then step()", [[
 Example: ses e_push    or, in Lua, ses("e_push")]],
@@ -92,7 +93,7 @@ function(sim, ...)
   history.mark(sim)
   sim:send(...)
   sim:advance(1)
-end, { completes = "events" })
+end, { completes = "now" })
 
 add("ser(...)", "send events, then run()", [[
 Example: ser e_push    or, in Lua, ser("e_push")]],
@@ -100,7 +101,7 @@ function(sim, ...)
   history.mark(sim)
   sim:send(...)
   sim:advance()
-end, { completes = "events" })
+end, { completes = "now" })
 
 topic "look"
 

@@ -16,7 +16,7 @@ local values = require "rfsm.observe.values"
 local rfsm = require "rfsm"
 
 local _G, ipairs, pairs, pcall, rawget = _G, ipairs, pairs, pcall, rawget
-local setmetatable, tonumber = setmetatable, tonumber
+local setmetatable, tonumber, type = setmetatable, tonumber, type
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local load = rawget(_G, "loadstring") or rawget(_G, "load")
 local complain, first_line = terminal.complain, chart.first_line
@@ -174,29 +174,52 @@ end
 
 -- Read lines ------------------------------------------------------------------------
 
--- Returns the words that the Tab key may complete after a text.
-local function words_after(sim, before)
-  local command = commands.find(before:match("^%s*([%a_]+)[%s(]") or "")
+-- Lists the events of transitions from active states, and those of segments from
+-- connectors. No guard is called.
+local function events_now(fsm)
+  local words = {}
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    for _, tr in ipairs(rfsm.elements(at.machine, rfsm.is_trans)) do
+      local is_now = at.machine._act_leaf and tr.src._mode ~= "inactive"
+      for _, event in ipairs(is_now and tr.events or {}) do
+        if type(event) == "string" then words[#words + 1] = event end
+      end
+    end
+  end
+  return words
+end
+
+-- Returns the words that the Tab key may complete after a text, for a kind of words.
+local function words_after(sim, before, kind)
   local words = names.events(sim.fsm)
-  if command and command.completes == "events" then return words end
+  if kind == "now" or kind == "events" then return words end
   for _, name in ipairs((names.nodes(sim.fsm))) do
     words[#words + 1] = name
     words[#words + 1] = name:gsub("^root%.", "")
     words[#words + 1] = "fsm" .. name:match("%..*")
   end
   local is_name = not before:find("%sif%s") -- and no condition
-  if command and command.completes == "points" and is_name then return words end
+  if kind == "points" and is_name then return words end
   for name in pairs(sim.env) do words[#words + 1] = name end -- any order: sorted
   for name in pairs(rfsm) do words[#words + 1] = "rfsm." .. name end
   return words
 end
 
-local function complete(sim, word, before)
+local function beginning_with(word, words)
   local set = {}
-  for _, name in ipairs(words_after(sim, before)) do
+  for _, name in ipairs(words) do
     if name:sub(1, #word) == word then set[name] = true end
   end
   return rfsm.sorted_keys(set)
+end
+
+-- Readline sorts the words, so the events that do not matter now are offered only if
+-- none of the others begins with the word.
+local function complete(sim, word, before)
+  local command = commands.find(before:match("^%s*([%a_]+)[%s(]") or "") or {}
+  local kind = command.completes
+  local first = beginning_with(word, kind == "now" and events_now(sim.fsm) or {})
+  return first[1] and first or beginning_with(word, words_after(sim, before, kind))
 end
 
 -- Evaluates a text. Returns "" and the problem, if there is one; the text, too, if more
