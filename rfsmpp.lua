@@ -2,8 +2,8 @@
 --
 -- `rfsmpp.gen_dbgcolor` makes a `dbg` function for a machine. `rfsmpp.fsm2str` draws
 -- the states. Colours come from the package `ansicolors`, or from the older module of
--- that name. If there is neither, if NO_COLOR is set, or if TERM is missing or "dumb",
--- the text is plain.
+-- that name. If there is neither, if NO_COLOR is set, if TERM is missing or "dumb", or
+-- if `rfsmpp.is_plain` is true, the text is plain.
 --
 -- @module rfsmpp
 -- @license BSD-3-Clause
@@ -16,7 +16,7 @@ local select, tostring, type = select, tostring, type
 local concat = table.concat
 local text_of = rfsm.text_of
 
-local rfsmpp = {}
+local rfsmpp = { is_plain = false }
 
 -- Colours: escape sequences by name ---------------------------------------------
 
@@ -46,10 +46,8 @@ local ACTIVE_LEAF = escape("green bright")
 
 local function is_colour_wanted()
   local getenv = rawget(_G, "os") and os.getenv
-  if not (has_ansicolors and getenv) or (getenv("NO_COLOR") or "") ~= "" then
-    return false
-  end
-  return (getenv("TERM") or "dumb") ~= "dumb"
+  if rfsmpp.is_plain or not (has_ansicolors and getenv) then return false end
+  return (getenv("NO_COLOR") or "") == "" and (getenv("TERM") or "dumb") ~= "dumb"
 end
 
 local function paint(is_coloured, colour, text)

@@ -303,6 +303,18 @@ return rfsm.state {
   end)
 end)
 
+-- A stand-in of the package ansicolors: <%{green}>.
+local COLOURS = "package.preload.ansicolors = function() return "
+  .. "{ noReset = function(name) return '<' .. name .. '>' end } end"
+
+it("writes no colours into a pipe", function()
+  local out = run(("TERM=xterm LUA_INIT=\"%s\" %s tools/rfsm sim -q %s"):format(COLOURS,
+    LUA, HELLO), "dbg 'full'\nstep\npp\ntree\n")
+  assert.matches("hello[LS] done", out, 1, true)
+  assert.matches("EFFECT", out)
+  assert.is_nil(out:find("%{", 1, true))
+end)
+
 -- A terminal, made by tmux --------------------------------------------------------
 
 local has_tmux = output_of("command -v tmux") ~= ""
@@ -403,6 +415,12 @@ describe("at a terminal", function()
     at.type_in("root.mute on e_mute", "ser e_mute", "Enter")
     at.type_in("active: root.mute(done)", "C-c")
     at.type_in("root.mute -> root.idle", "ser e_stop", "Enter")
+    at.close()
+  end)
+
+  it("has colours", function()
+    local at = open_terminal("-i -e run " .. HELLO, COLOURS)
+    at.type_in("<%{yellow}>world<%{reset}>[LS]", "pp", "Enter")
     at.close()
   end)
 

@@ -9,6 +9,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local rfsmpp = require "rfsmpp"
 local calls = require "rfsm.shared.calls"
 local history = require "rfsm.sim.history"
 local prompt = require "rfsm.sim.prompt"
@@ -82,6 +83,7 @@ end
 ---@param options rfsm.sim.Options
 function rfsm_sim.main(options)
   local is_terminal = terminal.is_terminal(0)
+  rfsmpp.is_plain = not terminal.is_terminal(1)
   io.stdout:setvbuf("line")
   if is_terminal then terminal.catch_interrupts() end
   local sim, problems = session.open(options.file, is_terminal, options.stub)
