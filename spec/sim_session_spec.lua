@@ -742,7 +742,7 @@ tries = nil
 1  state root.b if tries > 1
 2  transition root.a -> root.b if tries
 3  event e_go if error('one\ntwo', 0)
-! breakpoint: condition:1: unexpected symbol near '='
+! condition:1: unexpected symbol near '='
 at root.a(done)
 at root.b(done) e_done@root.b
 stopped at 2: event e_go if error('one\ntwo', 0)

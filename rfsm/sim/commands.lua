@@ -14,7 +14,6 @@ local drawing = require "rfsm.sim.drawing"
 
 local error, ipairs, next, print = error, ipairs, next, print
 local select, type = select, type
-local concat = table.concat
 local text_of = rfsm.text_of
 
 local commands = {}
@@ -27,16 +26,13 @@ local commands = {}
 ---@field text string what else there is to know, and an example
 ---@field run fun(sim: rfsm.sim.Session, ...) returns nothing: the prompt would print it
 ---@field takes_line? boolean written as words, the rest of the line is one argument
----@field completes? "now"|"events"|"points" words of the Tab key: events, "now" first
--- those that matter now; "points": names of states as well
+---@field completes? "now"|"events"|"points" Tab: events, those that matter now first
 
 commands.list = {}
-local by_name, topics, by_title = {}, {}, {}
+local by_name, topics = {}, {} -- a topic is a list of commands, and shown as one
 
--- Begins a topic, which is no command.
-local function topic(title)
-  by_title[title] = { title = title }
-  topics[#topics + 1] = by_title[title]
+local function topic(name)
+  topics[#topics + 1] = { name = name, usage = name }
 end
 
 local function add(usage, brief, text, run, more)
@@ -47,10 +43,17 @@ local function add(usage, brief, text, run, more)
   commands.list[#commands.list + 1] = command
   local last = topics[#topics]
   last[#last + 1] = command
+  last.brief = (last.brief and last.brief .. " " or "") .. command.name
 end
 
 --- Return the command of a name.
 function commands.find(name) return by_name[name] end
+
+--- Append the names of all commands to a list.
+function commands.add_names(list)
+  for _, command in ipairs(commands.list) do list[#list + 1] = command.name end
+  return list
+end
 
 local function check(command, value, kind, what)
   if type(value) == kind then return value end
@@ -158,17 +161,6 @@ end)
 
 topic "stop"
 
--- Adds a breakpoint with the condition that a text may have behind `if`.
-local function add_breakpoint(sim, what)
-  local name, condition = nil, nil
-  if type(what) == "string" then name, condition = what:match("^(.-)%s+if%s+(.+)$") end
-  local holds, problem
-  if name then holds, problem = sim.compile(condition, "condition") end
-  if problem then error("breakpoint: " .. problem, 0) end
-  local point = sim.points[breakpoints.add(sim, name or what)]
-  point.condition, point.holds = condition, holds
-end
-
 add("breakpoint(x)", "stop at a state, a transition or an event", [[
 Without an argument: list them. The machine stops behind the step in which the state
 was entered, the transition taken, or the event received. The condition behind `if` is
@@ -176,8 +168,12 @@ evaluated when that step has ended.
 Examples: breakpoint on    breakpoint off -> on    breakpoint e_push if tries > 2]],
 function(sim, what)
   if what == nil then return breakpoints.list(sim) end
-  add_breakpoint(sim, what)
-  print(#sim.points .. "  " .. breakpoints.text(sim.points[#sim.points]))
+  local text = type(what) == "string" and what or ""
+  local name, condition = text:match("^(.-)%s+if%s+(.+)$")
+  local holds = name and sim.compile(condition, "condition")
+  local n = breakpoints.add(sim, name or what)
+  sim.points[n].condition, sim.points[n].holds = condition, holds
+  print(("%d  %s"):format(n, breakpoints.text(sim.points[n])))
 end, { completes = "points", takes_line = true })
 
 add("watch(expr)", "show the value of an expression after each advance", [[
@@ -216,31 +212,27 @@ end)
 
 topic "undo"
 
+local function moving(move, default)
+  return function(sim, n)
+    move(sim, n or default)
+    sim:show()
+  end
+end
+
 add("back([n])", "undo the last n advances (1)", [[
 No function of the chart is called. Variables of the chart keep their values, except
 those that its states `keep`; a doo begins anew.]],
-function(sim, n)
-  history.back(sim, n or 1)
-  sim:show()
-end)
+moving(history.back, 1))
 
 add("forward([n])", "do the last n advances again that back has undone (1)", [[
 Until something else is done. No function of the chart is called.]],
-function(sim, n)
-  history.forward(sim, n or 1)
-  sim:show()
-end)
-
-local function go_to(sim, n)
-  history.go_to(sim, n)
-  sim:show()
-end
+moving(history.forward, 1))
 
 add("goto(n)", "go to where advance n ended; goto 0: to the beginning", [[
 history() has the numbers. For the rest see back. goto is a word of Lua since 5.2:
-where a line is more than this command, it is called go_to(n).]], go_to)
+where a line is more than this command, it is called go_to(n).]], moving(history.go_to))
 
-add("go_to(n)", "the same in Lua", "", go_to)
+add("go_to(n)", "the same in Lua", "", moving(history.go_to))
 
 add("history([n])", "list the last n advances (20)", [[
 The number, the events, also those of timers, and the active leaf at its end. The oldest
@@ -282,7 +274,7 @@ local function print_help(command)
   if command.text ~= "" then print(command.text) end
 end
 
-local function print_topic(members)
+local function print_list(members)
   for _, command in ipairs(members) do
     print(("  %-15s%s"):format(command.usage, command.brief))
   end
@@ -290,34 +282,25 @@ end
 
 local CLOSING = [[
 
-'help advance' has a line for each of these, 'help step' all about one.
-A command is Lua, step(3), or words: step 3, ser e_push.
+'help look' and 'help step' have more. A command is Lua, step(3), or words: step 3.
 'fsm' is the machine, 'rfsm' the library. An expression prints its value.
 Control-C ends what runs, Control-D the program.]]
 
-local function names_of(list)
-  local found = {}
-  for i, member in ipairs(list) do found[i] = member.name or member.title end
-  return found
-end
-
-local function print_topics()
-  for _, members in ipairs(topics) do
-    print(("  %-9s%s"):format(members.title, concat(names_of(members), " ")))
-  end
-  print(CLOSING)
-end
-
 add("help([x])", "the topics, or more about a topic or a command", "",
 function(_, name)
-  if name == nil then return print_topics() end
-  name = text_of(name)
-  local word = name:match("^[%w_]*")
+  if name == nil then
+    print_list(topics)
+    return print(CLOSING)
+  end
+  local word = text_of(name):match("^[%w_]*")
   if by_name[word] then return print_help(by_name[word]) end
-  if by_title[word] then return print_topic(by_title[word]) end
-  local hint = names.hint(name, names_of(commands.list))
-  if hint == "" then hint = names.hint(name, names_of(topics)) end
-  error("help: no command is named " .. name
+  local list = {}
+  for i, members in ipairs(topics) do
+    if members.name == word then return print_list(members) end
+    list[i] = members.name
+  end
+  local hint = names.hint(text_of(name), commands.add_names(list))
+  error("help: no command is named " .. text_of(name)
     .. (hint ~= "" and hint or ", help() lists them"), 0)
 end)
 

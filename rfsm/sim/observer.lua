@@ -15,7 +15,8 @@ local outline = require "rfsm.observe.outline"
 local breakpoints = require "rfsm.observe.breakpoints"
 local stream = require "rfsm.observe.stream"
 
-local error, ipairs, print, setmetatable = error, ipairs, print, setmetatable
+local error, ipairs, next, print = error, ipairs, next, print
+local setmetatable = setmetatable
 local concat = table.concat
 local text_of = rfsm.text_of
 
@@ -30,26 +31,23 @@ end
 
 function Observer:check_points(kind, value)
   breakpoints.each_reached(self.sim.points, kind, value, function(i, point)
-    if point.holds then
-      self.reached[i] = true
-    else
-      self.hits[i], self.is_hit = true, true
-    end
+    local list = point.holds and self.reached or self.hits
+    list[i] = true
   end)
 end
 
---- Evaluate the conditions of the breakpoints reached in a step that has ended. One
--- that fails stops as well.
+--- Evaluate the conditions of breakpoints, now that a step has ended. One that fails
+-- stops as well.
 function Observer:check_conditions()
   local problem
   for i, point in ipairs(self.sim.points) do
     if self.reached[i] then
       local ok, value = calls.try(point.holds)
       if not ok then problem = ("breakpoint %d: %s"):format(i, text_of(value)) end
-      if value or not ok then self.hits[i], self.is_hit = true, true end
+      self.hits[i] = not ok or value or nil
     end
   end
-  self.reached = {}
+  self.reached, self.is_hit = {}, next(self.hits) ~= nil
   if problem then error(problem, 0) end
 end
 

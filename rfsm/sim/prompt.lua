@@ -15,8 +15,8 @@ local terminal = require "rfsm.sim.terminal"
 local values = require "rfsm.observe.values"
 local rfsm = require "rfsm"
 
-local _G, ipairs, pairs, pcall, rawget = _G, ipairs, pairs, pcall, rawget
-local setmetatable, tonumber, type = setmetatable, tonumber, type
+local _G, error, ipairs, pairs, pcall = _G, error, ipairs, pairs, pcall
+local rawget, setmetatable, tonumber, type = rawget, setmetatable, tonumber, type
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local load = rawget(_G, "loadstring") or rawget(_G, "load")
 local complain, first_line = terminal.complain, chart.first_line
@@ -78,18 +78,13 @@ local function call_of(sim, text)
   return function() sim.env[name](unpack(arguments)) end
 end
 
-local function command_names(list)
-  for _, command in ipairs(commands.list) do list[#list + 1] = command.name end
-  return list
-end
-
 -- How other programs are left.
 local LEAVE = { bye = true, exit = true, q = true }
 
 -- Returns the complaint about a name that does not exist.
 local function problem_of_missing(name, list)
   local hint = LEAVE[name] and " (did you mean 'quit'?)"
-    or names.hint(name, command_names(list))
+    or names.hint(name, commands.add_names(list))
   if hint == "" then hint = ", help() lists the commands" end
   return "nothing is named " .. name .. hint
 end
@@ -140,28 +135,21 @@ function prompt.evaluate(sim, text, chunkname)
   return false, first_line(problem), is_incomplete(problem)
 end
 
--- Compiles an expression to a function; nil and the problem in one line if it is none.
-local function compile_value(env, text, name)
-  local chunk, problem = load_in(env, "return " .. text, "=" .. name)
-  return chunk, problem and first_line(problem)
-end
-
--- Returns true and the value of an expression, or false and the problem in one line.
-local function value_of(env, text)
-  local chunk, problem = compile_value(env, text, "watch")
-  if not chunk then return false, problem end
-  local ok, value = pcall(chunk)
-  return ok, ok and value or not ok and first_line(value) or value
-end
-
 --- Make the environment of typed code: the commands, then the globals of the chart.
 function prompt.install(sim)
   local env = { fsm = sim.fsm, rfsm = rfsm }
   for _, command in ipairs(commands.list) do
     env[command.name] = function(...) return command.run(sim, ...) end
   end
-  function sim.value_of(text) return value_of(env, text) end
-  function sim.compile(text, name) return compile_value(env, text, name) end
+  function sim.compile(text, name) -- an expression
+    local chunk, problem = load_in(env, "return " .. text, "=" .. name)
+    return chunk or error(problem, 0)
+  end
+  function sim.value_of(text)
+    local ok, value = pcall(sim.compile, text, "watch")
+    if ok then ok, value = pcall(value) end
+    return ok, ok and value or not ok and first_line(value) or value
+  end
   sim.env = setmetatable(env, {
     __index = function(_, name)
       local value = _G[name]
@@ -182,27 +170,30 @@ local function events_now(fsm)
     for _, tr in ipairs(rfsm.elements(at.machine, rfsm.is_trans)) do
       local is_now = at.machine._act_leaf and tr.src._mode ~= "inactive"
       for _, event in ipairs(is_now and tr.events or {}) do
-        if type(event) == "string" then words[#words + 1] = event end
+        local is_typed = type(event) == "string" and not event:find("@", 1, true)
+        if is_typed then words[#words + 1] = event end
       end
     end
   end
   return words
 end
 
--- Returns the words that the Tab key may complete after a text, for a kind of words.
-local function words_after(sim, before, kind)
-  local words = names.events(sim.fsm)
-  if kind == "now" or kind == "events" then return words end
+-- Returns the words that the Tab key may complete after a text, and those to be offered
+-- first.
+local function words_after(sim, before)
+  local command = commands.find(before:match("^%s*([%a_]+)[%s(]") or "") or {}
+  local kind, words = command.completes, names.events(sim.fsm)
+  if kind == "now" then return words, events_now(sim.fsm) end
+  if kind == "events" then return words, {} end
   for _, name in ipairs((names.nodes(sim.fsm))) do
     words[#words + 1] = name
     words[#words + 1] = name:gsub("^root%.", "")
     words[#words + 1] = "fsm" .. name:match("%..*")
   end
-  local is_name = not before:find("%sif%s") -- and no condition
-  if kind == "points" and is_name then return words end
+  if kind == "points" and not before:find("%sif%s") then return words, {} end
   for name in pairs(sim.env) do words[#words + 1] = name end -- any order: sorted
   for name in pairs(rfsm) do words[#words + 1] = "rfsm." .. name end
-  return words
+  return words, {}
 end
 
 local function beginning_with(word, words)
@@ -216,10 +207,9 @@ end
 -- Readline sorts the words, so the events that do not matter now are offered only if
 -- none of the others begins with the word.
 local function complete(sim, word, before)
-  local command = commands.find(before:match("^%s*([%a_]+)[%s(]") or "") or {}
-  local kind = command.completes
-  local first = beginning_with(word, kind == "now" and events_now(sim.fsm) or {})
-  return first[1] and first or beginning_with(word, words_after(sim, before, kind))
+  local words, first = words_after(sim, before)
+  first = beginning_with(word, first)
+  return first[1] and first or beginning_with(word, words)
 end
 
 -- Evaluates a text. Returns "" and the problem, if there is one; the text, too, if more

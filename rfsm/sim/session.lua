@@ -118,8 +118,7 @@ local function advance(sim, observed, n)
   for _ = 1, n do
     local is_idle = rfsm.step(fsm)
     observed:check_conditions()
-    if is_idle then return true end
-    if observed.is_hit or not fsm._act_leaf then return false end
+    if is_idle or observed.is_hit or not fsm._act_leaf then return is_idle end
   end
   return false
 end
