@@ -712,6 +712,22 @@ stopped at 3: transition root.b -> root.c
 6  state root.c
 there is none
 ]=] },
+    { does = "has no breakpoint at a state that is gone, with a predicate, too",
+      chart = ring(), other = [[
+return rfsm.state { warn = false, info = false, a = rfsm.state {},
+  rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "a", events = { function() return false end } } }]],
+      input = [=[
+breakpoint b if tries
+change()
+reload
+breakpoint
+]=], output = [=[
+1  state root.b if tries
+! 1 state root.b if tries: is gone, and no breakpoint now
+at <none> e_init_fsm
+there is none
+]=] },
     { does = "stops where a condition holds, or fails", chart = ring(), other = ring(),
       input = [=[
 tries = 0

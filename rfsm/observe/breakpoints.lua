@@ -134,7 +134,7 @@ function breakpoints.renew(sim, complain)
     local point = sim.points[i]
     if point.kind == "state" or point.kind == "transition" then
       local ok, renewed = pcall(of_text, sim.fsm, point.name)
-      if ok then
+      if ok and renewed.kind == point.kind then
         point.value = renewed.value
       else
         complain(("%d %s: is gone, and no breakpoint now"):format(i,
