@@ -1,6 +1,6 @@
 -- Exploration against brute force: random charts with timers, awaits, predicates and
--- sequential AND states, a third of them with histories, a quarter with deferred events,
--- with random options. Whatever
+-- sequential AND states, a third with histories, a quarter with deferred events, with
+-- random options. Whatever
 -- random runs reach was reached, also of several machines and flags at once, and each
 -- witness leads to its end on a machine of its own.
 
