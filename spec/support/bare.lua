@@ -24,7 +24,7 @@ function bare.model_of(chart, make)
     return rfsm.state {
       entry = make.entry and make.entry(fqn), exit = make.exit and make.exit(fqn),
       doo = node.doo and make.doo and make.doo(fqn) or nil,
-      history = node.history, final = node.final,
+      history = node.history, final = node.final, defer = node.defer,
     }
   end, function(tr, i)
     return rfsm.trans {

@@ -403,14 +403,16 @@ end
 
 -- Deferral ---------------------------------------------------------------------
 
---- Gives a chart random lists of deferred events.
-function charts.add_deferrals(chart)
+--- Gives a chart random lists of deferred events, some with a predicate. With a list of
+--- events and a number only those are deferred, at most so many at once.
+function charts.add_deferrals(chart, events, max)
   local random = new_random(chart.seed + 12)
   for _, fqn in ipairs(chart.names) do
     local node = chart.nodes[fqn]
     if node.kind == "state" and random:chance(40) then
-      node.defer = { random:pick(EVENTS), random:pick(EVENTS) }
-      if random:chance(10) then node.defer[1] = predicate end
+      local pool = events or EVENTS
+      node.defer = { random:pick(pool), random:pick(pool), max = max }
+      if not events and random:chance(10) then node.defer[1] = predicate end
     end
   end
 end

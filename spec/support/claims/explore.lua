@@ -1,5 +1,6 @@
 -- Exploration against brute force: random charts with timers, awaits, predicates and
--- sequential AND states, a third of them with histories, with random options. Whatever
+-- sequential AND states, a third with histories, a quarter with deferred events, with
+-- random options. Whatever
 -- random runs reach was reached, also of several machines and flags at once, and each
 -- witness leads to its end on a machine of its own.
 
@@ -14,6 +15,7 @@ local rfsm = require "rfsm"
 local run_seeds = require "spec.support.run_seeds"
 local rfsm_timeevent = require "rfsm_timeevent"
 require "rfsm.await"
+require "rfsm.defer"
 require "rfsm.history"
 
 local claim = { name = "exploration and random runs", runs = 300 }
@@ -66,6 +68,7 @@ function claim.chart(seed, depth, is_timed)
   local chart, random = charts.generate(seed), new_random(seed + 7)
   add_events(chart, random, is_timed)
   if seed % 3 == 0 then charts.add_histories(chart) end
+  if seed % 4 == 0 then charts.add_deferrals(chart, EVENTS, 2) end
   add_regions(chart, random, depth or 0, is_timed)
   return chart
 end
