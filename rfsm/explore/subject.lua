@@ -54,6 +54,10 @@ local subject = {}
 ---@field passed rfsm_checks.Moment[] of the last step
 ---@field entered table<rfsm.State, boolean> states with a doo or timers, entered by it
 ---@field sent { prefix: string, event: any }[] by replacements, in the last step
+---@field later rfsm_checks.Later[] events that replacements send later
+---@field sent_later rfsm_checks.Later[] in the last step
+---@field dropped table<rfsm_checks.Part, boolean> those that the last step has reset
+---@field late_senders string[] callbacks that may send others later
 ---@field called string[] of the last step, with `options.callbacks`
 ---@field now number seconds, as time events see them
 ---@field steps integer that were taken
@@ -320,6 +324,14 @@ local function is_single(part)
   return part.owner.is_single and not part.leaf.run and steps < 2
 end
 
+-- A reset drops what was to be sent later.
+local function drop_later(self, part)
+  self.dropped[part] = true
+  for i = #self.sent_later, 1, -1 do
+    if self.sent_later[i].part == part then table.remove(self.sent_later, i) end
+  end
+end
+
 -- Makes a machine a part of the subject.
 local function add_part(self, part)
   local fsm = part.fsm
@@ -333,6 +345,7 @@ local function add_part(self, part)
   for _, name in ipairs(SILENT) do fsm[name] = nil end
   fsm.info, fsm.err, fsm.warn = false, false, false
   fsm.gettime = self.time
+  rfsm.reset_hook_add(fsm, function() drop_later(self, part) end)
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
     make_state(self, part, state)
   end
@@ -582,6 +595,8 @@ function Subject:step(events, choices)
   clear(self.moments)
   clear(self.last_events)
   clear(self.sent)
+  clear(self.sent_later)
+  if not order.is_empty(self.dropped) then self.dropped = {} end
   clear(self.called)
   if not order.is_empty(self.answers) then self.answers = {} end
   if not order.is_empty(self.entered) then self.entered = {} end
@@ -778,7 +793,8 @@ end
 function subject.new(model, options, way)
   local self = setmetatable({ parts = {}, transitions = {}, number_of = {},
     names = {}, paths = {}, part_of = {}, path_of = {}, callbacks = {}, writers = {},
-    free = {}, sent = {},
+    free = {}, sent = {}, later = {}, sent_later = {}, dropped = {}, late_senders = {},
+    runs = {},
     flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
     calls_callbacks = options.callbacks, called = {},
     choices = {}, is_known = {}, askers = {}, is_doo = {}, asked = 0,
