@@ -100,6 +100,7 @@ end
 ---@field random function
 ---@field seen table<string, true>
 ---@field sends table<string, string> what an effect sends, by the number of it
+---@field later table<string, table>|nil likewise later: `event`, `after`
 ---@field flags table<string, string> "+" or "-" by name
 ---@field sets table<string, table[]> what a callback sets: { name, sign }, by "entry F"
 
@@ -146,6 +147,8 @@ local function wanderer(world, fsm_of)
         seen["taken " .. id] = true
         set_flags(world, "effect " .. id)
         if sends[id] and fsm == fsm_of() then rfsm.send_events(fsm, sends[id]) end
+        local later = world.later and world.later[id]
+        if later then rfsm_timeevent.send_after(fsm, later.after, later.event) end
       end
     end,
     entry = function(id)
@@ -254,7 +257,7 @@ end
 local function follow(chart, witness, choice, watch)
   local answers, at, fsm = {}, 0, nil
   local world = { random = new_random(1), seen = {}, sends = choice.sends, flags = {},
-    sets = choice.sets }
+    sets = choice.sets, later = choice.later }
   for _, name in ipairs(choice.names) do world.flags[name] = "-" end
   local function answer()
     at = at + 1
@@ -296,7 +299,7 @@ local function follow(chart, witness, choice, watch)
 end
 
 claim.model_of, claim.wanderer, claim.stands_of = model_of, wanderer, stands_of
-claim.explored, claim.follow = explored, follow
+claim.explored, claim.follow, claim.paths_of = explored, follow, paths_of
 
 -- The claim -------------------------------------------------------------------------
 
