@@ -487,9 +487,27 @@ describe("an event that is sent later, by sends,", function()
     end
     assert.equal("p: holds (" .. TIMED .. ")",
       verdict(own, never "root.par.1.e", options(1.5)))
-    assert.equal(lines("p", ENTRY, "2. e_go: root.trans[2], root.par.1.trans[1] -> root.par",
+    assert.equal(lines("p", ENTRY,
+      "2. e_go: root.trans[2], root.par.1.trans[1] -> root.par",
       "3. +0.501 s, after 0.5 s: e_y in root.par.1: root.par.1.trans[2] -> root.par"),
       verdict(own, never "root.par.1.e", options(0.5)))
+  end)
+
+  it("is cancelled where sends says so", function()
+    local options = later(2, { alphabet = { "e_back", "e_x" } })
+    local own = model { [5] = go("c", "bad", "e_late"), bad = state {} }
+    options.sends["entry root.a"][1][1] = "e_late"
+    assert.equal(lines("p", ENTRY, "2. e_x: root.trans[3] -> root.c",
+      "3. +2.001 s, after 2 s: e_late: root.trans[5] -> root.bad"),
+      verdict(own, never "root.bad", options))
+    options.sends["effect root.trans[3]"] = { { cancel = "e_late" } }
+    assert.equal("p: holds (" .. TIMED .. ")", verdict(own, never "root.bad", options))
+    options.sends["effect root.trans[3]"] = nil
+    own[3].effect = function(fsm) rfsm_timeevent.cancel(fsm, "late") end
+    options.alphabet = { "e_x" }
+    local result = rfsm_checks.explore(own, options)
+    assert.equal("events that the effect root.trans[3] may cancel",
+      table.concat(result.untried, "; "))
   end)
 
   it("may come at any time or never if timers are free", function()

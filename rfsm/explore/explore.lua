@@ -39,7 +39,7 @@ local explore = {}
 ---@field together? integer how many events a step may have (1; for `after` 2)
 ---@field alphabet? any[] the events from outside; default: all that transitions name
 ---@field sends? table<string, any[]> what callbacks send: ["entry root.a"] = { "e_x" };
--- later: { "e_x", after = 2 }
+-- later: { "e_x", after = 2 }, and that taken back: { cancel = "e_x" }
 ---@field pending? integer most events that wait to be sent later (4)
 ---@field dry_run? boolean call entries, exits and effects once, for what they send
 ---@field flags? table<string, { on?: string[], off?: string[] }> set by callbacks
@@ -505,6 +505,9 @@ local function check_writers(walk)
   end
   for _, name in ipairs(walk.subject.late_senders) do
     note_untried(walk, "pending", ("events that the %s may send later"):format(name))
+  end
+  for _, name in ipairs(walk.subject.later[1] and walk.subject.cancellers or {}) do
+    note_untried(walk, "pending", ("events that the %s may cancel"):format(name))
   end
 end
 

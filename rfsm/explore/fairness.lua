@@ -66,7 +66,7 @@ end
 local function note_later(walk, try, entered)
   for i, entry in ipairs(try.group and try.conf.context.time.entries or {}) do
     local later = entry.clock.later
-    if later and (try.group.over[i] > 0 or walk.subject.dropped[later.part]) then
+    if later and (try.group.over[i] > 0 or walk.subject.dropped[later]) then
       entered[entry.clock] = true
     end
   end

@@ -69,6 +69,12 @@ local function is_later(item)
     and rawget(item, "after") ~= nil
 end
 
+-- Does it take back what waits to be sent: { cancel = "e_x" }?
+local function is_cancel(item)
+  return type(item) == "table" and not getmetatable(item)
+    and rawget(item, "cancel") ~= nil and rawget(item, 1) == nil
+end
+
 local function check_later(where, item)
   local seconds = item.after
   if type(seconds) ~= "number" or not (seconds >= 0 and seconds < math.huge) then
@@ -86,7 +92,7 @@ local function check_later(where, item)
 end
 
 --- Is it a table of lists of events: { ["entry root.a"] = { "e_x" } }? An event that is
---- sent later is { "e_x", after = 2 }.
+--- sent later is { "e_x", after = 2 }, and { cancel = "e_x" } takes it back.
 ---@return boolean is_right
 ---@return string? problem
 function replacements.check_sends(sends)
@@ -137,27 +143,25 @@ function replacements.named(fsm)
   return named
 end
 
--- May a callback call `rfsm_timeevent.send_after`, by its text?
-local function may_send_later(callback)
-  local found = false
-  local send_after = (package.loaded.rfsm_timeevent or {}).send_after
+-- May a callback call this function of rfsm_timeevent, by its text?
+local function may_call(callback, name)
+  local found, f = false, (package.loaded.rfsm_timeevent or {})[name]
   writes.each(callback, function(text, own)
-    found = found or text:find("%f[%w_]send_after%f[^%w_]") ~= nil
-    for _, upvalue in ipairs(send_after and writes.upvalues_of(own) or {}) do
-      found = found or rawequal(upvalue.value, send_after)
+    found = found or text:find("%f[%w_]" .. name .. "%f[^%w_]") ~= nil
+    for _, upvalue in ipairs(f and writes.upvalues_of(own) or {}) do
+      found = found or rawequal(upvalue.value, f)
     end
   end, {})
   return found
 end
 
---- Note a callback that may write the target of a transition, or send an event later
---- that `sends` does not name.
+--- Note a callback that may write the target of a transition, or send an event later or
+--- cancel one, and that `sends` does not name.
 function replacements.note_writer(self, name, callback)
   if writes.may_write(callback, { "tgt" }) then table.insert(self.writers, name) end
-  if (self.runs[callback or false] or not self.sends[name])
-    and may_send_later(callback) then
-    table.insert(self.late_senders, name)
-  end
+  if self.sends[name] and not self.runs[callback or false] then return end
+  if may_call(callback, "send_after") then table.insert(self.late_senders, name) end
+  if may_call(callback, "cancel") then table.insert(self.cancellers, name) end
 end
 
 -- Replacements ......................................................................
@@ -232,6 +236,32 @@ local function read_sends(self, part, list)
   return later
 end
 
+--- Drop what a part has sent later, or the events of it that are like one.
+function replacements.drop_later(self, part, event)
+  local function is_dropped(later)
+    return later.part == part
+      and (event == nil or rawequal(later.occurrence.event, event))
+  end
+  for _, later in ipairs(self.later) do
+    if is_dropped(later) then self.dropped[later] = true end
+  end
+  for i = #self.sent_later, 1, -1 do
+    if is_dropped(self.sent_later[i]) then table.remove(self.sent_later, i) end
+  end
+end
+
+-- Does what an item of `sends` says.
+local function send(self, part, fsm, item, later)
+  if later then
+    self.sent_later[#self.sent_later + 1] = later
+  elseif is_cancel(item) then
+    replacements.drop_later(self, part, item.cancel)
+  else
+    rfsm.send_events(fsm, item)
+    self.sent[#self.sent + 1] = { prefix = part.prefix, event = item }
+  end
+end
+
 -- Returns a function that calls a callback to be run, sets flags, sends events; nil if
 -- there is nothing to do.
 local function new_replacement(self, part, run, flags, events)
@@ -243,14 +273,7 @@ local function new_replacement(self, part, run, flags, events)
       calls.try(run, own, ...)
     end
     for _, flag in ipairs(flags) do self.flags[flag.number] = flag.value end
-    for i = 1, #events do
-      if later[i] then
-        self.sent_later[#self.sent_later + 1] = later[i]
-      else
-        rfsm.send_events(own, events[i])
-        self.sent[#self.sent + 1] = { prefix = part.prefix, event = events[i] }
-      end
-    end
+    for i = 1, #events do send(self, part, own, events[i], later[i]) end
   end
 end
 

@@ -56,8 +56,9 @@ local subject = {}
 ---@field sent { prefix: string, event: any }[] by replacements, in the last step
 ---@field later rfsm_checks.Later[] events that replacements send later
 ---@field sent_later rfsm_checks.Later[] in the last step
----@field dropped table<rfsm_checks.Part, boolean> those that the last step has reset
+---@field dropped table<rfsm_checks.Later, boolean> by a reset or `cancel` in that step
 ---@field late_senders string[] callbacks that may send others later
+---@field cancellers string[] callbacks that may take some back
 ---@field called string[] of the last step, with `options.callbacks`
 ---@field now number seconds, as time events see them
 ---@field steps integer that were taken
@@ -324,14 +325,6 @@ local function is_single(part)
   return part.owner.is_single and not part.leaf.run and steps < 2
 end
 
--- A reset drops what was to be sent later.
-local function drop_later(self, part)
-  self.dropped[part] = true
-  for i = #self.sent_later, 1, -1 do
-    if self.sent_later[i].part == part then table.remove(self.sent_later, i) end
-  end
-end
-
 -- Makes a machine a part of the subject.
 local function add_part(self, part)
   local fsm = part.fsm
@@ -345,7 +338,7 @@ local function add_part(self, part)
   for _, name in ipairs(SILENT) do fsm[name] = nil end
   fsm.info, fsm.err, fsm.warn = false, false, false
   fsm.gettime = self.time
-  rfsm.reset_hook_add(fsm, function() drop_later(self, part) end)
+  rfsm.reset_hook_add(fsm, function() replacements.drop_later(self, part) end)
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
     make_state(self, part, state)
   end
@@ -794,7 +787,7 @@ function subject.new(model, options, way)
   local self = setmetatable({ parts = {}, transitions = {}, number_of = {},
     names = {}, paths = {}, part_of = {}, path_of = {}, callbacks = {}, writers = {},
     free = {}, sent = {}, later = {}, sent_later = {}, dropped = {}, late_senders = {},
-    runs = {},
+    cancellers = {}, runs = {},
     flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
     calls_callbacks = options.callbacks, called = {},
     choices = {}, is_known = {}, askers = {}, is_doo = {}, asked = 0,

@@ -351,13 +351,13 @@ local function add_states(self, time, group, entries, sources)
   end
 end
 
--- Adds the clocks of what is to be sent later: of what has not come and was not dropped
--- by a reset, and of what the step has sent. Returns how many there are.
+-- Adds the clocks of what is to be sent later: of what has not come and was not
+-- dropped, and of what the step has sent. Returns how many there are.
 local function add_pending(self, time, group, entries, sources)
   local own, before = self.subject, #entries
   for i, entry in ipairs(time.entries) do
     local clock = entry.clock
-    if clock.later and group.over[i] == 0 and not own.dropped[clock.later.part] then
+    if clock.later and group.over[i] == 0 and not own.dropped[clock.later] then
       entries[#entries + 1] = entry
       sources[#sources + 1] = clock.is_free and 0 or i
     end

@@ -100,7 +100,8 @@ end
 ---@field random function
 ---@field seen table<string, true>
 ---@field sends table<string, string> what an effect sends, by the number of it
----@field later table<string, table>|nil likewise later: `event`, `after`
+---@field later table<string, table>|nil likewise later: `event`, `after`;
+-- `cancel`
 ---@field flags table<string, string> "+" or "-" by name
 ---@field sets table<string, table[]> what a callback sets: { name, sign }, by "entry F"
 
@@ -129,6 +130,19 @@ local function stands_of(fsm, flags)
   return texts
 end
 
+-- Sends an event later, or cancels all of a kind.
+local function send_later(world, fsm, later)
+  if not later then return end
+  world.ids = world.ids or {}
+  for _, id in ipairs(later.cancel and world.ids or {}) do
+    if id.event == later.cancel then rfsm_timeevent.cancel(fsm, id) end
+  end
+  if later.cancel then return end
+  local id = { event = later.event }
+  world.ids[#world.ids + 1] = id
+  rfsm_timeevent.send_after(fsm, later.after, later.event, id)
+end
+
 -- The callbacks of random runs.
 local function wanderer(world, fsm_of)
   local random, seen, sends = world.random, world.seen, world.sends
@@ -147,8 +161,7 @@ local function wanderer(world, fsm_of)
         seen["taken " .. id] = true
         set_flags(world, "effect " .. id)
         if sends[id] and fsm == fsm_of() then rfsm.send_events(fsm, sends[id]) end
-        local later = world.later and world.later[id]
-        if later then rfsm_timeevent.send_after(fsm, later.after, later.event) end
+        send_later(world, fsm, world.later and world.later[id])
       end
     end,
     entry = function(id)

@@ -96,8 +96,12 @@ local function add_later(chart, random)
   for _, number in ipairs(random:chance(50) and rfsm.sorted_keys(path_of) or {}) do
     if random:chance(20) then
       local later = { event = random:pick(EVENTS), after = (random:below(6) - 1) / 2 }
-      chart.later[number] = later
-      sends["effect " .. path_of[number]] = { { later.event, after = later.after } }
+      local item = { later.event, after = later.after }
+      if random:chance(20) then
+        later = { cancel = later.event }
+        item = later
+      end
+      chart.later[number], sends["effect " .. path_of[number]] = later, { item }
     end
   end
   return sends
