@@ -430,6 +430,155 @@ describe("a watched machine", function()
   end)
 end)
 
+describe("an event that is sent later, by sends,", function()
+  -- a goes to b after 3 s and to c with e_x, c to a with e_back.
+  local function model(members)
+    members = members or {}
+    members.c = members.c or state {}
+    members[2], members[3] = go("a", "b", "e_after(3)"), go("a", "c", "e_x")
+    members[4] = go("c", "a", "e_back")
+    return chart(members)
+  end
+
+  local function later(seconds, members)
+    local options = { alphabet = { "e_back" },
+      sends = { ["entry root.a"] = { { "e_x", after = seconds } } } }
+    for key, value in pairs(members or {}) do options[key] = value end -- any order
+    return options
+  end
+
+  local ALPHABET = "one event a step; no event outside of the alphabet; "
+  local COMES = "2. +2.001 s, after 2 s: e_x: root.trans[3] -> root.c"
+  local TIMED = ALPHABET .. "stepped between any two deadlines; steps take no time"
+
+  it("comes in order with timers", function()
+    local holds = "p: holds (" .. TIMED .. ")"
+    assert.equal(holds, verdict(model(), never "root.b", later(2)))
+    assert.equal(lines("p", ENTRY, COMES), verdict(model(), never "root.c", later(2)))
+    assert.equal(holds, verdict(model(), never "root.c", later(4)))
+  end)
+
+  it("has to come, and ends what properties give a time", function()
+    assert.equal("p: holds (" .. TIMED .. ")",
+      verdict(model(), from("root.a").left_within(2.5), later(2)))
+    assert.equal("p: holds (" .. TIMED .. "; doos end)",
+      verdict(model(), rfsm_checks.until_("root.a", "root.c"), later(2)))
+    assert.equal(lines("p", ENTRY, "2. +1.501 s, no event: no transition -> root.a"),
+      verdict(model(), from("root.a").left_within(1.5), later(2)))
+  end)
+
+  it("comes to whatever state is active, as often as it is sent", function()
+    local own = model { [5] = go("c", "bad", "e_x"), bad = state {} }
+    local options = later(2)
+    options.sends["entry root.a"][2] = { "e_x", after = 2.5 }
+    assert.equal(lines("p", ENTRY, COMES,
+      "3. +0.5 s, after 2.5 s: e_x: root.trans[5] -> root.bad"),
+      verdict(own, never "root.bad", options))
+  end)
+
+  it("is dropped by a reset", function()
+    local region = state { d = state {}, e = state {}, go("initial", "d"),
+      go("d", "e", "e_y") }
+    local own = chart { par = rfsm.seqand { region }, [2] = go("a", "par", "e_go"),
+      [3] = go("par", "a", "e_after(1)") }
+    local function options(seconds)
+      return { alphabet = { "e_go" },
+        sends = { ["entry root.par.1.d"] = { { "e_y", after = seconds } } } }
+    end
+    assert.equal("p: holds (" .. TIMED .. ")",
+      verdict(own, never "root.par.1.e", options(1.5)))
+    assert.equal(lines("p", ENTRY,
+      "2. e_go: root.trans[2], root.par.1.trans[1] -> root.par",
+      "3. +0.501 s, after 0.5 s: e_y in root.par.1: root.par.1.trans[2] -> root.par"),
+      verdict(own, never "root.par.1.e", options(0.5)))
+  end)
+
+  it("is cancelled where sends says so", function()
+    local options = later(2, { alphabet = { "e_back", "e_x" } })
+    local own = model { [5] = go("c", "bad", "e_late"), bad = state {} }
+    options.sends["entry root.a"][1][1] = "e_late"
+    assert.equal(lines("p", ENTRY, "2. e_x: root.trans[3] -> root.c",
+      "3. +2.001 s, after 2 s: e_late: root.trans[5] -> root.bad"),
+      verdict(own, never "root.bad", options))
+    options.sends["effect root.trans[3]"] = { { cancel = "e_late" } }
+    assert.equal("p: holds (" .. TIMED .. ")", verdict(own, never "root.bad", options))
+    options.sends["effect root.trans[3]"] = nil
+    own[3].effect = function(fsm) rfsm_timeevent.cancel(fsm, "late") end
+    options.alphabet = { "e_x" }
+    local result = rfsm_checks.explore(own, options)
+    assert.equal("events that the effect root.trans[3] may cancel",
+      table.concat(result.untried, "; "))
+  end)
+
+  it("may come at any time or never if timers are free", function()
+    local free = { timers = "free" }
+    assert.equal(lines("p", ENTRY, "2. after 4 s: e_x: root.trans[3] -> root.c"),
+      verdict(model(), never "root.c", later(4, free)))
+    assert.equal(lines("p", ENTRY, "2. e_after(3)@root.a: root.trans[2] -> root.b"),
+      verdict(model(), never "root.b", later(2, free)))
+    assert.equal("p: not known, sends with a delay are free",
+      verdict(model(), from("root.a").can_reach "root.c", later(2, free)))
+    local own = chart { [2] = go("a", "b", "e_x") }
+    assert.equal("p: holds (" .. ALPHABET .. "sends with a delay free)",
+      verdict(own, never { "root.a", "root.b" }, later(2, { timers = "free",
+        alphabet = {} })))
+    assert.equal(lines("p", ENTRY, "and nothing more has to come"),
+      verdict(own, rfsm_checks.until_("root.a", "root.b"), later(2, { timers = "free",
+        alphabet = {} })))
+  end)
+
+  it("is not followed if too many wait", function()
+    local own = model { [5] = go("c", "a", "e_again") }
+    local options = later(2, { pending = 1, alphabet = { "e_x", "e_back" } })
+    options.properties = { p = never "root.b" }
+    local result = rfsm_checks.explore(own, options)
+    assert.is_nil(result.properties[1].holds)
+    assert.equal("pending", result.bound)
+    assert.equal("more than 1 events that wait to be sent later",
+      table.concat(result.untried, "; "))
+    assert.equal(0, #result.findings)
+  end)
+
+  it("is refused with one message if it is none", function()
+    for text, item in pairs { -- any order: each stands alone
+      [".after: seconds, a finite number not below 0, expected, got -1"] =
+        { "e_x", after = -1 },
+      [".after: seconds, a finite number not below 0, expected, got nan"] =
+        { "e_x", after = 0 / 0 },
+      [".after: seconds, a finite number not below 0, expected, got string '2'"] =
+        { "e_x", after = "2" },
+      [": event expected in front of 'after', got none"] = { after = 2 },
+      [": no field 'id' beside the event and 'after'"] = { "e_x", after = 2, id = 1 },
+    } do
+      local ok, problem = pcall(rfsm_checks.explore, model(),
+        { sends = { ["entry root.a"] = { item } } })
+      assert.is_false(ok)
+      assert.equal("rfsm_checks.explore: sends: ['entry root.a'][1]" .. text,
+        (problem:gsub("^.-(rfsm_checks)", "%1"):gsub("-nan", "nan")))
+    end
+  end)
+
+  it("is not known if the text of a callback has it, and sends does not", function()
+    local send = rfsm_timeevent.send_after
+    local function named(fsm) rfsm_timeevent.send_after(fsm, 2, "e_x") end
+    local function renamed(fsm) send(fsm, 2, "e_x") end
+    for _, entry in ipairs { named, renamed } do
+      local own = chart { a = state { entry = entry }, [2] = go("a", "b", "e_x") }
+      local result = rfsm_checks.explore(own, { alphabet = {},
+        properties = { p = never "root.b" } })
+      assert.is_nil(result.properties[1].holds)
+      assert.equal("events that the entry root.a may send later",
+        table.concat(result.untried, "; "))
+      result = rfsm_checks.explore(own, later(2, { alphabet = {},
+        properties = { p = never "root.b" } }))
+      assert.is_false(result.properties[1].holds)
+      result = rfsm_checks.explore(own, later(2, { run = { "entry root.a" },
+        alphabet = {}, properties = { p = rfsm_checks.always "root" } }))
+      assert.equal("pending", result.bound)
+    end
+  end)
+end)
+
 describe(claim.name, function()
   it("agree on random charts", function()
     claim.runs, claim.bound = 10, 30

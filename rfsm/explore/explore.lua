@@ -38,7 +38,9 @@ local explore = {}
 ---@class rfsm_checks.Options
 ---@field together? integer how many events a step may have (1; for `after` 2)
 ---@field alphabet? any[] the events from outside; default: all that transitions name
----@field sends? table<string, any[]> what callbacks send: ["entry root.a"] = { "e_x" }
+---@field sends? table<string, any[]> what callbacks send: ["entry root.a"] = { "e_x" };
+-- later: { "e_x", after = 2 }, and that taken back: { cancel = "e_x" }
+---@field pending? integer most events that wait to be sent later (4)
 ---@field dry_run? boolean call entries, exits and effects once, for what they send
 ---@field flags? table<string, { on?: string[], off?: string[] }> set by callbacks
 ---@field vars? table<string, any> fields that callbacks in `run` read and set
@@ -87,6 +89,8 @@ local explore = {}
 ---@field kin table<string, integer[]> configurations that differ in their times alone
 ---@field unsure table<integer, rfsm_checks.Group> positions of steps where other
 -- deadlines may be first
+---@field cut table<integer, boolean> configurations with a step that was left out: too
+-- many events wait to be sent behind it
 ---@field try rfsm_checks.Try the step that is taken
 ---@field choices boolean[] in that step, always the same table
 ---@field label fun(): string of that step
@@ -279,6 +283,12 @@ local function key_after(walk, try, label)
   if walk.timing then
     time, sources = walk.timing:after(context.time, try.group, walk, clocks)
   end
+  if time == nil then
+    note_untried(walk, "pending", ("more than %d events that wait to be sent later")
+      :format(walk.options.pending))
+    walk.cut[try.from] = true
+    return nil
+  end
   local behind, problem = key_of_context(walk, states, time)
   if behind then return key .. behind, sources end
   note_untried(walk, "values", problem)
@@ -383,7 +393,7 @@ end
 local function expand(walk, from)
   walk.first[from], walk.has_moved = walk.step_count + 1, false
   each_try(walk, from, note_step)
-  if not walk.has_moved then walk.stuck[#walk.stuck + 1] = from end
+  if not (walk.has_moved or walk.cut[from]) then walk.stuck[#walk.stuck + 1] = from end
 end
 
 --- Take all steps from a configuration again, and call f(try, tgt, label) after each.
@@ -469,6 +479,7 @@ local KNOWN = {
   seconds = { "number", is_number, math.huge },
   alphabet = { "list", replacements.check_list },
   sends = { "table of lists", replacements.check_sends, {} },
+  pending = { "whole number above 0", is_count, 4 },
   dry_run = { "boolean", is_boolean, false },
   multiply = { "boolean", is_boolean, false },
   flags = { "table of flags", replacements.check_flags, {} },
@@ -483,7 +494,7 @@ local KNOWN = {
 }
 
 -- Callbacks that write the targets of transitions are not followed, and those that
--- write data and are not called.
+-- write data and are not called, or send events later that are not named.
 local function check_writers(walk)
   for _, name in ipairs(walk.subject.writers) do
     note_untried(walk, "targets", "targets that the " .. name .. " may write")
@@ -491,6 +502,12 @@ local function check_writers(walk)
   for _, name in ipairs(walk.subject.data_writers) do
     note_untried(walk, "values", ("data that the %s may write, which is not run")
       :format(name))
+  end
+  for _, name in ipairs(walk.subject.late_senders) do
+    note_untried(walk, "pending", ("events that the %s may send later"):format(name))
+  end
+  for _, name in ipairs(walk.subject.later[1] and walk.subject.cancellers or {}) do
+    note_untried(walk, "pending", ("events that the %s may cancel"):format(name))
   end
 end
 
@@ -510,7 +527,7 @@ function explore.walk(model, options, prepare, way)
     first = {}, blocks = {}, step_count = 0, choices = {}, taken = {}, endless = nil,
     bound = nil, stuck = {}, has_moved = false, count = 0, expanded = 0, wanted = {},
     monitored = {}, has_contexts = false, contexts = {}, context_ids = {}, kin = {},
-    unsure = {}, timing = false }, Walk)
+    unsure = {}, cut = {}, timing = false }, Walk)
   function walk.label() return label_of(walk.try, walk.choices, own.asked) end
   check_writers(walk)
   if prepare then prepare(walk) end
@@ -541,6 +558,9 @@ end
 
 local function text_of_event(occurrence)
   local text, part = rfsm.text_of(occurrence.event), occurrence.part
+  if occurrence.after then
+    text = ("after %.9g s: %s"):format(occurrence.after, text)
+  end
   return part.owner and text .. " in " .. part.prefix or text
 end
 

@@ -19,7 +19,8 @@ local ipairs = ipairs
 
 local fairness = {}
 
--- Returns what is pending in a configuration: state by name, of doos and of timers.
+-- Returns what is pending in a configuration: state by name, of doos and of timers; and
+-- the clock of what is to be sent later.
 local function pending_in(conf)
   local pending = {}
   for _, position in ipairs(conf) do
@@ -33,6 +34,8 @@ local function pending_in(conf)
     if entry.clock.state then
       pending[("timer %d.%d"):format(entry.clock.number, entry.passed)] =
         entry.clock.state
+    elseif entry.clock.later and not entry.clock.is_free then
+      pending["later " .. entry.clock.number] = entry.clock
     end
   end
   return pending
@@ -56,19 +59,31 @@ end
 ---@field from integer
 ---@field tgt integer
 ---@field label string
----@field entered table<rfsm.State, boolean> states that it enters
+---@field entered table<table, boolean> states that it enters; clocks of what was sent
+-- later, and comes or is dropped
+
+-- Notes the clocks of what was sent later, and comes in a step or is dropped by it.
+local function note_later(walk, try, entered)
+  for i, entry in ipairs(try.group and try.conf.context.time.entries or {}) do
+    local later = entry.clock.later
+    if later and (try.group.over[i] > 0 or walk.subject.dropped[later]) then
+      entered[entry.clock] = true
+    end
+  end
+end
 
 -- Lists the steps between configurations, by where they begin.
 local function edges_between(walk, numbers)
   local edges, is_in = {}, {}
   for _, number in ipairs(numbers) do edges[number], is_in[number] = {}, true end
   for _, number in ipairs(numbers) do
-    walk:each_step_again(number, function(_, tgt, label)
+    walk:each_step_again(number, function(try, tgt, label)
       if not is_in[tgt] then return end
       local edge = { from = number, tgt = tgt, label = label(), entered = {} }
       for state in order.each(walk.subject.entered) do -- any order: a set
         edge.entered[state] = true
       end
+      note_later(walk, try, edge.entered)
       edges[number][#edges[number] + 1] = edge
     end)
   end
@@ -80,7 +95,7 @@ end
 local function find_rest(walk, numbers)
   for _, number in ipairs(numbers) do
     local conf = walk:configuration(number)
-    local is_idle = not subject.is_busy(conf)
+    local is_idle = not (subject.is_busy(conf) or walk.cut[number])
     graph.each_step(walk, number, function(tgt, is_internal)
       is_idle = is_idle and (tgt == number or not is_internal)
     end)

@@ -124,7 +124,7 @@ end
 function graph.must_reach(walk, goals)
   local set, left = {}, {}
   for number = 1, #walk.keys do -- an unknown step is no fault
-    set[number] = goals[number] or number > walk.expanded
+    set[number] = goals[number] or number > walk.expanded or walk.cut[number]
   end
   return spread(walk, set, function(from, tgt)
     left[from] = left[from] or count_internal(walk, from)

@@ -281,7 +281,8 @@ end
 ---@return rfsm_checks.Way[] ways
 function independence.ways(own, list, options)
   for _, judged in ipairs(list) do judged.way = false end
-  local are_apart = not (options.multiply or options.dry_run or own.writers[1])
+  local are_apart = not (options.multiply or options.dry_run or own.writers[1]
+    or own.later[1] or own.late_senders[1])
   if not (are_apart and own.parts[2]) then return { false } end
   local self, ways = { own = own, states = {}, mates = {}, ways = {} }, {}
   self.traits = traits_of(own, is_timed(list), options.timers == "free")

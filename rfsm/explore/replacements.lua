@@ -15,6 +15,7 @@ local opts = require "rfsm.shared.options"
 local writes = require "rfsm.shared.writes"
 
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local math, package, rawequal, rawget = math, package, rawequal, rawget
 local table, type = table, type
 
 local replacements = {}
@@ -62,7 +63,36 @@ function replacements.check_flags(flags)
   return true
 end
 
---- Is it a table of lists of events: { ["entry root.a"] = { "e_x" } }?
+-- Is it an event that is sent later: { "e_x", after = 2 }?
+local function is_later(item)
+  return type(item) == "table" and not getmetatable(item)
+    and rawget(item, "after") ~= nil
+end
+
+-- Does it take back what waits to be sent: { cancel = "e_x" }?
+local function is_cancel(item)
+  return type(item) == "table" and not getmetatable(item)
+    and rawget(item, "cancel") ~= nil and rawget(item, 1) == nil
+end
+
+local function check_later(where, item)
+  local seconds = item.after
+  if type(seconds) ~= "number" or not (seconds >= 0 and seconds < math.huge) then
+    return where .. ".after: seconds, a finite number not below 0, expected, "
+      .. opts.got(seconds)
+  elseif item[1] == nil then
+    return where .. ": event expected in front of 'after', got none"
+  end
+  for _, field in ipairs(rfsm.sorted_keys(item)) do
+    if field ~= 1 and field ~= "after" then
+      return ("%s: no field '%s' beside the event and 'after'"):format(where,
+        rfsm.text_of(field))
+    end
+  end
+end
+
+--- Is it a table of lists of events: { ["entry root.a"] = { "e_x" } }? An event that is
+--- sent later is { "e_x", after = 2 }, and { cancel = "e_x" } takes it back.
 ---@return boolean is_right
 ---@return string? problem
 function replacements.check_sends(sends)
@@ -71,6 +101,11 @@ function replacements.check_sends(sends)
     if not is_list(sends[name]) then
       return false, ("['%s']: list of events expected, %s"):format(rfsm.text_of(name),
         opts.got(sends[name]))
+    end
+    for i, item in ipairs(sends[name]) do
+      local where = ("['%s'][%d]"):format(rfsm.text_of(name), i)
+      local problem = is_later(item) and check_later(where, item)
+      if problem then return false, problem end
     end
   end
   return true
@@ -108,9 +143,25 @@ function replacements.named(fsm)
   return named
 end
 
---- Note a callback that may write the target of a transition.
+-- May a callback call this function of rfsm_timeevent, by its text?
+local function may_call(callback, name)
+  local found, f = false, (package.loaded.rfsm_timeevent or {})[name]
+  writes.each(callback, function(text, own)
+    found = found or text:find("%f[%w_]" .. name .. "%f[^%w_]") ~= nil
+    for _, upvalue in ipairs(f and writes.upvalues_of(own) or {}) do
+      found = found or rawequal(upvalue.value, f)
+    end
+  end, {})
+  return found
+end
+
+--- Note a callback that may write the target of a transition, or send an event later or
+--- cancel one, and that `sends` does not name.
 function replacements.note_writer(self, name, callback)
   if writes.may_write(callback, { "tgt" }) then table.insert(self.writers, name) end
+  if self.sends[name] and not self.runs[callback or false] then return end
+  if may_call(callback, "send_after") then table.insert(self.late_senders, name) end
+  if may_call(callback, "cancel") then table.insert(self.cancellers, name) end
 end
 
 -- Replacements ......................................................................
@@ -164,20 +215,65 @@ function replacements.dry_run(fsm)
   return sent
 end
 
+--- An event that a replacement sends later.
+---@class rfsm_checks.Later
+---@field part rfsm_checks.Part
+---@field after number seconds
+---@field occurrence rfsm_checks.Occurrence in the step in which it comes
+
+-- Returns the events of a list, and what the later ones are by their positions.
+local function read_sends(self, part, list)
+  local later = {}
+  for i, item in ipairs(list) do
+    if is_later(item) then
+      local occurrence = { part = part, event = item[1], after = item.after,
+        number = #self.occurrences + 1, alone = {} }
+      occurrence.alone[1], self.occurrences[occurrence.number] = occurrence, occurrence
+      later[i] = { part = part, after = item.after, occurrence = occurrence }
+      self.later[#self.later + 1] = later[i]
+    end
+  end
+  return later
+end
+
+--- Drop what a part has sent later, or the events of it that are like one.
+function replacements.drop_later(self, part, event)
+  local function is_dropped(later)
+    return later.part == part
+      and (event == nil or rawequal(later.occurrence.event, event))
+  end
+  for _, later in ipairs(self.later) do
+    if is_dropped(later) then self.dropped[later] = true end
+  end
+  for i = #self.sent_later, 1, -1 do
+    if is_dropped(self.sent_later[i]) then table.remove(self.sent_later, i) end
+  end
+end
+
+-- Does what an item of `sends` says.
+local function send(self, part, fsm, item, later)
+  if later then
+    self.sent_later[#self.sent_later + 1] = later
+  elseif is_cancel(item) then
+    replacements.drop_later(self, part, item.cancel)
+  else
+    rfsm.send_events(fsm, item)
+    self.sent[#self.sent + 1] = { prefix = part.prefix, event = item }
+  end
+end
+
 -- Returns a function that calls a callback to be run, sets flags, sends events; nil if
 -- there is nothing to do.
 local function new_replacement(self, part, run, flags, events)
   if not (flags[1] or events[1] ~= nil or run) then return nil end
+  local later = read_sends(self, part, events)
   return function(own, ...)
     if run then
       self.is_touched = true
       calls.try(run, own, ...)
     end
     for _, flag in ipairs(flags) do self.flags[flag.number] = flag.value end
-    for i = 1, #events do
-      rfsm.send_events(own, events[i])
-      self.sent[#self.sent + 1] = { prefix = part.prefix, event = events[i] }
-    end
+    for i = 1, #events do send(self, part, own, events[i], later[i]) end
   end
 end
 

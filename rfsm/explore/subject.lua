@@ -54,6 +54,11 @@ local subject = {}
 ---@field passed rfsm_checks.Moment[] of the last step
 ---@field entered table<rfsm.State, boolean> states with a doo or timers, entered by it
 ---@field sent { prefix: string, event: any }[] by replacements, in the last step
+---@field later rfsm_checks.Later[] events that replacements send later
+---@field sent_later rfsm_checks.Later[] in the last step
+---@field dropped table<rfsm_checks.Later, boolean> by a reset or `cancel` in that step
+---@field late_senders string[] callbacks that may send others later
+---@field cancellers string[] callbacks that may take some back
 ---@field called string[] of the last step, with `options.callbacks`
 ---@field now number seconds, as time events see them
 ---@field steps integer that were taken
@@ -333,6 +338,7 @@ local function add_part(self, part)
   for _, name in ipairs(SILENT) do fsm[name] = nil end
   fsm.info, fsm.err, fsm.warn = false, false, false
   fsm.gettime = self.time
+  rfsm.reset_hook_add(fsm, function() replacements.drop_later(self, part) end)
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
     make_state(self, part, state)
   end
@@ -582,6 +588,8 @@ function Subject:step(events, choices)
   clear(self.moments)
   clear(self.last_events)
   clear(self.sent)
+  clear(self.sent_later)
+  if not order.is_empty(self.dropped) then self.dropped = {} end
   clear(self.called)
   if not order.is_empty(self.answers) then self.answers = {} end
   if not order.is_empty(self.entered) then self.entered = {} end
@@ -778,7 +786,8 @@ end
 function subject.new(model, options, way)
   local self = setmetatable({ parts = {}, transitions = {}, number_of = {},
     names = {}, paths = {}, part_of = {}, path_of = {}, callbacks = {}, writers = {},
-    free = {}, sent = {},
+    free = {}, sent = {}, later = {}, sent_later = {}, dropped = {}, late_senders = {},
+    cancellers = {}, runs = {},
     flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
     calls_callbacks = options.callbacks, called = {},
     choices = {}, is_known = {}, askers = {}, is_doo = {}, asked = 0,

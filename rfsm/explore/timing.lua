@@ -7,6 +7,9 @@
 -- the machine is stepped between any two of them; with a period they are no further
 -- apart than that. The times of properties are deadlines as timers are.
 --
+-- An event that is sent later has a clock from then on, one each time it is sent. Where
+-- timers are free, so is it: no bound is known of its clock.
+--
 -- The clock stands while a step is taken. e_at and functions of seconds have no clock:
 -- they may come at any time. Zones need no extrapolation: a clock whose last deadline
 -- is over is dropped, so that each of them is bounded by one.
@@ -20,7 +23,7 @@ local zones = require "rfsm.explore.zones"
 
 local ipairs, math, rawget, setmetatable = ipairs, math, rawget, setmetatable
 local table = table
-local concat, floor, max = table.concat, math.floor, math.max
+local concat, floor, huge, max = table.concat, math.floor, math.huge, math.max
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local timing = {}
@@ -29,7 +32,9 @@ local timing = {}
 ---@class rfsm_checks.Timing
 ---@field subject rfsm_checks.Subject
 ---@field clocks rfsm_checks.Clock[] of states
----@field of table<rfsm_checks.Judged, rfsm_checks.Clock> of properties
+---@field of table<table, rfsm_checks.Clock> of properties, and of what is sent later
+---@field pending integer most events that wait to be sent
+---@field is_timed boolean some clock is not free
 ---@field unit number nanoseconds of which all times are multiples
 ---@field period number|false in units
 ---@field none rfsm_checks.Time that of no clock
@@ -40,11 +45,14 @@ local timing = {}
 local Timing = {}
 Timing.__index = Timing
 
---- A clock: of a state, or of a property, which may have several that are like it.
+--- A clock: of a state; or of a property or an event that is sent later, which may have
+--- several that are like it.
 ---@class rfsm_checks.Clock
 ---@field number integer
 ---@field state rfsm.State|false
 ---@field judged rfsm_checks.Judged|false
+---@field later rfsm_checks.Later|nil
+---@field is_free boolean|nil its deadline may be over at any time, or never
 ---@field deadlines number[] rising, in units
 ---@field events rfsm_checks.Occurrence[][] that come then
 
@@ -129,6 +137,19 @@ local function add_clocks(self, walk, are_free)
   end
 end
 
+-- Adds the clocks of events that are sent later.
+local function add_later(self, walk, are_free)
+  local own, count = self.subject, #self.clocks + #walk.monitored
+  for i, later in ipairs(own.later) do
+    local duration = nanoseconds(later.after)
+    local is_free = are_free or duration >= MOST
+    if is_free then own.free["sends with a delay"] = true end
+    self.of[later] = { number = count + i, state = false, judged = false, later = later,
+      is_free = is_free, deadlines = { is_free and 0 or duration },
+      events = { { later.occurrence } } }
+  end
+end
+
 local function greatest_divisor(a, b)
   while b > 0 do a, b = b, a % b end
   return a
@@ -138,6 +159,7 @@ end
 local function set_unit(self, walk)
   local all = { unpack(self.clocks) }
   for _, judged in ipairs(walk.monitored) do all[#all + 1] = self.of[judged] end
+  for _, later in ipairs(self.subject.later) do all[#all + 1] = self.of[later] end
   for _, clock in ipairs(all) do
     for _, deadline in ipairs(clock.deadlines) do
       self.unit = greatest_divisor(self.unit, deadline)
@@ -146,6 +168,7 @@ local function set_unit(self, walk)
   if self.unit == 0 then self.unit = BILLION end
   local longest = 0
   for _, clock in ipairs(all) do
+    self.is_timed = self.is_timed or not clock.is_free
     for i, deadline in ipairs(clock.deadlines) do
       clock.deadlines[i] = floor(deadline / self.unit)
       longest = max(longest, clock.deadlines[i])
@@ -171,14 +194,15 @@ end
 
 --- Return the clocks of a walk; false if there are none.
 ---@param walk rfsm_checks.Walk
----@param options { timers: string, period: number? }
+---@param options { timers: string, period: number?, pending: integer }
 ---@return rfsm_checks.Timing|false
 function timing.new(walk, options)
   local self = setmetatable({ subject = walk.subject, clocks = {}, of = {}, times = {},
     period = options.period and nanoseconds(options.period) or false, fired = {},
-    is_cut = false }, Timing)
+    pending = options.pending, is_timed = false, is_cut = false }, Timing)
   self.unit = self.period or 0
   add_clocks(self, walk, options.timers == "free")
+  add_later(self, walk, options.timers == "free")
   walk.subject.free.timers = has_free_timer(walk.subject)
   if not set_unit(self, walk) then return false end
   self.none = find_time(self, {}, zones.new())
@@ -192,6 +216,7 @@ local MANY_GROUPS = 200
 -- Bounds under which `over` of the deadlines of a clock are over: each { i, j, bound }.
 -- A step is not later than a period behind the first one.
 local function bounds_of(self, entry, i, over)
+  if entry.clock.is_free then return {} end
   local deadlines, passed = entry.clock.deadlines, entry.passed
   local bounds, following = {}, deadlines[passed + over + 1]
   if over > 0 then
@@ -221,8 +246,9 @@ local function bounded(zone, count, bounds)
 end
 
 local function add_group(self, groups, entries, found)
-  local group = { number = #groups + 1, over = {}, is_over = found.first ~= nil,
-    is_sure = true, ways = 0, events = {}, zone = found.zone, bounds = found.bounds }
+  local group = { number = #groups + 1, over = {},
+    is_over = found.first ~= nil or found.has_free, is_sure = true, ways = 0,
+    events = {}, zone = found.zone, bounds = found.bounds }
   for i, entry in ipairs(entries) do
     group.over[i] = found.over[i]
     for n = entry.passed + 1, entry.passed + found.over[i] do
@@ -238,14 +264,15 @@ end
 -- well; nil if they cannot be.
 local function extended(self, entries, count, found, over)
   local i = #found.over + 1
-  local bounds = bounds_of(self, entries[i], i, over)
-  if over > 0 and found.first and not self.period then
+  local bounds, is_free = bounds_of(self, entries[i], i, over), entries[i].clock.is_free
+  if over > 0 and found.first and not is_free and not self.period then
     add_same(entries, i, found.first, bounds)
   end
   local zone = bounded(found.zone, count, bounds)
   return zone and { over = match.with(found.over, over), zone = zone,
     bounds = match.joined(found.bounds, bounds),
-    first = found.first or over > 0 and i or nil }
+    has_free = found.has_free or is_free and over > 0,
+    first = found.first or over > 0 and not is_free and i or nil }
 end
 
 -- Adds all groups that agree with what was decided about the first entries.
@@ -275,8 +302,12 @@ local function new_groups(self, time, is_driven)
     bounds[1] = { count, 0, zones.at_most(self.period) }
   end
   zone = bounded(zones.up(zone, count), count, bounds)
-  add_groups(self, groups, entries, count, { over = {}, zone = zone, bounds = bounds })
+  add_groups(self, groups, entries, count, { over = {}, zone = zone, bounds = bounds,
+    has_free = false })
   local ways = 0
+  for _, entry in ipairs(entries) do
+    if entry.clock.is_free then ways = huge end
+  end
   for _, group in ipairs(groups) do
     if group.is_over then ways = ways + 1 end
     if is_soon then group.zone = zones.project(group.zone, count, sources) end
@@ -320,6 +351,24 @@ local function add_states(self, time, group, entries, sources)
   end
 end
 
+-- Adds the clocks of what is to be sent later: of what has not come and was not
+-- dropped, and of what the step has sent. Returns how many there are.
+local function add_pending(self, time, group, entries, sources)
+  local own, before = self.subject, #entries
+  for i, entry in ipairs(time.entries) do
+    local clock = entry.clock
+    if clock.later and group.over[i] == 0 and not own.dropped[clock.later] then
+      entries[#entries + 1] = entry
+      sources[#sources + 1] = clock.is_free and 0 or i
+    end
+  end
+  for _, later in ipairs(own.sent_later) do
+    entries[#entries + 1] = { clock = self.of[later], passed = 0 }
+    sources[#sources + 1] = 0
+  end
+  return #entries - before
+end
+
 -- Adds the clocks of monitors: all that were there, or those that `numbers` names.
 local function add_monitor(time, clock, numbers, entries, sources)
   local list = {}
@@ -337,11 +386,14 @@ end
 ---@param group rfsm_checks.Group
 ---@param walk rfsm_checks.Walk
 ---@param changed table<rfsm_checks.Judged, integer[]> clocks of monitors
----@return rfsm_checks.Time time
+---@return rfsm_checks.Time|nil time nil if too many events wait to be sent
 ---@return integer[] sources for each clock its number before, 0 if it is new
 function Timing:after(time, group, walk, changed)
   local entries, sources = {}, {}
   add_states(self, time, group, entries, sources)
+  if add_pending(self, time, group, entries, sources) > self.pending then
+    return nil, sources
+  end
   for _, judged in ipairs(walk.monitored) do
     if self.of[judged] then
       add_monitor(time, self.of[judged], changed[judged], entries, sources)

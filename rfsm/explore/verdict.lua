@@ -32,6 +32,7 @@ local verdict = {}
 ---@field transitions integer how many the chart has
 ---@field taken integer how many of them some step takes
 ---@field bound? "configurations"|"depth"|"seconds"|"choices"|"sets"|"targets"|"values"
+-- |"pending"
 ---@field untried string[] what was not tried, as texts; empty without a bound
 ---@field premises string "one event a step; guards and timers free"
 ---@field findings rfsm_checks.Finding[] with field `witness`
@@ -242,6 +243,10 @@ end
 local function is_waiting(walk, number)
   local conf = walk:configuration(number)
   local goes_on = subject.is_driven(conf)
+  for _, entry in ipairs(conf.context and conf.context.time
+    and conf.context.time.entries or {}) do
+    goes_on = goes_on or entry.clock.later ~= nil
+  end
   graph.each_step(walk, number, function(tgt, is_internal)
     goes_on = goes_on or is_internal and tgt ~= number
   end)
@@ -336,7 +341,9 @@ end
 -- Appends the premises about time.
 local function add_times(texts, walks, period)
   local is_timed = false
-  for _, walk in ipairs(walks) do is_timed = is_timed or walk.timing ~= false end
+  for _, walk in ipairs(walks) do
+    is_timed = is_timed or walk.timing and walk.timing.is_timed
+  end
   if not is_timed then return end
   texts[#texts + 1] = period and ("stepped every %s s"):format(rfsm.text_of(period))
     or "stepped between any two deadlines"
@@ -382,7 +389,9 @@ local function judge(result, judged, options)
   end
   return { name = judged.name, holds = judged.holds,
     vacuous = judged.holds and judged.vacuous or nil, witness = witness,
-    reason = judged.is_open and ", it depends on when timers expire" or "",
+    reason = not judged.is_open and ""
+      or walk.subject.free["sends with a delay"] and ", sends with a delay are free"
+      or ", it depends on when timers expire",
     premises = premises_of({ walk }, options)
       .. (monitors.owes[judged.property.kind] and "; doos end" or "") }
 end

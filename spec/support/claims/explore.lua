@@ -103,6 +103,8 @@ end
 ---@field random function
 ---@field seen table<string, true>
 ---@field sends table<string, string> what an effect sends, by the number of it
+---@field later table<string, table>|nil likewise later: `event`, `after`;
+-- `cancel`
 ---@field flags table<string, string> "+" or "-" by name
 ---@field sets table<string, table[]> what a callback sets: { name, sign }, by "entry F"
 
@@ -131,6 +133,19 @@ local function stands_of(fsm, flags)
   return texts
 end
 
+-- Sends an event later, or cancels all of a kind.
+local function send_later(world, fsm, later)
+  if not later then return end
+  world.ids = world.ids or {}
+  for _, id in ipairs(later.cancel and world.ids or {}) do
+    if id.event == later.cancel then rfsm_timeevent.cancel(fsm, id) end
+  end
+  if later.cancel then return end
+  local id = { event = later.event }
+  world.ids[#world.ids + 1] = id
+  rfsm_timeevent.send_after(fsm, later.after, later.event, id)
+end
+
 -- The callbacks of random runs.
 local function wanderer(world, fsm_of)
   local random, seen, sends = world.random, world.seen, world.sends
@@ -149,6 +164,7 @@ local function wanderer(world, fsm_of)
         seen["taken " .. id] = true
         set_flags(world, "effect " .. id)
         if sends[id] and fsm == fsm_of() then rfsm.send_events(fsm, sends[id]) end
+        send_later(world, fsm, world.later and world.later[id])
       end
     end,
     entry = function(id)
@@ -257,7 +273,7 @@ end
 local function follow(chart, witness, choice, watch)
   local answers, at, fsm = {}, 0, nil
   local world = { random = new_random(1), seen = {}, sends = choice.sends, flags = {},
-    sets = choice.sets }
+    sets = choice.sets, later = choice.later }
   for _, name in ipairs(choice.names) do world.flags[name] = "-" end
   local function answer()
     at = at + 1
@@ -299,7 +315,7 @@ local function follow(chart, witness, choice, watch)
 end
 
 claim.model_of, claim.wanderer, claim.stands_of = model_of, wanderer, stands_of
-claim.explored, claim.follow = explored, follow
+claim.explored, claim.follow, claim.paths_of = explored, follow, paths_of
 
 -- The claim -------------------------------------------------------------------------
 

@@ -1,6 +1,7 @@
 -- Timers in order, and properties with a time, against brute force: random charts on a
 -- clock of their own, run by hosts that keep the premise. What they reach was reached,
--- what is said to hold is not broken, and each witness replays with its times.
+-- what is said to hold is not broken, and each witness replays with its times. Effects
+-- of half of the charts send events later.
 
 local charts = require "spec.support.claims.explore"
 local explore = require "rfsm.explore.explore"
@@ -86,7 +87,67 @@ local function with_data(make, runs)
   return make
 end
 
+-- Events that are sent later ---------------------------------------------------------
+
+-- Has effects of the chart send events later, in its field `later`. Returns the option.
+local function add_later(chart, random)
+  local sends, path_of = {}, charts.paths_of(chart)
+  chart.later = {}
+  for _, number in ipairs(random:chance(50) and rfsm.sorted_keys(path_of) or {}) do
+    if random:chance(20) then
+      local later = { event = random:pick(EVENTS), after = (random:below(6) - 1) / 2 }
+      local item = { later.event, after = later.after }
+      if random:chance(20) then
+        later = { cancel = later.event }
+        item = later
+      end
+      chart.later[number], sends["effect " .. path_of[number]] = later, { item }
+    end
+  end
+  return sends
+end
+
+local function without(list, is_it)
+  for i = #list, 1, -1 do
+    if is_it(list[i]) then return table.remove(list, i) end
+  end
+end
+
+-- Returns the steps of a witness without the events that the machine sends itself.
+local function without_sends(witness)
+  local steps = {}
+  for i, step in ipairs(witness) do
+    local copy = { choices = step.choices, at = step.at, values = {}, inside = {} }
+    for n, event in ipairs(step.values) do copy.values[n] = event end
+    for n, inner in ipairs(step.inside) do copy.inside[n] = inner end
+    for _, text in ipairs(step.events) do
+      local event = text:match("^after .- s: (%w+)")
+      local prefix = event and text:match(" in (.*)$")
+      assert(not event or without(prefix and copy.inside or copy.values, function(own)
+        return own == event or prefix and own.event == event and own.prefix == prefix
+      end))
+    end
+    steps[i] = copy
+  end
+  return steps
+end
+
+local function choice_of(chart)
+  return { sends = {}, sets = {}, names = {}, later = chart.later }
+end
+
 -- Hosts -------------------------------------------------------------------------------
+
+local function time_of(at) return math.floor(at.sec * MS + at.nsec / 1e6 + 0.5) end
+
+-- Adds the times of properties.
+local function add_monitors(watched, add)
+  for _, monitor in ipairs(watched.monitors) do
+    for _, began in ipairs(monitor.clocks) do
+      add(math.floor((began + monitor.property.seconds) * MS + 0.5))
+    end
+  end
+end
 
 -- Lists the moments behind which timers of active states, or times of properties, are
 -- over. One that is now is not over yet.
@@ -102,15 +163,14 @@ local function deadlines_of(fsm, watched, now)
         local alone, event = timers.alone and timers.alone[timer], timer.event
         local at = alone or { sec = timers.sec + event.sec,
           nsec = timers.nsec + event.nsec }
-        add(math.floor(at.sec * MS + at.nsec / 1e6 + 0.5))
+        add(time_of(at))
       end
     end
-  end
-  for _, monitor in ipairs(watched.monitors) do
-    for _, began in ipairs(monitor.clocks) do
-      add(math.floor((began + monitor.property.seconds) * MS + 0.5))
+    for _, send in ipairs((entry.machine._timeevent or {}).sends or {}) do
+      add(time_of(send))
     end
   end
+  add_monitors(watched, add)
   table.sort(list)
   return list
 end
@@ -137,7 +197,7 @@ function claim.run_at_random(chart, properties, options, seed)
   local events = chart.events or EVENTS
   local fsm, now, seen, broken = nil, 0, {}, {}
   local world = { random = new_random(seed), seen = seen, sends = {}, flags = {},
-    sets = {} }
+    sets = {}, later = chart.later }
   local make = charts.wanderer(world, function() return fsm end)
   fsm = rfsm.init(charts.model_of(chart, with_data(make, {}), ""))
   for _, entry in ipairs(rfsm.machines(fsm)) do
@@ -174,7 +234,7 @@ local IS_SHOWN = { reach_within = true, left_within = true, stays = true,
 -- Does the witness of a property break it, with its times?
 local function is_shown(chart, witness, name, property)
   local is_broken = false
-  charts.follow(chart, witness, { sends = {}, sets = {}, names = {} }, function(fsm)
+  charts.follow(chart, without_sends(witness), choice_of(chart), function(fsm)
     fsm.err = function(text)
       if tostring(text):find("property '" .. name .. "'", 1, true) then
         is_broken = true
@@ -203,7 +263,7 @@ local function explore_chart(chart, properties, options)
   return rfsm_checks.explore(model, options), explore.walk(model, options)
 end
 
-claim.counts = { holds = 0, broken = 0, open = 0, configurations = 0 }
+claim.counts = { holds = 0, broken = 0, open = 0, configurations = 0, later = 0 }
 
 -- Appends verdicts that random runs break, and witnesses that show nothing.
 function claim.check_properties(seed, chart, properties, result, broken, list)
@@ -215,9 +275,25 @@ function claim.check_properties(seed, chart, properties, result, broken, list)
     if judged.holds and broken[judged.name] then
       list[#list + 1] = text .. " holds, and was broken"
     end
-    if judged.holds == false and IS_SHOWN[property.kind]
+    if judged.holds == false and not chart.is_free and IS_SHOWN[property.kind]
       and not is_shown(chart, judged.witness, judged.name, property) then
       list[#list + 1] = text .. " is violated, and its witness does not show it"
+    end
+  end
+end
+
+-- Appends which witnesses lead elsewhere.
+local function follow_some(seed, chart, walk, random, list)
+  local shown = charts.explored(walk)
+  local texts = rfsm.sorted_keys(shown)
+  for _ = 1, FOLLOWED do
+    local text = random:pick(texts)
+    local step = shown[text]
+    if step then
+      local witness = walk:witness(step.at, step.label)
+      if not charts.follow(chart, without_sends(witness), choice_of(chart))[text] then
+        list[#list + 1] = ("%d: %s is not reached"):format(seed, text)
+      end
     end
   end
 end
@@ -227,6 +303,9 @@ local function compare(seed, list)
   local chart, random = charts.chart(seed, 0, true), new_random(seed + 29)
   local properties = properties_of(chart, random)
   local options = { together = 1, period = random:chance(30) and 0.75 or nil }
+  options.sends = add_later(chart, random)
+  chart.is_free = random:chance(15)
+  options.timers = chart.is_free and "free" or nil
   local result, walk = explore_chart(chart, properties, options)
   if result.bound then return end
   local seen, broken = claim.run_at_random(chart, properties, options, seed)
@@ -236,18 +315,9 @@ local function compare(seed, list)
       list[#list + 1] = ("%d: %s was seen"):format(seed, text)
     end
   end
-  local texts = rfsm.sorted_keys(shown)
-  for _ = 1, FOLLOWED do
-    local text = random:pick(texts)
-    local step = shown[text]
-    if step then
-      local witness = walk:witness(step.at, step.label)
-      if not charts.follow(chart, witness, { sends = {}, sets = {}, names = {} })[text]
-      then
-        list[#list + 1] = ("%d: %s is not reached"):format(seed, text)
-      end
-    end
-  end
+  if not chart.is_free then follow_some(seed, chart, walk, random, list) end
+  local counts = claim.counts
+  counts.later = counts.later + (next(chart.later) and 1 or 0)
   claim.check_properties(seed, chart, properties, result, broken, list)
   return true
 end
