@@ -89,13 +89,40 @@ end
 
 -- Events that are sent later ---------------------------------------------------------
 
+local LATE = "e9" -- comes from no host
+
+-- Has transitions of a chart and its regions react to LATE. Adds the events that they
+-- name to a set.
+local function react_to_late(chart, random, named)
+  for _, tr in ipairs(chart.transitions) do
+    for _, event in ipairs(tr.events_ref or {}) do named[event] = true end
+    if tr.events_ref and random:chance(30) then
+      table.insert(tr.events_ref, LATE)
+    end
+  end
+  for _, fqn in ipairs(rfsm.sorted_keys(chart.regions)) do
+    for _, region in ipairs(chart.regions[fqn].of) do
+      react_to_late(region, random, named)
+    end
+  end
+end
+
+-- Returns the events that a host may send, of those that are named.
+local function alphabet_of(named)
+  local list = {}
+  for _, event in ipairs(EVENTS) do
+    if named[event] then list[#list + 1] = event end
+  end
+  return list
+end
+
 -- Has effects of the chart send events later, in its field `later`. Returns the option.
 local function add_later(chart, random)
   local sends, path_of = {}, charts.paths_of(chart)
   chart.later = {}
-  for _, number in ipairs(random:chance(50) and rfsm.sorted_keys(path_of) or {}) do
+  for _, number in ipairs(rfsm.sorted_keys(path_of)) do
     if random:chance(20) then
-      local later = { event = random:pick(EVENTS), after = (random:below(6) - 1) / 2 }
+      local later = { event = LATE, after = (random:below(6) - 1) / 2 }
       local item = { later.event, after = later.after }
       if random:chance(20) then
         later = { cancel = later.event }
@@ -298,12 +325,19 @@ local function follow_some(seed, chart, walk, random, list)
   end
 end
 
+local function send_late(chart, random, options)
+  local named = {}
+  react_to_late(chart, random, named)
+  options.sends, options.alphabet = add_later(chart, random), alphabet_of(named)
+  chart.events = options.alphabet[1] and options.alphabet or nil
+end
+
 -- Appends what is wrong. Returns whether the chart was compared.
 local function compare(seed, list)
   local chart, random = charts.chart(seed, 0, true), new_random(seed + 29)
   local properties = properties_of(chart, random)
   local options = { together = 1, period = random:chance(30) and 0.75 or nil }
-  options.sends = add_later(chart, random)
+  if random:chance(50) then send_late(chart, random, options) end
   chart.is_free = random:chance(15)
   options.timers = chart.is_free and "free" or nil
   local result, walk = explore_chart(chart, properties, options)
@@ -317,7 +351,7 @@ local function compare(seed, list)
   end
   if not chart.is_free then follow_some(seed, chart, walk, random, list) end
   local counts = claim.counts
-  counts.later = counts.later + (next(chart.later) and 1 or 0)
+  counts.later = counts.later + (next(chart.later or {}) and 1 or 0)
   claim.check_properties(seed, chart, properties, result, broken, list)
   return true
 end
