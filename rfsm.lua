@@ -540,8 +540,8 @@ local clone_below, new_node, new_transition
 
 do
   local ROOT_FIELDS = {}
-  for i = 1, 4 do ROOT_FIELDS[PRINTERS[i]] = true end
-  for i = 1, #HOOKS do ROOT_FIELDS[HOOKS[i]] = true end
+  for _, name in ipairs(PRINTERS) do ROOT_FIELDS[name] = true end
+  for _, name in ipairs(HOOKS) do ROOT_FIELDS[name] = true end
 
   -- The engine's own fields that anybody may read: never taken for the user's data.
   local API_FIELDS = {}
@@ -1254,7 +1254,6 @@ local function make_elements(fsm, plan, first_node, first_transition)
     transitions[i] = setmetatable(tr, def.proto)
     rawset(parent, def.id, tr)
   end
-  return fsm
 end
 
 -- Lists in each node the transitions that leave it.
@@ -2519,7 +2518,7 @@ function rfsm.location_of(obj, field)
   return (file and file .. ": " or "") .. name_of(def, field)
 end
 
-local build_plan, new_build, new_machine, plan_of
+local build_plan, new_build, plan_of
 
 do
   -- The plans of models, kept by their machines; the latest one in any case, for
@@ -2561,11 +2560,11 @@ do
 
   local function check_root(build, root)
     local model = root.model
-    for i = 1, #HOOKS do check_callable(build, root, HOOKS[i], model[HOOKS[i]]) end
-    for i = 1, 4 do
-      local printer = model[PRINTERS[i]]
+    for _, name in ipairs(HOOKS) do check_callable(build, root, name, model[name]) end
+    for _, name in ipairs(PRINTERS) do
+      local printer = model[name]
       if printer and printer ~= true and not is_callable(printer) then
-        add(build.problems, root, PRINTERS[i], "function, true or false expected, "
+        add(build.problems, root, name, "function, true or false expected, "
           .. got(printer))
       end
     end
@@ -2608,29 +2607,24 @@ do
     drop_fast()
     is_sparing, latest_plan = true, nil
   end
-
-  function new_machine(plan)
-    local fsm = own_fields()
-    fsm["_%def"], fsm._plan, fsm._parent, fsm._nodes = plan.nodes[1], plan, fsm, { fsm }
-    return make_elements(fsm, plan, 2, 1)
-  end
 end
 
--- Gives a machine functions for its printers. Wrong ones are replaced.
-local function finish_machine(fsm)
-  for i = 1, 4 do
-    local name = PRINTERS[i]
+-- Makes a machine of a plan. Wrong printers are replaced.
+local function new_machine(plan)
+  local fsm = own_fields()
+  fsm["_%def"], fsm._plan, fsm._parent, fsm._nodes = plan.nodes[1], plan, fsm, { fsm }
+  make_elements(fsm, plan, 2, 1)
+  for _, name in ipairs(PRINTERS) do
     local printer = printer_of(fsm, name)
     fsm[name] = is_callable(printer) and printer or DEFAULT_PRINTER[name]
   end
   for name in pairs(STEP_HOOKS) do -- any order: each stands alone
-    fsm._is_hooked = fsm._is_hooked or fsm[name] and true or false
-    fsm[name] = fsm[name] or nil
+    if fsm[name] then fsm._is_hooked = true else fsm[name] = nil end
   end
   return setmetatable(fsm, Machine)
 end
 
-interpret(finish_machine)
+interpret(new_machine)
 
 -- Prints a line for each problem of a list.
 local function report_lines(fsm, name, list)
@@ -2868,7 +2862,7 @@ function rfsm.init(model)
   if not plan then return refuse_model(model, nil, problems) end
   load_fast()
   if rfsm.is_strict(model) then find_module("rfsm.strict") end
-  local fsm = finish_machine(new_machine(plan))
+  local fsm = new_machine(plan)
   fsm._initialized = true
   report_lines(fsm, "info", plan.created)
   list_otrs(fsm, plan)
