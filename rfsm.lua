@@ -530,6 +530,14 @@ end
 
 local model_of = rfsm.model_of
 
+-- Is `value` a node of that machine? A live state, if `kind` says so.
+local function is_node_of(fsm, value, kind)
+  local value_kind = kind_of(value)
+  local def = value_kind and value["_%def"]
+  return type(def) == "table" and (not kind or value_kind == kind)
+    and rawequal(fsm._nodes[def.index], value)
+end
+
 -- A node table of a model may stand in several places: notes that `def` is one of them.
 local function note_mount(build, def)
   local mounts = build.mounts[def.model] or {}
@@ -804,9 +812,8 @@ do
   -- A node table of the model may be mounted more than once: the nearest clone counts.
   local function find_mounted(build, composite, ref)
     local nearest, most, is_tie = nil, -1, false
-    local nodes, live = build.fsm and build.fsm._nodes, getmetatable(ref)["_%def"]
-    if nodes and live and rawequal(nodes[live.index], ref) then
-      return build.plan.nodes[live.index]
+    if build.fsm and is_node_of(build.fsm, ref) then
+      return build.plan.nodes[ref["_%def"].index]
     end
     for _, mount in ipairs(build.mounts[model_of(ref)] or {}) do
       local depth = find_lca(composite, mount).depth
@@ -1029,19 +1036,18 @@ do
   end
 end
 
-local function new_plan(model)
+local function new_plan(model, warnings, created)
   return {
     model = model, nodes = {}, transitions = {}, events = {}, trail = false,
-    warnings = NONE, created = NONE, variant = false,
+    warnings = warnings, created = created, variant = false,
   }
 end
 
 -- Returns a plan like this one, for changes: its definitions are new ones, in the same
 -- order. Parents come before children.
 local function copy_plan(plan)
-  local copy = new_plan(plan.model)
+  local copy = new_plan(plan.model, plan.warnings, plan.created)
   local nodes, transitions = copy.nodes, copy.transitions
-  copy.warnings, copy.created = plan.warnings, plan.created
   for i, def in ipairs(plan.nodes) do
     nodes[i] = {
       kind = def.kind, index = i, id = def.id, parent = false, model = def.model,
@@ -1265,6 +1271,18 @@ local function list_otrs(fsm, plan)
     for j = 2, #otrs do list[j] = transitions[otrs[j].index] end
     nodes[i]._otrs = list
   end
+end
+
+-- Makes a machine use another plan, in which its elements have the same positions.
+local function use_plan(fsm, plan)
+  fsm._ways = {}
+  if fsm._phase == "idle" then fsm._path = fsm._path and NONE end
+  fsm._plan, fsm["_%def"] = plan, plan.nodes[1]
+  for i = 2, #fsm._nodes do setmetatable(fsm._nodes[i], plan.nodes[i].proto) end
+  for i, tr in ipairs(fsm._transitions) do
+    setmetatable(tr, plan.transitions[i].proto)
+  end
+  list_otrs(fsm, plan)
 end
 
 -- Report: what a machine says to its printers, and errors that wait ---------------
@@ -2473,14 +2491,6 @@ local function check_function(f, where)
   if not is_callable(f) then error(where .. ": function expected, " .. got(f), 3) end
 end
 
--- Is `value` a node of that machine? A live state, if `kind` says so.
-local function is_node_of(fsm, value, kind)
-  local value_kind = kind_of(value)
-  local def = value_kind and value["_%def"]
-  return type(def) == "table" and (not kind or value_kind == kind)
-    and rawequal(fsm._nodes[def.index], value)
-end
-
 -- Digits padded, so that trans[10] comes after trans[2].
 local function natural(text)
   return (text:gsub("%d+", function(n) return ("0"):rep(12 - #n) .. n end))
@@ -2692,7 +2702,7 @@ rfsm.preproc = {}
 ---@type (fun(event: string): string?, string?)[]
 rfsm.makers = {}
 
-local preprocess, use_plan
+local preprocess
 
 do
   -- Each transition gets what a preproc function may change: the events and priority
@@ -2762,9 +2772,8 @@ do
 
   -- Returns a plan with the definitions of one that only one machine has, for changes.
   local function renewed(plan)
-    local variant = new_plan(plan.model)
+    local variant = new_plan(plan.model, plan.warnings, plan.created)
     variant.nodes, variant.transitions = plan.nodes, plan.transitions
-    variant.warnings, variant.created = plan.warnings, plan.created
     for _, def in ipairs(plan.nodes) do def.paths = nil end
     for _, def in ipairs(plan.transitions) do
       def.connector, def.aimed, def.is_asked = nil, nil, nil
@@ -3684,25 +3693,7 @@ end
 
 -- Merge: a new element of a live machine ------------------------------------------
 
--- Makes a machine use another plan, in which its elements have the same positions.
-function use_plan(fsm, plan)
-  fsm._ways = {}
-  if fsm._phase == "idle" then fsm._path = fsm._path and NONE end
-  fsm._plan, fsm["_%def"] = plan, plan.nodes[1]
-  for i = 2, #fsm._nodes do setmetatable(fsm._nodes[i], plan.nodes[i].proto) end
-  for i, tr in ipairs(fsm._transitions) do
-    setmetatable(tr, plan.transitions[i].proto)
-  end
-  list_otrs(fsm, plan)
-end
-
 do
-  -- Is `state` the state `other`, or inside of it?
-  local function is_inside(state, other)
-    while state ~= other and state._parent ~= state do state = state._parent end
-    return state == other
-  end
-
   -- Why nothing can be added below `parent`, a leaf so far; nil when it can.
   local function leaf_obstacle(fsm, parent)
     if parent._mode ~= "inactive" then
@@ -3725,7 +3716,8 @@ do
       return "a name expected, got NaN"
     elseif id ~= nil and rawget(parent, id) ~= nil then
       return ("'%s' has a member '%s' already"):format(parent._fqn, text_of(id))
-    elseif rawget(obj, "_parent") and is_inside(parent, obj) then
+    elseif is_node_of(fsm, obj)
+      and find_lca(parent["_%def"], obj["_%def"]) == obj["_%def"] then
       return ("'%s' cannot contain itself"):format(obj._fqn)
     elseif kind ~= "transition" and parent["_%def"].is_leaf then
       return leaf_obstacle(fsm, parent)
