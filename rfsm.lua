@@ -1227,7 +1227,6 @@ end
 
 interpret(clone_data)
 
--- Gives an element its callbacks and the user's data.
 local function give_data(element, def, copies)
   local data = def.data
   for i = 1, #data, 2 do
@@ -1262,7 +1261,6 @@ local function make_elements(fsm, plan, first_node, first_transition)
   end
 end
 
--- Lists in each node the transitions that leave it.
 local function list_otrs(fsm, plan)
   local transitions, nodes = fsm._transitions, fsm._nodes
   for i = 1, #plan.nodes do
@@ -1389,7 +1387,6 @@ local function tell(fsm, hooks, ...)
   if hooks then return tell_from(1, fsm, hooks, ...) end
 end
 
--- Calls the watch hooks for what happens.
 local function tell_watch(fsm, what, ...)
   if fsm._watch_hooks then return tell(fsm, fsm._watch_hooks[what], ...) end
 end
@@ -1936,7 +1933,6 @@ do
   end
 end
 
--- Calls the callback `name` of a state or transition.
 local function run_callback(fsm, owner, name, at, ...)
   local callback = owner[name]
   if not callback then return end
@@ -2161,9 +2157,9 @@ do
     return path_of(leaf, first, ways)
   end
 
-  -- Notes in a list of candidates, and returns, the function that takes the path to
-  -- which they lead without a search; false if they may lead to several, or not yet
-  -- often.
+  -- Returns the function that takes the path to which a list of candidates leads
+  -- without a search; false if it may lead to several, or has not led there often. The
+  -- list keeps the answer once it is final.
   function quick_run(leaf, choice, name)
     local def = choice[1]
     local path = def and not (choice[2] or def.is_asked) and straight_path(leaf, def)
@@ -2281,7 +2277,6 @@ do
   end
 end
 
--- The end of a doo cycle.
 local function finish_cycle(fsm, idle)
   if idle and fsm._curq[1] == nil and fsm.getevents ~= no_events
     and (fsm._at < 3 or fsm._given) then
@@ -2636,7 +2631,6 @@ end
 
 interpret(new_machine)
 
--- Prints a line for each problem of a list.
 local function report_lines(fsm, name, list)
   if fsm[name] == silent then return end
   for _, line in ipairs(lines_of(list)) do
@@ -2839,11 +2833,9 @@ function rfsm.is_strict(root)
   return getenv and getenv("RFSM_STRICT") == "1" or false
 end
 
--- Reports the problems of a model to `err`.
 local function refuse_model(model, fsm, problems)
-  local err = model.err
-  if err and err ~= true and not is_callable(err) then err = nil end
-  fsm = fsm or { err = err }
+  local err = printer_of(model, "err")
+  fsm = fsm or { err = is_callable(err) and err or DEFAULT_PRINTER.err }
   local text = summary("rfsm.init", problems)
   report(fsm, "err", text)
   raise_failure(fsm)
@@ -2945,7 +2937,6 @@ local function check_no_step(fsm, where, level)
     .. "resumed, rfsm.init(fsm) makes a fresh machine", level)
 end
 
--- Calls `iterate`; an error that ends it marks the machine.
 local function try(fsm, after_free)
   local ok, counted, idle = pcall(iterate, fsm, after_free)
   if not ok then raise_cut(fsm, counted) end
@@ -3128,8 +3119,8 @@ end
 do
   local function itself(element) return element end
 
-  -- Lists the elements of a machine that is being prepared, all of its plan, which has
-  -- the order of their definitions then.
+  -- Lists the elements of a machine that is being prepared. They stand in the order of
+  -- `mapfsm`, which is found once for all machines of its plan.
   local function planned_elements(fsm, pred)
     local nodes, transitions, order = fsm._nodes, fsm._transitions, fsm._plan.order
     if not order then
@@ -3752,7 +3743,7 @@ do
     for i = 1, first - 1 do
       local def = build.plan.transitions[i]
       if def.tgt == parent and not def.is_internal then
-        moved[i], def.tgt = true, find_entrance(build, def, parent)
+        moved[#moved + 1], def.tgt = i, find_entrance(build, def, parent)
       end
     end
     return moved
@@ -3771,15 +3762,12 @@ do
 
   -- Uses a plan, and its targets for the transitions in `moved`.
   local function use_targets(fsm, plan, moved)
-    for i = 1, #plan.transitions do
-      if moved[i] then
-        fsm._transitions[i].tgt = fsm._nodes[plan.transitions[i].tgt.index]
-      end
+    for _, i in ipairs(moved) do
+      fsm._transitions[i].tgt = fsm._nodes[plan.transitions[i].tgt.index]
     end
     use_plan(fsm, plan)
   end
 
-  -- The machine is again as it was with the plan `plan`.
   local function undo_merge(fsm, plan, moved)
     truncate(fsm._transitions, #plan.transitions + 1)
     truncate(fsm._nodes, #plan.nodes + 1)
