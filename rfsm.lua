@@ -937,6 +937,7 @@ end
 ---@field events table<any, true> the events that transitions name
 ---@field trail table|false see `is_current`; only the plan of a model has one
 ---@field variant rfsm.Plan|false what preproc functions have made of it, the latest
+---@field order rfsm.Def[]? as `mapfsm` goes, once a preproc function has asked
 
 local compile, compile_transition, line_to
 
@@ -1571,8 +1572,8 @@ local function matches(def, events)
   return false
 end
 
--- A transition of the machine has got another target. Returns its definition with that
--- target, of which one is made; nil if that is no node of the machine.
+-- Returns the definition of a transition with the target that the machine has set in
+-- place of the model's; it is made once. Nil if that is no node of the machine.
 local function retarget(fsm, def, tgt)
   local node = is_node(tgt) and getmetatable(tgt)["_%def"]
   if rawequal(tgt, fsm) then node = fsm._plan.nodes[1] end
@@ -1694,9 +1695,9 @@ do
   local OTHER = {} -- stands for all events that no transition from the leaf names
   local NO_CHOICE = { run = false, run_hooked = false, find = false }
 
-  -- Lists the transitions that each event may trigger while the leaf is active, in
-  -- order. `ignored` is the leaf's e_done if nothing waits for it, else NaN, which
-  -- equals no event.
+  -- Lists the choice of each event while the leaf is active: its candidates, the
+  -- transitions that it may trigger, in order. `ignored` is the leaf's e_done if nothing
+  -- waits for it, else NaN, which equals no event.
   function list_choices(leaf)
     local choices, lists = { [OTHER] = {} }, {}
     lists[1] = choices[OTHER]
@@ -1724,7 +1725,6 @@ do
     return choices
   end
 
-  -- Returns the candidates of one event.
   function choice_of(leaf, event)
     local choices = leaf.choices ~= NONE and leaf.choices or list_choices(leaf)
     return choices[event] or choices[OTHER]
@@ -1842,11 +1842,11 @@ local function follow(fsm, after_free, leaf, def)
   return conclude(fsm, "free")
 end
 
--- The phase "search". `list` has the candidates, if they are known.
-function search(fsm, after_free, list)
+-- The phase "search". `choice` has the candidates, if they are known.
+function search(fsm, after_free, choice)
   local leaf, events = fsm._act_leaf, fsm._curq
   if leaf then
-    return follow(fsm, after_free, leaf, choose(fsm, leaf, events, list))
+    return follow(fsm, after_free, leaf, choose(fsm, leaf, events, choice))
   end
   local path = find_entry(fsm, events)
   if not path then return refuse_entry(fsm, events) end
@@ -2145,7 +2145,8 @@ do
 
   -- Returns the path that is taken whenever the transition `def` is the only candidate,
   -- if no guard or other target has been set since: each connector has a single
-  -- transition, without events. Nil if there is no such path.
+  -- transition, without events. Nil if there is no such path, or none of ten segments
+  -- at most: connectors may be a cycle.
   local function straight_path(leaf, def)
     local first, ways, count = compile_transition(def), {}, 1
     while def.connector do
@@ -3774,7 +3775,7 @@ do
     use_targets(fsm, plan, moved)
   end
 
-  -- A preproc function has raised an error, perhaps within another one.
+  -- A preproc function has raised an error. Function `outer`, which merges, goes on.
   local function stop_preprocessing(fsm, outer)
     fsm._preparing = outer
     for _, tr in ipairs(outer and NONE or fsm._transitions) do
