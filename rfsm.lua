@@ -889,6 +889,7 @@ do
     return src, nil, true
   end
 
+  -- Returns true if the transition has both ends.
   local function resolve_transition(build, def)
     local src, src_reason = find_end(build, def, "src")
     if src and src.kind == "connector" then src.is_left = true end
@@ -898,12 +899,10 @@ do
       if tgt_reason then add(build.problems, def, nil, tgt_reason) end
     end
     tgt = is_internal and src or tgt and find_entrance(build, def, tgt)
-    if not (src and tgt) then
-      def.is_void = true
-      return
-    end
+    if not (src and tgt) then return false end
     def.src, def.tgt, def.is_internal = src, tgt, is_internal
     resolve_e_done(build, def)
+    return true
   end
 
   -- Resolves the transitions from number `first` on. Inside a leaf, one with a wrong
@@ -913,9 +912,8 @@ do
     for i = first, #transitions do create_initial(build, transitions[i]) end
     for i = first, #transitions do
       local def = transitions[i]
-      resolve_transition(build, def)
       transitions[i] = nil
-      if not def.is_void then
+      if resolve_transition(build, def) then
         kept = kept + 1
         transitions[kept], def.index = def, kept
       end
@@ -1696,8 +1694,8 @@ do
   local NO_CHOICE = { run = false, run_hooked = false, find = false }
 
   -- Lists the choice of each event while the leaf is active: its candidates, the
-  -- transitions that it may trigger, in order. `ignored` is the leaf's e_done if nothing
-  -- waits for it, else NaN, which equals no event.
+  -- transitions that it may trigger, in order. `ignored` is the leaf's e_done if
+  -- nothing waits for it, else NaN, which equals no event.
   function list_choices(leaf)
     local choices, lists = { [OTHER] = {} }, {}
     lists[1] = choices[OTHER]
