@@ -1524,29 +1524,27 @@ local function reset_now(fsm)
   fsm._reset_wanted = false
 end
 
-do
-  -- What is pending becomes current: the queue and the list of the last iteration,
-  -- which is empty, change places. If that was cut short, both are one list, or the one
-  -- of the last iteration has events: they come first.
-  local function take_queue(fsm)
-    local queue, spare = fsm._intq, fsm._curq
-    if rawequal(queue, spare) or spare[1] ~= nil then
-      queue = rawequal(queue, spare) and queue or append(append({}, spare), queue)
-      spare = {}
-    end
-    fsm._curq = queue
-    fsm._intq = spare
+-- What is pending becomes current: the queue and the list of the last iteration,
+-- which is empty, change places. If that was cut short, both are one list, or the one
+-- of the last iteration has events: they come first.
+local function take_queue(fsm)
+  local queue, spare = fsm._intq, fsm._curq
+  if rawequal(queue, spare) or spare[1] ~= nil then
+    queue = rawequal(queue, spare) and queue or append(append({}, spare), queue)
+    spare = {}
   end
+  fsm._curq = queue
+  fsm._intq = spare
+end
 
-  function PHASES.gather(fsm, after_free)
-    if fsm._reset_wanted then
-      fsm._curq = {}
-      reset_now(fsm)
-    end
-    if fsm._hook < 0 then take_queue(fsm) end
-    ask_hooks(fsm)
-    return search(fsm, after_free)
+function PHASES.gather(fsm, after_free)
+  if fsm._reset_wanted then
+    fsm._curq = {}
+    reset_now(fsm)
   end
+  if fsm._hook < 0 then take_queue(fsm) end
+  ask_hooks(fsm)
+  return search(fsm, after_free)
 end
 
 -- Search: the path that the events enable .........................................
