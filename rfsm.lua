@@ -3405,7 +3405,6 @@ end
 do
   local IN_STEP = { _pre_hooks = true, _post_hooks = true, _path_hooks = true }
 
-  -- Makes the function that adds a hook to the list `field` of a machine.
   local function hook_adder(where, field)
     return function(fsm, hook, place)
       check_machine(fsm, where)
@@ -3452,7 +3451,6 @@ do
     end
   end
 
-  -- Makes the function that adds a hook to the list `field` of a state.
   local function state_hook_adder(where, field)
     return function(fsm, state, hook)
       check_machine(fsm, where)
