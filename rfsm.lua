@@ -530,6 +530,14 @@ end
 
 local model_of = rfsm.model_of
 
+-- Is `value` a node of that machine? A live state, if `kind` says so.
+local function is_node_of(fsm, value, kind)
+  local value_kind = kind_of(value)
+  local def = value_kind and value["_%def"]
+  return type(def) == "table" and (not kind or value_kind == kind)
+    and rawequal(fsm._nodes[def.index], value)
+end
+
 -- A node table of a model may stand in several places: notes that `def` is one of them.
 local function note_mount(build, def)
   local mounts = build.mounts[def.model] or {}
@@ -540,8 +548,8 @@ local clone_below, new_node, new_transition
 
 do
   local ROOT_FIELDS = {}
-  for i = 1, 4 do ROOT_FIELDS[PRINTERS[i]] = true end
-  for i = 1, #HOOKS do ROOT_FIELDS[HOOKS[i]] = true end
+  for _, name in ipairs(PRINTERS) do ROOT_FIELDS[name] = true end
+  for _, name in ipairs(HOOKS) do ROOT_FIELDS[name] = true end
 
   -- The engine's own fields that anybody may read: never taken for the user's data.
   local API_FIELDS = {}
@@ -804,9 +812,8 @@ do
   -- A node table of the model may be mounted more than once: the nearest clone counts.
   local function find_mounted(build, composite, ref)
     local nearest, most, is_tie = nil, -1, false
-    local nodes, live = build.fsm and build.fsm._nodes, getmetatable(ref)["_%def"]
-    if nodes and live and rawequal(nodes[live.index], ref) then
-      return build.plan.nodes[live.index]
+    if build.fsm and is_node_of(build.fsm, ref) then
+      return build.plan.nodes[ref["_%def"].index]
     end
     for _, mount in ipairs(build.mounts[model_of(ref)] or {}) do
       local depth = find_lca(composite, mount).depth
@@ -882,6 +889,7 @@ do
     return src, nil, true
   end
 
+  -- Returns true if the transition has both ends.
   local function resolve_transition(build, def)
     local src, src_reason = find_end(build, def, "src")
     if src and src.kind == "connector" then src.is_left = true end
@@ -891,12 +899,10 @@ do
       if tgt_reason then add(build.problems, def, nil, tgt_reason) end
     end
     tgt = is_internal and src or tgt and find_entrance(build, def, tgt)
-    if not (src and tgt) then
-      def.is_void = true
-      return
-    end
+    if not (src and tgt) then return false end
     def.src, def.tgt, def.is_internal = src, tgt, is_internal
     resolve_e_done(build, def)
+    return true
   end
 
   -- Resolves the transitions from number `first` on. Inside a leaf, one with a wrong
@@ -906,9 +912,8 @@ do
     for i = first, #transitions do create_initial(build, transitions[i]) end
     for i = first, #transitions do
       local def = transitions[i]
-      resolve_transition(build, def)
       transitions[i] = nil
-      if not def.is_void then
+      if resolve_transition(build, def) then
         kept = kept + 1
         transitions[kept], def.index = def, kept
       end
@@ -930,6 +935,7 @@ end
 ---@field events table<any, true> the events that transitions name
 ---@field trail table|false see `is_current`; only the plan of a model has one
 ---@field variant rfsm.Plan|false what preproc functions have made of it, the latest
+---@field order rfsm.Def[]? as `mapfsm` goes, once a preproc function has asked
 
 local compile, compile_transition, line_to
 
@@ -1029,19 +1035,18 @@ do
   end
 end
 
-local function new_plan(model)
+local function new_plan(model, warnings, created)
   return {
     model = model, nodes = {}, transitions = {}, events = {}, trail = false,
-    warnings = NONE, created = NONE, variant = false,
+    warnings = warnings, created = created, variant = false,
   }
 end
 
 -- Returns a plan like this one, for changes: its definitions are new ones, in the same
 -- order. Parents come before children.
 local function copy_plan(plan)
-  local copy = new_plan(plan.model)
+  local copy = new_plan(plan.model, plan.warnings, plan.created)
   local nodes, transitions = copy.nodes, copy.transitions
-  copy.warnings, copy.created = plan.warnings, plan.created
   for i, def in ipairs(plan.nodes) do
     nodes[i] = {
       kind = def.kind, index = i, id = def.id, parent = false, model = def.model,
@@ -1221,7 +1226,6 @@ end
 
 interpret(clone_data)
 
--- Gives an element its callbacks and the user's data.
 local function give_data(element, def, copies)
   local data = def.data
   for i = 1, #data, 2 do
@@ -1254,10 +1258,8 @@ local function make_elements(fsm, plan, first_node, first_transition)
     transitions[i] = setmetatable(tr, def.proto)
     rawset(parent, def.id, tr)
   end
-  return fsm
 end
 
--- Lists in each node the transitions that leave it.
 local function list_otrs(fsm, plan)
   local transitions, nodes = fsm._transitions, fsm._nodes
   for i = 1, #plan.nodes do
@@ -1266,6 +1268,18 @@ local function list_otrs(fsm, plan)
     for j = 2, #otrs do list[j] = transitions[otrs[j].index] end
     nodes[i]._otrs = list
   end
+end
+
+-- Makes a machine use another plan, in which its elements have the same positions.
+local function use_plan(fsm, plan)
+  fsm._ways = {}
+  if fsm._phase == "idle" then fsm._path = fsm._path and NONE end
+  fsm._plan, fsm["_%def"] = plan, plan.nodes[1]
+  for i = 2, #fsm._nodes do setmetatable(fsm._nodes[i], plan.nodes[i].proto) end
+  for i, tr in ipairs(fsm._transitions) do
+    setmetatable(tr, plan.transitions[i].proto)
+  end
+  list_otrs(fsm, plan)
 end
 
 -- Report: what a machine says to its printers, and errors that wait ---------------
@@ -1372,7 +1386,6 @@ local function tell(fsm, hooks, ...)
   if hooks then return tell_from(1, fsm, hooks, ...) end
 end
 
--- Calls the watch hooks for what happens.
 local function tell_watch(fsm, what, ...)
   if fsm._watch_hooks then return tell(fsm, fsm._watch_hooks[what], ...) end
 end
@@ -1511,29 +1524,27 @@ local function reset_now(fsm)
   fsm._reset_wanted = false
 end
 
-do
-  -- What is pending becomes current: the queue and the list of the last iteration,
-  -- which is empty, change places. If that was cut short, both are one list, or the one
-  -- of the last iteration has events: they come first.
-  local function take_queue(fsm)
-    local queue, spare = fsm._intq, fsm._curq
-    if rawequal(queue, spare) or spare[1] ~= nil then
-      queue = rawequal(queue, spare) and queue or append(append({}, spare), queue)
-      spare = {}
-    end
-    fsm._curq = queue
-    fsm._intq = spare
+-- What is pending becomes current: the queue and the list of the last iteration,
+-- which is empty, change places. If that was cut short, both are one list, or the one
+-- of the last iteration has events: they come first.
+local function take_queue(fsm)
+  local queue, spare = fsm._intq, fsm._curq
+  if rawequal(queue, spare) or spare[1] ~= nil then
+    queue = rawequal(queue, spare) and queue or append(append({}, spare), queue)
+    spare = {}
   end
+  fsm._curq = queue
+  fsm._intq = spare
+end
 
-  function PHASES.gather(fsm, after_free)
-    if fsm._reset_wanted then
-      fsm._curq = {}
-      reset_now(fsm)
-    end
-    if fsm._hook < 0 then take_queue(fsm) end
-    ask_hooks(fsm)
-    return search(fsm, after_free)
+function PHASES.gather(fsm, after_free)
+  if fsm._reset_wanted then
+    fsm._curq = {}
+    reset_now(fsm)
   end
+  if fsm._hook < 0 then take_queue(fsm) end
+  ask_hooks(fsm)
+  return search(fsm, after_free)
 end
 
 -- Search: the path that the events enable .........................................
@@ -1557,8 +1568,8 @@ local function matches(def, events)
   return false
 end
 
--- A transition of the machine has got another target. Returns its definition with that
--- target, of which one is made; nil if that is no node of the machine.
+-- Returns the definition of a transition with the target that the machine has set in
+-- place of the model's; it is made once. Nil if that is no node of the machine.
 local function retarget(fsm, def, tgt)
   local node = is_node(tgt) and getmetatable(tgt)["_%def"]
   if rawequal(tgt, fsm) then node = fsm._plan.nodes[1] end
@@ -1680,9 +1691,9 @@ do
   local OTHER = {} -- stands for all events that no transition from the leaf names
   local NO_CHOICE = { run = false, run_hooked = false, find = false }
 
-  -- Lists the transitions that each event may trigger while the leaf is active, in
-  -- order. `ignored` is the leaf's e_done if nothing waits for it, else NaN, which
-  -- equals no event.
+  -- Lists the choice of each event while the leaf is active: its candidates, the
+  -- transitions that it may trigger, in order. `ignored` is the leaf's e_done if
+  -- nothing waits for it, else NaN, which equals no event.
   function list_choices(leaf)
     local choices, lists = { [OTHER] = {} }, {}
     lists[1] = choices[OTHER]
@@ -1710,7 +1721,6 @@ do
     return choices
   end
 
-  -- Returns the candidates of one event.
   function choice_of(leaf, event)
     local choices = leaf.choices ~= NONE and leaf.choices or list_choices(leaf)
     return choices[event] or choices[OTHER]
@@ -1828,11 +1838,11 @@ local function follow(fsm, after_free, leaf, def)
   return conclude(fsm, "free")
 end
 
--- The phase "search". `list` has the candidates, if they are known.
-function search(fsm, after_free, list)
+-- The phase "search". `choice` has the candidates, if they are known.
+function search(fsm, after_free, choice)
   local leaf, events = fsm._act_leaf, fsm._curq
   if leaf then
-    return follow(fsm, after_free, leaf, choose(fsm, leaf, events, list))
+    return follow(fsm, after_free, leaf, choose(fsm, leaf, events, choice))
   end
   local path = find_entry(fsm, events)
   if not path then return refuse_entry(fsm, events) end
@@ -1919,7 +1929,6 @@ do
   end
 end
 
--- Calls the callback `name` of a state or transition.
 local function run_callback(fsm, owner, name, at, ...)
   local callback = owner[name]
   if not callback then return end
@@ -2132,7 +2141,8 @@ do
 
   -- Returns the path that is taken whenever the transition `def` is the only candidate,
   -- if no guard or other target has been set since: each connector has a single
-  -- transition, without events. Nil if there is no such path.
+  -- transition, without events. Nil if there is no such path, or none of ten segments
+  -- at most: connectors may be a cycle.
   local function straight_path(leaf, def)
     local first, ways, count = compile_transition(def), {}, 1
     while def.connector do
@@ -2144,9 +2154,9 @@ do
     return path_of(leaf, first, ways)
   end
 
-  -- Notes in a list of candidates, and returns, the function that takes the path to
-  -- which they lead without a search; false if they may lead to several, or not yet
-  -- often.
+  -- Returns the function that takes the path to which a list of candidates leads
+  -- without a search; false if it may lead to several, or has not led there often. The
+  -- list keeps the answer once it is final.
   function quick_run(leaf, choice, name)
     local def = choice[1]
     local path = def and not (choice[2] or def.is_asked) and straight_path(leaf, def)
@@ -2264,7 +2274,6 @@ do
   end
 end
 
--- The end of a doo cycle.
 local function finish_cycle(fsm, idle)
   if idle and fsm._curq[1] == nil and fsm.getevents ~= no_events
     and (fsm._at < 3 or fsm._given) then
@@ -2474,14 +2483,6 @@ local function check_function(f, where)
   if not is_callable(f) then error(where .. ": function expected, " .. got(f), 3) end
 end
 
--- Is `value` a node of that machine? A live state, if `kind` says so.
-local function is_node_of(fsm, value, kind)
-  local value_kind = kind_of(value)
-  local def = value_kind and value["_%def"]
-  return type(def) == "table" and (not kind or value_kind == kind)
-    and rawequal(fsm._nodes[def.index], value)
-end
-
 -- Digits padded, so that trans[10] comes after trans[2].
 local function natural(text)
   return (text:gsub("%d+", function(n) return ("0"):rep(12 - #n) .. n end))
@@ -2519,7 +2520,7 @@ function rfsm.location_of(obj, field)
   return (file and file .. ": " or "") .. name_of(def, field)
 end
 
-local build_plan, new_build, new_machine, plan_of
+local build_plan, new_build, plan_of
 
 do
   -- The plans of models, kept by their machines; the latest one in any case, for
@@ -2561,11 +2562,11 @@ do
 
   local function check_root(build, root)
     local model = root.model
-    for i = 1, #HOOKS do check_callable(build, root, HOOKS[i], model[HOOKS[i]]) end
-    for i = 1, 4 do
-      local printer = model[PRINTERS[i]]
+    for _, name in ipairs(HOOKS) do check_callable(build, root, name, model[name]) end
+    for _, name in ipairs(PRINTERS) do
+      local printer = model[name]
       if printer and printer ~= true and not is_callable(printer) then
-        add(build.problems, root, PRINTERS[i], "function, true or false expected, "
+        add(build.problems, root, name, "function, true or false expected, "
           .. got(printer))
       end
     end
@@ -2608,31 +2609,25 @@ do
     drop_fast()
     is_sparing, latest_plan = true, nil
   end
-
-  function new_machine(plan)
-    local fsm = own_fields()
-    fsm["_%def"], fsm._plan, fsm._parent, fsm._nodes = plan.nodes[1], plan, fsm, { fsm }
-    return make_elements(fsm, plan, 2, 1)
-  end
 end
 
--- Gives a machine functions for its printers. Wrong ones are replaced.
-local function finish_machine(fsm)
-  for i = 1, 4 do
-    local name = PRINTERS[i]
+-- Makes a machine of a plan. Wrong printers are replaced.
+local function new_machine(plan)
+  local fsm = own_fields()
+  fsm["_%def"], fsm._plan, fsm._parent, fsm._nodes = plan.nodes[1], plan, fsm, { fsm }
+  make_elements(fsm, plan, 2, 1)
+  for _, name in ipairs(PRINTERS) do
     local printer = printer_of(fsm, name)
     fsm[name] = is_callable(printer) and printer or DEFAULT_PRINTER[name]
   end
   for name in pairs(STEP_HOOKS) do -- any order: each stands alone
-    fsm._is_hooked = fsm._is_hooked or fsm[name] and true or false
-    fsm[name] = fsm[name] or nil
+    if fsm[name] then fsm._is_hooked = true else fsm[name] = nil end
   end
   return setmetatable(fsm, Machine)
 end
 
-interpret(finish_machine)
+interpret(new_machine)
 
--- Prints a line for each problem of a list.
 local function report_lines(fsm, name, list)
   if fsm[name] == silent then return end
   for _, line in ipairs(lines_of(list)) do
@@ -2698,7 +2693,7 @@ rfsm.preproc = {}
 ---@type (fun(event: string): string?, string?)[]
 rfsm.makers = {}
 
-local preprocess, use_plan
+local preprocess
 
 do
   -- Each transition gets what a preproc function may change: the events and priority
@@ -2768,9 +2763,8 @@ do
 
   -- Returns a plan with the definitions of one that only one machine has, for changes.
   local function renewed(plan)
-    local variant = new_plan(plan.model)
+    local variant = new_plan(plan.model, plan.warnings, plan.created)
     variant.nodes, variant.transitions = plan.nodes, plan.transitions
-    variant.warnings, variant.created = plan.warnings, plan.created
     for _, def in ipairs(plan.nodes) do def.paths = nil end
     for _, def in ipairs(plan.transitions) do
       def.connector, def.aimed, def.is_asked = nil, nil, nil
@@ -2836,11 +2830,9 @@ function rfsm.is_strict(root)
   return getenv and getenv("RFSM_STRICT") == "1" or false
 end
 
--- Reports the problems of a model to `err`.
 local function refuse_model(model, fsm, problems)
-  local err = model.err
-  if err and err ~= true and not is_callable(err) then err = nil end
-  fsm = fsm or { err = err }
+  local err = printer_of(model, "err")
+  fsm = fsm or { err = is_callable(err) and err or DEFAULT_PRINTER.err }
   local text = summary("rfsm.init", problems)
   report(fsm, "err", text)
   raise_failure(fsm)
@@ -2868,7 +2860,7 @@ function rfsm.init(model)
   if not plan then return refuse_model(model, nil, problems) end
   load_fast()
   if rfsm.is_strict(model) then find_module("rfsm.strict") end
-  local fsm = finish_machine(new_machine(plan))
+  local fsm = new_machine(plan)
   fsm._initialized = true
   report_lines(fsm, "info", plan.created)
   list_otrs(fsm, plan)
@@ -2942,7 +2934,6 @@ local function check_no_step(fsm, where, level)
     .. "resumed, rfsm.init(fsm) makes a fresh machine", level)
 end
 
--- Calls `iterate`; an error that ends it marks the machine.
 local function try(fsm, after_free)
   local ok, counted, idle = pcall(iterate, fsm, after_free)
   if not ok then raise_cut(fsm, counted) end
@@ -3125,8 +3116,8 @@ end
 do
   local function itself(element) return element end
 
-  -- Lists the elements of a machine that is being prepared, all of its plan, which has
-  -- the order of their definitions then.
+  -- Lists the elements of a machine that is being prepared. They stand in the order of
+  -- `mapfsm`, which is found once for all machines of its plan.
   local function planned_elements(fsm, pred)
     local nodes, transitions, order = fsm._nodes, fsm._transitions, fsm._plan.order
     if not order then
@@ -3414,7 +3405,6 @@ end
 do
   local IN_STEP = { _pre_hooks = true, _post_hooks = true, _path_hooks = true }
 
-  -- Makes the function that adds a hook to the list `field` of a machine.
   local function hook_adder(where, field)
     return function(fsm, hook, place)
       check_machine(fsm, where)
@@ -3461,7 +3451,6 @@ do
     end
   end
 
-  -- Makes the function that adds a hook to the list `field` of a state.
   local function state_hook_adder(where, field)
     return function(fsm, state, hook)
       check_machine(fsm, where)
@@ -3690,25 +3679,7 @@ end
 
 -- Merge: a new element of a live machine ------------------------------------------
 
--- Makes a machine use another plan, in which its elements have the same positions.
-function use_plan(fsm, plan)
-  fsm._ways = {}
-  if fsm._phase == "idle" then fsm._path = fsm._path and NONE end
-  fsm._plan, fsm["_%def"] = plan, plan.nodes[1]
-  for i = 2, #fsm._nodes do setmetatable(fsm._nodes[i], plan.nodes[i].proto) end
-  for i, tr in ipairs(fsm._transitions) do
-    setmetatable(tr, plan.transitions[i].proto)
-  end
-  list_otrs(fsm, plan)
-end
-
 do
-  -- Is `state` the state `other`, or inside of it?
-  local function is_inside(state, other)
-    while state ~= other and state._parent ~= state do state = state._parent end
-    return state == other
-  end
-
   -- Why nothing can be added below `parent`, a leaf so far; nil when it can.
   local function leaf_obstacle(fsm, parent)
     if parent._mode ~= "inactive" then
@@ -3731,7 +3702,8 @@ do
       return "a name expected, got NaN"
     elseif id ~= nil and rawget(parent, id) ~= nil then
       return ("'%s' has a member '%s' already"):format(parent._fqn, text_of(id))
-    elseif rawget(obj, "_parent") and is_inside(parent, obj) then
+    elseif is_node_of(fsm, obj)
+      and find_lca(parent["_%def"], obj["_%def"]) == obj["_%def"] then
       return ("'%s' cannot contain itself"):format(obj._fqn)
     elseif kind ~= "transition" and parent["_%def"].is_leaf then
       return leaf_obstacle(fsm, parent)
@@ -3766,7 +3738,7 @@ do
     for i = 1, first - 1 do
       local def = build.plan.transitions[i]
       if def.tgt == parent and not def.is_internal then
-        moved[i], def.tgt = true, find_entrance(build, def, parent)
+        moved[#moved + 1], def.tgt = i, find_entrance(build, def, parent)
       end
     end
     return moved
@@ -3785,22 +3757,19 @@ do
 
   -- Uses a plan, and its targets for the transitions in `moved`.
   local function use_targets(fsm, plan, moved)
-    for i = 1, #plan.transitions do
-      if moved[i] then
-        fsm._transitions[i].tgt = fsm._nodes[plan.transitions[i].tgt.index]
-      end
+    for _, i in ipairs(moved) do
+      fsm._transitions[i].tgt = fsm._nodes[plan.transitions[i].tgt.index]
     end
     use_plan(fsm, plan)
   end
 
-  -- The machine is again as it was with the plan `plan`.
   local function undo_merge(fsm, plan, moved)
     truncate(fsm._transitions, #plan.transitions + 1)
     truncate(fsm._nodes, #plan.nodes + 1)
     use_targets(fsm, plan, moved)
   end
 
-  -- A preproc function has raised an error, perhaps within another one.
+  -- A preproc function has raised an error. Function `outer`, which merges, goes on.
   local function stop_preprocessing(fsm, outer)
     fsm._preparing = outer
     for _, tr in ipairs(outer and NONE or fsm._transitions) do

@@ -375,7 +375,6 @@ end
 --- Return the warning of an `initial` that may not be enabled: its composite has no
 --- entry then.
 function advice.initial(def)
-  if def.id ~= "initial" or not def.otrs[1] then return "" end
   for _, tr in ipairs(def.otrs) do
     if not (tr.events or tr.guard) then return "" end
   end
@@ -386,7 +385,7 @@ end
 --- Return the warning of an event such as e_after(1) that no extension has made its
 --- own. An extension that knows the word has warned itself.
 function advice.event(_, event)
-  local word = type(event) == "string" and event:match("^([%w_]+)%(.*%)$")
+  local word = event:match("^([%w_]+)%(.*%)$")
   local hint = word and advice.module_of(word)
   if not hint then return "" end
   return ("no loaded extension knows '%s'%s"):format(event, hint), "events"
