@@ -467,6 +467,17 @@ SELECT regexp_replace(error, '.*:[0-9]+: ', '') FROM rfsm.log ORDER BY id;]]))
       { "select(2, load('return +', 'x'))", "unexpected symbol near '+'" },
       { "load('return x', 'x', 't', { x = 5 })()", "5" },
       { "load('return math.floor(...)')(2.5)", "2" },
+      { "load('return debug')()", "global 'debug' does not exist in PostgreSQL" },
+      { "getmetatable(load('return _ENV')())", "false" },
+      { "pcall(setmetatable, load('return _ENV')(), {})", "false" },
+      { "rawget(load('return _ENV')(), 'spi')", "nil" },
+      { "rawget(_G, 'spi')", "nil" },
+      { "rawget(_G, 'debug')", "nil" },
+      { "getmetatable(cjson.encode({}))", "true" },
+      { "getmetatable('')", "true" },
+      { "getmetatable(redis.call)", "nil" },
+      { "(function(find) return find('pllua.' .. 'spi') end)(require)",
+        "module 'pllua.spi' not found" },
     } do
       ways[i] = ("{ %q, function() return %s end },\n"):format(case[1], case[1])
       expected[i] = case[1] .. " -> " .. case[2] .. "\n"

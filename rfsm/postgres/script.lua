@@ -43,6 +43,7 @@ do
     return load(text, name, "t", globals == nil and sandbox or globals)
   end
   sandbox = setmetatable({}, {
+    __metatable = false,
     __index = function(_, name)
       if _G[name] ~= nil then return _G[name] end
       error("global '" .. tostring(name) .. "' does not exist in PostgreSQL", 2)
