@@ -940,6 +940,41 @@ COMMIT;]]):gsub("COMMAND", function()
     end)
   end
 
+  -- Returns what is printed while a file is loaded, and a transaction holds a table.
+  local function load_beside(options, table_name, seconds)
+    local library = helper.file_with((script.sql({ "counter="
+      .. helper.file_with(COUNTER) }, options)))
+    local wait = server:beside("BEGIN; SELECT FROM " .. table_name .. " LIMIT 1; "
+      .. "SELECT pg_sleep(" .. seconds .. ")")
+    server:wait_for("SELECT true FROM pg_locks WHERE relation = '" .. table_name
+      .. "'::regclass AND pid <> pg_backend_pid() LIMIT 1")
+    local output = servers.output_of(server:command("psql",
+      "-Xq -v ON_ERROR_STOP=1 -v VERBOSITY=terse -f " .. library))
+    server:sql("SELECT pg_cancel_backend(pid) FROM pg_stat_activity WHERE query LIKE "
+      .. "'SELECT pg_sleep%'")
+    wait()
+    return (output:gsub("^psql:[^ ]+:%d+: ", ""):gsub("pid %d+", "pid N"))
+  end
+
+  it("waits a few times for a table that is to change, and names who holds it",
+    function()
+      load_counter {}
+      assert.equal("", load_beside(BOTH, "rfsm.machines", 1))
+      assert.equal("ERROR:  rfsm: nothing was loaded: other sessions hold tables that "
+        .. "are to change (pid N); load again when their transactions have ended\n",
+        load_beside({}, "rfsm.machines", 60))
+      assert.equal("note_move\nnote_new\nnotify_move\nnotify_new\n", triggers "tgname")
+      assert.equal("", load_beside(BOTH, "rfsm.machines", 60))
+    end)
+
+  it("gets the columns that a version before lacks", function()
+    load_counter {}
+    server:sql("ALTER TABLE rfsm.out DROP due, DROP tries, DROP error")
+    assert.equal("", load_beside({}, "rfsm.out", 1))
+    assert.equal("0\n", sql(
+      "INSERT INTO rfsm.out (key, what) VALUES ('1', 'x') RETURNING tries"))
+  end)
+
   it("keeps its triggers, also if its functions are found without a schema", function()
     load_counter(BOTH)
     local before = triggers "oid"
