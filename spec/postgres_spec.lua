@@ -550,6 +550,21 @@ SELECT due > now() + interval '50 s' FROM rfsm.machines;
 SELECT error FROM rfsm.log;]]))
   end)
 
+  it("has at most 1000 lines in the log, also if it cannot be woken", function()
+    assert.equal("1000|12\n1|1011\n1000|13\n", sql([[
+SET client_min_messages = error;
+SELECT rfsm.create('1', 'counter') \gset
+INSERT INTO rfsm.log (key, error) SELECT '1', i FROM generate_series(1, 1010) i;
+INSERT INTO rfsm.log (key, error) VALUES ('2', 'other');
+UPDATE rfsm.machines SET value = jsonb_set(value, '{1}', '"gone"'), due = now();
+SELECT rfsm.wake() \gset
+SELECT count(*), min(id) FROM rfsm.log GROUP BY key ORDER BY key;
+SELECT rfsm.create('1b', 'lamp') \gset
+UPDATE rfsm.log SET key = '1b' WHERE key = '1';
+SELECT rfsm.send('1b', 'e_look') \gset
+SELECT count(*), min(id) FROM rfsm.log WHERE key = '1b';]]))
+  end)
+
   it("gets events at a time, unless they are taken back", function()
     assert.equal("root.even\nroot.even\nt\nf\nroot.even\n1\nroot.odd|e_tick\n", sql([[
 SELECT rfsm.create('1', 'counter');

@@ -2,7 +2,7 @@
 --
 -- What is there already stays; functions are replaced. No table is locked that is as it
 -- should be, so a load and the clients do not wait for each other. $TAG, $CODE, $ID,
--- $HISTORY and $NOTIFY are texts that `rfsm.postgres.script` puts in.
+-- $LOG, $HISTORY and $NOTIFY are texts that `rfsm.postgres.script` puts in.
 --
 -- @module rfsm.postgres.schema
 -- @license BSD-3-Clause
@@ -194,7 +194,7 @@ BEGIN
         NULL;
       WHEN OTHERS THEN
         UPDATE rfsm.machines SET due = now() + interval '1 minute' WHERE key = each;
-        INSERT INTO rfsm.log (key, error) VALUES (each, SQLERRM);
+        $LOG;
     END;
   END LOOP;
   RETURN woken;
