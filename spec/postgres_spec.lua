@@ -467,6 +467,17 @@ SELECT regexp_replace(error, '.*:[0-9]+: ', '') FROM rfsm.log ORDER BY id;]]))
       { "select(2, load('return +', 'x'))", "unexpected symbol near '+'" },
       { "load('return x', 'x', 't', { x = 5 })()", "5" },
       { "load('return math.floor(...)')(2.5)", "2" },
+      { "load('return debug')()", "global 'debug' does not exist in PostgreSQL" },
+      { "getmetatable(load('return _ENV')())", "false" },
+      { "pcall(setmetatable, load('return _ENV')(), {})", "false" },
+      { "rawget(load('return _ENV')(), 'spi')", "nil" },
+      { "rawget(_G, 'spi')", "nil" },
+      { "rawget(_G, 'debug')", "nil" },
+      { "getmetatable(cjson.encode({}))", "true" },
+      { "getmetatable('')", "true" },
+      { "getmetatable(redis.call)", "nil" },
+      { "(function(find) return find('pllua.' .. 'spi') end)(require)",
+        "module 'pllua.spi' not found" },
     } do
       ways[i] = ("{ %q, function() return %s end },\n"):format(case[1], case[1])
       expected[i] = case[1] .. " -> " .. case[2] .. "\n"
@@ -537,6 +548,21 @@ UPDATE rfsm.machines SET value = jsonb_set(value, '{1}', '"gone"'), due = now();
 SELECT rfsm.wake();
 SELECT due > now() + interval '50 s' FROM rfsm.machines;
 SELECT error FROM rfsm.log;]]))
+  end)
+
+  it("has at most 1000 lines in the log, also if it cannot be woken", function()
+    assert.equal("1000|12\n1|1011\n1000|13\n", sql([[
+SET client_min_messages = error;
+SELECT rfsm.create('1', 'counter') \gset
+INSERT INTO rfsm.log (key, error) SELECT '1', i FROM generate_series(1, 1010) i;
+INSERT INTO rfsm.log (key, error) VALUES ('2', 'other');
+UPDATE rfsm.machines SET value = jsonb_set(value, '{1}', '"gone"'), due = now();
+SELECT rfsm.wake() \gset
+SELECT count(*), min(id) FROM rfsm.log GROUP BY key ORDER BY key;
+SELECT rfsm.create('1b', 'lamp') \gset
+UPDATE rfsm.log SET key = '1b' WHERE key = '1';
+SELECT rfsm.send('1b', 'e_look') \gset
+SELECT count(*), min(id) FROM rfsm.log WHERE key = '1b';]]))
   end)
 
   it("gets events at a time, unless they are taken back", function()
@@ -928,6 +954,41 @@ COMMIT;]]):gsub("COMMAND", function()
       end)))
     end)
   end
+
+  -- Returns what is printed while a file is loaded, and a transaction holds a table.
+  local function load_beside(options, table_name, seconds)
+    local library = helper.file_with((script.sql({ "counter="
+      .. helper.file_with(COUNTER) }, options)))
+    local wait = server:beside("BEGIN; SELECT FROM " .. table_name .. " LIMIT 1; "
+      .. "SELECT pg_sleep(" .. seconds .. ")")
+    server:wait_for("SELECT true FROM pg_locks WHERE relation = '" .. table_name
+      .. "'::regclass AND pid <> pg_backend_pid() LIMIT 1")
+    local output = servers.output_of(server:command("psql",
+      "-Xq -v ON_ERROR_STOP=1 -v VERBOSITY=terse -f " .. library))
+    server:sql("SELECT pg_cancel_backend(pid) FROM pg_stat_activity WHERE query LIKE "
+      .. "'SELECT pg_sleep%'")
+    wait()
+    return (output:gsub("^psql:[^ ]+:%d+: ", ""):gsub("pid %d+", "pid N"))
+  end
+
+  it("waits a few times for a table that is to change, and names who holds it",
+    function()
+      load_counter {}
+      assert.equal("", load_beside(BOTH, "rfsm.machines", 1))
+      assert.equal("ERROR:  rfsm: nothing was loaded: other sessions hold tables that "
+        .. "are to change (pid N); load again when their transactions have ended\n",
+        load_beside({}, "rfsm.machines", 60))
+      assert.equal("note_move\nnote_new\nnotify_move\nnotify_new\n", triggers "tgname")
+      assert.equal("", load_beside(BOTH, "rfsm.machines", 60))
+    end)
+
+  it("gets the columns that a version before lacks", function()
+    load_counter {}
+    server:sql("ALTER TABLE rfsm.out DROP due, DROP tries, DROP error")
+    assert.equal("", load_beside({}, "rfsm.out", 1))
+    assert.equal("0\n", sql(
+      "INSERT INTO rfsm.out (key, what) VALUES ('1', 'x') RETURNING tries"))
+  end)
 
   it("keeps its triggers, also if its functions are found without a schema", function()
     load_counter(BOTH)

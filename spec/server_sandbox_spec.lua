@@ -108,6 +108,7 @@ describe("a chart in the sandbox", function()
     ["local p = package.path"] = "f.lua:1: 'package.path' does not exist in Redis",
     ["dofile 'x'"] = "f.lua:1: 'dofile' does not exist in Redis",
     ["loadfile(x)"] = "f.lua:1: 'loadfile' does not exist in Redis",
+    ["getfenv(0)"] = "f.lua:1: 'getfenv' does not exist in Redis",
     ["if os.time() == 1 then end"] = "f.lua:1: 'os.time' does not exist in Redis",
     ["if io == nil then end"] = "f.lua:1: 'io' does not exist in Redis",
     ["\nlocal x = nothing"] = "f.lua:2: global 'nothing' does not exist in Redis",
@@ -178,4 +179,75 @@ describe("a bundle", function()
       assert.matches(case.problem, (problem:gsub(file:gsub("%p", "%%%0"), "FILE")))
     end)
   end
+end)
+
+-- Each is an error or nil if it leads to nothing that a server lacks.
+local WAYS_OUT = {
+  "load('return os.exit')()",
+  "load('return _ENV.os.exit')()",
+  "load('return _G.os.exit')()",
+  "load(('return os.exit'):gmatch('.'))()",
+  "load('return os.exit', 'x', 't', nil)()",
+  "load('return load(...)()')('return os.exit')",
+  "coroutine.wrap(load('return os.exit'))()",
+  "(load(string.dump(function() return print end), 'x', 'b'))",
+  "_G['loadstring']('return os.exit')()",
+  "_G['getfenv'](0)",
+  "_G['getfenv'](print)",
+  "_G['setfenv'](1, {})",
+  "rawget(_G, 'os').exit",
+  "rawget(_G, 'io')",
+  "rawget(_G, 'debug').getupvalue(setmetatable, 1)",
+  "rawget(_G, 'package').loaded",
+  "rawget(_G, 'require')('os')",
+  "rawget(_G, 'require')('debug').getupvalue(setmetatable, 1)",
+  "rawget(_G, 'require')('_G')",
+  "rawget(_G, 'require')('ffi')",
+  "rawget(_G, 'jit').util",
+  "getmetatable(_G).__index",
+  "getmetatable(setmetatable(_G, {}))",
+  "getmetatable('').__index.os",
+}
+
+describe("a way out of the sandbox", function()
+  -- Returns the ways that a function finds.
+  local function found_by(is_open)
+    local found = {}
+    for _, way in ipairs(WAYS_OUT) do
+      if is_open(("local function find() return %s end"):format(way)) then
+        found[#found + 1] = way
+      end
+    end
+    return found
+  end
+
+  for _, server in ipairs { "Redis", "PostgreSQL" } do
+    it("is not there when a chart is loaded for " .. server, function()
+      assert.same({}, found_by(function(text)
+        local _, problem = sandbox.load(text .. [[
+ local ok, value = pcall(find) error(ok and value ~= nil and "out" or "in", 0)]],
+          "f.lua", server)
+        assert.matches("^in$", problem == "out" and "in" or problem)
+        return problem == "out"
+      end))
+    end)
+
+    it("is not there when a client runs the library of " .. server, function()
+      assert.same({}, found_by(function(text)
+        local result = {}
+        sandbox.run(text .. " local ok, value = pcall(find) "
+          .. "cjson.is_out = ok and value ~= nil", { cjson = result }, server)
+        return result.is_out
+      end))
+    end)
+  end
+
+  it("would be found", function()
+    local open = { "rawget(_G, 'print')", "load('return print')()" }
+    for _, way in ipairs(open) do
+      local result = {}
+      sandbox.run("cjson.value = " .. way, { cjson = result })
+      assert.equal(print, result.value)
+    end
+  end)
 end)

@@ -62,9 +62,9 @@ host.STATEMENTS = {
   remove = [[WITH log AS (DELETE FROM rfsm.log WHERE key = $1)
     DELETE FROM rfsm.machines WHERE key = $1 RETURNING key]],
   emit = "INSERT INTO rfsm.out (key, what, data) VALUES ($1, $2, $3::jsonb)",
-  log = "INSERT INTO rfsm.log (key, error) VALUES ($1, $2)",
-  trim = [[DELETE FROM rfsm.log WHERE key = $1 AND id <= (SELECT id FROM rfsm.log
-    WHERE key = $1 ORDER BY id DESC OFFSET 1000 LIMIT 1)]],
+  log = [[WITH trimmed AS (DELETE FROM rfsm.log WHERE key = $1 AND id <= (SELECT id
+      FROM rfsm.log WHERE key = $1 ORDER BY id DESC OFFSET 999 LIMIT 1))
+    INSERT INTO rfsm.log (key, error) VALUES ($1, $2)]],
 }
 
 -- Commands of Redis -----------------------------------------------------------
@@ -145,7 +145,6 @@ local function save_effects(server, row, execute)
     execute("log", row.key, text)
     server.warn(row.key .. ": " .. text)
   end
-  if row.errors[1] then execute("trim", row.key) end
 end
 
 -- Writes a row, of which `view` is what rfsm_get shows; false if a new one is there.

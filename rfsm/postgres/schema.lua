@@ -2,12 +2,33 @@
 --
 -- What is there already stays; functions are replaced. No table is locked that is as it
 -- should be, so a load and the clients do not wait for each other. $TAG, $CODE, $ID,
--- $HISTORY and $NOTIFY are texts that `rfsm.postgres.script` puts in.
+-- $LOG, $HISTORY and $NOTIFY are texts that `rfsm.postgres.script` puts in.
 --
 -- @module rfsm.postgres.schema
 -- @license BSD-3-Clause
 
 local schema = {}
+
+-- Locks tables that are to change. Clients wait behind it, so it gives up soon, lets
+-- them pass, and tries again.
+local LOCK = [[
+    FOR try IN 1..5 LOOP
+      BEGIN
+        SET LOCAL lock_timeout = '500ms';
+        LOCK TABLE rfsm.machines, rfsm.out;
+        EXIT;
+      EXCEPTION WHEN lock_not_available THEN
+        IF try = 5 THEN
+          RAISE EXCEPTION 'rfsm: nothing was loaded: other sessions hold tables that '
+            'are to change (pid %); load again when their transactions have ended',
+            (SELECT string_agg(DISTINCT pid::text, ', ') FROM pg_locks
+              WHERE granted AND pid <> pg_backend_pid()
+              AND relation IN ('rfsm.machines'::regclass, 'rfsm.out'::regclass));
+        END IF;
+        PERFORM pg_sleep(0.5);
+      END;
+    END LOOP;
+]]
 
 schema.HEAD = [[
 -- Made by: rfsm postgres. All of it, or nothing: one transaction.
@@ -65,6 +86,7 @@ DO $$ BEGIN
   END IF;
   IF NOT EXISTS (SELECT FROM pg_attribute
     WHERE attrelid = 'rfsm.out'::regclass AND attname = 'due') THEN
+]] .. LOCK .. [[
     ALTER TABLE rfsm.out ADD due timestamptz, -- a worker has it until then
       ADD tries integer NOT NULL DEFAULT 0, ADD error text; -- the latest one
   END IF;
@@ -172,7 +194,7 @@ BEGIN
         NULL;
       WHEN OTHERS THEN
         UPDATE rfsm.machines SET due = now() + interval '1 minute' WHERE key = each;
-        INSERT INTO rfsm.log (key, error) VALUES (each, SQLERRM);
+        $LOG;
     END;
   END LOOP;
   RETURN woken;
@@ -339,6 +361,7 @@ BEGIN
     LEFT JOIN pg_trigger t ON tgrelid = 'rfsm.machines'::regclass AND tgname = name
   LOOP
     CONTINUE WHEN each.found IS NOT DISTINCT FROM each.wanted;
+]] .. LOCK .. [[
     EXECUTE format('DROP TRIGGER IF EXISTS %s ON rfsm.machines', each.name);
     IF each.wanted IS NOT NULL THEN EXECUTE each.wanted; END IF;
   END LOOP;

@@ -7,6 +7,7 @@
 -- @license BSD-3-Clause
 
 local add_module = require("rfsm.server.bundle").add
+local host = require "rfsm.postgres.host"
 local library = require "rfsm.server.library"
 local schema = require "rfsm.postgres.schema"
 
@@ -43,6 +44,7 @@ do
     return load(text, name, "t", globals == nil and sandbox or globals)
   end
   sandbox = setmetatable({}, {
+    __metatable = false,
     __index = function(_, name)
       if _G[name] ~= nil then return _G[name] end
       error("global '" .. tostring(name) .. "' does not exist in PostgreSQL", 2)
@@ -110,7 +112,8 @@ function script.sql(arguments, options)
   add_module(parts, "rfsm.postgres.pllua")
   local code = HEAD:format(concat(parts)) .. text
   local id = id_of(code)
-  local values = { TAG = quote_for(code), CODE = code:gsub("%$ID", id, 1), ID = id }
+  local values = { TAG = quote_for(code), CODE = code:gsub("%$ID", id, 1), ID = id,
+    LOG = (host.STATEMENTS.log:gsub("%$%d", { ["$1"] = "each", ["$2"] = "SQLERRM" })) }
   local functions = schema.FUNCTIONS:gsub("%$(OWNER)", OWNER):gsub("%$(%u+)", values)
   return schema_of(functions, options), warnings
 end

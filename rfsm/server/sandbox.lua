@@ -9,11 +9,13 @@
 
 local calls = require "rfsm.shared.calls"
 local code_of = require("rfsm.shared.code").of
+local files = require "rfsm.shared.files"
 local rfsm = require "rfsm"
 
 local error, ipairs, pairs = error, ipairs, pairs
 local os, pcall, rawget, require = os, pcall, rawget, require
-local setmetatable, sort, type = setmetatable, table.sort, type
+local concat, sort = table.concat, table.sort
+local setmetatable, type = setmetatable, type
 
 local sandbox = {}
 
@@ -25,17 +27,18 @@ end
 -- Globals ---------------------------------------------------------------------------
 
 local HERE = {}
-for name in ([[assert collectgarbage error getfenv getmetatable ipairs load loadstring
-  next pairs pcall rawequal rawget rawset select setfenv setmetatable tonumber tostring
-  type unpack xpcall coroutine string table math bit cjson cmsgpack struct redis print
-  require rfsm rfsm_timeevent _VERSION]]):gmatch("%S+") do
+for name in ([[assert collectgarbage error getmetatable ipairs loadstring next pairs
+  pcall rawequal rawget rawset select setmetatable tonumber tostring type unpack xpcall
+  coroutine string table math bit cjson cmsgpack struct redis print rfsm rfsm_timeevent
+  _VERSION]]):gmatch("%S+") do
   HERE[name] = true
 end
 
 local MISSING = {
-  Redis = { "os", "io", "debug", "package", "dofile", "loadfile" },
-  PostgreSQL = { "os", "io", "debug", "package", "dofile", "loadfile", "bit", "struct",
-    "unpack", "loadstring", "setfenv", "getfenv" },
+  Redis = { "os", "io", "debug", "package", "dofile", "loadfile", "setfenv",
+    "getfenv" },
+  PostgreSQL = { "os", "io", "debug", "package", "dofile", "loadfile", "setfenv",
+    "getfenv", "bit", "struct", "unpack", "loadstring" },
 }
 
 -- Is a name a field, or the key in a table, and no global?
@@ -94,10 +97,42 @@ end
 
 -- Loading -----------------------------------------------------------------------------
 
+-- Returns the text that a function hands over piece by piece.
+local function text_from(pieces)
+  local texts = {}
+  for piece in pieces do
+    if piece == "" then break end
+    texts[#texts + 1] = piece
+  end
+  return concat(texts)
+end
+
+-- Returns `load` for texts, whose globals are those of the sandbox.
+local function new_load(globals)
+  return function(text, name, _, own)
+    if type(text) == "function" then text = text_from(text) end
+    if type(text) ~= "string" then
+      error("load: text expected, got " .. type(text), 2)
+    end
+    if text:byte() == 27 then return nil, "attempt to load a binary chunk" end
+    return calls.load(text, name, own == nil and globals or own)
+  end
+end
+
+-- Stands for `require`: what is no plain Lua, such as `os`, is in no server.
+local function find_module(name)
+  local is_plain = HERE[name] or type(name) ~= "string" or name:find("^rfsm")
+    or files.find((name:gsub("%.", "/")))
+  if not is_plain then error("module '" .. name .. "' not found", 2) end
+  return require(name)
+end
+
 -- Returns the globals of the sandbox, as far as this Lua has them.
 local function new_globals(server)
   local globals = {}
   for name in pairs(HERE) do globals[name] = rawget(_G, name) end -- any order: a set
+  globals.load = new_load(globals)
+  globals.loadstring = globals.loadstring and globals.load
   globals.rfsm, globals._G, globals.os = rfsm, globals, { clock = os.clock }
   globals.rfsm_timeevent = require "rfsm_timeevent"
   for _, name in ipairs { "bit", "cjson", "cmsgpack", "struct", "redis" } do
@@ -106,6 +141,7 @@ local function new_globals(server)
     end })
   end
   return setmetatable(globals, {
+    __metatable = false,
     __index = function(_, name)
       error("global '" .. rfsm.text_of(name) .. "' does not exist in " .. server, 2)
     end,
@@ -124,7 +160,9 @@ function sandbox.load(text, file, server)
     return nil, ("%s:%d: '%s' does not exist in %s"):format(file, line_at(text, from),
       name, server)
   end
-  local f, problem = calls.load(text, "@" .. file, new_globals(server))
+  local globals = new_globals(server)
+  rawset(globals, "require", find_module)
+  local f, problem = calls.load(text, "@" .. file, globals)
   if not f then return nil, problem end
   local ok, model = pcall(f, file)
   if not ok then return nil, rfsm.text_of(model) end

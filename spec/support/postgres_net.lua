@@ -59,17 +59,15 @@ function statements.note(_, tables, name, ...)
   return {}
 end
 
--- No spec looks at what these change.
-function statements.trim() return {} end
-
-statements.move = statements.trim
+-- No spec looks at what this changes.
+function statements.move() return {} end
 
 local IS_READING = { read = true, due = true }
 
 -- Returns what a statement does.
 local function find(sql)
-  if sql:find("^DELETE FROM rfsm.log") then return "trim" end
   if sql:find("^UPDATE rfsm.machines SET state") then return "move" end
+  if sql:find("^WITH trimmed") then return "note", "log" end
   local limit = sql:match("LIMIT (%d+)")
   if limit then return "due", tonumber(limit) end
   if sql:find("^SELECT value") then return "read" end

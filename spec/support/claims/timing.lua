@@ -332,6 +332,16 @@ local function send_late(chart, random, options)
   chart.events = options.alphabet[1] and options.alphabet or nil
 end
 
+-- Appends what random runs have seen and the exploration has not.
+local function find_unexplored(seed, walk, seen, list)
+  local shown = charts.explored(walk)
+  for text in pairs(seen) do -- any order: sorted
+    if shown[text] == nil then
+      list[#list + 1] = ("%d: %s was seen"):format(seed, text)
+    end
+  end
+end
+
 -- Appends what is wrong. Returns whether the chart was compared.
 local function compare(seed, list)
   local chart, random = charts.chart(seed, 0, true), new_random(seed + 29)
@@ -343,12 +353,7 @@ local function compare(seed, list)
   local result, walk = explore_chart(chart, properties, options)
   if result.bound then return end
   local seen, broken = claim.run_at_random(chart, properties, options, seed)
-  local shown = charts.explored(walk)
-  for text in pairs(seen) do -- any order: sorted
-    if shown[text] == nil then
-      list[#list + 1] = ("%d: %s was seen"):format(seed, text)
-    end
-  end
+  find_unexplored(seed, walk, seen, list)
   if not chart.is_free then follow_some(seed, chart, walk, random, list) end
   local counts = claim.counts
   counts.later = counts.later + (next(chart.later or {}) and 1 or 0)
