@@ -5,6 +5,7 @@ local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local share = require "spec.support.share"
+require "rfsm.await"
 require "rfsm_timeevent"
 local claim = require "spec.support.claims.explore"
 
@@ -220,6 +221,19 @@ describe("explore", function()
       assert.matches(case[2], text)
     end)
   end
+end)
+
+describe("an await that is complete", function()
+  it("comes with an event that nothing names", function()
+    local result = rfsm_checks.explore(rfsm.state { info = false, warn = false,
+      c = rfsm.state { x = rfsm.state {}, y = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "x" },
+        rfsm.trans { src = "x", tgt = "y", events = { "e_b", "await(e_a)" } } },
+      rfsm.trans { src = "initial", tgt = "c" },
+      rfsm.trans { src = "c", tgt = "internal", events = { "e_a", "e_b" } } })
+    assert.equal("5 configurations, 4 of 4 transitions taken",
+      tostring(result):match("^(.-), %d+ steps"))
+  end)
 end)
 
 describe("machines in a sequential AND state", function()

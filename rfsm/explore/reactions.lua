@@ -36,7 +36,10 @@ local function add_event(found, event)
   if type(event) == "function" then
     found.has_predicate, found.any = true, true
   elseif not found.set[event] then
+    local maker = match.maker_of(event)
     found.set[event], found[#found + 1] = true, event
+    -- an extension adds its own event to any other one, once an await is complete
+    if maker and maker ~= "engine" and maker ~= "timer" then found.any = true end
   end
 end
 
