@@ -116,7 +116,7 @@ describe("the playground", function()
       window:click "[data-wait='10']"
       window:wait "now.clock >= 10"
 
-      go_behind "-- no note"
+      go_behind "-- print no note"
       window:type "s of mine"
       window:click "#share"
       window:wait "/link/.test($('verdict').textContent)"
