@@ -284,9 +284,17 @@ end
 ---@return string? name
 function rfsm.event_name(predicate) return event_names[predicate] end
 
-local function list_text(values)
+--- Return an event, or what a transition names, as text: by its name if it has one.
+---@param event any
+---@return string
+function rfsm.event_text(event)
+  local has_name = type(event) == "table" and not getmetatable(event)
+  return event_names[event] or text_of(has_name and event.name or event)
+end
+
+local function list_text(events)
   local texts = {}
-  for i = 1, #values do texts[i] = event_names[values[i]] or text_of(values[i]) end
+  for i = 1, #events do texts[i] = rfsm.event_text(events[i]) end
   return concat(texts, ", ")
 end
 
@@ -355,8 +363,9 @@ end
 -- Load ------------------------------------------------------------------------
 
 -- Runs a chunk of a chart and returns its state. A root in a tail call has no line.
-local function run_chunk(chunk, file, where)
+local function run_chunk(chunk, file, where, accepts)
   local model = chunk(file)
+  if accepts and accepts(model) then return model end
   if is_state(model) then
     made_at[model] = made_at[model] or file and file .. ":1"
     return model
@@ -374,9 +383,10 @@ end
 -- @raise when there is no file name, the file cannot be read or fails, or it returns
 -- no state
 ---@param file string
+---@param accepts? fun(value: any): boolean what it may return besides, for extensions
 ---@return rfsm.Model model
 ---@nodiscard
-function rfsm.load(file)
+function rfsm.load(file, accepts)
   if type(file) ~= "string" then
     error("rfsm.load: file name expected, got " .. type(file), 2)
   end
@@ -386,7 +396,8 @@ function rfsm.load(file)
     local hint = loadfile(file .. ".lua") and (" (did you mean '%s.lua'?)"):format(file)
     error("rfsm.load: " .. problem .. (hint or ""), 0)
   end
-  return run_chunk(chunk, file, "rfsm.load: no valid rfsm in file '" .. file .. "'")
+  return run_chunk(chunk, file, "rfsm.load: no valid rfsm in file '" .. file .. "'",
+    accepts)
 end
 
 --- Load a model from a text that returns it.
@@ -1153,6 +1164,33 @@ local DEFAULTS = {
   _snapshot_hooks = false, _failure = false, _reset_wanted = false, _preparing = false,
   _cuts = 0, -- iterations that an error has ended
 }
+
+do
+  -- Returns the `emit` of a machine: callbacks call it.
+  local function new_emit(f)
+    return function(name, data)
+      if type(name) ~= "string" then
+        error("emit: name expected, got " .. type(name), 2)
+      end
+      f(name, data)
+    end
+  end
+
+  DEFAULTS.emit = new_emit(silent)
+
+  --- Have f(name, data) called when callbacks of a machine or of its regions emit, for
+  -- hosts. Nobody listens otherwise.
+  --
+  ---@param fsm rfsm.Machine
+  ---@param f fun(name: string, data: any)
+  function rfsm.set_emit(fsm, f)
+    rfsm.check_machine(fsm, "rfsm.set_emit")
+    local emit = new_emit(f)
+    for _, at in ipairs(rfsm.machines(fsm)) do
+      if not is_state(at.machine.emit) then at.machine.emit = emit end
+    end
+  end
+end
 
 -- The fields that a machine has from the start.
 local function own_fields()
@@ -2165,8 +2203,8 @@ do
     return run
   end
 
-  -- So many paths of a leaf and event, of so many segments, are made before they are
-  -- taken.
+  -- Paths that are made before they are taken: so many of a leaf and event at most, of
+  -- so many segments at most.
   local MOST_PATHS, MOST_SEGMENTS = 50, 6
   local paths_left = 0
 
@@ -2645,12 +2683,20 @@ local function left_composites(plan)
   return left
 end
 
+-- Does a transition leave a composite around a state, and the state with it?
+local function is_left_around(def)
+  local around = def.parent
+  while around ~= around.parent and not around.otrs[1] do around = around.parent end
+  return def.kind == "state" and around.otrs[1] ~= nil
+end
+
 -- Warns of the nodes, from number `first` on, that nothing leaves.
 local function report_dead_ends(fsm, first)
   local plan, dead, left = fsm._plan, {}, nil
   for i = first, #plan.nodes do
     local def = plan.nodes[i]
-    if not (def.otrs[1] or def.model.final or def.parent == def) then
+    if not (def.otrs[1] or def.model.final or def.parent == def
+      or is_left_around(def)) then
       left = left or left_composites(plan)
       local line = "no outgoing transitions from node '" .. def.fqn .. "'"
       dead[#dead + 1] = not left[def] and { line = line } or nil
@@ -3405,15 +3451,22 @@ end
 do
   local IN_STEP = { _pre_hooks = true, _post_hooks = true, _path_hooks = true }
 
+  -- Hooks in "front" bring events or note them. They stay in front of those that come
+  -- "before", which may take events away. A list counts them in `front`.
+  local PLACES = { front = true, before = true, after = true }
+
   local function hook_adder(where, field)
     return function(fsm, hook, place)
       check_machine(fsm, where)
       check_function(hook, where)
-      if place ~= nil and place ~= "before" and place ~= "after" then
+      if place ~= nil and not PLACES[place] then
         error(where .. ": 'before' or 'after' expected, " .. got(place), 2)
       end
-      local hooks = append({}, fsm[field] or NONE)
-      insert(hooks, place == "before" and 1 or #hooks + 1, hook)
+      local old = fsm[field] or NONE
+      local hooks, front = append({}, old), old.front or 0
+      local before = place == "before" and front + 1 or #hooks + 1
+      insert(hooks, place == "front" and 1 or before, hook)
+      hooks.front = place == "front" and front + 1 or front
       fsm[field] = hooks
       if IN_STEP[field] then fsm._is_hooked, fsm._is_usual = true, false end
     end
@@ -3423,8 +3476,9 @@ do
   local function without(hooks, hook)
     for i = 1, #hooks do
       if rawequal(hooks[i], hook) then
-        local others = append({}, hooks)
+        local others, front = append({}, hooks), hooks.front or 0
         remove(others, i)
+        others.front = i <= front and front - 1 or front
         return others
       end
     end

@@ -119,8 +119,8 @@ end
 
 --- The list of the timers of a state, its field `_timers`. The field `_timeevent` of a
 -- machine has the times in seconds before which no e_after (`true`) or e_at (`false`)
--- expires, huge if none is armed; `has_at`, and `is_unusual` if there is an e_at or a
--- function; `sends`, events to be sent later, the next one last.
+-- expires, huge if none is armed; `has_timers`; `has_at`, and `is_unusual` if there is
+-- an e_at or a function; `sends`, events to be sent later, the next one last.
 ---@class rfsm_timeevent.Timers
 ---@field sec number|false the time of the latest entry; false: it is not known
 ---@field nsec number
@@ -416,9 +416,9 @@ local function list_waiting(fsm) return list_sends(fsm, event_of) end
 -- Adds the hook for what has expired to a machine, before others, which see the events.
 local function prepare_machine(fsm)
   if fsm._timeevent then return end
-  fsm._timeevent = { [true] = huge, [false] = huge, has_at = false, is_unusual = false,
-    sends = {} }
-  rfsm.pre_step_hook_add(fsm, rfsm.borrows(check_timers), "before")
+  fsm._timeevent = { [true] = huge, [false] = huge, has_timers = false, has_at = false,
+    is_unusual = false, sends = {} }
+  rfsm.pre_step_hook_add(fsm, rfsm.borrows(check_timers), "front")
   rfsm.reset_hook_add(fsm, drop_sends)
   rfsm.waiting_hook_add(fsm, list_waiting)
 end
@@ -436,8 +436,8 @@ local function add_send(fsm, event, id, sec, nsec)
       to = at - 1
     end
   end
+  own[true] = min(own[true], sec + nsec * 1e-9 - MARGIN) -- first: see `check_timers`
   insert(sends, from, { event = event, id = id, sec = sec, nsec = nsec })
-  own[true] = min(own[true], sec + nsec * 1e-9 - MARGIN)
 end
 
 local function find_send(fsm, id)
@@ -473,9 +473,9 @@ end
 
 -- Adds the hook for entries to a state.
 local function prepare_timers(fsm, state)
-  if not fsm._has_timers then
-    fsm._has_timers = true
-    prepare_machine(fsm)
+  prepare_machine(fsm)
+  if not fsm._timeevent.has_timers then
+    fsm._timeevent.has_timers = true
     rfsm.snapshot_hook_add(fsm, "timers", save, load)
   end
   if not state._timers then

@@ -113,13 +113,9 @@ function advice.list(events)
   for _, field in ipairs(FIELDS.transition) do
     if events[field] ~= nil then return " ('" .. field .. "' belongs beside events)" end
   end
-  for _, word in ipairs({ "e_after", "e_at" }) do
-    local seconds = events[word]
-    if seconds ~= nil then
-      return (" (did you mean { '%s(%s)' }?)"):format(word, rfsm.text_of(seconds))
-    end
-  end
-  return ""
+  local word = events.e_after ~= nil and "e_after" or events.e_at ~= nil and "e_at"
+  if not word then return "" end
+  return (" (did you mean { '%s(%s)' }?)"):format(word, rfsm.text_of(events[word]))
 end
 
 -- Names -------------------------------------------------------------------------
@@ -226,9 +222,16 @@ end
 
 -- Events ------------------------------------------------------------------------
 
+-- The modules of the words that are in front of a parenthesis. None of them may be
+-- loaded, so that no hook of an extension could tell.
 local MODULE_OF = {
   e_after = "rfsm_timeevent", e_at = "rfsm_timeevent", await = "rfsm_await",
 }
+
+--- Return the module that knows an event such as e_after(1); nil if there is none.
+function advice.module_for(event)
+  return type(event) == "string" and MODULE_OF[event:match("^[%w_]+%f[(]")] or nil
+end
 
 --- Return the hint for an event with a blank, comma or bar in its name.
 ---@return string hint " (did you mean 'e_after(2)'?)"
@@ -248,7 +251,7 @@ function advice.module_of(word)
   local loaded = (rawget(_G, "package") or {}).loaded or {}
   if module and loaded[module] then return nil end
   if module then return (" (require %q)"):format(module) end
-  for _, known in ipairs({ "await", "e_after", "e_at" }) do
+  for _, known in ipairs(rfsm.sorted_keys(MODULE_OF)) do
     if advice.is_near(word, known) then
       return (" (did you mean '%s(...)'?)"):format(known)
     end

@@ -12,17 +12,17 @@ local rfsm = require "rfsm"
 local alphabet = require "rfsm.shared.alphabet"
 local match = require "rfsm.shared.match"
 
-local error, insert, ipairs, rawget, type = error, table.insert, ipairs, rawget, type
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+local insert, ipairs, type = table.insert, ipairs, type
 
 local MOST = 64 -- events that a machine keeps, unless the state has another `max`
 
--- The machine keeps events in the list `_deferred`. Its fields: `is_done`, no more of
--- this iteration are kept; `told`, warnings that were given; `known`, its alphabet.
+-- A machine keeps its deferred events in the list `_deferred`. Other fields of that
+-- table: `is_done`, whether this iteration has kept what it keeps; `told`, the warnings
+-- that were given; `known`, the alphabet of the machine.
 local function reset(fsm) fsm._deferred = { is_done = false, told = {} } end
 
 local function warn(fsm, state, event, text)
-  local told, name = fsm._deferred.told, rfsm.text_of(event)
+  local told, name = fsm._deferred.told, rfsm.event_text(event)
   if told[text] then return end
   told[text] = true
   rfsm.report(fsm, "warn", ("WARNING: %s: " .. text):format(
@@ -44,7 +44,7 @@ local function keep(fsm, state, event)
   if not (known.takes_any or known.predicates[1] or match.has(known.list, event)) then
     warn(fsm, state, event, "'%s' is deferred, but no transition takes it")
   end
-  if #own >= state._defers.max then
+  if #own >= (state._defers.max or MOST) then
     return warn(fsm, state, event, "'%s' is lost, too many events are deferred")
   end
   own[#own + 1] = event
@@ -59,7 +59,7 @@ local function keep_others(fsm, events, tr)
   end
 end
 
--- The pre step hook. Only that of timers comes before it.
+-- The pre step hook. Only hooks in "front" come before it, as that of timers.
 local function recall(fsm, events)
   local own = fsm._deferred
   own.is_done = not fsm._act_leaf
@@ -86,11 +86,10 @@ local function end_iteration(fsm, events)
 end
 
 local function list_kept(fsm)
-  return fsm._deferred[1] ~= nil and { unpack(fsm._deferred) } or nil
+  return fsm._deferred[1] ~= nil and match.joined({}, fsm._deferred) or nil
 end
 
 local function load(fsm, kept)
-  if kept ~= nil and type(kept) ~= "table" then error("list of events expected", 0) end
   reset(fsm)
   for i, event in ipairs(kept or {}) do fsm._deferred[i] = event end
 end
@@ -109,8 +108,10 @@ end
 local function problem_of(defer)
   if type(defer) ~= "table" or defer[1] == nil then
     return ": list of events expected, " .. rfsm.got(defer)
-  elseif type(defer.max) ~= "number" or defer.max < 1 or defer.max % 1 ~= 0 then
-    return ".max: whole number from 1 expected, " .. rfsm.got(defer.max)
+  end
+  local max = defer.max
+  if max ~= nil and not (type(max) == "number" and max >= 1 and max % 1 == 0) then
+    return ".max: whole number from 1 expected, " .. rfsm.got(max)
   end
   for i, event in ipairs(defer) do
     if event == "e_done" or match.maker_of(event) then
@@ -122,9 +123,6 @@ end
 -- The list is that of the model, whose events are no copies.
 local function prepare_state(fsm, state)
   local defer = rfsm.model_of(state).defer
-  if type(defer) == "table" and defer.max == nil then
-    defer = { max = MOST, unpack(defer) }
-  end
   local problem = problem_of(defer)
   if problem then return rfsm.location_of(state, "defer") .. problem end
   if not fsm._deferred then prepare_machine(fsm) end
@@ -141,6 +139,7 @@ insert(rfsm.preproc, 1, function(fsm, merged)
   for _, state in ipairs(rfsm.elements(merged or fsm, has_defer)) do
     problems[#problems + 1] = prepare_state(fsm, state)
   end
+  if fsm._deferred then fsm._deferred.known = nil end -- merged: there are more events
   return problems
 end)
 

@@ -9,6 +9,7 @@
 -- @module rfsm.marsh
 -- @license BSD-3-Clause
 
+local digits_of = require("rfsm.shared.exact_json").digits_of
 local rfsm = require "rfsm"
 
 local io, ipairs, rawget, rawset = rawget(_G, "io"), ipairs, rawget, rawset
@@ -16,7 +17,7 @@ local select, setmetatable = select, setmetatable
 local tonumber, type = tonumber, type
 local concat = table.concat
 local compile = rawget(_G, "loadstring") or rawget(_G, "load")
-local math_type, debug = rawget(math, "type"), rawget(_G, "debug")
+local debug = rawget(_G, "debug")
 
 local marsh = {}
 
@@ -144,7 +145,8 @@ local function lines_of(source)
   return lines
 end
 
--- Puts what a function has kept in place of the parameters of its maker.
+-- Returns a list of parameters with the values of a function's upvalues in place of
+-- their names: "(motor, speed)" becomes "(motor, 5)".
 local function arguments_of(f, parameters)
   local values = {}
   for i = 1, debug.getinfo(f, "u").nups do
@@ -529,20 +531,10 @@ function marsh.utf8(text)
   return (text:gsub("([\194-\244]?)([\128-\191]*)", mend))
 end
 
--- Returns digits that give back the number, the same on every Lua (5.3 shows 5.0) and
--- in every locale (some have a comma).
-local function digits_of(number)
-  if math_type and math_type(number) == "integer" then return ("%d"):format(number) end
-  if number == 0 then return "0" end -- not -0
-  local digits = ("%.14g"):format(number)
-  if tonumber(digits) ~= number then digits = ("%.17g"):format(number) end
-  return (digits:gsub(",", "."))
-end
-
 -- Returns what dkjson writes with these digits; infinite numbers as text.
 local function plain_number(number)
   if number - number ~= 0 then return number > 0 and "inf" or "-inf" end
-  local digits = digits_of(number)
+  local digits = digits_of(number + 0) -- not -0
   return setmetatable({}, { __tojson = function() return digits end })
 end
 

@@ -11,13 +11,14 @@ local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
 local match = require "rfsm.shared.match"
+local order = require "rfsm.shared.order"
 
 local getmetatable, ipairs, pairs, rawequal = getmetatable, ipairs, pairs, rawequal
 local rawget, select, tonumber, type = rawget, select, tonumber, type
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 local text_of = rfsm.text_of
 
-local strict = { is_watching = false }
+local strict = {}
 
 local latest = nil -- the strict machine that was made last: it reports for the library
 
@@ -81,10 +82,9 @@ local function oddness_of_table(known, event)
 end
 
 local function is_state_name(fsm, event)
-  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
-    if state._id == event or state._fqn == event then return true end
-  end
-  return false
+  return order.any(rfsm.elements(fsm, rfsm.is_state), function(state)
+    return state._id == event or state._fqn == event
+  end)
 end
 
 local function oddness_of(fsm, known, event)
@@ -106,7 +106,7 @@ end
 
 -- Warns once of an event that comes before the machine is entered.
 local function check_early(fsm, at, event)
-  local name = text_of(event)
+  local name = rfsm.event_text(event)
   local told = fsm._strict.told
   if told["early: " .. name] or rfsm.get_sta_mode(fsm) ~= "inactive" then return end
   told["early: " .. name] = true
@@ -172,10 +172,8 @@ end
 -- Functions ........................................................................
 
 -- Functions that programs call as methods of a machine.
-local METHODS = {}
-for name in ("run step send_events reset is_in is_idle"):gmatch("%S+") do
-  METHODS[name] = true
-end
+local METHODS = { run = true, step = true, send_events = true, reset = true,
+  is_in = true, is_idle = true }
 
 -- Warns of reads of functions that are not there: rfsm.send_event, fsm:run().
 local function watch_reads()
@@ -297,10 +295,7 @@ end
 local function note_path(fsm, path) fsm._strict.path = path end
 
 local function is_named_in(path, event)
-  for _, tr in ipairs(path) do
-    if match.triggers(tr, event) ~= false then return true end
-  end
-  return false
+  return order.any(path, function(tr) return match.triggers(tr, event) ~= false end)
 end
 
 -- Returns an active state that an event would leave.
@@ -351,12 +346,12 @@ end
 --- Have a machine warn of what is odd.
 ---@param fsm rfsm.Machine
 function strict.watch(fsm)
-  latest = fsm
-  if not strict.is_watching then
+  if not latest then
+    latest = fsm
     watch_calls()
     watch_reads()
   end
-  strict.is_watching = true
+  latest = fsm
   if fsm._strict then return end
   fsm._strict = { told = {}, models = {}, path = false, count = false,
     event = false, event_at = 0, structure = false, known = false }

@@ -11,7 +11,7 @@ local concat = table.concat
 local load = rawget(_G, "loadstring") or rawget(_G, "load")
 local setfenv = rawget(_G, "setfenv")
 
-local calls = {}
+local calls = { is_apart = false } -- is a machine for a tool being made?
 
 local function pass(ok, ...)
   if not ok and rfsm.is_interrupt((...)) then error((...), 0) end
@@ -32,7 +32,12 @@ end
 --- Make a machine of a model for a tool, as `rfsm.init`; machines given as regions stay
 -- as they are.
 function calls.init_apart(model)
-  return (rfsm.seqand and rfsm.seqand.init_apart or rfsm.init)(model)
+  local was_apart, make = calls.is_apart, rfsm.seqand and rfsm.seqand.init_apart
+  calls.is_apart = true
+  local ok, fsm, text, problems = pcall(make or rfsm.init, model)
+  calls.is_apart = was_apart
+  if not ok then error(fsm, 0) end
+  return fsm, text, problems
 end
 
 local PRINTERS = { "dbg", "info", "warn", "err" }

@@ -55,8 +55,11 @@ local function hint_for(text)
   return require("rfsm.advice").function_meant(name)
 end
 
---- Return why a chart cannot be used, in one line with its file.
+--- Return why a chart cannot be used, in one line with its file; each problem of a
+-- system is a line.
 function chart.reason(file, failure)
+  local list = rfsm.text_of(failure):match("^rfsm%.system: the system has [^\n]*\n(.*)")
+  if list then return (("\n" .. list):gsub("\n  ", "\n"):sub(2)) end
   local text = chart.first_line(failure)
   if failure == nil or text == "" or text == NO_ERROR then
     text = "failed without a message"
@@ -180,7 +183,7 @@ local function halt(world)
   error(HALT, 0)
 end
 
--- Returns init(model), silently: what is wrong is said once, when the chart is used.
+-- Returns init(model), silently: problems are reported once, when the chart is used.
 local function init_silently(init, model)
   if not rfsm.is_state(model) then return init(model) end
   return calls.silently(init, model)
@@ -210,7 +213,7 @@ local function noting_machines(world, load, file)
   local init, plain = rfsm.init, { step = rfsm.step, run = rfsm.run }
   local is_loading = true
   rawset(rfsm, "init", function(model)
-    if not is_loading then return init(model) end
+    if not is_loading or calls.is_apart then return init(model) end
     return note_machine(world, world.depth, init, model)
   end)
   for name, f in order.each(plain) do -- any order: each stands alone
@@ -254,11 +257,11 @@ end
 
 -- Loads the model in a file once. `insists`: globals whose existence is asked for are
 -- stubs, too.
-local function try_load(file, has_stubs, number, insists)
+local function try_load(file, has_stubs, number, load, insists)
   local warnings, source = {}, file == "-" and "=stdin" or "@" .. file
   local world = search.enter(file, source, has_stubs)
   world.insists, world.number = insists or false, number
-  local load = file == "-" and load_stdin or load_file
+  if file == "-" then load = load_stdin end
   local ok, model = chosen_model(file, world, with_notes(world, warnings,
     noting_machines, world, load, file))
   search.leave()
@@ -272,18 +275,20 @@ end
 -- that returns no state the model of the first machine is loaded that it makes, or that
 -- of machine `number`.
 --
----@return rfsm.State? model nil if there is none
+---@param load? fun(file: string): any in place of `rfsm.load`
+---@return any model a state, or what `load` returns; nil if there is none
 ---@return string[]|string warnings a line for each undefined global; or the problem
 ---@return rfsm.shared.World world `names` are those of the stubs
-function chart.load(file, has_stubs, number)
+function chart.load(file, has_stubs, number, load)
+  load = load or load_file
   find_given("rfsmpp") -- for callbacks; these two change no machines
   find_given("rfsm_ext")
-  local ok, model, warnings, world = try_load(file, has_stubs, number)
+  local ok, model, warnings, world = try_load(file, has_stubs, number, load)
   if not (ok or world.is_late) and has_stubs and file ~= "-" then
-    local is_better, other, more, other_world = try_load(file, true, number, true)
+    local is_better, other, more, other_world = try_load(file, true, number, load, true)
     if is_better then ok, model, warnings, world = true, other, more, other_world end
   end
-  if ok and has_stubs then stubs.complete(model) end
+  if ok and has_stubs and rfsm.is_state(model) then stubs.complete(model) end
   if ok then return model, warnings, world end
   return nil, chart.reason(file, model), world
 end
@@ -305,9 +310,9 @@ end
 
 --- Make the machine of the chart in a file by a function such as `rfsm.init`; return it
 -- and the model, or false and the problems, a line each. `warn` is called with a line
--- for each undefined global, and for the stubs.
-function chart.open(file, init, warn, has_stubs)
-  local model, warnings, world = chart.load(file, has_stubs)
+-- for each undefined global, and for the stubs. `load` as in `chart.load`.
+function chart.open(file, init, warn, has_stubs, load)
+  local model, warnings, world = chart.load(file, has_stubs, nil, load)
   if not model then return false, { warnings } end
   for _, line in ipairs(warnings) do warn(line) end
   for _, line in ipairs(chart.lines_of(file, world)) do warn(line) end

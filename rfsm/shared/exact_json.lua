@@ -34,15 +34,20 @@ end
 
 exact_json.is_null = is_null
 
-local function digits_of(n)
+--- Return digits that give back a number, the same on every Lua (5.3 shows 5.0) and in
+--- every locale (some have a comma). An infinite number is an error.
+---@param n number
+---@return string digits
+function exact_json.digits_of(n)
   if n - n ~= 0 then error("the number " .. tostring(n) .. " has no JSON", 0) end
   if math_type and math_type(n) == "integer" then return ("%d"):format(n) end
   if floor(n) == n and n <= EXACT and n >= -EXACT then return ("%.0f"):format(n) end
-  for digits = 14, 16 do
-    local text = ("%." .. digits .. "g"):format(n)
-    if tonumber(text) == n then return text end
+  local text
+  for digits = 14, 17 do
+    text = ("%." .. digits .. "g"):format(n)
+    if tonumber(text) == n then break end
   end
-  return ("%.17g"):format(n)
+  return (text:gsub(",", "."))
 end
 
 local ESCAPES = { ['"'] = '\\"', ["\\"] = "\\\\", ["\n"] = "\\n", ["\t"] = "\\t" }
@@ -89,7 +94,7 @@ function write(parts, value, depth)
   if kind == "string" then
     parts[#parts + 1] = quote(value)
   elseif kind == "number" then
-    parts[#parts + 1] = digits_of(value)
+    parts[#parts + 1] = exact_json.digits_of(value)
   elseif kind == "boolean" then
     parts[#parts + 1] = tostring(value)
   elseif is_null(value) then

@@ -12,7 +12,7 @@
 -- @module rfsm.shared.order
 -- @license BSD-3-Clause
 
-local next, rawget = next, rawget
+local ipairs, next, rawget = ipairs, next, rawget
 local jit = rawget(_G, "jit")
 
 local order = {}
@@ -28,5 +28,21 @@ function order.each(t) return step, t end
 
 --- Has a table no keys?
 function order.is_empty(t) return step(t) == nil end
+
+--- Is f(value) true for each value of a list?
+function order.all(list, f)
+  for _, value in ipairs(list) do
+    if not f(value) then return false end
+  end
+  return true
+end
+
+--- Is f(value) true for a value of a list?
+function order.any(list, f)
+  for _, value in ipairs(list) do
+    if f(value) then return true end
+  end
+  return false
+end
 
 return order

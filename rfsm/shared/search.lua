@@ -107,7 +107,8 @@ local function wrap(owner, key, new_stub)
     if type(name) ~= "string" then return plain(file, ...) end
     local path = find_file(world, name:match('"([^"]*)"%)$') or name)
     if path then return plain(adopt(world, path), ...) end
-    if not world.has_stubs or exists(name) then return plain(file, ...) end
+    local is_chart = world.source == "@" .. name
+    if is_chart or not world.has_stubs or exists(name) then return plain(file, ...) end
     if name == file then search.stub(world, name) end
     return new_stub(name)
   end)

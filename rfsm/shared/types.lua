@@ -49,6 +49,7 @@
 ---@field _act_leaf rfsm.State|false the innermost active state
 ---@field _intq any[] events that wait for the next iteration
 ---@field _curq any[] events of the running iteration
+---@field emit fun(event: string, data?: any) for callbacks; see `rfsm.set_emit`
 
 ---@class rfsm.StateConstructor
 ---@field new fun(self: any, t: rfsm.State): rfsm.Model

@@ -11,6 +11,7 @@ local rfsm = require "rfsm"
 local code = require "rfsm.shared.code"
 local files = require "rfsm.shared.files"
 local match = require "rfsm.shared.match"
+local order = require "rfsm.shared.order"
 
 local io, ipairs, math, rawget = io, ipairs, math, rawget
 local setmetatable, type = setmetatable, type
@@ -133,7 +134,8 @@ local function assigns(text, name)
   return false
 end
 
--- Is it a table that the function makes, or one of the world that nobody else names?
+-- Is a variable a table that the function makes, or one that is no part of a chart?
+-- Not if it has one of the names that are asked for.
 local function is_apart(text, upvalues, base, names)
   if base:find("[^%w_]") or match.has(names, base) then return false end
   local value = upvalues[base] or rawget(_G, base)
@@ -156,10 +158,9 @@ end
 -- Does a text assign to a name that is no local variable of it?
 local function assigns_variable(text, name)
   local rest = " " .. text:gsub("local%s+[%w_,%s]+=", "")
-  for _, sign in ipairs { "%s*=[^=]", "%s*,[%w_.,%s%[%]\"']-=[^=]" } do
-    if rest:find("[^%w_.:]%s*" .. name .. sign) then return true end
-  end
-  return false
+  return order.any({ "%s*=[^=]", "%s*,[%w_.,%s%[%]\"']-=[^=]" }, function(sign)
+    return rest:find("[^%w_.:]%s*" .. name .. sign)
+  end)
 end
 
 -- Calls f(text, upvalues, callback) for a function and those that it names, each once,
@@ -173,10 +174,9 @@ local function any_text(callback, f, seen)
     upvalues[upvalue.name] = upvalue.value
   end
   if f(text, upvalues, callback) then return true end
-  for _, other in ipairs(called_by(text, upvalues)) do
-    if any_text(other, f, seen) then return true end
-  end
-  return false
+  return order.any(called_by(text, upvalues), function(other)
+    return any_text(other, f, seen)
+  end)
 end
 
 --- A pattern of all names, for functions below.
@@ -216,10 +216,8 @@ end
 ---@return boolean
 function writes.may_write(callback, names)
   return any_text(callback, function(text, upvalues)
-    if computes_key(text, upvalues, names) then return true end
-    for _, name in ipairs(names) do
-      if assigns(text, name) then return true end
-    end
+    return computes_key(text, upvalues, names)
+      or order.any(names, function(name) return assigns(text, name) end)
   end, {})
 end
 
@@ -229,9 +227,7 @@ end
 ---@return boolean
 function writes.may_set(callback, names)
   return any_text(callback, function(text)
-    for _, name in ipairs(names) do
-      if assigns_variable(text, name) then return true end
-    end
+    return order.any(names, function(name) return assigns_variable(text, name) end)
   end, {})
 end
 
