@@ -1,0 +1,191 @@
+--- `rfsm sim` of a system: its machines side by side, what waits in the wires, and the
+--- way back over all of them.
+--
+-- @module rfsm.cli.side_by_side
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local commands = require "rfsm.sim.commands"
+local common = require "rfsm.cli.common"
+local encoding = require "rfsm.snapshot.encoding"
+local files = require "rfsm.shared.files"
+local history = require "rfsm.sim.history"
+local rewind = require "rfsm.observe.rewind"
+local session = require "rfsm.sim.session"
+local snapshot = require "rfsm.snapshot"
+local system = require "rfsm.system"
+local values = require "rfsm.observe.values"
+
+local concat = table.concat
+
+local side_by_side = {}
+
+--- A system and its prompt, in place of a session.
+---@class rfsm.cli.Side
+---@field cell rfsm.System
+---@field fsm rfsm.Machine the first one
+---@field history rfsm.observe.Rewind of that one, with the others and the wires
+local Side = { check_event = session.check_event }
+Side.__index = Side
+
+-- What the prompt asks of a session -------------------------------------------------
+
+local function leaf_of(fsm) return rfsm.get_actleaf_fqn(fsm) or "<none>" end
+
+function Side:show()
+  local cell = self.cell
+  for _, name in ipairs(cell.names) do
+    print(("%-15s %s"):format(name, leaf_of(cell.machines[name])))
+  end
+  for i, wire in ipairs(cell.wires) do
+    local waiting, lost = #cell.queues[i], cell.lost[i]
+    if waiting + lost > 0 then
+      print(("%-15s %d waiting%s (%s from %s to %s)"):format("wires[" .. i .. "]",
+        waiting, lost > 0 and ", " .. lost .. " lost" or "", wire.event, wire.from,
+        wire.to))
+    end
+  end
+end
+
+-- Prints what a machine got in a move, and where that has led.
+local function print_move(cell, name, came, by)
+  local fsm, got = cell.machines[name], {}
+  for i, event in ipairs(came) do
+    got[i] = values.value(event) .. " from " .. (by[i] and by[i].from or "outside")
+  end
+  if rfsm.took_path(fsm) or got[1] then
+    print(name .. (got[1] and " gets " .. concat(got, ", ") or "") .. ": "
+      .. leaf_of(fsm))
+  end
+end
+
+-- Has one machine move, with events from outside.
+function Side:move(name, events)
+  print_move(self.cell, name, select(2, self.cell:move(name, events)))
+end
+
+local MAX_RUN = 10000 -- steps: a system may have no end
+
+function Side:advance(n)
+  local is_idle, steps = false, 0
+  while not is_idle and steps < (n or MAX_RUN) do
+    is_idle = self.cell:step(function(...) print_move(self.cell, ...) end)
+    steps = steps + 1
+  end
+  self:show()
+  if not (n or is_idle) then print("stopped after 10,000 steps, 'run' goes on") end
+end
+
+function Side.guard_doos() return function() end end
+
+function Side.set_dry() common.fail("--dry is for a chart, not for a system", 2) end
+
+--- Take the moves of a witness; return how many.
+function Side:replay(file)
+  local text, problem = files.read(file)
+  if not text then error(problem, 0) end
+  local moves = require("rfsm.system.sequence").read(text)
+  for _, each in ipairs(moves) do
+    history.mark(self)
+    self:move(each.machine, each.events)
+  end
+  return #moves, not moves[1] and "no line is a move" or nil
+end
+
+-- Commands --------------------------------------------------------------------------
+
+-- Returns a command; without `run` it does what it does for a chart.
+local function command(usage, brief, run, fsm)
+  local name = usage:match("^[%w_]+")
+  return { name = name, usage = usage, brief = brief, fsm = fsm,
+    completes = fsm and "now", run = run or commands.find(name).run }
+end
+
+local function reset(self)
+  history.mark(self)
+  self.cell:reset()
+  self:show()
+end
+
+local function help(self)
+  for _, each in ipairs(self.commands.list) do
+    print(("  %-22s%s"):format(each.usage, each.brief))
+  end
+  print("Other lines are Lua: 'cell' is the system, cell.machines has the machines.")
+end
+
+-- Returns the command that is the name of a machine.
+local function machine_command(name, fsm)
+  return command(name .. " [events]", "one machine moves, with events from outside",
+    function(self, ...)
+      for i, event in ipairs { ... } do self:check_event(event, i, fsm) end
+      history.mark(self)
+      self:move(name, { ... })
+      self:show()
+    end, fsm)
+end
+
+local function commands_of(cell)
+  local list = {
+    command("step [n]", "each machine moves once, n times"),
+    command("run", "until nothing is left to do"),
+    command("show", "the machines, and what waits in wires", Side.show),
+    command("back [n]", "undo the last n lines that moved"),
+    command("forward [n]", "do them again"),
+    command("reset", "as at the beginning", reset),
+    command("quit", "end, as Control-D does"),
+    command("help", "these lines", help),
+  }
+  for _, name in ipairs(cell.names) do
+    list[#list + 1] = machine_command(name, cell.machines[name])
+  end
+  local function find(name)
+    for _, each in ipairs(list) do
+      if each.name == name then return each end
+    end
+  end
+  return { list = list, find = find }
+end
+
+-- Open ------------------------------------------------------------------------------
+
+-- Returns a snapshot of the wires and of all machines but the first. It may have a
+-- `problem`: a machine that cannot be saved.
+local function place_of(cell)
+  local place = encoding.copy_of { queues = cell.queues, lost = cell.lost, snaps = {} }
+  for i = 2, #cell.names do
+    local snap, problem = snapshot.try_take(cell.machines[cell.names[i]])
+    place.snaps[i], place.problem = snap, place.problem or problem
+  end
+  return place
+end
+
+local function put_in_place(cell, place)
+  if place.problem then error("back: " .. place.problem, 0) end
+  local queued = encoding.copy_of { queues = place.queues, lost = place.lost }
+  cell.queues, cell.lost = queued.queues, queued.lost
+  for i = 2, #cell.names do
+    local ok, problem = snapshot.put(cell.machines[cell.names[i]], place.snaps[i])
+    if not ok then error("back: " .. problem, 0) end
+  end
+end
+
+local function new_history(cell)
+  return rewind.new(cell.machines[cell.names[1]], {
+    about = function() return place_of(cell) end,
+    prepare = function(place) put_in_place(cell, place) end,
+  })
+end
+
+local function new_side(cell, follows)
+  return setmetatable({ cell = cell, fsm = cell.machines[cell.names[1]], missing = {},
+    follows = follows, is_over = false, history = new_history(cell),
+    commands = commands_of(cell) }, Side)
+end
+
+--- Open a chart or a system for the simulator; nil and the problems if it is wrong.
+function side_by_side.open(file, follows, has_stubs)
+  return session.open(file, follows, has_stubs, system.load, new_side)
+end
+
+return side_by_side

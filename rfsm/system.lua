@@ -1,0 +1,220 @@
+--- Systems: several charts that talk over wires, and run side by side.
+--
+-- Each machine of a system is a machine as `rfsm.init` makes it. `fsm.emit` in its
+-- callbacks puts events into wires. A move of a machine reads its wires and takes one
+-- step. The description is checked whole before anything runs.
+--
+-- @module rfsm.system
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local description = require "rfsm.system.description"
+local search = require "rfsm.shared.search"
+local wires = require "rfsm.system.wires"
+
+local error, getmetatable, ipairs, pcall = error, getmetatable, ipairs, pcall
+local rawget, rawset, setmetatable, type = rawget, rawset, setmetatable, type
+local floor, huge = math.floor, math.huge
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+local getinfo = (rawget(_G, "debug") or {}).getinfo
+
+local system = {}
+
+--- Machines and the wires between them.
+---@class rfsm.System
+---@field names string[] of the machines, in the order in which they move
+---@field models table<string, rfsm.State>
+---@field machines table<string, rfsm.Machine> made when they are first asked for
+---@field wires rfsm.system.Wire[]
+---@field queues any[][] what waits in each wire, the oldest first
+---@field lost integer[] how many events each wire has lost, because it was full
+---@field file string? that describes it
+---@field state number|false of the random order
+local System = {}
+
+-- Raises an error that blames the caller of a method.
+local function check(is_right, method, expected, value)
+  if is_right then return end
+  error("rfsm.system." .. method .. ": " .. expected .. " expected, "
+    .. rfsm.got(value), 3)
+end
+
+local function is_number(x) return type(x) == "number" and x - x == 0 end
+
+-- Puts what a machine emits into its wires.
+local function emit(self, from, name, data)
+  for i, wire in ipairs(self.wires) do
+    if wire.from == from and wire.event == name
+      and not wires.put(wire, self.queues[i], wires.event_of(name, data)) then
+      self.lost[i] = self.lost[i] + 1
+    end
+  end
+end
+
+-- Makes the machines when they are first asked for.
+function System:__index(key)
+  if key ~= "machines" then return System[key] end
+  local machines = {}
+  for _, name in ipairs(self.names) do
+    local fsm, text = rfsm.init(self.models[name])
+    if not fsm then error(text, 0) end
+    rfsm.set_emit(fsm, function(event, data) emit(self, name, event, data) end)
+    machines[name] = fsm
+  end
+  rawset(self, "machines", machines)
+  return machines
+end
+
+--- Have one machine read its wires and take one step.
+--
+-- In its first move a machine is entered, and reads no wire: its entry would lose the
+-- events. So does a component of Orocos with `enter = "start"`.
+--
+---@param name string
+---@param events? any[] events from outside, which come behind those of the wires
+---@return boolean idle as `rfsm.step`
+---@return any[] came from the wires and from outside
+---@return rfsm.system.Wire[] by the wires of the first ones
+function System:move(name, events)
+  local is_name, problem = description.is_name(self.models, name)
+  if not is_name then error("rfsm.system.move: " .. problem, 2) end
+  check(events == nil or type(events) == "table", "move", "list of events", events)
+  local fsm = self.machines[name]
+  local came, by = {}, {}
+  if rfsm.get_sta_mode(fsm) ~= "inactive" then
+    came, by = wires.take(self.wires, self.queues, name)
+  end
+  for _, event in ipairs(events or {}) do came[#came + 1] = event end
+  rfsm.send_events(fsm, unpack(came))
+  return rfsm.step(fsm), came, by
+end
+
+-- Returns a random number from 1 to n, the same on every Lua.
+local function draw(self, n)
+  self.state = self.state * 16807 % 2147483647
+  return floor(self.state / 2147483647 * n) + 1
+end
+
+--- Have the machines move in a random order, another one in each step; without a seed,
+-- in the fixed order again.
+---@param seed? integer
+function System:shuffle(seed)
+  check(seed == nil or is_number(seed), "shuffle", "number", seed)
+  self.state = seed and floor(seed) % 2147483646 + 1 or false
+end
+
+-- Returns the names in the order of the next step.
+local function order_of(self)
+  local order = {}
+  for i, name in ipairs(self.names) do
+    local at = self.state and draw(self, i) or i
+    order[i] = order[at]
+    order[at] = name
+  end
+  return order
+end
+
+-- Does nothing wait in wires?
+local function is_empty(queues)
+  for _, queue in ipairs(queues) do
+    if queue[1] ~= nil then return false end
+  end
+  return true
+end
+
+--- Have each machine move once.
+---@param watch? fun(name: string, came: any[], by: rfsm.system.Wire[]) behind each move
+---@return boolean idle true if no machine has anything left to do, and no event waits
+function System:step(watch)
+  local are_idle = true
+  for _, name in ipairs(order_of(self)) do
+    local is_idle, came, by = self:move(name)
+    if watch then watch(name, came, by) end
+    are_idle = are_idle and is_idle
+  end
+  return are_idle and is_empty(self.queues)
+end
+
+--- Step until nothing is left to do.
+---@param most? integer steps, default no bound
+---@return boolean idle false if the bound was hit
+function System:run(most)
+  check(most == nil or is_number(most), "run", "number of steps", most)
+  for _ = 1, most or huge do
+    if self:step() then return true end
+  end
+  return false
+end
+
+local function empty_wires(self)
+  self.queues, self.lost = {}, {}
+  for i in ipairs(self.wires) do self.queues[i], self.lost[i] = {}, 0 end
+end
+
+--- Make the system as it was at first.
+--
+-- No machine is entered, and no event waits.
+--
+function System:reset()
+  for _, name in ipairs(self.names) do rfsm.reset(self.machines[name]) end
+  empty_wires(self)
+end
+
+--- Explore every configuration that the machines can reach together.
+---@param options? table see `rfsm.system.report`
+---@return rfsm.system.Report
+function System:explore(options)
+  return require("rfsm.system.report").explore(self, options)
+end
+
+-- Public functions ------------------------------------------------------------------
+
+--- Is a value a system?
+---@param value any
+---@return boolean
+function system.is_system(value) return getmetatable(value) == System end
+
+-- The files that `load` is reading, the innermost last.
+local loading = {}
+
+-- Returns the file that is being loaded, or the one that calls a function of this
+-- module. A file that ends with `return system {...}`, a tail call, has left the stack.
+local function calling_file()
+  local info = getinfo and getinfo(3, "S")
+  return loading[#loading] or info and info.source:match("^@(.*)")
+end
+
+-- Returns the path of a file beside the one that calls. The tools look there anyway.
+local function beside(file, caller)
+  local folder = caller and caller:match("^.*/") or ""
+  local is_tools = caller and search.world_of("@" .. caller)
+  return not is_tools and search.exists(folder .. file) and folder .. file or file
+end
+
+--- Load a chart or a system from a file, beside the file that calls.
+-- @raise when the file cannot be read or fails, or returns neither
+---@param file string
+---@return rfsm.State|rfsm.System loaded
+---@nodiscard
+function system.load(file)
+  if type(file) ~= "string" then
+    error("rfsm.system.load: file name expected, got " .. type(file), 2)
+  end
+  local path = beside(file, calling_file())
+  loading[#loading + 1] = path
+  local ok, value = pcall(rfsm.load, path, system.is_system)
+  loading[#loading] = nil
+  return ok and value or error(value, 0)
+end
+
+-- Makes a system: `system { arm = model, wires = { ... } }`. Raises an error with all
+-- that is wrong, before anything runs.
+local function new(_, given)
+  local self, text = description.read(given, calling_file())
+  if not self then error(text, 0) end
+  self.state = false
+  empty_wires(self)
+  return setmetatable(self, System)
+end
+
+return setmetatable(system, { __call = new })

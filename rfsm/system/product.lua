@@ -1,0 +1,519 @@
+--- Products: the configurations that the machines of a system reach together.
+--
+-- In a move a machine reads its wires and takes one step with what it has read, and
+-- with one event from outside or none. Any machine may move at any time. The engine
+-- takes the step of a subject (`rfsm.explore.subject`) once for each configuration of
+-- the machine and each list of events; its outcomes are kept.
+--
+-- A product has the fields of a walk (`rfsm.explore.explore`) that graphs and
+-- properties read.
+--
+-- @module rfsm.system.product
+-- @license BSD-3-Clause
+
+local data = require "rfsm.explore.data"
+local explore = require "rfsm.explore.explore"
+local graph = require "rfsm.explore.graph"
+local location = require "rfsm.shared.location"
+local match = require "rfsm.shared.match"
+local order = require "rfsm.shared.order"
+local properties = require "rfsm.explore.properties"
+local reactions = require "rfsm.explore.reactions"
+local rfsm = require "rfsm"
+local subject = require "rfsm.explore.subject"
+local wires = require "rfsm.system.wires"
+
+local error, ipairs, rawget = error, ipairs, rawget
+local setmetatable, tonumber, type = setmetatable, tonumber, type
+local concat = table.concat
+
+local product = {}
+
+--- A walk over the configurations of several machines.
+---@class rfsm.system.Product
+---@field members rfsm.system.Member[]
+---@field wires rfsm.system.Wire[] between them
+---@field keys table[] configurations: `numbers` of those of the machines, `queues`
+---@field numbers table<string, integer> configuration by a text
+---@field labels string[] configuration -> member and outcome of that move: "2:7"
+---@field steps integer[] targets of moves; negative: without an event from outside
+---@field movers integer[] of these, the numbers of members
+---@field lost table<rfsm.system.Wire, table> the first move that loses an event
+---@field carries table<rfsm.system.Wire, true> wires over which an event goes
+---@field is_partial boolean something else was not tried than what lies behind a bound
+local Product = {}
+Product.__index = Product
+
+--- A machine of a product.
+---@class rfsm.system.Member
+---@field name string
+---@field number integer
+---@field own rfsm_checks.Subject
+---@field confs rfsm_checks.Configuration[] those of it alone
+---@field moves table<integer, table> outcomes by configuration and what was read
+---@field wired table<string, boolean> events of its wires; true: by wires alone
+---@field wanted string[] events of properties
+---@field takes table<string, true> events that transitions have taken
+---@field passed rfsm_checks.Passed[] moments of its steps
+---@field outgoing table<string, integer[]> wires by event
+
+-- Notes what is not tried of a machine.
+local function note_untried(self, member, bound, text)
+  self.is_partial = true
+  explore.note_untried(self, bound, member.name .. ": " .. text)
+end
+
+-- Steps of one machine ..............................................................
+
+-- Returns the number of the configuration that a machine is in; nil if some of its data
+-- is not followed.
+local function local_number(self, member)
+  local own = member.own
+  local values, text = data.read(own)
+  if not values then
+    note_untried(self, member, "values", text)
+    return nil
+  end
+  local key = own:read() .. "|" .. text
+  local number = member.ids[key]
+  if not number then
+    number = #member.confs + 1
+    member.ids[key], member.confs[number] = number, own:configuration(key)
+    member.confs[number].values = values
+  end
+  return number
+end
+
+-- Adds the events of a set that may come from outside as a set, if there are enough.
+local function add_outside(member, sets, set, least)
+  local kept = {}
+  for _, occurrence in ipairs(set) do
+    if occurrence.part.owner or not member.wired[occurrence.event] then
+      kept[#kept + 1] = occurrence
+    end
+  end
+  if kept[least] then sets[#sets + 1] = kept end
+end
+
+-- Lists the sets of events that may come from outside: none, one, or several that a
+-- path through connectors needs.
+local function outside_of(self, member, conf)
+  if conf.sets then return conf.sets end
+  local list, needed, is_cut = reactions.that_may_come(member.own, conf)
+  explore.add_wanted(member.own, member.wanted, list)
+  conf.sets = { {} }
+  for _, occurrence in ipairs(list) do
+    add_outside(member, conf.sets, occurrence.alone, 1)
+  end
+  for _, several in ipairs(needed) do add_outside(member, conf.sets, several, 2) end
+  if is_cut then note_untried(self, member, "sets", "some sets of events") end
+  return conf.sets
+end
+
+-- Returns the events of properties that a step had, and whether it took them. Notes
+-- those of wires that it took. An event with data has its name.
+local function events_of(member)
+  local came, own = {}, member.own
+  for _, event in ipairs(own.last_events) do
+    local name = type(event) == "table" and rawget(event, "name") or event
+    local is_taken = properties.is_taken(own, event)
+    member.takes[name] = member.takes[name] or is_taken or nil
+    if match.has(member.wanted, name) then came[name] = came[name] or is_taken end
+  end
+  return came
+end
+
+-- Returns where the step of a machine has led, and what it did.
+local function new_outcome(self, member, conf, set)
+  local own = member.own
+  local outcome = { tgt = local_number(self, member), outside = set,
+    emitted = match.joined({}, own.emitted), passed = match.joined({}, own.passed),
+    came = conf[1].leaf and events_of(member) or {} }
+  for _, moment in ipairs(outcome.passed) do
+    member.passed[#member.passed + 1] = { moment = moment }
+  end
+  explore.note_outcome(own, outcome)
+  return outcome
+end
+
+-- Returns a text that tells outcomes apart.
+local function text_of(outcome)
+  local texts = { outcome.tgt, concat(outcome.taken, ","),
+    outcome.outside[1] and "outside" or "",
+    concat(rfsm.sorted_keys(outcome.came), ",") }
+  for _, item in ipairs(outcome.emitted) do
+    texts[#texts + 1] = item.emit .. (item.data and "+" or "")
+  end
+  return concat(texts, " ")
+end
+
+-- Adds the outcome of the last step, unless it is there.
+local function add_outcome(self, member, conf, set, list)
+  local outcome = new_outcome(self, member, conf, set)
+  local text = outcome.tgt and text_of(outcome)
+  if text and not list[text] then list[text], list[#list + 1] = outcome, outcome end
+  if member.own.sent_later[1] then
+    note_untried(self, member, "pending", "events that are sent later")
+  end
+end
+
+local MANY_CHOICES = 4096
+
+-- Adds the outcomes of steps with events, one for each choice that makes a difference.
+local function add_outcomes(self, member, conf, read, set, list)
+  local own, choices, tries = member.own, {}, 0
+  local events = match.joined(read, set)
+  if not (events[1] or subject.may_act(conf)) then return end
+  repeat
+    own:put(conf, events)
+    data.put(own, conf.values)
+    tries, self.count = tries + 1, self.count + 1
+    if own:step(events, choices) then
+      add_outcome(self, member, conf, set, list)
+    else
+      note_untried(self, member, "endless", "a step that does not end")
+    end
+  until tries == MANY_CHOICES
+    or not subject.next_choices(choices, own.asked, own.is_known)
+  if tries == MANY_CHOICES then
+    note_untried(self, member, "choices", "more than 4096 choices of one step")
+  end
+end
+
+-- Returns the outcomes of the steps of a machine with what it has read.
+local function outcomes_of(self, member, number, read)
+  local known, numbers = member.moves[number] or {}, {}
+  member.moves[number] = known
+  for i, occurrence in ipairs(read) do numbers[i] = occurrence.number end
+  local key = concat(numbers, ",")
+  if not known[key] then
+    local conf = member.confs[number]
+    known[key] = {}
+    for _, set in ipairs(outside_of(self, member, conf)) do
+      add_outcomes(self, member, conf, read, set, known[key])
+    end
+    data.rest(member.own)
+  end
+  return known[key]
+end
+
+-- Moves .............................................................................
+
+-- In a queue an event is a letter, as a wire carries one event: "d" with data, "e"
+-- without.
+local function copy(queue) return match.joined({}, queue) end
+
+--- Return a configuration by its number.
+function Product:configuration(number) return self.keys[number] end
+
+-- Returns the number of a configuration; a new one is to be looked at later. Its first
+-- field tells properties if all machines were entered.
+local function find_configuration(self, numbers, queues, from, label)
+  local texts = { concat(numbers, ",") }
+  for i, queue in ipairs(queues) do texts[i + 1] = concat(queue) end
+  local key = concat(texts, "|")
+  local number = self.numbers[key]
+  if number then return number end
+  local are_entered = order.all(self.members, function(member)
+    return member.confs[numbers[member.number]][1].leaf
+  end)
+  number = #self.keys + 1
+  self.keys[number] = { { leaf = are_entered }, numbers = numbers, queues = queues }
+  self.numbers[key], self.from[number], self.labels[number] = number, from, label
+  return number
+end
+
+-- Returns the outcomes of a move, the queues when the wires were read, and for each
+-- event the wire that it came by.
+local function moves_of(self, member, conf)
+  local number, queues, read = conf.numbers[member.number], {}, {}
+  if not member.confs[number][1].leaf then
+    return outcomes_of(self, member, number, read), conf.queues, read
+  end
+  for at, wire in ipairs(self.wires) do
+    queues[at] = wire.to == member.name and copy(conf.queues[at]) or conf.queues[at]
+  end
+  local letters, by = wires.take(self.wires, queues, member.name)
+  for i, letter in ipairs(letters) do
+    local event = letter == "d" and by[i].with_data or by[i].event
+    read[i] = member.own:occurrence(member.own.parts[1], event)
+  end
+  return outcomes_of(self, member, number, read), queues, by
+end
+
+-- Returns the queues behind what a step has emitted, and for each event and wire
+-- whether it was lost.
+local function send(self, member, queues, emitted)
+  local after, sent = emitted[1] and copy(queues) or queues, {}
+  for _, item in ipairs(emitted) do
+    for _, at in ipairs(member.outgoing[item.emit] or {}) do
+      after[at] = copy(after[at])
+      local is_put = wires.put(self.wires[at], after[at], item.data and "d" or "e")
+      sent[#sent + 1] = { wire = self.wires[at], is_lost = not is_put }
+    end
+  end
+  return after, sent
+end
+
+-- Notes a move. One that changes nothing counts only if events are why it was taken.
+local function add_step(self, from, tgt, member, outcome, label)
+  local is_internal = not outcome.outside[1]
+  if tgt == from and not (is_internal and outcome.taken[1]) then return end
+  local step = is_internal and -tgt or tgt
+  for at = self.first[from], #self.steps do
+    if self.steps[at] == step and self.movers[at] == member.number then return end
+  end
+  local at = #self.steps + 1
+  self.steps[at], self.movers[at], self.step_labels[at] = step, member.number, label
+end
+
+-- Notes what a move shows that has not been seen before.
+local function note_move(self, move, member, outcome, sent)
+  for _, each in ipairs(sent) do
+    self.carries[each.wire] = true
+    self.lost[each.wire] = self.lost[each.wire]
+      or each.is_lost and { at = move.from, label = move.label } or nil
+  end
+  for _, moment in ipairs(outcome.passed) do
+    self.passed[#self.passed + 1] = { from = move.from, tgt = move.tgt,
+      label = move.label,
+      moment = { member = member, moment = moment, number = move.from } }
+  end
+  for _, judged in ipairs(self.afters) do
+    local is_taken, owed = outcome.came[judged.event], self.owed[judged]
+    if judged.member == member and is_taken ~= nil then
+      judged.has_come, judged.is_taken = true, judged.is_taken or is_taken
+      owed[move.tgt] = owed[move.tgt] or move
+    end
+  end
+end
+
+--- Take all moves from a configuration.
+function Product:expand(from)
+  local conf, has_moved = self.keys[from], false
+  self.first[from] = #self.steps + 1
+  for _, member in ipairs(self.members) do
+    local list, left, by = moves_of(self, member, conf)
+    for index, outcome in ipairs(list) do
+      local queues, sent = send(self, member, left, outcome.emitted)
+      local numbers, label = copy(conf.numbers), member.number .. ":" .. index
+      numbers[member.number] = outcome.tgt
+      local tgt = find_configuration(self, numbers, queues, from, label)
+      add_step(self, from, tgt, member, outcome, label)
+      note_move(self, { from = from, tgt = tgt, label = label }, member, outcome, sent)
+      has_moved = has_moved or tgt ~= from or outcome.taken[1] ~= nil or by[1] ~= nil
+    end
+  end
+  if not has_moved then self.stuck[#self.stuck + 1] = from end
+end
+
+-- What properties ask ...............................................................
+
+--- Is some machine entered at some time?
+function Product:is_entered()
+  return order.any(self.members, function(member)
+    return order.any(member.confs, function(conf) return conf[1].leaf end)
+  end)
+end
+
+--- Return the member and the rest of a name such as "arm: root.moving".
+function Product:split(name)
+  local front, rest = name:match("^%s*([^:]-)%s*:%s*(.-)%s*$")
+  local names = {}
+  for i, member in ipairs(self.members) do
+    if member.name == front then return member, rest end
+    names[i] = member.name
+  end
+  if front then location.refuse_name(front, "machine", names) end
+  error(("'%s': expected as in 'arm: root.moving'"):format(name), 0)
+end
+
+--- Return a function that tells of "arm: root.moving" if it is active; of one machine
+--- in a moment of a step, if one is given. A product is its own subject.
+function Product:view(conf, passed)
+  return function(name)
+    local member, path = self:split(name)
+    local own = member.confs[conf.numbers[member.number]]
+    if passed and member == passed.member then
+      return member.own:view_of_moment(passed.moment)(path)
+    end
+    own.view = own.view or member.own:view(own)
+    return own.view(path)
+  end
+end
+
+function Product:view_of_moment(passed)
+  return self:view(self.keys[passed.number], passed)
+end
+
+-- Runs that stay ....................................................................
+
+-- Returns the moves without events from outside that do not begin or end in a set: what
+-- graphs read of a walk, and the `edges` from each configuration.
+local function moves_outside(self, goals)
+  local part = setmetatable({ first = {}, steps = {}, edges = {} }, { __index = self })
+  for from = 1, self.expanded do
+    local edges = {}
+    part.first[from], part.edges[from] = #part.steps + 1, edges
+    graph.each_step(self, from, function(tgt, is_internal, at)
+      if is_internal and not (goals[from] or goals[tgt]) then
+        edges[#edges + 1] = { from = from, tgt = tgt, label = self.step_labels[at],
+          mover = self.movers[at] }
+        part.steps[#part.steps + 1] = tgt
+      end
+    end)
+  end
+  part.first[self.expanded + 1] = #part.steps + 1
+  return part
+end
+
+-- Notes which machines have nothing to do in a configuration, or a move that stays.
+local function note_fair(self, part, number, index_of, is_fair)
+  local is_busy = {}
+  graph.each_step(self, number, function(tgt, is_internal, at)
+    if is_internal and tgt ~= number then is_busy[self.movers[at]] = true end
+  end)
+  for i in ipairs(self.members) do is_fair[i] = is_fair[i] or not is_busy[i] end
+  for _, edge in ipairs(part.edges[number]) do
+    if index_of[edge.tgt] == index_of[number] then is_fair[edge.mover] = true end
+  end
+end
+
+--- Return the set of configurations from which moves without events from outside always
+--- lead to one of `goals`: doos end, and each machine moves again and again.
+---@param goals table<integer, boolean>
+---@return table<integer, boolean> set
+function Product:must_reach(goals)
+  local part, set, staying = moves_outside(self, goals), {}, {}
+  for number = 1, self.expanded do set[number] = not goals[number] end
+  local components, index_of = graph.components_in(part, set)
+  for _, numbers in ipairs(components) do
+    local is_fair = {}
+    for _, number in ipairs(numbers) do
+      note_fair(self, part, number, index_of, is_fair)
+    end
+    local stays = order.all(self.members, function(member)
+      return is_fair[member.number]
+    end)
+    for _, number in ipairs(numbers) do staying[number] = stays end
+  end
+  self.part, self.staying = part, staying
+  local can_stay = graph.can_reach(part, staying)
+  for number = 1, #self.keys do
+    set[number] = self.is_partial or not can_stay[number]
+  end
+  return set
+end
+
+-- Returns the moves from a configuration to one where the last run that was looked for
+-- may stay.
+local function way_to_stay(self, number)
+  if self.staying[number] then return {} end
+  return graph.find_way(self.part.edges, number, function(edge)
+    return self.staying[edge.tgt]
+  end) or {}
+end
+
+-- Witnesses .........................................................................
+
+--- A move of a witness.
+---@class rfsm.system.Move
+---@field machine string
+---@field events string[] from outside
+---@field read rfsm.system.Wire[] one for each event
+---@field sent { wire: rfsm.system.Wire, is_lost: boolean }[]
+---@field choices { who: string, answer: boolean, is_doo: boolean }[]
+---@field taken string[] paths of transitions
+---@field leaf string|false
+
+-- Returns a move of a witness.
+local function move_of(self, from, label)
+  local number, index = label:match("^(%d+):(%d+)$")
+  local member = self.members[tonumber(number)]
+  local list, left, by = moves_of(self, member, self.keys[from])
+  local outcome = list[tonumber(index)]
+  local _, sent = send(self, member, left, outcome.emitted)
+  local move = { machine = member.name, events = {}, read = by, sent = sent,
+    choices = outcome.choices, taken = outcome.taken, leaf = outcome.leaf,
+    occurrences = outcome.outside }
+  for i, occurrence in ipairs(outcome.outside) do
+    move.events[i] = rfsm.text_of(occurrence.event)
+  end
+  return move
+end
+
+--- Return the shortest run to a configuration, and on by a move; with `stays` on to
+--- where `must_reach` has found last that a run may stay.
+---@param number integer
+---@param label string? of a move from there
+---@param stays integer? target of that move
+---@return rfsm.system.Move[] witness
+function Product:witness(number, label, stays)
+  local way, moves = explore.way_to(self, number, label), {}
+  if stays then way = match.joined(way, way_to_stay(self, stays)) end
+  for i, step in ipairs(way) do moves[i] = move_of(self, step.from, step.label) end
+  return moves
+end
+
+-- Public functions ..................................................................
+
+local EMITS = "events that the %s may emit, which sends does not name"
+
+local function note_gaps(self, member)
+  for _, gap in ipairs(explore.gaps(member.own)) do
+    note_untried(self, member, gap[1], gap[2])
+  end
+  for _, name in ipairs(member.own.emitters) do
+    note_untried(self, member, "emits", EMITS:format(name))
+  end
+end
+
+-- Adds a machine.
+local function add_member(self, cell, name, options)
+  local own = subject.new(cell.models[name], options)
+  local member = { name = name, number = #self.members + 1, own = own, confs = {},
+    ids = {}, moves = {}, wired = {}, wanted = {}, takes = {}, outgoing = {},
+    passed = {} }
+  own.notes_events = true
+  for at, wire in ipairs(self.wires) do
+    if wire.to == name then
+      member.wired[wire.event] = not match.has(options.alphabet or {}, wire.event)
+    end
+    if wire.from == name then
+      member.outgoing[wire.event] = match.with(member.outgoing[wire.event] or {}, at)
+    end
+  end
+  self.members[member.number] = member
+  note_gaps(self, member)
+end
+
+--- Make the product of some machines of a system, with its first configuration.
+---@param cell rfsm.System
+---@param group_of table<string, string> by machine
+---@param group string those of it are in the product
+---@param settings table<string, rfsm_checks.Options> of the machines
+---@return rfsm.system.Product
+function product.new(cell, group_of, group, settings)
+  local self = setmetatable({ members = {}, wires = {}, keys = {}, numbers = {},
+    from = {}, labels = {}, first = {}, steps = {}, movers = {}, step_labels = {},
+    expanded = 0, depth = 0, level_end = 1, stuck = {}, passed = {}, lost = {},
+    carries = {}, afters = {}, owed = {}, untried = {}, unsure = {}, cut = {},
+    monitored = {}, count = 0, bound = nil, is_partial = false }, Product)
+  self.subject = self
+  for _, wire in ipairs(cell.wires) do
+    if group_of[wire.to] == group then
+      self.wires[#self.wires + 1] = setmetatable({ with_data = { name = wire.event } },
+        { __index = wire })
+    end
+  end
+  for _, name in ipairs(cell.names) do
+    if group_of[name] == group then add_member(self, cell, name, settings[name]) end
+  end
+  local numbers, queues = {}, {}
+  for i, member in ipairs(self.members) do numbers[i] = local_number(self, member) end
+  for at in ipairs(self.wires) do queues[at] = {} end
+  find_configuration(self, numbers, queues, 0, "")
+  return self
+end
+
+return product

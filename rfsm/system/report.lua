@@ -1,0 +1,346 @@
+--- Reports: what the products of a system show, and which properties hold.
+--
+-- Machines that no wire and no property joins are explored apart.
+--
+-- @module rfsm.system.report
+-- @license BSD-3-Clause
+
+local advice = require "rfsm.advice"
+local alphabet = require "rfsm.shared.alphabet"
+local codes = require "rfsm.checks.codes"
+local data = require "rfsm.explore.data"
+local explore = require "rfsm.explore.explore"
+local location = require "rfsm.shared.location"
+local match = require "rfsm.shared.match"
+local opts = require "rfsm.shared.options"
+local order = require "rfsm.shared.order"
+local product = require "rfsm.system.product"
+local properties = require "rfsm.explore.properties"
+local reactions = require "rfsm.explore.reactions"
+local rfsm = require "rfsm"
+local sequence = require "rfsm.system.sequence"
+local static = require "rfsm.checks.static"
+local subject = require "rfsm.explore.subject"
+local verdict = require "rfsm.explore.verdict"
+
+local error, ipairs, pcall = error, ipairs, pcall
+local setmetatable, type = setmetatable, type
+local concat = table.concat
+
+local report = {}
+
+--- The options of a machine: those of an exploration that belong to its chart.
+report.OF_MACHINE = { "alphabet", "complementary", "dry_run", "exclusive", "flags",
+  "run", "same", "sends", "vars" }
+
+local OF_SYSTEM = { "configurations", "depth", "progress", "properties", "seconds" }
+
+--- What is known of a system; `tostring` of it is a text.
+---@class rfsm.system.Report
+---@field configurations integer
+---@field walks rfsm.system.Product[]
+---@field steps integer that the engine took
+---@field findings rfsm_checks.Finding[] with field `witness`
+---@field properties { name: string, holds: boolean|nil, vacuous?: string }[]
+---@field premises string[]
+---@field bound string? what was hit first
+---@field untried string[]
+local Report = {}
+Report.__index = Report
+
+-- Properties ........................................................................
+
+-- Lists the machines that a property names; all for a function, which may ask for any.
+local function machines_in(cell, property)
+  local names = {}
+  for _, field in ipairs { "what", "goal", "event" } do
+    local value = property[field]
+    if type(value) == "function" then return cell.names end
+    for _, name in ipairs(type(value) == "table" and value or { value }) do
+      names[#names + 1] = rfsm.text_of(name):match("^%s*(.-)%s*:")
+    end
+  end
+  return names
+end
+
+local JUDGED = { never = true, always = true, from = true, after = true }
+
+-- Has a product look at the event of a property.
+local function watch_event(walk, judged)
+  local member, event = walk:split(judged.property.event)
+  local own = member.own
+  if not (own.event_numbers[event] or own.free.predicates) then
+    error(("property '%s': no transition of '%s' names the event '%s'%s"):format(
+      judged.name, member.name, event,
+      advice.nearest_name(event, own:named_texts())), 0)
+  end
+  judged.member, judged.event = member, event
+  member.wanted[#member.wanted + 1], own.wanted[event] = event, false
+  walk.afters[#walk.afters + 1], walk.owed[judged] = judged, {}
+end
+
+-- Has a product judge a property. Raises an error if it cannot.
+local function watch(walk, judged)
+  if not JUDGED[judged.property.kind] then
+    error(("property '%s': it is not judged for a system, expected: never, always, "
+      .. "from(...).can_reach or after(...).reach"):format(judged.name), 0)
+  end
+  properties.check_names("rfsm.system", judged, walk:view(walk:configuration(1)))
+  if judged.property.event then watch_event(walk, judged) end
+end
+
+-- Findings ..........................................................................
+
+-- Adds a finding with the run to a configuration `at`, and on by a move.
+local function add_run(walk, findings, code, path, text, shown, where)
+  local finding = findings:add(code, nil, path, text, nil, where)
+  if finding then finding.witness = walk:witness(shown.at, shown.label, shown.tgt) end
+end
+
+-- Does a machine wait: is it not entered, or is a leaf not an end that events leave?
+local function is_waiting(member, conf)
+  for i, part in ipairs(member.own.parts) do
+    local leaf = conf[i].leaf
+    local is_end = leaf and (leaf.final == true or codes.means(leaf, "an end"))
+    local found = (leaf or i == 1) and not is_end and reactions.of(part, leaf)
+    if found and (not leaf or found[1] ~= nil or found.any) then return true end
+  end
+  return false
+end
+
+-- Adds a finding if nothing happens any more in a configuration, and a machine waits.
+local function add_deadlock(walk, findings, number)
+  local texts, waits = {}, false
+  for i, member in ipairs(walk.members) do
+    local conf = member.confs[walk:configuration(number).numbers[i]]
+    local leaves = subject.leaves(conf)
+    texts[i] = member.name .. ": " .. (leaves[1] and leaves[#leaves].path
+      or "not entered")
+    waits = waits or is_waiting(member, conf)
+  end
+  if waits then
+    add_run(walk, findings, "deadlock", concat(texts, ", "),
+      "nobody can go on any more", { at = number }, "")
+  end
+end
+
+local function wire_text(wire)
+  return ("wires[%d] (%s %s -> %s)"):format(wire.number, wire.from, wire.event, wire.to)
+end
+
+-- Does a transition or an extension ever take an event?
+local function takes(member, event)
+  return member.takes[event]
+    or match.has(alphabet.of_all(member.own.parts[1].fsm).reactions, event)
+end
+
+-- Finds what a wire loses, and what is never in it or never taken.
+local function find_in_wire(walk, wire, findings)
+  local place = wire_text(wire)
+  local where = wire.location ~= "" and wire.location .. ": " or ""
+  if walk.lost[wire] then
+    add_run(walk, findings, "overflow", place, ("the buffer of %d can be full, the new "
+      .. "event is lost"):format(wire.size), walk.lost[wire], where)
+  end
+  if walk.bound then return end
+  if not walk.carries[wire] then
+    findings:add("idle-wire", nil, place, "no event ever goes over it", nil, where)
+  elseif not takes(walk:split(wire.to .. ":"), wire.event) then
+    findings:add("untaken", nil, place, ("'%s' never takes the event"):format(wire.to),
+      nil, where)
+  end
+end
+
+-- Explores a chart alone. Returns the states that it does not reach, or nil.
+local function unreached_alone(member, model, settings, bounds)
+  local own = { timers = "free", configurations = bounds.configurations,
+    seconds = bounds.seconds }
+  for _, name in ipairs(report.OF_MACHINE) do own[name] = settings[name] end
+  for event in order.each(own.alphabet and member.wired or {}) do -- any order: a set
+    own.alphabet = match.with(own.alphabet, event)
+  end
+  local result, unreached = explore.explore(model, own), {}
+  for _, finding in ipairs(result.findings) do
+    if finding.code == "unreachable" then unreached[finding.place] = true end
+  end
+  return not result.bound and unreached or nil
+end
+
+local function find_unreached(member, findings, unreached)
+  local own, active = member.own, verdict.active_in(member.own, member.passed)
+  for _, path in ipairs(unreached and own.paths or {}) do
+    local above = path:match("^(.*)%.[^.]*$")
+    if not (active[path] or unreached[path]) and (not above or active[above]) then
+      findings:add("unreachable", own.names[path], member.name .. ": " .. path,
+        "active in no configuration of the system, though the chart alone reaches it")
+    end
+  end
+end
+
+-- The whole .........................................................................
+
+-- Returns for each machine a group: the same for those that wires or properties join.
+local function groups_of(cell, list)
+  local group_of = {}
+  for _, name in ipairs(cell.names) do group_of[name] = name end
+  local function join(a, b)
+    local one, other = group_of[a], group_of[b]
+    for _, name in ipairs(one and other and cell.names or {}) do
+      if group_of[name] == other then group_of[name] = one end
+    end
+  end
+  for _, wire in ipairs(cell.wires) do join(wire.from, wire.to) end
+  for _, judged in ipairs(list) do
+    local names = machines_in(cell, judged.property)
+    judged.first = names[1]
+    for _, name in ipairs(names) do join(names[1], name) end
+  end
+  return group_of
+end
+
+local function add_premises(result, walk, settings)
+  local function add(text) result.premises[#result.premises + 1] = text end
+  for _, member in ipairs(walk.members) do
+    local own = member.own
+    local free = rfsm.sorted_keys(own.free)
+    if free[1] then add(member.name .. ": " .. concat(free, ", ") .. " free") end
+    if settings[member.name].alphabet then
+      add(member.name .. ": no event outside of the alphabet")
+    end
+    for _, list in ipairs { own.rule_texts, data.premises(own) } do
+      for _, text in ipairs(list) do add(member.name .. ": " .. text) end
+    end
+  end
+  for _, wire in ipairs(walk.wires) do
+    add(("%s: %s, read = \"%s\""):format(wire_text(wire), wire.kind == "data" and "data"
+      or "buffer of " .. wire.size, wire.read))
+  end
+end
+
+local function add_walk(result, walk, cell, settings, options)
+  explore.walk_all(walk, options)
+  result.configurations = result.configurations + #walk.keys
+  result.steps = result.steps + walk.count
+  result.bound = result.bound or walk.bound
+  result.untried = match.joined(result.untried, walk.untried)
+  add_premises(result, walk, settings)
+  for _, number in ipairs(walk.is_partial and {} or walk.stuck) do
+    add_deadlock(walk, result.findings, number)
+  end
+  for _, wire in ipairs(walk.wires) do find_in_wire(walk, wire, result.findings) end
+  for _, member in ipairs(walk.wires[1] and not walk.bound and walk.members or {}) do
+    find_unreached(member, result.findings, unreached_alone(member,
+      cell.models[member.name], settings[member.name], options))
+  end
+end
+
+-- Judges a property, and adds a finding if it does not hold.
+local function judge(result, judged)
+  properties.judge(judged.walk, judged)
+  if judged.at then
+    add_run(judged.walk, result.findings, "violated", judged.name, "does not hold",
+      judged, "")
+  end
+end
+
+local function read_settings(cell, given)
+  local settings = {}
+  for _, name in ipairs(rfsm.sorted_keys(given)) do
+    if not cell.models[name] then location.refuse_name(name, "machine", cell.names) end
+  end
+  for _, name in ipairs(cell.names) do
+    local own, problem = explore.settings(given[name] or {}, report.OF_MACHINE)
+    if not own then error(("machines.%s: %s"):format(name, problem), 0) end
+    settings[name] = own
+  end
+  return settings
+end
+
+-- Lists the products of the groups of machines; and by the name of the group.
+local function walks_of(cell, group_of, settings)
+  local walks, by_group = {}, {}
+  for _, name in ipairs(cell.names) do
+    local group = group_of[name]
+    if not by_group[group] then
+      by_group[group] = product.new(cell, group_of, group, settings)
+      walks[#walks + 1] = by_group[group]
+    end
+  end
+  return walks, by_group
+end
+
+local function explored(cell, options)
+  local settings = read_settings(cell, options.machines)
+  local list = properties.list_of("rfsm.system", options.properties)
+  local group_of = groups_of(cell, list)
+  local walks, by_group = walks_of(cell, group_of, settings)
+  local result = setmetatable({ configurations = 0, steps = 0, walks = walks,
+    findings = static.new_list(), properties = list, untried = {},
+    premises = { "any order, any time", "one event from outside in a move" } }, Report)
+  for _, judged in ipairs(list) do
+    judged.walk = by_group[group_of[judged.first]] or walks[1]
+    watch(judged.walk, judged)
+  end
+  for _, walk in ipairs(walks) do add_walk(result, walk, cell, settings, options) end
+  for _, judged in ipairs(list) do judge(result, judged) end
+  return result
+end
+
+--- Explore a system: every configuration that its machines can reach together.
+--
+-- @raise if an option is wrong
+---@param cell rfsm.System
+---@param options? table `machines`: options of `rfsm_checks.explore` by machine;
+-- `properties`, `configurations`, `depth`, `seconds`, `progress`
+---@return rfsm.system.Report
+function report.explore(cell, options)
+  local settings, problem = explore.settings(options or {}, OF_SYSTEM, { machines =
+    { "table of options by machine", opts.is_a("table"), {} } })
+  local ok, result = settings ~= nil, problem
+  if ok then ok, result = pcall(explored, cell, settings) end
+  if not ok then error("rfsm.system.explore: " .. rfsm.text_of(result), 2) end
+  return result
+end
+
+-- Text ..............................................................................
+
+local FAIR = " (each machine moves again and again, doos end)"
+
+local function property_line(judged)
+  if judged.holds == nil then return judged.name .. ": not known" end
+  return judged.name .. ": holds" .. (judged.event and FAIR or "")
+    .. (judged.vacuous and " vacuously, " .. judged.vacuous or "")
+end
+
+--- Return the lines of a report without its findings.
+---@param has_numbers boolean?
+---@return string[] lines
+function Report:summary(has_numbers)
+  local lines = {}
+  if has_numbers or self.bound then
+    lines[1] = ("%d configurations, %d steps run"):format(self.configurations,
+      self.steps)
+  end
+  if self.bound then
+    lines[2] = "not tried: " .. concat(self.untried, "; ") .. "; what was not found is "
+      .. "not known"
+  end
+  for _, judged in ipairs(self.properties) do
+    if judged.holds ~= false then lines[#lines + 1] = property_line(judged) end
+  end
+  lines[#lines + 1] = "premises: " .. concat(self.premises, "; ")
+  return lines
+end
+
+function Report:__tostring()
+  local lines = self:summary(true)
+  for _, finding in ipairs(self.findings) do
+    lines[#lines + 1] = static.line(finding)
+    for _, line in ipairs(sequence.lines_of(finding.witness or {})) do
+      lines[#lines + 1] = "  " .. line
+    end
+  end
+  return concat(lines, "\n")
+end
+
+return report

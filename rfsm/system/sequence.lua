@@ -1,0 +1,73 @@
+--- Sequence charts: the moves of a witness as text, and back; as Mermaid.
+--
+-- @module rfsm.system.sequence
+-- @license BSD-3-Clause
+
+local subject = require "rfsm.explore.subject"
+local verdict = require "rfsm.explore.verdict"
+
+local ipairs = ipairs
+local concat = table.concat
+
+local sequence = {}
+
+--- Return the moves of a witness as lines, one each:
+--- "2. arm gets e_go from base, e_x from outside: root.trans[2] -> root.b; sends ..."
+---@param witness rfsm.system.Move[]
+---@return string[] lines
+function sequence.lines_of(witness)
+  local lines = {}
+  for i, move in ipairs(witness) do
+    local got, sent = {}, {}
+    for n, wire in ipairs(move.read) do got[n] = wire.event .. " from " .. wire.from end
+    for _, event in ipairs(move.events) do got[#got + 1] = event .. " from outside" end
+    for n, each in ipairs(move.sent) do
+      sent[n] = ("; sends %s to %s%s"):format(each.wire.event, each.wire.to,
+        each.is_lost and " (lost)" or "")
+    end
+    lines[i] = ("%d. %s%s: %s%s%s"):format(i, move.machine,
+      got[1] and " gets " .. concat(got, ", ") or "",
+      subject.outcome(move.taken, move.leaf),
+      verdict.choices_text(move), concat(sent))
+  end
+  return lines
+end
+
+--- Read the moves of a text: of each line that begins with a number and a point.
+---@param text string
+---@return { machine: string, events: string[] }[] moves for `cell:move`
+function sequence.read(text)
+  local moves = {}
+  for head in ("\n" .. text):gmatch("\n%s*%d+%. ([^\n]-): ") do
+    local machine, got = head:match("^(.-) gets (.*)$")
+    local move = { machine = machine or head, events = {} }
+    for item in ((got or "") .. ", "):gmatch("(.-), ") do
+      move.events[#move.events + 1] = item:match("^(.*) from outside$")
+    end
+    moves[#moves + 1] = move
+  end
+  return moves
+end
+
+--- Return a witness as a sequence diagram of Mermaid.
+---@param names string[] machines, from left to right
+---@param witness rfsm.system.Move[]
+---@return string text
+function sequence.mermaid(names, witness)
+  local lines = { "sequenceDiagram" }
+  local function add(text, ...) lines[#lines + 1] = "  " .. text:format(...) end
+  for _, name in ipairs(names) do add("participant %s", name) end
+  for _, move in ipairs(witness) do
+    for _, event in ipairs(move.events) do
+      add("Note left of %s: %s", move.machine, event)
+    end
+    add("Note over %s: %s", move.machine, move.leaf or "not entered")
+    for _, each in ipairs(move.sent) do
+      add("%s%s%s: %s", move.machine, each.is_lost and "-x" or "->>", each.wire.to,
+        each.wire.event)
+    end
+  end
+  return concat(lines, "\n") .. "\n"
+end
+
+return sequence

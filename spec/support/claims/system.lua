@@ -1,0 +1,490 @@
+-- Systems against brute force: two or three random charts with timers, predicates,
+-- deferred events and sequential AND states, joined by random wires. Whatever random
+-- runs of the real machines reach was reached, no verdict is refuted by one, and each
+-- witness leads to its end on real machines.
+
+local alphabet = require "rfsm.shared.alphabet"
+local charts = require "spec.support.claims.explore"
+local match = require "rfsm.shared.match"
+local reactions = require "rfsm.explore.reactions"
+local new_random = require "spec.support.random"
+local report = require "rfsm.system.report"
+local rfsm = require "rfsm"
+local rfsm_checks = require "rfsm_checks"
+local rfsm_timeevent = require "rfsm_timeevent"
+local run_seeds = require "spec.support.run_seeds"
+local subject = require "rfsm.explore.subject"
+local system = require "rfsm.system"
+
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+local claim = { name = "systems and random runs", runs = 20 }
+
+local BOUND = 1500 -- configurations: systems that have more are left out
+
+-- Systems ---------------------------------------------------------------------------
+
+-- Returns the callbacks of a chart; some emit events.
+local function emitting(make, emits)
+  local own = {}
+  for name, f in pairs(make) do own[name] = f end -- any order: a copy
+  for _, field in ipairs { "effect", "entry" } do
+    own[field] = function(id)
+      local f, event = make[field] and make[field](id), emits[field .. " " .. id]
+      if not event then return f end
+      return function(fsm, ...)
+        if f then f(fsm, ...) end
+        fsm.emit(event)
+      end
+    end
+  end
+  return own
+end
+
+-- Returns a chart of a system: what it emits by callback, as here and as an option.
+local function new_member(random, name)
+  local seed = random:below(100000)
+  local chart = charts.chart(seed, random:chance(80) and 2 or nil)
+  local member = { name = name, chart = chart, emits = {}, sends = {} }
+  local path_of = charts.paths_of(chart)
+  for _, number in ipairs(rfsm.sorted_keys(path_of)) do
+    if random:chance(40) then
+      member.emits["effect " .. number] = "e" .. random(4)
+      member.sends["effect " .. path_of[number]] =
+        { { emit = member.emits["effect " .. number] } }
+    end
+  end
+  for _, fqn in ipairs(chart.names) do
+    if chart.nodes[fqn].kind == "state" and random:chance(10) then
+      member.emits["entry " .. fqn] = "e" .. random(4)
+      member.sends["entry " .. fqn] = { { emit = member.emits["entry " .. fqn] } }
+    end
+  end
+  member.fsm = rfsm.init(charts.model_of(chart, {}, ""))
+  member.known = alphabet.of_all(member.fsm)
+  return member
+end
+
+local function takes(member, event)
+  return member.known.takes_any or member.known.predicates[1]
+    or match.has(member.known.list, event)
+end
+
+local function does_emit(member, event)
+  for _, other in pairs(member.emits) do -- any order: is it there?
+    if other == event then return true end
+  end
+end
+
+local function new_wires(random, members)
+  local wires, is_there = {}, {}
+  for _ = 1, 2 + random(6) do
+    local from, to = random:pick(members), random:pick(members)
+    local event = "e" .. random(4)
+    local key = from.name .. event .. to.name
+    if takes(to, event) and does_emit(from, event) and not is_there[key] then
+      is_there[key] = true
+      local kind = random:chance(30) and "data" or "buffer"
+      wires[#wires + 1] = { from = from.name, event = event, to = to.name, kind = kind,
+        size = kind == "buffer" and random(3) or nil,
+        read = random:chance(50) and "all" or "one" }
+    end
+  end
+  return wires
+end
+
+local NAMES = { "a", "b", "c" }
+
+-- Returns a random system: its members, wires, and the options of an exploration.
+local function new_system(seed)
+  local random, members = new_random(seed), {}
+  for i = 1, random:chance(70) and 2 or 3 do
+    members[i] = new_member(random, NAMES[i])
+    members[NAMES[i]] = members[i]
+  end
+  local options = { machines = {}, configurations = BOUND, properties = {} }
+  for _, member in ipairs(members) do
+    options.machines[member.name] = random:chance(25) and { dry_run = true }
+      or { sends = member.sends }
+  end
+  return { members = members, wires = new_wires(random, members), options = options,
+    random = random }
+end
+
+-- Returns the cell of a system, made with callbacks by name.
+local function cell_of(own, make_of)
+  local given = { wires = own.wires }
+  for _, member in ipairs(own.members) do
+    given[member.name] = charts.model_of(member.chart,
+      emitting(make_of(member), member.emits), "")
+  end
+  return system(given)
+end
+
+local function states_of(member)
+  local paths = { member.name .. ": root" }
+  for _, path in ipairs(rfsm.elements(member.fsm, rfsm.is_leaf)) do
+    paths[#paths + 1] = member.name .. ": " .. path._fqn
+  end
+  return paths
+end
+
+-- Adds random properties; those of all kinds that are judged.
+local function add_properties(own)
+  local random, members, list = own.random, own.members, own.options.properties
+  local function state() return random:pick(states_of(random:pick(members))) end
+  local function event()
+    local member = random:pick(members)
+    for _ = 1, 20 do
+      local name = "e" .. random(4)
+      if match.has(member.known.list, name) then return member.name .. ": " .. name end
+    end
+  end
+  for _ = 1, 2 do
+    list[#list + 1] = rfsm_checks.never { state(), state() }
+    list[#list + 1] = rfsm_checks.from(state()).can_reach(state())
+    for _ = 1, 2 do
+      local name = event()
+      list[#list + 1] = name and rfsm_checks.after(name).reach(state())
+    end
+  end
+end
+
+-- Random runs -----------------------------------------------------------------------
+
+-- The machines of a system that run, with a clock and random answers.
+local function new_run(own, seed)
+  local run = { own = own, random = new_random(seed), worlds = {}, now = 0, seen = {},
+    came = {} }
+  run.cell = cell_of(own, function(member)
+    local world = { random = run.random, seen = {}, sends = {}, flags = {}, sets = {},
+      steps = 0 }
+    run.worlds[member.name] = world
+    return charts.wanderer(world, function() end)
+  end)
+  for _, member in ipairs(own.members) do
+    for _, entry in ipairs(rfsm.machines(run.cell.machines[member.name])) do
+      entry.machine.gettime = function() return run.now, 0 end
+      entry.machine.dbg = function(id)
+        if id == "TIMEEVENT" then run.fired = run.fired + 1 end
+      end
+    end
+    rfsm.pre_step_hook_add(run.cell.machines[member.name], function(fsm, events)
+      for _, event in ipairs(events) do
+        local name = member.name .. ": " .. tostring(event)
+        if fsm._act_leaf then run.came[name] = true end
+      end
+    end)
+  end
+  return run
+end
+
+-- Returns the configuration as a text; those of the machines as texts, too.
+local function stand_of(run)
+  local texts = {}
+  for i, member in ipairs(run.own.members) do
+    local stands = charts.stands_of(run.cell.machines[member.name], {})
+    texts[i] = member.name .. " " .. stands[#stands]
+  end
+  for i, queue in ipairs(run.cell.queues) do texts[#texts + 1] = i .. ":" .. #queue end
+  return table.concat(texts, "; ")
+end
+
+local function is_active(run, name)
+  local machine, path = name:match("^(.-): (.*)$")
+  local leaf = run.cell.machines[machine]._act_leaf
+  while leaf do
+    if leaf._fqn == path then return true end
+    leaf = not rfsm.is_root(leaf) and leaf._parent
+  end
+  return false
+end
+
+-- Moves a random machine. Returns whether more than one event came from outside.
+local function move(run, is_alone)
+  local random = run.random
+  local member, events = random:pick(run.own.members), {}
+  local fsm = run.cell.machines[member.name]
+  run.fired, run.came = 0, {}
+  local wait = random:chance(25) and not is_alone and rfsm_timeevent.next_deadline(fsm)
+  if wait then
+    run.now = run.now + wait + 0.0000001
+  elseif not is_alone and random:chance(50) then
+    events[1] = random:pick(member.outside)
+  end
+  run.worlds[member.name].steps = run.worlds[member.name].steps + 1
+  run.cell:move(member.name, events)
+  return run.fired + #events > 1
+end
+
+local function note(run)
+  run.seen[stand_of(run)] = true
+  for i in ipairs(run.cell.wires) do
+    if run.cell.lost[i] > 0 then run.seen["lost " .. i] = true end
+    if run.cell.queues[i][1] then run.seen["carries " .. i] = true end
+  end
+  for name, world in pairs(run.worlds) do -- any order: sets
+    for text in pairs(world.seen) do run.seen[name .. " " .. text] = true end
+  end
+end
+
+-- Appends the properties that hold and that a run refutes.
+local function refute(run, judged, fail)
+  local what = judged.property.kind == "never" and judged.property.what
+  if what and is_active(run, what[1]) and is_active(run, what[2]) then
+    fail(judged.name .. " was refuted")
+  end
+end
+
+local LONG = 600 -- moves in which what has to come has come
+
+-- Follows a property that says what comes some time, by moves without an event.
+local function await(run, judged, fail)
+  local property = judged.property
+  for _ = 1, LONG do
+    if is_active(run, property.goal) then return end
+    move(run, true)
+  end
+  fail(judged.name .. " was refuted: it does not come")
+end
+
+local function run_at_random(own, seed, result, fail)
+  local run, awaited = new_run(own, seed), 0
+  for _ = 1, claim.runs do
+    for _ = 1, run.random(30) do
+      if move(run) then break end
+      note(run)
+      local due
+      for _, judged in ipairs(result.properties) do
+        if judged.holds then
+          refute(run, judged, fail)
+          local property = judged.property
+          due = due or property.kind == "after" and run.came[property.event] and judged
+        end
+      end
+      if due and awaited < 10 then
+        awaited = awaited + 1
+        await(run, due, fail)
+        break
+      end
+    end
+    run.cell:reset()
+    for _, world in pairs(run.worlds) do world.steps = world.steps + 1 end
+  end
+  return run.seen
+end
+
+-- Exploration -----------------------------------------------------------------------
+
+-- Returns what the products show of the machines.
+local function shown_by(result)
+  local shown = {}
+  for _, walk in ipairs(result.walks) do
+    for _, member in ipairs(walk.members) do
+      for _, conf in ipairs(member.confs) do
+        for _, leaf in ipairs(subject.leaves(conf)) do
+          for _, path in ipairs(leaf.paths) do
+            shown[member.name .. " entered " .. path] = true
+          end
+        end
+      end
+      for _, moves in pairs(member.moves) do -- any order: sets
+        for _, list in pairs(moves) do
+          for _, outcome in ipairs(list) do
+            for _, path in ipairs(outcome.taken) do
+              shown[member.name .. " taken " .. path] = true
+            end
+            for _, moment in ipairs(outcome.passed) do
+              for path in pairs(moment.active) do
+                shown[member.name .. " entered " .. path] = true
+              end
+            end
+          end
+        end
+      end
+    end
+  end
+  return shown
+end
+
+-- Returns the text of a configuration as `stand_of`; one walk has all machines.
+local function stand_in(own, walk, number)
+  local conf, texts = walk:configuration(number), {}
+  for i, member in ipairs(own.members) do
+    for at, each in ipairs(walk.members) do
+      if each.name == member.name then
+        local parts, stands = each.own.parts, {}
+        for n, position in ipairs(each.confs[conf.numbers[at]]) do
+          stands[n] = parts[n].prefix .. " " .. (position.leaf
+            and position.leaf._fqn .. " " .. position.mode or "none")
+        end
+        texts[i] = member.name .. " " .. table.concat(stands, "; ") .. " "
+      end
+    end
+  end
+  for at, queue in ipairs(conf.queues) do texts[#texts + 1] = at .. ":" .. #queue end
+  return table.concat(texts, "; ")
+end
+
+-- Calls `fail` if what comes to a machine comes by a wire alone.
+local function check_outside(own, step, fail)
+  for _, occurrence in ipairs(step.occurrences) do
+    local event = occurrence.event
+    local is_right = occurrence.part.owner or event == reactions.OTHER
+      or match.maker_of(event) or match.has(own.members[step.machine].outside, event)
+    if not is_right then fail(tostring(event) .. " comes by a wire alone") end
+  end
+end
+
+-- Follows a witness on machines of its own. Returns the run.
+local function follow(own, witness, fail)
+  local run, answer_by = { own = own }, {}
+  run.cell = cell_of(own, function()
+    local world = { random = new_random(1), seen = {}, sends = {}, flags = {},
+      sets = {} }
+    local make = charts.wanderer(world, function() end)
+    answer_by[#answer_by + 1] = charts.answering(make)
+    return make
+  end)
+  for _, fsm in pairs(run.cell.machines) do -- any order: each stands alone
+    for _, entry in ipairs(rfsm.machines(fsm)) do
+      entry.machine.gettime = function() return 0, 0 end
+    end
+  end
+  for _, step in ipairs(witness) do
+    check_outside(own, step, fail)
+    for _, begin in ipairs(answer_by) do begin(step.choices) end
+    local machine_of, events = {}, {}
+    for _, entry in ipairs(rfsm.machines(run.cell.machines[step.machine])) do
+      machine_of[entry.prefix] = entry.machine
+    end
+    for _, occurrence in ipairs(step.occurrences) do
+      if occurrence.part.owner then
+        rfsm.send_events(machine_of[occurrence.part.prefix], occurrence.event)
+      else
+        events[#events + 1] = occurrence.event
+      end
+    end
+    run.before = { unpack(run.cell.lost) }
+    run.cell:move(step.machine, events)
+  end
+  return run
+end
+
+-- The claim -------------------------------------------------------------------------
+
+-- Appends the configurations whose witness does not lead there, of some.
+local function follow_some(own, walk, fail)
+  for _ = 1, 15 do
+    local number = own.random:below(#walk.keys)
+    local run = follow(own, walk:witness(number), fail)
+    if stand_of(run) ~= stand_in(own, walk, number) then
+      fail(("%s is not reached but %s"):format(stand_in(own, walk, number),
+        stand_of(run)))
+    end
+  end
+end
+
+-- Does nothing happen any more, whoever moves, and whatever comes?
+local function try_all(run, fail)
+  local stand = stand_of(run)
+  for _, member in ipairs(run.own.members) do
+    for _, entry in ipairs(rfsm.machines(run.cell.machines[member.name])) do
+      entry.machine.gettime = function() return 1000, 0 end
+    end
+    for i = 0, #member.outside do
+      run.cell:move(member.name, { member.outside[i] })
+      if stand_of(run) ~= stand then return fail(stand .. " is no deadlock") end
+    end
+  end
+end
+
+-- Does the end of a witness show what a finding says?
+local function check_end(finding, run, judged, fail)
+  local what = judged and judged.property.kind == "never" and not judged.label
+    and judged.property.what
+  if what and not (is_active(run, what[1]) and is_active(run, what[2])) then
+    fail(judged.name .. ": its witness does not show it")
+  end
+  local number = finding.code == "overflow"
+    and tonumber(finding.place:match("^wires%[(%d+)"))
+  if number and not (run.before[number] == 0 and run.cell.lost[number] > 0) then
+    fail(finding.place .. ": no event is lost")
+  end
+  if finding.code == "deadlock" then try_all(run, fail) end
+end
+
+local function follow_findings(own, result, fail)
+  local judged_of = {}
+  for _, judged in ipairs(result.properties) do judged_of[judged.name] = judged end
+  for _, finding in ipairs(result.findings) do
+    if finding.witness then
+      local run = follow(own, finding.witness, fail)
+      check_end(finding, run, judged_of[finding.place], fail)
+    end
+  end
+end
+
+-- Sets the events that may come to each machine from outside.
+local function set_outside(own, result)
+  for _, walk in ipairs(result.walks) do
+    for _, each in ipairs(walk.members) do
+      local list = { "e_?" }
+      for _, event in ipairs(charts.outside_events(each.own)) do
+        if not each.wired[event] then list[#list + 1] = event end
+      end
+      own.members[each.name].outside = list
+    end
+  end
+end
+
+-- Adds what a product of all machines shows.
+local function add_whole(own, walk, shown)
+  for i, wire in ipairs(walk.wires) do
+    shown["carries " .. i] = walk.carries[wire]
+    shown["lost " .. i] = walk.lost[wire] and true
+  end
+  for number = 1, #walk.keys do shown[stand_in(own, walk, number)] = true end
+end
+
+-- Appends what was seen and is not shown.
+local function check_seen(own, seen, shown, is_whole, fail)
+  for text in pairs(seen) do -- any order: sorted
+    local name, number = text:match("^(%w+) taken (.*)$")
+    local known = name and ("%s taken %s"):format(name,
+      charts.paths_of(own.members[name].chart)[number]) or text
+    local is_of_machine = is_whole or name or text:find(" entered ", 1, true)
+    if is_of_machine and not shown[known] then fail(known .. " was seen") end
+  end
+end
+
+-- Appends in which way exploring the system of `seed` and random runs differ.
+local function compare(seed, list)
+  local own = new_system(seed)
+  add_properties(own)
+  local function fail(text)
+    text = seed .. ": " .. text
+    if not match.has(list, text) then list[#list + 1] = text end
+  end
+  local function yes() return function() return true end end
+  local cell = cell_of(own, function()
+    return { guard = yes, predicate = yes, doo = yes }
+  end)
+  local result = report.explore(cell, own.options)
+  if result.bound then return end
+  set_outside(own, result)
+  local shown, walk = shown_by(result), result.walks[1]
+  local seen = run_at_random(own, seed, result, fail)
+  local is_whole = #walk.members == #own.members
+  if is_whole then
+    add_whole(own, walk, shown)
+    follow_some(own, walk, fail)
+    follow_findings(own, result, fail)
+  end
+  check_seen(own, seen, shown, is_whole, fail)
+  return true
+end
+
+claim.run = run_seeds(compare)
+
+return claim

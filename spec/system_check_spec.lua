@@ -1,0 +1,452 @@
+-- Systems: what is found in the product of the machines, properties, premises,
+-- witnesses and `rfsm check` of a system; and random systems against brute force.
+
+local commands = require "spec.support.commands"
+local helper = require "spec.helper"
+local rfsm = require "rfsm"
+local rfsm_checks = require "rfsm_checks"
+local sequence = require "rfsm.system.sequence"
+local share = require "spec.support.share"
+local system = require "rfsm.system"
+require "rfsm_timeevent"
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+local after, never, from = rfsm_checks.after, rfsm_checks.never, rfsm_checks.from
+
+local function emits(...)
+  local list = { ... }
+  return function(fsm)
+    for _, event in ipairs(list) do fsm.emit(event) end
+  end
+end
+
+local function go(src, tgt, event, ...)
+  return rfsm.trans { src = src, tgt = tgt, events = { event },
+    effect = ... and emits(...) or nil }
+end
+
+-- A silent chart of the states a, b and c that begins in a.
+local function chart(...)
+  return rfsm.state { info = false, warn = false,
+    a = rfsm.state {}, b = rfsm.state {}, c = rfsm.state {},
+    rfsm.trans { src = "initial", tgt = "a" }, ... }
+end
+
+local DRY = { dry_run = true }
+
+-- Explores a system of these charts: `wires` are texts "from event to", or tables.
+local function explored(charts, wires, options)
+  local given, list = {}, {}
+  options = options or {}
+  options.machines = options.machines or {}
+  for name, model in pairs(charts) do -- any order: each stands alone
+    given[name], options.machines[name] = model, options.machines[name] or DRY
+  end
+  for i, wire in ipairs(wires) do
+    if type(wire) == "string" then wire = { wire } end
+    wire.from, wire.event, wire.to = wire[1]:match("(%S+) (%S+) (%S+)")
+    list[i] = wire
+    wire[1] = nil
+  end
+  given.wires = list
+  return system(given):explore(options), system(given)
+end
+
+-- Returns the findings as lines, without files.
+local function lines_of(result)
+  local lines = {}
+  for i, finding in ipairs(result.findings) do
+    lines[i] = finding.severity .. " " .. finding.place .. ": " .. finding.text
+  end
+  return lines
+end
+
+-- Two that ask each other: left a -e_go-> b -e_yes-> c, and so right, each by wires.
+local function asking()
+  return { left = chart(go("a", "b", "e_go", "e_ask"), go("b", "c", "e_yes"),
+      go("a", "a", "e_ask", "e_yes")),
+    right = chart(go("a", "b", "e_go", "e_ask"), go("b", "c", "e_yes"),
+      go("a", "a", "e_ask", "e_yes")) },
+    { "left e_ask right", "right e_ask left", "left e_yes right", "right e_yes left" }
+end
+
+describe("cell:explore", function()
+  it("finds that machines wait for each other, with the run to it", function()
+    local charts, wires = asking()
+    local finding = explored(charts, wires).findings[1]
+    assert.equal("left: root.b, right: root.b: nobody can go on any more",
+      finding.place .. ": " .. finding.text)
+    assert.equal("error deadlock", finding.severity .. " " .. finding.code)
+    assert.same({
+      "1. left: root.trans[1] -> root.a",
+      "2. left gets e_go from outside: root.trans[2] -> root.b; sends e_ask to right",
+      "3. right: root.trans[1] -> root.a",
+      "4. right gets e_ask from left, e_go from outside: root.trans[2] -> root.b; "
+        .. "sends e_ask to left",
+      "5. left gets e_ask from right: no transition -> root.b",
+    }, sequence.lines_of(finding.witness))
+  end)
+
+  it("finds who waits for a machine that has ended, but in no end", function()
+    local function found(is_end)
+      local server = chart(go("a", "b", "e_ask"), go("b", "a", "e_ask"))
+      server.b.final = is_end
+      return lines_of(explored({ server = server, client = chart(go("a", "b", "e_go",
+        "e_ask")) }, { "client e_ask server" }))
+    end
+    assert.same({ "error client: root.b, server: root.b: nobody can go on any more" },
+      found(nil))
+    assert.same({}, found(true))
+  end)
+
+  it("takes an end by its name, and one that is declared", function()
+    local left = chart(go("a", "b", "e_go"))
+    left.b.final = true
+    local charts = { left = left, right = chart(go("a", "DONE_END", "e_go", "e_x")) }
+    charts.right.DONE_END = rfsm.state {}
+    charts.left[3] = go("b", "b", "e_x")
+    assert.same({}, lines_of(explored(charts, { "right e_x left" })))
+  end)
+
+  it("finds the event that a full buffer loses, but not that of data", function()
+    local function charts()
+      return { left = chart(go("a", "a", "e_go", "e_x")),
+        right = chart(go("a", "a", "e_x")) }
+    end
+    local result = explored(charts(), { { "left e_x right", size = 1 } })
+    assert.same({ "warning wires[1] (left e_x -> right): the buffer of 1 can be full, "
+      .. "the new event is lost" }, lines_of(result))
+    local witness = sequence.lines_of(result.findings[1].witness)
+    assert.equal("3. left gets e_go from outside: root.trans[2] -> root.a; sends e_x "
+      .. "to right (lost)", witness[3])
+    assert.is_nil(witness[4])
+    assert.same({}, lines_of(explored(charts(),
+      { { "left e_x right", kind = "data" } })))
+  end)
+
+  it("finds events that are never taken, and wires that carry none", function()
+    local left = chart(go("a", "b", "e_go", "e_x"), go("c", "a", "e_no", "e_y"))
+    local right = chart(go("b", "a", "e_x"), go("a", "a", "e_y"))
+    right.a.final = true
+    assert.same({
+      "warning wires[1] (left e_x -> right): 'right' never takes the event",
+      "warning wires[2] (left e_y -> right): no event ever goes over it",
+    }, lines_of(explored({ left = left, right = right }, { "left e_x right",
+      "left e_y right" })))
+  end)
+
+  it("finds states that the chart alone reaches", function()
+    local left = chart(go("a", "b", "e_go", "e_x"))
+    local right = chart(go("a", "b", "e_x"), go("b", "c", "e_x"))
+    right.c.final, right.b.final = true, true
+    assert.same({ "warning right: root.c: active in no configuration of the system, "
+      .. "though the chart alone reaches it" }, lines_of(explored({ left = left,
+      right = right }, { "left e_x right" })))
+    right.c.checks = { unreachable = "for a later supervisor" }
+    assert.same({}, lines_of(explored({ left = left, right = right },
+      { "left e_x right" })))
+  end)
+
+  it("reads all that waits, or one, as the wire says", function()
+    local function found(read)
+      local left = chart(go("a", "b", "e_go", "e_x", "e_x"))
+      local right = chart(go("a", "b", "e_x"), go("b", "c", "e_x"))
+      return explored({ left = left, right = right },
+        { { "left e_x right", read = read } },
+        { properties = { after("left: e_go").reach("right: root.c") } })
+    end
+    assert.is_true(found("one").properties[1].holds)
+    assert.is_false(found("all").properties[1].holds)
+  end)
+
+  it("explores machines apart that nothing joins", function()
+    local function charts()
+      return { left = chart(go("a", "b", "e_x"), go("b", "a", "e_x")),
+        right = chart(go("a", "b", "e_x"), go("b", "a", "e_x")) }
+    end
+    assert.equal(6, explored(charts(), {}).configurations)
+    assert.equal(9, explored(charts(), {}, { properties = {
+      never { "left: root.c", "right: root.a" } } }).configurations)
+    assert.equal(9, explored(charts(), {}, { properties = {
+      never(function(active) return active "left: root.c" end) } }).configurations)
+  end)
+
+  it("knows by sends, or by a callback that is run, what is emitted", function()
+    local function found(options)
+      local effect = emits "e_x"
+      local left = chart(rfsm.trans { src = "a", tgt = "b", events = { "e_go" },
+        effect = effect })
+      options.run = options.run and { effect }
+      return explored({ left = left, right = chart(go("a", "b", "e_x")) },
+        { "left e_x right" }, { machines = { left = options },
+          properties = { never "right: root.b" } })
+    end
+    assert.is_false(found({ run = true }).properties[1].holds)
+    local function sends(...)
+      return found { sends = { ["effect root.trans[2]"] = { ... } } }
+    end
+    assert.is_false(sends({ emit = "e_x" }).properties[1].holds)
+    assert.is_true(sends().properties[1].holds)
+    local unknown = found {}
+    assert.is_nil(unknown.properties[1].holds)
+    assert.same({ "left: events that the effect root.trans[2] may emit, which sends "
+      .. "does not name" }, unknown.untried)
+  end)
+
+  it("gives an event with data to predicates alone", function()
+    local function found(event)
+      local left = chart(rfsm.trans { src = "a", tgt = "b", events = { "e_go" },
+        effect = function(fsm) fsm.emit("e_x", 7) end })
+      return explored({ left = left, right = chart(go("a", "b", event)) },
+        { "left e_x right" }, { properties = { never "right: root.b" } }).properties[1]
+    end
+    assert.is_true(found("e_x").holds)
+    assert.is_false(found(rfsm.named "e_x").holds)
+  end)
+
+  it("knows an event with data by its name", function()
+    local left = chart(rfsm.trans { src = "a", tgt = "b", events = { "e_go" },
+      effect = function(fsm) fsm.emit("e_x", 7) end })
+    local right = chart(go("a", "b", rfsm.named "e_x"))
+    local judged = explored({ left = left, right = right }, { "left e_x right" },
+      { properties = { after("right: e_x").reach "right: root.b" } }).properties[1]
+    assert.same({ false }, { judged.holds, judged.vacuous }) -- the predicate may refuse
+  end)
+
+  it("has an event of a wire come from outside if the alphabet says so", function()
+    local function holds(alphabet)
+      return explored({ left = chart(go("b", "c", "e_go", "e_x")),
+        right = chart(go("a", "b", "e_x")) }, { "left e_x right" },
+        { machines = { right = { alphabet = alphabet } },
+          properties = { never "right: root.b" } }).properties[1].holds
+    end
+    assert.is_true(holds())
+    assert.is_false(holds { "e_x" })
+  end)
+
+  it("has timers expire any time, and knows no events that are sent later", function()
+    local function found(item)
+      local sends = { ["effect root.trans[3]"] = { item } }
+      local left = chart(go("a", "b", "e_after(5)"), rfsm.trans { src = "b", tgt = "c",
+        events = { "e_go" }, effect = function() end })
+      return explored({ left = left, right = chart(go("a", "b", "e_x")) }, {},
+        { machines = { left = { sends = sends } },
+          properties = { never { "left: root.b", "right: root.b" } } })
+    end
+    assert.is_false(found("e_y").properties[1].holds)
+    assert.same({ "left: events that are sent later" },
+      found({ "e_y", after = 1 }).untried)
+  end)
+
+  it("says that a bound was hit", function()
+    local charts, wires = asking()
+    local result = explored(charts, wires, { configurations = 5, properties = {
+      never "left: root.c" } })
+    assert.is_nil(result.properties[1].holds)
+    assert.matches("not tried: what lies behind the bound on configurations; what was "
+      .. "not found is not known\n", tostring(result), 1, true)
+    assert.equal("depth", explored(charts, wires, { depth = 2 }).bound)
+  end)
+
+  it("names its premises", function()
+    local result = explored({ left = chart(go("a", "a", "e_go", "e_x")),
+      right = chart(rfsm.trans { src = "a", tgt = "b", events = { "e_x", "e_y" },
+        guard = function() return false end }) },
+      { { "left e_x right", size = 2, read = "one" } },
+      { machines = { right = { alphabet = { "e_y" } } } })
+    assert.same({ "any order, any time", "one event from outside in a move",
+      "right: guards free", "right: no event outside of the alphabet",
+      'wires[1] (left e_x -> right): buffer of 2, read = "one"' }, result.premises)
+  end)
+end)
+
+-- Returns why a system is not explored.
+local function refused(...)
+  return (tostring(select(2, pcall(explored, ...))):gsub("^%S+:%d+: ", ""))
+end
+
+describe("a property of a system", function()
+  local function judged(charts, wires, ...)
+    local result, texts = explored(charts, wires, { properties = { ... } }), {}
+    for i, each in ipairs(result.properties) do
+      texts[i] = each.name .. ": " .. tostring(each.holds)
+        .. (each.vacuous and ", " .. each.vacuous or "")
+    end
+    return texts, result
+  end
+
+  -- left: a -e_go-> b, emits e_x; right: a -e_x-> b -e_back-> a, and c -e_x-> c
+  local function pair()
+    return { left = chart(go("a", "b", "e_go", "e_x"), go("b", "a", "e_go", "e_x")),
+      right = chart(go("a", "b", "e_x"), go("b", "a", "e_back")) }, { "left e_x right" }
+  end
+
+  it("names states and events of machines", function()
+    local charts, wires = pair()
+    assert.same({
+      "after left: e_go reach right: root.b: true",
+      "after right: e_back reach right: root.a: false",
+      "always left: root: true",
+      "from right: root.b can reach left: root.a: true",
+      "never left: root.b and right: root.b: false",
+      "never right: root.c: true",
+    }, (judged(charts, wires, after("left: e_go").reach("right: root.b"),
+      after("right: e_back").reach("right: root.a"), rfsm_checks.always("left: root"),
+      from("right: root.b").can_reach("left: root.a"),
+      never { "left: root.b", "right: root.b" }, never "right: root.c")))
+  end)
+
+  it("counts on each machine to move again and again, and on doos to end", function()
+    -- left and right exchange e_x for ever; third takes e_stop when its doo has ended
+    local left = chart(rfsm.trans { src = "a", tgt = "a", events = { "e_x" },
+      effect = emits "e_y" }, go("a", "b", "e_go", "e_y", "e_stop"),
+      go("b", "b", "e_x", "e_y"))
+    local right = chart(go("a", "a", "e_y", "e_x"))
+    local function third(guard)
+      local model = chart(go("a", "b", "e_stop"), rfsm.trans { src = "b", tgt = "c",
+        events = { "e_done" }, guard = guard })
+      model.b.doo = function() rfsm.yield() end
+      return model
+    end
+    local wires = { "left e_y right", "right e_x left", "left e_stop third" }
+    local reach = after("left: e_go").reach("third: root.c")
+    assert.same({ "after left: e_go reach third: root.c: true" },
+      (judged({ left = left, right = right, third = third() }, wires, reach)))
+    local texts, result = judged({ left = left, right = right,
+      third = third(function() return true end) }, wires, reach)
+    assert.same({ "after left: e_go reach third: root.c: false" }, texts)
+    local witness = sequence.lines_of(result.findings[#result.findings].witness)
+    assert.matches("third: no transition %-> root.b %(root.trans%[3%] false%)",
+      witness[#witness])
+  end)
+
+  it("shows the moves behind the event that do not lead to the goal", function()
+    local charts, wires = pair()
+    local _, result = judged(charts, wires, after("left: e_go").reach("left: root.c"))
+    assert.same({ "1. left: root.trans[1] -> root.a",
+      "2. left gets e_go from outside: root.trans[2] -> root.b; sends e_x to right",
+    }, { unpack(sequence.lines_of(result.findings[#result.findings].witness), 1, 2) })
+  end)
+
+  it("holds vacuously if its event never comes", function()
+    local charts, wires = pair()
+    charts.left[5] = go("a", "b", "e_y")
+    charts.right[5] = go("c", "c", "e_z", "e_y")
+    wires[2] = "right e_y left"
+    assert.same({ "after left: e_y reach left: root.c: true, left: e_y never comes" },
+      (judged(charts, wires, after("left: e_y").reach("left: root.c"))))
+  end)
+
+  it("is refused if it cannot be judged, or names what is not there", function()
+    local function refusal(property)
+      local charts, wires = pair()
+      return refused(charts, wires, { properties = { property } })
+    end
+    assert.equal("rfsm.system.explore: property 'left: root.a until left: root.b': it "
+      .. "is not judged for a system, expected: never, always, from(...).can_reach or "
+      .. "after(...).reach",
+      refusal(rfsm_checks.until_("left: root.a", "left: root.b")))
+    assert.equal("rfsm.system.explore: rfsm.system: property 'never left: root.d': no "
+      .. "state or flag is named 'root.d' (did you mean 'root.a'?)",
+      refusal(never "left: root.d"))
+    assert.equal("rfsm.system.explore: rfsm.system: property 'never lef: root.a': no "
+      .. "machine is named 'lef' (did you mean 'left'?)", refusal(never "lef: root.a"))
+    assert.equal("rfsm.system.explore: rfsm.system: property 'never root.a': 'root.a': "
+      .. "expected as in 'arm: root.moving'", refusal(never "root.a"))
+    assert.equal("rfsm.system.explore: property 'after left: e_og reach left: root.a': "
+      .. "no transition of 'left' names the event 'e_og' (did you mean 'e_go'?)",
+      refusal(after("left: e_og").reach("left: root.a")))
+  end)
+
+  it("may be refused together with options of machines", function()
+    local charts, wires = pair()
+    assert.equal("rfsm.system.explore: no machine is named 'lft' (did you mean "
+      .. "'left'?)", refused(charts, wires, { machines = { lft = {} } }))
+    assert.equal("rfsm.system.explore: machines.left: dry_run: boolean expected, got 1",
+      refused(charts, wires, { machines = { left = { dry_run = 1 } } }))
+    assert.matches("machines.left: unknown option 'timers', expected: alphabet, ",
+      refused(charts, wires, { machines = { left = { timers = "free" } } }), 1, true)
+    assert.equal("rfsm.system.explore: unknown option 'timers', expected: "
+      .. "configurations, depth, machines, progress, properties, seconds",
+      refused(charts, wires, { timers = "free" }))
+  end)
+end)
+
+describe("a witness of a system", function()
+  it("is read again from its text, and drawn", function()
+    local charts, wires = asking()
+    local result, cell = explored(charts, wires)
+    local witness = result.findings[1].witness
+    local moves = sequence.read(table.concat(sequence.lines_of(witness), "\n"))
+    for _, move in ipairs(moves) do cell:move(move.machine, move.events) end
+    assert.equal("root.b", rfsm.get_actleaf_fqn(cell.machines.left))
+    assert.equal("root.b", rfsm.get_actleaf_fqn(cell.machines.right))
+    assert.equal([[
+sequenceDiagram
+  participant left
+  participant right
+  Note over left: root.a
+  Note left of left: e_go
+  Note over left: root.b
+  left->>right: e_ask
+  Note over right: root.a
+  Note left of right: e_go
+  Note over right: root.b
+  right->>left: e_ask
+  Note over left: root.b
+]], sequence.mermaid(cell.names, witness))
+  end)
+end)
+
+describe("rfsm check of a system", function()
+  local FOLDER = "examples/systems/"
+
+  local function checked(name, options)
+    return commands.run(("check %s %s%s.lua"):format(options or "", FOLDER, name))
+  end
+
+  it("finds the defect of each example, whose witness is replayed", function()
+    for name, last in pairs { -- any order: each stands alone
+      zone = "left            root.parked\nright           root.asking\n"
+        .. "zone            root.free",
+      stop = "arm             root.ready\nbase            root.halted\n"
+        .. "supervisor      root.stopping_arm",
+      protocol = "receiver        root.half\nsender          root.half",
+    } do
+      local file = helper.file_with("")
+      local out, _, status = checked(name .. "/cell", "--record " .. file)
+      assert.equal(1, status)
+      assert.matches("nobody can go on any more.-recorded in " .. file, out)
+      local shown = commands.run(("sim -q -r %s -e show %s%s/cell.lua"):format(file,
+        FOLDER, name))
+      assert.equal(last, shown:sub(-#last - 1, -2))
+      helper.remove_files()
+    end
+  end)
+
+  it("proves each example when it is mended", function()
+    for _, name in ipairs { "zone", "stop", "protocol" } do
+      local out, _, status = checked(name .. "/cell_mended")
+      assert.equal(0, status)
+      assert.matches("cell_mended.lua: ok\n", out)
+      assert.matches(": holds", out)
+      assert.is_nil(out:match("does not hold"))
+      assert.matches("premises: any order, any time", out, 1, true)
+    end
+  end)
+
+  it("draws the run, and explores nothing if it need not", function()
+    local file = helper.file_with("") .. ".mmd"
+    checked("zone/cell", "--record " .. file)
+    assert.matches("^sequenceDiagram\n  participant left\n", helper.content(file))
+    os.remove(file)
+    assert.equal("examples/systems/zone/cell.lua: ok\n",
+      (checked("zone/cell", "--static")))
+  end)
+end)
+
+describe("systems of random charts", function()
+  it("agree with random runs", function()
+    local claim = dofile "spec/support/claims/system.lua"
+    assert.is_nil(share.problem(claim, 30, true))
+  end)
+end)
