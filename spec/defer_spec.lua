@@ -135,6 +135,43 @@ describe("deferral", function()
     assert.equal("root.a", at(send(fsm, "e_late")))
   end)
 
+  for _, is_merged in ipairs { false, true } do
+    it("recalls one event alone, though a timer expires"
+      .. (is_merged and ", also if it is merged" or ""), function()
+      local now = 0
+      local fsm = new { gettime = function() return now, 0 end,
+        a = state { defer = not is_merged and { "e_x" } or nil },
+        [5] = trans { src = "b", tgt = "a", events = { "e_after(1)" } } }
+      if is_merged then
+        assert.is_true(rfsm.fsm_merge(fsm, fsm, state { defer = { "e_x" } }, "d"))
+        assert.is_true(rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = "d",
+          events = { "e_d" } }))
+        assert.is_true(rfsm.fsm_merge(fsm, fsm, trans { src = "d", tgt = "b",
+          events = { "e_free" } }))
+        send(fsm, "e_d")
+      end
+      send(fsm, "e_x")
+      rfsm.send_events(fsm, "e_free")
+      rfsm.step(fsm)
+      now, fsm.trace = 2, {}
+      rfsm.run(fsm)
+      assert.same({ "e_x", "e_done@root.b e_after(1)@root.b e_done@root.c" }, fsm.trace)
+    end)
+  end
+
+  it("is explored with events as often as they were sent", function()
+    local result = rfsm_checks.explore(state { info = false, warn = false,
+      a = state { defer = { "e_x" } }, b = state {}, c = state {}, d = state {},
+      off = state {}, trans { src = "initial", tgt = "off" },
+      trans { src = "off", tgt = "a", events = { "e_two" } },
+      trans { src = "a", tgt = "b", events = { "e_go" } },
+      trans { src = "b", tgt = "c", events = { "e_x" } },
+      trans { src = "c", tgt = "d", events = { "e_x" } } },
+      { alphabet = { "e_two", "e_go" },
+        sends = { ["effect root.trans[2]"] = { "e_x", "e_x" } } })
+    assert.equal(5, result.taken)
+  end)
+
   it("is dropped by a reset", function()
     local fsm = send(new(), "e_x")
     rfsm.reset(fsm)
@@ -148,6 +185,38 @@ describe("deferral", function()
     assert.equal("root.c", at(send(other, "e_free")))
   end)
 
+  it("is replaced by a snapshot", function()
+    local fsm = send(new(), "e_x")
+    local snap = snapshot.take(fsm)
+    send(fsm, "e_x")
+    snapshot.put(fsm, snap)
+    assert.equal("e_x", join(rfsm.waiting(fsm)))
+  end)
+
+  it("is refused in a snapshot that is wrong", function()
+    local fsm = send(new(), "e_x")
+    local snap = snapshot.take(fsm)
+    snap.ext = { defer = "e_x" }
+    local other, problem = snapshot.restore(fsm, snap)
+    assert.is_false(other)
+    assert.truthy(problem:find("table expected for 'defer'", 1, true), problem)
+  end)
+
+  it("recalls an event before what a hook sends in that iteration", function()
+    local is_free, fsm = false, nil
+    fsm = new { [2] = trans { src = "a", tgt = "b", events = { "e_free" },
+      effect = function() is_free = true end },
+      getevents = function()
+        if is_free then rfsm.send_events(fsm, "e_hook") end
+        local events = is_free and { "e_got" } or {}
+        is_free = false
+        return events
+      end }
+    send(send(fsm, "e_x"), "e_free")
+    assert.equal("e_free | e_x | e_done@root.b e_got e_hook e_done@root.c",
+      table.concat(fsm.trace, " | ", 2))
+  end)
+
   it("is known by strict, and by explorations", function()
     local warned = {}
     local fsm = new { strict = true, a = state { defer = { "e_x", max = 1 } },
@@ -155,7 +224,7 @@ describe("deferral", function()
     send(fsm, "e_x")
     assert.same({}, warned)
     local found = rfsm_checks.explore(fsm, { alphabet = { "e_x", "e_free" } })
-    assert.equal("6 configurations, 3 of 4 transitions taken",
+    assert.equal("11 configurations, 3 of 4 transitions taken",
       tostring(found):match("^(.-), %d+ steps"))
   end)
 
@@ -180,6 +249,25 @@ describe("deferral", function()
       "root.a.defer: 'e_x' is lost, too many events are deferred" }, warned)
   end)
 
+  it("does not warn of what a transition may take", function()
+    for _, events in ipairs { { function() return false end }, false } do
+      local warned = {}
+      local fsm = new { a = state { defer = { "e_odd" } },
+        [5] = trans { src = "c", tgt = "a", events = events or nil },
+        warn = function(text) warned[#warned + 1] = text end }
+      assert.equal("e_odd", join(rfsm.waiting(send(fsm, "e_odd"))))
+      assert.same({}, warned)
+    end
+  end)
+
+  it("is of 64 events if there is no max", function()
+    local fsm = new()
+    for _ = 1, 65 do rfsm.send_events(fsm, "e_x") end
+    rfsm.run(fsm)
+    assert.equal(64, #rfsm.waiting(fsm))
+    assert.equal(64, #snapshot.take(fsm).ext.defer)
+  end)
+
   it("is a state like others if it has the name", function()
     local fsm = new { a = state { defer = state {}, trans { src = "initial",
       tgt = "defer" } } }
@@ -193,6 +281,29 @@ describe("deferral", function()
     assert.is_true(rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = "d",
       events = { "e_d" } }))
     assert.equal("e_y", join(rfsm.waiting(send(send(fsm, "e_d"), "e_y"))))
+  end)
+
+  it("is taken by a transition that is merged, without a warning", function()
+    local warned = {}
+    local fsm = new { a = state { defer = { "e_x", "e_new" } },
+      warn = function(text) warned[#warned + 1] = text end }
+    send(fsm, "e_x")
+    assert.is_true(rfsm.fsm_merge(fsm, fsm, trans { src = "c", tgt = "a",
+      events = { "e_new" } }))
+    send(fsm, "e_new")
+    assert.same({}, warned)
+    assert.equal("root.a", at(send(fsm, "e_free")))
+  end)
+
+  it("may be of more events than a function has arguments", function()
+    local fsm = new { a = state { defer = { "e_x", max = 10000 } } }
+    for i = 1, 10000 do
+      rfsm.send_events(fsm, "e_x")
+      if i % 1000 == 0 then rfsm.run(fsm) end
+    end
+    assert.equal(10000, #rfsm.waiting(fsm))
+    local other = assert(snapshot.restore(fsm, snapshot.take(fsm)))
+    assert.equal(10000, #rfsm.waiting(other))
   end)
 
   for _, case in ipairs {
@@ -216,6 +327,6 @@ describe("deferral", function()
   end
 
   it("leaves the trace of the oracle on random charts", function()
-    assert.is_nil(share.problem(dofile "spec/support/claims/defer.lua", 60))
+    assert.is_nil(share.problem(dofile "spec/support/claims/defer.lua", 100))
   end)
 end)

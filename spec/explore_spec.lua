@@ -231,7 +231,7 @@ describe("an await that is complete", function()
         rfsm.trans { src = "x", tgt = "y", events = { "e_b", "await(e_a)" } } },
       rfsm.trans { src = "initial", tgt = "c" },
       rfsm.trans { src = "c", tgt = "internal", events = { "e_a", "e_b" } } })
-    assert.equal("5 configurations, 4 of 4 transitions taken",
+    assert.equal("6 configurations, 4 of 4 transitions taken",
       tostring(result):match("^(.-), %d+ steps"))
   end)
 end)

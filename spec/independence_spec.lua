@@ -269,6 +269,6 @@ end)
 describe(claim.name, function()
   it("agree on random charts", function()
     claim.runs = 5
-    assert.is_nil(share.problem(claim, 12, true))
+    assert.is_nil(share.problem(claim, 24, true))
   end)
 end)

@@ -88,7 +88,7 @@ describe("an extension that counts an event and makes another", function()
 
   it("is explored, with each count", function()
     local result = rfsm_checks.explore(model())
-    assert.equal("6 configurations, 3 of 3 transitions taken, 15 steps run",
+    assert.equal("7 configurations, 3 of 3 transitions taken, 17 steps run",
       tostring(result):match("^[^\n]*"))
     assert.is_nil(result.findings[1])
   end)

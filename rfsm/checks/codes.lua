@@ -5,6 +5,7 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local order = require "rfsm.shared.order"
 
 local ipairs, type = ipairs, type
 
@@ -92,6 +93,14 @@ warning silence: a field `checks` is wrong
   write checks = { ["a-code"] = "the reason" }
 warning trap: states that lead to each other, and never back or to an end
   add a transition back, or silence the finding at one of them
+error deadlock: no machine of a system can go on, and one of them waits
+  see which event it waits for, and who would have to move first
+warning overflow: a buffer between machines can be full, and lose an event
+  send less, make it larger, or use kind = "data"
+warning untaken: an event of a wire that its reader never takes
+  see in which states it comes: take it there, or defer it
+warning idle-wire: a wire over which no event goes
+  see who should emit the event, or remove the wire
 error violated: a property that does not hold
   mend the chart, or the property
 ]]
@@ -112,10 +121,9 @@ local MEANINGS = {
 ---@return boolean
 function codes.means(state, meaning)
   local name = " " .. rfsm.text_of(state._id):upper():gsub("%A+", " ") .. " "
-  for _, word in ipairs(MEANINGS[meaning]) do
-    if name:find(" " .. word .. " ", 1, true) then return true end
-  end
-  return false
+  return order.any(MEANINGS[meaning], function(word)
+    return name:find(" " .. word .. " ", 1, true)
+  end)
 end
 
 -- Texts of the core's warnings, and their codes.

@@ -7,6 +7,7 @@
 local rfsm = require "rfsm"
 local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
+local order = require "rfsm.shared.order"
 local structure = require "rfsm.checks.structure"
 
 local ipairs, setmetatable, type = ipairs, setmetatable, type
@@ -20,10 +21,9 @@ local is_always_enabled
 local function has_path(connector, seen)
   if seen[connector] then return false end
   seen[connector] = true
-  for _, tr in ipairs(connector._otrs) do
-    if match.is_any(tr) and is_always_enabled(tr, seen) then return true end
-  end
-  return false
+  return order.any(connector._otrs, function(tr)
+    return match.is_any(tr) and is_always_enabled(tr, seen)
+  end)
 end
 
 -- Is `tr` always enabled, once its events match?

@@ -12,6 +12,7 @@ local read = require("rfsm.shared.files").read
 local bodies = require "rfsm.checks.bodies"
 local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
+local order = require "rfsm.shared.order"
 
 local ipairs, package, pcall, rawget = ipairs, package, pcall, rawget
 local require, select, setmetatable, table = require, select, setmetatable, table
@@ -173,10 +174,9 @@ local function check_doo(func, state, add)
   elseif seen.has_loop and not seen.is_idle then
     add("busy-doo", "the doo is never idle, it yields nothing")
   end
-  local waits = false
-  for _, tr in ipairs(state._otrs) do
-    waits = waits or match.triggers(tr, "e_done@" .. state._fqn) ~= false
-  end
+  local waits = order.any(state._otrs, function(tr)
+    return match.triggers(tr, "e_done@" .. state._fqn) ~= false
+  end)
   if not (seen.has_loop or waits) then
     add("doo-ends", "the doo ends, and no transition waits for e_done")
   end
@@ -214,10 +214,7 @@ local function places_of(fsm)
 end
 
 local function has_field(objects, field)
-  for _, obj in ipairs(objects) do
-    if rfsm.model_of(obj)[field] ~= nil then return true end
-  end
-  return false
+  return order.any(objects, function(obj) return rfsm.model_of(obj)[field] ~= nil end)
 end
 
 -- Describes a callback that was called too early, and the cure.

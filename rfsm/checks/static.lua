@@ -9,6 +9,7 @@
 local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 local codes = require "rfsm.checks.codes"
+local order = require "rfsm.shared.order"
 local location = require "rfsm.shared.location"
 local stubs = require "rfsm.shared.stubs"
 
@@ -174,10 +175,7 @@ local DETAILED = { "^no outgoing transitions from node", "'e_done' never fires h
   "each transition from here has events or a guard" }
 
 local function is_detailed(text)
-  for _, pattern in ipairs(DETAILED) do
-    if text:find(pattern) then return true end
-  end
-  return false
+  return order.any(DETAILED, function(pattern) return text:find(pattern) end)
 end
 
 -- Returns the elements of a machine by the location in a warning about them.

@@ -7,6 +7,7 @@
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local codes = require "rfsm.checks.codes"
+local any = require("rfsm.shared.order").any
 local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
 local writes = require "rfsm.shared.writes"
@@ -64,33 +65,27 @@ function structure.has_cycle(fsm)
     for _, node in ipairs(location.line(fsm, leaf)) do
       for _, tr in ipairs(node._otrs) do add_leaves(tr.tgt, leaves, {}) end
     end
-    for _, other in ipairs(leaves) do
-      if other ~= leaf and visit(other) then return true end
-    end
-    is_done[leaf] = true
-    return false
+    is_done[leaf] = not any(leaves, function(other)
+      return other ~= leaf and visit(other)
+    end)
+    return not is_done[leaf]
   end
-  for _, leaf in ipairs(rfsm.elements(fsm, is_leaf)) do
-    if visit(leaf) then return true end
-  end
-  return false
+  return any(rfsm.elements(fsm, is_leaf), visit)
 end
 
 local function has_way_out(fsm, state)
-  for _, node in ipairs(location.line(fsm, state)) do
-    if node._otrs[1] then return true end
-  end
-  return false
+  return any(location.line(fsm, state), function(node) return node._otrs[1] end)
 end
 
---- Is a leaf without a way out meant as an end? By its name, or of a sequence.
+--- Is a leaf without a way out meant as an end? By its name, or because the leaves
+--- are a sequence.
 ---@return boolean
 function structure.is_end(fsm, leaf)
   return codes.means(leaf, "an end") or not structure.has_cycle(fsm)
 end
 
--- Finds nodes without a way in or out, but not in an unreachable composite. A composite
--- that is entered elsewhere may have an `initial`.
+-- Finds nodes without a way in or out, but not in an unreachable composite. Transitions
+-- may enter a composite elsewhere than at its `initial`.
 local function check_node(fsm, node, reached, add)
   if not reached[node] then
     if reached[node._parent] and node._id ~= "initial" then
@@ -231,12 +226,9 @@ end
 
 -- Is there a way on for this event that no guard can close?
 local function has_default(connector, event)
-  for _, tr in ipairs(connector._otrs) do
-    if not tr.guard and match.triggers(tr, event) then
-      return true
-    end
-  end
-  return false
+  return any(connector._otrs, function(tr)
+    return not tr.guard and match.triggers(tr, event)
+  end)
 end
 
 local function check_default(connector, arriving, add)

@@ -28,38 +28,30 @@ local data = {}
 
 -- Options ...........................................................................
 
-local function are_callbacks(list)
-  if type(list) ~= "table" or list[1] == nil then return false end
-  for _, f in ipairs(list) do
-    if type(f) ~= "function" and type(f) ~= "string" then return false end
-  end
-  return true
+-- Is it a list, not empty, of values that a test accepts?
+local function is_list_of(test, list)
+  return type(list) == "table" and list[1] ~= nil and order.all(list, test)
 end
 
+local function is_callback(f) return type(f) == "function" or type(f) == "string" end
+
+local function are_callbacks(list) return is_list_of(is_callback, list) end
+
 --- Is it a list of functions and names of callbacks?
-function data.check_functions(list) return are_callbacks(list) end
+data.check_functions = are_callbacks
 
 --- Is it such a list, or a list of such lists?
 function data.check_groups(list)
-  if are_callbacks(list) then return true end
-  if type(list) ~= "table" or list[1] == nil then return false end
-  for _, group in ipairs(list) do
-    if not are_callbacks(group) then return false end
-  end
-  return true
+  return are_callbacks(list) or is_list_of(are_callbacks, list)
 end
 
 -- Is it { least, most }, a list of texts, or "boolean"?
 local function is_range(range)
   if range == "boolean" then return true end
-  if type(range) ~= "table" or range[1] == nil then return false end
-  if type(range[1]) == "number" then
+  if type(range) == "table" and type(range[1]) == "number" then
     return type(range[2]) == "number" and range[1] <= range[2] and range[3] == nil
   end
-  for _, text in ipairs(range) do
-    if type(text) ~= "string" then return false end
-  end
-  return true
+  return is_list_of(opts.is_a "string", range)
 end
 
 --- Is it { tries = { 0, 3 }, armed = "boolean", gear = { "slow", "fast" } }?

@@ -15,6 +15,7 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local any = require("rfsm.shared.order").any
 local data = require "rfsm.explore.data"
 local opts = require "rfsm.shared.options"
 local match = require "rfsm.shared.match"
@@ -26,10 +27,9 @@ local timing = require "rfsm.explore.timing"
 local zones = require "rfsm.explore.zones"
 
 local assert, error, getmetatable = assert, error, getmetatable
-local ipairs, math, pcall = ipairs, math, pcall
-local rawget, require = rawget, require
+local ipairs, math, rawget, require = ipairs, math, rawget, require
 local setmetatable, tonumber, type = setmetatable, tonumber, type
-local concat, floor = table.concat, math.floor
+local concat = table.concat
 local os_clock = (rawget(_G, "os") or {}).clock or function() return 0 end
 
 local explore = {}
@@ -70,8 +70,7 @@ local explore = {}
 ---@field depth integer steps to the configurations that are looked at
 ---@field level_end integer the last one of these
 ---@field first integer[] configuration -> the position of its first step
----@field blocks integer[][] of steps: see `Walk:step_at`
----@field step_count integer
+---@field steps integer[] the targets; negative: no event from outside
 ---@field taken table<integer, table> transition -> the first step that takes it
 ---@field stuck integer[] configurations that no step leaves or acts in
 ---@field has_moved boolean some step did so in the one that is looked at
@@ -82,9 +81,9 @@ local explore = {}
 ---@field passed rfsm_checks.Passed[] moments of steps, each once
 ---@field count integer steps that were run
 ---@field wanted any[] events that properties look at
----@field monitored rfsm_checks.Judged[] properties whose monitors run along
+---@field monitored rfsm_checks.Judged[] the property whose monitor runs along, if any
 ---@field has_contexts boolean more tells configurations apart: their `contexts`
----@field contexts table[] `states` of monitors, `time`, `values` of fields, `shape`
+---@field contexts table[] `state` of the monitor, `time`, `values` of fields, `shape`
 ---@field context_ids table<string, integer>
 ---@field kin table<string, integer[]> configurations that differ in their times alone
 ---@field unsure table<integer, rfsm_checks.Group> positions of steps where other
@@ -117,18 +116,18 @@ function Walk:configuration(number)
   return conf
 end
 
--- Returns the key of the context of a configuration; empty if there is none. A second
--- result is the problem of a value that is not followed.
-local function key_of_context(walk, states, time)
+-- Returns the key of the context of a configuration, empty if there is none; nil and
+-- the problem if a field has a value that is not followed.
+local function key_of_context(walk, state, time)
   if not walk.has_contexts then return "" end
   local values, text = data.read(walk.subject)
   if not values then return nil, text end
-  local shape = concat(states, ",") .. "/" .. text
+  local shape = state .. "/" .. text
   text = shape .. (time and "@" .. time.text or "")
   local id = walk.context_ids[text]
   if not id then
     id = #walk.contexts + 1
-    walk.contexts[id] = { states = states, time = time, values = values, shape = shape }
+    walk.contexts[id] = { state = state, time = time, values = values, shape = shape }
     walk.context_ids[text] = id
   end
   return "|" .. id
@@ -140,18 +139,13 @@ local function put(walk, conf, events)
   if conf.context then data.put(walk.subject, conf.context.values) end
 end
 
---- Does an event wait in a configuration, so that run would go on?
----@param number integer
----@return boolean
+--- Does an event wait in a configuration, so that `rfsm.run` would go on?
 function Walk:is_driven(number) return subject.is_driven(self:configuration(number)) end
 
 --- Is the machine entered in some configuration?
 ---@return boolean
 function Walk:is_entered()
-  for _, position in ipairs(self.subject.parts[1].positions) do
-    if position.leaf then return true end
-  end
-  return false
+  return any(self.subject.parts[1].positions, function(at) return at.leaf end)
 end
 
 -- Returns the number of a configuration that is there: of the same key, or of one whose
@@ -204,21 +198,15 @@ end
 
 -- Steps .............................................................................
 
--- Notes what a step did that has not been seen before.
-local function note(walk, from, label)
-  for _, number in ipairs(walk.subject.taken) do
-    walk.taken[number] = walk.taken[number] or { from = from, label = label() }
-  end
-end
-
 -- Notes that something was not tried, so that what was not found is not known.
 local function note_untried(walk, bound, text)
   walk.bound = walk.bound or bound
-  for _, other in ipairs(walk.untried) do
-    if other == text then return end
+  if not match.has(walk.untried, text) then
+    walk.untried[#walk.untried + 1] = text
   end
-  walk.untried[#walk.untried + 1] = text
 end
+
+explore.note_untried = note_untried
 
 -- Notes the states that a step has entered and left again.
 local function note_passed(walk, from, tgt, label)
@@ -232,20 +220,6 @@ local function note_passed(walk, from, tgt, label)
   end
 end
 
-local BLOCK = 4096 -- steps of a block; one list would be copied whenever it grows
-
-local has_ffi, ffi = pcall(require, "ffi")
-
--- Returns a block: on LuaJIT numbers of 4 bytes.
-local function new_block()
-  return has_ffi and ffi.new("int32_t[?]", BLOCK) or {}
-end
-
---- Return the target of a step; negative: it has no event from outside.
----@param at integer its position
----@return integer
-function Walk:step_at(at) return self.blocks[floor(at / BLOCK)][at % BLOCK] end
-
 -- Appends where a step leads, once for each configuration, and for each group of
 -- deadlines that need not be the first. A step that leads nowhere counts only if events
 -- that wait are why it was taken.
@@ -253,13 +227,11 @@ local function add_step(walk, try, tgt)
   if tgt == try.from and not subject.is_driven(try.conf) then return end
   local step, unsure = try.is_internal and -tgt or tgt, walk.unsure
   local group = try.group and not try.group.is_sure and try.group or nil
-  for at = walk.first[try.from], walk.step_count do
-    if walk:step_at(at) == step and unsure[at] == group then return end
+  local steps, count = walk.steps, #walk.steps
+  for at = walk.first[try.from], count do
+    if steps[at] == step and unsure[at] == group then return end
   end
-  local at = walk.step_count + 1
-  local index = floor(at / BLOCK)
-  walk.blocks[index] = walk.blocks[index] or new_block()
-  walk.blocks[index][at % BLOCK], unsure[at], walk.step_count = step, group, at
+  steps[count + 1], unsure[count + 1] = step, group
 end
 
 local MANY_CHOICES = 4096
@@ -278,7 +250,7 @@ local MANY_CHOICES = 4096
 local function key_after(walk, try, label)
   local key, context = walk.subject:read(), try.conf.context
   if not walk.has_contexts then return key end
-  local states, clocks = monitors.after(walk, try, key, label)
+  local state, clocks = monitors.after(walk, try, key, label)
   local time, sources = false, nil
   if walk.timing then
     time, sources = walk.timing:after(context.time, try.group, walk, clocks)
@@ -287,9 +259,9 @@ local function key_after(walk, try, label)
     note_untried(walk, "pending", ("more than %d events that wait to be sent later")
       :format(walk.options.pending))
     walk.cut[try.from] = true
-    return nil
+    return nil, sources
   end
-  local behind, problem = key_of_context(walk, states, time)
+  local behind, problem = key_of_context(walk, state, time)
   if behind then return key .. behind, sources end
   note_untried(walk, "values", problem)
   return nil, sources
@@ -321,7 +293,9 @@ end
 -- Notes what a step has done.
 local function note_step(walk, try, key, label)
   local from = try.from
-  note(walk, from, label)
+  for _, number in ipairs(walk.subject.taken) do
+    walk.taken[number] = walk.taken[number] or { from = from, label = label() }
+  end
   if not key then
     walk.endless = walk.endless or { from = from, label = label() }
     return
@@ -371,6 +345,16 @@ local function groups_of(walk, conf)
   return groups
 end
 
+--- Add the events that monitors and properties look at, where nothing else takes them.
+function explore.add_wanted(own, wanted, list)
+  for _, event in ipairs(wanted) do
+    local occurrence = own:occurrence(own.parts[1], event)
+    if not (own:maker_of(event) or match.has(list, occurrence)) then
+      list[#list + 1] = occurrence
+    end
+  end
+end
+
 -- Takes a step for each set of events and deadlines from a configuration.
 local function each_try(walk, from, f)
   local conf = walk:configuration(from)
@@ -379,7 +363,7 @@ local function each_try(walk, from, f)
     note_untried(walk, "sets", ("some sets of events that paths from %s need"):format(
       conf[1].leaf and conf[1].leaf._fqn or "root.initial"))
   end
-  walk:add_wanted(list)
+  explore.add_wanted(walk.subject, walk.wanted, list)
   local sets = sets_of(list, walk.together)
   for _, set in ipairs(needed) do
     if #set > walk.together then sets[#sets + 1] = set end
@@ -390,8 +374,8 @@ local function each_try(walk, from, f)
 end
 
 -- Takes all steps from a configuration.
-local function expand(walk, from)
-  walk.first[from], walk.has_moved = walk.step_count + 1, false
+function Walk.expand(walk, from)
+  walk.first[from], walk.has_moved = #walk.steps + 1, false
   each_try(walk, from, note_step)
   if not (walk.has_moved or walk.cut[from]) then walk.stuck[#walk.stuck + 1] = from end
 end
@@ -416,7 +400,8 @@ local function find_bound(walk, options, at, began)
   if at % EVERY == 0 and os_clock() - began > options.seconds then return "seconds" end
 end
 
-local function walk_all(walk, options)
+--- Have a walk, or what has its fields, take all steps from each configuration.
+function explore.walk_all(walk, options)
   local at, began = 1, os_clock()
   local judged = walk.monitored[1] or {}
   while walk.keys[at] and judged.holds == nil do
@@ -431,36 +416,21 @@ local function walk_all(walk, options)
     if options.progress and at % EVERY == 0 then
       options.progress(#walk.keys, walk.depth)
     end
-    expand(walk, at)
+    walk:expand(at)
     at = at + 1
   end
   walk.expanded = at - 1
-  walk.first[at] = walk.step_count + 1
+  walk.first[at] = #walk.steps + 1
 end
 
 -- Public functions ..................................................................
 
--- What is done with each step and event for properties is set by `properties.watch`.
+-- Is called after each step. `properties.watch` and tests put a function here.
 function Walk.look() end
-
--- Adds the events that monitors and properties look at, where nothing else takes them.
-function Walk:add_wanted(list)
-  local own = self.subject
-  for _, event in ipairs(self.wanted) do
-    local occurrence = own:occurrence(own.parts[1], event)
-    if not (own:maker_of(event) or match.has(list, occurrence)) then
-      list[#list + 1] = occurrence
-    end
-  end
-end
 
 local function is_number(x) return type(x) == "number" and x >= 0 end
 
-local is_count = opts.is_whole(1, math.huge)
-
-local function is_table(x) return type(x) == "table" end
-
-local function is_boolean(x) return type(x) == "boolean" end
+local is_count, is_boolean = opts.is_whole(1, math.huge), opts.is_a "boolean"
 
 local function is_period(x) return opts.is_seconds(x) and x > 0 end
 
@@ -490,25 +460,37 @@ local KNOWN = {
   same = { "list of guards", data.check_groups },
   timers = { "'free' or 'in order'", is_order, "in order" },
   period = { "seconds above 0", is_period },
-  properties = { "table", is_table, {} }, progress = { "function", rfsm.is_callable },
+  properties = { "table", opts.is_a "table", {} },
+  progress = { "function", rfsm.is_callable },
 }
 
--- Callbacks that write the targets of transitions are not followed, and those that
--- write data and are not called, or send events later that are not named.
-local function check_writers(walk)
-  for _, name in ipairs(walk.subject.writers) do
-    note_untried(walk, "targets", "targets that the " .. name .. " may write")
+--- List what is not followed of the callbacks of a subject: those that write targets,
+--- or data and are not called, or that send events later or cancel them and are not
+--- named.
+---@param own rfsm_checks.Subject
+---@return string[][] gaps each the name of a bound, and a text
+function explore.gaps(own)
+  local gaps = {}
+  local function add(names, bound, text)
+    for _, name in ipairs(names) do gaps[#gaps + 1] = { bound, text:format(name) } end
   end
-  for _, name in ipairs(walk.subject.data_writers) do
-    note_untried(walk, "values", ("data that the %s may write, which is not run")
-      :format(name))
-  end
-  for _, name in ipairs(walk.subject.late_senders) do
-    note_untried(walk, "pending", ("events that the %s may send later"):format(name))
-  end
-  for _, name in ipairs(walk.subject.later[1] and walk.subject.cancellers or {}) do
-    note_untried(walk, "pending", ("events that the %s may cancel"):format(name))
-  end
+  add(own.writers, "targets", "targets that the %s may write")
+  add(own.data_writers, "values", "data that the %s may write, which is not run")
+  add(own.late_senders, "pending", "events that the %s may send later")
+  add(own.later[1] and own.cancellers or {}, "pending",
+    "events that the %s may cancel")
+  return gaps
+end
+
+--- Return some options with their defaults; nil and the problem if one is wrong, or not
+--- among these.
+---@param options table
+---@param names string[]
+---@param more? table<string, any[]> options that only the caller has
+function explore.settings(options, names, more)
+  local known = more or {}
+  for _, name in ipairs(names) do known[name] = KNOWN[name] end
+  return opts.read(known, options)
 end
 
 --- Walk over the configurations of a model, without judging them.
@@ -524,12 +506,12 @@ function explore.walk(model, options, prepare, way)
     way = way or false, together = settings.together or 1,
     is_together_given = settings.together ~= nil, untried = {}, passed = {},
     keys = {}, numbers = {}, from = {}, labels = {}, depth = 0, level_end = 1,
-    first = {}, blocks = {}, step_count = 0, choices = {}, taken = {}, endless = nil,
+    first = {}, steps = {}, choices = {}, taken = {}, endless = nil,
     bound = nil, stuck = {}, has_moved = false, count = 0, expanded = 0, wanted = {},
     monitored = {}, has_contexts = false, contexts = {}, context_ids = {}, kin = {},
     unsure = {}, cut = {}, timing = false }, Walk)
   function walk.label() return label_of(walk.try, walk.choices, own.asked) end
-  check_writers(walk)
+  for _, gap in ipairs(explore.gaps(own)) do note_untried(walk, gap[1], gap[2]) end
   if prepare then prepare(walk) end
   walk.timing = timing.new(walk, settings)
   if walk.timing and walk.timing.is_inexact then
@@ -538,9 +520,9 @@ function explore.walk(model, options, prepare, way)
   own.leaves_out = not (walk.timing or own.notes_events)
   walk.has_contexts = walk.monitored[1] ~= nil or walk.timing ~= false
     or own.var_names[1] ~= nil or own.run_list[1] ~= nil
-  find_configuration(walk, own:read() .. key_of_context(walk, monitors.first(walk),
+  find_configuration(walk, own:read() .. key_of_context(walk, monitors.FIRST,
     walk.timing and walk.timing.none), 0, function() return "" end)
-  walk_all(walk, settings)
+  explore.walk_all(walk, settings)
   data.rest(own)
   return walk
 end
@@ -564,8 +546,8 @@ local function text_of_event(occurrence)
   return part.owner and text .. " in " .. part.prefix or text
 end
 
--- Sets in the step of a witness what the subject has done in it.
-local function note_outcome(own, step)
+--- Set in the step of a witness what the subject has done in it.
+function explore.note_outcome(own, step)
   step.choices = {}
   for i = 1, own.asked do
     step.choices[i] = { who = own.askers[i], answer = own.choices[i],
@@ -613,7 +595,7 @@ local function repeat_on(own, events, step)
   data.put(own, own.last_values or own.first_values)
   own:step(list, {})
   own.last_values = data.read(own)
-  note_outcome(own, step)
+  explore.note_outcome(own, step)
 end
 
 --- Run a step again.
@@ -627,10 +609,21 @@ function Walk:rerun(from, label, whole)
   local conf, step = self:configuration(from), new_step(events)
   put(self, conf, events)
   self.subject:step(events, choices)
-  note_outcome(self.subject, step)
+  explore.note_outcome(self.subject, step)
   if whole then repeat_on(whole, events, step) end
   return step, self.timing and { from = from, conf = conf, events = events,
     group = groups_of(self, conf)[number] }
+end
+
+--- List the steps of the shortest way to a configuration, and the one given behind it.
+---@return { from: integer, label: string }[] way
+function explore.way_to(walk, number, label)
+  local way = { label and { from = number, label = label } }
+  while walk.from[number] > 0 do
+    table.insert(way, 1, { from = walk.from[number], label = walk.labels[number] })
+    number = walk.from[number]
+  end
+  return way
 end
 
 --- Return the shortest way to a configuration, and the step given behind it, or those
@@ -640,11 +633,7 @@ end
 ---@param cycle? rfsm_checks.Edge[]
 ---@return rfsm_checks.WitnessStep[] witness field `again`: where the cycle begins
 function Walk:witness(number, label, cycle)
-  local way, steps = { label and { from = number, label = label } }, {}
-  while self.from[number] > 0 do
-    table.insert(way, 1, { from = self.from[number], label = self.labels[number] })
-    number = self.from[number]
-  end
+  local way, steps = explore.way_to(self, number, label), {}
   steps.again = cycle and #way + 1
   way = match.joined(way, cycle or {})
   local moments = timing.new_moments()

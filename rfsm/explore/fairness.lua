@@ -146,12 +146,11 @@ local function has_times(walk, start, cycle)
     or walk:witness(start, nil, match.joined(cycle, cycle))[1].at ~= nil
 end
 
--- Lists the configurations that have been looked at and owe something.
-local function owing(walk, judged, owes)
-  local set, index = {}, nil
-  for i, other in ipairs(walk.monitored) do index = other == judged and i or index end
+-- Returns the set of the configurations that have been looked at and owe something.
+local function owing(walk, owes)
+  local set = {}
   for number = 2, walk.expanded do
-    set[number] = walk:configuration(number).context.states[index] == owes
+    set[number] = walk:configuration(number).context.state == owes
   end
   return set
 end
@@ -162,7 +161,7 @@ end
 ---@param judged rfsm_checks.Judged
 ---@param owes string
 function fairness.judge(walk, judged, owes)
-  for _, numbers in ipairs(graph.components_in(walk, owing(walk, judged, owes))) do
+  for _, numbers in ipairs(graph.components_in(walk, owing(walk, owes))) do
     local rest = find_rest(walk, numbers)
     local edges = not rest and find_fair(walk, numbers)
     local cycle = edges and cycle_from(walk, edges, numbers[1])

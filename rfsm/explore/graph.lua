@@ -15,16 +15,17 @@ local graph = {}
 ---@param f fun(tgt: integer, is_internal: boolean, position: integer)
 function graph.each_step(walk, number, f)
   for i = walk.first[number] or 1, (walk.first[number + 1] or 1) - 1 do
-    local step = walk:step_at(i)
+    local step = walk.steps[i]
     if step < 0 then f(-step, true, i) else f(step, false, i) end
   end
 end
 
--- Calls f(from, tgt) for each step, or for those that the flags say.
+-- Calls f(from, tgt) for each step; with `is_internal` for those without events from
+-- outside, with `is_sure` for those that can be taken whatever the clocks show.
 local function each_edge(walk, is_internal, is_sure, f)
   for from = 1, walk.expanded do
     for at = walk.first[from], walk.first[from + 1] - 1 do
-      local step = walk:step_at(at)
+      local step = walk.steps[at]
       if (step < 0 or not is_internal) and not (is_sure and walk.unsure[at]) then
         f(from, abs(step))
       end
@@ -77,7 +78,8 @@ function graph.can_reach(walk, goals, is_internal, is_sure)
   return spread(walk, set, function() return true end, is_internal, is_sure)
 end
 
--- Does each group of deadlines that can be first have a step into a set?
+-- Does a step lead into a set whatever the clocks show: for each group of deadlines
+-- that may be over first?
 local function leads_surely(walk, number, set)
   local ways, is_counted = 0, {}
   graph.each_step(walk, number, function(tgt, _, at)
@@ -160,7 +162,7 @@ local function visit_next(walk, search)
   local low, order, depth = search.low, search.order, #search.visits
   local number, at = search.visits[depth], search.at[depth]
   if at < (walk.first[number + 1] or 1) then
-    local tgt = abs(walk:step_at(at))
+    local tgt = abs(walk.steps[at])
     search.at[depth] = at + 1
     if search.set and not search.set[tgt] then
       return
@@ -203,7 +205,7 @@ local function leads_out(walk, component, index_of)
   local own = index_of[component[1]]
   for _, number in ipairs(component) do
     for at = walk.first[number] or 1, (walk.first[number + 1] or 1) - 1 do
-      if index_of[abs(walk:step_at(at))] ~= own then return true end
+      if index_of[abs(walk.steps[at])] ~= own then return true end
     end
   end
   return false

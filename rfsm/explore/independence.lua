@@ -21,6 +21,7 @@ local order = require "rfsm.shared.order"
 
 local ipairs, type = ipairs, type
 local concat, max, min = table.concat, math.max, math.min
+local any = order.any
 
 local independence = {}
 
@@ -39,10 +40,9 @@ local NOTHING = {}
 -- Traits ............................................................................
 
 local function has_timer(part)
-  for _, state in ipairs(rfsm.elements(part.fsm, rfsm.is_state)) do
-    if state._timers and state._timers[1] then return true end
-  end
-  return false
+  return any(rfsm.elements(part.fsm, rfsm.is_state), function(state)
+    return state._timers and state._timers[1]
+  end)
 end
 
 -- Can any event trigger the transition? Not if a path leads to it whose events count.
@@ -109,18 +109,11 @@ local function are_joined(a, b)
   return false
 end
 
-local function joins_group(traits, part, group)
-  for _, other in ipairs(group) do
-    if are_joined(traits[part], traits[other]) then return true end
-  end
-  return false
-end
-
 -- Returns the groups with one more region, in one with those that it is joined to.
 local function with_region(groups, traits, part)
   local group, list = { part }, {}
   for _, other in ipairs(groups) do
-    if joins_group(traits, part, other) then
+    if any(other, function(mate) return are_joined(traits[part], traits[mate]) end) then
       group = match.joined(other, group)
     else
       list[#list + 1] = other
@@ -268,10 +261,7 @@ local function way_for(self, property)
 end
 
 local function is_timed(list)
-  for _, judged in ipairs(list) do
-    if judged.property.seconds then return true end
-  end
-  return false
+  return any(list, function(judged) return judged.property.seconds end)
 end
 
 --- Plan the walks of a chart, and set the field `way` of its properties.

@@ -48,17 +48,13 @@ local function clocks_from(first, count, is_new)
   return clocks
 end
 
---- How each kind of property looks at a step. Returns the next state, "violated" if the
---- property does not hold, and the clocks from then on; nil: they stay.
----@type table<string, fun(property: table, state: string, look: table): string, table?>
-monitors.see = {}
+-- How each kind of property looks at a step, see `monitors.look`.
+local see = {}
 
-local see = monitors.see
-
---- The state behind a violation, if that can be one only once.
+--- The state after a violation, of the kinds that can be violated only once.
 monitors.next = { precedes = "done", ["until"] = "done" }
 
---- The kinds that also look at the states that a step passes.
+--- The kinds that also look at the states that a step passes; others at its end alone.
 monitors.passes = { never = true, after_never = true, precedes = true }
 
 --- In this state something has to come some time.
@@ -73,19 +69,16 @@ function see.never(property, _, look)
 end
 
 function see.always(property, state, look)
-  if not look.is_end or holds(property.what, look.active) then return state end
-  return "violated"
+  return holds(property.what, look.active) and state or "violated"
 end
 
 function see.leads_to(property, state, look)
-  if not look.is_end then return state end
   if holds(property.goal, look.active) then return "first" end
   if look.came then state = "owed" end
   return state == "owed" and look.is_at_rest and "violated" or state
 end
 
 function see.after(property, state, look)
-  if not look.is_end then return state end
   if holds(property.goal, look.active) then return "first" end
   if look.came then state = "owed" end
   return state == "owed" and look.is_idle and "violated" or state
@@ -103,14 +96,13 @@ function see.precedes(property, state, look)
 end
 
 see["until"] = function(property, state, look)
-  if state == "done" or not look.is_end then return state end
+  if state == "done" then return state end
   if holds(property.goal, look.active) then return "done" end
   local is_broken = look.is_at_rest or not holds(property.what, look.active)
   return is_broken and "violated" or state
 end
 
 function see.reach_within(property, state, look)
-  if not look.is_end then return state end
   if holds(property.goal, look.active) then return "first", NONE end
   if look.expired > 0 then return "violated", NONE end
   if state == "first" and look.came then return "owed", NEW end
@@ -118,7 +110,6 @@ function see.reach_within(property, state, look)
 end
 
 function see.left_within(property, state, look)
-  if not look.is_end then return state end
   if not holds(property.what, look.active) then return "first", NONE end
   if look.expired > 0 then return "violated", NONE end
   if state == "first" then return "owed", NEW end
@@ -127,7 +118,6 @@ end
 
 -- Once the condition holds it has to stay; when the clock has expired it may end.
 function see.stays(property, state, look)
-  if not look.is_end then return state end
   if holds(property.what, look.active) then
     if state == "first" then return "young", NEW end
     if look.expired > 0 then return "old", NONE end
@@ -138,7 +128,6 @@ function see.stays(property, state, look)
 end
 
 function see.at_most(property, state, look)
-  if not look.is_end then return state end
   local left = look.count - look.expired
   if look.came and left >= property.count then return "violated", NONE end
   return state, clocks_from(look.expired + 1, look.count, look.came)
@@ -146,7 +135,6 @@ end
 
 -- The window begins with the entry of the machine, as if the event had come then.
 function see.at_least(property, state, look)
-  if not look.is_end then return state end
   if state == "first" then
     local clocks = {}
     for i = 1, property.count do clocks[i] = 0 end
@@ -156,16 +144,25 @@ function see.at_least(property, state, look)
   return state, look.came and clocks_from(2, look.count, true) or nil
 end
 
+--- Is a property of a kind that has a monitor? `from` asks what might be.
+function monitors.has(property) return see[property.kind] ~= nil end
+
+--- Have a monitor look at a step.
+---@param property rfsm_checks.Property
+---@param state string
+---@param look rfsm_checks.Look
+---@return string state the next one; "violated" if the property does not hold
+---@return integer[]? clocks from then on: numbers of those that stay, 0 for a new one;
+-- nil: all of them stay
+function monitors.look(property, state, look)
+  if not (look.is_end or monitors.passes[property.kind]) then return state end
+  return see[property.kind](property, state, look)
+end
+
 -- Monitors of an exploration ........................................................
 
---- Return the states in which monitors begin.
----@param walk rfsm_checks.Walk
----@return string[]
-function monitors.first(walk)
-  local states = {}
-  for i = 1, #walk.monitored do states[i] = "first" end
-  return states
-end
+--- The state in which each monitor begins.
+monitors.FIRST = "first"
 
 -- Returns how many clocks of a monitor there are in a configuration, and how many of
 -- them have expired.
@@ -183,42 +180,41 @@ end
 -- Returns the next state of a monitor and its clocks, when it has seen all of a step.
 local function look_at(walk, judged, state, try, view)
   local own, property = walk.subject, judged.property
-  local look_on, look = see[property.kind], { came = false, is_end = false }
+  local look = { came = false, is_end = false }
   look.count, look.expired = count_clocks(try, judged)
   for _, moment in ipairs(own.passed) do
     look.active = own:view_of_moment(moment)
-    state = state == "violated" and state or look_on(property, state, look)
+    if state ~= "violated" then state = monitors.look(property, state, look) end
   end
   if state == "violated" then return state, {} end
   look.active, look.is_end = view, true
   look.came = property.event ~= nil and own.parts[1].position.leaf
     and own.wanted[property.event] or false
-  local next_state, clocks = look_on(property, state, look)
+  local next_state, clocks = monitors.look(property, state, look)
   return next_state, clocks, look.came
 end
 
---- Return the states of the monitors after the last step, and their clocks.
+--- Return the state of the monitor of a walk after the last step, and its clocks.
 ---@param walk rfsm_checks.Walk
 ---@param try rfsm_checks.Try
 ---@param key string of the configuration that it has led to
 ---@param label fun(): string
----@return string[] states
----@return table<rfsm_checks.Judged, integer[]> clocks of those that have changed
+---@return string state that of before if the walk has no monitor
+---@return table<rfsm_checks.Judged, integer[]> clocks its own if they have changed
 function monitors.after(walk, try, key, label)
-  local states, clocks, own, view = {}, {}, walk.subject, nil
-  for i, judged in ipairs(walk.monitored) do
-    states[i] = try.conf.context.states[i]
-    view = view or own:view(own:configuration(key))
-    if states[i] ~= "violated" and own.parts[1].fsm._act_leaf then
-      local came
-      states[i], clocks[judged], came = look_at(walk, judged, states[i], try, view)
-      judged.has_come = judged.has_come or came
-    end
-    if states[i] == "violated" and judged.holds == nil then
-      judged.holds, judged.at, judged.label = false, try.from, label()
-    end
+  local judged, own, clocks = walk.monitored[1], walk.subject, {}
+  local state = try.conf.context.state
+  if not judged then return state, clocks end
+  if state ~= "violated" and own.parts[1].fsm._act_leaf then
+    local view = own:view(own:configuration(key))
+    local came
+    state, clocks[judged], came = look_at(walk, judged, state, try, view)
+    judged.has_come = judged.has_come or came
   end
-  return states, clocks
+  if state == "violated" and judged.holds == nil then
+    judged.holds, judged.at, judged.label = false, try.from, label()
+  end
+  return state, clocks
 end
 
 return monitors

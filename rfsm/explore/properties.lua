@@ -34,47 +34,75 @@ local properties = {}
 ---@field within? fun(seconds: number): rfsm_checks.Property
 local Property = {}
 
-local function check_condition(what, where)
+-- For each part of a property a function of its value: it returns what is wrong, nil if
+-- nothing is.
+local PROBLEMS = {}
+
+function PROBLEMS.what(what)
   local names = type(what) == "table" and what or { what }
   local is_right = names[1] ~= nil
   for _, name in ipairs(names) do
     is_right = is_right and (type(name) == "string" or type(what) == "function")
   end
-  if is_right then return what end
-  error("rfsm_checks." .. where .. ": path of a state, name of a flag, list of them or "
-    .. "function expected, got " .. type(what), 3)
+  return not is_right and "path of a state, name of a flag, list of them or function "
+    .. "expected, got " .. type(what) or nil
 end
 
-local function check_event(event, where)
-  if event ~= nil then return event end
-  error("rfsm_checks." .. where .. ": event expected, got nil", 3)
+PROBLEMS.goal = PROBLEMS.what
+
+function PROBLEMS.event(event)
+  return event == nil and "event expected, got nil" or nil
 end
 
 local is_count = opts.is_whole(1, 100)
 
-local function check_count(count, where)
-  if is_count(count) then return count end
-  error("rfsm_checks." .. where .. ": whole number from 1 to 100 expected, "
-    .. opts.got(count), 3)
+function PROBLEMS.count(count)
+  return not is_count(count) and "whole number from 1 to 100 expected, "
+    .. opts.got(count) or nil
 end
 
 local LONGEST = 1000000 -- seconds
 
-local function check_seconds(seconds, where)
-  if opts.is_seconds(seconds) and seconds > 0 and seconds <= LONGEST then
-    return seconds
+function PROBLEMS.seconds(seconds)
+  if opts.is_seconds(seconds) and seconds > 0 and seconds <= LONGEST then return nil end
+  return ("seconds above 0 and up to %d expected, %s"):format(LONGEST,
+    opts.got(seconds))
+end
+
+-- Returns a part of a property; raises an error if it is wrong.
+local function checked(where, part, value)
+  local problem = PROBLEMS[part](value)
+  if problem then error("rfsm_checks." .. where .. ": " .. problem, 3) end
+  return value
+end
+
+local function new(kind, parts)
+  local property = setmetatable({ kind = kind }, Property)
+  for part, value in order.each(parts) do property[part] = value end -- any order
+  return property
+end
+
+-- Returns the function that takes the last part of a property, and makes it. The goal
+-- of `after` may have a time.
+local function ending(where, kind, parts, last)
+  return function(value)
+    local property = new(kind, parts)
+    property[last] = checked(where, last, value)
+    if kind == "after" then
+      property.within = ending("after(...).reach(...).within", "reach_within",
+        { event = parts.event, goal = value }, "seconds")
+    end
+    return property
   end
-  error(("rfsm_checks.%s: seconds above 0 and up to %d expected, %s"):format(where,
-    LONGEST, opts.got(seconds)), 3)
 end
 
-local function new(kind, fields)
-  fields.kind = kind
-  return setmetatable(fields, Property)
-end
-
--- Returns the first half of a property: a table of the functions that make the rest.
-local function first_half(where, functions)
+-- Returns the first half of a property: the functions that take its last part, of which
+-- `endings` has the kind and that part by their names.
+local function first_half(where, parts, endings)
+  local functions = {}
+  for name, rest in order.each(endings) do -- any order: each stands alone
+    functions[name] = ending(where .. "." .. name, rest[1], parts, rest[2])
+  end
   return setmetatable(functions, { __index = function(_, name)
     error(("rfsm_checks.%s: no '%s'%s, expected: %s"):format(where, rfsm.text_of(name),
       advice.nearest_name(rfsm.text_of(name), rfsm.sorted_keys(functions)),
@@ -86,24 +114,14 @@ end
 ---@param condition string|string[]|fun(active: fun(name: string): boolean): boolean
 ---@return rfsm_checks.Property
 function properties.never(condition)
-  return new("never", { what = check_condition(condition, "never") })
+  return new("never", { what = checked("never", "what", condition) })
 end
 
 --- Declare that a condition holds in each configuration after the first entry.
 ---@param condition string|string[]|fun(active: fun(name: string): boolean): boolean
 ---@return rfsm_checks.Property
 function properties.always(condition)
-  return new("always", { what = check_condition(condition, "always") })
-end
-
--- after(event).reach(goal), which may have a time.
-local function new_reach(event, goal)
-  local property = new("after", { event = event, goal = goal })
-  function property.within(seconds)
-    return new("reach_within", { event = event, goal = goal,
-      seconds = check_seconds(seconds, "after(...).reach(...).within") })
-  end
-  return property
+  return new("always", { what = checked("always", "what", condition) })
 end
 
 --- Declare what an event leads to, once the machine was entered.
@@ -116,20 +134,9 @@ end
 ---@param event any
 ---@return table of `reach(condition)`, `leads_to(condition)`, `never(condition)`
 function properties.after(event)
-  check_event(event, "after")
-  return first_half("after(...)", {
-    reach = function(goal)
-      return new_reach(event, check_condition(goal, "after(...).reach"))
-    end,
-    leads_to = function(goal)
-      return new("leads_to", { event = event,
-        goal = check_condition(goal, "after(...).leads_to") })
-    end,
-    never = function(goal)
-      return new("after_never", { event = event,
-        goal = check_condition(goal, "after(...).never") })
-    end,
-  })
+  return first_half("after(...)", { event = checked("after", "event", event) },
+    { reach = { "after", "goal" }, leads_to = { "leads_to", "goal" },
+      never = { "after_never", "goal" } })
 end
 
 --- Declare what becomes of a condition.
@@ -141,21 +148,9 @@ end
 ---@param condition any
 ---@return table of `can_reach(condition)`, `left_within(seconds)`, `stays(seconds)`
 function properties.from(condition)
-  check_condition(condition, "from")
-  return first_half("from(...)", {
-    can_reach = function(goal)
-      return new("from", { what = condition,
-        goal = check_condition(goal, "from(...).can_reach") })
-    end,
-    left_within = function(seconds)
-      return new("left_within", { what = condition,
-        seconds = check_seconds(seconds, "from(...).left_within") })
-    end,
-    stays = function(seconds)
-      return new("stays", { what = condition,
-        seconds = check_seconds(seconds, "from(...).stays") })
-    end,
-  })
+  return first_half("from(...)", { what = checked("from", "what", condition) },
+    { can_reach = { "from", "goal" }, left_within = { "left_within", "seconds" },
+      stays = { "stays", "seconds" } })
 end
 
 --- Declare that one condition does not hold before another one has.
@@ -163,8 +158,8 @@ end
 ---@param second any
 ---@return rfsm_checks.Property
 function properties.precedes(first, second)
-  return new("precedes", { what = check_condition(first, "precedes"),
-    goal = check_condition(second, "precedes") })
+  return new("precedes", { what = checked("precedes", "what", first),
+    goal = checked("precedes", "goal", second) })
 end
 
 --- Declare that from the first entry on one condition holds until another one does,
@@ -173,17 +168,8 @@ end
 ---@param second any
 ---@return rfsm_checks.Property
 function properties.until_(first, second)
-  return new("until", { what = check_condition(first, "until_"),
-    goal = check_condition(second, "until_") })
-end
-
--- Returns the first half of a property that counts an event.
-local function counted(kind, count, event)
-  local where = kind .. "(...)"
-  return first_half(where, { within = function(seconds)
-    return new(kind, { count = count, event = event,
-      seconds = check_seconds(seconds, where .. ".within") })
-  end })
+  return new("until", { what = checked("until_", "what", first),
+    goal = checked("until_", "goal", second) })
 end
 
 --- Declare how often an event comes in any time of some length:
@@ -192,8 +178,8 @@ end
 ---@param event any
 ---@return { within: fun(seconds: number): rfsm_checks.Property }
 function properties.at_most(count, event)
-  return (counted("at_most", check_count(count, "at_most"),
-    check_event(event, "at_most")))
+  return first_half("at_most(...)", { count = checked("at_most", "count", count),
+    event = checked("at_most", "event", event) }, { within = { "at_most", "seconds" } })
 end
 
 --- The same for the least number, from the first entry on.
@@ -201,18 +187,18 @@ end
 ---@param event any
 ---@return { within: fun(seconds: number): rfsm_checks.Property }
 function properties.at_least(count, event)
-  return (counted("at_least", check_count(count, "at_least"),
-    check_event(event, "at_least")))
+  return first_half("at_least(...)", { count = checked("at_least", "count", count),
+    event = checked("at_least", "event", event) },
+    { within = { "at_least", "seconds" } })
 end
 
 -- Returns the text of an event, the same in each run.
 local function text_of_event(event)
   if type(event) == "function" then return "a function" end
-  local class = type(event) == "table" and getmetatable(event)
-  local is_named = type(event) == "table" and type(rawget(event, "name")) == "string"
-  if is_named then return event.name end
-  return type(event) == "table" and not (class and class.__tostring) and "a table"
-    or rfsm.text_of(event)
+  if type(event) ~= "table" then return rfsm.text_of(event) end
+  if type(rawget(event, "name")) == "string" then return event.name end
+  local class = getmetatable(event)
+  return class and class.__tostring and rfsm.text_of(event) or "a table"
 end
 
 local function text_of(what)
@@ -254,6 +240,7 @@ end
 ---@field is_open? boolean it is not known, though everything was tried
 ---@field at? integer configuration that shows that it does not
 ---@field label? string of a step from there
+---@field tgt? integer where that step leads, of `after`
 
 --- List properties with their names, sorted.
 ---@param where string who is called, for errors
@@ -278,12 +265,12 @@ end
 local function set_of(walk, condition, field)
   local set = {}
   for number = 2, #walk.keys do
-    set[number] = holds(condition, walk.subject:view(walk:configuration(number)))
+    set[number] = holds(condition, walk.subject:view(walk:configuration(number))) or nil
   end
   for _, passed in ipairs(field and walk.passed or {}) do
     local number = passed[field]
     set[number] = set[number]
-      or holds(condition, walk.subject:view_of_moment(passed.moment))
+      or holds(condition, walk.subject:view_of_moment(passed.moment)) or nil
   end
   return set
 end
@@ -299,13 +286,6 @@ local function find_first(walk, judged, set, others)
 end
 
 local NONE = {}
-
-local function is_empty(set)
-  for _, is_in in order.each(set) do -- any order: is one there?
-    if is_in then return false end
-  end
-  return true
-end
 
 local JUDGES = {}
 
@@ -329,11 +309,11 @@ function JUDGES.always(walk, judged)
   find_first(walk, judged, entered, set_of(walk, judged.property.what))
 end
 
--- With a bound nothing is known against it: the way may lead through the rest.
+-- If a bound was hit no violation is known: a way may lead through what was not tried.
 function JUDGES.from(walk, judged)
   local property = judged.property
   local set = set_of(walk, property.what, "tgt")
-  if is_empty(set) then
+  if order.is_empty(set) then
     judged.vacuous = "no configuration has " .. text_of(property.what)
   elseif not walk.bound then
     local goals = set_of(walk, property.goal, "from")
@@ -347,7 +327,8 @@ function JUDGES.from(walk, judged)
 end
 
 function JUDGES.after(walk, judged)
-  local set = graph.must_reach(walk, set_of(walk, judged.property.goal))
+  local must_reach = walk.must_reach or graph.must_reach
+  local set = must_reach(walk, set_of(walk, judged.property.goal))
   local event = rfsm.text_of(judged.property.event)
   if not judged.has_come then
     judged.vacuous = event .. " never comes"
@@ -360,6 +341,7 @@ function JUDGES.after(walk, judged)
     if step and is_known and not set[number]
       and (not judged.at or step.from < judged.at) then
       judged.holds, judged.at, judged.label = false, step.from, step.label
+      judged.tgt = number
     end
   end
 end
@@ -390,8 +372,8 @@ local function check_maker(own, judged)
     :format(judged.name, event, advice.nearest_name(event, own:named_texts())), 0)
 end
 
--- Is the event named by one of the transitions that the step took? Or do they take any?
-local function is_taken(own, event)
+--- Is the event named by a transition that the step took, or does one take any?
+function properties.is_taken(own, event)
   for _, number in ipairs(own.taken) do
     local tr = own.transitions[number].tr
     if match.names(tr, event) or rfsm.is_state(tr.src)
@@ -411,7 +393,7 @@ local function watch_steps(walk, afters)
       local owed, event = walk.owed[judged], judged.property.event
       if own.wanted[event] then
         judged.has_come = true
-        judged.is_taken = judged.is_taken or is_taken(own, event)
+        judged.is_taken = judged.is_taken or properties.is_taken(own, event)
         owed[tgt] = owed[tgt] or { from = from, label = label() }
       end
     end
@@ -471,7 +453,8 @@ function properties.monitor(walk, judged)
   if judged.property.event ~= nil then want_event(walk, judged) end
 end
 
--- What its monitor has seen, and what has to come some time and need not.
+-- Judges a property whose monitor has run along: it has found a violation, or something
+-- is owed that need not come.
 local function judge_monitored(walk, judged)
   if judged.property.event ~= nil and not judged.has_come then
     judged.vacuous = rfsm.text_of(judged.property.event) .. " never comes"

@@ -11,6 +11,7 @@ local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local instrument = require "rfsm.shared.instrument"
 local location = require "rfsm.shared.location"
+local match = require "rfsm.shared.match"
 local opts = require "rfsm.shared.options"
 local writes = require "rfsm.shared.writes"
 
@@ -75,6 +76,12 @@ local function is_cancel(item)
     and rawget(item, "cancel") ~= nil and rawget(item, 1) == nil
 end
 
+-- Is it an event for others: { emit = "e_x" }?
+local function is_emit(item)
+  return type(item) == "table" and not getmetatable(item)
+    and rawget(item, "emit") ~= nil and rawget(item, 1) == nil
+end
+
 local function check_later(where, item)
   local seconds = item.after
   if type(seconds) ~= "number" or not (seconds >= 0 and seconds < math.huge) then
@@ -92,7 +99,8 @@ local function check_later(where, item)
 end
 
 --- Is it a table of lists of events: { ["entry root.a"] = { "e_x" } }? An event that is
---- sent later is { "e_x", after = 2 }, and { cancel = "e_x" } takes it back.
+--- sent later is { "e_x", after = 2 }, and { cancel = "e_x" } takes it back. One that
+--- `fsm.emit` gets is { emit = "e_x" }, with data { emit = "e_x", data = true }.
 ---@return boolean is_right
 ---@return string? problem
 function replacements.check_sends(sends)
@@ -155,11 +163,47 @@ local function may_call(callback, name)
   return found
 end
 
---- Note a callback that may write the target of a transition, or send an event later or
---- cancel one, and that `sends` does not name.
+local EMIT = "%f[%w_](emit[%w_]*)%s*%(?%s*([\"']?)([^\"'%s]*)"
+
+-- Calls f(name) for each event that a callback emits, by its text; f(nil) if the text
+-- does not show which.
+local function each_emitted(callback, f, seen)
+  writes.each(callback, function(text)
+    for word, quote, name in text:gmatch(EMIT) do
+      if word == "emit" or word == "emit_event" then f(quote ~= "" and name or nil) end
+    end
+  end, seen)
+end
+
+local function may_emit(callback)
+  local found = false
+  each_emitted(callback, function() found = true end, {})
+  return found
+end
+
+--- List the events that a machine and its regions emit, by the text of their callbacks;
+--- nil if they may emit others.
+---@return string[]?
+function replacements.emitted_by(fsm)
+  local emitted, is_certain, seen = {}, true, {}
+  local function note(name)
+    is_certain, emitted[#emitted + 1] = is_certain and name ~= nil, name
+  end
+  each_callback(fsm, function(_, callback)
+    is_certain = is_certain and writes.text_of(callback) ~= nil
+    each_emitted(callback, note, seen)
+  end)
+  return is_certain and emitted or nil
+end
+
+--- Note a callback that may write the target of a transition, or send an event later,
+--- cancel or emit one, and that `sends` does not name.
 function replacements.note_writer(self, name, callback)
   if writes.may_write(callback, { "tgt" }) then table.insert(self.writers, name) end
-  if self.sends[name] and not self.runs[callback or false] then return end
+  local is_run = self.runs[callback or false]
+  local is_known = is_run or self.sends[name] or self.dry_sends[name]
+  if not is_known and may_emit(callback) then table.insert(self.emitters, name) end
+  if self.sends[name] and not is_run then return end
   if may_call(callback, "send_after") then table.insert(self.late_senders, name) end
   if may_call(callback, "cancel") then table.insert(self.cancellers, name) end
 end
@@ -206,11 +250,17 @@ end
 
 local IS_DRY = { entry = true, exit = true, effect = true }
 
---- Return what callbacks send in a dry run, by name. It has a machine of its own.
+--- Return what callbacks send and emit in a dry run, by name. It has a machine of its
+--- own.
 function replacements.dry_run(fsm)
-  local sent = {}
+  local sent, emitted = {}, {}
+  rfsm.set_emit(fsm, function(event, value)
+    emitted[#emitted + 1] = { emit = event, data = value ~= nil }
+  end)
   each_callback(fsm, function(name, callback, machine, obj, field)
-    if IS_DRY[field] then sent[name] = call_apart(callback, machine, obj, field, {}) end
+    if not IS_DRY[field] then return end
+    emitted = {}
+    sent[name] = match.joined(call_apart(callback, machine, obj, field, {}), emitted)
   end)
   return sent
 end
@@ -256,6 +306,8 @@ local function send(self, part, fsm, item, later)
     self.sent_later[#self.sent_later + 1] = later
   elseif is_cancel(item) then
     replacements.drop_later(self, part, item.cancel)
+  elseif is_emit(item) then
+    self.emitted[#self.emitted + 1] = item
   else
     rfsm.send_events(fsm, item)
     self.sent[#self.sent + 1] = { prefix = part.prefix, event = item }

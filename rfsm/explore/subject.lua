@@ -54,13 +54,15 @@ local subject = {}
 ---@field passed rfsm_checks.Moment[] of the last step
 ---@field entered table<rfsm.State, boolean> states with a doo or timers, entered by it
 ---@field sent { prefix: string, event: any }[] by replacements, in the last step
+---@field emitted { emit: string, data?: any }[] for others, in the last step
+---@field emitters string[] callbacks that may emit others
 ---@field later rfsm_checks.Later[] events that replacements send later
 ---@field sent_later rfsm_checks.Later[] in the last step
 ---@field dropped table<rfsm_checks.Later, boolean> by a reset or `cancel` in that step
 ---@field late_senders string[] callbacks that may send others later
 ---@field cancellers string[] callbacks that may take some back
 ---@field called string[] of the last step, with `options.callbacks`
----@field now number seconds, as time events see them
+---@field time rfsm.clock.Clock what time events see
 ---@field steps integer that were taken
 ---@field leaves_out boolean leave out of steps the regions in which nothing happens?
 ---@field trimmed rfsm.State|false the state that lacks regions now
@@ -80,6 +82,7 @@ Subject.__index = Subject
 ---@field prefix string see `rfsm.machines`
 ---@field owner rfsm_checks.Part|false the part around it
 ---@field kept rfsm_checks.Kept|false what extensions keep of it
+---@field may_keep boolean they react to events, so these may be what they keep
 ---@field leaf rfsm.State|false where it is in that part
 ---@field is_bound boolean a callback is called, or there is a rule for a guard
 ---@field known table<rfsm.State|false, rfsm_checks.Leaf>
@@ -331,7 +334,7 @@ local function add_part(self, part)
   part.known, part.positions, part.ids, part.position = {}, {}, {}, false
   part.plain, part.inner = {}, {}
   part.is_bound, part.is_quiet, part.is_single = false, false, is_single(part)
-  part.kept = kept.of(fsm)
+  part.kept, part.may_keep = kept.of(fsm), false
   if part.owner then table.insert(part.owner.inner, part) end
   part.occurrences, part.timed, part.rounds = {}, {}, 0
   self.parts[#self.parts + 1] = part
@@ -347,6 +350,7 @@ local function add_part(self, part)
   end
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
     for _, event in ipairs(rfsm.reactions(fsm, state)) do
+      part.may_keep = part.kept and part.kept.hooks[1] ~= nil
       if type(event) ~= "function" then self:number_of_event(event) end
     end
   end
@@ -362,7 +366,10 @@ end
 
 -- Leaves out what has no effect in the leaf, and what is there twice. Of events that
 -- count only as any event at all, one is kept if there is no other.
+-- Where an extension may keep events, they count in another leaf, and as often as they
+-- came.
 local function relevant(self, part, leaf, events)
+  if part.may_keep then return match.joined({}, events) end
   local found, list, is_listed, other = reactions.of(part, leaf), {}, {}, nil
   for i = 1, #events do
     local event = events[i]
@@ -407,7 +414,7 @@ function find_position(self, part, leaf, mode)
   local numbers = {}
   local waiting = relevant(self, part, leaf, part.fsm._intq)
   for i, event in ipairs(waiting) do numbers[i] = self:number_of_event(event) end
-  sort(numbers)
+  if not part.may_keep then sort(numbers) end
   local known, values, text = part.known[leaf], false, ""
   if part.kept then
     values, text = kept.read(part.kept, part.fsm, self.event_numbers)
@@ -589,6 +596,7 @@ function Subject:step(events, choices)
   clear(self.last_events)
   clear(self.sent)
   clear(self.sent_later)
+  clear(self.emitted)
   if not order.is_empty(self.dropped) then self.dropped = {} end
   clear(self.called)
   if not order.is_empty(self.answers) then self.answers = {} end
@@ -787,7 +795,8 @@ function subject.new(model, options, way)
   local self = setmetatable({ parts = {}, transitions = {}, number_of = {},
     names = {}, paths = {}, part_of = {}, path_of = {}, callbacks = {}, writers = {},
     free = {}, sent = {}, later = {}, sent_later = {}, dropped = {}, late_senders = {},
-    cancellers = {}, runs = {},
+    cancellers = {}, emitted = {}, emitters = {}, dry_sends = {},
+    runs = {},
     flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
     calls_callbacks = options.callbacks, called = {},
     choices = {}, is_known = {}, askers = {}, is_doo = {}, asked = 0,
@@ -797,6 +806,9 @@ function subject.new(model, options, way)
     is_endless = false, notes_events = false, leaves_out = false,
     trimmed = false, is_touched = false, changed = nil }, Subject)
   local fsm = new_machine(self, model)
+  rfsm.set_emit(fsm, function(event, value)
+    self.emitted[#self.emitted + 1] = { emit = event, data = value ~= nil }
+  end)
   self.dry_sends = options.dry_run
     and replacements.dry_run(new_machine(self, model)) or {}
   replacements.read_flags(self, options.flags or {})

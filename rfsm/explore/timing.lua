@@ -229,13 +229,12 @@ local function bounds_of(self, entry, i, over)
   return bounds
 end
 
--- Appends bounds under which the deadline of a clock is the same as that of the first
--- one in the group.
-local function add_same(entries, i, first, bounds)
-  local later = entries[i].clock.deadlines[entries[i].passed + 1]
-    - entries[first].clock.deadlines[entries[first].passed + 1]
-  bounds[#bounds + 1] = { i, first, zones.at_most(later) }
-  bounds[#bounds + 1] = { first, i, zones.at_most(-later) }
+-- Returns the bound under which the next deadline of one clock is not over behind that
+-- of another: `bound` is zones.at_most, or zones.below if it is over in front of that.
+local function order_of(entries, one, other, bound)
+  local longer = entries[other].clock.deadlines[entries[other].passed + 1]
+    - entries[one].clock.deadlines[entries[one].passed + 1]
+  return { other, one, bound(longer) }
 end
 
 local function bounded(zone, count, bounds)
@@ -245,12 +244,13 @@ local function bounded(zone, count, bounds)
   return zone
 end
 
-local function add_group(self, groups, entries, found)
-  local group = { number = #groups + 1, over = {},
+-- Adds a group, whose events come in the order of `numbers` of entries.
+local function add_group(self, groups, entries, found, numbers)
+  local group = { number = #groups + 1, over = found.over,
     is_over = found.first ~= nil or found.has_free, is_sure = true, ways = 0,
     events = {}, zone = found.zone, bounds = found.bounds }
-  for i, entry in ipairs(entries) do
-    group.over[i] = found.over[i]
+  for _, i in ipairs(numbers) do
+    local entry = entries[i]
     for n = entry.passed + 1, entry.passed + found.over[i] do
       for _, event in ipairs(entry.clock.events[n]) do
         group.events[#group.events + 1], self.fired[event] = event, true
@@ -260,13 +260,51 @@ local function add_group(self, groups, entries, found)
   groups[#groups + 1] = group
 end
 
+-- Adds a group for each order in which events that were sent later can come: `rest`,
+-- behind `numbers`. Those of one time come in the order of sending.
+local function add_orders(self, groups, entries, count, found, numbers, rest)
+  if not rest[2] then
+    return add_group(self, groups, entries, found, match.joined(numbers, rest))
+  end
+  for at, i in ipairs(rest) do
+    local bounds, others = {}, {}
+    for n, other in ipairs(rest) do
+      if n ~= at then
+        others[#others + 1] = other
+        bounds[#bounds + 1] = order_of(entries, i, other,
+          n > at and zones.at_most or zones.below)
+      end
+    end
+    local zone = bounded(found.zone, count, bounds)
+    local own = zone and { over = found.over, zone = zone, first = found.first,
+      bounds = match.joined(found.bounds, bounds), has_free = found.has_free }
+    if own then
+      add_orders(self, groups, entries, count, own, match.with(numbers, i), others)
+    end
+  end
+end
+
+-- Returns the numbers of entries, and of those that were sent later and may come in
+-- another order: without a period all of a group come at one time.
+local function numbers_of(self, entries, over)
+  local numbers, sends = {}, {}
+  for i, entry in ipairs(entries) do
+    local clock = entry.clock
+    local is_send = self.period and over[i] > 0 and clock.later and not clock.is_free
+    local list = is_send and sends or numbers
+    list[#list + 1] = i
+  end
+  return numbers, sends
+end
+
 -- Returns what is known of a group if so many deadlines of the next clock are over as
 -- well; nil if they cannot be.
 local function extended(self, entries, count, found, over)
   local i = #found.over + 1
   local bounds, is_free = bounds_of(self, entries[i], i, over), entries[i].clock.is_free
   if over > 0 and found.first and not is_free and not self.period then
-    add_same(entries, i, found.first, bounds)
+    bounds[#bounds + 1] = order_of(entries, i, found.first, zones.at_most)
+    bounds[#bounds + 1] = order_of(entries, found.first, i, zones.at_most)
   end
   local zone = bounded(found.zone, count, bounds)
   return zone and { over = match.with(found.over, over), zone = zone,
@@ -282,7 +320,8 @@ local function add_groups(self, groups, entries, count, found)
     self.is_cut = true
     return
   elseif not entry then
-    return add_group(self, groups, entries, found)
+    return add_orders(self, groups, entries, count, found,
+      numbers_of(self, entries, found.over))
   end
   for over = 0, self.period and #entry.clock.deadlines - entry.passed or 1 do
     local longer = extended(self, entries, count, found, over)

@@ -20,8 +20,9 @@ local structure = require "rfsm.checks.structure"
 local order = require "rfsm.shared.order"
 
 local ipairs, next, setmetatable = ipairs, next, setmetatable
-local table, tostring, type = table, tostring, type
-local concat = table.concat
+local tostring, type = tostring, type
+local concat, remove = table.concat, table.remove
+local any = order.any
 
 local verdict = {}
 
@@ -51,19 +52,29 @@ Exploration.__index = Exploration
 
 -- Findings ........................................................................
 
--- Returns what steps have met: the set of paths of states that are active in some
--- configuration or entered by some step, the connectors to which one leads, and those
--- that one leaves.
-local function met_by(walk)
-  local met = { active = {}, entered = {}, left = {} }
-  for _, passed in ipairs(walk.passed) do
-    for path in order.each(passed.moment.active) do met.active[path] = true end -- a set
+--- Return the set of the paths of states that are active in a configuration of a
+--- subject or within a step.
+---@param own rfsm_checks.Subject
+---@param passed rfsm_checks.Passed[]
+---@return table<string, true> active
+function verdict.active_in(own, passed)
+  local active = {}
+  for _, each in ipairs(passed) do
+    for path in order.each(each.moment.active) do active[path] = true end -- a set
   end
-  for _, part in ipairs(walk.subject.parts) do
+  for _, part in ipairs(own.parts) do
     for _, leaf in ipairs(subject.leaves(part.positions)) do
-      for _, path in ipairs(leaf.paths) do met.active[path] = true end
+      for _, path in ipairs(leaf.paths) do active[path] = true end
     end
   end
+  return active
+end
+
+-- Returns what steps have met: the set of the paths of `active` states; the targets of
+-- the transitions that were taken; their sources.
+local function met_by(walk)
+  local met = { active = verdict.active_in(walk.subject, walk.passed), entered = {},
+    left = {} }
   for number in order.each(walk.taken) do -- any order: a set
     local tr = walk.subject.transitions[number].tr
     met.entered[tr.tgt], met.left[tr.src] = true, true
@@ -84,12 +95,18 @@ local function timer_text(walk, entry)
   return names[1] and " (" .. concat(names, " and ") .. " never comes)" or ""
 end
 
--- The same for the transitions that lead to a state.
+-- Returns the node that a transition enters: the composite whose `initial` is its
+-- target.
+local function entered_by(tr)
+  local tgt = tr.tgt
+  return rfsm.is_conn(tgt) and tgt._id == "initial" and tgt._parent or tgt
+end
+
+-- Returns the first such text of the transitions into a state; empty if there is none.
 local function timers_text(walk, state)
   for _, entry in ipairs(walk.subject.transitions) do
-    local tgt, text = entry.tr.tgt, timer_text(walk, entry)
-    if tgt._id == "initial" and rfsm.is_conn(tgt) then tgt = tgt._parent end
-    if tgt == state and text ~= "" then return text end
+    local text = entered_by(entry.tr) == state and timer_text(walk, entry) or ""
+    if text ~= "" then return text end
   end
   return ""
 end
@@ -122,12 +139,11 @@ local function find_closed(walk, findings, met)
   return is_closed
 end
 
--- Transitions from reached states to reached states, or from connectors that a step
--- enters. Of others another finding tells.
+-- Transitions that no step takes. They lead from reached states to reached states, or
+-- from connectors that a step enters: of others another finding has the reason.
 local function find_untaken(walk, findings, met, is_closed)
   local function is_told(entry)
-    local src, tgt = entry.tr.src, entry.tr.tgt
-    if rfsm.is_conn(tgt) and tgt._id == "initial" then tgt = tgt._parent end
+    local src, tgt = entry.tr.src, entered_by(entry.tr)
     return is_closed[tgt] or rfsm.is_conn(src) and not met.entered[src]
       and not (src._id == "initial" and rfsm.is_root(src._parent))
       or rfsm.is_state(src) and not met.active[location.path(src, entry.prefix)]
@@ -160,14 +176,9 @@ local function add_run(walk, findings, code, state, path, text, number, label)
   return finding or {}
 end
 
--- Returns the configurations of a walk in which nothing happens any more, and the
--- leaves of the machine itself in these.
-local function find_stuck(walk)
-  local is_stuck = {}
-  for _, number in ipairs(walk.stuck) do
-    is_stuck[walk:configuration(number)[1].known.path or "none"] = true
-  end
-  return walk.stuck, is_stuck
+-- Returns the path of the leaf of the machine itself in a configuration.
+local function own_leaf(walk, number)
+  return walk:configuration(number)[1].known.path or "none"
 end
 
 local function add_dead_end(walk, findings, number)
@@ -179,25 +190,26 @@ local function add_dead_end(walk, findings, number)
   elseif not (are_final or rfsm.is_root(state)) then
     local finding = add_run(walk, findings, "dead-end", state, text,
       "nothing happens any more in this configuration", number)
-    local are_ends = true
-    for _, leaf in ipairs(leaves) do
-      are_ends = are_ends
-        and structure.is_end(walk.subject.part_of[leaf.path].fsm, leaf.state)
-    end
-    if are_ends then finding.severity = "note" end
+    local is_fault = any(leaves, function(leaf)
+      return not structure.is_end(walk.subject.part_of[leaf.path].fsm, leaf.state)
+    end)
+    if not is_fault then finding.severity = "note" end
   end
 end
 
 -- Configurations in which nothing happens any more, one for each set of leaves. If
 -- regions are explored one by one, something happens unless all of them can be stuck.
 local function find_dead_ends(walks, findings)
-  local numbers, are_stuck = {}, {}
-  for i, walk in ipairs(walks) do numbers[i], are_stuck[i] = find_stuck(walk) end
+  local are_stuck = {}
   for i, walk in ipairs(walks) do
-    for _, number in ipairs(numbers[i]) do
-      local leaf, is_end = walk:configuration(number)[1].known.path or "none", true
-      for _, is_stuck in ipairs(are_stuck) do is_end = is_end and is_stuck[leaf] end
-      if is_end then add_dead_end(walk, findings, number) end
+    are_stuck[i] = {}
+    for _, at in ipairs(walk.stuck) do are_stuck[i][own_leaf(walk, at)] = true end
+  end
+  for _, walk in ipairs(walks) do
+    for _, number in ipairs(walk.stuck) do
+      local leaf = own_leaf(walk, number)
+      local goes_on = any(are_stuck, function(is_stuck) return not is_stuck[leaf] end)
+      if not goes_on then add_dead_end(walk, findings, number) end
     end
   end
 end
@@ -290,21 +302,13 @@ local function find_before(walk, numbers, others, least)
   return first, false
 end
 
--- Does the machine itself stay in a leaf? What it does else, the first walk tells.
+-- Does the machine itself stay in one leaf? Where it does not, the first walk has it.
 local function is_in_one_leaf(walk, numbers)
-  local leaf = walk:configuration(numbers[1])[1].leaf
-  for _, number in ipairs(numbers) do
-    if walk:configuration(number)[1].leaf ~= leaf then return false end
-  end
-  return true
+  local leaf = own_leaf(walk, numbers[1])
+  return not any(numbers, function(number) return own_leaf(walk, number) ~= leaf end)
 end
 
-local function is_one_fault(states)
-  for _, state in ipairs(states) do
-    if codes.means(state, "a fault") then return true end
-  end
-  return false
-end
+local function is_fault(state) return codes.means(state, "a fault") end
 
 -- Configurations that lead to each other and nowhere else, while the machine waited for
 -- an event before that led there. It may have been set up for them: a note, unless
@@ -313,16 +317,16 @@ local function find_traps(walk, findings, is_first)
   local bottoms, others = find_components(walk)
   for _, numbers in ipairs(bottoms) do
     local paths, has_end, states = leaves_of_all(walk, numbers)
-    local outside, is_fault
+    local outside, is_small
     if paths[2] and not has_end and (is_first or is_in_one_leaf(walk, numbers)) then
-      outside, is_fault = find_before(walk, numbers, others, #paths)
+      outside, is_small = find_before(walk, numbers, others, #paths)
     end
     local _, name = leaves_of(walk, outside or 1)
     if outside and not match.has(paths, name) then -- elsewhere with another memory
       local finding = add_run(walk, findings, "trap", states[1], paths[1],
         concat(paths, " and ") .. " lead to each other, and never back to " .. name,
         numbers[1])
-      if not (is_fault or is_one_fault(states)) then finding.severity = "note" end
+      if not (is_small or any(states, is_fault)) then finding.severity = "note" end
     end
   end
 end
@@ -334,17 +338,14 @@ local NUMBERS = { "one event", "two events", "three events" }
 -- Returns what is not known of a chart, and is tried in each way: "guards and doos".
 local function free_text(free)
   local names = rfsm.sorted_keys(free)
-  local last = table.remove(names)
+  local last = remove(names)
   return names[1] and concat(names, ", ") .. " and " .. last or last
 end
 
 -- Appends the premises about time.
 local function add_times(texts, walks, period)
-  local is_timed = false
-  for _, walk in ipairs(walks) do
-    is_timed = is_timed or walk.timing and walk.timing.is_timed
-  end
-  if not is_timed then return end
+  local function is_timed(walk) return walk.timing and walk.timing.is_timed end
+  if not any(walks, is_timed) then return end
   texts[#texts + 1] = period and ("stepped every %s s"):format(rfsm.text_of(period))
     or "stepped between any two deadlines"
   texts[#texts + 1] = "steps take no time"
@@ -398,7 +399,8 @@ end
 
 -- Text ............................................................................
 
-local function choices_text(step)
+--- Return the choices of a step: " (root.trans[2] false, root.b ends)".
+function verdict.choices_text(step)
   local texts = {}
   for i, choice in ipairs(step.choices) do
     local word = tostring(choice.answer)
@@ -417,7 +419,7 @@ function verdict.lines_of(witness)
     local events = step.events[1] and concat(step.events, ", ") or "no event"
     local wait = i > 1 and step.at and step.at - witness[i - 1].at or 0
     lines[i] = ("%d. %s%s%s: %s"):format(i, wait > 0 and ("+%.9g s, "):format(wait)
-      or "", events, choices_text(step), subject.outcome(step.taken, step.leaf))
+      or "", events, verdict.choices_text(step), subject.outcome(step.taken, step.leaf))
   end
   if witness.again then
     lines[#lines + 1] = ("and again from %d on"):format(witness.again)
@@ -465,6 +467,8 @@ function verdict.summary(result, has_numbers)
   return lines
 end
 
+Exploration.summary = verdict.summary
+
 function Exploration:__tostring()
   local lines = verdict.summary(self, true)
   for _, finding in ipairs(self.findings) do add_finding_lines(lines, finding) end
@@ -511,13 +515,6 @@ local function walks_in(model, options, ways, list)
   return by_way, walks
 end
 
-local function has_endless(walks)
-  for _, walk in ipairs(walks) do
-    if walk.endless then return true end
-  end
-  return false
-end
-
 -- Returns the result without findings.
 local function new_result(own, walks, options)
   local result = setmetatable({ configurations = 0, steps = 0,
@@ -532,7 +529,7 @@ local function new_result(own, walks, options)
   return result
 end
 
--- Finds what is neither a property nor a dead end.
+-- Finds all but violated properties and dead ends.
 local function find_others(walks, findings)
   find_endless(walks[1], findings)
   for i, walk in ipairs(walks) do
@@ -554,7 +551,8 @@ function verdict.of(model, options)
   local list = properties.list_for(own, properties_of(model, options))
   local ways = independence.ways(own, list, options)
   local by_way, walks = walks_in(model, options, ways, list)
-  if walks[2] and has_endless(walks) then -- a step of one that does not end ends all
+  local has_endless = any(walks, function(walk) return walk.endless end)
+  if walks[2] and has_endless then -- a step of one that does not end ends all
     options.multiply = true
     return verdict.of(model, options)
   end

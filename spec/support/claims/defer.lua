@@ -1,16 +1,190 @@
--- A machine with rfsm.defer leaves the trace of the oracle, also with histories.
+-- A machine with rfsm.defer leaves the trace of the oracle, also with histories, timers
+-- and regions.
 
 local charts = require "spec.support.charts"
 local driven = require "spec.support.driven"
 local history = require "spec.support.claims.history"
+local new_random = require "spec.support.random"
+local reference = require "spec.support.reference"
 local runs = require "spec.support.runs"
 require "rfsm.defer"
+require "rfsm_seqand"
+require "rfsm_timeevent"
 
-return { name = "deferral and the oracle", run = driven.claim(function(seed)
-  local chart = charts.generate(seed)
-  charts.add_deferrals(chart)
-  if seed % 2 == 0 then charts.add_histories(chart) end
-  local at, expected, actual = runs.compare(chart, history.add_model)
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+-- Charts -----------------------------------------------------------------------------
+
+-- Gives some transitions a time event.
+local function add_timers(chart, random)
+  for _, tr in ipairs(chart.transitions) do
+    if chart.nodes[tr.src].kind == "state" and tr.events[1] and random:chance(30) then
+      local event = ("e_after(%.1f)"):format(random:below(4) / 2)
+      tr.events_ref = { event, unpack(tr.events_ref) }
+      tr.events = { event .. "@" .. tr.src, unpack(tr.events) }
+    end
+  end
+  for _ = 1, random:below(6) do
+    table.insert(chart.ops, random:below(#chart.ops), { "wait", random:below(5) / 2 })
+  end
+end
+
+-- Gives some leaves regions, which are charts. They leave no trace of their own: its
+-- place in that of the outer machine says nothing.
+local function add_regions(chart, random)
+  chart.regions = {}
+  for _, fqn in ipairs(chart.names) do
+    local node = chart.nodes[fqn]
+    if node.is_leaf and fqn ~= "root" and not node.final and random:chance(25) then
+      node.entry, node.exit, node.doo = true, true, true
+      for _, what in ipairs { "entry ", "exit " } do
+        chart.programs[what .. fqn] = chart.programs[what .. fqn] or { false }
+      end
+      chart.regions[fqn] = { step = random:below(2) }
+      for i = 1, random:below(2) do
+        local region = charts.generate(random:below(1000000))
+        chart.regions[fqn][i], region.programs.dbg = region, nil
+      end
+    end
+  end
+end
+
+local function each_chart(chart, f)
+  f(chart)
+  for _, regions in pairs(chart.regions or {}) do -- any order: each stands alone
+    for _, region in ipairs(regions) do each_chart(region, f) end
+  end
+end
+
+local function new_chart(seed)
+  local chart, random = charts.generate(seed), new_random(seed + 3)
+  if random:chance(40) then add_regions(chart, random) end
+  local has_history, has_timers = random:chance(50), random:chance(60)
+  each_chart(chart, function(own)
+    charts.add_deferrals(own)
+    if has_history then charts.add_histories(own) end
+    if has_timers then add_timers(own, new_random(own.seed + 3)) end
+  end)
+  return chart
+end
+
+-- The model of timers ----------------------------------------------------------------
+
+-- Calls f(...) behind the function `name` of a table, if there is one.
+local function behind(calls, name, f)
+  local own = calls[name]
+  calls[name] = function(...)
+    if own then own(...) end
+    return f(...)
+  end
+end
+
+local function add_timer_model(calls, chart, world)
+  local since, depth = {}, {} -- F -> when it was entered; by time event
+  for i, fqn in ipairs(chart.names) do depth[fqn] = i end
+  behind(calls, "entered", function(fqn) since[fqn] = { at = world.clock.now } end)
+  behind(calls, "was_reset", function() since = {} end)
+
+  -- Appends the timers of a state that are over and have not come.
+  local function add_over(list, fqn)
+    for _, tr in ipairs(chart.transitions) do
+      for _, event in ipairs(tr.src == fqn and tr.events or {}) do
+        local seconds = type(event) == "string" and event:match("^e_after%((.-)%)@")
+        local at = seconds and since[fqn].at + tonumber(seconds)
+        if at and at < world.clock.now and not since[fqn][event] then
+          since[fqn][event] = true
+          list[#list + 1] = { event = event, at = at, depth = depth[fqn] }
+        end
+      end
+    end
+  end
+
+  function calls.timers()
+    local list, events = {}, {}
+    for fqn, mode in pairs(world.machine.mode) do -- any order: sorted
+      if mode ~= "inactive" and since[fqn] then add_over(list, fqn) end
+    end
+    table.sort(list, function(a, b)
+      if a.at ~= b.at then return a.at < b.at end
+      return a.depth < b.depth
+    end)
+    for i, timer in ipairs(list) do events[i] = timer.event end
+    return events
+  end
+end
+
+-- The model of regions ---------------------------------------------------------------
+
+local function add_region_model(calls, _, world)
+  local machine, active, current, is_forwarded = world.machine, false, {}, false
+
+  -- Calls f for each region of the active state; errors wait for the iteration's end.
+  local function each(f)
+    for _, region in ipairs(world.regions[active]) do f(region.machine) end
+  end
+  local function advance()
+    each(function(region)
+      reference.protected(machine, reference.step, region, world.regions[active].step)
+    end)
+  end
+  local function forward()
+    each(function(region)
+      for _, event in ipairs(current) do
+        reference.protected(machine, reference.send, region, event)
+      end
+    end)
+    is_forwarded = true
+  end
+
+  behind(calls, "pre_hook", function(events) current = events end)
+  local entry, exit, doo = calls.entry, calls.exit, calls.doo
+  local post_hook = calls.post_hook
+  function calls.entry(fqn, leaf)
+    if not world.regions[fqn] then return entry(fqn, leaf) end
+    local ok, problem = pcall(entry, fqn, leaf)
+    active = fqn
+    advance()
+    if not ok then error(problem, 0) end
+  end
+  function calls.exit(fqn, leaf)
+    if world.regions[fqn] then
+      each(function(region)
+        reference.protected(machine, reference.leave, region)
+      end)
+      active = false
+    end
+    return exit(fqn, leaf)
+  end
+  function calls.doo(fqn)
+    if not world.regions[fqn] then return doo(fqn) end
+    while true do
+      forward()
+      advance()
+      coroutine.yield(true)
+    end
+  end
+  function calls.post_hook(events)
+    if active and not is_forwarded then forward() end
+    is_forwarded = false
+    if post_hook then post_hook(events) end
+  end
+  behind(calls, "was_reset", function()
+    active, is_forwarded = false, false
+    for _, regions in pairs(world.regions) do -- any order: each stands alone
+      for _, region in ipairs(regions) do reference.reset(region.machine) end
+    end
+  end)
+end
+
+local function add_models(calls, chart, world)
+  history.add_model(calls, chart)
+  add_timer_model(calls, chart, world)
+  if next(world.regions) then add_region_model(calls, chart, world) end
+end
+
+return { name = "deferral and the oracle", new_chart = new_chart,
+  add_models = add_models, run = driven.claim(function(seed)
+  local at, expected, actual = runs.compare(new_chart(seed), add_models)
   return at and ("line %d: oracle '%s', core '%s'"):format(at, tostring(expected[at]),
     tostring(actual[at]))
 end) }

@@ -18,6 +18,8 @@ require "rfsm.await"
 require "rfsm.defer"
 require "rfsm.history"
 
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
 local claim = { name = "exploration and random runs", runs = 300 }
 
 -- Charts ----------------------------------------------------------------------------
@@ -103,8 +105,8 @@ end
 ---@field random function
 ---@field seen table<string, true>
 ---@field sends table<string, string> what an effect sends, by the number of it
----@field later table<string, table>|nil likewise later: `event`, `after`;
--- `cancel`
+---@field later table<string, table[]>|nil likewise later, as in the option `sends`
+---@field ids table<rfsm.Machine, table[]> of what was sent later
 ---@field flags table<string, string> "+" or "-" by name
 ---@field sets table<string, table[]> what a callback sets: { name, sign }, by "entry F"
 
@@ -133,22 +135,27 @@ local function stands_of(fsm, flags)
   return texts
 end
 
--- Sends an event later, or cancels all of a kind.
-local function send_later(world, fsm, later)
-  if not later then return end
-  world.ids = world.ids or {}
-  for _, id in ipairs(later.cancel and world.ids or {}) do
-    if id.event == later.cancel then rfsm_timeevent.cancel(fsm, id) end
+-- Sends events later, and cancels all of a kind, as the items of a list say.
+local function send_later(world, fsm, items)
+  world.ids[fsm] = world.ids[fsm] or {}
+  local ids = world.ids[fsm]
+  for _, item in ipairs(items) do
+    for i = item.cancel and #ids or 0, 1, -1 do
+      if ids[i].event == item.cancel then
+        rfsm_timeevent.cancel(fsm, table.remove(ids, i))
+      end
+    end
+    if item.after then
+      ids[#ids + 1] = { event = item[1] }
+      rfsm_timeevent.send_after(fsm, item.after, item[1], ids[#ids])
+    end
   end
-  if later.cancel then return end
-  local id = { event = later.event }
-  world.ids[#world.ids + 1] = id
-  rfsm_timeevent.send_after(fsm, later.after, later.event, id)
 end
 
 -- The callbacks of random runs.
 local function wanderer(world, fsm_of)
   local random, seen, sends = world.random, world.seen, world.sends
+  world.ids = {}
   return {
     guard = function() return function() return random(2) == 1 end end,
     predicate = function() -- one answer for an event in a step
@@ -164,7 +171,7 @@ local function wanderer(world, fsm_of)
         seen["taken " .. id] = true
         set_flags(world, "effect " .. id)
         if sends[id] and fsm == fsm_of() then rfsm.send_events(fsm, sends[id]) end
-        send_later(world, fsm, world.later and world.later[id])
+        send_later(world, fsm, world.later and world.later[id] or {})
       end
     end,
     entry = function(id)
@@ -268,18 +275,14 @@ local function explored(walk)
   return shown
 end
 
--- Follows a witness on a machine of its own, which is given to `watch`; returns a set
--- of texts of what it shows.
-local function follow(chart, witness, choice, watch)
-  local answers, at, fsm = {}, 0, nil
-  local world = { random = new_random(1), seen = {}, sends = choice.sends, flags = {},
-    sets = choice.sets, later = choice.later }
-  for _, name in ipairs(choice.names) do world.flags[name] = "-" end
+-- Has guards, predicates and doos of `make` answer as the choices of a step say.
+-- Returns the function that begins a step with its choices.
+local function answering(make)
+  local answers, at = {}, 0
   local function answer()
     at = at + 1
     return (answers[at] or {}).answer
   end
-  local make = wanderer(world, function() return fsm end)
   make.guard = function() return answer end
   make.predicate = function() -- asked once about each event of a step
     local known, of_step = {}, nil
@@ -294,15 +297,29 @@ local function follow(chart, witness, choice, watch)
       while not (answers[at + 1] and answer()) do rfsm.yield(true) end
     end
   end
+  return function(choices) answers, at = { unpack(choices) }, 0 end -- a new table
+end
+
+-- Follows a witness on a machine of its own, which is given to `watch`; returns a set
+-- of texts of what it shows. What `watch` returns is called with the time of each step.
+local function follow(chart, witness, choice, watch)
+  local fsm
+  local world = { random = new_random(1), seen = {}, sends = choice.sends, flags = {},
+    sets = choice.sets, later = choice.later }
+  for _, name in ipairs(choice.names) do world.flags[name] = "-" end
+  local make = wanderer(world, function() return fsm end)
+  local answer_by = answering(make)
   fsm = rfsm.init(model_of(chart, make, ""))
   local machine_of, now = {}, 0
   for _, entry in ipairs(rfsm.machines(fsm)) do
     machine_of[entry.prefix] = entry.machine
     entry.machine.gettime = function() return now, 0 end
   end
-  if watch then watch(fsm) end
+  local before = watch and watch(fsm)
   for _, step in ipairs(witness) do
-    answers, at, now = step.choices, 0, step.at or 0
+    answer_by(step.choices)
+    now = step.at or 0
+    if before then before(now) end
     for text in pairs(world.seen) do world.seen[text] = nil end
     for _, event in ipairs(step.values) do rfsm.send_events(fsm, event) end
     for _, inner in ipairs(step.inside) do
@@ -316,6 +333,7 @@ end
 
 claim.model_of, claim.wanderer, claim.stands_of = model_of, wanderer, stands_of
 claim.explored, claim.follow, claim.paths_of = explored, follow, paths_of
+claim.answering = answering
 
 -- The claim -------------------------------------------------------------------------
 

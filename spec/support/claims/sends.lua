@@ -2,6 +2,7 @@
 -- clock does, beside timers, across snapshots and resets.
 
 local clock = require "rfsm.clock"
+local driven = require "spec.support.driven"
 local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
 local rfsm_timeevent = require "rfsm_timeevent"
@@ -94,10 +95,4 @@ local function check(seed)
   end
 end
 
-return { name = "sends and a list", run = function(n, seed)
-  for i = 1, n do
-    local problem = check(seed * 100003 + i)
-    if problem then return i, ("seed %d, case %d: %s"):format(seed, i, problem) end
-  end
-  return n
-end }
+return { name = "sends and a list", run = driven.claim(check) }

@@ -3,6 +3,7 @@
 -- what is said to hold is not broken, and each witness replays with its times. Effects
 -- of half of the charts send events later.
 
+local add_deferrals = require("spec.support.charts").add_deferrals
 local charts = require "spec.support.claims.explore"
 local explore = require "rfsm.explore.explore"
 local new_random = require "spec.support.random"
@@ -89,49 +90,108 @@ end
 
 -- Events that are sent later ---------------------------------------------------------
 
-local LATE = "e9" -- comes from no host
+local LATE = { "e7", "e8", "e9" } -- come from no host
 
--- Has transitions of a chart and its regions react to LATE. Adds the events that they
--- name to a set.
-local function react_to_late(chart, random, named)
-  for _, tr in ipairs(chart.transitions) do
-    for _, event in ipairs(tr.events_ref or {}) do named[event] = true end
-    if tr.events_ref and random:chance(30) then
-      table.insert(tr.events_ref, LATE)
-    end
-  end
+-- Calls f for a chart and for those of its regions.
+local function each_chart(chart, f)
+  f(chart)
   for _, fqn in ipairs(rfsm.sorted_keys(chart.regions)) do
-    for _, region in ipairs(chart.regions[fqn].of) do
-      react_to_late(region, random, named)
-    end
+    for _, region in ipairs(chart.regions[fqn].of) do each_chart(region, f) end
   end
 end
 
+-- Has transitions react to events that are sent later, and states defer some of them.
 -- Returns the events that a host may send, of those that are named.
-local function alphabet_of(named)
-  local list = {}
+local function react_to_late(chart, random)
+  local named, list, defers = {}, {}, random:chance(50)
+  each_chart(chart, function(own)
+    for _, tr in ipairs(own.transitions) do
+      for _, event in ipairs(tr.events_ref or {}) do named[event] = true end
+      if tr.events_ref and random:chance(30) then
+        table.insert(tr.events_ref, random:pick(LATE))
+      end
+    end
+    if defers and not own.is_small then add_deferrals(own, LATE, 2) end
+  end)
   for _, event in ipairs(EVENTS) do
     if named[event] then list[#list + 1] = event end
   end
   return list
 end
 
+-- Returns what an effect sends later and takes back: an event that may be waiting is
+-- taken back first, most times.
+local function random_items(random)
+  local items = {}
+  for _ = 1, random:below(3) do
+    local event, choice = random:pick(LATE), random:below(100)
+    if choice <= 85 then items[#items + 1] = { cancel = event } end
+    if choice > 15 then
+      items[#items + 1] = { event, after = (random:below(6) - 1) / 2 }
+    end
+  end
+  return items
+end
+
 -- Has effects of the chart send events later, in its field `later`. Returns the option.
-local function add_later(chart, random)
+local function add_later(chart, random, percent)
   local sends, path_of = {}, charts.paths_of(chart)
   chart.later = {}
   for _, number in ipairs(rfsm.sorted_keys(path_of)) do
-    if random:chance(20) then
-      local later = { event = LATE, after = (random:below(6) - 1) / 2 }
-      local item = { later.event, after = later.after }
-      if random:chance(20) then
-        later = { cancel = later.event }
-        item = later
-      end
-      chart.later[number], sends["effect " .. path_of[number]] = later, { item }
+    if number == "1" or random:chance(percent) then
+      chart.later[number] = random_items(random)
+      sends["effect " .. path_of[number]] = chart.later[number]
     end
   end
   return sends
+end
+
+-- Returns the event of a transition in a small chart.
+local function small_event(random)
+  local choice = random:below(4)
+  if choice == 1 then return ("e_after(%.1f)"):format((random:below(5) - 1) / 2) end
+  return choice == 2 and random:pick { "e1", "e2" } or random:pick(LATE)
+end
+
+local function add_to_small(chart, src, tgt, event)
+  local key = #chart.transitions + 1
+  chart.transitions[key] = { owner = "root", src_ref = src, src = "root." .. src,
+    tgt_ref = tgt, events_ref = event and { event }, key = key }
+end
+
+local LEAVES = { "a", "b", "c", "d" }
+
+-- Adds leaf i of a small chart. An event that is sent later leads to the next leaf, and
+-- another one to a third, if the leaf does not keep them all.
+local function add_leaf(chart, random, i, count)
+  local fqn, keeps = "root." .. LEAVES[i], i == 1 and random:chance(60)
+  local first = random:below(#LATE)
+  chart.names[i + 1] = fqn
+  chart.nodes[fqn] = { kind = "state", parent = "root", id = LEAVES[i], is_leaf = true,
+    defer = keeps and { "e7", "e8", "e9", max = 4 } or nil }
+  local function add(tgt, event) add_to_small(chart, LEAVES[i], tgt, event) end
+  add(LEAVES[i % count + 1], keeps and small_event(random) or LATE[first])
+  add(keeps and "internal" or LEAVES[(i + 1) % count + 1],
+    keeps and "e1" or LATE[first % #LATE + 1])
+  for _ = 1, random:below(3) - 1 do
+    add(random:pick { "internal", "a", LEAVES[count] }, small_event(random))
+  end
+end
+
+-- Returns a chart of some leaves without guards, in which the order of times decides
+-- where the machine goes. One may have regions.
+local function small_chart(random, depth)
+  local chart = { seed = 1, names = { "root" }, transitions = {}, regions = {},
+    is_small = true, nodes = { root = { kind = "state" },
+      ["root.initial"] = { kind = "connector" } } }
+  local count = 2 + random:below(2)
+  add_to_small(chart, "initial", "a")
+  for i = 1, count do add_leaf(chart, random, i, count) end
+  if depth == 0 and random:chance(15) then
+    chart.regions["root.b"] = { step = random:below(2), of = {
+      small_chart(random, 1), random:chance(50) and small_chart(random, 1) or nil } }
+  end
+  return chart
 end
 
 local function without(list, is_it)
@@ -240,7 +300,7 @@ function claim.run_at_random(chart, properties, options, seed)
       if fsm._act_leaf then
         now = next_moment(fsm, watched, now, world.random, options.period)
       end
-      if world.random(2) == 1 then
+      if events[1] and world.random(2) == 1 then
         rfsm.send_events(fsm, events[world.random(#events)])
       end
       world.steps = (world.steps or 0) + 1
@@ -309,8 +369,23 @@ function claim.check_properties(seed, chart, properties, result, broken, list)
   end
 end
 
--- Appends which witnesses lead elsewhere.
-local function follow_some(seed, chart, walk, random, list)
+-- Returns a function that is called before a step of a machine, with the time. It
+-- returns the moments that the step finds over, if it should have been taken sooner.
+local function keeper(fsm, period)
+  local last = 0
+  return function(now)
+    local over = {}
+    for _, ms in ipairs(deadlines_of(fsm, { monitors = {} }, last)) do
+      if ms < now * MS - 1e-3 then over[#over + 1] = ms end
+    end
+    last = now * MS
+    local latest = period and now * MS - period * MS - 1e-3 or over[#over]
+    return over[1] and over[1] < latest and table.concat(over, " ") or nil
+  end
+end
+
+-- Appends which witnesses lead elsewhere, or have a host that comes too late.
+local function follow_some(seed, chart, walk, random, period, list)
   local shown = charts.explored(walk)
   local texts = rfsm.sorted_keys(shown)
   for _ = 1, FOLLOWED do
@@ -318,18 +393,25 @@ local function follow_some(seed, chart, walk, random, list)
     local step = shown[text]
     if step then
       local witness = walk:witness(step.at, step.label)
-      if not charts.follow(chart, without_sends(witness), choice_of(chart))[text] then
+      local late
+      local seen = charts.follow(chart, without_sends(witness), choice_of(chart),
+        function(fsm)
+          local keep = keeper(fsm, period)
+          return function(now) late = late or keep(now) end
+        end)
+      if late then
+        list[#list + 1] = ("%d: %s is too late, for %s"):format(seed, text, late)
+      elseif not seen[text] then
         list[#list + 1] = ("%d: %s is not reached"):format(seed, text)
       end
     end
   end
 end
 
-local function send_late(chart, random, options)
-  local named = {}
-  react_to_late(chart, random, named)
-  options.sends, options.alphabet = add_later(chart, random), alphabet_of(named)
-  chart.events = options.alphabet[1] and options.alphabet or nil
+local function send_late(chart, random, options, percent)
+  options.alphabet = react_to_late(chart, random)
+  options.sends = add_later(chart, random, percent)
+  chart.events = options.alphabet
 end
 
 -- Appends what random runs have seen and the exploration has not.
@@ -342,19 +424,32 @@ local function find_unexplored(seed, walk, seen, list)
   end
 end
 
--- Appends what is wrong. Returns whether the chart was compared.
-local function compare(seed, list)
-  local chart, random = charts.chart(seed, 0, true), new_random(seed + 29)
+-- Returns the chart of a seed, its properties, and options.
+local function case_of(seed, random)
+  local is_small = seed % 3 > 0
+  local chart = is_small and small_chart(random, 0) or charts.chart(seed, 0, true)
+  local options = { together = 1,
+    period = random:chance(30) and random:below(3) * 0.75 or nil }
   local properties = properties_of(chart, random)
-  local options = { together = 1, period = random:chance(30) and 0.75 or nil }
-  if random:chance(50) then send_late(chart, random, options) end
+  if is_small or random:chance(50) then
+    send_late(chart, random, options, is_small and 60 or 20)
+  end
   chart.is_free = random:chance(15)
   options.timers = chart.is_free and "free" or nil
+  return chart, properties, options
+end
+
+-- Appends what is wrong. Returns whether the chart was compared.
+local function compare(seed, list)
+  local random = new_random(seed + 29)
+  local chart, properties, options = case_of(seed, random)
   local result, walk = explore_chart(chart, properties, options)
+  if not chart.is_free then
+    follow_some(seed, chart, walk, random, options.period, list)
+  end
   if result.bound then return end
   local seen, broken = claim.run_at_random(chart, properties, options, seed)
   find_unexplored(seed, walk, seen, list)
-  if not chart.is_free then follow_some(seed, chart, walk, random, list) end
   local counts = claim.counts
   counts.later = counts.later + (next(chart.later or {}) and 1 or 0)
   claim.check_properties(seed, chart, properties, result, broken, list)
