@@ -131,16 +131,6 @@ function Fleet:history(id, count)
   return moves
 end
 
--- Reads a list of texts that the server sends without being asked.
-local function read_list(client)
-  local read, list = client.network.read, {}
-  for i = 1, tonumber(read(client):match("^[*>](%d+)")) do
-    local size = read(client):match("^%$(%d+)")
-    list[i] = size and read(client, tonumber(size) + 2):sub(1, -3) or false
-  end
-  return list
-end
-
 --- Call `f(leaf)` each time a machine has got another active leaf, until it returns
 -- true. The call does not return before.
 ---@param id any
@@ -148,11 +138,11 @@ end
 function Fleet:watch(id, f)
   local key, tag = self:key_of(id)
   self:call(tag, "EXISTS", key) -- finds the node
-  local client, command = self.connection:open_for(tag)
-  local message = command("SSUBSCRIBE", keys_of.channel(key))
+  local client, command, read = self.connection:open_for(tag)
+  local message = command(client, "SSUBSCRIBE", keys_of.channel(key))
   repeat
     if message[1] == "smessage" and f(message[3]) then break end
-    message = read_list(client)
+    message = read(client)
   until false
   client.network.socket:close()
 end

@@ -48,12 +48,14 @@ local ASIDE = "UPDATE rfsm.machines SET due = clock_timestamp() + interval '1 mi
 ---@field answer function see `rfsm.postgres.host`
 
 local NUMBER = { "a whole number", opts.is_whole(1, 1e6), nil }
-local CHART_OPTIONS = { ids = NUMBER, ids_for = NUMBER }
+local CHART_OPTIONS = { ids = NUMBER, ids_for = NUMBER,
+  history = { "boolean", opts.is_a "boolean" } }
 
 --- Load charts as `rfsm postgres` does, with the globals that they would have there.
 -- @raise if a chart has a problem, in one line
 ---@param arguments string[] files, or NAME=FILE; a later one of a name is newer
----@param options? rfsm.server.Options `ids`, `ids_for`
+---@param options? rfsm.postgres.Options `ids`, `ids_for`; `history`: the tables were
+--- made with --history, and events that move nothing are noted there
 ---@return rfsm.postgres.Charts charts for any number of connections
 ---@return string[] warnings
 function postgres.charts(arguments, options)
@@ -63,12 +65,10 @@ function postgres.charts(arguments, options)
   local settings, problem = opts.read(CHART_OPTIONS, options or {})
   if not settings then error("rfsm.postgres.charts: " .. problem, 2) end
   local text, warnings = script.library(arguments, settings)
-  local globals, answer = host.new {
-    json = { encode = codec.encode, decode = codec.decode, datum = rfsm.text_of },
-    log = function(_, line) print(line) end, warn = function() end,
+  local json = { encode = codec.encode, decode = codec.decode, datum = rfsm.text_of }
+  local answer = host.new({ json = json, warn = function() end,
     refuse = function(reason) error(reason, 0) end,
-  }
-  sandbox.run(text, globals, "PostgreSQL")
+  }, sandbox.run(text, { cjson = json }, "PostgreSQL", function(line) print(line) end))
   return { answer = answer }, warnings
 end
 

@@ -10,6 +10,41 @@ local library = require "rfsm.server.library"
 
 local redis = {}
 
+-- The library is made at the first call: while Redis loads the text hardly any global
+-- is there.
+local HEAD = "#!lua name=rfsm\nlocal library = function(...)\n"
+
+local FOOT = [[
+end
+
+local functions
+
+local function open()
+  local function log(line) redis.log(redis.LOG_NOTICE, line) end
+  local require, charts, options = library(log, _G)
+  local store = require "rfsm.redis.store" (redis, cjson, cmsgpack)
+  return require "rfsm.server.functions" (store, charts, options)
+end
+
+local function register(name, flag)
+  redis.register_function {
+    function_name = name, flags = { flag },
+    callback = function(keys, args)
+      if not functions then
+        local ok, made = pcall(open)
+        if not ok then return redis.error_reply("ERR rfsm: " .. tostring(made)) end
+        functions = made
+      end
+      return functions[name](keys, args)
+    end,
+  }
+end
+
+local names = { "create", "send", "send_at", "cancel", "tick", "wake", "hold",
+  "release", "force", "remove", "get", "due", "why", "find", "stats", "history" }
+for i = 1, #names do register("rfsm_" .. names[i], i > 10 and "no-writes" or nil) end
+]]
+
 --- Return the name of the chart in a file, and the file, of an argument such as
 -- `lamp.lua` or `lamp=old/lamp.lua`.
 ---@param argument string
@@ -28,8 +63,8 @@ function redis.bundle(arguments, options)
   options = options or {}
   local text, warnings = library.text(arguments, "Redis", { index = options.index,
     history = options.history, notes = options.history ~= nil, ids = options.ids,
-    ids_for = options.ids_for })
-  return "#!lua name=rfsm\n" .. text, warnings
+    ids_for = options.ids_for }, "rfsm.redis.store")
+  return HEAD .. text .. FOOT, warnings
 end
 
 return redis

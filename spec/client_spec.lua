@@ -226,7 +226,7 @@ describe("the client of a fleet", function()
       local leaves = {}
       local open_for = client.connection.open_for
       function client.connection.open_for(...)
-        local subscriber, command = open_for(...)
+        local subscriber, command, read = open_for(...)
         local socket = net.sockets[#net.sockets]
         local receive = socket.receive
         function socket.receive(self, what)
@@ -239,7 +239,7 @@ describe("the client of a fleet", function()
           end
           return receive(self, what)
         end
-        return subscriber, command
+        return subscriber, command, read
       end
       client:watch(1, function(leaf)
         leaves[#leaves + 1] = leaf
@@ -400,7 +400,9 @@ describe("a worker", function()
   } do
     it("refuses " .. case.text, function()
       local _, problem = work({}, nil, case.options)
-      assert.equal("rfsm.fleet.work: " .. case.text, (problem:gsub("^%S+:%d+: ", "")))
+      local place, text = problem:match("^(%S+):%d+: (.*)$")
+      assert.same({ "spec/client_spec.lua", "rfsm.fleet.work: " .. case.text },
+        { place:gsub("^%./", ""), text })
     end)
   end
 

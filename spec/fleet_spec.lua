@@ -10,6 +10,7 @@ local fleet = require "rfsm.fleet"
 local helper = require "spec.helper"
 local load_text = require("rfsm.shared.calls").load
 local redis = require "rfsm.redis"
+local share = require "spec.support.share"
 
 teardown(servers.stop_all)
 after_each(helper.remove_files)
@@ -679,6 +680,58 @@ describe("the client", function()
   end)
 end)
 
+describe("an operator who types what doc/redis.md prints", function()
+  -- The lines of a block that begins with a text, without what comes behind a #.
+  local function lines_of(first)
+    local content, lines = helper.content("doc/redis.md"), {}
+    local from = assert(content:find("```\n" .. first, 1, true))
+    for line in content:sub(from + 4, content:find("```", from + 4, true) - 1)
+      :gmatch("[^\n]+") do
+      lines[#lines + 1] = line:gsub(" +#.*", ""):gsub("redis://localhost",
+        server:url())
+    end
+    return lines
+  end
+
+  before_each(function()
+    assert(machines:load(servers.with_clock((redis.bundle({ "examples/warehouse/"
+      .. "order.lua" }, { index = true, history = 9 })))))
+    machines = fleet.connect(server:url(), { name = "m" })
+  end)
+
+  it("sees what each verb does", function()
+    local dead = {}
+    for _, item in ipairs { "cog", "belt" } do
+      local id = "m:{7}:" .. (item == "cog" and "42" or "43")
+      assert(machines:create(id, "order", { item = item }))
+      assert(machines:send(id, "e_paid"))
+    end
+    machines:work("g", "w", function() error("no paper", 0) end, { tries = 1 })
+    for i, entry in ipairs(machines:dead()) do dead[i] = entry.id end
+    machines:send("m:{7}:43", "e_picked")
+    server:move_clock(3600)
+    local printed = {}
+    for i, line in ipairs(lines_of "rfsm fleet redis://localhost find") do
+      local again = line:find(" again ") and 1 or 2
+      line = line:gsub("17%d+%-0", function() return dead[again] end)
+        :gsub("[^ ]*{7}[^ ]*", "'%0'")
+      printed[i] = servers.output_of("tools/" .. line)
+    end
+    assert.equal("m:{7}:42\n", printed[1])
+    assert.matches("chart: order\n.*cog.*leaf: root.picking\n", printed[2])
+    assert.matches("^[%d.]+ e_paid: root.received %-> root.picking\n[%d.]+ : .*"
+      .. "%-> root.received\n$", printed[3])
+    assert.same({ "root.picking done kept\n", "root.picking done kept\n",
+      "root.packing done taken\n" }, { printed[4], printed[5], printed[6] })
+    assert.equal("root.picking done kept\n", printed[7])
+    assert.equal("", printed[8])
+    assert.matches("^7 " .. dead[1]:gsub("%-", "%%-") .. " m:{7}:42 pick {.*cog.*} x1 "
+      .. "no paper\n7 .* m:{7}:43 pick ", printed[9])
+    assert.same({ "", "" }, { printed[10], printed[11] })
+    assert.same({}, machines:dead())
+  end)
+end)
+
 describe("a chart that cannot run in Redis", function()
   local function refusal(text)
     local file = helper.file_with(text)
@@ -772,4 +825,8 @@ describe("rfsm redis --diff", function()
     assert.same({ "rfsm redis: --diff: two versions of a chart expected" },
       helper.lines_of("tools/rfsm redis c=" .. old .. " --diff 2>&1"))
   end)
+end)
+
+it("does what one machine does whose host is punctual", function()
+  assert.is_nil(share.problem(require "spec.support.claims.fleet_redis", 60))
 end)

@@ -521,7 +521,7 @@ describe("charts of the client", function()
     for text, arguments in pairs {
       ["list of files expected, got string 'a.lua'"] = { "a.lua" },
       ["list of files expected, got table"] = { {} },
-      ["unknown option 'id' (did you mean 'ids'?), expected: ids, ids_for"] =
+      ["unknown option 'id' (did you mean 'ids'?), expected: history, ids, ids_for"] =
         { { "a.lua" }, { id = 1 } },
       ["ids: a whole number expected, got 0"] = { { "a.lua" }, { ids = 0 } },
       ["ids: a whole number expected, got 1000001"] = { { "a.lua" },

@@ -247,6 +247,38 @@ describe("a new version of a chart", function()
   end)
 end)
 
+describe("a chart in Redis", function()
+  it("prints to the log of the server", function()
+    local server = servers.redis()
+    local machines = load_charts(server:url(), "c=" .. helper.file_with [[
+return rfsm.state {
+  a = rfsm.state { entry = function(fsm) print("at", fsm.a._fqn, nil) end },
+  rfsm.trans { src = "initial", tgt = "a" },
+}]])
+    assert.same({}, machines:create(1, "c").errors)
+    assert.matches("at root.a nil\n", helper.content(server.folder .. "/log"), 1, true)
+  end)
+end)
+
+describe("a backup", function()
+  it("is read by a new server, as doc/redis.md shows", function()
+    local save, options = helper.content("doc/redis.md"):match("\n```\nredis%-cli "
+      .. "%-h localhost (%-%-rdb [^\n]*)\nredis%-server ([^\n]*)\n```")
+    local server = servers.redis()
+    local machines = load_charts(server:url(), "lamp=" .. helper.file_with(LAMP))
+    machines:create(1, "lamp", { owner = "me" })
+    machines:send_once("id", 1, "e_on")
+    servers.output_of(("cd %s && redis-cli -p %s %s"):format(server.folder, server.port,
+      save))
+    local copy = fleet.connect(servers.redis(("--dir %s %s"):format(server.folder,
+      options)):url(), { name = "m", tags = 4 })
+    assert.equal("known", copy:send_once("id", 1, "e_on").outcome)
+    repeat local count = copy:wake() until count == 1 -- 50 ms after e_on
+    assert.same({ "root.off", "me" }, { copy:get(1).leaf, copy:get(1).data.root.owner })
+    assert.equal(2, (copy:work("g", "w", function() end)))
+  end)
+end)
+
 describe("rfsm redis", function()
   local function run(arguments)
     return servers.output_of("tools/rfsm-redis " .. arguments)

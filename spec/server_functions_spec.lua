@@ -126,10 +126,10 @@ describe("a call", function()
     assert.equal("ZADD SET SPUBLISH", written())
     clock.now = 1004
     call("send", "e_b", "ID", "now")
-    assert.equal(40, #host.pack.unpack("m")[7])
+    assert.equal(40, #host.packs.unpack("m")[7])
     clock.now = 1014
     call("send", "e_a", "ID", "later")
-    assert.same({ "now", 1004, "later", 1014 }, host.pack.unpack("m")[7])
+    assert.same({ "now", 1004, "later", 1014 }, host.packs.unpack("m")[7])
   end)
 
   it("has a clock that stands still, and goes on with the next one", function()
@@ -276,11 +276,11 @@ describe("a call is refused, and nothing is written:", function()
   end)
 
   it("a machine that is too large", function()
-    function host.pack.pack() return ("x"):rep(1048577) end
+    function host.packs.pack() return ("x"):rep(1048577) end
     assert.equal("ERR rfsm_send: a machine takes at most 1048576 bytes, this one "
       .. "1048577", call("send", "e_b"))
     assert.equal("", written())
-    function host.pack.pack() return ("x"):rep(1048576) end
+    function host.packs.pack() return ("x"):rep(1048576) end
     assert.same({ "root.b", "done", "taken" }, call("send", "e_b"))
   end)
 
@@ -289,7 +289,7 @@ describe("a call is refused, and nothing is written:", function()
     assert.equal("ERR rfsm_create: data: at most 65536 bytes expected, got 65537",
       create(("x"):rep(65537)))
     assert.is_nil(create('{"n":"' .. ("x"):rep(65528) .. '"}'))
-    assert.equal("ERR rfsm_create: data.n: at most 13 tables inside each other "
+    assert.equal("ERR rfsm_create: data.n: at most 9 tables inside each other "
       .. "expected", f.rfsm_create({ "o" }, { "c", '{"n":' .. ('{"x":'):rep(14) .. 5
         .. ("}"):rep(15) }).err)
     assert.equal("ERR rfsm_create: data: a JSON object expected",
@@ -311,7 +311,7 @@ describe("a call is refused, and nothing is written:", function()
   end)
 
   it("a write that the user has no right for, before any", function()
-    function host.may(name) return name ~= "SPUBLISH" end
+    function host.redis.acl_check_cmd(name) return name ~= "SPUBLISH" end
     assert.equal("ERR rfsm_send: no right to do SPUBLISH rfsm:{m}:m",
       call("send", "e_b"))
     assert.equal("", written())
@@ -362,11 +362,19 @@ describe("an event for later", function()
     assert.equal(0, call("cancel"))
   end)
 
+  it("takes no room once it has come", function()
+    call("send_at", "+3", "e_b", "ID", "x")
+    assert.same({ { 1003, "x", "e_b" } }, host.packs.unpack("m")[8])
+    clock.now = 1003
+    call("tick")
+    assert.is_nil(host.packs.unpack("m")[8])
+  end)
+
   it("is noted in the log if the chart does not know it any more", function()
     call("send_at", "+1", "e_b", "ID", "x")
-    local values = host.pack.unpack("m")
+    local values = host.packs.unpack("m")
     values[8][1][3] = "e_gone"
-    function host.pack.unpack() return encoding.copy_of(values) end
+    function host.packs.unpack() return encoding.copy_of(values) end
     clock.now = 1001
     local reply = call("tick")
     assert.matches("^rfsm_send_at: no transition of chart 'c' has the event 'e_gone'",
@@ -410,11 +418,23 @@ describe("what is due", function()
       trans { src = "a", tgt = "b", events = { "e_stop" } } }
   end
 
+  -- live { a --0.5 s--> b --0.5 s--> c --e_go--> d }, with a reminder after a second
+  local function in_step()
+    return state {
+      live = state { a = state {}, b = state {}, c = state {}, d = state {},
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_after(0.5)" } },
+        trans { src = "b", tgt = "c", events = { "e_after(0.5)" } },
+        trans { src = "c", tgt = "d", events = { "e_go" } } },
+      trans { src = "initial", tgt = "live" },
+      trans { src = "live", tgt = "internal", events = { "e_after(1)" } } }
+  end
+
   before_each(function()
     package.loaded["rfsm.server.functions"] = nil
     f = require "rfsm.server.functions" (host, { { name = "fast", make = fast },
-      { name = "endless", make = endless }, { name = "r", make = reminded } },
-      { history = 9 })
+      { name = "endless", make = endless }, { name = "r", make = reminded },
+      { name = "s", make = in_step } }, { history = 9 })
     package.loaded["rfsm.server.functions"] = nil
   end)
 
@@ -445,6 +465,13 @@ describe("what is due", function()
       "e_again root.live.c root.live.b" }, lines)
   end)
 
+  it("is all timers of a time, then the events for that time", function()
+    f.rfsm_create({ "s" }, { "s" })
+    f.rfsm_send_at({ "s" }, { "1001", "e_go", "ID", "1" })
+    clock.now = 1001.5
+    assert.same({ "root.live.d", "done", "taken" }, f.rfsm_tick({ "s" }))
+  end)
+
   it("is bounded: what is sent waits meanwhile, in order", function()
     f.rfsm_create({ "q" }, { "fast" })
     clock.now = 1009.9921875
@@ -465,6 +492,8 @@ describe("what is due", function()
     f.rfsm_create({ "q" }, { "endless" })
     clock.now = 1010
     assert.same({ "root.a", "done", "kept" }, f.rfsm_send({ "q" }, { "e_stop" }))
+    clock.now = 1010.001
+    f.rfsm_tick({ "q" }) -- the timers of the time for which it waits
     assert.same({ "root.b", "done", "taken" }, f.rfsm_tick({ "q" }))
   end)
 end)
@@ -535,7 +564,7 @@ describe("an event with data", function()
     ['{"name":"e_paid","x":"' .. ("x"):rep(8170) .. '"}'] = "event 1: at most 8192 "
       .. "bytes expected, got 8194",
     ['{"name":"e_paid","x":' .. ("["):rep(14) .. ("]"):rep(14) .. "}"] = "event 1.x: "
-      .. "at most 13 tables inside each other expected",
+      .. "at most 9 tables inside each other expected",
   } do
     it("is refused: " .. text:sub(1, 40), function()
       assert.equal("ERR rfsm_send: " .. problem, send(text).err)
@@ -575,8 +604,8 @@ end)
 describe("machines that are due", function()
   -- Has Redis find these keys due, and machines that were put aside.
   local function with_due(keys, has_aside)
-    local outer = host.call
-    function host.call(name, key, ...)
+    local outer = host.redis.call
+    function host.redis.call(name, key, ...)
       if name == "ZRANGEBYSCORE" then return keys end
       if name == "EXISTS" and key:find("^rfsm:aside") then
         return has_aside and 1 or 0
@@ -603,8 +632,8 @@ describe("machines that are due", function()
 
   it("wait a minute if they cannot be run, with the reason in their log", function()
     with_due({ "bad", "m" })
-    local outer = host.call
-    function host.call(name, key, ...)
+    local outer = host.redis.call
+    function host.redis.call(name, key, ...)
       if name == "GET" and key == "bad" then error({ err = "ERR spoiled" }, 0) end
       return outer(name, key, ...)
     end
@@ -618,9 +647,9 @@ describe("machines that are due", function()
 
   it("wait from now on, whatever the time in their value", function()
     with_due { "m" }
-    local value = host.pack.unpack("m")
+    local value = host.packs.unpack("m")
     value[3].chart = "another"
-    function host.pack.unpack() return encoding.copy_of(value) end
+    function host.packs.unpack() return encoding.copy_of(value) end
     clock.now = 1010
     assert.same({ 0, 1 }, call("wake"))
     assert.matches("ZADD {1=rfsm:due:{m},2=1070.000000,3=m}", table.concat(trace, "\n"),
@@ -629,8 +658,8 @@ describe("machines that are due", function()
 
   it("are left if another node of the cluster has them", function()
     with_due { "bad" }
-    local outer = host.call
-    function host.call(name, key, ...)
+    local outer = host.redis.call
+    function host.redis.call(name, key, ...)
       if name == "GET" then error({ err = "ERR access to a non local key" }, 0) end
       return outer(name, key, ...)
     end
@@ -647,8 +676,8 @@ end)
 describe("what an operator asks", function()
   -- Has Redis give these answers, by command; returns what was asked.
   local function answering(answers)
-    local asked, outer = {}, host.call
-    function host.call(name, ...)
+    local asked, outer = {}, host.redis.call
+    function host.redis.call(name, ...)
       if answers[name] == nil then return outer(name, ...) end
       asked[#asked + 1] = name .. " " .. table.concat({ ... }, " ")
       local answer = answers[name]
@@ -687,8 +716,8 @@ describe("what an operator asks", function()
 
   it("is the index as it is while a slot moves to another node", function()
     open { index = true }
-    local outer = host.call
-    function host.call(name, ...)
+    local outer = host.redis.call
+    function host.redis.call(name, ...)
       if name == "EXISTS" then error({ err = "ERR access to a non local key" }, 0) end
       return name == "ZRANGEBYLEX" and { "c\troot.a\tk1" } or outer(name, ...)
     end
@@ -803,9 +832,9 @@ describe("values of the version before", function()
   local codec = require "rfsm.server.codec"
 
   local function with_value(text)
-    local unpack_value = host.pack.unpack
-    function host.pack.unpack(key)
-      host.pack.unpack = unpack_value
+    local unpack_value = host.packs.unpack
+    function host.packs.unpack(key)
+      host.packs.unpack = unpack_value
       unpack_value(key)
       return codec.decode(text)
     end

@@ -2,6 +2,7 @@
 
 local code = require "rfsm.shared.code"
 local helper = require "spec.helper"
+local limit = require "rfsm.shared.limit"
 local redis = require "rfsm.redis"
 local sandbox = require "rfsm.server.sandbox"
 
@@ -150,17 +151,27 @@ describe("a bundle", function()
       { index = true, history = 7, ids = 8, ids_for = 9 })
     assert.same({}, warnings)
     assert.matches("^#!lua name=rfsm\n", text)
-    assert.is_truthy(text:find("options = { index = true, history = 7, ids = 8, "
+    assert.is_truthy(text:find("charts, { index = true, history = 7, ids = 8, "
       .. "ids_for = 9, notes = true }", 1, true))
     assert.is_true(text:find('name = "one"', 1, true) < text:find('name = "two"', 1,
       true))
-    assert.is_truthy((redis.bundle { "one=" .. file }):find("options = { index = nil, "
+    assert.is_truthy((redis.bundle { "one=" .. file }):find("charts, { index = nil, "
       .. "history = nil, ids = nil, ids_for = nil, notes = nil }", 1, true))
     local _, count = text:gsub('bundled%["rfsm"%] =', "")
     assert.equal(1, count)
   end)
 
+  it("runs no chart with other globals than those of the server", function()
+    local file = helper.file_with("local os = rawget(_G, 'o' .. 's')\n"
+      .. "if os.exit then error 'out' end\n"
+      .. "return rfsm.state { a = rfsm.state {}, rfsm.trans { src = 'initial', "
+      .. "tgt = 'a' } }")
+    assert.same({}, (select(2, redis.bundle { file })))
+  end)
+
   for what, case in pairs {
+    ["no end"] = { text = "\nlocal n = 0 while n >= 0 do n = n + 1 end",
+      problem = "^FILE:2: loading takes more than 0.2 s, is there a loop" },
     ["no model"] = { text = "return rfsm.state { a = rfsm.state {}, rfsm.trans { src = "
       .. "'a', tgt = 'b' } }",
       problem = "^FILE:1: root.trans%[1%] .*: tgt 'b': no state" },
@@ -173,8 +184,10 @@ describe("a bundle", function()
     ["an error"] = { text = "error('no', 0)", problem = "^FILE: no$" },
   } do
     it("is refused if a chart has " .. what, function()
-      local file = helper.file_with(case.text)
+      local file, seconds = helper.file_with(case.text), limit.SECONDS
+      limit.SECONDS = 0.2
       local ok, problem = pcall(redis.bundle, { file })
+      limit.SECONDS = seconds
       assert.is_false(ok)
       assert.matches(case.problem, (problem:gsub(file:gsub("%p", "%%%0"), "FILE")))
     end)

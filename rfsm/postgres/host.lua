@@ -1,37 +1,36 @@
---- What stands for Redis at a table of PostgreSQL: `rfsm.server.functions` runs here as
--- it is, on a row of rfsm.machines in place of a key.
+--- Machines in rows of PostgreSQL: the host of `rfsm.server.functions` there.
 --
 -- The functions run inside the server (`rfsm.postgres.pllua`), or in a client
--- (`rfsm.postgres`). A call collects what the function writes, then one
--- statement saves the row. An error changes nothing: the transaction ends with it.
+-- (`rfsm.postgres`). When a function has ended, one statement saves the row. An error
+-- changes nothing: the transaction ends with it.
 --
 -- @module rfsm.postgres.host
 -- @license BSD-3-Clause
 
-local ipairs, tostring, type = ipairs, tostring, type
+local ipairs = ipairs
 local floor = math.floor
-local remove = table.remove
 
 --- What a call has to do with one machine.
 ---@class rfsm.postgres.Row
----@field key string
+---@field is_read boolean? the row needs no lock
 ---@field list any[]|nil the value of the machine
 ---@field us number|nil the time in microseconds, if the row was read before the call
----@field execute function|nil then also, in place of the server's
----@field packed any[]|nil the new one, and the same as JSON
----@field datum any
----@field is_new boolean
----@field is_changed boolean
----@field moves { by: string, to: string }[] of the machine, in their order
----@field emitted { what: string, data: any }[]
----@field errors string[] for the log
+---@field execute function that of the server, or of a client
+---@field change rfsm.postgres.Change|nil what is to be written
+
+--- What a function has written: the arguments of the host's `write`.
+---@class rfsm.postgres.Change
+---@field machine rfsm.server.Machine
+---@field due number|nil
+---@field emitted string[][]
+---@field errors string[]
+---@field data table
 
 --- What runs statements.
 ---@class rfsm.postgres.Server
 ---@field execute fun(name: string, ...: any): table[] the rows of a statement of `host`
 ---@field json table `encode`, `decode`; `list_of`: a value of the column `value`;
 --- `datum`: JSON for a statement
----@field log fun(...: any)
 ---@field warn fun(text: string)
 ---@field refuse fun(text: string): any raises what is wrong with the call, or returns
 --- the reply of another library
@@ -59,6 +58,7 @@ host.STATEMENTS = {
     WHERE key = $1 RETURNING key]],
   move = [[UPDATE rfsm.machines SET state = $2, event = $3, since = clock_timestamp()
     WHERE key = $1]],
+  note = "INSERT INTO rfsm.history (key, event, src, tgt) VALUES ($1, $3, $2, $2)",
   remove = [[WITH log AS (DELETE FROM rfsm.log WHERE key = $1)
     DELETE FROM rfsm.machines WHERE key = $1 RETURNING key]],
   emit = "INSERT INTO rfsm.out (key, what, data) VALUES ($1, $2, $3::jsonb)",
@@ -67,137 +67,87 @@ host.STATEMENTS = {
     INSERT INTO rfsm.log (key, error) VALUES ($1, $2)]],
 }
 
--- Commands of Redis -----------------------------------------------------------
-
--- Returns the fields of an entry of a stream: names and values after the "*".
-local function fields_of(...)
-  local list, fields, at = { ... }, {}, 1
-  while list[at] ~= "*" do at = at + 1 end
-  for i = at + 1, #list, 2 do fields[list[i]] = list[i + 1] end
-  return fields
-end
-
--- Returns the commands that a function calls; those that are not here have nothing to
--- do, as columns and triggers of the table do it.
-local function new_commands(server, row_of)
-  local commands = {}
-
-  function commands.GET()
-    local row = row_of()
-    if not (row.list or row.us) then
-      local found = server.execute(row.is_read and "read" or "lock", row.key)[1]
-      row.list = found and server.json.list_of(found.value)
-    end
-    return row.list ~= nil
-  end
-
-  function commands.EXISTS() return commands.GET() and 1 or 0 end
-
-  function commands.SET()
-    local row = row_of()
-    row.is_new, row.is_changed, row.list = row.list == nil, true, row.packed
-  end
-
-  function commands.DEL(key)
-    local row = row_of()
-    if key ~= row.key then return 1 end -- its log is gone with it
-    return #(row.execute or server.execute)("remove", key)
-  end
-
-  function commands.TIME()
-    local us = row_of().us or server.execute("time")[1].us
-    local sec = floor(us / 1e6)
-    return { ("%.0f"):format(sec), ("%.0f"):format(us - sec * 1e6) }
-  end
-
-  function commands.TYPE() return { ok = "none" } end
-
-  function commands.XADD(_, ...)
-    local row, fields = row_of(), fields_of(...)
-    if fields.what then
-      row.emitted[#row.emitted + 1] = { what = fields.what, data = fields.data }
-    elseif fields.event then
-      row.moves[#row.moves + 1] = { by = fields.event, to = fields.to }
-    else
-      row.errors[#row.errors + 1] = fields.error
-    end
-  end
-
-  return commands
-end
-
--- Calls -----------------------------------------------------------------------
-
--- Returns the text of an error in the words of SQL.
-local function in_sql(text)
-  return (text:gsub("^ERR rfsm_(%l[%l_]*): ", "rfsm.%1: ")
-    :gsub("%(rfsm_create makes one%)$", "(rfsm.create makes one)")
-    :gsub("^ERR ", ""))
-end
-
 -- Writes what callbacks have emitted, and their errors.
-local function save_effects(server, row, execute)
-  for _, entry in ipairs(row.emitted) do
-    execute("emit", row.key, entry.what,
-      entry.data ~= "" and server.json.datum(entry.data) or nil)
+local function save_effects(server, execute, key, change)
+  for _, entry in ipairs(change.emitted) do
+    local data = entry[2] ~= "" and server.json.datum(entry[2]) or nil
+    execute("emit", key, entry[1], data)
   end
-  for _, text in ipairs(row.errors) do
-    execute("log", row.key, text)
-    server.warn(row.key .. ": " .. text)
+  for _, text in ipairs(change.errors) do
+    execute("log", key, text)
+    server.warn(key .. ": " .. text)
   end
 end
 
--- Writes a row, of which `view` is what rfsm_get shows; false if a new one is there.
--- Each move is one of the row, so that triggers see it.
-local function save(server, row, view)
-  local execute, fields = row.execute or server.execute, {}
-  local last = remove(row.moves)
-  for i = 1, #view, 2 do fields[view[i]] = view[i + 1] end
-  for _, move in ipairs(row.moves) do execute("move", row.key, move.to, move.by) end
-  local written = execute(row.is_new and "insert" or "update", row.key, fields.chart,
-    fields.version, fields.leaf, fields.mode, last and last.by,
-    fields.due ~= "" and fields.due or nil, server.json.datum(fields.data), row.datum)
-  if written[1] then save_effects(server, row, execute) end
+-- Writes a row; returns false if a new one is there. Each move is one of the row, so
+-- that triggers see it; what has moved nothing is noted here.
+local function save(server, execute, key, change)
+  local machine = change.machine
+  local is_new, by = machine.leaf == false, nil
+  for i, move in ipairs(machine.moves) do
+    if is_new or move.from ~= move.to and not machine.moves[i + 1] then
+      by = move.by
+    elseif move.from ~= move.to then
+      execute("move", key, move.to, move.by)
+    else
+      execute("note", key, move.to, move.by)
+    end
+  end
+  local written = execute(is_new and "insert" or "update", key, machine.chart.name,
+    machine.list[3].chart, machine.at, machine.mode, by,
+    change.due and ("%.6f"):format(change.due) or nil,
+    server.json.encode(change.data), machine.value)
+  if written[1] then save_effects(server, execute, key, change) end
   return written[1] ~= nil
 end
 
---- Return what a library needs of Redis: the globals `redis`, `cjson`, `cmsgpack`; and
--- a function `answer(name, key, args, found)` that calls a function for the machine at
--- a key. `found` has what was read before, and `execute`.
+-- Returns the text of an error in the words of SQL.
+local function in_sql(text)
+  return (text:gsub("^rfsm_(%l[%l_]*): ", "rfsm.%1: ")
+    :gsub("%(rfsm_create makes one%)$", "(rfsm.create makes one)"))
+end
+
+--- Return a function `answer(name, key, args, found)` that calls a function for the
+-- machine at a key. `found` has what was read before, and `execute`. `require`, charts
+-- and options are what a library returns.
 ---@param server rfsm.postgres.Server
-function host.new(server)
-  local functions, row, json = {}, nil, server.json
-  local commands = new_commands(server, function() return row end)
-  local globals = { cjson = json }
+function host.new(server, require, charts, options)
+  local data_of = require("rfsm.server.charts").data_of
+  local row ---@type rfsm.postgres.Row
+  local verbs = { pack = server.json.encode, decode = server.json.decode }
 
-  globals.redis = {
-    LOG_NOTICE = "log", log = server.log,
-    register_function = function(f) functions[f.function_name] = f.callback end,
-    call = function(name, ...) return commands[name] and commands[name](...) end,
-    acl_check_cmd = function() return true end,
-    error_reply = function(text) return { err = text } end,
-  }
+  function verbs.time()
+    local us = row.us or row.execute("time")[1].us
+    local sec = floor(us / 1e6)
+    return sec, (us - sec * 1e6) * 1000
+  end
 
-  globals.cmsgpack = {
-    pack = function(list)
-      row.packed, row.datum = list, json.encode(list)
-      return tostring(row.datum)
-    end,
-    unpack = function() return row.list end,
-  }
+  function verbs.read(key)
+    if row.list or row.us then return row.list end
+    local found = row.execute(row.is_read and "read" or "lock", key)[1]
+    return found and server.json.list_of(found.value)
+  end
 
-  return globals, function(name, key, args, found)
-    local own = { key = key, is_read = host.READ_ONLY[name], emitted = {}, errors = {},
-      moves = {}, list = found and found.list, us = found and found.us,
-      execute = found and found.execute }
-    row = own
-    local reply, view = functions[name]({ key }, args), nil
-    if type(reply) == "table" and reply.err then
-      return server.refuse(in_sql(reply.err))
-    end
-    if own.is_changed then view = functions.rfsm_get({ key }, {}) end
-    row = nil
-    if view and not save(server, own, view) then
+  function verbs.write(machine, due, emitted, errors)
+    row.change = { machine = machine, due = due, emitted = emitted, errors = errors,
+      data = data_of(machine.list[3]) }
+  end
+
+  function verbs.remove(key)
+    return row.execute("remove", key)[1] ~= nil
+  end
+
+  function verbs.refuse(name, reason)
+    return server.refuse(in_sql(name .. ": " .. reason))
+  end
+
+  local functions = require "rfsm.server.functions" (verbs, charts, options)
+
+  return function(name, key, args, found)
+    row = found or {}
+    row.is_read, row.execute = host.READ_ONLY[name], row.execute or server.execute
+    local own, reply = row, functions[name]({ key }, args)
+    if own.change and not save(server, own.execute, key, own.change) then
       return server.refuse("rfsm.create: something is at '" .. key .. "'")
     end
     return reply

@@ -3,7 +3,7 @@
 -- @module rfsm.postgres.pllua
 -- @license BSD-3-Clause
 
-local pairs, require, tonumber = pairs, require, tonumber
+local next, pairs, require, tonumber = next, pairs, require, tonumber
 local tostring, type = tostring, type
 local math_type, unpack = rawget(math, "type"), rawget(table, "unpack")
 
@@ -37,7 +37,7 @@ local function new_json(pgtype)
     elseif type(value) ~= "table" then
       return value
     end
-    local copy, is_object = {}, false
+    local copy, is_object = {}, next(value) == nil
     for key, inner in pairs(value) do -- any order: a copy
       copy[key] = exact(inner)
       is_object = is_object or type(key) == "string"
@@ -57,12 +57,12 @@ local function new_json(pgtype)
   return json
 end
 
---- Return what a library needs of Redis, and the function `rfsm.call`. `host` is
--- `rfsm.postgres.host`, `id` that of the library.
+--- Return JSON, and a function that takes a library with its globals and returns the
+-- function `rfsm.call`. `host` is `rfsm.postgres.host`, `id` that of the library.
 return function(host, spi, pgtype, id)
-  local newest, call, given
-  local server = { execute = executor(spi, host.STATEMENTS), log = spi.elog,
-    json = new_json(pgtype), warn = spi.warning }
+  local json, newest, call, given = new_json(pgtype), nil, nil, nil
+  local server = { execute = executor(spi, host.STATEMENTS), json = json,
+    warn = spi.warning }
 
   -- A call that began before another library was loaded may come to a machine that
   -- has been there: then the new one answers.
@@ -75,13 +75,18 @@ return function(host, spi, pgtype, id)
     return call:execute(unpack(given, 1, 4))[1].reply
   end
 
-  local globals, answer = host.new(server)
-  return globals, function(name, key, list, event_id)
-    given = { name, key, list, event_id }
-    local args = list and list { null = "" } or {}
-    if event_id then args[#args + 1], args[#args + 2] = "ID", event_id end
-    local reply = answer(name, key, args)
-    if type(reply) == "number" then return { tostring(reply) } end
-    return reply or nil -- a table, or what another library has returned
+  local function log(line) spi.elog("log", line) end
+
+  return json, function(library, globals)
+    local answer
+    return function(name, key, list, event_id)
+      answer = answer or host.new(server, library(log, globals))
+      given = { name, key, list, event_id }
+      local args = list and list { null = "" } or {}
+      if event_id then args[#args + 1], args[#args + 2] = "ID", event_id end
+      local reply = answer(name, key, args)
+      if type(reply) == "number" then return { tostring(reply) } end
+      return reply or nil -- a table, or what another library has returned
+    end
   end
 end

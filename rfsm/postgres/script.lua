@@ -1,7 +1,6 @@
 --- Bundles charts with the core as a schema of PostgreSQL, with functions in PL/Lua.
 --
--- The command `rfsm postgres` calls it. The functions are those that run in Redis;
--- `rfsm.postgres.host` stands for Redis.
+-- The command `rfsm postgres` calls it. The functions are those that run in Redis.
 --
 -- @module rfsm.postgres.script
 -- @license BSD-3-Clause
@@ -15,38 +14,37 @@ local concat = table.concat
 
 local script = {}
 
--- In front of the library: what it finds in place of Redis and of globals. `pcall` of
--- PL/Lua makes a subtransaction, and catches that a call is cancelled; `lpcall` does
--- neither. Charts are a part of the library: no name of the host, such as `spi`, may be
--- in their scope, or in that of a text that they load.
+-- Around the library, which is a function: the globals that it has. `pcall` of PL/Lua
+-- makes a subtransaction, and catches that a call is cancelled; `lpcall` does neither.
+-- Charts are a part of the library: no name of the host, such as `spi`, may be in their
+-- scope, or in that of a text that they load.
 local HEAD = [[
-local redis, cjson, cmsgpack, pcall, xpcall, sandbox, _G
+local globals, sandbox
 do
-  local bundled, load = {}, load
+  local bundled, load, pcall = {}, load, lpcall
   %s
-  local host, answer = bundled["rfsm.postgres.pllua"]()(
+  local json
+  json, self.serve = bundled["rfsm.postgres.pllua"]()(
     bundled["rfsm.postgres.host"](), spi, pgtype, "$ID")
-  self.answer = answer
-  redis, cjson, cmsgpack, pcall = host.redis, host.cjson, host.cmsgpack, lpcall
   local function finish(handler, ok, ...)
     if ok then return ok, ... end
     return ok, handler((...))
   end
-  function xpcall(f, handler, ...) return finish(handler, pcall(f, ...)) end
-  _G = { os = { clock = os.clock }, pcall = pcall, xpcall = xpcall, redis = redis,
-    cjson = cjson, cmsgpack = cmsgpack }
+  globals = { os = { clock = os.clock }, pcall = pcall,
+    cjson = { encode = json.encode, decode = json.decode } }
+  function globals.xpcall(f, handler, ...) return finish(handler, pcall(f, ...)) end
   for name in ([=[assert collectgarbage error getmetatable ipairs next pairs rawequal
     rawget rawset select setmetatable tonumber tostring type coroutine string table math
     _VERSION]=]):gmatch("%%S+") do
-    _G[name] = self[name]
+    globals[name] = self[name]
   end
-  function _G.load(text, name, _, globals)
-    return load(text, name, "t", globals == nil and sandbox or globals)
+  function globals.load(text, name, _, own)
+    return load(text, name, "t", own == nil and sandbox or own)
   end
   sandbox = setmetatable({}, {
     __metatable = false,
     __index = function(_, name)
-      if _G[name] ~= nil then return _G[name] end
+      if globals[name] ~= nil then return globals[name] end
       error("global '" .. tostring(name) .. "' does not exist in PostgreSQL", 2)
     end,
     __newindex = function(_, name)
@@ -54,8 +52,11 @@ do
     end,
   })
 end
-local self, _ENV = nil, sandbox
+self.answer = self.serve(function(...)
+local self, globals, _ENV = nil, nil, sandbox
 ]]
+
+local FOOT = "end, globals)\n"
 
 -- Returns a text that another library does not have, most likely.
 local function id_of(text)
@@ -73,7 +74,7 @@ end
 
 --- What the schema has besides machines.
 ---@class rfsm.postgres.Options
----@field history? boolean a trigger notes each move in rfsm.history
+---@field history? boolean rfsm.history has each move, and events that moved nothing
 ---@field notify? boolean a trigger reports each move to those who LISTEN to rfsm
 ---@field ids? integer as in `rfsm.server.Options`
 ---@field ids_for? integer likewise
@@ -82,7 +83,7 @@ end
 -- charts as `rfsm.redis.bundle` takes them. Raises an error as that does.
 function script.library(arguments, options)
   return library.text(arguments, "PostgreSQL", { history = 1, ids = options.ids,
-    ids_for = options.ids_for })
+    ids_for = options.ids_for, notes = options.history })
 end
 
 -- Functions in SQL run with the rights of the owner.
@@ -110,7 +111,7 @@ function script.sql(arguments, options)
   local parts = {}
   add_module(parts, "rfsm.postgres.host")
   add_module(parts, "rfsm.postgres.pllua")
-  local code = HEAD:format(concat(parts)) .. text
+  local code = HEAD:format(concat(parts)) .. text .. FOOT
   local id = id_of(code)
   local values = { TAG = quote_for(code), CODE = code:gsub("%$ID", id, 1), ID = id,
     LOG = (host.STATEMENTS.log:gsub("%$%d", { ["$1"] = "each", ["$2"] = "SQLERRM" })) }

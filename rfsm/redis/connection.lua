@@ -290,13 +290,13 @@ function Connection:call_all(tags, calls)
   return replies
 end
 
---- Open a further connection to the node that has a hash tag; return the client, and a
--- function that sends it a command.
+--- Open a further connection to the node that has a hash tag; return the client, a
+-- function that sends it a command, and one that reads what comes without being asked.
 function Connection:open_for(tag)
   local host, port = (self.node_of[tag] or self.seeds[1]):match("^(.*):(%d+)$")
   local client = open(self, host, tonumber(port))
   client.network.socket:settimeout(nil)
-  return client, function(name, ...) return command(client, name, ...) end
+  return client, command, read
 end
 
 --- Call `f(call)` for the server, or each node of the cluster that takes writes.

@@ -12,7 +12,7 @@ local exact_json = require "rfsm.shared.exact_json"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 
-local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local getmetatable, ipairs, pairs = getmetatable, ipairs, pairs
 local pcall, rawget, rawset = pcall, rawget, rawset
 local setmetatable, type = setmetatable, type
 local copy_of, fail, is_meta, text_of = encoding.copy_of, encoding.fail, rfsm.is_meta,
@@ -61,9 +61,6 @@ end
 local emitted, printed = {}, {}
 
 local function emit(what, data)
-  if type(what) ~= "string" then
-    error("emit: name expected, got " .. type(what), 2)
-  end
   emitted[#emitted + 1] = { what, data ~= nil and charts.json_of(data) or "" }
 end
 
@@ -85,8 +82,8 @@ local function watch(class)
   class.is_watched = true
   function class.__newindex(obj, key, value)
     set(obj, key, value)
-    local known = not is_meta(key) and known_of[obj]
-    if known and not (known[key] or rfsm.is_fsmobj(value)) then
+    local known = known_of[obj]
+    if known and not (known[key] or is_meta(key) or rfsm.is_fsmobj(value)) then
       added[#added + 1], added[#added + 2] = obj, key
     end
   end
@@ -105,7 +102,7 @@ local function new_fields(tables)
 end
 
 local function note_fields(fields, obj)
-  local known, is_kept = {}, { keep = true }
+  local known, is_kept = { _actchild = true }, { keep = true } -- the usual one
   for _, name in ipairs(obj.keep or {}) do is_kept[name] = true end
   for key, value in pairs(obj) do -- any order: each stands alone
     known[key] = true
@@ -159,6 +156,20 @@ function charts.read_json(owner, text, most)
   return encoding.unpack(encoding.pack(data, about, 0), 0)
 end
 
+--- Return what a snapshot keeps, by the location of the state, as encoders of JSON take
+--- it.
+function charts.data_of(snap)
+  local data = {}
+  local function add(part, prefix)
+    for fqn, fields in pairs(part.data or {}) do -- any order: a copy
+      data[prefix .. fqn:sub(5)] = encoding.unpack(fields, 0)
+    end
+  end
+  add(snap, "root")
+  for prefix, part in pairs(snap.regions or {}) do add(part, prefix) end -- any order
+  return encoding.to_json(data)
+end
+
 -- Machines --------------------------------------------------------------------------
 
 --- Make the machine of a chart if there is none yet; return the chart.
@@ -169,7 +180,8 @@ local function open(chart)
   model.info, model.warn, model.err = false, false, collect_print
   local fsm, _, problems = rfsm.init(model)
   if not fsm then fail("chart '%s': %s", chart.name, problems[1]) end
-  fsm.emit, chart.blank = emit, snapshot.take(fsm)
+  rfsm.set_emit(fsm, emit)
+  chart.blank = snapshot.take(fsm)
   note_events(chart, fsm)
   chart.options = { migrate = fsm.migrate, rename = fsm.rename, trusted = true }
   chart.fields = new_fields(new_fields())
@@ -183,7 +195,6 @@ local function open(chart)
   chart.fsm = fsm
   return chart
 end
-
 
 --- Put a snapshot into the machine of a chart.
 function charts.put(chart, snap)
@@ -200,8 +211,6 @@ charts.open = open
 function charts.step(chart, steps)
   local fsm, regions = chart.fsm, chart.regions
   chart.fsm = nil
-  took_path(fsm) -- before this step
-  for i = 1, #regions do took_path(regions[i]) end
   local is_idle = rfsm.step(fsm, steps)
   local is_taken = took_path(fsm)
   for i = 1, #regions do is_taken = took_path(regions[i]) or is_taken end
@@ -237,6 +246,12 @@ function charts.force(chart, fqn)
       hook(fsm, state)
     end
   end, fsm, leaf)
+end
+
+--- Return the text of an error in one line. Those of Redis are tables.
+function charts.reason_of(failure)
+  local text = type(failure) == "table" and rawget(failure, "err")
+  return calls.line(text or encoding.reason(failure))
 end
 
 --- Add a line to what callbacks have printed.

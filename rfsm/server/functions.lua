@@ -1,12 +1,11 @@
---- The functions that run inside Redis: each restores a machine, advances it and saves
--- it, in one piece.
+--- The functions that run inside a server: each restores a machine, advances it and
+-- saves it, in one piece.
 --
--- `rfsm.redis` bundles this module with the core and the charts. An error changes
--- nothing: all that can fail comes before the first write, also the types of the keys
--- that will be written, and the rights to do so.
+-- `rfsm.server.library` bundles this module with the core and the charts. It knows no
+-- server: a host reads a machine and writes it. An error changes nothing: what may fail
+-- comes before the host writes.
 --
--- The value of a machine's key is a list in MessagePack. Its first item is "rfsm", for
--- the others see "Load".
+-- The value of a machine is a list. Its first item is "rfsm", for others see "Load".
 --
 -- A call moves its machine: first what was due runs, in the order of its times and at
 -- these, then what was sent.
@@ -17,9 +16,9 @@
 -- @license BSD-3-Clause
 
 local advice = require "rfsm.advice"
-local calls = require "rfsm.shared.calls"
 local charts = require "rfsm.server.charts"
 local encoding = require "rfsm.snapshot.encoding"
+local exact_json = require "rfsm.shared.exact_json"
 local keys_of = require "rfsm.server.keys"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
@@ -30,29 +29,31 @@ require "rfsm.await"
 
 local ipairs, pairs, pcall, rawget = ipairs, pairs, pcall, rawget
 local select, tonumber, tostring, type = select, tonumber, tostring, type
-local char = string.char
 local floor, huge, min = math.floor, math.huge, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local concat, insert, remove = table.concat, table.insert, table.remove
 local fail, now, open, put = encoding.fail, times.now, charts.open, charts.put
 
 local MAX_DATA, MAX_VALUE = 65536, 1048576 -- bytes
-local MAX_STEPS, MAX_LOG = 1000, 1000
+local MAX_STEPS = 1000
 local MAX_DUE, RESTLESS = 200, 20 -- steps of a move; so many is one that does not rest
 local LEAST_PASSED = 0.1 -- seconds that such a move gets on, unless it skips some
 local TIME = "(time)" -- by what a machine moves if there is no event
 local SAME = 1e-6 -- seconds: a timer fires a nanosecond after its time
 local MAX_ID, MAX_LATER = 64, 100 -- bytes, events of a machine
-local OVERDUE = 60 -- seconds after which nobody seems to wake machines
-local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 
---- What the functions use of Redis.
+--- What the functions use of a server.
 ---@class rfsm.server.Host
----@field call function redis.call
----@field may function redis.acl_check_cmd
----@field error_reply function redis.error_reply
----@field json table cjson
----@field pack table cmsgpack
+---@field time fun(): integer, integer seconds and nanoseconds
+---@field read fun(key: string): any[]? the list in the value of a machine
+---@field pack fun(list: any[]): any the value of a list
+---@field write fun(machine: rfsm.server.Machine, due: number?, emitted: string[][],
+--- errors: string[]) writes all of it, or raises an error and writes nothing
+---@field remove fun(key: string): boolean removes a machine, returns if it was there
+---@field decode fun(text: string): any of JSON
+---@field refuse fun(name: string, reason: string): any the reply of a call that fails
+---@field add? fun(functions: table, options: rfsm.server.Options) adds functions that
+--- only this server has
 
 --- What a library is made with.
 ---@class rfsm.server.Options
@@ -69,11 +70,6 @@ local host, versions, options
 -- Arguments ----------------------------------------------------------------------
 
 local key_of, shown = keys_of.machine, keys_of.shown
-
-local function reason_of(failure)
-  return calls.line(type(failure) == "table" and failure.err
-    or encoding.reason(failure))
-end
 
 local function versions_of(name)
   return versions[name] or fail("no chart is named '%s'%s", shown(name),
@@ -98,14 +94,6 @@ local function time_of(text)
   return tonumber(number) + (offset == "+" and now() or 0)
 end
 
-local function whole_of(text, default, most)
-  local number = tonumber(text or default)
-  if not number or number < 1 or number > most or number % 1 ~= 0 then
-    fail("a whole number from 1 to %d expected, got '%s'", most, shown(text))
-  end
-  return number
-end
-
 -- Load: the value of a key becomes a machine ----------------------------------------
 
 -- Positions in the value of a machine: the name of its chart, the snapshot, when that
@@ -122,6 +110,9 @@ local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD = 2, 3, 4, 5, 6, 7, 8, 9
 ---@field list any[] in the value of the key; the new one is made of it
 ---@field leaf string|false|nil where it was, as the index knows it: before a rename
 ---@field at string where it is; "": it was not entered
+---@field mode string of that leaf
+---@field was_due number|false|nil when it was due before
+---@field value any the new one of the key
 ---@field moves { by: string, from: string, to: string }[] of this call
 ---@field is_idle boolean after the last step
 ---@field outcome string|false what became of the events: "taken", "kept" or "dropped";
@@ -136,24 +127,14 @@ local NONE = {}
 local function new_machine(key, chart, list, leaf)
   charts.set_effects()
   return { key = key, chart = chart, fsm = chart.fsm, list = list, leaf = leaf,
-    at = leaf or "", moves = {}, is_idle = true, outcome = false, base = list[SNAP],
-    base_sec = list[SEC], base_nsec = list[NSEC] }
+    at = leaf or "", mode = "inactive", was_due = list[DUE], value = false, moves = {},
+    is_idle = true, outcome = false, base = list[SNAP], base_sec = list[SEC],
+    base_nsec = list[NSEC] }
 end
 
-local function list_of(key, value)
-  local ok, list = pcall(host.pack.unpack, value)
-  if not ok or type(list) ~= "table" or list[1] ~= "rfsm" then
-    fail("what is at '%s' is no machine", shown(key))
-  end
-  return list
-end
-
-local function read_value(key)
-  local value = host.call("GET", key)
-  if not value then
-    fail("no machine is at '%s' (rfsm_create makes one)", shown(key))
-  end
-  return list_of(key, value)
+local function read(key)
+  return host.read(key)
+    or fail("no machine is at '%s' (rfsm_create makes one)", shown(key))
 end
 
 -- Has the newest version of a chart take a snapshot, if it is of that version or moves
@@ -259,7 +240,7 @@ end
 local function advance_to_due(machine)
   local later, seen = machine.list[LATER] or NONE, times.seen()
   local left, entry = timeevent.next_deadline(machine.fsm) or huge, later[1]
-  if entry and (entry[1] <= seen or entry[1] + SAME < seen + left) then
+  if entry and entry[1] + SAME < seen + left then
     if entry[1] > now() then return nil end
     times.advance_to(entry[1])
     return send_entry(machine, remove(later, 1))
@@ -356,8 +337,9 @@ local function due_of(machine)
   return due
 end
 
--- Returns the value of a machine; its list ends with what is there.
-local function pack_machine(list, due)
+-- Makes the value of a machine; its list ends with what is there.
+local function pack_machine(machine, due)
+  local list = machine.list
   if list[LATER] and not list[LATER][1] then list[LATER] = nil end
   if list[HELD] then list[LATER] = list[LATER] or {} end
   if list[LATER] then list[IDS] = list[IDS] or false end
@@ -369,123 +351,29 @@ local function pack_machine(list, due)
   elseif list[DUE] ~= nil then
     list[SEC], list[NSEC], list[DUE] = nil, nil, nil
   end
-  local value = host.pack.pack(list)
-  if #value > MAX_VALUE then
-    fail("a machine takes at most %d bytes, this one %d", MAX_VALUE, #value)
-  end
-  return value
-end
-
--- The writes of a machine, and the keys whose type and right were checked: they are
--- checked once for all machines that a call wakes.
-local writes, asked = {}, {}
-
--- Adds a write. If it fails others would have been made before, so it is asked first
--- whether its key is of a type, or absent, and whether the user has the right.
-local function add_write(kind, name, key, ...)
-  writes[#writes + 1] = { name, key, ... }
-  if writes[2] == nil or asked[key] == name then return end -- the first may fail
-  if not host.may(name, key, ...) then
-    fail("no right to do %s %s", name, shown(key))
-  end
-  local found = kind and host.call("TYPE", key).ok
-  if kind and found ~= kind and found ~= "none" then
-    fail("%s expected at '%s', got %s", kind, shown(key), found)
-  end
-  asked[key] = name
-end
-
-local function add_due(machine, due)
-  if due and not machine.list[HELD] then
-    add_write("zset", "ZADD", keys_of.due(machine.key), ("%.6f"):format(due),
-      machine.key)
-  elseif machine.list[DUE] then
-    add_write("zset", "ZREM", keys_of.due(machine.key), machine.key)
+  machine.value = host.pack(list)
+  local size = #tostring(machine.value)
+  if size > MAX_VALUE then
+    fail("a machine takes at most %d bytes, this one %d", MAX_VALUE, size)
   end
 end
 
--- Adds what callbacks emitted to the stream of the tag, their errors to the log.
-local function add_streams(machine, emitted, errors)
-  for _, entry in ipairs(emitted) do
-    add_write("stream", "XADD", keys_of.out(machine.key), "*", "machine", machine.key,
-      "what", entry[1], "data", entry[2])
-  end
-  for _, text in ipairs(errors) do
-    add_write("stream", "XADD", keys_of.log(machine.key), "MAXLEN", "~", MAX_LOG, "*",
-      "error", text)
-  end
-end
-
--- Returns the first text behind all those with a head. A key may begin with any byte.
-local function behind(head) return head:sub(1, -2) .. char(head:byte(-1) + 1) end
-
--- Lists how members of an index begin: with chart and state, and a tab behind each.
-local function heads_of(index)
-  local heads, from = {}, ""
-  repeat
-    local member = host.call("ZRANGEBYLEX", index, "[" .. from, "+", "LIMIT", 0, 1)[1]
-    local head = member and member:match("^[^\t]*\t[^\t]*\t")
-    heads[#heads + 1], from = head, head and behind(head)
-  until not head
-  return heads
-end
-
--- Lists the members that the index may have of a machine: where it was, or, if it is
--- new, where one with its key was that ended by DEL.
-local function old_members(machine, index)
-  if machine.leaf then
-    return { keys_of.member(machine.chart.name, machine.leaf, machine.key) }
-  end
-  local members = heads_of(index)
-  for i, head in ipairs(members) do members[i] = head .. machine.key end
-  return members
-end
-
-local function add_to_index(machine)
-  local index, name = keys_of.index(machine.key), machine.chart.name
-  local old = old_members(machine, index)
-  if old[1] then add_write("zset", "ZREM", index, unpack(old)) end
-  add_write("zset", "ZADD", index, 0, keys_of.member(name, machine.at, machine.key))
-  add_write("zset", "ZADD", keys_of.since(machine.key), ("%.6f"):format(now()),
-    machine.key)
-end
-
--- Adds what index, history and channel say of new active leaves.
-local function add_moves(machine)
-  local key = machine.key
-  if options.index and machine.at ~= (machine.leaf or "") then add_to_index(machine) end
-  for _, at in ipairs(machine.moves) do
-    if options.history then
-      add_write("stream", "XADD", keys_of.history(key), "MAXLEN", options.history, "*",
-        "event", at.by, "from", at.from, "to", at.to)
-    end
-    if at.from ~= at.to then add_write(nil, "SPUBLISH", keys_of.channel(key), at.to) end
-  end
-end
-
--- Writes all that has changed, and returns the reply: leaf, mode, errors, and what
+-- Has all written that has changed, and returns the reply: leaf, mode, errors, and what
 -- became of the events. The id of events that were dropped is not kept.
 local function save(machine, id)
   local chart, list, leaf = machine.chart, machine.list, machine.fsm._act_leaf
   list[SNAP] = snapshot.take(machine.fsm)
   chart.options.is_tidy = list[SNAP].targets == nil
   local due, emitted, errors = due_of(machine), charts.effects()
-  local reply = { machine.at, leaf and leaf._mode or "inactive" }
+  machine.mode = leaf and leaf._mode or "inactive"
   if not machine.outcome then
     machine.outcome = has_changed(machine, list[SNAP]) and "kept" or "dropped"
   end
   if machine.outcome ~= "dropped" then add_id(machine, id) end
-  writes = {}
-  add_due(machine, due)
-  add_streams(machine, emitted, errors)
-  add_write(nil, "SET", machine.key, pack_machine(list, due))
-  add_moves(machine)
-  local ok, problem = pcall(host.call, unpack(writes[1]))
-  if not ok then
-    fail("%s %s: %s", writes[1][1], shown(writes[1][2]), reason_of(problem))
-  end
-  for i = 2, #writes do host.call(unpack(writes[i])) end
-  for _, text in ipairs(errors) do reply[#reply + 1] = text end
+  pack_machine(machine, due)
+  host.write(machine, not list[HELD] and due or nil, emitted, errors)
+  local reply = { machine.at, machine.mode }
+  for i = 1, #errors do reply[i + 2] = errors[i] end
   reply[#reply + 1] = machine.outcome
   return reply
 end
@@ -518,11 +406,9 @@ function functions.rfsm_create(keys, args)
   local key, id = key_of(keys), take_id(args)
   local found = versions_of(args[1] or "")
   local chart = open(found[#found])
-  if host.call("EXISTS", key) == 1 then
-    local list = id and read_value(key)
-    if list and has_id(list, id) then return reply_of(list, "known") end
-    fail("something is at '%s'", shown(key))
-  end
+  local list = host.read(key)
+  if list and id and has_id(list, id) then return reply_of(list, "known") end
+  if list then fail("something is at '%s'", shown(key)) end
   times.set(false)
   local ok, problem = put(chart, chart.blank)
   if not ok then fail("%s", problem) end
@@ -536,7 +422,7 @@ end
 function functions.rfsm_send(keys, args)
   local key, id = key_of(keys), take_id(args)
   if not args[1] then fail("an event expected, got none") end
-  local list = read_value(key)
+  local list = read(key)
   if id and has_id(list, id) then return reply_of(list, "known") end
   local machine = load_machine(key, list)
   move(machine, args, id)
@@ -548,7 +434,7 @@ function functions.rfsm_send_at(keys, args)
   local key, id = key_of(keys), take_id(args)
   local text = remove(args, 1)
   if not (id and args[1]) then fail("a time, events and ID id expected") end
-  local list = read_value(key)
+  local list = read(key)
   if has_id(list, id) then return reply_of(list, "known") end
   local machine = load_machine(key, list)
   charts.events(machine.chart, args)
@@ -570,7 +456,7 @@ end
 -- returns whether it was.
 function functions.rfsm_cancel(keys, args)
   local key, is_there = key_of(keys), false
-  local list = read_value(key)
+  local list = read(key)
   for _, entry in ipairs(list[LATER] or NONE) do
     is_there = is_there or entry[2] == args[1]
   end
@@ -582,94 +468,29 @@ function functions.rfsm_cancel(keys, args)
   return is_there and 1 or 0
 end
 
-local function tick(key)
-  local value = host.call("GET", key)
-  if not value then
-    host.call("ZREM", keys_of.due(key), key)
-    return false
-  end
-  local machine = load_machine(key, list_of(key, value))
+-- rfsm_tick KEY: runs a machine, because it is due. Replies false if it is gone.
+function functions.rfsm_tick(keys)
+  local key = key_of(keys)
+  local list = host.read(key)
+  if not list then return false end
+  local machine = load_machine(key, list)
   run(machine)
   return save(machine)
 end
 
--- rfsm_tick KEY: runs a machine, because it is due. One that is gone is due no more.
-function functions.rfsm_tick(keys)
-  local key = key_of(keys)
-  local reply = tick(key)
-  host.call("ZREM", keys_of.aside(key), key)
-  return reply
-end
-
--- Has a machine that cannot be run wait, so that others are not held up: for a minute,
--- counted, and noted in its log.
-local function put_aside(due, key, problem)
-  local text = "rfsm_wake: " .. reason_of(problem)
-  host.call("ZADD", due, ("%.6f"):format(now() + ASIDE), key)
-  host.call("ZINCRBY", keys_of.aside(due), 1, key)
-  pcall(host.call, "XADD", keys_of.log(key), "MAXLEN", "~", MAX_LOG, "*", "error", text)
-end
-
-local function is_elsewhere(problem)
-  return reason_of(problem):find("non local key", 1, true) ~= nil
-end
-
--- rfsm_wake KEY [limit]: runs the machines that are due, of those that share the hash
--- tag of the key; returns how many ran, and how many could not.
-function functions.rfsm_wake(keys, args)
-  local due, limit = keys_of.due(keys[1]), whole_of(args[1], 100, 10000)
-  local aside = keys_of.aside(due)
-  local list = host.call("ZRANGEBYSCORE", due, "-inf", ("%.6f"):format(now()), "LIMIT",
-    0, limit)
-  if not list[1] then return { 0, 0 } end
-  local has_aside, count, failed = host.call("EXISTS", aside) == 1, 0, 0
-  for _, key in ipairs(list) do
-    local ok, problem = pcall(tick, key)
-    if ok then
-      count = count + 1
-      if has_aside then host.call("ZREM", aside, key) end
-    elseif not is_elsewhere(problem) then
-      failed = failed + 1
-      put_aside(due, key, problem)
-    end
-  end
-  return { count, failed }
-end
-
--- rfsm_due KEY [limit [seconds]]: the machines, of those that share the hash tag of the
--- key, that are due now, or at a time.
-function functions.rfsm_due(keys, args)
-  local limit, at = tonumber(args[1] or 100), tonumber(args[2] or now())
-  if not limit or not at then fail("a number expected") end
-  return host.call("ZRANGEBYSCORE", keys_of.due(keys[1]), "-inf", ("%.6f"):format(at),
-    "LIMIT", 0, limit)
-end
-
--- Returns what a snapshot keeps, by the location of the state, as JSON shows it.
-local function data_of(snap)
-  local data = {}
-  local function add(part, prefix)
-    for fqn, fields in pairs(part.data or {}) do -- any order: a copy
-      data[prefix .. fqn:sub(5)] = encoding.unpack(fields, 0)
-    end
-  end
-  add(snap, "root")
-  for prefix, part in pairs(snap.regions or {}) do add(part, prefix) end -- any order
-  return data
-end
-
 -- rfsm_get KEY: names and values.
 function functions.rfsm_get(keys)
-  local list = read_value(key_of(keys))
+  local list = read(key_of(keys))
   local snap, names, queue = list[SNAP], {}, {}
   local leaf = snap.leaf or ""
   for i, event in ipairs(snap.queue or {}) do queue[i] = encoding.unpack(event, 0) end
   for i in leaf:gmatch("()%.") do names[#names + 1] = leaf:sub(1, i - 1) end
   names[#names + 1] = snap.leaf
   local due = list[DUE] and not list[HELD] and ("%.6f"):format(list[DUE]) or ""
+  local data = exact_json.encode(charts.data_of(snap))
   return { "chart", list[NAME], "version", snap.chart, "leaf", leaf,
     "mode", reply_of(list)[2],
-    "configuration", concat(names, " "), "data", charts.json_of(data_of(snap)),
+    "configuration", concat(names, " "), "data", data,
     "queue", queue[1] ~= nil and charts.json_of(queue) or "[]", "due", due,
     "held", list[HELD] and "yes" or "" }
 end
@@ -679,7 +500,7 @@ end
 -- rfsm_hold KEY: has a machine rest; its events wait, and its timers.
 function functions.rfsm_hold(keys)
   local key = key_of(keys)
-  local list = read_value(key)
+  local list = read(key)
   if list[HELD] then fail("the machine at '%s' is held already", shown(key)) end
   local machine = load_machine(key, list)
   run(machine)
@@ -690,7 +511,7 @@ end
 -- rfsm_release KEY: lets it go on: what has come due meanwhile runs in order.
 function functions.rfsm_release(keys)
   local key = key_of(keys)
-  local list = read_value(key)
+  local list = read(key)
   if not list[HELD] then fail("the machine at '%s' is not held", shown(key)) end
   list[HELD] = nil
   local machine = load_machine(key, list)
@@ -701,141 +522,50 @@ end
 -- rfsm_force KEY state: puts a machine into a leaf. No callback of a way there runs.
 function functions.rfsm_force(keys, args)
   local key = key_of(keys)
-  local machine = load_machine(key, read_value(key))
+  local machine = load_machine(key, read(key))
   times.set(false)
   charts.force(machine.chart, args[1] or "")
   machine.outcome = step(machine, "(force)") and "taken" or "kept"
   return save(machine)
 end
 
--- rfsm_remove KEY: ends a machine, with its timers, its place in the index and its
--- streams. Returns whether it was there.
-function functions.rfsm_remove(keys)
-  local key = key_of(keys)
-  if host.call("DEL", key) == 0 then return 0 end
-  host.call("ZREM", keys_of.due(key), key)
-  host.call("ZREM", keys_of.aside(key), key)
-  host.call("DEL", keys_of.log(key), keys_of.history(key))
-  if options.index then
-    local members = old_members({ key = key }, keys_of.index(key))
-    if members[1] then host.call("ZREM", keys_of.index(key), unpack(members)) end
-    host.call("ZREM", keys_of.since(key), key)
-  end
-  return 1
-end
+-- rfsm_remove KEY: ends a machine, with all that belongs to it. Returns whether it was
+-- there.
+function functions.rfsm_remove(keys) return host.remove(key_of(keys)) and 1 or 0 end
 
 -- rfsm_why KEY event: the answer of each transition, from the outermost state inwards.
 function functions.rfsm_why(keys, args)
   if #args ~= 1 then fail("one event expected, got %d", #args) end
   local key, lines = key_of(keys), {}
-  local machine = load_machine(key, read_value(key))
+  local machine = load_machine(key, read(key))
   times.set(false)
   local _, text = why.why(machine.fsm, charts.events(machine.chart, args)[1])
   for line in text:gmatch("[^\n]+") do lines[#lines + 1] = line end
   return lines
 end
 
--- Is a machine there? DEL ends one and leaves the index as it is. While a slot moves to
--- another node, which may have the machine, the index is believed.
-local function is_there(key)
-  local ok, count = pcall(host.call, "EXISTS", key)
-  return not ok or count == 1
-end
-
--- Has a machine been in its leaf since a time, or longer?
-local function is_since(key, time)
-  local since = time and host.call("ZSCORE", keys_of.since(key), key)
-  return not time or since and tonumber(since) <= time
-end
-
--- Lists the keys of machines, at most so many, whose members have a head.
-local function keys_with(index, head, limit, time)
-  local found, count = {}, min(limit, 1000)
-  local from, to = "[" .. head, "(" .. behind(head)
-  repeat
-    local members = host.call("ZRANGEBYLEX", index, from, to, "LIMIT", 0, count)
-    for _, member in ipairs(members) do
-      local key = member:match("\t[^\t]*\t(.*)$")
-      local is_one = #found < limit and is_since(key, time) and is_there(key)
-      found[#found + 1] = is_one and key or nil
-    end
-    from = "(" .. (members[count] or "")
-  until #found == limit or not members[count]
-  return found
-end
-
--- rfsm_find KEY chart state [limit [seconds]]: the machines, of those that share the
--- hash tag of the key, whose active leaf is the state, or in it, for so many seconds.
-function functions.rfsm_find(keys, args)
-  if not options.index then fail("the library was made without --index") end
-  local index, limit = keys_of.index(keys[1]), whole_of(args[3], 100, 100000)
-  if not args[2] then fail("a chart and a state expected") end
-  local head, time = args[1] .. "\t" .. args[2], nil
-  if args[4] then time = now() - whole_of(args[4], 0, 1e9) end
-  local found = keys_with(index, head .. "\t", limit, time) -- the state itself
-  for _, key in ipairs(keys_with(index, head .. ".", limit - #found, time)) do
-    found[#found + 1] = key
-  end
-  return found
-end
-
--- rfsm_stats KEY: for the machines that share the hash tag of the key: chart, state and
--- number, and so on; then numbers of those with a time at which they are due, of those
--- put aside, of entries, of those overdue for a minute, and of dead entries.
-function functions.rfsm_stats(keys)
-  local index, reply = keys_of.index(keys[1]), {}
-  for _, head in ipairs(options.index and heads_of(index) or {}) do
-    local name, leaf = head:match("^([^\t]*)\t([^\t]*)")
-    local count = #keys_with(index, head, huge)
-    for _, value in ipairs(count > 0 and { name, leaf, count } or {}) do
-      reply[#reply + 1] = value
-    end
-  end
-  return { reply, host.call("ZCARD", keys_of.due(keys[1])),
-    host.call("ZCARD", keys_of.aside(keys[1])),
-    host.call("XLEN", keys_of.out(keys[1])),
-    host.call("ZCOUNT", keys_of.due(keys[1]), "-inf", ("%.6f"):format(now() - OVERDUE)),
-    host.call("XLEN", keys_of.dead(keys[1])) }
-end
-
--- rfsm_history KEY [count]: the latest moves of a machine, the newest first: time,
--- events, from, to, and so on.
-function functions.rfsm_history(keys, args)
-  if not options.history then fail("the library was made without --history") end
-  local reply, count = {}, whole_of(args[1], 10, 10000)
-  local entries = host.call("XREVRANGE", keys_of.history(key_of(keys)), "+", "-",
-    "COUNT", count)
-  for _, entry in ipairs(entries) do
-    local ms, fields = entry[1]:match("^%d+"), entry[2]
-    for _, value in ipairs { ("%.3f"):format(ms / 1000), fields[2], fields[4],
-      fields[6] } do
-      reply[#reply + 1] = value
-    end
-  end
-  return reply
-end
-
---- Return the functions for Redis, by name, as it calls them. Of charts with one name
--- in the list of { name =, make = }, the last is the newest.
----@param redis rfsm.server.Host
+--- Return the functions by name, each of which takes keys and arguments. Of charts with
+-- one name in the list of { name =, make = }, the last is the newest.
+---@param server rfsm.server.Host
 ---@param settings? rfsm.server.Options
-return function(redis, list, settings)
-  local made = {}
-  host, versions, options = redis, {}, settings or {}
+return function(server, list, settings)
+  local all, made = {}, {}
+  host, versions, options = server, {}, settings or {}
   options.ids = options.ids or options.ids_for and 1000 or 16
   times.open(host)
-  charts.use(function(text) return host.json.decode(text) end)
+  charts.use(host.decode)
   for _, chart in ipairs(list) do
     versions[chart.name] = versions[chart.name] or {}
     versions[chart.name][#versions[chart.name] + 1] = chart
   end
-  for name, f in pairs(functions) do -- any order: each stands alone
+  for name, f in pairs(functions) do all[name] = f end -- any order: a copy
+  if host.add then host.add(all, options) end
+  for name, f in pairs(all) do -- any order: each stands alone
     made[name] = function(keys, args)
       times.begin()
-      asked = {}
       local ok, reply = pcall(f, keys, args)
       if ok then return reply end
-      return host.error_reply("ERR " .. name .. ": " .. reason_of(reply))
+      return host.refuse(name, charts.reason_of(reply))
     end
   end
   return made

@@ -1,7 +1,7 @@
 --- The library that both database servers run: charts, the core, and the functions of
 --- `rfsm.server.functions`, in one text.
 --
--- `rfsm.redis` loads it into Redis; `rfsm.postgres.script` has a stand-in for Redis.
+-- `rfsm.redis` and `rfsm.postgres.script` put it into a text for their server.
 --
 -- @module rfsm.server.library
 -- @license BSD-3-Clause
@@ -12,22 +12,35 @@ local files = require "rfsm.shared.files"
 local rfsm = require "rfsm"
 local sandbox = require "rfsm.server.sandbox"
 
-local error, ipairs, pcall, require = error, ipairs, pcall, require
+local error, ipairs, pcall, rawget, require = error, ipairs, pcall, rawget, require
 local concat = table.concat
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local library = {}
 
--- Modules that charts require, or get as a field; those that these need come along.
+-- Modules that the host needs, and those that charts require, or get as a field; those
+-- that these need come along.
 local ROOTS = {
   "rfsm.server.functions", "rfsm_seqand", "rfsm.emem", "rfsm.monitor", "rfsm.preview",
 }
 
--- While Redis loads a library hardly any global is there; later none can be set, and
--- reading one that is absent is an error. So the modules see locals in their place, and
--- are made at the first call.
+-- The text is called with a function that writes a line to the log, and the globals. It
+-- returns a `require`, the charts, and the options. Redis has no global that is absent,
+-- and none can be set, so the modules see locals in their place.
 local HEAD = [[
-local function globals() return _G end
 local _G, loadfile, print, io, os, debug, package, require
+do
+  local log, globals = ...
+  _G = { RFSM_NO_GLOBALS = true }
+  for name, value in pairs(globals) do _G[name] = value end
+  os = _G.os
+  function print(...)
+    local texts = { ... }
+    for i = 1, select("#", ...) do texts[i] = tostring(texts[i]) end
+    log(table.concat(texts, " "))
+  end
+  _G.print = print
+end
 local charts = {}
 
 local function outer_require(name)
@@ -37,59 +50,6 @@ local function outer_require(name)
 end
 
 ]] .. bundle.HEAD
-
-local FOOT = [[
-
-local library
-
-local function open()
-  _G = { RFSM_NO_GLOBALS = true }
-  for name, value in pairs(globals()) do _G[name] = value end
-  function print(...)
-    local texts = { ... }
-    for i = 1, select("#", ...) do texts[i] = tostring(texts[i]) end
-    redis.log(redis.LOG_NOTICE, table.concat(texts, " "))
-  end
-  _G.print = print
-  return require "rfsm.server.functions" ({ call = redis.call, json = cjson,
-    error_reply = redis.error_reply, pack = cmsgpack, may = redis.acl_check_cmd },
-    charts, options)
-end
-
-local function register(name, flag)
-  redis.register_function {
-    function_name = name, flags = { flag },
-    callback = function(keys, args)
-      if not library then
-        local ok, made = pcall(open)
-        if not ok then
-          loaded = {}
-          return redis.error_reply("ERR rfsm: " .. tostring(made))
-        end
-        library = made
-      end
-      return library[name](keys, args)
-    end,
-  }
-end
-
-register("rfsm_create")
-register("rfsm_send")
-register("rfsm_send_at")
-register("rfsm_cancel")
-register("rfsm_tick")
-register("rfsm_wake")
-register("rfsm_hold")
-register("rfsm_release")
-register("rfsm_force")
-register("rfsm_remove")
-register("rfsm_get", "no-writes")
-register("rfsm_due", "no-writes")
-register("rfsm_why", "no-writes")
-register("rfsm_find", "no-writes")
-register("rfsm_stats", "no-writes")
-register("rfsm_history", "no-writes")
-]]
 
 local CHART = [[
 charts[#charts + 1] = { name = %q, make = function()
@@ -153,10 +113,8 @@ local function read_chart(file)
 end
 
 local function check_chart(file, text, server)
-  local model, problem = chart.load(file)
-  if not model then error(problem, 0) end
-  model, problem = sandbox.load(text, file, server)
-  if not model then error(problem, 0) end
+  local model, problem = sandbox.load(text, file, server)
+  if not model then error(chart.reason(file, problem), 0) end
   model.info, model.warn, model.err = false, false, false
   local ok, fsm, _, problems = pcall(rfsm.init, model)
   if not ok then error(chart.reason(file, fsm), 0) end
@@ -165,19 +123,28 @@ local function check_chart(file, text, server)
   if not kept then error(chart.reason(file, failure), 0) end
 end
 
+-- Returns the end of the text.
+local function options_text(options)
+  return ("\nreturn require, charts, { index = %s, history = %s, ids = %s, "
+    .. "ids_for = %s, notes = %s }\n"):format(options.index and "true" or "nil",
+    options.history or "nil", options.ids or "nil", options.ids_for or "nil",
+    options.notes and "true" or "nil")
+end
+
 --- Return the text of the library for a server, and a list of warnings.
 -- @raise if a chart has a problem, in one line
 ---@param arguments string[] see `name_of`; a later version of a name is newer
 ---@param server string its name in messages
 ---@param options rfsm.server.Options
+---@param host? string a further module, if it is one of the library
 ---@return string text
 ---@return string[] warnings
-function library.text(arguments, server, options)
+function library.text(arguments, server, options, host)
   require "rfsm_timeevent"
   require "rfsm.await"
   local parts, warnings = { HEAD }, {}
   local is_there = { string = true, table = true, math = true, coroutine = true }
-  for _, name in ipairs(ROOTS) do
+  for _, name in ipairs { host or ROOTS[1], unpack(ROOTS) } do
     add_module(parts, name, is_there, "rfsm.server.library", server)
   end
   for _, argument in ipairs(arguments) do
@@ -194,11 +161,7 @@ function library.text(arguments, server, options)
     end
     parts[#parts + 1] = CHART:format(name, text, file)
   end
-  parts[#parts + 1] = ("\nlocal options = { index = %s, history = %s, ids = %s, "
-    .. "ids_for = %s, notes = %s }"):format(options.index and "true" or "nil",
-    options.history or "nil", options.ids or "nil", options.ids_for or "nil",
-    options.notes and "true" or "nil")
-  parts[#parts + 1] = FOOT
+  parts[#parts + 1] = options_text(options)
   return concat(parts), warnings
 end
 

@@ -10,10 +10,11 @@
 local calls = require "rfsm.shared.calls"
 local code_of = require("rfsm.shared.code").of
 local files = require "rfsm.shared.files"
+local limit = require "rfsm.shared.limit"
 local rfsm = require "rfsm"
 
 local error, ipairs, pairs = error, ipairs, pairs
-local os, pcall, rawget, require = os, pcall, rawget, require
+local os, rawget, require = os, rawget, require
 local concat, sort = table.concat, table.sort
 local setmetatable, type = setmetatable, type
 
@@ -34,12 +35,13 @@ for name in ([[assert collectgarbage error getmetatable ipairs loadstring next p
   HERE[name] = true
 end
 
-local MISSING = {
-  Redis = { "os", "io", "debug", "package", "dofile", "loadfile", "setfenv",
-    "getfenv" },
-  PostgreSQL = { "os", "io", "debug", "package", "dofile", "loadfile", "setfenv",
-    "getfenv", "bit", "struct", "unpack", "loadstring" },
-}
+local MISSING = { Redis = {}, PostgreSQL = { "bit", "struct", "cmsgpack", "redis",
+  "unpack", "loadstring" } }
+for _, list in pairs(MISSING) do -- any order: each stands alone
+  for name in ("os io debug package dofile loadfile setfenv getfenv"):gmatch "%l+" do
+    list[#list + 1] = name
+  end
+end
 
 -- Is a name a field, or the key in a table, and no global?
 local function is_key(code, from, behind)
@@ -164,21 +166,24 @@ function sandbox.load(text, file, server)
   rawset(globals, "require", find_module)
   local f, problem = calls.load(text, "@" .. file, globals)
   if not f then return nil, problem end
-  local ok, model = pcall(f, file)
+  local ok, model = limit.load(limit.SECONDS, function(source)
+    return source == "@" .. file
+  end, { os.time, os.clock }, f, file)
   if not ok then return nil, rfsm.text_of(model) end
   if rfsm.is_state(model) then return model end
   return nil, ("%s: a state expected, got %s"):format(file, type(model))
 end
 
---- Run a library in this process, with other globals in place of those of the server.
-function sandbox.run(text, here, server)
+--- Run a library in this process, with other globals in place of those of the server;
+-- return what it returns. `log` is called with what charts print.
+function sandbox.run(text, here, server, log)
   local globals = new_globals(server)
   globals.rfsm, globals.rfsm_timeevent, globals.bit, globals.struct = nil, nil, nil, nil
   rawset(globals, "jit", rawget(_G, "jit")) -- the core asks for it
   for name, value in pairs(here) do globals[name] = value end -- any order: a copy
   local f, problem = calls.load(text, "=rfsm", globals)
   if not f then error(problem, 0) end
-  f()
+  return f(log, globals)
 end
 
 --- List the modules that a text requires by name, and the line of each.

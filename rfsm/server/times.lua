@@ -8,7 +8,6 @@
 
 local clock = require "rfsm.clock"
 
-local tonumber = tonumber
 local floor, max = math.floor, math.max
 
 local times = {}
@@ -18,10 +17,7 @@ local host, call_sec, call_nsec = nil, false, 0
 local sec, nsec = false, 0
 
 local function read()
-  if not call_sec then
-    local time = host.call("TIME")
-    call_sec, call_nsec = tonumber(time[1]), tonumber(time[2]) * 1000
-  end
+  if not call_sec then call_sec, call_nsec = host.time() end
   return call_sec, call_nsec
 end
 

@@ -1,8 +1,9 @@
--- A table in place of Redis, for the functions that run inside.
+-- Redis in a table, for the functions that run inside.
 
 local codec = require "rfsm.server.codec"
 local encoding = require "rfsm.snapshot.encoding"
 local rfsm = require "rfsm"
+local store = require "rfsm.redis.store"
 
 local host = {}
 
@@ -18,8 +19,8 @@ function host.sorted(value)
   return "{" .. table.concat(parts, ",") .. "}"
 end
 
--- Returns a host that notes what is written in `trace`; `clock.now` is its time.
-function host.new(trace, clock)
+-- Returns what Redis has for libraries, and what packs: values stay tables.
+local function new_redis(trace, clock)
   local values, packed = {}, nil
   local commands = {
     GET = function(key) return values[key] and key or false end,
@@ -40,17 +41,27 @@ function host.new(trace, clock)
       if commands[name] then return commands[name](...) end
       trace[#trace + 1] = name .. " " .. host.sorted { ... }
     end,
-    may = function() return true end,
+    acl_check_cmd = function() return true end,
     error_reply = function(text) return { err = text } end,
-    json = { decode = codec.decode },
-    pack = {
-      pack = function(list)
-        packed = encoding.copy_of(list)
-        return "packed"
-      end,
-      unpack = function(key) return encoding.copy_of(values[key]) end,
-    },
+  }, {
+    pack = function(list)
+      packed = encoding.copy_of(list)
+      return "packed"
+    end,
+    unpack = function(key) return encoding.copy_of(values[key]) end,
   }
+end
+
+-- Returns a host that notes what is written in `trace`; `clock.now` is its time. Its
+-- `redis` and `packs` may be changed.
+function host.new(trace, clock)
+  local redis, packs = new_redis(trace, clock)
+  local made = store({ error_reply = redis.error_reply,
+    call = function(...) return redis.call(...) end,
+    acl_check_cmd = function(...) return redis.acl_check_cmd(...) end,
+  }, { decode = codec.decode }, packs)
+  made.redis, made.packs = redis, packs
+  return made
 end
 
 return host

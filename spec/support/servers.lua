@@ -88,13 +88,28 @@ local function start(class, server)
   return server
 end
 
---- Stops all servers, and removes what they wrote.
-function servers.stop_all()
+--- Kills a server after so many seconds, and launches it again, beside what this
+-- process does; returns a function that waits until both is done.
+function servers.crash_after(seconds, server)
+  return servers.beside(([[
+    sleep %g
+    %s
+    for try in $(seq 50); do %s >/dev/null && break; done]]):format(seconds,
+    server:kill_command(), server:launch_command()))
+end
+
+--- Stops a server, and removes what it wrote.
+function servers.stop(server)
+  server:kill()
+  output_of("rm -rf " .. server.folder)
   for i = #running, 1, -1 do
-    running[i]:kill()
-    output_of("rm -rf " .. running[i].folder)
-    running[i] = nil
+    if running[i] == server then table.remove(running, i) end
   end
+end
+
+--- Stops all servers.
+function servers.stop_all()
+  while running[1] do servers.stop(running[#running]) end
 end
 
 --- A program that a command starts, see `servers.program`.
@@ -153,16 +168,22 @@ end
 local Redis = {}
 Redis.__index = Redis
 
-function Redis:launch()
-  output_of(("redis-server --port %s --bind 127.0.0.1 --dir %s --daemonize yes "
+function Redis:launch_command()
+  return ("redis-server --port %s --bind 127.0.0.1 --dir %s --daemonize yes "
     .. "--pidfile %s/pid --logfile %s/log --save '' %s"):format(self.port, self.folder,
-    self.folder, self.folder, self.options))
+    self.folder, self.folder, self.options)
+end
+
+function Redis:launch()
+  output_of(self:launch_command())
   wait_for(self.port)
 end
 
+function Redis:kill_command() return "kill -9 $(cat " .. self.folder .. "/pid)" end
+
 --- Kills it as a power cut would.
 function Redis:kill()
-  output_of("kill -9 $(cat " .. self.folder .. "/pid)")
+  output_of(self:kill_command())
   for _ = 1, 500 do
     if not socket.connect("127.0.0.1", self.port) then return end
     socket.sleep(0.01)
@@ -175,6 +196,31 @@ function Redis:url() return "redis://127.0.0.1:" .. self.port end
 function Redis:cli(arguments)
   return output_of(("redis-cli -p %s %s"):format(self.port, arguments))
 end
+
+-- In place of `redis`: TIME is what the key `clock` says, if it is there.
+local CLOCK = [[(setmetatable({ call = function(name, ...)
+  if name ~= "TIME" then return redis.call(name, ...) end
+  local time, clock = redis.call("TIME"), redis.call("GET", "clock")
+  local word, number = (clock or "by 0"):match("(%a+) (%S+)")
+  local us = word == "at" and 0 or time[1] * 1e6 + time[2]
+  us = math.floor(us + number * 1e6 + 0.5)
+  return { ("%.0f"):format(math.floor(us / 1e6)), ("%.0f"):format(us % 1e6) }
+end }, { __index = redis }),]]
+
+--- Returns a library for Redis whose machines read a clock that can be moved.
+function servers.with_clock(text)
+  local changed, count = text:gsub('("rfsm%.redis%.store") %(redis,', function(name)
+    return name .. " " .. CLOCK
+  end)
+  assert(count == 1, "the library reads TIME in another way")
+  return changed
+end
+
+--- Stops the clock of the machines at a time.
+function Redis:stop_clock(seconds) self:cli(("SET clock 'at %.6f'"):format(seconds)) end
+
+--- Sets the clock of the machines so many seconds off.
+function Redis:move_clock(seconds) self:cli(("SET clock 'by %.6f'"):format(seconds)) end
 
 --- Starts a server with these options of the command line.
 function servers.redis(options)
@@ -278,25 +324,30 @@ local function init(folder)
     .. "--locale=C.UTF-8"):format(AS_USER, BIN, folder))
 end
 
+function Postgres:launch_command()
+  return ("cd / && %s%s/pg_ctl -D %s/data -w -l %s/log -o \"-k %s -c "
+    .. "listen_addresses='' %s\" start"):format(AS_USER, BIN, self.folder, self.folder,
+    self.folder, self.options)
+end
+
 function Postgres:launch()
   if not self.is_there then init(self.folder) end
   self.is_there = true
-  local command = ("cd / && %s%s/pg_ctl -D %s/data -w -l %s/log -o \"-k %s -c "
-    .. "listen_addresses='' %s\" start"):format(AS_USER, BIN, self.folder, self.folder,
-    self.folder, self.options)
   local output
   for _ = 1, 50 do -- after a kill, until the last process of the server before is gone
-    output = output_of(command)
+    output = output_of(self:launch_command())
     if output:find("server started", 1, true) then return end
   end
   error(output .. output_of("cat " .. self.folder .. "/log"))
 end
 
---- Kills all its processes as a power cut would. Stopped, it begins no others.
-function Postgres:kill()
-  output_of(("cd %s && pid=$(head -n 1 data/postmaster.pid); kill -STOP $pid; "
-    .. "kill -9 $(pgrep -P $pid) $pid; rm -f .s.PGSQL.*"):format(self.folder))
+function Postgres:kill_command()
+  return ("cd %s && pid=$(head -n 1 data/postmaster.pid); kill -STOP $pid; "
+    .. "kill -9 $(pgrep -P $pid) $pid; rm -f .s.PGSQL.*"):format(self.folder)
 end
+
+--- Kills all its processes as a power cut would. Stopped, it begins no others.
+function Postgres:kill() output_of(self:kill_command()) end
 
 --- Returns the command for a program of PostgreSQL that reaches the server.
 function Postgres:command(program, arguments)
@@ -342,7 +393,9 @@ function Postgres:wait_for(query)
   local output = self:sql(([[
 SET statement_timeout = 60000;
 DO $$ BEGIN
-  WHILE (%s) IS NOT TRUE LOOP PERFORM pg_sleep(0.01); END LOOP;
+  WHILE (%s) IS NOT TRUE LOOP
+    PERFORM pg_stat_clear_snapshot(), pg_sleep(0.01);
+  END LOOP;
 END $$;]]):format(query))
   assert(output == "", output .. query)
 end
@@ -353,6 +406,34 @@ function Postgres:sql(text)
     .. helper.file_with(text)))
   return (output:gsub("psql:[^ ]+:%d+: ", ""))
 end
+
+-- What SQL sees as the time comes from a table. The functions of the server keep their
+-- numbers, by which it knows them, under other names.
+local CLOCK_OF_SQL = [[
+CREATE SCHEMA clock;
+CREATE TABLE clock.state (at timestamptz, off interval);
+INSERT INTO clock.state VALUES (NULL, '0');
+GRANT USAGE ON SCHEMA clock TO PUBLIC;
+GRANT SELECT ON clock.state TO PUBLIC;
+]] .. ("clock_timestamp now"):gsub("%S+", [[
+ALTER FUNCTION pg_catalog.%0() RENAME TO real_%0;
+CREATE FUNCTION pg_catalog.%0() RETURNS timestamptz LANGUAGE sql AS $$
+  SELECT coalesce(at, real_clock_timestamp() + off) FROM clock.state $$;
+]])
+
+local function set_clock(server, at, seconds)
+  local update = ("UPDATE clock.state SET at = to_timestamp(%s), off = "
+    .. "make_interval(secs => %.6f);"):format(at, seconds)
+  local output = server:sql((server.has_clock and "" or CLOCK_OF_SQL) .. update)
+  assert(output == "", output)
+  server.has_clock = true
+end
+
+--- Stops the clock that SQL sees at a time.
+function Postgres:stop_clock(seconds) set_clock(self, ("%.6f"):format(seconds), 0) end
+
+--- Sets the clock that SQL sees so many seconds off.
+function Postgres:move_clock(seconds) set_clock(self, "NULL", seconds) end
 
 --- Starts a server with these options of the command line.
 function servers.postgres(options)

@@ -1,0 +1,335 @@
+--- Machines in the keys of Redis: the host of `rfsm.server.functions` there, and the
+-- functions for many machines.
+--
+-- `rfsm.redis` bundles this module. An error changes nothing: all that can fail comes
+-- before the first write, also the types of the keys that will be written, and the
+-- rights to do so.
+--
+-- @module rfsm.redis.store
+-- @license BSD-3-Clause
+
+local charts = require "rfsm.server.charts"
+local encoding = require "rfsm.snapshot.encoding"
+local keys_of = require "rfsm.server.keys"
+local times = require "rfsm.server.times"
+
+local ipairs, pairs, pcall, rawget = ipairs, pairs, pcall, rawget
+local tonumber, type = tonumber, type
+local char, huge, min = string.char, math.huge, math.min
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+local fail, now, reason_of, shown = encoding.fail, times.now, charts.reason_of,
+  keys_of.shown
+
+local MAX_LOG = 1000
+local OVERDUE = 60 -- seconds after which nobody seems to wake machines
+local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
+
+-- One library runs in a server, so these are kept here: what Redis gives to it, the
+-- functions for one machine, and what the library was made with.
+local redis, call, cmsgpack, functions, options
+
+local store = {}
+
+local function score(time) return ("%.6f"):format(time) end
+
+-- One machine ----------------------------------------------------------------------
+
+--- Return the time: seconds and nanoseconds.
+function store.time()
+  local time = call("TIME")
+  return tonumber(time[1]), tonumber(time[2]) * 1000
+end
+
+--- Return the list in the value of a machine; nil if there is none.
+function store.read(key)
+  local value = call("GET", key)
+  if not value then return nil end
+  local ok, list = pcall(cmsgpack.unpack, value)
+  if not ok or type(list) ~= "table" or list[1] ~= "rfsm" then
+    fail("what is at '%s' is no machine", shown(key))
+  end
+  return list
+end
+
+function store.pack(list) return cmsgpack.pack(list) end
+
+-- The writes of a machine, and the keys whose type and right were checked: they are
+-- checked once for all machines that a call wakes.
+local writes, asked = {}, {}
+
+-- Adds a write. If it fails others would have been made before, so it is asked first
+-- whether its key is of a type, or absent, and whether the user has the right.
+local function add_write(kind, name, key, ...)
+  writes[#writes + 1] = { name, key, ... }
+  if writes[2] == nil or asked[key] == name then return end -- the first may fail
+  if not redis.acl_check_cmd(name, key, ...) then
+    fail("no right to do %s %s", name, shown(key))
+  end
+  local found = kind and call("TYPE", key).ok
+  if kind and found ~= kind and found ~= "none" then
+    fail("%s expected at '%s', got %s", kind, shown(key), found)
+  end
+  asked[key] = name
+end
+
+local function add_due(machine, due)
+  if due then
+    add_write("zset", "ZADD", keys_of.due(machine.key), score(due), machine.key)
+  elseif machine.was_due then
+    add_write("zset", "ZREM", keys_of.due(machine.key), machine.key)
+  end
+end
+
+-- Adds what callbacks emitted to the stream of the tag, their errors to the log.
+local function add_streams(machine, emitted, errors)
+  for i = 1, #emitted do
+    add_write("stream", "XADD", keys_of.out(machine.key), "*", "machine", machine.key,
+      "what", emitted[i][1], "data", emitted[i][2])
+  end
+  for i = 1, #errors do
+    add_write("stream", "XADD", keys_of.log(machine.key), "MAXLEN", "~", MAX_LOG, "*",
+      "error", errors[i])
+  end
+end
+
+-- Returns the first text behind all those with a head. A key may begin with any byte.
+local function behind(head) return head:sub(1, -2) .. char(head:byte(-1) + 1) end
+
+-- Lists how members of an index begin: with chart and state, and a tab behind each.
+local function heads_of(index)
+  local heads, from = {}, ""
+  repeat
+    local member = call("ZRANGEBYLEX", index, "[" .. from, "+", "LIMIT", 0, 1)[1]
+    local head = member and member:match("^[^\t]*\t[^\t]*\t")
+    heads[#heads + 1], from = head, head and behind(head)
+  until not head
+  return heads
+end
+
+-- Lists the members that the index may have of a key: of a machine that is new, where
+-- one was that ended by DEL.
+local function members_of(key)
+  local members = heads_of(keys_of.index(key))
+  for i, head in ipairs(members) do members[i] = head .. key end
+  return members
+end
+
+local function add_to_index(machine)
+  local key, index, name = machine.key, keys_of.index(machine.key), machine.chart.name
+  local old = machine.leaf and { keys_of.member(name, machine.leaf, key) }
+    or members_of(key)
+  if old[1] then add_write("zset", "ZREM", index, unpack(old)) end
+  add_write("zset", "ZADD", index, 0, keys_of.member(name, machine.at, key))
+  add_write("zset", "ZADD", keys_of.since(key), score(now()), key)
+end
+
+-- Adds what index, history and channel say of new active leaves.
+local function add_moves(machine)
+  local key = machine.key
+  if options.index and machine.at ~= (machine.leaf or "") then add_to_index(machine) end
+  for _, at in ipairs(machine.moves) do
+    if options.history then
+      add_write("stream", "XADD", keys_of.history(key), "MAXLEN", options.history, "*",
+        "event", at.by, "from", at.from, "to", at.to)
+    end
+    if at.from ~= at.to then add_write(nil, "SPUBLISH", keys_of.channel(key), at.to) end
+  end
+end
+
+--- Write all that has changed.
+function store.write(machine, due, emitted, errors)
+  writes = {}
+  add_due(machine, due)
+  add_streams(machine, emitted, errors)
+  add_write(nil, "SET", machine.key, machine.value)
+  add_moves(machine)
+  local ok, problem = pcall(call, unpack(writes[1]))
+  if not ok then
+    fail("%s %s: %s", writes[1][1], shown(writes[1][2]), reason_of(problem))
+  end
+  for i = 2, #writes do call(unpack(writes[i])) end
+end
+
+--- Remove a machine, its timers, its place in the index and its streams; return whether
+-- it was there.
+function store.remove(key)
+  if call("DEL", key) == 0 then return false end
+  call("ZREM", keys_of.due(key), key)
+  call("ZREM", keys_of.aside(key), key)
+  call("DEL", keys_of.log(key), keys_of.history(key))
+  if options.index then
+    local members = members_of(key)
+    if members[1] then call("ZREM", keys_of.index(key), unpack(members)) end
+    call("ZREM", keys_of.since(key), key)
+  end
+  return true
+end
+
+-- Many machines --------------------------------------------------------------------
+
+local more = {}
+
+local function whole_of(text, default, most)
+  local number = tonumber(text or default)
+  if not number or number < 1 or number > most or number % 1 ~= 0 then
+    fail("a whole number from 1 to %d expected, got '%s'", most, shown(text))
+  end
+  return number
+end
+
+-- Runs a machine that is due, and may have been put aside. One that is gone is due no
+-- more.
+local function tick(key, may_be_aside)
+  local reply = functions.rfsm_tick({ key })
+  if not reply then call("ZREM", keys_of.due(key), key) end
+  if may_be_aside then call("ZREM", keys_of.aside(key), key) end
+  return reply
+end
+
+-- rfsm_tick KEY: runs a machine, because it is due.
+function more.rfsm_tick(keys) return tick(keys[1], true) end
+
+-- Has a machine that cannot be run wait, so that others are not held up: for a minute,
+-- counted, and noted in its log.
+local function put_aside(due, key, problem)
+  local text = "rfsm_wake: " .. reason_of(problem)
+  call("ZADD", due, score(now() + ASIDE), key)
+  call("ZINCRBY", keys_of.aside(due), 1, key)
+  pcall(call, "XADD", keys_of.log(key), "MAXLEN", "~", MAX_LOG, "*", "error", text)
+end
+
+local function is_elsewhere(problem)
+  return reason_of(problem):find("non local key", 1, true) ~= nil
+end
+
+-- rfsm_wake KEY [limit]: runs the machines that are due, of those that share the hash
+-- tag of the key; returns how many ran, and how many could not.
+function more.rfsm_wake(keys, args)
+  local due, limit = keys_of.due(keys[1]), whole_of(args[1], 100, 10000)
+  local list = call("ZRANGEBYSCORE", due, "-inf", score(now()), "LIMIT", 0, limit)
+  if not list[1] then return { 0, 0 } end
+  local has_aside, count, failed = call("EXISTS", keys_of.aside(due)) == 1, 0, 0
+  for _, key in ipairs(list) do
+    local ok, problem = pcall(tick, key, has_aside)
+    if ok then
+      count = count + 1
+    elseif not is_elsewhere(problem) then
+      failed = failed + 1
+      put_aside(due, key, problem)
+    end
+  end
+  return { count, failed }
+end
+
+-- rfsm_due KEY [limit [seconds]]: the machines, of those that share the hash tag of the
+-- key, that are due now, or at a time.
+function more.rfsm_due(keys, args)
+  local limit, at = tonumber(args[1] or 100), tonumber(args[2] or now())
+  if not limit or not at then fail("a number expected") end
+  return call("ZRANGEBYSCORE", keys_of.due(keys[1]), "-inf", score(at), "LIMIT", 0,
+    limit)
+end
+
+-- Is a machine there? DEL ends one and leaves the index as it is. While a slot moves to
+-- another node, which may have the machine, the index is believed.
+local function is_there(key)
+  local ok, count = pcall(call, "EXISTS", key)
+  return not ok or count == 1
+end
+
+-- Has a machine been in its leaf since a time, or longer?
+local function is_since(key, time)
+  local since = time and call("ZSCORE", keys_of.since(key), key)
+  return not time or since and tonumber(since) <= time
+end
+
+-- Lists the keys of machines, at most so many, whose members have a head.
+local function keys_with(index, head, limit, time)
+  local found, count = {}, min(limit, 1000)
+  local from, to = "[" .. head, "(" .. behind(head)
+  repeat
+    local members = call("ZRANGEBYLEX", index, from, to, "LIMIT", 0, count)
+    for _, member in ipairs(members) do
+      local key = member:match("\t[^\t]*\t(.*)$")
+      local is_one = #found < limit and is_since(key, time) and is_there(key)
+      found[#found + 1] = is_one and key or nil
+    end
+    from = "(" .. (members[count] or "")
+  until #found == limit or not members[count]
+  return found
+end
+
+-- rfsm_find KEY chart state [limit [seconds]]: the machines, of those that share the
+-- hash tag of the key, whose active leaf is the state, or in it, for so many seconds.
+function more.rfsm_find(keys, args)
+  if not options.index then fail("the library was made without --index") end
+  local index, limit = keys_of.index(keys[1]), whole_of(args[3], 100, 100000)
+  if not args[2] then fail("a chart and a state expected") end
+  local head, time = args[1] .. "\t" .. args[2], nil
+  if args[4] then time = now() - whole_of(args[4], 0, 1e9) end
+  local found = keys_with(index, head .. "\t", limit, time) -- the state itself
+  for _, key in ipairs(keys_with(index, head .. ".", limit - #found, time)) do
+    found[#found + 1] = key
+  end
+  return found
+end
+
+-- rfsm_stats KEY: for the machines that share the hash tag of the key: chart, state and
+-- number, and so on; then numbers of those with a time at which they are due, of those
+-- put aside, of entries, of those overdue for a minute, and of dead entries.
+function more.rfsm_stats(keys)
+  local key, reply = keys[1], {}
+  local index, due = keys_of.index(key), keys_of.due(key)
+  for _, head in ipairs(options.index and heads_of(index) or {}) do
+    local name, leaf = head:match("^([^\t]*)\t([^\t]*)")
+    local count = #keys_with(index, head, huge)
+    for _, value in ipairs(count > 0 and { name, leaf, count } or {}) do
+      reply[#reply + 1] = value
+    end
+  end
+  return { reply, call("ZCARD", due), call("ZCARD", keys_of.aside(key)),
+    call("XLEN", keys_of.out(key)), call("ZCOUNT", due, "-inf", score(now() - OVERDUE)),
+    call("XLEN", keys_of.dead(key)) }
+end
+
+-- rfsm_history KEY [count]: the latest moves of a machine, the newest first: time,
+-- events, from, to, and so on.
+function more.rfsm_history(keys, args)
+  if not options.history then fail("the library was made without --history") end
+  local reply, count = {}, whole_of(args[1], 10, 10000)
+  local entries = call("XREVRANGE", keys_of.history(keys_of.machine(keys)), "+", "-",
+    "COUNT", count)
+  for _, entry in ipairs(entries) do
+    local ms, fields = entry[1]:match("^%d+"), entry[2]
+    for _, value in ipairs { ("%.3f"):format(ms / 1000), fields[2], fields[4],
+      fields[6] } do
+      reply[#reply + 1] = value
+    end
+  end
+  return reply
+end
+
+--- Add these functions to those for one machine. Each call asks for its rights anew.
+function store.add(all, settings)
+  functions, options = {}, settings
+  for name, f in pairs(all) do functions[name] = f end -- any order: a copy
+  for name, f in pairs(more) do all[name] = f end -- likewise
+  for name, f in pairs(all) do -- any order: each stands alone
+    all[name] = function(keys, args)
+      asked = {}
+      return f(keys, args)
+    end
+  end
+end
+
+--- Return the reply of a call that fails.
+function store.refuse(name, reason)
+  return redis.error_reply("ERR " .. name .. ": " .. reason)
+end
+
+--- Return the host, of what Redis has for libraries.
+return function(server, cjson, pack)
+  redis, call, cmsgpack = server, server.call, pack
+  function store.decode(text) return cjson.decode(text) end
+  return store
+end
