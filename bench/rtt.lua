@@ -1,5 +1,5 @@
 -- How long an update takes: a machine of 20 states, each with a timer, in a component
--- of Orocos RTT at 1 kHz. Mean, slowest, a histogram, live and peak memory.
+-- of Orocos RTT at 1 kHz. Mean, slowest, a histogram, memory.
 --
 --   rttlua bench/rtt.lua
 --
@@ -59,6 +59,11 @@ function updateHook()
     end
   end
 end
+function print_live(when)
+  collectgarbage()
+  collectgarbage()
+  print(("live %s: %.0f KiB"):format(when, collectgarbage("count")))
+end
 function report()
   local function row(name, list)
     local n, cells = 0, {}
@@ -79,10 +84,8 @@ function report()
     print(("pool: %.0f KiB in use, %.0f at most, of %.0f"):format(used / 1024,
       most / 1024, size / 1024))
   end
-  collectgarbage()
-  collectgarbage()
-  print(("live: %.0f KiB, now in %s"):format(collectgarbage("count"),
-    rfsm.get_actleaf_fqn and rfsm.get_actleaf_fqn(fsm) or "a state"))
+  print_live("at the end")
+  print("now in " .. (rfsm.get_actleaf_fqn and rfsm.get_actleaf_fqn(fsm) or "a state"))
   io.stdout:flush()
 end]]
 
@@ -95,7 +98,9 @@ local component = require("rfsm.rtt").component_launch_rfsm {
 local REAL_TIME, PRIORITY = 1, 80
 deployer:getOperation("setActivity")("bench", 0.001, PRIORITY, REAL_TIME)
 component:configure()
+local exec_str = component:getOperation("exec_str")
+exec_str("print_live('at the start')")
 component:start()
 rtt.sleep(seconds, 0)
 component:stop()
-component:getOperation("exec_str")("report()")
+exec_str("report()")

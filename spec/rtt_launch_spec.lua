@@ -536,6 +536,15 @@ extra_in_ports = { port }]] }
     assert.equal(1, #logged("string expected, got table"))
   end)
 
+  it("writes what callbacks emit to that port, without data", function()
+    local _, exec_str = launched { ev_outport = true }
+    local out = listen("arm.events_out")
+    exec_str("fsm.emit('e_a') fsm.emit('e_b', { force = 3 })")
+    assert.same({ "e_a", "e_b" }, samples(out))
+    local _, exec_leg = launched { name = "leg" }
+    assert.is_true(exec_leg("fsm.emit('e_a')"))
+  end)
+
   it("has the globals of its ports when the chart is read", function()
     local _, exec_str = launched { ev_outport = true,
       fsmfile = chart_file "seen = { fqn ~= nil, ev_outport ~= nil, setfqn ~= nil }," }
@@ -555,9 +564,9 @@ extra_in_ports = { port }]] }
     assert.equal("env prefile prestr postfile poststr hook",
       evaluate(exec_str, "words"))
     assert.same({}, logged("already in use"))
-    assert.equal("nil table", evaluate(exec_str, -- nobody needs the first any more
+    assert.equal("nil table nil", evaluate(exec_str, -- nobody needs them any more
       "package.loaded['rfsm.rtt.component'] or package.loaded['rfsm.rtt.update'], "
-      .. "type(package.loaded['rfsm.rtt'])"))
+      .. "type(package.loaded['rfsm.rtt']), rfsm_rtt.launched.poststr"))
   end)
 
   it("defines env as values, tables among them, and touches no global here", function()

@@ -37,6 +37,7 @@ local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 ---@field extra rfsm.rtt.Port[] those of `extra_in_ports`
 ---@field variables table<string, any> the values of the attributes, by name
 ---@field attributes string[] names of those that this launch has added
+---@field emit? fun(...) writes events to the port for them, the global `emit_event`
 ---@field is_ready boolean are the ports there, and the hooks those of the launch?
 
 local function set_globals(globals)
@@ -202,9 +203,10 @@ local function warn_of_timers(launch)
   end
 end
 
--- Has RTT's hook `name` call that of the program, if there is one, and then `ours`, if
--- given: also after a failure or false if it is to come `always`. It raises texts only,
--- since OCL mutes the log of the whole process at an error that is no text.
+-- Makes RTT's hook `name` call the program's hook, if there is one, and then `ours`, if
+-- given. With `always` it calls `ours` also when the program's hook fails or returns
+-- false. It raises texts only, since OCL mutes the log of the whole process at an error
+-- that is no text.
 local function wrap(launch, name, ours, always)
   local theirs = rawget(_G, name)
   if theirs == launch.hooks[name] and theirs then return end
@@ -311,8 +313,8 @@ local function add_outputs(launch)
   local fqn, out = add_port(launch, "fqn_port"), add_port(launch, "ev_outport")
   add_port(launch, "timer")
   local write_fqn = rfsm_rtt.gen_write_fqn(fqn)
-  set_globals { setfqn = write_fqn,
-    emit_event = out and rfsm_rtt.gen_raise_event(out) }
+  launch.emit = out and rfsm_rtt.gen_raise_event(out)
+  set_globals { setfqn = write_fqn, emit_event = launch.emit }
   set_port_globals(launch)
   return write_fqn
 end
@@ -320,6 +322,8 @@ end
 -- Connects the machine with its ports. The texts that it writes are converted now.
 local function connect(launch, fsm, getevents, write_fqn)
   rfsm.post_step_hook_add(fsm, write_fqn)
+  local emit = launch.emit
+  if emit then rfsm.set_emit(fsm, function(name) emit(name) end) end -- a port of texts
   for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
     launch.ports.fqn_port.samples[leaf._fqn] =
       launch.rtt.Variable.new("string", leaf._fqn)
@@ -403,8 +407,9 @@ local function undo(launch)
 end
 
 -- Charts rely on rttlib, which makes constructors callable and operations methods, and
--- on utils: both are loaded if they can be had.
-local function load_libraries()
+-- on utils: both are loaded if they can be had, unless the launch shall do without.
+local function load_libraries(launch)
+  if launch.rttlib == false then return end
   pcall(require, "rttlib")
   local has_utils, utils = pcall(require, "utils")
   if has_utils and not rawget(_G, "utils") then set_globals { utils = utils } end
@@ -429,7 +434,7 @@ function component.start(launch)
   launch.where = "launch of '" .. launch.fsmfile .. "': "
   local problem = obstacle()
   if problem then error(launch.where .. problem, 0) end
-  load_libraries()
+  load_libraries(launch)
   begin(launch)
   launch.undo, launch.forget = function() undo(launch) end, new_forgetter(launch)
   local ok, result = pcall(set_up, launch)

@@ -33,6 +33,7 @@ local settings = {}
 ---@field postfile? string file to run at the end, when the global `fsm` is there
 ---@field poststr? string text to run after postfile
 ---@field env? table<string, any> globals: strings, numbers, booleans, tables of these
+---@field rttlib? boolean load rttlib and utils, which charts rely on (true)
 ---@field sync? boolean older name of `steps = 1`
 ---@field run? boolean older name of `steps = 1000`
 
@@ -59,7 +60,7 @@ local function with_common(fields)
   fields.prestr, fields.poststr = STRING, STRING
   fields.ev_inport, fields.ev_outport = NAME, NAME
   fields.run, fields.sync, fields.error = BOOLEAN, BOOLEAN, BOOLEAN
-  fields.running_only = BOOLEAN
+  fields.running_only, fields.rttlib = BOOLEAN, BOOLEAN
   fields.steps, fields.samples = COUNT, COUNT
   return fields
 end

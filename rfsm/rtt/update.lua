@@ -109,6 +109,7 @@ function update.new_finisher(launch)
     local ok, problem = pcall(rfsm.prepare, launch.fsm)
     if not ok then fail(launch, problem) end
     launch.undo, launch.finish = nil, nil
+    launch.env, launch.prestr, launch.poststr = nil, nil, nil -- they may be long
     launch.log("Info", ("rfsm.rtt: '%s' is launched in '%s': %s%s"):format(
       launch.fsmfile, launch.component:getName(), memory_text(),
       rawget(_G, "tlsf") and ", without rfsm.fast" or ""))
@@ -164,11 +165,12 @@ local function write(rtt, line)
   line.second, line.count = rtt.getTime(), 0
 end
 
---- Return a function log(level, ...) to RTT's log, and a function that writes what is
--- due. A line that comes again is written once a second, with the number of times.
+--- Return a function log(level, ...) that writes to RTT's log, and a function to be
+-- called now and then. A line that comes again is not written at once: the second
+-- function writes it once a second, with how often it came.
 --
--- It logs texts only, since OCL mutes the log of the whole process at an error that is
--- no text.
+-- Arguments become texts, since OCL mutes the log of the whole process at an error that
+-- is no text.
 function update.new_log(rtt)
   local lines, is_behind = {}, false
 
