@@ -132,8 +132,8 @@ end
 -- Notes data that has changed; also that of regions while they were left or reset.
 local function note_data(recorder, track, rec)
   note_change(track, rec, "kept")
-  for _, region in ipairs(track.m == nil and recorder.tracks or {}) do
-    if region.m then note_change(region, rec, "regions") end
+  for i = 2, track.m == nil and #recorder.tracks or 0 do
+    note_change(recorder.tracks[i], rec, "regions")
   end
 end
 
@@ -144,11 +144,11 @@ local NONE = {}
 -- Returns how many iterations were cut short, also one that an interrupt in a callback
 -- will end.
 local function count_cuts(recorder)
-  local count = 0
-  for _, track in ipairs(recorder.tracks) do
-    local failure = track.fsm._failure
-    count = count + track.fsm._cuts
-    if failure and rfsm.is_interrupt(failure[1]) then count = count + 1 end
+  local count, tracked = 0, recorder.tracks
+  for i = 1, #tracked do
+    local fsm = tracked[i].fsm
+    count = count + fsm._cuts
+    if fsm._failure and rfsm.is_interrupt(fsm._failure[1]) then count = count + 1 end
   end
   return count
 end
@@ -257,7 +257,8 @@ local function add_recorder(track, recorder)
     if not recorder.tracks[1].rec then recorder.is_moved = true end
     if track.rec then track.rec.reset = true end
   end
-  -- What advances regions fails by an interrupt alone, and so may a guard.
+  -- A state that runs regions fails only if it is interrupted. So does a guard whose
+  -- failure `call_guard` has not seen.
   function track.failed(element, name)
     local is_own = name == "guard" and not rawequal(element, track.failing)
     if is_own or select(2, rfsm.regions(element)) then recorder.is_moved = true end

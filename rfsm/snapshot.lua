@@ -13,16 +13,16 @@
 local try = require("rfsm.shared.calls").try
 local shape = require "rfsm.snapshot.shape"
 local migrate = require "rfsm.snapshot.migrate"
-local each = require("rfsm.shared.order").each
+local order = require "rfsm.shared.order"
 local opts = require "rfsm.shared.options"
 local encoding = require "rfsm.snapshot.encoding"
 local exact_json = require "rfsm.shared.exact_json"
 local rfsm = require "rfsm"
 
-local error, ipairs, pcall = error, ipairs, pcall
+local each, error, ipairs, pcall = order.each, error, ipairs, pcall
 local rawequal, rawget, rawset, type = rawequal, rawget, rawset, type
 local concat = table.concat
-local fail, is_scalar, pack = encoding.fail, encoding.is_scalar, encoding.pack
+local fail, pack = encoding.fail, encoding.pack
 local copy_of, location_of = encoding.copy_of, encoding.location_of
 local reason = encoding.reason
 local text_of, unpack = rfsm.text_of, encoding.unpack
@@ -133,17 +133,17 @@ local function take_queue(fsm, snap, path)
   if not is_default then snap.queue = pack_queue(queue, path) end
 end
 
--- Returns the path to what a machine holds; `base` tables are around data.
-local function path_of(own, prefix, base)
+-- Returns the path to what a machine holds.
+local function path_of(own, prefix)
   local path = own.path
-  path.prefix, path.base, path.seen = prefix, base, false
+  path.prefix, path.seen = prefix, false
   return path
 end
 
--- Returns what a snapshot holds of a machine or region; `base` tables are around data.
-local function take_part(fsm, prefix, base, version)
+-- Returns what a snapshot holds of a machine or region.
+local function take_part(fsm, prefix, version)
   local leaf, own = fsm._act_leaf, shape.of(fsm)
-  local path = path_of(own, prefix, base)
+  local path = path_of(own, prefix)
   local part = { version = version, chart = own.chart.name,
     leaf = leaf and leaf._fqn or nil, done = leaf and leaf._mode == "done" or nil,
     data = nil, ext = nil } -- Lua makes room for six
@@ -162,15 +162,11 @@ local function is_blank(part)
     or part.queue)
 end
 
--- The number of tables around a field in Redis: the value of the key, the snapshot, its
--- data, the state; for a region also its snapshot and the table of regions.
-local BASE, REGION_BASE = 4, 6
-
 local function take(fsm)
-  local snap = take_part(fsm, "root", BASE, migrate.VERSION)
+  local snap = take_part(fsm, "root", migrate.VERSION)
   local places = shape.of(fsm).places
   for i = 2, #places do
-    local part = take_part(places[i].machine, places[i].prefix, REGION_BASE)
+    local part = take_part(places[i].machine, places[i].prefix)
     if not is_blank(part) then
       snap.regions = snap.regions or {}
       snap.regions[places[i].prefix] = part
@@ -214,8 +210,7 @@ local function unpack_data(own, packed)
   local data, keepers = {}, own.chart.keeper
   for fqn, fields in each(packed) do -- any order: each stands alone
     local keeper = keepers[fqn]
-    data[fqn] = encoding.is_flat(fields) and fields or unpack_table("data", fqn, fields)
-      or NONE
+    data[fqn] = unpack_table("data", fqn, fields) or NONE
     for name in each(data[fqn]) do -- any order: each stands alone
       if not (keeper and keeper.kept[name]) then
         fail("data: no state '%s' keeps a field '%s'", text_of(fqn), text_of(name))
@@ -237,8 +232,8 @@ local function unpack_saved(fsm, packed)
   return saved
 end
 
--- Returns what extensions kept, by their names. What those keep that follow the chart
--- may be without a place there if the snapshot is of another one.
+-- Returns what extensions kept, by their names. If the snapshot is of another chart,
+-- the machine may not have the extension.
 local function unpack_extensions(fsm, packed, is_migrated)
   local values, hooks = {}, rfsm.snapshot_hooks(fsm)
   for name, value in each(packed) do -- any order: each stands alone
@@ -256,10 +251,8 @@ end
 local function unpack_targets(fsm, list)
   local targets = {}
   for i = 1, #list, 3 do
-    local state = shape.find_state(fsm, list[i])
-    local node, id = shape.of(fsm).nodes[list[i + 2]], unpack(list[i + 1], 2)
-    local tr = state and is_scalar(id) and rawget(state, id)
-    if not (rfsm.is_trans(tr) and node) then
+    local tr, node, id = shape.target_at(fsm, list, i)
+    if not tr then
       fail("targets: a transition and a node expected, got '%s' in '%s', '%s'",
         text_of(id), text_of(list[i]), text_of(list[i + 2]))
     end
@@ -375,11 +368,8 @@ local function set_parts(parts)
   for _, part in ipairs(parts) do load_part(part) end
 end
 
-local function can_fail(parts)
-  for _, part in ipairs(parts) do
-    if part.own.chart.has_load or rfsm.snapshot_hooks(part.fsm)[1] then return true end
-  end
-  return false
+local function can_fail(part)
+  return part.own.chart.has_load or rfsm.snapshot_hooks(part.fsm)[1]
 end
 
 -- Is a snapshot of the same chart, without what is rare?
@@ -400,9 +390,8 @@ local function put_directly(fsm, snap, is_tidy)
   if not is_tidy then set_targets(own, NONE) end
   for i = 1, #keepers do
     local fqn = keepers[i].fqn
-    local fields = data[fqn] or NONE
-    if not encoding.is_flat(fields) then fields = unpack_table("data", fqn, fields) end
-    set_fields(own.states[i], keepers[i], fields)
+    local fields = data[fqn] and unpack_table("data", fqn, data[fqn])
+    set_fields(own.states[i], keepers[i], fields or NONE)
   end
   for i = 1, #hooks do
     local name = hooks[i].name
@@ -414,7 +403,9 @@ end
 -- If a load fails the machine moves back to where it was, unless it may be reset.
 local function put(fsm, snap, options, may_reset)
   local parts, has_before, before = new_parts(fsm, snap, options), false, nil
-  if not may_reset and can_fail(parts) then has_before, before = pcall(take, fsm) end
+  if not may_reset and order.any(parts, can_fail) then
+    has_before, before = pcall(take, fsm)
+  end
   local ok, failure = pcall(set_parts, parts)
   if not ok then
     rfsm.reset(fsm)
@@ -567,7 +558,7 @@ end
 ---@nodiscard
 function snapshot.take_data(fsm)
   local kept, own = {}, shape.of(fsm)
-  take_data(fsm, own, kept, path_of(own, "root", BASE))
+  take_data(fsm, own, kept, path_of(own, "root"))
   take_targets(own, kept)
   return kept
 end

@@ -21,9 +21,12 @@ local breakpoints = {}
 ---@field condition? string expression that must be true as well, for a reader
 ---@field holds? fun(): any its value
 
+-- Is that the name of a node? The composite names its initial connector, too.
 local function is_called(node, name)
-  local fqn = rfsm.is_node(node) and node._fqn:gsub("%.initial$", "")
-  return fqn == name or fqn == "root." .. name
+  local fqn = rfsm.is_node(node) and node._fqn
+  local composite = fqn and fqn:gsub("%.initial$", "")
+  local full = "root." .. name
+  return fqn == name or fqn == full or composite == name or composite == full
 end
 
 local function find_transition(fsm, src, tgt)

@@ -10,6 +10,7 @@ local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
 local location = require "rfsm.shared.location"
+local order = require "rfsm.shared.order"
 
 local ipairs, type = ipairs, type
 
@@ -20,13 +21,12 @@ function names.full(prefix, fqn) return prefix .. fqn:sub(#"root" + 1) end
 
 --- List the events that are texts and come from outside.
 function names.events(fsm)
-  local texts = {}
-  for _, event in ipairs(rfsm.sorted_keys(alphabet.of_all(fsm).set)) do
-    if type(event) == "string" and not event:find("@", 1, true) then
-      texts[#texts + 1] = event
-    end
+  local is_text = {}
+  for event in order.each(alphabet.of_all(fsm).set) do -- any order: sorted below
+    local text = rfsm.event_name(event) or event
+    is_text[text] = type(text) == "string" and not text:find("@", 1, true) or nil
   end
-  return texts
+  return rfsm.sorted_keys(is_text)
 end
 
 --- Does a transition of a machine name an event? A predicate may accept any event.
@@ -34,7 +34,10 @@ function names.is_event(fsm, event)
   local known = alphabet.of_all(fsm)
   if known.set[event] or event == "e_init_fsm" then return true end
   if type(event) == "string" and event:find("^e_done") then return true end
-  return known.predicates[1] ~= nil
+  return order.any(known.predicates, function(predicate)
+    local name = rfsm.event_name(predicate)
+    return name == nil or name == rfsm.event_text(event)
+  end)
 end
 
 --- List the names of states and connectors; return also the nodes by their names.

@@ -41,11 +41,11 @@ Stream.__index = Stream
 local stream = {}
 
 -- Returns the node to which a transition leads; nil for an internal one. A program may
--- have set a composite.
+-- have set a composite, which is entered by its initial.
 local function target_of(tr)
   local tgt = tr.tgt
   if rawequal(tr.src, tgt) and rfsm.target_of(tr) == "internal" then return nil end
-  return rfsm.is_composite(tgt) and tgt.initial or tgt
+  return rfsm.is_conn(tgt.initial) and tgt.initial or tgt
 end
 
 local function enter(at, listener, state, outer)
@@ -104,8 +104,8 @@ local join
 
 local WATCHED = { "failed", "sent", "resumed", "ended" }
 
--- The hooks for what is told of each iteration: kind, place.
-local ITERATION = { began = { "pre_step", "before" },
+-- Where a listener hears of iterations: the kind of a hook, and its place among them.
+local ITERATION = { began = { "pre_step", "front" },
   finished = { "post_step", "before" }, passed = { "post_step", "after" } }
 
 local function attach(own, at)

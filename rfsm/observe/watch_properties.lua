@@ -156,7 +156,7 @@ local function look_at(own, monitor, look, events)
   look.came = property.event ~= nil and own.leaf
     and match.has(events, property.event) or false
   look.expired, look.count = count_expired(own, monitor), #monitor.clocks
-  local state, clocks = monitors.see[property.kind](property, monitor.state, look)
+  local state, clocks = monitors.look(property, monitor.state, look)
   if clocks then set_clocks(monitor, clocks, look.now) end
   local is_violated = state == "violated"
   monitor.state = is_violated and (monitors.next[property.kind] or "first") or state
@@ -169,10 +169,11 @@ local function begin_iteration(own, at)
   own.now, own.leaf = read_clock(own), own.fsm._act_leaf or false
 end
 
--- Do the regions of the active leaf get the events in the next iteration, which belongs
--- to the same step? Not if a transition was taken.
+-- Does the next iteration, which belongs to the same step, have these events again: for
+-- the regions of the active leaf, or since an extension has put some back? Not if a
+-- transition was taken.
 local function are_forwarded(fsm)
-  return rfsm.regions(fsm._act_leaf)[1] and rfsm.is_free(fsm)
+  return rfsm.is_free(fsm) and (rfsm.regions(fsm._act_leaf)[1] or fsm._intq[1] ~= nil)
 end
 
 local function end_iteration(own, at, events)
@@ -199,25 +200,20 @@ end
 
 -- Returns monitors for the properties that are given.
 local function monitors_of(where, given, active)
-  local list = {}
-  for i, judged in ipairs(properties.list_of(where, given)) do
-    local property = judged.property
-    properties.check_names(where, judged, active)
-    if not monitors.see[property.kind] then
+  local list = properties.list_of(where, given)
+  for _, monitor in ipairs(list) do
+    properties.check_names(where, monitor, active)
+    if not monitors.has(monitor.property) then
       error(("%s: property '%s' is about runs that might be: explore it"):format(where,
-        judged.name), 0)
+        monitor.name), 0)
     end
-    list[i] = { name = judged.name, property = property }
   end
   return list
 end
 
-local function looks_at_moments(own)
-  for _, monitor in ipairs(own.monitors) do
-    if monitors.passes[monitor.property.kind] then return true end
-  end
-  return false
-end
+local function is_timed(monitor) return monitor.property.seconds ~= nil end
+
+local function sees_passages(monitor) return monitors.passes[monitor.property.kind] end
 
 -- Has a listener note what is active when a composite is entered through which the step
 -- may pass.
@@ -285,16 +281,16 @@ function watch_properties.watch_properties(fsm, given)
   local own = setmetatable({ fsm = fsm, active = active, now = 0, leaf = false,
     is_timed = false }, Watched)
   own.monitors = monitors_of(where, given, own.active)
-  for _, monitor in ipairs(own.monitors) do
-    own.is_timed = own.is_timed or monitor.property.seconds ~= nil
-  end
+  own.is_timed = order.any(own.monitors, is_timed)
   begin(own)
   local listener = {
     began = function(at) begin_iteration(own, at) end,
     passed = function(at, events) end_iteration(own, at, events) end,
     reset = function(at) if at.machine == fsm then begin(own) end end,
   }
-  if looks_at_moments(own) then note_moments(own, listener, snapshot) end
+  if order.any(own.monitors, sees_passages) then
+    note_moments(own, listener, snapshot)
+  end
   own.stream = stream.follow(fsm, listener)
   return own
 end

@@ -10,6 +10,7 @@ local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
 local alphabet = require "rfsm.shared.alphabet"
 local match = require "rfsm.shared.match"
+local order = require "rfsm.shared.order"
 local location = require "rfsm.shared.location"
 
 local ipairs, rawequal, rawget = ipairs, rawequal, rawget
@@ -60,10 +61,7 @@ end
 -- Without an event only the first entry takes a transition.
 local function matches(search, tr)
   if match.is_any(tr) then return not search.is_mute end
-  for _, event in ipairs(search.events) do
-    if is_accepted(tr, event) then return true end
-  end
-  return false
+  return order.any(search.events, function(event) return is_accepted(tr, event) end)
 end
 
 -- Returns the target of a transition, which a program may have set to a composite.

@@ -79,11 +79,18 @@ end
 
 local POINT = '%s [shape=box, style=invis, label="", width=0.01, height=0.01]'
 
+-- Have name and rows of a composite a rank, with gates? If not, they are its label.
+local function has_header_rank(level)
+  local is_upper = false
+  for _, gate in ipairs(level.gates) do is_upper = is_upper or gate.is_upper end
+  return is_upper and level.direction == "TB" and level.composite.fqn ~= nil
+end
+
 -- Adds name and rows of a composite, and its gates: the first and the last rank.
 local function add_border(lines, level)
   local first, last, composite = {}, {}, level.composite
   local header = composite.fqn and looks.state_label(composite)
-  if header and level.direction == "TB" then
+  if has_header_rank(level) then
     add(lines, 1, 'h [shape=plain, style="", label=' .. header .. "]")
     first[1] = "h"
   elseif header then
@@ -112,6 +119,19 @@ local function add_nodes(lines, level)
       or looks.leaf_text(node)))
     if room then
       lines[#lines + 1] = HIDDEN:format(i, i, ceil(room.width), ceil(room.height))
+    end
+  end
+end
+
+-- Keeps the first rank above nodes to which no link leads down.
+local function add_order(lines, level)
+  local is_lower = {}
+  for _, link in ipairs(level.links) do
+    is_lower[not link.is_loop and link.lower.node or false] = true
+  end
+  for i, node in ipairs(level.composite.nodes) do
+    if not is_lower[node] then
+      add(lines, 1, ("h -> n%d [style=invis, weight=0]"):format(i))
     end
   end
 end
@@ -167,13 +187,15 @@ local LARGE = 100 -- links
 
 local function graph_of(level)
   local composite = level.composite
-  local lines = { "digraph {", looks.head(level.direction) }
+  local lines = { "digraph {", looks.head(level.direction),
+    "  graph [newrank=true, nodesep=0.2, mclimit=2]" }
   if #level.links > LARGE then
     add(lines, 1, "graph [nslimit=2, nslimit1=2, mclimit=0.5]")
   end
   if level.is_spread then add(lines, 1, "graph [ranksep=1, nodesep=0.1]") end
   add_border(lines, level)
   add_nodes(lines, level)
+  if has_header_rank(level) then add_order(lines, level) end
   add_arches(lines, level)
   add_regions(lines, composite)
   for _, link in ipairs(level.links) do

@@ -44,11 +44,12 @@ local function each_of(f, list, ...)
   return results
 end
 
--- Returns a record without the fields that follow from the last one of its machine.
+-- Returns a record without the fields that follow from the last one of its machine. The
+-- second result is true if it has none but fields that may be left out.
 local function without_known(rec, before)
-  local short, events = {}, rec.events
+  local short, events, is_usual = {}, rec.events, true
   for key, value in order.each(rec) do -- any order: each stands alone
-    if not SHORT[key] then short[key] = value end
+    if not SHORT[key] then short[key], is_usual = value, false end
   end
   if not same(events, before.sent) then short.events = events or NONE end
   if rec.leaf ~= before.leaf or rec.done ~= before.done then
@@ -58,14 +59,14 @@ local function without_known(rec, before)
   if not same(rec.sent, is_told and usual(rec.leaf, rec.done) or nil) then
     short.sent = rec.sent or NONE
   end
-  return short
+  return short, is_usual
 end
 
 local function shorten(rec, all)
-  local short = without_known(rec, last_of(all, rec))
+  local short, is_usual = without_known(rec, last_of(all, rec))
   if rec.inner then short.inner = each_of(shorten, rec.inner, all) end
   all[rec.m or 0] = rec
-  return short
+  return short, is_usual
 end
 
 local function list_or_nil(list) return list[1] ~= nil and list or nil end
@@ -96,21 +97,6 @@ local function json() return opts.need("rfsm.record", "dkjson") end
 --- Return a record as a line of JSON.
 function journal.encode(rec) return json().encode(rec, { keyorder = KEY_ORDER }) end
 
-local MAX_QUOTED = 1000 -- texts that are remembered
-
--- Returns a function that quotes texts, and remembers how.
-local function new_quote()
-  local quotestring, quoted, count = json().quotestring, {}, 0
-  return function(text)
-    local result = quoted[text]
-    if result then return result end
-    if count >= MAX_QUOTED then quoted, count = {}, 0 end
-    result = quotestring(text)
-    quoted[text], count = result, count + 1
-    return result
-  end
-end
-
 -- Returns a list of texts and booleans as JSON; nil if it holds something else.
 local function plain_list(list, quote)
   local texts = {}
@@ -125,13 +111,6 @@ local function plain_list(list, quote)
     end
   end
   return "[" .. concat(texts, ",") .. "]"
-end
-
-local function is_usual(short)
-  for key in order.each(short) do -- any order: all have to be
-    if not SHORT[key] then return false end
-  end
-  return true
 end
 
 local LISTS = { "events", "sent" }
@@ -152,7 +131,7 @@ end
 
 --- Return a function that writes the records of a run to a stream; nil ends the run.
 function journal.writer(stream)
-  local quote, before, number = new_quote(), {}, 0
+  local quote, before, number = json().quotestring, {}, 0
   return function(rec)
     local line
     if not rec then
@@ -161,9 +140,9 @@ function journal.writer(stream)
       before, number = {}, 0
       line = journal.encode(rec)
     else
-      local short = shorten(rec, before)
+      local short, is_usual = shorten(rec, before)
       number = number + 1
-      line = is_usual(short) and plain_line(short, number, quote)
+      line = is_usual and plain_line(short, number, quote)
       short.n = number
       line = line or journal.encode(short)
     end

@@ -12,9 +12,8 @@ local snapshot = require "rfsm.snapshot"
 local instrument = require "rfsm.shared.instrument"
 local tracks = require "rfsm.record.track"
 
-local error, getmetatable, ipairs, pcall = error, getmetatable, ipairs, pcall
-local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
-local tostring, type = tostring, type
+local error, ipairs, pcall = error, ipairs, pcall
+local rawequal, rawget, tostring, type = rawequal, rawget, tostring, type
 local max, min, remove = math.max, math.min, table.remove
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local is_scalar, reason, text_of = encoding.is_scalar, encoding.reason, rfsm.text_of
@@ -274,14 +273,6 @@ local function run(session, track)
   end
 end
 
--- Returns a copy of a model that prints nothing.
-local function quiet(model)
-  local copy = {}
-  for key, value in order.each(model) do copy[key] = value end
-  copy.dbg, copy.info, copy.warn, copy.err = false, false, false, false
-  return setmetatable(copy, getmetatable(model))
-end
-
 local function new_session(recording, options)
   local session = { records = {}, at = 0, last = 0, options = options,
     is_dry = options.dry and true or false, guards = recording[1].guards,
@@ -294,7 +285,12 @@ local function new_session(recording, options)
 end
 
 local function begin(session, model, header)
-  local fsm, problem = rfsm.init(session.is_dry and quiet(model) or model)
+  local fsm, problem
+  if session.is_dry then
+    fsm, problem = calls.silently(rfsm.init, model)
+  else
+    fsm, problem = rfsm.init(model)
+  end
   if not fsm then
     session.problem = problem
     return

@@ -22,7 +22,7 @@ local track = {}
 
 -- Data ----------------------------------------------------------------------------
 
-local PATH = { owner = "", base = 0, seen = {}, packed = {} }
+local PATH = { owner = "", seen = {} }
 
 --- Return plain data for a text, number or boolean.
 function track.pack(value) return encoding.pack(value, PATH, 0) end
@@ -186,8 +186,9 @@ function track.attach(fsm, add, ...)
     return own.guard(number, guard, tr, events)
   end }
   for _, name in ipairs { "began", "finished", "reset", "failed" } do
-    listener[name] = function(at, ...)
-      if of[at.machine] then of[at.machine][name](...) end
+    listener[name] = function(at, first, second)
+      local own = of[at.machine]
+      if own then own[name](first, second) end
     end
   end
   tracks.stream = stream.follow(fsm, listener)

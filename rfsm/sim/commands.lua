@@ -27,6 +27,7 @@ local commands = {}
 ---@field run fun(sim: rfsm.sim.Session, ...) returns nothing: the prompt would print it
 ---@field takes_line? boolean written as words, the rest of the line is one argument
 ---@field completes? "now"|"events"|"points" Tab: events, those that matter now first
+---@field fsm? rfsm.Machine to which the command belongs, of several
 
 commands.list = {}
 local by_name, topics = {}, {} -- a topic is a list of commands, and shown as one

@@ -9,7 +9,6 @@
 local alphabet = require "rfsm.shared.alphabet"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
-local commands = require "rfsm.sim.commands"
 local names = require "rfsm.observe.names"
 local terminal = require "rfsm.sim.terminal"
 local values = require "rfsm.observe.values"
@@ -71,7 +70,7 @@ end
 local function call_of(sim, text)
   local name, rest = text:match("^%s*([%a_][%w_]*)%f[%s%z]%s*(.-)%s*$")
   if not name then name, rest = text:match("^%s*(goto)%((.-)%)%s*$") end -- a Lua word
-  local command = name and commands.find(name)
+  local command = name and sim.commands.find(name)
   if not command then return nil end
   local arguments = split(rest)
   if command.takes_line and rest ~= "" then arguments = { value_of_word(rest) } end
@@ -82,9 +81,9 @@ end
 local LEAVE = { bye = true, exit = true, q = true }
 
 -- Returns the complaint about a name that does not exist.
-local function problem_of_missing(name, list)
-  local hint = LEAVE[name] and " (did you mean 'quit'?)"
-    or names.hint(name, commands.add_names(list))
+local function problem_of_missing(sim, name, list)
+  for _, command in ipairs(sim.commands.list) do list[#list + 1] = command.name end
+  local hint = LEAVE[name] and " (did you mean 'quit'?)" or names.hint(name, list)
   if hint == "" then hint = ", help() lists the commands" end
   return "nothing is named " .. name .. hint
 end
@@ -93,10 +92,10 @@ end
 local function problem_of_name(sim, text)
   local name = text:match("^%s*([%a_][%w_]*)%s*$")
   if not name or sim.env[name] ~= nil or not load("local " .. name) then return nil end
-  if alphabet.of_all(sim.fsm).set[name] then
+  if sim.commands.find "ser" and alphabet.of_all(sim.fsm).set[name] then
     return ("%s is an event: 'ser %s' sends it and runs"):format(name, name)
   end
-  return problem_of_missing(name, names.events(sim.fsm))
+  return problem_of_missing(sim, name, names.events(sim.fsm))
 end
 
 -- Evaluate --------------------------------------------------------------------------
@@ -104,7 +103,7 @@ end
 -- Adds the nearest command to the problem of a call whose function does not exist.
 local function explain(sim, problem)
   local name = problem:find("attempt to call", 1, true) and sim.missing[1]
-  return name and problem_of_missing(name, {}) or problem
+  return name and problem_of_missing(sim, name, {}) or problem
 end
 
 -- Calls a chunk. Returns true, or false and the problem in one line.
@@ -137,8 +136,8 @@ end
 
 --- Make the environment of typed code: the commands, then the globals of the chart.
 function prompt.install(sim)
-  local env = { fsm = sim.fsm, rfsm = rfsm }
-  for _, command in ipairs(commands.list) do
+  local env = { fsm = sim.fsm, rfsm = rfsm, cell = sim.cell }
+  for _, command in ipairs(sim.commands.list) do
     env[command.name] = function(...) return command.run(sim, ...) end
   end
   function sim.compile(text, name) -- an expression
@@ -181,9 +180,10 @@ end
 -- Returns the words that the Tab key may complete after a text, and those to be offered
 -- first.
 local function words_after(sim, before)
-  local command = commands.find(before:match("^%s*([%a_]+)[%s(]") or "") or {}
-  local kind, words = command.completes, names.events(sim.fsm)
-  if kind == "now" then return words, events_now(sim.fsm) end
+  local command = sim.commands.find(before:match("^%s*([%w_]+)[%s(]") or "") or {}
+  local fsm = command.fsm or sim.fsm
+  local kind, words = command.completes, names.events(fsm)
+  if kind == "now" then return words, events_now(fsm) end
   if kind == "events" then return words, {} end
   for _, name in ipairs((names.nodes(sim.fsm))) do
     words[#words + 1] = name
@@ -224,7 +224,7 @@ end
 -- Returns a line; for an empty one the last one, if that was a command.
 local function repeated(sim, line)
   if not line:find("%S") then return sim.last_line or line end
-  sim.last_line = commands.find(line:match("^%s*([%w_]*)")) and line
+  sim.last_line = sim.commands.find(line:match("^%s*([%w_]*)")) and line
   return line
 end
 

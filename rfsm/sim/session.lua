@@ -11,6 +11,7 @@ local rfsmpp = require "rfsmpp"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local clock = require "rfsm.clock"
+local commands = require "rfsm.sim.commands"
 local history = require "rfsm.sim.history"
 local names = require "rfsm.observe.names"
 local breakpoints = require "rfsm.observe.breakpoints"
@@ -49,6 +50,9 @@ local complain, text_of = terminal.complain, rfsm.text_of
 ---@field env table what typed code sees: the commands, then the globals
 ---@field missing string[] globals that the current line reads and that do not exist
 ---@field last_line? string|false the last line typed, if it was a command
+---@field commands { list: rfsm.sim.Command[], find: fun(name): rfsm.sim.Command? }
+---@field cell? rfsm.System of which the machines are, in place of one
+---@field replay? fun(sim: rfsm.sim.Session, file: string): integer, string?
 ---@field is_over boolean ends after this line
 local Session = {}
 Session.__index = Session
@@ -60,6 +64,7 @@ local function print_err(...) complain(calls.text("\t", ...)) end
 
 -- Initialises a model. Its problems are returned, not printed.
 local function init_quietly(model)
+  if not rfsm.is_state(model) then return model end
   local own_err = model.err
   if own_err == nil then model.err = false end
   local fsm, text, problems = rfsm.init(model)
@@ -161,17 +166,18 @@ end
 
 -- Events ----------------------------------------------------------------------------
 
--- Complains of an event that is nil or that no transition names.
-function Session:check_event(event, i)
+-- Complains of an event that is nil or that no transition of a machine names.
+function Session:check_event(event, i, fsm)
+  fsm = fsm or self.fsm
   local name = event == nil and self.missing[1]
   if name then
     complain(("nothing is named %s, an event is in quotes%s"):format(name,
-      names.hint(name, names.events(self.fsm))))
+      names.hint(name, names.events(fsm))))
   elseif event == nil then
     complain(("event %d is nil"):format(i))
-  elseif not names.is_event(self.fsm, event) then
+  elseif not names.is_event(fsm, event) then
     complain(("no transition names the event '%s'%s"):format(values.value(event),
-      type(event) == "string" and names.hint(event, names.events(self.fsm)) or ""))
+      type(event) == "string" and names.hint(event, names.events(fsm)) or ""))
   end
 end
 
@@ -282,16 +288,18 @@ end
 
 -- Public functions --------------------------------------------------------------------
 
-local session = {}
+local session = { check_event = Session.check_event }
 
---- Open a chart; nil and the problems if it is wrong.
-function session.open(file, follows, has_stubs)
-  local fsm, result = chart.open(file, init_quietly, complain, has_stubs)
+--- Open a chart; nil and the problems if it is wrong. `load` may return something else,
+-- a system: then `new(value, follows)` is returned.
+function session.open(file, follows, has_stubs, load, new)
+  local fsm, result = chart.open(file, init_quietly, complain, has_stubs, load)
   if not fsm then return nil, result end
+  if not rfsm.is_state(result) then return new(result, follows) end
   local sim = setmetatable({
     fsm = fsm, model = result, file = file, follows = follows, level = false,
     hooks = {}, points = {}, missing = {}, is_over = false, env = {},
-    has_stubs = has_stubs or false,
+    has_stubs = has_stubs or false, commands = commands,
   }, Session)
   history.start(sim)
   return sim

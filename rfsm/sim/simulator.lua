@@ -13,7 +13,6 @@ local rfsmpp = require "rfsmpp"
 local calls = require "rfsm.shared.calls"
 local history = require "rfsm.sim.history"
 local prompt = require "rfsm.sim.prompt"
-local session = require "rfsm.sim.session"
 local terminal = require "rfsm.sim.terminal"
 
 local io, ipairs, print = io, ipairs, print
@@ -36,24 +35,27 @@ end
 
 -- Runs the machine through a recording; returns false if that cannot be read.
 local function replay(sim, file)
-  local ok, count, problem = calls.try(history.replay, sim, file)
+  local ok, count, problem = calls.try(sim.replay or history.replay, sim, file)
   if not ok then
     complain("rfsm sim: " .. rfsm.text_of(count))
     return false
   end
   if problem then complain("rfsm sim: " .. file .. ": " .. problem) end
   if count > 0 then
-    print(("replayed %d iterations of %s"):format(count, file))
+    print(("replayed %d %s of %s"):format(count, sim.replay and "moves" or "iterations",
+      file))
     sim:show()
   end
   return not problem or count > 0
 end
 
-local function greet(is_terminal)
+local function greet(sim, is_terminal)
   print("rFSM simulator v" .. rfsm_sim.VERSION
     .. ", type 'help()' to list available commands")
   if not is_terminal then return end
-  print("'run' enters the machine, then 'events' lists what it would react to")
+  if not sim.cell then
+    print("'run' enters the machine, then 'events' lists what it would react to")
+  end
   local advice = terminal.advice()
   if advice then print(advice) end
 end
@@ -81,19 +83,22 @@ end
 --- Open a chart, run the code given, read commands from stdin; return the status for
 -- the shell: 0, or 1 for a chart, code or line of a pipe that is wrong.
 ---@param options rfsm.sim.Options
-function rfsm_sim.main(options)
+---@param open function as `session.open`
+function rfsm_sim.main(options, open)
   local is_terminal = terminal.is_terminal(0)
   rfsmpp.is_plain = not terminal.is_terminal(1)
   io.stdout:setvbuf("line")
   if is_terminal then terminal.catch_interrupts() end
-  local sim, problems = session.open(options.file, is_terminal, options.stub)
+  local sim, problems = open(options.file, is_terminal, options.stub)
   if not sim then
-    for _, problem in ipairs(problems) do complain("rfsm sim: " .. problem) end
+    for _, problem in ipairs(problems) do
+      complain("rfsm sim: " .. problem:gsub("\n", "\nrfsm sim: "))
+    end
     return 1
   end
   local status = prepare(sim, options)
   if status then return status end
-  if not options.quiet then greet(is_terminal) end
+  if not options.quiet then greet(sim, is_terminal) end
   local is_right = prompt.converse(sim)
   if is_terminal then print() end -- the shell's prompt begins a new line
   return (is_right or is_terminal) and 0 or 1

@@ -40,7 +40,7 @@ local function fill(fsm)
   end
 end
 
--- Has a machine be in a leaf, and the regions there in their first ones.
+-- Puts a machine into a leaf, and the regions there into their first leaves.
 local function enter(machine, leaf)
   rfsm.place(machine, leaf, "done", {})
   for _, region in ipairs(rfsm.regions(leaf)) do
@@ -48,7 +48,8 @@ local function enter(machine, leaf)
   end
 end
 
--- Has a machine or region be in a leaf, and the machines around it where it runs.
+-- Puts a machine or region into a leaf, and the machines around it into the states in
+-- which it runs.
 local function enter_at(places, at, leaf)
   for _, outer in ipairs(places) do
     if outer.machine == at.owner then enter_at(places, outer, at.state) end

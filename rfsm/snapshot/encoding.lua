@@ -5,9 +5,6 @@
 --
 --    { "%n", digits }            a number that JSON would spoil
 --    { "%t", key, value, ... }   any other table
---    { "%s", count, ... }        a table that is too deep for MessagePack in Redis: the
---                                number of its keys, then for each the key, and the
---                                value, after "t" if that is such a table, else "v"
 --    { "%z" }                    nil in a field that is not nil at first
 --
 -- @module rfsm.snapshot.encoding
@@ -24,12 +21,11 @@ local floor, huge, min = math.floor, math.huge, math.min
 local math_type, to_integer = rawget(math, "type"), rawget(math, "tointeger")
 local is_null, text_of = exact_json.is_null, rfsm.text_of
 
--- How many tables may be inside each other: in the value of a field; in packed data.
-local MAX_DEPTH, MAX_PACKED_DEPTH = 13, 40
-
--- A table that has more than that around it becomes a text: cmsgpack leaves out what is
--- deeper than 16, and a number of two parts is a table, too.
-local MAX_DIRECT = 15
+-- How many tables may be inside each other: in packed data; in the value of a field.
+-- MessagePack in Redis leaves out what is deeper than 16 tables. Six may be around a
+-- field: the value of the key, the snapshot, the regions, one of them, its data, the
+-- state. A number of two parts is one more.
+local MAX_PACKED_DEPTH, MAX_DEPTH = 40, 9
 
 -- Stands for nil in a field that is not nil at first.
 local NIL = {}
@@ -57,7 +53,6 @@ end
 ---@field owner string|false what has the value, false: a state
 ---@field keeper rfsm.snapshot.Keeper|false that state
 ---@field prefix string location of the machine
----@field base integer how many tables there are around a value at depth 0
 ---@field seen table<table, true>|false tables that have come
 ---@field [integer] any keys
 
@@ -99,7 +94,7 @@ end
 
 -- Pack --------------------------------------------------------------------------
 
---- Does JSON with 14 digits give back a number, as the integer or float that it is?
+-- Does JSON with 14 digits give back a number, as the integer or float that it is?
 local function is_safe(n)
   if n - n ~= 0 then return false end -- not finite
   local is_whole = floor(n) == n
@@ -150,7 +145,7 @@ local function is_plain(t)
   return count == #t and not (type(first) == "string" and first:byte() == 37)
 end
 
---- Return a table of packed values as plain data.
+-- Returns a table of packed values as plain data.
 local function as_table(packed, path, depth)
   return is_plain(packed) and packed or to_pairs(packed, path, depth)
 end
@@ -180,19 +175,6 @@ local function pack_table(t, path, depth)
   return as_table(copy, path, depth)
 end
 
--- Appends a packed table to a flat list, see above.
-local function flatten(packed, list)
-  local keys = rfsm.sorted_keys(packed)
-  list[#list + 1] = #keys
-  for _, key in ipairs(keys) do
-    local value = packed[key]
-    list[#list + 1] = key
-    list[#list + 1] = type(value) == "table" and "t" or "v"
-    if type(value) == "table" then flatten(value, list) else list[#list + 1] = value end
-  end
-  return list
-end
-
 --- Return a value as plain data, null of JSON as nil; `depth` of the keys in a path
 -- lead to it. Raises what cannot be saved, with its location: a function, a userdata, a
 -- table with a metatable or one that comes twice.
@@ -207,12 +189,7 @@ function pack(value, path, depth)
     fail("%s: a %s cannot be saved", location_of(path, depth), kind)
   end
   if rawequal(value, NIL) then return { "%z" } end
-  if path.base + depth <= MAX_DIRECT then return pack_table(value, path, depth) end
-  local base = path.base
-  path.base = -MAX_DEPTH -- the tables in it are part of the list
-  local packed = pack_table(value, path, depth)
-  path.base = base
-  return flatten(packed, { "%s" })
+  return pack_table(value, path, depth)
 end
 
 --- Return a value as encoders of JSON take it: keys that are texts, or a list; numbers
@@ -245,26 +222,6 @@ local function unpack_number(digits)
   return number
 end
 
--- Returns the packed table that begins at a position of a flat list, and its end.
-local function from_flat(list, at, depth)
-  local count, t = list[at], {}
-  if type(count) ~= "number" or depth > MAX_PACKED_DEPTH then
-    fail("a table as a list expected, at most %d inside each other", MAX_PACKED_DEPTH)
-  end
-  at = at + 1
-  for _ = 1, count do
-    local key, mark = list[at], list[at + 1]
-    if not is_scalar(key) or key ~= key then
-      fail("a key expected, got %s", text_of(key))
-    elseif mark == "t" then
-      t[key], at = from_flat(list, at + 2, depth + 1)
-    else
-      t[key], at = list[at + 2], at + 3
-    end
-  end
-  return t, at
-end
-
 local unpack
 
 local function unpack_pairs(list, depth)
@@ -287,8 +244,6 @@ local function unpack_table(packed, depth)
     return unpack_pairs(packed, depth + 1)
   elseif first == "%n" then
     return unpack_number(packed[2])
-  elseif first == "%s" and type(packed[2]) == "number" then
-    return unpack((from_flat(packed, 2, depth)), depth + 1)
   elseif first == "%z" then
     return NIL
   end
@@ -298,20 +253,6 @@ local function unpack_table(packed, depth)
     t[key] = unpack(value, depth + 1)
   end
   return t
-end
-
---- Does a table stand for itself, and hold no others?
-local function is_flat(packed)
-  if type(packed) ~= "table" or getmetatable(packed) ~= nil or packed[1] ~= nil then
-    return false
-  end
-  for _, value in each(packed) do -- any order: all of them
-    local kind = type(value)
-    if kind ~= "string" and kind ~= "boolean" and (kind ~= "number" or to_integer) then
-      return false
-    end
-  end
-  return true
 end
 
 --- Return the value that plain data stands for, in new tables; `depth` tables are
@@ -333,8 +274,8 @@ function unpack(packed, depth)
 end
 
 return {
-  NIL = NIL, as_table = as_table, copy_of = copy_of, fail = fail, is_flat = is_flat,
-  is_event = is_event, is_null = is_null, is_safe = is_safe, is_scalar = is_scalar,
+  NIL = NIL, as_table = as_table, copy_of = copy_of, fail = fail,
+  is_event = is_event, is_null = is_null, is_scalar = is_scalar,
   location_of = location_of, pack = pack, reason = reason, text_of_fail = text_of_fail,
   to_json = to_json, try = try, unpack = unpack,
 }

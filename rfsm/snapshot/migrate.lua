@@ -110,22 +110,21 @@ end
 
 -- Notes where a machine was, and targets that were set, that are gone.
 local function note_places(list, machine, part, prefix)
-  local nodes, targets = shape.of(machine).nodes, part.targets or NONE
+  local targets = part.targets or NONE
   if part.leaf and not shape.find_state(machine, part.leaf) then
     list[#list + 1] = "state " .. prefix .. part.leaf:sub(5)
   end
   for i = 1, #targets, 3 do
-    local state = shape.find_state(machine, targets[i])
-    local id = encoding.unpack(targets[i + 1], 2)
-    if not (state and encoding.is_scalar(id) and rfsm.is_trans(state[id])
-      and nodes[targets[i + 2]]) then
+    local tr, _, id = shape.target_at(machine, targets, i)
+    if not tr then
       list[#list + 1] = ("target %s of transition %s in %s"):format(
         text_of(targets[i + 2]), text_of(id), text_of(targets[i]))
     end
   end
 end
 
--- Extensions that follow the states of a chart: what they keep is never lost.
+-- Extensions whose data belong to elements of the chart: they go with these, and are
+-- not lost. The extension need not be loaded here, so that no hook could tell.
 local FOLLOWERS = { timers = true, emem = true, await = true }
 
 local function note_extensions(list, machine, part, prefix)
@@ -326,7 +325,7 @@ end
 
 local function pack_all(values, owner)
   for fqn, value in each(values or NONE) do -- any order: each stands alone
-    values[fqn] = encoding.pack(value, { owner = owner .. text_of(fqn):sub(5), base = 0,
+    values[fqn] = encoding.pack(value, { owner = owner .. text_of(fqn):sub(5),
       seen = false }, 0)
   end
 end

@@ -8,8 +8,7 @@ local calls = require "rfsm.shared.calls"
 local encoding = require "rfsm.snapshot.encoding"
 local rfsm = require "rfsm"
 
-local ipairs, setmetatable = ipairs, setmetatable
-local type = type
+local ipairs, rawget, setmetatable, type = ipairs, rawget, setmetatable, type
 local floor = math.floor
 local concat, sort = table.concat, table.sort
 local fail, is_scalar, text_of = encoding.fail, encoding.is_scalar, rfsm.text_of
@@ -225,7 +224,7 @@ function shape.of(fsm)
   local known, nodes = chart_of(fsm), { [fsm._fqn] = fsm }
   own = { key = key, chart = known, places = { { machine = fsm, prefix = "root" } },
     states = {}, nodes = nodes, transitions = {}, targets = {},
-    path = { owner = "", keeper = false, prefix = "root", base = 0, seen = false } }
+    path = { owner = "", keeper = false, prefix = "root", seen = false } }
   if known.has_regions then own.places = rfsm.machines(fsm) end
   for _, at in ipairs(known.nodes) do nodes[at.fqn] = nodes[at.parent][at.id] end
   for i, keeper in ipairs(known.keepers) do own.states[i] = nodes[keeper.fqn] end
@@ -240,6 +239,15 @@ end
 function shape.find_state(fsm, fqn)
   local node = shape.of(fsm).nodes[fqn]
   return rfsm.is_state(node) and node or nil
+end
+
+--- Return what a list of targets has at a position: a transition and its target, nil if
+--- one of them is not there; and the name of the transition.
+function shape.target_at(fsm, list, i)
+  local state, id = shape.find_state(fsm, list[i]), encoding.unpack(list[i + 1], 2)
+  local tr = state and is_scalar(id) and rawget(state, id)
+  local node = shape.of(fsm).nodes[list[i + 2]]
+  return rfsm.is_trans(tr) and node and tr or nil, node, id
 end
 
 return shape

@@ -29,10 +29,10 @@ local rehearsal = {}
 local Rehearsal = {}
 Rehearsal.__index = Rehearsal
 
--- What a step says of the guards and doos that are asked.
+-- Returns the answer that the step has for a guard or doo, in place of
+-- `Subject:choose`. Without one a guard is true and a doo goes on.
 local function answer(own, who, is_doo)
   local said = own.said[who]
-  own.asked = own.asked + 1
   if said == nil and not own.is_asked[who] then
     own.unmentioned[#own.unmentioned + 1] = who
   end
@@ -41,7 +41,8 @@ local function answer(own, who, is_doo)
   return said
 end
 
--- Gives each transition and doo a name, and each name what the subject asks with.
+-- Fills the tables from the names of transitions and states to the paths by which the
+-- subject asks about their guards and doos, and back.
 local function add_names(own)
   own.asker_of, own.name_of = {}, {}
   location.add_names(own.transitions)
@@ -163,7 +164,7 @@ function Rehearsal:what_of(step)
   return what
 end
 
--- Returns what the subject asks with, for a name.
+-- Returns the path by which the subject asks about a name.
 local function find_asker(own, name)
   local who = own.asker_of[name]
   if who then return who end

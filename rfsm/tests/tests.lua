@@ -10,9 +10,11 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
 local explore = require "rfsm.explore.explore"
 local graph = require "rfsm.explore.graph"
 local match = require "rfsm.shared.match"
+local order = require "rfsm.shared.order"
 local location = require "rfsm.shared.location"
 local subject = require "rfsm.explore.subject"
 local reactions = require "rfsm.explore.reactions"
@@ -33,7 +35,7 @@ local tests = {}
 ---@field taken integer how many transitions they take
 ---@field transitions integer of the chart
 ---@field skipped integer runs that a rehearsal cannot repeat
----@field makers table<string, true> "timer", "await": of the chart's events
+---@field modules table<string, true> that make events of the chart
 
 --- A step of a rehearsal, and its result.
 ---@class rfsm_checks.TestStep
@@ -105,10 +107,7 @@ end
 -- in `left`.
 local function find_way(walk, start, left)
   return graph.find_way(walk.edges, start, function(edge)
-    for _, key in ipairs(edge.shows) do
-      if left[key] then return true end
-    end
-    return false
+    return order.any(edge.shows, function(key) return left[key] end)
   end)
 end
 
@@ -227,10 +226,7 @@ local function does_repeat(steps, options)
   if not options.file then return true end
   local own = rehearsal.rehearsal(options.file, { callbacks = options.callbacks,
     stub = options.stub, machine = options.machine })
-  for _, step in ipairs(steps) do
-    if own:step(step.what) ~= step.result then return false end
-  end
-  return true
+  return order.all(steps, function(step) return own:step(step.what) == step.result end)
 end
 
 --- Plan runs that take every transition of a model that can be taken.
@@ -242,9 +238,10 @@ function tests.plan(model, options)
     watch_steps)
   local left, most, result = {}, 1, { runs = {}, steps = 0, least = 0,
     taken = #rfsm.sorted_keys(walk.taken), transitions = #walk.subject.transitions,
-    skipped = 0, makers = {} }
+    skipped = 0, modules = {} }
   for _, event in ipairs(walk.subject.event_list) do
-    result.makers[match.maker_of(event) or "none"] = true
+    local module = match.maker_of(event) and advice.module_for(event)
+    if module then result.modules[module] = true end
   end
   for _, list in pairs(walk.edges) do -- any order: a set, and the greatest
     for _, edge in ipairs(list) do
@@ -396,9 +393,10 @@ end
 function tests.busted(file, model, options, output, old)
   options = options or {}
   local result = tests.plan(model, options)
-  local modules = (result.makers.timer and 'require "rfsm_timeevent"\n' or "")
-    .. (result.makers.await and 'require "rfsm_await"\n' or "")
-  local blocks = {}
+  local modules, blocks = "", {}
+  for _, module in ipairs(rfsm.sorted_keys(result.modules)) do
+    modules = modules .. ("require %q\n"):format(module)
+  end
   for i, run in ipairs(result.runs) do
     local lines = { ("  it(%q, function()"):format(name_of(run)),
       "    local run = rehearsal(FILE, OPTIONS)" }

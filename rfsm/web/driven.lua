@@ -83,7 +83,7 @@ local function read(file) return files.read(file) or "" end
 
 -- Turns: each is a command of the page, or a timer -----------------------------------
 
--- Starts the clock of the machine at its own time.
+-- Has simulated time go on with real time, from where it is.
 local function start_clock(session)
   session.since = session.real() - session.time:now()
 end

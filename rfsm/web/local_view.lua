@@ -255,7 +255,8 @@ function LocalView.answer_inspect(source, message)
   return not about and "node: number of a state expected" or nil, about
 end
 
---- View a machine; `observe` begins to do so. The clock returns seconds, for the log.
+--- Return a view of a machine, which `observe` starts. `clock` returns the seconds that
+--- stand in the log of the page.
 function LocalView.new(fsm, clock)
   local view = View.create(LocalView, marsh.model2tab(fsm, true), clock)
   view.fsm, view.machines, view.numbers, view.node_of = fsm, rfsm.machines(fsm), {}, {}
