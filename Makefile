@@ -36,7 +36,7 @@ TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/*/*.lua bench/*.lua)
 
-.PHONY: all help help-all sim fleet fleet-postgres test test-web test-site test-hosts lint fuzz torture mutants bench soak bench-profile examples doc site gallery functions deps transcript house
+.PHONY: all help help-all sim fleet fleet-postgres test test-web test-site test-hosts lint fuzz torture mutants bench soak day bench-profile examples doc site gallery functions deps transcript house
 .PHONY: rockspec rocks dist deb size install uninstall clean
 .DEFAULT_GOAL := all
 
@@ -107,6 +107,11 @@ bench:                  ### run the measurements in bench/, with LUA
 soak: MINUTES = 60
 soak:                   ### a machine that two pages watch for MINUTES of its time, with LUA
 	$(LUA) bench/soak.lua $(MINUTES)
+
+day: ORDERS = 200
+day: EVENTS = 12
+day:                    ### a day of ORDERS with EVENTS each in both servers: nothing is lost
+	$(LUA) bench/day.lua $(ORDERS) $(EVENTS)
 
 bench-profile:          ### print the hottest functions and lines, with LUA
 	$(LUA) bench/profile.lua

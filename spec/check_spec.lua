@@ -221,6 +221,43 @@ describe("init", function()
   end)
 end)
 
+describe("the warning of a node that nothing leaves", function()
+  local function dead_ends_of(members)
+    local said = {}
+    local model = { info = false, warn = function(text) said[#said + 1] = text end,
+      on = state { x = state {}, y = state {}, trans { src = "initial", tgt = "x" },
+        trans { src = "x", tgt = "y", events = { "e" } } }, off = state {},
+      trans { src = "initial", tgt = "on" },
+      trans { src = "off", tgt = "on", events = { "e_on" } } }
+    for key, value in pairs(members) do model[key] = value end -- any order
+    assert.is_table((rfsm.init(state(model))))
+    return (table.concat(said, "; "):gsub("WARNING: no outgoing transitions from ", ""))
+  end
+
+  it("is given of a leaf in a composite that nothing leaves", function()
+    assert.equal("node 'root.on'; node 'root.on.y'", dead_ends_of {})
+  end)
+
+  it("is not given of a leaf in a composite that can be left", function()
+    assert.equal("", dead_ends_of {
+      [3] = trans { src = "on", tgt = "off", events = { "e_off" } } })
+    assert.equal("", dead_ends_of {
+      [3] = trans { src = "root", tgt = "off", events = { "e_off" } } })
+  end)
+
+  it("is given of a leaf beside another one that leaves the composite", function()
+    assert.equal("node 'root.on.y'", dead_ends_of {
+      [3] = trans { src = "root.on.x", tgt = "off", events = { "e_off" } } })
+  end)
+
+  it("is given of a connector in a composite that can be left", function()
+    assert.equal("node 'root.on.y'", dead_ends_of { on = state { x = state {},
+      y = rfsm.conn {}, trans { src = "initial", tgt = "x" },
+      trans { src = "x", tgt = "y", events = { "e" } } },
+      [3] = trans { src = "on", tgt = "off", events = { "e_off" } } })
+  end)
+end)
+
 describe("verify_early", function()
   it("returns problems and warnings without making a machine", function()
     local ok, problems, warnings = rfsm.verify_early(chart {

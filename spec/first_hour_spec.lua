@@ -107,7 +107,6 @@ return state { off = state {}, on = state { history = "shallow", x = state {},
   trans { src = "off", tgt = "on", events = { "e_pause" } } }
 --C :1: warning: root.on: a state has no field 'history' (require "rfsm.history")
     [unknown-field]
---S WARNING: no outgoing transitions from node 'root.on.y'
 == history_true
 -- events: e_next e_pause e_pause
 return state { off = state {}, on = state { history = true, x = state {},
@@ -119,7 +118,6 @@ return state { off = state {}, on = state { history = true, x = state {},
   trans { src = "off", tgt = "on", events = { "e_pause" } } }
 --C :1: warning: root.on: a state has no field 'history' (require "rfsm.history")
     [unknown-field]
---S WARNING: no outgoing transitions from node 'root.on.y'
 == method_run
 lamp:run()
 --S WARNING: main.lua:1: a machine has no field 'run' (did you mean rfsm.run(fsm)?)

@@ -108,6 +108,18 @@ function helper.chart(events, members)
   return rfsm.state(model)
 end
 
+--- The description of a machine (initial) -> off --e_push--> on -> off. The core
+-- alone has no `rfsm.marsh`.
+function helper.lamp()
+  local state, trans = rfsm.state, rfsm.trans
+  return require "rfsm.marsh".model2tab(helper.init(state {
+    off = state {}, on = state {},
+    trans { src = "initial", tgt = "off" },
+    trans { src = "off", tgt = "on", events = { "e_push" } },
+    trans { src = "on", tgt = "off" },
+  }), true)
+end
+
 --- A machine of s1 --e_push--> s2 --e_push--> ... s1, with `count` leaves, that runs.
 function helper.ring(count)
   local model = rfsm.state { rfsm.trans { src = "initial", tgt = "s1" } }

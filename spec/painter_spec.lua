@@ -8,16 +8,6 @@ require "socket" -- without it a pipe that is closed ends the program
 
 local state, trans = rfsm.state, rfsm.trans
 
--- (initial) --> off --e_push--> on --> off
-local function lamp()
-  return marsh.model2tab(helper.init(state {
-    info = false, warn = false, off = state {}, on = state {},
-    trans { src = "initial", tgt = "off" },
-    trans { src = "off", tgt = "on", events = { "e_push" } },
-    trans { src = "on", tgt = "off" },
-  }), true)
-end
-
 describe("a painter", function()
   local painter
   before_each(function() painter = Painter.new() end)
@@ -68,7 +58,7 @@ describe("a painter", function()
   end)
 
   it("passes any texts and numbers, and events by their words", function()
-    local tab = lamp()
+    local tab = helper.lamp()
     tab.subnodes[2].id, tab.subnodes[2].doc = 'a"\\b', "two\nlines\0\r"
     for _, tr in ipairs(tab.transitions) do
       tr.pn, tr.words, tr.events = 0.5, { "any thing" }, { print }
@@ -78,7 +68,7 @@ describe("a painter", function()
   end)
 
   it("keeps the last pictures", function()
-    for i = 1, 12 do painter:ask("key " .. i, request(lamp())) end
+    for i = 1, 12 do painter:ask("key " .. i, request(helper.lamp())) end
     assert.equal(8, #painter.jobs)
     assert.equal("key 5", painter.jobs[1].key)
   end)
@@ -92,12 +82,12 @@ describe("a painter", function()
     helper.with(io, { popen = function(command, mode)
       return popen("PATH=" .. folder .. ":$PATH; " .. command, mode)
     end }, function()
-      assert.is_false(drawn("b", request(lamp())))
+      assert.is_false(drawn("b", request(helper.lamp())))
     end)
     os.execute("rm -r " .. folder)
     helper.with(io, { popen = function() error("not supported", 0) end }, function()
       painter:close()
-      assert.is_false(painter:ask("d", request(lamp())))
+      assert.is_false(painter:ask("d", request(helper.lamp())))
     end)
   end)
 
@@ -108,7 +98,7 @@ describe("a painter", function()
       count = count + 1
       return count == 1 and ended or real(command, mode)
     end }, function()
-      assert.matches("</svg>", drawn("b", request(lamp())))
+      assert.matches("</svg>", drawn("b", request(helper.lamp())))
     end)
     assert.equal(2, count)
   end)

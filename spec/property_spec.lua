@@ -277,6 +277,22 @@ describe("a machine that is watched", function()
     assert.same({}, told)
   end)
 
+  it("reports once what can be violated once", function()
+    start({ c = state {}, [4] = go("b", "c", "e_c") },
+      { precedes("root.c", "root.b") })
+    for _ = 1, 3 do send("e_x") end
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+    assert.equal(1, #told)
+  end)
+
+  it("reports the ten latest steps", function()
+    start({ c = state {}, [4] = go("b", "c", "e_c") }, { rfsm_checks.never "root.c" })
+    for _ = 1, 11 do send("e_x") end
+    send("e_c")
+    local _, count = told[1]:gsub("\n  %d+%. e_[xc]: ", "")
+    assert.same({ 1, 10 }, { #told, count })
+  end)
+
   it("begins anew when the machine is reset", function()
     start({ [4] = go("a", "internal", "e_r", { effect = rfsm.reset }) },
       { rfsm_checks.never "root.b" })
@@ -284,6 +300,27 @@ describe("a machine that is watched", function()
     send("e_x")
     assert.same({ lines("property 'never root.b' does not hold",
       "  1. e_init_fsm: root.a", "  2. e_x: root.a -> root.b") }, told)
+  end)
+
+  it("has the iteration in which regions get an event as a part of the same step",
+    function()
+    start({ p = rfsm.seqand { r = chart() }, [1] = go("initial", "p"), [2] = false,
+      [3] = false }, { p = rfsm_checks.always(function(active)
+        told[#told + 1] = active "root.p.r.b" and "b" or "a"
+        return true
+      end) })
+    told = {}
+    send("e_x")
+    assert.same({ "b" }, told)
+  end)
+
+  it("has the next deadline of the property whose time is over first", function()
+    local watched = start({ gettime = function() return 0, 0 end },
+      { from "root.b".left_within(7), from "root.b".left_within(2),
+        from "root.b".left_within(9) })
+    assert.is_nil(watched:next_deadline())
+    send("e_x")
+    assert.equal(2, watched:next_deadline())
   end)
 
   it("tells of short times between the steps", function()

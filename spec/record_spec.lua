@@ -329,6 +329,25 @@ describe("a recording", function()
       helper.content(file):gsub('"file":"[^"]*",', ""))
   end)
 
+  it("in a file has what regions did in an iteration", function()
+    local function model()
+      return state { emem = false, info = false, warn = false, err = false,
+        p = rfsm.seqand { r = helper.chart { "e_x" } },
+        trans { src = "initial", tgt = "p" } }
+    end
+    local sink, file, fsm = {}, helper.file_with(""), helper.init(model())
+    local one, other = record.record(fsm, sink), record.record(fsm, file)
+    rfsm.run(fsm)
+    helper.post_and_run(fsm, "e_x")
+    other:stop()
+    one:stop()
+    local count = 0
+    for i = 2, #sink do count = count + #(sink[i].inner or {}) end
+    assert.is_true(count > 1)
+    assert.same({ unpack(sink, 2) }, { unpack((record.read(file)), 2) })
+    assert(record.replay(model(), file))
+  end)
+
   -- Returns the lines of records; `encode` is dkjson's, for those that are odd.
   local function lines_of(records, encode)
     local texts = {}
@@ -846,6 +865,23 @@ describe("a guard in a replay", function()
   end)
 end)
 
+describe("two guards in an iteration", function()
+  it("have each their own result again", function()
+    local function model(first, second)
+      return chart { c = state {},
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_go" }, guard = first, pn = 1 },
+        trans { src = "a", tgt = "c", events = { "e_go" }, guard = second } }
+    end
+    local sink, fsm = {}, helper.init(model(function() return false end, yes))
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    helper.post_and_run(fsm, "e_go")
+    local again = assert(record.replay(model(error, error), sink))
+    assert.equal("root.c", rfsm.get_actleaf_fqn(again))
+  end)
+end)
+
 describe("a recording that begins with a timer armed", function()
   it("has the readings of the clock for its first snapshot", function()
     local now = 10
@@ -1000,6 +1036,23 @@ describe("a recorder", function()
     rfsm.run(fsm)
     record.record(fsm, sink)
     assert.same({ { 42, 0 } }, sink[1].clock)
+  end)
+
+  it("prints nothing in a dry replay, of what is created and what fails", function()
+    local sink, said = {}, {}
+    local fsm = helper.init(worker({}, function() error("no sensor", 0) end))
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    helper.post_and_run(fsm, "e_go")
+    local model = worker({}, error)
+    for _, name in ipairs { "dbg", "info", "warn", "err" } do
+      model[name] = function() said[#said + 1] = name end
+    end
+    assert(record.replay(model, sink, { dry = true, watch = function(own)
+      for _, name in ipairs { "dbg", "info", "warn", "err" } do own[name](own) end
+      assert.same({}, said)
+    end }))
+    assert.same({ "info" }, said) -- of the machine that is returned
   end)
 
   it("leaves the error of a guard as it is", function()

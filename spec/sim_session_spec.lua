@@ -728,6 +728,19 @@ breakpoint
 at <none> e_init_fsm
 there is none
 ]=] },
+    { does = "keeps a breakpoint at an initial transition", chart = ring(),
+      other = ring(), input = [=[
+breakpoint initial -> a
+breakpoint
+change()
+reload
+breakpoint
+]=], output = [=[
+1  transition root.initial -> root.a
+1  transition root.initial -> root.a
+at <none> e_init_fsm
+1  transition root.initial -> root.a
+]=] },
     { does = "stops where a condition holds, or fails", chart = ring(), other = ring(),
       input = [=[
 tries = 0

@@ -234,7 +234,7 @@ describe("take names what cannot be saved:", function()
     end,
     ["root.on.count[2]: this table stands elsewhere in the data, too, and can only "
       .. "be saved once"] = function(fsm) fsm.on.count = { shared, shared } end,
-    ["root.on.count: at most 13 tables inside each other expected"] = function(fsm)
+    ["root.on.count: at most 9 tables inside each other expected"] = function(fsm)
       fsm.on.count = deep
     end,
     ["save of root.on: no disk"] = function(fsm)

@@ -79,6 +79,18 @@ describe("a strict machine", function()
       .. "name without quotes?)" }, warnings)
   end)
 
+  it("names an early event with data", function()
+    local fsm, warnings = watched { [4] = go("a", "b", { rfsm.named "e_paid" }) }
+    rfsm.send_events(fsm, { name = "e_paid" })
+    assert.same({ HERE .. "event 'e_paid' is sent before the first step, whose entry "
+      .. "consumes it" }, warnings)
+    fsm, warnings = watched { strict = false }
+    rfsm.send_events(fsm, { name = "e_paid" })
+    rfsm.run(fsm)
+    assert.same({ HERE .. "sent before the machine was entered, which consumes them: "
+      .. "e_paid" }, warnings)
+  end)
+
   it("warns once of an early event, also of getevents", function()
     local got = { "e_p" }
     local fsm, warnings = watched { getevents = function()

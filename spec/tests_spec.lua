@@ -274,6 +274,17 @@ describe("tests that run callbacks", function()
 end)
 
 describe("tests that are written again", function()
+  it("open the chart as the command did", function()
+    local function options_of(options)
+      local text = tests.busted("lamp.lua", load_chart("examples/on_off.lua"), options)
+      return text:match("local OPTIONS = ([^\n]*)")
+    end
+    assert.equal("{ callbacks = false, stub = true }", options_of { stub = true })
+    assert.equal("{ callbacks = false, machine = 2 }", options_of { machine = 2 })
+    assert.equal("{ callbacks = true, stub = true, machine = 1 }",
+      options_of { callbacks = true, stub = true, machine = 1 })
+  end)
+
   it("keep what stands around the marks, and name the chart as the spec sees it",
     function()
     local file, load = "examples/on_off.lua", function()
@@ -283,8 +294,18 @@ describe("tests that are written again", function()
     assert.matches('\nlocal FILE = here .. "../../examples/on_off.lua"\n', text)
     assert.matches('"../on_off.lua"', (tests.busted(file, load(), {},
       "examples/spec/on_off_spec.lua")))
+    for output, said in pairs { -- any order: each stands alone
+      ["../on_off_spec.lua"] = "examples/on_off.lua",
+      ["/tmp/on_off_spec.lua"] = "examples/on_off.lua",
+      ["-"] = "examples/on_off.lua",
+    } do
+      assert.matches('\nlocal FILE = "' .. said .. '"\n',
+        (tests.busted(file, load(), {}, output)))
+    end
     assert.matches('\nlocal FILE = "examples/on_off.lua"\n',
       (tests.busted(file, load())))
+    assert.matches('\nlocal FILE = "/charts/on_off.lua"\n',
+      (tests.busted("/charts/on_off.lua", load(), {}, "spec/on_off_spec.lua")))
     local changed = text:gsub("on %-e_switch%-> off", "nonsense")
     local own = "-- mine\n" .. changed .. "-- more\n"
     local again = tests.busted(file, load(), {}, "spec/lamps/on_off_spec.lua", own)
@@ -297,6 +318,8 @@ describe("tests that are written again", function()
 end)
 
 describe("a rehearsal", function()
+  after_each(helper.remove_files)
+
   local function busy()
     return state { info = false, warn = false,
       a = state { doo = function() error("called") end }, b = state {},
@@ -433,6 +456,20 @@ describe("a rehearsal", function()
     assert.equal("stays in b", run:step { after = 1 })
     assert.equal("b -e_after(2)-> a",
       run:step { after = 1.5, guards = { ["b -e_after(2)-> a"] = true } })
+  end)
+
+  it("opens the machine of a program that an option names", function()
+    local file = helper.file_with [[
+      local rfsm = require "rfsm"
+      local function make(name)
+        return rfsm.init(rfsm.state { info = false, warn = false,
+          [name] = rfsm.state {}, rfsm.trans { src = "initial", tgt = name } })
+      end
+      make "a"
+      make "b"
+    ]]
+    assert.equal("initial --> a", rfsm_checks.rehearsal(file, { machine = 1 }):step())
+    assert.equal("initial --> b", rfsm_checks.rehearsal(file, { machine = 2 }):step())
   end)
 
   it("blames the caller for what is no chart", function()

@@ -9,16 +9,6 @@ local View = require "rfsm.web.view"
 
 local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
 
--- (initial) --> off --e_push--> on --> off
-local function lamp()
-  return marsh.model2tab(helper.init(state {
-    info = false, warn = false, off = state {}, on = state {},
-    trans { src = "initial", tgt = "off" },
-    trans { src = "off", tgt = "on", events = { "e_push" } },
-    trans { src = "on", tgt = "off" },
-  }), true)
-end
-
 local function names_of(numbers, list)
   local names = {}
   for i, number in ipairs(numbers) do names[i] = list[number + 1] end
@@ -118,7 +108,7 @@ describe("a view", function()
   end
 
   local function new_view()
-    return View.create(Fake, lamp(), function() return now end)
+    return View.create(Fake, helper.lamp(), function() return now end)
   end
 
   local function numbers_of(message)

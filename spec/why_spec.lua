@@ -76,6 +76,25 @@ describe("why", function()
     end)
   end
 
+  it("asks no connector for an internal transition of a composite", function()
+    local fsm = machine {
+      [7] = trans { src = "a", tgt = "root.c.x", events = { "e_c" } },
+      [8] = trans { src = "c", tgt = "internal", events = { "e_i" } },
+      c = state { x = state {}, trans { src = "initial", tgt = "x", guard = no } } }
+    helper.post_and_run(fsm, "e_c")
+    assert.matches("root.trans%[8%] %(c %-> internal%): would be taken",
+      rest_of(fsm, "e_i"))
+  end)
+
+  it("has a word for each answer", function()
+    local fsm, words = machine { [7] = trans { src = "a", tgt = "b", pn = -1,
+      events = { "e_b" }, guard = function() error("no", 0) end } }, {}
+    for i, answer in ipairs(rfsm_checks.why(fsm, "e_b").answers) do
+      words[i] = answer.verdict
+    end
+    assert.same({ "fires", "event", "failed" }, words)
+  end)
+
   it("names the winner to a transition that loses", function()
     local fsm = machine { [7] = trans { src = "a", tgt = "b", pn = -1,
       events = { "e_b" } } }

@@ -13,7 +13,7 @@ end
 
 -- The lines to type: each group of them is printed first, as a terminal echoes it.
 local function input_of(block)
-  local lines, group = { "follow(true)" }, {}
+  local lines, group = { "if follow then follow(true) end" }, {} -- not of a system
   local function close()
     for _, line in ipairs(group) do lines[#lines + 1] = ("print(%q)"):format(line) end
     for _, line in ipairs(group) do lines[#lines + 1] = line:gsub("^>+ ?", "") end

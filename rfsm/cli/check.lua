@@ -12,8 +12,8 @@ local concat = table.concat
 
 local check = {
   summary = "Report problems and suspicious parts of charts.",
-  epilog = "FILE: a Lua file that returns a chart; - is stdin. The status is 0 "
-    .. "without a problem, 1 with one, 2 if a file cannot be read.",
+  epilog = "FILE: a Lua file that returns a chart or a system; - is stdin. The status "
+    .. "is 0 without a problem, 1 with one, 2 if a file cannot be read.",
 }
 
 local function print_codes()
@@ -76,11 +76,11 @@ local function write_tests(options, parser)
       machine = options.machine, file = file }, options.output, old_text)
   if not result.runs[1] then common.fail(file .. ": no run of it repeats itself") end
   common.write(options.output, text)
-  io.stderr:write(("rfsm check: %d of %d transitions in %d steps\n"):format(
-    result.taken, result.transitions, result.steps))
+  common.warn(("%d of %d transitions in %d steps"):format(result.taken,
+    result.transitions, result.steps))
   if result.skipped > 0 then
-    io.stderr:write(("rfsm check: left out: %d runs that do not repeat themselves\n")
-      :format(result.skipped))
+    common.warn(("left out: %d runs that do not repeat themselves"):format(
+      result.skipped))
   end
   if old_text then report_difference(old_text, text) end
 end
@@ -100,7 +100,8 @@ local function lines_about(file, options)
     local problem
     settings, problem = review.settings_for(file)
     if not settings then common.fail(problem, 2) end
-    return common.load_model(file, options.stub, options.machine)
+    return common.load_model(file, options.stub, options.machine,
+      require("rfsm.system").load)
   end)
   if not model then return { warnings }, "error" end
   local ok, lines, gravest = common.with_streams(common.NOWHERE, review.of, file,

@@ -40,12 +40,15 @@ function common.with_streams(stream, f, ...)
   return ok, result, more, list
 end
 
+-- Writes a line to stderr.
+function common.warn(line)
+  io.stderr:write("rfsm ", common.command, ": ", line, "\n")
+end
+
 -- Reports each line of a problem on stderr, and ends the program.
 function common.fail(problem, status)
   io.stdout:flush()
-  for line in problem:gmatch("[^\n]+") do
-    io.stderr:write("rfsm ", common.command, ": ", line, "\n")
-  end
+  for line in problem:gmatch("[^\n]+") do common.warn(line) end
   os.exit(status or 1)
 end
 
@@ -109,8 +112,8 @@ function common.check_readable(file)
 end
 
 -- As chart.load; output goes to stderr.
-function common.load_model(file, has_stubs, number)
-  return select(2, common.with_streams(io.stderr, chart.load, file, has_stubs, number))
+function common.load_model(...)
+  return select(2, common.with_streams(io.stderr, chart.load, ...))
 end
 
 -- Returns the machine of a chart, made silently, and the names of its stubs.
@@ -123,9 +126,7 @@ local function load_machine(file, has_stubs, number)
     for i, text in ipairs(problems) do problems[i] = chart.line(file, text) end
     common.fail(concat(problems, "\n"))
   end
-  for _, line in ipairs(chart.lines_of(file, world)) do
-    io.stderr:write("rfsm ", common.command, ": ", line, "\n")
-  end
+  for _, line in ipairs(chart.lines_of(file, world)) do common.warn(line) end
   return fsm, world.names
 end
 
@@ -169,9 +170,7 @@ function common.library_of(bundle, options, parser, settings)
   local ok, text, warnings = common.with_streams(io.stderr, bundle, options.files,
     settings)
   if not ok then common.fail(chart.first_line(text)) end
-  for _, line in ipairs(warnings) do
-    io.stderr:write("rfsm ", common.command, ": ", line, "\n")
-  end
+  for _, line in ipairs(warnings) do common.warn(line) end
   return text
 end
 

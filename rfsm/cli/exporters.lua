@@ -35,9 +35,7 @@ local function write_beside(file, ending, text)
   local output = file == "-" and "-" or file:gsub("%.lua$", "") .. ending
   local old = output ~= "-" and files.read(output)
   common.write(output, text)
-  if old and old ~= text then
-    io.stderr:write("rfsm ", common.command, ": ", output, " was replaced\n")
-  end
+  if old and old ~= text then common.warn(output .. " was replaced") end
 end
 
 -- Makes the command of an exporter.

@@ -47,7 +47,7 @@ local function print_help(parser, parsers, argv)
   return 0
 end
 
--- A chart without a command: ends the program with what to type.
+-- Ends the program with what to type if a chart stands where a command is expected.
 local function refuse_file(commands, name)
   if commands[name] or not name:find("%.lua$") then return end
   io.stderr:write("rfsm: '", name, "' is no command. To step through that chart, ",

@@ -3,6 +3,7 @@
 -- @module rfsm.cli.review
 -- @license BSD-3-Clause
 
+local advice = require "rfsm.advice"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local files = require "rfsm.shared.files"
@@ -12,14 +13,18 @@ local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
+local report = require "rfsm.system.report"
+local sequence = require "rfsm.system.sequence"
 local source = require "rfsm.checks.source"
 local static = require "rfsm.checks.static"
+local system = require "rfsm.system"
 local verdict = require "rfsm.explore.verdict"
 
 local error, io, ipairs = error, io, ipairs
 local loadfile, os, pcall = loadfile, os, pcall
 local package, pairs, rawget = package, pairs, rawget
 local rawset, require, type = rawset, require, type
+local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local review = {}
@@ -93,7 +98,8 @@ local function declared_for(file)
   return declared
 end
 
-local MANY = 10000 -- configurations, if no option has another number
+-- Configurations of a chart, and of a system, if no option has another number.
+local MANY, MANY_TOGETHER = 10000, 100000
 
 local real_stderr = io and io.stderr
 
@@ -106,6 +112,18 @@ local function progress_line()
   end
 end
 
+-- Writes the run that shows a finding to a file.
+local function write_witness(model, witness, name)
+  if not system.is_system(model) then
+    os.remove(name) -- a recording is appended to
+    return rfsm_checks.record_witness(model, witness, name)
+  end
+  local text = name:find("%.mmd") and sequence.mermaid(model.names, witness)
+    or concat(sequence.lines_of(witness), "\n") .. "\n"
+  local ok, problem = files.write(name, text)
+  if not ok then error(problem, 0) end
+end
+
 -- Writes the runs that show findings to files: FILE, FILE.2, FILE.3; notes their names.
 local function write_witnesses(model, findings, name)
   local count = 0
@@ -114,14 +132,13 @@ local function write_witnesses(model, findings, name)
     if witness and witness[1] then
       count = count + 1
       finding.record = count > 1 and name .. "." .. count or name
-      os.remove(finding.record) -- a recording is appended to
-      rfsm_checks.record_witness(model, witness, finding.record)
+      write_witness(model, witness, finding.record)
     end
   end
 end
 
--- Returns the line of a file that has what a problem is about: the name in quotes, or
--- the option in front.
+-- Returns the number of the first line with the name that a problem has in quotes, or
+-- with the option that it begins with: "7: "; empty if there is none.
 local function line_with(text, problem)
   local wanted, number = problem:match("'(.-)'") or problem:match("^(%w+)") or "", 0
   for line in (text .. "\n"):gmatch("(.-)\n") do
@@ -131,47 +148,65 @@ local function line_with(text, problem)
   return ""
 end
 
--- Raises the failure of an exploration; what is wrong with declarations has its line.
+-- Raises the failure of an exploration. If the file of declarations is wrong, the
+-- failure begins with its name and line.
 local function refuse(name, failure)
   local text = type(failure) == "string" and exists(name) and files.read(name)
   if not text or failure:find("^%S+:%d+: ") then error(failure, 0) end
-  local problem = failure:gsub("^rfsm_checks%.explore: ", "")
+  local problem = failure:gsub("^rfsm[_%.]%l+%.explore: ", "")
   error(name .. ":" .. (line_with(text, problem):gsub("^$", " ")) .. problem, 0)
 end
 
--- Explores a chart, with the declarations in the file beside it.
-local function explore(file, model, options)
-  local own = declared_for(file)
+-- Calls explore(model, declarations), with the bounds of the command.
+local function run_explore(file, model, own, options, explore, most)
   for _, name in ipairs { "together", "seconds", "configurations" } do
     if options[name] ~= nil then own[name] = options[name] end
   end
-  own.configurations = own.configurations or MANY
+  own.configurations = own.configurations or most
   own.progress = progress_line()
-  local ok, result = calls.try(rfsm_checks.explore, model, own)
+  local ok, result = calls.try(explore, model, own)
   if not ok then refuse(review.properties_of(file), result) end
   if own.progress then real_stderr:write("\r\27[K") end
   return result
 end
 
--- The makers of events, by the modules that `rfsm check` loads for them.
-local EXTENSIONS = {
-  rfsm_timeevent = "timer", ["rfsm.timeevent"] = "timer",
-  rfsm_await = "await", ["rfsm.await"] = "await",
-}
+-- Returns the options of a machine: those beside its chart, but for the alphabet, and
+-- those of the system.
+local function machine_options(cell, name, given)
+  local fsm = static.init(cell.models[name], false)
+  local chart_file = location.split(rfsm.location_of(fsm))
+  local beside, own = declared_for((chart_file:gsub(":%d+: $", ""))), {}
+  for _, field in ipairs(report.OF_MACHINE) do own[field] = beside[field] end
+  own.alphabet = nil
+  for field, value in pairs(given) do own[field] = value end -- any order: a copy
+  return own
+end
 
--- The modules that charts require for them.
-local MODULES = { timer = "rfsm_timeevent", await = "rfsm_await" }
+-- Explores a system, with the declarations in the files beside it and its charts.
+local function explore_system(file, cell, options)
+  local own = declared_for(file)
+  local machines = own.machines or {}
+  for _, name in ipairs(type(machines) == "table" and cell.names or {}) do
+    machines[name] = machine_options(cell, name, machines[name] or {})
+  end
+  own.machines = machines
+  return run_explore(file, cell, own, options, report.explore,
+    MANY_TOGETHER)
+end
+
+-- The modules that `rfsm check` loads, so that the events of charts are known.
+local EXTENSIONS = { "rfsm_timeevent", "rfsm.timeevent", "rfsm_await", "rfsm.await" }
 
 --- Call a function that loads a chart, and note the extensions that it requires.
----@return table<string, true> required "timer", "await"
+---@return table<string, true> required "rfsm_timeevent", "rfsm_await"
 ---@return any ... results of `f`
 function review.noting_extensions(f, ...)
   local required, kept = {}, {}
   local loaded, preload = package.loaded, package.preload
-  for name, maker in pairs(EXTENSIONS) do -- any order: each stands alone
+  for _, name in ipairs(EXTENSIONS) do
     kept[name] = { require(name), rawget(_G, name) }
     preload[name] = function()
-      required[maker] = true
+      required[name:gsub("%.", "_")] = true
       rawset(_G, name, kept[name][2])
       return kept[name][1]
     end
@@ -194,11 +229,11 @@ local function add_missing_extensions(findings, model, required)
   for _, entry in ipairs(rfsm.machines(static.init(model, false))) do
     for _, tr in ipairs(rfsm.elements(entry.machine, rfsm.is_trans)) do
       for _, event in ipairs(tr.events or {}) do
-        local maker = match.maker_of(event)
-        if MODULES[maker] and not required[maker] then
+        local module = match.maker_of(event) and advice.module_for(event)
+        if module and not required[module] then
           findings:add("unknown-word", tr, location.path(tr, entry.prefix),
             ("the chart does not load the extension that knows '%s' (require %q)")
-              :format(event:gsub("@root.*$", ""), MODULES[maker]),
+              :format(event:gsub("@root.*$", ""), module),
             location.in_words(tr, entry.prefix))
         end
       end
@@ -208,12 +243,17 @@ end
 
 -- Returns all findings about a chart, and the exploration, if there was one.
 local function find_all(file, model, settings, options)
+  if system.is_system(model) then
+    local result = not options.static and explore_system(file, model, options)
+    return static.apply(result and result.findings or {}, settings), result or nil
+  end
   local findings, result = static.collect(model, static.OF_FILES), nil
   if gravest_of(findings) ~= "error" then
     add_missing_extensions(findings, model, options.required or {})
   end
   if not (options.static or gravest_of(findings) == "error") then
-    result = explore(file, model, options)
+    result = run_explore(file, model, declared_for(file), options, rfsm_checks.explore,
+      MANY)
     findings:join(result.findings)
     if not result.bound then findings:add_idle_silences(model) end
   end
@@ -223,7 +263,9 @@ end
 -- Appends the lines of a finding, with the run that shows it.
 local function add_finding(lines, file, finding)
   lines[#lines + 1] = line_of(file, finding)
-  for _, line in ipairs(verdict.lines_of(finding.witness or {})) do
+  local witness = finding.witness or {}
+  local is_of_system = witness[1] and witness[1].machine
+  for _, line in ipairs((is_of_system and sequence or verdict).lines_of(witness)) do
     lines[#lines + 1] = "  " .. line
   end
   if finding.record then lines[#lines + 1] = "  recorded in " .. finding.record end
@@ -255,7 +297,7 @@ function review.of(file, model, warnings, settings, options)
   if options.record then write_witnesses(model, findings, options.record) end
   local lines = lines_of_all(file, findings, warnings, options.all)
   if not lines[1] then lines[1] = chart.name_of(file) .. ": ok" end
-  for _, line in ipairs(result and verdict.summary(result, options.explore) or {}) do
+  for _, line in ipairs(result and result:summary(options.explore) or {}) do
     lines[#lines + 1] = chart.name_of(file) .. ": " .. line
   end
   if options.all and not source.is_there then
@@ -271,7 +313,7 @@ function review.codes_text()
   for i, entry in ipairs(codes.list) do
     lines[i] = ("%-16s%-9s%s"):format(entry.code, entry.severity, entry.meaning)
   end
-  return table.concat(lines, "\n") .. "\n"
+  return concat(lines, "\n") .. "\n"
 end
 
 return review

@@ -22,6 +22,9 @@ function sim.add_arguments(command)
   command:flag("-q --quiet", "print no banner")
 end
 
-function sim.run(options) return require("rfsm.sim.simulator").main(options) end
+function sim.run(options)
+  local open = require("rfsm.cli.side_by_side").open
+  return require("rfsm.sim.simulator").main(options, open)
+end
 
 return sim

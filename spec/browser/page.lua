@@ -589,6 +589,25 @@ describe("a text of the picture", function()
   end)
 end)
 
+describe("a text of the page", function()
+  it("has a contrast of 4.5:1 to what is behind it, light and dark", function()
+    visit_picture(CHART)
+    window:run "send('e_nothing')"
+    window:type "45"
+    window:wait "document.querySelector('tr.lost') && document.querySelector('tr.step')"
+    window:run "$('coverage').click(); describe(1); $('keys').showModal()"
+    for _, view in ipairs { "picture", "boxes" } do
+      for _, scheme in ipairs { "light", "dark" } do
+        prefer(scheme)
+        local found = window:faint_words()
+        assert.is_true(found[1] > 60, found[1])
+        assert.same({}, found[2], view .. ", " .. scheme)
+      end
+      show_boxes()
+    end
+  end)
+end)
+
 describe("the history", function()
   it("shows the states behind a step, and now again", function()
     visit_picture(CHART)

@@ -199,10 +199,12 @@ end
 
 -- Deferral (rfsm.defer) -------------------------------------------------------
 
+-- The machine makes some events itself.
 local function is_deferred(machine, event)
-  for _, fqn in ipairs(event ~= "e_init_fsm" and configuration(machine) or {}) do
+  local text = tostring(event)
+  if text == "e_init_fsm" or text:find("^e_%a+.*@root") then return false end
+  for _, fqn in ipairs(configuration(machine)) do
     local list = machine.chart.nodes[fqn].defer
-    if tostring(event):find("^e_done@root") then return false end
     if list and matches({ events = list }, { event }) then return true end
   end
   return false
@@ -211,8 +213,8 @@ end
 -- Before a path is taken, whose first transition may take some; or when none is.
 local function defer(machine, events, tr)
   for _, event in ipairs(events) do
-    if #machine.deferred < 64 and is_deferred(machine, event)
-      and not (tr and matches(tr, { event })) then
+    if #machine.deferred < 64 and not (tr and matches(tr, { event }))
+      and is_deferred(machine, event) then
       machine.deferred[#machine.deferred + 1] = event
       dbg(machine, "DEFERRED", event)
     end
@@ -427,6 +429,14 @@ local function ask_getevents(machine, list)
   end
 end
 
+-- Appends the time events that come now, as a model of timers says.
+local function add_timers(machine, events)
+  for _, event in ipairs(machine.calls.timers and machine.calls.timers() or {}) do
+    events[#events + 1] = event
+    dbg(machine, "TIMEEVENT", event)
+  end
+end
+
 -- Calls a hook, whose error reaches the caller at once as well.
 local function run_hook(machine, name, events)
   if machine.calls[name] then machine.calls[name](events) end
@@ -454,6 +464,7 @@ local function gather(machine)
   machine.queue = {}
   local ok, failure = pcall(function()
     ask_getevents(machine, events)
+    add_timers(machine, events)
     events = recall(machine, events)
     run_hook(machine, "pre_hook", events)
   end)
@@ -538,6 +549,16 @@ function reference.reset(machine)
     machine.failed, machine.failure = false, nil
   end
 end
+
+--- Leave all active states, and go back to the start.
+function reference.leave(machine)
+  local list = configuration(machine)
+  for i = #list, 1, -1 do exit(machine, list[i]) end
+  reference.reset(machine)
+end
+
+--- Keep the first error for the end of the iteration.
+reference.protected = protected
 
 --- Change the target of a transition, which counts from the next search on.
 function reference.retarget(tr, tgt)

@@ -62,13 +62,14 @@ local function run_doo(world, fqn)
   end
 end
 
--- The programs that a tool may replace.
+-- The programs that a tool may replace, but those of a sequential AND state.
 local function replaceable(chart)
   local ids = {}
   local function add(id) if chart.programs[id] then ids[#ids + 1] = id end end
   for _, fqn in ipairs(chart.names) do
-    if chart.nodes[fqn].entry then add("entry " .. fqn) end
-    if chart.nodes[fqn].exit then add("exit " .. fqn) end
+    local node = not (chart.regions and chart.regions[fqn]) and chart.nodes[fqn] or {}
+    if node.entry then add("entry " .. fqn) end
+    if node.exit then add("exit " .. fqn) end
   end
   for _, tr in ipairs(chart.transitions) do
     if tr.guard then add("guard " .. tr.index) end
@@ -93,11 +94,20 @@ local function own_chart(chart)
 end
 
 -- world.versions[id] says how often a program was replaced; each version notes its own.
-local function new_world(chart)
+-- world.regions has the worlds of the regions of a state, by its F: they have the trace
+-- and the clock of the outer one.
+local function new_world(chart, outer)
   chart = own_chart(chart)
-  return {
-    chart = chart, trace = {}, counts = {}, versions = {}, ids = replaceable(chart),
-  }
+  local world = {
+    chart = chart, trace = outer and outer.trace or {}, counts = {}, versions = {},
+    ids = replaceable(chart), clock = outer and outer.clock or { now = 0 },
+    regions = {} }
+  function world.wait(seconds) world.clock.now = world.clock.now + seconds end
+  for fqn, regions in pairs(chart.regions or {}) do -- any order: each stands alone
+    world.regions[fqn] = { step = regions.step }
+    for i, own in ipairs(regions) do world.regions[fqn][i] = new_world(own, world) end
+  end
+  return world
 end
 
 local function version_of(world, id)
@@ -221,24 +231,32 @@ local function model_transition(world, tr)
   }
 end
 
+local model_of
+
 local function model_node(world, fqn, node)
   if node.kind == "connector" then return rfsm.conn {} end
-  return rfsm.state {
+  local regions = world.regions[fqn] or {}
+  local fields = {
     entry = node.entry and program_of(world, "entry", fqn) or nil,
     exit = node.exit and program_of(world, "exit", fqn) or nil,
     doo = node.doo and function() return run_doo(world, fqn) end or nil,
     history = node.history, final = node.final, defer = node.defer,
+    step = regions.step,
   }
+  if not regions[1] then return rfsm.state(fields) end
+  fields.doo = nil
+  for i, region in ipairs(regions) do fields[i] = model_of(region) end
+  return rfsm.seqand(fields)
 end
 
--- The chart as a model for rfsm.init.
-local function model_of(world)
+-- The chart as a model for rfsm.init, which warns of nothing then.
+function model_of(world)
   local root = charts.assemble(world.chart, function(fqn, node)
     return model_node(world, fqn, node)
   end, function(tr) return model_transition(world, tr) end)
-  root.info, root.err = false, outside(world, "err")
-  root.warn = outside(world, "warn")
+  root.info, root.err, root.warn = false, outside(world, "err"), false
   root.dbg = first_dbg(world) or false
+  root.gettime = function() return world.clock.now, 0 end
   root.getevents = outside(world, "getevents")
   root.pre_step_hook = outside(world, "pre_hook", 2)
   root.post_step_hook = outside(world, "post_hook", 2)
@@ -404,21 +422,15 @@ local function but_undeclared(warn)
   end
 end
 
--- A machine of the model, and what it does; nil and the problems when init refuses it.
-local function core_engine(world, model, warn)
-  local chart = world.chart
-  model.warn = false
-  local twin = chart.has_twin and rfsm.init(model)
-  local fsm, _, problems = rfsm.init(model)
-  if not fsm then return nil, problems end
-  fsm.warn = but_undeclared(warn)
+-- Has the programs of a world act on a machine.
+local function join_core(world, fsm)
+  local chart, nodes = world.chart, {}
+  fsm.warn = but_undeclared(outside(world, "warn"))
   add_state_hooks(world, fsm)
-  if (chart.seed or 1) % 5 == 0 then rfsm.prepare(fsm) end -- merges may come later
   world.send = function(...) rfsm.send_events(fsm, ...) end
   world.reset = function() rfsm.reset(fsm) end
   world.replace = function(id) replace(world, fsm, id) end
   world.switch_trace = function(on) fsm.dbg = on and outside(world, "dbg") end
-  local nodes = {}
   for _, fqn in ipairs(chart.names) do nodes[fqn] = node_of(fsm, fqn) end
   world.mode_of = function(fqn) return rfsm.get_sta_mode(nodes[fqn]) end
   world.retarget = function(n, m)
@@ -426,8 +438,22 @@ local function core_engine(world, model, warn)
     local tr, tgt = pick_target(world, n, m)
     node_of(fsm, tr.owner)[tr.key].tgt = nodes[tgt]
   end
+  for fqn, regions in pairs(world.regions) do -- any order: each stands alone
+    for i, region in ipairs(regions) do join_core(region, nodes[fqn].substates[i]) end
+  end
+  return nodes
+end
+
+-- A machine of the model, and what it does; nil and the problems when init refuses it.
+local function core_engine(world, model)
+  local chart = world.chart
+  local twin = chart.has_twin and rfsm.init(model)
+  local fsm, _, problems = rfsm.init(model)
+  if not fsm then return nil, problems end
+  local nodes = join_core(world, fsm)
+  if (chart.seed or 1) % 5 == 0 then rfsm.prepare(fsm) end -- merges may come later
   return {
-    fsm = fsm, send = world.send, reset = world.reset, twin = twin,
+    fsm = fsm, send = world.send, reset = world.reset, twin = twin, wait = world.wait,
     merge = function(n)
       local merge = chart.merges[n]
       nodes[merge.fqn] = merge_into_core(world, fsm, merge)
@@ -445,17 +471,16 @@ end
 function runs.on_core(chart)
   local world = new_world(chart)
   local model = model_of(world)
-  local engine, problems = core_engine(world, model, model.warn)
+  local engine, problems = core_engine(world, model)
   if not engine then return nil, problems end
   return drive(world, engine)
 end
 
---- The trace of the oracle. `extend(calls, chart)` may add the model of an extension.
-function runs.on_oracle(chart, extend)
-  local world = new_world(chart)
+-- The oracle of a world, its field `machine`, with those of its regions.
+local function new_oracle(world, extend)
   local calls = oracle_calls(world)
-  if extend then extend(calls, world.chart) end
   local machine = reference.new(world.chart, calls)
+  world.machine = machine
   world.send = function(...) reference.send(machine, ...) end
   world.reset = function() reference.reset(machine) end
   world.replace = function(id) world.versions[id] = version_of(world, id) + 1 end
@@ -465,8 +490,20 @@ function runs.on_oracle(chart, extend)
     if not world.chart.transitions[1] then return end
     reference.retarget(pick_target(world, n, m))
   end
+  for _, regions in pairs(world.regions) do -- any order: each stands alone
+    for _, region in ipairs(regions) do new_oracle(region, extend) end
+  end
+  if extend then extend(calls, world.chart, world) end
+  return machine
+end
+
+--- The trace of the oracle. `extend(calls, chart, world)` may add the model of an
+--- extension.
+function runs.on_oracle(chart, extend)
+  local world = new_world(chart)
+  local machine = new_oracle(world, extend)
   return drive(world, {
-    send = world.send, reset = world.reset,
+    send = world.send, reset = world.reset, wait = world.wait,
     merge = function(n)
       add_merged(world, chart.merges[n])
       machine.mode[chart.merges[n].fqn] = "inactive"
@@ -527,8 +564,7 @@ local MANY = 1e6
 function runs.interrupt(chart)
   local world = new_world(chart)
   local model = model_of(world)
-  local warn, random = model.warn, chart.seed
-  local engine = core_engine(world, model, warn)
+  local random, engine = chart.seed, core_engine(world, model)
   local fsm = engine.fsm
   local raise, value = interrupts.raise_anywhere, interrupts.VALUES[1]
   for i, op in ipairs(chart.ops) do
@@ -545,7 +581,7 @@ function runs.interrupt(chart)
   world.trace, world.counts, world.versions = {}, {}, {}
   world.chart = own_chart(chart)
   local expected = runs.on_oracle(chart)
-  local actual = drive(world, core_engine(world, model, warn))
+  local actual = drive(world, core_engine(world, model))
   local line = first_difference(expected, actual)
   return line and ("the next machine, line %d: oracle '%s', core '%s'"):format(line,
     tostring(expected[line]), tostring(actual[line]))
@@ -607,7 +643,7 @@ local function calls_of(chart, disturb, muted)
   local world = new_world(chart)
   world.calls, world.muted = 0, muted
   local model, calls = model_of(world), {}
-  local engine = core_engine(world, model, model.warn)
+  local engine = core_engine(world, model)
   for i, op in ipairs(engine and chart.ops or {}) do
     world.trace = {}
     if op[1] == "send" then engine.send(op[2], op[3], op[4]) end

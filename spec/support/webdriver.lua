@@ -101,9 +101,7 @@ function Window:faults_by_axe()
       + v.nodes.map(n => n.target.join(" ")).join(", "))))]]
 end
 
--- Behind a text are the fills of the shapes before it in the SVG, each painted over the
--- one before, and the backgrounds of the elements around the SVG.
-local FAINT = [=[
+local COLOURS = [=[
   const rgba = color => color.match(/[\d.]+/g).map(Number);
   const over = ([r, g, b, a = 1], opacity, behind) =>
     [r, g, b].map((value, i) => value * a * opacity + behind[i] * (1 - a * opacity));
@@ -115,11 +113,17 @@ local FAINT = [=[
     return (light + 0.05) / (dark + 0.05);
   };
   const chain = e => e ? [...chain(e.parentElement), e] : [];
-  const svg = document.querySelector("#view > svg");
   const opacity = e =>
     chain(e).reduce((product, one) => product * getComputedStyle(one).opacity, 1);
-  const card = chain(svg).reduce((behind, e) =>
+  const backOf = element => chain(element).reduce((behind, e) =>
     over(rgba(getComputedStyle(e).backgroundColor), 1, behind), [255, 255, 255]);
+]=]
+
+-- Behind a text are the fills of the shapes before it in the SVG, each painted over the
+-- one before, and the backgrounds of the elements around the SVG.
+local FAINT = COLOURS .. [=[
+  const svg = document.querySelector("#view > svg");
+  const card = backOf(svg);
   const shapes = [...svg.querySelectorAll("path, polygon, ellipse")]
     .filter(e => getComputedStyle(e).fill != "none");
   const isBehind = (e, text, point) => e.isPointInFill(point
@@ -145,6 +149,25 @@ local FAINT = [=[
 --- Returns how many texts the picture has, and those whose contrast to what is painted
 -- behind them is below 4.5:1, each with its contrast.
 function Window:faint_texts() return self:run(FAINT) end
+
+-- A disabled button need not be read.
+local FAINT_WORDS = COLOURS .. [=[
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  const list = [];
+  let count = 0;
+  for (let text; text = walker.nextNode();) {
+    const e = text.parentElement;
+    if (!text.data.trim() || !e.checkVisibility()) continue;
+    if (e.closest("svg, :disabled, script")) continue;
+    const behind = backOf(e), { color } = getComputedStyle(e);
+    const ratio = contrast(over(rgba(color), opacity(e), behind), behind);
+    count++;
+    if (!(ratio >= 4.5)) list.push(`${text.data.trim()}: ${ratio.toFixed(2)}`);
+  }
+  return [count, list]]=]
+
+--- Returns the same for the texts of the page that are not in its picture.
+function Window:faint_words() return self:run(FAINT_WORDS) end
 
 --- Wait until an expression is true in the page.
 function Window:wait(expression)

@@ -1,6 +1,7 @@
 -- A snapshot that is taken at any point, put anywhere and taken again is the same one,
 -- and the machine that it makes goes on as the first one did.
 
+local driven = require "spec.support.driven"
 local json = require "dkjson"
 local kept = require "spec.support.kept"
 local rfsm = require "rfsm"
@@ -29,10 +30,4 @@ local function run_case(seed)
   end
 end
 
-return { name = "snapshots anywhere", run = function(n, seed)
-  for i = 1, n do
-    local wrong = run_case(seed * 100003 + i)
-    if wrong then return i, ("seed %d, case %d: %s"):format(seed, i, wrong) end
-  end
-  return n
-end }
+return { name = "snapshots anywhere", run = driven.claim(run_case) }

@@ -1,0 +1,87 @@
+-- Why the library catches errors: each call of pcall, by file, with its reasons. Who
+-- adds one says here what may fail, and where the failure goes.
+--
+-- package    one that may be missing is looked for
+-- user       code of the user: the failure is reported, with its place
+-- input      a text or a chart from outside: the failure becomes a message
+-- host       a function of the host, a file, or another program may fail
+-- after      what has begun is undone or finished, then the error is raised again
+-- interrupt  an interrupt is told apart from other errors, and raised again
+
+local REASONS = {
+  ["rfsm.lua"] = { 21, "user after package host" },
+  ["rfsm_checks.lua"] = { 2, "user package" },
+  ["rfsm_seqand.lua"] = { 6, "user after input" },
+  ["rfsm_timeevent.lua"] = { 3, "host package user" },
+  ["rfsmpp.lua"] = { 1, "package" },
+  ["rfsm/checks/source.lua"] = { 2, "package input" },
+  ["rfsm/cli/common.lua"] = { 2, "user interrupt" },
+  ["rfsm/cli/fleet.lua"] = { 1, "host" },
+  ["rfsm/cli/redis.lua"] = { 1, "host" },
+  ["rfsm/cli/review.lua"] = { 3, "input package after" },
+  ["rfsm/cli/viz.lua"] = { 1, "input" },
+  ["rfsm/clock.lua"] = { 6, "host package" },
+  ["rfsm/explore/properties.lua"] = { 1, "user" },
+  ["rfsm/explore/subject.lua"] = { 2, "user after" },
+  ["rfsm/fast.lua"] = { 3, "user input" },
+  ["rfsm/fleet.lua"] = { 7, "host user" },
+  ["rfsm/observe/breakpoints.lua"] = { 1, "input" },
+  ["rfsm/pictures/diagram.lua"] = { 1, "input" },
+  ["rfsm/postgres.lua"] = { 2, "host after" },
+  ["rfsm/postgres/script.lua"] = { 1, "user" },
+  ["rfsm/preview.lua"] = { 1, "user" },
+  ["rfsm/proto.lua"] = { 3, "host input" },
+  ["rfsm/record.lua"] = { 3, "after interrupt input" },
+  ["rfsm/record/replay.lua"] = { 1, "after" },
+  ["rfsm/redis.lua"] = { 1, "input" },
+  ["rfsm/redis/connection.lua"] = { 12, "host package" },
+  ["rfsm/redis/store.lua"] = { 5, "host input" },
+  ["rfsm/rtt.lua"] = { 7, "host" },
+  ["rfsm/rtt/component.lua"] = { 11, "host user package" },
+  ["rfsm/rtt/launch.lua"] = { 10, "host after" },
+  ["rfsm/rtt/port.lua"] = { 1, "host" },
+  ["rfsm/rtt/program.lua"] = { 1, "host" },
+  ["rfsm/rtt/update.lua"] = { 8, "host user after" },
+  ["rfsm/server/charts.lua"] = { 2, "input" },
+  ["rfsm/server/functions.lua"] = { 2, "input user" },
+  ["rfsm/server/library.lua"] = { 2, "input" },
+  ["rfsm/shared/calls.lua"] = { 3, "interrupt after" },
+  ["rfsm/shared/chart.lua"] = { 6, "package input after" },
+  ["rfsm/shared/exact_json.lua"] = { 1, "input" },
+  ["rfsm/shared/limit.lua"] = { 2, "input after" },
+  ["rfsm/shared/options.lua"] = { 1, "package" },
+  ["rfsm/sim/prompt.lua"] = { 3, "user" },
+  ["rfsm/sim/session.lua"] = { 2, "after input" },
+  ["rfsm/sim/terminal.lua"] = { 6, "package after interrupt user" },
+  ["rfsm/snapshot.lua"] = { 5, "after user" },
+  ["rfsm/system.lua"] = { 1, "after" },
+  ["rfsm/system/report.lua"] = { 1, "input" },
+  ["rfsm/tests/rehearsal.lua"] = { 1, "after" },
+  ["rfsm/web.lua"] = { 1, "input" },
+  ["rfsm/web/driven.lua"] = { 2, "interrupt input" },
+  ["rfsm/web/picture.lua"] = { 3, "host package" },
+}
+
+local helper = require "spec.helper"
+
+-- Counts the calls in a file, without those in comments and texts.
+local function count_calls(file)
+  local count = 0
+  for line in helper.content(file):gmatch("[^\n]+") do
+    local code = line:gsub("%-%-.*", "")
+    count = count + select(2, code:gsub("%f[%w_.:]x?pcall%(", ""))
+  end
+  return count
+end
+
+describe("an error that is caught", function()
+  it("is one for which spec/pcall_spec.lua has a reason", function()
+    local found, expected = {}, {}
+    for file in io.popen("ls rfsm*.lua rfsm/*.lua rfsm/*/*.lua"):lines() do
+      local count = count_calls(file)
+      found[file] = count > 0 and count or nil
+    end
+    for file, case in pairs(REASONS) do expected[file] = case[1] end -- any order
+    assert.same(expected, found)
+  end)
+end)
