@@ -20,46 +20,44 @@ function graph.each_step(walk, number, f)
   end
 end
 
--- Calls f(from, tgt) for each step; with `is_internal` for those without events from
--- outside, with `is_sure` for those that can be taken whatever the clocks show.
-local function each_edge(walk, is_internal, is_sure, f)
+-- Calls f(from, tgt) for each step, or those without events from outside alone.
+local function each_edge(walk, is_internal, f)
   for from = 1, walk.expanded do
     for at = walk.first[from], walk.first[from + 1] - 1 do
       local step = walk.steps[at]
-      if (step < 0 or not is_internal) and not (is_sure and walk.unsure[at]) then
-        f(from, abs(step))
-      end
+      if step < 0 or not is_internal then f(from, abs(step)) end
     end
   end
 end
 
 -- Returns a list of the configurations from which steps lead to the first one, then to
 -- the second one, and so on; and for each the position before its own.
-local function reverse(walk, is_internal, is_sure)
+local function reverse(walk, is_internal)
   local list, before, count = {}, { 0 }, #walk.keys
   for number = 1, count do before[number + 1] = 0 end
-  each_edge(walk, is_internal, is_sure, function(_, tgt)
+  each_edge(walk, is_internal, function(_, tgt)
     before[tgt], list[#list + 1] = before[tgt] + 1, 0
   end)
   for number = 2, count + 1 do before[number] = before[number] + before[number - 1] end
-  each_edge(walk, is_internal, is_sure, function(from, tgt)
+  each_edge(walk, is_internal, function(from, tgt)
     list[before[tgt]], before[tgt] = from, before[tgt] - 1
   end)
   return list, before
 end
 
--- Adds predecessors to a set while there are some for which `joins(from, tgt)` is true.
--- Returns the set.
-local function spread(walk, set, joins, is_internal, is_sure)
-  local pending, list, before = {}, reverse(walk, is_internal, is_sure)
+-- Returns a set of goals and, while there are some, of predecessors for which
+-- `joins(from, tgt, set)` is true. It is asked for each step that leads into the set.
+local function spread(walk, goals, is_internal, joins)
+  local set, pending, list, before = {}, {}, reverse(walk, is_internal)
   for number = 1, #walk.keys do
+    set[number] = goals[number]
     if set[number] then pending[#pending + 1] = number end
   end
   while pending[1] do
     local number = remove(pending)
     for at = before[number] + 1, before[number + 1] do
       local from = list[at]
-      if not set[from] and joins(from, number) then
+      if not set[from] and joins(from, number, set) then
         set[from], pending[#pending + 1] = true, from
       end
     end
@@ -70,26 +68,25 @@ end
 --- Return the set of configurations from which one of `goals` can be reached.
 ---@param goals table<integer, boolean>
 ---@param is_internal boolean? by steps without events from outside
----@param is_sure boolean? by steps that can be taken whatever the clocks show
 ---@return table<integer, boolean> set
-function graph.can_reach(walk, goals, is_internal, is_sure)
-  local set = {}
-  for number = 1, #walk.keys do set[number] = goals[number] end
-  return spread(walk, set, function() return true end, is_internal, is_sure)
+function graph.can_reach(walk, goals, is_internal)
+  return spread(walk, goals, is_internal, function() return true end)
 end
 
--- Does a step lead into a set whatever the clocks show: for each group of deadlines
--- that may be over first?
+-- Does a step lead into a set whatever the clocks show: one that needs no group of
+-- deadlines to be over first, or one for each group that may be?
 local function leads_surely(walk, number, set)
-  local ways, is_counted = 0, {}
+  local ways, is_counted, is_sure = 0, {}, false
   graph.each_step(walk, number, function(tgt, _, at)
     local group = walk.unsure[at]
-    if group and set[tgt] and not is_counted[group] then
+    if set[tgt] and not group then
+      is_sure = true
+    elseif set[tgt] and not is_counted[group] then
       is_counted[group], ways = true, ways + 1
+      is_sure = is_sure or ways == group.ways
     end
-    if group and ways == group.ways then is_counted.all = true end
   end)
-  return is_counted.all
+  return is_sure
 end
 
 --- Return the set of configurations from which one of `goals` can be reached, whatever
@@ -98,16 +95,9 @@ end
 ---@param goals table<integer, boolean>
 ---@return table<integer, boolean> set
 function graph.can_surely_reach(walk, goals)
-  local set, has_grown = goals, true
-  while has_grown do
-    set, has_grown = graph.can_reach(walk, set, false, true), false
-    for number = 1, walk.expanded do
-      if not set[number] and leads_surely(walk, number, set) then
-        set[number], has_grown = true, true
-      end
-    end
-  end
-  return set
+  return spread(walk, goals, false, function(from, _, set)
+    return leads_surely(walk, from, set)
+  end)
 end
 
 -- Counts the steps without events from outside, but not those of a doo that goes on.
@@ -124,15 +114,15 @@ end
 ---@param goals table<integer, boolean>
 ---@return table<integer, boolean> set
 function graph.must_reach(walk, goals)
-  local set, left = {}, {}
+  local ends, left = {}, {}
   for number = 1, #walk.keys do -- an unknown step is no fault
-    set[number] = goals[number] or number > walk.expanded or walk.cut[number]
+    ends[number] = goals[number] or number > walk.expanded or walk.cut[number]
   end
-  return spread(walk, set, function(from, tgt)
+  return spread(walk, ends, true, function(from, tgt)
     left[from] = left[from] or count_internal(walk, from)
     if from ~= tgt then left[from] = left[from] - 1 end
     return left[from] == 0
-  end, true)
+  end)
 end
 
 -- Tarjan's search for strongly connected components: the configurations that are
