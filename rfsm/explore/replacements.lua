@@ -318,6 +318,7 @@ end
 -- there is nothing to do.
 local function new_replacement(self, part, run, flags, events)
   if not (flags[1] or events[1] ~= nil or run) then return nil end
+  if run then part.is_bound = true end
   local later = read_sends(self, part, events)
   return function(own, ...)
     if run then

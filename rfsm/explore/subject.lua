@@ -33,7 +33,7 @@ local replacements = require "rfsm.explore.replacements"
 local error, ipairs, pcall = error, ipairs, pcall
 local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
 local tonumber, type = tonumber, type
-local concat, sort = table.concat, table.sort
+local concat, remove, sort = table.concat, table.remove, table.sort
 local max, min = math.max, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
@@ -45,7 +45,6 @@ local subject = {}
 ---@field transitions table[] `tr`, `path`, and `part` with its `prefix`
 ---@field names table<string, rfsm.State> states by path
 ---@field part_of table<string, rfsm_checks.Part> the same for their parts
----@field path_of table<rfsm.State, string>
 ---@field paths string[] of the states, in the order of the tree
 ---@field flags ("+"|"-")[] see `options.flags`
 ---@field writers string[] callbacks that may write the targets of transitions
@@ -87,12 +86,9 @@ Subject.__index = Subject
 ---@field is_bound boolean a callback is called, or there is a rule for a guard
 ---@field known table<rfsm.State|false, rfsm_checks.Leaf>
 ---@field positions rfsm_checks.Position[] the positions that it can have
----@field ids table<string, integer> their numbers
 ---@field timed table<string, boolean> time events whose order is known
 ---@field position rfsm_checks.Position where it was put
 ---@field rounds integer iterations since then
----@field plain table<rfsm.State, table<string, rfsm_checks.Position>> by leaf and mode:
--- positions in which nothing waits
 ---@field inner rfsm_checks.Part[] the regions, by the order of the tree
 ---@field is_single boolean it takes one step at most in a step: no state but a
 -- composite is entered and left again
@@ -107,17 +103,17 @@ Subject.__index = Subject
 
 --- A moment in a step: the entry of a state that the same step leaves again.
 ---@class rfsm_checks.Moment
----@field active table<string, boolean> paths of states, if the step has left it
----@field nodes rfsm.State[]
+---@field state rfsm.State
+---@field active table<string, boolean> paths of states
 ---@field flags string
 
 --- What is known of a leaf, or of a machine that was not entered.
 ---@class rfsm_checks.Leaf
 ---@field state rfsm.State|false
----@field number integer
 ---@field path string of the leaf
 ---@field paths string[] of the leaf and the states around it
 ---@field reactions rfsm_checks.Reactions|false
+---@field positions table<string, rfsm_checks.Position>
 
 --- A position of a machine.
 ---@class rfsm_checks.Position
@@ -190,37 +186,21 @@ function Subject:occurrence(part, event)
   return found
 end
 
--- Notes the nodes that are active in the moment in which a state is entered.
+-- Notes what is active in the moment in which a state is entered.
 local function note_moment(self, state)
-  local nodes, count = {}, 0
-  for _, part in ipairs(self.parts) do
-    local node = not part.is_quiet and part.fsm._mode ~= "inactive" and part.fsm
-    while node do
-      count = count + 1
-      nodes[count] = node
-      node = rfsm.actchild_get(node)
-    end
-  end
-  self.moments[#self.moments + 1] = { state = state, nodes = nodes,
-    flags = self.flags[1] and concat(self.flags) or "" }
-end
-
--- Returns the paths that are active in a moment.
-local function paths_in(self, moment)
   local active = {}
-  for _, node in ipairs(moment.nodes) do active[self.path_of[node]] = true end
   for _, part in ipairs(self.parts) do
     for _, path in ipairs(part.is_quiet and part.position.known.paths or NOTHING) do
       active[path] = true
     end
+    local node = not part.is_quiet and part.fsm._mode ~= "inactive" and part.fsm
+    while node do
+      active[location.path(node, part.prefix)] = true
+      node = rfsm.actchild_get(node)
+    end
   end
-  return active
-end
-
--- Returns the replacement of a callback.
-local function new_replacement(self, what, path, part, callback)
-  if callback and self.runs[callback] then part.is_bound = true end
-  return replacements.new(self, what, path, part, callback)
+  self.passed[#self.passed + 1] = { state = state, active = active,
+    flags = self.flags[1] and concat(self.flags) or "" }
 end
 
 local function new_replacement_of_doo(self, part, path, doo)
@@ -236,9 +216,9 @@ end
 local function make_state(self, part, state)
   local path = location.path(state, part.prefix)
   self.names[path], self.paths[#self.paths + 1] = state, path
-  self.part_of[path], self.path_of[state] = part, path
+  self.part_of[path] = part
   local own = instrument.owner_of_callbacks(state)
-  local entry = new_replacement(self, "entry", path, part, own.entry)
+  local entry = replacements.new(self, "entry", path, part, own.entry)
   own.entry = entry
   if not part.is_single or not rfsm.is_root(state) and rfsm.is_composite(state)
     and location.is_passable(state) then
@@ -247,7 +227,7 @@ local function make_state(self, part, state)
       note_moment(self, state)
     end
   end
-  own.exit = new_replacement(self, "exit", path, part, own.exit)
+  own.exit = replacements.new(self, "exit", path, part, own.exit)
   if state.doo and own == state then
     replacements.note_writer(self, "doo " .. path, state.doo)
     state.doo = new_replacement_of_doo(self, part, path, state.doo)
@@ -277,7 +257,7 @@ local function make_transition(self, part, tr)
     if self.runs[tr.guard] or self.rules[tr.guard] then part.is_bound = true end
     tr.guard = data.new_guard(self, path, tr.guard)
   end
-  local replacement = new_replacement(self, "effect", path, part, tr.effect)
+  local replacement = replacements.new(self, "effect", path, part, tr.effect)
   tr.likely = nil
   tr.effect = function(...)
     self.taken[#self.taken + 1] = number
@@ -310,13 +290,13 @@ local function new_hook(self, part)
 end
 
 -- Notes a leaf, or false for a machine that was not entered.
-local function add_leaf(part, leaf, number)
+local function add_leaf(part, leaf)
   local paths = {}
   for i, node in ipairs(leaf and location.line(part.fsm, leaf) or {}) do
     paths[i] = location.path(node, part.prefix)
   end
-  part.known[leaf] = { state = leaf, number = number, path = paths[#paths],
-    paths = paths, reactions = false }
+  part.known[leaf] = { state = leaf, path = paths[#paths], paths = paths,
+    reactions = false, positions = {} }
 end
 
 local SILENT = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook", "dbg" }
@@ -331,8 +311,7 @@ end
 -- Makes a machine a part of the subject.
 local function add_part(self, part)
   local fsm = part.fsm
-  part.known, part.positions, part.ids, part.position = {}, {}, {}, false
-  part.plain, part.inner = {}, {}
+  part.known, part.positions, part.inner, part.position = {}, {}, {}, false
   part.is_bound, part.is_quiet, part.is_single = false, false, is_single(part)
   part.kept, part.may_keep = kept.of(fsm), false
   if part.owner then table.insert(part.owner.inner, part) end
@@ -354,10 +333,10 @@ local function add_part(self, part)
       if type(event) ~= "function" then self:number_of_event(event) end
     end
   end
-  add_leaf(part, false, 0)
-  for i, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
+  add_leaf(part, false)
+  for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
     self.done["e_done@" .. leaf._fqn] = true
-    add_leaf(part, leaf, i)
+    add_leaf(part, leaf)
   end
   rfsm.pre_step_hook_add(fsm, new_hook(self, part))
 end
@@ -370,62 +349,45 @@ end
 -- came.
 local function relevant(self, part, leaf, events)
   if part.may_keep then return match.joined({}, events) end
-  local found, list, is_listed, other = reactions.of(part, leaf), {}, {}, nil
+  local found, list, other = reactions.of(part, leaf), NOTHING, nil
   for i = 1, #events do
     local event = events[i]
-    local is_known = found.has_predicate or found.set[event]
-      or self.wanted[event] ~= nil
-    if is_known and not is_listed[event] then
-      list[#list + 1], is_listed[event] = event, true
-    elseif not is_known and other == nil then
-      other = event
+    if not (found.has_predicate or found.set[event] or self.wanted[event] ~= nil) then
+      if other == nil then other = event end
+    elseif not match.has(list, event) then
+      list = match.with(list, event)
     end
   end
-  if leaf and found.any and list[1] == nil then list[1] = other end
+  if leaf and found.any and list[1] == nil then return { other } end
   return list
 end
 
--- Does none of the events that wait in a leaf have an effect?
-local function is_plain(self, part, leaf)
-  local found = reactions.of(part, leaf)
-  if found.any or found.has_predicate or part.kept then return false end
-  for _, event in ipairs(part.fsm._intq) do
-    if found.set[event] or self.wanted[event] ~= nil then return false end
-  end
-  return true
+-- Returns the numbers of events that wait as a text; empty if there are none.
+local function text_of_waiting(self, part, waiting)
+  if waiting[1] == nil then return "" end
+  local numbers = {}
+  for i, event in ipairs(waiting) do numbers[i] = self:number_of_event(event) end
+  if not part.may_keep then sort(numbers) end
+  return concat(numbers, ",")
 end
-
-local find_position
 
 -- Returns the position of a machine, with the events that wait: always the same table.
 local function read_position(self, part)
-  local leaf = part.fsm._act_leaf
-  local mode = leaf and leaf._mode or "inactive"
-  if not is_plain(self, part, leaf) then
-    return find_position(self, part, leaf, mode)
-  end
-  local by_mode = part.plain[leaf] or {}
-  part.plain[leaf] = by_mode
-  by_mode[mode] = by_mode[mode] or find_position(self, part, leaf, mode)
-  return by_mode[mode]
-end
-
-function find_position(self, part, leaf, mode)
-  local numbers = {}
+  local leaf, values, data_text = part.fsm._act_leaf, false, ""
+  local known, mode = part.known[leaf], leaf and leaf._mode or "inactive"
   local waiting = relevant(self, part, leaf, part.fsm._intq)
-  for i, event in ipairs(waiting) do numbers[i] = self:number_of_event(event) end
-  if not part.may_keep then sort(numbers) end
-  local known, values, text = part.known[leaf], false, ""
   if part.kept then
-    values, text = kept.read(part.kept, part.fsm, self.event_numbers)
+    values, data_text = kept.read(part.kept, part.fsm, self.event_numbers)
+    data_text = ":" .. data_text
   end
-  local key = known.number .. mode .. concat(numbers, ",") .. ":" .. text
-  local id = part.ids[key] or #part.positions + 1
-  part.ids[key] = id
-  part.positions[id] = part.positions[id]
-    or { id = id, leaf = leaf, known = known, mode = mode, waiting = waiting,
-      kept = values }
-  return part.positions[id]
+  local text = mode .. text_of_waiting(self, part, waiting) .. data_text
+  local position = known.positions[text]
+  if not position then
+    position = { id = #part.positions + 1, leaf = leaf, known = known, mode = mode,
+      waiting = waiting, kept = values }
+    part.positions[position.id], known.positions[text] = position, position
+  end
+  return position
 end
 
 --- Return the key of the configuration in which the machines are: the numbers of their
@@ -568,18 +530,18 @@ end
 
 -- Steps ...........................................................................
 
+-- The fields that a step begins anew.
+local OF_STEP = { "taken", "passed", "last_events", "sent", "sent_later", "emitted",
+  "called" }
+
 local function clear(list)
   for i = #list, 1, -1 do list[i] = nil end
 end
 
 -- Keeps the moments of states that the step has left again.
 local function keep_passed(self)
-  clear(self.passed)
-  for _, moment in ipairs(self.moments) do
-    if moment.state._mode == "inactive" then
-      moment.active = paths_in(self, moment)
-      self.passed[#self.passed + 1] = moment
-    end
+  for i = #self.passed, 1, -1 do
+    if self.passed[i].state._mode ~= "inactive" then remove(self.passed, i) end
   end
 end
 
@@ -591,14 +553,8 @@ end
 function Subject:step(events, choices)
   self.choices, self.asked, self.steps = choices, 0, self.steps + 1
   self.changed = nil
-  clear(self.taken)
-  clear(self.moments)
-  clear(self.last_events)
-  clear(self.sent)
-  clear(self.sent_later)
-  clear(self.emitted)
+  for i = 1, #OF_STEP do clear(self[OF_STEP[i]]) end
   if not order.is_empty(self.dropped) then self.dropped = {} end
-  clear(self.called)
   if not order.is_empty(self.answers) then self.answers = {} end
   if not order.is_empty(self.entered) then self.entered = {} end
   for event in order.each(self.wanted) do self.wanted[event] = false end
@@ -702,7 +658,7 @@ local function with_preproc(preproc, f, ...)
   local list = rfsm.preproc
   list[#list + 1] = preproc
   local ok, fsm, text, problems = pcall(f, ...)
-  table.remove(list)
+  remove(list)
   if not ok then error(fsm, 0) end
   return fsm, text, problems
 end
@@ -755,8 +711,8 @@ local function leave_out(entry)
   local _, regions = rfsm.regions(entry.state)
   for i = #regions, 1, -1 do
     if regions[i] == entry.machine then
-      table.remove(regions, i)
-      table.remove(regions.names, i)
+      remove(regions, i)
+      remove(regions.names, i)
     end
   end
 end
@@ -793,14 +749,14 @@ end
 ---@return rfsm_checks.Subject
 function subject.new(model, options, way)
   local self = setmetatable({ parts = {}, transitions = {}, number_of = {},
-    names = {}, paths = {}, part_of = {}, path_of = {}, callbacks = {}, writers = {},
+    names = {}, paths = {}, part_of = {}, callbacks = {}, writers = {},
     free = {}, sent = {}, later = {}, sent_later = {}, dropped = {}, late_senders = {},
     cancellers = {}, emitted = {}, emitters = {}, dry_sends = {},
     runs = {},
     flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
     calls_callbacks = options.callbacks, called = {},
     choices = {}, is_known = {}, askers = {}, is_doo = {}, asked = 0,
-    taken = {}, moments = {}, passed = {}, last_events = {}, ids = {}, entered = {},
+    taken = {}, passed = {}, last_events = {}, ids = {}, entered = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
     alphabet = options.alphabet, time = clock.simulated(), steps = 0,
     is_endless = false, notes_events = false, leaves_out = false,
