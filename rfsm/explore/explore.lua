@@ -83,7 +83,7 @@ local explore = {}
 ---@field wanted any[] events that properties look at
 ---@field monitored rfsm_checks.Judged[] the property whose monitor runs along, if any
 ---@field has_contexts boolean more tells configurations apart: their `contexts`
----@field contexts table[] `state` of the monitor, `time`, `values` of fields, `shape`
+---@field contexts table[] `state` of the monitor, `time`
 ---@field context_ids table<string, integer>
 ---@field kin table<string, integer[]> configurations that differ in their times alone
 ---@field unsure table<integer, rfsm_checks.Group> positions of steps where other
@@ -91,7 +91,6 @@ local explore = {}
 ---@field cut table<integer, boolean> configurations with a step that was left out: too
 -- many events wait to be sent behind it
 ---@field try rfsm_checks.Try the step that is taken
----@field choices boolean[] in that step, always the same table
 ---@field label fun(): string of that step
 ---@field timing rfsm_checks.Timing|false clocks, if timers come in order
 local Walk = {}
@@ -106,37 +105,32 @@ Walk.__index = Walk
 
 -- Configurations and labels of steps ................................................
 
+-- Returns the number of the context in a key, if there is one, and the subject's key.
+local function split(key)
+  local id, own = key:match("^(%d+)|(.*)$")
+  return tonumber(id), own or key
+end
+
 --- Return a configuration by its number.
 ---@param number integer
 ---@return rfsm_checks.Configuration conf
 function Walk:configuration(number)
-  local key = self.keys[number]
+  local id, key = split(self.keys[number])
   local conf = self.subject:configuration(key)
-  conf.context = self.contexts[tonumber(key:match("|(%d+)$"))]
+  conf.context = self.contexts[id]
   return conf
 end
 
--- Returns the key of the context of a configuration, empty if there is none; nil and
--- the problem if a field has a value that is not followed.
-local function key_of_context(walk, state, time)
-  if not walk.has_contexts then return "" end
-  local values, text = data.read(walk.subject)
-  if not values then return nil, text end
-  local shape = state .. "/" .. text
-  text = shape .. (time and "@" .. time.text or "")
+-- Returns the key of a configuration of the subject in a context.
+local function in_context(walk, key, state, time)
+  if not walk.has_contexts then return key end
+  local text = state .. (time and "@" .. time.text or "")
   local id = walk.context_ids[text]
   if not id then
     id = #walk.contexts + 1
-    walk.contexts[id] = { state = state, time = time, values = values, shape = shape }
-    walk.context_ids[text] = id
+    walk.contexts[id], walk.context_ids[text] = { state = state, time = time }, id
   end
-  return "|" .. id
-end
-
--- Puts the subject into a configuration, to take a step with events.
-local function put(walk, conf, events)
-  walk.subject:put(conf, events)
-  if conf.context then data.put(walk.subject, conf.context.values) end
+  return id .. "|" .. key
 end
 
 --- Does an event wait in a configuration, so that `rfsm.run` would go on?
@@ -153,14 +147,14 @@ end
 -- result is a list of those that differ in these values alone.
 local function find_known(walk, key)
   if walk.numbers[key] or not walk.timing then return walk.numbers[key] end
-  local before, id = key:match("^(.*)|(%d+)$")
-  local context = walk.contexts[tonumber(id)]
+  local id, own = split(key)
+  local context = walk.contexts[id]
   local time, kin = context.time, walk.kin
-  local name = ("%s|%s@%s"):format(before, context.shape, time.shape)
+  local name = ("%s@%s|%s"):format(context.state, time.shape, own)
   kin[name] = kin[name] or {}
   for _, number in ipairs(kin[name]) do
-    local other = walk.contexts[tonumber(walk.keys[number]:match("|(%d+)$"))].time
-    if zones.includes(other.zone, time.zone) then return number end
+    local other = walk.contexts[split(walk.keys[number])]
+    if zones.includes(other.time.zone, time.zone) then return number end
   end
   return nil, kin[name]
 end
@@ -234,8 +228,6 @@ local function add_step(walk, try, tgt)
   steps[count + 1], unsure[count + 1] = step, group
 end
 
-local MANY_CHOICES = 4096
-
 --- A step that is tried: its events, and deadlines that are over when it begins. The
 --- next one from the configuration has the same table.
 ---@class rfsm_checks.Try
@@ -244,14 +236,15 @@ local MANY_CHOICES = 4096
 ---@field events rfsm_checks.Occurrence[] those of timers behind the others
 ---@field is_internal boolean no event from outside and no deadline is among them
 ---@field group rfsm_checks.Group|false
+---@field f fun(walk: rfsm_checks.Walk, try: rfsm_checks.Try, key: string|nil,
+-- label: fun()) called after it; no key: it does not end. `label` is of use until then
 
 -- Returns the key of the configuration that the last step has led to, and where its
 -- clocks come from.
 local function key_after(walk, try, label)
-  local key, context = walk.subject:read(), try.conf.context
-  if not walk.has_contexts then return key end
-  local state, clocks = monitors.after(walk, try, key, label)
-  local time, sources = false, nil
+  local context, key, problem = try.conf.context, walk.subject:read()
+  local state, time, clocks, sources = false, false, nil, nil
+  if context then state, clocks = monitors.after(walk, try, key, label) end
   if walk.timing then
     time, sources = walk.timing:after(context.time, try.group, walk, clocks)
   end
@@ -260,34 +253,19 @@ local function key_after(walk, try, label)
       :format(walk.options.pending))
     walk.cut[try.from] = true
     return nil, sources
+  elseif problem then
+    note_untried(walk, "values", problem)
+    return nil, sources
   end
-  local behind, problem = key_of_context(walk, state, time)
-  if behind then return key .. behind, sources end
-  note_untried(walk, "values", problem)
-  return nil, sources
+  return in_context(walk, key, state, time), sources
 end
 
--- Takes a step once for each choice, and calls f(walk, try, key, label) after it; `key`
--- is nil if the step does not end. `label` is of use until f returns.
-local function each_choice(walk, try, f)
-  local own, choices, tries = walk.subject, walk.choices, 0
-  for i = #choices, 1, -1 do choices[i] = nil end
-  walk.try = try
-  repeat
-    put(walk, try.conf, try.events)
-    local ended = own:step(try.events, choices)
-    local asked, label = own.asked, walk.label
-    walk.count, tries = walk.count + 1, tries + 1
-    if ended then
-      local key = key_after(walk, try, label)
-      if key then f(walk, try, key, label) end
-    else
-      f(walk, try, nil, label)
-    end
-    if tries == MANY_CHOICES then
-      note_untried(walk, "choices", ("more than %d choices of one step"):format(tries))
-    end
-  until tries == MANY_CHOICES or not subject.next_choices(choices, asked, own.is_known)
+-- Calls `f` of the step that was taken, unless what is behind it is not followed.
+local function after_choice(walk, has_ended)
+  local try, label = walk.try, walk.label
+  walk.count = walk.count + 1
+  local key = has_ended and key_after(walk, try, label)
+  if key or not has_ended then try.f(walk, try, key, label) end
 end
 
 -- Notes what a step has done.
@@ -321,16 +299,18 @@ local function sets_of(list, most)
 end
 
 -- Takes steps with the sets of events from outside that come together with the
--- deadlines of a group; see `each_choice`.
+-- deadlines of a group, once for each choice.
 local function each_set(walk, from, conf, group, sets, f)
   local timers, is_over = group and group.events or {}, group and group.is_over
   local try = { from = from, conf = conf, group = group, events = false,
-    is_internal = false }
+    is_internal = false, f = f }
   for _, set in ipairs(sets) do
     if set[1] ~= nil or is_over or subject.may_act(conf) then
       try.events = match.joined(set, timers)
       try.is_internal = set[1] == nil and not is_over
-      each_choice(walk, try, f)
+      walk.try = try
+      local untried = walk.subject:each_choice(conf, try.events, walk, after_choice)
+      if untried then note_untried(walk, "choices", untried) end
     end
   end
 end
@@ -506,11 +486,11 @@ function explore.walk(model, options, prepare, way)
     way = way or false, together = settings.together or 1,
     is_together_given = settings.together ~= nil, untried = {}, passed = {},
     keys = {}, numbers = {}, from = {}, labels = {}, depth = 0, level_end = 1,
-    first = {}, steps = {}, choices = {}, taken = {}, endless = nil,
+    first = {}, steps = {}, taken = {}, endless = nil,
     bound = nil, stuck = {}, has_moved = false, count = 0, expanded = 0, wanted = {},
     monitored = {}, has_contexts = false, contexts = {}, context_ids = {}, kin = {},
     unsure = {}, cut = {}, timing = false }, Walk)
-  function walk.label() return label_of(walk.try, walk.choices, own.asked) end
+  function walk.label() return label_of(walk.try, own.choices, own.asked) end
   for _, gap in ipairs(explore.gaps(own)) do note_untried(walk, gap[1], gap[2]) end
   if prepare then prepare(walk) end
   walk.timing = timing.new(walk, settings)
@@ -519,9 +499,9 @@ function explore.walk(model, options, prepare, way)
   end
   own.leaves_out = not (walk.timing or own.notes_events)
   walk.has_contexts = walk.monitored[1] ~= nil or walk.timing ~= false
-    or own.var_names[1] ~= nil or own.run_list[1] ~= nil
-  find_configuration(walk, own:read() .. key_of_context(walk, monitors.FIRST,
-    walk.timing and walk.timing.none), 0, function() return "" end)
+  local key = in_context(walk, own:read(), monitors.FIRST,
+    walk.timing and walk.timing.none)
+  find_configuration(walk, key, 0, function() return "" end)
   explore.walk_all(walk, settings)
   data.rest(own)
   return walk
@@ -607,7 +587,7 @@ end
 function Walk:rerun(from, label, whole)
   local events, choices, number = read_label(self, label)
   local conf, step = self:configuration(from), new_step(events)
-  put(self, conf, events)
+  self.subject:put(conf, events)
   self.subject:step(events, choices)
   explore.note_outcome(self.subject, step)
   if whole then repeat_on(whole, events, step) end

@@ -124,7 +124,7 @@ Subject.__index = Subject
 ---@field waiting any[] events
 ---@field kept any[]|false what extensions keep, see `rfsm.explore.kept`
 
---- The positions of all of them, and `flags`, a text.
+--- The positions of all of them; `flags`, a text; `values` of fields.
 ---@alias rfsm_checks.Configuration rfsm_checks.Position[]
 
 local NOTHING = {}
@@ -391,23 +391,29 @@ local function read_position(self, part)
 end
 
 --- Return the key of the configuration in which the machines are: the numbers of their
---- positions, and a sign for each flag.
+--- positions, a sign for each flag, and the values of fields.
 ---@return string key
+---@return string? problem a value that is not followed
 function Subject:read()
   local parts, ids = self.parts, self.ids
   for i = 1, #parts do
     local part = parts[i]
     ids[i] = (part.is_quiet and part.position or read_position(self, part)).id
   end
-  return concat(ids, ",") .. concat(self.flags)
+  local key = concat(ids, ",") .. concat(self.flags)
+  if not self.memory then return key end
+  local values, text = data.read(self)
+  if not values then return key, text end
+  self.values[text] = values
+  return key .. "=" .. text
 end
 
 --- Return the configuration with a key.
 ---@param key string
 ---@return rfsm_checks.Configuration conf
 function Subject:configuration(key)
-  local ids, flags = key:match("^([%d,]*)([+-]*)")
-  local conf = { flags = flags }
+  local ids, flags, text = key:match("^([%d,]*)([+-]*)=?(.*)$")
+  local conf = { flags = flags, values = self.values[text] or NOTHING }
   for id in ids:gmatch("%d+") do
     local i = #conf + 1
     conf[i] = self.parts[i].positions[tonumber(id)]
@@ -487,6 +493,7 @@ function Subject:put(conf, events)
     end
   end
   for i = 1, #self.flags do self.flags[i] = conf.flags:sub(i, i) end
+  data.put(self, conf.values)
 end
 
 --- List the innermost active states of a configuration.
@@ -573,17 +580,36 @@ function Subject:step(events, choices)
   for _, part in ipairs(self.parts) do rfsm.reset(part.fsm) end
 end
 
---- Set the next choices to try; false if all were tried.
-function subject.next_choices(choices, asked, is_known)
-  for i = #choices, asked + 1, -1 do choices[i] = nil end
-  for i = asked, 1, -1 do
-    if choices[i] and not is_known[i] then
+-- Sets the next choices to try; false if all were tried.
+local function next_choices(self, choices)
+  for i = #choices, self.asked + 1, -1 do choices[i] = nil end
+  for i = self.asked, 1, -1 do
+    if choices[i] and not self.is_known[i] then
       choices[i] = false
       return true
     end
     choices[i] = nil
   end
   return false
+end
+
+local MANY_CHOICES = 4096
+
+--- Take a step from a configuration once for each choice, and call f(owner, has_ended)
+--- after each: see `step`.
+---@param conf rfsm_checks.Configuration
+---@param events rfsm_checks.Occurrence[]
+---@param owner any
+---@param f fun(owner: any, has_ended: true?)
+---@return string? untried what there may be besides; nil if there is nothing
+function Subject:each_choice(conf, events, owner, f)
+  local choices, tries = {}, 0
+  repeat
+    self:put(conf, events)
+    f(owner, self:step(events, choices))
+    tries = tries + 1
+    if tries == MANY_CHOICES then return "more than 4096 choices of one step" end
+  until not next_choices(self, choices)
 end
 
 local MANY_PATHS = 20 -- more than a step takes that ends, in a machine and its regions
@@ -756,7 +782,7 @@ function subject.new(model, options, way)
     flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
     calls_callbacks = options.callbacks, called = {},
     choices = {}, is_known = {}, askers = {}, is_doo = {}, asked = 0,
-    taken = {}, passed = {}, last_events = {}, ids = {}, entered = {},
+    taken = {}, passed = {}, last_events = {}, ids = {}, entered = {}, values = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
     alphabet = options.alphabet, time = clock.simulated(), steps = 0,
     is_endless = false, notes_events = false, leaves_out = false,

@@ -68,19 +68,14 @@ end
 -- Returns the number of the configuration that a machine is in; nil if some of its data
 -- is not followed.
 local function local_number(self, member)
-  local own = member.own
-  local values, text = data.read(own)
-  if not values then
-    note_untried(self, member, "values", text)
+  local key, problem = member.own:read()
+  if problem then
+    note_untried(self, member, "values", problem)
     return nil
   end
-  local key = own:read() .. "|" .. text
-  local number = member.ids[key]
-  if not number then
-    number = #member.confs + 1
-    member.ids[key], member.confs[number] = number, own:configuration(key)
-    member.confs[number].values = values
-  end
+  local number = member.ids[key] or #member.confs + 1
+  member.ids[key] = number
+  member.confs[number] = member.confs[number] or member.own:configuration(key)
   return number
 end
 
@@ -157,27 +152,19 @@ local function add_outcome(self, member, conf, set, list)
   end
 end
 
-local MANY_CHOICES = 4096
-
 -- Adds the outcomes of steps with events, one for each choice that makes a difference.
 local function add_outcomes(self, member, conf, read, set, list)
-  local own, choices, tries = member.own, {}, 0
   local events = match.joined(read, set)
   if not (events[1] or subject.may_act(conf)) then return end
-  repeat
-    own:put(conf, events)
-    data.put(own, conf.values)
-    tries, self.count = tries + 1, self.count + 1
-    if own:step(events, choices) then
+  local untried = member.own:each_choice(conf, events, member, function(_, has_ended)
+    self.count = self.count + 1
+    if has_ended then
       add_outcome(self, member, conf, set, list)
     else
       note_untried(self, member, "endless", "a step that does not end")
     end
-  until tries == MANY_CHOICES
-    or not subject.next_choices(choices, own.asked, own.is_known)
-  if tries == MANY_CHOICES then
-    note_untried(self, member, "choices", "more than 4096 choices of one step")
-  end
+  end)
+  if untried then note_untried(self, member, "choices", untried) end
 end
 
 -- Returns the outcomes of the steps of a machine with what it has read.
