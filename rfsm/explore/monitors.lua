@@ -200,21 +200,19 @@ end
 ---@param key string of the configuration that it has led to
 ---@param label fun(): string
 ---@return string state that of before if the walk has no monitor
----@return table<rfsm_checks.Judged, integer[]> clocks its own if they have changed
+---@return integer[]? clocks see `monitors.look`
 function monitors.after(walk, try, key, label)
-  local judged, own, clocks = walk.monitored[1], walk.subject, {}
-  local state = try.conf.context.state
-  if not judged then return state, clocks end
-  if state ~= "violated" and own.parts[1].fsm._act_leaf then
-    local view = own:view(own:configuration(key))
-    local came
-    state, clocks[judged], came = look_at(walk, judged, state, try, view)
-    judged.has_come = judged.has_come or came
+  local judged, own, state = walk.monitored[1], walk.subject, try.conf.context.state
+  if not judged or state == "violated" or not own.parts[1].fsm._act_leaf then
+    return state
   end
-  if state == "violated" and judged.holds == nil then
+  local next_state, clocks, came = look_at(walk, judged, state, try,
+    own:view(own:configuration(key)))
+  judged.has_come = judged.has_come or came
+  if next_state == "violated" and judged.holds == nil then
     judged.holds, judged.at, judged.label = false, try.from, label()
   end
-  return state, clocks
+  return next_state, clocks
 end
 
 return monitors
