@@ -9,7 +9,6 @@
 local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 local codes = require "rfsm.checks.codes"
-local order = require "rfsm.shared.order"
 local location = require "rfsm.shared.location"
 local stubs = require "rfsm.shared.stubs"
 
@@ -170,14 +169,6 @@ function static.init(model, warn)
   return calls.silently(calls.init_apart, model, warn)
 end
 
--- Warnings of `init` whose subject the checks report in more detail.
-local DETAILED = { "^no outgoing transitions from node", "'e_done' never fires here",
-  "each transition from here has events or a guard" }
-
-local function is_detailed(text)
-  return order.any(DETAILED, function(pattern) return text:find(pattern) end)
-end
-
 -- Returns the elements of a machine by the location in a warning about them.
 local function elements_by_place(fsm)
   local found = {}
@@ -196,10 +187,9 @@ local function add_lines(findings, lines, code, fsm, prefix)
   for _, line in ipairs(lines) do
     local file, rest = location.split(line)
     local at, text = rest:match("^(root.-): (.*)$")
-    local obj = by_place[at]
-    if code or not is_detailed(text or rest) then
-      findings:add(code or codes.of_warning(line), obj,
-        obj and location.path(obj, prefix), text or rest,
+    local obj, known = by_place[at], code or codes.of_warning(line)
+    if known then
+      findings:add(known, obj, obj and location.path(obj, prefix), text or rest,
         location.prefix(prefix) .. (at or "root"), file)
     end
   end

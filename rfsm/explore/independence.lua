@@ -150,9 +150,8 @@ local function find_groups(self)
       state.bound[#state.bound + 1] = part
     elseif state then
       state.groups = with_region(state.groups, self.traits, part)
-      for _, group in ipairs(state.groups) do
-        for _, mate in ipairs(group) do self.mates[mate] = group end
-      end
+      local group = state.groups[#state.groups]
+      for _, mate in ipairs(group) do self.mates[mate] = group end
     end
   end
 end

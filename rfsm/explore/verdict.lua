@@ -449,17 +449,16 @@ end
 
 --- Return what an exploration has done in lines: its numbers, what was not tried, and
 --- the properties that hold or are not known.
----@param result rfsm_checks.Exploration
 ---@param has_numbers boolean? false: no numbers, unless something was not tried
 ---@return string[] lines
-function verdict.summary(result, has_numbers)
+function Exploration:summary(has_numbers)
   local lines = {}
-  if has_numbers or result.bound then
+  if has_numbers or self.bound then
     lines[1] = ("%d configurations, %d of %d transitions taken, %d steps run"):format(
-      result.configurations, result.taken, result.transitions, result.steps)
+      self.configurations, self.taken, self.transitions, self.steps)
   end
-  if result.bound then lines[2] = UNKNOWN:format(concat(result.untried, "; ")) end
-  for _, judged in ipairs(result.properties) do
+  if self.bound then lines[2] = UNKNOWN:format(concat(self.untried, "; ")) end
+  for _, judged in ipairs(self.properties) do
     if judged.holds ~= false then
       lines[#lines + 1] = property_text(judged)
     end
@@ -467,10 +466,8 @@ function verdict.summary(result, has_numbers)
   return lines
 end
 
-Exploration.summary = verdict.summary
-
 function Exploration:__tostring()
-  local lines = verdict.summary(self, true)
+  local lines = self:summary(true)
   for _, finding in ipairs(self.findings) do add_finding_lines(lines, finding) end
   return concat(lines, "\n")
 end
