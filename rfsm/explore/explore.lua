@@ -636,17 +636,17 @@ function Walk:witness(number, label, cycle)
   local way, steps = explore.way_to(self, number, label), {}
   steps.again = cycle and #way + 1
   way = match.joined(way, cycle or {})
-  local moments = timing.new_moments()
+  local timed = {} -- for `Timing:times_of`
   local whole = self.way and subject.new(self.model, self.options)
   for i, step in ipairs(way) do
     local try
     steps[i], try = self:rerun(step.from, step.label, whole)
     if try then
       local _, sources = key_after(self, try, function() return step.label end)
-      timing.add_moment(moments, try.group, sources)
+      timed[i] = { group = try.group, sources = sources }
     end
   end
-  local times = self.timing and self.timing:solve(moments) or {}
+  local times = self.timing and self.timing:times_of(timed) or {}
   for i, step in ipairs(steps) do step.at = times[i] end
   data.rest(self.subject)
   return steps

@@ -438,36 +438,21 @@ end
 
 -- Times of a run ....................................................................
 
---- The moments of the steps of a run, and what is known of them.
----@class rfsm_checks.Moments
----@field count integer steps
----@field armed integer[] for each clock, the step in which it began
----@field bounds { [1]: integer, [2]: integer, [3]: number }[] on the time to the first
--- step from the second
-
---- Begin a run.
----@return rfsm_checks.Moments
-function timing.new_moments() return { count = 0, armed = {}, bounds = {} } end
-
---- Note a step.
----@param moments rfsm_checks.Moments
----@param group rfsm_checks.Group
----@param sources integer[] see `Timing:after`
-function timing.add_moment(moments, group, sources)
-  local now, armed = moments.count + 1, {}
-  local function of(i)
-    return i == 0 and now or moments.armed[i] or moments.count -- the last step
-  end
-  for _, bound in ipairs(now > 1 and group.bounds or {}) do
-    table.insert(moments.bounds, { of(bound[2]), of(bound[1]), bound[3] })
-  end
+-- Adds the bounds that a step puts on the time to one step from another. Returns for
+-- each clock the step in which it began.
+local function add_bounds(bounds, began, now, step)
+  local began_then = {}
+  local function of(i) return i == 0 and now or began[i] or now - 1 end
   if now > 1 then
-    table.insert(moments.bounds, { moments.count, now, zones.at_most(0) })
+    for _, bound in ipairs(step.group.bounds) do
+      bounds[#bounds + 1] = { of(bound[2]), of(bound[1]), bound[3] }
+    end
+    bounds[#bounds + 1] = { now - 1, now, zones.at_most(0) }
   end
-  for i, source in ipairs(sources) do
-    armed[i] = source == 0 and now or moments.armed[source]
+  for i, source in ipairs(step.sources) do
+    began_then[i] = source == 0 and now or began[source]
   end
-  moments.count, moments.armed = now, armed
+  return began_then
 end
 
 local MILLISECOND = 1000000
@@ -483,15 +468,18 @@ local function parts_of(count, unit)
   return parts
 end
 
---- Return the earliest times of the steps, in seconds; nil if there are none.
----@param moments rfsm_checks.Moments
+--- Return the earliest times of the steps of a run, in seconds; nil if there are none.
+---@param steps { group: rfsm_checks.Group, sources: integer[] }[] see `Timing:after`
 ---@return number[]?
-function Timing:solve(moments)
-  local at, parts, is_done = {}, parts_of(moments.count, self.unit), false
-  for i = 1, moments.count do at[i] = 0 end
-  for _ = 0, moments.count do
+function Timing:times_of(steps)
+  local at, parts, is_done = {}, parts_of(#steps, self.unit), false
+  local bounds, began = {}, {}
+  for i, step in ipairs(steps) do
+    at[i], began = 0, add_bounds(bounds, began, i, step)
+  end
+  for _ = 0, #steps do
     is_done = true
-    for _, bound in ipairs(moments.bounds) do
+    for _, bound in ipairs(bounds) do
       local least = floor(bound[3] / 2) * parts - (bound[3] % 2 == 0 and 1 or 0)
       if at[bound[1]] - least > at[bound[2]] then
         at[bound[2]], is_done = at[bound[1]] - least, false
@@ -500,7 +488,7 @@ function Timing:solve(moments)
     if is_done then break end
   end
   if not is_done or at[1] ~= 0 then return nil end
-  for i = 1, moments.count do at[i] = at[i] * self.unit / parts / BILLION end
+  for i = 1, #steps do at[i] = at[i] * self.unit / parts / BILLION end
   return at
 end
 
