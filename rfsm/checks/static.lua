@@ -48,10 +48,11 @@ local function silences_of(obj)
   return type(silences) == "table" and not rfsm.is_fsmobj(silences) and silences or {}
 end
 
-local function is_silenced(obj, code)
-  local reason = silences_of(obj)[code]
-  return type(reason) == "string" and reason:find("%S") ~= nil
+local function is_reason(value)
+  return type(value) == "string" and value:find("%S") ~= nil
 end
+
+local function is_silenced(obj, code) return is_reason(silences_of(obj)[code]) end
 
 --- A list of findings.
 ---@class rfsm_checks.Findings
@@ -134,7 +135,7 @@ local function check_silences(obj, add)
     if not codes.of[code] then
       add("silence", obj, ("checks: no check has the code '%s'%s"):format(
         rfsm.text_of(code), codes.nearest(code)))
-    elseif type(reason) ~= "string" or not reason:find("%S") then
+    elseif not is_reason(reason) then
       add("silence", obj, ("checks['%s']: a reason expected, got %s"):format(code,
         type(reason) == "string" and "an empty string" or type(reason)))
     end

@@ -520,7 +520,7 @@ function explore.walk(model, options, prepare, way)
   own.leaves_out = not (walk.timing or own.notes_events)
   walk.has_contexts = walk.monitored[1] ~= nil or walk.timing ~= false
     or own.var_names[1] ~= nil or own.run_list[1] ~= nil
-  find_configuration(walk, own:read() .. key_of_context(walk, monitors.FIRST,
+  find_configuration(walk, own:read() .. key_of_context(walk, "first",
     walk.timing and walk.timing.none), 0, function() return "" end)
   explore.walk_all(walk, settings)
   data.rest(own)
