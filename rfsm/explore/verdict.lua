@@ -276,17 +276,6 @@ local function find_waiting(walk, numbers, set)
   end
 end
 
--- Returns the components that nothing leaves, and others in which the machine waits;
--- none if there are no others.
-local function find_components(walk)
-  local bottoms, others = graph.components(walk)
-  local waiting = {}
-  for _, component in ipairs(others) do
-    if find_waiting(walk, component) then waiting[#waiting + 1] = component end
-  end
-  return waiting[1] and bottoms or {}, waiting
-end
-
 -- Returns a configuration in which the machine waited before it came to `numbers`,
 -- and whether it is on a cycle of at least so many states.
 local function find_before(walk, numbers, others, least)
@@ -314,7 +303,9 @@ local function is_fault(state) return codes.means(state, "a fault") end
 -- an event before that led there. It may have been set up for them: a note, unless
 -- there is a cycle of as many states elsewhere, or one of them is named as a fault.
 local function find_traps(walk, findings, is_first)
-  local bottoms, others = find_components(walk)
+  local bottoms, others = graph.components(walk)
+  local function waits_in(component) return find_waiting(walk, component) end
+  if not any(others, waits_in) then return end
   for _, numbers in ipairs(bottoms) do
     local paths, has_end, states = leaves_of_all(walk, numbers)
     local outside, is_small
