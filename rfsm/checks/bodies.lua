@@ -30,20 +30,17 @@ end
 
 local each_node = bodies.each_node
 
--- Returns "rfsm", "yield" for rfsm.yield; nil, "print" for print.
-local function names_of_call(node)
-  local callee = node[1]
-  if callee.tag == "Id" then return nil, callee[1] end
-  local is_field = callee.tag == "Index" and callee[1].tag == "Id"
-    and callee[2].tag == "String"
-  if is_field then return callee[1][1], callee[2][1] end
-end
+-- Returns the name of a node of a certain tag, otherwise an empty text.
+local function name_of(node, tag) return node.tag == tag and node[1] or "" end
 
---- Return the last name of a called function: "yield" for rfsm.yield.
+--- Return the names in a call: "yield" and "rfsm" for rfsm.yield(), "print" for
+--- print(). A name that is computed is empty.
+---@return string name
+---@return string? library
 function bodies.called_name(node)
   local callee = node[1]
-  return callee.tag == "Index" and callee[2].tag == "String" and callee[2][1]
-    or callee.tag == "Id" and callee[1] or ""
+  if callee.tag ~= "Index" then return name_of(callee, "Id") end
+  return name_of(callee[2], "String"), name_of(callee[1], "Id")
 end
 
 -- Parameters ......................................................................
@@ -132,7 +129,7 @@ end
 
 -- Returns what is wrong with a call in a callback that gets the machine as `fsm`.
 local function problem_of_call(node, field, fsm)
-  local library, name = names_of_call(node)
+  local name, library = bodies.called_name(node)
   if YIELDS[library or ""] and name == "yield" and field ~= "doo" then
     return ("the %s calls %s.yield (only a doo may yield)"):format(field, library)
   elseif library == "rfsm" and DRIVES[name] and node[2] then

@@ -126,8 +126,12 @@ function codes.means(state, meaning)
   end)
 end
 
--- Texts of the core's warnings, and their codes.
+-- Texts of the core's warnings, and their codes; false: the checks report the same in
+-- more detail.
 local WARNINGS = {
+  { "no outgoing transitions from node", false },
+  { "'e_done' never fires here", false },
+  { "each transition from here has events or a guard", false },
   { "has no field '", "unknown-field" },
   { "a plain table that", "unmarked" },
   { "a transition inside a leaf state", "misplaced" },
@@ -140,7 +144,7 @@ local WARNINGS = {
   { "an empty list, any event triggers it", "empty-events" },
 }
 
---- Return the code of a warning of the core.
+--- Return the code of a warning of the core; false if it is not needed.
 function codes.of_warning(text)
   for _, pair in ipairs(WARNINGS) do
     if text:find(pair[1], 1, true) then return pair[2] end

@@ -117,10 +117,8 @@ end
 
 -- Is it a call of a function of Lua or of the library, which cannot yield?
 local function is_plain_call(node)
-  local callee = node[1]
-  local name = callee.tag == "Index" and callee[1].tag == "Id" and callee[1][1]
-    or callee.tag == "Id" and callee[1]
-  return node.tag == "Call" and (name == "rfsm" or rawget(_G, name) ~= nil)
+  local name, library = called_name(node)
+  return library == "rfsm" or rawget(_G, library or name) ~= nil
 end
 
 -- The effects of nodes in a loop.

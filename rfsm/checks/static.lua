@@ -9,7 +9,6 @@
 local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 local codes = require "rfsm.checks.codes"
-local order = require "rfsm.shared.order"
 local location = require "rfsm.shared.location"
 local stubs = require "rfsm.shared.stubs"
 
@@ -49,10 +48,11 @@ local function silences_of(obj)
   return type(silences) == "table" and not rfsm.is_fsmobj(silences) and silences or {}
 end
 
-local function is_silenced(obj, code)
-  local reason = silences_of(obj)[code]
-  return type(reason) == "string" and reason:find("%S") ~= nil
+local function is_reason(value)
+  return type(value) == "string" and value:find("%S") ~= nil
 end
+
+local function is_silenced(obj, code) return is_reason(silences_of(obj)[code]) end
 
 --- A list of findings.
 ---@class rfsm_checks.Findings
@@ -135,7 +135,7 @@ local function check_silences(obj, add)
     if not codes.of[code] then
       add("silence", obj, ("checks: no check has the code '%s'%s"):format(
         rfsm.text_of(code), codes.nearest(code)))
-    elseif type(reason) ~= "string" or not reason:find("%S") then
+    elseif not is_reason(reason) then
       add("silence", obj, ("checks['%s']: a reason expected, got %s"):format(code,
         type(reason) == "string" and "an empty string" or type(reason)))
     end
@@ -170,14 +170,6 @@ function static.init(model, warn)
   return calls.silently(calls.init_apart, model, warn)
 end
 
--- Warnings of `init` whose subject the checks report in more detail.
-local DETAILED = { "^no outgoing transitions from node", "'e_done' never fires here",
-  "each transition from here has events or a guard" }
-
-local function is_detailed(text)
-  return order.any(DETAILED, function(pattern) return text:find(pattern) end)
-end
-
 -- Returns the elements of a machine by the location in a warning about them.
 local function elements_by_place(fsm)
   local found = {}
@@ -196,10 +188,9 @@ local function add_lines(findings, lines, code, fsm, prefix)
   for _, line in ipairs(lines) do
     local file, rest = location.split(line)
     local at, text = rest:match("^(root.-): (.*)$")
-    local obj = by_place[at]
-    if code or not is_detailed(text or rest) then
-      findings:add(code or codes.of_warning(line), obj,
-        obj and location.path(obj, prefix), text or rest,
+    local obj, known = by_place[at], code or codes.of_warning(line)
+    if known then
+      findings:add(known, obj, obj and location.path(obj, prefix), text or rest,
         location.prefix(prefix) .. (at or "root"), file)
     end
   end

@@ -499,7 +499,7 @@ function explore.walk(model, options, prepare, way)
   end
   own.leaves_out = not (walk.timing or own.notes_events)
   walk.has_contexts = walk.monitored[1] ~= nil or walk.timing ~= false
-  local key = in_context(walk, own:read(), monitors.FIRST,
+  local key = in_context(walk, own:read(), "first",
     walk.timing and walk.timing.none)
   find_configuration(walk, key, 0, function() return "" end)
   explore.walk_all(walk, settings)
@@ -616,17 +616,17 @@ function Walk:witness(number, label, cycle)
   local way, steps = explore.way_to(self, number, label), {}
   steps.again = cycle and #way + 1
   way = match.joined(way, cycle or {})
-  local moments = timing.new_moments()
+  local timed = {} -- for `Timing:times_of`
   local whole = self.way and subject.new(self.model, self.options)
   for i, step in ipairs(way) do
     local try
     steps[i], try = self:rerun(step.from, step.label, whole)
     if try then
       local _, sources = key_after(self, try, function() return step.label end)
-      timing.add_moment(moments, try.group, sources)
+      timed[i] = { group = try.group, sources = sources }
     end
   end
-  local times = self.timing and self.timing:solve(moments) or {}
+  local times = self.timing and self.timing:times_of(timed) or {}
   for i, step in ipairs(steps) do step.at = times[i] end
   data.rest(self.subject)
   return steps

@@ -41,19 +41,6 @@ local function pending_in(conf)
   return pending
 end
 
--- Returns what is pending in each of some configurations.
-local function pending_in_all(walk, numbers)
-  local common
-  for _, number in ipairs(numbers) do
-    local pending = pending_in(walk:configuration(number))
-    for name in order.each(common or {}) do -- any order: a set
-      if not pending[name] then common[name] = nil end
-    end
-    common = common or pending
-  end
-  return common
-end
-
 -- A step that leads from one configuration of a component to another one.
 ---@class rfsm_checks.Edge
 ---@field from integer
@@ -103,19 +90,22 @@ local function find_rest(walk, numbers)
   end
 end
 
--- Returns the steps between configurations if a fair run takes them again and again.
+-- Returns the steps between configurations if a fair run takes them again and again:
+-- what is pending in all of them is entered anew by some step.
 local function find_fair(walk, numbers)
-  local pending = pending_in_all(walk, numbers)
   local edges, has_edge = edges_between(walk, numbers), false
-  for _, list in order.each(edges) do -- any order: sets
-    for _, edge in ipairs(list) do
-      has_edge = true
-      for name, state in order.each(pending) do
-        if edge.entered[state] then pending[name] = nil end
-      end
+  local common = pending_in(walk:configuration(numbers[1]))
+  for _, number in ipairs(numbers) do
+    local pending = pending_in(walk:configuration(number))
+    has_edge = has_edge or edges[number][1] ~= nil
+    for name, state in order.each(common) do -- any order: a set
+      local is_entered = order.any(edges[number], function(edge)
+        return edge.entered[state]
+      end)
+      if is_entered or not pending[name] then common[name] = nil end
     end
   end
-  return order.is_empty(pending) and has_edge and edges or nil
+  return has_edge and order.is_empty(common) and edges or nil
 end
 
 -- Returns the steps of a cycle on which nothing stays pending.

@@ -16,6 +16,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local alphabet = require "rfsm.shared.alphabet"
 local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 
@@ -51,17 +52,15 @@ local function is_any(tr)
   return triggers == nil or triggers and (rfsm.is_state(tr.src) or tr.guard ~= false)
 end
 
-local function add_events(own, traits, events)
-  for _, event in ipairs(events) do
-    if not own:maker_of(event) then traits.events[event] = true end
+-- Returns the traits of a part without those inside of it.
+local function own_traits(own, part, are_free)
+  local traits = { events = {}, is_bound = part.is_bound,
+    is_any = any(rfsm.elements(part.fsm, rfsm.is_trans), is_any),
+    has_timer = not are_free and has_timer(part) }
+  for event in order.each(alphabet.of(part.fsm).set) do -- any order: a set
+    traits.events[event] = not own:maker_of(event) or nil
   end
-end
-
--- Adds the events that extensions react to in the states of a part.
-local function add_reactions(own, traits, part)
-  for _, state in ipairs(rfsm.elements(part.fsm, rfsm.is_state)) do
-    add_events(own, traits, rfsm.reactions(part.fsm, state))
-  end
+  return traits
 end
 
 -- Adds what a region has to the region around it.
@@ -77,14 +76,7 @@ end
 local function traits_of(own, is_timed, are_free)
   local traits = {}
   for _, part in ipairs(own.parts) do
-    traits[part] = { events = {}, is_any = false, is_bound = part.is_bound,
-      has_timer = not are_free and has_timer(part) }
-    add_reactions(own, traits[part], part)
-  end
-  for _, entry in ipairs(own.transitions) do
-    local part_traits, tr = traits[entry.part], entry.tr
-    part_traits.is_any = part_traits.is_any or is_any(tr)
-    add_events(own, part_traits, tr.events or {})
+    traits[part] = own_traits(own, part, are_free)
   end
   is_timed = is_timed or traits[own.parts[1]].has_timer
   for i = #own.parts, 2, -1 do
@@ -150,9 +142,8 @@ local function find_groups(self)
       state.bound[#state.bound + 1] = part
     elseif state then
       state.groups = with_region(state.groups, self.traits, part)
-      for _, group in ipairs(state.groups) do
-        for _, mate in ipairs(group) do self.mates[mate] = group end
-      end
+      local group = state.groups[#state.groups]
+      for _, mate in ipairs(group) do self.mates[mate] = group end
     end
   end
 end

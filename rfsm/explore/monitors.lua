@@ -1,10 +1,10 @@
 --- Monitors: properties of runs, judged step by step.
 --
--- A monitor is in a state, a word, and has clocks, the oldest first, each of which
--- expires when the time of the property is over. It looks at each step. An exploration
--- keeps both with each configuration; a running machine has them in a table. Conditions
--- are judged where a step ends; `precedes` and `never` also see states that a step
--- passes.
+-- A monitor is in a state, a word, "first" when it begins, and has clocks, the oldest
+-- first, each of which expires when the time of the property is over. It looks at each
+-- step. An exploration keeps both with each configuration; a running machine has them
+-- in a table. Conditions are judged where a step ends; `precedes` and `never` also see
+-- states that a step passes.
 --
 -- @module rfsm.explore.monitors
 -- @license BSD-3-Clause
@@ -161,9 +161,6 @@ end
 
 -- Monitors of an exploration ........................................................
 
---- The state in which each monitor begins.
-monitors.FIRST = "first"
-
 -- Returns how many clocks of a monitor there are in a configuration, and how many of
 -- them have expired.
 local function count_clocks(try, judged)
@@ -190,8 +187,8 @@ local function look_at(walk, judged, state, try, view)
   look.active, look.is_end = view, true
   look.came = property.event ~= nil and own.parts[1].position.leaf
     and own.wanted[property.event] or false
-  local next_state, clocks = monitors.look(property, state, look)
-  return next_state, clocks, look.came
+  judged.has_come = judged.has_come or look.came
+  return monitors.look(property, state, look)
 end
 
 --- Return the state of the monitor of a walk after the last step, and its clocks.
@@ -200,21 +197,18 @@ end
 ---@param key string of the configuration that it has led to
 ---@param label fun(): string
 ---@return string state that of before if the walk has no monitor
----@return table<rfsm_checks.Judged, integer[]> clocks its own if they have changed
+---@return integer[]? clocks see `monitors.look`
 function monitors.after(walk, try, key, label)
-  local judged, own, clocks = walk.monitored[1], walk.subject, {}
-  local state = try.conf.context.state
-  if not judged then return state, clocks end
-  if state ~= "violated" and own.parts[1].fsm._act_leaf then
-    local view = own:view(own:configuration(key))
-    local came
-    state, clocks[judged], came = look_at(walk, judged, state, try, view)
-    judged.has_come = judged.has_come or came
+  local judged, own, state = walk.monitored[1], walk.subject, try.conf.context.state
+  if not judged or state == "violated" or not own.parts[1].fsm._act_leaf then
+    return state
   end
-  if state == "violated" and judged.holds == nil then
+  local next_state, clocks = look_at(walk, judged, state, try,
+    own:view(own:configuration(key)))
+  if next_state == "violated" and judged.holds == nil then
     judged.holds, judged.at, judged.label = false, try.from, label()
   end
-  return state, clocks
+  return next_state, clocks
 end
 
 return monitors

@@ -38,14 +38,14 @@ local Property = {}
 -- nothing is.
 local PROBLEMS = {}
 
+local is_name = opts.is_a "string"
+
 function PROBLEMS.what(what)
   local names = type(what) == "table" and what or { what }
-  local is_right = names[1] ~= nil
-  for _, name in ipairs(names) do
-    is_right = is_right and (type(name) == "string" or type(what) == "function")
-  end
-  return not is_right and "path of a state, name of a flag, list of them or function "
-    .. "expected, got " .. type(what) or nil
+  local is_list = names[1] ~= nil and order.all(names, is_name)
+  if is_list or type(what) == "function" then return nil end
+  return "path of a state, name of a flag, list of them or function expected, got "
+    .. type(what)
 end
 
 PROBLEMS.goal = PROBLEMS.what
@@ -318,11 +318,10 @@ function JUDGES.from(walk, judged)
   elseif not walk.bound then
     local goals = set_of(walk, property.goal, "from")
     find_first(walk, judged, set, graph.can_reach(walk, goals))
-    local sure, is_known = graph.can_surely_reach(walk, goals), true
+    local sure = graph.can_surely_reach(walk, goals)
     for number = 2, #walk.keys do
-      is_known = is_known and (not set[number] or sure[number] == true)
+      judged.is_open = judged.is_open or set[number] and not sure[number]
     end
-    judged.is_open = not is_known
   end
 end
 

@@ -23,7 +23,7 @@ local reactions = {}
 ---@field [integer] any
 ---@field set table<any, boolean> the same events as a set
 ---@field any boolean any other event can, too
----@field has_predicate boolean
+---@field has_predicate boolean a predicate decides: `any` is true, too
 ---@field timers string[] time events of states that are active
 ---@field sets any[][] sets of several events without which a path cannot be taken
 ---@field is_cut boolean there are more than MANY_SETS of them
@@ -88,7 +88,7 @@ end
 -- have an effect now are listed for the regions themselves.
 local function add_own_regions(found, leaf)
   local count = #found
-  found.own = not (found.any or found.has_predicate) and {}
+  found.own = not found.any and {}
   for event in order.each(found.own and found.set or {}) do -- any order: a set
     found.own[event] = true
   end

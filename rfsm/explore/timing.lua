@@ -21,17 +21,15 @@ local rfsm = require "rfsm"
 local match = require "rfsm.shared.match"
 local zones = require "rfsm.explore.zones"
 
-local ipairs, math, rawget, setmetatable = ipairs, math, rawget, setmetatable
-local table = table
+local ipairs, math, setmetatable, table = ipairs, math, setmetatable, table
 local concat, floor, huge, max = table.concat, math.floor, math.huge, math.max
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local timing = {}
 
 --- The clocks of a walk.
 ---@class rfsm_checks.Timing
 ---@field subject rfsm_checks.Subject
----@field clocks rfsm_checks.Clock[] of states
+---@field clocks rfsm_checks.Clock[]
 ---@field of table<table, rfsm_checks.Clock> of properties, and of what is sent later
 ---@field pending integer most events that wait to be sent
 ---@field is_timed boolean some clock is not free
@@ -49,9 +47,9 @@ Timing.__index = Timing
 --- several that are like it.
 ---@class rfsm_checks.Clock
 ---@field number integer
----@field state rfsm.State|false
----@field judged rfsm_checks.Judged|false
----@field later rfsm_checks.Later|nil
+---@field state? rfsm.State
+---@field judged? rfsm_checks.Judged
+---@field later? rfsm_checks.Later
 ---@field is_free boolean|nil its deadline may be over at any time, or never
 ---@field deadlines number[] rising, in units
 ---@field events rfsm_checks.Occurrence[][] that come then
@@ -93,24 +91,29 @@ local function duration_of(timer)
   return duration < MOST and duration or nil
 end
 
--- Returns the clock of a state, with deadlines in nanoseconds; nil if it has no timer
--- whose time is known.
-local function clock_of(self, part, state)
-  local deadlines, events = {}, {}
+-- Adds a clock, with deadlines in nanoseconds.
+local function add_clock(self, clock)
+  clock.number = #self.clocks + 1
+  self.clocks[clock.number] = clock
+  return clock
+end
+
+-- Adds the clock of a state, if it has a timer whose time is known.
+local function add_state_clock(self, part, state)
+  local events = {} -- by deadline
   for _, timer in ipairs(state._timers or {}) do
     local duration = duration_of(timer)
     if duration then
       part.timed[timer.name] = true
-      if not events[duration] then deadlines[#deadlines + 1] = duration end
       events[duration] = match.with(events[duration] or {},
         self.subject:occurrence(part, timer.name))
     end
   end
-  table.sort(deadlines)
-  local clock = { number = #self.clocks + 1, state = state, judged = false,
-    deadlines = deadlines, events = {} }
-  for i, duration in ipairs(deadlines) do clock.events[i] = events[duration] end
-  return deadlines[1] and clock
+  local deadlines, lists = rfsm.sorted_keys(events), {}
+  for i, duration in ipairs(deadlines) do lists[i] = events[duration] end
+  if deadlines[1] then
+    add_clock(self, { state = state, deadlines = deadlines, events = lists })
+  end
 end
 
 -- Is there a time event without a clock?
@@ -124,29 +127,27 @@ local function has_free_timer(subject)
   end
 end
 
-local function add_clocks(self, walk, are_free)
-  for _, part in ipairs(are_free and {} or self.subject.parts) do
-    for _, state in ipairs(rfsm.elements(part.fsm, rfsm.is_state)) do
-      self.clocks[#self.clocks + 1] = clock_of(self, part, state) or nil
-    end
-  end
-  for i, judged in ipairs(walk.monitored) do
-    local seconds = judged.property.seconds
-    self.of[judged] = seconds and { number = #self.clocks + i, state = false,
-      judged = judged, deadlines = { nanoseconds(seconds) }, events = { {} } } or nil
-  end
+-- Adds the clock of events that are sent later.
+local function add_later_clock(self, later, are_free)
+  local duration = nanoseconds(later.after)
+  local is_free = are_free or duration >= MOST
+  if is_free then self.subject.free["sends with a delay"] = true end
+  self.of[later] = add_clock(self, { later = later, is_free = is_free,
+    deadlines = { is_free and 0 or duration }, events = { { later.occurrence } } })
 end
 
--- Adds the clocks of events that are sent later.
-local function add_later(self, walk, are_free)
-  local own, count = self.subject, #self.clocks + #walk.monitored
-  for i, later in ipairs(own.later) do
-    local duration = nanoseconds(later.after)
-    local is_free = are_free or duration >= MOST
-    if is_free then own.free["sends with a delay"] = true end
-    self.of[later] = { number = count + i, state = false, judged = false, later = later,
-      is_free = is_free, deadlines = { is_free and 0 or duration },
-      events = { { later.occurrence } } }
+local function add_clocks(self, judged, are_free)
+  for _, part in ipairs(are_free and {} or self.subject.parts) do
+    for _, state in ipairs(rfsm.elements(part.fsm, rfsm.is_state)) do
+      add_state_clock(self, part, state)
+    end
+  end
+  if judged and judged.property.seconds then
+    self.of[judged] = add_clock(self, { judged = judged, events = { {} },
+      deadlines = { nanoseconds(judged.property.seconds) } })
+  end
+  for _, later in ipairs(self.subject.later) do
+    add_later_clock(self, later, are_free)
   end
 end
 
@@ -156,18 +157,15 @@ local function greatest_divisor(a, b)
 end
 
 -- Has all times be whole numbers of the greatest unit.
-local function set_unit(self, walk)
-  local all = { unpack(self.clocks) }
-  for _, judged in ipairs(walk.monitored) do all[#all + 1] = self.of[judged] end
-  for _, later in ipairs(self.subject.later) do all[#all + 1] = self.of[later] end
-  for _, clock in ipairs(all) do
+local function set_unit(self)
+  for _, clock in ipairs(self.clocks) do
     for _, deadline in ipairs(clock.deadlines) do
       self.unit = greatest_divisor(self.unit, deadline)
     end
   end
   if self.unit == 0 then self.unit = BILLION end
   local longest = 0
-  for _, clock in ipairs(all) do
+  for _, clock in ipairs(self.clocks) do
     self.is_timed = self.is_timed or not clock.is_free
     for i, deadline in ipairs(clock.deadlines) do
       clock.deadlines[i] = floor(deadline / self.unit)
@@ -176,7 +174,6 @@ local function set_unit(self, walk)
   end
   self.period = self.period and floor(self.period / self.unit)
   self.is_inexact = longest >= MOST_UNITS
-  return all[1] ~= nil
 end
 
 -- Returns a time: always the same table.
@@ -201,10 +198,10 @@ function timing.new(walk, options)
     period = options.period and nanoseconds(options.period) or false, fired = {},
     pending = options.pending, is_timed = false, is_cut = false }, Timing)
   self.unit = self.period or 0
-  add_clocks(self, walk, options.timers == "free")
-  add_later(self, walk, options.timers == "free")
+  add_clocks(self, walk.monitored[1], options.timers == "free")
   walk.subject.free.timers = has_free_timer(walk.subject)
-  if not set_unit(self, walk) then return false end
+  if not self.clocks[1] then return false end
+  set_unit(self)
   self.none = find_time(self, {}, zones.new())
   return self
 end
@@ -246,11 +243,11 @@ end
 
 -- Adds a group, whose events come in the order of `numbers` of entries.
 local function add_group(self, groups, entries, found, numbers)
-  local group = { number = #groups + 1, over = found.over,
-    is_over = found.first ~= nil or found.has_free, is_sure = true, ways = 0,
+  local group = { number = #groups + 1, over = found.over, is_over = false,
     events = {}, zone = found.zone, bounds = found.bounds }
   for _, i in ipairs(numbers) do
     local entry = entries[i]
+    group.is_over = group.is_over or found.over[i] > 0
     for n = entry.passed + 1, entry.passed + found.over[i] do
       for _, event in ipairs(entry.clock.events[n]) do
         group.events[#group.events + 1], self.fired[event] = event, true
@@ -276,9 +273,9 @@ local function add_orders(self, groups, entries, count, found, numbers, rest)
       end
     end
     local zone = bounded(found.zone, count, bounds)
-    local own = zone and { over = found.over, zone = zone, first = found.first,
-      bounds = match.joined(found.bounds, bounds), has_free = found.has_free }
-    if own then
+    if zone then
+      local own = { over = found.over, zone = zone,
+        bounds = match.joined(found.bounds, bounds) }
       add_orders(self, groups, entries, count, own, match.with(numbers, i), others)
     end
   end
@@ -309,7 +306,6 @@ local function extended(self, entries, count, found, over)
   local zone = bounded(found.zone, count, bounds)
   return zone and { over = match.with(found.over, over), zone = zone,
     bounds = match.joined(found.bounds, bounds),
-    has_free = found.has_free or is_free and over > 0,
     first = found.first or over > 0 and not is_free and i or nil }
 end
 
@@ -341,8 +337,7 @@ local function new_groups(self, time, is_driven)
     bounds[1] = { count, 0, zones.at_most(self.period) }
   end
   zone = bounded(zones.up(zone, count), count, bounds)
-  add_groups(self, groups, entries, count, { over = {}, zone = zone, bounds = bounds,
-    has_free = false })
+  add_groups(self, groups, entries, count, { over = {}, zone = zone, bounds = bounds })
   local ways = 0
   for _, entry in ipairs(entries) do
     if entry.clock.is_free then ways = huge end
@@ -380,10 +375,12 @@ end
 -- Adds the clocks of the states that are active now.
 local function add_states(self, time, group, entries, sources)
   for _, clock in ipairs(self.clocks) do
-    local i = find_entry(time.entries, clock)
-    local is_new = self.subject.entered[clock.state]
+    local state = clock.state
+    local is_active = state and state._mode ~= "inactive"
+    local i = is_active and find_entry(time.entries, clock)
+    local is_new = is_active and self.subject.entered[state]
     local passed = is_new and 0 or i and time.entries[i].passed + group.over[i]
-    if clock.state._mode ~= "inactive" and passed and passed < #clock.deadlines then
+    if passed and passed < #clock.deadlines then
       entries[#entries + 1] = { clock = clock, passed = passed }
       sources[#sources + 1] = is_new and 0 or i
     end
@@ -408,7 +405,7 @@ local function add_pending(self, time, group, entries, sources)
   return #entries - before
 end
 
--- Adds the clocks of monitors: all that were there, or those that `numbers` names.
+-- Adds the clocks of the monitor: all that were there, or those that `numbers` names.
 local function add_monitor(time, clock, numbers, entries, sources)
   local list = {}
   for i, entry in ipairs(time.entries) do
@@ -424,56 +421,38 @@ end
 ---@param time rfsm_checks.Time before it
 ---@param group rfsm_checks.Group
 ---@param walk rfsm_checks.Walk
----@param changed table<rfsm_checks.Judged, integer[]> clocks of monitors
+---@param clocks integer[]? of the monitor, see `monitors.look`
 ---@return rfsm_checks.Time|nil time nil if too many events wait to be sent
 ---@return integer[] sources for each clock its number before, 0 if it is new
-function Timing:after(time, group, walk, changed)
+function Timing:after(time, group, walk, clocks)
   local entries, sources = {}, {}
   add_states(self, time, group, entries, sources)
   if add_pending(self, time, group, entries, sources) > self.pending then
     return nil, sources
   end
-  for _, judged in ipairs(walk.monitored) do
-    if self.of[judged] then
-      add_monitor(time, self.of[judged], changed[judged], entries, sources)
-    end
-  end
+  local clock = self.of[walk.monitored[1]]
+  if clock then add_monitor(time, clock, clocks, entries, sources) end
   return find_time(self, entries, zones.project(group.zone, #time.entries, sources)),
     sources
 end
 
 -- Times of a run ....................................................................
 
---- The moments of the steps of a run, and what is known of them.
----@class rfsm_checks.Moments
----@field count integer steps
----@field armed integer[] for each clock, the step in which it began
----@field bounds { [1]: integer, [2]: integer, [3]: number }[] on the time to the first
--- step from the second
-
---- Begin a run.
----@return rfsm_checks.Moments
-function timing.new_moments() return { count = 0, armed = {}, bounds = {} } end
-
---- Note a step.
----@param moments rfsm_checks.Moments
----@param group rfsm_checks.Group
----@param sources integer[] see `Timing:after`
-function timing.add_moment(moments, group, sources)
-  local now, armed = moments.count + 1, {}
-  local function of(i)
-    return i == 0 and now or moments.armed[i] or moments.count -- the last step
-  end
-  for _, bound in ipairs(now > 1 and group.bounds or {}) do
-    table.insert(moments.bounds, { of(bound[2]), of(bound[1]), bound[3] })
-  end
+-- Adds the bounds that a step puts on the time to one step from another. Returns for
+-- each clock the step in which it began.
+local function add_bounds(bounds, began, now, step)
+  local began_then = {}
+  local function of(i) return i == 0 and now or began[i] or now - 1 end
   if now > 1 then
-    table.insert(moments.bounds, { moments.count, now, zones.at_most(0) })
+    for _, bound in ipairs(step.group.bounds) do
+      bounds[#bounds + 1] = { of(bound[2]), of(bound[1]), bound[3] }
+    end
+    bounds[#bounds + 1] = { now - 1, now, zones.at_most(0) }
   end
-  for i, source in ipairs(sources) do
-    armed[i] = source == 0 and now or moments.armed[source]
+  for i, source in ipairs(step.sources) do
+    began_then[i] = source == 0 and now or began[source]
   end
-  moments.count, moments.armed = now, armed
+  return began_then
 end
 
 local MILLISECOND = 1000000
@@ -489,15 +468,18 @@ local function parts_of(count, unit)
   return parts
 end
 
---- Return the earliest times of the steps, in seconds; nil if there are none.
----@param moments rfsm_checks.Moments
+--- Return the earliest times of the steps of a run, in seconds; nil if there are none.
+---@param steps { group: rfsm_checks.Group, sources: integer[] }[] see `Timing:after`
 ---@return number[]?
-function Timing:solve(moments)
-  local at, parts, is_done = {}, parts_of(moments.count, self.unit), false
-  for i = 1, moments.count do at[i] = 0 end
-  for _ = 0, moments.count do
+function Timing:times_of(steps)
+  local at, parts, is_done = {}, parts_of(#steps, self.unit), false
+  local bounds, began = {}, {}
+  for i, step in ipairs(steps) do
+    at[i], began = 0, add_bounds(bounds, began, i, step)
+  end
+  for _ = 0, #steps do
     is_done = true
-    for _, bound in ipairs(moments.bounds) do
+    for _, bound in ipairs(bounds) do
       local least = floor(bound[3] / 2) * parts - (bound[3] % 2 == 0 and 1 or 0)
       if at[bound[1]] - least > at[bound[2]] then
         at[bound[2]], is_done = at[bound[1]] - least, false
@@ -506,7 +488,7 @@ function Timing:solve(moments)
     if is_done then break end
   end
   if not is_done or at[1] ~= 0 then return nil end
-  for i = 1, moments.count do at[i] = at[i] * self.unit / parts / BILLION end
+  for i = 1, #steps do at[i] = at[i] * self.unit / parts / BILLION end
   return at
 end
 

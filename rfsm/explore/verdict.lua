@@ -276,17 +276,6 @@ local function find_waiting(walk, numbers, set)
   end
 end
 
--- Returns the components that nothing leaves, and others in which the machine waits;
--- none if there are no others.
-local function find_components(walk)
-  local bottoms, others = graph.components(walk)
-  local waiting = {}
-  for _, component in ipairs(others) do
-    if find_waiting(walk, component) then waiting[#waiting + 1] = component end
-  end
-  return waiting[1] and bottoms or {}, waiting
-end
-
 -- Returns a configuration in which the machine waited before it came to `numbers`,
 -- and whether it is on a cycle of at least so many states.
 local function find_before(walk, numbers, others, least)
@@ -314,7 +303,9 @@ local function is_fault(state) return codes.means(state, "a fault") end
 -- an event before that led there. It may have been set up for them: a note, unless
 -- there is a cycle of as many states elsewhere, or one of them is named as a fault.
 local function find_traps(walk, findings, is_first)
-  local bottoms, others = find_components(walk)
+  local bottoms, others = graph.components(walk)
+  local function waits_in(component) return find_waiting(walk, component) end
+  if not any(others, waits_in) then return end
   for _, numbers in ipairs(bottoms) do
     local paths, has_end, states = leaves_of_all(walk, numbers)
     local outside, is_small
@@ -449,17 +440,16 @@ end
 
 --- Return what an exploration has done in lines: its numbers, what was not tried, and
 --- the properties that hold or are not known.
----@param result rfsm_checks.Exploration
 ---@param has_numbers boolean? false: no numbers, unless something was not tried
 ---@return string[] lines
-function verdict.summary(result, has_numbers)
+function Exploration:summary(has_numbers)
   local lines = {}
-  if has_numbers or result.bound then
+  if has_numbers or self.bound then
     lines[1] = ("%d configurations, %d of %d transitions taken, %d steps run"):format(
-      result.configurations, result.taken, result.transitions, result.steps)
+      self.configurations, self.taken, self.transitions, self.steps)
   end
-  if result.bound then lines[2] = UNKNOWN:format(concat(result.untried, "; ")) end
-  for _, judged in ipairs(result.properties) do
+  if self.bound then lines[2] = UNKNOWN:format(concat(self.untried, "; ")) end
+  for _, judged in ipairs(self.properties) do
     if judged.holds ~= false then
       lines[#lines + 1] = property_text(judged)
     end
@@ -467,10 +457,8 @@ function verdict.summary(result, has_numbers)
   return lines
 end
 
-Exploration.summary = verdict.summary
-
 function Exploration:__tostring()
-  local lines = verdict.summary(self, true)
+  local lines = self:summary(true)
   for _, finding in ipairs(self.findings) do add_finding_lines(lines, finding) end
   return concat(lines, "\n")
 end
