@@ -89,12 +89,12 @@ local function watch(class)
   end
 end
 
---- A field of an element as it was at first.
+--- A field of an element as it was at first; a plain table, which callbacks may change,
+-- is a copy that no element has.
 ---@class rfsm.server.Field
 ---@field obj table
 ---@field key any
 ---@field value any
----@field is_table boolean a plain table, which callbacks may change
 
 local function note_fields(fields, obj)
   local known, is_kept = { _actchild = true }, { keep = true } -- the usual one
@@ -102,9 +102,7 @@ local function note_fields(fields, obj)
   for key, value in pairs(obj) do -- any order: each stands alone
     known[key] = true
     if not (is_meta(key) or rfsm.is_fsmobj(value) or is_kept[key]) then
-      local is_table = type(value) == "table" and getmetatable(value) == nil
-      fields[#fields + 1] = { obj = obj, key = key, value = copy_of(value),
-        is_table = is_table }
+      fields[#fields + 1] = { obj = obj, key = key, value = copy_of(value) }
     end
   end
   for name in pairs(is_kept) do known[name] = true end -- any order: a set
@@ -118,10 +116,11 @@ local function clean(chart)
     rawset(added[i - 1], added[i], nil)
     added[i - 1], added[i] = nil, nil
   end
-  for _, field in ipairs(chart.fields) do
+  local fields = chart.fields
+  for i = 1, #fields do
+    local field = fields[i]
     local obj, key, value = field.obj, field.key, field.value
-    if field.is_table then value = copy_of(value) end
-    if obj[key] ~= value then rawset(obj, key, value) end
+    if obj[key] ~= value then rawset(obj, key, copy_of(value)) end
   end
 end
 
