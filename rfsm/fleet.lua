@@ -80,6 +80,13 @@ end
 ---@return any reply
 function Fleet:call(tag, name, ...) return self.connection:call(tag, name, ...) end
 
+-- Returns the table that a list of names and values stands for.
+local function fields_of(list)
+  local fields = {}
+  for i = 1, #list, 2 do fields[list[i]] = list[i + 1] end
+  return fields
+end
+
 -- Calls: keys and replies ---------------------------------------------------------
 
 --- Return the key of a machine; one with a hash tag in braces is a key already.
@@ -138,13 +145,7 @@ end
 function Fleet:watch(id, f)
   local key, tag = self:key_of(id)
   self:call(tag, "EXISTS", key) -- finds the node
-  local client, command, read = self.connection:open_for(tag)
-  local message = command(client, "SSUBSCRIBE", keys_of.channel(key))
-  repeat
-    if message[1] == "smessage" and f(message[3]) then break end
-    message = read(client)
-  until false
-  client.network.socket:close()
+  self.connection:subscribe(tag, keys_of.channel(key), f)
 end
 
 -- Workers ------------------------------------------------------------------------
@@ -208,11 +209,16 @@ end
 ---@field count integer entries that were handled
 ---@field failures string[]
 
+-- Sends a command for the stream of a worker.
+local function ask_stream(work, name, ...)
+  return work.fleet:call(work.tag, name, work.stream, ...)
+end
+
 -- Returns an entry for f. Its id is that of no other entry, also for another group or
 -- stream, so a machine may know events by it.
 local function entry_of(work, raw)
-  local entry = { id = concat({ work.group, work.tag, raw[1] }, ":") }
-  for i = 1, #raw[2], 2 do entry[raw[2][i]] = raw[2][i + 1] end
+  local entry = fields_of(raw[2])
+  entry.id = concat({ work.group, work.tag, raw[1] }, ":")
   entry.data = entry.data and entry.data ~= "" and codec.decode(entry.data) or nil
   return entry
 end
@@ -226,7 +232,7 @@ local function bury(work, raw, deliveries, problem)
   end
   work.fleet:call(work.tag, "XADD", keys_of.dead("{" .. work.tag .. "}"), "*",
     unpack(fields))
-  work.fleet:call(work.tag, "XACK", work.stream, work.group, raw[1])
+  ask_stream(work, "XACK", work.group, raw[1])
 end
 
 -- Calls f with an entry. One that fails stays with the group until it fails too often.
@@ -235,7 +241,7 @@ local function handle(work, f, raw, deliveries)
   local tries, ok, problem = work.options.tries, false, "no worker has finished it"
   if deliveries <= tries then ok, problem = pcall(f, entry_of(work, raw)) end
   if ok then
-    work.fleet:call(work.tag, "XACK", work.stream, work.group, raw[1])
+    ask_stream(work, "XACK", work.group, raw[1])
     work.count = work.count + 1
     return
   end
@@ -253,8 +259,8 @@ end
 
 -- Lists the entries that workers of the group have not done for some time.
 local function pending(work)
-  local ok, reply = pcall(work.fleet.call, work.fleet, work.tag, "XPENDING",
-    work.stream, work.group, "IDLE", work.options.idle, "-", "+", work.options.count)
+  local ok, reply = pcall(ask_stream, work, "XPENDING", work.group, "IDLE",
+    work.options.idle, "-", "+", work.options.count)
   if ok then return reply end
   if not reply:find("^NOGROUP") then error(reply, 0) end
   make_group(work)
@@ -268,8 +274,8 @@ local function retry(work, f)
     local id, idle, deliveries = entry[1], entry[3], entry[4]
     local wait = work.options.idle * 2 ^ (deliveries - 1)
     if idle >= wait then
-      local claimed = work.fleet:call(work.tag, "XCLAIM", work.stream, work.group,
-        work.worker, ("%d"):format(wait), id)
+      local claimed = ask_stream(work, "XCLAIM", work.group, work.worker,
+        ("%d"):format(wait), id)
       for _, raw in ipairs(claimed) do handle(work, f, raw, deliveries + 1) end
     end
   end
@@ -290,17 +296,15 @@ end
 local function trim(work)
   local least = nil
   for _, info in ipairs(work.fleet:call(work.tag, "XINFO", "GROUPS", work.stream)) do
-    local group = {}
-    for i = 1, #info, 2 do group[info[i]] = info[i + 1] end
-    local id = group.pending > 0 and work.fleet:call(work.tag, "XPENDING", work.stream,
-      group.name)[2]
+    local group = fields_of(info)
+    local id = group.pending > 0 and ask_stream(work, "XPENDING", group.name)[2]
     if not id then
       local ms, number = split(group["last-delivered-id"])
       id = ("%.0f-%.0f"):format(ms, number + 1) -- the next one
     end
     if not least or is_before(id, least) then least = id end
   end
-  if least then work.fleet:call(work.tag, "XTRIM", work.stream, "MINID", least) end
+  if least then ask_stream(work, "XTRIM", "MINID", least) end
 end
 
 local WORK = {
@@ -363,8 +367,7 @@ function Fleet:dead(limit)
     local tag = ("%d"):format(i)
     for _, raw in ipairs(self:call(tag, "XRANGE", keys_of.dead("{" .. tag .. "}"), "-",
       "+", "COUNT", limit or 100)) do
-      local entry = {}
-      for j = 1, #raw[2], 2 do entry[raw[2][j]] = raw[2][j + 1] end
+      local entry = fields_of(raw[2])
       entry.tag, entry.id = tag, raw[1]
       entries[#entries + 1] = entry
     end
@@ -388,8 +391,7 @@ function Fleet:again(tag, id)
   local key = "{" .. tag .. "}"
   local raw = self:call(tag, "XRANGE", keys_of.dead(key), id, id)[1]
   if not raw then return false end
-  local entry = {}
-  for i = 1, #raw[2], 2 do entry[raw[2][i]] = raw[2][i + 1] end
+  local entry = fields_of(raw[2])
   self:call(tag, "XADD", keys_of.out(key), "*", "machine", entry.machine, "what",
     entry.what, "data", entry.data)
   return self:drop(tag, id)

@@ -310,9 +310,9 @@ function Client:wake(limit)
   end
   local culprit, failed = {}, 0
   local ok, counts = run(self, wake, limit, culprit)
-  while not ok and culprit.key and self.query and not self.is_open do
+  while not ok and culprit.key and self.query and not self.is_open
+    and run(self, put_aside, culprit.key, culprit.problem) do
     failed = failed + 1
-    run(self, put_aside, culprit.key, culprit.problem)
     culprit.key = nil
     ok, counts = run(self, wake, limit, culprit)
   end

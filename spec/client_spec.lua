@@ -20,9 +20,9 @@ end
 -- Calls f(client, net) where `answer(words)` answers for the server; returns what was
 -- sent, without the id of the client, and the result or the error.
 local function with_client(answer, f, options)
-  local net = net_of.new { ["h:6379"] = function(words)
+  local net = net_of.new { ["h:6379"] = function(words, socket)
     if words[1] == "CLUSTER" then return { err = "ERR no cluster" } end
-    return answer(words)
+    return answer(words, socket)
   end }
   local ok, result = pcall(helper.with, package.loaded, net.packages, function()
     forget()
@@ -219,28 +219,22 @@ describe("the client of a fleet", function()
   it("watches a machine until it is told enough", function()
     local messages = { { "other", "x", "root.z" }, { "smessage", "c", "root.a" },
       { "smessage", "c", "root.b" }, { "smessage", "c", "root.c" } }
-    local sent, seen = with_client(function(words)
+    local sent, seen = with_client(function(words, socket)
       if words[1] ~= "SSUBSCRIBE" then return 1 end
-      return { "ssubscribe", words[2], 1 }
-    end, function(client, net)
-      local leaves = {}
-      local open_for = client.connection.open_for
-      function client.connection.open_for(...)
-        local subscriber, command, read = open_for(...)
-        local socket = net.sockets[#net.sockets]
-        local receive = socket.receive
-        function socket.receive(self, what)
-          if self.replies == "" then
-            local parts = { "*3\r\n" }
-            for _, text in ipairs(table.remove(messages, 1)) do
-              parts[#parts + 1] = ("$%d\r\n%s\r\n"):format(#text, text)
-            end
-            self.replies = table.concat(parts)
+      local receive = socket.receive
+      function socket.receive(self, what)
+        if self.replies == "" then
+          local parts = { "*3\r\n" }
+          for _, text in ipairs(table.remove(messages, 1)) do
+            parts[#parts + 1] = ("$%d\r\n%s\r\n"):format(#text, text)
           end
-          return receive(self, what)
+          self.replies = table.concat(parts)
         end
-        return subscriber, command, read
+        return receive(self, what)
       end
+      return { "ssubscribe", words[2], 1 }
+    end, function(client)
+      local leaves = {}
       client:watch(1, function(leaf)
         leaves[#leaves + 1] = leaf
         return leaf == "root.b"

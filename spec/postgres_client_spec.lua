@@ -363,6 +363,17 @@ describe("a worker", function()
     assert.equal(1062, net.tables.machines["2"].due)
   end)
 
+  it("raises what ends the transaction if it cannot put the machine aside", function()
+    local client = timed(1)
+    net.fault = function(words, when)
+      if when == "after" then return nil end
+      return words == "INSERT INTO rfsm.out" and "no such text"
+        or words == "WITH trimmed" and "no right" or nil
+    end
+    assert.same({ false, "rfsm.postgres.wake: no such text" },
+      { pcall(client.wake, client) })
+  end)
+
   it("goes on when the connection is lost, and raises what does not end", function()
     local client = timed(3)
     fail_once("UPDATE", "after", "lost")

@@ -230,17 +230,6 @@ function Connection:call(tag, name, ...)
   until false
 end
 
--- Returns a command as the server reads it.
-local function request(...)
-  local list = { ... }
-  local parts = { "*" .. #list .. "\r\n" }
-  for i, value in ipairs(list) do
-    local text = tostring(value)
-    parts[i + 1] = "$" .. #text .. "\r\n" .. text .. "\r\n"
-  end
-  return concat(parts)
-end
-
 local function read(client)
   commands.READ = commands.READ or need("redis").command("READ",
     { request = function() end })
@@ -252,7 +241,9 @@ local function ask_at_once(self, address, calls)
   local found, client = pcall(node, self, address)
   local texts, replies = {}, {}
   if not found then return replies end
-  for i, call in ipairs(calls) do texts[i] = request(unpack(call)) end
+  local writer = { network = {} }
+  function writer.network.write(_, text) texts[#texts + 1] = text end
+  for _, call in ipairs(calls) do client.requests.multibulk(writer, unpack(call)) end
   if not pcall(client.network.write, client, concat(texts)) then
     drop(self, address)
     return replies
@@ -290,13 +281,15 @@ function Connection:call_all(tags, calls)
   return replies
 end
 
---- Open a further connection to the node that has a hash tag; return the client, a
--- function that sends it a command, and one that reads what comes without being asked.
-function Connection:open_for(tag)
+--- Call `f(text)` for each text on a channel of the node that has a hash tag, until it
+-- returns true. A further connection is open meanwhile.
+function Connection:subscribe(tag, channel, f)
   local host, port = (self.node_of[tag] or self.seeds[1]):match("^(.*):(%d+)$")
   local client = open(self, host, tonumber(port))
   client.network.socket:settimeout(nil)
-  return client, command, read
+  local message = command(client, "SSUBSCRIBE", channel)
+  while not (message[1] == "smessage" and f(message[3])) do message = read(client) end
+  client.network.socket:close()
 end
 
 --- Call `f(call)` for the server, or each node of the cluster that takes writes.

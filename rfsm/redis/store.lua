@@ -25,8 +25,8 @@ local OVERDUE = 60 -- seconds after which nobody seems to wake machines
 local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 
 -- One library runs in a server, so these are kept here: what Redis gives to it, the
--- functions for one machine, and what the library was made with.
-local redis, call, cmsgpack, functions, options
+-- function that ticks a machine, and what the library was made with.
+local redis, call, cmsgpack, tick_machine, options
 
 local store = {}
 
@@ -180,7 +180,7 @@ end
 -- Runs a machine that is due, and may have been put aside. One that is gone is due no
 -- more.
 local function tick(key, may_be_aside)
-  local reply = functions.rfsm_tick({ key })
+  local reply = tick_machine({ key })
   if not reply then call("ZREM", keys_of.due(key), key) end
   if may_be_aside then call("ZREM", keys_of.aside(key), key) end
   return reply
@@ -311,9 +311,8 @@ end
 
 --- Add these functions to those for one machine. Each call asks for its rights anew.
 function store.add(all, settings)
-  functions, options = {}, settings
-  for name, f in pairs(all) do functions[name] = f end -- any order: a copy
-  for name, f in pairs(more) do all[name] = f end -- likewise
+  tick_machine, options = all.rfsm_tick, settings
+  for name, f in pairs(more) do all[name] = f end -- any order: a copy
   for name, f in pairs(all) do -- any order: each stands alone
     all[name] = function(keys, args)
       asked = {}

@@ -35,7 +35,7 @@ local decode
 ---@field fsm rfsm.Machine|nil made at the first call
 ---@field blank rfsm.snapshot.Snapshot of a new machine
 ---@field options rfsm.snapshot.Options how snapshots are put into it
----@field fields rfsm.server.Fields as they were at first
+---@field fields rfsm.server.Field[] as they were at first
 ---@field regions rfsm.Machine[] those in its states
 ---@field events table<string, any> what it knows, by text
 ---@field named table<string, true> names of events with data
@@ -89,17 +89,12 @@ local function watch(class)
   end
 end
 
---- Fields of elements as they were at first, in lists side by side. Those that hold
--- plain tables, which callbacks may change, are in lists of the same kind.
----@class rfsm.server.Fields
----@field objs table[]
----@field keys any[]
----@field values any[]
----@field tables rfsm.server.Fields?
-
-local function new_fields(tables)
-  return { objs = {}, keys = {}, values = {}, tables = tables }
-end
+--- A field of an element as it was at first; a plain table, which callbacks may change,
+-- is a copy that no element has.
+---@class rfsm.server.Field
+---@field obj table
+---@field key any
+---@field value any
 
 local function note_fields(fields, obj)
   local known, is_kept = { _actchild = true }, { keep = true } -- the usual one
@@ -107,10 +102,7 @@ local function note_fields(fields, obj)
   for key, value in pairs(obj) do -- any order: each stands alone
     known[key] = true
     if not (is_meta(key) or rfsm.is_fsmobj(value) or is_kept[key]) then
-      local is_table = type(value) == "table" and getmetatable(value) == nil
-      local list = is_table and fields.tables or fields
-      local n = #list.objs + 1
-      list.objs[n], list.keys[n], list.values[n] = obj, key, copy_of(value)
+      fields[#fields + 1] = { obj = obj, key = key, value = copy_of(value) }
     end
   end
   for name in pairs(is_kept) do known[name] = true end -- any order: a set
@@ -125,12 +117,11 @@ local function clean(chart)
     added[i - 1], added[i] = nil, nil
   end
   local fields = chart.fields
-  local objs, keys, values = fields.objs, fields.keys, fields.values
-  for i = 1, #objs do
-    if objs[i][keys[i]] ~= values[i] then rawset(objs[i], keys[i], values[i]) end
+  for i = 1, #fields do
+    local field = fields[i]
+    local obj, key, value = field.obj, field.key, field.value
+    if obj[key] ~= value then rawset(obj, key, copy_of(value)) end
   end
-  objs, keys, values = fields.tables.objs, fields.tables.keys, fields.tables.values
-  for i = 1, #objs do rawset(objs[i], keys[i], copy_of(values[i])) end
 end
 
 -- JSON ------------------------------------------------------------------------------
@@ -184,8 +175,7 @@ local function open(chart)
   chart.blank = snapshot.take(fsm)
   note_events(chart, fsm)
   chart.options = { migrate = fsm.migrate, rename = fsm.rename, trusted = true }
-  chart.fields = new_fields(new_fields())
-  chart.regions = {}
+  chart.fields, chart.regions = {}, {}
   for i, at in ipairs(rfsm.machines(fsm)) do
     chart.regions[i - 1] = i > 1 and at.machine or nil
     for _, obj in ipairs(rfsm.elements(at.machine)) do
@@ -218,26 +208,15 @@ function charts.step(chart, steps)
   return is_idle, is_taken
 end
 
--- Lists the names of leaves.
-local function leaves_of(fsm)
-  local names = {}
-  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
-    names[#names + 1] = state._fqn
-  end
-  return names
-end
-
 --- Put the machine of a chart into a leaf as if it had been entered, with its timers,
 --- but call no callback. Regions are as at first.
 function charts.force(chart, fqn)
-  local fsm, leaf = chart.fsm, nil
-  for _, state in ipairs(rfsm.elements(chart.fsm, rfsm.is_leaf)) do
-    if state._fqn == fqn then leaf = state end
+  local fsm, leaves = chart.fsm, {}
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
+    leaves[state._fqn] = state
   end
-  if not leaf then
-    fail("chart '%s' has no leaf '%s'%s", chart.name, fqn,
-      advice.nearest_name(fqn, leaves_of(fsm)))
-  end
+  local leaf = leaves[fqn] or fail("chart '%s' has no leaf '%s'%s", chart.name, fqn,
+    advice.nearest_name(fqn, rfsm.sorted_keys(leaves)))
   for _, region in ipairs(chart.regions) do rfsm.reset(region) end
   local mode = leaf.doo and "active" or "done"
   rfsm.place(fsm, leaf, mode, leaf.doo and {} or { "e_done@" .. fqn })
@@ -262,8 +241,7 @@ function charts.effects() return emitted, printed end
 
 --- Set that to other lists, or to none.
 function charts.set_effects(entries, lines)
-  if entries or emitted[1] ~= nil then emitted = entries or {} end
-  if lines or printed[1] ~= nil then printed = lines or {} end
+  emitted, printed = entries or {}, lines or {}
 end
 
 -- Events ----------------------------------------------------------------------------

@@ -162,15 +162,19 @@ end
 
 -- Move: what is due, then what was sent -----------------------------------------------
 
+-- Finds the place of the events with an id among those that wait.
+local function find_later(list, id)
+  for i, entry in ipairs(list[LATER] or NONE) do
+    if entry[2] == id then return i end
+  end
+end
+
 -- Was an event with this id applied, or is it to come?
 local function has_id(list, id)
-  for _, known in ipairs(list[IDS] or {}) do
+  for _, known in ipairs(list[IDS] or NONE) do
     if known == id then return true end
   end
-  for _, entry in ipairs(list[LATER] or {}) do
-    if entry[2] == id then return true end
-  end
-  return false
+  return find_later(list, id) ~= nil
 end
 
 -- Forgets the oldest id of a list, and its time; returns how many are left.
@@ -315,7 +319,7 @@ end
 local function has_changed(machine, snap)
   local sec, nsec = times.get()
   local emitted, printed = charts.effects()
-  charts.set_effects({}, {}) -- those of a function `load` do not count
+  charts.set_effects() -- those of a function `load` do not count
   times.set(machine.base_sec, machine.base_nsec)
   local ok = put(machine.chart, machine.base)
   times.set(sec, nsec)
@@ -444,28 +448,18 @@ function functions.rfsm_send_at(keys, args)
   return save(machine)
 end
 
--- Removes the events with an id from those that wait; returns whether they were there.
-local function remove_later(list, id)
-  for i, entry in ipairs(list[LATER] or NONE) do
-    if entry[2] == id then return remove(list[LATER], i) ~= nil end
-  end
-  return false
-end
-
 -- rfsm_cancel KEY id: takes back what rfsm_send_at has sent, unless its time has come;
 -- returns whether it was.
 function functions.rfsm_cancel(keys, args)
-  local key, is_there = key_of(keys), false
+  local key = key_of(keys)
   local list = read(key)
-  for _, entry in ipairs(list[LATER] or NONE) do
-    is_there = is_there or entry[2] == args[1]
-  end
-  if not is_there then return 0 end
+  if not find_later(list, args[1]) then return 0 end
   local machine = load_machine(key, list)
   run(machine)
-  is_there = remove_later(list, args[1])
+  local at = find_later(list, args[1])
+  if at then remove(list[LATER], at) end
   save(machine)
-  return is_there and 1 or 0
+  return at and 1 or 0
 end
 
 -- rfsm_tick KEY: runs a machine, because it is due. Replies false if it is gone.
