@@ -482,11 +482,8 @@ function diagram.read(source, where, options)
   return chart
 end
 
---- Return the lines of the label of an arrow.
-function diagram.label_lines(arrow) return diagram.wrap(arrow.parts, 28) end
-
---- Return the label of an arrow as one text.
-function diagram.label_of(arrow) return concat(diagram.label_lines(arrow), "\n") end
+--- Return the label of an arrow.
+function diagram.label_of(arrow) return concat(diagram.wrap(arrow.parts, 28), "\n") end
 
 --- Append a line, indented.
 function diagram.add(lines, depth, text)
