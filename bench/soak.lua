@@ -86,8 +86,8 @@ local function run_part(part)
   run_for(MINUTES / 10)
   local figures, texts = memory(), {}
   for i, figure in ipairs(figures) do texts[i] = ("%7.0f KiB"):format(figure) end
-  print(("%5.1f min %9d events %s  streams %d"):format(MINUTES * part / 10,
-    MINUTES * part / 10 * 60 * RATE, table.concat(texts), server.http.streams))
+  print(("%5.1f min %9d events %s  connections %d"):format(MINUTES * part / 10,
+    MINUTES * part / 10 * 60 * RATE, table.concat(texts), #server.http.connections))
   io.stdout:flush()
   return figures
 end

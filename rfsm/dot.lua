@@ -36,19 +36,15 @@ end
 
 -- Arrows ----------------------------------------------------------------------
 
-local function index_in(node, home)
-  while node.parent ~= home do node = node.parent end
-  return node.index or 0
-end
-
 -- Returns how many ranks a node takes, about, and notes the lowest node of composites.
 local function measure(node)
   if node.kind ~= "composite" then return 1 end
   local below, tops, height = {}, {}, 0
   for _, arrow in ipairs(node.arrows) do
-    local i, j = index_in(arrow.src, node), index_in(arrow.tgt, node)
-    local list = below[min(i, j)] or {}
-    below[min(i, j)], list[#list + 1] = list, max(i, j)
+    local src, tgt = diagram.ends_in(arrow, node)
+    local first = min(src.index, tgt.index)
+    local list = below[first] or {}
+    below[first], list[#list + 1] = list, max(src.index, tgt.index)
   end
   for i, subnode in ipairs(node.nodes) do
     local bottom = (tops[i] or 0) + measure(subnode)
@@ -85,7 +81,8 @@ local function is_loop(arrow)
 end
 
 local function leads_back(arrow)
-  return index_in(arrow.src, arrow.home) > index_in(arrow.tgt, arrow.home)
+  local src, tgt = diagram.ends_in(arrow, arrow.home)
+  return src.index > tgt.index
 end
 
 -- Gives an arrow a node for its label, unless it needs none.

@@ -68,14 +68,12 @@ Server.__index = Server
 ---@class rfsm.web.Shown
 ---@field source table its view, its title, its commands
 ---@field number integer
----@field streams integer pages that show it
----@field seen_at number|false when the last page has read; false while one does
+---@field seen_at number when a page has read last
 
 -- Adds machines that have become known.
 local function update_shown(server)
   for i = #server.shown + 1, #server.sources do
-    server.shown[i] = { source = server.sources[i], number = i, streams = 0,
-      seen_at = false }
+    server.shown[i] = { source = server.sources[i], number = i, seen_at = 0 }
   end
 end
 
@@ -233,6 +231,7 @@ local function send_changes(server)
   server.is_late = false
   server.http:feed(function(connection)
     local shown, cursor = connection.stream, connection.cursor
+    shown.seen_at = server.http.clock()
     if shown.source.is_observed == false then shown.source:observe(true) end
     local version, view = version_of(server, shown), shown.source.view
     if cursor and cursor.version == version
@@ -254,23 +253,11 @@ local function send_changes(server)
   end)
 end
 
-local function has_reader(server, shown)
-  for _, connection in ipairs(shown.streams > 0 and server.http.connections or {}) do
-    if connection.stream == shown and connection.pending == "" then return true end
-  end
-  return false
-end
-
 -- Stops observing the machine of a program when no page reads.
 local function rest(server, shown)
-  if not shown.source.is_observed then return end
-  local now = server.http.clock
-  if has_reader(server, shown) then
-    shown.seen_at = false
-  elseif not shown.seen_at then
-    shown.seen_at = now()
-  elseif now() > shown.seen_at + LINGER then
-    shown.source:observe(false)
+  local source = shown.source
+  if source.is_observed and server.http.clock() > shown.seen_at + LINGER then
+    source:observe(false)
   end
 end
 

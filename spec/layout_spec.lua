@@ -618,8 +618,8 @@ describe("a text in lines", function()
 
   it("has a width in characters: 28 in a label, 40 in a row", function()
     local e = "\195\169"
-    assert.equal(1, #diagram.label_lines { parts = { e:rep(14), e:rep(13) } })
-    assert.equal(2, #diagram.label_lines { parts = { e:rep(14), e:rep(14) } })
+    assert.equal(1, #diagram.wrap({ e:rep(14), e:rep(13) }, 28))
+    assert.equal(2, #diagram.wrap({ e:rep(14), e:rep(14) }, 28))
     local function rows_of(length)
       return looks.state_label { name = "a", rows = { ("x"):rep(20) .. " "
         .. ("y"):rep(length - 21) } }

@@ -82,7 +82,7 @@ end
 
 --- Put the nodes of a level into columns, of which each node has the number; return the
 -- levels of the columns.
-function columns.split(chart, level, numbers)
+function columns.split(level, numbers)
   local composite, nodes, levels = level.composite, {}, {}
   for i, node in ipairs(composite.nodes) do
     local number = numbers[i]
@@ -97,7 +97,7 @@ function columns.split(chart, level, numbers)
     column.nodes[node.index] = node
   end
   composite.nodes = nodes
-  links.renew(chart, level)
+  links.renew(level)
   return levels
 end
 

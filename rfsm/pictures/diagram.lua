@@ -236,7 +236,7 @@ local function read_node(chart, tab, parent, fqn, depth)
     kind = is_cut and "leaf" or kind, is_cut = is_cut or nil,
     nodes = {}, arrows = {}, rows = rows_of(tab), at = at_of(tab),
     mode = MODES[tab.mode], depth = parent and parent.depth + 1 or 0,
-    is_final = tab.final,
+    is_final = tab.final, index = 1,
   }
   chart.by_fqn[fqn] = node
   chart.nodes[#chart.nodes + 1] = node
@@ -263,6 +263,14 @@ local is_inside = diagram.is_inside
 local function find_node(chart, fqn)
   while fqn and not chart.by_fqn[fqn] do fqn = fqn:match("^(.*)%.") end
   return chart.by_fqn[fqn]
+end
+
+--- Return the nodes in a composite that are, or contain, the ends of an arrow.
+function diagram.ends_in(arrow, composite)
+  local src, tgt = arrow.src, arrow.tgt
+  while src.parent ~= composite do src = src.parent end
+  while tgt.parent ~= composite do tgt = tgt.parent end
+  return src, tgt
 end
 
 --- Return the innermost composite that has both ends of an arrow in it; nil if one of
@@ -474,11 +482,8 @@ function diagram.read(source, where, options)
   return chart
 end
 
---- Return the lines of the label of an arrow.
-function diagram.label_lines(arrow) return diagram.wrap(arrow.parts, 28) end
-
---- Return the label of an arrow as one text.
-function diagram.label_of(arrow) return concat(diagram.label_lines(arrow), "\n") end
+--- Return the label of an arrow.
+function diagram.label_of(arrow) return concat(diagram.wrap(arrow.parts, 28), "\n") end
 
 --- Append a line, indented.
 function diagram.add(lines, depth, text)

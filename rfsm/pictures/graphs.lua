@@ -8,16 +8,16 @@
 -- @license BSD-3-Clause
 
 local diagram = require "rfsm.pictures.diagram"
-local links = require "rfsm.pictures.links"
 local looks = require "rfsm.pictures.looks"
 
 local ceil, floor, max, min = math.ceil, math.floor, math.max, math.min
 local ipairs, tonumber = ipairs, tonumber
-local concat, add = table.concat, diagram.add
+local concat, sort, add = table.concat, table.sort, diagram.add
 
 local graphs = {}
 
 --- What has Graphviz lay out graphs. Returns them with positions, or nil and a problem.
+-- Here no line of an answer is broken.
 ---@alias rfsm.pictures.Run fun(graphs: string): string?, string?
 
 -- Boxes: composites, with a port for each gate --------------------------------
@@ -61,7 +61,10 @@ local function gates_at(level, is_upper)
   for _, gate in ipairs(level.gates) do
     if gate.is_upper == is_upper then list[#list + 1] = gate end
   end
-  links.sort_by(list, function(gate) return gate.offset end)
+  sort(list, function(a, b)
+    if a.offset ~= b.offset then return a.offset < b.offset end
+    return a.id < b.id
+  end)
   return list
 end
 
@@ -170,7 +173,10 @@ local function end_text(level, finish, is_tail)
   return finish.node.kind == "connector" and id .. ":p" or id
 end
 
-local DIRS = { upper = "back", lower = "forward" }
+local function dir_of(link)
+  if not link.has_head then return "none" end
+  return link.is_turned and "back" or "forward"
+end
 
 local function add_link(lines, level, link)
   local arch = link.arch
@@ -178,7 +184,7 @@ local function add_link(lines, level, link)
     COMPASS[level.direction][1]) or end_text(level, link.upper, true)
   local has_label = link.is_home and not arch and link.arrow.parts[1]
   add(lines, 1, ("%s -> %s [id=%d, dir=%s%s%s]"):format(tail,
-    end_text(level, link.lower, false), link.id, DIRS[link.head] or "none",
+    end_text(level, link.lower, false), link.id, dir_of(link),
     arch and ", weight=8" or "",
     has_label and ", label=" .. looks.roomy_label(link.arrow) or ""))
 end
@@ -245,6 +251,13 @@ end
 
 local numbers_in = graphs.numbers_in
 
+--- Return the middle of a node, and its size.
+function graphs.box_of(attributes)
+  local point = numbers_in(attributes.pos)
+  return { x = point[1], y = point[2], width = attributes.width * 72,
+    height = attributes.height * 72 }
+end
+
 --- Return the points of a line, and its tip; it is turned if the tip is at its start.
 function graphs.line_of(text)
   local line = { points = {}, is_turned = text:find("^s") ~= nil }
@@ -264,13 +277,8 @@ local function read_link(link, attributes)
   link.label_at = attributes.lp and numbers_in(attributes.lp)
 end
 
--- Graphviz may leave out what is as in the line "node [...]": version 16 does.
 local function read_node(level, id, attributes)
-  local point, kind, number = numbers_in(attributes.pos), id:sub(1, 1), id:sub(2)
-  local box = { x = point[1], y = point[2],
-    width = (attributes.width or level.usual.width) * 72,
-    height = (attributes.height or level.usual.height) * 72 }
-  number = tonumber(number)
+  local box, kind, number = graphs.box_of(attributes), id:sub(1, 1), tonumber(id:sub(2))
   if kind == "h" then
     level.header = box
   elseif kind == "n" then
@@ -278,7 +286,7 @@ local function read_node(level, id, attributes)
   elseif kind == "a" then
     level.arches[number] = box
   elseif kind ~= "r" then
-    level.gates[number].at = point
+    level.gates[number].at = { box.x, box.y }
   end
 end
 
@@ -294,8 +302,6 @@ end
 local function read_element(level, id, attributes)
   if id == "graph" then
     if attributes.bb then read_size(level, attributes) end
-  elseif id == "node" then
-    level.usual = level.usual or attributes
   elseif id:find("->", 1, true) then
     local link = level.links[tonumber(attributes.id)]
     if link then read_link(link, attributes) end
@@ -306,14 +312,19 @@ end
 
 --- Call f(id, attributes, cluster) for each element in a graph of an answer, where
 -- `cluster` is the last one that has begun. Returns where the graph ends.
+--
+-- Graphviz may leave out a size that is as in the line "node [...]": version 16 does.
 function graphs.read(text, position, f)
-  local cluster
+  local cluster, usual = nil, {}
   while true do
     local _, stop, id, mark = text:find("\n%s*([^\n{}]-)%s*([%[{}])", position)
     position, id = stop + 1, id:gsub('"', "")
     if mark == "[" then
       local attributes
       attributes, position = read_attributes(text, position)
+      if id == "node" then usual = attributes end
+      attributes.width = attributes.width or usual.width
+      attributes.height = attributes.height or usual.height
       f(id, attributes, cluster)
     elseif mark == "{" then
       cluster = id:match("^subgraph (.*)")
@@ -324,7 +335,7 @@ function graphs.read(text, position, f)
 end
 
 local function read_level(level, text, position)
-  level.boxes, level.arches, level.header, level.usual = {}, {}, nil, nil
+  level.boxes, level.arches, level.header = {}, {}, nil
   return graphs.read(text, position, function(id, attributes)
     read_element(level, id, attributes)
   end)
@@ -366,7 +377,6 @@ function graphs.lay_out(list, run)
   for i, level in ipairs(list) do texts[i] = graph_of(level) end
   local answer, problem = run(concat(texts))
   if not answer then return problem end
-  answer = answer:gsub("\\\r?\n", "")
   local position = 1
   for _, level in ipairs(list) do
     position = read_level(level, answer, position)
@@ -381,7 +391,7 @@ function graphs.sizes_of(labels, run)
   local answer, problem = run(concat(lines, "\n") .. "\n}\n")
   if not answer then return nil, problem end
   local level = { gates = {}, links = {} }
-  read_level(level, answer:gsub("\\\r?\n", ""), 1)
+  read_level(level, answer, 1)
   return level.boxes
 end
 

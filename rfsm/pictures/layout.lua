@@ -31,7 +31,7 @@ local layout = {}
 ---@class rfsm.pictures.Place
 ---@field x number
 ---@field y number
----@field left? number
+---@field left? number only of a frame, as `bottom`
 ---@field bottom? number
 ---@field width? number
 ---@field height? number
@@ -71,7 +71,7 @@ local function line_of(arrow, direction)
         axis)
     end
     lines.join(line, points, axis)
-    tip = link.head and place(link.tip) or tip
+    tip = link.has_head and place(link.tip) or tip
     label = link.label_at and place(link.label_at) or label
   end
   return { points = line, tip = tip, label = label }
@@ -101,7 +101,7 @@ end
 
 local function position_text(place)
   local point = point_text(place.x, place.y)
-  if not place.width then return (', pos="%s"'):format(point) end
+  if not place.left then return (', pos="%s"'):format(point) end
   return (', %s, lp="%s"'):format(box_text(place), point)
 end
 
@@ -132,7 +132,7 @@ local FOOT = 8 -- points below a picture
 
 local function graph_of(chart, positions)
   local root, places = chart.root, positions.places
-  local frame = places[root].width and places[root] or positions
+  local frame = places[root].left and places[root] or positions
   local texts = { "digraph " .. looks.quoted(root.name) .. " {",
     looks.head(chart.direction), ('  graph [layout=nop2, outputorder=nodesfirst, '
     .. 'class=%s, %s]'):format(positions.kind, box_text(positions)) }
@@ -154,11 +154,15 @@ local MOST = 1000 -- nodes of which Graphviz lays out the whole in about a secon
 --- Return the graph of a chart, with positions; nil and the problem if there is one.
 -- `graph` is that of the whole, without positions.
 function layout.draw(chart, graph, run)
-  local best, problem = lay_out(chart, run)
+  local function ask(text)
+    local answer, problem = run(text)
+    return answer and answer:gsub("\\\r?\n", "") or nil, problem
+  end
+  local best, problem = lay_out(chart, ask)
   if not best then return nil, problem end
   local answer = #chart.nodes <= MOST
-    and run((graph:gsub("^[^\n]*", "digraph {", 1)))
-  local whole = answer and plain.read(chart, (answer:gsub("\\\r?\n", "")))
+    and ask((graph:gsub("^[^\n]*", "digraph {", 1)))
+  local whole = answer and plain.read(chart, answer)
   best = whole and choice.of(best, whole, chart.kind) or best
   for _, node in ipairs(best == whole and chart.nodes or {}) do node.least = nil end
   return graph_of(chart, best)

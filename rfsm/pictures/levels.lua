@@ -118,10 +118,10 @@ local function is_long(level)
   return length_of(level) == max(level.width, level.height)
 end
 
-local function divide(chart, list, run)
+local function divide(list, run)
   local parts, owners = {}, {}
   for _, level in ipairs(list) do
-    for _, part in ipairs(columns.split(chart, level, level.plan)) do
+    for _, part in ipairs(columns.split(level, level.plan)) do
       parts[#parts + 1] = part
     end
     owners[#owners + 1] = level
@@ -148,7 +148,6 @@ end
 -- Leads a link from its other end.
 local function swap(link)
   link.upper, link.lower, link.is_turned = link.lower, link.upper, not link.is_turned
-  if link.head then link.head = link.head == "upper" and "lower" or "upper" end
 end
 
 -- Returns the links of leaves that are linked to one other node only, by that node.
@@ -236,7 +235,7 @@ local function mend(chart, list, run)
     local group = levels_for[change_of(chart, level) or false] or {}
     group[#group + 1] = level
   end
-  return turn(levels_for.turn, run) or divide(chart, levels_for.divide, run)
+  return turn(levels_for.turn, run) or divide(levels_for.divide, run)
 end
 
 -- Layout ----------------------------------------------------------------------

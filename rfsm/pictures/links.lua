@@ -13,7 +13,7 @@
 
 local diagram = require "rfsm.pictures.diagram"
 
-local ipairs, sort = ipairs, table.sort
+local ipairs = ipairs
 
 local links = {}
 
@@ -63,7 +63,7 @@ local links = {}
 ---@field is_turned boolean the arrow leads from the lower end to the upper one
 ---@field is_home? boolean it has the label
 ---@field is_loop? boolean
----@field head? "upper"|"lower" the end with the arrowhead
+---@field has_head? boolean the arrow ends here
 ---@field arch? { id: integer, legs: rfsm.pictures.Link[] } a label above a composite,
 -- and two links to its frame
 ---@field points? number[][] the line
@@ -71,15 +71,6 @@ local links = {}
 ---@field label_at? number[]
 
 -- Gates and links -------------------------------------------------------------
-
---- Sort gates or links by a key; those with the same by their ids.
-function links.sort_by(list, key_of)
-  sort(list, function(a, b)
-    local x, y = key_of(a), key_of(b)
-    if x ~= y then return x < y end
-    return a.id < b.id
-  end)
-end
 
 --- Return an empty level.
 function links.new_level(composite, direction)
@@ -107,12 +98,6 @@ local function link_of(level, link, mark)
   return level.link_of[key]
 end
 
--- Returns the node in a composite that is a node or contains it.
-local function child_in(node, home)
-  while (node.parent or home) ~= home do node = node.parent end
-  return node
-end
-
 local function append(list, more)
   for _, element in ipairs(more) do list[#list + 1] = element end
   return list
@@ -128,36 +113,34 @@ end
 
 -- Returns the end in its home of an arrow that begins or ends at a node, and the links
 -- from there out to its home.
-local function climb(chart, arrow, node, is_upper, is_src)
-  local home, finish, list = arrow.home or chart.top, { node = node }, {}
-  local composite = node.parent or home
-  while composite ~= home do
+local function climb(arrow, node, is_upper, is_src)
+  local composite, finish, list = node.parent, { node = node }, {}
+  while composite ~= arrow.home do
     local gate = gate_of(composite.level, arrow, is_upper, "")
-    local upper, lower, head = finish, { gate = gate }, "upper"
-    if is_upper then upper, lower, head = lower, finish, "lower" end
+    local upper, lower = finish, { gate = gate }
+    if is_upper then upper, lower = lower, upper end
     list[#list + 1] = link_of(composite.level, {
       arrow = arrow, upper = upper, lower = lower, is_turned = is_upper == is_src,
-      head = not (is_src or finish.gate) and head or nil,
+      has_head = not (is_src or finish.gate),
     }, "")
     finish = { node = composite, gate = gate }
-    composite = composite.parent or home
+    composite = composite.parent
   end
   return finish, list
 end
 
 -- Returns the links of an arrow between a composite and a node in it.
-local function arch_links(chart, arrow, composite)
-  local level, is_out = (arrow.home or chart.top).level, arrow.src == composite
+local function arch_links(arrow, composite)
+  local level, is_out = arrow.home.level, arrow.src == composite
   local frame = { node = composite, gate = gate_of(composite.level, arrow, true, "/") }
-  local inner, list = climb(chart, arrow, is_out and arrow.tgt or arrow.src, true,
-    not is_out)
+  local inner, list = climb(arrow, is_out and arrow.tgt or arrow.src, true, not is_out)
   local from, to = frame, inner
   inner.gate.twin = frame.gate
   if not is_out then from, to = inner, frame end
   local legs = {
     link_of(level, { arrow = arrow, lower = from, is_turned = true }, "/"),
     link_of(level, { arrow = arrow, lower = to, is_turned = false, is_home = true,
-      head = not is_out and "lower" or nil }, ""),
+      has_head = not is_out }, ""),
   }
   local arch = { id = legs[1].id, legs = legs }
   legs[1].arch, legs[2].arch = arch, arch
@@ -165,45 +148,45 @@ local function arch_links(chart, arrow, composite)
   return append(list, legs)
 end
 
-local function links_of(chart, arrow)
-  local home = arrow.home or chart.top
-  local src, tgt = child_in(arrow.src, home), child_in(arrow.tgt, home)
-  if src == tgt and arrow.src ~= arrow.tgt then return arch_links(chart, arrow, src) end
+local function links_of(arrow)
+  local src, tgt = diagram.ends_in(arrow, arrow.home)
+  if src == tgt and arrow.src ~= arrow.tgt then return arch_links(arrow, src) end
   local is_down = src.index <= tgt.index
-  local out, list = climb(chart, arrow, arrow.src, not is_down, true)
-  local into, inner = climb(chart, arrow, arrow.tgt, is_down, false)
-  local upper, lower, head = out, into, "lower"
-  if not is_down then upper, lower, head = into, out, "upper" end
-  list[#list + 1] = link_of(home.level, {
+  local out, list = climb(arrow, arrow.src, not is_down, true)
+  local into, inner = climb(arrow, arrow.tgt, is_down, false)
+  local upper, lower = out, into
+  if not is_down then upper, lower = into, out end
+  list[#list + 1] = link_of(arrow.home.level, {
     arrow = arrow, upper = upper, lower = lower, is_turned = not is_down,
     is_home = true, is_loop = src == tgt and src.kind ~= "connector",
-    head = not into.gate and head or nil,
+    has_head = not into.gate,
   }, "")
   return append(list, reversed(inner))
 end
 
---- Give each composite its level, and each arrow its links.
+local function link_arrow(arrow)
+  arrow.home = diagram.find_home(arrow.src, arrow.tgt)
+  arrow.links = links_of(arrow)
+end
+
+--- Give each composite its level, and each arrow its links. A `top` contains the root.
 function links.prepare(chart)
   chart.top = { nodes = { chart.root }, kind = "top" }
   chart.top.level = links.new_level(chart.top, chart.direction)
-  chart.root.index = 1
+  chart.root.parent = chart.top
   for _, node in ipairs(chart.nodes) do
     if node.kind == "composite" then
       node.level = links.new_level(node, chart.direction)
     end
   end
-  for _, arrow in ipairs(chart.all) do arrow.links = links_of(chart, arrow) end
+  for _, arrow in ipairs(chart.all) do link_arrow(arrow) end
 end
 
 --- Link the arrows of a level anew after its nodes have got other parents.
-function links.renew(chart, level)
+function links.renew(level)
   local old = level.links
   level.links, level.link_of = {}, {}
-  for _, link in ipairs(old) do
-    local arrow = link.arrow
-    arrow.home = diagram.find_home(arrow.src, arrow.tgt)
-    arrow.links = links_of(chart, arrow)
-  end
+  for _, link in ipairs(old) do link_arrow(link.arrow) end
 end
 
 return links

@@ -14,21 +14,6 @@ local ipairs = ipairs
 
 local plain = {}
 
--- Returns the elements of an answer: frames and nodes by identifier, edges by id.
-local function elements_of(answer)
-  local frames, nodes, edges = {}, {}, {}
-  graphs.read(answer, 1, function(id, attributes, cluster)
-    if id == "graph" and attributes.bb then
-      frames[cluster or ""] = attributes
-    elseif id:find("->", 1, true) then
-      edges[attributes.id or id] = attributes
-    else
-      nodes[id] = attributes
-    end
-  end)
-  return frames, nodes, edges
-end
-
 local function frame_of(attributes)
   local corners = graphs.numbers_in(attributes.bb)
   local header = graphs.numbers_in(attributes.lp or "")
@@ -36,41 +21,47 @@ local function frame_of(attributes)
     height = corners[4] - corners[2], x = header[1], y = header[2] }
 end
 
--- Joins the halves of the line of an arrow, of which the second may be turned: the
--- first half is, too, unless the arrow is a loop around its label.
+-- Returns the elements that have a position in an answer: frames and boxes by
+-- identifier, lines by id.
+local function elements_of(answer)
+  local frames, boxes, halves = {}, {}, {}
+  graphs.read(answer, 1, function(id, attributes, cluster)
+    if attributes.bb then
+      frames[cluster or ""] = frame_of(attributes)
+    elseif attributes.pos and id:find("->", 1, true) then
+      halves[attributes.id] = graphs.line_of(attributes.pos)
+    elseif attributes.pos then
+      boxes[id] = graphs.box_of(attributes)
+    end
+  end)
+  return frames, boxes, halves
+end
+
+local function turn(line) line.points = lines.moved(line.points, 0, 0, true) end
+
+-- Joins the halves of the line of an arrow. If the second one was turned, the first one
+-- is to be, too, unless the arrow is a loop around its label.
 local function join(label, box, direction, first, second)
-  local is_down = direction == "TB"
-  local x, y = box.pos[1], box.pos[2]
-  if second.is_turned then second.points = lines.moved(second.points, 0, 0, true) end
   if label.is_round then
-    local far = is_down and y - box.height * 36 or x + box.width * 36
     local from, to = first.points[#first.points], second.points[1]
+    local far = direction == "TB" and box.y - box.height / 2 or box.x + box.width / 2
     lines.join(first.points, lines.around(from, to, far, direction))
   elseif second.is_turned then
-    first.points = lines.moved(first.points, 0, 0, true)
+    turn(first)
   end
   lines.join(first.points, second.points)
-  return { points = first.points, tip = second.tip, label = { x, y } }
+  return { points = first.points, tip = second.tip, label = { box.x, box.y } }
 end
 
 -- Returns the line of an arrow; nil if Graphviz has drawn no part of it.
-local function line_of(chart, arrow, nodes, edges)
-  local function half(name)
-    local attributes = edges[looks.plain_id(arrow.key .. name)]
-    return attributes and attributes.pos and graphs.line_of(attributes.pos)
-  end
+local function line_of(chart, arrow, boxes, halves)
   local label = arrow.label
-  local first, second = half(label and "/src" or ""), label and half "/tgt"
-  local box = label and nodes[label.id]
-  if not label then
-    if first and first.is_turned then
-      first.points = lines.moved(first.points, 0, 0, true)
-    end
-    return first
-  elseif first and second and box and box.pos then
-    return join(label, { pos = graphs.numbers_in(box.pos), width = box.width,
-      height = box.height }, chart.direction, first, second)
-  end
+  local function half(name) return halves[looks.plain_id(arrow.key .. name)] end
+  local last = half(label and "/tgt" or "")
+  if last and last.is_turned then turn(last) end
+  if not label then return last end
+  local first, box = half "/src", boxes[label.id]
+  return first and last and box and join(label, box, chart.direction, first, last)
 end
 
 --- Return the layout that an answer of Graphviz has; nil if it lacks anything.
@@ -78,18 +69,15 @@ end
 ---@param answer string
 ---@return rfsm.pictures.Layout?
 function plain.read(chart, answer)
-  local frames, nodes, edges = elements_of(answer)
-  local layout = frame_of(frames[""])
+  local frames, boxes, halves = elements_of(answer)
+  local layout = frames[""]
   layout.kind, layout.places, layout.lines = "plain", {}, {}
   for _, node in ipairs(chart.nodes) do
-    local frame, box = frames["cluster_" .. node.id], nodes[node.id]
-    local point = box and box.pos and graphs.numbers_in(box.pos)
-    layout.places[node] = frame and frame_of(frame)
-      or point and { x = point[1], y = point[2] }
+    layout.places[node] = frames["cluster_" .. node.id] or boxes[node.id]
     if not layout.places[node] then return nil end
   end
   for i, arrow in ipairs(chart.all) do
-    layout.lines[i] = line_of(chart, arrow, nodes, edges)
+    layout.lines[i] = line_of(chart, arrow, boxes, halves)
     if not layout.lines[i] then return nil end
   end
   return layout

@@ -92,7 +92,7 @@ end
 ---@field type? string default "text/plain"
 ---@field body? string of a stream: its first message
 ---@field policy? string of the content's security
----@field stream? table its messages are about this; its field `streams` counts them
+---@field stream? table its messages are about this
 
 local REASONS = {
   [200] = "OK", [202] = "Accepted", [204] = "No Content", [400] = "Bad Request",
@@ -136,32 +136,28 @@ local function new_connection(client, now)
   }
 end
 
-local function count_stream(server, connection, change)
-  local stream = connection.stream
-  server.streams, stream.streams = server.streams + change, stream.streams + change
-end
-
 local function drop(server, connection)
   connection.socket:close()
-  if connection.phase == "stream" then count_stream(server, connection, -1) end
   for i, other in ipairs(server.connections) do
     if other == connection then return remove(server.connections, i) end
   end
 end
 
--- Drops the stream that has not read for the longest time, or else the oldest.
-local function drop_stream(server)
-  local silent
+-- Drops the stream that has not read for the longest time, or else the oldest, if there
+-- is no room for another.
+local function make_room(server)
+  local silent, count = nil, 0
   for _, connection in ipairs(server.connections) do
     if connection.phase == "stream" then
       local is_stuck = connection.pending ~= ""
+      count = count + 1
       if not silent or is_stuck and (silent.pending == ""
         or connection.since < silent.since) then
         silent = connection
       end
     end
   end
-  drop(server, silent)
+  if count >= MAX_STREAMS then drop(server, silent) end
 end
 
 local function begin_message(connection, text, now)
@@ -171,9 +167,8 @@ end
 local function begin_reply(server, connection, reply)
   local now = server.clock()
   if reply.stream then
-    if server.streams >= MAX_STREAMS then drop_stream(server) end
+    make_room(server)
     connection.phase, connection.stream = "stream", reply.stream
-    count_stream(server, connection, 1)
   else
     connection.phase, connection.deadline = "writing", now + REPLY_TIME
   end
@@ -216,7 +211,6 @@ end
 ---@field host string
 ---@field port integer
 ---@field connections rfsm.web.Connection[] the oldest first
----@field streams integer how many of them are streams
 local Server = {}
 Server.__index = Server
 
@@ -279,7 +273,6 @@ end
 -- gets no message now: `next_message(connection)` is called for it later. It returns a
 -- text, nil if there is none.
 function Server:feed(next_message)
-  if self.streams == 0 then return end
   local now = self.clock()
   for i = #self.connections, 1, -1 do
     local connection = self.connections[i]
@@ -297,7 +290,7 @@ end
 --- Close the port and all connections; again does no harm.
 function Server:close()
   for _, connection in ipairs(self.connections) do connection.socket:close() end
-  self.connections, self.streams = {}, 0
+  self.connections = {}
   self.socket:close()
 end
 
@@ -314,7 +307,7 @@ function http.listen(host, port, handle, clock)
   local address, own_port = listening:getsockname()
   return setmetatable({
     socket = listening, host = address, port = tonumber(own_port),
-    handle = handle, clock = clock or socket.gettime, connections = {}, streams = 0,
+    handle = handle, clock = clock or socket.gettime, connections = {},
   }, Server)
 end
 

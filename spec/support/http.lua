@@ -110,6 +110,15 @@ function http.page(server, machine)
   return page, page:next()
 end
 
+--- Returns how many pages are open.
+function http.streams(server)
+  local count = 0
+  for _, connection in ipairs(server.http.connections) do
+    if connection.phase == "stream" then count = count + 1 end
+  end
+  return count
+end
+
 --- Returns the chart as the page gets it.
 function http.chart(server, machine)
   local _, body = http.request(server, "GET", url_of("/chart", machine))

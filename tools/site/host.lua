@@ -23,14 +23,13 @@ package.preload["rfsm.web.http"] = function()
   function Server:step(timeout) self.wait = timeout end
 
   function Server:feed(next_message)
-    if self.streams == 0 then return end
-    local text = next_message(self.connections[1])
+    local text = self.connections[1] and next_message(self.connections[1])
     if text then outbox[#outbox + 1] = text:match("data: (.*)\n\n$") end
   end
 
   return { listen = function(_, _, handle)
     return setmetatable({ host = "localhost", port = 0, handle = handle, wait = 0,
-      connections = {}, streams = 0 }, Server)
+      clock = function() return now end, connections = {} }, Server)
   end }
 end
 
@@ -90,9 +89,7 @@ end
 
 -- Follows the machine from now on.
 function host.follow()
-  local shown = server.shown[1]
-  server.http.connections[1] = { stream = shown, pending = "" }
-  server.http.streams, shown.streams = 1, 1
+  server.http.connections[1] = { stream = server.shown[1], pending = "" }
 end
 
 -- Returns the next message to the page.
