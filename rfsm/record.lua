@@ -4,7 +4,7 @@
 -- each iteration, and its results: the events that the machine sent itself, its leaf,
 -- the data that its chart keeps. `replay` runs a machine through them, with the user's
 -- callbacks or, `dry`, without. A recording is a list of records, in a file one line of
--- JSON each; only files and specs need the package dkjson.
+-- JSON each; only to read one needs the package dkjson.
 --
 -- An iteration that an interrupt has cut short is in no record: the next one has a
 -- snapshot, as has one before which the machine was reset or moved.
