@@ -125,24 +125,19 @@ end
 ---@field is_cut boolean its last line is incomplete
 ---@field has_end boolean it was stopped, and all lines are there
 
-local function check_number(run, number)
-  if number ~= nil and number ~= #run then
+-- Adds a record, or the end, to a run.
+local function add_record(run, value)
+  if type(value) ~= "table" then
+    error(("record %d: table expected, got %s"):format(#run + 1, type(value)), 0)
+  end
+  local last = value["end"]
+  local number = last and last + 1 or value.n
+  if number ~= #run then
     error(("record %d is missing: record %s comes in its place"):format(#run,
       rfsm.text_of(number)), 0)
   end
-end
-
--- Adds a record, or the end, to a run; in files of before they have no numbers.
-local function add_record(run, value)
-  if type(value) == "table" and value["end"] then
-    check_number(run, value["end"] + 1)
-    run.has_end = true
-    return
-  elseif type(value) == "table" then
-    check_number(run, value.n)
-    value.n = nil
-  end
-  run[#run + 1] = value
+  value.n = nil
+  if last then run.has_end = true else run[#run + 1] = value end
 end
 
 -- Adds a line to the runs. After a line that is no JSON only a header may come.
@@ -176,12 +171,7 @@ end
 
 local function expand(run)
   local before, list = {}, {}
-  for i, rec in ipairs(run) do
-    if type(rec) ~= "table" then
-      error(("record %d: table expected, got %s"):format(i, type(rec)), 0)
-    end
-    list[i] = i > 1 and lengthen(rec, before) or rec
-  end
+  for i, rec in ipairs(run) do list[i] = i > 1 and lengthen(rec, before) or rec end
   return list
 end
 
