@@ -17,7 +17,7 @@ local properties = require "rfsm.explore.properties"
 local order = require "rfsm.shared.order"
 local stream = require "rfsm.observe.stream"
 
-local error, ipairs, package, type = error, ipairs, package, type
+local error, ipairs, type = error, ipairs, type
 local concat, remove = table.concat, table.remove
 
 local watch_properties = {}
@@ -84,11 +84,6 @@ end
 -- Will nothing happen before an event comes: no event waits, and no doo goes on?
 local function is_idle(fsm)
   return rfsm.check_events(fsm) == 0 and fsm._act_leaf._mode == "done"
-end
-
-local function has_timer(fsm)
-  local rfsm_timeevent = package.loaded.rfsm_timeevent
-  return rfsm_timeevent ~= nil and rfsm_timeevent.next_deadline(fsm) ~= nil
 end
 
 -- Do the events come from the engine alone?
@@ -186,7 +181,7 @@ local function end_iteration(own, at, events)
   own.moments = {}
   local look = { active = own.active, is_end = true, now = read_clock(own),
     is_idle = is_idle(own.fsm) }
-  look.is_at_rest = look.is_idle and not has_timer(own.fsm)
+  look.is_at_rest = look.is_idle and not clock.until_timer(own.fsm)
   for _, monitor in ipairs(own.monitors) do look_at(own, monitor, look, events) end
 end
 

@@ -11,7 +11,6 @@ local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
 local match = require "rfsm.shared.match"
 local names = require "rfsm.observe.names"
-local outline = require "rfsm.observe.outline"
 local breakpoints = require "rfsm.observe.breakpoints"
 local stream = require "rfsm.observe.stream"
 
@@ -90,7 +89,8 @@ end
 function Observer:note_events(events)
   for i = 1, #events do
     local event = events[i]
-    local is_noted = event ~= event or self.is_seen[event] or outline.is_own(event)
+    local is_noted = event ~= event or self.is_seen[event]
+      or match.maker_of(event) == "engine"
     if not is_noted then
       self.is_seen[event], self.seen[#self.seen + 1] = true, event
     end
