@@ -64,7 +64,6 @@ local record = { VERSION = journal.VERSION }
 --- A machine that is being recorded.
 ---@class rfsm.record.Recorder
 ---@field count integer iterations so far
----@field sink any
 ---@field name? string of the file that the recorder has opened
 ---@field timed table|false what gets the readings of the clock
 ---@field is_moved boolean the machine was reset or moved since the last iteration
@@ -317,17 +316,17 @@ end
 function record.record(fsm, sink)
   rfsm.check_between_steps(fsm, "rfsm.record.record")
   local header = { record = record.VERSION }
-  local recorder = setmetatable({ fsm = fsm, sink = sink, count = 0, timed = header,
-    tracks = {} }, Recorder)
+  local recorder = setmetatable({ fsm = fsm, count = 0, timed = header, tracks = {} },
+    Recorder)
   local snap, problem = take_first(recorder, fsm)
   if not snap then error("rfsm.record.record: " .. problem, 2) end
   if type(sink) == "string" then
     recorder.file, problem = journal.open(sink)
     if not recorder.file then error("rfsm.record.record: " .. problem, 2) end
-    recorder.sink, recorder.name = recorder.file, sink
+    recorder.name = sink
   end
   header.snapshot, header.file = snap, rfsm.location_of(fsm):match("^(.*):%d+: root$")
-  recorder.write, recorder.is_journal = writer_to(recorder.sink)
+  recorder.write, recorder.is_journal = writer_to(recorder.file or sink)
   header.guards = tracks.guard_texts(fsm)
   recorder.write(header)
   recorder:go_on()

@@ -378,7 +378,7 @@ describe("a recording", function()
     assert.equal("file", io.type(stream))
     stream:close()
     recorder = recorded(file)
-    local own = recorder.sink
+    local own = recorder.file
     recorder:stop()
     assert.equal("closed file", io.type(own))
     recorder:stop() -- again does no harm

@@ -202,6 +202,14 @@ local function is_timed(monitor) return monitor.property.seconds ~= nil end
 
 local function sees_passages(monitor) return monitors.passes[monitor.property.kind] end
 
+-- Notes what is active when a composite is entered through which the step may pass.
+local function note_moment(own, state, snapshot)
+  local is_inner = rfsm.is_composite(state) and not rfsm.is_root(state)
+  if is_inner and location.is_passable(state) then
+    own.moments[#own.moments + 1] = { state = state, active = snapshot() }
+  end
+end
+
 -- Has all monitors begin anew.
 local function begin(own)
   own.trace, own.forwarded, own.moments = {}, {}, {}
@@ -257,12 +265,7 @@ function watch_properties.watch_properties(fsm, given)
     reset = function(at) if at.machine == fsm then begin(own) end end,
   }
   if order.any(own.monitors, sees_passages) then
-    function listener.entered(_, state)
-      local is_inner = rfsm.is_composite(state) and not rfsm.is_root(state)
-      if is_inner and location.is_passable(state) then
-        own.moments[#own.moments + 1] = { state = state, active = snapshot() }
-      end
-    end
+    function listener.entered(_, state) note_moment(own, state, snapshot) end
   end
   own.stream = stream.follow(fsm, listener)
   return own

@@ -10,7 +10,7 @@
 local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
 local match = require "rfsm.shared.match"
-local names = require "rfsm.observe.names"
+local location = require "rfsm.shared.location"
 local breakpoints = require "rfsm.observe.breakpoints"
 local stream = require "rfsm.observe.stream"
 
@@ -64,11 +64,11 @@ function Observer:note_used(tr, events, by)
 end
 
 function Observer:taken(at, path, events)
-  local by, nodes = {}, { names.full(at.prefix, path[1].src._fqn) }
+  local by, nodes = {}, { location.path(path[1].src, at.prefix) }
   for i, tr in ipairs(path) do
     self:check_points("transition", tr)
     self:note_used(tr, events, i == 1 and by or {})
-    nodes[i + 1] = names.full(at.prefix, tr.tgt._fqn)
+    nodes[i + 1] = location.path(tr.tgt, at.prefix)
   end
   if not self.is_shown then return end
   self:print_taken("taken:  " .. concat(nodes, " -> ")
@@ -127,7 +127,7 @@ function observer.attach(sim, is_shown)
   self.stream = stream.follow(sim.fsm, {
     taken = function(...) self:taken(...) end,
     entered = function(at, state)
-      self:check_points("state", names.full(at.prefix, state._fqn))
+      self:check_points("state", location.path(state, at.prefix))
     end,
     finished = function(_, events) self:note_events(events) end,
   })
