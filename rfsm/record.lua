@@ -4,7 +4,7 @@
 -- each iteration, and its results: the events that the machine sent itself, its leaf,
 -- the data that its chart keeps. `replay` runs a machine through them, with the user's
 -- callbacks or, `dry`, without. A recording is a list of records, in a file one line of
--- JSON each; only files and specs need the package dkjson.
+-- JSON each; only to read one needs the package dkjson.
 --
 -- An iteration that an interrupt has cut short is in no record: the next one has a
 -- snapshot, as has one before which the machine was reset or moved.
@@ -64,7 +64,6 @@ local record = { VERSION = journal.VERSION }
 --- A machine that is being recorded.
 ---@class rfsm.record.Recorder
 ---@field count integer iterations so far
----@field sink any
 ---@field name? string of the file that the recorder has opened
 ---@field timed table|false what gets the readings of the clock
 ---@field is_moved boolean the machine was reset or moved since the last iteration
@@ -81,20 +80,22 @@ local function writer_to(sink)
   return journal.writer(sink), true
 end
 
+local listener = {} -- what a recorder does, see `tracks.attach`
+
 -- Returns a clock that reads another one, and notes the reading in the present record.
-local function noting_clock(recorder, gettime, fsm)
-  local other = { gettime = gettime, warn = fsm.warn }
+function listener.gettime(recorder, track, gettime)
+  local other = { gettime = gettime, warn = track.fsm.warn }
   return clock.new(function(_, is_relative)
     local time, sec, nsec = clock.read(other, is_relative)
     if recorder.timed then
-      tracks.note(recorder.timed, "clock", time and { tracks.pack(sec),
-        tracks.pack(nsec) } or { text_of(sec) })
+      tracks.note(recorder.timed, "clock", time and { encoding.pack(sec),
+        encoding.pack(nsec) } or { text_of(sec) })
     end
     return time ~= false, sec, nsec
   end)
 end
 
-local function noting_getevents(track, own)
+function listener.getevents(_, track, own)
   return function()
     local events, waiting = own(), #track.fsm._intq
     if track.rec and type(events) == "table" then
@@ -115,8 +116,7 @@ end
 -- Notes the data that the chart keeps in a field of a record, if it has changed. It is
 -- noted again in the next iteration if an interrupt comes before the end.
 local function note_change(track, rec, field)
-  local observed = track.observed
-  if not tracks.may_have_changed(observed) then return end
+  if not tracks.may_have_changed(track.observed) then return end
   local kept = data_of(track.fsm)
   if kept and not tracks.same(kept, track.kept) then
     if field == "regions" then
@@ -126,7 +126,7 @@ local function note_change(track, rec, field)
     end
     track.kept = kept
   end
-  observed.has_changed = false
+  tracks.note_values(track.observed)
 end
 
 -- Notes data that has changed; also that of regions while they were left or reset.
@@ -173,7 +173,7 @@ local function note_place(recorder, rec)
 end
 
 -- A record that is still there is dropped: its iteration was cut short or refused.
-local function begin(recorder, track, events)
+function listener.began(recorder, track, events)
   local dropped, leaf = track.rec or NONE, track.fsm._act_leaf
   local rec = { m = track.m, events = tracks.pack_events(events), had = dropped.had }
   track.rec, track.first, track.last = rec, 1, 0
@@ -224,7 +224,7 @@ end
 
 -- Notes the results. The record of a region becomes a part of that of the iteration
 -- around it; that one is written.
-local function finish(recorder, track, events)
+function listener.finished(recorder, track, events)
   local rec, outer = track.rec, recorder.tracks[1].rec
   if not rec then return end
   note_results(recorder, track, rec, events)
@@ -237,7 +237,7 @@ local function finish(recorder, track, events)
   end
 end
 
-local function call_guard(track, number, guard, tr, events)
+function listener.guard(_, track, number, guard, tr, events)
   local ok, answer = calls.try(guard, tr, events)
   if track.rec then
     tracks.note(track.rec, "guards", number, ok and answer ~= false or not ok
@@ -248,32 +248,29 @@ local function call_guard(track, number, guard, tr, events)
   error(answer, 0)
 end
 
-local function add_recorder(track, recorder)
+function listener.attached(_, track)
   track.kept = snapshot.take_data(track.fsm)
   track.observed = tracks.observe_data(track.fsm)
-  function track.began(events) begin(recorder, track, events) end
-  function track.finished(events) finish(recorder, track, events) end
-  function track.reset() -- between two iterations, or by a callback
-    if not recorder.tracks[1].rec then recorder.is_moved = true end
-    if track.rec then track.rec.reset = true end
-  end
-  -- A state that runs regions fails only if it is interrupted. So does a guard whose
-  -- failure `call_guard` has not seen.
-  function track.failed(element, name)
-    local is_own = name == "guard" and not rawequal(element, track.failing)
-    if is_own or select(2, rfsm.regions(element)) then recorder.is_moved = true end
-    track.failing = nil
-  end
-  function track.guard(...) return call_guard(track, ...) end
-  function track.clock(own) return noting_clock(recorder, own, track.fsm) end
-  function track.getevents(own) return noting_getevents(track, own) end
+end
+
+function listener.reset(recorder, track) -- between two iterations, or by a callback
+  if not recorder.tracks[1].rec then recorder.is_moved = true end
+  if track.rec then track.rec.reset = true end
+end
+
+-- A state that runs regions fails only if it is interrupted. So does a guard whose
+-- failure `listener.guard` has not seen.
+function listener.failed(recorder, track, element, name)
+  local is_own = name == "guard" and not rawequal(element, track.failing)
+  if is_own or select(2, rfsm.regions(element)) then recorder.is_moved = true end
+  track.failing = nil
 end
 
 -- Takes the snapshot of the header, and notes readings of the clock.
 local function take_first(recorder, fsm)
   local changes = {}
   instrument.put(changes, fsm, "gettime",
-    noting_clock(recorder, rawget(fsm, "gettime"), fsm))
+    listener.gettime(recorder, { fsm = fsm }, rawget(fsm, "gettime")))
   local ok, snap, problem = pcall(snapshot.try_take, fsm)
   instrument.give_back(changes)
   if not ok then error(snap, 0) end
@@ -290,7 +287,7 @@ end
 function Recorder:go_on()
   if self.tracks[1] then return end
   self.timed, self.is_moved, self.cuts = false, true, 0
-  self.tracks = tracks.attach(self.fsm, add_recorder, self)
+  self.tracks = tracks.attach(self.fsm, listener, self)
 end
 
 --- End the recording.
@@ -319,17 +316,17 @@ end
 function record.record(fsm, sink)
   rfsm.check_between_steps(fsm, "rfsm.record.record")
   local header = { record = record.VERSION }
-  local recorder = setmetatable({ fsm = fsm, sink = sink, count = 0, timed = header,
-    tracks = {} }, Recorder)
+  local recorder = setmetatable({ fsm = fsm, count = 0, timed = header, tracks = {} },
+    Recorder)
   local snap, problem = take_first(recorder, fsm)
   if not snap then error("rfsm.record.record: " .. problem, 2) end
   if type(sink) == "string" then
     recorder.file, problem = journal.open(sink)
     if not recorder.file then error("rfsm.record.record: " .. problem, 2) end
-    recorder.sink, recorder.name = recorder.file, sink
+    recorder.name = sink
   end
   header.snapshot, header.file = snap, rfsm.location_of(fsm):match("^(.*):%d+: root$")
-  recorder.write, recorder.is_journal = writer_to(recorder.sink)
+  recorder.write, recorder.is_journal = writer_to(recorder.file or sink)
   header.guards = tracks.guard_texts(fsm)
   recorder.write(header)
   recorder:go_on()

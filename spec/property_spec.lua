@@ -247,7 +247,8 @@ describe("a machine that is watched", function()
       { property = rfsm_checks.after("e_c").reach "root.b", looks = false },
     } do -- at states that a step passes
       local watched = rfsm_checks.watch_properties(machine, { case.property })
-      assert.equal(case.looks, machine._path_hooks ~= false, tostring(case.property))
+      local hooks = machine._entry_hooks and machine._entry_hooks[machine] or false
+      assert.equal(case.looks, hooks ~= false, tostring(case.property))
       watched:stop()
     end
   end)

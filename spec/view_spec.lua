@@ -68,14 +68,6 @@ describe("the outline of a chart", function()
     assert.equal("composite", lists.nodes[lists.number_of["root.both"] + 1].kind)
   end)
 
-  it("knows the events that the machine sends itself", function()
-    local answers = {}
-    for i, event in ipairs { "e_init_fsm", "e_done@root.a", "e_done", "xe_done@", 7 } do
-      answers[i] = outline.is_own(event)
-    end
-    assert.same({ true, true, false, false, false }, answers)
-  end)
-
   it("lists the events that could do something, also behind connectors", function()
     local lists = outline.read(marsh.model2tab(helper.init(state {
       info = false, warn = false, a = state {}, b = state {}, c = state { d = state {},

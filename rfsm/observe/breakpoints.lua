@@ -21,17 +21,14 @@ local breakpoints = {}
 ---@field condition? string expression that must be true as well, for a reader
 ---@field holds? fun(): any its value
 
--- Is that the name of a node? The composite names its initial connector, too.
-local function is_called(node, name)
-  local fqn = rfsm.is_node(node) and node._fqn
-  local composite = fqn and fqn:gsub("%.initial$", "")
-  local full = "root." .. name
-  return fqn == name or fqn == full or composite == name or composite == full
+-- Is an end of a transition at a node? A composite stands for its initial, too.
+local function is_at(tr_end, node)
+  return node and (tr_end == node or tr_end == node.initial)
 end
 
 local function find_transition(fsm, src, tgt)
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
-    if is_called(tr.src, src) and is_called(tr.tgt, tgt) then return tr end
+    if is_at(tr.src, src) and is_at(tr.tgt, tgt) then return tr end
   end
 end
 
@@ -53,13 +50,13 @@ end
 
 local function of_text(fsm, text)
   local by_name = select(2, names.nodes(fsm))
-  local name = by_name[text] and text or "root." .. text
-  local found = by_name[name]
-  if rfsm.is_state(found) then
+  local function full(name) return by_name[name] and name or "root." .. name end
+  local name = full(text)
+  if rfsm.is_state(by_name[name]) then
     return { kind = "state", name = name, value = name }
   end
   local src, tgt = text:match("^(.-)%s*%->%s*(.-)$")
-  local tr = src and find_transition(fsm, src, tgt)
+  local tr = src and find_transition(fsm, by_name[full(src)], by_name[full(tgt)])
   if tr then return new_transition(tr) end
   if not names.is_event(fsm, text) then fail(fsm, text) end
   return { kind = "event", name = text, value = text }

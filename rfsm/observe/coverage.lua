@@ -4,7 +4,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local opts = require "rfsm.shared.options"
+local exact_json = require "rfsm.shared.exact_json"
 local location = require "rfsm.shared.location"
 local order = require "rfsm.shared.order"
 local stream = require "rfsm.observe.stream"
@@ -94,10 +94,8 @@ end
 
 --- Return the record as JSON, for other runs and for pictures.
 function Coverage:json()
-  local dkjson, problem = opts.find_package("dkjson")
-  if not dkjson then error("rfsm_checks.coverage: " .. problem, 2) end
-  return dkjson.encode({ states = self.states, transitions = self.transitions,
-    guards = self.guards }, { indent = true, keyorder = rfsm.sorted_keys(self.states) })
+  return exact_json.encode { states = self.states, transitions = self.transitions,
+    guards = self.guards }
 end
 
 -- Public functions ..................................................................

@@ -16,9 +16,6 @@ local ipairs, type = ipairs, type
 
 local names = {}
 
---- Return the name of a node in the machine of a name.
-function names.full(prefix, fqn) return prefix .. fqn:sub(#"root" + 1) end
-
 --- List the events that are texts and come from outside.
 function names.events(fsm)
   local is_text = {}

@@ -7,8 +7,9 @@
 
 local diagram = require "rfsm.pictures.diagram"
 local marsh = require "rfsm.marsh"
+local match = require "rfsm.shared.match"
 
-local ipairs, type = ipairs, type
+local ipairs = ipairs
 local concat = table.concat
 local utf8 = marsh.utf8
 
@@ -25,12 +26,6 @@ local outline = {}
 ---@field event_of table<any, integer> by event
 ---@field event_text fun(event: any): string
 ---@field from table<integer, table[]> the edges from each node
-
---- Does a machine send this event itself?
-function outline.is_own(event)
-  return type(event) == "string"
-    and (event == "e_init_fsm" or event:find("^e_done@") ~= nil)
-end
 
 local function add_node(list, tab, fqn, parent, is_region)
   local number = #list.nodes
@@ -50,7 +45,7 @@ local function number_of(list, event, words)
     list.event_of[event] = #list.values
     list.values[#list.values + 1] = event
     list.events[#list.values] = { text = utf8(list.event_text(event)),
-      words = utf8(words), is_own = outline.is_own(event) }
+      words = utf8(words), is_own = match.maker_of(event) == "engine" }
   end
   return list.event_of[event]
 end

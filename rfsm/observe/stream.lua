@@ -6,7 +6,7 @@
 --    began(at, events)                    an iteration begins, before other hooks
 --    guard(at, tr, own, events)           called in place of the guard `own`
 --    taken(at, path, events)              these transitions are about to be taken
---    left(at, state), entered(at, state)  by them, in order
+--    entered(at, state)                   before its entry
 --    failed(at, element, name, failure)   a callback
 --    sent(at, event, ...)
 --    resumed(at, leaf), ended(at, leaf)   a doo
@@ -22,11 +22,10 @@
 -- @license BSD-3-Clause
 
 local instrument = require "rfsm.shared.instrument"
-local location = require "rfsm.shared.location"
 local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
-local ipairs, rawequal, setmetatable = ipairs, rawequal, setmetatable
+local ipairs, setmetatable = ipairs, setmetatable
 
 --- A listener that follows a machine.
 ---@class rfsm.observe.Stream
@@ -34,69 +33,31 @@ local ipairs, rawequal, setmetatable = ipairs, rawequal, setmetatable
 ---@field machines table[] as `rfsm.machines`
 ---@field listener table<string, function>
 ---@field changes table[] the hooks and guards
----@field is_known table<table, true> machines, and transitions with a guard
+---@field is_known table<table, true> elements of the machines
 local Stream = {}
 Stream.__index = Stream
 
 local stream = {}
 
--- Returns the node to which a transition leads; nil for an internal one. A program may
--- have set a composite, which is entered by its initial.
-local function target_of(tr)
-  local tgt = tr.tgt
-  if rawequal(tr.src, tgt) and rfsm.target_of(tr) == "internal" then return nil end
-  return rfsm.is_conn(tgt.initial) and tgt.initial or tgt
-end
-
-local function enter(at, listener, state, outer)
-  if state == outer then return end
-  enter(at, listener, state._parent, outer)
-  if listener.entered then listener.entered(at, state) end
-end
-
-local function leave(at, listener, state, outer)
-  while state ~= outer do
-    if listener.left then listener.left(at, state) end
-    state = state._parent
+local function attach_element(own, at, element)
+  local listener = own.listener
+  if rfsm.is_state(element) and listener.entered then
+    instrument.entry_hook(own.changes, at.machine, element, function(_, state)
+      listener.entered(at, state)
+    end)
+  elseif rfsm.is_trans(element) and listener.guard and element.guard then
+    local guard = element.guard
+    instrument.put(own.changes, element, "guard", function(_, events)
+      return listener.guard(at, element, guard, events)
+    end)
   end
 end
 
--- Tells which states a path leaves and enters: of each transition those in the state
--- that contains both ends.
-local function tell_states(at, listener, path)
-  local from = at.machine._act_leaf
-  if not from then
-    from = at.machine
-    if listener.entered then listener.entered(at, from) end
-  end
-  for _, tr in ipairs(path) do
-    local outer, tgt = tr.src._parent, target_of(tr)
-    if tgt then
-      while not location.is_inside(tgt._parent, outer) do outer = outer._parent end
-      leave(at, listener, from, outer)
-      enter(at, listener, rfsm.is_state(tgt) and tgt or tgt._parent, outer)
-      from = tgt._parent
-    end
-  end
-end
-
-local function path_hook(listener, at)
-  local has_states = listener.left or listener.entered
-  return function(fsm, path)
-    if listener.taken and path[1] then listener.taken(at, path, fsm._curq) end
-    if has_states then tell_states(at, listener, path) end
-  end
-end
-
-local function replace_guards(own, at, element)
-  for _, tr in ipairs(rfsm.elements(element, rfsm.is_trans)) do
-    local guard = tr.guard
-    if guard and not own.is_known[tr] then
-      own.is_known[tr] = true
-      instrument.put(own.changes, tr, "guard", function(_, events)
-        return own.listener.guard(at, tr, guard, events)
-      end)
-    end
+-- Has the states and guards of an element tell of themselves, unless they do.
+local function attach_elements(own, at, top)
+  for _, element in ipairs(rfsm.elements(top)) do
+    if not own.is_known[element] then attach_element(own, at, element) end
+    own.is_known[element] = true
   end
 end
 
@@ -104,9 +65,9 @@ local join
 
 local WATCHED = { "failed", "sent", "resumed", "ended" }
 
--- Where a listener hears of iterations: the kind of a hook, and its place among them.
-local ITERATION = { began = { "pre_step", "front" },
-  finished = { "post_step", "before" }, passed = { "post_step", "after" } }
+-- The kind of a hook, and its place among them.
+local HOOKS = { began = { "pre_step", "front" }, finished = { "post_step", "before" },
+  passed = { "post_step", "after" }, reset = { "reset" } }
 
 local function attach(own, at)
   local listener, fsm, changes = own.listener, at.machine, own.changes
@@ -118,22 +79,21 @@ local function attach(own, at)
   end
   instrument.watch(changes, fsm, "merged", function(_, element)
     join(own)
-    if listener.guard then replace_guards(own, at, element) end
+    attach_elements(own, at, element)
     if listener.merged then listener.merged(at, element) end
   end)
-  if listener.guard then replace_guards(own, at, fsm) end
-  if listener.taken or listener.left or listener.entered then
-    instrument.hook(changes, fsm, "path", path_hook(listener, at))
+  attach_elements(own, at, fsm)
+  if listener.taken then
+    instrument.hook(changes, fsm, "path", function(_, path)
+      if path[1] then listener.taken(at, path, fsm._curq) end
+    end)
   end
-  for name, hook in order.each(ITERATION) do
+  for name, hook in order.each(HOOKS) do -- any order: each has its place
     local f = listener[name]
     if f then
-      instrument.hook(changes, fsm, hook[1], function(_, events) f(at, events) end,
+      instrument.hook(changes, fsm, hook[1], function(_, ...) f(at, ...) end,
         hook[2])
     end
-  end
-  if listener.reset then
-    instrument.hook(changes, fsm, "reset", function() listener.reset(at) end)
   end
 end
 
@@ -141,10 +101,7 @@ end
 function join(own)
   own.machines = rfsm.machines(own.fsm)
   for _, at in ipairs(own.machines) do
-    if not own.is_known[at.machine] then
-      own.is_known[at.machine] = true
-      attach(own, at)
-    end
+    if not own.is_known[at.machine] then attach(own, at) end
   end
 end
 

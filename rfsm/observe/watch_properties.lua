@@ -17,7 +17,7 @@ local properties = require "rfsm.explore.properties"
 local order = require "rfsm.shared.order"
 local stream = require "rfsm.observe.stream"
 
-local error, ipairs, package, type = error, ipairs, package, type
+local error, ipairs, type = error, ipairs, type
 local concat, remove = table.concat, table.remove
 
 local watch_properties = {}
@@ -59,7 +59,7 @@ local function read_clock(own)
 end
 
 -- Returns a function that tells of a path if the state is active; and one that returns
--- such a function for a moment within a path of transitions, behind some changes.
+-- such a function for the present moment.
 local function views_of(fsm)
   local states = {}
   for _, at in ipairs(rfsm.machines(fsm)) do
@@ -72,18 +72,10 @@ local function views_of(fsm)
       location.refuse_name(name, "state", rfsm.sorted_keys(states))
     end
     return states[name]._mode ~= "inactive"
-  end, function(changes)
+  end, function()
     local is_active = {}
     for path, state in order.each(states) do -- any order: a set
       is_active[path] = state._mode ~= "inactive"
-    end
-    for _, change in ipairs(changes) do
-      for path in order.each(states) do -- any order: a set
-        local is_inside = (path .. "."):sub(1, #change.path + 1) == change.path .. "."
-        if is_inside then
-          is_active[path] = change.is_entered and path == change.path
-        end
-      end
     end
     return function(name) return is_active[name] end
   end
@@ -92,11 +84,6 @@ end
 -- Will nothing happen before an event comes: no event waits, and no doo goes on?
 local function is_idle(fsm)
   return rfsm.check_events(fsm) == 0 and fsm._act_leaf._mode == "done"
-end
-
-local function has_timer(fsm)
-  local rfsm_timeevent = package.loaded.rfsm_timeevent
-  return rfsm_timeevent ~= nil and rfsm_timeevent.next_deadline(fsm) ~= nil
 end
 
 -- Do the events come from the engine alone?
@@ -194,7 +181,7 @@ local function end_iteration(own, at, events)
   own.moments = {}
   local look = { active = own.active, is_end = true, now = read_clock(own),
     is_idle = is_idle(own.fsm) }
-  look.is_at_rest = look.is_idle and not has_timer(own.fsm)
+  look.is_at_rest = look.is_idle and not clock.until_timer(own.fsm)
   for _, monitor in ipairs(own.monitors) do look_at(own, monitor, look, events) end
 end
 
@@ -215,22 +202,11 @@ local function is_timed(monitor) return monitor.property.seconds ~= nil end
 
 local function sees_passages(monitor) return monitors.passes[monitor.property.kind] end
 
--- Has a listener note what is active when a composite is entered through which the step
--- may pass.
-local function note_moments(own, listener, snapshot)
-  local changes = {} -- of the path that is taken
-  local function note(at, state, is_entered)
-    changes[#changes + 1] = { path = location.path(state, at.prefix),
-      is_entered = is_entered }
-  end
-  function listener.taken() changes = {} end
-  function listener.left(at, state) note(at, state, false) end
-  function listener.entered(at, state)
-    note(at, state, true)
-    if rfsm.is_composite(state) and not rfsm.is_root(state)
-      and location.is_passable(state) then
-      own.moments[#own.moments + 1] = { state = state, active = snapshot(changes) }
-    end
+-- Notes what is active when a composite is entered through which the step may pass.
+local function note_moment(own, state, snapshot)
+  local is_inner = rfsm.is_composite(state) and not rfsm.is_root(state)
+  if is_inner and location.is_passable(state) then
+    own.moments[#own.moments + 1] = { state = state, active = snapshot() }
   end
 end
 
@@ -289,7 +265,7 @@ function watch_properties.watch_properties(fsm, given)
     reset = function(at) if at.machine == fsm then begin(own) end end,
   }
   if order.any(own.monitors, sees_passages) then
-    note_moments(own, listener, snapshot)
+    function listener.entered(_, state) note_moment(own, state, snapshot) end
   end
   own.stream = stream.follow(fsm, listener)
   return own

@@ -14,7 +14,7 @@ local order = require "rfsm.shared.order"
 local location = require "rfsm.shared.location"
 
 local ipairs, rawequal, rawget = ipairs, rawequal, rawget
-local select, setmetatable, type = select, setmetatable, type
+local select, setmetatable = select, setmetatable
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local is_conn, text_of = rfsm.is_conn, rfsm.text_of
@@ -49,19 +49,12 @@ end
 
 -- Search: that of the engine, but with an answer of each transition ----------------
 
-local function is_accepted(tr, event)
-  for _, wanted in ipairs(tr.events) do
-    local ok, answer = true, false
-    if type(wanted) == "function" then ok, answer = calls.try(wanted, event) end
-    if ok and answer then return true end
-  end
-  return match.names(tr, event)
-end
-
 -- Without an event only the first entry takes a transition.
 local function matches(search, tr)
   if match.is_any(tr) then return not search.is_mute end
-  return order.any(search.events, function(event) return is_accepted(tr, event) end)
+  return order.any(search.events, function(event)
+    return match.takes(tr.events, event)
+  end)
 end
 
 -- Returns the target of a transition, which a program may have set to a composite.

@@ -8,6 +8,7 @@
 -- @module rfsm.record.journal
 -- @license BSD-3-Clause
 
+local exact_json = require "rfsm.shared.exact_json"
 local files = require "rfsm.shared.files"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
@@ -15,8 +16,7 @@ local tracks = require "rfsm.record.track"
 local order = require "rfsm.shared.order"
 
 local error, io, ipairs = error, io, ipairs
-local tostring, type = tostring, type
-local concat = table.concat
+local type = type
 local same = tracks.same
 
 local journal = { VERSION = 1 }
@@ -44,12 +44,11 @@ local function each_of(f, list, ...)
   return results
 end
 
--- Returns a record without the fields that follow from the last one of its machine. The
--- second result is true if it has none but fields that may be left out.
+-- Returns a record without the fields that follow from the last one of its machine.
 local function without_known(rec, before)
-  local short, events, is_usual = {}, rec.events, true
+  local short, events = {}, rec.events
   for key, value in order.each(rec) do -- any order: each stands alone
-    if not SHORT[key] then short[key], is_usual = value, false end
+    if not SHORT[key] then short[key] = value end
   end
   if not same(events, before.sent) then short.events = events or NONE end
   if rec.leaf ~= before.leaf or rec.done ~= before.done then
@@ -59,14 +58,14 @@ local function without_known(rec, before)
   if not same(rec.sent, is_told and usual(rec.leaf, rec.done) or nil) then
     short.sent = rec.sent or NONE
   end
-  return short, is_usual
+  return short
 end
 
 local function shorten(rec, all)
-  local short, is_usual = without_known(rec, last_of(all, rec))
+  local short = without_known(rec, last_of(all, rec))
   if rec.inner then short.inner = each_of(shorten, rec.inner, all) end
   all[rec.m or 0] = rec
-  return short, is_usual
+  return short
 end
 
 local function list_or_nil(list) return list[1] ~= nil and list or nil end
@@ -89,64 +88,21 @@ end
 
 -- Write ---------------------------------------------------------------------------
 
-local KEY_ORDER = { "n", "record", "file", "m", "from", "had", "events", "added",
-  "clock", "guards", "reset", "sent", "leaf", "done", "kept", "regions", "inner" }
-
-local function json() return opts.need("rfsm.record", "dkjson") end
-
 --- Return a record as a line of JSON.
-function journal.encode(rec) return json().encode(rec, { keyorder = KEY_ORDER }) end
-
--- Returns a list of texts and booleans as JSON; nil if it holds something else.
-local function plain_list(list, quote)
-  local texts = {}
-  for i = 1, #list do
-    local item = list[i]
-    if type(item) == "string" then
-      texts[i] = quote(item)
-    elseif type(item) == "boolean" then
-      texts[i] = tostring(item)
-    else
-      return nil
-    end
-  end
-  return "[" .. concat(texts, ",") .. "]"
-end
-
-local LISTS = { "events", "sent" }
-
--- Returns the line of a short record with the usual fields; nil if it has others.
-local function plain_line(short, number, quote)
-  local parts, leaf = { ('"n":%d'):format(number) }, short.leaf
-  for _, name in ipairs(LISTS) do
-    local list = short[name] and plain_list(short[name], quote)
-    if short[name] and not list then return nil end
-    if list then parts[#parts + 1] = ('"%s":%s'):format(name, list) end
-  end
-  if leaf then parts[#parts + 1] = '"leaf":' .. quote(leaf) end
-  if leaf == false then parts[#parts + 1] = '"leaf":false' end
-  if short.done then parts[#parts + 1] = '"done":true' end
-  return "{" .. concat(parts, ",") .. "}"
-end
+journal.encode = exact_json.encode
 
 --- Return a function that writes the records of a run to a stream; nil ends the run.
 function journal.writer(stream)
-  local quote, before, number = json().quotestring, {}, 0
+  local before, number = {}, 0
   return function(rec)
-    local line
-    if not rec then
-      line = journal.encode { ["end"] = number }
-    elseif rec.record then
+    local line = rec or { ["end"] = number }
+    if line.record then
       before, number = {}, 0
-      line = journal.encode(rec)
-    else
-      local short, is_usual = shorten(rec, before)
-      number = number + 1
-      line = is_usual and plain_line(short, number, quote)
-      short.n = number
-      line = line or journal.encode(short)
+    elseif rec then
+      line, number = shorten(rec, before), number + 1
+      line.n = number
     end
-    stream:write(line, "\n")
+    stream:write(journal.encode(line), "\n")
     if stream.flush then stream:flush() end
   end
 end
@@ -169,29 +125,25 @@ end
 ---@field is_cut boolean its last line is incomplete
 ---@field has_end boolean it was stopped, and all lines are there
 
-local function check_number(run, number)
-  if number ~= nil and number ~= #run then
+-- Adds a record, or the end, to a run.
+local function add_record(run, value)
+  if type(value) ~= "table" then
+    error(("record %d: table expected, got %s"):format(#run + 1, type(value)), 0)
+  end
+  local last = value["end"]
+  local number = last and last + 1 or value.n
+  if number ~= #run then
     error(("record %d is missing: record %s comes in its place"):format(#run,
       rfsm.text_of(number)), 0)
   end
-end
-
--- Adds a record, or the end, to a run; in files of before they have no numbers.
-local function add_record(run, value)
-  if type(value) == "table" and value["end"] then
-    check_number(run, value["end"] + 1)
-    run.has_end = true
-    return
-  elseif type(value) == "table" then
-    check_number(run, value.n)
-    value.n = nil
-  end
-  run[#run + 1] = value
+  value.n = nil
+  if last then run.has_end = true else run[#run + 1] = value end
 end
 
 -- Adds a line to the runs. After a line that is no JSON only a header may come.
 local function add_line(runs, line, number)
-  local value, _, problem = json().decode(line, 1, nil)
+  local json = opts.need("rfsm.record", "dkjson")
+  local value, _, problem = json.decode(line, 1, nil)
   local run = runs[#runs]
   if type(value) == "table" and value.record then
     runs[#runs + 1] = { value, is_cut = false, has_end = false }
@@ -219,12 +171,7 @@ end
 
 local function expand(run)
   local before, list = {}, {}
-  for i, rec in ipairs(run) do
-    if type(rec) ~= "table" then
-      error(("record %d: table expected, got %s"):format(i, type(rec)), 0)
-    end
-    list[i] = i > 1 and lengthen(rec, before) or rec
-  end
+  for i, rec in ipairs(run) do list[i] = i > 1 and lengthen(rec, before) or rec end
   return list
 end
 

@@ -89,7 +89,9 @@ local function hand_out(session, inner)
   end
 end
 
-local function begin_again(session, track, events)
+local listener = {} -- what a replay does, see `tracks.attach`
+
+function listener.began(session, track, events)
   local rec = next_record(session, track)
   track.rec, track.guard_at = rec, 0
   fill(session, events, rec.events)
@@ -158,7 +160,7 @@ local function compare(session, track)
   end
 end
 
-local function finish_again(session, track)
+function listener.finished(session, track)
   local rec = track.rec
   if not rec then return end
   local ok, failure = calls.try(compare, session, track)
@@ -174,8 +176,9 @@ local function finish_again(session, track)
   if track.m == nil and not session.problem then session.at = session.at + 1 end
 end
 
--- Returns the recorded result of a guard; with `is_called` that of now is compared.
-local function answer_again(session, track, is_called, number, guard, tr, events)
+-- Returns the recorded result of a guard. With the option `guards` that of now is
+-- compared.
+function listener.guard(session, track, number, guard, tr, events)
   if not track.rec then return guard(tr, events) end
   local list, at = track.rec.guards or {}, track.guard_at + 1
   local answer = list[at + 1]
@@ -183,7 +186,7 @@ local function answer_again(session, track, is_called, number, guard, tr, events
   if (track.numbers[list[at]] or list[at]) ~= number then
     depart(session, "the guard of %s was not called then", tostring(tr))
     return false
-  elseif is_called then
+  elseif session.options.guards then
     local ok, now = calls.try(guard, tr, events)
     if (ok and now ~= false) ~= (answer == true) then
       depart(session, "the guard of %s behaves otherwise", tostring(tr))
@@ -219,26 +222,21 @@ local function numbers_of(track, session)
   return numbers
 end
 
-local function no_events() return {} end
-
-local function add_player(track, session, options)
-  local fsm = track.fsm
+function listener.attached(session, track)
   track.numbers = numbers_of(track, session)
   track.at, track.guard_at = 0, 0
   track.records = track.m and {} or session.records
-  if session.is_dry then
-    for _, state in ipairs(instrument.take_functions(track.changes, fsm)) do
-      instrument.put(track.changes, state, "doo", doo_again(track))
-    end
+  if not session.is_dry then return end
+  for _, state in ipairs(instrument.take_functions(track.changes, track.fsm)) do
+    instrument.put(track.changes, state, "doo", doo_again(track))
   end
-  function track.began(events) begin_again(session, track, events) end
-  function track.finished() finish_again(session, track) end
-  function track.reset() end
-  function track.failed() end
-  function track.getevents() return no_events end
-  function track.clock() return session.clock end
-  function track.guard(...) return answer_again(session, track, options.guards, ...) end
 end
+
+function listener.gettime(session) return session.clock end
+
+local function no_events() return {} end
+
+function listener.getevents() return no_events end
 
 local function itself(snap) return snap end
 
@@ -274,38 +272,27 @@ local function run(session, track)
 end
 
 local function new_session(recording, options)
-  local session = { records = {}, at = 0, last = 0, options = options,
-    is_dry = options.dry and true or false, guards = recording[1].guards,
-    problem = nil }
-  for i = 2, #recording do session.records[i - 1] = recording[i] end
+  local count = #recording - 1
+  local session = { records = {}, at = 0, options = options,
+    last = min(max(options.to or count, 0), count),
+    is_dry = options.dry and true or false, guards = recording[1].guards }
+  for i = 1, count do session.records[i] = recording[i + 1] end
   session.clock = clock.new(function() return read_again(session) end)
-  session.last = options.to or #session.records
-  session.last = min(max(session.last, 0), #session.records)
   return session
 end
 
-local function begin(session, model, header)
-  local fsm, problem
-  if session.is_dry then
-    fsm, problem = calls.silently(rfsm.init, model)
-  else
-    fsm, problem = rfsm.init(model)
-  end
-  if not fsm then
-    session.problem = problem
-    return
-  end
-  local changes = {}
-  for _, at in ipairs(rfsm.machines(fsm)) do
-    instrument.put(changes, at.machine, "gettime", session.clock)
-  end
-  local ok
-  ok, problem = put(session, fsm, header)
-  instrument.give_back(changes)
-  session.fsm, session.problem = ok and fsm or nil, problem
+local function make(model, is_silent)
+  if is_silent then return calls.silently(rfsm.init, model) end
+  return rfsm.init(model)
 end
 
-local function go_through(session)
+local function go_through(session, header)
+  local ok, problem = put(session, session.fsm, header)
+  if not ok then
+    session.fsm, session.problem = nil, problem
+    return
+  end
+  if session.options.watch then session.options.watch(session.fsm) end
   run(session, session.tracks[1])
   if session.problem then return end
   session.snap, session.unsaved = snapshot.try_take(session.fsm)
@@ -315,11 +302,11 @@ end
 -- snapshot of it, or a problem.
 return function(model, recording, options)
   local session = new_session(recording, options)
-  begin(session, model, recording[1])
-  if session.problem then return session end
-  session.tracks = tracks.attach(session.fsm, add_player, session, options)
-  if options.watch then options.watch(session.fsm) end
-  local is_whole, failure = pcall(go_through, session)
+  local fsm, problem = make(model, session.is_dry)
+  session.problem = problem
+  if not fsm then return session end
+  session.fsm, session.tracks = fsm, tracks.attach(fsm, listener, session)
+  local is_whole, failure = pcall(go_through, session, recording[1])
   tracks.detach(session.tracks)
   if not is_whole then error(failure, 0) end
   return session

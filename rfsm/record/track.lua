@@ -22,15 +22,10 @@ local track = {}
 
 -- Data ----------------------------------------------------------------------------
 
-local PATH = { owner = "", seen = {} }
-
---- Return plain data for a text, number or boolean.
-function track.pack(value) return encoding.pack(value, PATH, 0) end
-
 --- Return an event as plain data. A table or another object becomes the name of its
 -- type, which cannot be replayed.
 function track.pack_event(event)
-  if encoding.is_scalar(event) then return track.pack(event) end
+  if encoding.is_scalar(event) then return encoding.pack(event) end
   return { "%x", type(event) }
 end
 
@@ -79,61 +74,55 @@ end
 
 --- Return the values of a machine that `may_have_changed` compares.
 function track.observe_data(fsm)
-  local observed = { transitions = rfsm.elements(fsm, rfsm.is_trans), targets = {},
-    states = {}, names = {}, values = {}, is_deep = false, has_changed = false }
+  local observed = { has_save = false }
+  local function add(obj, field, is_data)
+    observed[#observed + 1] = { obj = obj, field = field, is_data = is_data,
+      value = obj[field] }
+  end
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do add(tr, "tgt", false) end
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
-    if type(state.save) == "function" then observed.is_deep = true end
+    if type(state.save) == "function" then observed.has_save = true end
     for _, name in ipairs(type(state.keep) == "table" and state.keep or {}) do
-      observed.states[#observed.states + 1] = state
-      observed.names[#observed.names + 1] = name
+      add(state, name, true)
     end
   end
-  track.may_have_changed(observed)
-  observed.has_changed = false
   return observed
 end
 
---- May the data have changed since the caller has set `has_changed` to false? A table
--- may, at any time.
+--- May the data have changed since its values were noted? A table may, at any time.
 function track.may_have_changed(observed)
-  local values, names = observed.values, observed.names
-  if observed.is_deep then observed.has_changed = true end
-  for i, state in ipairs(observed.states) do
-    local value = state[names[i]]
-    if type(value) == "table" or not rawequal(value, values[i]) then
-      observed.has_changed, values[i] = true, value
-    end
+  for i = 1, #observed do
+    local one = observed[i]
+    local value = one.obj[one.field]
+    if one.is_data and type(value) == "table" or value ~= one.value then return true end
   end
-  local targets = observed.targets
-  for i, tr in ipairs(observed.transitions) do
-    local tgt = tr.tgt
-    if targets[i] ~= tgt then observed.has_changed, targets[i] = true, tgt end
-  end
-  return observed.has_changed
+  return observed.has_save
+end
+
+--- Note the present values.
+function track.note_values(observed)
+  for _, one in ipairs(observed) do one.value = one.obj[one.field] end
 end
 
 -- Machines -----------------------------------------------------------------------
 
---- A machine that is recorded or replayed, and the functions that it calls.
+--- A machine that is recorded or replayed.
 ---@class rfsm.record.Track
 ---@field fsm rfsm.Machine
 ---@field m integer|nil its number, if it is a region
 ---@field rec rfsm.record.Record|false of the present iteration
----@field began fun(events: any[])
----@field finished fun(events: any[])
----@field reset fun()
----@field failed fun(element: table, name: string)
----@field guard function called in place of each guard: number, guard, arguments
----@field clock fun(own: function?): function returns a clock in place of its own
----@field getevents fun(own: function): function|nil likewise getevents
+---@field listener table<string, function> see `track.attach`
+---@field session table
+---@field number_of table<rfsm.Transition, integer>
 ---@field changes table[]
 ---@field wrapped table<string, table> the last change of a field of the machine
 
 -- Replaces a function of the machine, again if a program has set another one meanwhile.
-local function wrap(own, field, make)
+local function wrap(own, field)
   local wrapped, value = own.wrapped[field], rawget(own.fsm, field)
   if not (wrapped and rawequal(wrapped.new, value)) then
-    own.wrapped[field] = instrument.put(own.changes, own.fsm, field, make(value))
+    own.wrapped[field] = instrument.put(own.changes, own.fsm, field,
+      own.listener[field](own.session, own, value))
   end
 end
 
@@ -141,8 +130,8 @@ end
 -- its parent machine.
 function track.wrap(own)
   local fsm = own.fsm
-  if own.m == nil or rawget(fsm, "gettime") then wrap(own, "gettime", own.clock) end
-  if rawget(fsm, "getevents") then wrap(own, "getevents", own.getevents) end
+  if own.m == nil or rawget(fsm, "gettime") then wrap(own, "gettime") end
+  if rawget(fsm, "getevents") then wrap(own, "getevents") end
 end
 
 --- Return the guards of a machine and its regions, nil if there are none: for each
@@ -168,30 +157,37 @@ local function numbers_of(fsm)
   return numbers
 end
 
---- Make the tracks of a machine and its regions, by add(track, ...).
-function track.attach(fsm, add, ...)
-  local tracks, of = {}, {}
+--- Make the tracks of a machine and its regions. The functions of `listener` get the
+-- session and a track, then
+--
+--    attached()                     the machine is about to be followed
+--    began(events), finished(events), reset(), failed(element, name)
+--    guard(number, own, tr, events) called in place of the guard `own`
+--    gettime(own), getevents(own)   return a function in place of the machine's own
+function track.attach(fsm, listener, session)
+  local tracks, of, heard = {}, {}, {}
   for i, at in ipairs(rfsm.machines(fsm)) do
     local own = { fsm = at.machine, m = i > 1 and i - 1 or nil, rec = false,
-      changes = {}, wrapped = {}, number_of = numbers_of(at.machine) }
-    add(own, ...)
+      listener = listener, session = session, number_of = numbers_of(at.machine),
+      changes = {}, wrapped = {} }
+    listener.attached(session, own)
     track.wrap(own)
     tracks[i], of[at.machine] = own, own
   end
   -- what is merged in meanwhile has no track, and no number
-  local listener = { guard = function(at, tr, guard, events)
+  function heard.guard(at, tr, guard, events)
     local own = of[at.machine]
     local number = own and own.number_of[tr]
     if not number then return guard(tr, events) end
-    return own.guard(number, guard, tr, events)
-  end }
+    return listener.guard(session, own, number, guard, tr, events)
+  end
   for _, name in ipairs { "began", "finished", "reset", "failed" } do
-    listener[name] = function(at, first, second)
-      local own = of[at.machine]
-      if own then own[name](first, second) end
+    local f = listener[name]
+    heard[name] = f and function(at, ...)
+      if of[at.machine] then f(session, of[at.machine], ...) end
     end
   end
-  tracks.stream = stream.follow(fsm, listener)
+  tracks.stream = stream.follow(fsm, heard)
   return tracks
 end
 

@@ -40,6 +40,14 @@ function instrument.hook(changes, fsm, kind, hook, where)
   end }
 end
 
+--- Add an entry hook of a state.
+function instrument.entry_hook(changes, fsm, state, hook)
+  rfsm.entry_hook_add(fsm, state, hook)
+  changes[#changes + 1] = { remove = function()
+    rfsm.entry_hook_rm(fsm, state, hook)
+  end }
+end
+
 --- Add a watch hook.
 function instrument.watch(changes, fsm, what, hook)
   rfsm.watch_hook_add(fsm, what, hook)

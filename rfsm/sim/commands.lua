@@ -50,12 +50,6 @@ end
 --- Return the command of a name.
 function commands.find(name) return by_name[name] end
 
---- Append the names of all commands to a list.
-function commands.add_names(list)
-  for _, command in ipairs(commands.list) do list[#list + 1] = command.name end
-  return list
-end
-
 local function check(command, value, kind, what)
   if type(value) == kind then return value end
   error(("%s: %s expected, got %s"):format(command, what or kind, type(value)), 0)
@@ -300,7 +294,8 @@ function(_, name)
     if members.name == word then return print_list(members) end
     list[i] = members.name
   end
-  local hint = names.hint(text_of(name), commands.add_names(list))
+  for _, command in ipairs(commands.list) do list[#list + 1] = command.name end
+  local hint = names.hint(text_of(name), list)
   error("help: no command is named " .. text_of(name)
     .. (hint ~= "" and hint or ", help() lists them"), 0)
 end)

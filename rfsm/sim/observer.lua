@@ -10,8 +10,7 @@
 local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
 local match = require "rfsm.shared.match"
-local names = require "rfsm.observe.names"
-local outline = require "rfsm.observe.outline"
+local location = require "rfsm.shared.location"
 local breakpoints = require "rfsm.observe.breakpoints"
 local stream = require "rfsm.observe.stream"
 
@@ -65,11 +64,11 @@ function Observer:note_used(tr, events, by)
 end
 
 function Observer:taken(at, path, events)
-  local by, nodes = {}, { names.full(at.prefix, path[1].src._fqn) }
+  local by, nodes = {}, { location.path(path[1].src, at.prefix) }
   for i, tr in ipairs(path) do
     self:check_points("transition", tr)
     self:note_used(tr, events, i == 1 and by or {})
-    nodes[i + 1] = names.full(at.prefix, tr.tgt._fqn)
+    nodes[i + 1] = location.path(tr.tgt, at.prefix)
   end
   if not self.is_shown then return end
   self:print_taken("taken:  " .. concat(nodes, " -> ")
@@ -90,7 +89,8 @@ end
 function Observer:note_events(events)
   for i = 1, #events do
     local event = events[i]
-    local is_noted = event ~= event or self.is_seen[event] or outline.is_own(event)
+    local is_noted = event ~= event or self.is_seen[event]
+      or match.maker_of(event) == "engine"
     if not is_noted then
       self.is_seen[event], self.seen[#self.seen + 1] = true, event
     end
@@ -127,7 +127,7 @@ function observer.attach(sim, is_shown)
   self.stream = stream.follow(sim.fsm, {
     taken = function(...) self:taken(...) end,
     entered = function(at, state)
-      self:check_points("state", names.full(at.prefix, state._fqn))
+      self:check_points("state", location.path(state, at.prefix))
     end,
     finished = function(_, events) self:note_events(events) end,
   })

@@ -13,7 +13,7 @@ local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local calls = require "rfsm.shared.calls"
 local marsh = require "rfsm.marsh"
-local outline = require "rfsm.observe.outline"
+local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
 local breakpoints = require "rfsm.observe.breakpoints"
 local instrument = require "rfsm.shared.instrument"
@@ -109,7 +109,7 @@ end
 -- Notes events without an effect, except those that the machine sends itself.
 local function add_lost(view, events)
   for i = 1, #events do
-    if not outline.is_own(events[i]) and #view.lost < MAX_LOST then
+    if match.maker_of(events[i]) ~= "engine" and #view.lost < MAX_LOST then
       view.lost[#view.lost + 1] = events[i]
     end
   end

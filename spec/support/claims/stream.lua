@@ -1,5 +1,5 @@
--- The states that a stream tells of are those whose entries and exits are called, in
--- that order, on random charts.
+-- The states that a stream tells of are those whose entries are called, in that order,
+-- on random charts.
 
 local driven = require "spec.support.driven"
 local stream = require "rfsm.observe.stream"
@@ -7,10 +7,8 @@ local stream = require "rfsm.observe.stream"
 local function case(seed)
   local called, told, run = {}, {}, driven.new(seed)
   function run.enter(fqn) called[#called + 1] = "entered " .. fqn end
-  function run.leave(fqn) called[#called + 1] = "left " .. fqn end
   stream.follow(run.fsm, {
     entered = function(_, state) told[#told + 1] = "entered " .. state._fqn end,
-    left = function(_, state) told[#told + 1] = "left " .. state._fqn end,
   })
   for step = 1, 40 do
     driven.step(run)
