@@ -444,8 +444,8 @@ end
 --- The data of one `init` or `fsm_merge`. A plan is the part that machines share.
 ---@class rfsm.Build
 ---@field plan rfsm.Plan the result
----@field problems { at: string, file?: string, text: string }[]
----@field warnings { at: string, file?: string, text: string }[]
+---@field problems { file?: string, line: string }[]
+---@field warnings { file?: string, line: string }[]
 ---@field created { line: string }[] `initial` connectors that are not declared
 ---@field mounts table<table, rfsm.Def[]> model node -> its clones
 ---@field fsm rfsm.Machine? the machine that something is merged into
@@ -482,7 +482,7 @@ end
 local function add(list, def, field, text, ...)
   if select("#", ...) > 0 then text = text:format(...) end
   list[#list + 1] = {
-    at = name_of(def, field), file = made_at[def.model], text = text,
+    file = made_at[def.model], line = name_of(def, field) .. ": " .. text,
   }
 end
 
@@ -2526,12 +2526,12 @@ local function natural(text)
   return (text:gsub("%d+", function(n) return ("0"):rep(12 - #n) .. n end))
 end
 
--- Turns { at, file, text } into lines "file: at: text", sorted by location.
+-- Turns { file, line } into lines "file: location: text", sorted by location.
 local function lines_of(list)
   local keys, lines = {}, {}
   for i = 1, #list do
-    local line = list[i].line or list[i].at .. ": " .. list[i].text
-    lines[i] = (list[i].file and list[i].file .. ": " or "") .. line
+    local file, line = list[i].file, list[i].line
+    lines[i] = (file and file .. ": " or "") .. line
     keys[lines[i]] = natural(line)
   end
   sort(lines, function(a, b) return keys[a] < keys[b] end)
@@ -3490,15 +3490,18 @@ do
     return hooks[1] and hooks or false
   end
 
+  -- Takes a hook out of the list in a field of `owner`. Returns whether it was there.
+  local function take_out(owner, field, hook)
+    local others = without(owner[field] or NONE, hook)
+    if others then owner[field] = reduced(others) end
+    return others ~= nil
+  end
+
   -- Makes the function that takes a hook out again, also the model's own at `slot`.
   local function hook_remover(where, field, slot)
     return function(fsm, hook)
       check_machine(fsm, where)
-      local hooks = without(fsm[field] or NONE, hook)
-      if hooks then
-        fsm[field] = reduced(hooks)
-        return true
-      end
+      if take_out(fsm, field, hook) then return true end
       if not slot or hook == nil or not rawequal(fsm[slot], hook) then return false end
       fsm[slot] = nil
       return true
@@ -3533,9 +3536,7 @@ do
   ---@return boolean
   function rfsm.entry_hook_rm(fsm, state, hook)
     check_machine(fsm, "rfsm.entry_hook_rm")
-    local hooks = without(fsm._entry_hooks and fsm._entry_hooks[state] or NONE, hook)
-    if hooks then fsm._entry_hooks[state] = hooks[1] and hooks end
-    return hooks ~= nil
+    return take_out(fsm._entry_hooks or NONE, state, hook)
   end
 
   --- Have `hook(fsm, state)` called each time `state` is left, after its exit.
@@ -3640,10 +3641,7 @@ do
   ---@return boolean
   function rfsm.watch_hook_rm(fsm, what, hook)
     check_machine(fsm, "rfsm.watch_hook_rm")
-    local hooks = fsm._watch_hooks or NONE
-    local others = without(hooks[what] or NONE, hook)
-    if others then hooks[what] = reduced(others) end
-    return others ~= nil
+    return take_out(fsm._watch_hooks or NONE, what, hook)
   end
 
   --- Have `hook(fsm)` called when the machine is reset, for the data of an extension.

@@ -85,9 +85,7 @@ local function load_model()
   if has_stubs then return load_as_tools() end
   local limit = require "rfsm.shared.limit"
   before = kib()
-  local function is_code() return true end
-  local ok, model, is_late = limit.load(limit.SECONDS, is_code, { os.time }, rfsm.load,
-    name)
+  local ok, model, is_late = limit.load(rfsm.load, name, { os.time })
   if is_late then fail(model) end
   return ok and model or load_as_tools()
 end

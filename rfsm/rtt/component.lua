@@ -156,12 +156,9 @@ local function add_getevents(launch, fsm, getevents)
   fsm.getevents = rfsm_rtt.gen_read_events(launch.samples, unpack(sources))
 end
 
-local function is_code() return true end
-
 -- Returns the machine, and the getevents of the chart.
 local function load_machine(launch)
-  local ok, model = limit.load(limit.SECONDS, is_code, { os.time }, rfsm.load,
-    launch.fsmfile)
+  local ok, model = limit.load(rfsm.load, launch.fsmfile, { os.time })
   if not ok then error(model, 0) end
   for name, level in pairs { err = "Error", warn = "Warning", info = "Info" } do
     if model[name] == nil then -- any order

@@ -166,9 +166,9 @@ function sandbox.load(text, file, server)
   rawset(globals, "require", find_module)
   local f, problem = calls.load(text, "@" .. file, globals)
   if not f then return nil, problem end
-  local ok, model = limit.load(limit.SECONDS, function(source)
+  local ok, model = limit.load(f, file, { os.time, os.clock }, function(source)
     return source == "@" .. file
-  end, { os.time, os.clock }, f, file)
+  end)
   if not ok then return nil, rfsm.text_of(model) end
   if rfsm.is_state(model) then return model end
   return nil, ("%s: a state expected, got %s"):format(file, type(model))

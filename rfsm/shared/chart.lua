@@ -167,8 +167,8 @@ local function refuse_exit() error("os.exit is called while the chart is loaded"
 local function within_bounds(world, load, file)
   local exit = os.exit
   if not world.has_stubs then rawset(os, "exit", refuse_exit) end
-  local ok, model, is_late = limit.load(limit.SECONDS, search.world_of,
-    { os.time, os.clock }, load, file)
+  local ok, model, is_late = limit.load(load, file, { os.time, os.clock },
+    search.world_of)
   rawset(os, "exit", exit)
   world.is_late = is_late or false
   return ok and model or error(model, 0)

@@ -11,7 +11,7 @@ local limit = { SECONDS = 5 } -- for loading a chart
 -- Returns "file:line: " of the innermost function on the stack whose source is known.
 local function location(is_known)
   local level, info = 3, debug.getinfo(3, "Sl")
-  while info and not (info.currentline > 0 and is_known(info.source)) do
+  while info and (info.currentline < 1 or is_known and not is_known(info.source)) do
     level = level + 1
     info = debug.getinfo(level, "Sl")
   end
@@ -20,8 +20,8 @@ end
 
 -- Returns the hook that ends a call. Code that waits for something calls a function to
 -- do so: each call looks at the first clock, each 10,000th instruction at all of them.
-local function new_hook(state, seconds, is_known, clocks)
-  local ends = {}
+local function new_hook(state, clocks, is_known)
+  local ends, seconds = {}, limit.SECONDS
   for i, clock in ipairs(clocks) do ends[i] = clock() + seconds end
   return function(event)
     for i = 1, event == "count" and #clocks or 1 do
@@ -34,16 +34,17 @@ local function new_hook(state, seconds, is_known, clocks)
   end
 end
 
---- Load something by f(file), for `seconds` by any of the clocks at most. Return what
--- pcall does, and if that was too long. May an error name code, `is_known(source)`?
+--- Load something by f(file), for some seconds by any of the clocks at most. Return
+-- what pcall does, and if that was too long. An error names the innermost code that
+-- `is_known(source)` accepts, any if that is not given.
 --
 -- LuaJIT does not call the hook in compiled code, so nothing is compiled meanwhile.
-function limit.load(seconds, is_known, clocks, f, file)
+function limit.load(f, file, clocks, is_known)
   if not (debug and debug.sethook) then return pcall(f, file) end
   local state, is_compiling = { is_on = true, is_late = false }, jit and jit.status()
   local hook, mask, count = debug.gethook()
   if is_compiling then jit.off() end
-  debug.sethook(new_hook(state, seconds, is_known, clocks), "c", 10000)
+  debug.sethook(new_hook(state, clocks, is_known), "c", 10000)
   local ok, result = pcall(f, file)
   state.is_on = false -- from here on the hook does nothing
   debug.sethook(hook, mask, count)

@@ -8,8 +8,7 @@
 local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 
-local ipairs, rawequal, rawget, type = ipairs, rawequal, rawget, type
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+local ipairs, rawequal, type = ipairs, rawequal, type
 
 local match = {}
 
@@ -32,13 +31,6 @@ function match.takes(list, event)
   return false
 end
 
---- Return a copy of a list with one event more.
-function match.with(list, event)
-  local longer = { unpack(list) }
-  longer[#longer + 1] = event
-  return longer
-end
-
 --- Return two lists in one; the first one itself if there is nothing to add.
 function match.joined(list, more)
   if more[1] == nil then return list end
@@ -47,6 +39,9 @@ function match.joined(list, more)
   for i = 1, #more do longer[#longer + 1] = more[i] end
   return longer
 end
+
+--- Return a copy of a list with one event more.
+function match.with(list, event) return match.joined(list, { event }) end
 
 --- Is the transition one on any event?
 function match.is_any(tr) return not tr.events or tr.events[1] == nil end

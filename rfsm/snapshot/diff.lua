@@ -57,28 +57,25 @@ local function enter_at(places, at, leaf)
   enter(at.machine, leaf)
 end
 
--- Returns the timers of a leaf and the states around it, as a list and a set.
+-- Returns the timers of a leaf and the states around it.
 local function timers_of(fsm, leaf)
-  local list, is_there, is_around, state = {}, {}, {}, leaf
+  local list, is_around, state = {}, {}, leaf
   while not is_around[state] do
     is_around[state], state = true, state._parent
   end
   for _, tr in ipairs(shape.of(fsm).transitions) do
     for _, event in ipairs(is_around[tr.src] and tr.events or {}) do
       local name = rfsm.text_of(event)
-      if match.maker_of(name) == "timer" then
-        list[#list + 1], is_there[name] = name, true
-      end
+      if match.maker_of(name) == "timer" then list[#list + 1] = name end
     end
   end
-  return list, is_there
+  return list
 end
 
-local function note_timers(notes, fsm, leaf, other, text)
-  local list = timers_of(fsm, leaf)
-  local _, is_there = timers_of(other.fsm, other.leaf)
+-- Notes the timers of a list that another one does not have.
+local function note_timers(notes, list, others, text)
   for _, name in ipairs(list) do
-    if not is_there[name] then notes[#notes + 1] = "timer " .. name .. text end
+    if not match.has(others, name) then notes[#notes + 1] = "timer " .. name .. text end
   end
 end
 
@@ -124,10 +121,9 @@ local function fate_of(places, at, leaf, model, options)
   local to = new.machine._act_leaf
   fate.to = to and location_of(new, to) or "no state"
   if to then
-    note_timers(fate.notes, at.machine, leaf, { fsm = new.machine, leaf = to },
-      " is dropped")
-    note_timers(fate.notes, new.machine, to, { fsm = at.machine, leaf = leaf },
-      " begins, with its whole time")
+    local old_timers, timers = timers_of(at.machine, leaf), timers_of(new.machine, to)
+    note_timers(fate.notes, old_timers, timers, " is dropped")
+    note_timers(fate.notes, timers, old_timers, " begins, with its whole time")
   end
   return fate
 end

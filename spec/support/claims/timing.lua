@@ -247,10 +247,9 @@ local function deadlines_of(fsm, watched, now)
     for _, state in ipairs(rfsm.elements(entry.machine, rfsm.is_state)) do
       local timers = state._mode ~= "inactive" and state._timers
       for _, timer in ipairs(timers or {}) do
-        local alone, event = timers.alone and timers.alone[timer], timer.event
-        local at = alone or { sec = timers.sec + event.sec,
-          nsec = timers.nsec + event.nsec }
-        add(time_of(at))
+        local event, is_alone = timer.event, timer.entry == timers.entry
+        add(time_of(is_alone and timer or { sec = timers.sec + event.sec,
+          nsec = timers.nsec + event.nsec }))
       end
     end
     for _, send in ipairs((entry.machine._timeevent or {}).sends or {}) do
