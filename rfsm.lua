@@ -1922,7 +1922,7 @@ do
     return node.fqn .. (node.is_leaf and "[LS]" or "[CS]")
   end
 
-  -- What a path traces: each returns the words of a record.
+  -- The records of a trace, by kind. Each returns the id of the record, then its texts.
   local RECORDS = {}
 
   -- root.a[LS]->root.k[c]->root.b[LS]

@@ -55,7 +55,8 @@ local function normalise(sec, nsec)
   return whole + floor((nsec - rest) / 1e9), rest
 end
 
--- Splits a text such as "0.25", digit by digit; nil if it is no number of seconds.
+-- Returns the seconds and nanoseconds of a text such as "0.25", which no float rounds,
+-- or "1e-3"; nil if it is no number of seconds.
 local function from_text(text)
   local whole, fraction = text:match("^%s*(%d*)%.?(%d*)%s*$")
   if not whole then
@@ -471,7 +472,7 @@ end
 
 -- Prepare: the events of a model become timers -------------------------------------
 
--- Adds the hook for entries to a state.
+-- Gives a state its timers, and a hook that starts them when it is entered.
 local function prepare_timers(fsm, state)
   prepare_machine(fsm)
   if not fsm._timeevent.has_timers then

@@ -442,7 +442,8 @@ local function node_table(writer, node)
   return tab
 end
 
--- Returns the set of the composites into which transitions lead where they were left.
+-- Returns the set of the composites that a transition enters where they were left, as
+-- their history says.
 local function histories_of(fsm)
   local composites = {}
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do

@@ -463,8 +463,8 @@ function snapshot.encode(snap) return exact_json.encode(snap) end
 ---@field rename? table<string, string> new FQN of states that moved, by the old one
 ---@field migrate? fun(snap: table, list: string[]): table|false? false refuses
 ---@field old? rfsm.State|string[] the chart of the snapshot, or its structure
----@field trusted? boolean the snapshot is as `take` made it; if it is not, `put` may
---- reset the machine, or set less. Faster, for one machine that serves many.
+---@field trusted? boolean the caller promises that the snapshot is as `take` made it:
+--- `put` is faster then. If it is not, `put` may reset the machine, or set only a part.
 ---@field is_tidy? boolean nothing has run since `take`, and then no target was set
 
 local is_boolean, is_table = opts.is_a "boolean", opts.is_a "table"

@@ -115,7 +115,8 @@ local function check_globals(file, info, add)
   end
 end
 
--- Is it a call of a function of Lua or of the library, which cannot yield?
+-- Is it a call of a global function, one in a global table, or one of `rfsm`? They do
+-- not yield, but for those with "yield" in their names, which come before.
 local function is_plain_call(node)
   local name, library = called_name(node)
   return library == "rfsm" or rawget(_G, library or name) ~= nil

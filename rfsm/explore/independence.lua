@@ -31,7 +31,7 @@ local NOTHING = {}
 --- The parts of a subject that a walk has, by their prefixes; false: all of them.
 ---@alias rfsm_checks.Way table<string, true>|false
 
---- What may join a region to others, of itself and of the regions inside of it.
+--- What may make a region depend on others, in it or in the regions inside of it.
 ---@class rfsm_checks.Traits
 ---@field events table<any, true> from outside, to which it reacts
 ---@field is_any boolean it may react to each event

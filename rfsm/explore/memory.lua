@@ -37,7 +37,7 @@ local memory = {}
 local Memory = {}
 Memory.__index = Memory
 
---- A table with data.
+--- A table whose fields are compared with those that it had at the beginning.
 ---@class rfsm_checks.Home
 ---@field of table
 ---@field name string its path: "on", "trans[2]"; empty for the machine

@@ -57,7 +57,8 @@ monitors.next = { precedes = "done", ["until"] = "done" }
 --- The kinds that also look at the states that a step passes; others at its end alone.
 monitors.passes = { never = true, after_never = true, precedes = true }
 
---- In this state something has to come some time.
+--- By kind: the state of a monitor that it must leave eventually, as something has to
+--- come.
 monitors.owes = { leads_to = "owed", ["until"] = "first" }
 
 --- The kinds that say what an event leads to.

@@ -163,7 +163,7 @@ function properties.precedes(first, second)
 end
 
 --- Declare that from the first entry on one condition holds until another one does,
---- which comes some time.
+--- and that the other one comes eventually.
 ---@param first any
 ---@param second any
 ---@return rfsm_checks.Property

@@ -145,7 +145,7 @@ local function is_closed(level)
   return not level.gates[1]
 end
 
--- Leads a link from its other end.
+-- Turns a link round: its upper end is its lower one then.
 local function swap(link)
   link.upper, link.lower, link.is_turned = link.lower, link.upper, not link.is_turned
 end

@@ -1,7 +1,8 @@
 --- The clock of the machines in a server.
 --
--- It stands still while a machine runs: at the time at which the machine was saved,
--- then at each time at which something was due, at last at the time of the call.
+-- While a machine runs it does not follow the server's clock. It begins at the time at
+-- which the machine was saved, jumps to each time at which something was due, and ends
+-- at the time of the call.
 --
 -- @module rfsm.server.times
 -- @license BSD-3-Clause

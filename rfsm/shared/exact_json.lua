@@ -121,7 +121,7 @@ function exact_json.encode(value)
 end
 
 --- Return the first number in a text of JSON that some Lua cannot hold: a whole number
---- from 2^53 on, or one beyond all bounds. Nil if there is none.
+--- from 2^53 on, or one that is infinite. Nil if there is none.
 ---@param text string
 ---@return string? digits
 function exact_json.find_inexact(text)
