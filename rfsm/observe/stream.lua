@@ -42,7 +42,7 @@ local stream = {}
 local function attach_element(own, at, element)
   local listener = own.listener
   if rfsm.is_state(element) and listener.entered then
-    instrument.entry_hook(own.changes, at.machine, element, function(_, state)
+    instrument.hook_of(own.changes, at.machine, "entry", element, function(_, state)
       listener.entered(at, state)
     end)
   elseif rfsm.is_trans(element) and listener.guard and element.guard then
@@ -74,10 +74,10 @@ local function attach(own, at)
   for _, what in ipairs(WATCHED) do
     local f = listener[what]
     if f then
-      instrument.watch(changes, fsm, what, function(_, ...) f(at, ...) end)
+      instrument.hook_of(changes, fsm, "watch", what, function(_, ...) f(at, ...) end)
     end
   end
-  instrument.watch(changes, fsm, "merged", function(_, element)
+  instrument.hook_of(changes, fsm, "watch", "merged", function(_, element)
     join(own)
     attach_elements(own, at, element)
     if listener.merged then listener.merged(at, element) end

@@ -40,19 +40,11 @@ function instrument.hook(changes, fsm, kind, hook, where)
   end }
 end
 
---- Add an entry hook of a state.
-function instrument.entry_hook(changes, fsm, state, hook)
-  rfsm.entry_hook_add(fsm, state, hook)
+--- Add a hook of a kind, "entry" or "watch", to a state or to what is watched.
+function instrument.hook_of(changes, fsm, kind, subject, hook)
+  rfsm[kind .. "_hook_add"](fsm, subject, hook)
   changes[#changes + 1] = { remove = function()
-    rfsm.entry_hook_rm(fsm, state, hook)
-  end }
-end
-
---- Add a watch hook.
-function instrument.watch(changes, fsm, what, hook)
-  rfsm.watch_hook_add(fsm, what, hook)
-  changes[#changes + 1] = { remove = function()
-    rfsm.watch_hook_rm(fsm, what, hook)
+    rfsm[kind .. "_hook_rm"](fsm, subject, hook)
   end }
 end
 
