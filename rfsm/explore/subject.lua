@@ -667,11 +667,12 @@ local function new_predicate(self, tr)
   end
 end
 
--- Has each predicate among the events of a machine be a choice.
+-- Puts choices in place of the predicates among the events of a machine.
 local function free_predicates(self, fsm)
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     for i, event in ipairs(tr.events) do
       if type(event) == "function" then
+        self.free.predicates = true
         replacements.note_writer(self, "predicate of " .. rfsm.location_of(tr), event)
         tr.events[i] = new_predicate(self, tr)
       end
@@ -679,35 +680,17 @@ local function free_predicates(self, fsm)
   end
 end
 
--- Returns f(...), with one more preproc function.
-local function with_preproc(preproc, f, ...)
-  local list = rfsm.preproc
-  list[#list + 1] = preproc
-  local ok, fsm, text, problems = pcall(f, ...)
-  remove(list)
-  if not ok then error(fsm, 0) end
-  return fsm, text, problems
-end
-
-local function has_predicate(fsm)
-  for _, entry in ipairs(rfsm.machines(fsm)) do
-    for _, tr in ipairs(rfsm.elements(entry.machine, rfsm.is_trans)) do
-      if match.triggers(tr, NOTHING) == nil then return true end
-    end
-  end
-  return false
-end
-
--- Makes a silent machine of a model. One with its own predicates comes first: plans
--- are shared, and others need not have replacements in theirs.
+-- Makes a silent machine of a model, with choices in place of predicates. The engine
+-- indexes events when it makes a machine, so a preproc function has to replace them.
+-- To make one may load an extension, which adds its own preproc function.
 local function new_machine(self, model)
   local init = rfsm.is_initialized_root(model) and rfsm.init or static.init
-  local fsm, _, problems = init(model, false)
-  if not fsm then error("the model has problems\n  " .. concat(problems, "\n  "), 0) end
-  if not has_predicate(fsm) then return fsm end
-  self.free.predicates = true
-  local function preproc(own) free_predicates(self, own) end
-  return (with_preproc(preproc, init, model, false))
+  local preproc, at = rfsm.preproc, #rfsm.preproc + 1
+  preproc[at] = function(fsm) free_predicates(self, fsm) end
+  local ok, fsm, _, problems = pcall(init, model, false)
+  remove(preproc, at)
+  if not ok then error(fsm, 0) end
+  return fsm or error("the model has problems\n  " .. concat(problems, "\n  "), 0)
 end
 
 -- Raises an error for events in the alphabet that no transition names. A predicate may
