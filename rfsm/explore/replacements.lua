@@ -64,22 +64,14 @@ function replacements.check_flags(flags)
   return true
 end
 
--- Is it an event that is sent later: { "e_x", after = 2 }?
-local function is_later(item)
-  return type(item) == "table" and not getmetatable(item)
-    and rawget(item, "after") ~= nil
-end
-
--- Does it take back what waits to be sent: { cancel = "e_x" }?
-local function is_cancel(item)
-  return type(item) == "table" and not getmetatable(item)
-    and rawget(item, "cancel") ~= nil and rawget(item, 1) == nil
-end
-
--- Is it an event for others: { emit = "e_x" }?
-local function is_emit(item)
-  return type(item) == "table" and not getmetatable(item)
-    and rawget(item, "emit") ~= nil and rawget(item, 1) == nil
+-- Returns what an item of `sends` is, if it is more than an event: "after" for
+-- { "e_x", after = 2 }, "cancel" for { cancel = "e_x" }, "emit" for { emit = "e_x" }.
+local function kind_of(item)
+  if type(item) ~= "table" or getmetatable(item) then return nil end
+  if rawget(item, "after") ~= nil then return "after" end
+  if rawget(item, 1) ~= nil then return nil end
+  return rawget(item, "cancel") ~= nil and "cancel"
+    or rawget(item, "emit") ~= nil and "emit" or nil
 end
 
 local function check_later(where, item)
@@ -112,7 +104,7 @@ function replacements.check_sends(sends)
     end
     for i, item in ipairs(sends[name]) do
       local where = ("['%s'][%d]"):format(rfsm.text_of(name), i)
-      local problem = is_later(item) and check_later(where, item)
+      local problem = kind_of(item) == "after" and check_later(where, item)
       if problem then return false, problem end
     end
   end
@@ -265,32 +257,10 @@ function replacements.dry_run(fsm)
   return sent
 end
 
---- An event that a replacement sends later.
----@class rfsm_checks.Later
----@field part rfsm_checks.Part
----@field after number seconds
----@field occurrence rfsm_checks.Occurrence in the step in which it comes
-
--- Returns the events of a list, and what the later ones are by their positions.
-local function read_sends(self, part, list)
-  local later = {}
-  for i, item in ipairs(list) do
-    if is_later(item) then
-      local occurrence = { part = part, event = item[1], after = item.after,
-        number = #self.occurrences + 1, alone = {} }
-      occurrence.alone[1], self.occurrences[occurrence.number] = occurrence, occurrence
-      later[i] = { part = part, after = item.after, occurrence = occurrence }
-      self.later[#self.later + 1] = later[i]
-    end
-  end
-  return later
-end
-
 --- Drop what a part has sent later, or the events of it that are like one.
 function replacements.drop_later(self, part, event)
   local function is_dropped(later)
-    return later.part == part
-      and (event == nil or rawequal(later.occurrence.event, event))
+    return later.part == part and (event == nil or rawequal(later.event, event))
   end
   for _, later in ipairs(self.later) do
     if is_dropped(later) then self.dropped[later] = true end
@@ -300,15 +270,19 @@ function replacements.drop_later(self, part, event)
   end
 end
 
--- Does what an item of `sends` says.
-local function send(self, part, fsm, item, later)
-  if later then
-    self.sent_later[#self.sent_later + 1] = later
-  elseif is_cancel(item) then
-    replacements.drop_later(self, part, item.cancel)
-  elseif is_emit(item) then
-    self.emitted[#self.emitted + 1] = item
-  else
+-- Returns the function f(fsm) that does what an item of `sends` says.
+local function new_send(self, part, item)
+  local kind = kind_of(item)
+  if kind == "after" then
+    local later = self:new_occurrence(part, item[1], item.after)
+    self.later[#self.later + 1] = later
+    return function() self.sent_later[#self.sent_later + 1] = later end
+  elseif kind == "cancel" then
+    return function() replacements.drop_later(self, part, item.cancel) end
+  elseif kind == "emit" then
+    return function() self.emitted[#self.emitted + 1] = item end
+  end
+  return function(fsm)
     rfsm.send_events(fsm, item)
     self.sent[#self.sent + 1] = { prefix = part.prefix, event = item }
   end
@@ -319,14 +293,15 @@ end
 local function new_replacement(self, part, run, flags, events)
   if not (flags[1] or events[1] ~= nil or run) then return nil end
   if run then part.is_bound = true end
-  local later = read_sends(self, part, events)
+  local sends = {}
+  for i, item in ipairs(events) do sends[i] = new_send(self, part, item) end
   return function(own, ...)
     if run then
       self.is_touched = true
       calls.try(run, own, ...)
     end
     for _, flag in ipairs(flags) do self.flags[flag.number] = flag.value end
-    for i = 1, #events do send(self, part, own, events[i], later[i]) end
+    for _, send in ipairs(sends) do send(own) end
   end
 end
 

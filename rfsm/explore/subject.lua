@@ -55,9 +55,9 @@ local subject = {}
 ---@field sent { prefix: string, event: any }[] by replacements, in the last step
 ---@field emitted { emit: string, data?: any }[] for others, in the last step
 ---@field emitters string[] callbacks that may emit others
----@field later rfsm_checks.Later[] events that replacements send later
----@field sent_later rfsm_checks.Later[] in the last step
----@field dropped table<rfsm_checks.Later, boolean> by a reset or `cancel` in that step
+---@field later rfsm_checks.Occurrence[] events that replacements send later
+---@field sent_later rfsm_checks.Occurrence[] in the last step
+---@field dropped table<rfsm_checks.Occurrence, boolean> by a reset or `cancel` in it
 ---@field late_senders string[] callbacks that may send others later
 ---@field cancellers string[] callbacks that may take some back
 ---@field called string[] of the last step, with `options.callbacks`
@@ -98,6 +98,7 @@ Subject.__index = Subject
 ---@class rfsm_checks.Occurrence
 ---@field part rfsm_checks.Part
 ---@field event any
+---@field after? number seconds, if it comes so long after a replacement has sent it
 ---@field number integer
 ---@field alone rfsm_checks.Occurrence[] a list of this one
 
@@ -174,16 +175,20 @@ function Subject:maker_of(event)
   return maker, fqn
 end
 
+--- Return an occurrence with a number of its own.
+---@return rfsm_checks.Occurrence
+function Subject:new_occurrence(part, event, after)
+  local new = { part = part, event = event, after = after,
+    number = #self.occurrences + 1, alone = {} }
+  new.alone[1], self.occurrences[new.number] = new, new
+  return new
+end
+
 --- Return the occurrence of an event in a part: always the same table.
 ---@return rfsm_checks.Occurrence
 function Subject:occurrence(part, event)
-  local found = part.occurrences[event]
-  if not found then
-    found = { part = part, event = event, number = #self.occurrences + 1, alone = {} }
-    found.alone[1] = found
-    part.occurrences[event], self.occurrences[found.number] = found, found
-  end
-  return found
+  part.occurrences[event] = part.occurrences[event] or self:new_occurrence(part, event)
+  return part.occurrences[event]
 end
 
 -- Notes what is active in the moment in which a state is entered.

@@ -49,7 +49,7 @@ Timing.__index = Timing
 ---@field number integer
 ---@field state? rfsm.State
 ---@field judged? rfsm_checks.Judged
----@field later? rfsm_checks.Later
+---@field later? rfsm_checks.Occurrence
 ---@field is_free boolean|nil its deadline may be over at any time, or never
 ---@field deadlines number[] rising, in units
 ---@field events rfsm_checks.Occurrence[][] that come then
@@ -133,7 +133,7 @@ local function add_later_clock(self, later, are_free)
   local is_free = are_free or duration >= MOST
   if is_free then self.subject.free["sends with a delay"] = true end
   self.of[later] = add_clock(self, { later = later, is_free = is_free,
-    deadlines = { is_free and 0 or duration }, events = { { later.occurrence } } })
+    deadlines = { is_free and 0 or duration }, events = { later.alone } })
 end
 
 local function add_clocks(self, judged, are_free)
