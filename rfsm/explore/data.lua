@@ -116,29 +116,19 @@ end
 --- model may share a table with this one.
 function data.rest(self) data.put(self, self.first_values) end
 
--- Returns a function that lists texts, each once, and the list.
-local function new_list()
-  local list, is_listed = {}, {}
-  return function(name)
-    if not is_listed[name] then is_listed[name], list[#list + 1] = true, name end
-  end, list
-end
-
 -- Returns the names of fields that the callbacks in `run` read, or `vars` has, and
 -- those of variables. A computed key may be any name.
 local function names_of_data(self)
-  local add, names = new_list()
-  local add_variable, variables = new_list()
-  for _, path in ipairs(self.var_names) do add(path:match("[%w_]+%]?$")) end
-  local seen = {}
+  local names, variables, seen = {}, {}, {}
+  for _, path in ipairs(self.var_names) do names[path:match("[%w_]+%]?$")] = true end
   for _, callback in ipairs(self.run_list) do
     writes.each(callback, function(text)
-      for name in text:gmatch(writes.ANY) do add(name) end
-      for _, name in ipairs(writes.names_in(text)) do add_variable(name) end
-      if text == "" or writes.reads_any(text) then add(writes.ANY) end
+      for name in text:gmatch(writes.ANY) do names[name] = true end
+      for _, name in ipairs(writes.names_in(text)) do variables[name] = true end
+      if text == "" or writes.reads_any(text) then names[writes.ANY] = true end
     end, seen)
   end
-  return names, variables
+  return rfsm.sorted_keys(names), rfsm.sorted_keys(variables)
 end
 
 -- Notes the callbacks that are not called, and those of them that may write data.

@@ -82,7 +82,6 @@ local explore = {}
 ---@field count integer steps that were run
 ---@field wanted any[] events that properties look at
 ---@field monitored rfsm_checks.Judged[] the property whose monitor runs along, if any
----@field has_contexts boolean more tells configurations apart: their `contexts`
 ---@field contexts table[] `state` of the monitor, `time`
 ---@field context_ids table<string, integer>
 ---@field kin table<string, integer[]> configurations that differ in their times alone
@@ -123,7 +122,7 @@ end
 
 -- Returns the key of a configuration of the subject in a context.
 local function in_context(walk, key, state, time)
-  if not walk.has_contexts then return key end
+  if not (walk.timing or walk.monitored[1]) then return key end
   local text = state .. (time and "@" .. time.text or "")
   local id = walk.context_ids[text]
   if not id then
@@ -483,13 +482,12 @@ function explore.walk(model, options, prepare, way)
   local settings = assert(opts.read(KNOWN, options))
   local own = subject.new(model, settings, way)
   local walk = setmetatable({ subject = own, model = model, options = settings,
-    way = way or false, together = settings.together or 1,
-    is_together_given = settings.together ~= nil, untried = {}, passed = {},
+    way = way or false, together = settings.together or 1, untried = {}, passed = {},
     keys = {}, numbers = {}, from = {}, labels = {}, depth = 0, level_end = 1,
-    first = {}, steps = {}, taken = {}, endless = nil,
-    bound = nil, stuck = {}, has_moved = false, count = 0, expanded = 0, wanted = {},
-    monitored = {}, has_contexts = false, contexts = {}, context_ids = {}, kin = {},
-    unsure = {}, cut = {}, timing = false }, Walk)
+    first = {}, steps = {}, taken = {}, endless = nil, bound = nil, stuck = {},
+    has_moved = false, count = 0, expanded = 0, wanted = {},
+    monitored = {}, contexts = {}, context_ids = {}, kin = {}, unsure = {}, cut = {},
+    timing = false }, Walk)
   function walk.label() return label_of(walk.try, own.choices, own.asked) end
   for _, gap in ipairs(explore.gaps(own)) do note_untried(walk, gap[1], gap[2]) end
   if prepare then prepare(walk) end
@@ -498,7 +496,6 @@ function explore.walk(model, options, prepare, way)
     note_untried(walk, "sets", "the order of times with more than 15 digits")
   end
   own.leaves_out = not (walk.timing or own.notes_events)
-  walk.has_contexts = walk.monitored[1] ~= nil or walk.timing ~= false
   local key = in_context(walk, own:read(), "first",
     walk.timing and walk.timing.none)
   find_configuration(walk, key, 0, function() return "" end)
@@ -565,11 +562,7 @@ local function repeat_on(own, events, step)
     return getmetatable(own).choose(self, who, is_doo, is_same and choice.answer)
   end
   for i, occurrence in ipairs(events) do
-    for _, part in ipairs(own.parts) do
-      if part.prefix == occurrence.part.prefix then
-        list[i] = own:occurrence(part, occurrence.event)
-      end
-    end
+    list[i] = own:occurrence(own.part_of[occurrence.part.prefix], occurrence.event)
   end
   for _, part in ipairs(own.parts) do part.rounds = 0 end
   data.put(own, own.last_values or own.first_values)

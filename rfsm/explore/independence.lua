@@ -40,12 +40,6 @@ local NOTHING = {}
 
 -- Traits ............................................................................
 
-local function has_timer(part)
-  return any(rfsm.elements(part.fsm, rfsm.is_state), function(state)
-    return state._timers and state._timers[1]
-  end)
-end
-
 -- Can any event trigger the transition? Not if a path leads to it whose events count.
 local function is_any(tr)
   local triggers = match.triggers(tr, NOTHING)
@@ -54,11 +48,12 @@ end
 
 -- Returns the traits of a part without those inside of it.
 local function own_traits(own, part, are_free)
-  local traits = { events = {}, is_bound = part.is_bound,
-    is_any = any(rfsm.elements(part.fsm, rfsm.is_trans), is_any),
-    has_timer = not are_free and has_timer(part) }
+  local traits = { events = {}, is_bound = part.is_bound, has_timer = false,
+    is_any = any(rfsm.elements(part.fsm, rfsm.is_trans), is_any) }
   for event in order.each(alphabet.of(part.fsm).set) do -- any order: a set
-    traits.events[event] = not own:maker_of(event) or nil
+    local maker = own:maker_of(event)
+    traits.events[event] = not maker or nil
+    traits.has_timer = traits.has_timer or maker == "timer" and not are_free
   end
   return traits
 end

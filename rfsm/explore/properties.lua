@@ -403,7 +403,7 @@ end
 local function want_event(walk, judged)
   local event = judged.property.event
   walk.wanted[#walk.wanted + 1], walk.subject.wanted[event] = event, false
-  if monitors.follows[judged.property.kind] and not walk.is_together_given then
+  if monitors.follows[judged.property.kind] and not walk.options.together then
     walk.together = 2
   end
 end
@@ -434,7 +434,7 @@ function properties.watch(walk, list)
   walk.owed = {}
   for _, judged in ipairs(list) do
     local is_after = judged.property.kind == "after"
-    if is_after and not walk.is_together_given then walk.together = 2 end
+    if is_after and not walk.options.together then walk.together = 2 end
     if is_after and judged.way == walk.way then
       want_event(walk, judged)
       afters[#afters + 1], walk.owed[judged] = judged, {}
