@@ -263,6 +263,23 @@ describe("data anywhere", function()
       { run = { unset, is_set } })
     assert.equal("the field 'd.n', which vars does not name", untried)
   end)
+
+  it("that changes with others is named first if its key is, on every Lua", function()
+    local function set(fsm)
+      local d = fsm.d
+      d.f, d.e, d.d, d.c, d.b, d.n = 1, 1, 1, 1, 1, nil
+    end
+    local _, untried = judge(function() return counting(set) end, { run = { set } })
+    assert.equal("the field 'd.b', which vars does not name", untried)
+    local function clear(fsm)
+      local d = fsm.d
+      d.f, d.e, d.d, d.c, d.b = nil, nil, nil, nil, nil
+    end
+    _, untried = judge(function()
+      return counting(clear, nil, { d = { f = 1, e = 1, d = 1, c = 1, b = 1 } })
+    end, { run = { clear } })
+    assert.equal("the field 'd.b', which vars does not name", untried)
+  end)
 end)
 
 describe("callbacks that are not run", function()

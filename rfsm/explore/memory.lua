@@ -67,7 +67,9 @@ local function add_home(self, of, name, has_places)
   for key, value in order.each(of) do -- any order: each stands alone
     if is_datum(key, value) then
       home.kept[key], home.count = value, home.count + 1
-      self.places[has_places and path_to(name, key) or {}] = { home = home, key = key }
+      if has_places then
+        self.places[path_to(name, key)] = { home = home, key = key }
+      end
     end
     if type(value) == "table" and not rfsm.is_meta(key) then keys[key] = value end
   end
@@ -124,39 +126,38 @@ local function is_same(a, b)
   return rawequal(a, b) or a ~= a and b ~= b -- NaN
 end
 
--- Returns the key of a datum of a home that is not there any more.
-local function missing_key(home)
-  for _, key in ipairs(rfsm.sorted_keys(home.kept)) do
-    if rawget(home.of, key) == nil and not home.followed[key] then return key end
-  end
-end
-
--- Returns the key of a datum of a home that has changed, was added or has gone.
-local function changed_key(home)
+-- May a datum of a home have changed, been added or have gone?
+local function has_changed(home)
   local kept, followed, count = home.kept, home.followed, 0
-  for key, value in next, home.of do -- any order: it is put back as a whole
+  for key, value in next, home.of do -- any order: is there one?
     local first = kept[key]
     if first ~= nil then count = count + 1 end
     if not (rawequal(first, value) or followed[key])
       and (first ~= nil and not is_same(first, value) or is_datum(key, value)) then
-      return key
+      return true
     end
   end
-  return count < home.count and missing_key(home) or nil
+  return count < home.count
 end
 
-if jit then jit.off(changed_key) end -- it runs often: see `rfsm.shared.order`
+if jit then jit.off(has_changed) end -- it runs often: see `rfsm.shared.order`
 
--- Puts back the data of a home.
+-- Puts back the data of a home. Returns the first field, in the order of keys, that had
+-- another value, as a text; nil if `vars` names all of these fields.
 local function restore(home)
-  for key, value in order.each(home.kept) do -- any order: each stands alone
-    if not home.followed[key] then rawset(home.of, key, value) end
-  end
-  local more = {}
+  local keys, changed = {}, nil
+  for key in order.each(home.kept) do keys[key] = true end -- any order: sorted below
   for key, value in order.each(home.of) do -- likewise
-    if home.kept[key] == nil and is_datum(key, value) then more[#more + 1] = key end
+    keys[key] = keys[key] or is_datum(key, value) or nil
   end
-  for _, key in ipairs(more) do rawset(home.of, key, nil) end
+  for _, key in ipairs(rfsm.sorted_keys(keys)) do
+    local first = home.kept[key]
+    if not (home.followed[key] or is_same(rawget(home.of, key), first)) then
+      rawset(home.of, key, first)
+      changed = changed or ("the field '%s'"):format(path_to(home.name, key))
+    end
+  end
+  return changed
 end
 
 --- Put back the data that `vars` does not name.
@@ -164,11 +165,8 @@ end
 function Memory:put_back()
   local text
   for _, home in ipairs(self.homes) do
-    local key = changed_key(home)
-    if key ~= nil then
-      restore(home)
-      text = text or ("the field '%s'"):format(path_to(home.name, key))
-    end
+    local changed = has_changed(home) and restore(home)
+    text = text or changed or nil
   end
   for _, cell in ipairs(self.cells) do
     if not is_same(cell.read(), cell.value) then
@@ -198,12 +196,8 @@ function Memory:place_of(path, names)
     error(("vars: '%s' is a state (name a field of it, such as '%s.n')"):format(path,
       path), 0)
   end
-  local paths = {}
-  for name in order.each(self.places) do -- any order: sorted below
-    if type(name) == "string" then paths[name] = true end
-  end
   error(("vars: no field is named '%s'%s"):format(path,
-    advice.nearest_name(path, rfsm.sorted_keys(paths))), 0)
+    advice.nearest_name(path, rfsm.sorted_keys(self.places))), 0)
 end
 
 --- Note the data that the functions of a subject can change.
