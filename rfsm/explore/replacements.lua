@@ -13,6 +13,7 @@ local instrument = require "rfsm.shared.instrument"
 local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 local opts = require "rfsm.shared.options"
+local order = require "rfsm.shared.order"
 local writes = require "rfsm.shared.writes"
 
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
@@ -145,32 +146,30 @@ end
 
 -- May a callback call this function of rfsm_timeevent, by its text?
 local function may_call(callback, name)
-  local found, f = false, (package.loaded.rfsm_timeevent or {})[name]
-  writes.each(callback, function(text, own)
-    found = found or text:find("%f[%w_]" .. name .. "%f[^%w_]") ~= nil
-    for _, upvalue in ipairs(f and writes.upvalues_of(own) or {}) do
-      found = found or rawequal(upvalue.value, f)
-    end
+  local f = (package.loaded.rfsm_timeevent or {})[name]
+  return writes.each(callback, function(text, own)
+    return text:find("%f[%w_]" .. name .. "%f[^%w_]") or f and order.any(
+      writes.upvalues_of(own), function(upvalue) return rawequal(upvalue.value, f) end)
   end, {})
-  return found
 end
 
 local EMIT = "%f[%w_](emit[%w_]*)%s*%(?%s*([\"']?)([^\"'%s]*)"
 
--- Calls f(name) for each event that a callback emits, by its text; f(nil) if the text
--- does not show which.
-local function each_emitted(callback, f, seen)
-  writes.each(callback, function(text)
-    for word, quote, name in text:gmatch(EMIT) do
-      if word == "emit" or word == "emit_event" then f(quote ~= "" and name or nil) end
-    end
-  end, seen)
+-- Lists the events that a text emits; false stands for an event whose name is not in
+-- the text.
+local function emitted_in(text)
+  local list = {}
+  for word, quote, name in text:gmatch(EMIT) do
+    local is_call = word == "emit" or word == "emit_event"
+    if is_call then list[#list + 1] = quote ~= "" and name end
+  end
+  return list
 end
 
 local function may_emit(callback)
-  local found = false
-  each_emitted(callback, function() found = true end, {})
-  return found
+  return writes.each(callback, function(text)
+    return emitted_in(text)[1] ~= nil
+  end, {})
 end
 
 --- List the events that a machine and its regions emit, by the text of their callbacks;
@@ -178,14 +177,13 @@ end
 ---@return string[]?
 function replacements.emitted_by(fsm)
   local emitted, is_certain, seen = {}, true, {}
-  local function note(name)
-    is_certain, emitted[#emitted + 1] = is_certain and name ~= nil, name
-  end
   each_callback(fsm, function(_, callback)
     is_certain = is_certain and writes.text_of(callback) ~= nil
-    each_emitted(callback, note, seen)
+    writes.each(callback, function(text)
+      emitted = match.joined(emitted, emitted_in(text))
+    end, seen)
   end)
-  return is_certain and emitted or nil
+  return is_certain and not match.has(emitted, false) and emitted or nil
 end
 
 --- Note a callback that may write the target of a transition, or send an event later,

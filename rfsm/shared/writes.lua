@@ -163,9 +163,14 @@ local function assigns_variable(text, name)
   end)
 end
 
--- Calls f(text, upvalues, callback) for a function and those that it names, each once,
--- until that is true.
-local function any_text(callback, f, seen)
+--- Call f(text, callback, upvalues) for a function and those that it names, each once,
+--- until the result is true.
+---@param callback any
+---@param f fun(text: string, callback: function, upvalues: table<string, any>): any
+---@param seen table<function, true> functions that are left out; gets those that were
+-- looked at
+---@return boolean is_true the result of a call was true
+function writes.each(callback, f, seen)
   local text = not seen[callback or seen] and writes.text_of(callback)
   if not text then return false end
   seen[callback] = true
@@ -173,9 +178,9 @@ local function any_text(callback, f, seen)
   for _, upvalue in ipairs(writes.upvalues_of(callback)) do
     upvalues[upvalue.name] = upvalue.value
   end
-  if f(text, upvalues, callback) then return true end
+  if f(text, callback, upvalues) then return true end
   return order.any(called_by(text, upvalues), function(other)
-    return any_text(other, f, seen)
+    return writes.each(other, f, seen)
   end)
 end
 
@@ -186,14 +191,6 @@ writes.ANY = "[%a_][%w_]*"
 function writes.reads_any(text)
   return text:find("[%w_%])]%s*%[%s*[%a_]") ~= nil or text:find("%f[%w_]pairs%s*%(")
     or text:find("%f[%w_]next%s*%(") or text:find("%f[%w_]rawget%s*%(")
-end
-
---- Call f(text, callback) for a function and those that it names, each once.
----@param callback function
----@param f fun(text: string, callback: function)
----@param seen table<function, true> those that were called before
-function writes.each(callback, f, seen)
-  any_text(callback, function(text, _, other) f(text, other) end, seen)
 end
 
 --- Does a function only read, as far as its text tells: no assignment but to local
@@ -215,7 +212,7 @@ end
 ---@param names string[] may be patterns
 ---@return boolean
 function writes.may_write(callback, names)
-  return any_text(callback, function(text, upvalues)
+  return writes.each(callback, function(text, _, upvalues)
     return computes_key(text, upvalues, names)
       or order.any(names, function(name) return assigns(text, name) end)
   end, {})
@@ -226,7 +223,7 @@ end
 ---@param names string[]
 ---@return boolean
 function writes.may_set(callback, names)
-  return any_text(callback, function(text)
+  return writes.each(callback, function(text)
     return order.any(names, function(name) return assigns_variable(text, name) end)
   end, {})
 end
