@@ -1,11 +1,11 @@
---- Data: fields of a machine that an exploration follows, functions that it calls for
---- them, and what is known of guards that stay free.
+--- Data: the fields that an exploration follows, the callbacks that it calls for them,
+--- and the rules for guards that it does not call.
 --
--- The functions in `run` are called as in a machine; each step begins with the values
--- of its configuration in the fields `vars`. All else that they change is put back, and
--- where a step has led to is not known then (`rfsm.explore.memory`). An answer that is
--- known, of a guard that is called or by a rule, counts as a choice that has no other
--- side.
+-- The callbacks in the option `run` are called as in a machine. Each step begins with
+-- the values of its configuration in the fields that the option `vars` names. All other
+-- data that callbacks change are put back, and the verdict is then not known
+-- (`rfsm.explore.memory`). The answer of a guard that is called, and an answer that
+-- follows from a rule, is a choice whose other side is not tried.
 --
 -- @module rfsm.explore.data
 -- @license BSD-3-Clause
@@ -28,7 +28,7 @@ local data = {}
 
 -- Options ...........................................................................
 
--- Is it a list, not empty, of values that a test accepts?
+-- Is it a list of at least one value, all of which a test accepts?
 local function is_list_of(test, list)
   return type(list) == "table" and list[1] ~= nil and order.all(list, test)
 end
@@ -37,10 +37,10 @@ local function is_callback(f) return type(f) == "function" or type(f) == "string
 
 local function are_callbacks(list) return is_list_of(is_callback, list) end
 
---- Is it a list of functions and names of callbacks?
+--- Is the option a list of functions and names of callbacks?
 data.check_functions = are_callbacks
 
---- Is it such a list, or a list of such lists?
+--- Is the option such a list, or a list of such lists?
 function data.check_groups(list)
   return are_callbacks(list) or is_list_of(are_callbacks, list)
 end
@@ -54,7 +54,7 @@ local function is_range(range)
   return is_list_of(opts.is_a "string", range)
 end
 
---- Is it { tries = { 0, 3 }, armed = "boolean", gear = { "slow", "fast" } }?
+--- Is it like { tries = { 0, 3 }, armed = "boolean", gear = { "slow", "fast" } }?
 ---@return boolean is_right
 ---@return string? problem
 function data.check_vars(vars)
@@ -79,7 +79,7 @@ local function is_inside(range, value)
 end
 
 --- Return the values of the fields, in the order of their names, and a text of them;
---- nil and what there is that is not followed.
+--- nil and a text of data that the exploration does not follow.
 ---@param self rfsm_checks.Subject
 ---@return any[]? values
 ---@return string text
@@ -98,26 +98,26 @@ function data.read(self)
   return values, concat(texts, ",")
 end
 
---- Set the fields.
+--- Set the fields that `vars` names.
 function data.put(self, values)
   for i, place in ipairs(self.var_places) do
     rawset(place.home.of, place.key, values[i])
   end
 end
 
---- Put back what the callbacks of a step have changed, unless `vars` names it.
+--- Put back the data that the callbacks of a step have changed, except `vars`.
 function data.put_back(self)
   local text = self.memory:put_back()
   self.is_touched = false
   self.changed = self.changed or text and text .. ", which vars does not name"
 end
 
---- Set the fields to the values with which the chart begins: other subjects of the
---- model may share a table with this one.
+--- Set the fields to the values with which the chart begins: other subjects of the same
+--- model may share their tables.
 function data.rest(self) data.put(self, self.first_values) end
 
--- Returns the names of fields that the callbacks in `run` read, or `vars` has, and
--- those of variables. A computed key may be any name.
+-- Lists the names of fields that the callbacks in `run` may read or that `vars` has,
+-- and the names of their variables. A key that a callback computes may be any name.
 local function names_of_data(self)
   local names, variables, seen = {}, {}, {}
   for _, path in ipairs(self.var_names) do names[path:match("[%w_]+%]?$")] = true end
@@ -131,7 +131,7 @@ local function names_of_data(self)
   return rfsm.sorted_keys(names), rfsm.sorted_keys(variables)
 end
 
--- Notes the callbacks that are not called, and those of them that may write data.
+-- Counts the callbacks that are not called, and notes those that may write such data.
 local function note_others(self, named)
   local names, variables = names_of_data(self)
   for _, name in ipairs(rfsm.sorted_keys(named)) do
@@ -158,8 +158,8 @@ function data.premises(self)
   return texts
 end
 
---- Note the data of a subject; raise an error for a field that is not there, or has
---- another value to begin with.
+--- Note the data of a subject; raise an error if a field of `vars` does not exist or
+--- begins with a value out of its range.
 function data.check_first(self)
   self.var_places, self.first_values, self.memory = {}, {}, false
   if not (self.var_names[1] or self.run_list[1]) then return end
@@ -175,7 +175,8 @@ end
 
 -- Guards ............................................................................
 
--- Returns the callbacks that a list has or names; raises an error for others.
+-- Returns the callbacks of a list of functions and names; raises an error if the chart
+-- does not have one of them.
 local function found_in(named, list, field)
   local is_known, found = {}, {}
   for name, callback in order.each(named) do -- any order: a set
@@ -195,7 +196,7 @@ local function found_in(named, list, field)
   return found
 end
 
--- Notes the rules for guards: the groups that each is in.
+-- Notes for each guard the rules in which it is: their kinds and groups of guards.
 local function add_rules(self, kind, list, named)
   for _, items in ipairs(are_callbacks(list) and { list } or list or {}) do
     local group = found_in(named, items, kind)
@@ -210,7 +211,7 @@ local function add_rules(self, kind, list, named)
   end
 end
 
---- Read the options.
+--- Read the options `vars`, `run` and the rules for guards.
 ---@param self rfsm_checks.Subject
 ---@param options rfsm_checks.Options
 ---@param fsm rfsm.Machine
@@ -227,8 +228,8 @@ function data.read_options(self, options, fsm)
   if self.var_names[1] or self.run_list[1] then note_others(self, named) end
 end
 
--- Returns the answer that follows from those of the other guards in a group, or nil:
--- one of them is true, or all are false.
+-- Returns the answer that follows from those of the other guards in a group, or nil: it
+-- is false if one of them is true, and true if one must be and all others are false.
 local function find_answer(self, rule, guard)
   local are_false = rule.kind == "complementary"
   for _, other in ipairs(rule.kind ~= "same" and rule.group or {}) do
@@ -249,7 +250,7 @@ local function known_answer(self, guard)
   return answer
 end
 
---- Return what a subject has in place of a guard.
+--- Return the function that a subject has in place of a guard.
 ---@param self rfsm_checks.Subject
 ---@param path string of its transition
 ---@param guard function
@@ -272,8 +273,8 @@ function data.new_guard(self, path, guard)
   end
 end
 
---- Return what a subject has in place of a doo that is called. Its end is known; where
---- it goes on after a yield is not followed.
+--- Return the function that a subject has in place of a doo that is called. What a doo
+--- does after a yield is not followed: `free` takes its place.
 ---@param self rfsm_checks.Subject
 ---@param path string of its state
 ---@param doo function

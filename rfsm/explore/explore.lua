@@ -1,14 +1,15 @@
 --- Exploration: every configuration that a chart can reach, breadth first.
 --
 -- Each step is one `rfsm.step` of a subject, which the engine runs. From each
--- configuration it is taken without an event, with each event that may come and can
--- have an effect, or with each set of up to `options.together` of them, and with those
--- sets that a path through connectors needs; each time with every choice of the guards,
--- predicates and doos asked.
+-- configuration steps are taken without an event, with each event that may come and can
+-- have an effect (or each set of up to `options.together` of them), and with the larger
+-- sets that paths through connectors need. Each of these steps is taken once for every
+-- choice of the guards, predicates and doos that it asks.
 --
--- A configuration is kept as its key, the number of the one it was first reached from,
--- and the label of that step. A step is kept as the number of the configuration that it
--- leads to, without events from outside as a negative one.
+-- The walk keeps of a configuration its key, the number of the configuration from
+-- which it was first reached, and the label of that step. Of a step it keeps the number
+-- of the configuration to which it leads; the number is negative for a step without
+-- events from outside.
 --
 -- @module rfsm.explore.explore
 -- @license BSD-3-Clause
@@ -36,25 +37,25 @@ local explore = {}
 
 --- Options of an exploration.
 ---@class rfsm_checks.Options
----@field together? integer how many events a step may have (1; for `after` 2)
+---@field together? integer most events of a step (1; 2 for properties of `after`)
 ---@field alphabet? any[] the events from outside; default: all that transitions name
 ---@field sends? table<string, any[]> what callbacks send: ["entry root.a"] = { "e_x" };
--- later: { "e_x", after = 2 }, and that taken back: { cancel = "e_x" }
+-- { "e_x", after = 2 } is sent later, and { cancel = "e_x" } takes that back
 ---@field pending? integer most events that wait to be sent later (4)
 ---@field dry_run? boolean call entries, exits and effects once, for what they send
 ---@field flags? table<string, { on?: string[], off?: string[] }> set by callbacks
 ---@field vars? table<string, any> fields that callbacks in `run` read and set
 ---@field run? (function|string)[] callbacks that are called: "effect root.trans[2]"
----@field exclusive? any[] guards of which one at most is true in a step; or lists
----@field complementary? any[] one is, and no other; or lists
----@field same? any[] guards that answer once a step
----@field timers? "in order"|"free" free: a time event may come at any time
+---@field exclusive? any[] guards of which one at most is true in a step, or such lists
+---@field complementary? any[] guards of which exactly one is true, or such lists
+---@field same? any[] guards that give the same answer throughout a step, or such lists
+---@field timers? "in order"|"free" "free": time events may come at any time
 ---@field period? number seconds, the longest time between two steps
 ---@field properties? table<any, table> see `rfsm_checks.never` and others
 ---@field configurations? integer stop after so many (1,000,000)
 ---@field depth? integer stop after so many steps
 ---@field seconds? number stop after so long
----@field multiply? boolean explore regions together that nothing joins
+---@field multiply? boolean explore independent regions together, not one by one
 ---@field progress? fun(configurations: integer, depth: integer) called now and then
 
 --- A walk over the configurations.
@@ -63,34 +64,35 @@ local explore = {}
 ---@field model rfsm.State
 ---@field options rfsm_checks.Options
 ---@field way rfsm_checks.Way
----@field keys string[] of the configurations, the first one is not entered
+---@field keys string[] of the configurations; in the first one no state is active
 ---@field numbers table<string, integer> key -> configuration
 ---@field from integer[] configuration -> the one it was first reached from
 ---@field labels string[] configuration -> events and choices of that step
----@field depth integer steps to the configurations that are looked at
----@field level_end integer the last one of these
----@field first integer[] configuration -> the position of its first step
+---@field depth integer the least number of steps to the configurations looked at now
+---@field level_end integer the last configuration of that depth
+---@field first integer[] configuration -> the position of its first step in `steps`
 ---@field steps integer[] the targets; negative: no event from outside
 ---@field taken table<integer, table> transition -> the first step that takes it
----@field stuck integer[] configurations that no step leaves or acts in
----@field has_moved boolean some step did so in the one that is looked at
+---@field stuck integer[] configurations whose steps take no transition, change nothing
+---@field has_moved boolean some step from the configuration looked at does either
 ---@field expanded integer configurations whose steps were all taken
----@field endless table? the first step in which a machine inside never becomes idle
----@field bound string? what was hit first
+---@field endless table? the first step in which a region never becomes idle
+---@field bound string? the name of the first bound that was hit
 ---@field untried string[] what was not tried, as texts
 ---@field passed rfsm_checks.Passed[] moments of steps, each once
----@field count integer steps that were run
+---@field count integer how many steps were run
 ---@field wanted any[] events that properties look at
 ---@field monitored rfsm_checks.Judged[] the property whose monitor runs along, if any
----@field contexts table[] `state` of the monitor, `time`
----@field context_ids table<string, integer>
+---@field contexts table[] by the number in a key: `state` of the monitor, `time`; a
+-- walk without monitor and clocks has none
+---@field context_ids table<string, integer> these numbers, by the text of a context
 ---@field kin table<string, integer[]> configurations that differ in their times alone
----@field unsure table<integer, rfsm_checks.Group> positions of steps where other
--- deadlines may be first
----@field cut table<integer, boolean> configurations with a step that was left out: too
--- many events wait to be sent behind it
----@field try rfsm_checks.Try the step that is taken
----@field label fun(): string of that step
+---@field unsure table<integer, rfsm_checks.Group> by the position of a step: the
+-- deadlines that must be over first for it, where others may be first
+---@field cut table<integer, boolean> configurations with a step that is not followed,
+-- since too many events wait to be sent after it
+---@field try rfsm_checks.Try the step that is taken now
+---@field label fun(): string the label of that step
 ---@field timing rfsm_checks.Timing|false clocks, if timers come in order
 local Walk = {}
 Walk.__index = Walk
@@ -104,7 +106,7 @@ Walk.__index = Walk
 
 -- Configurations and labels of steps ................................................
 
--- Returns the number of the context in a key, if there is one, and the subject's key.
+-- Returns the number of the context in a key, or nil, and the key of the subject.
 local function split(key)
   local id, own = key:match("^(%d+)|(.*)$")
   return tonumber(id), own or key
@@ -120,7 +122,8 @@ function Walk:configuration(number)
   return conf
 end
 
--- Returns the key of a configuration of the subject in a context.
+-- Returns the key of a configuration: that of the subject, behind the number of the
+-- context.
 local function in_context(walk, key, state, time)
   if not (walk.timing or walk.monitored[1]) then return key end
   local text = state .. (time and "@" .. time.text or "")
@@ -132,18 +135,18 @@ local function in_context(walk, key, state, time)
   return id .. "|" .. key
 end
 
---- Does an event wait in a configuration, so that `rfsm.run` would go on?
+--- Does an event wait in the machine itself, so that `rfsm.run` would go on?
 function Walk:is_driven(number) return subject.is_driven(self:configuration(number)) end
 
---- Is the machine entered in some configuration?
+--- Is the machine entered in some configuration of the walk?
 ---@return boolean
 function Walk:is_entered()
   return any(self.subject.parts[1].positions, function(at) return at.leaf end)
 end
 
--- Returns the number of a configuration that is there: of the same key, or of one whose
--- clocks may have all values that they have here, and more. Without one, the second
--- result is a list of those that differ in these values alone.
+-- Returns the number of a known configuration with the same key, or of one that differs
+-- in its times alone and whose zone of times includes that of the key. If there is
+-- none, the second result lists the configurations that differ in their times alone.
 local function find_known(walk, key)
   if walk.numbers[key] or not walk.timing then return walk.numbers[key] end
   local id, own = split(key)
@@ -158,7 +161,7 @@ local function find_known(walk, key)
   return nil, kin[name]
 end
 
--- Returns the number of a configuration; a new one is to be looked at later.
+-- Returns the number of a configuration. A new one is added, to be expanded later.
 local function find_configuration(walk, key, from, label)
   local number, kin = find_known(walk, key)
   if number then return number end
@@ -169,8 +172,8 @@ local function find_configuration(walk, key, from, label)
   return number
 end
 
--- Returns the events of a step by number, its choices, and the number of the group of
--- deadlines that were over: "3,5:101@2".
+-- Returns the label of a step, "3,5:101@2": the numbers of its events, its choices, and
+-- the number of the group of deadlines that were over.
 local function label_of(try, choices, asked)
   local numbers, digits = {}, {}
   for i, event in ipairs(try.events) do numbers[i] = event.number end
@@ -191,7 +194,7 @@ end
 
 -- Steps .............................................................................
 
--- Notes that something was not tried, so that what was not found is not known.
+-- Notes that something was not tried: no finding is then no proof.
 local function note_untried(walk, bound, text)
   walk.bound = walk.bound or bound
   if not match.has(walk.untried, text) then
@@ -213,9 +216,9 @@ local function note_passed(walk, from, tgt, label)
   end
 end
 
--- Appends where a step leads, once for each configuration, and for each group of
--- deadlines that need not be the first. A step that leads nowhere counts only if events
--- that wait are why it was taken.
+-- Appends the target of a step, once for each target and each group of deadlines that
+-- need not be the first. A step that stays where it is counts only if waiting events
+-- make the machine take it.
 local function add_step(walk, try, tgt)
   if tgt == try.from and not subject.is_driven(try.conf) then return end
   local step, unsure = try.is_internal and -tgt or tgt, walk.unsure
@@ -227,19 +230,19 @@ local function add_step(walk, try, tgt)
   steps[count + 1], unsure[count + 1] = step, group
 end
 
---- A step that is tried: its events, and deadlines that are over when it begins. The
---- next one from the configuration has the same table.
+--- A step that is tried: its events, and the deadlines that are over when it begins.
+--- All steps from a configuration with the same deadlines use one table.
 ---@class rfsm_checks.Try
 ---@field from integer
 ---@field conf rfsm_checks.Configuration
----@field events rfsm_checks.Occurrence[] those of timers behind the others
----@field is_internal boolean no event from outside and no deadline is among them
----@field group rfsm_checks.Group|false
+---@field events rfsm_checks.Occurrence[] the time events are the last ones
+---@field is_internal boolean the step has no event from outside and no deadline
+---@field group rfsm_checks.Group|false the deadlines
 ---@field f fun(walk: rfsm_checks.Walk, try: rfsm_checks.Try, key: string|nil,
--- label: fun()) called after it; no key: it does not end. `label` is of use until then
+-- label: fun()) called after the step; without a key the step does not end
 
--- Returns the key of the configuration that the last step has led to, and where its
--- clocks come from.
+-- Returns the key of the configuration to which the last step has led, and the number
+-- of each clock before it; no key if the step is not followed.
 local function key_after(walk, try, label)
   local context, key, problem = try.conf.context, walk.subject:read()
   local state, time, clocks, sources = false, false, nil, nil
@@ -259,7 +262,7 @@ local function key_after(walk, try, label)
   return in_context(walk, key, state, time), sources
 end
 
--- Calls `f` of the step that was taken, unless what is behind it is not followed.
+-- Calls `f` of the step that was taken, unless it is not followed.
 local function after_choice(walk, has_ended)
   local try, label = walk.try, walk.label
   walk.count = walk.count + 1
@@ -297,8 +300,8 @@ local function sets_of(list, most)
   return sets
 end
 
--- Takes steps with the sets of events from outside that come together with the
--- deadlines of a group, once for each choice.
+-- Takes steps with the deadlines of a group, one for each set of events from outside
+-- and each list of choices.
 local function each_set(walk, from, conf, group, sets, f)
   local timers, is_over = group and group.events or {}, group and group.is_over
   local try = { from = from, conf = conf, group = group, events = false,
@@ -316,7 +319,7 @@ end
 
 local NO_GROUP = { false }
 
--- Lists the groups of deadlines that a step from a configuration may find over.
+-- Lists the groups of deadlines that may be over when a step begins.
 local function groups_of(walk, conf)
   if not walk.timing then return NO_GROUP end
   local groups = walk.timing:groups(conf.context.time, subject.is_driven(conf))
@@ -324,7 +327,7 @@ local function groups_of(walk, conf)
   return groups
 end
 
---- Add the events that monitors and properties look at, where nothing else takes them.
+--- Add the events of properties to a list, unless the machine makes them itself.
 function explore.add_wanted(own, wanted, list)
   for _, event in ipairs(wanted) do
     local occurrence = own:occurrence(own.parts[1], event)
@@ -379,7 +382,7 @@ local function find_bound(walk, options, at, began)
   if at % EVERY == 0 and os_clock() - began > options.seconds then return "seconds" end
 end
 
---- Have a walk, or what has its fields, take all steps from each configuration.
+--- Have a walk, or a product of machines, take all steps from each configuration.
 function explore.walk_all(walk, options)
   local at, began = 1, os_clock()
   local judged = walk.monitored[1] or {}
@@ -404,7 +407,7 @@ end
 
 -- Public functions ..................................................................
 
--- Is called after each step. `properties.watch` and tests put a function here.
+-- Called after each step; `properties.watch` and tests replace it in a walk.
 function Walk.look() end
 
 local function is_number(x) return type(x) == "number" and x >= 0 end
@@ -443,9 +446,9 @@ local KNOWN = {
   progress = { "function", rfsm.is_callable },
 }
 
---- List what is not followed of the callbacks of a subject: those that write targets,
---- or data and are not called, or that send events later or cancel them and are not
---- named.
+--- List the effects of callbacks that an exploration does not follow: targets and data
+--- that callbacks may write, and events that callbacks may send later or cancel though
+--- the options do not name them.
 ---@param own rfsm_checks.Subject
 ---@return string[][] gaps each the name of a bound, and a text
 function explore.gaps(own)
@@ -461,8 +464,8 @@ function explore.gaps(own)
   return gaps
 end
 
---- Return some options with their defaults; nil and the problem if one is wrong, or not
---- among these.
+--- Return the options of these names with their defaults; nil and the problem if one is
+--- wrong or has another name.
 ---@param options table
 ---@param names string[]
 ---@param more? table<string, any[]> options that only the caller has
@@ -506,10 +509,10 @@ end
 
 --- A step of a witness.
 ---@class rfsm_checks.WitnessStep
----@field events string[] that came, as texts
----@field values any[] those that came to the machine itself
----@field inside { prefix: string, event: any }[] time events of machines inside of it
----@field sent { prefix: string, event: any }[] by callbacks, as options say
+---@field events string[] all events that came, as texts
+---@field values any[] the events that came to the machine itself
+---@field inside { prefix: string, event: any }[] the time events that came to regions
+---@field sent { prefix: string, event: any }[] what callbacks send, as options say
 ---@field at? number seconds since the first step, if timers come in order
 ---@field choices { who: string, answer: boolean, is_doo: boolean }[] in order
 ---@field taken string[] paths of the transitions that it takes
@@ -523,7 +526,7 @@ local function text_of_event(occurrence)
   return part.owner and text .. " in " .. part.prefix or text
 end
 
---- Set in the step of a witness what the subject has done in it.
+--- Note in the step of a witness what the subject did in its last step.
 function explore.note_outcome(own, step)
   step.choices = {}
   for i = 1, own.asked do
@@ -534,8 +537,8 @@ function explore.note_outcome(own, step)
   step.sent = match.joined({}, own.sent)
 end
 
--- Returns the step of a witness with events. Those of timers in order come by
--- themselves.
+-- Returns the step of a witness with its events. Nobody sends the time events whose
+-- order is known: the field `at` makes them come.
 local function new_step(events)
   local step = { events = {}, values = {}, inside = {} }
   for i, occurrence in ipairs(events) do
@@ -551,8 +554,8 @@ local function new_step(events)
   return step
 end
 
--- Takes a step of a way on a subject that has all parts: guards of others are false,
--- and their doos go on.
+-- Takes the step of a walk that has left out regions on a subject that has all of them.
+-- In these regions guards are false and doos go on.
 local function repeat_on(own, events, step)
   local at, choices, list = 0, step.choices, {}
   function own:choose(who, is_doo)
@@ -574,8 +577,9 @@ end
 --- Run a step again.
 ---@param from integer
 ---@param label string
----@param whole? rfsm_checks.Subject takes it, too, if the walk has left out parts
----@return rfsm_checks.WitnessStep step what it did
+---@param whole? rfsm_checks.Subject also takes the step; it has the parts that the walk
+-- has left out
+---@return rfsm_checks.WitnessStep step
 ---@return rfsm_checks.Try|false try
 function Walk:rerun(from, label, whole)
   local events, choices, number = read_label(self, label)
@@ -588,7 +592,7 @@ function Walk:rerun(from, label, whole)
     group = groups_of(self, conf)[number] }
 end
 
---- List the steps of the shortest way to a configuration, and the one given behind it.
+--- List the steps of the shortest run to a configuration, then the step of `label`.
 ---@return { from: integer, label: string }[] way
 function explore.way_to(walk, number, label)
   local way = { label and { from = number, label = label } }
@@ -599,8 +603,8 @@ function explore.way_to(walk, number, label)
   return way
 end
 
---- Return the shortest way to a configuration, and the step given behind it, or those
---- of a cycle.
+--- Return the shortest run to a configuration, then the step of `label` or the steps of
+--- a cycle.
 ---@param number integer
 ---@param label? string
 ---@param cycle? rfsm_checks.Edge[]

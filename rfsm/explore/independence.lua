@@ -1,15 +1,15 @@
 --- Independence: regions of sequential AND states that can be explored one by one.
 --
 -- Each step advances all regions of a state, and no event leaves a region. So the
--- machine and one region have the same configurations whether the other regions are
--- there or not: these are left out of the walk. A *way* is a set of parts of a subject
--- that one walk has. Regions are in the same ways, if
+-- machine and one region have the same configurations whether the other regions exist
+-- or not, and a walk may leave these out. A *way* is the set of parts of a subject that
+-- one walk has. Two regions are *joined*, and so always in the same ways, if
 --
 -- - both react to an event from outside: dead ends of both together depend on it,
 -- - both have timers: the machine is stepped between any two deadlines.
 --
--- Bound regions are in each way that has the machine around them. They have a callback
--- in `run` or a guard with a rule; or timers, if the machine or a property has times.
+-- A *bound* region is in each way that has the machine around it. It has a callback in
+-- `run`, a guard with a rule, or timers, if the machine or a property has times, too.
 -- A property is judged on a walk that has all regions that it names.
 --
 -- @module rfsm.explore.independence
@@ -31,22 +31,23 @@ local NOTHING = {}
 --- The parts of a subject that a walk has, by their prefixes; false: all of them.
 ---@alias rfsm_checks.Way table<string, true>|false
 
---- What may make a region depend on others, in it or in the regions inside of it.
+--- What may join a region to others, of itself and the regions inside of it.
 ---@class rfsm_checks.Traits
----@field events table<any, true> from outside, to which it reacts
----@field is_any boolean it may react to each event
----@field has_timer boolean
----@field is_bound boolean
+---@field events table<any, true> the events from outside to which it reacts
+---@field is_any boolean it may react to any event
+---@field has_timer boolean a timer whose order matters
+---@field is_bound boolean it is in each way with the machine around it
 
 -- Traits ............................................................................
 
--- Can any event trigger the transition? Not if a path leads to it whose events count.
+-- Can any event decide whether the transition is taken? A segment behind a connector
+-- that has neither events nor a guard (`false`) leaves that to the segments before it.
 local function is_any(tr)
   local triggers = match.triggers(tr, NOTHING)
   return triggers == nil or triggers and (rfsm.is_state(tr.src) or tr.guard ~= false)
 end
 
--- Returns the traits of a part without those inside of it.
+-- Returns the traits of a part, without those of its regions.
 local function own_traits(own, part, are_free)
   local traits = { events = {}, is_bound = part.is_bound, has_timer = false,
     is_any = any(rfsm.elements(part.fsm, rfsm.is_trans), is_any) }
@@ -58,7 +59,7 @@ local function own_traits(own, part, are_free)
   return traits
 end
 
--- Adds what a region has to the region around it.
+-- Adds the traits of a region to those of the region around it.
 local function add_inner(traits, inner)
   for event in order.each(inner.events) do traits.events[event] = true end -- a set
   traits.is_any = traits.is_any or inner.is_any
@@ -67,7 +68,7 @@ local function add_inner(traits, inner)
 end
 
 -- Returns the traits of each part. A region inside of a region is bound if it has
--- timers: which others there are is not looked at.
+-- timers, whether others have some or not.
 local function traits_of(own, is_timed, are_free)
   local traits = {}
   for _, part in ipairs(own.parts) do
@@ -96,7 +97,7 @@ local function are_joined(a, b)
   return false
 end
 
--- Returns the groups with one more region, in one with those that it is joined to.
+-- Returns the groups with one more region, in one with all groups that it is joined to.
 local function with_region(groups, traits, part)
   local group, list = { part }, {}
   for _, other in ipairs(groups) do
@@ -114,12 +115,12 @@ end
 ---@class rfsm_checks.Planning
 ---@field own rfsm_checks.Subject
 ---@field traits table<rfsm_checks.Part, rfsm_checks.Traits>
----@field states table<rfsm_checks.Part, table[]> by what is around them: for each state
--- the regions that are bound, and the groups of others
+---@field states table<rfsm_checks.Part, table[]> the states of a part that have
+-- regions: `leaf`, the list of `bound` regions, and the `groups` of joined ones
 ---@field mates table<rfsm_checks.Part, rfsm_checks.Part[]> the group of a region
----@field ways table<string, table<string, true>> by their prefixes
+---@field ways table<string, table<string, true>> by a text of the prefixes
 
--- Returns the regions of the state that a region is in.
+-- Returns the entry of `states` for the state of a region.
 local function state_of(self, part)
   local states = self.states[part.owner]
   for _, state in ipairs(states) do
@@ -145,8 +146,8 @@ end
 
 -- Ways ..............................................................................
 
--- Returns lists of ways in one: the first way has the parts of all first ones, and so
--- on; of a shorter list the last one counts.
+-- Returns lists of ways, each way a list of parts, in one: its first way has the parts
+-- of all first ways, and so on. A shorter list repeats its last way.
 local function side_by_side(lists)
   local result, count = {}, 1
   for _, list in ipairs(lists) do count = max(count, #list) end
@@ -161,14 +162,15 @@ end
 
 local ways_of
 
--- Returns ways in which each has some regions, and those inside of them in turn.
+-- Returns ways each of which has all regions of a group; the regions inside of these
+-- are in one way after the other.
 local function ways_of_group(self, group)
   local lists = { { group } }
   for _, part in ipairs(group) do lists[#lists + 1] = ways_of(self, part) end
   return side_by_side(lists)
 end
 
--- Returns the ways of the regions of a part.
+-- Returns the ways of the regions of a part: the groups in turn, bound regions always.
 function ways_of(self, part)
   local lists = {}
   for _, state in ipairs(self.states[part]) do
@@ -181,7 +183,7 @@ function ways_of(self, part)
   return side_by_side(lists)
 end
 
--- Adds a part to a way, with the parts around it and the regions that it needs.
+-- Adds a part to a way, with the parts around it, its group, and its bound regions.
 local function add_part(self, way, part)
   if not part or way[part.prefix] then return end
   way[part.prefix] = true
@@ -192,7 +194,8 @@ local function add_part(self, way, part)
   end
 end
 
--- Returns a way as a set of prefixes, always the same table; false if it has all parts.
+-- Returns the way with some parts, and those that they need; the same table for the
+-- same way, and false if it has all parts.
 local function way_of(self, parts)
   local way = {}
   add_part(self, way, self.own.parts[1])
@@ -206,7 +209,7 @@ end
 
 -- Properties ........................................................................
 
--- Appends the parts that set a flag.
+-- Appends the parts whose callbacks set a flag.
 local function add_setters(own, parts, number)
   for name, flags in order.each(own.flags_of) do -- any order: a set
     for _, flag in ipairs(flags) do
@@ -215,8 +218,8 @@ local function add_setters(own, parts, number)
   end
 end
 
--- Appends the parts of the states and flags that a condition names. Returns false if
--- they are not known.
+-- Appends the parts of the states and flags that a condition names. Returns false for a
+-- function, whose states are not known.
 local function add_named(own, parts, condition)
   if type(condition) == "function" then return false end
   for _, name in ipairs(type(condition) == "table" and condition or { condition }) do
@@ -235,8 +238,8 @@ local function add_reacting(self, parts, event)
   end
 end
 
--- Returns the way of the walk on which a property is judged: with all parts if it has
--- a function, or an event that each machine makes itself.
+-- Returns the way of the walk on which a property is judged. It has all parts if the
+-- property has a function, or an event that machines make themselves.
 local function way_for(self, property)
   local own, parts, event = self.own, {}, property.event
   local are_known = add_named(own, parts, property.what)

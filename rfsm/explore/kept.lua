@@ -1,5 +1,5 @@
---- Kept: what decides which transitions a machine takes, besides its states and its
---- queue: the data of extensions, and targets that they change.
+--- Kept: the data of a machine that decide which transitions it takes, besides its
+--- states and its queue: data of extensions, and targets that extensions change.
 --
 -- @module rfsm.explore.kept
 -- @license BSD-3-Clause
@@ -11,12 +11,12 @@ local concat = table.concat
 
 local kept = {}
 
---- What is kept of a machine.
+--- Where the kept data of a machine are.
 ---@class rfsm_checks.Kept
 ---@field hooks table[] snapshot hooks whose data is explored
 ---@field transitions rfsm.Transition[] those with several targets
 
---- Return what is kept of a machine; false if nothing is.
+--- Find the kept data of a machine; return false if there are none.
 ---@param fsm rfsm.Machine
 ---@return rfsm_checks.Kept|false
 function kept.of(fsm)
@@ -30,7 +30,7 @@ function kept.of(fsm)
   return (own.hooks[1] or own.transitions[1]) and own or false
 end
 
--- Returns a text of plain data, in which events that are no texts have numbers.
+-- Returns a text of plain data. An event that is a table or function has its number.
 local function text_of(value, event_numbers)
   local kind = type(value)
   if kind == "string" then return #value .. ":" .. value end
@@ -47,10 +47,10 @@ local function text_of(value, event_numbers)
   return "{" .. concat(texts, ",") .. "}"
 end
 
---- Return what a machine keeps now, and a text of it.
+--- Return the kept data as they are now, and a text of them.
 ---@param own rfsm_checks.Kept
 ---@param event_numbers table<any, integer>
----@return any[] values field `is_data`: an extension keeps something
+---@return any[] values field `is_data`: is there data of an extension?
 ---@return string key
 function kept.read(own, fsm, event_numbers)
   local values, texts, n = {}, {}, #own.hooks
@@ -65,11 +65,11 @@ function kept.read(own, fsm, event_numbers)
   return values, concat(texts, ",")
 end
 
--- What `load` of an extension is given: nothing has changed, see rfsm/snapshot.lua.
+-- The last argument of a hook's `load`: the chart has not changed (rfsm/snapshot.lua).
 local UNCHANGED = { entries = false, has_changed = false, is_migrated = false,
   is_new = function() return false end }
 
---- Have a machine keep what was read.
+--- Put the result of `kept.read` back into a machine.
 function kept.put(own, fsm, values)
   for i, hook in ipairs(own.hooks) do hook.load(fsm, values[i], UNCHANGED) end
   for i, tr in ipairs(own.transitions) do

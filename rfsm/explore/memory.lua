@@ -1,10 +1,10 @@
 --- Memory: the data that callbacks of a subject can change, and how it is put back.
 --
--- A *home* is a table with data: an element of a part, a table in one, or a table that
--- a callback in `run` names. Its data are the fields that are not the engine's. A
--- *cell* is an upvalue or a global that such a callback names. When a step has called
--- one, each datum that `vars` does not name is compared with its value at the
--- beginning. The first one that differs is reported, and all of them are put back.
+-- A *home* is a table with data: an element of the chart, a table in an element, or a
+-- table that a callback in `run` names. The fields of the engine are not data. A *cell*
+-- is an upvalue or a global that such a callback names. When a step has called one of
+-- these callbacks, each datum that `vars` does not name is compared with its first
+-- value. The first datum that differs is reported, and all of them are put back.
 --
 -- @module rfsm.explore.memory
 -- @license BSD-3-Clause
@@ -29,23 +29,25 @@ local memory = {}
 ---@class rfsm_checks.Memory
 ---@field homes rfsm_checks.Home[]
 ---@field cells { name: string, read: fun(): any, write: fun(x: any), value: any }[]
----@field places table<string, { home: rfsm_checks.Home, key: any }> fields, by path
----@field seen table<any, true> tables and functions that were looked at
----@field most integer how many homes there may be
----@field is_cut boolean there is more
+-- `value`: the first one
+---@field places table<string, { home: rfsm_checks.Home, key: any }> fields of the
+-- chart, by path
+---@field seen table<any, true> tables and names of globals that were looked at
+---@field most integer the greatest number of homes
+---@field is_cut boolean there are more tables than that
 ---@field is_blind boolean the text of a callback is not known
 local Memory = {}
 Memory.__index = Memory
 
---- A table whose fields are compared with those that it had at the beginning.
+--- A table whose fields are compared with their first values.
 ---@class rfsm_checks.Home
 ---@field of table
 ---@field name string its path: "on", "trans[2]"; empty for the machine
----@field kept table<any, any> the values at the beginning
----@field count integer of these
+---@field kept table<any, any> the first values, by key
+---@field count integer how many there are
 ---@field followed table<any, true> keys that `vars` names
 
-local MANY = 1000 -- homes that are no part of the chart; more are not looked at
+local MANY = 1000 -- most homes outside of the chart
 
 -- Homes .............................................................................
 
@@ -58,7 +60,8 @@ local function path_to(name, key)
   return name == "" and key or name .. "." .. key
 end
 
--- Adds a table, and those in it. A field of a state or of a table in one has a place.
+-- Adds a table and the tables in it as homes. With `has_places`, `vars` may name their
+-- fields.
 local function add_home(self, of, name, has_places)
   self.seen[of], self.is_cut = true, #self.homes == self.most
   if self.is_cut then return end
@@ -85,11 +88,11 @@ end
 local LIBRARIES = { "_G", "bit", "bit32", "coroutine", "debug", "ffi", "io", "jit",
   "math", "os", "package", "string", "table", "utf8" }
 
--- Marks the tables of Lua and of this library: they are not looked into.
+-- Marks the tables of Lua and of this library as seen, so that they become no homes.
 local function skip_libraries(self)
   local loaded = package and package.loaded or {}
   for _, name in ipairs(LIBRARIES) do self.seen[loaded[name] or name] = true end
-  for name, module in order.each(loaded) do -- any order: a set
+  for name, module in order.each(loaded) do -- any order: marks a set
     if rfsm.text_of(name):find("^rfsm") then self.seen[module] = true end
   end
 end
@@ -161,7 +164,7 @@ local function restore(home)
 end
 
 --- Put back the data that `vars` does not name.
----@return string? text the first datum that has changed; nil if none has
+---@return string? text the name of the first datum that had changed, if one had
 function Memory:put_back()
   local text
   for _, home in ipairs(self.homes) do
@@ -177,7 +180,7 @@ function Memory:put_back()
   return text
 end
 
---- Return a premise: what was not looked at; nil if there is nothing.
+--- Return the data that were not looked at, as a text for premises, or nil.
 ---@return string?
 function Memory:premise()
   if self.is_blind then return "upvalues and globals not looked at" end
@@ -200,7 +203,7 @@ function Memory:place_of(path, names)
     advice.nearest_name(path, rfsm.sorted_keys(self.places))), 0)
 end
 
---- Note the data that the functions of a subject can change.
+--- Note the data that the called callbacks of a subject can change.
 ---@param self rfsm_checks.Subject
 ---@return rfsm_checks.Memory
 function memory.of(self)

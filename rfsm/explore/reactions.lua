@@ -1,9 +1,9 @@
 --- Reactions: the events that can have an effect while a leaf is active, and those of
---- them that may come next.
+--- these events that may come next.
 --
--- An event that a machine in a sequential AND state can react to counts for the leaf
--- that has the machine, and for those from which a transition leads there: the events
--- of an iteration are forwarded.
+-- A sequential AND state forwards the events of an iteration to its regions, also those
+-- of the iteration that enters it. So an event to which a region can react counts for
+-- the leaf with the region, and for each leaf from which a transition leads to it.
 --
 -- @module rfsm.explore.reactions
 -- @license BSD-3-Clause
@@ -18,19 +18,18 @@ local is_conn = rfsm.is_conn
 
 local reactions = {}
 
---- What can have an effect in a leaf: a list of events, and more.
+--- The events that can have an effect in a leaf, as a list, and more about them.
 ---@class rfsm_checks.Reactions
 ---@field [integer] any
 ---@field set table<any, boolean> the same events as a set
----@field any boolean any other event can, too
----@field has_predicate boolean a predicate decides: `any` is true, too
+---@field any boolean any other event can have an effect, too
+---@field has_predicate boolean a predicate may accept any event; `any` is true, too
 ---@field timers string[] time events of states that are active
----@field sets any[][] sets of several events without which a path cannot be taken
----@field is_cut boolean there are more than MANY_SETS of them
----@field outside rfsm_checks.Occurrence[]|false the events from outside, when known
----@field own table<any, boolean>|false the set without events of regions in the leaf;
--- false: any event
-
+---@field sets any[][] sets of several events that a path through connectors needs
+---@field is_cut boolean there are more than MANY_SETS of these sets
+---@field outside rfsm_checks.Occurrence[]|false those from outside, once listed
+---@field own table<any, boolean>|false the set of the events that count for the leaf
+-- itself, without those of its regions; false: any event does
 
 local function add_event(found, event)
   if type(event) == "function" then
@@ -49,7 +48,7 @@ local function add_events(found, tr)
   for _, event in ipairs(tr.events or {}) do add_event(found, event) end
 end
 
--- Adds those that extensions react to in a node.
+-- Adds the events to which extensions react in a node.
 local function add_reactions_of(found, fsm, node)
   for _, event in ipairs(rfsm.reactions(fsm, node)) do add_event(found, event) end
 end
@@ -84,8 +83,8 @@ local function add_reactions(found, fsm, node, seen)
   add_reactions_of(found, fsm, node)
 end
 
--- Adds the events of the regions of the active leaf to the set alone: those that can
--- have an effect now are listed for the regions themselves.
+-- Adds the events of the leaf's regions to the set, but not to the list: the regions
+-- list the events that can have an effect in their own leaves.
 local function add_own_regions(found, leaf)
   local count = #found
   found.own = not found.any and {}
@@ -105,8 +104,8 @@ local function add_timers(found, nodes)
   end
 end
 
--- Lists the sets of events that a path needs with a segment more. A predicate may
--- accept an event that is there already.
+-- Lists the sets of events that a path needs if it goes on by a segment, given the set
+-- that it needed before. A predicate may accept an event of that set.
 local function extend(set, tr)
   local sets, is_free = {}, match.is_any(tr)
   for _, event in ipairs(tr.events or {}) do
@@ -121,9 +120,9 @@ local function extend(set, tr)
   return sets
 end
 
-local MANY_SETS = 1000 -- of one leaf; more are not tried
+local MANY_SETS = 1000 -- most sets of one leaf; others are not tried
 
--- Adds the sets of several events that the paths from a transition on need.
+-- Adds the sets of several events that paths need which go on with a transition.
 local function add_sets(found, tr, set, seen)
   if seen[tr] or found.is_cut then return end
   seen[tr] = true
@@ -144,7 +143,7 @@ local function add_sets(found, tr, set, seen)
   seen[tr] = nil
 end
 
---- Collect what can have an effect in a leaf of a machine.
+--- Collect the events that can have an effect in a leaf of a machine.
 ---@param fsm rfsm.Machine
 ---@param leaf rfsm.State|false false before the first entry
 ---@return rfsm_checks.Reactions reactions
@@ -162,7 +161,7 @@ function reactions.collect(fsm, leaf)
   return found
 end
 
---- Return the same for a part of a subject, collected once.
+--- Return the reactions of a leaf of a part. They are collected once.
 function reactions.of(part, leaf)
   local known = part.known[leaf]
   known.reactions = known.reactions or reactions.collect(part.fsm, leaf)
@@ -171,7 +170,7 @@ end
 
 -- What may come .....................................................................
 
---- Stands for each event that no transition names.
+--- The event that stands for all events that no transition names.
 reactions.OTHER = "(another event)"
 
 local function is_allowed(self, event)
@@ -195,8 +194,8 @@ local function outside_of(self, found)
   return list
 end
 
--- Adds a set of several events, but for those that the machine makes itself; not if one
--- of them cannot come.
+-- Adds a set of several events, without those that the machine makes itself. A set with
+-- an event that cannot come is left out.
 local function add_set(self, part, sets, set, timers)
   local kept = {}
   for _, event in ipairs(set) do
@@ -212,9 +211,9 @@ local function add_set(self, part, sets, set, timers)
   if kept[2] ~= nil then sets[#sets + 1] = kept end
 end
 
---- List the events that may come in a configuration and can have an effect: from
---- outside, and time events; and the sets of several that a path through connectors
---- needs.
+--- List the events that may come in a configuration and can have an effect: events from
+--- outside and time events. The second list has the sets of several such events that a
+--- path through connectors needs.
 ---@param self rfsm_checks.Subject
 ---@param conf rfsm_checks.Configuration
 ---@return rfsm_checks.Occurrence[] events

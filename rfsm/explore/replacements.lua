@@ -1,7 +1,7 @@
 --- Replacements: what an exploration runs in place of the callbacks of a chart.
 --
--- That of an entry, exit or effect sets the flags and sends the events that the options
--- name. It is named by its callback: "entry root.a", "effect root.trans[2]".
+-- The replacement of an entry, exit or effect sets the flags and sends the events that
+-- the options name for that callback: "entry root.a", "effect root.trans[2]".
 --
 -- @module rfsm.explore.replacements
 -- @license BSD-3-Clause
@@ -53,7 +53,7 @@ local function check_flag(where, flag)
   end
 end
 
---- Is it a table of flags: { motor = { on = {...}, off = {...} } }?
+--- Is the option a table of flags: { motor = { on = {...}, off = {...} } }?
 ---@return boolean is_right
 ---@return string? problem
 function replacements.check_flags(flags)
@@ -91,9 +91,9 @@ local function check_later(where, item)
   end
 end
 
---- Is it a table of lists of events: { ["entry root.a"] = { "e_x" } }? An event that is
---- sent later is { "e_x", after = 2 }, and { cancel = "e_x" } takes it back. One that
---- `fsm.emit` gets is { emit = "e_x" }, with data { emit = "e_x", data = true }.
+--- Is the option a table of lists of events: { ["entry root.a"] = { "e_x" } }?
+--- { "e_x", after = 2 } is sent later, { cancel = "e_x" } takes that back, and
+--- { emit = "e_x" }, with data { emit = "e_x", data = true }, is a call of `fsm.emit`.
 ---@return boolean is_right
 ---@return string? problem
 function replacements.check_sends(sends)
@@ -112,7 +112,7 @@ function replacements.check_sends(sends)
   return true
 end
 
---- Is it a list?
+--- Is the option a list?
 function replacements.check_list(value) return is_list(value) end
 
 -- Callbacks by name ................................................................
@@ -120,7 +120,7 @@ function replacements.check_list(value) return is_list(value) end
 local FIELDS = { "entry", "exit", "doo", "guard", "effect" }
 
 -- Calls f(name, callback, fsm, element, field) for each callback of a machine and its
--- regions. Those of a sequential AND state are not the library's.
+-- regions. Of a sequential AND state these are the user's, not the extension's.
 local function each_callback(fsm, f)
   for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, obj in ipairs(rfsm.elements(entry.machine)) do
@@ -144,7 +144,7 @@ function replacements.named(fsm)
   return named
 end
 
--- May a callback call this function of rfsm_timeevent, by its text?
+-- May a callback call this function of rfsm_timeevent, as far as its text shows?
 local function may_call(callback, name)
   local f = (package.loaded.rfsm_timeevent or {})[name]
   return writes.each(callback, function(text, own)
@@ -172,8 +172,8 @@ local function may_emit(callback)
   end, {})
 end
 
---- List the events that a machine and its regions emit, by the text of their callbacks;
---- nil if they may emit others.
+--- List the events that a machine and its regions emit, as the text of their callbacks
+--- shows; nil if they may emit others.
 ---@return string[]?
 function replacements.emitted_by(fsm)
   local emitted, is_certain, seen = {}, true, {}
@@ -186,8 +186,9 @@ function replacements.emitted_by(fsm)
   return is_certain and not match.has(emitted, false) and emitted or nil
 end
 
---- Note a callback that may write the target of a transition, or send an event later,
---- cancel or emit one, and that `sends` does not name.
+--- Note what a callback may do that the exploration does not follow: write the target
+--- of a transition; and emit events, send them later or cancel them, unless `sends`
+--- names the callback.
 function replacements.note_writer(self, name, callback)
   if writes.may_write(callback, { "tgt" }) then table.insert(self.writers, name) end
   local is_run = self.runs[callback or false]
@@ -200,8 +201,8 @@ end
 
 -- Replacements ......................................................................
 
--- Calls a callback. Returns the events that it sends to its machine, which are taken
--- from the queue, and what `calls.try` does.
+-- Calls a callback. Returns the events that it sends to its machine, which are removed
+-- from the queue, and the results of `calls.try`.
 local function call_apart(callback, fsm, ...)
   local sent, first = {}, #fsm._intq + 1
   local ok, failure = calls.try(callback, fsm, ...)
@@ -210,12 +211,12 @@ local function call_apart(callback, fsm, ...)
   return sent, ok, failure
 end
 
--- How the interpreters begin their own messages, each in words of its own.
+-- How errors of the interpreters begin; the rest differs from one Lua to another.
 local OWN_WORDS = { "^attempt to ", "^bad argument ", "stack overflow",
   "^number .* has no integer", "^invalid " }
 
--- Returns ": " and the text of a failure without its location; empty if the words are
--- those of the interpreter.
+-- Returns ": " and the text of a failure without its location; "" for an error of the
+-- interpreter, so that results are the same on every Lua.
 local function text_of_failure(failure)
   local text = rfsm.text_of(failure):gsub("^.-:%d+: ", "")
   for _, words in ipairs(OWN_WORDS) do
@@ -224,8 +225,8 @@ local function text_of_failure(failure)
   return ": " .. text
 end
 
--- Returns a function that calls the callback, notes its name, what it sends, and the
--- failure.
+-- Returns a function that calls the callback, and notes in `self.called` its name, the
+-- events that it sends, and its failure.
 local function new_call(self, name, callback)
   return function(...)
     local called = self.called
@@ -240,8 +241,8 @@ end
 
 local IS_DRY = { entry = true, exit = true, effect = true }
 
---- Return what callbacks send and emit in a dry run, by name. It has a machine of its
---- own.
+--- Call each entry, exit and effect of a machine once, which is used for nothing else.
+--- Return the events that each sends and emits, by its name.
 function replacements.dry_run(fsm)
   local sent, emitted = {}, {}
   rfsm.set_emit(fsm, function(event, value)
@@ -255,7 +256,7 @@ function replacements.dry_run(fsm)
   return sent
 end
 
---- Drop what a part has sent later, or the events of it that are like one.
+--- Drop the waiting events that a part has sent later: all, or those equal to `event`.
 function replacements.drop_later(self, part, event)
   local function is_dropped(later)
     return later.part == part and (event == nil or rawequal(later.event, event))
@@ -286,8 +287,8 @@ local function new_send(self, part, item)
   end
 end
 
--- Returns a function that calls a callback to be run, sets flags, sends events; nil if
--- there is nothing to do.
+-- Returns a function that calls the callback if `run` has it, sets flags and sends
+-- events; nil if there is nothing to do.
 local function new_replacement(self, part, run, flags, events)
   if not (flags[1] or events[1] ~= nil or run) then return nil end
   if run then part.is_bound = true end
@@ -303,7 +304,8 @@ local function new_replacement(self, part, run, flags, events)
   end
 end
 
---- Note that a callback may exist; return its replacement.
+--- Return the replacement of a callback, and note its name; options may name it also if
+--- the chart has no such callback.
 ---@param self rfsm_checks.Subject
 ---@param what "entry"|"exit"|"effect"
 ---@param path string
@@ -324,7 +326,7 @@ function replacements.new(self, what, path, part, callback)
   return new_replacement(self, part, run, self.flags_of[name] or {}, events)
 end
 
--- Has the replacements that are named set a flag.
+-- Notes that the replacements of these names set a flag to a value.
 local function set_flag(self, names, number, value)
   for _, name in ipairs(names or {}) do
     self.flags_of[name] = self.flags_of[name] or {}
@@ -332,8 +334,8 @@ local function set_flag(self, names, number, value)
   end
 end
 
---- Turn { motor = { on = { "entry root.a" }, off = { ... } } } into what is to be done
---- by name, with a number for each flag.
+--- Number the flags of { motor = { on = { "entry root.a" }, off = { ... } } }, and list
+--- for each name of a callback the flags that it sets.
 function replacements.read_flags(self, flags)
   for number, name in ipairs(rfsm.sorted_keys(flags)) do
     self.flag_numbers[name], self.flags[number] = number, "-"
@@ -351,7 +353,7 @@ function replacements.check_flag_names(self)
   end
 end
 
---- Raise an error if a callback that is named does not exist.
+--- Raise an error if a key of an option is not the name of a callback.
 ---@param self rfsm_checks.Subject
 ---@param named table<string, any>
 ---@param field string

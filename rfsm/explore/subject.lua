@@ -1,16 +1,16 @@
 --- A subject: a machine of a model whose callbacks are replaced. Exploration runs the
 --- engine with it.
 --
--- The answer of a guard is a choice, and so is that of a predicate among events, and
--- whether a doo ends. Entries, exits and effects set flags and send events
--- (`rfsm.explore.replacements`). The clock stands still: time events come when a step
--- says so.
--- The machine, and those inside of sequential AND states, are the *parts* of a subject.
+-- The answer of a guard or predicate is a *choice*: a step is given a list of booleans,
+-- one for each question, in order. Whether a doo ends is a choice, too. Entries, exits
+-- and effects set flags and send events (`rfsm.explore.replacements`). The clock stands
+-- still: a time event comes when it is among the events of a step.
+-- The machine, and the regions of sequential AND states, are the *parts* of a subject.
 --
--- A *position* is where one part is: its active leaf, the mode of that, the events that
--- wait, and what extensions keep. A configuration is a position for each part, and the
--- flags. Events that nothing in the leaf can react to are left out of it. Its key is a
--- text.
+-- A *position* is the state of one part: its active leaf, the mode of the leaf, the
+-- waiting events, and the data of extensions. Waiting events to which nothing in the
+-- leaf can react are left out. A configuration is a position for each part, the flags,
+-- and the values of fields. Its key is a text.
 --
 -- The file reads in this order: the machines, configurations, steps, public functions.
 --
@@ -42,35 +42,37 @@ local subject = {}
 --- The machines of a model, with what was asked of them in the last step.
 ---@class rfsm_checks.Subject
 ---@field parts rfsm_checks.Part[] the machine itself first
----@field transitions table[] `tr`, `path`, and `part` with its `prefix`
+---@field transitions table[] of all parts: `tr`, its `path`, its `part`, the `prefix`
 ---@field names table<string, rfsm.State> states by path
----@field part_of table<string, rfsm_checks.Part> the same for their parts
+---@field part_of table<string, rfsm_checks.Part> the parts of these states, by path
 ---@field paths string[] of the states, in the order of the tree
 ---@field flags ("+"|"-")[] see `options.flags`
 ---@field writers string[] callbacks that may write the targets of transitions
----@field free table<string, true> what the chart has: guards, predicates, timers, doos
----@field wanted table<any, boolean> events of properties: did it come in a step?
+---@field free table<string, true> the kinds of choices that the chart has: "guards",
+-- "predicates", "timers", "doos"
+---@field wanted table<any, boolean> events of properties; true: the last step had it
 ---@field passed rfsm_checks.Moment[] of the last step
----@field entered table<rfsm.State, boolean> states with a doo or timers, entered by it
----@field sent { prefix: string, event: any }[] by replacements, in the last step
----@field emitted { emit: string, data?: any }[] for others, in the last step
----@field emitters string[] callbacks that may emit others
+---@field entered table<rfsm.State, boolean> states with a doo or timers that the last
+-- step has entered
+---@field sent { prefix: string, event: any }[] that replacements sent in the last step
+---@field emitted { emit: string, data?: any }[] for other machines, in the last step
+---@field emitters string[] callbacks that may emit events that the options do not name
 ---@field later rfsm_checks.Occurrence[] events that replacements send later
----@field sent_later rfsm_checks.Occurrence[] in the last step
+---@field sent_later rfsm_checks.Occurrence[] those that the last step has sent
 ---@field dropped table<rfsm_checks.Occurrence, boolean> by a reset or `cancel` in it
----@field late_senders string[] callbacks that may send others later
----@field cancellers string[] callbacks that may take some back
----@field called string[] of the last step, with `options.callbacks`
+---@field late_senders string[] callbacks that may send more events later
+---@field cancellers string[] callbacks that may cancel events that were sent later
+---@field called string[] what callbacks did in the last step, if they are called
 ---@field time rfsm.clock.Clock what time events see
----@field steps integer that were taken
----@field leaves_out boolean leave out of steps the regions in which nothing happens?
----@field trimmed rfsm.State|false the state that lacks regions now
----@field notes_events boolean keep in `last_events` those that iterations had?
----@field choices boolean[] in the order in which they were asked
----@field askers string[] who asked: the path of a transition or leaf
----@field is_doo boolean[] whether that was a doo
----@field is_known boolean[] whether there was no choice
----@field asked integer how many there were
+---@field steps integer how many steps were taken
+---@field leaves_out boolean steps do not advance regions in which nothing would happen
+---@field trimmed rfsm.State|false the state whose list of regions lacks some now
+---@field notes_events boolean `last_events` gets the events of all iterations of a step
+---@field choices boolean[] of the last step, in the order in which they were asked
+---@field askers string[] for each choice the path of the transition or leaf
+---@field is_doo boolean[] for each choice: is it about the end of a doo?
+---@field is_known boolean[] for each choice: is its other side impossible?
+---@field asked integer how many choices the last step had
 ---@field taken integer[] numbers of the transitions that the last step took
 local Subject = {}
 Subject.__index = Subject
@@ -81,17 +83,17 @@ Subject.__index = Subject
 ---@field prefix string see `rfsm.machines`
 ---@field owner rfsm_checks.Part|false the part around it
 ---@field kept rfsm_checks.Kept|false what extensions keep of it
----@field may_keep boolean they react to events, so these may be what they keep
----@field leaf rfsm.State|false where it is in that part
----@field is_bound boolean a callback is called, or there is a rule for a guard
----@field known table<rfsm.State|false, rfsm_checks.Leaf>
----@field positions rfsm_checks.Position[] the positions that it can have
----@field timed table<string, boolean> time events whose order is known
----@field position rfsm_checks.Position where it was put
----@field rounds integer iterations since then
----@field inner rfsm_checks.Part[] the regions, by the order of the tree
----@field is_single boolean it takes one step at most in a step: no state but a
--- composite is entered and left again
+---@field may_keep boolean extensions react to events, so they may keep some of them
+---@field leaf rfsm.State|false the state of the owner whose region it is
+---@field is_bound boolean one of its callbacks is called, or a guard has a rule
+---@field known table<rfsm.State|false, rfsm_checks.Leaf> by leaf; false: not entered
+---@field positions rfsm_checks.Position[] all that were met
+---@field timed table<string, boolean> time events that come in the order of deadlines
+---@field position rfsm_checks.Position the one in which the step began
+---@field rounds integer iterations in this step
+---@field inner rfsm_checks.Part[] its regions, in the order of the tree
+---@field is_single boolean a step of the subject advances it once at most: then it
+-- enters and leaves no state but a composite
 ---@field is_quiet boolean the step leaves it out, since nothing would happen in it
 
 --- An event that comes to a part of a subject in a step.
@@ -108,7 +110,7 @@ Subject.__index = Subject
 ---@field active table<string, boolean> paths of states
 ---@field flags string
 
---- What is known of a leaf, or of a machine that was not entered.
+--- What is known of a leaf of a part, or of a part that was not entered.
 ---@class rfsm_checks.Leaf
 ---@field state rfsm.State|false
 ---@field path string of the leaf
@@ -125,15 +127,15 @@ Subject.__index = Subject
 ---@field waiting any[] events
 ---@field kept any[]|false what extensions keep, see `rfsm.explore.kept`
 
---- The positions of all of them; `flags`, a text; `values` of fields.
+--- The positions of all parts; fields `flags`, a text, and `values` of fields.
 ---@alias rfsm_checks.Configuration rfsm_checks.Position[]
 
 local NOTHING = {}
 
 -- The machines ....................................................................
 
--- Asks for the next of the choices that were set; the default is true. One that is
--- known has no other side.
+-- Returns the next of the choices of the step; the default is true. A `known` answer is
+-- a choice whose other side is not tried.
 function Subject:choose(who, is_doo, known)
   local n = self.asked + 1
   self.asked = n
@@ -144,8 +146,7 @@ function Subject:choose(who, is_doo, known)
   return self.choices[n]
 end
 
--- Makes a doo that ends when it is told to. Only its first cycle of a step asks whether
--- it ends.
+-- Makes a doo whose end is a choice, which only its first cycle in a step asks for.
 local function new_doo(self, part, who)
   return function()
     while true do
@@ -155,7 +156,7 @@ local function new_doo(self, part, who)
   end
 end
 
--- A number for each event there is.
+-- Returns a number for an event, always the same.
 function Subject:number_of_event(event)
   local number = self.event_numbers[event]
   if not number then
@@ -165,8 +166,8 @@ function Subject:number_of_event(event)
   return number
 end
 
---- Who makes an event: see `match.maker_of`. An e_done of what is no leaf comes from
---- outside.
+--- Return who makes an event, as `match.maker_of`. If no leaf has the FQN of an e_done,
+--- the engine does not make it, so it comes from outside.
 function Subject:maker_of(event)
   local maker, fqn = match.maker_of(event)
   if maker == "engine" and event ~= "e_init_fsm" and not self.done[event] then
@@ -191,7 +192,7 @@ function Subject:occurrence(part, event)
   return part.occurrences[event]
 end
 
--- Notes what is active in the moment in which a state is entered.
+-- Notes which states and flags are active when a state is entered.
 local function note_moment(self, state)
   local active = {}
   for _, part in ipairs(self.parts) do
@@ -294,7 +295,7 @@ local function new_hook(self, part)
   end
 end
 
--- Notes a leaf, or false for a machine that was not entered.
+-- Notes the paths of a leaf and its ancestors. `leaf` is false for "not entered".
 local function add_leaf(part, leaf)
   local paths = {}
   for i, node in ipairs(leaf and location.line(part.fsm, leaf) or {}) do
@@ -306,7 +307,7 @@ end
 
 local SILENT = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook", "dbg" }
 
--- Does a machine take one step at most in a step of the subject?
+-- Does a step of the subject advance a machine once at most?
 local function is_single(part)
   if not part.owner then return true end
   local steps = part.leaf.step or 1
@@ -348,10 +349,10 @@ end
 
 -- Configurations ..................................................................
 
--- Leaves out what has no effect in the leaf, and what is there twice. Of events that
--- count only as any event at all, one is kept if there is no other.
--- Where an extension may keep events, they count in another leaf, and as often as they
--- came.
+-- Lists the waiting events that have an effect in the leaf, each once. If there are
+-- none, and the leaf reacts to any event, one of the others stands for them all.
+-- An extension may keep events for another leaf, and as often as they came: then all of
+-- them are listed.
 local function relevant(self, part, leaf, events)
   if part.may_keep then return match.joined({}, events) end
   local found, list, other = reactions.of(part, leaf), NOTHING, nil
@@ -376,7 +377,7 @@ local function text_of_waiting(self, part, waiting)
   return concat(numbers, ",")
 end
 
--- Returns the position of a machine, with the events that wait: always the same table.
+-- Returns the position in which a machine is: the same table each time.
 local function read_position(self, part)
   local leaf, values, data_text = part.fsm._act_leaf, false, ""
   local known, mode = part.known[leaf], leaf and leaf._mode or "inactive"
@@ -395,10 +396,10 @@ local function read_position(self, part)
   return position
 end
 
---- Return the key of the configuration in which the machines are: the numbers of their
---- positions, a sign for each flag, and the values of fields.
+--- Return the key of the current configuration: the numbers of the positions, a sign
+--- for each flag, and the values of fields.
 ---@return string key
----@return string? problem a value that is not followed
+---@return string? problem data with a value that `vars` does not allow
 function Subject:read()
   local parts, ids = self.parts, self.ids
   for i = 1, #parts do
@@ -426,7 +427,7 @@ function Subject:configuration(key)
   return conf
 end
 
--- Puts a machine into a position. It often is there, but for the queue.
+-- Puts a machine into a position. Often only its queue differs from that.
 local function put_position(part, position)
   local fsm, leaf, waiting = part.fsm, position.leaf, position.waiting
   local queue, mode = fsm._intq, (leaf or fsm)._mode
@@ -439,7 +440,7 @@ local function put_position(part, position)
   end
 end
 
--- Is there nothing that events can do to a machine, unless they are for its regions?
+-- Can none of the events have an effect in a machine itself, apart from its regions?
 local function is_deaf(self, part, position, events)
   local own = #position.waiting == 0 and reactions.of(part, position.leaf).own
   for i = 1, own and #events or 0 do
@@ -448,7 +449,7 @@ local function is_deaf(self, part, position, events)
   return own and not part.kept
 end
 
--- Has the active leaf those regions alone in which something may happen, or all.
+-- Sets which regions of a leaf the engine advances: all, or those that are not quiet.
 local function set_regions(self, leaf, are_all)
   local _, regions = rfsm.regions(leaf)
   local count = 0
@@ -461,15 +462,15 @@ local function set_regions(self, leaf, are_all)
   for i = #regions, count + 1, -1 do regions[i] = nil end
 end
 
--- Would nothing happen in a region, while events come and a leaf around it stays?
+-- Would a step with these events change nothing in a region, if `leaf` stays active?
 local function is_quiet(self, part, position, leaf, events)
   if part.owner ~= self.parts[1] or part.inner[1] then return false end
   return part.leaf ~= leaf
     or position.mode == "done" and is_deaf(self, part, position, events)
 end
 
--- Leaves out of the next step the regions of the active leaf in which nothing would
--- happen: no doo goes on, and no event has an effect. Not if the leaf may be left.
+-- Saves the engine the regions in which nothing would happen: no doo goes on, and no
+-- event has an effect. All of them are advanced if the step may leave their state.
 local function leave_out_quiet(self, conf, events)
   local leaf = self.leaves_out and conf[1].leaf
   local _, own = rfsm.regions(leaf)
@@ -512,7 +513,7 @@ function subject.leaves(conf)
   return leaves
 end
 
--- Returns a function that tells of a path or flag if it is active.
+-- Returns the function `active` of conditions: is the state or flag of a name active?
 local function new_view(self, active, flags)
   return function(name)
     local number = self.flag_numbers[name]
@@ -523,7 +524,7 @@ local function new_view(self, active, flags)
   end
 end
 
---- Return a function that tells of a path or flag if it is active in a configuration.
+--- Return a function that is true for the paths and flags active in a configuration.
 ---@param conf rfsm_checks.Configuration
 ---@return fun(name: string): boolean
 function Subject:view(conf)
@@ -542,7 +543,7 @@ end
 
 -- Steps ...........................................................................
 
--- The fields that a step begins anew.
+-- The lists of what a step did, which are emptied when the next one begins.
 local OF_STEP = { "taken", "passed", "last_events", "sent", "sent_later", "emitted",
   "called" }
 
@@ -550,15 +551,15 @@ local function clear(list)
   for i = #list, 1, -1 do list[i] = nil end
 end
 
--- Keeps the moments of states that the step has left again.
+-- Drops the moments of states that the step has not left again.
 local function keep_passed(self)
   for i = #self.passed, 1, -1 do
     if self.passed[i].state._mode ~= "inactive" then remove(self.passed, i) end
   end
 end
 
---- Take one step with events and with choices; where that leads to tells `read`.
---- Returns nil if a machine inside never becomes idle.
+--- Take one step with events and with choices; `read` returns where it has led.
+--- The result is nil if a region never becomes idle.
 ---@param events rfsm_checks.Occurrence[]
 ---@param choices boolean[]
 ---@return true?
@@ -585,7 +586,7 @@ function Subject:step(events, choices)
   for _, part in ipairs(self.parts) do rfsm.reset(part.fsm) end
 end
 
--- Sets the next choices to try; false if all were tried.
+-- Changes the choices to the next ones to try; returns false if all were tried.
 local function next_choices(self, choices)
   for i = #choices, self.asked + 1, -1 do choices[i] = nil end
   for i = self.asked, 1, -1 do
@@ -600,13 +601,13 @@ end
 
 local MANY_CHOICES = 4096
 
---- Take a step from a configuration once for each choice, and call f(owner, has_ended)
---- after each: see `step`.
+--- Take a step from a configuration once for each list of choices, and call
+--- f(owner, has_ended) after each; `has_ended` is the result of `step`.
 ---@param conf rfsm_checks.Configuration
 ---@param events rfsm_checks.Occurrence[]
 ---@param owner any
 ---@param f fun(owner: any, has_ended: true?)
----@return string? untried what there may be besides; nil if there is nothing
+---@return string? untried what was left out, as a text; nil if nothing was
 function Subject:each_choice(conf, events, owner, f)
   local choices, tries = {}, 0
   repeat
@@ -617,7 +618,7 @@ function Subject:each_choice(conf, events, owner, f)
   until not next_choices(self, choices)
 end
 
-local MANY_PATHS = 20 -- more than a step takes that ends, in a machine and its regions
+local MANY_PATHS = 20 -- a step with more transitions is shown in part
 
 --- Return the outcome of a step as a text: the transitions taken, and the active leaf.
 ---@param paths string[]
@@ -639,16 +640,16 @@ function Subject:paths_of()
   return paths
 end
 
---- Is there an event that waits, so that run would go on?
+--- Does an event wait in the machine itself, so that `rfsm.run` would go on?
 function subject.is_driven(conf) return conf[1].waiting[1] ~= nil end
 
---- Does a step without events from outside lead anywhere? Not if nothing waits, and no
---- doo is there.
+--- May a step without events from outside change something: is the machine not entered,
+--- has its leaf an unfinished doo, or does an event wait?
 function subject.is_busy(conf)
   return not conf[1].leaf or conf[1].mode ~= "done" or subject.is_driven(conf)
 end
 
---- May such a step lead somewhere? An extension may send an event that it has kept.
+--- Likewise, or does an extension keep something, such as an event to send?
 function subject.may_act(conf)
   local is_data = false
   for _, position in ipairs(conf) do
@@ -659,7 +660,7 @@ end
 
 -- Public functions ................................................................
 
--- Returns a predicate that is a choice, one for each event in a step.
+-- Returns a predicate whose answer is a choice, asked once for each event of a step.
 local function new_predicate(self, tr)
   local answers, count = {}, -1
   return function(event)
@@ -698,8 +699,8 @@ local function new_machine(self, model)
   return fsm or error("the model has problems\n  " .. concat(problems, "\n  "), 0)
 end
 
--- Raises an error for events in the alphabet that no transition names. A predicate may
--- accept any.
+-- Raises an error for events in the alphabet that no transition names, unless the chart
+-- has predicates, which may accept any event.
 local function check_alphabet(self, alphabet)
   for _, event in ipairs(self.free.predicates and {} or alphabet or {}) do
     if not self.event_numbers[event] then
@@ -710,7 +711,7 @@ local function check_alphabet(self, alphabet)
   end
 end
 
---- List the events that transitions name, those that are texts.
+--- List those of the events that transitions name which are texts.
 ---@return string[] names
 function Subject:named_texts()
   local list = {}
@@ -720,7 +721,7 @@ function Subject:named_texts()
   return list
 end
 
--- Takes a region out of its state.
+-- Removes a region from its state, so that the engine does not run it.
 local function leave_out(entry)
   local _, regions = rfsm.regions(entry.state)
   for i = #regions, 1, -1 do
@@ -731,7 +732,7 @@ local function leave_out(entry)
   end
 end
 
--- Adds the machines, each before those inside of it; those alone that are in the way.
+-- Adds the machines as parts, each before its regions; with a way, those in it alone.
 local function add_parts(self, fsm, way)
   local part_of = { [false] = false }
   for _, entry in ipairs(rfsm.machines(fsm)) do

@@ -1,4 +1,4 @@
---- Calls: of functions that may fail, programs in texts, and the texts of arguments.
+--- Calls: functions that may fail, programs in texts, and arguments as texts.
 --
 -- @module rfsm.shared.calls
 -- @license BSD-3-Clause
@@ -11,7 +11,7 @@ local concat = table.concat
 local load = rawget(_G, "loadstring") or rawget(_G, "load")
 local setfenv = rawget(_G, "setfenv")
 
-local calls = { is_apart = false } -- is a machine for a tool being made?
+local calls = { is_apart = false } -- true while `init_apart` makes a machine
 
 local function pass(ok, ...)
   if not ok and rfsm.is_interrupt((...)) then error((...), 0) end
@@ -21,16 +21,16 @@ end
 --- Call a function as `pcall` does. An interrupt such as Control-C reaches the caller.
 function calls.try(f, ...) return pass(pcall(f, ...)) end
 
---- Load a text so that its globals are those of a table, on every Lua; nil and the
--- problem if it is no program.
+--- Load a text as a program whose globals are the fields of a table, on every Lua; nil
+-- and the problem if it is no program.
 function calls.load(text, name, globals)
   local chunk, problem = load(text, name, "t", globals)
   if chunk and setfenv then setfenv(chunk, globals) end
   return chunk, problem
 end
 
---- Make a machine of a model for a tool, as `rfsm.init`; machines given as regions stay
--- as they are.
+--- Make a machine of a model for a tool, as `rfsm.init` does. Machines that the model
+-- has as regions are left alone: the new machine has others of their models.
 function calls.init_apart(model)
   local was_apart, make = calls.is_apart, rfsm.seqand and rfsm.seqand.init_apart
   calls.is_apart = true
@@ -43,7 +43,7 @@ end
 local PRINTERS = { "dbg", "info", "warn", "err" }
 
 --- Return make(model), such as `rfsm.init`, while the printers of the model are off.
----@param warn? function|false is called with warnings
+---@param warn? function|false called with warnings
 function calls.silently(make, model, warn)
   local own = {}
   for _, name in ipairs(PRINTERS) do
@@ -58,7 +58,7 @@ function calls.silently(make, model, warn)
   return fsm, text, problems
 end
 
---- Return a text of several lines, such as a problem and a list, as one line.
+--- Return a text of several lines, such as a problem with a list, as one line.
 function calls.line(text)
   return (text:gsub(":\n%s*", ": "):gsub("[\r\n]+%s*", "; "))
 end

@@ -1,7 +1,8 @@
---- Chart files for the tools: loaded with an eye on globals, failures in one line.
+--- Chart files for the tools: loaded with warnings of undefined globals; a failure is
+--- one line.
 --
 -- Charts written for rFSM use the globals `rfsmpp`, `rfsm_ext` and `rfsm_timeevent`
--- without requiring them, because its tools loaded them. So the globals are there.
+-- without requiring them, because the tools of rFSM loaded them. So do these tools.
 --
 -- @module rfsm.shared.chart
 -- @license BSD-3-Clause
@@ -31,7 +32,7 @@ function chart.name_of(file) return file == "-" and "stdin" or file end
 function chart.line(file, text, kind)
   local name = chart.name_of(file)
   local place, rest = text:match("^(%S+:%d+: )(.*)$")
-  if text:sub(1, #name) == name then -- may have blanks
+  if text:sub(1, #name) == name then -- the name may have blanks
     place, rest = text:match("^(:%d+: )(.*)$", #name + 1)
     place = place and name .. place
   end
@@ -39,7 +40,7 @@ function chart.line(file, text, kind)
   return place .. (kind or "") .. rest
 end
 
-local NO_ERROR = "<no error object>" -- in place of nil, since 5.5
+local NO_ERROR = "<no error object>" -- which Lua 5.5 has in place of the error nil
 
 --- Return the first line of a failure; a traceback or a list of paths may follow it.
 function chart.first_line(failure)
@@ -47,7 +48,7 @@ function chart.first_line(failure)
   return ((text:match("[^\n]+") or text):gsub(":%s*$", ""))
 end
 
--- Returns the hint for a function of the library that is not there.
+-- Returns the hint for the call of a function that the library does not have.
 local function hint_for(text)
   local name = text:match("call a nil value %(field '(.-)'%)$")
     or text:match("call field '(.-)' %(a nil value%)$")
@@ -55,8 +56,8 @@ local function hint_for(text)
   return require("rfsm.advice").function_meant(name)
 end
 
---- Return why a chart cannot be used, in one line with its file; each problem of a
--- system is a line.
+--- Return why a chart cannot be used, in one line with its file. The problems of a
+-- system are a line each.
 function chart.reason(file, failure)
   local list = rfsm.text_of(failure):match("^rfsm%.system: the system has [^\n]*\n(.*)")
   if list then return (("\n" .. list):gsub("\n  ", "\n"):sub(2)) end
@@ -73,13 +74,13 @@ function chart.reason(file, failure)
   return chart.name_of(file) .. ": " .. text
 end
 
--- Patterns of tests for the existence of a global.
+-- Patterns of expressions that test if a global exists.
 local QUESTIONS = {
   "not%s+NAME%s*%f[^%w_%s:.%[(]", "not%s+NAME%s+%w", "NAME%s*[~=]=%s*nil",
   "NAME%s+and%f[%W]", "NAME%s+or%f[%W]", "NAME%s+then%f[%W]",
 }
 
--- Does a line of a file test if a global exists? Then the host may define it.
+-- Does a line of a file test if a global exists? Such a global may be the host's.
 local function is_asked(file, line, name)
   local handle, number = io.open(file), 0
   for text in handle and handle:lines() or function() end do
@@ -91,7 +92,7 @@ local function is_asked(file, line, name)
   return false
 end
 
--- The modules of globals that a chart may expect.
+-- The modules for the globals that charts use without requiring them.
 local GIVEN = {
   rfsmpp = "rfsmpp", rfsm_ext = "rfsm.monitor", rfsm_timeevent = "rfsm_timeevent",
 }
@@ -103,7 +104,7 @@ end
 
 -- Globals: those that do not exist ----------------------------------------------
 
--- Returns the warning about a global; nil if the code tests if it exists.
+-- Returns the warning about an undefined global; nil if the code tests if it exists.
 local function warning_of(name, reader)
   local file, line = reader.source:match("^@(.*)"), reader.currentline
   if file and is_asked(file, line, name) then return nil end
@@ -112,14 +113,14 @@ local function warning_of(name, reader)
       or " (nil while the chart is loaded)")
 end
 
--- Returns a stub for a global; nil if the code tests if it exists.
+-- Returns a stub for an undefined global; nil if the code tests if it exists.
 local function stub_for(world, name, reader)
   local is_wanted = world.insists or warning_of(name, reader)
   return is_wanted and search.stub(world, name) or nil
 end
 
--- Returns the __index for globals that do not exist, of code of a chart. A name such as
--- e_go is an event whose quotes were forgotten, not a stub.
+-- Returns the `__index` of _G, for globals that code of the chart reads and that do not
+-- exist. A name such as e_go is an event whose quotes were forgotten: it gets no stub.
 local function new_index(world, warnings)
   local is_known = {}
   local function note(name, reader)
@@ -141,8 +142,8 @@ end
 
 local stub_class = nil -- the metatable of _G while there are stubs
 
--- Calls f(...) while globals are noted. Stubs stay, since callbacks read them.
--- Returns what pcall does.
+-- Calls f(...) while undefined globals are noted. With stubs the metatable of _G stays,
+-- since callbacks read stubs later. Returns the results of pcall.
 local function with_notes(world, warnings, f, ...)
   if getmetatable(_G) == stub_class then setmetatable(_G, nil) end
   if not getinfo or getmetatable(_G) then return pcall(f, ...) end
@@ -163,7 +164,7 @@ end
 
 local function refuse_exit() error("os.exit is called while the chart is loaded", 2) end
 
--- Returns load(file), which may neither end the program nor go on without end.
+-- Returns load(file). The file may not end the program, and is ended if it takes long.
 local function within_bounds(world, load, file)
   local exit = os.exit
   if not world.has_stubs then rawset(os, "exit", refuse_exit) end
@@ -183,7 +184,7 @@ local function halt(world)
   error(HALT, 0)
 end
 
--- Returns init(model), silently: problems are reported once, when the chart is used.
+-- Returns init(model), which prints nothing: the tool reports problems once, later.
 local function init_silently(init, model)
   if not rfsm.is_state(model) then return init(model) end
   return calls.silently(init, model)
@@ -191,8 +192,8 @@ end
 
 local NO_STATE = "no valid rfsm in" -- in the failure of `rfsm.load`
 
--- Notes the models of machines that are made. A model that has problems ends the
--- loading.
+-- Makes a machine and notes its model, unless it is a region (`depth` above 0). A model
+-- that has problems ends the loading.
 local function note_machine(world, depth, init, model)
   world.depth = depth + 1
   local ok, fsm, text, problems = pcall(init_silently, init, model)
@@ -207,8 +208,9 @@ local function note_machine(world, depth, init, model)
   return fsm, text, problems
 end
 
--- Loads a file while the machines are noted that it makes. The first step of one of
--- them ends that. A module that is loaded meanwhile may keep these functions.
+-- Loads a file, and notes the machines that it makes. The first step of one of them
+-- ends the loading. A module may keep the functions that replace `rfsm.init` and others
+-- meanwhile, so these ask `is_loading`.
 local function noting_machines(world, load, file)
   local init, plain = rfsm.init, { step = rfsm.step, run = rfsm.run }
   local is_loading = true
@@ -242,7 +244,7 @@ local function chosen_model(file, world, ok, model)
     and (world.is_halted or rfsm.text_of(model):find(NO_STATE, 1, true))
   local number = world.number or 1
   if not (is_program or ok and world.number) then
-    world.models = {} -- they are regions
+    world.models = {} -- the machines are regions of the chart
     return ok, model
   end
   if world.models[number] then return true, world.models[number] end
@@ -255,8 +257,8 @@ local function load_stdin() -- without a first line for the shell (#!)
   return rfsm.load_str(text, "=stdin")
 end
 
--- Loads the model in a file once. `insists`: globals whose existence is asked for are
--- stubs, too.
+-- Loads the model in a file once. With `insists`, a global is a stub also where the
+-- code tests if it exists.
 local function try_load(file, has_stubs, number, load, insists)
   local warnings, source = {}, file == "-" and "=stdin" or "@" .. file
   local world = search.enter(file, source, has_stubs)
@@ -268,12 +270,12 @@ local function try_load(file, has_stubs, number, load, insists)
   return ok, model, warnings, world
 end
 
---- Load the model in a file; `-` is stdin. With stubs, modules and globals that are not
--- here are stubs.
+--- Load the model in a file; `-` is stdin. With stubs, modules and globals that do not
+-- exist are stubs.
 --
--- A chart that reads the global `rfsm_timeevent` switches time events on. Of a program
--- that returns no state the model of the first machine is loaded that it makes, or that
--- of machine `number`.
+-- A chart that reads the global `rfsm_timeevent` switches time events on. For a program
+-- that returns no state, the model is that of the first machine that it makes, or of
+-- machine `number`.
 --
 ---@param load? fun(file: string): any in place of `rfsm.load`
 ---@return any model a state, or what `load` returns; nil if there is none
@@ -281,7 +283,7 @@ end
 ---@return rfsm.shared.World world `names` are those of the stubs
 function chart.load(file, has_stubs, number, load)
   load = load or load_file
-  find_given("rfsmpp") -- for callbacks; these two change no machines
+  find_given("rfsmpp") -- callbacks may use both; the modules change no machines
   find_given("rfsm_ext")
   local ok, model, warnings, world = try_load(file, has_stubs, number, load)
   if not (ok or world.is_late) and has_stubs and file ~= "-" then
@@ -308,9 +310,9 @@ function chart.lines_of(file, world)
   return lines
 end
 
---- Make the machine of the chart in a file by a function such as `rfsm.init`; return it
+--- Make the machine of the chart in a file by a function such as `rfsm.init`. Return it
 -- and the model, or false and the problems, a line each. `warn` is called with a line
--- for each undefined global, and for the stubs. `load` as in `chart.load`.
+-- for each undefined global, and for the stubs. `load` is that of `chart.load`.
 function chart.open(file, init, warn, has_stubs, load)
   local model, warnings, world = chart.load(file, has_stubs, nil, load)
   if not model then return false, { warnings } end

@@ -1,7 +1,7 @@
 --- Code: a text of Lua in which comments and strings are blank.
 --
--- This is the one scanner of the library; callbacks are parsed by luacheck, where that
--- is installed (`rfsm.checks.source`).
+-- The library has no other scanner of Lua; `rfsm.checks.source` has luacheck parse
+-- callbacks, if that is installed.
 --
 -- @module rfsm.shared.code
 -- @license BSD-3-Clause
@@ -13,7 +13,7 @@ local code = {}
 
 local function blank(text) return (text:gsub("[^\n]", " ")) end
 
--- Returns where a string or comment that begins at a position ends.
+-- Returns the position of the end of the string or comment that begins at a position.
 local function end_of_token(text, at)
   local level = text:match("^%-%-%[(=*)%[", at) or text:match("^%[(=*)%[", at)
   if level then
@@ -30,8 +30,8 @@ local function end_of_token(text, at)
   return at
 end
 
---- Return a text with blanks in place of comments, and of strings unless they are to
---- stay. Lines stay where they are.
+--- Return a text with blanks in place of comments, and of strings unless `has_strings`.
+--- Each line keeps its number.
 ---@param text string
 ---@param has_strings? boolean
 ---@return string code

@@ -1,7 +1,7 @@
---- Instruments: fields of machines and their elements that a tool replaces for a
---- while, and hooks that it adds.
+--- Instruments: a tool replaces fields of machines and their elements, and adds hooks,
+--- for a while.
 --
--- Each function takes a list, in which it notes what `give_back` needs.
+-- Each function takes a list and appends its changes, which `give_back` takes back.
 --
 -- @module rfsm.shared.instrument
 -- @license BSD-3-Clause
@@ -13,7 +13,7 @@ local ipairs, rawequal, rawget = ipairs, rawequal, rawget
 
 local instrument = {}
 
---- Replace a field; the change returned has the values before and now: `own`, `new`.
+--- Replace a field; return the change, with the old value `own` and the `new` one.
 function instrument.put(changes, obj, field, value)
   local done = { obj = obj, field = field, own = rawget(obj, field), new = value }
   changes[#changes + 1] = done
@@ -27,7 +27,7 @@ function instrument.listen(changes, fsm, name, note)
   instrument.put(changes, fsm, name, function(...)
     note(...)
     if rfsm.is_callable(own) then return own(...) end
-    if own then rawget(_G, "print")(calls.text("\t", ...)) end -- true prints
+    if own then rawget(_G, "print")(calls.text("\t", ...)) end -- for a printer `true`
   end)
 end
 
@@ -48,8 +48,8 @@ function instrument.hook_of(changes, fsm, kind, subject, hook)
   end }
 end
 
---- Return what has the user's entry and exit of a state: those of one whose regions an
---- extension runs are the extension's.
+--- Return the table with the user's entry and exit of a state. If an extension runs the
+--- regions of the state, the state itself has the entry and exit of the extension.
 function instrument.owner_of_callbacks(state)
   local _, own = rfsm.regions(state)
   return own or state

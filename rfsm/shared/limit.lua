@@ -1,4 +1,4 @@
---- A bound for what runs code of others: it comes to an end, or is ended.
+--- A limit of time for the loading of files that other people wrote.
 --
 -- @module rfsm.shared.limit
 -- @license BSD-3-Clause
@@ -6,7 +6,7 @@
 local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
 local debug, jit = rawget(_G, "debug"), rawget(_G, "jit")
 
-local limit = { SECONDS = 5 } -- for loading a chart
+local limit = { SECONDS = 5 } -- that the loading of a chart may take
 
 -- Returns "file:line: " of the innermost function on the stack whose source is known.
 local function location(is_known)
@@ -18,8 +18,9 @@ local function location(is_known)
   return info and ("%s:%d: "):format(info.short_src, info.currentline) or ""
 end
 
--- Returns the hook that ends a call. Code that waits for something calls a function to
--- do so: each call looks at the first clock, each 10,000th instruction at all of them.
+-- Returns the debug hook that ends the loading. It looks at the first clock at each
+-- call of a function, since code that sleeps calls one, and at all clocks at each
+-- 10,000th instruction.
 local function new_hook(state, clocks, is_known)
   local ends, seconds = {}, limit.SECONDS
   for i, clock in ipairs(clocks) do ends[i] = clock() + seconds end
@@ -34,11 +35,11 @@ local function new_hook(state, clocks, is_known)
   end
 end
 
---- Load something by f(file), for some seconds by any of the clocks at most. Return
--- what pcall does, and if that was too long. An error names the innermost code that
--- `is_known(source)` accepts, any if that is not given.
+--- Call f(file), for at most `limit.SECONDS` on each of the clocks. Return the results
+-- of pcall, and whether the call took too long. The error then names the innermost line
+-- whose source `is_known(source)` accepts; without `is_known` each source is right.
 --
--- LuaJIT does not call the hook in compiled code, so nothing is compiled meanwhile.
+-- LuaJIT does not call the hook in compiled code, so it compiles nothing meanwhile.
 function limit.load(f, file, clocks, is_known)
   if not (debug and debug.sethook) then return pcall(f, file) end
   local state, is_compiling = { is_on = true, is_late = false }, jit and jit.status()
@@ -46,7 +47,7 @@ function limit.load(f, file, clocks, is_known)
   if is_compiling then jit.off() end
   debug.sethook(new_hook(state, clocks, is_known), "c", 10000)
   local ok, result = pcall(f, file)
-  state.is_on = false -- from here on the hook does nothing
+  state.is_on = false -- so that the hook raises nothing in the lines below
   debug.sethook(hook, mask, count)
   if is_compiling then jit.on() end
   return ok, result, state.is_late

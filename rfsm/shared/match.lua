@@ -1,4 +1,4 @@
---- Match: which events a transition names, and lists of them; for the other checks.
+--- Match: which events a transition names, and lists of events.
 --
 -- Events are compared by identity.
 --
@@ -20,7 +20,8 @@ function match.has(list, event)
   return false
 end
 
---- Is the event in a list, or does a predicate there take it? One that fails does not.
+--- Is the event in a list, or does a predicate in the list accept it? A predicate that
+--- raises an error does not.
 function match.takes(list, event)
   if match.has(list, event) then return true end
   for i = 1, #list do
@@ -43,10 +44,10 @@ end
 --- Return a copy of a list with one event more.
 function match.with(list, event) return match.joined(list, { event }) end
 
---- Is the transition one on any event?
+--- Does any event trigger the transition, since it names none?
 function match.is_any(tr) return not tr.events or tr.events[1] == nil end
 
---- Can a path begin with the transition, on any event? From a connector none begins.
+--- Can a path begin with the transition on any event? No path begins at a connector.
 function match.begins_on_any(tr)
   return match.is_any(tr) and not rfsm.is_conn(tr.src)
 end
@@ -54,8 +55,8 @@ end
 --- Does the transition name the event? A predicate names none.
 function match.names(tr, event) return match.has(tr.events or {}, event) end
 
---- Does an event trigger the transition, as far as names tell?
----@return boolean|nil nil: a predicate decides
+--- Does an event trigger the transition? Predicates are not called.
+---@return boolean|nil is_triggered nil: a predicate decides
 function match.triggers(tr, event)
   if match.is_any(tr) or match.names(tr, event) then return true end
   for _, other in ipairs(tr.events) do
@@ -64,11 +65,11 @@ function match.triggers(tr, event)
   return false
 end
 
---- Can the transition, and a path on from there, react to some events, as far as names
---- tell, and whatever guards answer?
+--- Can a path that begins with the transition be taken on some events? Guards count as
+--- true, and a predicate accepts no event.
 ---@param tr rfsm.Transition
 ---@param list any[]
----@param seen? table<rfsm.Connector, boolean> those that the path has passed
+---@param seen? table<rfsm.Connector, boolean> connectors that the path has passed
 ---@return boolean
 function match.may_enable(tr, list, seen)
   local is_named = match.is_any(tr)
@@ -83,10 +84,11 @@ function match.may_enable(tr, list, seen)
   return false
 end
 
---- Who makes an event? What a machine makes itself has the FQN of its source behind @.
+--- Return who makes an event. One that a machine makes itself ends in @ and the FQN of
+--- the state that it belongs to.
 ---@param event any
----@return string? maker "engine" or an extension; nil: it comes from outside
----@return string? fqn of a timer: the state that has to be active
+---@return string? maker "engine" or an extension; nil: the event comes from outside
+---@return string? fqn of a time event: the state that has to be active
 function match.maker_of(event)
   if type(event) ~= "string" then return nil end
   if event == "e_init_fsm" or event:find("^e_done@root") then return "engine" end

@@ -1,4 +1,4 @@
---- Options of functions: tests and defaults; packages that an extension needs.
+--- Options: tests and defaults of what functions are given; packages that modules need.
 --
 -- @module rfsm.shared.options
 -- @license BSD-3-Clause
@@ -18,7 +18,7 @@ function options.is_a(kind)
   return function(x) return type(x) == kind end
 end
 
---- Is it a text that is not empty?
+--- Is the value a text that is not empty?
 function options.is_text(x) return type(x) == "string" and x ~= "" end
 
 --- Return a test for whole numbers within bounds.
@@ -28,14 +28,15 @@ function options.is_whole(least, most)
   end
 end
 
---- Is it a finite number of seconds, not below 0?
+--- Is the value a finite number of seconds, not below 0?
 function options.is_seconds(x) return type(x) == "number" and x >= 0 and x < huge end
 
 --- Return the end of a message: "got string 'x'", "got 7".
 function options.got(value) return (rfsm.got(value):gsub("^got number ", "got ")) end
 
 --- Return the options with their defaults; nil and the problem if one is wrong. `known`
--- has description, test and default of each. A test may return false and the problem.
+-- has for each option a list: description, test, default. A test returns whether a
+-- value is right, and may return the problem.
 function options.read(known, given)
   if type(given) ~= "table" then
     return nil, "table of options expected, " .. options.got(given)
@@ -62,8 +63,8 @@ function options.read(known, given)
   return settings
 end
 
---- Load modules that an extension needs, one or two; nil and the problem if one of them
--- is missing.
+--- Load one or two modules of packages and return them; nil and the problem if one is
+-- missing.
 function options.find_package(name, other)
   local ok, module = pcall(require, name)
   if not ok or type(module) ~= "table" then

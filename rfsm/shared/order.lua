@@ -1,13 +1,13 @@
---- Order: traversals of a table that are complete on every Lua.
+--- Order: loops over the keys of a table that skip none, on every Lua.
 --
 -- `rfsm.sorted_keys` returns the keys of a table in order. `order.each` is for loops in
 -- which the order does not matter.
 --
 -- LuaJIT 2.1.0-beta3 may compile `next` wrongly: a traversal inside of another skips
 -- keys, and where the two results have to change places a pointer loses its upper half,
--- which crashes the process. A loop over `order.each` is not compiled, nor is a loop
--- around it; so it is for all loops that run often. The other Luas traverse by `next`
--- itself.
+-- which crashes the process. It compiles no loop over `order.each`, and no loop around
+-- such a loop. So loops that run often use `order.each`. The other Luas traverse by
+-- `next` itself.
 --
 -- @module rfsm.shared.order
 -- @license BSD-3-Clause

@@ -1,10 +1,10 @@
---- Files and modules of a chart: found beside it, from any working directory.
+--- Files and modules of a chart: they are found beside its file, from any directory.
 --
 -- In the code of a chart, `require`, `rfsm.load`, `dofile` and `loadfile` look in the
 -- folder of the chart, then in its parent, then where they always do. The code of a
--- chart is its file and each file that was found so. If the chart has stubs, a module
--- or file that is not found becomes one, and it gets stubs for `os.execute`, `os.exit`
--- and `io.popen`.
+-- chart is its file and each file that was found so. If the chart is loaded with stubs,
+-- a module or file that is not found becomes a stub, and so do the functions
+-- `os.execute`, `os.exit` and `io.popen` for the code of the chart.
 --
 -- @module rfsm.shared.search
 -- @license BSD-3-Clause
@@ -24,27 +24,27 @@ local search = {}
 ---@class rfsm.shared.World
 ---@field source string of its file
 ---@field folders string[] that are searched
----@field has_stubs boolean
+---@field has_stubs boolean the chart is loaded with stubs
 ---@field insists boolean a global is a stub also where the code asks if it exists
----@field is_late boolean that took too long
+---@field is_late boolean the loading took too long
 ---@field names string[] of the stubs, in the order in which they were needed
 ---@field stubs table<string, table> by name
----@field models rfsm.State[] of the machines that its code makes
----@field places table<integer, string> of these in the file, if they have no problem
----@field is_made table<rfsm.Machine, true> these machines
----@field depth integer how many machines are being made, each for the one before
----@field is_halted boolean its first step would have come
----@field number? integer the machine that is wanted
+---@field models rfsm.State[] of the machines that the code makes
+---@field places table<integer, string> the lines of these models, if they are valid
+---@field is_made table<rfsm.Machine, true> the machines that the code has made
+---@field depth integer how many machines are being made, each as a region of the other
+---@field is_halted boolean loading was ended at the first step of a machine
+---@field number? integer of the machine that is wanted
 local current = nil ---@type rfsm.shared.World? of the chart that is being loaded
 local latest = nil ---@type rfsm.shared.World? of the chart that was loaded last
 
-local world_of_source = {} -- by the source of its code
-local found = {} -- modules beside the chart (false) and stubs (true), by name
-local found_for = nil -- folder of that chart
+local world_of_source = {} -- worlds, by the sources of their code
+local found = {} -- by module: true for a stub, false for one found beside the chart
+local found_for = nil -- the folder of the chart for which these were found
 
 -- Stubs -----------------------------------------------------------------------
 
---- Return the stub of a name, the same each time.
+--- Return the stub of a name in a world: the same each time.
 function search.stub(world, name)
   if not world.stubs[name] then
     world.names[#world.names + 1] = name
@@ -77,7 +77,8 @@ local function find(world, name)
   end
 end
 
--- Returns the same. With stubs, the folders in the name may exist on a robot only.
+-- Returns the path of a file. With stubs, a file without its folders is found, too,
+-- since these may exist on a robot only.
 local function find_file(world, name)
   local file = find(world, name)
   if file or not world.has_stubs or exists(name) then return file end
@@ -89,8 +90,8 @@ local function adopt(world, file)
   return file
 end
 
--- Returns the chart whose code is at a level of the stack. After a tail call that level
--- is gone: then it is the chart that is being loaded.
+-- Returns the world of the code at a level of the stack; if that code belongs to none,
+-- or was left by a tail call, the world of the chart that is being loaded.
 local function world_at(level)
   local info = getinfo and getinfo(level + 1, "S")
   return info and world_of_source[info.source] or current
@@ -98,7 +99,7 @@ end
 
 -- Functions that load a file ------------------------------------------------------
 
--- Puts a function that looks beside the chart in place of one that loads a file.
+-- Replaces a function that loads a file by one that looks beside the chart first.
 local function wrap(owner, key, new_stub)
   local plain = owner[key]
   rawset(owner, key, function(file, ...)
@@ -116,8 +117,8 @@ end
 
 -- Functions that act on the system --------------------------------------------------
 
--- Has a function of Lua call its stub if a chart with stubs calls it. After a tail call
--- and in `pcall` the caller is in no file: then it is the chart that was loaded last.
+-- Replaces a function of Lua by one that calls a stub if a chart with stubs calls it.
+-- If the caller is in no file (after a tail call, in `pcall`), the latest chart counts.
 local function hold_back(owner, key, name)
   local plain = rawget(owner, key)
   rawset(owner, key, plain and function(...)
@@ -140,13 +141,14 @@ local function load_beside(world, name)
   return chunk or error(problem, 0)
 end
 
--- Modules named rfsm... are looked for in this library first.
+-- The searcher in front of Lua's own. Modules named rfsm... are this library's.
 local function search_first(name)
   local world = not name:find("^rfsm") and world_at(3)
   return world and load_beside(world, name) or nil
 end
 
--- A chart that calls `pcall(require, ...)` can do without the module: it gets no stub.
+-- The searcher behind Lua's own. A chart that calls `pcall(require, ...)` can do
+-- without the module, and gets no stub.
 local function search_last(name)
   local world = world_at(3)
   local loader = world and load_beside(world, name)
@@ -173,7 +175,7 @@ local function install()
   hold_back(io, "popen", "io.popen")
 end
 
--- Forgets stubs, and modules beside a chart in another folder.
+-- Forgets stubs, and modules that were found beside a chart in another folder.
 local function forget(folder)
   for name, is_stub in pairs(found) do -- any order: each stands alone
     if is_stub or found_for ~= folder then

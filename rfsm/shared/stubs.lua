@@ -1,8 +1,8 @@
 --- Stubs: inert values in place of missing ones, such as the modules of a robot.
 --
--- To index or call a stub returns a stub; to call it with a state, a copy of that. In a
--- concatenation a stub is its name, such as 'rf.findFile("arm.lua")'; in arithmetic it
--- is 0. A loop over it ends.
+-- A stub returns a stub if it is indexed or called. Called with a state, it returns a
+-- copy of the state. In a concatenation a stub is its name, such as
+-- 'rf.findFile("arm.lua")', and in arithmetic it is 0. A loop over a stub ends.
 --
 -- @module rfsm.shared.stubs
 -- @license BSD-3-Clause
@@ -17,12 +17,12 @@ local concat = table.concat
 local stubs = {}
 
 local Stub = {}
--- The names, fields and listeners of stubs, which themselves are empty.
+-- The names, fields and listeners of stubs, by stub: a stub itself is an empty table.
 local names = setmetatable({}, { __mode = "k" })
 local fields = setmetatable({}, { __mode = "k" })
 local listeners = setmetatable({}, { __mode = "k" })
 
---- Return a stub. `listener(name, ...)` is told of the calls of it and its fields.
+--- Return a stub. Calls of the stub and its fields call `listener(name, ...)`.
 function stubs.new(name, listener)
   local stub = setmetatable({}, Stub)
   names[stub], fields[stub], listeners[stub] = name, {}, listener
@@ -34,10 +34,10 @@ function stubs.name_of(value)
   return type(value) == "table" and getmetatable(value) == Stub and names[value] or nil
 end
 
--- Returns the name of a stub, also of a copy that code of a chart has made.
+-- Returns the name of a stub, or "a stub" for a copy of one that a chart has made.
 local function name_of(stub) return names[stub] or "a stub" end
 
-local MOST = 9 -- last element, so that a loop over elements ends
+local MOST = 9 -- elements of a stub, so that `ipairs` over them ends
 
 function Stub.__index(stub, key)
   if type(key) == "number" and key > MOST then return nil end
@@ -49,9 +49,9 @@ function Stub.__index(stub, key)
   return known[key]
 end
 
-local LONGEST = 200 -- bytes of a name
+local LONGEST = 200 -- bytes of a name; a longer one is not made of a call
 
--- Returns the state among the arguments of a call.
+-- Returns the first state among the arguments of a call, or nil.
 local function find_state(...)
   for i = 1, select("#", ...) do
     local argument = select(i, ...)
@@ -68,7 +68,7 @@ local function copy_of(element)
   return setmetatable(copy, getmetatable(element))
 end
 
--- A loop over a stub calls it with two nils, and ends.
+-- A `for` loop over a stub calls it with two nils. The result nil ends the loop.
 function Stub.__call(stub, ...)
   local texts, count = {}, select("#", ...)
   if count == 2 and (...) == nil and select(2, ...) == nil then return nil end
@@ -86,7 +86,7 @@ function Stub.__call(stub, ...)
   return stubs.new(#name <= LONGEST and name or name_of(stub))
 end
 
-local shown = {} -- names of stubs that are part of texts
+local shown = {} -- names of stubs that were made texts
 
 function Stub.__tostring(stub)
   shown[name_of(stub)] = true
@@ -95,10 +95,10 @@ end
 
 function Stub.__concat(a, b) return rfsm.text_of(a) .. rfsm.text_of(b) end
 
---- Forget the texts in which stubs were shown: another chart is loaded.
+--- Forget the names that were made texts, since another chart is loaded.
 function stubs.forget() shown = {} end
 
---- Does a text have the name of a stub in it, in place of what is missing?
+--- Does a text contain the name of a stub that was made a text?
 ---@param text string
 ---@return boolean
 function stubs.is_in(text)
@@ -121,14 +121,14 @@ Stub.__lt, Stub.__le = no, no
 
 -- States: stubs with the substates that transitions name --------------------------
 
-local MARK = " is a stub" -- behind the name in the field `doc`, so that copies have it
+local MARK = " is a stub" -- ends the field `doc` of stubbed states and of their copies
 
 local function is_stubbed(state)
   local doc = rawget(state, "doc")
   return type(doc) == "string" and doc:sub(-#MARK) == MARK
 end
 
--- Returns a constructor that notes no location, which would be one in this file.
+-- Returns a constructor that notes no location: that would be a line of this file.
 local function without_location(constructor)
   local class = getmetatable(constructor {})
   return function(t) return setmetatable(t, class) end
@@ -137,7 +137,7 @@ end
 local new_state, new_trans, new_conn = without_location(rfsm.state),
   without_location(rfsm.trans), without_location(rfsm.conn)
 
---- Return a state in place of a missing one.
+--- Return a state that takes the place of a missing one.
 function stubs.new_state(name)
   return new_state { doc = name .. MARK }
 end
@@ -150,7 +150,7 @@ local function add_substate(state, name)
   end
 end
 
--- Makes states of the stubs on the path to the source or target of a transition.
+-- Turns stubs on the path to the source or target of a transition into states.
 local function complete_path(root, state, path)
   if path:find("^root%.") then state, path = root, path:sub(6) end
   for name in path:gmatch("[^.]+") do
@@ -162,7 +162,7 @@ local function complete_path(root, state, path)
   end
 end
 
---- Make states of the stubs that are sources or targets of transitions.
+--- Turn the stubs that are sources or targets of transitions into states.
 function stubs.complete(model)
   rfsm.mapfsm(function(tr, state)
     for _, path in ipairs { tr.src, tr.tgt } do

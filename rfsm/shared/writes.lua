@@ -1,8 +1,8 @@
---- Writes: what functions assign to, by their text; for checks, and for exploration,
---- which asks it of callbacks that are not called.
+--- Writes: what functions assign to, as their text shows; for checks, and for
+--- exploration, which does not call most callbacks.
 --
 -- The text of a function is that of its lines, without comments. Functions that it
--- names count, too. A computed key and `rawset` may be a write to anything.
+-- names count, too. An assignment to a computed key, and `rawset`, may write any field.
 --
 -- @module rfsm.shared.writes
 -- @license BSD-3-Clause
@@ -23,7 +23,7 @@ local writes = {}
 
 -- Texts .............................................................................
 
-local sources = {} -- lines by the source of a function
+local sources = {} -- lists of lines, by the `source` of a function
 
 local function lines_of(source)
   if sources[source] then return sources[source] end
@@ -42,7 +42,8 @@ end
 local BESIDE = { ["_checks.lua"] = true, ["_seqand.lua"] = true,
   ["_timeevent.lua"] = true, ["pp.lua"] = true }
 
--- Is it the source of a file of this library? A chart beside it may be rfsm_robot.lua.
+-- Is it the source of a file of this library? The name of a chart beside the library
+-- may begin with rfsm_, too.
 local function is_own(source)
   local core = getinfo(rfsm.init, "S").source
   local base = core:match("^(@.*rfsm)%.lua$")
@@ -50,7 +51,7 @@ local function is_own(source)
   return source == core or rest:sub(1, 1) == "/" or BESIDE[rest] == true
 end
 
---- Return the text of a function of the chart; nil for all others, and without the
+--- Return the text of a function of the chart; nil for other functions, and without the
 --- library `debug`.
 ---@param callback any
 ---@return string?
@@ -75,7 +76,7 @@ function writes.upvalues_of(callback)
   return list
 end
 
--- The functions of Lua, whatever a program has put in their place, and its words.
+-- The words of Lua, and the names of its functions.
 local OWN_NAMES = {}
 for name in ([[and break do else elseif end false for function goto if in local nil not
   or repeat return then true until while assert collectgarbage dofile error getmetatable
@@ -84,8 +85,8 @@ for name in ([[and break do else elseif end false for function goto if in local 
   OWN_NAMES[name] = true
 end
 
---- List the names in a text that stand alone, not behind a point, each once; but for
---- those of Lua.
+--- List the names of variables in a text, each once: names without a point in front
+--- that are not Lua's own.
 ---@return string[]
 function writes.names_in(text)
   local list, is_listed = {}, setmetatable({}, { __index = OWN_NAMES })
@@ -97,7 +98,7 @@ function writes.names_in(text)
   return list
 end
 
--- Lists the functions that a text names: upvalues, globals, and fields of these.
+-- Lists the functions that a text names: upvalues, globals, and fields of such tables.
 local function called_by(text, upvalues)
   local list = {}
   local function add(value)
@@ -114,13 +115,13 @@ end
 
 -- Assignments .......................................................................
 
--- What stands between a name and the sign of an assignment: an index, more targets.
+-- The text behind a name, up to the sign of an assignment: an index, or more names.
 local BEHIND = { "%s*=[^=]", "%s*%b[]%s*=[^=]", "%s*,[%w_.,%s%[%]\"']-=[^=]" }
 
--- Functions that change the list that they are given.
+-- Functions of `table` that change their first argument.
 local CHANGERS = { insert = true, remove = true, sort = true }
 
--- Does a text assign to a field of this name, or change the list there?
+-- Does a text assign to a field of this name, or change the list in that field?
 local function assigns(text, name)
   for _, behind in ipairs(BEHIND) do
     if text:find("%.%s*" .. name .. "%f[^%w_]" .. behind)
@@ -134,8 +135,8 @@ local function assigns(text, name)
   return false
 end
 
--- Is a variable a table that the function makes, or one that is no part of a chart?
--- Not if it has one of the names that are asked for.
+-- Is the value of a variable a table that the function makes, or a table outside of the
+-- chart? That does not help if the variable has one of the names asked for.
 local function is_apart(text, upvalues, base, names)
   if base:find("[^%w_]") or match.has(names, base) then return false end
   local value = upvalues[base] or rawget(_G, base)
@@ -143,7 +144,7 @@ local function is_apart(text, upvalues, base, names)
     or text:find("local%s+" .. base .. "%s*=%s*{") ~= nil
 end
 
--- Does a text assign to a key that it computes, and that may be a name?
+-- Does a text assign to a field of the chart by a key that it computes?
 local function computes_key(text, upvalues, names)
   if text:find("%f[%w_]rawset%f[^%w_]") then return true end
   for _, behind in ipairs { "%s*=%f[^=]", "%s*,[%w_.,%s]-=%f[^=]" } do
@@ -155,7 +156,7 @@ local function computes_key(text, upvalues, names)
   return false
 end
 
--- Does a text assign to a name that is no local variable of it?
+-- Does a text assign to a variable of this name, other than in `local name =`?
 local function assigns_variable(text, name)
   local rest = " " .. text:gsub("local%s+[%w_,%s]+=", "")
   return order.any({ "%s*=[^=]", "%s*,[%w_.,%s%[%]\"']-=[^=]" }, function(sign)
@@ -184,7 +185,7 @@ function writes.each(callback, f, seen)
   end)
 end
 
---- A pattern of all names, for functions below.
+--- A pattern that matches all names, for `may_write` and `may_set`.
 writes.ANY = "[%a_][%w_]*"
 
 --- Does a text read fields by keys that it computes?
@@ -193,8 +194,8 @@ function writes.reads_any(text)
     or text:find("%f[%w_]next%s*%(") or text:find("%f[%w_]rawget%s*%(")
 end
 
---- Does a function only read, as far as its text tells: no assignment but to local
---- variables, and no call?
+--- Does a function only read, as far as its text shows? Then it calls nothing, and
+--- assigns to local variables alone.
 ---@param callback any
 ---@return boolean
 function writes.only_reads(callback)
