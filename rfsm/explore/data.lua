@@ -241,7 +241,8 @@ local function find_answer(self, rule, guard)
   return are_false or nil
 end
 
--- Returns the answer of a guard that is known in this step, or nil.
+-- Returns the answer that a guard gave before in this step or that follows from a
+-- rule; nil if there is neither.
 local function known_answer(self, guard)
   local answer = self.answers[guard]
   for _, rule in ipairs(self.rules[guard]) do

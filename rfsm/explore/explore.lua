@@ -42,8 +42,8 @@ local explore = {}
 ---@field sends? table<string, any[]> what callbacks send: ["entry root.a"] = { "e_x" };
 -- { "e_x", after = 2 } is sent later, and { cancel = "e_x" } takes that back
 ---@field pending? integer most events that wait to be sent later (4)
----@field dry_run? boolean call entries, exits and effects once, for what they send
----@field flags? table<string, { on?: string[], off?: string[] }> set by callbacks
+---@field dry_run? boolean call entries, exits and effects once, to note what they send
+---@field flags? table<string, { on?: string[], off?: string[] }> the callbacks of each
 ---@field vars? table<string, any> fields that callbacks in `run` read and set
 ---@field run? (function|string)[] callbacks that are called: "effect root.trans[2]"
 ---@field exclusive? any[] guards of which one at most is true in a step, or such lists

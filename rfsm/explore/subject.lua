@@ -281,7 +281,7 @@ local function count_round(self, part)
   end
 end
 
--- Notes the events of properties that an iteration has.
+-- Returns the hook that counts the iterations of a step, and notes their events.
 local function new_hook(self, part)
   return function(_, events)
     count_round(self, part)
@@ -649,7 +649,8 @@ function subject.is_busy(conf)
   return not conf[1].leaf or conf[1].mode ~= "done" or subject.is_driven(conf)
 end
 
---- Likewise, or does an extension keep something, such as an event to send?
+--- May a step without events from outside change something, since the machine is busy
+--- or an extension keeps data, such as an event that it will send?
 function subject.may_act(conf)
   local is_data = false
   for _, position in ipairs(conf) do
@@ -711,7 +712,7 @@ local function check_alphabet(self, alphabet)
   end
 end
 
---- List those of the events that transitions name which are texts.
+--- List the events that transitions name, without those that are no texts.
 ---@return string[] names
 function Subject:named_texts()
   local list = {}

@@ -63,7 +63,7 @@ function calls.line(text)
   return (text:gsub(":\n%s*", ": "):gsub("[\r\n]+%s*", "; "))
 end
 
---- Return the texts of any values in one, as a printer shows them.
+--- Return any values as one text, as a printer shows them.
 function calls.text(separator, ...)
   local texts = {}
   for i = 1, select("#", ...) do texts[i] = rfsm.text_of((select(i, ...))) end

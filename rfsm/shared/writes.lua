@@ -38,7 +38,7 @@ local function lines_of(source)
   return lines
 end
 
--- The files of this library beside rfsm.lua and the folder rfsm.
+-- How the names of this library's files beside rfsm.lua go on behind "rfsm".
 local BESIDE = { ["_checks.lua"] = true, ["_seqand.lua"] = true,
   ["_timeevent.lua"] = true, ["pp.lua"] = true }
 
