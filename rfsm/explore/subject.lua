@@ -64,7 +64,7 @@ local subject = {}
 ---@field cancellers string[] callbacks that may cancel events that were sent later
 ---@field called string[] what callbacks did in the last step, if they are called
 ---@field time rfsm.clock.Clock what time events see
----@field steps integer how many steps were taken
+---@field answers table<function, any> in this step: of guards with rules, predicates
 ---@field leaves_out boolean steps do not advance regions in which nothing would happen
 ---@field trimmed rfsm.State|false the state whose list of regions lacks some now
 ---@field notes_events boolean `last_events` gets the events of all iterations of a step
@@ -564,8 +564,7 @@ end
 ---@param choices boolean[]
 ---@return true?
 function Subject:step(events, choices)
-  self.choices, self.asked, self.steps = choices, 0, self.steps + 1
-  self.changed = nil
+  self.choices, self.asked, self.changed = choices, 0, nil
   for i = 1, #OF_STEP do clear(self[OF_STEP[i]]) end
   if not order.is_empty(self.dropped) then self.dropped = {} end
   if not order.is_empty(self.answers) then self.answers = {} end
@@ -663,15 +662,16 @@ end
 
 -- Returns a predicate whose answer is a choice, asked once for each event of a step.
 local function new_predicate(self, tr)
-  local answers, count = {}, -1
-  return function(event)
-    if count ~= self.steps then answers, count = {}, self.steps end
+  local function predicate(event)
+    local answers = self.answers[predicate] or {}
+    self.answers[predicate] = answers
     if answers[event] == nil then
       local path = self.transitions[self.number_of[tr]].path
       answers[event] = self:choose(path .. " predicate")
     end
     return answers[event]
   end
+  return predicate
 end
 
 -- Puts choices in place of the predicates among the events of a machine.
@@ -774,9 +774,9 @@ function subject.new(model, options, way)
     choices = {}, is_known = {}, askers = {}, is_doo = {}, asked = 0,
     taken = {}, passed = {}, last_events = {}, ids = {}, entered = {}, values = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
-    alphabet = options.alphabet, time = clock.simulated(), steps = 0,
-    is_endless = false, notes_events = false, leaves_out = false,
-    trimmed = false, is_touched = false, changed = nil }, Subject)
+    alphabet = options.alphabet, time = clock.simulated(), is_endless = false,
+    notes_events = false, leaves_out = false, trimmed = false, is_touched = false,
+    changed = nil }, Subject)
   local fsm = new_machine(self, model)
   rfsm.set_emit(fsm, function(event, value)
     self.emitted[#self.emitted + 1] = { emit = event, data = value ~= nil }
