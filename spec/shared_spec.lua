@@ -7,11 +7,14 @@ local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
+local code = require "rfsm.shared.code"
 local files = require "rfsm.shared.files"
 local helper = require "spec.helper"
 local options = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 local instrument = require "rfsm.shared.instrument"
+local match = require "rfsm.shared.match"
+local writes = require "rfsm.shared.writes"
 
 local state, trans = rfsm.state, rfsm.trans
 
@@ -450,5 +453,63 @@ describe("a text loaded with globals", function()
     assert.equal(7, globals.y)
     assert.same({ nil, "t:1" }, { nil,
       (select(2, calls.load("return return", "=t", {})):match("^t:1")) })
+  end)
+end)
+
+describe("the code of a text", function()
+  local TEXT = [==[
+a("x\"y") -- "c"
+b = 'd\\' .. [[e
+]] --[[ f
+]] g]==]
+
+  local function shown(...) return (code.of(...):gsub(" ", "_")) end
+
+  it("has blanks in place of strings and comments, and as many lines", function()
+    assert.equal("a(______)_______\nb_=_______..____\n_________\n___g", shown(TEXT))
+  end)
+
+  it("may have its strings", function()
+    assert.equal("a(\"x\\\"y\")_______\nb_=_'d\\\\'_.._[[e\n]]_______\n___g",
+      shown(TEXT, true))
+  end)
+end)
+
+describe("a path that may be taken", function()
+  local conn = rfsm.conn
+
+  it("goes on behind its connectors on the same events", function()
+    local fsm = assert(rfsm.init(state { warn = false, info = false,
+      a = state {}, b = state {}, k = conn {}, l = conn {},
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "k", events = { "e_x", "e_y" } },
+      trans { src = "k", tgt = "l", events = { "e_x" } },
+      trans { src = "l", tgt = "k" },
+      trans { src = "l", tgt = "b", events = { "e_z" } } }))
+    local function may_enable(...) return match.may_enable(fsm[2], { ... }) end
+    assert.same({ true, false, false, false }, { may_enable("e_x", "e_z"),
+      may_enable "e_x", may_enable "e_z", may_enable("e_y", "e_z") })
+  end)
+end)
+
+describe("the text of a function", function()
+  local function set_plain(t) t["a"], t[1], t[#t + 1] = 1, 2, 3 end
+  local function set_computed(t, key) t[key] = 1 end
+
+  it("may write any field by a key that it computes", function()
+    assert.same({ false, true }, { writes.may_write(set_plain, { "tgt" }),
+      writes.may_write(set_computed, { "tgt" }) })
+  end)
+
+  local function compare(tr)
+    local n = tr.src.n
+    return n > 2 and tr.tgt ~= nil
+  end
+  local function set(tr) tr.n = 1 end
+  local function call(tr) return tr.test() end
+
+  it("only reads if it calls nothing and assigns to local variables alone", function()
+    assert.same({ true, false, false }, { writes.only_reads(compare),
+      writes.only_reads(set), writes.only_reads(call) })
   end)
 end)
