@@ -152,11 +152,11 @@ describe("a bundle", function()
     assert.same({}, warnings)
     assert.matches("^#!lua name=rfsm\n", text)
     assert.is_truthy(text:find("charts, { index = true, history = 7, ids = 8, "
-      .. "ids_for = 9, notes = true }", 1, true))
+      .. "ids_for = 9 }", 1, true))
     assert.is_true(text:find('name = "one"', 1, true) < text:find('name = "two"', 1,
       true))
     assert.is_truthy((redis.bundle { "one=" .. file }):find("charts, { index = nil, "
-      .. "history = nil, ids = nil, ids_for = nil, notes = nil }", 1, true))
+      .. "history = nil, ids = nil, ids_for = nil }", 1, true))
     local _, count = text:gsub('bundled%["rfsm"%] =', "")
     assert.equal(1, count)
   end)

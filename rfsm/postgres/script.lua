@@ -82,8 +82,7 @@ end
 --- Return the library that runs at a table of PostgreSQL, and a list of warnings, for
 -- charts as `rfsm.redis.bundle` takes them. Raises an error as that does.
 function script.library(arguments, options)
-  return library.text(arguments, "PostgreSQL", { ids = options.ids,
-    ids_for = options.ids_for, notes = options.history })
+  return library.text(arguments, "PostgreSQL", options)
 end
 
 -- Functions in SQL run with the rights of the owner.

@@ -58,8 +58,8 @@ local MAX_ID, MAX_LATER = 64, 100 -- bytes, events of a machine
 --- What a library is made with.
 ---@class rfsm.server.Options
 ---@field index? boolean machines are found by their state
----@field history? integer so many moves of each machine are kept
----@field notes? boolean also the events that moved nothing
+---@field history? integer|boolean moves are noted, also events that moved nothing; of
+--- each machine so many are kept, if it is a number
 ---@field ids? integer so many ids of events each machine keeps (16)
 ---@field ids_for? integer ids are kept for so many seconds, at most `ids` (1000)
 
@@ -205,7 +205,7 @@ local function step(machine, by)
   local leaf = machine.fsm._act_leaf
   local at = leaf and leaf._fqn or ""
   machine.is_idle = is_idle
-  if at ~= machine.at or options.notes and by ~= TIME then
+  if at ~= machine.at or options.history and by ~= TIME then
     machine.moves[#machine.moves + 1] = { by = by, from = machine.at, to = at }
     machine.at = at
   end

@@ -14,6 +14,7 @@ local sandbox = require "rfsm.server.sandbox"
 
 local error, ipairs, pcall, rawget, require = error, ipairs, pcall, rawget, require
 local concat = table.concat
+local tostring = tostring
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local library = {}
@@ -126,9 +127,8 @@ end
 -- Returns the end of the text.
 local function options_text(options)
   return ("\nreturn require, charts, { index = %s, history = %s, ids = %s, "
-    .. "ids_for = %s, notes = %s }\n"):format(options.index and "true" or "nil",
-    options.history or "nil", options.ids or "nil", options.ids_for or "nil",
-    options.notes and "true" or "nil")
+    .. "ids_for = %s }\n"):format(tostring(options.index), tostring(options.history),
+    tostring(options.ids), tostring(options.ids_for))
 end
 
 --- Return the text of the library for a server, and a list of warnings.
