@@ -7,28 +7,9 @@
 -- @module rfsm.postgres.schema
 -- @license BSD-3-Clause
 
-local schema = {}
+local ipairs, concat = ipairs, table.concat
 
--- Locks tables that are to change. Clients wait behind it, so it gives up soon, lets
--- them pass, and tries again.
-local LOCK = [[
-    FOR try IN 1..5 LOOP
-      BEGIN
-        SET LOCAL lock_timeout = '500ms';
-        LOCK TABLE rfsm.machines, rfsm.out;
-        EXIT;
-      EXCEPTION WHEN lock_not_available THEN
-        IF try = 5 THEN
-          RAISE EXCEPTION 'rfsm: nothing was loaded: other sessions hold tables that '
-            'are to change (pid %); load again when their transactions have ended',
-            (SELECT string_agg(DISTINCT pid::text, ', ') FROM pg_locks
-              WHERE granted AND pid <> pg_backend_pid()
-              AND relation IN ('rfsm.machines'::regclass, 'rfsm.out'::regclass));
-        END IF;
-        PERFORM pg_sleep(0.5);
-      END;
-    END LOOP;
-]]
+local schema = {}
 
 schema.HEAD = [[
 -- Made by: rfsm postgres. All of it, or nothing: one transaction.
@@ -55,7 +36,10 @@ CREATE TABLE IF NOT EXISTS rfsm.out (
   at timestamptz NOT NULL DEFAULT clock_timestamp(),
   key text COLLATE "C" NOT NULL,
   what text NOT NULL,
-  data jsonb
+  data jsonb,
+  due timestamptz,              -- a worker has it until then
+  tries integer NOT NULL DEFAULT 0,
+  error text                    -- the latest one
 );
 
 -- Entries that failed too often.
@@ -84,12 +68,6 @@ DO $$ BEGIN
     CREATE INDEX machines_due ON rfsm.machines (due) WHERE due IS NOT NULL;
     CREATE INDEX log_key ON rfsm.log (key, id);
   END IF;
-  IF NOT EXISTS (SELECT FROM pg_attribute
-    WHERE attrelid = 'rfsm.out'::regclass AND attname = 'due') THEN
-]] .. LOCK .. [[
-    ALTER TABLE rfsm.out ADD due timestamptz, -- a worker has it until then
-      ADD tries integer NOT NULL DEFAULT 0, ADD error text; -- the latest one
-  END IF;
 END $$;
 
 -- Is a state another one, or in it?
@@ -99,8 +77,42 @@ CREATE OR REPLACE FUNCTION rfsm.is_in(state text, other text)
 $$;
 ]]
 
--- Those that anybody may call who has USAGE of the schema run with the rights of the
--- owner, and find nothing but what their text names.
+-- The functions for one machine: name, arguments behind the key, type of the result,
+-- and the arguments for the function of the library: a list and an id.
+local VERBS = {
+  { "create", ", chart text, data jsonb DEFAULT '{}', id text DEFAULT NULL", "text",
+    "ARRAY[chart, coalesce(data, '{}')::text], id" },
+  { "send", ", events text[], id text DEFAULT NULL", "text", "events, id" },
+  { "send", ", event text, id text DEFAULT NULL", "text", "ARRAY[event], id" },
+  { "send_at", ", at timestamptz, event text, id text", "text",
+    "ARRAY[extract(epoch FROM at)::text, event], id" },
+  { "cancel", ", id text", "boolean", "ARRAY[id], NULL" },
+  { "tick", "", "text", "NULL, NULL" },
+  { "why", ", event text", "SETOF text", "ARRAY[event], NULL" },
+  { "hold", "", "text", "NULL, NULL" }, { "release", "", "text", "NULL, NULL" },
+  { "force", ", state text", "text", "ARRAY[state], NULL" },
+  { "remove", "", "boolean", "NULL, NULL" },
+}
+
+-- How each type of result is made of the list that the function of the library returns.
+local RESULTS = { text = "(%s)[1]", boolean = "(%s)[1] = '1'",
+  ["SETOF text"] = "unnest(%s)" }
+
+-- A role that has USAGE of the schema may call all functions that are not revoked. They
+-- run with the rights of the owner ($OWNER), and find only what their text names.
+local calls = {}
+for i, verb in ipairs(VERBS) do
+  local name, arguments, kind, given = verb[1], verb[2], verb[3], verb[4]
+  local call = ("rfsm.call('rfsm_%s', key, %s)"):format(name, given)
+  calls[i] = ([[
+CREATE OR REPLACE FUNCTION rfsm.%s(key text%s)
+  RETURNS %s $OWNER AS $$
+  SELECT %s
+$$;
+
+]]):format(name, arguments, kind, RESULTS[kind]:format(call))
+end
+
 schema.FUNCTIONS = [[
 
 CREATE EXTENSION IF NOT EXISTS pllua;
@@ -114,63 +126,13 @@ $CODE$TAG;
 COMMENT ON FUNCTION rfsm.call IS 'library $ID';
 REVOKE EXECUTE ON FUNCTION rfsm.call FROM PUBLIC;
 
-CREATE OR REPLACE FUNCTION rfsm.create(key text, chart text, data jsonb DEFAULT '{}',
-  id text DEFAULT NULL) RETURNS text $OWNER AS $$
-  SELECT (rfsm.call('rfsm_create', key, ARRAY[chart, coalesce(data, '{}')::text],
-    id))[1]
-$$;
-
-CREATE OR REPLACE FUNCTION rfsm.send(key text, events text[], id text DEFAULT NULL)
-  RETURNS text $OWNER AS $$
-  SELECT (rfsm.call('rfsm_send', key, events, id))[1]
-$$;
-
-CREATE OR REPLACE FUNCTION rfsm.send(key text, event text, id text DEFAULT NULL)
-  RETURNS text $OWNER AS $$
-  SELECT (rfsm.call('rfsm_send', key, ARRAY[event], id))[1]
-$$;
-
 CREATE OR REPLACE FUNCTION rfsm.reply(key text, events text[], id text DEFAULT NULL,
   OUT state text, OUT mode text, OUT errors text[], OUT outcome text) $OWNER AS $$
   SELECT r[1], r[2], r[3:cardinality(r) - 1], r[cardinality(r)]
   FROM rfsm.call('rfsm_send', key, events, id) r
 $$;
 
-CREATE OR REPLACE FUNCTION rfsm.send_at(key text, at timestamptz, event text, id text)
-  RETURNS text $OWNER AS $$
-  SELECT (rfsm.call('rfsm_send_at', key, ARRAY[extract(epoch FROM at)::text, event],
-    id))[1]
-$$;
-
-CREATE OR REPLACE FUNCTION rfsm.cancel(key text, id text) RETURNS boolean $OWNER AS $$
-  SELECT (rfsm.call('rfsm_cancel', key, ARRAY[id], NULL))[1] = '1'
-$$;
-
-CREATE OR REPLACE FUNCTION rfsm.tick(key text) RETURNS text $OWNER AS $$
-  SELECT (rfsm.call('rfsm_tick', key, NULL, NULL))[1]
-$$;
-
-CREATE OR REPLACE FUNCTION rfsm.why(key text, event text)
-  RETURNS SETOF text $OWNER AS $$
-  SELECT unnest(rfsm.call('rfsm_why', key, ARRAY[event], NULL))
-$$;
-
--- The verbs of an operator. A machine that is held rests; its events and timers wait.
-CREATE OR REPLACE FUNCTION rfsm.hold(key text) RETURNS text $OWNER AS $$
-  SELECT (rfsm.call('rfsm_hold', key, NULL, NULL))[1]
-$$;
-
-CREATE OR REPLACE FUNCTION rfsm.release(key text) RETURNS text $OWNER AS $$
-  SELECT (rfsm.call('rfsm_release', key, NULL, NULL))[1]
-$$;
-
-CREATE OR REPLACE FUNCTION rfsm.force(key text, state text) RETURNS text $OWNER AS $$
-  SELECT (rfsm.call('rfsm_force', key, ARRAY[state], NULL))[1]
-$$;
-
-CREATE OR REPLACE FUNCTION rfsm.remove(key text) RETURNS boolean $OWNER AS $$
-  SELECT (rfsm.call('rfsm_remove', key, NULL, NULL))[1] = '1'
-$$;
+]] .. concat(calls) .. [[
 REVOKE EXECUTE ON FUNCTION rfsm.hold, rfsm.release, rfsm.force, rfsm.remove FROM PUBLIC;
 
 -- Runs machines that are due and that no other worker has; returns how many. One that
@@ -341,7 +303,8 @@ END $$;
 schema.TRIGGERS = [[
 
 -- Makes the triggers that are absent or different, and drops those that are not wanted.
--- Either takes a lock that waits for clients, and for which clients wait.
+-- Either locks the table. Clients wait behind that lock, so it is given up soon, which
+-- lets them pass, and tried again.
 DO $$
 DECLARE
   moved text := 'WHEN ((old.state <> new.state)) ';
@@ -361,7 +324,22 @@ BEGIN
     LEFT JOIN pg_trigger t ON tgrelid = 'rfsm.machines'::regclass AND tgname = name
   LOOP
     CONTINUE WHEN each.found IS NOT DISTINCT FROM each.wanted;
-]] .. LOCK .. [[
+    FOR try IN 1..5 LOOP
+      BEGIN
+        SET LOCAL lock_timeout = '500ms';
+        LOCK TABLE rfsm.machines;
+        EXIT;
+      EXCEPTION WHEN lock_not_available THEN
+        IF try = 5 THEN
+          RAISE EXCEPTION 'rfsm: nothing was loaded: other sessions hold tables that '
+            'are to change (pid %); load again when their transactions have ended',
+            (SELECT string_agg(DISTINCT pid::text, ', ') FROM pg_locks
+              WHERE granted AND pid <> pg_backend_pid()
+              AND relation = 'rfsm.machines'::regclass);
+        END IF;
+        PERFORM pg_sleep(0.5);
+      END;
+    END LOOP;
     EXECUTE format('DROP TRIGGER IF EXISTS %s ON rfsm.machines', each.name);
     IF each.wanted IS NOT NULL THEN EXECUTE each.wanted; END IF;
   END LOOP;

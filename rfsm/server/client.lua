@@ -29,7 +29,7 @@ local Client = {}
 ---@field leaf string FQN
 ---@field mode string
 ---@field errors string[] of its callbacks
----@field outcome? string what became of the events: "taken", "kept" or "dropped";
+---@field outcome string what became of the events: "taken", "kept" or "dropped";
 --- "known": a call with this id was made before
 
 --- Return a text that no other client has.
@@ -43,14 +43,12 @@ local function next_id(self)
   return self.id .. "-" .. ("%d"):format(self.count)
 end
 
-local OUTCOMES = { taken = true, kept = true, dropped = true, known = true }
-
--- Returns a reply as a table; a library of the version before has no outcome.
+-- Returns a reply as a table.
 local function reply_of(list, problem)
   if not list then return nil, problem end
-  local errors, outcome = {}, OUTCOMES[list[#list]] and list[#list]
-  for i = 3, #list - (outcome and 1 or 0) do errors[i - 2] = list[i] end
-  return { leaf = list[1], mode = list[2], errors = errors, outcome = outcome or nil }
+  local errors = {}
+  for i = 3, #list - 1 do errors[i - 2] = list[i] end
+  return { leaf = list[1], mode = list[2], errors = errors, outcome = list[#list] }
 end
 
 --- Make a machine.
