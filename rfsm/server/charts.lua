@@ -239,10 +239,8 @@ charts.note = collect_print
 --- Return what callbacks have emitted, and printed.
 function charts.effects() return emitted, printed end
 
---- Set that to other lists, or to none.
-function charts.set_effects(entries, lines)
-  emitted, printed = entries or {}, lines or {}
-end
+--- Forget these: callbacks begin with new lists.
+function charts.forget_effects() emitted, printed = {}, {} end
 
 -- Events ----------------------------------------------------------------------------
 

@@ -117,19 +117,15 @@ local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD = 2, 3, 4, 5, 6, 7, 8, 9
 ---@field is_idle boolean after the last step
 ---@field outcome string|false what became of the events: "taken", "kept" or "dropped";
 --- false: not taken
----@field base rfsm.snapshot.Snapshot|false before the events were sent; false: what was
---- due has run since then
----@field base_sec integer|false the time of that snapshot
----@field base_nsec integer
+---@field has_run boolean what was due has run in this call
 
 local NONE = {}
 
 local function new_machine(key, chart, list, leaf)
-  charts.set_effects()
+  charts.forget_effects()
   return { key = key, chart = chart, fsm = chart.fsm, list = list, leaf = leaf,
     at = leaf or "", mode = "inactive", was_due = list[DUE], value = false, moves = {},
-    is_idle = true, outcome = false, base = list[SNAP], base_sec = list[SEC],
-    base_nsec = list[NSEC] }
+    is_idle = true, outcome = false, has_run = false }
 end
 
 local function read(key)
@@ -276,7 +272,7 @@ local function run_due(machine)
     budget = budget - (machine.is_idle and 1 or RESTLESS)
     by = budget > 0 and advance_to_due(machine)
   end
-  machine.base = false
+  machine.has_run = true
   if budget > 0 or times.seen() - begun < LEAST_PASSED then times.set(false) end
   return budget > 0
 end
@@ -292,15 +288,14 @@ end
 
 -- Runs what is due, then sends events, all at once; if there is too much due they wait.
 local function move(machine, texts, id)
-  local events = charts.events(machine.chart, texts)
+  local events, list = charts.events(machine.chart, texts), machine.list
   if not catch_up(machine) then
     add_later(machine, now(), id, texts)
     machine.outcome = "kept"
     return
   end
-  if not machine.base then
-    machine.base = snapshot.take(machine.fsm)
-    machine.base_sec, machine.base_nsec = times.get()
+  if machine.has_run then
+    list[SNAP], list[SEC], list[NSEC] = snapshot.take(machine.fsm), times.get()
   end
   send(machine, events)
   machine.outcome = step(machine, concat(texts, " ")) and "taken" or false
@@ -310,30 +305,27 @@ end
 local function run(machine)
   local is_present = catch_up(machine)
   machine.outcome = machine.outcome or "kept"
-  if not is_present or not machine.base and machine.is_idle then return end
+  if not is_present or machine.has_run and machine.is_idle then return end
   if step(machine, TIME) then machine.outcome = "taken" end
 end
 
 -- Has an event that no transition took changed what the machine keeps? As timers run
--- on, the machine goes back to where it was, until now.
+-- on, the machine goes back to where it was before the event, until now.
 local function has_changed(machine, snap)
-  local sec, nsec = times.get()
-  local emitted, printed = charts.effects()
-  charts.set_effects() -- those of a function `load` do not count
-  times.set(machine.base_sec, machine.base_nsec)
-  local ok = put(machine.chart, machine.base)
+  local list, sec, nsec = machine.list, times.get()
+  charts.forget_effects() -- those of a function `load` do not count
+  times.set(list[SEC], list[NSEC])
+  local ok = put(machine.chart, list[SNAP])
   times.set(sec, nsec)
-  local before = ok and snapshot.take(machine.fsm)
-  charts.set_effects(emitted, printed)
-  return not ok or snapshot.encode(before) ~= snapshot.encode(snap)
+  return not ok or snapshot.encode(snapshot.take(machine.fsm)) ~= snapshot.encode(snap)
 end
 
 -- Save: first all that may fail, then the writes -----------------------------------
 
 -- Returns when a machine is to be woken; nil: not before an event comes.
-local function due_of(machine)
+local function due_of(machine, snap)
   if not machine.is_idle and machine.fsm._act_leaf then return times.seen() end
-  local snap, later = machine.list[SNAP], machine.list[LATER]
+  local later = machine.list[LATER]
   local left = (snap.ext or snap.regions) and timeevent.next_deadline(machine.fsm)
   local due = left and times.seen() + left or nil
   later = later and later[1]
@@ -366,13 +358,14 @@ end
 -- became of the events. The id of events that were dropped is not kept.
 local function save(machine, id)
   local chart, list, leaf = machine.chart, machine.list, machine.fsm._act_leaf
-  list[SNAP] = snapshot.take(machine.fsm)
-  chart.options.is_tidy = list[SNAP].targets == nil
-  local due, emitted, errors = due_of(machine), charts.effects()
+  local snap = snapshot.take(machine.fsm)
+  chart.options.is_tidy = snap.targets == nil
+  local due, emitted, errors = due_of(machine, snap), charts.effects()
   machine.mode = leaf and leaf._mode or "inactive"
   if not machine.outcome then
-    machine.outcome = has_changed(machine, list[SNAP]) and "kept" or "dropped"
+    machine.outcome = has_changed(machine, snap) and "kept" or "dropped"
   end
+  list[SNAP] = snap
   if machine.outcome ~= "dropped" then add_id(machine, id) end
   pack_machine(machine, due)
   host.write(machine, not list[HELD] and due or nil, emitted, errors)
