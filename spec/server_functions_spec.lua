@@ -772,7 +772,7 @@ end)
 
 describe("a machine that is held", function()
   it("rests until it is released, then does all in order", function()
-    open { history = 9, notes = true }
+    open { history = 9 }
     call("send_at", "+2", "e_b", "ID", "x")
     assert.same({ "root.a", "done", "kept" }, call("hold"))
     assert.equal("ERR rfsm_hold: the machine at 'm' is held already", call("hold"))
@@ -793,6 +793,26 @@ describe("a machine that is held", function()
     end
     assert.same({ "e_bad", "e_b", "e_a", "e_x" }, events)
     assert.equal("ERR rfsm_release: the machine at 'm' is not held", call("release"))
+  end)
+
+  it("does all in the order of the calls, if the clock goes back", function()
+    open { history = 9 }
+    call("hold")
+    call("send_at", "+4", "e_x", "ID", "later")
+    for i, event in ipairs { "e_b", "e_a", "e_bad" } do
+      clock.now = 1003 - i / 2
+      assert.same({ "root.a", "done", "kept" }, call("send", event))
+    end
+    clock.now = 1001
+    written()
+    assert.same({ "root.a", "done", "taken" }, call("release"))
+    clock.now = 1004
+    call("tick")
+    local events = {}
+    for by in table.concat(trace, "\n"):gmatch("event,6=(%S-),7=") do
+      events[#events + 1] = by
+    end
+    assert.same({ "e_b", "e_a", "e_bad", "e_x" }, events)
   end)
 
   it("keeps its timers until then", function()

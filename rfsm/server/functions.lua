@@ -99,7 +99,8 @@ end
 -- Positions in the value of a machine: the name of its chart, the snapshot, when that
 -- was taken and when the machine is due, if it is; the ids of the latest events, the
 -- oldest first, each before its time if it is kept for a time; the events that come
--- later, in their order: { time, id, event, ... }; true if the machine is held.
+-- later, in their order: { time, id, event, ... }; of a machine that is held, when it
+-- was held, or kept an event last.
 local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD = 2, 3, 4, 5, 6, 7, 8, 9
 
 --- A machine that a call works on.
@@ -222,6 +223,14 @@ local function add_later(machine, time, id, texts)
   machine.list[LATER] = later
 end
 
+-- What a held machine has kept stays due, and in its order, if the clock has gone back.
+local function keep_due(list)
+  for _, entry in ipairs(list[LATER] or NONE) do
+    if entry[1] <= list[HELD] then entry[1] = min(entry[1], now()) end
+  end
+  list[HELD] = now()
+end
+
 -- Sends events whose time has come. One that is not known any more goes to the log.
 local function send_entry(machine, entry)
   local texts = { select(3, unpack(entry)) }
@@ -290,6 +299,7 @@ end
 local function move(machine, texts, id)
   local events, list = charts.events(machine.chart, texts), machine.list
   if not catch_up(machine) then
+    if list[HELD] then keep_due(list) end
     add_later(machine, now(), id, texts)
     machine.outcome = "kept"
     return
@@ -491,7 +501,7 @@ function functions.rfsm_hold(keys)
   if list[HELD] then fail("the machine at '%s' is held already", shown(key)) end
   local machine = load_machine(key, list)
   run(machine)
-  list[HELD] = true
+  list[HELD] = now()
   return save(machine)
 end
 
@@ -500,6 +510,7 @@ function functions.rfsm_release(keys)
   local key = key_of(keys)
   local list = read(key)
   if not list[HELD] then fail("the machine at '%s' is not held", shown(key)) end
+  keep_due(list)
   list[HELD] = nil
   local machine = load_machine(key, list)
   run(machine)
