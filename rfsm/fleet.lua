@@ -281,15 +281,13 @@ local function retry(work, f)
   end
 end
 
-local function split(id)
-  local ms, number = id:match("^(%d+)%-(%d+)$")
-  return tonumber(ms), tonumber(number)
+-- Returns the id of an entry as a text by which ids are sorted.
+local function sortable(id)
+  return (id:gsub("%d+", function(digits) return ("0"):rep(20 - #digits) .. digits end))
 end
 
-local function is_before(a, b)
-  local ms, number = split(a)
-  local other_ms, other_number = split(b)
-  return ms < other_ms or ms == other_ms and number < other_number
+local function next_id(id)
+  return (id:gsub("%d+$", function(digits) return ("%.0f"):format(digits + 1) end))
 end
 
 -- Takes what all groups have done out of the stream.
@@ -298,11 +296,8 @@ local function trim(work)
   for _, info in ipairs(work.fleet:call(work.tag, "XINFO", "GROUPS", work.stream)) do
     local group = fields_of(info)
     local id = group.pending > 0 and ask_stream(work, "XPENDING", group.name)[2]
-    if not id then
-      local ms, number = split(group["last-delivered-id"])
-      id = ("%.0f-%.0f"):format(ms, number + 1) -- the next one
-    end
-    if not least or is_before(id, least) then least = id end
+      or next_id(group["last-delivered-id"])
+    if not least or sortable(id) < sortable(least) then least = id end
   end
   if least then ask_stream(work, "XTRIM", "MINID", least) end
 end
