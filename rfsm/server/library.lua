@@ -23,6 +23,7 @@ local library = {}
 -- that these need come along.
 local ROOTS = {
   "rfsm.server.functions", "rfsm_seqand", "rfsm.emem", "rfsm.monitor", "rfsm.preview",
+  "rfsm.strict",
 }
 
 -- The text is called with a function that writes a line to the log, and the globals. It
@@ -68,21 +69,8 @@ local function add_text(parts, name)
     or dotted and bundle.add(parts, "rfsm." .. dotted, name)
 end
 
--- Lists the modules that a text requires. Those of rfsm are also required by the core.
-local function required(name, text)
-  local names = {}
-  if name:find("^rfsm") then
-    for called, other in text:gmatch('([%l_]+) *%(?"(rfsm[%w_.]*)"') do
-      local is_needed = called == "require" or called == "find_module"
-      names[#names + 1] = is_needed and other or nil
-    end
-  else
-    for i, module in ipairs(sandbox.required(text)) do names[i] = module.name end
-  end
-  return names
-end
-
--- Appends a module, and those that it requires. A chart's own are plain Lua.
+-- Appends a module, and those that it requires. A chart's own are plain Lua. In a module
+-- of rFSM no comment requires another, so its text is searched as it is.
 local function add_module(parts, name, is_there, where, server)
   if is_there[name] then return end
   is_there[name] = true
@@ -91,8 +79,8 @@ local function add_module(parts, name, is_there, where, server)
     error(("%s: module '%s' is not there as plain Lua, so it cannot run in %s")
       :format(where, name, server), 0)
   end
-  for _, other in ipairs(required(name, text)) do
-    add_module(parts, other, is_there, where .. ": '" .. name .. "'", server)
+  for _, other in ipairs(sandbox.required(text, name:find("^rfsm") and text)) do
+    add_module(parts, other.name, is_there, where .. ": '" .. name .. "'", server)
   end
 end
 

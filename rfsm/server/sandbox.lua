@@ -186,9 +186,11 @@ function sandbox.run(text, here, server, log)
   return f(log, globals)
 end
 
---- List the modules that a text requires by name, and the line of each.
-function sandbox.required(text)
-  local modules, code = {}, code_of(text)
+--- List the modules that a text requires by name, and the line of each. `code` is the
+-- text without comments, if that is known.
+function sandbox.required(text, code)
+  local modules = {}
+  code = code or code_of(text)
   for at, name in text:gmatch("%f[%w_]()require%s*%(?%s*[\"']([%w_.%-]+)[\"']") do
     if code:sub(at, at + 6) == "require" then
       modules[#modules + 1] = { name = name, line = line_at(text, at) }
