@@ -69,8 +69,8 @@ local function add_text(parts, name)
     or dotted and bundle.add(parts, "rfsm." .. dotted, name)
 end
 
--- Appends a module, and those that it requires. A chart's own are plain Lua. In a module
--- of rFSM no comment requires another, so its text is searched as it is.
+-- Appends a module, and those that it requires. A chart's own are plain Lua. In one
+-- of rFSM no comment requires a module, so its text is searched as it is.
 local function add_module(parts, name, is_there, where, server)
   if is_there[name] then return end
   is_there[name] = true
