@@ -103,14 +103,19 @@ function command.add_arguments(parser)
   common.add_number(parser, "--tags", "hash tags of the machines (64)")
 end
 
+--- Return the client of a fleet, or end the program if there is no server.
+function command.connect(url, options)
+  local connected, fleet = pcall(require("rfsm.fleet").connect, url, options)
+  if not connected then common.fail(chart.first_line(fleet)) end
+  return fleet
+end
+
 function command.run(options, parser)
   local verb, list = VERBS[options.verb], options.arguments
   if #list < verb[2] then
     parser:error(options.verb .. " " .. verb[1] .. " expected")
   end
-  local connected, fleet = pcall(require("rfsm.fleet").connect, options.url,
-    { tags = options.tags })
-  if not connected then common.fail(chart.first_line(fleet)) end
+  local fleet = command.connect(options.url, { tags = options.tags })
   for _, line in ipairs(common.try(verb[3](fleet, unpack(list)))) do
     common.write("-", line .. "\n")
   end
