@@ -1,5 +1,6 @@
---- What clients do with a machine: they call functions of `rfsm.server.functions`, with
--- an id for each event, so that it is applied once also if it must be sent again.
+--- The methods that the clients of both servers have for one machine. Each calls a
+-- function of `rfsm.server.functions`. Events are sent with an id, so that they are
+-- applied once even if a client sends them again.
 --
 -- @submodule rfsm.fleet
 -- @license BSD-3-Clause
@@ -18,17 +19,17 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 --- A client: what `rfsm.fleet` and `rfsm.postgres` have in common.
 ---@class rfsm.server.Client
 ---@field where string name of its module, for messages
----@field id string in front of the ids of events
----@field count integer of events
+---@field id string the beginning of all ids that the client makes
+---@field count integer of the ids that it has made
 ---@field ask fun(self, name: string, id: any, ...: any): any, string? calls a function
---- for a machine: the reply, or nil and the problem
+--- for a machine; returns the reply, or nil and the problem
 local Client = {}
 
 --- What a machine replies to a call.
 ---@class rfsm.server.Reply
----@field leaf string FQN
----@field mode string
----@field errors string[] of its callbacks
+---@field leaf string FQN of the active leaf
+---@field mode string of that leaf
+---@field errors string[] of callbacks
 ---@field outcome string what became of the events: "taken", "kept" or "dropped";
 --- "known": a call with this id was made before
 
@@ -43,7 +44,7 @@ local function next_id(self)
   return self.id .. "-" .. ("%d"):format(self.count)
 end
 
--- Returns a reply as a table.
+-- Returns the list that a function replies as a table with names.
 local function reply_of(list, problem)
   if not list then return nil, problem end
   local errors = {}
@@ -66,7 +67,8 @@ function Client:create(id, chart, data)
   return reply_of(self:ask("rfsm_create", id, chart, text, "ID", next_id(self)))
 end
 
--- Calls a function that takes events, each with an id; a table is one with data.
+-- Calls a function that takes events. They are put in front of the last two arguments,
+-- "ID" and an id. A table is an event with data, and is sent as JSON.
 local function ask_with(self, name, id, arguments, ...)
   for i = 1, select("#", ...) do
     local event = select(i, ...)
@@ -112,7 +114,7 @@ function Client:send_after(id, seconds, ...)
   return reply and ticket, problem
 end
 
---- Take back what `send_after` has sent.
+--- Take back events of `send_after` whose time has not come.
 ---@param id any
 ---@param ticket string
 ---@return boolean? was_there

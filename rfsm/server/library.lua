@@ -19,16 +19,16 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local library = {}
 
--- Modules that the host needs, and those that charts require, or get as a field; those
--- that these need come along.
+-- Modules of each library: the functions, and those that a chart may require or reach
+-- as a field of `rfsm`. The modules that they require are added.
 local ROOTS = {
   "rfsm.server.functions", "rfsm_seqand", "rfsm.emem", "rfsm.monitor", "rfsm.preview",
   "rfsm.strict",
 }
 
--- The text is called with a function that writes a line to the log, and the globals. It
--- returns a `require`, the charts, and the options. Redis has no global that is absent,
--- and none can be set, so the modules see locals in their place.
+-- The library is called with a function that writes a line to the log, and the globals.
+-- It returns a `require`, the charts, and the options. Redis raises an error if a
+-- global is set, or if an absent one is read, so the modules see locals in their place.
 local HEAD = [[
 local _G, loadfile, print, io, os, debug, package, require
 do
@@ -61,8 +61,8 @@ end)(%q)
 end }
 ]]
 
--- Appends a module under its name; returns its text, nil if it is not plain Lua. The
--- flat names of rFSM may be in no folder of this process.
+-- Appends a module under its name; returns its text, nil if no file of plain Lua is
+-- found. For a flat name such as rfsm_await, rfsm.await is taken if there is no file.
 local function add_text(parts, name)
   local dotted = name:match("^rfsm_(%a+)$")
   return bundle.add(parts, name)
@@ -112,7 +112,7 @@ local function check_chart(file, text, server)
   if not kept then error(chart.reason(file, failure), 0) end
 end
 
--- Returns the end of the text.
+-- Returns the last line of a library: what it returns.
 local function options_text(options)
   return ("\nreturn require, charts, { index = %s, history = %s, ids = %s, "
     .. "ids_for = %s }\n"):format(tostring(options.index), tostring(options.history),
@@ -124,7 +124,7 @@ end
 ---@param arguments string[] see `name_of`; a later version of a name is newer
 ---@param server string its name in messages
 ---@param options rfsm.server.Options
----@param host? string a further module, if it is one of the library
+---@param host? string the module of the host, if the library is to contain it
 ---@return string text
 ---@return string[] warnings
 function library.text(arguments, server, options, host)
