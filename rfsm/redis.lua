@@ -10,8 +10,8 @@ local library = require "rfsm.server.library"
 
 local redis = {}
 
--- The library is made at the first call: while Redis loads the text hardly any global
--- is there.
+-- The library is made at the first call, since most globals are absent while Redis
+-- loads the text.
 local HEAD = "#!lua name=rfsm\nlocal library = function(...)\n"
 
 local FOOT = [[

@@ -11,7 +11,7 @@ local rfsm = require "rfsm"
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
--- Returns a reply as lines: state, mode and outcome, then its errors.
+-- Returns the lines of a reply: leaf, mode and outcome in one, then the errors.
 local function lines_of(reply)
   local lines = { reply.leaf .. " " .. reply.mode .. " " .. (reply.outcome or "") }
   for _, text in ipairs(reply.errors) do lines[#lines + 1] = "error: " .. text end
@@ -63,7 +63,8 @@ local function was_there(name)
   end
 end
 
--- What each verb takes, and how many of these it needs; it returns lines.
+-- Of each verb: its arguments, how many of them are needed, and the function, which
+-- returns lines to print, or nil and the problem.
 local VERBS = {
   find = { "CHART STATE [LIMIT [SECONDS]]", 2, function(fleet, name, state, limit, s)
     return fleet:find(name, state, tonumber(limit), s)

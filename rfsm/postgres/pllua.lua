@@ -1,4 +1,4 @@
---- PL/Lua: what `rfsm.postgres.host` needs of the server that it runs in.
+--- What `rfsm.postgres.host` needs of the server, if it runs inside, in PL/Lua.
 --
 -- @module rfsm.postgres.pllua
 -- @license BSD-3-Clause
@@ -7,7 +7,7 @@ local next, pairs, require, tonumber = next, pairs, require, tonumber
 local tostring, type = tostring, type
 local math_type, unpack = rawget(math, "type"), rawget(table, "unpack")
 
--- Those that only PL/Lua executes.
+-- Statements that only this module executes.
 local NEWEST = "SELECT obj_description('rfsm.call'::regproc, 'pg_proc') AS library"
 local CALL = "SELECT rfsm.call($1, $2, $3, $4) AS reply"
 
@@ -19,7 +19,7 @@ local function executor(spi, statements)
   end
 end
 
--- JSON: values of the type jsonb.
+-- Returns the functions for JSON; they make values of the type jsonb.
 local function new_json(pgtype)
   local jsonb = require "pllua.jsonb"
   local PLAIN = { map = function(key, value)
@@ -28,8 +28,8 @@ local function new_json(pgtype)
   end }
   local json = {}
 
-  -- Returns a copy that jsonb takes as it is: a text such as "2" is a key of an object,
-  -- and numbers keep all their digits.
+  -- Returns a copy that jsonb stores exactly: a table with a key such as "2" stays an
+  -- object, and numbers keep all their digits.
   local function exact(value)
     if math_type(value) == "float" and tonumber(("%.14g"):format(value)) ~= value
       and value - value == 0 then
@@ -57,15 +57,16 @@ local function new_json(pgtype)
   return json
 end
 
---- Return JSON, and a function that takes a library with its globals and returns the
--- function `rfsm.call`. `host` is `rfsm.postgres.host`, `id` that of the library.
+--- Return the functions for JSON, and a function that makes `rfsm.call` of a library
+-- and its globals. `host` is the module `rfsm.postgres.host`, `id` the id of the
+-- library.
 return function(host, spi, pgtype, id)
   local json, newest, call, given = new_json(pgtype), nil, nil, nil
   local server = { execute = executor(spi, host.STATEMENTS), json = json,
     warn = spi.warning }
 
-  -- A call that began before another library was loaded may come to a machine that
-  -- has been there: then the new one answers.
+  -- A call that began before a newer library was loaded may find a machine that has
+  -- moved to it, and fail. Then the call is made again, by the newer library.
   function server.refuse(text)
     newest = newest or spi.prepare(NEWEST)
     if newest:execute()[1].library == "library " .. id then
@@ -86,7 +87,7 @@ return function(host, spi, pgtype, id)
       if event_id then args[#args + 1], args[#args + 2] = "ID", event_id end
       local reply = answer(name, key, args)
       if type(reply) == "number" then return { tostring(reply) } end
-      return reply or nil -- a table, or what another library has returned
+      return reply or nil -- a table, or what the newer library has returned
     end
   end
 end

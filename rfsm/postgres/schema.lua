@@ -1,8 +1,9 @@
 --- The schema `rfsm`: tables, and functions in SQL around the one in PL/Lua.
 --
--- What is there already stays; functions are replaced. No table is locked that is as it
--- should be, so a load and the clients do not wait for each other. $TAG, $CODE, $ID,
--- $LOG, $HISTORY and $NOTIFY are texts that `rfsm.postgres.script` puts in.
+-- A load keeps tables that exist, and replaces functions. It locks no table that does
+-- not change, so the load and clients do not wait for each other. $TAG, $CODE, $ID,
+-- $LOG, $OWNER, $HISTORY and $NOTIFY stand for texts that `rfsm.postgres.script`
+-- inserts.
 --
 -- @module rfsm.postgres.schema
 -- @license BSD-3-Clause
@@ -61,7 +62,7 @@ CREATE TABLE IF NOT EXISTS rfsm.log (
   error text NOT NULL
 );
 
--- CREATE INDEX IF NOT EXISTS locks the table before it looks.
+-- CREATE INDEX IF NOT EXISTS would lock the table even if the index exists.
 DO $$ BEGIN
   IF to_regclass('rfsm.log_key') IS NULL THEN
     CREATE INDEX machines_state ON rfsm.machines (chart, state, since);
@@ -70,15 +71,16 @@ DO $$ BEGIN
   END IF;
 END $$;
 
--- Is a state another one, or in it?
+-- Is a state the same as another one, or inside of it?
 CREATE OR REPLACE FUNCTION rfsm.is_in(state text, other text)
   RETURNS boolean LANGUAGE sql IMMUTABLE AS $$
   SELECT state = other OR starts_with(state, other || '.')
 $$;
 ]]
 
--- The functions for one machine: name, arguments behind the key, type of the result,
--- and the arguments for the function of the library: a list and an id.
+-- Functions for one machine, each with its name, the parameters behind the key, the
+-- type of the result, and what it gives to the function of the library: a list and an
+-- id.
 local VERBS = {
   { "create", ", chart text, data jsonb DEFAULT '{}', id text DEFAULT NULL", "text",
     "ARRAY[chart, coalesce(data, '{}')::text], id" },
@@ -94,7 +96,7 @@ local VERBS = {
   { "remove", "", "boolean", "NULL, NULL" },
 }
 
--- How each type of result is made of the list that the function of the library returns.
+-- The expression that makes each type of result of the list that `rfsm.call` returns.
 local RESULTS = { text = "(%s)[1]", boolean = "(%s)[1] = '1'",
   ["SETOF text"] = "unnest(%s)" }
 
@@ -135,9 +137,8 @@ $$;
 ]] .. concat(calls) .. [[
 REVOKE EXECUTE ON FUNCTION rfsm.hold, rfsm.release, rfsm.force, rfsm.remove FROM PUBLIC;
 
--- Runs machines that are due and that no other worker has; returns how many. One that
--- cannot run waits for a minute, and the log has the reason. One that another session
--- has is left to the next call.
+-- Runs machines that are due and that no other session has locked; returns how many. A
+-- machine that cannot run waits for a minute, and the log has the reason.
 CREATE OR REPLACE FUNCTION rfsm.wake(most integer DEFAULT 100)
   RETURNS integer LANGUAGE plpgsql SECURITY DEFINER
   SET search_path = pg_catalog, pg_temp AS $$
@@ -162,8 +163,9 @@ BEGIN
   RETURN woken;
 END $$;
 
--- A worker that wakes machines until it is cancelled, each batch in a transaction. A
--- line to the client now and then: if that is gone, the server ends the session.
+-- A worker: it wakes machines until it is cancelled, each batch in a transaction. It
+-- sends a line to its client now and then: the server ends the session if the client is
+-- gone.
 CREATE OR REPLACE PROCEDURE rfsm.work(pause double precision DEFAULT 0.1,
   report interval DEFAULT '30 seconds') LANGUAGE plpgsql AS $$
 DECLARE
@@ -195,9 +197,9 @@ END $$;
 
 schema.OUTBOX = [[
 
--- Gives a worker entries that no other has, and counts the try. It has each for a time,
--- twice as long with each try; then another may take it. Entries that were tried so
--- often that no try is left go to rfsm.dead before that.
+-- Returns entries that no other worker has, and counts the try. A worker has an entry
+-- for the time of the lease, twice as long with each further try; then another worker
+-- may take it. First, entries that have no try left are moved to rfsm.dead.
 CREATE OR REPLACE FUNCTION rfsm.take(most integer DEFAULT 1,
   lease interval DEFAULT '30 seconds', max_tries integer DEFAULT 5)
   RETURNS TABLE (id bigint, key text, what text, data jsonb, try integer) $OWNER AS $$
@@ -215,22 +217,22 @@ CREATE OR REPLACE FUNCTION rfsm.take(most integer DEFAULT 1,
   RETURNING o.id, o.key, o.what, o.data, o.tries;
 $$;
 
--- The entry is done: call it in the transaction that sends the answer. Returns whether
--- it was there.
+-- Removes an entry that is done: call it in the transaction that sends the answer.
+-- Returns whether the entry was there.
 CREATE OR REPLACE FUNCTION rfsm.done(id bigint) RETURNS boolean $OWNER AS $$
   WITH gone AS (DELETE FROM rfsm.out o WHERE o.id = done.id RETURNING 1)
   SELECT EXISTS (SELECT FROM gone)
 $$;
 
--- The try has failed; the entry comes again when its time has passed. Returns whether
--- it was there.
+-- The try has failed: the entry may be taken again when its lease is over. Returns
+-- whether the entry was there.
 CREATE OR REPLACE FUNCTION rfsm.fail(id bigint, reason text)
   RETURNS boolean $OWNER AS $$
   WITH failed AS (UPDATE rfsm.out o SET error = reason WHERE o.id = fail.id RETURNING 1)
   SELECT EXISTS (SELECT FROM failed)
 $$;
 
--- A dead entry is sent again, or dropped. Returns whether it was there.
+-- Sends a dead entry again, or drops it. Returns whether the entry was there.
 CREATE OR REPLACE FUNCTION rfsm.again(id bigint) RETURNS boolean $OWNER AS $$
   WITH gone AS (DELETE FROM rfsm.dead d WHERE d.id = again.id RETURNING *),
     sent AS (INSERT INTO rfsm.out (key, what, data)
@@ -303,8 +305,8 @@ END $$;
 schema.TRIGGERS = [[
 
 -- Makes the triggers that are absent or different, and drops those that are not wanted.
--- Either locks the table. Clients wait behind that lock, so it is given up soon, which
--- lets them pass, and tried again.
+-- Both need a lock of the table. Clients have to wait behind a session that waits for a
+-- lock, so it gives up soon, lets them pass, and tries again.
 DO $$
 DECLARE
   moved text := 'WHEN ((old.state <> new.state)) ';

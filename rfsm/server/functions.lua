@@ -248,8 +248,7 @@ local function send_entry(machine, entry)
 end
 
 -- Lets time pass until a timer is due, or events that wait, which are sent then.
--- Returns what the history calls the step that has to follow; nil if nothing is due by
--- now.
+-- Returns what the history calls the step that has to follow; nil if nothing is due.
 local function advance_to_due(machine)
   local later, seen = machine.list[LATER] or NONE, times.seen()
   local left, entry = timeevent.next_deadline(machine.fsm) or huge, later[1]
@@ -277,8 +276,7 @@ end
 -- Runs what is due as if a worker had been punctual: each timer and event at its time,
 -- until the machine is idle. Then its clock shows the present. Returns false if that
 -- takes too many steps: then the clock shows the time that was reached, and the machine
--- is due at once. If its timers are too fast to ever catch up, the clock jumps to the
--- present.
+-- is due at once. If timers are too fast to catch up, the clock jumps to the present.
 local function run_due(machine)
   local budget, begun = MAX_DUE, times.seen()
   local by = was_restless(machine.list) and TIME or advance_to_due(machine)
