@@ -140,8 +140,7 @@ local OPTIONS = {
   sleep = { "function", opts.is_a "function" },
 }
 
---- Connect to a server that has loaded the text of `rfsm postgres`, with or without
--- `--client`.
+--- Connect to a server with the tables of `rfsm postgres`, or `rfsm postgres --client`.
 --
 -- @usage
 --    local charts = postgres.charts { "order.lua" }
