@@ -25,13 +25,13 @@ local floor = math.floor
 ---@field due number|nil
 ---@field emitted string[][]
 ---@field errors string[]
----@field data table
+---@field data string JSON
 
 --- What the host uses of the server, or of a client.
 ---@class rfsm.postgres.Server
 ---@field execute fun(name: string, ...: any): table[] the rows of a statement of `host`
----@field json table `encode`, `decode`; `list_of` makes a list of the column `value`;
---- `datum` makes an argument of a statement of JSON
+---@field json table `decode`; `list_of` makes a list of the column `value`; `datum`
+--- makes an argument of a statement of a JSON text
 ---@field warn fun(text: string)
 ---@field refuse fun(text: string): any raises what is wrong with the call, or returns
 --- the reply of a newer library
@@ -97,7 +97,7 @@ local function save(server, execute, key, change)
   local written = execute(is_new and "insert" or "update", key, machine.chart.name,
     machine.list[3].chart, machine.at, machine.mode, by,
     change.due and ("%.6f"):format(change.due) or nil,
-    server.json.encode(change.data), machine.value)
+    server.json.datum(change.data), server.json.datum(machine.value))
   if written[1] then save_effects(server, execute, key, change) end
   return written[1] ~= nil
 end
@@ -115,7 +115,8 @@ end
 function host.new(server, require, charts, options)
   local data_of = require("rfsm.server.charts").data_of
   local row ---@type rfsm.postgres.Row
-  local verbs = { pack = server.json.encode, decode = server.json.decode }
+  local verbs = { pack = require("rfsm.shared.exact_json").encode,
+    decode = server.json.decode }
 
   function verbs.time()
     local us = row.us or row.execute("time")[1].us

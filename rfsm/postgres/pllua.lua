@@ -3,9 +3,8 @@
 -- @module rfsm.postgres.pllua
 -- @license BSD-3-Clause
 
-local next, pairs, require, tonumber = next, pairs, require, tonumber
-local tostring, type = tostring, type
-local math_type, unpack = rawget(math, "type"), rawget(table, "unpack")
+local require, tostring, type = require, tostring, type
+local unpack, utf8 = rawget(table, "unpack"), rawget(_G, "utf8")
 
 -- Statements that only this module executes.
 local NEWEST = "SELECT obj_description('rfsm.call'::regproc, 'pg_proc') AS library"
@@ -20,7 +19,7 @@ local function executor(spi, statements)
 end
 
 -- Returns the functions for JSON; they make values of the type jsonb.
-local function new_json(pgtype)
+local function new_json(spi, pgtype)
   local jsonb = require "pllua.jsonb"
   local PLAIN = { map = function(key, value)
     if type(value) == "table" then jsonb.set_as_unknown(value) end
@@ -28,40 +27,25 @@ local function new_json(pgtype)
   end }
   local json = {}
 
-  -- Returns a copy that jsonb stores exactly: a table with a key such as "2" stays an
-  -- object, and numbers keep all their digits.
-  local function exact(value)
-    if math_type(value) == "float" and tonumber(("%.14g"):format(value)) ~= value
-      and value - value == 0 then
-      return pgtype.numeric(("%.17g"):format(value))
-    elseif type(value) ~= "table" then
-      return value
-    end
-    local copy, is_object = {}, next(value) == nil
-    for key, inner in pairs(value) do -- any order: a copy
-      copy[key] = exact(inner)
-      is_object = is_object or type(key) == "string"
-    end
-    return is_object and jsonb.set_as_object(copy) or copy
-  end
-
   -- Returns a table without metatables.
   function json.list_of(datum) return datum(PLAIN) end
 
-  function json.encode(value) return pgtype.jsonb(exact(value)) end
-
-  function json.datum(text) return pgtype.jsonb:fromstring(text) end
+  function json.datum(text)
+    local is_valid, at = utf8.len(text)
+    if is_valid then return pgtype.jsonb:fromstring(text) end
+    return spi.error("character_not_in_repertoire",
+      ('invalid byte sequence for encoding "UTF8": 0x%02x'):format(text:byte(at)))
+  end
 
   function json.decode(text) return json.list_of(json.datum(text)) end
 
   return json
 end
 
---- Return the functions for JSON, and a function that makes `rfsm.call` of a library
--- and its globals. `host` is the module `rfsm.postgres.host`, `id` the id of the
--- library.
+--- Return a function that makes `rfsm.call` of a library and its globals. `host` is the
+-- module `rfsm.postgres.host`, `id` the id of the library.
 return function(host, spi, pgtype, id)
-  local json, newest, call, given = new_json(pgtype), nil, nil, nil
+  local json, newest, call, given = new_json(spi, pgtype), nil, nil, nil
   local server = { execute = executor(spi, host.STATEMENTS), json = json,
     warn = spi.warning }
 
@@ -78,10 +62,15 @@ return function(host, spi, pgtype, id)
 
   local function log(line) spi.elog("log", line) end
 
-  return json, function(library, globals)
+  return function(library, globals)
     local answer
+    globals.cjson = { decode = json.decode }
     return function(name, key, list, event_id)
-      answer = answer or host.new(server, library(log, globals))
+      if not answer then
+        local find, charts, options = library(log, globals)
+        globals.cjson.encode = find("rfsm.shared.exact_json").encode
+        answer = host.new(server, find, charts, options)
+      end
       given = { name, key, list, event_id }
       local args = list and list { null = "" } or {}
       if event_id then args[#args + 1], args[#args + 2] = "ID", event_id end

@@ -24,15 +24,13 @@ local globals, sandbox
 do
   local bundled, load, pcall = {}, load, lpcall
   %s
-  local json
-  json, self.serve = bundled["rfsm.postgres.pllua"]()(
+  self.serve = bundled["rfsm.postgres.pllua"]()(
     bundled["rfsm.postgres.host"](), spi, pgtype, "$ID")
   local function finish(handler, ok, ...)
     if ok then return ok, ... end
     return ok, handler((...))
   end
-  globals = { os = { clock = os.clock }, pcall = pcall,
-    cjson = { encode = json.encode, decode = json.decode } }
+  globals = { os = { clock = os.clock }, pcall = pcall }
   function globals.xpcall(f, handler, ...) return finish(handler, pcall(f, ...)) end
   for name in ([=[assert collectgarbage error getmetatable ipairs next pairs rawequal
     rawget rawset select setmetatable tonumber tostring type coroutine string table math

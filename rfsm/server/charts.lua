@@ -149,8 +149,7 @@ function charts.read_json(owner, text, most)
   return encoding.unpack(encoding.pack(data, about, 0), 0)
 end
 
---- Return the data that a snapshot keeps, by the locations of states, for an encoder of
---- JSON.
+--- Return as JSON the data that a snapshot keeps, by the locations of states.
 function charts.data_of(snap)
   local data = {}
   local function add(part, prefix)
@@ -160,7 +159,7 @@ function charts.data_of(snap)
   end
   add(snap, "root")
   for prefix, part in pairs(snap.regions or {}) do add(part, prefix) end -- any order
-  return encoding.to_json(data)
+  return charts.json_of(data)
 end
 
 -- Machines --------------------------------------------------------------------------

@@ -18,7 +18,6 @@
 local advice = require "rfsm.advice"
 local charts = require "rfsm.server.charts"
 local encoding = require "rfsm.snapshot.encoding"
-local exact_json = require "rfsm.shared.exact_json"
 local keys_of = require "rfsm.server.keys"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
@@ -489,10 +488,9 @@ function functions.rfsm_get(keys)
   for i in leaf:gmatch("()%.") do names[#names + 1] = leaf:sub(1, i - 1) end
   names[#names + 1] = snap.leaf
   local due = list[DUE] and not list[HELD] and ("%.6f"):format(list[DUE]) or ""
-  local data = exact_json.encode(charts.data_of(snap))
   return { "chart", list[NAME], "version", snap.chart, "leaf", leaf,
     "mode", reply_of(list)[2],
-    "configuration", concat(names, " "), "data", data,
+    "configuration", concat(names, " "), "data", charts.data_of(snap),
     "queue", queue[1] ~= nil and charts.json_of(queue) or "[]", "due", due,
     "held", list[HELD] and "yes" or "" }
 end
