@@ -550,7 +550,7 @@ end
 ---@param server rfsm.server.Host
 ---@param settings? rfsm.server.Options
 return function(server, list, settings)
-  local all, made = {}, {}
+  local made = {}
   host, versions, options = server, {}, settings or {}
   options.ids = options.ids or options.ids_for and 1000 or 16
   times.open(host)
@@ -559,9 +559,8 @@ return function(server, list, settings)
     versions[chart.name] = versions[chart.name] or {}
     versions[chart.name][#versions[chart.name] + 1] = chart
   end
-  for name, f in pairs(functions) do all[name] = f end -- any order: a copy
-  if host.add then host.add(all, options) end
-  for name, f in pairs(all) do -- any order: each stands alone
+  if host.add then host.add(functions, options) end
+  for name, f in pairs(functions) do -- any order: each stands alone
     made[name] = function(keys, args)
       times.begin()
       local ok, reply = pcall(f, keys, args)
