@@ -80,7 +80,7 @@ end
 ---@return any reply
 function Fleet:call(tag, name, ...) return self.connection:call(tag, name, ...) end
 
--- Returns the table that a list of names and values stands for.
+-- Returns a list of names and values in turns as a table.
 local function fields_of(list)
   local fields = {}
   for i = 1, #list, 2 do fields[list[i]] = list[i + 1] end

@@ -54,8 +54,7 @@ Connection.__index = Connection
 
 local commands = {}
 
--- Sends a command. Raises the error of the server as it is, without what lua-redis
--- adds.
+-- Sends a command. Raises the error of the server, without what lua-redis adds to it.
 local function command(client, name, ...)
   commands[name] = commands[name] or need("redis").command(name)
   local ok, reply = pcall(commands[name], client, ...)

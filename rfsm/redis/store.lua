@@ -57,9 +57,9 @@ function store.pack(list) return cmsgpack.pack(list) end
 -- checked, by their keys: a call that wakes many machines checks a shared key once.
 local writes, asked = {}, {}
 
--- Adds a write. All but the first come behind others that cannot be undone, so they
--- must not fail: their keys must be of a type, or absent, and the user must have the
--- right.
+-- Adds a write. Writes behind the first one must not fail, since what was written
+-- before them stays: the key has to be absent, or of the type `kind`, and the user
+-- needs the right.
 local function add_write(kind, name, key, ...)
   writes[#writes + 1] = { name, key, ... }
   if writes[2] == nil or asked[key] == name then return end -- the first may fail
@@ -232,8 +232,8 @@ function more.rfsm_due(keys, args)
     limit)
 end
 
--- Is there a machine of the index? DEL ends one and leaves its member in the index.
--- While its slot moves to another node that cannot be found out, so the index is
+-- Does a machine of the index exist? One that was ended by DEL has left its member
+-- there. While the slot of the key moves to another node nobody knows, so the index is
 -- believed.
 local function is_there(key)
   local ok, count = pcall(call, "EXISTS", key)
@@ -246,7 +246,8 @@ local function is_since(key, time)
   return not time or since and tonumber(since) <= time
 end
 
--- Lists the keys of machines, at most so many, whose members have a head.
+-- Lists the keys of machines whose members of the index begin with `head`, at most
+-- `limit`.
 local function keys_with(index, head, limit, time)
   local found, count = {}, min(limit, 1000)
   local from, to = "[" .. head, "(" .. behind(head)
