@@ -161,6 +161,18 @@ describe("a bundle", function()
     assert.equal(1, count)
   end)
 
+  it("has what a chart may get without a require, each module once", function()
+    local text = redis.bundle { helper.file_with("return rfsm.state { a = "
+      .. "rfsm.state {}, rfsm.trans { src = 'initial', tgt = 'a' } }") }
+    for _, name in ipairs { "rfsm", "rfsm_timeevent", "rfsm_seqand", "rfsm.strict",
+      "rfsm.emem", "rfsm.monitor", "rfsm.preview", "rfsm.await", "rfsm.advice",
+      "rfsm.redis.store", "rfsm.server.functions" } do
+      local _, count = text:gsub('bundled%["' .. name:gsub("%.", "%%.") .. '"%] =', "")
+      assert.equal(1, count, name)
+    end
+    assert.is_nil(text:find('bundled["rfsm.fleet"]', 1, true))
+  end)
+
   it("runs no chart with other globals than those of the server", function()
     local file = helper.file_with("local os = rawget(_G, 'o' .. 's')\n"
       .. "if os.exit then error 'out' end\n"
