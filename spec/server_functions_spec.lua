@@ -916,6 +916,22 @@ describe("versions of a chart", function()
       .. "of another chart: ", f.rfsm_send({ "w" }, { "e" }).err)
   end)
 
+  it("have a target that a callback has changed in its machine alone", function()
+    library(function()
+      return state { a = state {}, b = state {}, c = state {},
+        go = trans { src = "a", tgt = "b", events = { "e_go" } },
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "a", events = { "e_turn" },
+          effect = function(fsm) fsm.go.tgt = fsm.c end },
+      }
+    end)
+    for _, key in ipairs { "w", "x" } do f.rfsm_create({ key }, { "v" }) end
+    f.rfsm_send({ "w" }, { "e_turn" })
+    f.rfsm_why({ "w" }, { "e_go" }) -- puts the machine, and does not save it
+    assert.equal("root.b", f.rfsm_send({ "x" }, { "e_go" })[1])
+    assert.equal("root.c", f.rfsm_send({ "w" }, { "e_go" })[1])
+  end)
+
   it("that fail are reported with their name", function()
     library(function() error("no chart", 0) end)
     assert.equal("ERR rfsm_create: chart 'v': no chart",

@@ -173,6 +173,19 @@ describe("a bundle", function()
     assert.is_nil(text:find('bundled["rfsm.fleet"]', 1, true))
   end)
 
+  it("has a flat name of rFSM also if no folder has that file", function()
+    local file = helper.file_with("require 'rfsm_await'\nreturn rfsm.state { a = "
+      .. "rfsm.state {}, rfsm.trans { src = 'initial', tgt = 'a' } }")
+    local text = helper.with(package, { path = "./?.lua" }, function()
+      return helper.with(package.loaded, { rfsm_await = true }, function()
+        return (redis.bundle { file })
+      end)
+    end)
+    assert.is_truthy(text:find('bundled["rfsm_await"] =', 1, true))
+    local compile = rawget(_G, "loadstring") or load
+    assert.is_function(compile((text:gsub("^#[^\n]*", ""))))
+  end)
+
   it("runs no chart with other globals than those of the server", function()
     local file = helper.file_with("local os = rawget(_G, 'o' .. 's')\n"
       .. "if os.exit then error 'out' end\n"
