@@ -404,12 +404,14 @@ describe("what is due", function()
     }
   end
 
-  local function fast()
-    return state { keep = { "n" }, n = 0, a = state {},
-      b = state {}, trans { src = "initial", tgt = "a" },
-      trans { src = "a", tgt = "a", events = { "e_after(0.01)" },
-        effect = function(fsm) fsm.n = fsm.n + 1 end },
-      trans { src = "a", tgt = "b", events = { "e_stop" } } }
+  local function every(seconds)
+    return function()
+      return state { keep = { "n" }, n = 0, a = state {},
+        b = state {}, trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "a", events = { "e_after(" .. seconds .. ")" },
+          effect = function(fsm) fsm.n = fsm.n + 1 end },
+        trans { src = "a", tgt = "b", events = { "e_stop" } } }
+    end
   end
 
   local function endless()
@@ -432,9 +434,9 @@ describe("what is due", function()
 
   before_each(function()
     package.loaded["rfsm.server.functions"] = nil
-    f = require "rfsm.server.functions" (host, { { name = "fast", make = fast },
-      { name = "endless", make = endless }, { name = "r", make = reminded },
-      { name = "s", make = in_step } }, { history = 9 })
+    f = require "rfsm.server.functions" (host, { { name = "fast", make = every(0.01) },
+      { name = "faster", make = every(0.001) }, { name = "endless", make = endless },
+      { name = "r", make = reminded }, { name = "s", make = in_step } }, { history = 9 })
     package.loaded["rfsm.server.functions"] = nil
   end)
 
@@ -486,6 +488,17 @@ describe("what is due", function()
     assert.same({ "root.b", "done", "known" },
       f.rfsm_send({ "q" }, { "e_stop", "ID", "1" }))
     assert.equal('{"root":{"n":999}}', data_of "q")
+  end)
+
+  it("is not skipped if 200 steps take a fifth of a second", function()
+    f.rfsm_create({ "q" }, { "faster" })
+    clock.now = 1009
+    for i = 1, 2 do
+      f.rfsm_tick({ "q" })
+      assert.equal(('{"root":{"n":%d}}'):format(200 * i), data_of "q")
+      local due = tonumber(f.rfsm_get({ "q" })[16])
+      assert.is_true(due > 1000 + 0.2 * i and due < 1000.01 + 0.2 * i)
+    end
   end)
 
   it("is skipped if it is faster than the server", function()
