@@ -436,7 +436,8 @@ describe("what is due", function()
     package.loaded["rfsm.server.functions"] = nil
     f = require "rfsm.server.functions" (host, { { name = "fast", make = every(0.01) },
       { name = "faster", make = every(0.001) }, { name = "endless", make = endless },
-      { name = "r", make = reminded }, { name = "s", make = in_step } }, { history = 9 })
+      { name = "r", make = reminded }, { name = "s", make = in_step } },
+      { history = 9 })
     package.loaded["rfsm.server.functions"] = nil
   end)
 
