@@ -66,6 +66,8 @@ host.STATEMENTS = {
   log = [[WITH trimmed AS (DELETE FROM rfsm.log WHERE key = $1 AND id <= (SELECT id
       FROM rfsm.log WHERE key = $1 ORDER BY id DESC OFFSET 999 LIMIT 1))
     INSERT INTO rfsm.log (key, error) VALUES ($1, $2)]],
+  newest = "SELECT obj_description('rfsm.call'::regproc, 'pg_proc') AS library",
+  call = "SELECT rfsm.call($1, $2, $3, $4) AS reply",
 }
 
 -- Writes what callbacks have emitted, and their errors.

@@ -6,10 +6,6 @@
 local require, tostring, type = require, tostring, type
 local unpack, utf8 = rawget(table, "unpack"), rawget(_G, "utf8")
 
--- Statements that only this module executes.
-local NEWEST = "SELECT obj_description('rfsm.call'::regproc, 'pg_proc') AS library"
-local CALL = "SELECT rfsm.call($1, $2, $3, $4) AS reply"
-
 local function executor(spi, statements)
   local prepared = {}
   return function(name, ...)
@@ -45,19 +41,17 @@ end
 --- Return a function that makes `rfsm.call` of a library and its globals. `host` is the
 -- module `rfsm.postgres.host`, `id` the id of the library.
 return function(host, spi, pgtype, id)
-  local json, newest, call, given = new_json(spi, pgtype), nil, nil, nil
+  local json, given = new_json(spi, pgtype), nil
   local server = { execute = executor(spi, host.STATEMENTS), json = json,
     warn = spi.warning }
 
   -- A call that began before a newer library was loaded may find a machine that has
   -- moved to it, and fail. Then the call is made again, by the newer library.
   function server.refuse(text)
-    newest = newest or spi.prepare(NEWEST)
-    if newest:execute()[1].library == "library " .. id then
+    if server.execute("newest")[1].library == "library " .. id then
       return spi.error("raise_exception", text)
     end
-    call = call or spi.prepare(CALL)
-    return call:execute(unpack(given, 1, 4))[1].reply
+    return server.execute("call", unpack(given, 1, 4))[1].reply
   end
 
   local function log(line) spi.elog("log", line) end

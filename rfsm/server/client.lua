@@ -11,7 +11,7 @@ local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 local try = require("rfsm.shared.calls").try
 
-local error, next, os, select = error, next, os, select
+local error, os, select = error, os, select
 local rawget, tonumber, tostring, type = rawget, tonumber, tostring, type
 local insert = table.insert
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -59,10 +59,7 @@ end
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
 function Client:create(id, chart, data)
-  local ok, text = true, "{}"
-  if data and next(data) ~= nil then
-    ok, text = try(codec.encode, data)
-  end
+  local ok, text = try(codec.encode, data or {})
   if not ok then return nil, self.where .. ".create: data: " .. text end
   return reply_of(self:ask("rfsm_create", id, chart, text, "ID", next_id(self)))
 end

@@ -61,6 +61,11 @@ end)(%q)
 end }
 ]]
 
+local FOOT = [[
+
+return require, charts, { index = %s, history = %s, ids = %s, ids_for = %s }
+]]
+
 -- Appends a module under its name; returns its text, nil if no file of plain Lua is
 -- found. For a flat name such as rfsm_await, rfsm.await is taken if there is no file.
 local function add_text(parts, name)
@@ -112,13 +117,6 @@ local function check_chart(file, text, server)
   if not kept then error(chart.reason(file, failure), 0) end
 end
 
--- Returns the last line of a library: what it returns.
-local function options_text(options)
-  return ("\nreturn require, charts, { index = %s, history = %s, ids = %s, "
-    .. "ids_for = %s }\n"):format(tostring(options.index), tostring(options.history),
-    tostring(options.ids), tostring(options.ids_for))
-end
-
 --- Return the text of the library for a server, and a list of warnings.
 -- @raise if a chart has a problem, in one line
 ---@param arguments string[] see `name_of`; a later version of a name is newer
@@ -149,7 +147,8 @@ function library.text(arguments, server, options, host)
     end
     parts[#parts + 1] = CHART:format(name, text, file)
   end
-  parts[#parts + 1] = options_text(options)
+  parts[#parts + 1] = FOOT:format(tostring(options.index), tostring(options.history),
+    tostring(options.ids), tostring(options.ids_for))
   return concat(parts), warnings
 end
 
