@@ -165,7 +165,7 @@ end
 -- Machines --------------------------------------------------------------------------
 
 --- Make the machine of a chart if there is none yet; return the chart.
-local function open(chart)
+function charts.open(chart)
   if chart.fsm then return chart end
   local ok, model = pcall(chart.make)
   if not ok then fail("chart '%s': %s", chart.name, text_of(model)) end
@@ -194,8 +194,6 @@ function charts.put(chart, snap)
   chart.options.is_tidy = false
   return ok, problem
 end
-
-charts.open = open
 
 --- Step the machine of a chart until it is idle, at most `steps` times. Return whether
 --- it is idle, and whether a path was taken. If an error ends the step, the next call
