@@ -261,10 +261,11 @@ local function advance_to_due(machine)
   return TIME
 end
 
--- Returns the time of the first timer or waiting event of a saved machine, or huge.
-local function first_due(list)
-  local due, later = list[DUE] or huge, list[LATER]
-  return later and later[1] and min(due, later[1][1]) or due
+-- Returns a time (nil or false: never), or that of the first waiting events if that is
+-- earlier.
+local function earliest(time, list)
+  local first = (list[LATER] or NONE)[1]
+  return first and min(time or huge, first[1]) or time
 end
 
 -- Was a machine saved before it was idle?
@@ -292,9 +293,10 @@ end
 -- Runs what is due until the machine's clock shows the present. Returns false if it
 -- does not, because the machine is held, or too much was due.
 local function catch_up(machine)
-  if machine.list[HELD] then return false end
-  local due = first_due(machine.list)
-  if due < huge and due <= now() + SAME then return run_due(machine) end
+  local list = machine.list
+  if list[HELD] then return false end
+  local due = earliest(list[DUE], list)
+  if due and due <= now() + SAME then return run_due(machine) end
   times.set(false)
   return true
 end
@@ -340,12 +342,8 @@ end
 -- Returns when a machine is to be woken; nil if only an event can move it.
 local function due_of(machine, snap)
   if not machine.is_idle and machine.fsm._act_leaf then return times.seen() end
-  local later = machine.list[LATER]
   local left = (snap.ext or snap.regions) and timeevent.next_deadline(machine.fsm)
-  local due = left and times.seen() + left or nil
-  later = later and later[1]
-  if later then due = min(due or later[1], later[1]) end
-  return due
+  return earliest(left and times.seen() + left or nil, machine.list)
 end
 
 -- Packs the list of a machine. Positions at its end that hold nothing become nil.
