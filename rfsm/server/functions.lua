@@ -346,19 +346,16 @@ local function due_of(machine, snap)
   return earliest(left and times.seen() + left or nil, machine.list)
 end
 
--- Packs the list of a machine. Positions at its end that hold nothing become nil.
+-- Packs the list of a machine. A position without a value is false, or nil if it is
+-- behind all values.
 local function pack_machine(machine, due)
   local list = machine.list
-  if list[LATER] and not list[LATER][1] then list[LATER] = nil end
-  if list[HELD] then list[LATER] = list[LATER] or {} end
-  if list[LATER] then list[IDS] = list[IDS] or false end
-  if due then
-    list[SEC], list[NSEC] = times.get()
-    list[DUE] = due
-  elseif list[IDS] ~= nil then
-    list[SEC], list[NSEC], list[DUE] = false, false, false
-  elseif list[DUE] ~= nil then
-    list[SEC], list[NSEC], list[DUE] = nil, nil, nil
+  list[SEC], list[NSEC], list[DUE] = false, false, due
+  if due then list[SEC], list[NSEC] = times.get() end
+  if list[LATER] and not list[LATER][1] then list[LATER] = false end
+  for i = HELD, SEC, -1 do
+    if not list[i] then list[i] = nil end
+    if list[i] == nil and list[i + 1] ~= nil then list[i] = false end
   end
   machine.value = host.pack(list)
   local size = #tostring(machine.value)
