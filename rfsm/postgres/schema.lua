@@ -79,8 +79,7 @@ $$;
 ]]
 
 -- Functions for one machine, each with its name, the parameters behind the key, the
--- type of the result, and what it gives to the function of the library: a list and an
--- id.
+-- type of the result, and what it gives to the library: a list and an id, or nothing.
 local VERBS = {
   { "create", ", chart text, data jsonb DEFAULT '{}', id text DEFAULT NULL", "text",
     "ARRAY[chart, coalesce(data, '{}')::text], id" },
@@ -89,11 +88,10 @@ local VERBS = {
   { "send_at", ", at timestamptz, event text, id text", "text",
     "ARRAY[extract(epoch FROM at)::text, event], id" },
   { "cancel", ", id text", "boolean", "ARRAY[id], NULL" },
-  { "tick", "", "text", "NULL, NULL" },
   { "why", ", event text", "SETOF text", "ARRAY[event], NULL" },
-  { "hold", "", "text", "NULL, NULL" }, { "release", "", "text", "NULL, NULL" },
   { "force", ", state text", "text", "ARRAY[state], NULL" },
-  { "remove", "", "boolean", "NULL, NULL" },
+  { "tick", "", "text" }, { "hold", "", "text" }, { "release", "", "text" },
+  { "remove", "", "boolean" },
 }
 
 -- The expression that makes each type of result of the list that `rfsm.call` returns.
@@ -104,7 +102,7 @@ local RESULTS = { text = "(%s)[1]", boolean = "(%s)[1] = '1'",
 -- run with the rights of the owner ($OWNER), and find only what their text names.
 local calls = {}
 for i, verb in ipairs(VERBS) do
-  local name, arguments, kind, given = verb[1], verb[2], verb[3], verb[4]
+  local name, arguments, kind, given = verb[1], verb[2], verb[3], verb[4] or "NULL, NULL"
   local call = ("rfsm.call('rfsm_%s', key, %s)"):format(name, given)
   calls[i] = ([[
 CREATE OR REPLACE FUNCTION rfsm.%s(key text%s)
