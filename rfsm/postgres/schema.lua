@@ -102,8 +102,8 @@ local RESULTS = { text = "(%s)[1]", boolean = "(%s)[1] = '1'",
 -- run with the rights of the owner ($OWNER), and find only what their text names.
 local calls = {}
 for i, verb in ipairs(VERBS) do
-  local name, arguments, kind, given = verb[1], verb[2], verb[3], verb[4] or "NULL, NULL"
-  local call = ("rfsm.call('rfsm_%s', key, %s)"):format(name, given)
+  local name, arguments, kind = verb[1], verb[2], verb[3]
+  local call = ("rfsm.call('rfsm_%s', key, %s)"):format(name, verb[4] or "NULL, NULL")
   calls[i] = ([[
 CREATE OR REPLACE FUNCTION rfsm.%s(key text%s)
   RETURNS %s $OWNER AS $$
