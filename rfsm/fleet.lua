@@ -226,9 +226,13 @@ end
 
 -- Moves an entry that has failed too often to the stream of such entries.
 local function bury(work, raw, deliveries, problem)
-  work.fleet:call(work.tag, "XADD", keys_of.dead("{" .. work.tag .. "}"), "*", "group",
-    work.group, "id", raw[1], "deliveries", deliveries, "error", problem,
-    unpack(raw[2]))
+  local fields = { unpack(raw[2]) }
+  for _, text in ipairs { "group", work.group, "id", raw[1], "deliveries", deliveries,
+    "error", problem } do
+    fields[#fields + 1] = text
+  end
+  work.fleet:call(work.tag, "XADD", keys_of.dead("{" .. work.tag .. "}"), "*",
+    unpack(fields))
   ask_stream(work, "XACK", work.group, raw[1])
 end
 

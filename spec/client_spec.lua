@@ -350,9 +350,8 @@ describe("a worker", function()
     local sent, result = work(answers, fail, { idle = 1, tries = 3, count = 7 })
     assert.same({ "h:6379 XPENDING rfsm:out:{0} g IDLE 1 - + 7",
       "h:6379 XCLAIM rfsm:out:{0} g w 2 5-1",
-      "h:6379 XADD rfsm:dead:{0} * group g id 5-1 deliveries 3 error no "
-        .. 'machine m what w data {"a":1}',
-      "h:6379 XACK rfsm:out:{0} g 5-1",
+      'h:6379 XADD rfsm:dead:{0} * machine m what w data {"a":1} group g id 5-1 '
+        .. "deliveries 3 error no", "h:6379 XACK rfsm:out:{0} g 5-1",
       "h:6379 XREADGROUP GROUP g w COUNT 7 STREAMS rfsm:out:{0} >" }, sent)
     assert.same({ 0, { "no", "no" } }, result)
     sent = work(answers, fail, { idle = 1, tries = 4 })
