@@ -777,6 +777,23 @@ describe("what an operator asks", function()
       "ZRANGEBYSCORE rfsm:due:{m} -inf 12.500000 LIMIT 0 7" }, asked)
   end)
 
+  it("is the queue of a machine that is not idle", function()
+    local function busy()
+      return state { trans { src = "initial", tgt = "a" },
+        a = state { doo = function(fsm)
+          while true do
+            rfsm.send_events(fsm, { name = "e_tick", n = 1 })
+            rfsm.yield()
+          end
+        end } }
+    end
+    package.loaded["rfsm.server.functions"] = nil
+    f = require "rfsm.server.functions" (host, { { name = "busy", make = busy } })
+    package.loaded["rfsm.server.functions"] = nil
+    f.rfsm_create({ "q" }, { "busy" })
+    assert.equal('[{"n":1,"name":"e_tick"}]', f.rfsm_get({ "q" })[14])
+  end)
+
   it("is why an event does nothing", function()
     assert.same("root.trans[2] (a -> b) would be taken on e_b in root.a",
       call("why", "e_b")[1])
