@@ -13,7 +13,7 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 -- Returns the lines of a reply: leaf, mode and outcome in one, then the errors.
 local function lines_of(reply)
-  local lines = { reply.leaf .. " " .. reply.mode .. " " .. (reply.outcome or "") }
+  local lines = { reply.leaf .. " " .. reply.mode .. " " .. reply.outcome }
   for _, text in ipairs(reply.errors) do lines[#lines + 1] = "error: " .. text end
   return lines
 end
