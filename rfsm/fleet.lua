@@ -1,9 +1,9 @@
 --- A fleet of machines in Redis: the client.
 --
 -- The machines live in a server that has loaded a library of `rfsm.redis`. The client
--- names their keys, so that machines spread over the slots of a cluster. It gives each
--- event an id, so that the event is applied once also if it must be sent again. It
--- wakes machines that are due, and reads what they emitted. Needs the packages
+-- chooses their keys, so that machines spread over the slots of a cluster. It gives
+-- each event an id, so that the event is applied once even if it is sent again. It
+-- wakes machines that are due, and reads what they have emitted. Needs the packages
 -- lua-redis and dkjson.
 --
 -- The file reads in this order: connect, calls, machines, workers. What the clients of
@@ -32,8 +32,8 @@ local fleet = {}
 
 --- A connection to a fleet.
 ---@class rfsm.fleet.Fleet : rfsm.server.Client
----@field name string of the machines, in front of their keys
----@field tags integer over how many hash tags they spread
+---@field name string with which the keys of the machines begin
+---@field tags integer number of hash tags over which the machines spread
 ---@field connection rfsm.redis.Connection
 local Fleet = { where = "rfsm.fleet" }
 Fleet.__index = Fleet
@@ -71,8 +71,8 @@ function fleet.connect(url, options)
     id = Fleet.new_id(), count = 0 }, Fleet)
 end
 
---- Send a command to the node that has the keys of a hash tag. It may come twice, if
--- the connection was lost before its answer came.
+--- Send a command to the node that has the keys of a hash tag. The command may arrive
+-- twice, if the connection was lost before the reply came.
 -- @raise the error of the server
 ---@param tag string
 ---@param name string
@@ -80,7 +80,7 @@ end
 ---@return any reply
 function Fleet:call(tag, name, ...) return self.connection:call(tag, name, ...) end
 
--- Returns the table that a list of names and values stands for.
+-- Returns a list of names and values in turns as a table.
 local function fields_of(list)
   local fields = {}
   for i = 1, #list, 2 do fields[list[i]] = list[i + 1] end
@@ -89,7 +89,7 @@ end
 
 -- Calls: keys and replies ---------------------------------------------------------
 
---- Return the key of a machine; one with a hash tag in braces is a key already.
+--- Return the key of a machine. An id with a hash tag in braces is a key already.
 ---@param id any
 ---@return string key
 ---@return string tag
@@ -105,7 +105,7 @@ function Fleet:key_of(id)
   return self.name .. ":{" .. tag .. "}:" .. id, tag
 end
 
---- Call a function; a cluster must know all keys that it writes.
+--- Call a function for a machine. A cluster must know all keys that it may write.
 ---@param name string
 ---@param id any
 ---@param ... any
@@ -144,13 +144,14 @@ end
 ---@param f fun(leaf: string): boolean?
 function Fleet:watch(id, f)
   local key, tag = self:key_of(id)
-  self:call(tag, "EXISTS", key) -- finds the node
+  self:call(tag, "EXISTS", key) -- so that the node of the tag is known
   self.connection:subscribe(tag, keys_of.channel(key), f)
 end
 
 -- Workers ------------------------------------------------------------------------
 
--- Calls a function for each hash tag, all at once; returns the replies.
+-- Calls a function for each hash tag, in parallel; returns the replies. `keys` has
+-- functions of `rfsm.server.keys`, of which each returns a key of the call.
 local function call_tags(self, name, keys, ...)
   local tags, calls = {}, {}
   for i = 1, self.tags do
@@ -204,7 +205,7 @@ end
 ---@field tag string
 ---@field stream string
 ---@field group string
----@field worker string
+---@field worker string its name
 ---@field options table
 ---@field count integer entries that were handled
 ---@field failures string[]
@@ -214,8 +215,8 @@ local function ask_stream(work, name, ...)
   return work.fleet:call(work.tag, name, work.stream, ...)
 end
 
--- Returns an entry for f. Its id is that of no other entry, also for another group or
--- stream, so a machine may know events by it.
+-- Returns an entry for f. Its id is unique among all groups and streams, so that it may
+-- be the id of an event.
 local function entry_of(work, raw)
   local entry = fields_of(raw[2])
   entry.id = concat({ work.group, work.tag, raw[1] }, ":")
@@ -235,8 +236,8 @@ local function bury(work, raw, deliveries, problem)
   ask_stream(work, "XACK", work.group, raw[1])
 end
 
--- Calls f with an entry. One that fails stays with the group until it fails too often.
--- If each of its workers has died or been lost, f is not called once more.
+-- Calls f with an entry. If f raises, the entry stays pending until it has failed too
+-- often. If all tries ended without an answer, f is not called again.
 local function handle(work, f, raw, deliveries)
   local tries, ok, problem = work.options.tries, false, "no worker has finished it"
   if deliveries <= tries then ok, problem = pcall(f, entry_of(work, raw)) end
@@ -250,14 +251,14 @@ local function handle(work, f, raw, deliveries)
   if deliveries >= tries then bury(work, raw, min(deliveries, tries), problem) end
 end
 
--- Makes a group that sees all entries that are there.
+-- Makes a group that gets all entries of the stream.
 local function make_group(work)
   local ok, reply = pcall(work.fleet.call, work.fleet, work.tag, "XGROUP", "CREATE",
     work.stream, work.group, "0", "MKSTREAM")
   if not ok and not reply:find("^BUSYGROUP") then error(reply, 0) end -- another's
 end
 
--- Lists the entries that workers of the group have not done for some time.
+-- Lists the entries that workers of the group got some time ago and have not finished.
 local function pending(work)
   local ok, reply = pcall(ask_stream, work, "XPENDING", work.group, "IDLE",
     work.options.idle, "-", "+", work.options.count)
@@ -267,8 +268,7 @@ local function pending(work)
   return {}
 end
 
--- Handles entries once more that were given to a worker and not done: each time after
--- twice the time.
+-- Handles pending entries again, each after a wait that doubles with each try.
 local function retry(work, f)
   for _, entry in ipairs(pending(work)) do
     local id, idle, deliveries = entry[1], entry[3], entry[4]
@@ -281,28 +281,23 @@ local function retry(work, f)
   end
 end
 
-local function split(id)
-  local ms, number = id:match("^(%d+)%-(%d+)$")
-  return tonumber(ms), tonumber(number)
+-- Returns the id of an entry with zeros in front of its numbers, so that texts compare.
+local function sortable(id)
+  return (id:gsub("%d+", function(digits) return ("0"):rep(20 - #digits) .. digits end))
 end
 
-local function is_before(a, b)
-  local ms, number = split(a)
-  local other_ms, other_number = split(b)
-  return ms < other_ms or ms == other_ms and number < other_number
+local function next_id(id)
+  return (id:gsub("%d+$", function(digits) return ("%.0f"):format(digits + 1) end))
 end
 
--- Takes what all groups have done out of the stream.
+-- Removes the entries that all groups have done from the stream.
 local function trim(work)
   local least = nil
   for _, info in ipairs(work.fleet:call(work.tag, "XINFO", "GROUPS", work.stream)) do
     local group = fields_of(info)
     local id = group.pending > 0 and ask_stream(work, "XPENDING", group.name)[2]
-    if not id then
-      local ms, number = split(group["last-delivered-id"])
-      id = ("%.0f-%.0f"):format(ms, number + 1) -- the next one
-    end
-    if not least or is_before(id, least) then least = id end
+      or next_id(group["last-delivered-id"])
+    if not least or sortable(id) < sortable(least) then least = id end
   end
   if least then ask_stream(work, "XTRIM", "MINID", least) end
 end

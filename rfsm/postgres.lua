@@ -1,10 +1,11 @@
 --- A fleet of machines in PostgreSQL: the client, for servers without PL/Lua.
 --
 -- The functions that run in Redis, and inside PostgreSQL, run in this process, on the
--- same tables: a call locks the row of its machine, runs it and saves it, in one
--- transaction. So machines may be driven from here and from inside.
+-- same tables. A call locks the row of its machine, runs the machine and saves it, in
+-- one transaction. So clients and functions inside the server may drive a machine in
+-- turns.
 --
--- LuaSQL's connections are known. For another driver a function runs statements.
+-- Statements are run by a connection of LuaSQL, or by a function of the user.
 --
 -- @module rfsm.postgres
 -- @license BSD-3-Clause
@@ -26,8 +27,8 @@ local postgres = {}
 
 -- Statements ----------------------------------------------------------------------
 
--- Returns a statement that reads rows, then the time: a lock may have to be waited for.
--- If no machine is found the row has only the time.
+-- Returns a statement that reads machines, and then the time, since it may have to wait
+-- for a lock. If there is no machine, it returns one row that has only the time.
 local function reading(columns, rows)
   return ([[SELECT %s, (extract(epoch FROM clock_timestamp()) * 1e6)::text AS us
     FROM (SELECT 1) one LEFT JOIN (SELECT key, value FROM rfsm.machines %s) m ON true]])
@@ -45,7 +46,7 @@ local ASIDE = "UPDATE rfsm.machines SET due = clock_timestamp() + interval '1 mi
 
 --- Charts that run in this process.
 ---@class rfsm.postgres.Charts
----@field answer function see `rfsm.postgres.host`
+---@field answer function calls a function for a machine, see `rfsm.postgres.host`
 
 local NUMBER = { "a whole number", opts.is_whole(1, 1e6), nil }
 local CHART_OPTIONS = { ids = NUMBER, ids_for = NUMBER,
@@ -74,7 +75,8 @@ end
 
 -- Connect -------------------------------------------------------------------------
 
--- Returns the function of a connection of LuaSQL, which has no parameters.
+-- Returns a function that runs statements in a connection of LuaSQL. That knows no
+-- parameters, so the values are put into the text.
 local function of_luasql(connection)
   return function(sql, ...)
     local values, is_text = { ... }, true
@@ -103,11 +105,11 @@ end
 --- A connection to machines.
 ---@class rfsm.postgres.Client : rfsm.server.Client
 ---@field charts rfsm.postgres.Charts
----@field open fun(): any, string?
----@field query rfsm.postgres.Query|false false: not connected
----@field options table
----@field failure string|false what has failed in the transaction that runs
----@field is_open boolean a transaction runs
+---@field open fun(): any, string? see `postgres.connect`
+---@field query rfsm.postgres.Query|false false: the connection is lost
+---@field options table `patience`, `sleep`
+---@field failure string|false the first error in the transaction of the caller
+---@field is_open boolean a transaction of the caller is under way
 local Client = { where = "rfsm.postgres" }
 Client.__index = Client
 for name, f in pairs(Base) do Client[name] = f end -- any order: a copy
@@ -138,7 +140,7 @@ local OPTIONS = {
   sleep = { "function", opts.is_a "function" },
 }
 
---- Connect to a server that has the tables of `rfsm postgres --client`, or all.
+--- Connect to a server with the tables of `rfsm postgres`, or `rfsm postgres --client`.
 --
 -- @usage
 --    local charts = postgres.charts { "order.lua" }
@@ -173,7 +175,7 @@ end
 
 -- Transactions --------------------------------------------------------------------
 
--- Ends a transaction that has failed; without an answer the connection is lost.
+-- Ends a transaction that has failed. If that fails, too, the connection is lost.
 local function roll_back(self)
   if not self.query then return end
   local ok, rows = pcall(self.query, "ROLLBACK")
@@ -196,7 +198,7 @@ local function in_transaction(self, f, ...)
   return ok, result
 end
 
--- Waits for a moment; returns false if that is not known how.
+-- Waits for a moment; returns false if there is no function that sleeps.
 local function pause(self)
   local socket = not self.options.sleep and opts.find_package("socket")
   local sleep = self.options.sleep or socket and socket.sleep
@@ -205,8 +207,8 @@ local function pause(self)
   return true
 end
 
--- Calls f(self, ...) in a transaction, once more if the connection was lost. In one of
--- the caller's, that is left to the caller.
+-- Calls f(self, ...) in a transaction, again while the connection is lost. In a
+-- transaction of the caller it is called once, and the caller has to try again.
 local function run(self, f, ...)
   if self.is_open then
     local ok, result = try(f, self, ...)
@@ -221,8 +223,8 @@ local function run(self, f, ...)
   return ok, result
 end
 
---- Call `f(query)` in a transaction: what it does with machines, and by `query`,
--- happens at once, or not at all if something fails.
+--- Call `f(query)` in a transaction: all that it does with machines, and by `query`,
+-- happens, or nothing if something fails.
 ---@param f fun(query: rfsm.postgres.Query)
 ---@return boolean ok
 ---@return string? problem
@@ -273,14 +275,15 @@ end
 
 -- Workers -------------------------------------------------------------------------
 
--- Has a machine that cannot be run wait for a minute, and notes it in the log.
+-- Has a machine that cannot be run wait for a minute, and writes the reason to the log.
 local function put_aside(self, key, problem)
   query(self, ASIDE, key)
   query(self, host.STATEMENTS.log, key, reason_of(problem))
 end
 
--- Runs machines that are due and that no other worker has. If a statement fails, that
--- ends the transaction of all; `culprit` is the machine, and why.
+-- Runs machines that are due and that no other worker has locked. A statement that
+-- fails ends the transaction of all; then `culprit` has the key of the machine, and the
+-- problem.
 local function wake(self, limit, culprit)
   local counts = { woken = 0, failed = 0 }
   for _, row in ipairs(query(self, DUE:format(limit))) do

@@ -10,8 +10,8 @@ local library = require "rfsm.server.library"
 
 local redis = {}
 
--- The library is made at the first call: while Redis loads the text hardly any global
--- is there.
+-- The library is made at the first call, since most globals are absent while Redis
+-- loads the text.
 local HEAD = "#!lua name=rfsm\nlocal library = function(...)\n"
 
 local FOOT = [[
@@ -60,10 +60,8 @@ function redis.name_of(argument) return library.name_of(argument) end
 ---@return string[] warnings
 ---@nodiscard
 function redis.bundle(arguments, options)
-  options = options or {}
-  local text, warnings = library.text(arguments, "Redis", { index = options.index,
-    history = options.history, notes = options.history ~= nil, ids = options.ids,
-    ids_for = options.ids_for }, "rfsm.redis.store")
+  local text, warnings = library.text(arguments, "Redis", options or {},
+    "rfsm.redis.store")
   return HEAD .. text .. FOOT, warnings
 end
 

@@ -1026,14 +1026,6 @@ COMMIT;]]):gsub("COMMAND", function()
       assert.equal("", load_beside(BOTH, "rfsm.machines", 60))
     end)
 
-  it("gets the columns that a version before lacks", function()
-    load_counter {}
-    server:sql("ALTER TABLE rfsm.out DROP due, DROP tries, DROP error")
-    assert.equal("", load_beside({}, "rfsm.out", 1))
-    assert.equal("0\n", sql(
-      "INSERT INTO rfsm.out (key, what) VALUES ('1', 'x') RETURNING tries"))
-  end)
-
   it("keeps its triggers, also if its functions are found without a schema", function()
     load_counter(BOTH)
     local before = triggers "oid"

@@ -404,12 +404,14 @@ describe("what is due", function()
     }
   end
 
-  local function fast()
-    return state { keep = { "n" }, n = 0, a = state {},
-      b = state {}, trans { src = "initial", tgt = "a" },
-      trans { src = "a", tgt = "a", events = { "e_after(0.01)" },
-        effect = function(fsm) fsm.n = fsm.n + 1 end },
-      trans { src = "a", tgt = "b", events = { "e_stop" } } }
+  local function every(seconds)
+    return function()
+      return state { keep = { "n" }, n = 0, a = state {},
+        b = state {}, trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "a", events = { "e_after(" .. seconds .. ")" },
+          effect = function(fsm) fsm.n = fsm.n + 1 end },
+        trans { src = "a", tgt = "b", events = { "e_stop" } } }
+    end
   end
 
   local function endless()
@@ -432,9 +434,10 @@ describe("what is due", function()
 
   before_each(function()
     package.loaded["rfsm.server.functions"] = nil
-    f = require "rfsm.server.functions" (host, { { name = "fast", make = fast },
-      { name = "endless", make = endless }, { name = "r", make = reminded },
-      { name = "s", make = in_step } }, { history = 9 })
+    f = require "rfsm.server.functions" (host, { { name = "fast", make = every(0.01) },
+      { name = "faster", make = every(0.001) }, { name = "endless", make = endless },
+      { name = "r", make = reminded }, { name = "s", make = in_step } },
+      { history = 9 })
     package.loaded["rfsm.server.functions"] = nil
   end)
 
@@ -486,6 +489,17 @@ describe("what is due", function()
     assert.same({ "root.b", "done", "known" },
       f.rfsm_send({ "q" }, { "e_stop", "ID", "1" }))
     assert.equal('{"root":{"n":999}}', data_of "q")
+  end)
+
+  it("is not skipped if 200 steps take a fifth of a second", function()
+    f.rfsm_create({ "q" }, { "faster" })
+    clock.now = 1009
+    for i = 1, 2 do
+      f.rfsm_tick({ "q" })
+      assert.equal(('{"root":{"n":%d}}'):format(200 * i), data_of "q")
+      local due = tonumber(f.rfsm_get({ "q" })[16])
+      assert.is_true(due > 1000 + 0.2 * i and due < 1000.01 + 0.2 * i)
+    end
   end)
 
   it("is skipped if it is faster than the server", function()
@@ -763,6 +777,23 @@ describe("what an operator asks", function()
       "ZRANGEBYSCORE rfsm:due:{m} -inf 12.500000 LIMIT 0 7" }, asked)
   end)
 
+  it("is the queue of a machine that is not idle", function()
+    local function busy()
+      return state { trans { src = "initial", tgt = "a" },
+        a = state { doo = function(fsm)
+          while true do
+            rfsm.send_events(fsm, { name = "e_tick", n = 1 })
+            rfsm.yield()
+          end
+        end } }
+    end
+    package.loaded["rfsm.server.functions"] = nil
+    f = require "rfsm.server.functions" (host, { { name = "busy", make = busy } })
+    package.loaded["rfsm.server.functions"] = nil
+    f.rfsm_create({ "q" }, { "busy" })
+    assert.equal('[{"n":1,"name":"e_tick"}]', f.rfsm_get({ "q" })[14])
+  end)
+
   it("is why an event does nothing", function()
     assert.same("root.trans[2] (a -> b) would be taken on e_b in root.a",
       call("why", "e_b")[1])
@@ -772,7 +803,7 @@ end)
 
 describe("a machine that is held", function()
   it("rests until it is released, then does all in order", function()
-    open { history = 9, notes = true }
+    open { history = 9 }
     call("send_at", "+2", "e_b", "ID", "x")
     assert.same({ "root.a", "done", "kept" }, call("hold"))
     assert.equal("ERR rfsm_hold: the machine at 'm' is held already", call("hold"))
@@ -793,6 +824,26 @@ describe("a machine that is held", function()
     end
     assert.same({ "e_bad", "e_b", "e_a", "e_x" }, events)
     assert.equal("ERR rfsm_release: the machine at 'm' is not held", call("release"))
+  end)
+
+  it("does all in the order of the calls, if the clock goes back", function()
+    open { history = 9 }
+    call("hold")
+    call("send_at", "+4", "e_x", "ID", "later")
+    for i, event in ipairs { "e_b", "e_a", "e_bad" } do
+      clock.now = 1003 - i / 2
+      assert.same({ "root.a", "done", "kept" }, call("send", event))
+    end
+    clock.now = 1001
+    written()
+    assert.same({ "root.a", "done", "taken" }, call("release"))
+    clock.now = 1004
+    call("tick")
+    local events = {}
+    for by in table.concat(trace, "\n"):gmatch("event,6=(%S-),7=") do
+      events[#events + 1] = by
+    end
+    assert.same({ "e_b", "e_a", "e_bad", "e_x" }, events)
   end)
 
   it("keeps its timers until then", function()
@@ -894,6 +945,22 @@ describe("versions of a chart", function()
     library(version(1, state {}))
     assert.matches("^ERR rfsm_send: the machine at 'w': rfsm.snapshot: the snapshot is "
       .. "of another chart: ", f.rfsm_send({ "w" }, { "e" }).err)
+  end)
+
+  it("have a target that a callback has changed in its machine alone", function()
+    library(function()
+      return state { a = state {}, b = state {}, c = state {},
+        go = trans { src = "a", tgt = "b", events = { "e_go" } },
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "a", events = { "e_turn" },
+          effect = function(fsm) fsm.go.tgt = fsm.c end },
+      }
+    end)
+    for _, key in ipairs { "w", "x" } do f.rfsm_create({ key }, { "v" }) end
+    f.rfsm_send({ "w" }, { "e_turn" })
+    f.rfsm_why({ "w" }, { "e_go" }) -- puts the machine, and does not save it
+    assert.equal("root.b", f.rfsm_send({ "x" }, { "e_go" })[1])
+    assert.equal("root.c", f.rfsm_send({ "w" }, { "e_go" })[1])
   end)
 
   it("that fail are reported with their name", function()

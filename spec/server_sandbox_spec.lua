@@ -152,13 +152,38 @@ describe("a bundle", function()
     assert.same({}, warnings)
     assert.matches("^#!lua name=rfsm\n", text)
     assert.is_truthy(text:find("charts, { index = true, history = 7, ids = 8, "
-      .. "ids_for = 9, notes = true }", 1, true))
+      .. "ids_for = 9 }", 1, true))
     assert.is_true(text:find('name = "one"', 1, true) < text:find('name = "two"', 1,
       true))
     assert.is_truthy((redis.bundle { "one=" .. file }):find("charts, { index = nil, "
-      .. "history = nil, ids = nil, ids_for = nil, notes = nil }", 1, true))
+      .. "history = nil, ids = nil, ids_for = nil }", 1, true))
     local _, count = text:gsub('bundled%["rfsm"%] =', "")
     assert.equal(1, count)
+  end)
+
+  it("has what a chart may get without a require, each module once", function()
+    local text = redis.bundle { helper.file_with("return rfsm.state { a = "
+      .. "rfsm.state {}, rfsm.trans { src = 'initial', tgt = 'a' } }") }
+    for _, name in ipairs { "rfsm", "rfsm_timeevent", "rfsm_seqand", "rfsm.strict",
+      "rfsm.emem", "rfsm.monitor", "rfsm.preview", "rfsm.await", "rfsm.advice",
+      "rfsm.redis.store", "rfsm.server.functions" } do
+      local _, count = text:gsub('bundled%["' .. name:gsub("%.", "%%.") .. '"%] =', "")
+      assert.equal(1, count, name)
+    end
+    assert.is_nil(text:find('bundled["rfsm.fleet"]', 1, true))
+  end)
+
+  it("has a flat name of rFSM also if no folder has that file", function()
+    local file = helper.file_with("require 'rfsm_await'\nreturn rfsm.state { a = "
+      .. "rfsm.state {}, rfsm.trans { src = 'initial', tgt = 'a' } }")
+    local text = helper.with(package, { path = "./?.lua" }, function()
+      return helper.with(package.loaded, { rfsm_await = true }, function()
+        return (redis.bundle { file })
+      end)
+    end)
+    assert.is_truthy(text:find('bundled["rfsm_await"] =', 1, true))
+    local compile = rawget(_G, "loadstring") or load
+    assert.is_function(compile((text:gsub("^#[^\n]*", ""))))
   end)
 
   it("runs no chart with other globals than those of the server", function()

@@ -7,7 +7,7 @@ cd "$(dirname "$0")/../.."
 
 port=7379
 folder=$(mktemp -d)
-trap 'kill "$(cat "$folder/pid")" || true; rm -rf "$folder"' EXIT
+trap 'kill -9 "$(cat "$folder/pid")" || true; rm -rf "$folder"' EXIT
 
 # Waits until it answers; fails if its port is another's.
 start() {

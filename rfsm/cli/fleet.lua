@@ -11,9 +11,9 @@ local rfsm = require "rfsm"
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
--- Returns a reply as lines: state, mode and outcome, then its errors.
+-- Returns the lines of a reply: leaf, mode and outcome in one, then the errors.
 local function lines_of(reply)
-  local lines = { reply.leaf .. " " .. reply.mode .. " " .. (reply.outcome or "") }
+  local lines = { reply.leaf .. " " .. reply.mode .. " " .. reply.outcome }
   for _, text in ipairs(reply.errors) do lines[#lines + 1] = "error: " .. text end
   return lines
 end
@@ -63,7 +63,8 @@ local function was_there(name)
   end
 end
 
--- What each verb takes, and how many of these it needs; it returns lines.
+-- Of each verb: its arguments, how many of them are needed, and the function, which
+-- returns lines to print, or nil and the problem.
 local VERBS = {
   find = { "CHART STATE [LIMIT [SECONDS]]", 2, function(fleet, name, state, limit, s)
     return fleet:find(name, state, tonumber(limit), s)
@@ -103,14 +104,19 @@ function command.add_arguments(parser)
   common.add_number(parser, "--tags", "hash tags of the machines (64)")
 end
 
+--- Return the client of a fleet, or end the program if there is no server.
+function command.connect(url, options)
+  local connected, fleet = pcall(require("rfsm.fleet").connect, url, options)
+  if not connected then common.fail(chart.first_line(fleet)) end
+  return fleet
+end
+
 function command.run(options, parser)
   local verb, list = VERBS[options.verb], options.arguments
   if #list < verb[2] then
     parser:error(options.verb .. " " .. verb[1] .. " expected")
   end
-  local connected, fleet = pcall(require("rfsm.fleet").connect, options.url,
-    { tags = options.tags })
-  if not connected then common.fail(chart.first_line(fleet)) end
+  local fleet = command.connect(options.url, { tags = options.tags })
   for _, line in ipairs(common.try(verb[3](fleet, unpack(list)))) do
     common.write("-", line .. "\n")
   end

@@ -3,8 +3,8 @@
 -- @module rfsm.cli.redis
 -- @license BSD-3-Clause
 
-local chart = require "rfsm.shared.chart"
 local common = require "rfsm.cli.common"
+local connect = require("rfsm.cli.fleet").connect
 
 local redis = {
   summary = "Bundle charts as a library of Redis functions.",
@@ -23,12 +23,6 @@ function redis.add_arguments(command)
   command:flag("--diff", "report what new versions mean for saved machines")
   command:option("--stats", "print the numbers of machines there, for Prometheus")
     :argname("URL")
-end
-
-local function connect(url)
-  local connected, fleet = pcall(require("rfsm.fleet").connect, url)
-  if not connected then common.fail(chart.first_line(fleet)) end
-  return fleet
 end
 
 -- Reports on each chart of which there are two versions; returns whether all are safe.

@@ -1,8 +1,9 @@
---- Machines in rows of PostgreSQL: the host of `rfsm.server.functions` there.
+--- Machines in rows of PostgreSQL: the host that `rfsm.server.functions` has there.
 --
 -- The functions run inside the server (`rfsm.postgres.pllua`), or in a client
--- (`rfsm.postgres`). When a function has ended, one statement saves the row. An error
--- changes nothing: the transaction ends with it.
+-- (`rfsm.postgres`). The row is saved when a function has ended, so a client whose
+-- statements wait in coroutines does not enter a function twice. An error ends the
+-- transaction, so it changes nothing.
 --
 -- @module rfsm.postgres.host
 -- @license BSD-3-Clause
@@ -10,38 +11,38 @@
 local ipairs = ipairs
 local floor = math.floor
 
---- What a call has to do with one machine.
+--- The row of the machine of a call.
 ---@class rfsm.postgres.Row
----@field is_read boolean? the row needs no lock
+---@field is_read boolean? the row is only read, so it is not locked
 ---@field list any[]|nil the value of the machine
 ---@field us number|nil the time in microseconds, if the row was read before the call
----@field execute function that of the server, or of a client
+---@field execute function runs a statement, see `rfsm.postgres.Server`
 ---@field change rfsm.postgres.Change|nil what is to be written
 
---- What a function has written: the arguments of the host's `write`.
+--- The arguments with which a function has called `write` of the host.
 ---@class rfsm.postgres.Change
 ---@field machine rfsm.server.Machine
 ---@field due number|nil
 ---@field emitted string[][]
 ---@field errors string[]
----@field data table
+---@field data string JSON
 
---- What runs statements.
+--- What the host uses of the server, or of a client.
 ---@class rfsm.postgres.Server
 ---@field execute fun(name: string, ...: any): table[] the rows of a statement of `host`
----@field json table `encode`, `decode`; `list_of`: a value of the column `value`;
---- `datum`: JSON for a statement
+---@field json table `decode`; `list_of` makes a list of the column `value`; `datum`
+--- makes an argument of a statement of a JSON text
 ---@field warn fun(text: string)
 ---@field refuse fun(text: string): any raises what is wrong with the call, or returns
---- the reply of another library
+--- the reply of a newer library
 
 local host = {}
 
 --- Functions that need no lock.
 host.READ_ONLY = { rfsm_get = true, rfsm_why = true }
 
---- Statements by their name. Those that write return a row for each that they write.
--- Some drivers give each parameter the type text.
+--- Statements by their names. Those that write a machine return a row if they did. The
+-- casts are for drivers that give all parameters the type text.
 host.STATEMENTS = {
   read = "SELECT value FROM rfsm.machines WHERE key = $1",
   lock = "SELECT value FROM rfsm.machines WHERE key = $1 FOR UPDATE",
@@ -65,6 +66,8 @@ host.STATEMENTS = {
   log = [[WITH trimmed AS (DELETE FROM rfsm.log WHERE key = $1 AND id <= (SELECT id
       FROM rfsm.log WHERE key = $1 ORDER BY id DESC OFFSET 999 LIMIT 1))
     INSERT INTO rfsm.log (key, error) VALUES ($1, $2)]],
+  newest = "SELECT obj_description('rfsm.call'::regproc, 'pg_proc') AS library",
+  call = "SELECT rfsm.call($1, $2, $3, $4) AS reply",
 }
 
 -- Writes what callbacks have emitted, and their errors.
@@ -79,8 +82,8 @@ local function save_effects(server, execute, key, change)
   end
 end
 
--- Writes a row; returns false if a new one is there. Each move is one of the row, so
--- that triggers see it; what has moved nothing is noted here.
+-- Writes the row of a machine; returns false if that of a new machine exists. Each move
+-- is an update, so that triggers see it. Events that moved nothing are noted here.
 local function save(server, execute, key, change)
   local machine = change.machine
   local is_new, by = machine.leaf == false, nil
@@ -96,25 +99,26 @@ local function save(server, execute, key, change)
   local written = execute(is_new and "insert" or "update", key, machine.chart.name,
     machine.list[3].chart, machine.at, machine.mode, by,
     change.due and ("%.6f"):format(change.due) or nil,
-    server.json.encode(change.data), machine.value)
+    server.json.datum(change.data), server.json.datum(machine.value))
   if written[1] then save_effects(server, execute, key, change) end
   return written[1] ~= nil
 end
 
--- Returns the text of an error in the words of SQL.
+-- Returns the text of an error with the names that functions have in SQL.
 local function in_sql(text)
   return (text:gsub("^rfsm_(%l[%l_]*): ", "rfsm.%1: ")
     :gsub("%(rfsm_create makes one%)$", "(rfsm.create makes one)"))
 end
 
 --- Return a function `answer(name, key, args, found)` that calls a function for the
--- machine at a key. `found` has what was read before, and `execute`. `require`, charts
--- and options are what a library returns.
+-- machine at a key. If the row was read before, `found` has its `list`, `us` and
+-- `execute`. `require`, charts and options are what a library returns.
 ---@param server rfsm.postgres.Server
 function host.new(server, require, charts, options)
   local data_of = require("rfsm.server.charts").data_of
   local row ---@type rfsm.postgres.Row
-  local verbs = { pack = server.json.encode, decode = server.json.decode }
+  local verbs = { pack = require("rfsm.shared.exact_json").encode,
+    decode = server.json.decode }
 
   function verbs.time()
     local us = row.us or row.execute("time")[1].us

@@ -1,34 +1,16 @@
 --- The schema `rfsm`: tables, and functions in SQL around the one in PL/Lua.
 --
--- What is there already stays; functions are replaced. No table is locked that is as it
--- should be, so a load and the clients do not wait for each other. $TAG, $CODE, $ID,
--- $LOG, $HISTORY and $NOTIFY are texts that `rfsm.postgres.script` puts in.
+-- A load keeps tables that exist, and replaces functions. It locks no table that does
+-- not change, so the load and clients do not wait for each other. $TAG, $CODE, $ID,
+-- $LOG, $OWNER, $HISTORY and $NOTIFY stand for texts that `rfsm.postgres.script`
+-- inserts.
 --
 -- @module rfsm.postgres.schema
 -- @license BSD-3-Clause
 
-local schema = {}
+local ipairs, concat = ipairs, table.concat
 
--- Locks tables that are to change. Clients wait behind it, so it gives up soon, lets
--- them pass, and tries again.
-local LOCK = [[
-    FOR try IN 1..5 LOOP
-      BEGIN
-        SET LOCAL lock_timeout = '500ms';
-        LOCK TABLE rfsm.machines, rfsm.out;
-        EXIT;
-      EXCEPTION WHEN lock_not_available THEN
-        IF try = 5 THEN
-          RAISE EXCEPTION 'rfsm: nothing was loaded: other sessions hold tables that '
-            'are to change (pid %); load again when their transactions have ended',
-            (SELECT string_agg(DISTINCT pid::text, ', ') FROM pg_locks
-              WHERE granted AND pid <> pg_backend_pid()
-              AND relation IN ('rfsm.machines'::regclass, 'rfsm.out'::regclass));
-        END IF;
-        PERFORM pg_sleep(0.5);
-      END;
-    END LOOP;
-]]
+local schema = {}
 
 schema.HEAD = [[
 -- Made by: rfsm postgres. All of it, or nothing: one transaction.
@@ -55,7 +37,10 @@ CREATE TABLE IF NOT EXISTS rfsm.out (
   at timestamptz NOT NULL DEFAULT clock_timestamp(),
   key text COLLATE "C" NOT NULL,
   what text NOT NULL,
-  data jsonb
+  data jsonb,
+  due timestamptz,              -- a worker has it until then
+  tries integer NOT NULL DEFAULT 0,
+  error text                    -- the latest one
 );
 
 -- Entries that failed too often.
@@ -77,30 +62,57 @@ CREATE TABLE IF NOT EXISTS rfsm.log (
   error text NOT NULL
 );
 
--- CREATE INDEX IF NOT EXISTS locks the table before it looks.
+-- CREATE INDEX IF NOT EXISTS would lock the table even if the index exists.
 DO $$ BEGIN
   IF to_regclass('rfsm.log_key') IS NULL THEN
     CREATE INDEX machines_state ON rfsm.machines (chart, state, since);
     CREATE INDEX machines_due ON rfsm.machines (due) WHERE due IS NOT NULL;
     CREATE INDEX log_key ON rfsm.log (key, id);
   END IF;
-  IF NOT EXISTS (SELECT FROM pg_attribute
-    WHERE attrelid = 'rfsm.out'::regclass AND attname = 'due') THEN
-]] .. LOCK .. [[
-    ALTER TABLE rfsm.out ADD due timestamptz, -- a worker has it until then
-      ADD tries integer NOT NULL DEFAULT 0, ADD error text; -- the latest one
-  END IF;
 END $$;
 
--- Is a state another one, or in it?
+-- Is a state the same as another one, or inside of it?
 CREATE OR REPLACE FUNCTION rfsm.is_in(state text, other text)
   RETURNS boolean LANGUAGE sql IMMUTABLE AS $$
   SELECT state = other OR starts_with(state, other || '.')
 $$;
 ]]
 
--- Those that anybody may call who has USAGE of the schema run with the rights of the
--- owner, and find nothing but what their text names.
+-- Functions for one machine, each with its name, the parameters behind the key, the
+-- type of the result, and what it gives to the library: a list and an id, or nothing.
+local VERBS = {
+  { "create", ", chart text, data jsonb DEFAULT '{}', id text DEFAULT NULL", "text",
+    "ARRAY[chart, coalesce(data, '{}')::text], id" },
+  { "send", ", events text[], id text DEFAULT NULL", "text", "events, id" },
+  { "send", ", event text, id text DEFAULT NULL", "text", "ARRAY[event], id" },
+  { "send_at", ", at timestamptz, event text, id text", "text",
+    "ARRAY[extract(epoch FROM at)::text, event], id" },
+  { "cancel", ", id text", "boolean", "ARRAY[id], NULL" },
+  { "why", ", event text", "SETOF text", "ARRAY[event], NULL" },
+  { "force", ", state text", "text", "ARRAY[state], NULL" },
+  { "tick", "", "text" }, { "hold", "", "text" }, { "release", "", "text" },
+  { "remove", "", "boolean" },
+}
+
+-- The expression that makes each type of result of the list that `rfsm.call` returns.
+local RESULTS = { text = "(%s)[1]", boolean = "(%s)[1] = '1'",
+  ["SETOF text"] = "unnest(%s)" }
+
+-- A role that has USAGE of the schema may call all functions that are not revoked. They
+-- run with the rights of the owner ($OWNER), and find only what their text names.
+local calls = {}
+for i, verb in ipairs(VERBS) do
+  local name, arguments, kind = verb[1], verb[2], verb[3]
+  local call = ("rfsm.call('rfsm_%s', key, %s)"):format(name, verb[4] or "NULL, NULL")
+  calls[i] = ([[
+CREATE OR REPLACE FUNCTION rfsm.%s(key text%s)
+  RETURNS %s $OWNER AS $$
+  SELECT %s
+$$;
+
+]]):format(name, arguments, kind, RESULTS[kind]:format(call))
+end
+
 schema.FUNCTIONS = [[
 
 CREATE EXTENSION IF NOT EXISTS pllua;
@@ -114,68 +126,17 @@ $CODE$TAG;
 COMMENT ON FUNCTION rfsm.call IS 'library $ID';
 REVOKE EXECUTE ON FUNCTION rfsm.call FROM PUBLIC;
 
-CREATE OR REPLACE FUNCTION rfsm.create(key text, chart text, data jsonb DEFAULT '{}',
-  id text DEFAULT NULL) RETURNS text $OWNER AS $$
-  SELECT (rfsm.call('rfsm_create', key, ARRAY[chart, coalesce(data, '{}')::text],
-    id))[1]
-$$;
-
-CREATE OR REPLACE FUNCTION rfsm.send(key text, events text[], id text DEFAULT NULL)
-  RETURNS text $OWNER AS $$
-  SELECT (rfsm.call('rfsm_send', key, events, id))[1]
-$$;
-
-CREATE OR REPLACE FUNCTION rfsm.send(key text, event text, id text DEFAULT NULL)
-  RETURNS text $OWNER AS $$
-  SELECT (rfsm.call('rfsm_send', key, ARRAY[event], id))[1]
-$$;
-
 CREATE OR REPLACE FUNCTION rfsm.reply(key text, events text[], id text DEFAULT NULL,
   OUT state text, OUT mode text, OUT errors text[], OUT outcome text) $OWNER AS $$
   SELECT r[1], r[2], r[3:cardinality(r) - 1], r[cardinality(r)]
   FROM rfsm.call('rfsm_send', key, events, id) r
 $$;
 
-CREATE OR REPLACE FUNCTION rfsm.send_at(key text, at timestamptz, event text, id text)
-  RETURNS text $OWNER AS $$
-  SELECT (rfsm.call('rfsm_send_at', key, ARRAY[extract(epoch FROM at)::text, event],
-    id))[1]
-$$;
-
-CREATE OR REPLACE FUNCTION rfsm.cancel(key text, id text) RETURNS boolean $OWNER AS $$
-  SELECT (rfsm.call('rfsm_cancel', key, ARRAY[id], NULL))[1] = '1'
-$$;
-
-CREATE OR REPLACE FUNCTION rfsm.tick(key text) RETURNS text $OWNER AS $$
-  SELECT (rfsm.call('rfsm_tick', key, NULL, NULL))[1]
-$$;
-
-CREATE OR REPLACE FUNCTION rfsm.why(key text, event text)
-  RETURNS SETOF text $OWNER AS $$
-  SELECT unnest(rfsm.call('rfsm_why', key, ARRAY[event], NULL))
-$$;
-
--- The verbs of an operator. A machine that is held rests; its events and timers wait.
-CREATE OR REPLACE FUNCTION rfsm.hold(key text) RETURNS text $OWNER AS $$
-  SELECT (rfsm.call('rfsm_hold', key, NULL, NULL))[1]
-$$;
-
-CREATE OR REPLACE FUNCTION rfsm.release(key text) RETURNS text $OWNER AS $$
-  SELECT (rfsm.call('rfsm_release', key, NULL, NULL))[1]
-$$;
-
-CREATE OR REPLACE FUNCTION rfsm.force(key text, state text) RETURNS text $OWNER AS $$
-  SELECT (rfsm.call('rfsm_force', key, ARRAY[state], NULL))[1]
-$$;
-
-CREATE OR REPLACE FUNCTION rfsm.remove(key text) RETURNS boolean $OWNER AS $$
-  SELECT (rfsm.call('rfsm_remove', key, NULL, NULL))[1] = '1'
-$$;
+]] .. concat(calls) .. [[
 REVOKE EXECUTE ON FUNCTION rfsm.hold, rfsm.release, rfsm.force, rfsm.remove FROM PUBLIC;
 
--- Runs machines that are due and that no other worker has; returns how many. One that
--- cannot run waits for a minute, and the log has the reason. One that another session
--- has is left to the next call.
+-- Runs machines that are due and that no other session has locked; returns how many. A
+-- machine that cannot run waits for a minute, and the log has the reason.
 CREATE OR REPLACE FUNCTION rfsm.wake(most integer DEFAULT 100)
   RETURNS integer LANGUAGE plpgsql SECURITY DEFINER
   SET search_path = pg_catalog, pg_temp AS $$
@@ -200,8 +161,9 @@ BEGIN
   RETURN woken;
 END $$;
 
--- A worker that wakes machines until it is cancelled, each batch in a transaction. A
--- line to the client now and then: if that is gone, the server ends the session.
+-- A worker: it wakes machines until it is cancelled, each batch in a transaction. It
+-- sends a line to its client now and then: the server ends the session if the client is
+-- gone.
 CREATE OR REPLACE PROCEDURE rfsm.work(pause double precision DEFAULT 0.1,
   report interval DEFAULT '30 seconds') LANGUAGE plpgsql AS $$
 DECLARE
@@ -233,9 +195,9 @@ END $$;
 
 schema.OUTBOX = [[
 
--- Gives a worker entries that no other has, and counts the try. It has each for a time,
--- twice as long with each try; then another may take it. Entries that were tried so
--- often that no try is left go to rfsm.dead before that.
+-- Returns entries that no other worker has, and counts the try. A worker has an entry
+-- for the time of the lease, twice as long with each further try; then another worker
+-- may take it. First, entries that have no try left are moved to rfsm.dead.
 CREATE OR REPLACE FUNCTION rfsm.take(most integer DEFAULT 1,
   lease interval DEFAULT '30 seconds', max_tries integer DEFAULT 5)
   RETURNS TABLE (id bigint, key text, what text, data jsonb, try integer) $OWNER AS $$
@@ -253,22 +215,22 @@ CREATE OR REPLACE FUNCTION rfsm.take(most integer DEFAULT 1,
   RETURNING o.id, o.key, o.what, o.data, o.tries;
 $$;
 
--- The entry is done: call it in the transaction that sends the answer. Returns whether
--- it was there.
+-- Removes an entry that is done: call it in the transaction that sends the answer.
+-- Returns whether the entry was there.
 CREATE OR REPLACE FUNCTION rfsm.done(id bigint) RETURNS boolean $OWNER AS $$
   WITH gone AS (DELETE FROM rfsm.out o WHERE o.id = done.id RETURNING 1)
   SELECT EXISTS (SELECT FROM gone)
 $$;
 
--- The try has failed; the entry comes again when its time has passed. Returns whether
--- it was there.
+-- The try has failed: the entry may be taken again when its lease is over. Returns
+-- whether the entry was there.
 CREATE OR REPLACE FUNCTION rfsm.fail(id bigint, reason text)
   RETURNS boolean $OWNER AS $$
   WITH failed AS (UPDATE rfsm.out o SET error = reason WHERE o.id = fail.id RETURNING 1)
   SELECT EXISTS (SELECT FROM failed)
 $$;
 
--- A dead entry is sent again, or dropped. Returns whether it was there.
+-- Sends a dead entry again, or drops it. Returns whether the entry was there.
 CREATE OR REPLACE FUNCTION rfsm.again(id bigint) RETURNS boolean $OWNER AS $$
   WITH gone AS (DELETE FROM rfsm.dead d WHERE d.id = again.id RETURNING *),
     sent AS (INSERT INTO rfsm.out (key, what, data)
@@ -341,7 +303,8 @@ END $$;
 schema.TRIGGERS = [[
 
 -- Makes the triggers that are absent or different, and drops those that are not wanted.
--- Either takes a lock that waits for clients, and for which clients wait.
+-- Both need a lock of the table. Clients have to wait behind a session that waits for a
+-- lock, so it gives up soon, lets them pass, and tries again.
 DO $$
 DECLARE
   moved text := 'WHEN ((old.state <> new.state)) ';
@@ -361,7 +324,22 @@ BEGIN
     LEFT JOIN pg_trigger t ON tgrelid = 'rfsm.machines'::regclass AND tgname = name
   LOOP
     CONTINUE WHEN each.found IS NOT DISTINCT FROM each.wanted;
-]] .. LOCK .. [[
+    FOR try IN 1..5 LOOP
+      BEGIN
+        SET LOCAL lock_timeout = '500ms';
+        LOCK TABLE rfsm.machines;
+        EXIT;
+      EXCEPTION WHEN lock_not_available THEN
+        IF try = 5 THEN
+          RAISE EXCEPTION 'rfsm: nothing was loaded: other sessions hold tables that '
+            'are to change (pid %); load again when their transactions have ended',
+            (SELECT string_agg(DISTINCT pid::text, ', ') FROM pg_locks
+              WHERE granted AND pid <> pg_backend_pid()
+              AND relation = 'rfsm.machines'::regclass);
+        END IF;
+        PERFORM pg_sleep(0.5);
+      END;
+    END LOOP;
     EXECUTE format('DROP TRIGGER IF EXISTS %s ON rfsm.machines', each.name);
     IF each.wanted IS NOT NULL THEN EXECUTE each.wanted; END IF;
   END LOOP;

@@ -1,6 +1,6 @@
 --- Bundles charts with the core as a schema of PostgreSQL, with functions in PL/Lua.
 --
--- The command `rfsm postgres` calls it. The functions are those that run in Redis.
+-- The command `rfsm postgres` calls it. The functions are the same as in Redis.
 --
 -- @module rfsm.postgres.script
 -- @license BSD-3-Clause
@@ -14,24 +14,23 @@ local concat = table.concat
 
 local script = {}
 
--- Around the library, which is a function: the globals that it has. `pcall` of PL/Lua
--- makes a subtransaction, and catches that a call is cancelled; `lpcall` does neither.
--- Charts are a part of the library: no name of the host, such as `spi`, may be in their
--- scope, or in that of a text that they load.
+-- The text before the library makes its globals; then a function begins, whose body is
+-- the library. `pcall` of PL/Lua makes a subtransaction, and catches the error by which
+-- a call is cancelled; `lpcall` does neither, so it is the `pcall` of charts. No name
+-- of the host, such as `spi`, may be in the scope of charts, or of a text that they
+-- load.
 local HEAD = [[
 local globals, sandbox
 do
   local bundled, load, pcall = {}, load, lpcall
   %s
-  local json
-  json, self.serve = bundled["rfsm.postgres.pllua"]()(
+  self.serve = bundled["rfsm.postgres.pllua"]()(
     bundled["rfsm.postgres.host"](), spi, pgtype, "$ID")
   local function finish(handler, ok, ...)
     if ok then return ok, ... end
     return ok, handler((...))
   end
-  globals = { os = { clock = os.clock }, pcall = pcall,
-    cjson = { encode = json.encode, decode = json.decode } }
+  globals = { os = { clock = os.clock }, pcall = pcall }
   function globals.xpcall(f, handler, ...) return finish(handler, pcall(f, ...)) end
   for name in ([=[assert collectgarbage error getmetatable ipairs next pairs rawequal
     rawget rawset select setmetatable tonumber tostring type coroutine string table math
@@ -58,23 +57,24 @@ local self, globals, _ENV = nil, nil, sandbox
 
 local FOOT = "end, globals)\n"
 
--- Returns a text that another library does not have, most likely.
+-- Returns an id of a text. Two libraries have different ones, most likely.
 local function id_of(text)
   local sum = 0
   for i = 1, #text do sum = (sum * 31 + text:byte(i)) % 16777213 end
   return ("%06x-%x"):format(sum, #text)
 end
 
--- Returns a quote for a text that does not contain it.
+-- Returns a quote of SQL, such as $rfsm$, that the text does not contain.
 local function quote_for(text)
   local tag = "$rfsm$"
   while text:find(tag, 1, true) do tag = tag:sub(1, -2) .. "_$" end
   return tag
 end
 
---- What the schema has besides machines.
+--- Options of the schema.
 ---@class rfsm.postgres.Options
----@field history? boolean rfsm.history has each move, and events that moved nothing
+---@field history? boolean the table rfsm.history has moves, and events that moved
+--- nothing
 ---@field notify? boolean a trigger reports each move to those who LISTEN to rfsm
 ---@field ids? integer as in `rfsm.server.Options`
 ---@field ids_for? integer likewise
@@ -82,8 +82,7 @@ end
 --- Return the library that runs at a table of PostgreSQL, and a list of warnings, for
 -- charts as `rfsm.redis.bundle` takes them. Raises an error as that does.
 function script.library(arguments, options)
-  return library.text(arguments, "PostgreSQL", { ids = options.ids,
-    ids_for = options.ids_for, notes = options.history })
+  return library.text(arguments, "PostgreSQL", options)
 end
 
 -- Functions in SQL run with the rights of the owner.

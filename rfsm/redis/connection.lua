@@ -1,7 +1,7 @@
---- Connections to Redis: a server, or the nodes of a cluster; they may be lost.
+--- Connections to a server of Redis, or to the nodes of a cluster.
 --
--- A call is made again when the connection is lost, a slot has moved, or another node
--- has become the master. So a call that must not happen twice needs an id.
+-- A call is sent again when the connection is lost, a slot has moved, or another node
+-- has become the master. So a call that must not be applied twice needs an id.
 --
 -- @module rfsm.redis.connection
 -- @license BSD-3-Clause
@@ -29,7 +29,7 @@ local function unescaped(text)
   end))
 end
 
---- Return what is in a URL such as rediss://user:password@host:6380/1; else nil.
+--- Return the parts of a URL such as rediss://user:password@host:6380/1, or nil.
 function connection.parse(url)
   local scheme, rest = url:match("^(rediss?)://(.*)$")
   local user, password, place = (rest or ""):match("^([^:@/]*):([^@/]*)@(.*)$")
@@ -42,11 +42,11 @@ end
 
 --- Connections to the nodes of a fleet.
 ---@class rfsm.redis.Connection
----@field settings table of the first URL: password, TLS, database
+---@field settings table parts of the first URL: password, TLS, database
 ---@field options table `timeout`, `patience` (seconds), `tls`
----@field seeds string[] addresses, the ones given first
----@field nodes table<string, table> connections by address
----@field node_of table<string, string> address by hash tag
+---@field seeds string[] addresses: first those of the URLs, then those of the cluster
+---@field nodes table<string, table> open connections by address
+---@field node_of table<string, string> the address to which a hash tag has moved
 local Connection = {}
 Connection.__index = Connection
 
@@ -54,7 +54,7 @@ Connection.__index = Connection
 
 local commands = {}
 
--- Sends a command; raises the error of the server without a position.
+-- Sends a command. Raises the error of the server, without what lua-redis adds to it.
 local function command(client, name, ...)
   commands[name] = commands[name] or need("redis").command(name)
   local ok, reply = pcall(commands[name], client, ...)
@@ -116,7 +116,7 @@ local function node(self, address)
   return client
 end
 
--- Forgets a connection, and that hash tags are there.
+-- Closes a connection, and forgets which hash tags are on its node.
 local function drop(self, address)
   local client = self.nodes[address]
   if client then pcall(client.network.socket.close, client.network.socket) end
@@ -126,7 +126,7 @@ local function drop(self, address)
   end
 end
 
--- Learns the nodes of a cluster, if it is one.
+-- Adds the addresses of all nodes, if the server belongs to a cluster.
 local function learn(self, client)
   local ok, slots = pcall(command, client, "CLUSTER", "SLOTS")
   if not ok and is_lost(slots) then
@@ -178,8 +178,8 @@ local function sleep(seconds) need("socket").sleep(seconds) end
 
 local function time() return need("socket").gettime() end
 
--- Returns the address to ask after an error (false: any other one; nil: none), and
--- whether it is asked once only.
+-- Returns the address to try after an error of the server: false is any other address,
+-- nil none. Returns also whether the command ASKING has to come first.
 local function redirected(self, tag, address, text)
   local kind, host, port = text:match("^(%u+) %d+ ([^ ]*):(%d+)$")
   if kind == "MOVED" or kind == "ASK" then
@@ -194,7 +194,7 @@ local function redirected(self, tag, address, text)
   end
 end
 
--- Asks one node; returns what pcall does.
+-- Sends a command to one node, behind ASKING if `is_asked`; returns what pcall does.
 local function ask(self, address, is_asked, name, ...)
   local found, client = pcall(node, self, address)
   if not found then return false, client end
@@ -205,8 +205,8 @@ local function ask(self, address, is_asked, name, ...)
   return pcall(command, client, name, ...)
 end
 
---- Send a command to the node that has the keys of a hash tag. It is sent again, for
--- `patience` seconds, while that is not to be reached. Raises the error of the server.
+--- Send a command to the node that has the keys of a hash tag. While the node cannot be
+-- reached, it is tried again for `patience` seconds. Raises the error of the server.
 function Connection:call(tag, name, ...)
   local address, is_asked = self.node_of[tag] or self.seeds[1], false
   local started, tries, seed = time(), 0, 1
@@ -236,7 +236,7 @@ local function read(client)
   return command(client, "READ")
 end
 
--- Sends calls to one node at once; returns the replies that came, by number.
+-- Sends calls to one node in one text; returns the replies that came, by their numbers.
 local function ask_at_once(self, address, calls)
   local found, client = pcall(node, self, address)
   local texts, replies = {}, {}
@@ -260,8 +260,9 @@ local function ask_at_once(self, address, calls)
   return replies
 end
 
---- Send calls, each { command, argument ... }, to the nodes of as many hash tags, all
--- at once; return the replies. A call may come twice. Raises the error of the server.
+--- Send calls, each { command, argument, ... }: one for each of the hash tags. Those of
+-- one node are sent together. Return the replies. A call may arrive twice. Raises the
+-- error of the server.
 function Connection:call_all(tags, calls)
   local by_address, replies = {}, {}
   for i, tag in ipairs(tags) do
@@ -281,8 +282,8 @@ function Connection:call_all(tags, calls)
   return replies
 end
 
---- Call `f(text)` for each text on a channel of the node that has a hash tag, until it
--- returns true. A further connection is open meanwhile.
+--- Call `f(text)` for each text that is published on a channel, until it returns true.
+-- The channel is on the node of the hash tag, to which a connection of its own is made.
 function Connection:subscribe(tag, channel, f)
   local host, port = (self.node_of[tag] or self.seeds[1]):match("^(.*):(%d+)$")
   local client = open(self, host, tonumber(port))

@@ -1,9 +1,9 @@
---- Machines in the keys of Redis: the host of `rfsm.server.functions` there, and the
+--- Machines in the keys of Redis: the host that `rfsm.server.functions` has there, and
 -- functions for many machines.
 --
--- `rfsm.redis` bundles this module. An error changes nothing: all that can fail comes
--- before the first write, also the types of the keys that will be written, and the
--- rights to do so.
+-- `rfsm.redis` bundles this module. An error changes nothing, since all that can fail
+-- comes before the first write: also the types of the keys that will be written, and
+-- the user's rights, are checked before.
 --
 -- @module rfsm.redis.store
 -- @license BSD-3-Clause
@@ -21,11 +21,11 @@ local fail, now, reason_of, shown = encoding.fail, times.now, charts.reason_of,
   keys_of.shown
 
 local MAX_LOG = 1000
-local OVERDUE = 60 -- seconds after which nobody seems to wake machines
+local OVERDUE = 60 -- seconds; a machine that is due for longer counts as overdue
 local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 
--- One library runs in a server, so these are kept here: what Redis gives to it, the
--- function that ticks a machine, and what the library was made with.
+-- What Redis gives to libraries, the function rfsm_tick, and the options of the
+-- library. One library runs in a server, so these are locals of the module.
 local redis, call, cmsgpack, tick_machine, options
 
 local store = {}
@@ -53,12 +53,13 @@ end
 
 function store.pack(list) return cmsgpack.pack(list) end
 
--- The writes of a machine, and the keys whose type and right were checked: they are
--- checked once for all machines that a call wakes.
+-- The writes of a machine, each { command, key, ... }, and the commands that were
+-- checked, by their keys: a call that wakes many machines checks a shared key once.
 local writes, asked = {}, {}
 
--- Adds a write. If it fails others would have been made before, so it is asked first
--- whether its key is of a type, or absent, and whether the user has the right.
+-- Adds a write. Writes behind the first one must not fail, since what was written
+-- before them stays: the key has to be absent, or of the type `kind`, and the user
+-- needs the right.
 local function add_write(kind, name, key, ...)
   writes[#writes + 1] = { name, key, ... }
   if writes[2] == nil or asked[key] == name then return end -- the first may fail
@@ -80,7 +81,7 @@ local function add_due(machine, due)
   end
 end
 
--- Adds what callbacks emitted to the stream of the tag, their errors to the log.
+-- Adds entries to the stream of the hash tag, and errors to the log of the machine.
 local function add_streams(machine, emitted, errors)
   for i = 1, #emitted do
     add_write("stream", "XADD", keys_of.out(machine.key), "*", "machine", machine.key,
@@ -92,10 +93,10 @@ local function add_streams(machine, emitted, errors)
   end
 end
 
--- Returns the first text behind all those with a head. A key may begin with any byte.
+-- Returns the least text that is greater than all texts that begin with `head`.
 local function behind(head) return head:sub(1, -2) .. char(head:byte(-1) + 1) end
 
--- Lists how members of an index begin: with chart and state, and a tab behind each.
+-- Lists the beginnings of the members of an index: chart, tab, state, tab.
 local function heads_of(index)
   local heads, from = {}, ""
   repeat
@@ -106,8 +107,8 @@ local function heads_of(index)
   return heads
 end
 
--- Lists the members that the index may have of a key: of a machine that is new, where
--- one was that ended by DEL.
+-- Lists all members that the index may have for a key. One may be left of a machine
+-- that ended by DEL: then its state is not known.
 local function members_of(key)
   local members = heads_of(keys_of.index(key))
   for i, head in ipairs(members) do members[i] = head .. key end
@@ -123,7 +124,7 @@ local function add_to_index(machine)
   add_write("zset", "ZADD", keys_of.since(key), score(now()), key)
 end
 
--- Adds what index, history and channel say of new active leaves.
+-- Adds the moves of a call to the index, the history and the channel.
 local function add_moves(machine)
   local key = machine.key
   if options.index and machine.at ~= (machine.leaf or "") then add_to_index(machine) end
@@ -150,8 +151,8 @@ function store.write(machine, due, emitted, errors)
   for i = 2, #writes do call(unpack(writes[i])) end
 end
 
---- Remove a machine, its timers, its place in the index and its streams; return whether
--- it was there.
+--- Remove a machine with its timers, its member of the index and its streams; return
+-- whether it was there.
 function store.remove(key)
   if call("DEL", key) == 0 then return false end
   call("ZREM", keys_of.due(key), key)
@@ -177,8 +178,8 @@ local function whole_of(text, default, most)
   return number
 end
 
--- Runs a machine that is due, and may have been put aside. One that is gone is due no
--- more.
+-- Runs a machine that is due, then removes it from those that were put aside, if it may
+-- be one. If there is no machine any more, its key is removed from those that are due.
 local function tick(key, may_be_aside)
   local reply = tick_machine({ key })
   if not reply then call("ZREM", keys_of.due(key), key) end
@@ -189,8 +190,8 @@ end
 -- rfsm_tick KEY: runs a machine, because it is due.
 function more.rfsm_tick(keys) return tick(keys[1], true) end
 
--- Has a machine that cannot be run wait, so that others are not held up: for a minute,
--- counted, and noted in its log.
+-- Has a machine that cannot be run wait for a minute, so that others are not held up.
+-- It is counted, and its log has the reason.
 local function put_aside(due, key, problem)
   local text = "rfsm_wake: " .. reason_of(problem)
   call("ZADD", due, score(now() + ASIDE), key)
@@ -198,6 +199,7 @@ local function put_aside(due, key, problem)
   pcall(call, "XADD", keys_of.log(key), "MAXLEN", "~", MAX_LOG, "*", "error", text)
 end
 
+-- Has the machine moved to another node of the cluster?
 local function is_elsewhere(problem)
   return reason_of(problem):find("non local key", 1, true) ~= nil
 end
@@ -230,8 +232,9 @@ function more.rfsm_due(keys, args)
     limit)
 end
 
--- Is a machine there? DEL ends one and leaves the index as it is. While a slot moves to
--- another node, which may have the machine, the index is believed.
+-- Does a machine of the index exist? One that was ended by DEL has left its member
+-- there. While the slot of the key moves to another node nobody knows, so the index is
+-- believed.
 local function is_there(key)
   local ok, count = pcall(call, "EXISTS", key)
   return not ok or count == 1
@@ -243,7 +246,8 @@ local function is_since(key, time)
   return not time or since and tonumber(since) <= time
 end
 
--- Lists the keys of machines, at most so many, whose members have a head.
+-- Lists the keys of machines whose members of the index begin with `head`, at most
+-- `limit`.
 local function keys_with(index, head, limit, time)
   local found, count = {}, min(limit, 1000)
   local from, to = "[" .. head, "(" .. behind(head)
@@ -274,9 +278,9 @@ function more.rfsm_find(keys, args)
   return found
 end
 
--- rfsm_stats KEY: for the machines that share the hash tag of the key: chart, state and
--- number, and so on; then numbers of those with a time at which they are due, of those
--- put aside, of entries, of those overdue for a minute, and of dead entries.
+-- rfsm_stats KEY: numbers of the machines that share the hash tag of the key. A list of
+-- chart, state and number in turns; how many have a time at which they are due; how
+-- many were put aside; entries; how many are overdue for a minute; dead entries.
 function more.rfsm_stats(keys)
   local key, reply = keys[1], {}
   local index, due = keys_of.index(key), keys_of.due(key)
@@ -292,8 +296,8 @@ function more.rfsm_stats(keys)
     call("XLEN", keys_of.dead(key)) }
 end
 
--- rfsm_history KEY [count]: the latest moves of a machine, the newest first: time,
--- events, from, to, and so on.
+-- rfsm_history KEY [count]: the latest moves of a machine, the newest first, each as
+-- four items: time, events, from, to.
 function more.rfsm_history(keys, args)
   if not options.history then fail("the library was made without --history") end
   local reply, count = {}, whole_of(args[1], 10, 10000)
@@ -309,7 +313,7 @@ function more.rfsm_history(keys, args)
   return reply
 end
 
---- Add these functions to those for one machine. Each call asks for its rights anew.
+--- Add the functions for many machines. Each call checks types and rights anew.
 function store.add(all, settings)
   tick_machine, options = all.rfsm_tick, settings
   for name, f in pairs(more) do all[name] = f end -- any order: a copy
@@ -326,7 +330,7 @@ function store.refuse(name, reason)
   return redis.error_reply("ERR " .. name .. ": " .. reason)
 end
 
---- Return the host, of what Redis has for libraries.
+--- Return the host. The arguments are what Redis has for libraries.
 return function(server, cjson, pack)
   redis, call, cmsgpack = server, server.call, pack
   function store.decode(text) return cjson.decode(text) end

@@ -7,8 +7,8 @@ local files = require "rfsm.shared.files"
 
 local bundle = {}
 
---- The text before the modules: a `require` that finds them. In front of it
--- `outer_require` is declared, the one of the host if there is one.
+--- The text before the modules, with the `require` that they call. A text before it
+-- declares `outer_require`: the `require` of the host, or nil.
 bundle.HEAD = [[
 local bundled, loaded = {}, {}
 

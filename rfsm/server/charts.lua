@@ -19,11 +19,11 @@ local copy_of, fail, is_meta, text_of = encoding.copy_of, encoding.fail, rfsm.is
   rfsm.text_of
 local took_path = rfsm.took_path
 
-local MAX_EVENT, MAX_NAMED = 256, 8192 -- bytes of an event, of one with data
+local MAX_EVENT, MAX_NAMED = 256, 8192 -- bytes of an event: without data, with it
 
 local charts = {}
 
--- The decoder of the host.
+-- The function by which the host decodes JSON.
 local decode
 
 -- Machines of charts ---------------------------------------------------------------
@@ -32,14 +32,15 @@ local decode
 ---@class rfsm.server.Chart
 ---@field name string
 ---@field make fun(): rfsm.State
----@field fsm rfsm.Machine|nil made at the first call
----@field blank rfsm.snapshot.Snapshot of a new machine
----@field options rfsm.snapshot.Options how snapshots are put into it
----@field fields rfsm.server.Field[] as they were at first
----@field regions rfsm.Machine[] those in its states
----@field events table<string, any> what it knows, by text
+---@field fsm rfsm.Machine|nil its machine, made at the first call
+---@field blank rfsm.snapshot.Snapshot that of a new machine
+---@field options rfsm.snapshot.Options for snapshots that are put into the machine
+---@field fields rfsm.server.Field[] first values, which each call begins with
+---@field regions rfsm.Machine[] the regions of the machine
+---@field events table<string, any> the events that transitions have, by their texts
 ---@field named table<string, true> names of events with data
----@field takes_all boolean a transition that any event triggers, or a predicate
+---@field takes_all boolean any event may be sent: a transition has no list of events,
+--- or a predicate of which no name is known
 
 local function note_events(chart, fsm)
   local known = alphabet.of_all(fsm)
@@ -56,8 +57,8 @@ local function note_events(chart, fsm)
   end
 end
 
--- Entries for the stream, and errors, that callbacks of this call have caused: the name
--- and the data of each, texts.
+-- What callbacks have emitted in this call, each as { name, data } (texts), and the
+-- errors that the machine has printed.
 local emitted, printed = {}, {}
 
 local function emit(what, data)
@@ -68,14 +69,15 @@ local function collect_print(...)
   printed[#printed + 1] = calls.text(" ", ...)
 end
 
--- One machine of a chart serves all. Callbacks may have changed fields that the chart
--- does not keep: `clean` undoes that before each call. New fields are noted when they
--- are set, the others are compared.
+-- The machine of a chart runs one saved machine after the other. Callbacks may have
+-- changed fields that the chart does not keep. `clean` undoes that before each call: it
+-- removes fields that were added, which are noted then, and compares all others.
 
--- Pairs of element and new field, in a flat list; the first fields of each element.
+-- `added` has elements and their new fields in turns: { element, key, ... }. `known_of`
+-- has the set of fields that an element had at first.
 local added, known_of = {}, setmetatable({}, { __mode = "k" })
 
--- Has a metatable note the fields that are added.
+-- Changes a metatable so that fields added to its elements are noted.
 local function watch(class)
   if rawget(class, "is_watched") then return end
   local set = class.__newindex or rawset
@@ -89,15 +91,15 @@ local function watch(class)
   end
 end
 
---- A field of an element as it was at first; a plain table, which callbacks may change,
--- is a copy that no element has.
+--- The first value of a field of an element. Of a plain table it is a copy, since
+-- callbacks may change the table that the element has.
 ---@class rfsm.server.Field
 ---@field obj table
 ---@field key any
 ---@field value any
 
 local function note_fields(fields, obj)
-  local known, is_kept = { _actchild = true }, { keep = true } -- the usual one
+  local known, is_kept = { _actchild = true }, { keep = true }
   for _, name in ipairs(obj.keep or {}) do is_kept[name] = true end
   for key, value in pairs(obj) do -- any order: each stands alone
     known[key] = true
@@ -110,7 +112,7 @@ local function note_fields(fields, obj)
   watch(getmetatable(obj))
 end
 
--- Gives the elements the fields back that they had at first. This runs in each call.
+-- Gives all elements their first fields back. This runs in each call.
 local function clean(chart)
   for i = #added, 2, -2 do
     rawset(added[i - 1], added[i], nil)
@@ -126,11 +128,11 @@ end
 
 -- JSON ------------------------------------------------------------------------------
 
---- Return data as JSON; number keys become texts, and numbers that JSON has not.
+--- Return data as JSON. Keys that are numbers become texts, as do infinity and NaN.
 function charts.json_of(data) return exact_json.encode(encoding.to_json(data)) end
 
---- Return the plain table that a text of JSON stands for, without what is null.
----@param owner string what has the table, for messages
+--- Return the table that a JSON object stands for. Fields that are null are left out.
+---@param owner string the name of the object in messages
 ---@param text string
 ---@param most integer bytes
 function charts.read_json(owner, text, most)
@@ -147,8 +149,7 @@ function charts.read_json(owner, text, most)
   return encoding.unpack(encoding.pack(data, about, 0), 0)
 end
 
---- Return what a snapshot keeps, by the location of the state, as encoders of JSON take
---- it.
+--- Return as JSON the data that a snapshot keeps, by the locations of states.
 function charts.data_of(snap)
   local data = {}
   local function add(part, prefix)
@@ -158,13 +159,13 @@ function charts.data_of(snap)
   end
   add(snap, "root")
   for prefix, part in pairs(snap.regions or {}) do add(part, prefix) end -- any order
-  return encoding.to_json(data)
+  return charts.json_of(data)
 end
 
 -- Machines --------------------------------------------------------------------------
 
 --- Make the machine of a chart if there is none yet; return the chart.
-local function open(chart)
+function charts.open(chart)
   if chart.fsm then return chart end
   local ok, model = pcall(chart.make)
   if not ok then fail("chart '%s': %s", chart.name, text_of(model)) end
@@ -194,10 +195,9 @@ function charts.put(chart, snap)
   return ok, problem
 end
 
-charts.open = open
-
---- Step the machine of a chart until it is idle, or so often; return whether it is, and
---- whether a path was taken. If it is cut short the chart gets a new machine.
+--- Step the machine of a chart until it is idle, at most `steps` times. Return whether
+--- it is idle, and whether a path was taken. If an error ends the step, the next call
+--- makes a new machine.
 function charts.step(chart, steps)
   local fsm, regions = chart.fsm, chart.regions
   chart.fsm = nil
@@ -208,8 +208,8 @@ function charts.step(chart, steps)
   return is_idle, is_taken
 end
 
---- Put the machine of a chart into a leaf as if it had been entered, with its timers,
---- but call no callback. Regions are as at first.
+--- Put the machine of a chart into a leaf and arm the timers there, as if the leaf had
+--- been entered, but call no callback. Regions are reset.
 function charts.force(chart, fqn)
   local fsm, leaves = chart.fsm, {}
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
@@ -227,22 +227,20 @@ function charts.force(chart, fqn)
   end, fsm, leaf)
 end
 
---- Return the text of an error in one line. Those of Redis are tables.
+--- Return the text of an error in one line. Errors of Redis are tables.
 function charts.reason_of(failure)
   local text = type(failure) == "table" and rawget(failure, "err")
   return calls.line(text or encoding.reason(failure))
 end
 
---- Add a line to what callbacks have printed.
+--- Add a line to the errors of this call.
 charts.note = collect_print
 
---- Return what callbacks have emitted, and printed.
+--- Return what callbacks have emitted in this call, and its errors.
 function charts.effects() return emitted, printed end
 
---- Set that to other lists, or to none.
-function charts.set_effects(entries, lines)
-  emitted, printed = entries or {}, lines or {}
-end
+--- Forget both, so that a call begins with empty lists.
+function charts.forget_effects() emitted, printed = {}, {} end
 
 -- Events ----------------------------------------------------------------------------
 
@@ -290,13 +288,13 @@ end
 function charts.events(chart, texts)
   local events = {}
   for i, text in ipairs(texts) do
-    local read = text:byte() == 123 and named_event or plain_event -- {
+    local read = text:byte() == 123 and named_event or plain_event -- "{"
     events[i] = read(chart, i, text)
   end
   return events
 end
 
---- Set what charts use of the host: its decoder of JSON.
+--- Set the function by which the host decodes JSON.
 function charts.use(host_decode) decode = host_decode end
 
 return charts

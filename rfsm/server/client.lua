@@ -1,5 +1,6 @@
---- What clients do with a machine: they call functions of `rfsm.server.functions`, with
--- an id for each event, so that it is applied once also if it must be sent again.
+--- The methods that the clients of both servers have for one machine. Each calls a
+-- function of `rfsm.server.functions`. Events are sent with an id, so that they are
+-- applied once even if a client sends them again.
 --
 -- @submodule rfsm.fleet
 -- @license BSD-3-Clause
@@ -10,7 +11,7 @@ local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 local try = require("rfsm.shared.calls").try
 
-local error, next, os, select = error, next, os, select
+local error, os, select = error, os, select
 local rawget, tonumber, tostring, type = rawget, tonumber, tostring, type
 local insert = table.insert
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -18,18 +19,18 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 --- A client: what `rfsm.fleet` and `rfsm.postgres` have in common.
 ---@class rfsm.server.Client
 ---@field where string name of its module, for messages
----@field id string in front of the ids of events
----@field count integer of events
+---@field id string the beginning of all ids that the client makes
+---@field count integer of the ids that it has made
 ---@field ask fun(self, name: string, id: any, ...: any): any, string? calls a function
---- for a machine: the reply, or nil and the problem
+--- for a machine; returns the reply, or nil and the problem
 local Client = {}
 
 --- What a machine replies to a call.
 ---@class rfsm.server.Reply
----@field leaf string FQN
----@field mode string
----@field errors string[] of its callbacks
----@field outcome? string what became of the events: "taken", "kept" or "dropped";
+---@field leaf string FQN of the active leaf
+---@field mode string of that leaf
+---@field errors string[] of callbacks
+---@field outcome string what became of the events: "taken", "kept" or "dropped";
 --- "known": a call with this id was made before
 
 --- Return a text that no other client has.
@@ -43,14 +44,12 @@ local function next_id(self)
   return self.id .. "-" .. ("%d"):format(self.count)
 end
 
-local OUTCOMES = { taken = true, kept = true, dropped = true, known = true }
-
--- Returns a reply as a table; a library of the version before has no outcome.
+-- Returns the list that a function replies as a table with names.
 local function reply_of(list, problem)
   if not list then return nil, problem end
-  local errors, outcome = {}, OUTCOMES[list[#list]] and list[#list]
-  for i = 3, #list - (outcome and 1 or 0) do errors[i - 2] = list[i] end
-  return { leaf = list[1], mode = list[2], errors = errors, outcome = outcome or nil }
+  local errors = {}
+  for i = 3, #list - 1 do errors[i - 2] = list[i] end
+  return { leaf = list[1], mode = list[2], errors = errors, outcome = list[#list] }
 end
 
 --- Make a machine.
@@ -60,15 +59,13 @@ end
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
 function Client:create(id, chart, data)
-  local ok, text = true, "{}"
-  if data and next(data) ~= nil then
-    ok, text = try(codec.encode, data)
-  end
+  local ok, text = try(codec.encode, data or {})
   if not ok then return nil, self.where .. ".create: data: " .. text end
   return reply_of(self:ask("rfsm_create", id, chart, text, "ID", next_id(self)))
 end
 
--- Calls a function that takes events, each with an id; a table is one with data.
+-- Calls a function that takes events. They are put in front of the last two arguments,
+-- "ID" and an id. A table is an event with data, and is sent as JSON.
 local function ask_with(self, name, id, arguments, ...)
   for i = 1, select("#", ...) do
     local event = select(i, ...)
@@ -114,7 +111,7 @@ function Client:send_after(id, seconds, ...)
   return reply and ticket, problem
 end
 
---- Take back what `send_after` has sent.
+--- Take back events of `send_after` whose time has not come.
 ---@param id any
 ---@param ticket string
 ---@return boolean? was_there

@@ -1,14 +1,14 @@
---- The functions that run inside a server: each restores a machine, advances it and
--- saves it, in one piece.
+--- The functions that run inside a server. Each restores a machine, runs it and saves
+-- it, in one atomic call.
 --
--- `rfsm.server.library` bundles this module with the core and the charts. It knows no
--- server: a host reads a machine and writes it. An error changes nothing: what may fail
--- comes before the host writes.
+-- `rfsm.server.library` bundles this module with the core and the charts. The module
+-- knows no server: a host reads and writes the machine. An error changes nothing, since
+-- all that may fail comes before the host writes.
 --
 -- The value of a machine is a list. Its first item is "rfsm", for others see "Load".
 --
--- A call moves its machine: first what was due runs, in the order of its times and at
--- these, then what was sent.
+-- In a call the timers and waiting events that are due run first, in their order, each
+-- at its own time. Then the events of the call are sent.
 --
 -- The file reads in the order of a call: arguments, load, move, save, functions.
 --
@@ -18,7 +18,6 @@
 local advice = require "rfsm.advice"
 local charts = require "rfsm.server.charts"
 local encoding = require "rfsm.snapshot.encoding"
-local exact_json = require "rfsm.shared.exact_json"
 local keys_of = require "rfsm.server.keys"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
@@ -36,11 +35,11 @@ local fail, now, open, put = encoding.fail, times.now, charts.open, charts.put
 
 local MAX_DATA, MAX_VALUE = 65536, 1048576 -- bytes
 local MAX_STEPS = 1000
-local MAX_DUE, RESTLESS = 200, 20 -- steps of a move; so many is one that does not rest
-local LEAST_PASSED = 0.1 -- seconds that such a move gets on, unless it skips some
-local TIME = "(time)" -- by what a machine moves if there is no event
+local MAX_DUE, RESTLESS = 200, 20 -- steps of a call; one that ends busy counts as 20
+local LEAST_PASSED = 0.1 -- seconds; if MAX_DUE steps take less, the rest is skipped
+local TIME = "(time)" -- stands in the history for the event, if there was none
 local SAME = 1e-6 -- seconds: a timer fires a nanosecond after its time
-local MAX_ID, MAX_LATER = 64, 100 -- bytes, events of a machine
+local MAX_ID, MAX_LATER = 64, 100 -- bytes of an id; events of a machine that wait
 
 --- What the functions use of a server.
 ---@class rfsm.server.Host
@@ -58,13 +57,13 @@ local MAX_ID, MAX_LATER = 64, 100 -- bytes, events of a machine
 --- What a library is made with.
 ---@class rfsm.server.Options
 ---@field index? boolean machines are found by their state
----@field history? integer so many moves of each machine are kept
----@field notes? boolean also the events that moved nothing
----@field ids? integer so many ids of events each machine keeps (16)
+---@field history? integer|boolean the moves of each machine are noted, and the events
+--- that moved nothing; a number: so many are kept
+---@field ids? integer so many ids of events are kept for each machine (16)
 ---@field ids_for? integer ids are kept for so many seconds, at most `ids` (1000)
 
--- What the library was made with: versions of charts by name, the newest last. One
--- library runs in a server, so it is kept here.
+-- The host, the versions of each chart by its name, the newest last, and the options.
+-- One library runs in a server, so these are locals of the module.
 local host, versions, options
 
 -- Arguments ----------------------------------------------------------------------
@@ -87,7 +86,7 @@ local function take_id(args)
   return id
 end
 
--- Returns a time in seconds: of the clock, or from now on with a + in front.
+-- Returns the time of a text: "12.5" are seconds of the clock, "+12.5" from now on.
 local function time_of(text)
   local offset, number = text:match("^(%+?)(%d+%.?%d*)$")
   if not number then fail("seconds, or +seconds expected, got '%s'", shown(text)) end
@@ -96,10 +95,11 @@ end
 
 -- Load: the value of a key becomes a machine ----------------------------------------
 
--- Positions in the value of a machine: the name of its chart, the snapshot, when that
--- was taken and when the machine is due, if it is; the ids of the latest events, the
--- oldest first, each before its time if it is kept for a time; the events that come
--- later, in their order: { time, id, event, ... }; true if the machine is held.
+-- Positions in the value of a machine. NAME: its chart. SNAP, SEC, NSEC: the snapshot,
+-- and its time if that matters. DUE: when the machine is to be woken. IDS: the ids of
+-- the latest events, the oldest first, with `ids_for` each in front of its time. LATER:
+-- the events that wait, in the order in which they will be sent, each { time, id,
+-- event, ... }. HELD: when a machine was held, or has kept an event since then.
 local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD = 2, 3, 4, 5, 6, 7, 8, 9
 
 --- A machine that a call works on.
@@ -107,29 +107,26 @@ local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD = 2, 3, 4, 5, 6, 7, 8, 9
 ---@field key string
 ---@field chart rfsm.server.Chart
 ---@field fsm rfsm.Machine
----@field list any[] in the value of the key; the new one is made of it
----@field leaf string|false|nil where it was, as the index knows it: before a rename
----@field at string where it is; "": it was not entered
+---@field list any[] the value of the key, which is changed to the new one
+---@field leaf string|false|nil FQN of the saved leaf, by its name in the version that
+--- saved it; false: the machine is new
+---@field at string FQN of the active leaf; "": the machine was not entered
 ---@field mode string of that leaf
----@field was_due number|false|nil when it was due before
----@field value any the new one of the key
+---@field was_due number|false|nil when it was due, as saved
+---@field value any the new list as the host has packed it
 ---@field moves { by: string, from: string, to: string }[] of this call
 ---@field is_idle boolean after the last step
 ---@field outcome string|false what became of the events: "taken", "kept" or "dropped";
---- false: not taken
----@field base rfsm.snapshot.Snapshot|false before the events were sent; false: what was
---- due has run since then
----@field base_sec integer|false the time of that snapshot
----@field base_nsec integer
+--- false: no transition took them, so they were either kept or dropped
+---@field has_run boolean something was due, and has run in this call
 
 local NONE = {}
 
 local function new_machine(key, chart, list, leaf)
-  charts.set_effects()
+  charts.forget_effects()
   return { key = key, chart = chart, fsm = chart.fsm, list = list, leaf = leaf,
     at = leaf or "", mode = "inactive", was_due = list[DUE], value = false, moves = {},
-    is_idle = true, outcome = false, base = list[SNAP], base_sec = list[SEC],
-    base_nsec = list[NSEC] }
+    is_idle = true, outcome = false, has_run = false }
 end
 
 local function read(key)
@@ -137,8 +134,8 @@ local function read(key)
     or fail("no machine is at '%s' (rfsm_create makes one)", shown(key))
 end
 
--- Has the newest version of a chart take a snapshot, if it is of that version or moves
--- to it; else the version that it is of.
+-- Puts a snapshot into the newest version of its chart. If it cannot move there, it is
+-- put into the version of which it was taken. Returns the version, and what `put` does.
 local function place(list, snap)
   local newest, own = open(list[#list]), nil
   if snap.chart ~= newest.blank.chart then
@@ -152,7 +149,7 @@ local function place(list, snap)
   return own, put(own, snap)
 end
 
--- Loads a machine; it sees the time at which it was saved.
+-- Loads a machine. Its clock shows the time at which it was saved.
 local function load_machine(key, list)
   times.set(list[SEC], list[NSEC])
   local chart, ok, problem = place(versions_of(list[NAME]), list[SNAP])
@@ -162,14 +159,14 @@ end
 
 -- Move: what is due, then what was sent -----------------------------------------------
 
--- Finds the place of the events with an id among those that wait.
+-- Returns the position of the events with an id among those that wait, or nil.
 local function find_later(list, id)
   for i, entry in ipairs(list[LATER] or NONE) do
     if entry[2] == id then return i end
   end
 end
 
--- Was an event with this id applied, or is it to come?
+-- Was an event with this id applied, or does it wait?
 local function has_id(list, id)
   for _, known in ipairs(list[IDS] or NONE) do
     if known == id then return true end
@@ -198,14 +195,14 @@ local function add_id(machine, id)
   end
 end
 
--- Steps a machine at the time that it sees, and notes where it moves; returns whether
--- it has taken a path.
+-- Steps a machine, and notes its move; `by` names the events for the history. Returns
+-- whether a path was taken.
 local function step(machine, by)
   local is_idle, is_taken = charts.step(machine.chart, MAX_STEPS)
   local leaf = machine.fsm._act_leaf
   local at = leaf and leaf._fqn or ""
   machine.is_idle = is_idle
-  if at ~= machine.at or options.notes and by ~= TIME then
+  if at ~= machine.at or options.history and by ~= TIME then
     machine.moves[#machine.moves + 1] = { by = by, from = machine.at, to = at }
     machine.at = at
   end
@@ -216,7 +213,7 @@ local function send(machine, events)
   for _, event in ipairs(events) do rfsm.send_events(machine.fsm, event) end
 end
 
--- Has events wait, behind those that wait for the same time.
+-- Adds events to those that wait, behind others of the same time.
 local function add_later(machine, time, id, texts)
   local later = machine.list[LATER] or {}
   local at = #later + 1
@@ -226,7 +223,17 @@ local function add_later(machine, time, id, texts)
   machine.list[LATER] = later
 end
 
--- Sends events whose time has come. One that is not known any more goes to the log.
+-- If the clock has gone back, the events of a held machine that were due stay due:
+-- their times are lowered to the present, so that later events come behind them.
+local function keep_due(list)
+  for _, entry in ipairs(list[LATER] or NONE) do
+    if entry[1] <= list[HELD] then entry[1] = min(entry[1], now()) end
+  end
+  list[HELD] = now()
+end
+
+-- Sends events whose time has come, and returns their texts. Events that the chart does
+-- not know any more are reported as an error.
 local function send_entry(machine, entry)
   local texts = { select(3, unpack(entry)) }
   local ok, events = pcall(charts.events, machine.chart, texts)
@@ -239,8 +246,8 @@ local function send_entry(machine, entry)
   return concat(texts, " ")
 end
 
--- Lets time pass until the next thing is due, a timer or events that wait, unless that
--- is later than now. Returns by what the machine is to be stepped, else nil.
+-- Lets time pass until a timer is due, or events that wait, which are sent then.
+-- Returns what the history calls the step that has to follow; nil if nothing is due.
 local function advance_to_due(machine)
   local later, seen = machine.list[LATER] or NONE, times.seen()
   local left, entry = timeevent.next_deadline(machine.fsm) or huge, later[1]
@@ -254,20 +261,22 @@ local function advance_to_due(machine)
   return TIME
 end
 
--- Returns when the first thing is due: as it was saved, or has been sent since.
-local function first_due(list)
-  local due, later = list[DUE] or huge, list[LATER]
-  return later and later[1] and min(due, later[1][1]) or due
+-- Returns a time (nil or false: never), or that of the first waiting events if that is
+-- earlier.
+local function earliest(time, list)
+  local first = (list[LATER] or NONE)[1]
+  return first and min(time or huge, first[1]) or time
 end
 
--- Was a machine saved before it had come to rest?
+-- Was a machine saved before it was idle?
 local function was_restless(list)
   return list[DUE] and list[DUE] <= times.seen()
 end
 
--- Runs what is due as if the host had been punctual: each at its time, until the
--- machine rests. Then it sees the present. Returns false if that is too much: it sees
--- the time that it has reached, and is due. If its timers are too fast it skips some.
+-- Runs what is due as if a worker had been punctual: each timer and event at its time,
+-- until the machine is idle. Then its clock shows the present. Returns false if that
+-- takes too many steps: then the clock shows the time that was reached, and the machine
+-- is due at once. If timers are too fast to catch up, the clock jumps to the present.
 local function run_due(machine)
   local budget, begun = MAX_DUE, times.seen()
   local by = was_restless(machine.list) and TIME or advance_to_due(machine)
@@ -276,84 +285,77 @@ local function run_due(machine)
     budget = budget - (machine.is_idle and 1 or RESTLESS)
     by = budget > 0 and advance_to_due(machine)
   end
-  machine.base = false
+  machine.has_run = true
   if budget > 0 or times.seen() - begun < LEAST_PASSED then times.set(false) end
   return budget > 0
 end
 
--- Brings a machine to the present; returns false if it has not got there.
+-- Runs what is due until the machine's clock shows the present. Returns false if it
+-- does not, because the machine is held, or too much was due.
 local function catch_up(machine)
-  if machine.list[HELD] then return false end
-  local due = first_due(machine.list)
-  if due < huge and due <= now() + SAME then return run_due(machine) end
+  local list = machine.list
+  if list[HELD] then return false end
+  local due = earliest(list[DUE], list)
+  if due and due <= now() + SAME then return run_due(machine) end
   times.set(false)
   return true
 end
 
--- Runs what is due, then sends events, all at once; if there is too much due they wait.
+-- Runs what is due, then sends events, all in one step. They wait if the machine is
+-- held, or too much was due.
 local function move(machine, texts, id)
-  local events = charts.events(machine.chart, texts)
+  local events, list = charts.events(machine.chart, texts), machine.list
   if not catch_up(machine) then
+    if list[HELD] then keep_due(list) end
     add_later(machine, now(), id, texts)
     machine.outcome = "kept"
     return
   end
-  if not machine.base then
-    machine.base = snapshot.take(machine.fsm)
-    machine.base_sec, machine.base_nsec = times.get()
+  if machine.has_run then
+    list[SNAP], list[SEC], list[NSEC] = snapshot.take(machine.fsm), times.get()
   end
   send(machine, events)
   machine.outcome = step(machine, concat(texts, " ")) and "taken" or false
 end
 
--- Runs what is due. Else, or if it does not rest, the machine runs now.
+-- Runs what is due. If nothing was, or the machine is not idle, steps it once more.
 local function run(machine)
   local is_present = catch_up(machine)
   machine.outcome = machine.outcome or "kept"
-  if not is_present or not machine.base and machine.is_idle then return end
+  if not is_present or machine.has_run and machine.is_idle then return end
   if step(machine, TIME) then machine.outcome = "taken" end
 end
 
 -- Has an event that no transition took changed what the machine keeps? As timers run
--- on, the machine goes back to where it was, until now.
+-- on, the machine goes back to where it was before the event, until now.
 local function has_changed(machine, snap)
-  local sec, nsec = times.get()
-  local emitted, printed = charts.effects()
-  charts.set_effects() -- those of a function `load` do not count
-  times.set(machine.base_sec, machine.base_nsec)
-  local ok = put(machine.chart, machine.base)
+  local list, sec, nsec = machine.list, times.get()
+  charts.forget_effects() -- those of a function `load` do not count
+  times.set(list[SEC], list[NSEC])
+  local ok = put(machine.chart, list[SNAP])
   times.set(sec, nsec)
-  local before = ok and snapshot.take(machine.fsm)
-  charts.set_effects(emitted, printed)
-  return not ok or snapshot.encode(before) ~= snapshot.encode(snap)
+  return not ok or snapshot.encode(snapshot.take(machine.fsm)) ~= snapshot.encode(snap)
 end
 
 -- Save: first all that may fail, then the writes -----------------------------------
 
--- Returns when a machine is to be woken; nil: not before an event comes.
-local function due_of(machine)
+-- Returns when a machine is to be woken; nil if only an event can move it.
+local function due_of(machine, snap)
   if not machine.is_idle and machine.fsm._act_leaf then return times.seen() end
-  local snap, later = machine.list[SNAP], machine.list[LATER]
   local left = (snap.ext or snap.regions) and timeevent.next_deadline(machine.fsm)
-  local due = left and times.seen() + left or nil
-  later = later and later[1]
-  if later then due = min(due or later[1], later[1]) end
-  return due
+  return earliest(left and times.seen() + left or nil, machine.list)
 end
 
--- Makes the value of a machine; its list ends with what is there.
+-- Packs the list of a machine. A position without a value is false, or nil if it is
+-- behind all values.
 local function pack_machine(machine, due)
   local list = machine.list
-  if list[LATER] and not list[LATER][1] then list[LATER] = nil end
-  if list[HELD] then list[LATER] = list[LATER] or {} end
-  if list[LATER] then list[IDS] = list[IDS] or false end
-  if due then
-    list[SEC], list[NSEC] = times.get()
-    list[DUE] = due
-  elseif list[IDS] ~= nil then
-    list[SEC], list[NSEC], list[DUE] = false, false, false
-  elseif list[DUE] ~= nil then
-    list[SEC], list[NSEC], list[DUE] = nil, nil, nil
+  list[SEC], list[NSEC], list[DUE] = false, false, due
+  if due then list[SEC], list[NSEC] = times.get() end
+  if list[LATER] and not list[LATER][1] then list[LATER] = false end
+  for i = HELD, SEC, -1 do
+    if not list[i] then list[i] = nil end
+    if list[i] == nil and list[i + 1] ~= nil then list[i] = false end
   end
   machine.value = host.pack(list)
   local size = #tostring(machine.value)
@@ -362,17 +364,18 @@ local function pack_machine(machine, due)
   end
 end
 
--- Has all written that has changed, and returns the reply: leaf, mode, errors, and what
--- became of the events. The id of events that were dropped is not kept.
+-- Has the host write all changes, and returns the reply: leaf, mode, errors, outcome.
+-- The id of events that were dropped is not kept, so that they may be sent again.
 local function save(machine, id)
   local chart, list, leaf = machine.chart, machine.list, machine.fsm._act_leaf
-  list[SNAP] = snapshot.take(machine.fsm)
-  chart.options.is_tidy = list[SNAP].targets == nil
-  local due, emitted, errors = due_of(machine), charts.effects()
+  local snap = snapshot.take(machine.fsm)
+  chart.options.is_tidy = snap.targets == nil
+  local due, emitted, errors = due_of(machine, snap), charts.effects()
   machine.mode = leaf and leaf._mode or "inactive"
   if not machine.outcome then
-    machine.outcome = has_changed(machine, list[SNAP]) and "kept" or "dropped"
+    machine.outcome = has_changed(machine, snap) and "kept" or "dropped"
   end
+  list[SNAP] = snap
   if machine.outcome ~= "dropped" then add_id(machine, id) end
   pack_machine(machine, due)
   host.write(machine, not list[HELD] and due or nil, emitted, errors)
@@ -398,7 +401,7 @@ local function set_data(fsm, text)
   end
 end
 
--- Returns leaf and mode of a machine as it was saved, and whatever follows.
+-- Returns a reply with leaf and mode of a saved machine, and further items.
 local function reply_of(list, ...)
   local snap = list[SNAP]
   return { snap.leaf or "", snap.leaf and (snap.done and "done" or "active")
@@ -448,8 +451,7 @@ function functions.rfsm_send_at(keys, args)
   return save(machine)
 end
 
--- rfsm_cancel KEY id: takes back what rfsm_send_at has sent, unless its time has come;
--- returns whether it was.
+-- rfsm_cancel KEY id: removes events of rfsm_send_at that wait; returns 1 if they did.
 function functions.rfsm_cancel(keys, args)
   local key = key_of(keys)
   local list = read(key)
@@ -462,7 +464,7 @@ function functions.rfsm_cancel(keys, args)
   return at and 1 or 0
 end
 
--- rfsm_tick KEY: runs a machine, because it is due. Replies false if it is gone.
+-- rfsm_tick KEY: runs a machine that is due. Replies false if there is no machine.
 function functions.rfsm_tick(keys)
   local key = key_of(keys)
   local list = host.read(key)
@@ -481,39 +483,39 @@ function functions.rfsm_get(keys)
   for i in leaf:gmatch("()%.") do names[#names + 1] = leaf:sub(1, i - 1) end
   names[#names + 1] = snap.leaf
   local due = list[DUE] and not list[HELD] and ("%.6f"):format(list[DUE]) or ""
-  local data = exact_json.encode(charts.data_of(snap))
   return { "chart", list[NAME], "version", snap.chart, "leaf", leaf,
     "mode", reply_of(list)[2],
-    "configuration", concat(names, " "), "data", data,
+    "configuration", concat(names, " "), "data", charts.data_of(snap),
     "queue", queue[1] ~= nil and charts.json_of(queue) or "[]", "due", due,
     "held", list[HELD] and "yes" or "" }
 end
 
 -- The verbs of an operator.
 
--- rfsm_hold KEY: has a machine rest; its events wait, and its timers.
+-- rfsm_hold KEY: from now on the events and timers of a machine wait.
 function functions.rfsm_hold(keys)
   local key = key_of(keys)
   local list = read(key)
   if list[HELD] then fail("the machine at '%s' is held already", shown(key)) end
   local machine = load_machine(key, list)
   run(machine)
-  list[HELD] = true
+  list[HELD] = now()
   return save(machine)
 end
 
--- rfsm_release KEY: lets it go on: what has come due meanwhile runs in order.
+-- rfsm_release KEY: ends that; what has come due meanwhile runs, in order.
 function functions.rfsm_release(keys)
   local key = key_of(keys)
   local list = read(key)
   if not list[HELD] then fail("the machine at '%s' is not held", shown(key)) end
+  keep_due(list)
   list[HELD] = nil
   local machine = load_machine(key, list)
   run(machine)
   return save(machine)
 end
 
--- rfsm_force KEY state: puts a machine into a leaf. No callback of a way there runs.
+-- rfsm_force KEY state: puts a machine into a leaf. No callback is called for that.
 function functions.rfsm_force(keys, args)
   local key = key_of(keys)
   local machine = load_machine(key, read(key))
@@ -523,8 +525,8 @@ function functions.rfsm_force(keys, args)
   return save(machine)
 end
 
--- rfsm_remove KEY: ends a machine, with all that belongs to it. Returns whether it was
--- there.
+-- rfsm_remove KEY: ends a machine, and removes its timers and streams. Returns 1 if the
+-- machine was there.
 function functions.rfsm_remove(keys) return host.remove(key_of(keys)) and 1 or 0 end
 
 -- rfsm_why KEY event: the answer of each transition, from the outermost state inwards.
@@ -543,7 +545,7 @@ end
 ---@param server rfsm.server.Host
 ---@param settings? rfsm.server.Options
 return function(server, list, settings)
-  local all, made = {}, {}
+  local made = {}
   host, versions, options = server, {}, settings or {}
   options.ids = options.ids or options.ids_for and 1000 or 16
   times.open(host)
@@ -552,9 +554,8 @@ return function(server, list, settings)
     versions[chart.name] = versions[chart.name] or {}
     versions[chart.name][#versions[chart.name] + 1] = chart
   end
-  for name, f in pairs(functions) do all[name] = f end -- any order: a copy
-  if host.add then host.add(all, options) end
-  for name, f in pairs(all) do -- any order: each stands alone
+  if host.add then host.add(functions, options) end
+  for name, f in pairs(functions) do -- any order: each stands alone
     made[name] = function(keys, args)
       times.begin()
       local ok, reply = pcall(f, keys, args)

@@ -1,5 +1,5 @@
---- The keys of machines in Redis, and of what belongs to them: all those of a hash tag
--- are in one slot of a cluster.
+--- The keys of machines in Redis, and those of their timers, streams and index. All
+-- keys with the same hash tag are in one slot of a cluster.
 --
 -- @module rfsm.server.keys
 -- @license BSD-3-Clause
@@ -30,8 +30,8 @@ function keys.tag(key)
   return tag
 end
 
---- Return the first key of a call, that of a machine. A cluster has to know the others
--- that are written, too.
+--- Return the key of the machine: the first one of a call. The others are in the call
+-- only because a cluster has to know all keys that are written.
 function keys.machine(list)
   local key = list[1] or fail("the key of a machine expected, got none")
   if key:find("^rfsm:") or key:find(":log$") or key:find(":history$") then
@@ -45,7 +45,8 @@ local function of_tag(kind)
   return function(key) return "rfsm:" .. kind .. ":{" .. keys.tag(key) .. "}" end
 end
 
---- Sorted sets, streams and channels of a hash tag; each takes a key with that tag.
+--- Return the key of a sorted set or stream that the machines of a hash tag share, from
+-- a key with that tag.
 keys.due, keys.out, keys.index = of_tag "due", of_tag "out", of_tag "in"
 keys.aside, keys.dead, keys.since = of_tag "aside", of_tag "dead", of_tag "since"
 
@@ -55,7 +56,7 @@ local function of_machine(suffix)
   end
 end
 
---- Streams of a machine.
+--- Return the key of a stream of one machine, from that of the machine.
 keys.log, keys.history = of_machine ":log", of_machine ":history"
 
 --- Return the channel on which the active leaf of a machine is published.

@@ -14,19 +14,21 @@ local sandbox = require "rfsm.server.sandbox"
 
 local error, ipairs, pcall, rawget, require = error, ipairs, pcall, rawget, require
 local concat = table.concat
+local tostring = tostring
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local library = {}
 
--- Modules that the host needs, and those that charts require, or get as a field; those
--- that these need come along.
+-- Modules of each library: the functions, and those that a chart may require or reach
+-- as a field of `rfsm`. The modules that they require are added.
 local ROOTS = {
   "rfsm.server.functions", "rfsm_seqand", "rfsm.emem", "rfsm.monitor", "rfsm.preview",
+  "rfsm.strict",
 }
 
--- The text is called with a function that writes a line to the log, and the globals. It
--- returns a `require`, the charts, and the options. Redis has no global that is absent,
--- and none can be set, so the modules see locals in their place.
+-- The library is called with a function that writes a line to the log, and the globals.
+-- It returns a `require`, the charts, and the options. Redis raises an error if a
+-- global is set, or if an absent one is read, so the modules see locals in their place.
 local HEAD = [[
 local _G, loadfile, print, io, os, debug, package, require
 do
@@ -59,29 +61,21 @@ end)(%q)
 end }
 ]]
 
--- Appends a module under its name; returns its text, nil if it is not plain Lua. The
--- flat names of rFSM may be in no folder of this process.
+local FOOT = [[
+
+return require, charts, { index = %s, history = %s, ids = %s, ids_for = %s }
+]]
+
+-- Appends a module under its name; returns its text, nil if no file of plain Lua is
+-- found. For a flat name such as rfsm_await, rfsm.await is taken if there is no file.
 local function add_text(parts, name)
   local dotted = name:match("^rfsm_(%a+)$")
   return bundle.add(parts, name)
     or dotted and bundle.add(parts, "rfsm." .. dotted, name)
 end
 
--- Lists the modules that a text requires. Those of rfsm are also required by the core.
-local function required(name, text)
-  local names = {}
-  if name:find("^rfsm") then
-    for called, other in text:gmatch('([%l_]+) *%(?"(rfsm[%w_.]*)"') do
-      local is_needed = called == "require" or called == "find_module"
-      names[#names + 1] = is_needed and other or nil
-    end
-  else
-    for i, module in ipairs(sandbox.required(text)) do names[i] = module.name end
-  end
-  return names
-end
-
--- Appends a module, and those that it requires. A chart's own are plain Lua.
+-- Appends a module, and those that it requires. A chart's own are plain Lua. In one
+-- of rFSM no comment requires a module, so its text is searched as it is.
 local function add_module(parts, name, is_there, where, server)
   if is_there[name] then return end
   is_there[name] = true
@@ -90,8 +84,8 @@ local function add_module(parts, name, is_there, where, server)
     error(("%s: module '%s' is not there as plain Lua, so it cannot run in %s")
       :format(where, name, server), 0)
   end
-  for _, other in ipairs(required(name, text)) do
-    add_module(parts, other, is_there, where .. ": '" .. name .. "'", server)
+  for _, other in ipairs(sandbox.required(text, name:find("^rfsm") and text)) do
+    add_module(parts, other.name, is_there, where .. ": '" .. name .. "'", server)
   end
 end
 
@@ -123,20 +117,12 @@ local function check_chart(file, text, server)
   if not kept then error(chart.reason(file, failure), 0) end
 end
 
--- Returns the end of the text.
-local function options_text(options)
-  return ("\nreturn require, charts, { index = %s, history = %s, ids = %s, "
-    .. "ids_for = %s, notes = %s }\n"):format(options.index and "true" or "nil",
-    options.history or "nil", options.ids or "nil", options.ids_for or "nil",
-    options.notes and "true" or "nil")
-end
-
 --- Return the text of the library for a server, and a list of warnings.
 -- @raise if a chart has a problem, in one line
 ---@param arguments string[] see `name_of`; a later version of a name is newer
 ---@param server string its name in messages
 ---@param options rfsm.server.Options
----@param host? string a further module, if it is one of the library
+---@param host? string the module of the host, if the library is to contain it
 ---@return string text
 ---@return string[] warnings
 function library.text(arguments, server, options, host)
@@ -161,7 +147,8 @@ function library.text(arguments, server, options, host)
     end
     parts[#parts + 1] = CHART:format(name, text, file)
   end
-  parts[#parts + 1] = options_text(options)
+  parts[#parts + 1] = FOOT:format(tostring(options.index), tostring(options.history),
+    tostring(options.ids), tostring(options.ids_for))
   return concat(parts), warnings
 end
 

@@ -1,8 +1,8 @@
---- What of a chart cannot run in a server, found while it is bundled: globals that the
--- sandbox lacks, modules that are not plain Lua, loops without an end.
+--- Finds out, while a chart is bundled, what in it cannot run in a server: globals that
+-- the sandbox lacks, modules that are not plain Lua, loops without an end.
 --
--- A chart is loaded with the globals of the sandbox. Its callbacks do not run, so their
--- text is searched for the libraries that are missing.
+-- A chart is loaded with the globals that the server has. That does not run its
+-- callbacks, so their text is searched for libraries that the server lacks.
 --
 -- @module rfsm.server.sandbox
 -- @license BSD-3-Clause
@@ -43,12 +43,13 @@ for _, list in pairs(MISSING) do -- any order: each stands alone
   end
 end
 
--- Is a name a field, or the key in a table, and no global?
+-- Is the name between two positions a field, or a key in a table, and not a global?
 local function is_key(code, from, behind)
   local before = code:sub(1, from - 1):match("(%S)%s*$")
   return before == "." or before == ":" or code:find("^%s*=[^=]", behind)
 end
 
+-- Returns the position and the name of the first library that the server lacks.
 local function find_missing(code, server)
   local first, found = nil, nil
   for _, name in ipairs(MISSING[server]) do
@@ -68,7 +69,7 @@ end
 local OPENS = { ["function"] = true, ["if"] = true, ["do"] = true, ["repeat"] = true }
 local LEAVES = { ["break"] = true, ["return"] = true, error = true, yield = true }
 
--- Does the block whose first word begins at a position never leave its loop?
+-- Does no statement leave the loop whose block begins at a position?
 local function is_endless(code, at)
   local depth = 0
   for word, behind in code:sub(at):gmatch("([%a_][%w_]*)()") do
@@ -99,7 +100,7 @@ end
 
 -- Loading -----------------------------------------------------------------------------
 
--- Returns the text that a function hands over piece by piece.
+-- Returns the text that a function returns in pieces, as `load` takes it.
 local function text_from(pieces)
   local texts = {}
   for piece in pieces do
@@ -121,7 +122,7 @@ local function new_load(globals)
   end
 end
 
--- Stands for `require`: what is no plain Lua, such as `os`, is in no server.
+-- The `require` of charts. A library that is not plain Lua, such as `os`, is missing.
 local function find_module(name)
   local is_plain = HERE[name] or type(name) ~= "string" or name:find("^rfsm")
     or files.find((name:gsub("%.", "/")))
@@ -174,8 +175,8 @@ function sandbox.load(text, file, server)
   return nil, ("%s: a state expected, got %s"):format(file, type(model))
 end
 
---- Run a library in this process, with other globals in place of those of the server;
--- return what it returns. `log` is called with what charts print.
+--- Run a library in this process, and return what it returns. Its globals are those of
+-- the server, and those in `here`. `log` is called with each line that is printed.
 function sandbox.run(text, here, server, log)
   local globals = new_globals(server)
   globals.rfsm, globals.rfsm_timeevent, globals.bit, globals.struct = nil, nil, nil, nil
@@ -186,9 +187,11 @@ function sandbox.run(text, here, server, log)
   return f(log, globals)
 end
 
---- List the modules that a text requires by name, and the line of each.
-function sandbox.required(text)
-  local modules, code = {}, code_of(text)
+--- List the modules that a text requires by name, and the line of each. `code` is the
+-- text without comments, if that is known.
+function sandbox.required(text, code)
+  local modules = {}
+  code = code or code_of(text)
   for at, name in text:gmatch("%f[%w_]()require%s*%(?%s*[\"']([%w_.%-]+)[\"']") do
     if code:sub(at, at + 6) == "require" then
       modules[#modules + 1] = { name = name, line = line_at(text, at) }

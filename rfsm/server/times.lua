@@ -1,8 +1,8 @@
 --- The clock of the machines in a server.
 --
--- While a machine runs it does not follow the server's clock. It begins at the time at
--- which the machine was saved, jumps to each time at which something was due, and ends
--- at the time of the call.
+-- A machine that runs does not see the server's clock, but this one. It begins at the
+-- time at which the machine was saved, jumps to each time at which a timer or an event
+-- was due, and ends at the time of the call.
 --
 -- @module rfsm.server.times
 -- @license BSD-3-Clause
@@ -13,7 +13,8 @@ local floor, max = math.floor, math.max
 
 local times = {}
 
--- The time of the call, false until it is needed, and the time that machines see.
+-- The server; the time of the call, which is read when it is needed; the time that
+-- machines see. A time that was not read yet is false.
 local host, call_sec, call_nsec = nil, false, 0
 local sec, nsec = false, 0
 
@@ -28,7 +29,7 @@ function times.get()
   return sec, nsec
 end
 
---- Return the same in one number.
+--- Return the time that machines see in one number.
 function times.seen()
   if not sec then sec, nsec = read() end
   return sec + nsec / 1e9
@@ -40,7 +41,7 @@ function times.now()
   return call_sec + call_nsec / 1e9
 end
 
---- Set the time that machines see; false: to that of the call.
+--- Set the time that machines see; false stands for the time of the call.
 function times.set(seconds, nanoseconds) sec, nsec = seconds, nanoseconds or 0 end
 
 --- Let seconds pass for machines.
@@ -61,7 +62,7 @@ end
 --- Begin a call: the time is read anew.
 function times.begin() call_sec, sec = false, false end
 
---- Have machines read this clock, whose time is that of a server.
+--- Make this clock that of all machines, and read the times of calls from a server.
 function times.open(server)
   host = server
   clock.set_hook(times.get)

@@ -5,6 +5,7 @@ local charts = require "spec.support.fleet_charts"
 local helper = require "spec.helper"
 local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
+local servers = require "spec.support.servers"
 local timeevent = require "rfsm_timeevent"
 
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -295,6 +296,18 @@ function punctual.compare(n, seed, open)
     end
   end
   return count
+end
+
+--- Compares likewise fleets in a server, which ends then. `open(server, seeds)` returns
+--- what makes them.
+function punctual.compare_server(n, seed, server, open)
+  local ok, count, problem = pcall(punctual.compare, n, seed, function(seeds)
+    return open(server, seeds)
+  end)
+  servers.stop(server)
+  helper.remove_files()
+  if not ok then error(count, 0) end
+  return count, problem
 end
 
 return punctual

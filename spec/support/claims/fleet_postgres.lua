@@ -102,6 +102,7 @@ end
 
 -- Returns what makes fleets of the charts with seeds.
 local function open(server, seeds)
+  server:stop_clock(1000)
   local files, options = punctual.files(seeds), { ids = 1000, history = true }
   local output = server:sql((require("rfsm.postgres.script").sql(files, options)))
   assert(output == "", output)
@@ -121,13 +122,6 @@ end
 
 return { name = "a fleet in PostgreSQL", run = function(n, seed)
   if servers.no_postgres() or not helper.package "luasql.postgres" then return 0 end
-  local server = servers.postgres("-c synchronous_commit=off")
-  local ok, count, problem = pcall(function()
-    server:stop_clock(1000)
-    return punctual.compare(n, seed, function(seeds) return open(server, seeds) end)
-  end)
-  servers.stop(server)
-  helper.remove_files()
-  if not ok then error(count, 0) end
-  return count, problem
+  return punctual.compare_server(n, seed,
+    servers.postgres("-c synchronous_commit=off"), open)
 end }

@@ -2,7 +2,6 @@
 -- machine once, and nothing of it when it was removed. A worker takes what is emitted;
 -- it fails now and then.
 
-local helper = require "spec.helper"
 local punctual = require "spec.support.punctual"
 local servers = require "spec.support.servers"
 
@@ -71,12 +70,5 @@ end
 
 return { name = "a fleet in Redis", run = function(n, seed)
   if servers.no_redis() then return 0 end
-  local server = servers.redis()
-  local ok, count, problem = pcall(punctual.compare, n, seed, function(seeds)
-    return open(server, seeds)
-  end)
-  servers.stop(server)
-  helper.remove_files()
-  if not ok then error(count, 0) end
-  return count, problem
+  return punctual.compare_server(n, seed, servers.redis(), open)
 end }
