@@ -161,7 +161,8 @@ describe("the arrows of a picture", function()
       { "s10", "s1" }, { "s4", "s9" }, { "s8", "s3" }, { "s1", "s5" }, { "s1", "s6" },
       { "s1", "s3" }, { "s9", "s4" }, { "s2", "s5" }, { "s1", "s6" }, { "s5", "s1" },
     }) },
-    { name = "a hub with five leaves", model = star(5), most = 1 },
+    { name = "a hub with five leaves", model = star(5), most = 0 },
+    { name = "a hub with six leaves", model = star(6), most = 0 },
   } do
     local picture = drawn(case.model)
 

@@ -171,7 +171,7 @@ local function rays_of(level)
   return hubs, rays
 end
 
-local FEW = 6 -- leaves around a node that stay at one side of it
+local FEW = 4 -- leaves around a node that stay at one side of it
 
 local BESIDE = 0.12 -- inches between arrows at a hub
 
