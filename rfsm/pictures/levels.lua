@@ -1,7 +1,8 @@
 --- The layout of a chart: level by level, the innermost ones first.
 --
--- Graphviz lays out each level. A chain that is too long is put into columns, a wide
--- level is turned to the other direction. Loops at states are drawn here.
+-- Graphviz lays out each level. A chain that is too long is put into columns. A level
+-- with too many nodes beside each other is laid out again, from left to right, with
+-- leaves at both sides of a hub. Loops at states are drawn here.
 --
 -- @module rfsm.pictures.levels
 -- @license BSD-3-Clause
@@ -150,9 +151,10 @@ local function swap(link)
   link.upper, link.lower, link.is_turned = link.lower, link.upper, not link.is_turned
 end
 
--- Returns the links of leaves that are linked to one other node only, by that node.
+-- Returns the leaves that are linked to one other node only, by that node: of each leaf
+-- its links.
 local function rays_of(level)
-  local hub_of, links_of, rays, hubs = {}, {}, {}, {}
+  local hub_of, links_of, rays = {}, {}, {}
   for _, link in ipairs(level.links) do
     for _, pair in ipairs { { link.upper, link.lower }, { link.lower, link.upper } } do
       local node, other = pair[1].node, pair[2].node
@@ -164,51 +166,38 @@ local function rays_of(level)
   for _, node in ipairs(level.composite.nodes) do
     local hub = node.kind == "leaf" and hub_of[node]
     if hub then
-      if not rays[hub] then hubs[#hubs + 1], rays[hub] = hub, {} end
+      rays[hub] = rays[hub] or {}
       rays[hub][#rays[hub] + 1] = links_of[node]
     end
   end
-  return hubs, rays
+  return rays
 end
 
 local FEW = 4 -- leaves around a node that stay at one side of it
 
 local BESIDE = 0.12 -- inches between arrows at a hub
 
--- Puts every second leaf around a node before it, and makes that as long as the arrows
--- at each side of it need; or takes this back.
-local function spread(level, is_back)
-  local hubs, rays = rays_of(level)
-  level.is_spread = false
-  for _, hub in ipairs(hubs) do
-    local count = 0
-    for i, links_there in ipairs(#rays[hub] > FEW and rays[hub] or {}) do
-      count, level.is_spread = count + #links_there, not is_back
-      for _, link in ipairs(i % 2 == 0 and links_there or {}) do swap(link) end
+-- Puts every second leaf around a node before it, and makes that node as high as the
+-- arrows at each side of it need.
+local function spread(level)
+  local rays = rays_of(level)
+  for _, hub in ipairs(level.composite.nodes) do
+    local leaves, count = rays[hub] or {}, 0
+    for i, list in ipairs(#leaves > FEW and leaves or {}) do
+      count, level.is_spread = count + #list, true
+      for _, link in ipairs(i % 2 == 0 and list or {}) do swap(link) end
+      hub.least = ", height=" .. looks.number_text(max(0.75, count / 2 * BESIDE))
     end
-    hub.least = level.is_spread and (level.direction == "TB" and ", width="
-      or ", height=") .. looks.number_text(max(0.75, count / 2 * BESIDE)) or nil
   end
 end
 
-local OTHER = { TB = "LR", LR = "TB" }
-
--- Turns levels to the other direction, and those that get no better back.
+-- Lays levels out from left to right.
 local function turn(list, run)
-  local before, worse = {}, {}
-  for i, level in ipairs(list) do
-    before[i], level.direction = columns.misfit(level), OTHER[level.direction]
+  for _, level in ipairs(list) do
+    level.direction = "LR"
     spread(level)
   end
-  local problem = lay_out(list, run)
-  if problem then return problem end
-  for i, level in ipairs(list) do
-    if columns.misfit(level) > before[i] then
-      level.direction, worse[#worse + 1] = OTHER[level.direction], level
-      spread(level, true)
-    end
-  end
-  return lay_out(worse, run)
+  return lay_out(list, run)
 end
 
 local function is_misfit(level)
