@@ -36,7 +36,7 @@ end
 
 -- Arrows ----------------------------------------------------------------------
 
--- Returns how many ranks a node takes, about, and notes the lowest node of composites.
+-- Returns about how many ranks a node takes. Gives each composite its `lowest` node.
 local function measure(node)
   if node.kind ~= "composite" then return 1 end
   local below, tops, height = {}, {}, 0
@@ -54,8 +54,8 @@ local function measure(node)
   return height
 end
 
--- Returns the node to which edges of a node are tied: of a composite the lowest one for
--- a tail, the first one for a head.
+-- Returns the node at which an edge ends for Graphviz. For a composite it is the lowest
+-- node in it if the edge begins there, else the first one.
 local function anchor_of(node, is_tail)
   if node.text then return node.id .. (is_tail and node.tail or node.head) end
   while node.kind == "composite" do
@@ -64,8 +64,8 @@ local function anchor_of(node, is_tail)
   return node.id .. (node.kind == "connector" and ":p" or "")
 end
 
--- Returns how many ranks an edge goes down from a node: the labels of loops in a
--- composite come before those of its own arrows.
+-- Returns over how many ranks an edge leads down from a node. In a composite there is
+-- one more for the label of a loop at its lowest node.
 local function length_of(node)
   local length = 1
   while node.kind == "composite" do
@@ -85,7 +85,7 @@ local function leads_back(arrow)
   return src.index > tgt.index
 end
 
--- Gives an arrow a node for its label, unless it needs none.
+-- Gives an arrow a node for its label if it has a text, or is a loop.
 local function place_label(chart, arrow)
   local is_round = is_loop(arrow)
   arrow.src.has_loop = arrow.src.has_loop or is_round
@@ -199,7 +199,7 @@ end
 --- Have Graphviz lay out a machine, or a description.
 ---@param fsm rfsm.Machine
 ---@param options? rfsm.pictures.Options
----@param run? rfsm.pictures.Run where Graphviz is no program
+---@param run? rfsm.pictures.Run for hosts on which Graphviz is no program
 ---@return string? graph with the position of everything in it
 ---@return string? problem in one line
 ---@nodiscard

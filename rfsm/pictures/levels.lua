@@ -20,7 +20,7 @@ local levels = {}
 
 local DEPTH, LEAST = 22, 18 -- points: of a loop, and between two of them
 
--- Returns how much of the side of its node a loop takes.
+-- Returns the length that a loop takes at the side of its node.
 local function step_of(link)
   local box = link.arrow.label_box
   return max(LEAST, link.level.direction == "TB" and box.height + 4 or box.width + 10)
@@ -60,8 +60,8 @@ local function find_loops(chart, run)
   return problem
 end
 
--- A loop at the right side of a box, from its upper end to its lower one; the sides of
--- a level that runs from left to right are the upper ones.
+-- The points of a loop at the right side of a box, from its upper end to its lower one.
+-- In a level that runs from left to right, loops are at the upper side.
 local LOOP = { { 0, 5 }, { 12, 8 }, { 18, 7 }, { 18, 0 }, { 18, -6 }, { 14, -8 },
   { 6.5, -6.5 } }
 local TIP = { 0, -4.5 }
@@ -104,9 +104,9 @@ end
 
 -- Levels that do not fit ------------------------------------------------------
 
-local FEWEST, MANY = 6, 8 -- nodes in what is turned, in what is folded
-local TALLEST, WIDEST = 420, 800 -- points, of an inner level that is never turned
-local LONGEST = 1000 -- points, of a level that is never folded: readable on A4
+local FEWEST, MANY = 6, 8 -- nodes: smaller levels are not turned, not folded
+local TALLEST, WIDEST = 420, 800 -- points: smaller inner levels are not turned
+local LONGEST = 1000 -- points: shorter levels are readable on A4, and not folded
 local MISFIT = log(1.7)
 
 -- Returns the size of a level along its arrows.
@@ -138,7 +138,8 @@ local function divide(list, run)
   end
 end
 
--- Has a level no gates, and none at its boxes?
+-- Does no arrow cross the frame of a level, or of a composite in it, and is no arrow a
+-- loop?
 local function is_closed(level)
   for _, node in ipairs(level.composite.nodes) do
     if node.loops or node.level and node.level.gates[1] then return false end
@@ -146,7 +147,7 @@ local function is_closed(level)
   return not level.gates[1]
 end
 
--- Turns a link round: its upper end is its lower one then.
+-- Swaps the upper end of a link and its lower one.
 local function swap(link)
   link.upper, link.lower, link.is_turned = link.lower, link.upper, not link.is_turned
 end
@@ -173,7 +174,7 @@ local function rays_of(level)
   return rays
 end
 
-local FEW = 4 -- leaves around a node that stay at one side of it
+local FEW = 4 -- leaves around a node: so many stay at one side of it
 
 local BESIDE = 0.12 -- inches between arrows at a hub
 
@@ -229,7 +230,7 @@ end
 
 -- Layout ----------------------------------------------------------------------
 
--- Gives the regions in a composite one height; one width if the direction is LR.
+-- Makes the regions in a composite equally high, or equally wide if they are LR.
 local function align_regions(composite)
   local height, width, regions = 0, 0, {}
   for _, node in ipairs(composite.nodes) do
@@ -248,7 +249,8 @@ local function align_regions(composite)
   end
 end
 
--- The levels by height: those in front have none of those behind in them.
+-- Returns lists of levels. Those in the first list have no levels in them, those in the
+-- second only levels of the first, and so on.
 local function levels_by_height(chart)
   local list = {}
   local function visit(composite)
