@@ -59,7 +59,7 @@ end
 local function anchor_of(node, is_tail)
   if node.text then return node.id .. (is_tail and node.tail or node.head) end
   while node.kind == "composite" do
-    node = is_tail and node.lowest or node.initial or node.nodes[1]
+    node = is_tail and node.lowest or node.nodes[1]
   end
   return node.id .. (node.kind == "connector" and ":p" or "")
 end

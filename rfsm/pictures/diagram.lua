@@ -53,9 +53,8 @@ local diagram = {}
 ---@field parent? rfsm.pictures.Node absent at the root
 ---@field depth integer of composites around it
 ---@field index? integer position among the nodes of the parent
----@field nodes rfsm.pictures.Node[] the nodes in a composite; regions are nodes, too
+---@field nodes rfsm.pictures.Node[] those in a composite: `initial` first, or regions
 ---@field arrows rfsm.pictures.Arrow[] those whose `home` is this composite
----@field initial? rfsm.pictures.Node
 ---@field rows string[] lines below the name: "entry / f", internal transitions
 ---@field at string file and line of callbacks
 ---@field mode? "active"|"done"
@@ -244,7 +243,6 @@ local function read_node(chart, tab, parent, fqn, depth)
   for i, subtab in ipairs(is_cut and {} or members(tab)) do
     local subnode = read_node(chart, subtab, node, fqn .. "." .. subtab.id, depth - 1)
     node.nodes[i], subnode.index, subnode.is_region = subnode, i, tab.regions and true
-    if subnode.kind == "initial" then node.initial = subnode end
   end
   return node
 end
