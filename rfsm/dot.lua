@@ -20,7 +20,6 @@ local layout = require "rfsm.pictures.layout"
 local looks = require "rfsm.pictures.looks"
 
 local ipairs, os = ipairs, rawget(_G, "os")
-local max, min = math.max, math.min
 local concat, add = table.concat, diagram.add
 local id_of = looks.id_of
 
@@ -36,40 +35,23 @@ end
 
 -- Arrows ----------------------------------------------------------------------
 
--- Returns how many ranks a node takes, about, and notes the lowest node of composites.
-local function measure(node)
-  if node.kind ~= "composite" then return 1 end
-  local below, tops, height = {}, {}, 0
-  for _, arrow in ipairs(node.arrows) do
-    local src, tgt = diagram.ends_in(arrow, node)
-    local first = min(src.index, tgt.index)
-    local list = below[first] or {}
-    below[first], list[#list + 1] = list, max(src.index, tgt.index)
-  end
-  for i, subnode in ipairs(node.nodes) do
-    local bottom = (tops[i] or 0) + measure(subnode)
-    if bottom >= height then height, node.lowest = bottom, subnode end
-    for _, j in ipairs(below[i] or {}) do tops[j] = max(tops[j] or 0, bottom + 1) end
-  end
-  return height
-end
-
--- Returns the node to which edges of a node are tied: of a composite the lowest one for
--- a tail, the first one for a head.
+-- Returns the node at which an edge ends for Graphviz. For a composite it is the last
+-- node in it if the edge begins there, else the first one, because nodes are drawn in
+-- about this order from top to bottom.
 local function anchor_of(node, is_tail)
   if node.text then return node.id .. (is_tail and node.tail or node.head) end
   while node.kind == "composite" do
-    node = is_tail and node.lowest or node.initial or node.nodes[1]
+    node = node.nodes[is_tail and #node.nodes or 1]
   end
   return node.id .. (node.kind == "connector" and ":p" or "")
 end
 
--- Returns how many ranks an edge goes down from a node: the labels of loops in a
--- composite come before those of its own arrows.
+-- Returns over how many ranks an edge leads down from a node. In a composite there is
+-- one more for the label of a loop at its last node.
 local function length_of(node)
   local length = 1
   while node.kind == "composite" do
-    node = node.lowest
+    node = node.nodes[#node.nodes]
     if node.has_loop then length = length + 1 end
   end
   return length
@@ -85,7 +67,7 @@ local function leads_back(arrow)
   return src.index > tgt.index
 end
 
--- Gives an arrow a node for its label, unless it needs none.
+-- Gives an arrow a node for its label if it has a text, or is a loop.
 local function place_label(chart, arrow)
   local is_round = is_loop(arrow)
   arrow.src.has_loop = arrow.src.has_loop or is_round
@@ -143,7 +125,6 @@ local LARGE = 500 -- nodes
 local function draw(chart)
   local root = chart.root
   for _, arrow in ipairs(chart.all) do place_label(chart, arrow) end
-  measure(root)
   root.name = chart.title or root.name
   local lines = { "digraph " .. looks.quoted(root.name) .. " {",
     looks.head(chart.direction) }
@@ -199,7 +180,7 @@ end
 --- Have Graphviz lay out a machine, or a description.
 ---@param fsm rfsm.Machine
 ---@param options? rfsm.pictures.Options
----@param run? rfsm.pictures.Run where Graphviz is no program
+---@param run? rfsm.pictures.Run for hosts on which Graphviz is no program
 ---@return string? graph with the position of everything in it
 ---@return string? problem in one line
 ---@nodiscard

@@ -13,7 +13,7 @@ local concat, add = table.concat, diagram.add
 
 -- Text ------------------------------------------------------------------------
 
--- All that might mean something to Mermaid, Markdown or HTML goes by its number.
+-- A character that Mermaid, Markdown or HTML may interpret is written as its number.
 local function code(character) return "#" .. character:byte() .. ";" end
 
 local function text_of(text)
@@ -23,15 +23,15 @@ local function text_of(text)
   return (text:gsub("\n", "<br>"))
 end
 
--- The title stands in a front matter of YAML.
+-- The title is a string of YAML, in lines before the diagram.
 local function title_of(text)
   return '"' .. text:gsub('[\\"]', "\\%0"):gsub("\n", " ") .. '"'
 end
 
 -- Lines -----------------------------------------------------------------------
 
--- An initial is [*] where its composite begins, which no arrow can be led to: one with
--- an arrow from elsewhere, or to elsewhere, gets a diamond behind its [*].
+-- Returns the initials that are drawn as [*] and a diamond behind it. In Mermaid no
+-- arrow can end at [*] where a composite begins, or lead out of it from there.
 local function find_diamonds(chart)
   local diamonds = {}
   local function note(node, is_plain)
@@ -45,7 +45,7 @@ local function find_diamonds(chart)
   return diamonds
 end
 
--- Mermaid calls what is around everything "root". No other node is "root_".
+-- Mermaid has an element "root" of its own. No other node has the id "root_".
 local function id_of(node) return node.parent and node.id or node.id .. "_" end
 
 local function start_of(node, diamonds)
@@ -77,7 +77,7 @@ local function add_leaf(lines, depth, node)
   end
 end
 
--- A composite cannot have rows of its own in Mermaid: they become a note.
+-- A composite has no rows in Mermaid: they become a note beside it.
 local function add_composite(lines, depth, node, add_members, diamonds)
   add_state(lines, depth, node, " {")
   add_members(lines, depth + 1, node, diamonds)

@@ -21,7 +21,8 @@ end
 
 -- Lines -----------------------------------------------------------------------
 
--- Returns [*] for the initial where its composite begins, elsewhere the composite.
+-- Returns the text for an end of an arrow. An initial is [*] if the arrow begins there
+-- and belongs to its composite, else the composite stands for it.
 local function end_of(node, is_start)
   if node.kind ~= "initial" then return node.id end
   return is_start and "[*]" or node.parent.id

@@ -29,7 +29,7 @@ describe("choice", function()
     local crossings = choice.measure { lines = { curve, line(-10, 50, 110, 50),
       line(-10, 80, 110, 80), line(51, 0, 51, 70), line(51, 70, 51, 80) } }
     assert.equal(4, crossings)
-    local itself = { points = { { 0, 0 }, { 100, 100 }, { 0, 100 }, { 100, 0 } } }
+    local itself = { points = { { 0, 0 }, { 300, 100 }, { -200, 100 }, { 100, 0 } } }
     assert.equal(0, (choice.measure { lines = { itself } }))
   end)
 

@@ -46,7 +46,7 @@ local ROOMS = {
     specs = { "record", "stream" } },
   { name = "pictures", files = { "rfsm/dot.lua", "rfsm/mermaid.lua",
     "rfsm/plantuml.lua", "rfsm/json.lua", "rfsm/marsh.lua", "rfsm/pictures/*.lua" },
-    specs = { "export", "diagram", "layout", "pictures" } },
+    specs = { "export", "diagram", "layout", "choice", "pictures" } },
   { name = "sim", files = { "rfsm/sim/*.lua" },
     specs = { "sim_terminal", "sim_session", "sim" } },
   { name = "web", files = { "rfsm/web.lua", "rfsm/web/*.lua" },

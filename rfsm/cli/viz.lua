@@ -93,7 +93,7 @@ function viz.run(options, parser)
     return exporter.encode(fsm, looks)
   end))
   if not IS_TEXT[format] then
-    -- Graphviz can fail at a part of a chart, and yet draw the whole
+    -- Graphviz may fail to lay out a chart, and yet draw its text by `encode`
     local graph = exporter.layout(machine, looks) or text
     text = common.try(exporter.render(graph, format))
   end

@@ -1,7 +1,8 @@
 --- The better one of two layouts: that of our levels, and a plain one of the whole.
 --
--- Fewer crossings win, then text that is readable on paper, then shorter lines. One
--- does not win if its text is too small to read, and smaller than that of the other.
+-- Fewer crossings win, then text that is readable on paper, then shorter lines. The
+-- layout of levels never wins if its text is too small to read, and smaller than that
+-- of the plain one.
 --
 -- @module rfsm.pictures.choice
 -- @license BSD-3-Clause
@@ -11,7 +12,7 @@ local max, min, sqrt = math.max, math.min, math.sqrt
 
 local choice = {}
 
-local PIECES = 8 -- straight ones, in place of a curve
+local PIECES = 8 -- straight pieces in place of each curve
 
 -- Appends the pieces of a line to a list, each with its lower end first. Returns the
 -- length of the line.
@@ -65,7 +66,7 @@ end
 local SHORT, LONG = 523, 770 -- points, of a page of A4 with margins
 local READABLE = 0.7 -- of the size of labels, 10 pt
 
--- Returns how far a picture is made smaller on paper, if text gets too small.
+-- Returns the scale of a picture on paper, at most READABLE: all larger ones are alike.
 local function scale_of(layout)
   local width, height = layout.width, layout.height
   return min(READABLE, max(min(SHORT / width, LONG / height),
@@ -82,10 +83,10 @@ function choice.measure(layout)
   return count_crossings(pieces), length
 end
 
-local MORE, LONGER = 2, 1.25 -- crossings, and length, of one that stays as it was
+local MORE, LONGER = 2, 1.25 -- crossings, length: a better layout is that much better
 
---- Return the better one of two layouts: one of levels, and a plain one. That of a kind
--- is kept if the other one is hardly better.
+--- Return the better one of two layouts: one of levels, and a plain one. If there was a
+-- former picture, a layout of its kind wins unless the other one is much better.
 ---@param levels rfsm.pictures.Layout
 ---@param plain rfsm.pictures.Layout
 ---@param kind? "levels"|"plain" what the former picture was

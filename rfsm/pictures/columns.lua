@@ -20,13 +20,13 @@ local max, min = math.max, math.min
 
 local columns = {}
 
-local RATIO = 4 / 3 -- of width to height
+local RATIO = 4 / 3 -- of width to height: the best shape
 
 local function misfit_of(width, height)
   return abs(log(width / height / RATIO))
 end
 
---- Return how far a level is from the ratio that is aimed at; 0 if it has it.
+--- Return how far the shape of a level is from the best one; 0 if it has that shape.
 function columns.misfit(level) return misfit_of(level.width, level.height) end
 
 -- Columns: which nodes are in them --------------------------------------------
@@ -39,7 +39,7 @@ end
 
 local CHANNEL, TRACKS, PITCH = 40, 60, 8 -- points: beside, above and below columns
 
--- Returns the number of the column for each node; columns are as long as each other.
+-- Returns the number of the column for each node, for columns of equal length.
 local function deal(level, count)
   local numbers, is_down = {}, level.direction == "TB"
   local length = is_down and level.inner_height or level.inner_width
@@ -50,7 +50,7 @@ local function deal(level, count)
   return numbers
 end
 
--- Does one arrow at most lead from each column to the next, and none further?
+-- Does at most one arrow lead from each column to the next, and none to another column?
 local function is_chain(level, numbers)
   local is_linked = {}
   for _, link in ipairs(level.links) do
@@ -64,8 +64,8 @@ local function is_chain(level, numbers)
   return true
 end
 
---- Return the number of the column for each node of a level, nil if columns do not fit:
--- if it has gates, or is no chain.
+--- Return the number of the column for each node of a level; nil if arrows cross its
+-- frame, or if columns do not improve its shape, or are no chain.
 function columns.plan(level)
   if level.gates[1] then return nil end
   local across, length = size_of(level, level.direction)
@@ -80,8 +80,8 @@ function columns.plan(level)
   return best
 end
 
---- Put the nodes of a level into columns, of which each node has the number; return the
--- levels of the columns.
+--- Put the nodes of a level into columns, given the number of the column for each node.
+-- Return the levels of the columns.
 function columns.split(level, numbers)
   local composite, nodes, levels = level.composite, {}, {}
   for i, node in ipairs(composite.nodes) do
@@ -131,7 +131,7 @@ local function corners_of(at, before, place, top, foot, direction)
     at(place.channel, top - PITCH), at(tgt, top - PITCH), at(tgt, top) }
 end
 
--- Places the arrow into a column; its label is where the detour begins.
+-- Draws the arrow into a column, with its label beside the lower end of the channel.
 local function place_link(at, before, place, top, foot, direction)
   local link, label = place.link, place.link.arrow.label_box
   link.points = lines.rounded(corners_of(at, before, place, top, foot, direction))

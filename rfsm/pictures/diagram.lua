@@ -1,8 +1,8 @@
 --- The common part of all diagrams: identifiers, labels, the ends of arrows.
 --
 -- `rfsm.plantuml`, `rfsm.dot` and `rfsm.mermaid` draw a `Chart`, each in its language.
--- It is made of the full description of a machine by `rfsm.marsh`, or of one that came
--- from elsewhere. Their functions `encode` and `save` are made here.
+-- A chart is made from the full description of a machine, by `rfsm.marsh` or read from
+-- elsewhere. The functions `encode` and `save` of the three modules are made here.
 --
 -- @module rfsm.pictures.diagram
 -- @license BSD-3-Clause
@@ -20,26 +20,26 @@ local concat, max, sort = table.concat, math.max, table.sort
 
 local diagram = {}
 
---- What may be said of a picture. A string in its place is the title.
+--- The options of a picture. A string in place of this table is the title.
 ---@class rfsm.pictures.Options
 ---@field title? string
 ---@field foot? string a note in small letters below a picture
 ---@field active? string|string[] FQNs of active states; else those of a live machine
----@field depth? integer levels to draw; deeper ones are left out
----@field folded? string[] FQNs of composites that are drawn without what is in them
+---@field depth? integer levels of states to draw; deeper states are left out
+---@field folded? string[] FQNs of composites that are drawn without the nodes in them
 ---@field direction? "TB"|"LR" from top to bottom, or from left to right
 ---@field coverage? rfsm.pictures.Coverage
----@field trace? (string|rfsm.pictures.Step)[] a run; a text is an FQN or a key
----@field like? string text of a former picture, an SVG, whose order of nodes is kept
+---@field trace? (string|rfsm.pictures.Step)[] a run; a string is an FQN or a key
+---@field like? string a former picture (SVG): the order of its nodes is kept
 
---- A step of a run: of a witness by `rfsm_checks.explore`, or one by `rfsm.record`.
+--- A step of a run, in a witness by `rfsm_checks.explore` or a file by `rfsm.record`.
 ---@class rfsm.pictures.Step
 ---@field taken? string[] keys of transitions
----@field leaf? string FQN of the active leaf then
----@field m? integer number of a machine in a sequential AND state: not drawn
----@field record? integer set in the first record of a file, which is not drawn
+---@field leaf? string FQN of the active leaf after the step
+---@field m? integer the step is one of the machine of a region, and is not drawn
+---@field record? integer set in the first line of a recording, which is no step
 
---- How often a run came to states, by FQN, and to transitions, by key.
+--- How often a run entered each state, by FQN, and took each transition, by key.
 ---@class rfsm.pictures.Coverage
 ---@field states table<string, integer>
 ---@field transitions table<string, integer>
@@ -52,31 +52,30 @@ local diagram = {}
 ---@field kind "leaf"|"composite"|"connector"|"initial"
 ---@field parent? rfsm.pictures.Node absent at the root
 ---@field depth integer of composites around it
----@field index? integer among the nodes of the parent
----@field nodes rfsm.pictures.Node[] regions, too
----@field arrows rfsm.pictures.Arrow[] those with both ends in this composite
----@field initial? rfsm.pictures.Node
----@field rows string[] "entry / f", internal transitions and the like
+---@field index? integer position among the nodes of the parent
+---@field nodes rfsm.pictures.Node[] those in a composite: `initial` first, or regions
+---@field arrows rfsm.pictures.Arrow[] those whose `home` is this composite
+---@field rows string[] lines below the name: "entry / f", internal transitions
 ---@field at string file and line of callbacks
 ---@field mode? "active"|"done"
 ---@field mark? "covered"|"missed"|"traced"
 ---@field is_final? true
 ---@field is_region? true
 ---@field is_on_border? true a connector, used by arrows across the frame around it
----@field is_cut? true there are nodes in it that are not drawn
----@field least? string least width or height of its box, for Graphviz
+---@field is_cut? true a composite that is drawn without the nodes in it
+---@field least? string attribute for Graphviz: least width or height of its box
 
 --- A transition.
 ---@class rfsm.pictures.Arrow
 ---@field key string such as "root.trans[2]"
 ---@field src rfsm.pictures.Node
----@field tgt rfsm.pictures.Node an `initial` where the transition stays inside
+---@field tgt rfsm.pictures.Node an `initial` only if `src` is in its composite
 ---@field home? rfsm.pictures.Node the innermost composite around both ends
 ---@field at string file and line of guard and effect
 ---@field parts string[] "e1, e2", "[guard]", "/ effect", "(pn 1)", if there are any
 ---@field mark? "covered"|"missed"|"traced"
 
---- A machine, ready to be drawn.
+--- All that is drawn of a machine.
 ---@class rfsm.pictures.Chart
 ---@field title? string
 ---@field foot? string
@@ -87,12 +86,12 @@ local diagram = {}
 ---@field by_fqn table<string, rfsm.pictures.Node>
 ---@field arrows rfsm.pictures.Arrow[] those that begin or end at the root
 ---@field all rfsm.pictures.Arrow[] all arrows
----@field taken table<string, boolean> identifiers that are given
----@field folded table<string, boolean> FQNs
+---@field taken table<string, boolean> identifiers that are in use
+---@field folded table<string, boolean> FQNs of composites, as in the options
 
 -- Text ------------------------------------------------------------------------
 
---- Return an identifier that nothing else in the drawing has, `plain` or nearly so.
+--- Return an identifier that nothing else in the chart has: `plain`, or with a number.
 function diagram.new_id(chart, plain)
   local id, count = plain, 1
   while chart.taken[id] do
@@ -116,7 +115,8 @@ local function length_of(text) return select(2, text:gsub("[^\128-\191]", "")) e
 
 local CHARACTER = "[^\128-\191][\128-\191]*"
 
--- Appends a word to lines: to the last one if there is room for it.
+-- Appends a word to the last line if there is room, else in a new line. A word that is
+-- wider than a line is broken.
 local function add_word(lines, word, width, can_join)
   local last = lines[#lines]
   if can_join and last and length_of(last) + 1 + length_of(word) <= width then
@@ -131,7 +131,7 @@ local function add_word(lines, word, width, can_join)
   lines[#lines + 1] = word
 end
 
--- Returns the words of a line; what is in parentheses belongs to the word before it.
+-- Returns the words of a line. Spaces in parentheses do not end a word.
 local function words_in(line)
   local words, depth = {}, 0
   for word in line:gmatch("[^ ]+") do
@@ -153,8 +153,8 @@ local function add_line(lines, line, width, can_join)
   for i, word in ipairs(words_in(line)) do add_word(lines, word, width, i > 1) end
 end
 
---- Return texts in lines of at most `width` characters. One that is short goes on in
--- the line before it.
+--- Return texts in lines of at most `width` characters. A short text continues the line
+-- of the text before it.
 function diagram.wrap(texts, width)
   local lines = {}
   for _, text in ipairs(texts) do
@@ -169,7 +169,7 @@ end
 
 -- Descriptions: what pictures and pages read in them --------------------------
 
---- List what is in a node of a description: its nodes, or its regions.
+--- Return the nodes in a node of a description, or its regions.
 function diagram.members(tab) return tab.regions or tab.subnodes or {} end
 
 local members = diagram.members
@@ -180,15 +180,15 @@ function diagram.kind_of(tab)
   return members(tab)[1] and "composite" or "leaf"
 end
 
---- Has a node, or what was made of it, the kind of a state?
+--- Is a node, or another table with the `kind` of a node, a state?
 function diagram.is_state(node)
   return node.kind == "leaf" or node.kind == "composite"
 end
 
 local is_state = diagram.is_state
 
---- Call f(tr, key, words) for each transition in a description, whose FQN is "root" if
--- none is given; `words` are its events for a reader.
+--- Call f(tr, key, words) for each transition in a description. `words` are the events
+-- of the transition for a reader, `fqn` is that of the description, by default "root".
 function diagram.each_transition(tab, text_of, f, fqn)
   fqn = fqn or "root"
   for i, tr in ipairs(tab.transitions or {}) do
@@ -227,7 +227,7 @@ local MODES = { active = "active", done = "done" }
 
 local function is_closed(chart, fqn, depth) return depth == 0 or chart.folded[fqn] end
 
--- Reads a node and those in it, to a depth; `by_fqn` gets them all.
+-- Reads a node, and the nodes in it down to a depth, into the chart.
 local function read_node(chart, tab, parent, fqn, depth)
   local kind, id = diagram.kind_of(tab), fqn:gsub("%W", "_")
   local is_cut = kind == "composite" and is_closed(chart, fqn, depth)
@@ -243,7 +243,6 @@ local function read_node(chart, tab, parent, fqn, depth)
   for i, subtab in ipairs(is_cut and {} or members(tab)) do
     local subnode = read_node(chart, subtab, node, fqn .. "." .. subtab.id, depth - 1)
     node.nodes[i], subnode.index, subnode.is_region = subnode, i, tab.regions and true
-    if subnode.kind == "initial" then node.initial = subnode end
   end
   return node
 end
@@ -307,9 +306,9 @@ local function add_arrow(chart, arrow)
   chart.all[#chart.all + 1] = arrow
 end
 
--- Reads a transition, unless nothing of it is drawn. One that enters a composite from
--- outside ends at its border, one from inside at its initial, which does not leave the
--- composite.
+-- Adds the arrow of a transition, or a row if the transition is internal; nothing if
+-- both ends are in a composite that is drawn without its nodes. An arrow to an initial
+-- ends at the frame of the composite, unless it begins in the composite.
 local function read_transition(chart, tr, key, words)
   local src, tgt = find_node(chart, tr.src), find_node(chart, tr.tgt)
   if src == tgt and src.fqn ~= tr.src then return end
@@ -328,8 +327,8 @@ end
 local ENTITIES = { amp = "&", lt = "<", gt = ">", quot = '"', ["#45"] = "-",
   ["#39"] = "'" }
 
--- Returns the numbers of the nodes in an SVG by FQN. A composite has that of the first
--- node in it.
+-- Returns the positions of the nodes in the text of an SVG, by FQN. A composite has the
+-- position of the first node in it.
 local function numbers_in(svg)
   local numbers, count = {}, 0
   for id in svg:gmatch('<g id="([^"]*)" class="node') do
@@ -342,8 +341,8 @@ local function numbers_in(svg)
   return numbers
 end
 
--- Puts nodes in the order of a former picture. What is new comes behind the node that
--- is before it now. Regions stay in the order in which they are stepped.
+-- Sorts the nodes of each composite as in a former picture. A new node stays behind the
+-- node that precedes it now. Regions stay in the order in which they are stepped.
 local function keep_order(chart, svg)
   local numbers, number_of = numbers_in(svg), {}
   chart.kind = svg:match('class="graph (%l+)"')
@@ -363,7 +362,7 @@ end
 
 -- Charts ----------------------------------------------------------------------
 
--- Returns the state for an FQN given by a user, or the drawn one that contains it.
+-- Returns the state for an FQN given by a user, or the drawn state that contains it.
 local function find_state(chart, fqn, where)
   local node = find_node(chart, fqn)
   if node and is_state(node) and (node.fqn == fqn or node.is_cut) then return node end
@@ -384,7 +383,8 @@ local function mark_active(chart, active, where)
   end
 end
 
--- Returns the FQNs and keys that a step came to; nil for a step of another machine.
+-- Returns the keys of the transitions that a step took, and the FQN of its leaf if that
+-- is another one than before; nil if the step is not drawn.
 local function places_of(step, leaf)
   if type(step) == "string" then return { step } end
   if type(step) ~= "table" or step.m or step.record then return nil end
@@ -394,7 +394,7 @@ local function places_of(step, leaf)
   return places
 end
 
--- Returns the numbers of the steps in which a run came to each FQN or key.
+-- Returns for each FQN and key the numbers of the steps that came there: "1, 4".
 local function steps_of(trace)
   local steps, count, leaf = {}, 0, nil
   for _, step in ipairs(trace or {}) do
@@ -459,8 +459,8 @@ local function read_description(chart, tab, settings)
   end)
 end
 
---- Read a machine or a description for the public function `where`, whose caller is
--- blamed for errors.
+--- Return the chart of a machine or of a description. An error names the public
+-- function `where`, and blames its caller.
 function diagram.read(source, where, options)
   local is_read = is_description(source)
   if not is_read then rfsm.check_machine(source, where, 4) end
@@ -496,11 +496,12 @@ end
 ---@field encode fun(fsm: rfsm.Machine, opts?: rfsm.pictures.Options|string): string
 ---@field save fun(fsm: rfsm.Machine, file: string, opts?: rfsm.pictures.Options|string)
 
---- Make the module of a language; `global` is its older name.
+--- Make the module of a language. `draw(chart)` returns the text, `global` is the name
+-- of a global variable for the module, as older programs expect it.
 function diagram.exporter(name, global, draw)
   local exporter = {}
 
-  -- A text has no room below: the foot stands behind the title.
+  -- These languages have no notes below a picture: the foot follows the title.
   local function text_of(chart)
     if chart.foot then
       chart.title = ("%s (%s)"):format(chart.title or chart.root.name, chart.foot)

@@ -1,6 +1,6 @@
---- A level in the language of Graphviz, and what Graphviz answers.
+--- Levels as graphs for Graphviz, and the positions in the answers of Graphviz.
 --
--- Graphviz lays out many levels at a time, because its start takes longer than a level.
+-- One run of Graphviz lays out many levels, because its start takes the longest.
 --
 -- The file reads in this order: boxes with ports, graphs, answers, public functions.
 --
@@ -16,8 +16,8 @@ local concat, sort, add = table.concat, table.sort, diagram.add
 
 local graphs = {}
 
---- What has Graphviz lay out graphs. Returns them with positions, or nil and a problem.
--- Here no line of an answer is broken.
+--- Has Graphviz lay out graphs. Returns them with positions, or nil and a problem.
+-- In this file no statement of an answer is broken: `rfsm.pictures.layout` joins lines.
 ---@alias rfsm.pictures.Run fun(graphs: string): string?, string?
 
 -- Boxes: composites, with a port for each gate --------------------------------
@@ -31,14 +31,14 @@ local function table_of(direction, cells)
     .. "</TR></TABLE>"
 end
 
--- Returns a cell of a length across the direction, and a size along it.
+-- Returns a cell with its sizes across the arrows of a level, and along them.
 local function cell_of(direction, across, along, port, content)
   if direction == "LR" then across, along = along, across end
   return CELL:format(across, along, port and (' PORT="%s"'):format(port) or "",
     content or "")
 end
 
--- Returns a side of a box: cells, of which that of each gate is where the gate is.
+-- Returns a side of a box as cells: one with a port at each gate, empty ones between.
 local function side_text(level, list, length)
   local direction, cells, from = level.direction, {}, 0
   local function add_cell(size, port)
@@ -82,14 +82,16 @@ end
 
 local POINT = '%s [shape=box, style=invis, label="", width=0.01, height=0.01]'
 
--- Have name and rows of a composite a rank, with gates? If not, they are its label.
+-- Are name and rows of a composite a node in the first rank, beside the gates there? If
+-- not, they are the label of the graph.
 local function has_header_rank(level)
   local is_upper = false
   for _, gate in ipairs(level.gates) do is_upper = is_upper or gate.is_upper end
   return is_upper and level.direction == "TB" and level.composite.fqn ~= nil
 end
 
--- Adds name and rows of a composite, and its gates: the first and the last rank.
+-- Adds name and rows of a composite, and its gates: the upper ones in the first rank,
+-- the lower ones in the last.
 local function add_border(lines, level)
   local first, last, composite = {}, {}, level.composite
   local header = composite.fqn and looks.state_label(composite)
@@ -126,7 +128,7 @@ local function add_nodes(lines, level)
   end
 end
 
--- Keeps the first rank above nodes to which no link leads down.
+-- Keeps name and rows above the nodes that no link keeps below another node.
 local function add_order(lines, level)
   local is_lower = {}
   for _, link in ipairs(level.links) do
@@ -139,7 +141,7 @@ local function add_order(lines, level)
   end
 end
 
--- Adds the labels of arches; the left leg of each leads to the left gate.
+-- Adds the labels of arches. The line at the left of a label leads to the left gate.
 local function add_arches(lines, level)
   for _, link in ipairs(level.links) do
     local legs = link.arch and link.arch.legs
@@ -164,7 +166,7 @@ end
 
 local COMPASS = { TB = { "s", "n" }, LR = { "e", "w" } }
 
--- Returns an end of an edge. A line meets a frame at a right angle.
+-- Returns an end of an edge. The compass has the line meet a frame at a right angle.
 local function end_text(level, finish, is_tail)
   local compass = COMPASS[level.direction][is_tail and 1 or 2]
   if not finish.node then return finish.gate.id .. ":" .. compass end
@@ -207,7 +209,7 @@ local function graph_of(level)
   for _, link in ipairs(level.links) do
     if not link.is_loop then add_link(lines, level, link) end
     local twin = link.upper and link.upper.gate and link.upper.gate.twin
-    if twin and not link.upper.node then -- it stays beside the other gate
+    if twin and not link.upper.node then -- the two gates shall be beside each other
       add(lines, 1, ("%s -> %s [style=invis]"):format(twin.id,
         end_text(level, link.lower, false)))
     end
@@ -218,7 +220,7 @@ end
 
 -- Answers ---------------------------------------------------------------------
 
--- Returns where a value that begins at a position ends.
+-- Returns the position of the last character of a value, given that of the first one.
 local function value_end(text, from)
   local first = text:sub(from, from)
   if first == "<" then return select(2, text:find("%b<>", from)) end
@@ -230,7 +232,7 @@ local function value_end(text, from)
   return position
 end
 
--- Reads attributes. Returns them, and where they end.
+-- Reads attributes. Returns them, and the position behind them.
 local function read_attributes(text, position)
   local attributes = {}
   while true do
@@ -258,7 +260,8 @@ function graphs.box_of(attributes)
     height = attributes.height * 72 }
 end
 
---- Return the points of a line, and its tip; it is turned if the tip is at its start.
+--- Return the points of a line, and the tip of its arrowhead. `is_turned` is true if
+-- the arrowhead is at the first point.
 function graphs.line_of(text)
   local line = { points = {}, is_turned = text:find("^s") ~= nil }
   local rest = text:gsub("[es],([^ ]+) ?", function(point)
@@ -310,10 +313,10 @@ local function read_element(level, id, attributes)
   end
 end
 
---- Call f(id, attributes, cluster) for each element in a graph of an answer, where
--- `cluster` is the last one that has begun. Returns where the graph ends.
+--- Call f(id, attributes, cluster) for each element in a graph of an answer; `cluster`
+-- is the one that has begun last. Return the position behind the graph.
 --
--- Graphviz may leave out a size that is as in the line "node [...]": version 16 does.
+-- Graphviz 16 leaves out a width or height that is the same in the line "node [...]".
 function graphs.read(text, position, f)
   local cluster, usual = nil, {}
   while true do

@@ -1,6 +1,7 @@
---- A chart with the position of everything in it: a graph that Graphviz only draws.
+--- Charts as graphs with the position of everything, which Graphviz only has to draw.
 --
--- There are two layouts, that of our levels and a plain one. The better one is drawn.
+-- There are two layouts: `rfsm.pictures.levels` lays out composite by composite, in
+-- `rfsm.pictures.plain` Graphviz lays out the whole chart. The better one is drawn.
 --
 -- @module rfsm.pictures.layout
 -- @license BSD-3-Clause
@@ -27,18 +28,18 @@ local layout = {}
 ---@field places table<rfsm.pictures.Node, rfsm.pictures.Place>
 ---@field lines { points: number[][], tip: number[], label?: number[] }[] of the arrows
 
---- The middle of a node, or of the header of a composite, which has a frame.
+--- The middle of a node; for a composite the middle of its header, and its frame.
 ---@class rfsm.pictures.Place
 ---@field x number
 ---@field y number
----@field left? number only of a frame, as `bottom`
+---@field left? number of the frame; absent if the node is no composite
 ---@field bottom? number
 ---@field width? number
 ---@field height? number
 
 -- Levels: from positions in a level to those in the picture --------------------
 
--- Puts a composite, and all that is in it, where its lower left corner shall be.
+-- Places a composite, whose lower left corner is given, and all nodes in it.
 local function move(places, composite, left, bottom)
   local level = composite.level
   local header = level.header or { x = 0, y = 0 }
@@ -56,7 +57,7 @@ local function move(places, composite, left, bottom)
   end
 end
 
--- Joins the links of an arrow.
+-- Joins the lines of the links of an arrow.
 local function line_of(arrow, direction)
   local line, tip, label, axis = {}, nil, nil, direction == "TB" and 1 or 2
   for _, link in ipairs(arrow.links) do
@@ -105,7 +106,8 @@ local function position_text(place)
   return (', %s, lp="%s"'):format(box_text(place), point)
 end
 
--- Returns the identifier for an end of an arrow: at a composite, that of a leaf in it.
+-- Returns the identifier for an end of an arrow. No edge of Graphviz ends at a cluster,
+-- so a leaf in a composite stands for it.
 local function anchor_of(node)
   while node.nodes[1] do node = node.nodes[1] end
   return node.id
@@ -149,10 +151,10 @@ local function graph_of(chart, positions)
   return concat(texts, "\n") .. "\n"
 end
 
-local MOST = 1000 -- nodes of which Graphviz lays out the whole in about a second
+local MOST = 1000 -- nodes: Graphviz lays out such a chart in about a second
 
 --- Return the graph of a chart, with positions; nil and the problem if there is one.
--- `graph` is that of the whole, without positions.
+-- `graph` is the text by `rfsm.dot.encode`, for the plain layout.
 function layout.draw(chart, graph, run)
   local function ask(text)
     local answer, problem = run(text)

@@ -1,7 +1,8 @@
 --- The layout of a chart: level by level, the innermost ones first.
 --
--- Graphviz lays out each level. A chain that is too long is put into columns, a wide
--- level is turned to the other direction. Loops at states are drawn here.
+-- Graphviz lays out each level. A chain that is too long is put into columns. A level
+-- with too many nodes beside each other is laid out again, from left to right, with
+-- leaves at both sides of a hub. Loops at states are drawn here.
 --
 -- @module rfsm.pictures.levels
 -- @license BSD-3-Clause
@@ -19,7 +20,7 @@ local levels = {}
 
 local DEPTH, LEAST = 22, 18 -- points: of a loop, and between two of them
 
--- Returns how much of the side of its node a loop takes.
+-- Returns the length that a loop takes at the side of its node.
 local function step_of(link)
   local box = link.arrow.label_box
   return max(LEAST, link.level.direction == "TB" and box.height + 4 or box.width + 10)
@@ -59,8 +60,8 @@ local function find_loops(chart, run)
   return problem
 end
 
--- A loop at the right side of a box, from its upper end to its lower one; the sides of
--- a level that runs from left to right are the upper ones.
+-- The points of a loop at the right side of a box, from its upper end to its lower one.
+-- In a level that runs from left to right, loops are at the upper side.
 local LOOP = { { 0, 5 }, { 12, 8 }, { 18, 7 }, { 18, 0 }, { 18, -6 }, { 14, -8 },
   { 6.5, -6.5 } }
 local TIP = { 0, -4.5 }
@@ -103,9 +104,9 @@ end
 
 -- Levels that do not fit ------------------------------------------------------
 
-local FEWEST, MANY = 6, 8 -- nodes in what is turned, in what is folded
-local TALLEST, WIDEST = 420, 800 -- points, of an inner level that is never turned
-local LONGEST = 1000 -- points, of a level that is never folded: readable on A4
+local FEWEST, MANY = 6, 8 -- nodes: smaller levels are not turned, not folded
+local TALLEST, WIDEST = 420, 800 -- points: smaller inner levels are not turned
+local LONGEST = 1000 -- points: shorter levels are readable on A4, and not folded
 local MISFIT = log(1.7)
 
 -- Returns the size of a level along its arrows.
@@ -137,7 +138,8 @@ local function divide(list, run)
   end
 end
 
--- Has a level no gates, and none at its boxes?
+-- Does no arrow cross the frame of a level, or of a composite in it, and is no arrow a
+-- loop?
 local function is_closed(level)
   for _, node in ipairs(level.composite.nodes) do
     if node.loops or node.level and node.level.gates[1] then return false end
@@ -145,14 +147,15 @@ local function is_closed(level)
   return not level.gates[1]
 end
 
--- Turns a link round: its upper end is its lower one then.
+-- Swaps the upper end of a link and its lower one.
 local function swap(link)
   link.upper, link.lower, link.is_turned = link.lower, link.upper, not link.is_turned
 end
 
--- Returns the links of leaves that are linked to one other node only, by that node.
+-- Returns the leaves that are linked to one other node only, by that node: of each leaf
+-- its links.
 local function rays_of(level)
-  local hub_of, links_of, rays, hubs = {}, {}, {}, {}
+  local hub_of, links_of, rays = {}, {}, {}
   for _, link in ipairs(level.links) do
     for _, pair in ipairs { { link.upper, link.lower }, { link.lower, link.upper } } do
       local node, other = pair[1].node, pair[2].node
@@ -164,51 +167,38 @@ local function rays_of(level)
   for _, node in ipairs(level.composite.nodes) do
     local hub = node.kind == "leaf" and hub_of[node]
     if hub then
-      if not rays[hub] then hubs[#hubs + 1], rays[hub] = hub, {} end
+      rays[hub] = rays[hub] or {}
       rays[hub][#rays[hub] + 1] = links_of[node]
     end
   end
-  return hubs, rays
+  return rays
 end
 
-local FEW = 6 -- leaves around a node that stay at one side of it
+local FEW = 4 -- leaves around a node: so many stay at one side of it
 
 local BESIDE = 0.12 -- inches between arrows at a hub
 
--- Puts every second leaf around a node before it, and makes that as long as the arrows
--- at each side of it need; or takes this back.
-local function spread(level, is_back)
-  local hubs, rays = rays_of(level)
-  level.is_spread = false
-  for _, hub in ipairs(hubs) do
-    local count = 0
-    for i, links_there in ipairs(#rays[hub] > FEW and rays[hub] or {}) do
-      count, level.is_spread = count + #links_there, not is_back
-      for _, link in ipairs(i % 2 == 0 and links_there or {}) do swap(link) end
+-- Puts every second leaf around a node before it, and makes that node as high as the
+-- arrows at each side of it need.
+local function spread(level)
+  local rays = rays_of(level)
+  for _, hub in ipairs(level.composite.nodes) do
+    local leaves, count = rays[hub] or {}, 0
+    for i, list in ipairs(#leaves > FEW and leaves or {}) do
+      count, level.is_spread = count + #list, true
+      for _, link in ipairs(i % 2 == 0 and list or {}) do swap(link) end
+      hub.least = ", height=" .. looks.number_text(max(0.75, count / 2 * BESIDE))
     end
-    hub.least = level.is_spread and (level.direction == "TB" and ", width="
-      or ", height=") .. looks.number_text(max(0.75, count / 2 * BESIDE)) or nil
   end
 end
 
-local OTHER = { TB = "LR", LR = "TB" }
-
--- Turns levels to the other direction, and those that get no better back.
+-- Lays levels out from left to right.
 local function turn(list, run)
-  local before, worse = {}, {}
-  for i, level in ipairs(list) do
-    before[i], level.direction = columns.misfit(level), OTHER[level.direction]
+  for _, level in ipairs(list) do
+    level.direction = "LR"
     spread(level)
   end
-  local problem = lay_out(list, run)
-  if problem then return problem end
-  for i, level in ipairs(list) do
-    if columns.misfit(level) > before[i] then
-      level.direction, worse[#worse + 1] = OTHER[level.direction], level
-      spread(level, true)
-    end
-  end
-  return lay_out(worse, run)
+  return lay_out(list, run)
 end
 
 local function is_misfit(level)
@@ -240,7 +230,7 @@ end
 
 -- Layout ----------------------------------------------------------------------
 
--- Gives the regions in a composite one height; one width if the direction is LR.
+-- Makes the regions in a composite equally high, or equally wide if they are LR.
 local function align_regions(composite)
   local height, width, regions = 0, 0, {}
   for _, node in ipairs(composite.nodes) do
@@ -259,7 +249,8 @@ local function align_regions(composite)
   end
 end
 
--- The levels by height: those in front have none of those behind in them.
+-- Returns lists of levels. Those in the first list have no levels in them, those in the
+-- second only levels of the first, and so on.
 local function levels_by_height(chart)
   local list = {}
   local function visit(composite)

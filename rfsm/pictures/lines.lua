@@ -1,4 +1,5 @@
---- Lines as Graphviz has them: a point, then three for each curve.
+--- Lines as Graphviz has them: a point, then for each curve two control points and its
+-- end.
 --
 -- @module rfsm.pictures.lines
 -- @license BSD-3-Clause
@@ -23,11 +24,11 @@ local function add_straight(line, point)
   line[#line + 1] = point
 end
 
-local NEAR = 3 -- points: gates of a box are where Graphviz has room for a port
+local NEAR = 3 -- points: a port of a box may be that far from its gate
 
---- Add a line to the end of another one, which may have no points yet. Given an `axis`
--- (1 or 2), the one across the direction, it begins where that one ends if it is near,
--- so that there is no bend at a gate.
+--- Append the line `more` to a line, which may be empty. An `axis` (1: x, 2: y) is the
+-- one across the arrows. If `more` begins near the end of the line on this axis, its
+-- start is moved there, so that there is no bend at a gate.
 function lines.join(line, more, axis)
   local last = line[#line]
   local shift = axis and last and last[axis] - more[1][axis] or 0
@@ -70,7 +71,7 @@ end
 
 local HALVINGS = 4 -- of a curve, at most
 
--- Adds a curve from a to d, in halves while a point of it does not pass a test.
+-- Adds a curve from a to d, divided into halves until both control points are good.
 local function add_curve(line, a, b, c, d, is_good, halvings)
   if halvings == 0 or is_good(b) and is_good(c) then
     line[#line + 1], line[#line + 2], line[#line + 3] = b, c, d

@@ -43,7 +43,7 @@ local links = {}
 ---@class rfsm.pictures.Gate
 ---@field id string
 ---@field is_upper boolean
----@field twin? rfsm.pictures.Gate at which the arrow of this one meets the frame
+---@field twin? rfsm.pictures.Gate of an arch: where its other line meets the frame
 ---@field x number
 ---@field y number
 ---@field offset number from the corner of the frame at which its side begins
@@ -61,9 +61,9 @@ local links = {}
 ---@field upper? rfsm.pictures.End absent in a leg of an arch
 ---@field lower rfsm.pictures.End
 ---@field is_turned boolean the arrow leads from the lower end to the upper one
----@field is_home? boolean it has the label
+---@field is_home? boolean this link is in the home of the arrow, and has the label
 ---@field is_loop? boolean
----@field has_head? boolean the arrow ends here
+---@field has_head? boolean this link has the arrowhead
 ---@field arch? { id: integer, legs: rfsm.pictures.Link[] } a label above a composite,
 -- and two links to its frame
 ---@field points? number[][] the line
@@ -78,7 +78,8 @@ function links.new_level(composite, direction)
     links = {}, link_of = {}, boxes = {}, arches = {}, width = 0, height = 0 }
 end
 
--- Returns the gate of an arrow in a level; `mark` tells apart two of one arrow.
+-- Returns the gate of an arrow in a level, and makes it the first time. If an arrow has
+-- two gates there, the second has a `mark`.
 local function gate_of(level, arrow, is_upper, mark)
   local key = mark .. arrow.key
   local gate = level.gate_of[key]
@@ -88,7 +89,7 @@ local function gate_of(level, arrow, is_upper, mark)
   return gate
 end
 
--- Returns the link of an arrow in a level: the one it has, or the one given.
+-- Returns the link of an arrow in a level; the first time it is the given one.
 local function link_of(level, link, mark)
   local key = mark .. link.arrow.key
   if not level.link_of[key] then
@@ -111,8 +112,8 @@ end
 
 -- Chains: from the source out to the home, and in to the target ---------------
 
--- Returns the end in its home of an arrow that begins or ends at a node, and the links
--- from there out to its home.
+-- Follows an arrow from one of its ends, a node, out to its home. Returns the end that
+-- the arrow has there, and the links from the node to the home.
 local function climb(arrow, node, is_upper, is_src)
   local composite, finish, list = node.parent, { node = node }, {}
   while composite ~= arrow.home do
@@ -169,7 +170,8 @@ local function link_arrow(arrow)
   arrow.links = links_of(arrow)
 end
 
---- Give each composite its level, and each arrow its links. A `top` contains the root.
+--- Give each composite its level, and each arrow its links. `chart.top` is a composite
+-- around the root, so that arrows at the root have a level, too.
 function links.prepare(chart)
   chart.top = { nodes = { chart.root }, kind = "top" }
   chart.top.level = links.new_level(chart.top, chart.direction)

@@ -19,7 +19,7 @@ local HEAD = ([=[
   edge [fontname=FONT, fontsize=10, color="#555555", arrowsize=0.7]]=])
   :gsub("FONT", FONT)
 
---- Return the looks that all elements of a chart have.
+--- Return the attributes that all graphs begin with.
 function looks.head(direction) return (HEAD:gsub("DIRECTION", direction)) end
 
 -- Text ------------------------------------------------------------------------
@@ -41,20 +41,20 @@ end
 
 local quoted = looks.quoted
 
---- Return the id of an FQN or a key in the SVG: a line feed is "\n".
+--- Return the attribute `id`, in an SVG, for an FQN or a key: a line feed is "\n".
 function looks.id_of(text)
   if not text:find("[^%w_%.%[%]/ ]") then return 'id="' .. text .. '"' end
   return "id=" .. quoted(diagram.clean(text))
 end
 
---- Return that id as it is in an answer, without quotes.
+--- Return the value of this attribute as an answer of Graphviz has it, without quotes.
 function looks.plain_id(text) return looks.id_of(text):sub(5, -2) end
 
 local function lines_of(text, width)
   return concat(diagram.wrap({ text }, width), "\n")
 end
 
--- Lines of HTML, each at the left.
+-- Returns a text as HTML, its lines aligned at the left.
 local function html(text)
   if not text:find('[&<>"\n]') then return text end
   return (text:gsub('[&<>"]', CODES):gsub("\n", '<BR ALIGN="LEFT"/>'))
@@ -70,8 +70,8 @@ end
 -- A cell draws the line, because Graphviz leaves out some <HR/> in a PNG.
 local RULE = '<TR><TD CELLPADDING="0" HEIGHT="1" BGCOLOR="#555555"></TD></TR>'
 
---- Return the name of a state over the rows of what it does. A mark behind the name
--- stands for callbacks without rows.
+--- Return the label of a state: its name above its rows. A mark behind the name means
+-- that the state has callbacks, but no rows.
 function looks.state_label(node)
   local has_mark = node.at ~= "" and not node.rows[1]
   local name = lines_of(node.name .. (has_mark and " •" or "")
@@ -101,7 +101,7 @@ local CONNECTOR = 'shape=plain, style="", label=<<TABLE BORDER="0" CELLBORDER="0
   .. 'CELLSPACING="0" CELLPADDING="0"><TR><TD PORT="p" BORDER="1" STYLE="ROUNDED" '
   .. 'FIXEDSIZE="TRUE" WIDTH="10" HEIGHT="10" BGCOLOR="%s"></TD><TD>'
   .. '<FONT POINT-SIZE="9">&#160;%s</FONT></TD></TR></TABLE>>'
--- What is active or marked; the colours are told apart without red and green.
+-- Looks of active and of marked elements. Nobody needs to tell red from green.
 local LOOKS = {
   plain = ', color="#555555", penwidth=1', active = ', color="#0072B2", penwidth=2',
   missed = ', color="#D55E00", fontcolor="#D55E00"', covered = "",
@@ -141,7 +141,7 @@ function looks.frame_text(node)
     node.depth % 2 == 0 and "white" or "#F4F6F8", LOOKS.plain, look_of(node, "state"))
 end
 
---- Add a node, and those in it; a composite is a cluster, unless it is a column.
+--- Add a node, and those in it. A composite is a cluster; a column has no frame.
 -- `position_of(node)` returns attributes, `add_labels(lines, depth, node)` adds lines.
 function looks.add_node(lines, depth, node, position_of, add_labels)
   local function add_members(inner)
@@ -168,8 +168,8 @@ function looks.arrow_text(arrow) return look_of(arrow, "transition") end
 
 local FOOT = '<TD PORT="%s" WIDTH="1" HEIGHT="1"></TD>'
 
--- Returns the attributes of a label with a foot, or one at each end, to which lines are
--- tied. Some sides of the label are lines, too.
+-- Returns the attributes of a label that is a node. `feet` lists its parts: "text", and
+-- names of ports, tiny cells where lines end. `sides` of the label are drawn.
 local function label_node(arrow, direction, feet, sides)
   local cells = {}
   local text = ('<TD CELLPADDING="4"%s>%s</TD>'):format(sides
@@ -188,13 +188,13 @@ function looks.arch_text(arrow, direction)
   return label_node(arrow, direction, { "l", "text", "r" })
 end
 
---- Return the attributes of a label that is the far end of a loop.
+--- Return the attributes of a label whose sides are the far end of a loop.
 function looks.hung_label(arrow, direction)
   return label_node(arrow, direction, { "l", "text", "r" },
     direction == "TB" and "LBR" or "TRB")
 end
 
---- Return the attributes of a label beside its line, a part of which is in the node.
+--- Return the attributes of a label of which one side is a part of its line.
 function looks.line_label(arrow, direction)
   if direction == "TB" then
     return label_node(arrow, direction, { "l", "text" }, "L")

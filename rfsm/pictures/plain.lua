@@ -1,4 +1,4 @@
---- The layout of a chart as a whole: where Graphviz puts everything.
+--- The plain layout: Graphviz lays out the whole chart as one graph.
 --
 -- The graph is that of `rfsm.dot.encode`. A label is a node in it, so that an arrow is
 -- two edges, which are joined here.
@@ -39,8 +39,8 @@ end
 
 local function turn(line) line.points = lines.moved(line.points, 0, 0, true) end
 
--- Joins the halves of the line of an arrow. If the second one was turned, the first one
--- is to be, too, unless the arrow is a loop around its label.
+-- Joins the two halves of the line of an arrow. If the second half begins at the tip,
+-- the first half is backward, too, unless the arrow is a loop around its label.
 local function join(label, box, direction, first, second)
   if label.is_round then
     local from, to = first.points[#first.points], second.points[1]

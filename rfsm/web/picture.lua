@@ -1,8 +1,8 @@
---- Pictures: one process draws them, the server goes on.
+--- Pictures for pages: another process draws them, and the server does not wait.
 --
 -- The process is started when a page asks for the first picture, and ends with the
--- server. It gets the names of files on its stdin, each a Lua program that returns what
--- is to be drawn, and writes a picture beside it.
+-- server. It reads names of files from its stdin. Each file is a Lua program that
+-- returns a request, and the process writes the picture to a file beside it.
 --
 -- @module rfsm.web.picture
 -- @license BSD-3-Clause
@@ -17,8 +17,8 @@ local concat, remove = table.concat, table.remove
 
 --- What draws the pictures of a server.
 ---@class rfsm.web.Painter
----@field jobs rfsm.web.Job[] the last ones
----@field pipe file*|false to the process
+---@field jobs rfsm.web.Job[] the last pictures that were asked for, oldest first
+---@field pipe file*|false to the stdin of the process
 local Painter = {}
 Painter.__index = Painter
 
@@ -31,7 +31,7 @@ Painter.__index = Painter
 
 -- Requests: a description as a Lua program ------------------------------------
 
--- Adds the text of a value of a description; events are known by their words.
+-- Adds the Lua text of a value of a description. Events become 1: pictures have words.
 local function add_value(texts, value, key)
   local kind = type(value)
   if kind == "table" and key ~= "events" then
@@ -59,11 +59,11 @@ end
 
 -- The process -----------------------------------------------------------------
 
-local CPU_SECONDS = 60 -- of a run of Graphviz, and of the process, which is begun anew
+local CPU_SECONDS = 60 -- at most: for a run of Graphviz, and for this process
 
 local INTERPRETERS = "lua5.4 lua5.3 luajit lua lua5.2 lua5.1"
 
--- Returns the interpreter of this program if it is one of Lua.
+-- Returns the command that runs this program if it is an interpreter of Lua.
 local function own_interpreter()
   local arguments = rawget(_G, "arg")
   local i = 0
@@ -74,8 +74,8 @@ end
 
 local function quoted(text) return "'" .. text:gsub("'", "'\\''") .. "'" end
 
--- Starts the process in the background, so that the end of the pipe is not waited for.
--- The shell closes nine descriptors, the process all others.
+-- Starts the process in the background, so that closing the pipe does not wait for it.
+-- The shell closes inherited file descriptors up to 9, the process closes the others.
 local function start()
   local own = own_interpreter()
   local code = ("package.path = %q %s require('rfsm.web.picture').serve()"):format(
@@ -88,7 +88,7 @@ local function start()
   return ok and pipe
 end
 
--- Closes what this process has from its parent, above stderr.
+-- Closes the file descriptors that were inherited, but not stdin, stdout and stderr.
 local function close_inherited()
   local ok, socket = pcall(require, "socket")
   for number = 3, ok and 1023 or 0 do
@@ -98,8 +98,8 @@ local function close_inherited()
   end
 end
 
---- Draw a request; nil if Graphviz is missing or fails. The playground has its own
--- `run`. `like` is the former picture of the machine.
+--- Draw a request; nil if Graphviz is missing or fails. `like` is the former picture of
+-- the machine, `run(text, format)` takes the place of the program Graphviz.
 function Painter.draw(request, like, run)
   run = run or dot.render
   local options = { folded = request.folded, like = like }
@@ -159,8 +159,8 @@ end
 
 local MOST = 8 -- pictures that are kept
 
---- Return a picture; false if there is none, nil while it is drawn. `request()` returns
--- what is to be drawn if it was not asked for before.
+--- Return a picture; false if there is none, nil while it is drawn. If nobody has asked
+-- for `key` before, `request()` returns the request.
 ---@param key string
 ---@param request fun(): table
 ---@return string|false|nil svg
