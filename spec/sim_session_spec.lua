@@ -281,6 +281,81 @@ at root.b(done)
   }
 end)
 
+describe("the observer", function()
+  check {
+    { does = "tells nothing of what the library is told to do in Lua", chart = ring(),
+      follows = true, input = [=[
+breakpoint b
+run
+rfsm.send_events(fsm, 'e_go', 'e_x')
+rfsm.run(fsm)
+step
+history 1
+]=], output = [=[
+1  state root.b
+taken:  root.initial -> root.a
+* root
+  * a (done)
+    b
+    c
+at root.a(done)
+true
+* root
+    a
+  * b (done)
+    c
+at root.b(done)
+   2                                  root.b(done)
+]=] },
+    { does = "follows a chart that is loaded again", chart = ring(), other = ring(),
+      follows = true, input = [=[
+run
+change()
+reload
+ses e_go
+]=], output = [=[
+taken:  root.initial -> root.a
+* root
+  * a (done)
+    b
+    c
+at root.a(done)
+at root.a(done)
+taken:  root.a -> root.b on e_go
+* root
+    a
+  * b (done)
+    c
+at root.b(done) e_done@root.b
+]=] },
+  }
+
+  -- Returns the number of VM instructions of an idle step of a chart with some states.
+  local function instructions(count)
+    local states = {}
+    for i = 1, count do states[i] = ("s%d = rfsm.state {},"):format(i) end
+    local file, used = helper.file_with(ring(table.concat(states))), 0
+    local sim = assert(session.open(file, false))
+    prompt.install(sim)
+    for _ = 1, 3 do sim.env.run() end
+    debug.sethook(function() used = used + 1 end, "", 1)
+    sim.env.step()
+    debug.sethook()
+    return used
+  end
+
+  it("costs nothing for states that are not active", function()
+    local jit = rawget(_G, "jit")
+    if jit then -- compiled code calls no hook
+      jit.off()
+      jit.flush()
+    end
+    local few, many = instructions(1), instructions(300)
+    if jit then jit.on() end
+    assert.equal(few, many)
+  end)
+end)
+
 describe("a machine that cannot be saved", function()
   check {
     { does = "goes back to no place, and says why", chart = ring(

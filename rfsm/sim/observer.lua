@@ -86,7 +86,11 @@ function Observer:print_taken(line)
   self.line, self.times = line, 1
 end
 
-function Observer:note_events(events)
+function Observer:entered(at, state)
+  self:check_points("state", location.path(state, at.prefix))
+end
+
+function Observer:finished(_, events)
   for i = 1, #events do
     local event = events[i]
     local is_noted = event ~= event or self.is_seen[event]
@@ -98,9 +102,16 @@ function Observer:note_events(events)
   end
 end
 
---- Observe no more.
-function Observer:detach()
-  self.stream:stop()
+--- Begin to observe an advance; print the transitions taken if they are to be shown.
+function Observer:begin(is_shown)
+  self.is_on, self.is_shown, self.line, self.times = true, is_shown, false, 1
+  self.hits, self.reached, self.is_hit = {}, {}, false
+  self.seen, self.is_seen, self.is_used = {}, {}, {}
+end
+
+--- End to observe an advance.
+function Observer:finish()
+  self.is_on = false
   self:print_taken(false)
 end
 
@@ -118,19 +129,17 @@ end
 
 local observer = {}
 
---- Observe the machine of a session and its regions; print the transitions taken if
--- they are to be shown.
-function observer.attach(sim, is_shown)
-  local self = setmetatable({ sim = sim, is_shown = is_shown, hits = {}, is_hit = false,
-    reached = {}, is_seen = {}, seen = {}, is_used = {}, line = false,
-    times = 1 }, Observer)
-  self.stream = stream.follow(sim.fsm, {
-    taken = function(...) self:taken(...) end,
-    entered = function(at, state)
-      self:check_points("state", location.path(state, at.prefix))
-    end,
-    finished = function(_, events) self:note_events(events) end,
-  })
+--- Return an observer of the machine of a session and its regions.
+function observer.new(sim)
+  local self = setmetatable({ sim = sim, is_on = false }, Observer)
+  local function during_advance(f)
+    return function(...)
+      if self.is_on then f(self, ...) end
+    end
+  end
+  self.stream = stream.follow(sim.fsm, { taken = during_advance(Observer.taken),
+    entered = during_advance(Observer.entered),
+    finished = during_advance(Observer.finished) })
   return self
 end
 

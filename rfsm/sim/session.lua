@@ -43,6 +43,7 @@ local complain, text_of = terminal.complain, rfsm.text_of
 ---@field points rfsm.observe.Breakpoint[] breakpoints and expressions that are watched
 ---@field picture? string|false file that is kept up to date
 ---@field history rfsm.observe.Rewind
+---@field observer rfsm.sim.Observer
 ---@field came string[] events of the advance
 ---@field recorder? rfsm.record.Recorder
 ---@field time? rfsm.sim.Time the simulated clock
@@ -117,8 +118,8 @@ end
 
 -- Advances up to a breakpoint, or until the machine is not entered. Returns whether it
 -- is idle; with an idle hook it never is.
-local function advance(sim, observed, n)
-  local fsm = sim.fsm
+local function advance(sim, n)
+  local fsm, observed = sim.fsm, sim.observer
   if not sim.points[1] then return rfsm.step(fsm, n) and not fsm.idle_hook end
   for _ = 1, n do
     local is_idle = rfsm.step(fsm)
@@ -130,9 +131,9 @@ end
 
 local MAX_RUN = 10000 -- iterations: a chart may have no end
 
-function Session:print_hits(observed)
+function Session:print_hits()
   for i, point in ipairs(self.points) do
-    if observed.hits[i] then
+    if self.observer.hits[i] then
       print(("stopped at %d: %s"):format(i, breakpoints.text(point)))
     end
   end
@@ -141,14 +142,15 @@ end
 --- Advance by n steps, or until the machine is idle, and show the result, also if that
 -- failed.
 function Session:advance(n)
-  local observed = observer.attach(self, self.follows and not self.level)
-  local ok, result = pcall(advance, self, observed, n or MAX_RUN)
+  local observed = self.observer
+  observed:begin(self.follows and not self.level)
+  local ok, result = pcall(advance, self, n or MAX_RUN)
   if not ok then calls.try(rfsm.check_between_steps, self.fsm, "advance") end
-  observed:detach()
+  observed:finish()
   history.note_events(self, observed.seen)
   self:print_discarded(observed:discarded())
   self:show()
-  self:print_hits(observed)
+  self:print_hits()
   if ok and not (n or result or observed.is_hit) and self.fsm._act_leaf then
     print("stopped after 10,000 iterations, 'run' goes on")
   end
@@ -280,6 +282,7 @@ function Session:reload()
   if self.level then self:set_level(self.level) end
   breakpoints.renew(self, complain)
   history.start(self)
+  self.observer = observer.new(self)
   if problem then
     complain(calls.line(text_of(problem)) .. ": the machine begins anew")
   end
@@ -302,6 +305,7 @@ function session.open(file, follows, has_stubs, load, new)
     has_stubs = has_stubs or false, commands = commands,
   }, Session)
   history.start(sim)
+  sim.observer = observer.new(sim)
   return sim
 end
 
