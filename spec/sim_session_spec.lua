@@ -787,6 +787,49 @@ stopped at 3: transition root.b -> root.c
 6  state root.c
 there is none
 ]=] },
+    { does = "stops at each transition with these ends, at one only for its value",
+      chart = ring([[
+  both = rfsm.seqand { left = rfsm.state { x = rfsm.state {}, y = rfsm.state {},
+    rfsm.trans { src = "initial", tgt = "x" },
+    rfsm.trans { src = "x", tgt = "y", events = { "e_y" } } } },
+  rfsm.trans { src = "a", tgt = "b", events = { "e_go" },
+    guard = function() return is_first == true end },
+  rfsm.trans { src = "b", tgt = "both", events = { "e_both" } }, ]]), other = ring(),
+      input = [=[
+breakpoint a -> b
+breakpoint(fsm[1])
+breakpoint both.left.x -> both.left.y
+run
+ser e_go
+goto 1
+is_first = true
+ser e_go
+ser e_both
+ser e_y
+change()
+reload
+breakpoint
+]=], output = [=[
+1  transition root.a -> root.b
+2  transition root.a -> root.b
+3  transition root.both.left.x -> root.both.left.y
+at root.a(done)
+at root.b(done) e_done@root.b
+stopped at 1: transition root.a -> root.b
+at root.a(done)
+at root.b(done) e_done@root.b
+stopped at 1: transition root.a -> root.b
+stopped at 2: transition root.a -> root.b
+at root.both(active)
+at root.both(active)
+stopped at 3: transition root.both.left.x -> root.both.left.y
+! 3 transition root.both.left.x -> root.both.left.y: is gone, and no breakpoint now
+! rfsm.snapshot: the snapshot holds what the chart lacks: ]=] .. [=[
+state root.both; region root.both.left: the machine begins anew
+at <none> e_init_fsm
+1  transition root.a -> root.b
+2  transition root.a -> root.b
+]=] },
     { does = "has no breakpoint at a state that is gone, with a predicate, too",
       chart = ring(), other = [[
 return rfsm.state { warn = false, info = false, a = rfsm.state {},

@@ -1182,6 +1182,20 @@ describe("a machine elsewhere", function()
     other.tcp:close()
   end)
 
+  it("has its events in words, though the protocol has none", function()
+    local door = proto.install { port = 0 }
+    local fsm = rfsm.init(lamp { third = state { final = true }, [4] = trans {
+      src = "on", tgt = "third", events = { 7, true, "e_after(1.5)", "e_done", {} } } })
+    local server = opened(assert(web.attach("127.0.0.1", door.port, { port = 0 })))
+    assert.is_true(wait_for(server, fsm, http.page(server), "root.off"))
+    local chart, labels, words = http.chart(server), {}, {}
+    for i, edge in ipairs(chart.edges) do labels[i] = edge.label end
+    for i, event in ipairs(chart.events) do words[i] = event.words end
+    assert.same({ "", "e_push", "e_push", "7, true, after 1.5 s, done, table 1" },
+      labels)
+    assert.same({ "e_push", "7", "true", "after 1.5 s", "done", "table 1" }, words)
+  end)
+
   it("is chosen by its number", function()
     local one, door = host(false)
     local model = lamp { third = state {} }

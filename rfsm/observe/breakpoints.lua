@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local location = require "rfsm.shared.location"
 local names = require "rfsm.observe.names"
 local values = require "rfsm.observe.values"
 
@@ -17,7 +18,8 @@ local breakpoints = {}
 ---@class rfsm.observe.Breakpoint
 ---@field kind "state"|"transition"|"event"|"watch"
 ---@field name string for a reader; the expression
----@field value any name, transition or event; of an expression the last value
+---@field value any name of the state, event or set of transitions; of an expression its
+-- last value
 ---@field condition? string expression that must be true as well, for a reader
 ---@field holds? fun(): any its value
 
@@ -26,15 +28,20 @@ local function is_at(tr_end, node)
   return node and (tr_end == node or tr_end == node.initial)
 end
 
-local function find_transition(fsm, src, tgt)
-  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
-    if is_at(tr.src, src) and is_at(tr.tgt, tgt) then return tr end
+-- Returns a breakpoint at the transitions of a machine and its regions that are meant,
+-- with the name of the first one; nil if none is.
+local function at_transitions(fsm, is_meant)
+  local point
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    for _, tr in ipairs(rfsm.elements(at.machine, rfsm.is_trans)) do
+      if is_meant(tr) then
+        point = point or { kind = "transition", value = {}, name = location.path(tr.src,
+          at.prefix) .. " -> " .. location.path(tr.tgt, at.prefix) }
+        point.value[tr] = true
+      end
+    end
   end
-end
-
-local function new_transition(tr)
-  return { kind = "transition", value = tr,
-    name = text_of(tr.src._fqn) .. " -> " .. text_of(tr.tgt._fqn) }
+  return point
 end
 
 local function fail(fsm, text)
@@ -56,8 +63,10 @@ local function of_text(fsm, text)
     return { kind = "state", name = name, value = name }
   end
   local src, tgt = text:match("^(.-)%s*%->%s*(.-)$")
-  local tr = src and find_transition(fsm, by_name[full(src)], by_name[full(tgt)])
-  if tr then return new_transition(tr) end
+  local point = src and at_transitions(fsm, function(tr)
+    return is_at(tr.src, by_name[full(src)]) and is_at(tr.tgt, by_name[full(tgt)])
+  end)
+  if point then return point end
   if not names.is_event(fsm, text) then fail(fsm, text) end
   return { kind = "event", name = text, value = text }
 end
@@ -66,7 +75,8 @@ end
 function breakpoints.add(sim, what)
   local point
   if rfsm.is_trans(what) then
-    point = new_transition(what)
+    point = at_transitions(sim.fsm, function(tr) return tr == what end)
+      or fail(sim.fsm, text_of(what))
   elseif type(what) == "string" or rfsm.is_node(what) and what._fqn then
     point = of_text(sim.fsm, type(what) == "string" and what or what._fqn)
   else
@@ -80,7 +90,10 @@ end
 -- is the name of the state, the transition, or the event.
 function breakpoints.each_reached(list, kind, value, f)
   for i, point in ipairs(list) do
-    if point.kind == kind and rawequal(point.value, value) then f(i, point) end
+    if point.kind == kind and (rawequal(point.value, value)
+      or kind == "transition" and point.value[value]) then
+      f(i, point)
+    end
   end
 end
 
