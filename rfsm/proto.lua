@@ -355,10 +355,17 @@ local function attach(fsm, server)
     if feed.number > 0 then after_step() end
   end
 
+  -- The graph is made and sent anew.
+  local function after_merge()
+    feed.graph = false
+    each_subscriber(feed, function(sub) sub.has_graph_of[feed] = nil end)
+  end
+
   -- other hooks come after events
   instrument.hook(hooks, fsm, "pre_step", before_step, "before")
   instrument.hook(hooks, fsm, "post_step", after_step)
   instrument.hook(hooks, fsm, "reset", after_reset)
+  instrument.hook_of(hooks, fsm, "watch", "merged", after_merge)
 end
 
 -- Public functions ------------------------------------------------------------
@@ -410,21 +417,8 @@ function proto.uninstall()
   open, servers = {}, setmetatable({}, { __mode = "k" })
 end
 
--- Forgets the graph of a machine that has changed: it is made and sent anew.
-local function forget_graph(fsm)
-  for server in pairs(servers) do -- any order: each stands alone
-    for i = 1, server.count do
-      local feed = server.feeds[i]
-      if feed and feed.fsm == fsm then
-        feed.graph = false
-        each_subscriber(feed, function(sub) sub.has_graph_of[feed] = nil end)
-      end
-    end
-  end
-end
-
 rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
-  if merged then return forget_graph(fsm) end
+  if merged then return end
   for i = #open, 1, -1 do
     if open[i].is_closed then remove(open, i) end
   end

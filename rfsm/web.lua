@@ -60,37 +60,20 @@ local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline
 ---@field url string for the browser
 ---@field host string
 ---@field port integer
----@field shown rfsm.web.Shown[] the machines of the page, in the order of their tabs
+---@field sources table[] a Served, Driven or Remote for each tab of the page; the list
+-- of Remotes grows
 local Server = {}
 Server.__index = Server
 
---- A machine of a page, and its picture.
----@class rfsm.web.Shown
----@field source table its view, its title, its commands
----@field number integer
----@field seen_at number when a page has read last
-
--- Adds machines that have become known.
-local function update_shown(server)
-  for i = #server.shown + 1, #server.sources do
-    server.shown[i] = { source = server.sources[i], number = i, seen_at = 0 }
-  end
-end
-
--- Returns the machine that a request names, else the first one.
-local function shown_in(server, request)
-  return server.shown[tonumber(request.query:match("machine=(%d+)") or 1)]
-end
-
 -- A page that has another version fetches chart and picture.
-local function version_of(server, shown)
-  return ("%s-%d-%d-%d"):format(server.id, shown.number, #server.shown,
-    shown.source.generation)
+local function version_of(server, tab)
+  return ("%s-%d-%d-%d"):format(server.id, tab, #server.sources,
+    server.sources[tab].generation)
 end
 
 -- Returns the message for a page with a cursor, and its next cursor.
-local function state_message(server, shown, cursor, version)
-  local source, message = shown.source, {}
+local function state_message(server, tab, cursor, version)
+  local source, message = server.sources[tab], {}
   local view, next_cursor = source.view, { version = version, rewrites = -1 }
   if view then
     local is_known = cursor and cursor.version == version
@@ -105,19 +88,18 @@ local function state_message(server, shown, cursor, version)
 end
 
 -- Has a machine a picture? Graphviz takes too long for a very large one.
-local function is_drawn(shown)
-  local view = shown.source.view
+local function is_drawn(view)
   return view and #view.outline.nodes <= MAX_DRAWN or false
 end
 
-local function chart_reply(server, _, shown)
-  local source = shown.source
+local function chart_reply(server, _, tab)
+  local source = server.sources[tab]
   local chart = source.view and source.view:chart() or {}
-  chart.title, chart.version = source.title, version_of(server, shown)
+  chart.title, chart.version = source.title, version_of(server, tab)
   chart.server, chart.machines = server.id, {}
-  for i, other in ipairs(server.shown) do chart.machines[i] = other.source.title end
+  for i, other in ipairs(server.sources) do chart.machines[i] = other.title end
   chart.problems, chart.commands = source.problems, rfsm.sorted_keys(source.commands)
-  chart.has_picture = is_drawn(shown)
+  chart.has_picture = is_drawn(source.view)
   return { type = "application/json", body = server.json.encode(chart) }
 end
 
@@ -138,9 +120,9 @@ local function hint_for(source, message)
   return ("no transition names '%s'%s"):format(event, advice.nearest_name(event, names))
 end
 
-local function command_reply(server, request, shown)
+local function command_reply(server, request, tab)
   if request.headers["x-rfsm-token"] ~= server.token then return { status = 403 } end
-  local source, message = shown.source, decode(server, request.body)
+  local source, message = server.sources[tab], decode(server, request.body)
   local command = message and source.commands[message.command]
   if not command then return { status = 400, body = "no such command\n" } end
   if not source.view then return { status = 400, body = "no machine\n" } end
@@ -157,18 +139,19 @@ end
 
 -- Answers with the picture of a machine with some composites, by number, folded.
 -- A page asks again while it is drawn.
-local function picture_reply(server, request, shown)
-  if not is_drawn(shown) then return { status = 404 } end
-  local view, numbers = shown.source.view,
+local function picture_reply(server, request, tab)
+  local source, numbers = server.sources[tab],
     request.query:match("folded=([%d,]*)") or ""
-  local key = ("%d %d %s"):format(shown.number, shown.source.generation, numbers)
+  local view = source.view
+  if not is_drawn(view) then return { status = 404 } end
+  local key = ("%d %d %s"):format(tab, source.generation, numbers)
   local svg = server.painter:ask(key, function()
     local folded = {}
     for number in numbers:gmatch("%d+") do
       local node = view.outline.nodes[number + 1]
       folded[#folded + 1] = node and node.fqn
     end
-    return { graph = view.description, folded = folded, machine = shown.number }
+    return { graph = view.description, folded = folded, machine = tab }
   end)
   if svg then return { type = "image/svg+xml", body = svg } end
   return { status = svg == nil and 202 or 404 }
@@ -182,11 +165,11 @@ local ROUTES = {
   end },
   ["/chart"] = { GET = chart_reply },
   ["/picture.svg"] = { GET = picture_reply },
-  ["/events"] = { GET = function(server, request, shown)
+  ["/events"] = { GET = function(server, request, tab)
     if request.query:match("token=(%x*)") ~= server.token then
       return { status = 403 }
     end
-    return { type = "text/event-stream", stream = shown, body = "retry: 1000\n\n" }
+    return { type = "text/event-stream", stream = tab, body = "retry: 1000\n\n" }
   end },
   ["/command"] = { POST = command_reply },
 }
@@ -209,10 +192,11 @@ local function handle(server, request)
   if not is_for(server, request.headers.host) or is_foreign(request) then
     return { status = 403 }
   end
-  local route, shown = ROUTES[request.path], shown_in(server, request)
-  if not (route and shown) then return { status = 404 } end
+  local route = ROUTES[request.path]
+  local tab = tonumber(request.query:match("machine=(%d+)") or 1)
+  if not (route and server.sources[tab]) then return { status = 404 } end
   local answer = route[request.method]
-  return answer and answer(server, request, shown) or { status = 405 }
+  return answer and answer(server, request, tab) or { status = 405 }
 end
 
 -- A mistake in a chart, or here, does not end the server; Control-C does.
@@ -230,10 +214,13 @@ local function send_changes(server)
   local messages, now = {}, server.gettime()
   server.is_late = false
   server.http:feed(function(connection)
-    local shown, cursor = connection.stream, connection.cursor
-    shown.seen_at = server.http.clock()
-    if shown.source.is_observed == false then shown.source:observe(true) end
-    local version, view = version_of(server, shown), shown.source.view
+    local tab, cursor = connection.stream, connection.cursor
+    local source = server.sources[tab]
+    if source.observe then
+      source.seen_at = server.http.clock()
+      source:observe(true)
+    end
+    local version, view = version_of(server, tab), source.view
     if cursor and cursor.version == version
       and cursor.revision == (view and view.revision or nil) then
       return nil
@@ -242,10 +229,10 @@ local function send_changes(server)
       server.is_late = true
       return nil
     end
-    local key = cursor or shown
+    local key = cursor or tab
     local message = messages[key]
     if not message then
-      message = { state_message(server, shown, cursor, version) }
+      message = { state_message(server, tab, cursor, version) }
       messages[key] = message
     end
     connection.cursor = message[2]
@@ -254,9 +241,8 @@ local function send_changes(server)
 end
 
 -- Stops observing the machine of a program when no page reads.
-local function rest(server, shown)
-  local source = shown.source
-  if source.is_observed and server.http.clock() > shown.seen_at + LINGER then
+local function rest(server, source)
+  if source.observe and server.http.clock() > source.seen_at + LINGER then
     source:observe(false)
   end
 end
@@ -265,16 +251,15 @@ end
 ---@param timeout? number default 0
 function Server:step(timeout)
   local wait = timeout or 0
-  for _, shown in ipairs(self.shown) do
-    shown.source:poll()
-    wait = min(wait, shown.source:wait())
+  for _, source in ipairs(self.sources) do
+    source:poll()
+    wait = min(wait, source:wait())
   end
-  update_shown(self)
   send_changes(self)
   if self.is_late then wait = min(wait, FRAME) end
   self.http:step(wait)
   send_changes(self)
-  for _, shown in ipairs(self.shown) do rest(self, shown) end
+  for _, source in ipairs(self.sources) do rest(self, source) end
 end
 
 --- Serve until the program ends.
@@ -286,8 +271,8 @@ end
 function Server:close()
   self.http:close()
   self.painter:close()
-  for _, shown in ipairs(self.shown) do
-    if shown.source.close then shown.source:close() end
+  for _, source in ipairs(self.sources) do
+    if source.close then source:close() end
   end
 end
 
@@ -307,11 +292,10 @@ local function open_server(sources, settings)
   if not page then return nil, "rfsm/web/page.html is not beside the modules" end
   if not token then return nil, "/dev/urandom cannot be read" end
   local server = setmetatable({
-    sources = sources, shown = {}, json = settings.json, gettime = settings.gettime,
+    sources = sources, json = settings.json, gettime = settings.gettime,
     painter = Painter.new(),
     token = token, id = files.random(4), name = settings.host, is_late = false,
   }, Server)
-  update_shown(server)
   server.page = page:gsub("{{token}}", token)
   server.policy = CSP:format(token)
   local listen = require("rfsm.web.http").listen

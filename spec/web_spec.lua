@@ -341,7 +341,7 @@ describe("the server", function()
     local connection = server.http.connections[1]
     for _ = 1, 400 do
       connection.cursor = nil -- as long after the last frame
-      server.shown[1].source.view:note("output", name)
+      server.sources[1].view:note("output", name)
       server:step(0)
     end
     assert.is_true(connection.pending ~= "")
@@ -409,8 +409,8 @@ describe("the server", function()
     assert.equal(0.25, wait_of(server))
     now = 3
     assert.equal(0.5, wait_of(server)) -- it has looked
-    server.shown[1].source.look_at = 2 -- should have been at it before
-    server.shown[1].source.poll = function() end
+    server.sources[1].look_at = 2 -- should have been at it before
+    server.sources[1].poll = function() end
     assert.equal(0, wait_of(server))
   end)
 
@@ -419,7 +419,7 @@ describe("the server", function()
     http.page(server)
     server.gettime = function() return at end
     server.http.connections[1].cursor.at = 0
-    server.shown[1].source.view:touch()
+    server.sources[1].view:touch()
     assert.equal(1 / 30, wait_of(server))
     at = 1
     assert.equal(0.5, wait_of(server))
@@ -589,7 +589,7 @@ describe("a page", function()
     local said = table.concat(rawget(_G, "said"), "\n")
     rawset(_G, "said", nil)
     assert.matches("no power", said)
-    assert.is_function(rawget(server.shown[1].source.view.fsm, "warn"))
+    assert.is_function(rawget(server.sources[1].view.fsm, "warn"))
   end)
 
   it("is told what is odd in the chart", function()
@@ -978,7 +978,7 @@ describe("rfsm.web.serve", function()
     server.gettime = function() return at end
     for _ = 1, 1000 do -- until its buffers are full
       at = at + 1
-      for _ = 1, 60 do server.shown[1].source.view:note("note", ("x"):rep(2000)) end
+      for _ = 1, 60 do server.sources[1].view:note("note", ("x"):rep(2000)) end
       server:step(0)
       if server.http.connections[1].pending ~= "" then break end
     end
@@ -1224,7 +1224,7 @@ describe("a machine elsewhere", function()
     for _ = 1, 200 do
       rfsm.run(two)
       server:step(0.001)
-      if server.shown[2] and server.shown[2].source.view.leaf then break end
+      if server.sources[2] and server.sources[2].view.leaf then break end
     end
     local second, message = http.page(server, 2)
     assert.equal("root.off", message.leaf)

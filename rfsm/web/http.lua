@@ -92,7 +92,7 @@ end
 ---@field type? string default "text/plain"
 ---@field body? string of a stream: its first message
 ---@field policy? string of the content's security
----@field stream? table its messages are about this
+---@field stream? any its subject: the reply is the begin of a stream of messages
 
 local REASONS = {
   [200] = "OK", [202] = "Accepted", [204] = "No Content", [400] = "Bad Request",
@@ -125,7 +125,7 @@ end
 ---@field sent integer bytes of it that the client has taken
 ---@field since number when a stream last took bytes, or a message for it began
 ---@field deadline number when it is dropped, unless it is a stream
----@field stream? table the subject of a stream
+---@field stream? any the subject of a stream
 
 local function new_connection(client, now)
   client:settimeout(0)

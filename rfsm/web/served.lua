@@ -17,7 +17,7 @@ local setmetatable, huge = setmetatable, math.huge
 ---@field generation integer
 ---@field commands table<string, function>
 ---@field has_history boolean it is observed also while no page is open
----@field is_observed boolean
+---@field seen_at number when a page has read last
 local Served = {}
 Served.__index = Served
 
@@ -34,8 +34,7 @@ function COMMANDS.why(served) return nil, served.view:why() end
 
 --- Turn the notes of what the machine does on or off.
 function Served:observe(is_wanted)
-  self.is_observed = is_wanted or self.has_history
-  self.view:observe(self.is_observed)
+  self.view:observe(is_wanted or self.has_history)
 end
 
 function Served:close() self.view:close() end
@@ -54,11 +53,11 @@ function Served:describe(message) message.clock = self.view.clock() end
 function Served.new(fsm, title, settings)
   local served = setmetatable({
     view = LocalView.new(fsm, clock.from_now()), title = title, problems = {},
-    generation = 1, has_history = settings.history, is_observed = false,
+    generation = 1, has_history = settings.history, seen_at = 0,
     commands = { inspect = LocalView.answer_inspect,
       send = settings.allow_send and COMMANDS.send or nil,
       why = settings.allow_why and COMMANDS.why or nil } }, Served)
-  if settings.history then served:observe(true) end
+  served:observe(false)
   return served
 end
 
