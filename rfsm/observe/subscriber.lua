@@ -5,6 +5,7 @@
 -- @module rfsm.observe.subscriber
 -- @license BSD-3-Clause
 
+local dot = require "rfsm.dot"
 local calls = require "rfsm.shared.calls"
 local opts = require "rfsm.shared.options"
 
@@ -50,11 +51,12 @@ function Client:close() self.udp:close() end
 
 --- Call the handler for the type of a message as f(target, message), if there is one
 -- and the message is about the machine `target.number`; return a problem if the message
--- cannot be read.
+-- cannot be read, or its graph cannot be drawn.
 function subscriber.handle(handlers, target, message)
   local handler = handlers[message.type]
   if not handler or (message.fsm or target.number) ~= target.number then return nil end
-  if calls.try(handler, target, message) then return nil end
+  local is_drawn = message.type ~= "rfsm_model" or calls.try(dot.encode, message.graph)
+  if is_drawn and calls.try(handler, target, message) then return nil end
   return "unreadable message '" .. message.type .. "'"
 end
 

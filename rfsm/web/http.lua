@@ -24,11 +24,12 @@ local MAX_DESCRIPTOR = 1023
 local MAX_ACCEPTED = 50 -- at a time; others are served in between
 local MAX_STREAMS = 32
 local MAX_HEAD, MAX_BODY = 8192, 16384
-local STALL_TIME = 30 -- seconds that a stream may go without reading
 local BEAT_TIME = 15 -- seconds without a message until a heartbeat
-local REQUEST_TIME = 5 -- seconds until a request must be complete
-local REPLY_TIME = 30 -- seconds until a reply must be read
-local CLOSING_TIME = 2 -- seconds for the rest of a request that was refused
+
+-- Seconds that a phase of a connection may take: until the request is complete, until
+-- the reply is read, for the rest of a request that was refused. A stream may go so
+-- long without reading.
+local MAX_TIME = { reading = 5, writing = 30, closing = 2, stream = 30 }
 
 -- Requests --------------------------------------------------------------------
 
@@ -123,8 +124,8 @@ end
 ---@field received string
 ---@field pending string a reply or message that is being sent; "" if there is none
 ---@field sent integer bytes of it that the client has taken
----@field since number when a stream last took bytes, or a message for it began
----@field deadline number when it is dropped, unless it is a stream
+---@field since number when the phase began; when a stream last took bytes, or a message
+-- for it began
 ---@field stream? any the subject of a stream
 
 local function new_connection(client, now)
@@ -132,7 +133,7 @@ local function new_connection(client, now)
   client:setoption("tcp-nodelay", true)
   return {
     socket = client, phase = "reading", received = "", pending = "", sent = 0,
-    since = now, deadline = now + REQUEST_TIME,
+    since = now,
   }
 end
 
@@ -165,14 +166,10 @@ local function begin_message(connection, text, now)
 end
 
 local function begin_reply(server, connection, reply)
-  local now = server.clock()
-  if reply.stream then
-    make_room(server)
-    connection.phase, connection.stream = "stream", reply.stream
-  else
-    connection.phase, connection.deadline = "writing", now + REPLY_TIME
-  end
-  begin_message(connection, reply_text(reply), now)
+  if reply.stream then make_room(server) end
+  connection.phase = reply.stream and "stream" or "writing"
+  connection.stream = reply.stream
+  begin_message(connection, reply_text(reply), server.clock())
 end
 
 -- Sends as much as the client takes. Returns false if it is gone.
@@ -180,13 +177,15 @@ local function write(server, connection)
   local last, problem, partly = connection.socket:send(connection.pending,
     connection.sent + 1)
   if not last and problem ~= "timeout" then return false end
-  if (last or partly) > connection.sent then connection.since = server.clock() end
+  if connection.phase == "stream" and (last or partly) > connection.sent then
+    connection.since = server.clock()
+  end
   connection.sent = max(connection.sent, last or partly)
   if connection.sent == #connection.pending then connection.pending = "" end
   if connection.phase == "writing" and connection.pending == "" then
     -- Closing with unread bytes would reset the connection and lose the reply.
     connection.socket:shutdown("send")
-    connection.phase, connection.deadline = "closing", server.clock() + CLOSING_TIME
+    connection.phase, connection.since = "closing", server.clock()
   end
   return true
 end
@@ -238,11 +237,10 @@ local function drop_late(server)
   local now = server.clock()
   for i = #server.connections, 1, -1 do
     local connection = server.connections[i]
-    local is_late = now > connection.deadline
-    if connection.phase == "stream" then
-      is_late = connection.pending ~= "" and now > connection.since + STALL_TIME
+    local is_waiting = connection.phase == "stream" and connection.pending == ""
+    if not is_waiting and now > connection.since + MAX_TIME[connection.phase] then
+      drop(server, connection)
     end
-    if is_late then drop(server, connection) end
   end
 end
 

@@ -4,7 +4,6 @@
 -- @license BSD-3-Clause
 
 local clock = require "rfsm.clock"
-local dot = require "rfsm.dot"
 local View = require "rfsm.web.view"
 local subscriber = require "rfsm.observe.subscriber"
 
@@ -96,7 +95,6 @@ end
 local TAKE = {}
 
 function TAKE.rfsm_model(remote, message)
-  dot.encode(message.graph) -- raises an error if the graph is wrong
   remote.generation, remote.problems = remote.generation + 1, {}
   remote.view = View.create(RemoteView, message.graph, remote.clock)
   remote.view.leaf, remote.view.mode = false, "inactive"
