@@ -834,6 +834,16 @@ describe("a chart in a file", function()
     assert.equal("root.off", page:next().leaf) -- there is no root.on.glaring now
   end)
 
+  it("keeps its state though data is of states that are gone", function()
+    local server, file = open((LAMP:gsub("checkevents = false,",
+      "%0 gone = rfsm.state { keep = { 'n' }, n = 1, final = true },")))
+    local page = http.page(server)
+    assert.equal("root.on.dim", page:send("e_push").leaf)
+    helper.write(file, LAMP)
+    now = 1
+    assert.equal("root.on.dim", page:next().leaf)
+  end)
+
   it("says what is wrong with its text", function()
     local server, file = open("return rfsm.state {")
     local problem = http.chart(server).problems[1]

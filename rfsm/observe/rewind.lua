@@ -7,12 +7,13 @@
 -- @module rfsm.observe.rewind
 -- @license BSD-3-Clause
 
+local names = require "rfsm.observe.names"
 local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 
-local error, setmetatable, type = error, setmetatable, type
+local error, select, setmetatable, type = error, select, setmetatable, type
 local huge = math.huge
 local concat = table.concat
 
@@ -109,6 +110,21 @@ function Rewind:go(number)
   self.settings.prepare(self[self.at].about)
   return false, difference and "the machine has changed, " .. concat(difference, ", ")
     or problem
+end
+
+--- Put a machine of a chart that was changed into the state in which the machine of the
+-- older chart was saved. Data that no longer fit are left out. Return the problem if
+-- that state is gone.
+---@param fsm rfsm.Machine
+---@param snap rfsm.snapshot.Snapshot of the older machine; may lose its data
+---@return string? problem
+function rewind.carry_over(fsm, snap)
+  local options = { migrate = function() return snap end }
+  local is_put, problem = snapshot.put(fsm, snap, options)
+  local _, by_name = names.nodes(fsm)
+  if is_put or not (snap.leaf and by_name[snap.leaf]) then return problem end
+  snap.data, snap.saved, snap.ext = nil, nil, nil -- they may name states that are gone
+  return (select(2, snapshot.put(fsm, snap, options)))
 end
 
 --- How places are kept.

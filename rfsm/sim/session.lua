@@ -16,6 +16,7 @@ local history = require "rfsm.sim.history"
 local names = require "rfsm.observe.names"
 local breakpoints = require "rfsm.observe.breakpoints"
 local observer = require "rfsm.sim.observer"
+local rewind = require "rfsm.observe.rewind"
 local snapshot = require "rfsm.snapshot"
 local instrument = require "rfsm.shared.instrument"
 local terminal = require "rfsm.sim.terminal"
@@ -227,18 +228,6 @@ function Session:set_level(level)
   self.fsm.dbg = level and rfsmpp.gen_dbgcolor(name, ids, level == "full")
 end
 
--- Moves a machine to the state of one of an older chart; returns the problem, if any.
-local function put_in_place(fsm, old)
-  local ok, snap = pcall(snapshot.take, old)
-  if not ok then return snap end
-  local options = { migrate = function() return snap end }
-  local is_put, problem = snapshot.put(fsm, snap, options)
-  local by_name = select(2, names.nodes(fsm))
-  if is_put or not (snap.leaf and by_name[snap.leaf]) then return problem end
-  snap.data, snap.saved, snap.ext = nil, nil, nil -- they may name states that are gone
-  return (select(2, snapshot.put(fsm, snap, options)))
-end
-
 -- The doo in dry mode: it goes on until its state is left.
 local function idle()
   while true do rfsm.yield(true) end
@@ -276,7 +265,8 @@ function Session:reload()
     return
   end
   time.install(self, fsm)
-  local problem = put_in_place(fsm, self.fsm)
+  local snap, problem = snapshot.try_take(self.fsm)
+  problem = problem or rewind.carry_over(fsm, snap)
   self.fsm, self.env.fsm, self.model = fsm, fsm, result
   if self.saved then self.saved = take_functions(fsm) end
   if self.level then self:set_level(self.level) end

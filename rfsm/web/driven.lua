@@ -16,7 +16,6 @@ local chart = require "rfsm.shared.chart"
 local clock = require "rfsm.clock"
 local files = require "rfsm.shared.files"
 local rewind = require "rfsm.observe.rewind"
-local snapshot = require "rfsm.snapshot"
 local LocalView = require "rfsm.web.local_view"
 local breakpoints = require "rfsm.observe.breakpoints"
 local utf8 = require("rfsm.marsh").utf8
@@ -129,8 +128,7 @@ local function begin(session, fsm, snap)
   breakpoints.renew(session.view, function(line) tell(session, "warning", line) end)
   session.view:observe(true)
   for _, entry in ipairs(session.early) do session.view:note(entry[1], entry[2]) end
-  local function migrate(old) return old end
-  if not (snap and snapshot.put(fsm, snap, { migrate = migrate })) then
+  if not snap or rewind.carry_over(fsm, snap) then
     session.time:advance(-session.time:now())
     run(session)
   end
