@@ -80,7 +80,10 @@ end
 
 --- Has Control-C been typed since the last look?
 function terminal.is_interrupted()
-  if counter then terminal.uninterrupted(counter.look) end
+  local was_busy = is_busy
+  is_busy = true
+  if counter then counter.look() end
+  is_busy = was_busy
   local is_new = count > seen
   seen = count
   return is_new
@@ -99,15 +102,6 @@ function terminal.catch_interrupts()
   if not counter then return end
   sethook(poll, "", PERIOD)
   if jit then jit.off() end -- its code calls no hook
-end
-
---- Call a function that Control-C must not end; it is raised afterwards.
-function terminal.uninterrupted(f, ...)
-  local was_busy = is_busy
-  is_busy = true
-  local ok, failure = pcall(f, ...)
-  is_busy = was_busy
-  if not ok then error(failure, 0) end
 end
 
 --- Look for Control-C again, whatever has taken the debug hook.
