@@ -4,8 +4,8 @@
 -- its loop. `open` serves a chart, which the page drives; `rfsm web` calls it. This
 -- needs the packages luasocket and dkjson; pictures need Graphviz.
 --
--- The server listens on loopback. It answers requests that name it by an address, and
--- commands with the token of its page.
+-- The server listens on loopback. It answers requests whose host is an address or its
+-- own name, and takes commands only with the token that is in its page.
 --
 -- The file reads in this order: messages, commands, pictures, routes, public
 -- functions.
@@ -46,7 +46,7 @@ local OPTIONS = {
 }
 
 local MAX_DRAWN = 2000 -- nodes
-local FRAME = 1 / 30 -- seconds between two messages to a page
+local FRAME = 1 / 30 -- seconds between two messages to a page, at least
 local LINGER = 5 -- seconds that a machine is observed after the last page has gone
 
 local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline'; "
@@ -55,23 +55,22 @@ local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline
 
 -- Messages to the page -----------------------------------------------------------
 
---- A page that is served.
+--- A server of one page.
 ---@class rfsm.web.Server
 ---@field url string for the browser
 ---@field host string
 ---@field port integer
----@field sources table[] a Served, Driven or Remote for each tab of the page; the list
--- of Remotes grows
+---@field sources table[] a Served, Driven or Remote for each tab; Remotes add others
 local Server = {}
 Server.__index = Server
 
--- A page that has another version fetches chart and picture.
+-- Returns the version of a tab. A page with another one fetches chart and picture.
 local function version_of(server, tab)
   return ("%s-%d-%d-%d"):format(server.id, tab, #server.sources,
     server.sources[tab].generation)
 end
 
--- Returns the message for a page with a cursor, and its next cursor.
+-- Returns the message for a page with a cursor, and the cursor of the page after it.
 local function state_message(server, tab, cursor, version)
   local source, message = server.sources[tab], {}
   local view, next_cursor = source.view, { version = version, rewrites = -1 }
@@ -87,7 +86,7 @@ local function state_message(server, tab, cursor, version)
   return ("event: state\ndata: %s\n\n"):format(text), next_cursor
 end
 
--- Has a machine a picture? Graphviz takes too long for a very large one.
+-- Is a machine drawn by Graphviz? That takes too long for a very large one.
 local function is_drawn(view)
   return view and #view.outline.nodes <= MAX_DRAWN or false
 end
@@ -137,8 +136,8 @@ end
 
 -- Pictures ------------------------------------------------------------------------
 
--- Answers with the picture of a machine with some composites, by number, folded.
--- A page asks again while it is drawn.
+-- Answers with the picture of a machine. The request has the numbers of the composites
+-- that are drawn folded. While the picture is made the page asks again.
 local function picture_reply(server, request, tab)
   local source, numbers = server.sources[tab],
     request.query:match("folded=([%d,]*)") or ""
@@ -175,14 +174,14 @@ local ROUTES = {
 }
 
 -- Does the request name the server by an address or its own name? The page of another
--- server whose name was pointed at this address (DNS rebinding) uses that other name.
+-- server, whose name was pointed at this address (DNS rebinding), uses the other name.
 local function is_for(server, host)
   local name = (host or ""):gsub(":%d+$", "")
   return name == "localhost" or name == server.name or name:find("^[%d.]+$") ~= nil
     or name:find("^%[[%x:]+%]$") ~= nil
 end
 
--- Does the page of another server ask? It may have a link to our page.
+-- Does the page of another server ask? That may only have a link to our page.
 local function is_foreign(request)
   local site = request.headers["sec-fetch-site"]
   return request.path ~= "/" and (site == "cross-site" or site == "same-site")
@@ -199,7 +198,7 @@ local function handle(server, request)
   return answer and answer(server, request, tab) or { status = 405 }
 end
 
--- A mistake in a chart, or here, does not end the server; Control-C does.
+-- Answers a request. An error does not end the server, an interrupt (Control-C) does.
 local function handle_safely(server, request)
   local ok, reply = calls.try(handle, server, request)
   if ok then return reply end
@@ -209,7 +208,7 @@ end
 -- Public functions ------------------------------------------------------------------
 
 -- Sends what has changed to each page that has taken its last message, at most once a
--- frame. Pages that know the same get the same text.
+-- frame. Pages with the same cursor get the same text, which is made once.
 local function send_changes(server)
   local messages, now = {}, server.gettime()
   server.is_late = false
@@ -240,7 +239,7 @@ local function send_changes(server)
   end)
 end
 
--- Stops observing the machine of a program when no page reads.
+-- Ends to observe the machine of a program if no page has read for a while.
 local function rest(server, source)
   if source.observe and server.http.clock() > source.seen_at + LINGER then
     source:observe(false)
@@ -311,11 +310,11 @@ end
 
 --- How a page is served.
 ---@class rfsm.web.Options
----@field allow_send? boolean may pages send events to a served machine? default false
----@field allow_why? boolean may pages ask why an event did nothing, which calls guards?
--- default false
+---@field allow_send? boolean with `serve`: may pages send events? default false
+---@field allow_why? boolean with `serve`: may pages ask why an event did nothing, which
+-- calls guards? default false
 ---@field machine? integer with `attach`: only this number of the port, default all
----@field history? boolean note what a served machine does while no page is open, too?
+---@field history? boolean with `serve`: observe the machine while no page is open, too?
 -- default false
 ---@field host? string address to listen on, default 127.0.0.1
 ---@field port? integer default 8044; 0: one that is free

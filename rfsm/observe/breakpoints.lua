@@ -1,4 +1,8 @@
---- Breakpoints of a session, and the expressions that it watches.
+--- Breakpoints, and expressions whose values are watched.
+--
+-- They belong to a session of the simulator or to a view of the page: a table with the
+-- machine, `fsm`, and the list `points`. Only a session has expressions, and evaluates
+-- them by `value_of(text)`.
 --
 -- @module rfsm.observe.breakpoints
 -- @license BSD-3-Clause
@@ -17,13 +21,12 @@ local breakpoints = {}
 --- A breakpoint, or an expression that is watched.
 ---@class rfsm.observe.Breakpoint
 ---@field kind "state"|"transition"|"event"|"watch"
----@field name string for a reader; the expression
----@field value any name of the state, event or set of transitions; of an expression its
--- last value
----@field condition? string expression that must be true as well, for a reader
----@field holds? fun(): any its value
+---@field name string for a person; of an expression its text
+---@field value any name of a state, set of transitions, event; last value of a "watch"
+---@field condition? string text of the expression behind `if`
+---@field holds? fun(): any the condition, compiled
 
--- Is an end of a transition at a node? A composite stands for its initial, too.
+-- Is an end of a transition this node, or the initial connector of this composite?
 local function is_at(tr_end, node)
   return node and (tr_end == node or tr_end == node.initial)
 end
@@ -71,7 +74,8 @@ local function of_text(fsm, text)
   return { kind = "event", name = text, value = text }
 end
 
---- Add a breakpoint: state, transition, event or the name of one; return its number.
+--- Add a breakpoint at a state, a transition or an event, given as a value or by name;
+-- return the number of the breakpoint.
 function breakpoints.add(sim, what)
   local point
   if rfsm.is_trans(what) then
@@ -86,8 +90,8 @@ function breakpoints.add(sim, what)
   return #sim.points
 end
 
---- Call f(i, point) for each breakpoint of a kind in a list that is reached: its value
--- is the name of the state, the transition, or the event.
+--- Call f(i, point) for each breakpoint in a list that is reached when a state with the
+-- name `value` is entered, the transition `value` taken, or the event `value` received.
 function breakpoints.each_reached(list, kind, value, f)
   for i, point in ipairs(list) do
     if point.kind == kind and (rawequal(point.value, value)
@@ -118,7 +122,7 @@ function breakpoints.show_watched(sim)
   end
 end
 
---- Return a breakpoint or expression for a reader.
+--- Return a breakpoint or an expression as a text for a person.
 function breakpoints.text(point)
   return point.kind .. " " .. point.name
     .. (point.condition and " if " .. point.condition or "")
@@ -132,7 +136,7 @@ function breakpoints.list(sim)
   if not sim.points[1] then print("there is none") end
 end
 
---- Remove a breakpoint or expression, or all.
+--- Remove the breakpoint or expression with this number; without a number all of them.
 function breakpoints.delete(sim, n)
   if n ~= nil and not sim.points[n] then
     error("delete: number of a breakpoint expected, got " .. text_of(n), 0)
@@ -140,8 +144,8 @@ function breakpoints.delete(sim, n)
   if n then remove(sim.points, n) else sim.points = {} end
 end
 
---- Find the states and transitions of all breakpoints in a new machine, by name;
--- `complain` is called with a line for each that is gone.
+--- Have all breakpoints mean the states and transitions of a new machine, by name. A
+-- breakpoint at what the machine lacks is removed, and `complain` gets a line about it.
 function breakpoints.renew(sim, complain)
   for i = #sim.points, 1, -1 do
     local point = sim.points[i]

@@ -1,8 +1,8 @@
---- The observer: follows a machine while it is advanced.
+--- The observer of a session: follows the machine while a command advances it.
 --
 -- Each path that is taken is printed when it begins, before what its callbacks print.
--- Afterwards the observer knows which events were discarded, and which breakpoints were
--- hit.
+-- After the advance the observer knows which events were discarded, and which
+-- breakpoints were hit.
 --
 -- @module rfsm.sim.observer
 -- @license BSD-3-Clause
@@ -22,7 +22,7 @@ local text_of = rfsm.text_of
 local Observer = {}
 Observer.__index = Observer
 
--- May the transition have been taken on this event? A predicate is not called again.
+-- May the transition have been taken on this event? Predicates count, without a call.
 local function takes(tr, event)
   if match.is_any(tr) then return match.begins_on_any(tr) end
   return match.triggers(tr, event) ~= false
@@ -35,8 +35,8 @@ function Observer:check_points(kind, value)
   end)
 end
 
---- Evaluate the conditions of breakpoints, now that a step has ended. One that fails
--- stops as well.
+--- Evaluate the conditions of the breakpoints that a step has reached, after the step.
+-- A condition that fails with an error counts as true.
 function Observer:check_conditions()
   local problem
   for i, point in ipairs(self.sim.points) do
@@ -50,7 +50,8 @@ function Observer:check_conditions()
   if problem then error(problem, 0) end
 end
 
--- Notes the events that a transition has used; appends their texts to `by`.
+-- Notes the events that a transition may have been taken on. Appends their texts to
+-- `by` if the transition names events.
 function Observer:note_used(tr, events, by)
   for i = 1, #events do
     local event = events[i]
@@ -75,7 +76,7 @@ function Observer:taken(at, path, events)
     .. (by[1] and " on " .. concat(by, ", ") or ""))
 end
 
--- Prints a line, but for those that follow and are equal their number.
+-- Prints a line; for equal lines behind it only their number, once another one comes.
 function Observer:print_taken(line)
   if line == self.line then
     self.times = self.times + 1
@@ -115,7 +116,8 @@ function Observer:finish()
   self:print_taken(false)
 end
 
---- List the events that no transition has taken and that no queue holds, as they came.
+--- List the events on which no transition was taken and that wait in no queue, in the
+-- order in which they came.
 function Observer:discarded()
   local is_pending, list = {}, {}
   for _, at in ipairs(self.stream.machines) do

@@ -1,7 +1,6 @@
---- A session of the simulator: a chart, its machine, and the ways to advance it.
+--- A session of the simulator: a chart, its machine, and functions that advance it.
 --
--- The file reads in the order of a session: open the chart, advance, send, other
--- functions, other records, another machine.
+-- The file reads in this order: open, advance, events, records, dry mode, reload.
 --
 -- @module rfsm.sim.session
 -- @license BSD-3-Clause
@@ -38,22 +37,22 @@ local complain, text_of = terminal.complain, rfsm.text_of
 ---@field file string of the chart
 ---@field has_stubs boolean
 ---@field follows boolean an advance prints what was taken, and the tree
----@field tree? string|false the last tree shown
+---@field tree? string|false the tree shown last, which is not shown again
 ---@field level boolean|"full" which trace records are shown
 ---@field hooks (fun(fsm: rfsm.Machine))[] called after each advance
 ---@field points rfsm.observe.Breakpoint[] breakpoints and expressions that are watched
----@field picture? string|false file that is kept up to date
+---@field picture? string|false file into which each advance draws the machine
 ---@field history rfsm.observe.Rewind
 ---@field observer rfsm.sim.Observer
----@field came string[] events of the advance
+---@field came string[] the events of the present advance, as texts
 ---@field recorder? rfsm.record.Recorder
 ---@field time? rfsm.sim.Time the simulated clock
----@field saved? table[] changes of `dry`
+---@field saved? table[] the functions that `dry` has taken away
 ---@field env table what typed code sees: the commands, then the globals
 ---@field missing string[] globals that the current line reads and that do not exist
 ---@field last_line? string|false the last line typed, if it was a command
 ---@field commands { list: rfsm.sim.Command[], find: fun(name): rfsm.sim.Command? }
----@field cell? rfsm.System of which the machines are, in place of one
+---@field cell? rfsm.System in place of one chart: the system of its machines
 ---@field replay? fun(sim: rfsm.sim.Session, file: string): integer, string?
 ---@field is_over boolean ends after this line
 local Session = {}
@@ -61,7 +60,7 @@ Session.__index = Session
 
 -- Open a chart ----------------------------------------------------------------------
 
--- The errors of the chart's own callbacks.
+-- Prints an error of the chart's callbacks.
 local function print_err(...) complain(calls.text("\t", ...)) end
 
 -- Initialises a model. Its problems are returned, not printed.
@@ -117,8 +116,8 @@ function Session:draw(file)
   if problem then complain("view: " .. problem) end
 end
 
--- Advances up to a breakpoint, or until the machine is not entered. Returns whether it
--- is idle; with an idle hook it never is.
+-- Advances by n steps, or fewer: to a breakpoint, until the machine is idle, or if it
+-- cannot be entered. Returns whether it is idle, which one with an idle hook never is.
 local function advance(sim, n)
   local fsm, observed = sim.fsm, sim.observer
   if not sim.points[1] then return rfsm.step(fsm, n) and not fsm.idle_hook end
@@ -130,7 +129,7 @@ local function advance(sim, n)
   return false
 end
 
-local MAX_RUN = 10000 -- iterations: a chart may have no end
+local MAX_RUN = 10000 -- iterations: a chart may go on for ever
 
 function Session:print_hits()
   for i, point in ipairs(self.points) do
@@ -140,8 +139,7 @@ function Session:print_hits()
   end
 end
 
---- Advance by n steps, or until the machine is idle, and show the result, also if that
--- failed.
+--- Advance by n steps, or until the machine is idle; show the result, also of an error.
 function Session:advance(n)
   local observed = self.observer
   observed:begin(self.follows and not self.level)
@@ -194,7 +192,7 @@ function Session:send(...)
   rfsm.send_events(self.fsm, unpack(events, 1, n))
 end
 
---- Have Control-C end a doo that never yields, until the function returned is called.
+--- Have Control-C end a doo that never yields. Return a function that undoes this.
 function Session:guard_doos()
   local changes = {}
   for _, at in ipairs(terminal.is_caught() and rfsm.machines(self.fsm) or {}) do
@@ -228,7 +226,7 @@ function Session:set_level(level)
   self.fsm.dbg = level and rfsmpp.gen_dbgcolor(name, ids, level == "full")
 end
 
--- The doo in dry mode: it goes on until its state is left.
+-- The doo in dry mode: goes on until its state is left.
 local function idle()
   while true do rfsm.yield(true) end
 end
@@ -250,14 +248,14 @@ local function take_functions(fsm)
   return changes
 end
 
---- Take the functions of the chart away, or give them back.
+--- Take the functions of the chart away (dry mode), or give them back.
 function Session:set_dry(is_dry)
   history.pause(self)
   instrument.give_back(self.saved or {})
   self.saved = is_dry and take_functions(self.fsm) or nil
 end
 
---- Read the chart anew. If that fails the machine stays.
+--- Read the file of the chart again. If that fails the old machine stays.
 function Session:reload()
   local fsm, result = chart.open(self.file, init_quietly, complain, self.has_stubs)
   if not fsm then
@@ -283,8 +281,8 @@ end
 
 local session = { check_event = Session.check_event }
 
---- Open a chart; nil and the problems if it is wrong. `load` may return something else,
--- a system: then `new(value, follows)` is returned.
+--- Return a session of a chart; nil and the problems if the chart is wrong. If `load`
+-- returns a system in place of a chart, `new(system, follows)` is returned.
 function session.open(file, follows, has_stubs, load, new)
   local fsm, result = chart.open(file, init_quietly, complain, has_stubs, load)
   if not fsm then return nil, result end

@@ -20,7 +20,7 @@ local complain = terminal.complain
 
 local rfsm_sim = { VERSION = rfsm._VERSION:match("%S+$") }
 
--- Runs the texts of -e up to the first that fails or quits. Returns false if one fails.
+-- Runs the texts of the option -e up to one that quits; returns false if one fails.
 local function run_code(sim, texts)
   for _, text in ipairs(texts) do
     if sim.is_over then break end
@@ -70,7 +70,7 @@ end
 ---@field quiet? boolean no banner
 ---@field interactive? boolean read commands, also after `execute`
 
--- Does all that comes before the first command. Returns a status if that is the end.
+-- Does what the options want. Returns the status if the program ends without a prompt.
 local function prepare(sim, options)
   prompt.install(sim)
   if options.dry then sim:set_dry(true) end

@@ -19,16 +19,16 @@ local http = {}
 
 -- Limits ----------------------------------------------------------------------
 
-local MAX_CONNECTIONS = 200 -- a select takes 1024 descriptors
-local MAX_DESCRIPTOR = 1023
-local MAX_ACCEPTED = 50 -- at a time; others are served in between
+local MAX_CONNECTIONS = 200
+local MAX_DESCRIPTOR = 1023 -- the greatest one that `select` takes
+local MAX_ACCEPTED = 50 -- at a time, before the open connections are served again
 local MAX_STREAMS = 32
 local MAX_HEAD, MAX_BODY = 8192, 16384
 local BEAT_TIME = 15 -- seconds without a message until a heartbeat
 
 -- Seconds that a phase of a connection may take: until the request is complete, until
--- the reply is read, for the rest of a request that was refused. A stream may go so
--- long without reading.
+-- the client has read the reply, until it has sent the rest of a request and closes.
+-- The client of a stream may leave a message unread for so long.
 local MAX_TIME = { reading = 5, writing = 30, closing = 2, stream = 30 }
 
 -- Requests --------------------------------------------------------------------
@@ -37,13 +37,13 @@ local MAX_TIME = { reading = 5, writing = 30, closing = 2, stream = 30 }
 ---@class rfsm.web.Request
 ---@field method string "GET", "POST"
 ---@field path string as sent, up to a question mark
----@field query string behind it, or ""
+---@field query string behind the question mark, or ""
 ---@field headers table<string, string> by lower-case name
 ---@field body string
 
 local IS_SINGLE = { host = true, ["content-length"] = true }
 
--- Returns the header fields by their names; nil if a line is wrong.
+-- Returns the header fields by their names in lower case; nil if a line is wrong.
 local function parse_headers(lines)
   local headers = {}
   for line in lines:gmatch("\r\n([^\r\n]*)") do
@@ -66,7 +66,7 @@ local function body_length(headers)
   return length
 end
 
--- Returns the request in `text`; nil while it is incomplete, or the status as well.
+-- Returns the request in a text; nil if it is incomplete, and a status if it is wrong.
 local function parse_request(text)
   local stop, body_start = text:find("\r\n\r\n", 1, true)
   if not stop then return nil, #text > MAX_HEAD and 431 or nil end
@@ -91,9 +91,9 @@ end
 ---@class rfsm.web.Reply
 ---@field status? integer default 200
 ---@field type? string default "text/plain"
----@field body? string of a stream: its first message
----@field policy? string of the content's security
----@field stream? any its subject: the reply is the begin of a stream of messages
+---@field body? string of a stream the first message
+---@field policy? string the header field Content-Security-Policy
+---@field stream? any if set, more messages follow, about this subject
 
 local REASONS = {
   [200] = "OK", [202] = "Accepted", [204] = "No Content", [400] = "Bad Request",
@@ -123,9 +123,9 @@ end
 ---@field phase "reading"|"writing"|"closing"|"stream"
 ---@field received string
 ---@field pending string a reply or message that is being sent; "" if there is none
----@field sent integer bytes of it that the client has taken
----@field since number when the phase began; when a stream last took bytes, or a message
--- for it began
+---@field sent integer bytes of `pending` that the client has taken
+---@field since number when the phase began; of a stream, when its client last took
+-- bytes or a new message was begun
 ---@field stream? any the subject of a stream
 
 local function new_connection(client, now)
@@ -144,8 +144,8 @@ local function drop(server, connection)
   end
 end
 
--- Drops the stream that has not read for the longest time, or else the oldest, if there
--- is no room for another.
+-- If there are too many streams for another one, drops the one whose client has not
+-- read for the longest time. If all have read, drops the oldest.
 local function make_room(server)
   local silent, count = nil, 0
   for _, connection in ipairs(server.connections) do
@@ -267,9 +267,8 @@ function Server:step(timeout)
   drop_late(self)
 end
 
---- Send a message to each stream that has taken its last one. A stream that lags behind
--- gets no message now: `next_message(connection)` is called for it later. It returns a
--- text, nil if there is none.
+--- Send a message to each stream whose client has taken the last one: the text that
+-- `next_message(connection)` returns, if it returns one. It is called for others later.
 function Server:feed(next_message)
   local now = self.clock()
   for i = #self.connections, 1, -1 do
@@ -292,8 +291,8 @@ function Server:close()
   self.socket:close()
 end
 
---- Open a port, 0: one that is free; nil and the problem if that fails. The clock is
--- for the time limits.
+--- Open a port, or a free one if `port` is 0; nil and the problem if that fails. The
+-- limits of time are those of `clock`.
 ---@param handle fun(request: rfsm.web.Request): rfsm.web.Reply
 function http.listen(host, port, handle, clock)
   local listening, problem = socket.bind(host, port, 128)

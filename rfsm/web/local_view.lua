@@ -1,7 +1,7 @@
 --- The view of a machine in this program, and of the regions in its states.
 --
--- Failures and warnings are always noted; what else happens while it is observed. No
--- guard is called but for the question why.
+-- Failures and warnings are always noted, what else happens only while the machine is
+-- observed. Guards are called only by the question why an event did nothing.
 --
 -- The file reads in this order: the machines, failures, what an observed machine does,
 -- the present state, questions.
@@ -27,22 +27,22 @@ local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local utf8 = marsh.utf8
 
-local MAX_LOST = 20 -- so many events without an effect are named
+local MAX_LOST = 20 -- events without an effect that are noted
 
 --- A machine that is observed.
 ---@class rfsm.web.LocalView : rfsm.web.View
 ---@field fsm rfsm.Machine
 ---@field machines table[] as `rfsm.machines`
----@field numbers table<table, integer> of nodes and transitions; none if merged in
----@field path table<rfsm.Machine, string> taken in its current iteration, for a reader
----@field lost any[] events that took no transition since the last transition
----@field last_lost any[] such events of the last entry in the log
+---@field numbers table<table, integer> of nodes and transitions, but those merged later
+---@field path table<rfsm.Machine, string> taken in the current iteration, as a text
+---@field lost any[] events that took no transition, since one was taken
+---@field last_lost any[] the events in the last entry of the log about such events
 ---@field entered table<integer, integer> how often a state was entered while observed
----@field stream rfsm.observe.Stream|false while it is observed
----@field failing rfsm.observe.Stream
----@field printers table[] changes of err and warn
+---@field stream rfsm.observe.Stream|false all that happens, while it is observed
+---@field failing rfsm.observe.Stream the failures
+---@field printers table[] the machine's own `err` and `warn`, to be given back
 ---@field points rfsm.observe.Breakpoint[] breakpoints
----@field hit string|false the breakpoint that was reached since this was set to false
+---@field hit string|false the last breakpoint reached, until this is set to false
 local LocalView = setmetatable({}, { __index = View })
 LocalView.__index = LocalView
 
@@ -65,14 +65,15 @@ end
 
 -- Failures: noted also while nobody observes ----------------------------------------
 
--- Has a printer of a machine note what it prints, without the id of the record.
+-- Has a printer of a machine (`err`, `warn`) also note what it prints, without the id.
 local function listen_to(view, fsm, name, kind)
   instrument.listen(view.printers, fsm, name, function(...)
     view:note(kind, (calls.text(" ", ...):gsub("^%u+:? ", ""):gsub(":  ", ": ")))
   end)
 end
 
--- Returns a listener that counts failures: of a guard or an effect at the source.
+-- Returns a listener that counts failures of callbacks by state: those of a guard or an
+-- effect for the source of the transition.
 local function new_counter(view)
   return { failed = function(_, element)
     local number = view.numbers[rfsm.is_trans(element) and element.src or element]
@@ -82,14 +83,14 @@ end
 
 -- What an observed machine does ------------------------------------------------------
 
--- Notes the breakpoint that is reached, if one is.
+-- Notes a breakpoint that is reached, see `breakpoints.each_reached`.
 local function check_points(view, kind, value)
   breakpoints.each_reached(view.points, kind, value, function(_, point)
     view.hit = point.name
   end)
 end
 
--- Appends the numbers of the active states of a machine, from its root on.
+-- Appends the numbers of the active states of a machine, from its root down.
 local function add_active(view, fsm, numbers)
   local node = rfsm.get_sta_mode(fsm) ~= "inactive" and fsm
   while node do
@@ -99,7 +100,7 @@ local function add_active(view, fsm, numbers)
   return numbers
 end
 
--- Numbers of the active states, from the root down, those of regions behind.
+-- Returns the numbers of the active states, from the root down, then those of regions.
 local function active_numbers(view)
   local numbers = {}
   for _, at in ipairs(view.machines) do add_active(view, at.machine, numbers) end
@@ -125,7 +126,7 @@ local function see_active(view, fsm)
   for _, number in ipairs(add_active(view, fsm, {})) do view:see_node(number) end
 end
 
--- Logs an iteration, unless nothing happened in it.
+-- Adds an entry for an iteration to the log, if it has taken a path.
 local function note_step(view, fsm, events)
   local path = view.path[fsm]
   for i = 1, view.points[1] and #events or 0 do
@@ -163,7 +164,7 @@ local function new_listener(view)
   }
 end
 
---- Begin or end to note what the machine does.
+--- Begin, or end, to note what the machine does.
 function LocalView:observe(is_wanted)
   if is_wanted == (self.stream ~= false) then return end
   if self.stream then self.stream:stop() end
@@ -200,7 +201,7 @@ function LocalView:now()
   }
 end
 
---- Note the events that took no transition, once the machine is idle.
+--- Note the events that took no transition in the log, once the machine is idle.
 function LocalView:settle()
   if self.lost[1] == nil then return end
   self.last_lost, self.lost = self.lost, {}
@@ -214,7 +215,7 @@ end
 
 -- Questions -----------------------------------------------------------------------
 
---- Say why events that took no transition did not. This calls guards.
+--- Return why the events that were last noted took no transition. Guards are called.
 function LocalView:why()
   local _, text = rfsm_checks.why(self.fsm, unpack(self.last_lost))
   return utf8(text)
@@ -249,14 +250,14 @@ function LocalView:inspect(number)
   return about
 end
 
---- Answer the command `inspect` of a page: a problem, or nil and what is known.
+--- Answer the command `inspect` of a page: return a problem, or nil and the answer.
 function LocalView.answer_inspect(source, message)
   local about = source.view:inspect(message.node)
   return not about and "node: number of a state expected" or nil, about
 end
 
---- Return a view of a machine, which `observe` starts. `clock` returns the seconds that
---- stand in the log of the page.
+--- Return a view of a machine, which is not observed yet. `clock` returns seconds for
+-- the entries of the log.
 function LocalView.new(fsm, clock)
   local view = View.create(LocalView, marsh.model2tab(fsm, true), clock)
   view.fsm, view.machines, view.numbers, view.node_of = fsm, rfsm.machines(fsm), {}, {}

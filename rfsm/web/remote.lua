@@ -10,8 +10,8 @@ local subscriber = require "rfsm.observe.subscriber"
 local ipairs, setmetatable, type = ipairs, setmetatable, type
 
 local MARKS = { leaf = "[LS]", composite = "[CS]" } -- of states in a path
-local MAX_MESSAGES = 100 -- so many are taken at a time
-local MAX_MACHINES = 100 -- of a port
+local MAX_MESSAGES = 100 -- that are read at a time
+local MAX_MACHINES = 100 -- of a port that are shown
 local WAIT = 0.02 -- seconds until the socket is looked at again
 
 --- The machine as it was last described.
@@ -21,7 +21,7 @@ local WAIT = 0.02 -- seconds until the socket is looked at again
 local RemoteView = setmetatable({}, { __index = View })
 RemoteView.__index = RemoteView
 
--- Numbers of the states from the root to the active one.
+-- Returns the numbers of the states from the root down to the active leaf.
 local function active_numbers(view)
   local numbers, number = {}, view.outline.number_of[view.leaf]
   while number do
@@ -50,7 +50,7 @@ local function edges_by_ends(view)
   return by_ends
 end
 
--- Notes the transitions on a path; returns it for a reader.
+-- Notes the transitions on a path; returns the path as a text for a person.
 local function take_path(view, path)
   view.by_ends = view.by_ends or edges_by_ends(view)
   local before
@@ -76,13 +76,13 @@ local function take_state(view, message)
   view:touch()
 end
 
---- A machine elsewhere. The first one of a port has the connection.
+--- A machine elsewhere. The machines of a port share a client; the first one reads it.
 ---@class rfsm.web.Remote
 ---@field number integer at that port
 ---@field view rfsm.web.RemoteView|false false before the machine is described
 ---@field problems string[]
 ---@field all rfsm.web.Remote[] those of the port
----@field is_only boolean? no other machine of the port is shown
+---@field is_only boolean? of the first one: are others of the port not shown?
 local Remote = { commands = {} }
 Remote.__index = Remote
 
@@ -143,7 +143,7 @@ local function take(first, message)
   if problem then refuse(remote, problem) end
 end
 
---- Take the messages that have come.
+--- Read the messages that have come, of all machines of the port.
 function Remote:poll()
   if self ~= self.all[1] then return end
   for _ = 1, MAX_MESSAGES do
@@ -163,8 +163,8 @@ function Remote.wait() return WAIT end
 
 function Remote:describe(message) message.clock = self.clock() end
 
---- Watch the machines of a port, or only one; nil and the problem if that fails. The
--- list grows with the machines that are heard of.
+--- Return the list of the machines of a port, or of only the one with a number; nil and
+-- the problem if that fails. The list grows when another machine answers.
 function Remote.open(host, port, number)
   local client, problem = subscriber.connect(host, port, true)
   if not client then return nil, problem end

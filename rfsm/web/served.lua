@@ -16,7 +16,7 @@ local setmetatable, huge = setmetatable, math.huge
 ---@field problems string[]
 ---@field generation integer
 ---@field commands table<string, function>
----@field has_history boolean it is observed also while no page is open
+---@field has_history boolean is it observed also while no page is open?
 ---@field seen_at number when a page has read last
 local Served = {}
 Served.__index = Served
@@ -32,14 +32,14 @@ end
 
 function COMMANDS.why(served) return nil, served.view:why() end
 
---- Turn the notes of what the machine does on or off.
+--- Begin, or end, to note what the machine does. The option `history` prevents the end.
 function Served:observe(is_wanted)
   self.view:observe(is_wanted or self.has_history)
 end
 
 function Served:close() self.view:close() end
 
---- Note the events that did nothing, once the machine has taken them.
+--- Note the events that took no transition, once the queue is empty.
 function Served:poll()
   local view = self.view
   if view.lost[1] ~= nil and view.fsm._intq[1] == nil then view:settle() end
@@ -49,7 +49,7 @@ function Served.wait() return huge end
 
 function Served:describe(message) message.clock = self.view.clock() end
 
---- Show a machine.
+--- Make a tab for a machine.
 function Served.new(fsm, title, settings)
   local served = setmetatable({
     view = LocalView.new(fsm, clock.from_now()), title = title, problems = {},
