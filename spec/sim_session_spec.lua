@@ -1,6 +1,7 @@
 -- A session of the simulator in this process: lines typed, what is printed.
 
 local helper = require "spec.helper"
+local rfsm = require "rfsm"
 
 local MODULES = { "observe.breakpoints", "observe.values", "sim.commands",
   "sim.drawing", "sim.history", "sim.observer", "sim.prompt", "sim.session",
@@ -329,6 +330,38 @@ taken:  root.a -> root.b on e_go
 at root.b(done) e_done@root.b
 ]=] },
   }
+
+  it("has no guard, predicate or callback called", function()
+    local file = helper.file_with(ring([[
+      pre_step_hook = function() called "hook" end,
+      rfsm.trans { src = "a", tgt = "c", guard = function()
+        called "guard"
+        return false
+      end, events = { function(event)
+        called("predicate " .. event)
+        return event == "e_x"
+      end } }, ]]))
+    local function calls_of(advance)
+      local calls = {}
+      helper.with(_G, { called = function(what) calls[#calls + 1] = what end }, advance)
+      return calls
+    end
+    local plain = calls_of(function()
+      local fsm = rfsm.init(rfsm.load(file))
+      rfsm.run(fsm)
+      rfsm.send_events(fsm, "e_x", "e_go")
+      rfsm.run(fsm)
+    end)
+    assert.same(plain, calls_of(function()
+      local sim = assert(session.open(file, true))
+      prompt.install(sim)
+      for _, line in ipairs { "breakpoint e_no", "run", "se e_x e_go", "run" } do
+        prompt.evaluate(sim, line, "=stdin")
+      end
+    end))
+    assert.same({ "hook", "hook", "predicate e_done@root.a", "hook", "hook",
+      "predicate e_x", "guard", "hook", "hook" }, plain)
+  end)
 
   -- Returns the number of VM instructions of an idle step of a chart with some states.
   local function instructions(count)
