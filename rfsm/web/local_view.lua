@@ -39,8 +39,7 @@ local MAX_LOST = 20 -- events without an effect that are noted
 ---@field last_lost any[] the events in the last entry of the log about such events
 ---@field entered table<integer, integer> how often a state was entered while observed
 ---@field stream rfsm.observe.Stream|false all that happens, while it is observed
----@field failing rfsm.observe.Stream the failures
----@field printers table[] the machine's own `err` and `warn`, to be given back
+---@field changes table[] hooks added and printers replaced, for `close`
 ---@field points rfsm.observe.Breakpoint[] breakpoints
 ---@field hit string|false the last breakpoint reached, until this is set to false
 local LocalView = setmetatable({}, { __index = View })
@@ -67,18 +66,17 @@ end
 
 -- Has a printer of a machine (`err`, `warn`) also note what it prints, without the id.
 local function listen_to(view, fsm, name, kind)
-  instrument.listen(view.printers, fsm, name, function(...)
+  instrument.listen(view.changes, fsm, name, function(...)
     view:note(kind, (calls.text(" ", ...):gsub("^%u+:? ", ""):gsub(":  ", ": ")))
   end)
 end
 
--- Returns a listener that counts failures of callbacks by state: those of a guard or an
--- effect for the source of the transition.
-local function new_counter(view)
-  return { failed = function(_, element)
+-- Counts failures of callbacks by state: those of guards and effects for the source.
+local function count_failures(view, fsm)
+  instrument.hook_of(view.changes, fsm, "watch", "failed", function(_, element)
     local number = view.numbers[rfsm.is_trans(element) and element.src or element]
     if number then view:add_failure(number) end
-  end }
+  end)
 end
 
 -- What an observed machine does ------------------------------------------------------
@@ -177,8 +175,7 @@ end
 --- Leave the machine as it was.
 function LocalView:close()
   self:observe(false)
-  self.failing:stop()
-  instrument.give_back(self.printers)
+  instrument.give_back(self.changes)
 end
 
 -- The present state ----------------------------------------------------------------
@@ -262,10 +259,10 @@ function LocalView.new(fsm, clock)
   local view = View.create(LocalView, marsh.model2tab(fsm, true), clock)
   view.fsm, view.machines, view.numbers, view.node_of = fsm, rfsm.machines(fsm), {}, {}
   view.lost, view.last_lost, view.entered, view.path = {}, {}, {}, {}
-  view.points, view.hit, view.stream, view.printers = {}, false, false, {}
-  view.failing = stream.follow(fsm, new_counter(view))
+  view.points, view.hit, view.stream, view.changes = {}, false, false, {}
   for _, at in ipairs(view.machines) do
     add_machine(view, at)
+    count_failures(view, at.machine)
     listen_to(view, at.machine, "err", "error")
     listen_to(view, at.machine, "warn", "warning")
   end
