@@ -69,7 +69,7 @@ end
 local Server = {}
 Server.__index = Server
 
---- Close the port and forget the subscribers; again does no harm.
+--- Close the port and forget the subscribers. It may be called again.
 function Server:close()
   if self.is_closed then return end
   self.is_closed, self.subscribers = true, {}
@@ -314,7 +314,7 @@ local function label_of(node)
   return node._fqn .. "[" .. rfsm.fsmobj_tochar(node) .. "]"
 end
 
--- Begins, or ends, to note the paths that the machine of a feed takes.
+-- Starts, or stops, noting the paths that the machine of a feed takes.
 local function follow_paths(feed, is_wanted)
   if is_wanted and not feed.hooks[1] then
     instrument.hook(feed.hooks, feed.fsm, "path", function(_, path)

@@ -45,7 +45,7 @@ local OPTIONS = {
   title = { "text or list of texts", is_title },
 }
 
-local MAX_DRAWN = 2000 -- nodes
+local MAX_DRAWN = 2000 -- nodes of a machine that Graphviz draws
 local FRAME = 1 / 30 -- seconds between two messages to a page, at least
 local LINGER = 5 -- seconds that a machine is observed after the last page has gone
 
@@ -86,7 +86,7 @@ local function state_message(server, tab, cursor, version)
   return ("event: state\ndata: %s\n\n"):format(text), next_cursor
 end
 
--- Is a machine drawn by Graphviz? That takes too long for a very large one.
+-- Does Graphviz draw a machine? It takes too long for a very large one.
 local function is_drawn(view)
   return view and #view.outline.nodes <= MAX_DRAWN or false
 end
@@ -239,7 +239,7 @@ local function send_changes(server)
   end)
 end
 
--- Ends to observe the machine of a program if no page has read for a while.
+-- Stops observing the machine of a program if no page has read for a while.
 local function rest(server, source)
   if source.observe and server.http.clock() > source.seen_at + LINGER then
     source:observe(false)
@@ -266,7 +266,7 @@ function Server:run()
   while true do self:step(huge) end
 end
 
---- Close the port; again does no harm.
+--- Close the port. It may be called again.
 function Server:close()
   self.http:close()
   self.painter:close()

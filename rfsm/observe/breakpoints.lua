@@ -31,8 +31,8 @@ local function is_at(tr_end, node)
   return node and (tr_end == node or tr_end == node.initial)
 end
 
--- Returns a breakpoint at the transitions of a machine and its regions that are meant,
--- with the name of the first one; nil if none is.
+-- Returns a breakpoint at the transitions of a machine and its regions for which
+-- `is_meant(tr)` is true, with the name of the first one; nil if there is none.
 local function at_transitions(fsm, is_meant)
   local point
   for _, at in ipairs(rfsm.machines(fsm)) do

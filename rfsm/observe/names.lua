@@ -50,7 +50,7 @@ function names.nodes(fsm)
   return list, by_name
 end
 
---- Return the hint " (did you mean 'e_go'?)", or "".
+--- Return a hint with the nearest name in a list: " (did you mean 'e_go'?)"; else "".
 function names.hint(name, list) return (advice.nearest_name(name, list)) end
 
 return names

@@ -29,7 +29,7 @@ local OPTIONS = {
 --- A machine as it was between two advances.
 ---@class rfsm.observe.Place
 ---@field snap? rfsm.snapshot.Snapshot nil if the machine could not be saved
----@field problem? string the reason
+---@field problem? string why there is no snapshot
 ---@field about any what the option `about` has returned
 ---@field size integer about how many bytes the place takes
 

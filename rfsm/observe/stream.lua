@@ -33,7 +33,7 @@ local ipairs, setmetatable = ipairs, setmetatable
 ---@field machines table[] as `rfsm.machines`
 ---@field listener table<string, function>
 ---@field changes table[] hooks added and guards replaced, for `stop`
----@field is_known table<table, true> elements of the machines
+---@field is_known table<table, true> elements that have their hooks
 local Stream = {}
 Stream.__index = Stream
 
@@ -97,7 +97,7 @@ local function attach(own, at)
   end
 end
 
--- Follows the machines that are not followed yet.
+-- Adds hooks to the machine and its regions, unless they have them.
 function join(own)
   own.machines = rfsm.machines(own.fsm)
   for _, at in ipairs(own.machines) do

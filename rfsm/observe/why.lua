@@ -1,7 +1,7 @@
 --- Why events have an effect or none: the answer of each transition.
 --
--- Guards and predicates are called, as in a search of the engine. No other callback is,
--- and nothing is changed.
+-- Guards and predicates are called, as by a search of the engine, but nothing else is.
+-- Nothing is changed.
 --
 -- @module rfsm.observe.why
 -- @license BSD-3-Clause

@@ -26,8 +26,8 @@ local commands = {}
 ---@field text string what else there is to know, and an example
 ---@field run fun(sim: rfsm.sim.Session, ...) returns nothing: the prompt would print it
 ---@field takes_line? boolean in a line of words, all behind the name is one argument
----@field completes? "now"|"events"|"points" offered by the Tab key: events, with those
--- of active states first if "now"; events and states
+---@field completes? "now"|"events"|"points" by the Tab key: events, first those of
+-- active states; all events; events and states
 ---@field fsm? rfsm.Machine of a system: the machine that the command is about
 
 commands.list = {}
@@ -49,7 +49,7 @@ local function add(usage, brief, text, run, more)
   last.brief = (last.brief and last.brief .. " " or "") .. command.name
 end
 
---- Return the command of a name.
+--- Return the command with a name; nil if there is none.
 function commands.find(name) return by_name[name] end
 
 local function check(command, value, kind, what)

@@ -22,7 +22,7 @@ local text_of = rfsm.text_of
 local Observer = {}
 Observer.__index = Observer
 
--- May the transition have been taken on this event? Predicates count, without a call.
+-- May the transition have been taken on this event? A predicate may have accepted it.
 local function takes(tr, event)
   if match.is_any(tr) then return match.begins_on_any(tr) end
   return match.triggers(tr, event) ~= false
@@ -103,14 +103,14 @@ function Observer:finished(_, events)
   end
 end
 
---- Begin to observe an advance; print the transitions taken if they are to be shown.
+--- Start observing an advance; print the transitions that are taken if `is_shown`.
 function Observer:begin(is_shown)
   self.is_on, self.is_shown, self.line, self.times = true, is_shown, false, 1
   self.hits, self.reached, self.is_hit = {}, {}, false
   self.seen, self.is_seen, self.is_used = {}, {}, {}
 end
 
---- End to observe an advance.
+--- Stop observing.
 function Observer:finish()
   self.is_on = false
   self:print_taken(false)

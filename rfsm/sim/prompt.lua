@@ -69,7 +69,7 @@ end
 -- Returns a function that calls the command in a line of words; nil if there is none.
 local function call_of(sim, text)
   local name, rest = text:match("^%s*([%a_][%w_]*)%f[%s%z]%s*(.-)%s*$")
-  if not name then name, rest = text:match("^%s*(goto)%((.-)%)%s*$") end -- a Lua word
+  if not name then name, rest = text:match("^%s*(goto)%((.-)%)%s*$") end -- a keyword
   local command = name and sim.commands.find(name)
   if not command then return nil end
   local arguments = split(rest)
@@ -100,7 +100,7 @@ end
 
 -- Evaluate --------------------------------------------------------------------------
 
--- Returns a problem; of a call of what does not exist, one with the nearest command.
+-- Returns the problem of a line; if that calls what does not exist, with a hint.
 local function explain(sim, problem)
   local name = problem:find("attempt to call", 1, true) and sim.missing[1]
   return name and problem_of_missing(sim, name, {}) or problem

@@ -38,7 +38,7 @@ local complain, text_of = terminal.complain, rfsm.text_of
 ---@field has_stubs boolean
 ---@field follows boolean an advance prints what was taken, and the tree
 ---@field tree? string|false the tree shown last, which is not shown again
----@field level boolean|"full" which trace records are shown
+---@field level boolean|"full" are trace records shown? true: only the main ones
 ---@field hooks (fun(fsm: rfsm.Machine))[] called after each advance
 ---@field points rfsm.observe.Breakpoint[] breakpoints and expressions that are watched
 ---@field picture? string|false file into which each advance draws the machine
@@ -52,9 +52,9 @@ local complain, text_of = terminal.complain, rfsm.text_of
 ---@field missing string[] globals that the current line reads and that do not exist
 ---@field last_line? string|false the last line typed, if it was a command
 ---@field commands { list: rfsm.sim.Command[], find: fun(name): rfsm.sim.Command? }
----@field cell? rfsm.System in place of one chart: the system of its machines
----@field replay? fun(sim: rfsm.sim.Session, file: string): integer, string?
----@field is_over boolean ends after this line
+---@field cell? rfsm.System in place of a chart: the system whose machines are stepped
+---@field replay? fun(sim: rfsm.sim.Session, file: string): integer, string? of a system
+---@field is_over boolean does the session end after this line?
 local Session = {}
 Session.__index = Session
 
@@ -108,7 +108,7 @@ function Session:show()
   if self.picture then self:draw(self.picture) end
 end
 
---- Keep a picture up to date from now on; false ends that.
+--- Draw the machine into a file, now and after each advance; false ends that.
 function Session:draw(file)
   history.pause(self)
   local problem = file and drawing.draw(self.fsm, file)

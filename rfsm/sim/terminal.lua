@@ -33,7 +33,7 @@ local counter -- luaposix or luv, once interrupts are caught
 local count, seen = 0, 0 -- Control-Cs typed, and raised as errors
 local is_busy = false -- C code runs that calls Lua: the hook must not raise an error
 
---- The source of the count.
+--- Functions of luaposix or luv: what counts Control-C.
 ---@class rfsm.sim.Counter
 ---@field look fun() lets the handler of the signal run
 ---@field wait fun(): boolean waits for a key or a signal; returns whether a key came
@@ -91,7 +91,7 @@ end
 
 function poll()
   if is_busy or not terminal.is_interrupted() then return end
-  print() -- behind the terminal's ^C
+  print() -- ends the line in which the terminal has shown ^C
   error("interrupted!", 2) -- the core knows this text
 end
 

@@ -1,7 +1,7 @@
 --- The simulated clock of a session.
 --
--- It goes on from the time of the real clock, so that armed timers keep their
--- deadlines. Time passes only by `pass` and `go_to_timer`.
+-- It begins at the time of the real clock, so that armed timers keep their deadlines.
+-- Then time passes only by `pass` and `go_to_timer`.
 --
 -- @module rfsm.sim.time
 -- @license BSD-3-Clause

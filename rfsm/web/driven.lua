@@ -136,7 +136,7 @@ local function begin(session, fsm, snap)
   start_clock(session)
 end
 
--- Loads the chart; `keeps_state`: the new machine goes on in the state of the old one.
+-- Loads the chart. If `keeps_state` the machine goes on in the state of the old one.
 local function load(session, keeps_state)
   local snap = keeps_state and (session.way and session.way:note().snap
     or session.snap) or nil
@@ -229,7 +229,7 @@ function commands.breakpoint(session, message)
   local ok, number = pcall(breakpoints.add, session.view, message.at)
   if not ok then return number end
   local name = list[number].name
-  for i = message.on and number - 1 or number, 1, -1 do -- equal breakpoints
+  for i = message.on and number - 1 or number, 1, -1 do -- removes equal breakpoints
     if list[i].name == name then remove(list, i) end
   end
   session.view:touch()

@@ -284,7 +284,7 @@ function Server:feed(next_message)
   end
 end
 
---- Close the port and all connections; again does no harm.
+--- Close the port and all connections. It may be called again.
 function Server:close()
   for _, connection in ipairs(self.connections) do connection.socket:close() end
   self.connections = {}

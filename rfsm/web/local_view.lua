@@ -35,7 +35,7 @@ local MAX_LOST = 20 -- events without an effect that are noted
 ---@field machines table[] as `rfsm.machines`
 ---@field numbers table<table, integer> of nodes and transitions, but those merged later
 ---@field path table<rfsm.Machine, string> taken in the current iteration, as a text
----@field lost any[] events that took no transition, since one was taken
+---@field lost any[] events that took no transition, since the last transition
 ---@field last_lost any[] the events in the last entry of the log about such events
 ---@field entered table<integer, integer> how often a state was entered while observed
 ---@field stream rfsm.observe.Stream|false all that happens, while it is observed
@@ -62,16 +62,16 @@ local function add_machine(view, at)
   end
 end
 
--- Failures: noted also while nobody observes ----------------------------------------
+-- Failures: noted also while the machine is not observed -----------------------------
 
--- Has a printer of a machine (`err`, `warn`) also note what it prints, without the id.
+-- Notes in the log what a printer of a machine (`err`, `warn`) prints, without the id.
 local function listen_to(view, fsm, name, kind)
   instrument.listen(view.changes, fsm, name, function(...)
     view:note(kind, (calls.text(" ", ...):gsub("^%u+:? ", ""):gsub(":  ", ": ")))
   end)
 end
 
--- Counts failures of callbacks by state: those of guards and effects for the source.
+-- Counts failed callbacks by state: guards and effects for the source of a transition.
 local function count_failures(view, fsm)
   instrument.hook_of(view.changes, fsm, "watch", "failed", function(_, element)
     local number = view.numbers[rfsm.is_trans(element) and element.src or element]
@@ -162,7 +162,7 @@ local function new_listener(view)
   }
 end
 
---- Begin, or end, to note what the machine does.
+--- Start, or stop, noting what the machine does.
 function LocalView:observe(is_wanted)
   if is_wanted == (self.stream ~= false) then return end
   if self.stream then self.stream:stop() end

@@ -10,8 +10,8 @@ local subscriber = require "rfsm.observe.subscriber"
 local ipairs, setmetatable, type = ipairs, setmetatable, type
 
 local MARKS = { leaf = "[LS]", composite = "[CS]" } -- of states in a path
-local MAX_MESSAGES = 100 -- that are read at a time
-local MAX_MACHINES = 100 -- of a port that are shown
+local MAX_MESSAGES = 100 -- messages that are read at a time
+local MAX_MACHINES = 100 -- machines of a port that are shown
 local WAIT = 0.02 -- seconds until the socket is looked at again
 
 --- The machine as it was last described.

@@ -32,7 +32,7 @@ end
 
 function COMMANDS.why(served) return nil, served.view:why() end
 
---- Begin, or end, to note what the machine does. The option `history` prevents the end.
+--- Start, or stop, noting what the machine does. With `history` that never stops.
 function Served:observe(is_wanted)
   self.view:observe(is_wanted or self.has_history)
 end

@@ -43,9 +43,9 @@ local MAX_TEXT = 2000 -- bytes of a text in the log
 ---@field now fun(self: rfsm.web.View): rfsm.web.Now
 ---@field log table[]
 ---@field turn integer number of the present turn, see `rfsm.web.driven`
----@field taken integer[] numbers of the transitions taken last
+---@field taken integer[] numbers of the transitions that are shown as taken
 ---@field revision integer counts the changes
----@field rewrites integer counts the changes that take something back
+---@field rewrites integer counts how often entries were taken back, see `go_back`
 ---@field failures table<integer, integer> failed callbacks, by number of the node
 local View = {}
 View.__index = View
