@@ -282,6 +282,26 @@ at root.b(done)
   }
 end)
 
+describe("a doo", function()
+  it("ends by Control-C while a line runs, and is the chart's own afterwards", function()
+    local sim = assert(session.open(helper.file_with(ring([[
+      d = rfsm.state { doo = function() end }, ]])), false))
+    prompt.install(sim)
+    local own, seen = sim.fsm.d.doo, {}
+    local function wrapped() end
+    helper.with(_G, { see = function(doo) seen[#seen + 1] = doo end }, function()
+      helper.with(terminal, { is_caught = function() return true end,
+        interruptible = function() return wrapped end }, function()
+        prompt.evaluate(sim, "see(fsm.d.doo)", "=stdin")
+        seen[2] = sim.fsm.d.doo
+        prompt.evaluate(sim, "see(fsm.d.doo) error 'x'", "=stdin")
+      end)
+    end)
+    assert.same({ wrapped, own, wrapped, own }, { seen[1], seen[2], seen[3],
+      sim.fsm.d.doo })
+  end)
+end)
+
 describe("the observer", function()
   check {
     { does = "tells nothing of what the library is told to do in Lua", chart = ring(),
