@@ -283,7 +283,7 @@ at root.b(done)
 end)
 
 describe("a doo", function()
-  it("ends by Control-C while a line runs, and is the chart's own afterwards", function()
+  it("ends by Control-C while a line runs, and is the own one afterwards", function()
     local sim = assert(session.open(helper.file_with(ring([[
       d = rfsm.state { doo = function() end }, ]])), false))
     prompt.install(sim)
