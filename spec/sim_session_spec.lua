@@ -777,6 +777,11 @@ no transition would be taken on e_done@root.c in root.c
   root.trans[4] (c -> a): waits for e_go
 e_go
 ]=] },
+    { does = "has the errors of callbacks on stderr", chart = ring(
+        "d = rfsm.state { entry = function() error('no', 0) end }, rfsm.trans { "
+        .. "src = 'a', tgt = 'd', events = 'e_d' }, "), input = "run\nser e_d",
+      output = "at root.a(done)\n! ENTRY\terror executing entry of root.d: \tno\n"
+        .. "at root.d(done)\n" },
     { does = "has the nearest event where it asks why", chart = ring(), input = [=[
 run
 why e_og
