@@ -88,20 +88,16 @@ local function check_points(view, kind, value)
   end)
 end
 
--- Appends the numbers of the active states of a machine, from its root down.
-local function add_active(view, fsm, numbers)
-  local node = rfsm.get_sta_mode(fsm) ~= "inactive" and fsm
-  while node do
-    numbers[#numbers + 1] = view.numbers[node]
-    node = rfsm.actchild_get(node)
-  end
-  return numbers
-end
-
 -- Returns the numbers of the active states, from the root down, then those of regions.
 local function active_numbers(view)
   local numbers = {}
-  for _, at in ipairs(view.machines) do add_active(view, at.machine, numbers) end
+  for _, at in ipairs(view.machines) do
+    local node = rfsm.get_sta_mode(at.machine) ~= "inactive" and at.machine
+    while node do
+      numbers[#numbers + 1] = view.numbers[node]
+      node = rfsm.actchild_get(node)
+    end
+  end
   return numbers
 end
 
@@ -120,10 +116,6 @@ local function text_of_path(at, path)
   return concat(texts, " \226\134\146 ")
 end
 
-local function see_active(view, fsm)
-  for _, number in ipairs(add_active(view, fsm, {})) do view:see_node(number) end
-end
-
 -- Adds an entry for an iteration to the log, if it has taken a path.
 local function note_step(view, fsm, events)
   local path = view.path[fsm]
@@ -131,7 +123,6 @@ local function note_step(view, fsm, events)
     check_points(view, "event", events[i])
   end
   if path then
-    see_active(view, fsm)
     view:note("step", path, { unpack(events) }, active_numbers(view))
     view.lost, view.path[fsm] = {}, nil
   elseif fsm == view.fsm then
@@ -168,7 +159,7 @@ function LocalView:observe(is_wanted)
   if self.stream then self.stream:stop() end
   self.stream = is_wanted and stream.follow(self.fsm, new_listener(self))
   self.path, self.lost = {}, {}
-  for _, at in ipairs(self.machines) do see_active(self, at.machine) end
+  self:see_nodes(active_numbers(self))
   self:touch()
 end
 

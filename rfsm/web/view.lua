@@ -82,19 +82,6 @@ local function trim(view)
   if #log >= 2 * MAX_LOG then view.log = { unpack(log, #log - MAX_LOG + 1) } end
 end
 
---- Add an entry to the log, of the kind "step", "lost", "error", "warning", "output" or
--- "note". A step has events, and the active states after it. Events become texts only
--- when an entry is sent: most entries of a fast machine never are.
-function View:note(kind, text, events, active)
-  self.count = self.count + 1
-  self.log[#self.log + 1] = {
-    number = self.count, at = self.clock(), kind = kind, events = events,
-    turn = self.turn, text = text, active = active,
-  }
-  trim(self)
-  self:touch()
-end
-
 local function mark(list, number)
   if number and not list.has[number] then
     list.has[number] = true
@@ -102,8 +89,24 @@ local function mark(list, number)
   end
 end
 
---- Note that a state was active.
-function View:see_node(number) mark(self.seen_nodes, number) end
+--- Note that states were active.
+function View:see_nodes(numbers)
+  for _, number in ipairs(numbers) do mark(self.seen_nodes, number) end
+end
+
+--- Add an entry to the log, of the kind "step", "lost", "error", "warning", "output" or
+-- "note". A step has events, and the active states after it, which count as seen. Events
+-- become texts only when an entry is sent: most entries of a fast machine never are.
+function View:note(kind, text, events, active)
+  self.count = self.count + 1
+  self.log[#self.log + 1] = {
+    number = self.count, at = self.clock(), kind = kind, events = events,
+    turn = self.turn, text = text, active = active,
+  }
+  trim(self)
+  self:see_nodes(active or {})
+  self:touch()
+end
 
 --- Note that a transition was taken; nil stands for one that was merged later.
 function View:see_edge(number)
