@@ -816,6 +816,24 @@ describe("uninstall", function()
     assert.is_true(rfsm.run(fsm))
   end)
 
+  it("leaves no hook in a machine that goes on, after its next step", function()
+    local fsm = init(lamp())
+    local server = install { fsm = fsm }
+    local client = new_client(server)
+    client:send { type = "subscribe", path = true }
+    rfsm.run(fsm)
+    assert.is_table(fsm._path_hooks)
+    server:close()
+    rfsm.step(fsm)
+    local counts = {}
+    for i, field in ipairs { "_pre_hooks", "_post_hooks", "_path_hooks",
+      "_reset_hooks" } do
+      counts[i] = #(fsm[field] or {}) - #(init(lamp())[field] or {})
+    end
+    assert.same({ 0, 0, 0, 0 }, counts)
+    assert.is_false(fsm._watch_hooks.merged)
+  end)
+
   it("is not needed to close one port", function()
     local one, other = install(), install()
     local fsm = init(lamp())

@@ -39,6 +39,9 @@ local function said(case)
     sim = assert(session.open(file, case.follows or false))
     prompt.install(sim)
     function sim.env.change() helper.write(file, case.other) end
+    local recording = helper.file_with("")
+    function sim.env.record_here() history.save(sim, recording) end
+    function sim.env.replay_it() history.replay(sim, recording) end
     for line in case.input:gmatch("[^\n]+") do
       local ok, problem = prompt.evaluate(sim, line, "=stdin")
       if not ok then printed[#printed + 1] = "! " .. problem end
@@ -245,6 +248,42 @@ at root.c(done) e_done@root.c
 at root.a(done) e_done@root.a
 ! back: nothing was done
 at root.c(done) e_done@root.c
+]=] },
+    { does = "has the events of a recording, also those of timers", chart = ([[
+require "rfsm_timeevent"
+
+]] .. ring("gettime = function() return 0, 0 end, rfsm.trans { "
+        .. "src = 'b', tgt = 'a', events = { 'e_after(9)' } }, ")), input = [=[
+record_here()
+run
+ser e_go
+clock 20
+record(false)
+replay_it()
+history 4
+]=], output = [=[
+at root.a(done)
+at root.b(done)
+clock:  9 s
+at root.a(done)
+clock:  20 s
+at root.a(done)
+   5  e_done@root.a, e_go             root.b(done)
+   6  e_done@root.b                   root.b(done)
+   7  e_after(9)@root.b               root.a(done)
+   8  e_done@root.a                   root.a(done)
+]=] },
+    { does = "has no events of the host in dry mode", chart = ring(
+        "getevents = function() return { 'e_go' } end, "), input = [=[
+dry(true)
+step
+step
+dry(false)
+step
+]=], output = [=[
+at root.a(done) e_done@root.a
+at root.a(done)
+at root.b(done) e_done@root.b
 ]=] },
     { does = "shows events that are no texts", chart = ring(), input = [=[
 run

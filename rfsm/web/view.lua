@@ -95,8 +95,8 @@ function View:see_nodes(numbers)
 end
 
 --- Add an entry to the log, of the kind "step", "lost", "error", "warning", "output" or
--- "note". A step has events, and the active states after it, which count as seen. Events
--- become texts only when an entry is sent: most entries of a fast machine never are.
+-- "note". A step has events, and the active states after it, which are noted as well.
+-- Events become texts only when an entry is sent, as most of a fast machine never are.
 function View:note(kind, text, events, active)
   self.count = self.count + 1
   self.log[#self.log + 1] = {
