@@ -1319,6 +1319,20 @@ describe("rfsm.proto.follow", function()
       end))
   end)
 
+  it("goes on until it is interrupted, if it has no number of lines", function()
+    local messages = { state_message "root.a", state_message "root.b",
+      state_message "root.c" }
+    local endless, ends = client(messages), nil
+    endless.receive = function()
+      return table.remove(messages, 1) or error("interrupted!", 0)
+    end
+    assert.same({ "root.a (done)", "root.b (done)", "root.c (done)" },
+      helper.printed(function()
+        ends = { pcall(follow.run, endless, { number = 1, is_terminal = false }) }
+      end))
+    assert.same({ false, "interrupted!" }, ends)
+  end)
+
   it("says when it has heard nothing: at a terminal below the log", function()
     local screens, calls = helper.printed(function()
       local silent = client {}
