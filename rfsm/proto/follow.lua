@@ -7,7 +7,6 @@
 local subscriber = require "rfsm.observe.subscriber"
 
 local io, ipairs, os, select = io, ipairs, os, select
-local setmetatable = setmetatable
 local concat, remove = table.concat, table.remove
 
 local follow = {}
@@ -32,8 +31,6 @@ end
 ---@field leaf string|false|nil FQN of the active state
 ---@field log string[] the last lines
 ---@field count integer number of all lines so far
-local Follower = {}
-Follower.__index = Follower
 
 -- Adds a line, unless it equals the last one.
 local function add(self, text)
@@ -79,10 +76,10 @@ end
 
 --- Print a machine as it changes; up to `count` lines, or without an end.
 function follow.run(client, options)
-  local self = setmetatable({
+  local self = {
     log = {}, count = 0, is_terminal = options.is_terminal, number = options.number,
     status = "", heard_at = false, said_at = false, began_at = client.clock(),
-  }, Follower)
+  }
   while self.count < (options.count or 1 / 0) do
     local message = client:receive(1)
     local problem = message and subscriber.handle(TAKE, self, message)

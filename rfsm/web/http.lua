@@ -172,11 +172,10 @@ local function begin_reply(server, connection, reply)
   begin_message(connection, reply_text(reply), server.clock())
 end
 
--- Sends as much as the client takes. Returns false if it is gone.
+-- Sends as much as the client takes. If it is gone, `read` will find that.
 local function write(server, connection)
-  local last, problem, partly = connection.socket:send(connection.pending,
+  local last, _, partly = connection.socket:send(connection.pending,
     connection.sent + 1)
-  if not last and problem ~= "timeout" then return false end
   if connection.phase == "stream" and (last or partly) > connection.sent then
     connection.since = server.clock()
   end
@@ -187,7 +186,6 @@ local function write(server, connection)
     connection.socket:shutdown("send")
     connection.phase, connection.since = "closing", server.clock()
   end
-  return true
 end
 
 -- Reads what has arrived. Returns false if the client is gone.
@@ -200,7 +198,8 @@ local function read(server, connection)
   if not (request or status) then return data ~= nil or problem == "timeout" end
   begin_reply(server, connection, request and server.handle(request) or
     { status = status })
-  return write(server, connection)
+  write(server, connection)
+  return true
 end
 
 -- The server ------------------------------------------------------------------
@@ -253,10 +252,7 @@ function Server:step(timeout)
   end
   if timeout == huge then timeout = nil end
   local readable, writable = socket.select(readers, writers, timeout)
-  for _, client in ipairs(writable) do
-    local connection = by_socket[client]
-    if not write(self, connection) then drop(self, connection) end
-  end
+  for _, client in ipairs(writable) do write(self, by_socket[client]) end
   for _, client in ipairs(readable) do
     local connection = by_socket[client]
     if connection and client:getfd() >= 0 and not read(self, connection) then
@@ -271,14 +267,13 @@ end
 -- `next_message(connection)` returns, if it returns one. It is called for others later.
 function Server:feed(next_message)
   local now = self.clock()
-  for i = #self.connections, 1, -1 do
-    local connection = self.connections[i]
+  for _, connection in ipairs(self.connections) do
     if connection.phase == "stream" and connection.pending == "" then
       local is_quiet = now > connection.since + BEAT_TIME
       local text = next_message(connection) or is_quiet and ": beat\n\n"
       if text then
         begin_message(connection, text, now)
-        if not write(self, connection) then drop(self, connection) end
+        write(self, connection)
       end
     end
   end
