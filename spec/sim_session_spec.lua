@@ -758,6 +758,7 @@ se(e_go)
 se(fsm.nothing)
 help(7)
 stp(1)
+breakpoint(rfsm.trans { src = 'a', tgt = 'b' })
 ]=], output = [=[
 ! back: nothing was done
 ! forward: nothing was undone
@@ -776,6 +777,8 @@ queue:  e_init_fsm, e_go
 queue:  e_init_fsm, e_go
 ! help: no command is named 7, help() lists them
 ! nothing is named stp (did you mean 'step'?)
+! breakpoint: state, event or transition (off -> on) expected, got 'T={ ]=] .. [=[
+src='a', tgt='b' }', pp() shows the states
 ]=] },
     { does = "explains events, and lists discarded ones", chart = ring(),
       follows = true, input = [=[
