@@ -49,7 +49,7 @@ local function said(case)
   end)
   history.BYTES = nil
   local text = table.concat(printed, "\n") .. "\n"
-  text = text:gsub("\27%[[%d;]*m", "")
+  text = text:gsub("\27%[[%d;]*m", ""):gsub("%-nan", "nan")
   return (text:gsub("active: (%S+)\nqueue: ", "at %1"):gsub(" *\n+", "\n"))
 end
 
@@ -387,6 +387,35 @@ taken:  root.a -> root.b on e_go
   * b (done)
     c
 at root.b(done) e_done@root.b
+]=] },
+  }
+
+  check {
+    { does = "knows NaN, which may be an event, but no key of a table", follows = true,
+      chart = ring("rfsm.trans { src = 'a', tgt = 'c', effect = function(fsm) "
+        .. "rfsm.send_events(fsm, 0/0) end }, "), input = [=[
+step
+se(0/0)
+step
+follow(false)
+ses(0/0)
+]=], output = [=[
+taken:  root.initial -> root.a
+* root
+  * a (done)
+    b
+    c
+at root.a(done) e_done@root.a
+! no transition names the event 'nan'
+queue:  e_done@root.a, nan
+taken:  root.a -> root.c
+* root
+    a
+    b
+  * c (done)
+at root.c(done) nan, e_done@root.c
+! no transition names the event 'nan'
+at root.c(done)
 ]=] },
   }
 

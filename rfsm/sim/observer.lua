@@ -28,6 +28,11 @@ local function takes(tr, event)
   return match.triggers(tr, event) ~= false
 end
 
+-- Adds an event to a set, in which NaN cannot be.
+local function add(set, event)
+  if event == event then set[event] = true end
+end
+
 function Observer:check_points(kind, value)
   breakpoints.each_reached(self.sim.points, kind, value, function(i, point)
     local list = point.holds and self.reached or self.hits
@@ -56,7 +61,7 @@ function Observer:note_used(tr, events, by)
   for i = 1, #events do
     local event = events[i]
     if takes(tr, event) then
-      self.is_used[event] = true
+      add(self.is_used, event)
       if tr.events[1] ~= nil then
         by[#by + 1] = (text_of(event):gsub("^(e_[%w()._]*)@root.*", "%1"))
       end
@@ -121,7 +126,7 @@ end
 function Observer:discarded()
   local is_pending, list = {}, {}
   for _, at in ipairs(self.stream.machines) do
-    for _, event in ipairs(at.machine._intq) do is_pending[event] = true end
+    for _, event in ipairs(at.machine._intq) do add(is_pending, event) end
   end
   for _, event in ipairs(self.seen) do
     if not (self.is_used[event] or is_pending[event]) then list[#list + 1] = event end
@@ -134,14 +139,13 @@ local observer = {}
 --- Return an observer of the machine of a session and its regions.
 function observer.new(sim)
   local self = setmetatable({ sim = sim, is_on = false }, Observer)
-  local function during_advance(f)
-    return function(...)
-      if self.is_on then f(self, ...) end
+  local listener = {}
+  for _, name in ipairs { "taken", "entered", "finished" } do
+    listener[name] = function(...)
+      if self.is_on then self[name](self, ...) end
     end
   end
-  self.stream = stream.follow(sim.fsm, { taken = during_advance(Observer.taken),
-    entered = during_advance(Observer.entered),
-    finished = during_advance(Observer.finished) })
+  self.stream = stream.follow(sim.fsm, listener)
   return self
 end
 
