@@ -418,6 +418,11 @@ describe("the way back", function()
       helper.refusal(rewind.new, 7))
     assert.equal("rfsm.observe.rewind.new: bytes: number of bytes expected, got -1",
       helper.refusal(rewind.new, helper.init(chart()), { bytes = -1 }))
+    for _, name in ipairs { "about", "prepare" } do
+      assert.equal("rfsm.observe.rewind.new: " .. name
+        .. ": function expected, got string 'x'",
+        helper.refusal(rewind.new, helper.init(chart()), { [name] = "x" }))
+    end
     assert.matches("unknown option 'byte' %(did you mean 'bytes'%?%)",
       helper.refusal(rewind.new, helper.init(chart()), { byte = 1 }))
   end)
