@@ -773,6 +773,9 @@ false
 step([n])    advance by n transitions or doo cycles (1)
 Enters the machine when it is called first. Example: step 3
 ]=] },
+    { does = "has its value printed, with texts in tables in quotes", chart = ring(),
+      input = "= { [{ 'a' }] = { 'b' }, c = 'd', 'e' }, 'f'",
+      output = '{ "e", c = "d", [{ "a" }] = { "b" } }\tf\n' },
     { does = "has complaints of its own", chart = ring(), input = [=[
 back
 forward
