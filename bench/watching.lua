@@ -63,7 +63,7 @@ local function measure_page(count)
   for _ = 1, 2000 do
     server:step(0.001)
     if server.http.connections[1].pending ~= "" then break end
-    for _ = 1, 60 do server.shown[1].source.view:note("note", ("x"):rep(2000)) end
+    for _ = 1, 60 do server.sources[1].view:note("note", ("x"):rep(2000)) end
   end
   local clock = server.http.clock
   server.http.clock = function() return clock() + 6 end -- it has not read for so long

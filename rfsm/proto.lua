@@ -31,7 +31,7 @@ local VERSION = 2 -- of the messages and of the graph in them, as rfsm.json writ
 
 -- Options ---------------------------------------------------------------------
 
--- Description, test, default of each.
+-- Description, test, default of each option.
 local OPTIONS = {
   allow_send = { "boolean", opts.is_a "boolean", false },
   clock = { "function that returns seconds", rfsm.is_callable },
@@ -47,8 +47,8 @@ local OPTIONS = {
   read_timeout = { "finite number of seconds, not below 0", is_seconds, 0 },
 }
 
--- Returns a socket bound to host and port; nil and why not. A name means its IPv4
--- address, so that "localhost" is the same everywhere.
+-- Returns a socket bound to host and port; nil and the problem if that fails. A name
+-- means its IPv4 address, so that "localhost" is the same everywhere.
 local function bind(socket, host, port)
   local is_v6 = host:find(":", 1, true) and socket.udp6
   local udp, problem = (is_v6 or socket.udp4 or socket.udp)()
@@ -69,7 +69,7 @@ end
 local Server = {}
 Server.__index = Server
 
---- Close the port and forget the subscribers; again does no harm.
+--- Close the port and forget the subscribers. It may be called again.
 function Server:close()
   if self.is_closed then return end
   self.is_closed, self.subscribers = true, {}
@@ -87,7 +87,7 @@ local function open_server(server)
     server.clock or socket.gettime
   server.udp, server.json, server.now, server.is_closed = udp, json, 0, false
   server.subscribers = {} -- in the order in which they came
-  -- data of each machine, by number; kept by the machine
+  -- what is known of each machine, by its number; only the hooks of the machine keep it
   server.feeds, server.count = setmetatable({}, { __mode = "v" }), 0
   return setmetatable(server, Server)
 end
@@ -105,7 +105,8 @@ local function drop(server, ip, port)
   if i then remove(server.subscribers, i) end
 end
 
--- A full buffer loses the text, as UDP may. An unreachable subscriber is dropped.
+-- Sends a text. If the buffer is full it is lost, as any datagram may be. A subscriber
+-- that cannot be reached is dropped.
 local function send(server, ip, port, text)
   local sent, problem = server.udp:sendto(text, ip, port)
   if not sent and problem ~= "timeout" then drop(server, ip, port) end
@@ -124,7 +125,7 @@ local function message_text(feed, kind, body)
   return error_text(feed.server, kind .. ": too long for a datagram")
 end
 
--- Calls f(sub), the last one first: sending may drop the current one.
+-- Calls f(sub) for each subscriber of a machine, from the last one on: f may drop it.
 local function each_subscriber(feed, f)
   local subscribers = feed.server.subscribers
   for i = #subscribers, 1, -1 do
@@ -137,7 +138,8 @@ local KEY_ORDER = {
   "id", "type", "src", "tgt", "pn", "events", "internal", "transitions", "subnodes",
 }
 
--- Returns the JSON of the graph, made once. A chart nested too deep for Lua has none.
+-- Returns the message with the graph, whose JSON is made once; an error for a chart
+-- that is nested too deep to be written.
 local function graph_text(feed)
   if not feed.graph then
     local ok, graph = pcall(function()
@@ -235,8 +237,8 @@ local function decode(server, data)
   end
 end
 
--- Handles a datagram. One of no known type is not answered, so that two services,
--- or an echo, never keep each other busy.
+-- Handles a datagram. One of an unknown type is not answered: two services that
+-- answered each other, or an echo, would never end.
 local function handle(server, data, ip, port)
   local message = decode(server, data)
   local kind = message and message.type
@@ -245,7 +247,7 @@ local function handle(server, data, ip, port)
   if refusal then send(server, ip, port, error_text(server, refusal)) end
 end
 
--- Reads a datagram. One byte more than is taken shows that it is too long.
+-- Reads a datagram. If it has one byte more than the limit, it is known to be too long.
 local function read(server)
   return server.udp:receivefrom(server.max_received + 1)
 end
@@ -257,8 +259,8 @@ local function read_first(server)
   return data, ip, port
 end
 
--- Reads up to the limit; `data` is the first datagram. Returns true if no more waits.
--- Errors of earlier sends show here, too, and are no reason to stop.
+-- Handles datagrams, at most `max_reads`; `data` is the first one. Returns true if no
+-- more wait. The errors of earlier sends are returned here, too, and are skipped.
 local function read_all(server, data, ip, port)
   for i = 1, server.max_reads do
     if data then
@@ -271,7 +273,7 @@ local function read_all(server, data, ip, port)
   return false
 end
 
--- Sets the server's time; returns the problem if the clock fails, and changes nothing.
+-- Sets the server's time. If the clock fails, returns the problem and leaves the time.
 local function read_clock(server)
   local ok, now = pcall(server.clock)
   if not ok then return tostring(now) end
@@ -281,7 +283,7 @@ local function read_clock(server)
   server.now = now
 end
 
--- Drops subscribers without a heartbeat; none when the clock jumps back.
+-- Drops subscribers that were silent too long. A clock that was set back drops none.
 local function drop_silent(server)
   for i = #server.subscribers, 1, -1 do
     local sub = server.subscribers[i]
@@ -290,7 +292,8 @@ local function drop_silent(server)
   end
 end
 
--- Returns why the clock failed, if it did. Unread datagrams may be heartbeats.
+-- Reads the port. Returns the problem if the clock failed. Nobody is dropped while
+-- datagrams wait, which may be heartbeats.
 local function receive(server)
   local data, ip, port = read_first(server)
   if not data and not server.subscribers[1] then return nil end
@@ -311,7 +314,7 @@ local function label_of(node)
   return node._fqn .. "[" .. rfsm.fsmobj_tochar(node) .. "]"
 end
 
--- Has a feed note the paths that its machine takes, or no more.
+-- Starts, or stops, noting the paths that the machine of a feed takes.
 local function follow_paths(feed, is_wanted)
   if is_wanted and not feed.hooks[1] then
     instrument.hook(feed.hooks, feed.fsm, "path", function(_, path)
@@ -325,8 +328,8 @@ end
 
 -- Hooks of a machine -----------------------------------------------------------
 
--- Lets a machine answer at a port. It gets its number with its first step: machines
--- that never run have none.
+-- Has a machine answer at a port. The feed is what the port knows of the machine. It
+-- gets its number with the first step, so that machines that never run have none.
 local function attach(fsm, server)
   local feed = { server = server, fsm = fsm, number = 0, cnt = 0, graph = false,
     path = false, hooks = {} }
@@ -355,16 +358,23 @@ local function attach(fsm, server)
     if feed.number > 0 then after_step() end
   end
 
-  -- other hooks come after events
+  -- The graph is made again with the next step, and sent to each subscriber.
+  local function after_merge()
+    feed.graph = false
+    each_subscriber(feed, function(sub) sub.has_graph_of[feed] = nil end)
+  end
+
+  -- before other hooks, which then find the events that have come
   instrument.hook(hooks, fsm, "pre_step", before_step, "before")
   instrument.hook(hooks, fsm, "post_step", after_step)
   instrument.hook(hooks, fsm, "reset", after_reset)
+  instrument.hook_of(hooks, fsm, "watch", "merged", after_merge)
 end
 
 -- Public functions ------------------------------------------------------------
 
-local open = {} -- for all machines initialised from now on
-local servers = setmetatable({}, { __mode = "k" }) -- those that are still in use
+local open = {} -- servers for all machines initialised from now on
+local servers = setmetatable({}, { __mode = "k" }) -- all servers that are still in use
 
 --- The options of `install`.
 ---@class rfsm.proto.Options
@@ -410,21 +420,8 @@ function proto.uninstall()
   open, servers = {}, setmetatable({}, { __mode = "k" })
 end
 
--- Forgets the graph of a machine that has changed: it is made and sent anew.
-local function forget_graph(fsm)
-  for server in pairs(servers) do -- any order: each stands alone
-    for i = 1, server.count do
-      local feed = server.feeds[i]
-      if feed and feed.fsm == fsm then
-        feed.graph = false
-        each_subscriber(feed, function(sub) sub.has_graph_of[feed] = nil end)
-      end
-    end
-  end
-end
-
 rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
-  if merged then return forget_graph(fsm) end
+  if merged then return end
   for i = #open, 1, -1 do
     if open[i].is_closed then remove(open, i) end
   end

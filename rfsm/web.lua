@@ -4,8 +4,8 @@
 -- its loop. `open` serves a chart, which the page drives; `rfsm web` calls it. This
 -- needs the packages luasocket and dkjson; pictures need Graphviz.
 --
--- The server listens on loopback. It answers requests that name it by an address, and
--- commands with the token of its page.
+-- The server listens on loopback. It answers requests whose host is an address or its
+-- own name, and takes commands only with the token that is in its page.
 --
 -- The file reads in this order: messages, commands, pictures, routes, public
 -- functions.
@@ -45,8 +45,8 @@ local OPTIONS = {
   title = { "text or list of texts", is_title },
 }
 
-local MAX_DRAWN = 2000 -- nodes
-local FRAME = 1 / 30 -- seconds between two messages to a page
+local MAX_DRAWN = 2000 -- nodes of a machine that Graphviz draws
+local FRAME = 1 / 30 -- seconds between two messages to a page, at least
 local LINGER = 5 -- seconds that a machine is observed after the last page has gone
 
 local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline'; "
@@ -55,42 +55,24 @@ local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline
 
 -- Messages to the page -----------------------------------------------------------
 
---- A page that is served.
+--- A server of one page.
 ---@class rfsm.web.Server
 ---@field url string for the browser
 ---@field host string
 ---@field port integer
----@field shown rfsm.web.Shown[] the machines of the page, in the order of their tabs
+---@field sources table[] a Served, Driven or Remote for each tab; Remotes add others
 local Server = {}
 Server.__index = Server
 
---- A machine of a page, and its picture.
----@class rfsm.web.Shown
----@field source table its view, its title, its commands
----@field number integer
----@field seen_at number when a page has read last
-
--- Adds machines that have become known.
-local function update_shown(server)
-  for i = #server.shown + 1, #server.sources do
-    server.shown[i] = { source = server.sources[i], number = i, seen_at = 0 }
-  end
+-- Returns the version of a tab. A page with another one fetches chart and picture.
+local function version_of(server, tab)
+  return ("%s-%d-%d-%d"):format(server.id, tab, #server.sources,
+    server.sources[tab].generation)
 end
 
--- Returns the machine that a request names, else the first one.
-local function shown_in(server, request)
-  return server.shown[tonumber(request.query:match("machine=(%d+)") or 1)]
-end
-
--- A page that has another version fetches chart and picture.
-local function version_of(server, shown)
-  return ("%s-%d-%d-%d"):format(server.id, shown.number, #server.shown,
-    shown.source.generation)
-end
-
--- Returns the message for a page with a cursor, and its next cursor.
-local function state_message(server, shown, cursor, version)
-  local source, message = shown.source, {}
+-- Returns the message for a page with a cursor, and the cursor of the page after it.
+local function state_message(server, tab, cursor, version)
+  local source, message = server.sources[tab], {}
   local view, next_cursor = source.view, { version = version, rewrites = -1 }
   if view then
     local is_known = cursor and cursor.version == version
@@ -104,20 +86,19 @@ local function state_message(server, shown, cursor, version)
   return ("event: state\ndata: %s\n\n"):format(text), next_cursor
 end
 
--- Has a machine a picture? Graphviz takes too long for a very large one.
-local function is_drawn(shown)
-  local view = shown.source.view
+-- Does Graphviz draw a machine? It takes too long for a very large one.
+local function is_drawn(view)
   return view and #view.outline.nodes <= MAX_DRAWN or false
 end
 
-local function chart_reply(server, _, shown)
-  local source = shown.source
+local function chart_reply(server, _, tab)
+  local source = server.sources[tab]
   local chart = source.view and source.view:chart() or {}
-  chart.title, chart.version = source.title, version_of(server, shown)
+  chart.title, chart.version = source.title, version_of(server, tab)
   chart.server, chart.machines = server.id, {}
-  for i, other in ipairs(server.shown) do chart.machines[i] = other.source.title end
+  for i, other in ipairs(server.sources) do chart.machines[i] = other.title end
   chart.problems, chart.commands = source.problems, rfsm.sorted_keys(source.commands)
-  chart.has_picture = is_drawn(shown)
+  chart.has_picture = is_drawn(source.view)
   return { type = "application/json", body = server.json.encode(chart) }
 end
 
@@ -138,9 +119,9 @@ local function hint_for(source, message)
   return ("no transition names '%s'%s"):format(event, advice.nearest_name(event, names))
 end
 
-local function command_reply(server, request, shown)
+local function command_reply(server, request, tab)
   if request.headers["x-rfsm-token"] ~= server.token then return { status = 403 } end
-  local source, message = shown.source, decode(server, request.body)
+  local source, message = server.sources[tab], decode(server, request.body)
   local command = message and source.commands[message.command]
   if not command then return { status = 400, body = "no such command\n" } end
   if not source.view then return { status = 400, body = "no machine\n" } end
@@ -155,20 +136,21 @@ end
 
 -- Pictures ------------------------------------------------------------------------
 
--- Answers with the picture of a machine with some composites, by number, folded.
--- A page asks again while it is drawn.
-local function picture_reply(server, request, shown)
-  if not is_drawn(shown) then return { status = 404 } end
-  local view, numbers = shown.source.view,
+-- Answers with the picture of a machine. The request has the numbers of the composites
+-- that are drawn folded. While the picture is made the page asks again.
+local function picture_reply(server, request, tab)
+  local source, numbers = server.sources[tab],
     request.query:match("folded=([%d,]*)") or ""
-  local key = ("%d %d %s"):format(shown.number, shown.source.generation, numbers)
+  local view = source.view
+  if not is_drawn(view) then return { status = 404 } end
+  local key = ("%d %d %s"):format(tab, source.generation, numbers)
   local svg = server.painter:ask(key, function()
     local folded = {}
     for number in numbers:gmatch("%d+") do
       local node = view.outline.nodes[number + 1]
       folded[#folded + 1] = node and node.fqn
     end
-    return { graph = view.description, folded = folded, machine = shown.number }
+    return { graph = view.description, folded = folded, machine = tab }
   end)
   if svg then return { type = "image/svg+xml", body = svg } end
   return { status = svg == nil and 202 or 404 }
@@ -182,24 +164,24 @@ local ROUTES = {
   end },
   ["/chart"] = { GET = chart_reply },
   ["/picture.svg"] = { GET = picture_reply },
-  ["/events"] = { GET = function(server, request, shown)
+  ["/events"] = { GET = function(server, request, tab)
     if request.query:match("token=(%x*)") ~= server.token then
       return { status = 403 }
     end
-    return { type = "text/event-stream", stream = shown, body = "retry: 1000\n\n" }
+    return { type = "text/event-stream", stream = tab, body = "retry: 1000\n\n" }
   end },
   ["/command"] = { POST = command_reply },
 }
 
 -- Does the request name the server by an address or its own name? The page of another
--- server whose name was pointed at this address (DNS rebinding) uses that other name.
+-- server, whose name was pointed at this address (DNS rebinding), uses the other name.
 local function is_for(server, host)
   local name = (host or ""):gsub(":%d+$", "")
   return name == "localhost" or name == server.name or name:find("^[%d.]+$") ~= nil
     or name:find("^%[[%x:]+%]$") ~= nil
 end
 
--- Does the page of another server ask? It may have a link to our page.
+-- Does the page of another server ask? That may only have a link to our page.
 local function is_foreign(request)
   local site = request.headers["sec-fetch-site"]
   return request.path ~= "/" and (site == "cross-site" or site == "same-site")
@@ -209,13 +191,14 @@ local function handle(server, request)
   if not is_for(server, request.headers.host) or is_foreign(request) then
     return { status = 403 }
   end
-  local route, shown = ROUTES[request.path], shown_in(server, request)
-  if not (route and shown) then return { status = 404 } end
+  local route = ROUTES[request.path]
+  local tab = tonumber(request.query:match("machine=(%d+)") or 1)
+  if not (route and server.sources[tab]) then return { status = 404 } end
   local answer = route[request.method]
-  return answer and answer(server, request, shown) or { status = 405 }
+  return answer and answer(server, request, tab) or { status = 405 }
 end
 
--- A mistake in a chart, or here, does not end the server; Control-C does.
+-- Answers a request. An error does not end the server, an interrupt (Control-C) does.
 local function handle_safely(server, request)
   local ok, reply = calls.try(handle, server, request)
   if ok then return reply end
@@ -225,15 +208,18 @@ end
 -- Public functions ------------------------------------------------------------------
 
 -- Sends what has changed to each page that has taken its last message, at most once a
--- frame. Pages that know the same get the same text.
+-- frame. Pages with the same cursor get the same text, which is made once.
 local function send_changes(server)
   local messages, now = {}, server.gettime()
   server.is_late = false
   server.http:feed(function(connection)
-    local shown, cursor = connection.stream, connection.cursor
-    shown.seen_at = server.http.clock()
-    if shown.source.is_observed == false then shown.source:observe(true) end
-    local version, view = version_of(server, shown), shown.source.view
+    local tab, cursor = connection.stream, connection.cursor
+    local source = server.sources[tab]
+    if source.observe then
+      source.seen_at = server.http.clock()
+      source:observe(true)
+    end
+    local version, view = version_of(server, tab), source.view
     if cursor and cursor.version == version
       and cursor.revision == (view and view.revision or nil) then
       return nil
@@ -242,10 +228,10 @@ local function send_changes(server)
       server.is_late = true
       return nil
     end
-    local key = cursor or shown
+    local key = cursor or tab
     local message = messages[key]
     if not message then
-      message = { state_message(server, shown, cursor, version) }
+      message = { state_message(server, tab, cursor, version) }
       messages[key] = message
     end
     connection.cursor = message[2]
@@ -253,10 +239,9 @@ local function send_changes(server)
   end)
 end
 
--- Stops observing the machine of a program when no page reads.
-local function rest(server, shown)
-  local source = shown.source
-  if source.is_observed and server.http.clock() > shown.seen_at + LINGER then
+-- Stops observing the machine of a program if no page has read for a while.
+local function rest(server, source)
+  if source.observe and server.http.clock() > source.seen_at + LINGER then
     source:observe(false)
   end
 end
@@ -265,16 +250,15 @@ end
 ---@param timeout? number default 0
 function Server:step(timeout)
   local wait = timeout or 0
-  for _, shown in ipairs(self.shown) do
-    shown.source:poll()
-    wait = min(wait, shown.source:wait())
+  for _, source in ipairs(self.sources) do
+    source:poll()
+    wait = min(wait, source:wait())
   end
-  update_shown(self)
   send_changes(self)
   if self.is_late then wait = min(wait, FRAME) end
   self.http:step(wait)
   send_changes(self)
-  for _, shown in ipairs(self.shown) do rest(self, shown) end
+  for _, source in ipairs(self.sources) do rest(self, source) end
 end
 
 --- Serve until the program ends.
@@ -282,12 +266,12 @@ function Server:run()
   while true do self:step(huge) end
 end
 
---- Close the port; again does no harm.
+--- Close the port. It may be called again.
 function Server:close()
   self.http:close()
   self.painter:close()
-  for _, shown in ipairs(self.shown) do
-    if shown.source.close then shown.source:close() end
+  for _, source in ipairs(self.sources) do
+    if source.close then source:close() end
   end
 end
 
@@ -307,11 +291,10 @@ local function open_server(sources, settings)
   if not page then return nil, "rfsm/web/page.html is not beside the modules" end
   if not token then return nil, "/dev/urandom cannot be read" end
   local server = setmetatable({
-    sources = sources, shown = {}, json = settings.json, gettime = settings.gettime,
+    sources = sources, json = settings.json, gettime = settings.gettime,
     painter = Painter.new(),
     token = token, id = files.random(4), name = settings.host, is_late = false,
   }, Server)
-  update_shown(server)
   server.page = page:gsub("{{token}}", token)
   server.policy = CSP:format(token)
   local listen = require("rfsm.web.http").listen
@@ -327,11 +310,11 @@ end
 
 --- How a page is served.
 ---@class rfsm.web.Options
----@field allow_send? boolean may pages send events to a served machine? default false
----@field allow_why? boolean may pages ask why an event did nothing, which calls guards?
--- default false
+---@field allow_send? boolean with `serve`: may pages send events? default false
+---@field allow_why? boolean with `serve`: may pages ask why an event did nothing, which
+-- calls guards? default false
 ---@field machine? integer with `attach`: only this number of the port, default all
----@field history? boolean note what a served machine does while no page is open, too?
+---@field history? boolean with `serve`: observe the machine while no page is open, too?
 -- default false
 ---@field host? string address to listen on, default 127.0.0.1
 ---@field port? integer default 8044; 0: one that is free

@@ -1,6 +1,7 @@
 -- A session of the simulator in this process: lines typed, what is printed.
 
 local helper = require "spec.helper"
+local rfsm = require "rfsm"
 
 local MODULES = { "observe.breakpoints", "observe.values", "sim.commands",
   "sim.drawing", "sim.history", "sim.observer", "sim.prompt", "sim.session",
@@ -38,6 +39,9 @@ local function said(case)
     sim = assert(session.open(file, case.follows or false))
     prompt.install(sim)
     function sim.env.change() helper.write(file, case.other) end
+    local recording = helper.file_with("")
+    function sim.env.record_here() history.save(sim, recording) end
+    function sim.env.replay_it() history.replay(sim, recording) end
     for line in case.input:gmatch("[^\n]+") do
       local ok, problem = prompt.evaluate(sim, line, "=stdin")
       if not ok then printed[#printed + 1] = "! " .. problem end
@@ -45,7 +49,7 @@ local function said(case)
   end)
   history.BYTES = nil
   local text = table.concat(printed, "\n") .. "\n"
-  text = text:gsub("\27%[[%d;]*m", "")
+  text = text:gsub("\27%[[%d;]*m", ""):gsub("%-nan", "nan")
   return (text:gsub("active: (%S+)\nqueue: ", "at %1"):gsub(" *\n+", "\n"))
 end
 
@@ -245,6 +249,42 @@ at root.a(done) e_done@root.a
 ! back: nothing was done
 at root.c(done) e_done@root.c
 ]=] },
+    { does = "has the events of a recording, also those of timers", chart = ([[
+require "rfsm_timeevent"
+
+]] .. ring("gettime = function() return 0, 0 end, rfsm.trans { "
+        .. "src = 'b', tgt = 'a', events = { 'e_after(9)' } }, ")), input = [=[
+record_here()
+run
+ser e_go
+clock 20
+record(false)
+replay_it()
+history 4
+]=], output = [=[
+at root.a(done)
+at root.b(done)
+clock:  9 s
+at root.a(done)
+clock:  20 s
+at root.a(done)
+   5  e_done@root.a, e_go             root.b(done)
+   6  e_done@root.b                   root.b(done)
+   7  e_after(9)@root.b               root.a(done)
+   8  e_done@root.a                   root.a(done)
+]=] },
+    { does = "has no events of the host in dry mode", chart = ring(
+        "getevents = function() return { 'e_go' } end, "), input = [=[
+dry(true)
+step
+step
+dry(false)
+step
+]=], output = [=[
+at root.a(done) e_done@root.a
+at root.a(done)
+at root.b(done) e_done@root.b
+]=] },
     { does = "shows events that are no texts", chart = ring(), input = [=[
 run
 ser(true, 1.5)
@@ -279,6 +319,162 @@ at root.b(done)
    2  e_go                            root.b(done)
 ]=] },
   }
+end)
+
+describe("a doo", function()
+  it("ends by Control-C while a line runs, and is the own one afterwards", function()
+    local sim = assert(session.open(helper.file_with(ring([[
+      d = rfsm.state { doo = function() end }, ]])), false))
+    prompt.install(sim)
+    local own, seen = sim.fsm.d.doo, {}
+    local function wrapped() end
+    helper.with(_G, { see = function(doo) seen[#seen + 1] = doo end }, function()
+      helper.with(terminal, { is_caught = function() return true end,
+        interruptible = function() return wrapped end }, function()
+        prompt.evaluate(sim, "see(fsm.d.doo)", "=stdin")
+        seen[2] = sim.fsm.d.doo
+        prompt.evaluate(sim, "see(fsm.d.doo) error 'x'", "=stdin")
+      end)
+    end)
+    assert.same({ wrapped, own, wrapped, own }, { seen[1], seen[2], seen[3],
+      sim.fsm.d.doo })
+  end)
+end)
+
+describe("the observer", function()
+  check {
+    { does = "tells nothing of what the library is told to do in Lua", chart = ring(),
+      follows = true, input = [=[
+breakpoint b
+run
+rfsm.send_events(fsm, 'e_go', 'e_x')
+rfsm.run(fsm)
+step
+history 1
+]=], output = [=[
+1  state root.b
+taken:  root.initial -> root.a
+* root
+  * a (done)
+    b
+    c
+at root.a(done)
+true
+* root
+    a
+  * b (done)
+    c
+at root.b(done)
+   2                                  root.b(done)
+]=] },
+    { does = "follows a chart that is loaded again", chart = ring(), other = ring(),
+      follows = true, input = [=[
+run
+change()
+reload
+ses e_go
+]=], output = [=[
+taken:  root.initial -> root.a
+* root
+  * a (done)
+    b
+    c
+at root.a(done)
+at root.a(done)
+taken:  root.a -> root.b on e_go
+* root
+    a
+  * b (done)
+    c
+at root.b(done) e_done@root.b
+]=] },
+  }
+
+  check {
+    { does = "knows NaN, which may be an event, but no key of a table", follows = true,
+      chart = ring("rfsm.trans { src = 'a', tgt = 'c', effect = function(fsm) "
+        .. "rfsm.send_events(fsm, 0/0) end }, "), input = [=[
+step
+se(0/0)
+step
+follow(false)
+ses(0/0)
+]=], output = [=[
+taken:  root.initial -> root.a
+* root
+  * a (done)
+    b
+    c
+at root.a(done) e_done@root.a
+! no transition names the event 'nan'
+queue:  e_done@root.a, nan
+taken:  root.a -> root.c
+* root
+    a
+    b
+  * c (done)
+at root.c(done) nan, e_done@root.c
+! no transition names the event 'nan'
+at root.c(done)
+]=] },
+  }
+
+  it("has no guard, predicate or callback called", function()
+    local file = helper.file_with(ring([[
+      pre_step_hook = function() called "hook" end,
+      rfsm.trans { src = "a", tgt = "c", guard = function()
+        called "guard"
+        return false
+      end, events = { function(event)
+        called("predicate " .. event)
+        return event == "e_x"
+      end } }, ]]))
+    local function calls_of(advance)
+      local calls = {}
+      helper.with(_G, { called = function(what) calls[#calls + 1] = what end }, advance)
+      return calls
+    end
+    local plain = calls_of(function()
+      local fsm = rfsm.init(rfsm.load(file))
+      rfsm.run(fsm)
+      rfsm.send_events(fsm, "e_x", "e_go")
+      rfsm.run(fsm)
+    end)
+    assert.same(plain, calls_of(function()
+      local sim = assert(session.open(file, true))
+      prompt.install(sim)
+      for _, line in ipairs { "breakpoint e_no", "run", "se e_x e_go", "run" } do
+        prompt.evaluate(sim, line, "=stdin")
+      end
+    end))
+    assert.same({ "hook", "hook", "predicate e_done@root.a", "hook", "hook",
+      "predicate e_x", "guard", "hook", "hook" }, plain)
+  end)
+
+  -- Returns the number of VM instructions of an idle step of a chart with some states.
+  local function instructions(count)
+    local states = {}
+    for i = 1, count do states[i] = ("s%d = rfsm.state {},"):format(i) end
+    local file, used = helper.file_with(ring(table.concat(states))), 0
+    local sim = assert(session.open(file, false))
+    prompt.install(sim)
+    for _ = 1, 3 do sim.env.run() end
+    debug.sethook(function() used = used + 1 end, "", 1)
+    sim.env.step()
+    debug.sethook()
+    return used
+  end
+
+  it("costs nothing for states that are not active", function()
+    local jit = rawget(_G, "jit")
+    if jit then -- compiled code calls no hook
+      jit.off()
+      jit.flush()
+    end
+    local few, many = instructions(1), instructions(300)
+    if jit then jit.on() end
+    assert.equal(few, many)
+  end)
 end)
 
 describe("a machine that cannot be saved", function()
@@ -577,6 +773,9 @@ false
 step([n])    advance by n transitions or doo cycles (1)
 Enters the machine when it is called first. Example: step 3
 ]=] },
+    { does = "has its value printed, with texts in tables in quotes", chart = ring(),
+      input = "= { [{ 'a' }] = { 'b' }, c = 'd', 'e' }, 'f'",
+      output = '{ "e", c = "d", [{ "a" }] = { "b" } }\tf\n' },
     { does = "has complaints of its own", chart = ring(), input = [=[
 back
 forward
@@ -591,6 +790,7 @@ se(e_go)
 se(fsm.nothing)
 help(7)
 stp(1)
+breakpoint(rfsm.trans { src = 'a', tgt = 'b' })
 ]=], output = [=[
 ! back: nothing was done
 ! forward: nothing was undone
@@ -609,6 +809,8 @@ queue:  e_init_fsm, e_go
 queue:  e_init_fsm, e_go
 ! help: no command is named 7, help() lists them
 ! nothing is named stp (did you mean 'step'?)
+! breakpoint: state, event or transition (off -> on) expected, got 'T={ ]=] .. [=[
+src='a', tgt='b' }', pp() shows the states
 ]=] },
     { does = "explains events, and lists discarded ones", chart = ring(),
       follows = true, input = [=[
@@ -649,6 +851,11 @@ no transition would be taken on e_done@root.c in root.c
   root.trans[4] (c -> a): waits for e_go
 e_go
 ]=] },
+    { does = "has the errors of callbacks on stderr", chart = ring(
+        "d = rfsm.state { entry = function() error('no', 0) end }, rfsm.trans { "
+        .. "src = 'a', tgt = 'd', events = 'e_d' }, "), input = "run\nser e_d",
+      output = "at root.a(done)\n! ENTRY\terror executing entry of root.d: \tno\n"
+        .. "at root.d(done)\n" },
     { does = "has the nearest event where it asks why", chart = ring(), input = [=[
 run
 why e_og
@@ -711,6 +918,49 @@ stopped at 3: transition root.b -> root.c
 ! delete: number of a breakpoint expected, got 0
 6  state root.c
 there is none
+]=] },
+    { does = "stops at each transition with these ends, at one only for its value",
+      chart = ring([[
+  both = rfsm.seqand { left = rfsm.state { x = rfsm.state {}, y = rfsm.state {},
+    rfsm.trans { src = "initial", tgt = "x" },
+    rfsm.trans { src = "x", tgt = "y", events = { "e_y" } } } },
+  rfsm.trans { src = "a", tgt = "b", events = { "e_go" },
+    guard = function() return is_first == true end },
+  rfsm.trans { src = "b", tgt = "both", events = { "e_both" } }, ]]), other = ring(),
+      input = [=[
+breakpoint a -> b
+breakpoint(fsm[1])
+breakpoint both.left.x -> both.left.y
+run
+ser e_go
+goto 1
+is_first = true
+ser e_go
+ser e_both
+ser e_y
+change()
+reload
+breakpoint
+]=], output = [=[
+1  transition root.a -> root.b
+2  transition root.a -> root.b
+3  transition root.both.left.x -> root.both.left.y
+at root.a(done)
+at root.b(done) e_done@root.b
+stopped at 1: transition root.a -> root.b
+at root.a(done)
+at root.b(done) e_done@root.b
+stopped at 1: transition root.a -> root.b
+stopped at 2: transition root.a -> root.b
+at root.both(active)
+at root.both(active)
+stopped at 3: transition root.both.left.x -> root.both.left.y
+! 3 transition root.both.left.x -> root.both.left.y: is gone, and no breakpoint now
+! rfsm.snapshot: the snapshot holds what the chart lacks: ]=] .. [=[
+state root.both; region root.both.left: the machine begins anew
+at <none> e_init_fsm
+1  transition root.a -> root.b
+2  transition root.a -> root.b
 ]=] },
     { does = "has no breakpoint at a state that is gone, with a predicate, too",
       chart = ring(), other = [[

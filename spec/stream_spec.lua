@@ -1,5 +1,6 @@
 -- The stream of values that those who watch a machine listen to, and the way back.
 
+local breakpoints = require "rfsm.observe.breakpoints"
 local claim = require "spec.support.claims.stream"
 local helper = require "spec.helper"
 local LocalView = require "rfsm.web.local_view"
@@ -265,6 +266,25 @@ describe("those who watch", function()
     assert.same(plain, calls)
     assert.same(rfsm.get_active_conf(fsm), rfsm.get_active_conf(other))
   end)
+
+  it("have the transition that is taken, of two with the same text", function()
+    local fsm = helper.started(chart())
+    local view = LocalView.new(fsm, function() return 0 end)
+    view:observe(true)
+    local seen = rfsm_checks.coverage(fsm)
+    breakpoints.add(view, fsm[2])
+    helper.post_and_run(fsm, "e_b")
+    assert.is_false(view.hit)
+    local edges, taken = view:chart().edges, view:state(nil).taken
+    assert.same({ "root.trans[3]", "root.m.trans[2]", nil },
+      { edges[taken[1] + 1].key, edges[taken[2] + 1].key, taken[3] })
+    assert.same({ 0, 1, 1 }, { seen.transitions["root.trans[2]"],
+      seen.transitions["root.trans[3]"], seen.transitions["root.m.trans[2]"] })
+    helper.post_and_run(fsm, "e_a")
+    breakpoints.add(view, fsm[3])
+    helper.post_and_run(fsm, "e_b")
+    assert.equal("root.a -> root.m.k", view.hit)
+  end)
 end)
 
 describe("the way back", function()
@@ -398,6 +418,11 @@ describe("the way back", function()
       helper.refusal(rewind.new, 7))
     assert.equal("rfsm.observe.rewind.new: bytes: number of bytes expected, got -1",
       helper.refusal(rewind.new, helper.init(chart()), { bytes = -1 }))
+    for _, name in ipairs { "about", "prepare" } do
+      assert.equal("rfsm.observe.rewind.new: " .. name
+        .. ": function expected, got string 'x'",
+        helper.refusal(rewind.new, helper.init(chart()), { [name] = "x" }))
+    end
     assert.matches("unknown option 'byte' %(did you mean 'bytes'%?%)",
       helper.refusal(rewind.new, helper.init(chart()), { byte = 1 }))
   end)

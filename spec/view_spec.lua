@@ -111,9 +111,7 @@ describe("a view", function()
 
   it("tells a page that knows nothing all, and another one what is new", function()
     local view = new_view()
-    view:see_node(0)
-    view:see_node(2)
-    view:see_node(2)
+    view:see_nodes { 0, 2, 2 }
     view:see_edge(1)
     view:note("step", "a", { "e_push", 7 }, { 0, 2 })
     local message, cursor = view:state(nil)
@@ -123,7 +121,7 @@ describe("a view", function()
     assert.same({ { number = 1, at = 0, kind = "step", turn = 0, text = "a",
       active = { 0, 2 }, events = { "e_push", "7" } } }, message.log)
     now = 2
-    view:see_node(3)
+    view:see_nodes { 3 }
     view:see_edge(2)
     view:note("note", "b")
     message = view:state(cursor)

@@ -341,7 +341,7 @@ describe("the server", function()
     local connection = server.http.connections[1]
     for _ = 1, 400 do
       connection.cursor = nil -- as long after the last frame
-      server.shown[1].source.view:note("output", name)
+      server.sources[1].view:note("output", name)
       server:step(0)
     end
     assert.is_true(connection.pending ~= "")
@@ -409,8 +409,8 @@ describe("the server", function()
     assert.equal(0.25, wait_of(server))
     now = 3
     assert.equal(0.5, wait_of(server)) -- it has looked
-    server.shown[1].source.look_at = 2 -- should have been at it before
-    server.shown[1].source.poll = function() end
+    server.sources[1].look_at = 2 -- should have been at it before
+    server.sources[1].poll = function() end
     assert.equal(0, wait_of(server))
   end)
 
@@ -419,7 +419,7 @@ describe("the server", function()
     http.page(server)
     server.gettime = function() return at end
     server.http.connections[1].cursor.at = 0
-    server.shown[1].source.view:touch()
+    server.sources[1].view:touch()
     assert.equal(1 / 30, wait_of(server))
     at = 1
     assert.equal(0.5, wait_of(server))
@@ -589,7 +589,7 @@ describe("a page", function()
     local said = table.concat(rawget(_G, "said"), "\n")
     rawset(_G, "said", nil)
     assert.matches("no power", said)
-    assert.is_function(rawget(server.shown[1].source.view.fsm, "warn"))
+    assert.is_function(rawget(server.sources[1].view.fsm, "warn"))
   end)
 
   it("is told what is odd in the chart", function()
@@ -834,6 +834,16 @@ describe("a chart in a file", function()
     assert.equal("root.off", page:next().leaf) -- there is no root.on.glaring now
   end)
 
+  it("keeps its state though data is of states that are gone", function()
+    local server, file = open((LAMP:gsub("checkevents = false,",
+      "%0 gone = rfsm.state { keep = { 'n' }, n = 1, final = true },")))
+    local page = http.page(server)
+    assert.equal("root.on.dim", page:send("e_push").leaf)
+    helper.write(file, LAMP)
+    now = 1
+    assert.equal("root.on.dim", page:next().leaf)
+  end)
+
   it("says what is wrong with its text", function()
     local server, file = open("return rfsm.state {")
     local problem = http.chart(server).problems[1]
@@ -978,7 +988,7 @@ describe("rfsm.web.serve", function()
     server.gettime = function() return at end
     for _ = 1, 1000 do -- until its buffers are full
       at = at + 1
-      for _ = 1, 60 do server.shown[1].source.view:note("note", ("x"):rep(2000)) end
+      for _ = 1, 60 do server.sources[1].view:note("note", ("x"):rep(2000)) end
       server:step(0)
       if server.http.connections[1].pending ~= "" then break end
     end
@@ -1182,6 +1192,20 @@ describe("a machine elsewhere", function()
     other.tcp:close()
   end)
 
+  it("has its events in words, though the protocol has none", function()
+    local door = proto.install { port = 0 }
+    local fsm = rfsm.init(lamp { third = state { final = true }, [4] = trans {
+      src = "on", tgt = "third", events = { 7, true, "e_after(1.5)", "e_done", {} } } })
+    local server = opened(assert(web.attach("127.0.0.1", door.port, { port = 0 })))
+    assert.is_true(wait_for(server, fsm, http.page(server), "root.off"))
+    local chart, labels, words = http.chart(server), {}, {}
+    for i, edge in ipairs(chart.edges) do labels[i] = edge.label end
+    for i, event in ipairs(chart.events) do words[i] = event.words end
+    assert.same({ "", "e_push", "e_push", "7, true, after 1.5 s, done, table 1" },
+      labels)
+    assert.same({ "e_push", "7", "true", "after 1.5 s", "done", "table 1" }, words)
+  end)
+
   it("is chosen by its number", function()
     local one, door = host(false)
     local model = lamp { third = state {} }
@@ -1210,7 +1234,7 @@ describe("a machine elsewhere", function()
     for _ = 1, 200 do
       rfsm.run(two)
       server:step(0.001)
-      if server.shown[2] and server.shown[2].source.view.leaf then break end
+      if server.sources[2] and server.sources[2].view.leaf then break end
     end
     local second, message = http.page(server, 2)
     assert.equal("root.off", message.leaf)
@@ -1293,6 +1317,20 @@ describe("rfsm.proto.follow", function()
           { type = "rfsm_error", text = "subscribe: x" } },
           { number = 1, count = 3, is_terminal = false })
       end))
+  end)
+
+  it("goes on until it is interrupted, if it has no number of lines", function()
+    local messages = { state_message "root.a", state_message "root.b",
+      state_message "root.c" }
+    local endless, ends = client(messages), nil
+    endless.receive = function()
+      return table.remove(messages, 1) or error("interrupted!", 0)
+    end
+    assert.same({ "root.a (done)", "root.b (done)", "root.c (done)" },
+      helper.printed(function()
+        ends = { pcall(follow.run, endless, { number = 1, is_terminal = false }) }
+      end))
+    assert.same({ false, "interrupted!" }, ends)
   end)
 
   it("says when it has heard nothing: at a terminal below the log", function()

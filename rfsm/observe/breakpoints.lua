@@ -1,9 +1,14 @@
---- Breakpoints of a session, and the expressions that it watches.
+--- Breakpoints, and expressions whose values are watched.
+--
+-- They belong to a session of the simulator or to a view of the page: a table with the
+-- machine, `fsm`, and the list `points`. Only a session has expressions, and evaluates
+-- them by `value_of(text)`.
 --
 -- @module rfsm.observe.breakpoints
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local location = require "rfsm.shared.location"
 local names = require "rfsm.observe.names"
 local values = require "rfsm.observe.values"
 
@@ -16,25 +21,30 @@ local breakpoints = {}
 --- A breakpoint, or an expression that is watched.
 ---@class rfsm.observe.Breakpoint
 ---@field kind "state"|"transition"|"event"|"watch"
----@field name string for a reader; the expression
----@field value any name, transition or event; of an expression the last value
----@field condition? string expression that must be true as well, for a reader
----@field holds? fun(): any its value
+---@field name string for a person; of an expression its text
+---@field value any name of a state, set of transitions, event; last value of a "watch"
+---@field condition? string text of the expression behind `if`
+---@field holds? fun(): any the condition, compiled
 
--- Is an end of a transition at a node? A composite stands for its initial, too.
+-- Is an end of a transition this node, or the initial connector of this composite?
 local function is_at(tr_end, node)
   return node and (tr_end == node or tr_end == node.initial)
 end
 
-local function find_transition(fsm, src, tgt)
-  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
-    if is_at(tr.src, src) and is_at(tr.tgt, tgt) then return tr end
+-- Returns a breakpoint at the transitions of a machine and its regions for which
+-- `is_meant(tr)` is true, with the name of the first one; nil if there is none.
+local function at_transitions(fsm, is_meant)
+  local point
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    for _, tr in ipairs(rfsm.elements(at.machine, rfsm.is_trans)) do
+      if is_meant(tr) then
+        point = point or { kind = "transition", value = {}, name = location.path(tr.src,
+          at.prefix) .. " -> " .. location.path(tr.tgt, at.prefix) }
+        point.value[tr] = true
+      end
+    end
   end
-end
-
-local function new_transition(tr)
-  return { kind = "transition", value = tr,
-    name = text_of(tr.src._fqn) .. " -> " .. text_of(tr.tgt._fqn) }
+  return point
 end
 
 local function fail(fsm, text)
@@ -56,17 +66,21 @@ local function of_text(fsm, text)
     return { kind = "state", name = name, value = name }
   end
   local src, tgt = text:match("^(.-)%s*%->%s*(.-)$")
-  local tr = src and find_transition(fsm, by_name[full(src)], by_name[full(tgt)])
-  if tr then return new_transition(tr) end
+  local point = src and at_transitions(fsm, function(tr)
+    return is_at(tr.src, by_name[full(src)]) and is_at(tr.tgt, by_name[full(tgt)])
+  end)
+  if point then return point end
   if not names.is_event(fsm, text) then fail(fsm, text) end
   return { kind = "event", name = text, value = text }
 end
 
---- Add a breakpoint: state, transition, event or the name of one; return its number.
+--- Add a breakpoint at a state, a transition or an event, given as a value or by name;
+-- return the number of the breakpoint.
 function breakpoints.add(sim, what)
   local point
   if rfsm.is_trans(what) then
-    point = new_transition(what)
+    point = at_transitions(sim.fsm, function(tr) return tr == what end)
+      or fail(sim.fsm, text_of(what))
   elseif type(what) == "string" or rfsm.is_node(what) and what._fqn then
     point = of_text(sim.fsm, type(what) == "string" and what or what._fqn)
   else
@@ -76,11 +90,14 @@ function breakpoints.add(sim, what)
   return #sim.points
 end
 
---- Call f(i, point) for each breakpoint of a kind in a list that is reached: its value
--- is the name of the state, the transition, or the event.
+--- Call f(i, point) for each breakpoint in a list that is reached when a state with the
+-- name `value` is entered, the transition `value` taken, or the event `value` received.
 function breakpoints.each_reached(list, kind, value, f)
   for i, point in ipairs(list) do
-    if point.kind == kind and rawequal(point.value, value) then f(i, point) end
+    if point.kind == kind and (rawequal(point.value, value)
+      or kind == "transition" and point.value[value]) then
+      f(i, point)
+    end
   end
 end
 
@@ -105,7 +122,7 @@ function breakpoints.show_watched(sim)
   end
 end
 
---- Return a breakpoint or expression for a reader.
+--- Return a breakpoint or an expression as a text for a person.
 function breakpoints.text(point)
   return point.kind .. " " .. point.name
     .. (point.condition and " if " .. point.condition or "")
@@ -119,7 +136,7 @@ function breakpoints.list(sim)
   if not sim.points[1] then print("there is none") end
 end
 
---- Remove a breakpoint or expression, or all.
+--- Remove the breakpoint or expression with this number; without a number all of them.
 function breakpoints.delete(sim, n)
   if n ~= nil and not sim.points[n] then
     error("delete: number of a breakpoint expected, got " .. text_of(n), 0)
@@ -127,8 +144,8 @@ function breakpoints.delete(sim, n)
   if n then remove(sim.points, n) else sim.points = {} end
 end
 
---- Find the states and transitions of all breakpoints in a new machine, by name;
--- `complain` is called with a line for each that is gone.
+--- Have all breakpoints mean the states and transitions of a new machine, by name. A
+-- breakpoint at what the machine lacks is removed, and `complain` gets a line about it.
 function breakpoints.renew(sim, complain)
   for i = #sim.points, 1, -1 do
     local point = sim.points[i]

@@ -15,11 +15,11 @@ local concat = table.concat
 
 local coverage = {}
 
---- Counts of a run; `tostring` of it is a report.
+--- The counts of a run, by the paths of elements. `tostring` makes a report of them.
 ---@class rfsm_checks.Coverage
----@field states table<string, integer> by path
----@field transitions table<string, integer> by path, such as "root.trans[2]"
----@field guards table<string, table<"true"|"false"|"failed", integer>>
+---@field states table<string, integer> how often a state was entered
+---@field transitions table<string, integer> how often one was taken: "root.trans[2]"
+---@field guards table<string, table<"true"|"false"|"failed", integer>> by transition
 local Coverage = {}
 Coverage.__index = Coverage
 
@@ -29,7 +29,7 @@ local OUTCOMES = { "true", "false" }
 
 local function add(t, key) t[key] = t[key] + 1 end
 
--- Adds the states, transitions and guards of a machine that are not counted yet.
+-- Adds counts of 0 for the states, transitions and guards of a machine that have none.
 local function add_elements(own, paths, at)
   for _, element in ipairs(rfsm.elements(at.machine)) do
     local path, is_trans = location.path(element, at.prefix), rfsm.is_trans(element)
@@ -42,7 +42,7 @@ local function add_elements(own, paths, at)
   end
 end
 
--- Returns the listener that counts.
+-- Returns a listener for a stream, which counts.
 local function new_counter(own, fsm)
   local counter, paths = {}, {}
   function counter.merged()
@@ -79,7 +79,7 @@ end
 
 function Coverage:__tostring()
   local lines, outcomes = { "" }, {}
-  for path, counts in order.each(self.guards) do -- any order: each stands alone
+  for path, counts in order.each(self.guards) do -- any order: sorted when reported
     for _, outcome in ipairs(OUTCOMES) do
       outcomes[path .. " " .. outcome] = counts[outcome]
     end
@@ -111,8 +111,8 @@ end
 
 --- Record the states, transitions and guard outcomes that a machine sees from now on.
 --
--- The record counts as the machine runs. With `earlier`, a record of another run, such
--- as one read from JSON, it begins with those counts.
+-- The counts grow while the machine runs. They begin with those of `earlier`, the
+-- record of another run, which may have been read from JSON.
 --
 ---@param fsm rfsm.Machine
 ---@param earlier? table

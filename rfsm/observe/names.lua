@@ -1,4 +1,4 @@
---- Names for people: states and events, and the nearest to a mistake.
+--- Names of states and events for a person, and a hint for a misspelt name.
 --
 -- The state `root.open` of the region `left` in `root.arms` is called
 -- `root.arms.left.open`.
@@ -16,7 +16,7 @@ local ipairs, type = ipairs, type
 
 local names = {}
 
---- List the events that are texts and come from outside.
+--- List the events that are texts. Those with an @ are left out: machines make them.
 function names.events(fsm)
   local is_text = {}
   for event in order.each(alphabet.of_all(fsm).set) do -- any order: sorted below
@@ -26,7 +26,8 @@ function names.events(fsm)
   return rfsm.sorted_keys(is_text)
 end
 
---- Does a transition of a machine name an event? A predicate may accept any event.
+--- Does a transition of a machine name an event? A predicate without a name, which may
+-- accept any event, counts as well.
 function names.is_event(fsm, event)
   local known = alphabet.of_all(fsm)
   if known.set[event] or event == "e_init_fsm" then return true end
@@ -49,7 +50,7 @@ function names.nodes(fsm)
   return list, by_name
 end
 
---- Return the hint " (did you mean 'e_go'?)", or "".
+--- Return a hint with the nearest name in a list: " (did you mean 'e_go'?)"; else "".
 function names.hint(name, list) return (advice.nearest_name(name, list)) end
 
 return names

@@ -1,6 +1,6 @@
---- A described machine as lists: nodes, edges and events with numbers, from 0 on.
+--- The outline of a chart: its nodes, edges and events in lists, numbered from 0 on.
 --
--- The description comes from `rfsm.marsh`, or from another program.
+-- It is made of a description by `rfsm.marsh`, in this or in another program.
 --
 -- @module rfsm.observe.outline
 -- @license BSD-3-Clause
@@ -19,13 +19,13 @@ local outline = {}
 ---@class rfsm.observe.Outline
 ---@field nodes table[] { name, fqn, kind, parent?, is_region? }; parents come first
 ---@field edges table[] { key, src, tgt, label, events, is_internal? }
----@field events table[] { text, words, is_own }
----@field values any[] the events themselves
+---@field events table[] { text, words, is_own }; the machine sends its own ones itself
+---@field values any[] the values of `events`
 ---@field number_of table<any, integer> by FQN of a node
 ---@field edge_of table<string, integer> by key of a transition
 ---@field event_of table<any, integer> by event
 ---@field event_text fun(event: any): string
----@field from table<integer, table[]> the edges from each node
+---@field from table<integer, table[]> the edges that begin at a node, by its number
 
 local function add_node(list, tab, fqn, parent, is_region)
   local number = #list.nodes
@@ -39,7 +39,7 @@ local function add_node(list, tab, fqn, parent, is_region)
   end
 end
 
--- Returns the number of an event, which is new if no transition before has named it.
+-- Returns the number of an event, after adding the event if it is not in the list.
 local function number_of(list, event, words)
   if not list.event_of[event] then
     list.event_of[event] = #list.values
@@ -71,7 +71,7 @@ local function add_edge(list, tr, key, words)
   table.insert(list.from[edge.src], edge)
 end
 
---- Read a description.
+--- Make the outline of a description.
 function outline.read(description)
   local list = {
     nodes = {}, edges = {}, events = {}, values = {}, number_of = {}, edge_of = {},
@@ -98,8 +98,8 @@ local function add_possible(list, found, node, is_seen)
   end
 end
 
---- List the events that a transition from an active state names, by number, and if any
--- other event would be taken. Guards are not called.
+--- List the numbers of the events that transitions from the active nodes name, also
+-- behind connectors; return as well whether one takes any event. No guard is called.
 function outline.possible(list, active)
   local found, is_seen, numbers = { set = {}, any = false }, {}, {}
   for _, node in ipairs(active) do add_possible(list, found, node, is_seen) end

@@ -1,18 +1,19 @@
---- The way back: places of a machine, each a snapshot, and back to one of them.
+--- The way back: snapshots of a machine at places of its run, and the return to them.
 --
--- No callback runs and no guard is asked on the way. What a snapshot cannot hold does
--- not go back: data outside of `keep`, and a doo, which begins anew. The oldest places
--- are forgotten.
+-- A place is where the machine was between two advances. No callback runs and no guard
+-- is asked on the way. What a snapshot cannot hold does not go back: data outside of
+-- `keep`, and a doo, which begins anew. The oldest places are forgotten.
 --
 -- @module rfsm.observe.rewind
 -- @license BSD-3-Clause
 
+local names = require "rfsm.observe.names"
 local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 
-local error, setmetatable, type = error, setmetatable, type
+local error, select, setmetatable, type = error, select, setmetatable, type
 local huge = math.huge
 local concat = table.concat
 
@@ -25,22 +26,22 @@ local OPTIONS = {
   prepare = { "function", rfsm.is_callable, function() end },
 }
 
---- A place of a machine.
+--- A machine as it was between two advances.
 ---@class rfsm.observe.Place
 ---@field snap? rfsm.snapshot.Snapshot nil if the machine could not be saved
----@field problem? string the reason
+---@field problem? string why there is no snapshot
 ---@field about any what the option `about` has returned
----@field size integer bytes, about
+---@field size integer about how many bytes the place takes
 
---- The places of a machine, by number: 0 is where it stood first.
+--- The places of a machine, by their numbers. Place 0 is the first one.
 ---@class rfsm.observe.Rewind
 ---@field fsm rfsm.Machine
 ---@field settings table
----@field first integer the oldest place
----@field at integer the present place
----@field last integer the last place, behind those that were undone
+---@field first integer number of the oldest place that is kept
+---@field at integer number of the present place
+---@field last integer number of the last place; greater than `at` after a return
 ---@field size integer bytes of all places
----@field [integer] rfsm.observe.Place the present one is there once it was noted
+---@field [integer] rfsm.observe.Place the present one is in the list once it was noted
 local Rewind = {}
 Rewind.__index = Rewind
 
@@ -60,8 +61,8 @@ local function forget(self, number)
   self[number] = nil
 end
 
---- Note the present place, unless `go` has led there. A step that was interrupted is
--- finished first.
+--- Note the present place in the list, where it is already if `go` has led there. A
+-- step that was interrupted is finished first.
 ---@return rfsm.observe.Place
 function Rewind:note()
   local at = self.at
@@ -76,7 +77,8 @@ function Rewind:note()
   return self[at]
 end
 
---- Note the place from which the machine goes on. Those that were undone are forgotten.
+--- Note the present place, from which the machine goes on. Places that `go` has undone
+-- are forgotten.
 ---@return integer number of the next place
 function Rewind:leave()
   for number = self.at, self.last do forget(self, number) end
@@ -111,11 +113,27 @@ function Rewind:go(number)
     or problem
 end
 
+--- Put a machine of a chart that was changed into the state in which the machine of the
+-- older chart was saved. Data that no longer fit are left out. Return the problem if
+-- that state is gone.
+---@param fsm rfsm.Machine
+---@param snap rfsm.snapshot.Snapshot of the older machine; may lose its data
+---@return string? problem
+function rewind.carry_over(fsm, snap)
+  local options = { migrate = function() return snap end }
+  local is_put, problem = snapshot.put(fsm, snap, options)
+  local _, by_name = names.nodes(fsm)
+  if is_put or not (snap.leaf and by_name[snap.leaf]) then return problem end
+  snap.data, snap.saved, snap.ext = nil, nil, nil -- they may name states that are gone
+  return (select(2, snapshot.put(fsm, snap, options)))
+end
+
 --- How places are kept.
 ---@class rfsm.observe.RewindOptions
----@field bytes? integer that they may take, 32 MiB; the present one is always there
----@field about? fun(): any what is kept with each
----@field prepare? fun(about: any) called before the machine is put there: its clock
+---@field bytes? integer that all places may take, 32 MiB; the present one stays
+---@field about? fun(): any called for each place, which keeps the result
+---@field prepare? fun(about: any) called with that result before `go` puts the machine
+-- into the place, to set its clock
 
 --- Begin to note the places of a machine.
 --

@@ -1,22 +1,22 @@
 --- What a machine does, as one stream of values in one order, on every Lua.
 --
--- A listener is a table of functions. Only what it has is looked for. Each is called
--- with where something happens, an entry of `rfsm.machines`, and values:
+-- A listener is a table of these functions; nothing is done for one that it lacks. `at`
+-- is the entry of `rfsm.machines` for the machine in which something happens.
 --
 --    began(at, events)                    an iteration begins, before other hooks
 --    guard(at, tr, own, events)           called in place of the guard `own`
 --    taken(at, path, events)              these transitions are about to be taken
 --    entered(at, state)                   before its entry
---    failed(at, element, name, failure)   a callback
+--    failed(at, element, name, failure)   the callback `name` of an element
 --    sent(at, event, ...)
---    resumed(at, leaf), ended(at, leaf)   a doo
+--    resumed(at, leaf), ended(at, leaf)   the doo of a leaf
 --    finished(at, events)                 an iteration is over, before other hooks
---    passed(at, events)                   the same behind them; the machine rests if
---                                         `rfsm.is_idle`
+--    passed(at, events)                   an iteration is over, after other hooks; the
+--                                         machine rests if `rfsm.is_idle`
 --    reset(at)
 --    merged(at, element)
 --
--- Regions belong to the stream, and so does what is merged.
+-- The regions of the machine are followed, too, and elements that are merged later.
 --
 -- @module rfsm.observe.stream
 -- @license BSD-3-Clause
@@ -27,13 +27,13 @@ local rfsm = require "rfsm"
 
 local ipairs, setmetatable = ipairs, setmetatable
 
---- A listener that follows a machine.
+--- A machine that a listener follows.
 ---@class rfsm.observe.Stream
 ---@field fsm rfsm.Machine
 ---@field machines table[] as `rfsm.machines`
 ---@field listener table<string, function>
----@field changes table[] the hooks and guards
----@field is_known table<table, true> elements of the machines
+---@field changes table[] hooks added and guards replaced, for `stop`
+---@field is_known table<table, true> elements that have their hooks
 local Stream = {}
 Stream.__index = Stream
 
@@ -53,7 +53,7 @@ local function attach_element(own, at, element)
   end
 end
 
--- Has the states and guards of an element tell of themselves, unless they do.
+-- Adds hooks to the states in an element and replaces guards, unless that was done.
 local function attach_elements(own, at, top)
   for _, element in ipairs(rfsm.elements(top)) do
     if not own.is_known[element] then attach_element(own, at, element) end
@@ -65,7 +65,7 @@ local join
 
 local WATCHED = { "failed", "sent", "resumed", "ended" }
 
--- The kind of a hook, and its place among them.
+-- Functions that are hooks: the kind of the hook, and its place among those of a kind.
 local HOOKS = { began = { "pre_step", "front" }, finished = { "post_step", "before" },
   passed = { "post_step", "after" }, reset = { "reset" } }
 
@@ -97,7 +97,7 @@ local function attach(own, at)
   end
 end
 
--- Follows the machines that are not followed yet.
+-- Adds hooks to the machine and its regions, unless they have them.
 function join(own)
   own.machines = rfsm.machines(own.fsm)
   for _, at in ipairs(own.machines) do
@@ -105,7 +105,7 @@ function join(own)
   end
 end
 
---- Follow no more: the machine has the hooks and guards that it had.
+--- Stop following the machine, which has the hooks and guards then that it had before.
 function Stream:stop() instrument.give_back(self.changes) end
 
 --- Follow a machine and its regions.

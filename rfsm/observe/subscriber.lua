@@ -5,6 +5,7 @@
 -- @module rfsm.observe.subscriber
 -- @license BSD-3-Clause
 
+local dot = require "rfsm.dot"
 local calls = require "rfsm.shared.calls"
 local opts = require "rfsm.shared.options"
 
@@ -12,7 +13,7 @@ local setmetatable, type = setmetatable, type
 
 local subscriber = {}
 
-local BEAT = 1 -- seconds between two heartbeats; the host waits for three
+local BEAT = 1 -- seconds between two heartbeats; a host drops who is silent for 3
 
 --- A subscription.
 ---@class rfsm.observe.Subscription
@@ -25,7 +26,7 @@ Client.__index = Client
 --- Send a message to the host.
 function Client:send(message) self.udp:send(self.json.encode(message)) end
 
--- Subscribes, or sends a heartbeat, if it is time.
+-- Subscribes or sends a heartbeat, if one is due.
 local function beat(client)
   if client.clock() < client.due then return end
   client:send(client.is_heard and { type = "heartbeat" }
@@ -33,7 +34,7 @@ local function beat(client)
   client.due = client.clock() + BEAT
 end
 
---- Return the next message, if one comes within some seconds.
+--- Return the next message; nil if none comes within so many seconds.
 function Client:receive(seconds)
   beat(self)
   self.udp:settimeout(seconds)
@@ -48,18 +49,19 @@ end
 
 function Client:close() self.udp:close() end
 
---- Call the handler for the type of a message as f(target, message), if there is one
--- and the message is about the machine `target.number`; return a problem if the message
--- cannot be read.
+--- Call `handlers[message.type](target, message)`, if there is such a handler, and if
+-- the message is about the machine `target.number`. Return a problem if the message
+-- cannot be read, or its graph cannot be drawn.
 function subscriber.handle(handlers, target, message)
   local handler = handlers[message.type]
   if not handler or (message.fsm or target.number) ~= target.number then return nil end
-  if calls.try(handler, target, message) then return nil end
+  local is_drawn = message.type ~= "rfsm_model" or calls.try(dot.encode, message.graph)
+  if is_drawn and calls.try(handler, target, message) then return nil end
   return "unreadable message '" .. message.type .. "'"
 end
 
---- Make a client of a host, which asks for the paths that are taken if `has_path`; nil
--- and the problem if there is one.
+--- Make a client, which subscribes to a host; if `has_path`, to the paths taken as
+-- well. Return nil and the problem if there is one.
 function subscriber.connect(host, port, has_path)
   local socket, json = opts.find_package("socket", "dkjson")
   if not socket then return nil, json end

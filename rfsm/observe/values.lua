@@ -12,7 +12,7 @@ local text_of = rfsm.text_of
 
 local values = {}
 
-local MAX_SHOWN, MAX_DEPTH = 20, 3 -- entries of a table, tables inside each other
+local MAX_SHOWN, MAX_DEPTH = 20, 3 -- entries shown of a table; tables in tables
 
 local show
 

@@ -1,7 +1,7 @@
---- Why: the answer of each transition to some events, and the events that count now.
+--- Why events have an effect or none: the answer of each transition.
 --
--- Guards and predicates are called, as in a search of the engine. No other callback is,
--- and nothing is changed.
+-- Guards and predicates are called, as by a search of the engine, but nothing else is.
+-- Nothing is changed.
 --
 -- @module rfsm.observe.why
 -- @license BSD-3-Clause
@@ -29,9 +29,10 @@ local why = {}
 ---@field file string "chart.lua:7: "; empty if it is not known
 ---@field src string FQN
 ---@field tgt string FQN
----@field winner? string lost: the place of the transition that is taken
----@field connector? string closed: FQN of the connector where the path ends
----@field ways? rfsm_checks.Answer[] closed: those from the connector, once
+---@field winner? string of a "lost" one: the place of the transition that is taken
+---@field connector? string of a "closed" one: FQN of the connector where the path ends
+---@field ways? rfsm_checks.Answer[] of a "closed" one: the transitions from there,
+-- unless an earlier answer has them
 
 --- The answers of a machine.
 ---@class rfsm_checks.Why
@@ -39,7 +40,7 @@ local why = {}
 ---@field leaf string|false FQN of the active leaf; false before the first entry
 ---@field fires string|false place of the transition that would be taken
 ---@field answers rfsm_checks.Answer[] in the order in which they are tried
----@field regions { name: string, why: rfsm_checks.Why }[] machines in the leaf
+---@field regions { name: string, why: rfsm_checks.Why }[] the machines in the leaf
 
 local function texts_of(values)
   local texts = {}
@@ -49,7 +50,7 @@ end
 
 -- Search: that of the engine, but with an answer of each transition ----------------
 
--- Without an event only the first entry takes a transition.
+-- Do the events trigger a transition? Without events only the first entry takes one.
 local function matches(search, tr)
   if match.is_any(tr) then return not search.is_mute end
   return order.any(search.events, function(event)
@@ -57,7 +58,7 @@ local function matches(search, tr)
   end)
 end
 
--- Returns the target of a transition, which a program may have set to a composite.
+-- Returns the node to which a transition leads, also if a program has set its target.
 local function target_of(tr)
   local tgt = tr.tgt
   if rawequal(tr.src, tgt) and rfsm.target_of(tr) == "internal" then return tgt end
@@ -69,8 +70,8 @@ local function name_of(tgt) return rfsm.is_node(tgt) and tgt._fqn or text_of(tgt
 
 local ask_connector
 
--- Returns the verdict on a transition, the same in words, and for a closed one the
--- connector where the path ends and the answers there.
+-- Returns the verdict on a transition and the reason in words; if a connector makes it
+-- "closed", also the FQN of that and the answers of the transitions from there.
 local function judge(search, tr)
   if not matches(search, tr) then
     local wanted = concat(texts_of(tr.events or {}), ", ")
@@ -97,9 +98,10 @@ local function ask(search, tr)
     src = tr.src._fqn, tgt = name_of(tr.tgt), connector = connector, ways = ways }
 end
 
--- Asks the transitions from a connector, once a search; meanwhile it counts as closed.
--- The field `way` is true if one is enabled. The answers are returned at the first call
--- only. Where the engine stops, at the first enabled one, the rest is asked here, too.
+-- Asks the transitions from a connector. The field `way` of the first result is true if
+-- one of them is enabled. The second result has their answers, at the first call of a
+-- search only. During that call the connector counts as closed. The engine stops at the
+-- first transition that is enabled. Here the others are asked as well.
 function ask_connector(search, connector)
   local found = search.found[connector]
   if found then return found end
@@ -187,7 +189,7 @@ function why.why(fsm, ...)
   rfsm.check_machine(fsm, "rfsm_checks.why")
   local events = select("#", ...) == 0 and { unpack(fsm._intq) } or {}
   for i = 1, select("#", ...) do
-    events[#events + 1] = (select(i, ...)) -- not if it is nil
+    events[#events + 1] = (select(i, ...)) -- nil is left out
   end
   local result, lines = explain(fsm, events), {}
   add_text(lines, result, "")
@@ -198,7 +200,7 @@ end
 local OTHER = setmetatable({}, { __tostring = function() return "any other event" end })
 
 -- Appends the events that enable a transition of the machine or of regions of its leaf.
--- An event that counts only as any event is tried, too: a guard may refuse it.
+-- They are tried though a transition may take any event: its guard may refuse some.
 local function add_enabled(list, is_listed, fsm)
   local takes_any = select(2, answers_of(fsm, { OTHER })) and true
   for _, event in ipairs(alphabet.of(fsm).list) do
@@ -219,7 +221,7 @@ end
 -- Events are those that transitions name, in the order of the tree.
 --
 ---@param fsm rfsm.Machine
----@return any[] events field `any` is true if any other event would, too
+---@return any[] events its field `any` is true if any other event would do so, too
 ---@return string text the same for a person
 function why.enabled(fsm)
   rfsm.check_machine(fsm, "rfsm_checks.enabled")

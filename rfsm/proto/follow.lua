@@ -1,21 +1,19 @@
---- A machine that answers by `rfsm.proto`: at a terminal the tree of its states and a
--- log, in a pipe a line for each change.
+--- The output of `rfsm watch`, for a machine that answers by `rfsm.proto`: at a
+-- terminal the tree of its states and a log, in a pipe a line for each change.
 --
 -- @module rfsm.proto.follow
 -- @license BSD-3-Clause
 
-local dot = require "rfsm.dot"
 local subscriber = require "rfsm.observe.subscriber"
 
 local io, ipairs, os, select = io, ipairs, os, select
-local setmetatable = setmetatable
 local concat, remove = table.concat, table.remove
 
 local follow = {}
 
 local MAX_LOG = 10 -- lines
 
--- Appends a line for each state: active ones begin with a star.
+-- Appends a line for each state in a node of the graph. Active ones have a star.
 local function add_tree(lines, node, fqn, leaf)
   if node.type ~= "state" then return lines end
   local is_active = leaf and (leaf .. "."):sub(1, #fqn + 1) == fqn .. "."
@@ -29,12 +27,10 @@ end
 
 --- A machine as it was received.
 ---@class rfsm.proto.Follower
----@field graph table? of the machine
+---@field graph table? the description of the machine, once it has come
 ---@field leaf string|false|nil FQN of the active state
 ---@field log string[] the last lines
----@field count integer lines so far
-local Follower = {}
-Follower.__index = Follower
+---@field count integer number of all lines so far
 
 -- Adds a line, unless it equals the last one.
 local function add(self, text)
@@ -47,10 +43,7 @@ end
 
 local TAKE = {}
 
-function TAKE.rfsm_model(self, message)
-  dot.encode(message.graph) -- raises an error if the graph is wrong
-  self.graph = message.graph
-end
+function TAKE.rfsm_model(self, message) self.graph = message.graph end
 
 function TAKE.rfsm_error(self, message) add(self, "refused: " .. message.text) end
 
@@ -69,7 +62,7 @@ end
 
 local SILENCE = 3 -- seconds without a message
 
--- Reports silence: at a terminal in each drawing, in a pipe once.
+-- Reports that no message comes: at a terminal below each tree, in a pipe once.
 local function note_silence(self, client)
   local seconds = client.clock() - (self.heard_at or self.began_at)
   self.status = ""
@@ -81,12 +74,12 @@ local function note_silence(self, client)
   io.stderr:write(self.status, "\n")
 end
 
---- Print a machine as it changes; without an end, unless `count` is given.
+--- Print a machine as it changes; up to `count` lines, or without an end.
 function follow.run(client, options)
-  local self = setmetatable({
+  local self = {
     log = {}, count = 0, is_terminal = options.is_terminal, number = options.number,
     status = "", heard_at = false, said_at = false, began_at = client.clock(),
-  }, Follower)
+  }
   while self.count < (options.count or 1 / 0) do
     local message = client:receive(1)
     local problem = message and subscriber.handle(TAKE, self, message)

@@ -25,12 +25,14 @@ local commands = {}
 ---@field brief string one line
 ---@field text string what else there is to know, and an example
 ---@field run fun(sim: rfsm.sim.Session, ...) returns nothing: the prompt would print it
----@field takes_line? boolean written as words, the rest of the line is one argument
----@field completes? "now"|"events"|"points" Tab: events, those that matter now first
----@field fsm? rfsm.Machine to which the command belongs, of several
+---@field takes_line? boolean in a line of words, all behind the name is one argument
+---@field completes? "now"|"events"|"points" by the Tab key: events, first those of
+-- active states; all events; events and states
+---@field fsm? rfsm.Machine of a system: the machine that the command is about
 
 commands.list = {}
-local by_name, topics = {}, {} -- a topic is a list of commands, and shown as one
+-- A topic is a list of commands. `help` shows it as if it were a command itself.
+local by_name, topics = {}, {}
 
 local function topic(name)
   topics[#topics + 1] = { name = name, usage = name }
@@ -47,7 +49,7 @@ local function add(usage, brief, text, run, more)
   last.brief = (last.brief and last.brief .. " " or "") .. command.name
 end
 
---- Return the command of a name.
+--- Return the command with a name; nil if there is none.
 function commands.find(name) return by_name[name] end
 
 local function check(command, value, kind, what)
@@ -183,7 +185,7 @@ function(sim, n) breakpoints.delete(sim, n) end)
 
 topic "time"
 
-local MAX_SECONDS = 1e9 -- an integer of any Lua holds the time then
+local MAX_SECONDS = 1e9 -- so that each Lua can hold the time as an integer
 
 add("clock([s])", "let s simulated seconds pass", [[
 From then on time passes only by clock and next. At each timer on the way, and at the
@@ -263,7 +265,6 @@ function(sim) sim:reload() end)
 
 topic "program"
 
--- Lua reads `help step` as two names: the prompt makes a call of it.
 local function print_help(command)
   print(command.usage .. "    " .. command.brief)
   if command.text ~= "" then print(command.text) end

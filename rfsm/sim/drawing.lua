@@ -19,7 +19,7 @@ local MAX_SIBLINGS = 12
 
 local add_state
 
--- Adds the active states of a list, and some inactive ones.
+-- Adds lines for the children of a state: the first ones, and all that are active.
 local function add_children(lines, children, indent)
   local hidden = 0
   for i, child in ipairs(children) do

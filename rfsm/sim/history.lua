@@ -1,4 +1,4 @@
---- The history of a session: the places where advances have ended, and its recordings.
+--- The history of a session: the places where its advances ended, and its recordings.
 --
 -- @module rfsm.sim.history
 -- @license BSD-3-Clause
@@ -17,9 +17,9 @@ local print = print
 local concat = table.concat
 local text_of = rfsm.text_of
 
-local history = { BYTES = nil } -- of the places; nil: what rewind has
+local history = { BYTES = nil } -- that all places may take; nil: the default of rewind
 
-local START = { sec = 0, nsec = 0 } -- of the simulated time
+local START = { sec = 0, nsec = 0 } -- the simulated time while there is no such clock
 
 local function about(sim)
   local leaf, now = sim.fsm._act_leaf, sim.time and sim.time.passed or START
@@ -32,7 +32,7 @@ local function set_time(sim, place)
   now.sec, now.nsec = place.sec, place.nsec
 end
 
---- Begin a history. A recording goes on with another run.
+--- Begin a history. A recording goes on in the same file, with another run.
 function history.start(sim)
   sim.came = {}
   sim.history = rewind.new(sim.fsm, { bytes = history.BYTES,
@@ -50,7 +50,7 @@ function history.mark(sim)
   if sim.recorder then sim.recorder:go_on() end
 end
 
---- Let the guards be those of the chart, up to the next advance.
+--- Let the machine have its own guards until the next advance, as without a recording.
 function history.pause(sim)
   if sim.recorder then sim.recorder:pause() end
 end
@@ -70,7 +70,7 @@ local function go(sim, number)
   sim.came = place.about.came
 end
 
---- Put the machine into its place after advance n.
+--- Put the machine into the place where advance n ended.
 function history.go_to(sim, n)
   local way = sim.history
   if type(n) ~= "number" or n < way.first or n > way.last or n % 1 ~= 0 then
@@ -104,7 +104,7 @@ end
 
 -- Recordings ----------------------------------------------------------------------
 
---- Write what follows to a file; without a name, end that.
+--- Record what follows in a file; without a name, end the recording.
 function history.save(sim, name)
   if sim.recorder then sim.recorder:stop() end
   sim.recorder = nil
@@ -142,7 +142,7 @@ end
 
 -- Show ----------------------------------------------------------------------------
 
---- Print so many of the last advances.
+--- Print the last advances, at most so many.
 function history.show(sim, last)
   local way = sim.history
   local problem = way:note().problem

@@ -1,8 +1,8 @@
---- The observer: follows a machine while it is advanced.
+--- The observer of a session: follows the machine while a command advances it.
 --
 -- Each path that is taken is printed when it begins, before what its callbacks print.
--- Afterwards the observer knows which events were discarded, and which breakpoints were
--- hit.
+-- After the advance the observer knows which events were discarded, and which
+-- breakpoints were hit.
 --
 -- @module rfsm.sim.observer
 -- @license BSD-3-Clause
@@ -22,10 +22,15 @@ local text_of = rfsm.text_of
 local Observer = {}
 Observer.__index = Observer
 
--- May the transition have been taken on this event? A predicate is not called again.
+-- May the transition have been taken on this event? A predicate may have accepted it.
 local function takes(tr, event)
   if match.is_any(tr) then return match.begins_on_any(tr) end
   return match.triggers(tr, event) ~= false
+end
+
+-- Adds an event to a set, in which NaN cannot be.
+local function add(set, event)
+  if event == event then set[event] = true end
 end
 
 function Observer:check_points(kind, value)
@@ -35,8 +40,8 @@ function Observer:check_points(kind, value)
   end)
 end
 
---- Evaluate the conditions of breakpoints, now that a step has ended. One that fails
--- stops as well.
+--- Evaluate the conditions of the breakpoints that a step has reached, after the step.
+-- A condition that fails with an error counts as true.
 function Observer:check_conditions()
   local problem
   for i, point in ipairs(self.sim.points) do
@@ -50,12 +55,13 @@ function Observer:check_conditions()
   if problem then error(problem, 0) end
 end
 
--- Notes the events that a transition has used; appends their texts to `by`.
+-- Notes the events that a transition may have been taken on. Appends their texts to
+-- `by` if the transition names events.
 function Observer:note_used(tr, events, by)
   for i = 1, #events do
     local event = events[i]
     if takes(tr, event) then
-      self.is_used[event] = true
+      add(self.is_used, event)
       if tr.events[1] ~= nil then
         by[#by + 1] = (text_of(event):gsub("^(e_[%w()._]*)@root.*", "%1"))
       end
@@ -75,7 +81,7 @@ function Observer:taken(at, path, events)
     .. (by[1] and " on " .. concat(by, ", ") or ""))
 end
 
--- Prints a line, but for those that follow and are equal their number.
+-- Prints a line; for equal lines behind it only their number, once another one comes.
 function Observer:print_taken(line)
   if line == self.line then
     self.times = self.times + 1
@@ -86,7 +92,11 @@ function Observer:print_taken(line)
   self.line, self.times = line, 1
 end
 
-function Observer:note_events(events)
+function Observer:entered(at, state)
+  self:check_points("state", location.path(state, at.prefix))
+end
+
+function Observer:finished(_, events)
   for i = 1, #events do
     local event = events[i]
     local is_noted = event ~= event or self.is_seen[event]
@@ -98,17 +108,25 @@ function Observer:note_events(events)
   end
 end
 
---- Observe no more.
-function Observer:detach()
-  self.stream:stop()
+--- Start observing an advance; print the transitions that are taken if `is_shown`.
+function Observer:begin(is_shown)
+  self.is_on, self.is_shown, self.line, self.times = true, is_shown, false, 1
+  self.hits, self.reached, self.is_hit = {}, {}, false
+  self.seen, self.is_seen, self.is_used = {}, {}, {}
+end
+
+--- Stop observing.
+function Observer:finish()
+  self.is_on = false
   self:print_taken(false)
 end
 
---- List the events that no transition has taken and that no queue holds, as they came.
+--- List the events on which no transition was taken and that wait in no queue, in the
+-- order in which they came.
 function Observer:discarded()
   local is_pending, list = {}, {}
   for _, at in ipairs(self.stream.machines) do
-    for _, event in ipairs(at.machine._intq) do is_pending[event] = true end
+    for _, event in ipairs(at.machine._intq) do add(is_pending, event) end
   end
   for _, event in ipairs(self.seen) do
     if not (self.is_used[event] or is_pending[event]) then list[#list + 1] = event end
@@ -118,19 +136,16 @@ end
 
 local observer = {}
 
---- Observe the machine of a session and its regions; print the transitions taken if
--- they are to be shown.
-function observer.attach(sim, is_shown)
-  local self = setmetatable({ sim = sim, is_shown = is_shown, hits = {}, is_hit = false,
-    reached = {}, is_seen = {}, seen = {}, is_used = {}, line = false,
-    times = 1 }, Observer)
-  self.stream = stream.follow(sim.fsm, {
-    taken = function(...) self:taken(...) end,
-    entered = function(at, state)
-      self:check_points("state", location.path(state, at.prefix))
-    end,
-    finished = function(_, events) self:note_events(events) end,
-  })
+--- Return an observer of the machine of a session and its regions.
+function observer.new(sim)
+  local self = setmetatable({ sim = sim, is_on = false }, Observer)
+  local listener = {}
+  for _, name in ipairs { "taken", "entered", "finished" } do
+    listener[name] = function(...)
+      if self.is_on then self[name](self, ...) end
+    end
+  end
+  self.stream = stream.follow(sim.fsm, listener)
   return self
 end
 

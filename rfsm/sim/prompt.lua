@@ -24,14 +24,14 @@ local prompt = {}
 
 -- Compile ---------------------------------------------------------------------------
 
--- The blank is for 5.1, which takes what starts with an escape (an arrow key) for a
--- compiled chunk.
+-- The blank in front is for 5.1, to which a text that begins with an escape (of an
+-- arrow key) is a compiled chunk.
 local function load_in(env, text, chunkname)
   return calls.load(" " .. text, chunkname, env)
 end
 
--- Compiles an expression to a chunk that calls a function with its values: after a tail
--- call, as in `return f()`, an error has no line.
+-- Compiles an expression to a chunk that calls its argument with the values. A chunk
+-- such as `return f()` would make a tail call, after which an error has no line.
 local function compile_expression(env, text, chunkname)
   local chunk, problem = load_in(env, "return " .. text, chunkname)
   return chunk and load_in(env, "(...)(" .. text .. "\n)", chunkname) or chunk, problem
@@ -69,7 +69,7 @@ end
 -- Returns a function that calls the command in a line of words; nil if there is none.
 local function call_of(sim, text)
   local name, rest = text:match("^%s*([%a_][%w_]*)%f[%s%z]%s*(.-)%s*$")
-  if not name then name, rest = text:match("^%s*(goto)%((.-)%)%s*$") end -- a Lua word
+  if not name then name, rest = text:match("^%s*(goto)%((.-)%)%s*$") end -- a keyword
   local command = name and sim.commands.find(name)
   if not command then return nil end
   local arguments = split(rest)
@@ -77,7 +77,7 @@ local function call_of(sim, text)
   return function() sim.env[name](unpack(arguments)) end
 end
 
--- How other programs are left.
+-- Words by which other programs are left.
 local LEAVE = { bye = true, exit = true, q = true }
 
 -- Returns the complaint about a name that does not exist.
@@ -88,7 +88,7 @@ local function problem_of_missing(sim, name, list)
   return "nothing is named " .. name .. hint
 end
 
--- Returns the complaint about a line with one name, of an event or of nothing.
+-- Returns the complaint about a line that is only the name of an event, or of nothing.
 local function problem_of_name(sim, text)
   local name = text:match("^%s*([%a_][%w_]*)%s*$")
   if not name or sim.env[name] ~= nil or not load("local " .. name) then return nil end
@@ -100,7 +100,7 @@ end
 
 -- Evaluate --------------------------------------------------------------------------
 
--- Adds the nearest command to the problem of a call whose function does not exist.
+-- Returns the problem of a line; if that calls what does not exist, with a hint.
 local function explain(sim, problem)
   local name = problem:find("attempt to call", 1, true) and sim.missing[1]
   return name and problem_of_missing(sim, name, {}) or problem
@@ -117,7 +117,7 @@ local function call(sim, chunk)
   return false, explain(sim, problem)
 end
 
---- Run a text; return true, or false, the problem, and if more text may mend it.
+--- Run a text; return true, or false, the problem, and whether the text is incomplete.
 function prompt.evaluate(sim, text, chunkname)
   sim.missing = {}
   -- `view /tmp/x.svg` would be a division
@@ -161,8 +161,7 @@ end
 
 -- Read lines ------------------------------------------------------------------------
 
--- Lists the events of transitions from active states, and those of segments from
--- connectors. No guard is called.
+-- Lists the events of transitions from active states, and from connectors.
 local function events_now(fsm)
   local words = {}
   for _, at in ipairs(rfsm.machines(fsm)) do
@@ -177,8 +176,7 @@ local function events_now(fsm)
   return words
 end
 
--- Returns the words that the Tab key may complete after a text, and those to be offered
--- first.
+-- Returns the words that the Tab key may offer after a text, and those to offer first.
 local function words_after(sim, before)
   local command = sim.commands.find(before:match("^%s*([%w_]+)[%s(]") or "") or {}
   local fsm = command.fsm or sim.fsm
@@ -204,16 +202,16 @@ local function beginning_with(word, words)
   return rfsm.sorted_keys(set)
 end
 
--- Readline sorts the words, so the events that do not matter now are offered only if
--- none of the others begins with the word.
+-- Returns the words that complete the typed one. Readline sorts them, so those that
+-- come first are offered alone, unless none of them begins with the typed word.
 local function complete(sim, word, before)
   local words, first = words_after(sim, before)
   first = beginning_with(word, first)
   return first[1] and first or beginning_with(word, words)
 end
 
--- Evaluates a text. Returns "" and the problem, if there is one; the text, too, if more
--- lines must follow.
+-- Evaluates a text and prints its problem. Returns the text if it is incomplete, else
+-- ""; and the problem, if there is one.
 local function evaluate(sim, text)
   local ok, problem, is_open = prompt.evaluate(sim, text, "=stdin")
   if is_open then return text, problem end
@@ -221,14 +219,14 @@ local function evaluate(sim, text)
   return "", problem
 end
 
--- Returns a line; for an empty one the last one, if that was a command.
+-- Returns the line; in place of an empty one the last line, if that was a command.
 local function repeated(sim, line)
   if not line:find("%S") then return sim.last_line or line end
   sim.last_line = sim.commands.find(line:match("^%s*([%w_]*)")) and line
   return line
 end
 
--- Evaluates a line behind the open ones; likewise.
+-- Evaluates an incomplete text with one line more. Returns what `evaluate` does.
 local function take_line(sim, text, line)
   if text == "" and sim.follows then line = repeated(sim, line) end
   return evaluate(sim, text .. line .. "\n")

@@ -1,7 +1,6 @@
---- A session of the simulator: a chart, its machine, and the ways to advance it.
+--- A session of the simulator: a chart, its machine, and functions that advance it.
 --
--- The file reads in the order of a session: open the chart, advance, send, other
--- functions, other records, another machine.
+-- The file reads in this order: open, advance, events, records, dry mode, reload.
 --
 -- @module rfsm.sim.session
 -- @license BSD-3-Clause
@@ -16,6 +15,7 @@ local history = require "rfsm.sim.history"
 local names = require "rfsm.observe.names"
 local breakpoints = require "rfsm.observe.breakpoints"
 local observer = require "rfsm.sim.observer"
+local rewind = require "rfsm.observe.rewind"
 local snapshot = require "rfsm.snapshot"
 local instrument = require "rfsm.shared.instrument"
 local terminal = require "rfsm.sim.terminal"
@@ -37,29 +37,30 @@ local complain, text_of = terminal.complain, rfsm.text_of
 ---@field file string of the chart
 ---@field has_stubs boolean
 ---@field follows boolean an advance prints what was taken, and the tree
----@field tree? string|false the last tree shown
----@field level boolean|"full" which trace records are shown
+---@field tree? string|false the tree shown last, which is not shown again
+---@field level boolean|"full" are trace records shown? true: only the main ones
 ---@field hooks (fun(fsm: rfsm.Machine))[] called after each advance
 ---@field points rfsm.observe.Breakpoint[] breakpoints and expressions that are watched
----@field picture? string|false file that is kept up to date
+---@field picture? string|false file into which each advance draws the machine
 ---@field history rfsm.observe.Rewind
----@field came string[] events of the advance
+---@field observer rfsm.sim.Observer
+---@field came string[] the events of the present advance, as texts
 ---@field recorder? rfsm.record.Recorder
 ---@field time? rfsm.sim.Time the simulated clock
----@field saved? table[] changes of `dry`
+---@field saved? table[] the functions that `dry` has taken away
 ---@field env table what typed code sees: the commands, then the globals
 ---@field missing string[] globals that the current line reads and that do not exist
 ---@field last_line? string|false the last line typed, if it was a command
 ---@field commands { list: rfsm.sim.Command[], find: fun(name): rfsm.sim.Command? }
----@field cell? rfsm.System of which the machines are, in place of one
----@field replay? fun(sim: rfsm.sim.Session, file: string): integer, string?
----@field is_over boolean ends after this line
+---@field cell? rfsm.System in place of a chart: the system whose machines are stepped
+---@field replay? fun(sim: rfsm.sim.Session, file: string): integer, string? of a system
+---@field is_over boolean does the session end after this line?
 local Session = {}
 Session.__index = Session
 
 -- Open a chart ----------------------------------------------------------------------
 
--- The errors of the chart's own callbacks.
+-- Prints an error of the chart's callbacks.
 local function print_err(...) complain(calls.text("\t", ...)) end
 
 -- Initialises a model. Its problems are returned, not printed.
@@ -107,7 +108,7 @@ function Session:show()
   if self.picture then self:draw(self.picture) end
 end
 
---- Keep a picture up to date from now on; false ends that.
+--- Draw the machine into a file, now and after each advance; false ends that.
 function Session:draw(file)
   history.pause(self)
   local problem = file and drawing.draw(self.fsm, file)
@@ -115,10 +116,10 @@ function Session:draw(file)
   if problem then complain("view: " .. problem) end
 end
 
--- Advances up to a breakpoint, or until the machine is not entered. Returns whether it
--- is idle; with an idle hook it never is.
-local function advance(sim, observed, n)
-  local fsm = sim.fsm
+-- Advances by n steps, or fewer: to a breakpoint, until the machine is idle, or if it
+-- cannot be entered. Returns whether it is idle, which one with an idle hook never is.
+local function advance(sim, n)
+  local fsm, observed = sim.fsm, sim.observer
   if not sim.points[1] then return rfsm.step(fsm, n) and not fsm.idle_hook end
   for _ = 1, n do
     local is_idle = rfsm.step(fsm)
@@ -128,27 +129,27 @@ local function advance(sim, observed, n)
   return false
 end
 
-local MAX_RUN = 10000 -- iterations: a chart may have no end
+local MAX_RUN = 10000 -- iterations: a chart may go on for ever
 
-function Session:print_hits(observed)
+function Session:print_hits()
   for i, point in ipairs(self.points) do
-    if observed.hits[i] then
+    if self.observer.hits[i] then
       print(("stopped at %d: %s"):format(i, breakpoints.text(point)))
     end
   end
 end
 
---- Advance by n steps, or until the machine is idle, and show the result, also if that
--- failed.
+--- Advance by n steps, or until the machine is idle; show the result, also of an error.
 function Session:advance(n)
-  local observed = observer.attach(self, self.follows and not self.level)
-  local ok, result = pcall(advance, self, observed, n or MAX_RUN)
+  local observed = self.observer
+  observed:begin(self.follows and not self.level)
+  local ok, result = pcall(advance, self, n or MAX_RUN)
   if not ok then calls.try(rfsm.check_between_steps, self.fsm, "advance") end
-  observed:detach()
+  observed:finish()
   history.note_events(self, observed.seen)
   self:print_discarded(observed:discarded())
   self:show()
-  self:print_hits(observed)
+  self:print_hits()
   if ok and not (n or result or observed.is_hit) and self.fsm._act_leaf then
     print("stopped after 10,000 iterations, 'run' goes on")
   end
@@ -191,7 +192,7 @@ function Session:send(...)
   rfsm.send_events(self.fsm, unpack(events, 1, n))
 end
 
---- Have Control-C end a doo that never yields, until the function returned is called.
+--- Have Control-C end a doo that never yields. Return a function that undoes this.
 function Session:guard_doos()
   local changes = {}
   for _, at in ipairs(terminal.is_caught() and rfsm.machines(self.fsm) or {}) do
@@ -225,19 +226,7 @@ function Session:set_level(level)
   self.fsm.dbg = level and rfsmpp.gen_dbgcolor(name, ids, level == "full")
 end
 
--- Moves a machine to the state of one of an older chart; returns the problem, if any.
-local function put_in_place(fsm, old)
-  local ok, snap = pcall(snapshot.take, old)
-  if not ok then return snap end
-  local options = { migrate = function() return snap end }
-  local is_put, problem = snapshot.put(fsm, snap, options)
-  local by_name = select(2, names.nodes(fsm))
-  if is_put or not (snap.leaf and by_name[snap.leaf]) then return problem end
-  snap.data, snap.saved, snap.ext = nil, nil, nil -- they may name states that are gone
-  return (select(2, snapshot.put(fsm, snap, options)))
-end
-
--- The doo in dry mode: it goes on until its state is left.
+-- The doo in dry mode: goes on until its state is left.
 local function idle()
   while true do rfsm.yield(true) end
 end
@@ -259,14 +248,14 @@ local function take_functions(fsm)
   return changes
 end
 
---- Take the functions of the chart away, or give them back.
+--- Take the functions of the chart away (dry mode), or give them back.
 function Session:set_dry(is_dry)
   history.pause(self)
   instrument.give_back(self.saved or {})
   self.saved = is_dry and take_functions(self.fsm) or nil
 end
 
---- Read the chart anew. If that fails the machine stays.
+--- Read the file of the chart again. If that fails the old machine stays.
 function Session:reload()
   local fsm, result = chart.open(self.file, init_quietly, complain, self.has_stubs)
   if not fsm then
@@ -274,12 +263,14 @@ function Session:reload()
     return
   end
   time.install(self, fsm)
-  local problem = put_in_place(fsm, self.fsm)
+  local snap, problem = snapshot.try_take(self.fsm)
+  problem = problem or rewind.carry_over(fsm, snap)
   self.fsm, self.env.fsm, self.model = fsm, fsm, result
   if self.saved then self.saved = take_functions(fsm) end
   if self.level then self:set_level(self.level) end
   breakpoints.renew(self, complain)
   history.start(self)
+  self.observer = observer.new(self)
   if problem then
     complain(calls.line(text_of(problem)) .. ": the machine begins anew")
   end
@@ -290,8 +281,8 @@ end
 
 local session = { check_event = Session.check_event }
 
---- Open a chart; nil and the problems if it is wrong. `load` may return something else,
--- a system: then `new(value, follows)` is returned.
+--- Return a session of a chart; nil and the problems if the chart is wrong. If `load`
+-- returns a system in place of a chart, `new(system, follows)` is returned.
 function session.open(file, follows, has_stubs, load, new)
   local fsm, result = chart.open(file, init_quietly, complain, has_stubs, load)
   if not fsm then return nil, result end
@@ -302,6 +293,7 @@ function session.open(file, follows, has_stubs, load, new)
     has_stubs = has_stubs or false, commands = commands,
   }, Session)
   history.start(sim)
+  sim.observer = observer.new(sim)
   return sim
 end
 

@@ -1,9 +1,9 @@
 --- The simulator: steps through a chart by hand, with Lua at the prompt.
 --
--- The command `rfsm sim` calls it. Code typed at the prompt sees the
--- machine as `fsm`, the commands that `help()` lists, and the globals of the chart,
--- which it can also set. `rfsm.sim.session` advances the machine, `rfsm.sim.commands`
--- has the commands, `rfsm.sim.prompt` reads and evaluates.
+-- It is the command `rfsm sim`. Code typed at the prompt sees the machine as `fsm`, the
+-- commands that `help()` lists, and the globals of the chart, which it can also set.
+-- `rfsm.sim.session` advances the machine, `rfsm.sim.commands` has the commands,
+-- `rfsm.sim.prompt` reads and evaluates.
 --
 -- @module rfsm.sim.simulator
 -- @license BSD-3-Clause
@@ -20,7 +20,7 @@ local complain = terminal.complain
 
 local rfsm_sim = { VERSION = rfsm._VERSION:match("%S+$") }
 
--- Runs the texts of -e up to the first that fails or quits. Returns false if one fails.
+-- Runs the texts of the option -e up to one that quits; returns false if one fails.
 local function run_code(sim, texts)
   for _, text in ipairs(texts) do
     if sim.is_over then break end
@@ -70,7 +70,7 @@ end
 ---@field quiet? boolean no banner
 ---@field interactive? boolean read commands, also after `execute`
 
--- Does all that comes before the first command. Returns a status if that is the end.
+-- Does what the options want. Returns the status if the program ends without a prompt.
 local function prepare(sim, options)
   prompt.install(sim)
   if options.dry then sim:set_dry(true) end
@@ -100,7 +100,7 @@ function rfsm_sim.main(options, open)
   if status then return status end
   if not options.quiet then greet(sim, is_terminal) end
   local is_right = prompt.converse(sim)
-  if is_terminal then print() end -- the shell's prompt begins a new line
+  if is_terminal then print() end -- so that the shell's prompt is in a new line
   return (is_right or is_terminal) and 0 or 1
 end
 

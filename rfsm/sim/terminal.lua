@@ -1,8 +1,8 @@
 --- The terminal of the simulator: Control-C, and lines typed, piped in, or to stderr.
 --
--- A reader takes a prompt and returns a line; nil at the end of the input; false if
--- Control-C dropped the line. There is no editing without lua-readline. A second
--- Control-C ends the program without luaposix and luv.
+-- A reader is a function that takes a prompt and returns a line; nil at the end of the
+-- input; false if Control-C dropped the line. Without lua-readline a line cannot be
+-- edited. Without luaposix and luv a second Control-C ends the program.
 --
 -- @module rfsm.sim.terminal
 -- @license BSD-3-Clause
@@ -31,18 +31,18 @@ end
 local PERIOD = 10000 -- VM instructions between two looks
 local counter -- luaposix or luv, once interrupts are caught
 local count, seen = 0, 0 -- Control-Cs typed, and raised as errors
-local is_busy = false -- C code runs that calls back; an error must not leave it
+local is_busy = false -- C code runs that calls Lua: the hook must not raise an error
 
---- The source of the count.
+--- Functions of luaposix or luv: what counts Control-C.
 ---@class rfsm.sim.Counter
 ---@field look fun() lets the handler of the signal run
----@field wait fun(): boolean waits for a key or a signal; is there a key?
+---@field wait fun(): boolean waits for a key or a signal; returns whether a key came
 
 local poll
 
--- luaposix calls the handler from a debug hook of the coroutine that has loaded it. So
--- this coroutine loads it, and is resumed to look. LuaJIT has one debug hook for all
--- coroutines, which the handler sets again.
+-- luaposix calls the handler from a debug hook of the coroutine that has loaded
+-- luaposix. So a coroutine of its own loads it, and is resumed to look. LuaJIT has one
+-- debug hook for all coroutines: luaposix takes it, and the handler sets ours again.
 local function posix_counter()
   local listener = coroutine.create(function()
     local signal = require "posix.signal"
@@ -80,7 +80,10 @@ end
 
 --- Has Control-C been typed since the last look?
 function terminal.is_interrupted()
-  if counter then terminal.uninterrupted(counter.look) end
+  local was_busy = is_busy
+  is_busy = true
+  if counter then counter.look() end
+  is_busy = was_busy
   local is_new = count > seen
   seen = count
   return is_new
@@ -88,11 +91,11 @@ end
 
 function poll()
   if is_busy or not terminal.is_interrupted() then return end
-  print() -- behind the terminal's ^C
+  print() -- ends the line in which the terminal has shown ^C
   error("interrupted!", 2) -- the core knows this text
 end
 
---- Have each Control-C raise an error in the code that runs.
+--- Have each Control-C raise an error in the code that runs then.
 function terminal.catch_interrupts()
   if counter or not sethook then return end
   counter = posix_counter() or luv_counter()
@@ -101,16 +104,7 @@ function terminal.catch_interrupts()
   if jit then jit.off() end -- its code calls no hook
 end
 
---- Call a function that Control-C must not end; it is raised afterwards.
-function terminal.uninterrupted(f, ...)
-  local was_busy = is_busy
-  is_busy = true
-  local ok, failure = pcall(f, ...)
-  is_busy = was_busy
-  if not ok then error(failure, 0) end
-end
-
---- Look for Control-C again, whatever has taken the debug hook.
+--- Set the debug hook again, which other code may have taken.
 function terminal.settle()
   if counter then sethook(poll, "", PERIOD) end
 end
@@ -118,7 +112,7 @@ end
 --- Is Control-C caught?
 function terminal.is_caught() return counter ~= nil end
 
---- Return a callback that Control-C ends, also in a coroutine.
+--- Return a callback that Control-C ends also in a coroutine, which has its own hook.
 function terminal.interruptible(callback)
   return function(...)
     sethook(poll, "", PERIOD)
@@ -134,10 +128,10 @@ function terminal.is_terminal(descriptor)
   return result == true or result == 0
 end
 
--- Reads a line key by key, so that Control-C is noticed at once. The debug hook raises
--- nothing meanwhile (`is_busy`), because that would leave readline in mid-work. After
--- Control-C the next line replaces the handler. Removing it before the line has ended
--- would have lua-readline 3.2 close the terminal's stream and then write to it.
+-- Reads a line key by key, so that Control-C is noticed at once. Meanwhile the debug
+-- hook raises no error (`is_busy`), which would interrupt readline in the middle of its
+-- work. After Control-C the handler of the line stays until the next line replaces it.
+-- Removed at once, it would have lua-readline 3.2 write to a stream that is closed.
 local function read_keys(readline, prompt)
   local line, is_done = nil, false
   readline.handler_install(prompt, function(text)
@@ -158,7 +152,7 @@ end
 
 local HISTORY = (os.getenv("HOME") or ".") .. "/.rfsm_sim_history"
 
--- The history is complete also if the simulator is killed.
+-- The line is in the file at once, and is not lost if the simulator is killed.
 local function keep_line(readline, line)
   readline.add_history(line)
   local file = io.open(HISTORY, "a")
@@ -202,15 +196,15 @@ end
 
 local function piped_reader() return io.read() end
 
---- Return the reader for what stdin is. For the Tab key, `complete(word, before)` lists
--- the words that begin so.
+--- Return the reader for stdin: a pipe, or a terminal, where the Tab key offers the
+-- words that `complete(word, before)` lists for a word and the text before it.
 function terminal.new_reader(complete)
   if not terminal.is_terminal(0) then return piped_reader end
   return terminal.is_terminal(1) and readline_reader(complete) or prompting_reader
 end
 
---- Read a line; return what the reader does, and if Control-C was typed, which drops
--- the lines before. A terminal drops the text before it in this line.
+--- Read a line; return what the reader does, and whether Control-C was typed. Then the
+-- caller drops the incomplete lines before this one.
 function terminal.read(read, prompt)
   local ok, line = pcall(read, prompt)
   is_busy = false
@@ -219,7 +213,7 @@ function terminal.read(read, prompt)
   return false, true
 end
 
---- Return a line that names missing packages; nil if none is missing.
+--- Return a line that names the missing packages and their use; nil if none is missing.
 function terminal.advice()
   local packages, gains = {}, {}
   if not pcall(require, "readline") then

@@ -1,7 +1,7 @@
 --- The simulated clock of a session.
 --
--- It goes on from the time of the real clock, so that armed timers keep their
--- deadlines. Time passes only by `pass` and `go_to_timer`.
+-- It begins at the time of the real clock, so that armed timers keep their deadlines.
+-- Then time passes only by `pass` and `go_to_timer`.
 --
 -- @module rfsm.sim.time
 -- @license BSD-3-Clause
@@ -16,11 +16,12 @@ local text_of = rfsm.text_of
 
 local time = {}
 
---- The time that has passed, and the times at which the two clocks began.
+--- A simulated clock: the real time at which it began, and the time passed since.
 ---@class rfsm.sim.Time
 ---@field passed rfsm.clock.Clock
----@field starts table<boolean, { sec: number, nsec: number }> true: for e_after
----@field changes table[] the real clock of the machine
+---@field starts table<boolean, { sec: number, nsec: number }> key true: for e_after,
+-- key false: the time of day, for e_at
+---@field changes table[] the real clock of the machine, to be given back
 
 --- Have the timers of a machine read the simulated clock, if a session has one.
 function time.install(sim, fsm)
@@ -54,7 +55,7 @@ function time.use_real(sim)
   sim.time = nil
 end
 
---- Return seconds for a reader.
+--- Return a number of seconds as a text for a person.
 function time.text(seconds)
   if seconds < 1 then return ("%.6g s"):format(seconds) end
   return (("%.3f"):format(seconds):gsub("%.?0+$", "")) .. " s"
@@ -66,11 +67,9 @@ function time.show(sim)
   print("clock:  " .. (now and time.text(now.passed:now()) or "real time"))
 end
 
-local MAX_STEPS = 1000 -- a doo that is never idle would take all others
+local MAX_STEPS = 1000 -- of one advance: a doo may never be idle
 
---- Let simulated seconds pass.
---
--- The machine is advanced at each timer on the way, and at the end.
+--- Let simulated seconds pass; advance the machine at each timer, and at the end.
 function time.pass(sim, seconds)
   start(sim)
   history.mark(sim)
@@ -83,7 +82,7 @@ function time.pass(sim, seconds)
   until seconds <= 0
 end
 
---- Go to the next timer.
+--- Let the time pass until the next timer expires.
 function time.go_to_timer(sim)
   start(sim)
   local seconds = clock.until_timer(sim.fsm)

@@ -1,9 +1,9 @@
 --- A chart that the page drives, with a clock that the page can stop.
 --
--- A turn is a command of the page, or a timer that ran out; the page may go back to
--- where it began. When the file has changed it is loaded anew, and the machine is put
--- into the state that was active, if the chart still has it. The output of the chart
--- goes to the log of the page.
+-- A turn is what a command of the page or an expired timer has the machine do. The page
+-- may go back to the beginning of each turn. When the file has changed it is loaded
+-- again, and the machine is put into the state that was active, if the chart still has
+-- that. The output of the chart goes to the log of the page.
 --
 -- The file reads in this order: load, turns, commands, timers and the file.
 --
@@ -16,7 +16,6 @@ local chart = require "rfsm.shared.chart"
 local clock = require "rfsm.clock"
 local files = require "rfsm.shared.files"
 local rewind = require "rfsm.observe.rewind"
-local snapshot = require "rfsm.snapshot"
 local LocalView = require "rfsm.web.local_view"
 local breakpoints = require "rfsm.observe.breakpoints"
 local utf8 = require("rfsm.marsh").utf8
@@ -35,24 +34,24 @@ local TICK = 1e-6 -- seconds are rounded up to multiples of it
 ---@field view rfsm.web.LocalView|false false while the chart has a mistake
 ---@field problems string[] those of the chart; empty if it runs
 ---@field generation integer counts the charts that a page has to draw
----@field way rfsm.observe.Rewind|false place n is the beginning of turn n + 1
----@field snap table? of the machine, while the chart has a mistake
+---@field way rfsm.observe.Rewind|false its place n is the beginning of turn n + 1
+---@field snap table? snapshot of the last machine, while the chart has a mistake
 ---@field time rfsm.clock.Clock seconds since the machine began, as the chart reads them
----@field is_live boolean does the clock go on by itself?
+---@field is_live boolean does the clock go on with real time?
 ---@field points rfsm.observe.Breakpoint[] breakpoints
 ---@field stopped string|false the breakpoint at which the last run has ended
-local Driven = { MAX_STEPS = 1000 } -- of one run
+local Driven = { MAX_STEPS = 1000 } -- steps of one run, at most
 Driven.__index = Driven
 
 -- Load: a chart becomes a machine, or a list of problems ----------------------------
 
--- Adds an entry to the log, also before there is a view.
+-- Adds an entry to the log of the view. Those from before the view is made wait.
 local function tell(session, kind, text)
   if session.view then return session.view:note(kind, text) end
   session.early[#session.early + 1] = { kind, text }
 end
 
--- Calls f(session, ...) while `print` goes to the log; a failure goes there, too.
+-- Returns f(session, ...); nil if it fails. Its error and what it prints go to the log.
 local function guarded(session, f, ...)
   local real = rawget(_G, "print")
   rawset(_G, "print", function(...) tell(session, "output", calls.text("\t", ...)) end)
@@ -83,12 +82,12 @@ local function read(file) return files.read(file) or "" end
 
 -- Turns: each is a command of the page, or a timer -----------------------------------
 
--- Has simulated time go on with real time, from where it is.
+-- Has simulated time go on with real time, from its present value.
 local function start_clock(session)
   session.since = session.real() - session.time:now()
 end
 
--- Begins the way back anew.
+-- Begins a new way back: its first place is the present one.
 local function start_way(session)
   local time = session.time
   session.way = rewind.new(session.view.fsm, {
@@ -122,15 +121,14 @@ local function run(session)
   view:note("note", ("not idle after %d steps"):format(Driven.MAX_STEPS))
 end
 
--- Begins with a machine, in the state of a snapshot if the chart still has it.
+-- Begins with a new machine, in the state of a snapshot if the chart still has it.
 local function begin(session, fsm, snap)
   session.view = LocalView.new(fsm, function() return session.time:now() end)
   session.view.points = session.points
   breakpoints.renew(session.view, function(line) tell(session, "warning", line) end)
   session.view:observe(true)
   for _, entry in ipairs(session.early) do session.view:note(entry[1], entry[2]) end
-  local function migrate(old) return old end
-  if not (snap and snapshot.put(fsm, snap, { migrate = migrate })) then
+  if not snap or rewind.carry_over(fsm, snap) then
     session.time:advance(-session.time:now())
     run(session)
   end
@@ -138,7 +136,7 @@ local function begin(session, fsm, snap)
   start_clock(session)
 end
 
--- Loads the chart; `keeps_state`: the new machine goes on in the state of the old one.
+-- Loads the chart. If `keeps_state` the machine goes on in the state of the old one.
 local function load(session, keeps_state)
   local snap = keeps_state and (session.way and session.way:note().snap
     or session.snap) or nil
@@ -176,7 +174,7 @@ function commands.run(session)
   run(session)
 end
 
--- Undoes the turns after number `to`, without any callback.
+-- Undoes the turns after turn `to`. No callback is called.
 function commands.back(session, message)
   local to = message.to or session.way.at - 1
   local is_before = type(to) == "number" and to < session.way.at
@@ -231,7 +229,7 @@ function commands.breakpoint(session, message)
   local ok, number = pcall(breakpoints.add, session.view, message.at)
   if not ok then return number end
   local name = list[number].name
-  for i = message.on and number - 1 or number, 1, -1 do -- equal breakpoints
+  for i = message.on and number - 1 or number, 1, -1 do -- removes equal breakpoints
     if list[i].name == name then remove(list, i) end
   end
   session.view:touch()
@@ -251,14 +249,14 @@ end
 
 -- Timers and the file ----------------------------------------------------------------
 
--- Seconds until the next timer is due by the clock on the wall.
+-- Returns the seconds of real time until the next timer expires; nil or false for none.
 local function time_left(session)
   local seconds = session.is_live and next_timer(session)
   local since = session.real() - session.since
   return seconds and session.time:now() + seconds + TICK - since
 end
 
---- Run a timer that is due, and load the file again if it has changed.
+--- Run the machine if a timer has expired; load the file again if it has changed.
 function Driven:poll()
   local left = time_left(self)
   if left and left <= 0 then
@@ -275,7 +273,7 @@ function Driven:wait()
   return max(0, min(self.look_at - self.real(), time_left(self) or huge))
 end
 
---- Add what the page shows of a session to a message.
+--- Add the clock, the breakpoints, and whether there is a way back to a message.
 function Driven:describe(message)
   message.clock, message.live = self.time:now(), self.is_live
   message.timer = next_timer(self) or false
@@ -287,7 +285,7 @@ function Driven:describe(message)
   message.can_back = place.snap ~= nil
 end
 
---- Open a chart, also one with mistakes; `real` is the clock of the wall, in seconds.
+--- Open a chart, also one with mistakes. `real()` returns the real time in seconds.
 function Driven.open(file, real, has_stubs)
   local session = setmetatable({
     file = file, title = file:match("[^/]+$"), real = real, view = false, problems = {},

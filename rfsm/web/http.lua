@@ -19,16 +19,17 @@ local http = {}
 
 -- Limits ----------------------------------------------------------------------
 
-local MAX_CONNECTIONS = 200 -- a select takes 1024 descriptors
-local MAX_DESCRIPTOR = 1023
-local MAX_ACCEPTED = 50 -- at a time; others are served in between
+local MAX_CONNECTIONS = 200
+local MAX_DESCRIPTOR = 1023 -- the greatest one that `select` takes
+local MAX_ACCEPTED = 50 -- at a time, before the open connections are served again
 local MAX_STREAMS = 32
 local MAX_HEAD, MAX_BODY = 8192, 16384
-local STALL_TIME = 30 -- seconds that a stream may go without reading
 local BEAT_TIME = 15 -- seconds without a message until a heartbeat
-local REQUEST_TIME = 5 -- seconds until a request must be complete
-local REPLY_TIME = 30 -- seconds until a reply must be read
-local CLOSING_TIME = 2 -- seconds for the rest of a request that was refused
+
+-- Seconds that a phase of a connection may take: until the request is complete, until
+-- the client has read the reply, until it has sent the rest of a request and closes.
+-- The client of a stream may leave a message unread for so long.
+local MAX_TIME = { reading = 5, writing = 30, closing = 2, stream = 30 }
 
 -- Requests --------------------------------------------------------------------
 
@@ -36,13 +37,13 @@ local CLOSING_TIME = 2 -- seconds for the rest of a request that was refused
 ---@class rfsm.web.Request
 ---@field method string "GET", "POST"
 ---@field path string as sent, up to a question mark
----@field query string behind it, or ""
+---@field query string behind the question mark, or ""
 ---@field headers table<string, string> by lower-case name
 ---@field body string
 
 local IS_SINGLE = { host = true, ["content-length"] = true }
 
--- Returns the header fields by their names; nil if a line is wrong.
+-- Returns the header fields by their names in lower case; nil if a line is wrong.
 local function parse_headers(lines)
   local headers = {}
   for line in lines:gmatch("\r\n([^\r\n]*)") do
@@ -65,7 +66,7 @@ local function body_length(headers)
   return length
 end
 
--- Returns the request in `text`; nil while it is incomplete, or the status as well.
+-- Returns the request in a text; nil if it is incomplete, and a status if it is wrong.
 local function parse_request(text)
   local stop, body_start = text:find("\r\n\r\n", 1, true)
   if not stop then return nil, #text > MAX_HEAD and 431 or nil end
@@ -90,9 +91,9 @@ end
 ---@class rfsm.web.Reply
 ---@field status? integer default 200
 ---@field type? string default "text/plain"
----@field body? string of a stream: its first message
----@field policy? string of the content's security
----@field stream? table its messages are about this
+---@field body? string of a stream the first message
+---@field policy? string the header field Content-Security-Policy
+---@field stream? any if set, more messages follow, about this subject
 
 local REASONS = {
   [200] = "OK", [202] = "Accepted", [204] = "No Content", [400] = "Bad Request",
@@ -122,17 +123,17 @@ end
 ---@field phase "reading"|"writing"|"closing"|"stream"
 ---@field received string
 ---@field pending string a reply or message that is being sent; "" if there is none
----@field sent integer bytes of it that the client has taken
----@field since number when a stream last took bytes, or a message for it began
----@field deadline number when it is dropped, unless it is a stream
----@field stream? table the subject of a stream
+---@field sent integer bytes of `pending` that the client has taken
+---@field since number when the phase began; of a stream, when its client last took
+-- bytes or a new message was begun
+---@field stream? any the subject of a stream
 
 local function new_connection(client, now)
   client:settimeout(0)
   client:setoption("tcp-nodelay", true)
   return {
     socket = client, phase = "reading", received = "", pending = "", sent = 0,
-    since = now, deadline = now + REQUEST_TIME,
+    since = now,
   }
 end
 
@@ -143,8 +144,8 @@ local function drop(server, connection)
   end
 end
 
--- Drops the stream that has not read for the longest time, or else the oldest, if there
--- is no room for another.
+-- If there are too many streams for another one, drops the one whose client has not
+-- read for the longest time. If all have read, drops the oldest.
 local function make_room(server)
   local silent, count = nil, 0
   for _, connection in ipairs(server.connections) do
@@ -165,30 +166,26 @@ local function begin_message(connection, text, now)
 end
 
 local function begin_reply(server, connection, reply)
-  local now = server.clock()
-  if reply.stream then
-    make_room(server)
-    connection.phase, connection.stream = "stream", reply.stream
-  else
-    connection.phase, connection.deadline = "writing", now + REPLY_TIME
-  end
-  begin_message(connection, reply_text(reply), now)
+  if reply.stream then make_room(server) end
+  connection.phase = reply.stream and "stream" or "writing"
+  connection.stream = reply.stream
+  begin_message(connection, reply_text(reply), server.clock())
 end
 
--- Sends as much as the client takes. Returns false if it is gone.
+-- Sends as much as the client takes. If it is gone, `read` will find that.
 local function write(server, connection)
-  local last, problem, partly = connection.socket:send(connection.pending,
+  local last, _, partly = connection.socket:send(connection.pending,
     connection.sent + 1)
-  if not last and problem ~= "timeout" then return false end
-  if (last or partly) > connection.sent then connection.since = server.clock() end
+  if connection.phase == "stream" and (last or partly) > connection.sent then
+    connection.since = server.clock()
+  end
   connection.sent = max(connection.sent, last or partly)
   if connection.sent == #connection.pending then connection.pending = "" end
   if connection.phase == "writing" and connection.pending == "" then
     -- Closing with unread bytes would reset the connection and lose the reply.
     connection.socket:shutdown("send")
-    connection.phase, connection.deadline = "closing", server.clock() + CLOSING_TIME
+    connection.phase, connection.since = "closing", server.clock()
   end
-  return true
 end
 
 -- Reads what has arrived. Returns false if the client is gone.
@@ -201,7 +198,8 @@ local function read(server, connection)
   if not (request or status) then return data ~= nil or problem == "timeout" end
   begin_reply(server, connection, request and server.handle(request) or
     { status = status })
-  return write(server, connection)
+  write(server, connection)
+  return true
 end
 
 -- The server ------------------------------------------------------------------
@@ -238,11 +236,10 @@ local function drop_late(server)
   local now = server.clock()
   for i = #server.connections, 1, -1 do
     local connection = server.connections[i]
-    local is_late = now > connection.deadline
-    if connection.phase == "stream" then
-      is_late = connection.pending ~= "" and now > connection.since + STALL_TIME
+    local is_waiting = connection.phase == "stream" and connection.pending == ""
+    if not is_waiting and now > connection.since + MAX_TIME[connection.phase] then
+      drop(server, connection)
     end
-    if is_late then drop(server, connection) end
   end
 end
 
@@ -255,10 +252,7 @@ function Server:step(timeout)
   end
   if timeout == huge then timeout = nil end
   local readable, writable = socket.select(readers, writers, timeout)
-  for _, client in ipairs(writable) do
-    local connection = by_socket[client]
-    if not write(self, connection) then drop(self, connection) end
-  end
+  for _, client in ipairs(writable) do write(self, by_socket[client]) end
   for _, client in ipairs(readable) do
     local connection = by_socket[client]
     if connection and client:getfd() >= 0 and not read(self, connection) then
@@ -269,33 +263,31 @@ function Server:step(timeout)
   drop_late(self)
 end
 
---- Send a message to each stream that has taken its last one. A stream that lags behind
--- gets no message now: `next_message(connection)` is called for it later. It returns a
--- text, nil if there is none.
+--- Send a message to each stream whose client has taken the last one: the text that
+-- `next_message(connection)` returns, if it returns one. It is called for others later.
 function Server:feed(next_message)
   local now = self.clock()
-  for i = #self.connections, 1, -1 do
-    local connection = self.connections[i]
+  for _, connection in ipairs(self.connections) do
     if connection.phase == "stream" and connection.pending == "" then
       local is_quiet = now > connection.since + BEAT_TIME
       local text = next_message(connection) or is_quiet and ": beat\n\n"
       if text then
         begin_message(connection, text, now)
-        if not write(self, connection) then drop(self, connection) end
+        write(self, connection)
       end
     end
   end
 end
 
---- Close the port and all connections; again does no harm.
+--- Close the port and all connections. It may be called again.
 function Server:close()
   for _, connection in ipairs(self.connections) do connection.socket:close() end
   self.connections = {}
   self.socket:close()
 end
 
---- Open a port, 0: one that is free; nil and the problem if that fails. The clock is
--- for the time limits.
+--- Open a port, or a free one if `port` is 0; nil and the problem if that fails. The
+-- limits of time are those of `clock`.
 ---@param handle fun(request: rfsm.web.Request): rfsm.web.Reply
 function http.listen(host, port, handle, clock)
   local listening, problem = socket.bind(host, port, 128)

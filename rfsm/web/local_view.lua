@@ -1,7 +1,7 @@
 --- The view of a machine in this program, and of the regions in its states.
 --
--- Failures and warnings are always noted; what else happens while it is observed. No
--- guard is called but for the question why.
+-- Failures and warnings are always noted, what else happens only while the machine is
+-- observed. Guards are called only by the question why an event did nothing.
 --
 -- The file reads in this order: the machines, failures, what an observed machine does,
 -- the present state, questions.
@@ -27,22 +27,21 @@ local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local utf8 = marsh.utf8
 
-local MAX_LOST = 20 -- so many events without an effect are named
+local MAX_LOST = 20 -- events without an effect that are noted
 
 --- A machine that is observed.
 ---@class rfsm.web.LocalView : rfsm.web.View
 ---@field fsm rfsm.Machine
 ---@field machines table[] as `rfsm.machines`
----@field numbers table<table, integer> of nodes and transitions; none if merged in
----@field path table<rfsm.Machine, string> taken in its current iteration, for a reader
----@field lost any[] events that took no transition since the last transition
----@field last_lost any[] such events of the last entry in the log
+---@field numbers table<table, integer> of nodes and transitions, but those merged later
+---@field path table<rfsm.Machine, string> taken in the current iteration, as a text
+---@field lost any[] events that took no transition, since the last transition
+---@field last_lost any[] the events in the last entry of the log about such events
 ---@field entered table<integer, integer> how often a state was entered while observed
----@field stream rfsm.observe.Stream|false while it is observed
----@field failing rfsm.observe.Stream
----@field printers table[] changes of err and warn
+---@field stream rfsm.observe.Stream|false all that happens, while it is observed
+---@field changes table[] hooks added and printers replaced, for `close`
 ---@field points rfsm.observe.Breakpoint[] breakpoints
----@field hit string|false the breakpoint that was reached since this was set to false
+---@field hit string|false the last breakpoint reached, until this is set to false
 local LocalView = setmetatable({}, { __index = View })
 LocalView.__index = LocalView
 
@@ -63,46 +62,42 @@ local function add_machine(view, at)
   end
 end
 
--- Failures: noted also while nobody observes ----------------------------------------
+-- Failures: noted also while the machine is not observed -----------------------------
 
--- Has a printer of a machine note what it prints, without the id of the record.
+-- Notes in the log what a printer of a machine (`err`, `warn`) prints, without the id.
 local function listen_to(view, fsm, name, kind)
-  instrument.listen(view.printers, fsm, name, function(...)
+  instrument.listen(view.changes, fsm, name, function(...)
     view:note(kind, (calls.text(" ", ...):gsub("^%u+:? ", ""):gsub(":  ", ": ")))
   end)
 end
 
--- Returns a listener that counts failures: of a guard or an effect at the source.
-local function new_counter(view)
-  return { failed = function(_, element)
+-- Counts failed callbacks by state: guards and effects for the source of a transition.
+local function count_failures(view, fsm)
+  instrument.hook_of(view.changes, fsm, "watch", "failed", function(_, element)
     local number = view.numbers[rfsm.is_trans(element) and element.src or element]
     if number then view:add_failure(number) end
-  end }
+  end)
 end
 
 -- What an observed machine does ------------------------------------------------------
 
--- Notes the breakpoint that is reached, if one is.
+-- Notes a breakpoint that is reached, see `breakpoints.each_reached`.
 local function check_points(view, kind, value)
   breakpoints.each_reached(view.points, kind, value, function(_, point)
     view.hit = point.name
   end)
 end
 
--- Appends the numbers of the active states of a machine, from its root on.
-local function add_active(view, fsm, numbers)
-  local node = rfsm.get_sta_mode(fsm) ~= "inactive" and fsm
-  while node do
-    numbers[#numbers + 1] = view.numbers[node]
-    node = rfsm.actchild_get(node)
-  end
-  return numbers
-end
-
--- Numbers of the active states, from the root down, those of regions behind.
+-- Returns the numbers of the active states, from the root down, then those of regions.
 local function active_numbers(view)
   local numbers = {}
-  for _, at in ipairs(view.machines) do add_active(view, at.machine, numbers) end
+  for _, at in ipairs(view.machines) do
+    local node = rfsm.get_sta_mode(at.machine) ~= "inactive" and at.machine
+    while node do
+      numbers[#numbers + 1] = view.numbers[node]
+      node = rfsm.actchild_get(node)
+    end
+  end
   return numbers
 end
 
@@ -121,18 +116,13 @@ local function text_of_path(at, path)
   return concat(texts, " \226\134\146 ")
 end
 
-local function see_active(view, fsm)
-  for _, number in ipairs(add_active(view, fsm, {})) do view:see_node(number) end
-end
-
--- Logs an iteration, unless nothing happened in it.
+-- Adds an entry for an iteration to the log, if it has taken a path.
 local function note_step(view, fsm, events)
   local path = view.path[fsm]
   for i = 1, view.points[1] and #events or 0 do
     check_points(view, "event", events[i])
   end
   if path then
-    see_active(view, fsm)
     view:note("step", path, { unpack(events) }, active_numbers(view))
     view.lost, view.path[fsm] = {}, nil
   elseif fsm == view.fsm then
@@ -163,21 +153,20 @@ local function new_listener(view)
   }
 end
 
---- Begin or end to note what the machine does.
+--- Start, or stop, noting what the machine does.
 function LocalView:observe(is_wanted)
   if is_wanted == (self.stream ~= false) then return end
   if self.stream then self.stream:stop() end
   self.stream = is_wanted and stream.follow(self.fsm, new_listener(self))
   self.path, self.lost = {}, {}
-  for _, at in ipairs(self.machines) do see_active(self, at.machine) end
+  self:see_nodes(active_numbers(self))
   self:touch()
 end
 
 --- Leave the machine as it was.
 function LocalView:close()
   self:observe(false)
-  self.failing:stop()
-  instrument.give_back(self.printers)
+  instrument.give_back(self.changes)
 end
 
 -- The present state ----------------------------------------------------------------
@@ -200,7 +189,7 @@ function LocalView:now()
   }
 end
 
---- Note the events that took no transition, once the machine is idle.
+--- Note the events that took no transition in the log, once the machine is idle.
 function LocalView:settle()
   if self.lost[1] == nil then return end
   self.last_lost, self.lost = self.lost, {}
@@ -214,7 +203,7 @@ end
 
 -- Questions -----------------------------------------------------------------------
 
---- Say why events that took no transition did not. This calls guards.
+--- Return why the events that were last noted took no transition. Guards are called.
 function LocalView:why()
   local _, text = rfsm_checks.why(self.fsm, unpack(self.last_lost))
   return utf8(text)
@@ -249,22 +238,22 @@ function LocalView:inspect(number)
   return about
 end
 
---- Answer the command `inspect` of a page: a problem, or nil and what is known.
+--- Answer the command `inspect` of a page: return a problem, or nil and the answer.
 function LocalView.answer_inspect(source, message)
   local about = source.view:inspect(message.node)
   return not about and "node: number of a state expected" or nil, about
 end
 
---- Return a view of a machine, which `observe` starts. `clock` returns the seconds that
---- stand in the log of the page.
+--- Return a view of a machine, which is not observed yet. `clock` returns seconds for
+-- the entries of the log.
 function LocalView.new(fsm, clock)
   local view = View.create(LocalView, marsh.model2tab(fsm, true), clock)
   view.fsm, view.machines, view.numbers, view.node_of = fsm, rfsm.machines(fsm), {}, {}
   view.lost, view.last_lost, view.entered, view.path = {}, {}, {}, {}
-  view.points, view.hit, view.stream, view.printers = {}, false, false, {}
-  view.failing = stream.follow(fsm, new_counter(view))
+  view.points, view.hit, view.stream, view.changes = {}, false, false, {}
   for _, at in ipairs(view.machines) do
     add_machine(view, at)
+    count_failures(view, at.machine)
     listen_to(view, at.machine, "err", "error")
     listen_to(view, at.machine, "warn", "warning")
   end

@@ -4,15 +4,14 @@
 -- @license BSD-3-Clause
 
 local clock = require "rfsm.clock"
-local dot = require "rfsm.dot"
 local View = require "rfsm.web.view"
 local subscriber = require "rfsm.observe.subscriber"
 
 local ipairs, setmetatable, type = ipairs, setmetatable, type
 
 local MARKS = { leaf = "[LS]", composite = "[CS]" } -- of states in a path
-local MAX_MESSAGES = 100 -- so many are taken at a time
-local MAX_MACHINES = 100 -- of a port
+local MAX_MESSAGES = 100 -- messages that are read at a time
+local MAX_MACHINES = 100 -- machines of a port that are shown
 local WAIT = 0.02 -- seconds until the socket is looked at again
 
 --- The machine as it was last described.
@@ -22,7 +21,7 @@ local WAIT = 0.02 -- seconds until the socket is looked at again
 local RemoteView = setmetatable({}, { __index = View })
 RemoteView.__index = RemoteView
 
--- Numbers of the states from the root to the active one.
+-- Returns the numbers of the states from the root down to the active leaf.
 local function active_numbers(view)
   local numbers, number = {}, view.outline.number_of[view.leaf]
   while number do
@@ -51,7 +50,7 @@ local function edges_by_ends(view)
   return by_ends
 end
 
--- Notes the transitions on a path; returns it for a reader.
+-- Notes the transitions on a path; returns the path as a text for a person.
 local function take_path(view, path)
   view.by_ends = view.by_ends or edges_by_ends(view)
   local before
@@ -71,19 +70,17 @@ local function take_state(view, message)
   if not (has_moved or path) and message.act_leaf_state == view.mode then return end
   local text = path and take_path(view, path) or has_moved and text_of_leaf(leaf)
   view.leaf, view.mode = leaf, message.act_leaf_state or "inactive"
-  local active = active_numbers(view)
-  for _, number in ipairs(active) do view:see_node(number) end
-  if text then view:note("step", text, nil, active) end
+  if text then view:note("step", text, nil, active_numbers(view)) end
   view:touch()
 end
 
---- A machine elsewhere. The first one of a port has the connection.
+--- A machine elsewhere. The machines of a port share a client; the first one reads it.
 ---@class rfsm.web.Remote
 ---@field number integer at that port
 ---@field view rfsm.web.RemoteView|false false before the machine is described
 ---@field problems string[]
 ---@field all rfsm.web.Remote[] those of the port
----@field is_only boolean? no other machine of the port is shown
+---@field is_only boolean? of the first one: are others of the port not shown?
 local Remote = { commands = {} }
 Remote.__index = Remote
 
@@ -96,7 +93,6 @@ end
 local TAKE = {}
 
 function TAKE.rfsm_model(remote, message)
-  dot.encode(message.graph) -- raises an error if the graph is wrong
   remote.generation, remote.problems = remote.generation + 1, {}
   remote.view = View.create(RemoteView, message.graph, remote.clock)
   remote.view.leaf, remote.view.mode = false, "inactive"
@@ -145,7 +141,7 @@ local function take(first, message)
   if problem then refuse(remote, problem) end
 end
 
---- Take the messages that have come.
+--- Read the messages that have come, of all machines of the port.
 function Remote:poll()
   if self ~= self.all[1] then return end
   for _ = 1, MAX_MESSAGES do
@@ -165,8 +161,8 @@ function Remote.wait() return WAIT end
 
 function Remote:describe(message) message.clock = self.clock() end
 
---- Watch the machines of a port, or only one; nil and the problem if that fails. The
--- list grows with the machines that are heard of.
+--- Return the list of the machines of a port, or of only the one with a number; nil and
+-- the problem if that fails. The list grows when another machine answers.
 function Remote.open(host, port, number)
   local client, problem = subscriber.connect(host, port, true)
   if not client then return nil, problem end

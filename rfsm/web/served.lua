@@ -16,8 +16,8 @@ local setmetatable, huge = setmetatable, math.huge
 ---@field problems string[]
 ---@field generation integer
 ---@field commands table<string, function>
----@field has_history boolean it is observed also while no page is open
----@field is_observed boolean
+---@field has_history boolean is it observed also while no page is open?
+---@field seen_at number when a page has read last
 local Served = {}
 Served.__index = Served
 
@@ -32,15 +32,14 @@ end
 
 function COMMANDS.why(served) return nil, served.view:why() end
 
---- Turn the notes of what the machine does on or off.
+--- Start, or stop, noting what the machine does. With `history` that never stops.
 function Served:observe(is_wanted)
-  self.is_observed = is_wanted or self.has_history
-  self.view:observe(self.is_observed)
+  self.view:observe(is_wanted or self.has_history)
 end
 
 function Served:close() self.view:close() end
 
---- Note the events that did nothing, once the machine has taken them.
+--- Note the events that took no transition, once the queue is empty.
 function Served:poll()
   local view = self.view
   if view.lost[1] ~= nil and view.fsm._intq[1] == nil then view:settle() end
@@ -50,15 +49,15 @@ function Served.wait() return huge end
 
 function Served:describe(message) message.clock = self.view.clock() end
 
---- Show a machine.
+--- Make a tab for a machine.
 function Served.new(fsm, title, settings)
   local served = setmetatable({
     view = LocalView.new(fsm, clock.from_now()), title = title, problems = {},
-    generation = 1, has_history = settings.history, is_observed = false,
+    generation = 1, has_history = settings.history, seen_at = 0,
     commands = { inspect = LocalView.answer_inspect,
       send = settings.allow_send and COMMANDS.send or nil,
       why = settings.allow_why and COMMANDS.why or nil } }, Served)
-  if settings.history then served:observe(true) end
+  served:observe(false)
   return served
 end
 

@@ -1,9 +1,9 @@
 --- A machine as pages show it: its chart once, then the changes.
 --
--- `rfsm.web.local_view` is the view of a machine in this program, `rfsm.web.remote` of
--- one elsewhere. Their method `now` returns the active states and the queue; the log
--- and the coverage are kept here. A message is built when a page asks: the page has a
--- cursor, which says what it knows already, and gets the changes since.
+-- Two classes are derived from this one: `rfsm.web.local_view` for a machine in this
+-- program, `rfsm.web.remote` for one elsewhere. Their method `now` returns the active
+-- states and the queue. The log and the coverage are kept here. A message for a page is
+-- made by its cursor, which says what the page knows, and has the changes since.
 --
 -- @module rfsm.web.view
 -- @license BSD-3-Clause
@@ -17,8 +17,8 @@ local setmetatable, type = setmetatable, type
 local max = math.max
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
-local MAX_LOG = 500 -- entries that are kept
-local MAX_SENT = 60 -- of them in a message to a page that follows
+local MAX_LOG = 500 -- entries that are kept, at least
+local MAX_SENT = 60 -- entries in a message to a page that has a cursor
 local MAX_TEXT = 2000 -- bytes of a text in the log
 
 --- The state of a machine as a page shows it.
@@ -31,21 +31,21 @@ local MAX_TEXT = 2000 -- bytes of a text in the log
 --- How much of a view a page knows.
 ---@class rfsm.web.Cursor
 ---@field log integer number of the last entry
----@field nodes integer how many of the nodes that were seen
----@field edges integer
----@field rewrites integer
+---@field nodes integer how many of the nodes that were active
+---@field edges integer how many of the transitions that were taken
+---@field rewrites integer `rewrites` of the view when the page got its last message
 
 --- A machine as pages show it.
 ---@class rfsm.web.View
 ---@field description rfsm.marsh.Node
 ---@field outline rfsm.observe.Outline
----@field clock fun(): number seconds, for the log
+---@field clock fun(): number seconds, for the entries of the log
 ---@field now fun(self: rfsm.web.View): rfsm.web.Now
 ---@field log table[]
----@field turn integer number of the turn to which new entries of the log belong
----@field taken integer[] numbers of the transitions taken last
+---@field turn integer number of the present turn, see `rfsm.web.driven`
+---@field taken integer[] numbers of the transitions that are shown as taken
 ---@field revision integer counts the changes
----@field rewrites integer counts the changes that take something back
+---@field rewrites integer counts how often entries were taken back, see `go_back`
 ---@field failures table<integer, integer> failed callbacks, by number of the node
 local View = {}
 View.__index = View
@@ -76,23 +76,10 @@ end
 --- Note that something has changed.
 function View:touch() self.revision = self.revision + 1 end
 
--- Drops old entries, many at a time: dropping one for each new one would cost more.
+-- Drops old entries, many at a time: it would cost more to drop one for each new one.
 local function trim(view)
   local log = view.log
   if #log >= 2 * MAX_LOG then view.log = { unpack(log, #log - MAX_LOG + 1) } end
-end
-
---- Add an entry to the log: "step", "lost", "error", "warning", "output" or "note". A
--- step has events, and the active states behind it. Most entries of a fast machine are
--- never sent: events become texts when they are.
-function View:note(kind, text, events, active)
-  self.count = self.count + 1
-  self.log[#self.log + 1] = {
-    number = self.count, at = self.clock(), kind = kind, events = events,
-    turn = self.turn, text = text, active = active,
-  }
-  trim(self)
-  self:touch()
 end
 
 local function mark(list, number)
@@ -102,10 +89,26 @@ local function mark(list, number)
   end
 end
 
---- Note that a state was active.
-function View:see_node(number) mark(self.seen_nodes, number) end
+--- Note that states were active.
+function View:see_nodes(numbers)
+  for _, number in ipairs(numbers) do mark(self.seen_nodes, number) end
+end
 
---- Note that a transition was taken; nil is one that is not in the chart.
+--- Add an entry to the log, of the kind "step", "lost", "error", "warning", "output" or
+-- "note". A step has events, and the active states after it, which are noted as well.
+-- Events become texts only when an entry is sent, as most of a fast machine never are.
+function View:note(kind, text, events, active)
+  self.count = self.count + 1
+  self.log[#self.log + 1] = {
+    number = self.count, at = self.clock(), kind = kind, events = events,
+    turn = self.turn, text = text, active = active,
+  }
+  trim(self)
+  self:see_nodes(active or {})
+  self:touch()
+end
+
+--- Note that a transition was taken; nil stands for one that was merged later.
 function View:see_edge(number)
   if self.is_taken_shown then self.taken, self.is_taken_shown = {}, false end
   mark(self.seen_edges, number)
@@ -128,7 +131,7 @@ end
 --- Begin a turn: the transitions of the turn before are no longer shown as taken.
 function View:begin_turn(turn) self.turn, self.is_taken_shown = turn, true end
 
---- Take back the entries after a turn; the coverage stays.
+--- Go back to the end of a turn: entries of later turns go, the coverage stays.
 function View:go_back(turn)
   local kept = {}
   for _, entry in ipairs(self.log) do
@@ -141,8 +144,8 @@ end
 
 -- Messages --------------------------------------------------------------------------
 
---- Return the event in a message: a text, or that with the number in the chart; nil and
--- the problem if there is none.
+--- Return the event in a message, which is a text or the number of an event in the
+-- chart; nil and the problem if it is neither.
 function View:event_of(message)
   local event = message.event
   if type(event) == "number" then
@@ -165,7 +168,7 @@ local function sent(view, entry)
     events = entry.events and view:texts_of(entry.events) }
 end
 
--- Returns the last entries behind number `last`, at most `most`.
+-- Returns the entries after number `last`, or only the last `most` of them.
 local function entries_after(view, last, most)
   local log, entries = view.log, {}
   local first = max(1, #log - most + 1)
@@ -185,8 +188,8 @@ local function failure_list(view)
   return list
 end
 
---- Return a message with the present state and the changes for a page, and the cursor
--- of the page once it has the message. A page without a cursor knows nothing yet.
+--- Return a message for a page, with the present state and the changes since its
+-- cursor, and the cursor of the page after it. A page without a cursor gets all.
 function View:state(cursor)
   local message, lists = self:now(), self.outline
   message.is_full = not cursor or cursor.rewrites ~= self.rewrites

@@ -89,7 +89,7 @@ end
 
 -- Follows the machine from now on.
 function host.follow()
-  server.http.connections[1] = { stream = server.shown[1], pending = "" }
+  server.http.connections[1] = { stream = 1, pending = "" }
 end
 
 -- Returns the next message to the page.
