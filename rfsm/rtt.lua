@@ -311,10 +311,10 @@ end
 ---@param args rfsm.rtt.Launch
 ---@return boolean launched true
 function rfsm_rtt.launch(args)
-  if rfsm_rtt.launched then rfsm_rtt.launched.forget() end
+  if rfsm_rtt.launched then rfsm_rtt.launched:forget() end
   rfsm_rtt.forget_modules()
   local ok, why = pcall(function() require("rfsm.rtt.component").launch(args) end)
-  if ok then ok, why = pcall(rfsm_rtt.launched.finish) end
+  if ok then ok, why = pcall(rfsm_rtt.launched.finish, rfsm_rtt.launched) end
   rfsm_rtt.forget_modules()
   if not ok then error("rfsm.rtt.launch: " .. rfsm_rtt.reason(why), 2) end
   return true

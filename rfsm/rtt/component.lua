@@ -21,14 +21,14 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 -- What stays after the launch holds these, and not all of the module.
 local add_attributes, ATTRIBUTES = update.add_attributes, update.ATTRIBUTES
-local new_reporter = update.new_reporter
+local report = update.report
 
 local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 
 --- What a launch has asked for, and what belongs to its machine.
 ---@class rfsm.rtt.Launched : rfsm.rtt.Launch
 ---@field is_component boolean false: a service
----@field is_own boolean? does the component launch in its own configureHook?
+---@field is_own boolean does the component launch in its own configureHook?
 ---@field theirs table<string, function> the program's hooks, by name
 ---@field log fun(level: string, ...) writes to RTT's log
 ---@field rtt table the module of RTT
@@ -37,6 +37,7 @@ local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 ---@field extra rfsm.rtt.Port[] those of `extra_in_ports`
 ---@field variables table<string, any> the values of the attributes, by name
 ---@field attributes string[] names of those that this launch has added
+---@field counts table<string, integer> the values of those that count
 ---@field emit? fun(...) writes events to the port for them, the global `emit_event`
 ---@field is_ready boolean are the ports there, and the hooks those of the launch?
 
@@ -90,20 +91,15 @@ end
 local function add_port(launch, field)
   local wanted = launch[field]
   if not wanted then return nil end
-  local class, name, _, text, kind = unpack(PORTS[field], 1, 5)
+  local class, name, global, text, kind = unpack(PORTS[field], 1, 5)
   if wanted ~= true and field ~= "timer" then name = wanted end
   local held = held_port.reserve(launch.component, { name = name,
     type = kind or "string", desc = text,
     porttype = class == "InputPort" and "in" or "out" })
   if launch.ports_at ~= "configure" then provide_port(launch, field, held) end
   launch.ports[field] = held
+  rawset(_G, global, held.real or nil)
   return held
-end
-
-local function set_port_globals(launch)
-  for field, held in pairs(launch.ports) do -- any order: each is a global of its own
-    rawset(_G, PORTS[field][3], held.real or nil)
-  end
 end
 
 -- Finds the ports again, and makes them if they shall be there.
@@ -115,8 +111,8 @@ local function find_ports(launch, is_made)
     elseif held and is_made then
       new_port(launch, field, held)
     end
+    if held then rawset(_G, PORTS[field][3], held.real or nil) end
   end
-  set_port_globals(launch)
   for _, held in ipairs(launch.extra) do held:find() end
 end
 
@@ -160,9 +156,10 @@ end
 local function load_machine(launch)
   local ok, model = limit.load(rfsm.load, launch.fsmfile, { os.time })
   if not ok then error(model, 0) end
+  local log = launch.log
   for name, level in pairs { err = "Error", warn = "Warning", info = "Info" } do
     if model[name] == nil then -- any order
-      model[name] = update.printer(launch, level)
+      model[name] = function(...) log(level, ...) end
     end
   end
   launch.stage = "the machine is made"
@@ -173,8 +170,6 @@ end
 
 -- Hooks --------------------------------------------------------------------------
 
-local make_ready
-
 -- Events that wait in ports stay there: the entry would not name them.
 local function enter(launch, fsm)
   if launch.enter ~= "start" or rfsm.get_sta_mode(fsm) ~= "inactive" then return end
@@ -183,7 +178,7 @@ local function enter(launch, fsm)
   fsm.getevents = no_events
   local ok, problem = pcall(rfsm.step, fsm)
   if fsm.getevents == no_events then fsm.getevents = getevents end
-  if not ok then new_reporter(launch)(problem) end
+  if not ok then report(launch, problem) end
 end
 
 -- Logs that time events wait for other events if nothing wakes the component.
@@ -221,10 +216,10 @@ end
 -- A component that launches by itself does so in its configureHook.
 local function wrap_hooks(launch)
   if not launch.is_own then
-    wrap(launch, "configureHook", function() make_ready(launch) end)
+    wrap(launch, "configureHook", function() launch:make_ready() end)
   end
   wrap(launch, "startHook", function()
-    make_ready(launch)
+    launch:make_ready()
     warn_of_timers(launch)
     enter(launch, launch.fsm)
   end)
@@ -240,7 +235,7 @@ end
 -- Makes the ports and attributes that are not there, and wraps hooks which a `lua_file`
 -- has defined since. This happens in configureHook, in startHook, and at the first
 -- update after a launch or a clean-up.
-function make_ready(launch)
+local function make_ready(launch)
   find_ports(launch, true)
   add_attributes(launch, ATTRIBUTES)
   wrap_hooks(launch)
@@ -312,7 +307,6 @@ local function add_outputs(launch)
   local write_fqn = rfsm_rtt.gen_write_fqn(fqn)
   launch.emit = out and rfsm_rtt.gen_raise_event(out)
   set_globals { setfqn = write_fqn, emit_event = launch.emit }
-  set_port_globals(launch)
   return write_fqn
 end
 
@@ -352,10 +346,8 @@ local function set_up(launch)
   launch.stage = "the machine is connected"
   pcall(collectgarbage)
   connect(launch, fsm, getevents, write_fqn)
-  set_port_globals(launch)
   launch.fsm, launch.meter = fsm, update.new_meter(launch)
-  launch.finish = update.new_finisher(launch)
-  local trigger = update.new_trigger(launch, fsm, make_ready)
+  local trigger = update.new_trigger(launch, fsm)
   set_globals { fsm = fsm, trigger = trigger,
     updateHook = update_hook(launch, trigger) }
   run(loadfile, launch.postfile)
@@ -373,18 +365,16 @@ local function obstacle()
   return "a machine was launched here before, it is the global 'fsm'"
 end
 
--- Returns a function that gives the program its hooks back, those that it has not
--- defined anew, and forgets the machine: a pool may not have room for two.
-local function new_forgetter(launch)
-  return function()
-    for name, hook in pairs(launch.hooks) do -- any order: each is a global of its own
-      if rawget(_G, name) == hook then rawset(_G, name, launch.theirs[name]) end
-    end
-    if rawequal(rawget(_G, "fsm"), launch.fsm) then rawset(_G, "fsm", nil) end
-    for _, name in ipairs { "trigger", "setfqn" } do rawset(_G, name, nil) end
-    launch.fsm, launch.hooks, launch.theirs = nil, {}, {}
-    pcall(collectgarbage)
+-- Gives the program its hooks back, those that it has not defined anew, and forgets the
+-- machine: a pool may not have room for two.
+local function forget(launch)
+  for name, hook in pairs(launch.hooks) do -- any order: each is a global of its own
+    if rawget(_G, name) == hook then rawset(_G, name, launch.theirs[name]) end
   end
+  if rawequal(rawget(_G, "fsm"), launch.fsm) then rawset(_G, "fsm", nil) end
+  for _, name in ipairs { "trigger", "setfqn" } do rawset(_G, name, nil) end
+  launch.fsm, launch.hooks, launch.theirs = nil, {}, {}
+  pcall(collectgarbage)
 end
 
 -- Takes away what a launch has made. Ports and attributes are no garbage for Lua.
@@ -400,7 +390,7 @@ local function undo(launch)
     launch.component:removeAttribute(name)
   end
   if launch.unload_timer then pcall(launch.unload_timer) end
-  launch.forget()
+  launch:forget()
 end
 
 -- Charts rely on rttlib, which makes constructors callable and operations methods, and
@@ -419,13 +409,16 @@ local function begin(launch)
   launch.hooks, launch.theirs, launch.stage = {}, {}, "the launch begins"
   launch.ports_at, launch.ports, launch.extra = launch.ports, {}, {}
   launch.variables, launch.attributes = {}, {}
+  launch.counts = { rfsm_errors = 0, rfsm_failures = 0, rfsm_overruns = 0 }
   launch.is_ready = launch.is_own or not launch.is_component
   launch.log, launch.flush = update.new_log(rtt)
+  launch.make_ready, launch.forget = make_ready, forget
+  launch.undo, launch.finish = undo, update.finish
 end
 
 --- Launch a machine in this Lua; return the hook to enable as the last act, if there is
--- one. Raises an error with the name of the chart. Call `launch.finish` behind it, when
--- most of this module is garbage.
+-- one. An error has the name of the chart. Call `launch:finish()` afterwards, when most
+-- of this module is garbage.
 ---@param launch rfsm.rtt.Launched
 function component.start(launch)
   launch.where = "launch of '" .. launch.fsmfile .. "': "
@@ -433,7 +426,6 @@ function component.start(launch)
   if problem then error(launch.where .. problem, 0) end
   load_libraries(launch)
   begin(launch)
-  launch.undo, launch.forget = function() undo(launch) end, new_forgetter(launch)
   local ok, result = pcall(set_up, launch)
   rfsm_rtt.forget_modules()
   if not ok then update.fail(launch, result) end
@@ -441,20 +433,12 @@ function component.start(launch)
   return result
 end
 
--- Returns the settings; those modules are garbage from then on.
-local function read(args)
-  local settings = require "rfsm.rtt.settings"
-  local launch = settings.read(settings.OWN, args, "fsmfile")
-  rfsm_rtt.forget_modules()
-  return launch
-end
-
 --- Launch a machine in the component of this Lua, as `rfsm.rtt.launch` does.
 ---@param args rfsm.rtt.Launch
 function component.launch(args)
-  local launch = read(args)
+  local launch = require("rfsm.rtt.settings").read("own", args)
+  rfsm_rtt.forget_modules() -- they are garbage from here on
   set_globals(launch.env)
-  launch.is_own = true
   component.start(launch)
 end
 

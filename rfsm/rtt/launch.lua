@@ -52,7 +52,7 @@ local ok, hook = pcall(function()
   return require("rfsm.rtt.component").start(launch)
 end)
 local why = hook
-if ok then ok, why = pcall(launch.finish) end
+if ok then ok, why = pcall(launch.finish, launch) end
 if not ok then
   pcall(collectgarbage)
   local file = io.open(%q, "w")
@@ -114,7 +114,7 @@ function rtt_launch.service_launch_rfsm(file, exec_str, eehook, env, more)
       error("options: table expected, " .. rfsm.got(more), 0)
     end
     for name, value in pairs(more or {}) do args[name] = value end -- any order
-    local launch = settings.read(settings.SERVICE, args, "fsmfile", "exec_str")
+    local launch = settings.read("service", args)
     launch.exec_str = nil
     execute(exec_str, launch)
   end)
@@ -178,7 +178,7 @@ local function find_deployer(wanted)
 end
 
 local function launch_component(args)
-  local launch = settings.read(settings.COMPONENT, args, "name", "fsmfile")
+  local launch = settings.read("component", args)
   local name, kind = launch.name, launch.luatype or "OCL::LuaComponent"
   local deployer = find_deployer(launch.deployer or "Deployer")
   launch.deployer = deployer:getName()

@@ -71,14 +71,17 @@ local function with_own(fields)
   return with_common(fields)
 end
 
---- By kind of launch, for `read`: in a service, in a new component, in this one.
-settings.SERVICE = with_common {
-  exec_str = { "operation exec_str", is_anything }, eehook = BOOLEAN,
+-- The fields by kind of launch: in a service, in a new component, in this one.
+local FIELDS = {
+  service = with_common {
+    exec_str = { "operation exec_str", is_anything }, eehook = BOOLEAN,
+  },
+  component = with_own {
+    name = STRING, luatype = STRING, ports = { "'configure'", is_word "configure" },
+  },
+  own = with_own {},
 }
-settings.COMPONENT = with_own {
-  name = STRING, luatype = STRING, ports = { "'configure'", is_word "configure" },
-}
-settings.OWN = with_own {}
+local REQUIRED = { "name", "fsmfile", "exec_str" } -- where the kind has the field
 
 local STEPS = 1000 -- of an update that runs the machine; a run that is longer goes on
 
@@ -91,16 +94,18 @@ local function set_steps(launch)
   launch.steps = launch.steps or runs and STEPS or 1
 end
 
---- Return the settings of a launch; raise if one is wrong, or a named one is missing.
-function settings.read(fields, args, ...)
+--- Return the settings of a launch; raise if one is wrong or a required one missing.
+---@param kind "service"|"component"|"own"
+function settings.read(kind, args)
+  local fields = FIELDS[kind]
   local launch, problem = options.read(fields, args)
   if not launch then error(problem, 0) end
-  for _, name in ipairs { ... } do
-    if launch[name] == nil then
+  for _, name in ipairs(REQUIRED) do
+    if fields[name] and launch[name] == nil then
       error(name .. ": " .. fields[name][1] .. " expected, got nil", 0)
     end
   end
-  launch.is_component = fields ~= settings.SERVICE
+  launch.is_component, launch.is_own = kind ~= "service", kind == "own"
   set_steps(launch)
   launch.samples = launch.samples or 64
   return launch

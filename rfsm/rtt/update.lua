@@ -91,7 +91,7 @@ end
 -- also what was done then.
 function update.fail(launch, problem)
   collect() -- or undoing fails, too
-  launch.undo()
+  launch:undo()
   local text, memory = rfsm.text_of(problem), memory_text()
   if text:find("not enough memory", 1, true) then
     text = ("%s while %s, %s without that"):format(text, launch.stage, memory)
@@ -101,20 +101,18 @@ end
 
 local fail = update.fail
 
---- Return a function that prepares the machine, and logs what was launched.
-function update.new_finisher(launch)
-  return function()
-    collect()
-    launch.stage = "the machine is prepared"
-    local ok, problem = pcall(rfsm.prepare, launch.fsm)
-    if not ok then fail(launch, problem) end
-    launch.undo, launch.finish = nil, nil
-    launch.env, launch.prestr, launch.poststr = nil, nil, nil -- they may be long
-    launch.log("Info", ("rfsm.rtt: '%s' is launched in '%s': %s%s"):format(
-      launch.fsmfile, launch.component:getName(), memory_text(),
-      rawget(_G, "tlsf") and ", without rfsm.fast" or ""))
-    launch.meter()
-  end
+--- Prepare the machine, and log what was launched.
+function update.finish(launch)
+  collect()
+  launch.stage = "the machine is prepared"
+  local ok, problem = pcall(rfsm.prepare, launch.fsm)
+  if not ok then fail(launch, problem) end
+  launch.undo, launch.finish = nil, nil
+  launch.env, launch.prestr, launch.poststr = nil, nil, nil -- they may be long
+  launch.log("Info", ("rfsm.rtt: '%s' is launched in '%s': %s%s"):format(
+    launch.fsmfile, launch.component:getName(), memory_text(),
+    rawget(_G, "tlsf") and ", without rfsm.fast" or ""))
+  launch.meter()
 end
 
 -- Attributes ---------------------------------------------------------------------
@@ -146,13 +144,10 @@ function update.add_attributes(launch, types)
   end
 end
 
--- Returns a function that counts in an attribute.
-local function new_counter(launch, name)
-  local count, variables = 0, launch.variables
-  return function()
-    count = count + 1
-    variables[name]:assign(count)
-  end
+-- Counts in an attribute.
+local function count(launch, name)
+  launch.counts[name] = launch.counts[name] + 1
+  launch.variables[name]:assign(launch.counts[name])
 end
 
 -- Log ----------------------------------------------------------------------------
@@ -205,42 +200,30 @@ function update.new_log(rtt)
   end
 end
 
---- Return a printer of a machine, which writes to RTT's log.
-function update.printer(launch, level)
-  local log = launch.log
-  return function(...) log(level, ...) end
-end
-
--- Returns a function that counts in an attribute, and calls error() of the component if
--- the launch has asked for it.
-local function new_alert(launch, name)
-  local count, target, calls_error = new_counter(launch, name), launch.component,
-    launch.error
-  return function()
-    count()
-    if calls_error then target:error() end
-  end
+-- Counts in an attribute, and calls error() of the component if the launch has asked
+-- for it.
+local function alert(launch, name)
+  count(launch, name)
+  if launch.error then launch.component:error() end
 end
 
 --- Return `err` of the machine with a count of its calls.
 function update.counted(launch, err)
-  local alert = new_alert(launch, "rfsm_errors")
   return function(...)
-    alert()
+    alert(launch, "rfsm_errors")
     if err then return err(...) end
   end
 end
 
--- Returns a function that reports what an update raised. It never raises, since RTT
--- removes a hook that fails.
-function update.new_reporter(launch)
-  local log, alert = launch.log, new_alert(launch, "rfsm_failures")
-  return function(problem)
-    make_room(problem)
-    alert()
-    pcall(log, "Error", "rfsm.rtt:", problem)
-  end
+--- Report what an update raised. This never raises, since RTT removes a hook that
+-- fails.
+function update.report(launch, problem)
+  make_room(problem)
+  alert(launch, "rfsm_failures")
+  pcall(launch.log, "Error", "rfsm.rtt:", problem)
 end
+
+local report = update.report
 
 -- Updates ------------------------------------------------------------------------
 
@@ -259,14 +242,13 @@ local function new_alarm(launch, fsm)
 end
 
 -- Returns a function that makes the steps of an update.
-local function new_update(launch, fsm, again, make_ready)
-  local count, alarm = new_counter(launch, "rfsm_overruns"), new_alarm(launch, fsm)
-  local steps = launch.steps
+local function new_update(launch, fsm, again)
+  local steps, alarm = launch.steps, new_alarm(launch, fsm)
   return function()
-    if not launch.is_ready then make_ready(launch) end
+    if not launch.is_ready then launch:make_ready() end
     local is_idle = rfsm.step(fsm, steps)
     if not is_idle and steps > 1 and rfsm.get_sta_mode(fsm) ~= "inactive" then
-      count()
+      count(launch, "rfsm_overruns")
       again()
     end
     alarm()
@@ -276,18 +258,17 @@ end
 -- Returns a function that advances the machine. It returns true whatever happens. The
 -- next update finishes a step that was cut short, and the one behind it reads what came
 -- meanwhile: so one is triggered when failures begin and when they end.
-function update.new_trigger(launch, fsm, make_ready)
+function update.new_trigger(launch, fsm)
   -- triggers the next update of a component, which otherwise waits for an event
   local again = launch.is_component and launch.component:getOperation("trigger")
     or function() end
-  local report = update.new_reporter(launch)
-  local advance = new_update(launch, fsm, again, make_ready)
+  local advance = new_update(launch, fsm, again)
   local meter, target, flush = launch.meter, launch.component, launch.flush
   local running_only, has_failed = launch.running_only, false
   return function()
     if running_only and target:getState() ~= "Running" then return true end
     local ok, problem = pcall(advance)
-    if not ok then report(problem) end
+    if not ok then report(launch, problem) end
     if ok == has_failed then pcall(again) end
     has_failed = not ok
     pcall(flush)
