@@ -326,14 +326,6 @@ local function connect(launch, fsm, getevents, write_fqn)
   launch.variables.rfsm_halted:assign(not launch.eehook)
 end
 
--- Returns the updateHook of the program, or that of the launch.
-local function update_hook(launch, trigger)
-  if not launch.is_component then return nil end
-  local theirs = rawget(_G, "updateHook")
-  if not theirs then launch.hooks.updateHook = function() trigger() end end
-  return theirs or launch.hooks.updateHook
-end
-
 local function set_up(launch)
   if launch.pool then update.enlarge_pool(launch, launch.pool) end
   run(loadfile, launch.prefile)
@@ -348,8 +340,10 @@ local function set_up(launch)
   connect(launch, fsm, getevents, write_fqn)
   launch.fsm, launch.meter = fsm, update.new_meter(launch)
   local trigger = update.new_trigger(launch, fsm)
-  set_globals { fsm = fsm, trigger = trigger,
-    updateHook = update_hook(launch, trigger) }
+  set_globals { fsm = fsm, trigger = trigger }
+  if launch.is_component and not rawget(_G, "updateHook") then
+    wrap(launch, "updateHook", trigger)
+  end
   run(loadfile, launch.postfile)
   run(loadstring, launch.poststr, "=poststr")
   fsm.err = update.counted(launch, fsm.err)
