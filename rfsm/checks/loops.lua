@@ -6,7 +6,6 @@
 local rfsm = require "rfsm"
 local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
-local structure = require "rfsm.checks.structure"
 
 local ipairs = ipairs
 local concat = table.concat
@@ -70,8 +69,8 @@ end
 
 --- Find cycles on which a machine never becomes idle.
 ---@type rfsm_checks.Check
-function loops.check(fsm, add)
-  local reached, is_told = structure.reached(fsm), {}
+function loops.check(fsm, add, reached)
+  local is_told = {}
   for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
     local cycle = reached[leaf] and not is_told[leaf] and find_cycle(fsm, leaf)
     if cycle then

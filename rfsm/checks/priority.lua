@@ -8,7 +8,6 @@ local rfsm = require "rfsm"
 local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
 local order = require "rfsm.shared.order"
-local structure = require "rfsm.checks.structure"
 
 local ipairs, setmetatable, type = ipairs, setmetatable, type
 local is_conn = rfsm.is_conn
@@ -109,8 +108,7 @@ end
 
 --- Find what is wrong with the order of transitions.
 ---@type rfsm_checks.Check
-function priority.check(fsm, add)
-  local reached = structure.reached(fsm)
+function priority.check(fsm, add, reached)
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     if reached[tr.src] and not check_shadows(fsm, tr, add) then
       check_conflicts(tr, add)

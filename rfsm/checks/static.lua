@@ -10,6 +10,7 @@ local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 local codes = require "rfsm.checks.codes"
 local location = require "rfsm.shared.location"
+local structure = require "rfsm.checks.structure"
 local stubs = require "rfsm.shared.stubs"
 
 local error, ipairs, pairs = error, ipairs, pairs
@@ -29,9 +30,10 @@ local static = {}
 ---@field hint string a remedy
 ---@field witness? rfsm_checks.WitnessStep[] of an exploration: the run that shows it
 
---- A check: calls `add` for each finding about a machine.
+--- A check: calls `add` for each finding about a machine. `reached` is the set of the
+--- nodes that some path of transitions leads to.
 ---@alias rfsm_checks.Add fun(code: string, obj: table, text: string, severity?: any)
----@alias rfsm_checks.Check fun(fsm: rfsm.Machine, add: rfsm_checks.Add)
+---@alias rfsm_checks.Check fun(fsm: rfsm.Machine, add: rfsm_checks.Add, reached: table)
 
 local CHECKS = {
   "rfsm.checks.structure", "rfsm.checks.priority", "rfsm.checks.loops",
@@ -151,7 +153,8 @@ local function check_machine(entry, findings, checks)
   local function add(code, obj, text, severity)
     table.insert(by_element[obj], { code = code, text = text, severity = severity })
   end
-  for _, name in ipairs(checks) do require(name).check(fsm, add) end
+  local reached = structure.reached(fsm)
+  for _, name in ipairs(checks) do require(name).check(fsm, add, reached) end
   for _, obj in ipairs(elements) do
     check_silences(obj, add)
     for _, found in ipairs(by_element[obj]) do

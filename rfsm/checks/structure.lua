@@ -282,8 +282,7 @@ end
 
 --- Find what is wrong with nodes.
 ---@type rfsm_checks.Check
-function structure.check(fsm, add)
-  local reached = structure.reached(fsm)
+function structure.check(fsm, add, reached)
   for _, obj in ipairs(rfsm.elements(fsm)) do
     if rfsm.is_node(obj) then check_node(fsm, obj, reached, add) end
     if rfsm.is_trans(obj) then check_transition(obj, add) end
