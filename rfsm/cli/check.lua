@@ -17,7 +17,9 @@ local check = {
 }
 
 local function print_codes()
-  print((require("rfsm.cli.review").codes_text():gsub("\n$", "")))
+  for _, entry in ipairs(require("rfsm.checks.codes").list) do
+    print(("%-16s%-9s%s"):format(entry.code, entry.severity, entry.meaning))
+  end
   os.exit(0)
 end
 

@@ -307,13 +307,4 @@ function review.of(file, model, warnings, settings, options)
   return lines, gravest
 end
 
---- Return the table of all codes.
-function review.codes_text()
-  local lines = {}
-  for i, entry in ipairs(codes.list) do
-    lines[i] = ("%-16s%-9s%s"):format(entry.code, entry.severity, entry.meaning)
-  end
-  return concat(lines, "\n") .. "\n"
-end
-
 return review
