@@ -528,7 +528,12 @@ describe("rfsm-check", function()
 
   it("opens a chart with stubs in place of what is not here, and names them", function()
     local name = write_file("arm.lua", 'require "armlib"\n' .. CHART)
-    fails("rfsm viz " .. name, "rfsm viz: " .. name
+    local problem = name .. ":1: module 'armlib' not found (the option --stub loads "
+      .. "the chart without it)\n"
+    fails("rfsm viz " .. name, "rfsm viz: " .. problem)
+    fails("rfsm size " .. name, "rfsm size: " .. problem)
+    check("rfsm check " .. name, problem, "", 1)
+    fails("rfsm snapshot diff " .. name .. " " .. name, "rfsm snapshot: " .. name
       .. ":1: module 'armlib' not found\n")
     local line = name .. ": stubbed: armlib\n"
     check("rfsm check --static --stub " .. name, name .. ": ok\n" .. line)

@@ -90,13 +90,20 @@ end
 -- Adds an option of two names. The help has the short one: with both it has two lines.
 function common.add_option(command, names, text, default)
   local short, long = names:match("(%-%a) (%-%-%a+)")
-  local option = command:option(short, text, default)
-  if not option.hidden_name then return option:name(long) end -- before argparse 0.7
-  return option:hidden_name(long):target(long:sub(3))
+  return command:option(short, text, default):hidden_name(long):target(long:sub(3))
 end
 
 function common.add_stub(command)
   command:flag("--stub", "modules and globals that are missing do nothing")
+    :init(false)
+end
+
+-- Returns a problem. If a module is missing, such as one of a robot, the text names the
+-- option --stub, unless that was given (true) or the command has no such option (nil).
+function common.with_hint(problem, has_stubs)
+  if has_stubs ~= false then return problem end
+  return (problem:gsub("module '[^']*' not found$",
+    "%0 (the option --stub loads the chart without it)"))
 end
 
 -- For commands whose charts may be programs that make several machines.
@@ -112,8 +119,10 @@ function common.check_readable(file)
 end
 
 -- As chart.load; output goes to stderr.
-function common.load_model(...)
-  return select(2, common.with_streams(io.stderr, chart.load, ...))
+function common.load_model(file, has_stubs, number, load)
+  local _, model, result, world = common.with_streams(io.stderr, chart.load, file,
+    has_stubs, number, load)
+  return model, model and result or common.with_hint(result, has_stubs), world
 end
 
 -- Returns the machine of a chart, made silently, and the names of its stubs.

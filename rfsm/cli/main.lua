@@ -30,9 +30,7 @@ end
 -- Adds what every parser has. The help fits a terminal of 24 lines and 80 columns.
 local function prepare(parser, is_hidden)
   parser.error = report_usage
-  if parser.help_max_width then -- since 0.7
-    parser:usage_max_width(79):help_max_width(79):help_description_margin(26)
-  end
+  parser:usage_max_width(79):help_max_width(79):help_description_margin(26)
   parser:flag("-v --version", "print the version and end"):action(print_version)
     :hidden(is_hidden)
 end
@@ -72,10 +70,8 @@ function cli.main(argv)
     prepare(parsers[name], true)
   end
   prepare(parser, false)
-  if parser.add_complete then -- since 0.7
-    parser:add_complete { "--completion", argname = "SHELL",
-      description = "print the completions for bash, zsh or fish" }
-  end
+  parser:add_complete { "--completion", argname = "SHELL",
+    description = "print the completions for bash, zsh or fish" }
   for _, name in ipairs(COMMANDS) do add(name, require("rfsm.cli." .. name)) end
   for _, command in ipairs(exporters.commands) do add(command.name, command) end
   if argv[1] == nil or argv[1] == "help" then

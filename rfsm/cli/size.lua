@@ -59,7 +59,7 @@ local function measure(options, form, kind, name)
     last = line
   end
   pipe:close()
-  if values.problem then common.fail(values.problem) end
+  if values.problem then common.fail(common.with_hint(values.problem, options.stub)) end
   if not (values.chart or values.module) then
     if form == "stripped" then return nil end
     common.fail(options.lua .. ": " .. last)
