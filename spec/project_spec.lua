@@ -242,6 +242,14 @@ describe("make help", function()
   end)
 end)
 
+describe("make -n test", function()
+  it("prints the commands, and runs none", function()
+    local lines = lines_of("make -n test LUAS=no-such-lua 2>&1; echo $?")
+    assert.matches("tools/test.sh no%-such%-lua$", lines[2])
+    assert.same({ "0" }, { lines[3], lines[4] })
+  end)
+end)
+
 describe("the command", function()
   -- Returns which of these Luas runs it; those in `with` have argparse, those in `own`
   -- the package of the command.
