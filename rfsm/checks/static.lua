@@ -115,8 +115,8 @@ function Findings:join(others)
 end
 
 --- Append findings about silences that silence nothing.
-function Findings:add_idle_silences(model)
-  for _, entry in ipairs(rfsm.machines(static.init(model, false))) do
+function Findings:add_idle_silences(fsm)
+  for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, obj in ipairs(rfsm.elements(entry.machine)) do
       for _, code in ipairs(rfsm.sorted_keys(silences_of(obj))) do
         local path = location.path(obj, entry.prefix)
@@ -231,13 +231,14 @@ end
 ---@param model rfsm.State a model, or a machine
 ---@param checks? string[] names of modules
 ---@return rfsm_checks.Findings
+---@return rfsm.Machine? fsm of the model; nil if there is none
 function static.collect(model, checks)
   local findings = static.new_list()
   local fsm = rfsm.is_initialized_root(model) and model or check_model(findings, model)
   for _, entry in ipairs(fsm and rfsm.machines(fsm) or {}) do
     check_machine(entry, findings, checks or CHECKS)
   end
-  return findings
+  return findings, fsm
 end
 
 --- Give findings the severity that a project has set, and drop those that are off.
@@ -269,7 +270,7 @@ function static.findings(model, settings)
   end
   local problem = codes.check_settings(settings or {})
   if problem then error("rfsm_checks.findings: settings: " .. problem, 2) end
-  return static.apply(static.collect(model), settings or {})
+  return static.apply((static.collect(model)), settings or {})
 end
 
 --- Return a finding in one line: "chart.lua:7: root.a: text [code]". The problems of a

@@ -225,8 +225,8 @@ function review.noting_extensions(f, ...)
 end
 
 -- Finds events of extensions that the chart does not require.
-local function add_missing_extensions(findings, model, required)
-  for _, entry in ipairs(rfsm.machines(static.init(model, false))) do
+local function add_missing_extensions(findings, fsm, required)
+  for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, tr in ipairs(rfsm.elements(entry.machine, rfsm.is_trans)) do
       for _, event in ipairs(tr.events or {}) do
         local module = match.maker_of(event) and advice.module_for(event)
@@ -247,16 +247,14 @@ local function find_all(file, model, settings, options)
     local result = not options.static and explore_system(file, model, options)
     return static.apply(result and result.findings or {}, settings), result or nil
   end
-  local findings, result = static.collect(model, static.OF_FILES), nil
-  if gravest_of(findings) ~= "error" then
-    add_missing_extensions(findings, model, options.required or {})
-  end
-  if not (options.static or gravest_of(findings) == "error") then
-    result = run_explore(file, model, declared_for(file), options, rfsm_checks.explore,
-      MANY)
-    findings:join(result.findings)
-    if not result.bound then findings:add_idle_silences(model) end
-  end
+  local findings, fsm = static.collect(model, static.OF_FILES)
+  if gravest_of(findings) == "error" then return static.apply(findings, settings) end
+  add_missing_extensions(findings, fsm, options.required or {})
+  if options.static then return static.apply(findings, settings) end
+  local result = run_explore(file, model, declared_for(file), options,
+    rfsm_checks.explore, MANY)
+  findings:join(result.findings)
+  if not result.bound then findings:add_idle_silences(fsm) end
   return static.apply(findings, settings), result
 end
 
