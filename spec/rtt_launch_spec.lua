@@ -180,7 +180,8 @@ describe("service_launch_rfsm", function()
     local _, came = started([[types = type(trigger) .. type(setfqn) .. fqn:info().type
       is_machine = rfsm.is_initialized_root(fsm)
       trigger, eehook, fsm, fqn = nil collectgarbage() collectgarbage()]])
-    assert.equal("functionfunctionstring true", evaluate(exec_str, "types, is_machine"))
+    assert.equal("functionfunctionstring true nil",
+      evaluate(exec_str, "types, is_machine, updateHook"))
     assert.equal("<none> a", came())
   end)
 

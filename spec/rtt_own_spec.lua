@@ -133,6 +133,16 @@ function stopHook() words = words .. " stop" .. fsm._act_leaf._id end]])
     end
   end)
 
+  it("runs no machine beside an updateHook of the program that calls no trigger",
+    function()
+      local arm, exec_str = own(nil, "updates = 0 "
+        .. "function updateHook() updates = updates + 1 end")
+      assert(arm:configure())
+      assert(arm:start())
+      spin()
+      assert.equal("true false", evaluate(exec_str, "updates > 0, fsm._act_leaf"))
+    end)
+
   it("wakes a component without a period for time events, with a deployer as peer",
     function()
       local fields = ("fsmfile = %q, timer = true"):format(file_with [[
@@ -217,6 +227,7 @@ describe("rfsm/rtt/program.lua as lua_file", function()
       local arm = whole(case[1])
       assert.is_false(arm:configure())
       assert.is_truthy(logged(case[2])[1] or logged("'}' expected")[1])
+      assert.same({}, logged("program.lua:"))
       rtt.logl("Error", "the log goes on")
       assert.equal(1, #logged("the log goes on"))
     end)
