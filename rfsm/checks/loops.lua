@@ -13,7 +13,8 @@ local is_conn = rfsm.is_conn
 
 local loops = {}
 
--- Returns the first transition that the event takes; nil if a guard decides.
+-- Returns the first transition that is taken on the event; nil, true if a guard or a
+-- predicate decides.
 local function find_taken(transitions, event)
   for _, tr in ipairs(transitions) do
     local is_wanted = match.triggers(tr, event)
@@ -39,7 +40,7 @@ local function follow(fsm, leaf)
   end
 end
 
--- Could a callback send an event of a transition that is not part of the cycle?
+-- Could a callback send an event of a transition out of the cycle, one not in `taken`?
 local function may_be_left(fsm, leaves, taken)
   local has_callback, has_exit = false, false
   for _, leaf in ipairs(leaves) do
@@ -54,7 +55,7 @@ local function may_be_left(fsm, leaves, taken)
   return has_callback and has_exit
 end
 
--- Returns the leaves of the cycle that a leaf is on, itself first.
+-- Returns the leaves of a cycle that a leaf is on and that is never left, itself first.
 local function find_cycle(fsm, start)
   local leaves, taken, leaf = {}, {}, start
   repeat

@@ -1,5 +1,5 @@
 --- Order: transitions that are never taken because others are tried earlier, and pairs
---- whose position alone decides.
+--- of transitions of which one is taken only because it stands first.
 --
 -- @module rfsm.checks.priority
 -- @license BSD-3-Clause
@@ -31,14 +31,14 @@ function is_always_enabled(tr, seen)
   return not is_conn(tr.tgt) or has_path(tr.tgt, seen)
 end
 
-local ANY = {} -- any event
+local ANY = {} -- in place of an event: any one
 
 -- Does the event enable `tr` for certain? A predicate may refuse it.
 local function is_enabled_by(tr, event)
   return match.is_any(tr) or type(event) ~= "function" and match.triggers(tr, event)
 end
 
--- The path to a connector may have passed any other connector.
+-- The set of all connectors: a path to one of them may have passed any other.
 local ALL = setmetatable({}, { __index = function() return true end })
 
 -- Returns a transition that is tried before `tr`, from its source or a composite around
@@ -78,14 +78,15 @@ local function check_shadows(fsm, tr, add)
   return true
 end
 
--- Does its position alone keep `tr` from being taken before `other`? A guard before a
--- transition without one reads as if and else; in connectors the engine warns.
+-- Is `other` taken in place of `tr` only because it stands first? An earlier transition
+-- with a guard and a later one without read as if and else, but not in a connector,
+-- where the engine warns of such pairs.
 local function may_clash(tr, other)
   return (other.pn or 0) == (tr.pn or 0)
     and (tr.guard or not other.guard or is_conn(tr.src))
 end
 
--- Returns an event that enables both, as a text.
+-- Returns the text of an event that enables both transitions; nil if there is none.
 local function shared_event(tr, other)
   if match.is_any(tr) and match.is_any(other) then return "any event" end
   for _, event in ipairs(match.is_any(tr) and other.events or tr.events) do

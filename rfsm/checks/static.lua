@@ -1,7 +1,7 @@
 --- Static checks: mistakes, dead parts and risks that the structure of a chart shows.
 --
--- Each check has a file. It calls `add(code, obj, text)`. Findings are in the order of
--- the tree. A field `checks` of an element silences its findings.
+-- Each check is a file, and calls `add(code, obj, text)` for what it finds. Findings
+-- are in the order of the tree. A field `checks` of an element silences its findings.
 --
 -- @module rfsm.checks.static
 -- @license BSD-3-Clause
@@ -40,7 +40,7 @@ local CHECKS = {
   "rfsm.checks.event_names",
 }
 
---- The checks of files, which read the text of callbacks, too.
+--- The checks of a chart in a file: the text of callbacks is read, too.
 static.OF_FILES = { CHECKS[1], CHECKS[2], CHECKS[3], CHECKS[4], "rfsm.checks.source" }
 
 -- Findings, except those that an element expects ......................................
@@ -60,7 +60,7 @@ local function is_silenced(obj, code) return is_reason(silences_of(obj)[code]) e
 ---@class rfsm_checks.Findings
 ---@field [integer] rfsm_checks.Finding
 ---@field silenced table<string, true> findings that elements expect: "root.a dead-end"
----@field told table<string, true> the findings in the list, as keys
+---@field told table<string, true> those in the list: "dead-end root.a no exit, ..."
 local Findings = {}
 Findings.__index = Findings
 
@@ -82,7 +82,7 @@ function Findings:add(code, obj, path, text, at, file)
     self.silenced[path .. " " .. code] = true
     return nil
   elseif codes.of[code].severity ~= "error" and stubs.is_in(text) then
-    return nil -- the text that is meant is not known
+    return nil -- a stub stands in it for a text that is not known
   end
   local known, key = codes.of[code], concat({ code, path or at, text }, " ")
   if self.told[key] then return nil end
@@ -94,7 +94,7 @@ function Findings:add(code, obj, path, text, at, file)
   return finding
 end
 
--- Returns the finding of the same code about the same element.
+-- Returns the finding in the list that has the same code and the same element.
 function Findings:find_same(finding)
   for _, other in ipairs(self) do
     local path = other.place:gsub(" %(.* %-> .*%)$", ""):gsub(": root", "")
@@ -102,7 +102,7 @@ function Findings:find_same(finding)
   end
 end
 
---- Append the findings of an exploration. A finding that is there already gets the run.
+--- Append the findings of an exploration. One that is in the list only gets the run.
 ---@param others rfsm_checks.Findings
 function Findings:join(others)
   local more = {}
@@ -114,7 +114,7 @@ function Findings:join(others)
   for note in pairs(others.silenced) do self.silenced[note] = true end -- a set
 end
 
---- Append findings about silences that silence nothing.
+--- Append a finding for each silence whose finding did not come.
 function Findings:add_idle_silences(fsm)
   for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, obj in ipairs(rfsm.elements(entry.machine)) do
@@ -129,7 +129,7 @@ function Findings:add_idle_silences(fsm)
   end
 end
 
--- Finds codes that do not exist, and those without a reason.
+-- Finds silences whose code does not exist, or that have no reason.
 local function check_silences(obj, add)
   local silences = silences_of(obj)
   for _, code in ipairs(rfsm.sorted_keys(silences)) do
@@ -167,13 +167,13 @@ end
 
 -- Machines of the model ...........................................................
 
---- Make a machine that prints nothing but its warnings, with `warn`. It is made of the
---- model itself, because transitions may name its root.
+--- Make a machine that prints nothing; its warnings go to `warn`. It is made of the
+--- model itself, not of a copy, because transitions may name the root as a table.
 function static.init(model, warn)
   return calls.silently(calls.init_apart, model, warn)
 end
 
--- Returns the elements of a machine by the location in a warning about them.
+-- Returns the elements of a machine by the locations that warnings about them have.
 local function elements_by_place(fsm)
   local found = {}
   for _, obj in ipairs(fsm and rfsm.elements(fsm) or {}) do
@@ -185,7 +185,7 @@ local function elements_by_place(fsm)
   return found
 end
 
--- Appends lines of init about a machine as findings; `code`: nil for warnings.
+-- Appends findings for lines of init. Without `code` the text of a warning gives it.
 local function add_lines(findings, lines, code, fsm, prefix)
   local by_place = elements_by_place(fsm)
   for _, line in ipairs(lines) do
@@ -199,7 +199,7 @@ local function add_lines(findings, lines, code, fsm, prefix)
   end
 end
 
--- Returns a machine of a model, the problems, and the warnings; its regions are silent.
+-- Returns a machine of a model, the problems, and the warnings, but none of regions.
 local function init_and_listen(model)
   local warnings = {}
   local fsm, _, problems = static.init(model, function(text)
@@ -208,8 +208,8 @@ local function init_and_listen(model)
   return fsm, problems, warnings
 end
 
--- Appends all findings about a model: problems, warnings of init, those of the checks.
--- Returns its machine; nil if there is none.
+-- Appends findings for the problems of a model and the warnings of init. Returns the
+-- machine; nil if there is none.
 local function check_model(findings, model)
   local is_valid, problems, warnings = rfsm.verify_early(model)
   local fsm, regions = nil, {}

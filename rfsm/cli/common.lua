@@ -1,7 +1,7 @@
 --- What the commands share: streams, charts in, results out, addresses.
 --
--- Output of a chart while it is loaded goes to stderr, so that it is never part of a
--- result.
+-- What a chart prints while it is loaded goes to stderr, so that it never becomes part
+-- of a result.
 --
 -- @module rfsm.cli.common
 -- @license BSD-3-Clause
@@ -15,7 +15,7 @@ local opts = require "rfsm.shared.options"
 local concat = table.concat
 
 local common = {
-  command = "", -- name of the one that runs
+  command = "", -- name of the command that runs
   NOWHERE = { write = function(self) return self end }, -- a stream that keeps nothing
 }
 
@@ -28,7 +28,7 @@ local function set_streams(printer, out, err, default)
   io.output(default)
 end
 
--- Calls f(...) as pcall does, while `print`, stdout and stderr are `stream`.
+-- Calls f(...) as pcall does. Meanwhile `print`, stdout and stderr write to `stream`.
 function common.with_streams(stream, f, ...)
   local printer, out, err, default = rawget(_G, "print"), io.stdout, io.stderr,
     io.output()
@@ -57,14 +57,14 @@ function common.try(result, problem)
   return result or common.fail(problem)
 end
 
--- Returns f(...), called silently for the chart in a file.
+-- Returns f(...), without what it prints. An error is taken for one of a chart's file.
 function common.call(file, f, ...)
   local ok, result, more, list = common.with_streams(common.NOWHERE, f, ...)
   if not ok then common.fail(chart.reason(file, result)) end
   return result, more, list
 end
 
--- Calls a function that has no end; Control-C ends it.
+-- Calls a function that goes on until Control-C ends it.
 function common.until_interrupt(f, ...)
   local ok, problem = pcall(f, ...)
   if not (ok or rfsm.is_interrupt(problem)) then error(problem, 0) end
@@ -72,7 +72,7 @@ end
 
 -- Charts in -------------------------------------------------------------------
 
--- Returns a name of a file with slashes, which Windows takes, too.
+-- Returns the name of a file with slashes in place of backslashes. Windows takes both.
 local function with_slashes(name)
   return package.config:byte() == 92 and name:gsub("\\", "/") .. "" or name
 end
@@ -87,7 +87,7 @@ function common.add_files(command)
     :args("+"):argname("FILE"):convert(with_slashes)
 end
 
--- Adds an option of two names. The help has the short one: with both it has two lines.
+-- Adds an option with two names. The help has the short one: both would take two lines.
 function common.add_option(command, names, text, default)
   local short, long = names:match("(%-%a) (%-%-%a+)")
   return command:option(short, text, default):hidden_name(long):target(long:sub(3))
@@ -118,7 +118,7 @@ function common.check_readable(file)
   if not text then common.fail(problem, 2) end
 end
 
--- As chart.load; output goes to stderr.
+-- Loads a chart as chart.load does. What the chart prints goes to stderr.
 function common.load_model(file, has_stubs, number, load)
   local _, model, result, world = common.with_streams(io.stderr, chart.load, file,
     has_stubs, number, load)
@@ -143,7 +143,7 @@ end
 
 local is_count = opts.is_whole(1, math.huge)
 
--- Adds an option with a number, by default a whole one above 0.
+-- Adds an option with a number: one that `is_right` accepts, or a whole one above 0.
 function common.add_number(command, names, description, is_right, expected)
   local add = names:find(" ") and common.add_option or command.option
   return add(command, names, description):argname("N"):convert(function(text)
@@ -159,9 +159,9 @@ end
 common.CHART_NAMES = "The name of a chart is that of its file; NAME=FILE gives another "
   .. "one. Of charts with one name the last is the newest."
 
-common.is_size = opts.is_whole(1, 1e6) -- of a list in a server
+common.is_size = opts.is_whole(1, 1e6) -- for the length of a list that a server keeps
 
--- Adds the charts of a library, and how long it knows ids of events.
+-- Adds arguments for a library of charts, and for how long it remembers ids of events.
 function common.add_charts(command)
   command:argument("files", "Lua files that return a chart"):args("*")
     :argname("[NAME=]FILE"):convert(with_slashes)
@@ -171,8 +171,8 @@ function common.add_charts(command)
     common.is_size):argname("S")
 end
 
--- Returns the text of a library, bundle(files, settings), or ends the program with
--- what is wrong with a chart, in one line.
+-- Returns the text of a library, which bundle(files, settings) makes. If a chart is
+-- wrong, the reason in one line ends the program.
 function common.library_of(bundle, options, parser, settings)
   if not options.files[1] then parser:error("a chart expected") end
   settings.ids, settings.ids_for = options.ids, options.ids_for
@@ -185,7 +185,7 @@ end
 
 -- Results out -----------------------------------------------------------------
 
--- Writes a text to a file; `-` is stdout. A full disk shows when a stream is flushed.
+-- Writes a text to a file; `-` is stdout. Only a flush reports that the disk is full.
 function common.write(file, text)
   local ok, problem
   if file == "-" then
@@ -198,8 +198,8 @@ function common.write(file, text)
   if not ok then common.fail(problem) end
 end
 
--- Encodes the chart in every file before anything is written: encode(fsm, title, foot);
--- the foot names stubs.
+-- Returns the texts that encode(fsm, title, foot) makes of the charts in all files, so
+-- that nothing is written if one of them is wrong. The foot names the stubs.
 function common.encode_all(options, encode)
   local texts = {}
   for i, file in ipairs(options.files) do
@@ -214,7 +214,7 @@ end
 
 -- Addresses -------------------------------------------------------------------
 
-local PROTO_PORT = 44044 -- of rfsm.proto
+local PROTO_PORT = 44044 -- that of rfsm.proto by default
 
 function common.address_of(parser, text)
   local host, port = text:match("^(.*):(%d+)$")

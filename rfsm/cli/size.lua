@@ -25,16 +25,16 @@ end
 local FORMS = { "source", "stripped" }
 local EXTRAS = { "rfsmpp", "rfsm.record", "rfsm.proto" }
 
--- A pool adds to each block. Code has smaller ones than data.
+-- What a pool takes for 1 KiB of heap: it adds bytes to each block, and code has many.
 local CODE, DATA = 1.29, 1.12
 
--- KiB of a Lua with RTT 2.10 and rttlib, and of what a launch leaves there, by form.
+-- KiB by form: those of a Lua with RTT 2.10 and rttlib, and what a launch leaves there.
 local BASE = {
   source = { heap = 155 + 40, pool = 210 + 52 },
   stripped = { heap = 155 + 32, pool = 210 + 39 },
 }
 
--- A pool needs room for garbage: so much of what is in use.
+-- A pool needs room for garbage: it has to be so many times what is in use.
 local ROOM = 1.2
 
 local function quoted(text) return "'" .. text:gsub("'", "'\\''") .. "'" end
@@ -47,7 +47,7 @@ local function find_program()
   end
 end
 
--- Returns the values that rfsm/cli/measure.lua prints, by name.
+-- Returns the values that rfsm/cli/measure.lua prints; nil if nothing can be stripped.
 local function measure(options, form, kind, name)
   local pipe = io.popen(("%s %s %s %s %s %s %s 2>&1"):format(options.lua,
     quoted(find_program()), form, quoted(package.path), kind, quoted(name),
@@ -73,12 +73,12 @@ local function write_row(name, cells)
   io.stdout:write(("%-36s"):format(name), concat(texts), "\n")
 end
 
--- Appends the heap and the pool of a number of KiB.
+-- Appends two cells: KiB in the heap, and in a pool, which takes `factor` times that.
 local function add(cells, kib, factor)
   cells[#cells + 1], cells[#cells + 2] = kib, kib * factor
 end
 
--- Returns the rows: names in front, each with a list of cells.
+-- Returns the rows of the table, each a name and a list of cells.
 local function rows_of(options, results)
   local base, library, modules, chart, sum = {}, {}, {}, {}, {}
   for _, form in ipairs(FORMS) do

@@ -19,7 +19,7 @@ local concat = table.concat
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
--- What stays after the launch holds these, and not all of the module.
+-- Functions that stay after the launch hold these, and not all of the module.
 local add_attributes, ATTRIBUTES = update.add_attributes, update.ATTRIBUTES
 local report = update.report
 
@@ -28,7 +28,7 @@ local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 --- What a launch has asked for, and what belongs to its machine.
 ---@class rfsm.rtt.Launched : rfsm.rtt.Launch
 ---@field is_component boolean false: a service
----@field is_own boolean does the component launch in its own configureHook?
+---@field is_own boolean does the component launch its machine in its configureHook?
 ---@field theirs table<string, function> the program's hooks, by name
 ---@field log fun(level: string, ...) writes to RTT's log
 ---@field rtt table the module of RTT
@@ -47,7 +47,7 @@ end
 
 -- Ports --------------------------------------------------------------------------
 
--- By field of a launch: class, name if the field is true, global, description.
+-- By field of a launch: class, name by default, global, description, type (string).
 local PORTS = {
   fqn_port = { "OutputPort", "fqn", "fqn", "FQN of the active leaf" },
   ev_outport = { "OutputPort", "events_out", "ev_outport", "events of the machine" },
@@ -75,8 +75,8 @@ local function check_port(held)
     :format(held.name, wanted.porttype, wanted.type, found.porttype, found.type), 0)
 end
 
--- Makes a port. RTT would replace and disconnect one whose name is used again. A
--- component that launches by itself may have it, also from the launch before.
+-- Makes a port, unless a component that launches by itself has it, perhaps from the
+-- launch before. A name that another port has is an error: RTT would replace that port.
 local function provide_port(launch, field, held)
   if launch.is_own and held:find() then return check_port(held) end
   if held_port.of(held.component, held.name) then
@@ -86,8 +86,8 @@ local function provide_port(launch, field, held)
   new_port(launch, field, held)
 end
 
--- Holds the port that a field of the launch asks for: true, or its name. With
--- `ports = "configure"`, the port is made when the component is configured.
+-- Holds the port that a field of the launch asks for, by true or by a name. With
+-- `ports = "configure"` the port is made when the component is configured.
 local function add_port(launch, field)
   local wanted = launch[field]
   if not wanted then return nil end
@@ -102,7 +102,7 @@ local function add_port(launch, field)
   return held
 end
 
--- Finds the ports again, and makes them if they shall be there.
+-- Finds the ports of the launch again. With `is_made`, those that are gone are made.
 local function find_ports(launch, is_made)
   for _, field in ipairs(FIELDS) do
     local held = launch.ports[field]
@@ -118,7 +118,7 @@ end
 
 -- The machine --------------------------------------------------------------------
 
--- Returns what is read like a port: the events of a getevents, one by one.
+-- Returns an object that is read like a port, and gives the events of a getevents.
 local function port_of(getevents)
   local list, i = false, 0
   return { read = function()
@@ -130,7 +130,7 @@ local function port_of(getevents)
   end }
 end
 
--- The global `extra_in_ports` lists more ports, of a prefile.
+-- Holds the ports that a prefile has listed in the global `extra_in_ports`.
 local function hold_extra_ports(launch)
   local extra = rawget(_G, "extra_in_ports") or {}
   if extra[1] then rfsm_rtt.gen_read_events(unpack(extra)) end -- raises for wrong ones
@@ -139,7 +139,7 @@ local function hold_extra_ports(launch)
   end
 end
 
--- Makes the getevents of the machine: the port for events replaces that of the chart.
+-- Makes the getevents of the machine. The port for events replaces that of the chart.
 local function add_getevents(launch, fsm, getevents)
   if launch.ev_inport == nil and not getevents then
     launch.ev_inport = launch.is_own or not held_port.of(launch.component, "events_in")
@@ -170,7 +170,8 @@ end
 
 -- Hooks --------------------------------------------------------------------------
 
--- Events that wait in ports stay there: the entry would not name them.
+-- Enters the machine. Events stay in the ports: the entry discards what it does not
+-- name.
 local function enter(launch, fsm)
   if launch.enter ~= "start" or rfsm.get_sta_mode(fsm) ~= "inactive" then return end
   local getevents = rawget(fsm, "getevents")
@@ -213,7 +214,7 @@ local function wrap(launch, name, ours, always)
   rawset(_G, name, launch.hooks[name])
 end
 
--- A component that launches by itself does so in its configureHook.
+-- Wraps the hooks, but not the configureHook in which a component launches by itself.
 local function wrap_hooks(launch)
   if not launch.is_own then
     wrap(launch, "configureHook", function() launch:make_ready() end)
@@ -232,9 +233,9 @@ local function wrap_hooks(launch)
   end
 end
 
--- Makes the ports and attributes that are not there, and wraps hooks which a `lua_file`
--- has defined since. This happens in configureHook, in startHook, and at the first
--- update after a launch or a clean-up.
+-- Makes the ports and attributes that are missing, and wraps hooks that a `lua_file`
+-- has defined after the launch. This happens in configureHook, in startHook, and at the
+-- first update after a launch or a clean-up.
 local function make_ready(launch)
   find_ports(launch, true)
   add_attributes(launch, ATTRIBUTES)
@@ -310,7 +311,7 @@ local function add_outputs(launch)
   return write_fqn
 end
 
--- Connects the machine with its ports. The texts that it writes are converted now.
+-- Connects the machine with its ports. The FQNs to be written become Variables now.
 local function connect(launch, fsm, getevents, write_fqn)
   rfsm.post_step_hook_add(fsm, write_fqn)
   local emit = launch.emit
@@ -371,7 +372,7 @@ local function forget(launch)
   pcall(collectgarbage)
 end
 
--- Takes away what a launch has made. Ports and attributes are no garbage for Lua.
+-- Takes away what a launch has made: Lua does not collect ports and attributes.
 local function undo(launch)
   for _, field in ipairs(FIELDS) do
     local held = launch.ports[field]
@@ -396,7 +397,7 @@ local function load_libraries(launch)
   if has_utils and not rawget(_G, "utils") then set_globals { utils = utils } end
 end
 
--- Completes the record of a launch.
+-- Adds the fields that a launch needs besides its settings.
 local function begin(launch)
   local rtt = package.loaded.rtt
   launch.rtt, launch.component = rtt, rtt.getTC()
@@ -431,7 +432,7 @@ end
 ---@param args rfsm.rtt.Launch
 function component.launch(args)
   local launch = require("rfsm.rtt.settings").read("own", args)
-  rfsm_rtt.forget_modules() -- they are garbage from here on
+  rfsm_rtt.forget_modules() -- that of the settings is garbage from here on
   set_globals(launch.env)
   component.start(launch)
 end

@@ -10,8 +10,8 @@ local huge = math.huge
 
 local settings = {}
 
---- The arguments of a launch. `name`, `luatype` and `ports` are for a new component,
--- those up to `pool` for a component.
+--- The arguments of a launch. `name`, `luatype` and `ports` are for a new component
+-- only. A service has none of those up to `pool`.
 ---@class rfsm.rtt.Launch
 ---@field name? string of a new component
 ---@field deployer? any the deployer, or the name of a peer ("Deployer")
@@ -52,7 +52,7 @@ local STRING = { "string", options.is_a "string" }
 local FILE, NAME = { "file name", is_file }, { "name", is_anything }
 local COUNT = { "whole number, at least 1", options.is_whole(1, huge) }
 
--- Returns the fields of all launches and these, for options.read.
+-- Adds the fields that all launches have to a table for options.read.
 local function with_common(fields)
   fields.env = { "table of globals by name", is_env, {} }
   fields.fqn_port = { "string", options.is_a "string", "fqn" }
@@ -83,9 +83,9 @@ local FIELDS = {
 }
 local REQUIRED = { "name", "fsmfile", "exec_str" } -- where the kind has the field
 
-local STEPS = 1000 -- of an update that runs the machine; a run that is longer goes on
+local STEPS = 1000 -- of an update that runs the machine, at most; the next one goes on
 
--- Makes one number of the three that say how many steps an update makes.
+-- Sets `steps`, the number of steps of an update, which has two older names.
 local function set_steps(launch)
   if launch.steps and (launch.sync or launch.run) then
     error("steps: expected without sync and run, which are numbers of steps", 0)

@@ -1,6 +1,6 @@
 --- The updates of a machine in a component of Orocos RTT: steps, attributes, memory.
 --
--- Whatever is made here is made by a launch. An update allocates nothing.
+-- All functions and tables are made during the launch. An update allocates nothing.
 --
 -- @module rfsm.rtt.update
 -- @license BSD-3-Clause
@@ -24,7 +24,7 @@ local update = {}
 local function collect() pcall(collectgarbage) end
 
 -- Lua 5.1 collects when the heap has grown by a factor, not when memory is short. So a
--- pool that is full stays full: even the report of the error fails.
+-- pool that is full would stay full, and the report of the error would fail, too.
 local function make_room(problem)
   if type(problem) == "string" and problem:find("not enough memory", 1, true) then
     collect()
@@ -51,7 +51,7 @@ end
 --- Enlarge the pool of a component to so many KiB; without a pool nothing happens.
 function update.enlarge_pool(launch, kib)
   local _, _, size = usage()
-  if size + 16 > kib then return end -- it is, but for what the pool itself takes
+  if size + 16 > kib then return end -- large enough: the pool itself takes up to 16 KiB
   local bytes = launch.rtt.Variable.new("uint")
   bytes:assign((kib - size) * 1024)
   launch.component:getOperation("tlsf_incmem")(bytes)
@@ -63,9 +63,9 @@ local function when_collected(note)
   getmetatable(newproxy(true)).__gc = note
 end
 
---- Return a function that notes the memory in use. What is in use at the end of a cycle
--- of the collector is live. It collects when nine tenths of the rest of a pool are in
--- use; it is called first when all garbage was collected.
+--- Return a function that notes the memory in use; what is in use at the end of a cycle
+-- of the collector is live. The function collects when nine tenths of a pool's free
+-- part are in use. Its first call must come when all garbage was collected.
 function update.new_meter(launch)
   local variables, peak, limit, is_collected = launch.variables, 0, false, true
   local function note() is_collected = true end
@@ -87,8 +87,8 @@ function update.new_meter(launch)
   end
 end
 
---- Undo a launch that has failed, and raise the reason; if that was a lack of memory,
--- also what was done then.
+--- Undo a launch that has failed, and raise the reason. A lack of memory is raised with
+-- the stage of the launch and the memory in use.
 function update.fail(launch, problem)
   collect() -- or undoing fails, too
   launch:undo()
@@ -117,16 +117,16 @@ end
 
 -- Attributes ---------------------------------------------------------------------
 
---- The attributes of each launch, by name, and those of a service: their types.
+--- The attributes of each launch, and those that a service has besides: types by name.
 update.ATTRIBUTES = {
   rfsm_errors = "uint", rfsm_overruns = "uint", rfsm_failures = "uint",
   rfsm_live = "double", rfsm_peak = "double",
 }
 update.OF_SERVICE = { rfsm_halt = "bool", rfsm_halted = "bool" }
 
--- Gives the component attributes that it has not. Their values are Variables, which
--- stay when `rttlib.tc_cleanup` removes the attributes. Another service may have added
--- some; they are shared.
+-- Gives the component those attributes that are missing. Their values are Variables,
+-- which stay when `rttlib.tc_cleanup` removes the attributes. Attributes that another
+-- service has added are shared.
 function update.add_attributes(launch, types)
   for _, name in ipairs(rfsm.sorted_keys(types)) do
     local ok, attribute = pcall(function()
@@ -169,7 +169,7 @@ end
 function update.new_log(rtt)
   local lines, is_behind = {}, false
 
-  -- Returns the line of that text; the oldest one goes.
+  -- Returns the line with a text. A new one takes the place of the oldest line.
   local function find(level, text)
     for i = 1, #lines do
       if lines[i].text == text and lines[i].level == level then return lines[i] end
@@ -255,9 +255,9 @@ local function new_update(launch, fsm, again)
   end
 end
 
--- Returns a function that advances the machine. It returns true whatever happens. The
--- next update finishes a step that was cut short, and the one behind it reads what came
--- meanwhile: so one is triggered when failures begin and when they end.
+-- Returns a function that advances the machine, and always returns true. The update
+-- after a failure finishes the step that was cut short, and one more reads what came
+-- meanwhile: so an update is triggered when failures begin and when they end.
 function update.new_trigger(launch, fsm)
   -- triggers the next update of a component, which otherwise waits for an event
   local again = launch.is_component and launch.component:getOperation("trigger")

@@ -35,7 +35,7 @@ function location.path(obj, prefix)
   return prefix and prefix .. path:sub(5) or path
 end
 
---- List the nodes from a machine, or a part of one, down to one of its nodes.
+--- List the nodes from a machine, or from one of its composites, down to a node in it.
 function location.line(fsm, node)
   local line = { node }
   while line[1] ~= fsm do table.insert(line, 1, line[1]._parent) end
@@ -73,7 +73,7 @@ end
 --- Raise an error for a name that nothing has.
 ---@param name any
 ---@param kind string "state"
----@param names string[] those that there are
+---@param names string[] the names that exist
 function location.refuse_name(name, kind, names)
   error(("no %s is named '%s'%s"):format(kind, rfsm.text_of(name),
     type(name) == "string" and advice.nearest_name(name, names) or ""), 0)
@@ -85,7 +85,7 @@ function location.is_inside(node, state)
   return node == state
 end
 
---- Does a connector inside of a composite lead out of it? Then a step may pass through.
+--- Does a connector in a composite lead out of it? Then one step may go in and out.
 ---@param state rfsm.State
 ---@return boolean
 function location.is_passable(state)
@@ -98,7 +98,7 @@ function location.is_passable(state)
   return is_found
 end
 
--- Names without positions, so that tests stay right if a chart is reordered ...........
+-- Names without numbers, so that tests stay right if a chart is reordered .............
 
 --- Return the name of a node: its FQN without "root.". As a target, `initial` has the
 --- name of its composite.
