@@ -105,8 +105,7 @@ local real_stderr = io and io.stderr
 
 -- Returns a function that shows the progress in one line; nil if stderr is no terminal.
 local function progress_line()
-  local ok, unistd = pcall(require, "posix.unistd")
-  if not (ok and unistd.isatty(2)) then return nil end
+  if not require("rfsm.sim.terminal").is_terminal(2) then return nil end
   return function(configurations, depth)
     real_stderr:write(("\r%d configurations, depth %d "):format(configurations, depth))
   end
@@ -151,7 +150,7 @@ end
 -- Raises the failure of an exploration. If there is a file of declarations, the failure
 -- is one of that file, and begins with its name and a line.
 local function refuse(name, failure)
-  local text = type(failure) == "string" and exists(name) and files.read(name)
+  local text = type(failure) == "string" and files.read(name)
   if not text or failure:find("^%S+:%d+: ") then error(failure, 0) end
   local problem = failure:gsub("^rfsm[_%.]%l+%.explore: ", "")
   error(name .. ":" .. (line_with(text, problem):gsub("^$", " ")) .. problem, 0)
