@@ -277,7 +277,7 @@ end
 
 -- Launchers: loaded when they are used ---------------------------------------------
 
---- Return why a launch has failed; if for lack of memory, also what to do.
+--- Return why a launch has failed; for lack of memory, also what to do.
 ---@param problem any
 ---@return string reason
 function rfsm_rtt.reason(problem)

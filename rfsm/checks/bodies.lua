@@ -58,7 +58,7 @@ local SIGNATURES = {
   guard = "guard(tr, events)", effect = "effect(fsm, tr, _, events)",
 }
 
--- What somebody expects who gives a parameter this name.
+-- What the author of a callback takes a parameter with this name for.
 local MEANINGS = {
   fsm = "machine", machine = "machine", tr = "transition", trans = "transition",
   transition = "transition", state = "state", event = "list of events",

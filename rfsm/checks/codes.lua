@@ -22,7 +22,7 @@ local codes = {}
 ---@type rfsm_checks.Code[]
 codes.list = {}
 
---- The same by code.
+--- All codes by their words, such as "dead-end".
 ---@type table<string, rfsm_checks.Code>
 codes.of = {}
 

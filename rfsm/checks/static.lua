@@ -102,7 +102,7 @@ function Findings:find_same(finding)
   end
 end
 
---- Append the findings of an exploration. One that is in the list only gets the run.
+--- Append the findings of an exploration. One that is listed already gets the run.
 ---@param others rfsm_checks.Findings
 function Findings:join(others)
   local more = {}

@@ -115,7 +115,7 @@ local function check_callbacks(obj, add)
   end
 end
 
--- Fields that are true or false.
+-- Fields of a state that are true or false, and those of the root.
 local FLAGS = { "final" }
 local ROOT_FLAGS = { "dbg", "err", "info", "strict", "warn" }
 

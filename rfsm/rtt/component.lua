@@ -27,18 +27,18 @@ local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 
 --- What a launch has asked for, and what belongs to its machine.
 ---@class rfsm.rtt.Launched : rfsm.rtt.Launch
----@field is_component boolean false: a service
+---@field is_component boolean is it in a component, and not in a service?
 ---@field is_own boolean does the component launch its machine in its configureHook?
 ---@field theirs table<string, function> the program's hooks, by name
 ---@field log fun(level: string, ...) writes to RTT's log
 ---@field rtt table the module of RTT
 ---@field component any the TaskContext
 ---@field ports table<string, rfsm.rtt.Port> by field of the launch
----@field extra rfsm.rtt.Port[] those of `extra_in_ports`
+---@field extra rfsm.rtt.Port[] the ports in the global `extra_in_ports`
 ---@field variables table<string, any> the values of the attributes, by name
----@field attributes string[] names of those that this launch has added
----@field counts table<string, integer> the values of those that count
----@field emit? fun(...) writes events to the port for them, the global `emit_event`
+---@field attributes string[] names of the attributes that this launch has added
+---@field counts table<string, integer> the values of the attributes that count
+---@field emit? fun(...) writes events to their port; is the global `emit_event`, too
 ---@field is_ready boolean are the ports there, and the hooks those of the launch?
 
 local function set_globals(globals)
@@ -170,8 +170,7 @@ end
 
 -- Hooks --------------------------------------------------------------------------
 
--- Enters the machine. Events stay in the ports: the entry discards what it does not
--- name.
+-- Enters the machine, with no events of ports: the entry would discard most of them.
 local function enter(launch, fsm)
   if launch.enter ~= "start" or rfsm.get_sta_mode(fsm) ~= "inactive" then return end
   local getevents = rawget(fsm, "getevents")

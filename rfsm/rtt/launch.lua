@@ -65,7 +65,7 @@ end
 if hook then hook:enable() end
 ]]
 
--- Returns what finds this library's modules in package.path; empty if not known.
+-- Returns the part of package.path for this library's modules; empty if not known.
 local function own_template()
   local source = debug and debug.getinfo(1, "S").source
   local folder = source and source:match("^@(.*)rfsm[/\\]rtt[/\\]launch%.lua$")

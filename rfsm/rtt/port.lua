@@ -18,7 +18,7 @@ function port.of(component, name)
   return ok and found or nil
 end
 
---- Holds a port. It is read and written like one.
+--- An object that holds a port, and is read and written like one.
 ---@class rfsm.rtt.Port
 ---@field name string
 ---@field component any|false the component in which it is looked up, false: never
@@ -27,7 +27,7 @@ end
 ---@field was_found boolean has the component ever had it?
 ---@field is_made boolean? true if the launch has made it
 ---@field last any the last value written
----@field samples table<string, any> Variables by text, for texts that are known before
+---@field samples table<string, any> Variables by the texts that are going to be written
 local Port = {}
 Port.__index = Port
 
@@ -56,7 +56,7 @@ function Port:find()
   return found ~= nil
 end
 
---- Hold a port that is made later, by its name, type, porttype and desc.
+--- Hold a port that is made later. `facts`: its name, type, porttype and desc.
 function port.reserve(component, facts)
   return setmetatable({ name = facts.name, component = component, facts = facts,
     real = false, was_found = true, last = nil, samples = {} }, Port)

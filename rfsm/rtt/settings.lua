@@ -1,4 +1,4 @@
---- What a launch may be asked for: names, tests, defaults, and older names.
+--- The settings of a launch: names, tests, defaults, and older names.
 --
 -- @module rfsm.rtt.settings
 -- @license BSD-3-Clause
@@ -21,9 +21,9 @@ local settings = {}
 ---@field timer? boolean wake an event-driven component for time events
 ---@field pool? integer KiB that a TLSF pool shall have at least
 ---@field fsmfile string the chart
----@field steps? integer an update makes as many at most (1000, in a service 1)
----@field samples? integer an update reads as many of each port at most (64)
----@field running_only? boolean not while the component is stopped or not configured
+---@field steps? integer how many an update makes at most (1000, in a service 1)
+---@field samples? integer how many an update reads of each port at most (64)
+---@field running_only? boolean no steps while the component is stopped
 ---@field error? boolean an error of the machine calls error() of the component
 ---@field ev_inport? string|boolean port for events ("events_in"), false: none
 ---@field ev_outport? string|boolean port ("events_out") to which `emit_event` writes

@@ -32,7 +32,7 @@ local function make_room(problem)
 end
 
 -- Returns the KiB in use, and of a TLSF pool the most that ever were, and its size.
--- Those of a pool count what it adds to each block.
+-- The figures of a pool include what it adds to each block.
 local function usage()
   local tlsf = rawget(_G, "tlsf")
   if not (tlsf and tlsf.stats) then return collectgarbage("count"), 0, huge end
@@ -144,7 +144,7 @@ function update.add_attributes(launch, types)
   end
 end
 
--- Counts in an attribute.
+-- Adds one to the count in an attribute.
 local function count(launch, name)
   launch.counts[name] = launch.counts[name] + 1
   launch.variables[name]:assign(launch.counts[name])

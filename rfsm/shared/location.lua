@@ -70,7 +70,7 @@ function location.in_words(obj, prefix)
   return location.prefix(prefix) .. location.of(obj)
 end
 
---- Raise an error for a name that nothing has.
+--- Raise an error that nothing of this kind has the name.
 ---@param name any
 ---@param kind string "state"
 ---@param names string[] the names that exist
