@@ -224,6 +224,13 @@ describe("rfsm size", function()
     assert.is_true(rows.together[3] < rows.together[1])
   end)
 
+  it("has no columns of stripped code without the compiler of Lua 5.1", function()
+    local lua = lines_of("command -v lua5.1")[1]
+    if not lua then return end
+    local rows = size("examples/on_off.lua", "env PATH=/nowhere " .. lua)
+    assert.same({ 2, 2 }, { #rows.together, #rows["+ rfsm.record"] })
+  end)
+
   it("reports a chart with a problem, and a Lua that is not there", function()
     local file = helper.file_with("return 3")
     for lua, text in pairs { [arg[-1]] = file, ["no-such-lua"] = "not found" } do

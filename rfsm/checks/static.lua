@@ -273,11 +273,12 @@ function static.findings(model, settings)
   return static.apply((static.collect(model)), settings or {})
 end
 
---- Return a finding in one line: "chart.lua:7: root.a: text [code]". The problems of a
---- model have no code: nothing can silence them.
-function static.line(finding)
+--- Return a finding in a line: "chart.lua:7: root.a: text (hint) [code]". The problems
+--- of a model have no code: nothing can silence them.
+function static.line(finding, has_hint)
+  local hint = has_hint and " (" .. finding.hint .. ")" or ""
   local code = finding.code ~= "invalid" and " [" .. finding.code .. "]" or ""
-  return finding.file .. finding.place .. ": " .. finding.text .. code
+  return finding.file .. finding.place .. ": " .. finding.text .. hint .. code
 end
 
 return static

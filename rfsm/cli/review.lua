@@ -60,14 +60,9 @@ end
 -- Returns a finding as a line: "chart.lua:7: warning: root.a: text (hint) [code]".
 local function line_of(file, finding)
   local kind = finding.severity ~= "error" and finding.severity .. ": " or ""
-  local line = static.line(finding)
   local has_hint = finding.code ~= "invalid" and finding.code ~= "violated"
-  if has_hint and not finding.text:find("%)$") then
-    line = line:gsub(" %[[%w-]*%]$", function(code)
-      return " (" .. finding.hint .. ")" .. code
-    end)
-  end
-  return chart.line(file, line, kind)
+    and not finding.text:find("%)$")
+  return chart.line(file, static.line(finding, has_hint), kind)
 end
 
 -- Returns the gravest severity of findings; nil if there are only notes.
