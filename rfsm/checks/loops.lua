@@ -13,12 +13,11 @@ local is_conn = rfsm.is_conn
 
 local loops = {}
 
--- Returns the first transition that is taken on the event; nil, true if a guard or a
--- predicate decides.
+-- Returns the first transition that is taken on the event; nil if a guard decides.
 local function find_taken(transitions, event)
   for _, tr in ipairs(transitions) do
     local is_wanted = match.triggers(tr, event)
-    if is_wanted == nil or is_wanted and tr.guard then return nil, true end
+    if is_wanted == nil or is_wanted and tr.guard then return nil end
     if is_wanted then return tr end
   end
 end
@@ -27,11 +26,7 @@ end
 -- where they end; nil if there are none, or a guard decides.
 local function follow(fsm, leaf)
   local event, path = "e_done@" .. leaf._fqn, {}
-  local tr, is_open
-  for _, node in ipairs(location.line(fsm, leaf)) do
-    tr, is_open = find_taken(node._otrs, event)
-    if tr or is_open then break end
-  end
+  local tr = find_taken(location.transitions(fsm, leaf), event)
   while tr and rfsm.target_of(tr) ~= "internal" do
     path[#path + 1] = tr
     if not is_conn(tr.tgt) then return tr.tgt, path end

@@ -41,16 +41,14 @@ end
 -- The set of all connectors: a path to one of them may have passed any other.
 local ALL = setmetatable({}, { __index = function() return true end })
 
--- Returns a transition that is tried before `tr`, from its source or a composite around
--- that, and always taken on the event.
-local function find_shadow(fsm, tr, event)
-  for _, node in ipairs(is_conn(tr.src) and { tr.src } or location.line(fsm, tr.src)) do
-    for _, other in ipairs(node._otrs) do
-      if other == tr then break end
-      if is_enabled_by(other, event)
-        and is_always_enabled(other, is_conn(tr.src) and ALL or {}) then
-        return other
-      end
+-- Returns the transition in a list that stands before `tr` and is always taken on the
+-- event.
+local function find_shadow(list, tr, event)
+  for _, other in ipairs(list) do
+    if other == tr then return nil end
+    if is_enabled_by(other, event)
+      and is_always_enabled(other, is_conn(tr.src) and ALL or {}) then
+      return other
     end
   end
 end
@@ -59,8 +57,9 @@ end
 -- taken on one of them.
 local function find_shadows(fsm, tr)
   local list, is_listed = {}, {}
+  local tried = is_conn(tr.src) and tr.src._otrs or location.transitions(fsm, tr.src)
   for _, event in ipairs(match.is_any(tr) and { ANY } or tr.events) do
-    local shadow = find_shadow(fsm, tr, event)
+    local shadow = find_shadow(tried, tr, event)
     if not shadow then return nil end
     if not is_listed[shadow] then list[#list + 1] = shadow end
     is_listed[shadow] = true

@@ -62,8 +62,8 @@ function structure.has_cycle(fsm)
     if is_under_way[leaf] then return true end
     is_under_way[leaf] = true
     local leaves = {}
-    for _, node in ipairs(location.line(fsm, leaf)) do
-      for _, tr in ipairs(node._otrs) do add_leaves(tr.tgt, leaves, {}) end
+    for _, tr in ipairs(location.transitions(fsm, leaf)) do
+      add_leaves(tr.tgt, leaves, {})
     end
     is_done[leaf] = not any(leaves, function(other)
       return other ~= leaf and visit(other)
@@ -71,10 +71,6 @@ function structure.has_cycle(fsm)
     return not is_done[leaf]
   end
   return any(rfsm.elements(fsm, is_leaf), visit)
-end
-
-local function has_way_out(fsm, state)
-  return any(location.line(fsm, state), function(node) return node._otrs[1] end)
 end
 
 --- Is a leaf without a way out meant as an end? Its name says so, or the leaves of the
@@ -95,7 +91,7 @@ local function check_node(fsm, node, reached, add)
     add("closed", node, "no way out of this connector, so that no transition to "
       .. "it is ever taken")
   elseif node ~= fsm and is_leaf(node) and not node.final
-    and not has_way_out(fsm, node) then
+    and not location.transitions(fsm, node)[1] then
     add("dead-end", node, "no exit, neither this state nor one around it is ever left",
       structure.is_end(fsm, node) and "note")
   end

@@ -49,6 +49,15 @@ function location.tried(fsm, leaf)
   return { rfsm.is_composite(fsm) and fsm.initial or nil }
 end
 
+--- List the transitions that are tried in a leaf, in order; `leaf` as in `tried`.
+function location.transitions(fsm, leaf)
+  local list = {}
+  for _, node in ipairs(location.tried(fsm, leaf)) do
+    for _, tr in ipairs(node._otrs) do list[#list + 1] = tr end
+  end
+  return list
+end
+
 --- List the regions of a state with their names, sorted by name.
 ---@return { name: string, machine: rfsm.Machine }[] regions
 function location.regions_of(state)
