@@ -88,20 +88,14 @@ function location.refuse_name(name, kind, names)
     type(name) == "string" and advice.nearest_name(name, names) or ""), 0)
 end
 
---- Is a node a state, or in it?
-function location.is_inside(node, state)
-  while node ~= state and not rfsm.is_root(node) do node = node._parent end
-  return node == state
-end
-
 --- Does a connector in a composite lead out of it? Then one step may go in and out.
 ---@param state rfsm.State
 ---@return boolean
 function location.is_passable(state)
-  local is_found = false
+  local prefix, is_found = state._fqn .. ".", false
   rfsm.mapfsm(function(connector)
     for _, tr in ipairs(connector._otrs) do
-      is_found = is_found or not location.is_inside(tr.tgt, state)
+      is_found = is_found or (tr.tgt._fqn .. "."):sub(1, #prefix) ~= prefix
     end
   end, state, rfsm.is_conn)
   return is_found
@@ -118,8 +112,7 @@ function location.name_of(node, prefix, is_target)
   if is_target and rfsm.is_conn(node) and node._id == "initial" then
     node = node._parent
   end
-  local path = location.path(node, prefix)
-  return path ~= "root" and path:gsub("^root%.", "") or path
+  return (location.path(node, prefix):gsub("^root%.", ""))
 end
 
 -- Returns the text of an event without the FQN of its source behind @.
