@@ -155,7 +155,7 @@ local function check_fields(state, add)
   end
 end
 
--- Has a callback a known text without a loop, a yield, and the sending of events?
+-- Does a callback end at once, and send no event, as far as its text tells?
 local function ends_at_once(doo)
   local texts = {}
   writes.each(doo, function(text) texts[#texts + 1] = text end, {})
