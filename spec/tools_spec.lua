@@ -442,6 +442,8 @@ describe("rfsm-check", function()
         .. "run: no callback 'effect root.trans[7]'\n",
       ["return {\n  vars = { no = { 0, 1 } } }"] = "FILE_properties.lua:2: vars: no "
         .. "field is named 'no'\n",
+      ["return { ['va' .. 'rs'] = { ['n' .. 'o'] = { 0, 1 } } }"] =
+        "FILE_properties.lua: vars: no field is named 'no'\n",
       ["return {\n  vras = {} }"] = "FILE_properties.lua:2: unknown option 'vras' (did "
         .. "you mean 'vars'?), expected: ",
       ["return { properties = 7,"] = "FILE_properties.lua:1: ",
