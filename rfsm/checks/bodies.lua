@@ -92,8 +92,8 @@ local NEVER_FALSE = { True = true, Number = true, String = true, Nil = true,
 -- Returns the only statement of a function; nil if it has several.
 local function sole(func) return not func[2][2] and func[2][1] or nil end
 
--- A guard that raises an error forbids, too. One that returns true, and does nothing
--- else, is a placeholder.
+-- Finds a guard that never forbids. An error in a guard forbids, too, and a guard that
+-- only returns true is a placeholder.
 local function check_guard(func, add)
   local may_forbid, has_value = false, false
   each_node(func, function(node)

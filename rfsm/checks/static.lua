@@ -82,7 +82,7 @@ function Findings:add(code, obj, path, text, at, file)
     self.silenced[path .. " " .. code] = true
     return nil
   elseif codes.of[code].severity ~= "error" and stubs.is_in(text) then
-    return nil -- a stub's name stands in it for a text that is not known
+    return nil -- in place of some of the text there is the name of a stub
   end
   local known, key = codes.of[code], concat({ code, path or at, text }, " ")
   if self.told[key] then return nil end

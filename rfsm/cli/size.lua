@@ -48,7 +48,7 @@ local function find_program()
   end
 end
 
--- Notes a value that rfsm/cli/measure.lua prints; KiB are those of the heap.
+-- Notes a value that rfsm/cli/measure.lua prints: a number of KiB in heap and pool.
 local function note(values, key, value)
   local factor, sum = FACTORS[key], values.together
   values[key] = factor and { heap = tonumber(value), pool = value * factor } or value

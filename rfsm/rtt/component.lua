@@ -314,7 +314,7 @@ end
 local function connect(launch, fsm, getevents, write_fqn)
   rfsm.post_step_hook_add(fsm, write_fqn)
   local emit = launch.emit
-  if emit then rfsm.set_emit(fsm, function(name) emit(name) end) end -- a port of texts
+  if emit then rfsm.set_emit(fsm, function(name) emit(name) end) end -- no data
   for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
     launch.ports.fqn_port.samples[leaf._fqn] =
       launch.rtt.Variable.new("string", leaf._fqn)
@@ -431,7 +431,7 @@ end
 ---@param args rfsm.rtt.Launch
 function component.launch(args)
   local launch = require("rfsm.rtt.settings").read("own", args)
-  rfsm_rtt.forget_modules() -- that of the settings is garbage from here on
+  rfsm_rtt.forget_modules() -- the settings module is garbage from here on
   set_globals(launch.env)
   component.start(launch)
 end

@@ -21,7 +21,7 @@ end
 --- An object that holds a port, and is read and written like one.
 ---@class rfsm.rtt.Port
 ---@field name string
----@field component any|false the component in which it is looked up, false: never
+---@field component any|false in which the port is looked up; false: it never is
 ---@field facts table<string, any> what `info` returned first
 ---@field real any|false the port, false as long as there is none
 ---@field was_found boolean has the component ever had it?

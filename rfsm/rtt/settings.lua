@@ -81,11 +81,11 @@ local FIELDS = {
   },
   own = with_own {},
 }
-local REQUIRED = { "name", "fsmfile", "exec_str" } -- where the kind has the field
+local REQUIRED = { "name", "fsmfile", "exec_str" } -- in the kinds that have them
 
-local STEPS = 1000 -- of an update that runs the machine, at most; the next one goes on
+local STEPS = 1000 -- an update makes no more; the next one goes on
 
--- Sets `steps`, the number of steps of an update, which has two older names.
+-- Sets `steps` of an update, for which `sync` and `run` are older names.
 local function set_steps(launch)
   if launch.steps and (launch.sync or launch.run) then
     error("steps: expected without sync and run, which are numbers of steps", 0)
