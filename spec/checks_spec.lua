@@ -527,6 +527,7 @@ describe("a callback that is never called", function()
       table.sort(texts)
       table.sort(expected)
       assert.same(expected, texts)
+      assert.same({}, findings_of(chart(members), "init")) -- each mistake is told once
     end)
   end
 end)

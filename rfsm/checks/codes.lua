@@ -132,6 +132,7 @@ local WARNINGS = {
   { "no outgoing transitions from node", false },
   { "'e_done' never fires here", false },
   { "each transition from here has events or a guard", false },
+  { "a connector has no ", false },
   { "has no field '", "unknown-field" },
   { "a plain table that", "unmarked" },
   { "a transition inside a leaf state", "misplaced" },
