@@ -129,8 +129,7 @@ end
 local function load_machine(file, has_stubs, number)
   local model, problem, world = common.load_model(file, has_stubs, number)
   if not model then common.fail(problem) end
-  model.dbg, model.err, model.warn, model.info = false, false, false, false
-  local fsm, _, problems = common.call(file, rfsm.init, model)
+  local fsm, _, problems = common.call(file, calls.silently, rfsm.init, model)
   if not fsm then
     for i, text in ipairs(problems) do problems[i] = chart.line(file, text) end
     common.fail(concat(problems, "\n"))
