@@ -34,9 +34,11 @@ PAGE     := rfsm/web/page.html
 NAMES    := $(notdir $(OUTER)) $(addprefix rfsm/,$(notdir $(INNER))) $(DEEPER)
 TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
+# in a variable, because make runs a line of a recipe with MAKE in it also with -n
+LINT     := $(MAKE) --no-print-directory lint
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/*/*.lua bench/*.lua)
 
-.PHONY: all help help-all sim fleet fleet-postgres test test-web test-site test-hosts lint fuzz torture mutants bench soak day bench-profile examples doc site gallery functions deps transcript house
+.PHONY: all help help-all sim fleet fleet-postgres test test-web test-site test-hosts lint fuzz torture mutants bench soak day examples doc site gallery functions deps transcript house
 .PHONY: rockspec rocks dist deb size install uninstall clean
 .DEFAULT_GOAL := all
 
@@ -62,7 +64,7 @@ fleet-postgres:         ## the same warehouse in a PostgreSQL server of its own
 
 test:                   ## lint, then every spec on each of LUAS
 	@tools/deps.sh test $(LUAS)
-	@BUSTED="$(BUSTED)" LINT="$(MAKE) --no-print-directory lint" tools/test.sh $(LUAS)
+	@BUSTED="$(BUSTED)" LINT="$(LINT)" tools/test.sh $(LUAS)
 
 test-web:               ## the page in headless Chromium, with LUA
 	@tools/deps.sh web
@@ -77,9 +79,6 @@ test-site: site         ### the site in headless Chromium, with LUA
 	@tools/deps.sh web
 	@AXE=$${AXE:-$$(tools/deps.sh axe)} $(BUSTED) --lua=$$(command -v $(LUA)) \
 	  --pattern=site spec/browser
-
-test-with-%:            ### test-with-luajit, ...: the specs on one interpreter
-	@$(BUSTED) --lua=$$(command -v $*)
 
 lint:                   ### luacheck, and the syntax under the oldest Lua
 	luacheck -q .
@@ -112,9 +111,6 @@ day: ORDERS = 200
 day: EVENTS = 12
 day:                    ### a day of ORDERS with EVENTS each in both servers: nothing is lost
 	$(LUA) bench/day.lua $(ORDERS) $(EVENTS)
-
-bench-profile:          ### print the hottest functions and lines, with LUA
-	$(LUA) bench/profile.lua
 
 examples:               ### load and initialise every example, with LUA
 	@$(LUA) tools/try-examples.lua $(EXAMPLES)

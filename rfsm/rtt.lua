@@ -19,9 +19,9 @@ local require, select = require, select
 local setmetatable, tostring, type = setmetatable, tostring, type
 local min = math.min
 
--- The pool of a TLSF component fails when it is full, and Lua 5.1 does not collect
--- because memory is short. So the collector never pauses there, from now on, and is
--- through with the heap before 5 % of it are garbage. RTT's Lua is 5.1.
+-- RTT's Lua is 5.1. It does not collect garbage because memory is short, and the pool
+-- of a TLSF component fails when it is full. So the collector never pauses there from
+-- now on, and is through with the heap before 5 % of it are garbage.
 if rawget(_G, "tlsf") then
   pcall(collectgarbage, "setpause", 100)
   pcall(collectgarbage, "setstepmul", 3000)
@@ -30,7 +30,7 @@ end
 local rfsm = require "rfsm"
 local held_port = require "rfsm.rtt.port"
 
--- What rfsm/fast.lua makes takes 2 KiB for each state.
+-- The code that rfsm/fast.lua makes takes 2 KiB for each state.
 if rawget(_G, "tlsf") then rfsm.save_memory() end
 
 ---@class rfsm.rtt
@@ -61,9 +61,9 @@ local function info_of(port)
   return ok and type(info) == "table" and info or {}
 end
 
--- Returns a Variable to use again and again. None for types that Lua has no value for:
--- there each sample is an event of its own. None for ports that are not RTT's. A second
--- one if RTT-Lua converts the type from and to a Variable of type double only.
+-- Returns a Variable to use again and again; nil if the port is not RTT's, or if Lua
+-- has no value for its type: then each sample is a Variable of its own. Returns a
+-- second one if RTT-Lua converts the type only from and to a Variable of type double.
 local function new_variables(port)
   local kind, rtt = info_of(port).type, package.loaded.rtt
   if not (LUA_TYPES[kind] and rtt) then return nil end
@@ -84,12 +84,12 @@ local function port_problem(port, method, kind)
     kind and " of type " .. kind or "", got) or nil
 end
 
--- Is a sample an event? RTT makes the text of its status at each read. A table that
--- holds these texts keeps them from being garbage each time.
+-- Does the status of a read mean a new sample? RTT makes a text of the status at each
+-- read. As keys of this table these texts do not become garbage each time.
 local IS_NEW = { NewData = true, OldData = false, NoData = false }
 
--- Returns a function that appends new samples of a port to a list, until that has
--- `most` events. Returns true if there may be more samples.
+-- Returns a function that appends new samples of a port to a list until the list has
+-- `most` events. That function returns true if there may be more samples.
 local function new_reader(port)
   local var, double = new_variables(port)
   return function(events, most)
@@ -104,7 +104,7 @@ local function new_reader(port)
   end
 end
 
--- Returns a function that writes a value to a port; a Variable as it is.
+-- Returns a function that writes a value to a port. A Variable is written as it is.
 local function new_writer(port)
   local var, double = new_variables(port)
   local lua_type = LUA_TYPES[info_of(port).type]
@@ -125,7 +125,7 @@ local function new_trigger()
   return is_lua_component and own:getOperation("trigger") or function() end
 end
 
--- A call reads so many samples of a port at most, if not told otherwise: all of a burst
+-- How many samples of each port a call reads at most by default. All samples of a burst
 -- may not fit in a pool.
 local MOST = 64
 
@@ -151,7 +151,7 @@ local function gen_reader(where, kind, ...)
     is_taken = false
     local has_more = false
     for i = 1, n do
-      local most = min(#events + bound, i * bound) -- so those kept have an end
+      local most = min(#events + bound, i * bound) -- bounds also those that are kept
       has_more = readers[i](events, most) or has_more
     end
     is_taken = true
@@ -238,8 +238,8 @@ end
 
 --- Make a post step hook that writes the FQN of the active leaf to a string port.
 --
--- It writes on change only, and `<none>` at once and when the machine is reset. A port
--- of the component that was deleted is not written. One that has its name is.
+-- It writes on change only, and `<none>` at once and when the machine is reset. If the
+-- port was deleted, the hook writes to the port that has its name, if there is one.
 --
 -- @usage
 --    rfsm.post_step_hook_add(fsm, rfsm_rtt.gen_write_fqn(port))
@@ -277,7 +277,7 @@ end
 
 -- Launchers: loaded when they are used ---------------------------------------------
 
---- Return why a launch has failed; if for lack of memory, also what to do.
+--- Return why a launch has failed; for lack of memory, also what to do.
 ---@param problem any
 ---@return string reason
 function rfsm_rtt.reason(problem)
@@ -291,8 +291,8 @@ end
 local NOT_NEEDED = { "rtt.component", "rtt.update", "rtt.settings", "shared.options",
   "shared.limit", "shared.calls", "advice" }
 
---- Forget the modules that a launch has loaded. Lua 5.1 refuses one for ever when its
--- loading has failed, so this also comes first.
+--- Forget the modules that a launch has loaded, so that they become garbage. A launch
+-- begins with this, too: Lua 5.1 refuses a module for ever if its loading once failed.
 function rfsm_rtt.forget_modules()
   for _, name in ipairs(NOT_NEEDED) do package.loaded["rfsm." .. name] = nil end
 end
@@ -311,10 +311,10 @@ end
 ---@param args rfsm.rtt.Launch
 ---@return boolean launched true
 function rfsm_rtt.launch(args)
-  if rfsm_rtt.launched then rfsm_rtt.launched.forget() end
+  if rfsm_rtt.launched then rfsm_rtt.launched:forget() end
   rfsm_rtt.forget_modules()
   local ok, why = pcall(function() require("rfsm.rtt.component").launch(args) end)
-  if ok then ok, why = pcall(rfsm_rtt.launched.finish) end
+  if ok then ok, why = pcall(rfsm_rtt.launched.finish, rfsm_rtt.launched) end
   rfsm_rtt.forget_modules()
   if not ok then error("rfsm.rtt.launch: " .. rfsm_rtt.reason(why), 2) end
   return true

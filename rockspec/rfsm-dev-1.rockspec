@@ -9,7 +9,7 @@ description = {
   license = "BSD-3-Clause",
   labels = { "fsm", "statechart", "robotics" },
 }
-dependencies = { "lua >= 5.1, < 5.6", "argparse >= 0.6", "ansicolors >= 1.0" }
+dependencies = { "lua >= 5.1, < 5.6", "argparse >= 0.7", "ansicolors >= 1.0" }
 test_dependencies = { "busted >= 2.0", "luacheck >= 0.23" }
 test = { type = "busted" }
 build = {

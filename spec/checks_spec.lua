@@ -370,6 +370,11 @@ local CASES = {
     { [4] = go("b", "a", {}, { pn = -1 }), b = state { doo = function() end } },
     "root.trans[4] (b -> a): it has no events, and is taken on any, before "
       .. "root.trans[3] (b -> a) can be" },
+  { "any-event", "that others may come before, as a doo has a loop",
+    { [4] = go("b", "a", {}, { pn = -1 }), b = state { doo = function(fsm)
+      while fsm.is_busy do fsm.count = 1 end
+    end } },
+    "root.trans[4] (b -> a): it has no events, and is taken on any" },
   { "any-event", "none of a connector", via_k(go("k", "b")) },
   { "empty-events", "a list of events without any", { [4] = go("b", "a", {}) },
     "root.trans[4].events (b -> a): an empty list, any event triggers it (is a name in "
@@ -522,6 +527,7 @@ describe("a callback that is never called", function()
       table.sort(texts)
       table.sort(expected)
       assert.same(expected, texts)
+      assert.same({}, findings_of(chart(members), "init")) -- each mistake is told once
     end)
   end
 end)

@@ -334,7 +334,7 @@ describe("rfsm web", function()
     local calls = {}
     run("web -a robot -m 2", modules(calls, "interrupted!"))
     run("web -a robot:7", modules(calls, "interrupted!"))
-    local page = { host = "127.0.0.1", port = 8044, machine = 2 }
+    local page = { host = "127.0.0.1", port = 8044, machine = 2, stub = false }
     assert.same({ "robot", 44044, page }, calls[1])
     page.machine = nil
     assert.same({ "robot", 7, page }, calls[2])

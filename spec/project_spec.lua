@@ -224,6 +224,13 @@ describe("rfsm size", function()
     assert.is_true(rows.together[3] < rows.together[1])
   end)
 
+  it("has no columns of stripped code without the compiler of Lua 5.1", function()
+    local lua = lines_of("command -v lua5.1")[1]
+    if not lua then return end
+    local rows = size("examples/on_off.lua", "env PATH=/nowhere " .. lua)
+    assert.same({ 2, 2 }, { #rows.together, #rows["+ rfsm.record"] })
+  end)
+
   it("reports a chart with a problem, and a Lua that is not there", function()
     local file = helper.file_with("return 3")
     for lua, text in pairs { [arg[-1]] = file, ["no-such-lua"] = "not found" } do
@@ -239,6 +246,14 @@ describe("make help", function()
   it("fits a terminal", function()
     local lines = lines_of("make -s help")
     assert.is_true(#lines > 10 and #lines <= 24)
+  end)
+end)
+
+describe("make -n test", function()
+  it("prints the commands, and runs none", function()
+    local lines = lines_of("make -n test LUAS=no-such-lua 2>&1; echo $?")
+    assert.matches("tools/test.sh no%-such%-lua$", lines[2])
+    assert.same({ "0" }, { lines[3], lines[4] })
   end)
 end)
 

@@ -180,7 +180,8 @@ describe("service_launch_rfsm", function()
     local _, came = started([[types = type(trigger) .. type(setfqn) .. fqn:info().type
       is_machine = rfsm.is_initialized_root(fsm)
       trigger, eehook, fsm, fqn = nil collectgarbage() collectgarbage()]])
-    assert.equal("functionfunctionstring true", evaluate(exec_str, "types, is_machine"))
+    assert.equal("functionfunctionstring true nil",
+      evaluate(exec_str, "types, is_machine, updateHook"))
     assert.equal("<none> a", came())
   end)
 
@@ -872,6 +873,20 @@ return rfsm.state { info = false, warn = false,
       assert(arm:start())
       assert.equal("b", leaf_of(exec_str))
     end)
+
+  it("counts failures of the entry in startHook with those of updates", function()
+    local arm, exec_str = launched { enter = "start", poststr = "calls = 0 "
+      .. "function fsm.pre_step_hook() calls = calls + 1 error('torn', 0) end" }
+    start(arm, spin)
+    for _ = 1, 2 do
+      arm:stop()
+      exec_str("rfsm.reset(fsm)")
+      assert(arm:start())
+      assert.equal(evaluate(exec_str, "calls"),
+        tostring(arm:getAttribute("rfsm_failures"):get()))
+      spin()
+    end
+  end)
 
   it("is not started, nor entered, if the program's startHook refuses", function()
     local arm, exec_str = launched { enter = "start",

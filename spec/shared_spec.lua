@@ -15,8 +15,24 @@ local order = require "rfsm.shared.order"
 local instrument = require "rfsm.shared.instrument"
 local match = require "rfsm.shared.match"
 local writes = require "rfsm.shared.writes"
+local location = require "rfsm.shared.location"
 
 local state, trans = rfsm.state, rfsm.trans
+
+describe("a composite", function()
+  it("is passable if a connector in it leads out of it", function()
+    for tgt, is_passable in pairs { ["root.cc"] = true, x = false } do -- any order
+      local fsm = rfsm.init(state { info = false, warn = false, cc = state {},
+        c = state { x = state {}, k = rfsm.conn {},
+          trans { src = "initial", tgt = "x" }, trans { src = "x", tgt = "k" },
+          trans { src = "k", tgt = tgt, events = "e" } },
+        trans { src = "initial", tgt = "c" } })
+      assert.equal(is_passable, location.is_passable(fsm.c))
+      assert.equal("c.k", location.name_of(fsm.c.k, "root"))
+      assert.equal("root", location.name_of(fsm, "root"))
+    end
+  end)
+end)
 
 describe("a protected call", function()
   it("returns all results", function()

@@ -434,6 +434,34 @@ describe("rfsm check of a system", function()
     end
   end)
 
+  it("reads the declarations beside the charts, and over these those of the system",
+    function()
+      local file, written = helper.file_with "", {}
+      local function write(name, text)
+        written[#written + 1] = file .. name
+        helper.write(file .. name, text)
+      end
+      for _, name in ipairs { "left", "right" } do
+        write(name .. ".lua", [[local rfsm = require "rfsm"
+          return rfsm.state { info = false, a = rfsm.state {},
+            rfsm.trans { src = "initial", tgt = "a" },
+            rfsm.trans { src = "a", tgt = "a", events = "e",
+              guard = function() end } }]])
+        write(name .. "_properties.lua",
+          "return { alphabet = {}, exclusive = { 'guard root.trans[2]' } }")
+      end
+      write("cell.lua", ("return require 'rfsm.system' { left = rfsm.load %q, "
+        .. "right = rfsm.load %q, wires = {} }"):format(file .. "left.lua",
+        file .. "right.lua"))
+      write("cell_properties.lua",
+        "return { machines = { left = { alphabet = { 'e' } } } }")
+      local out = commands.run("check " .. file .. "cell.lua")
+      for _, name in ipairs(written) do os.remove(name) end
+      assert.matches("; left: guards free; left: no event outside of the alphabet; "
+        .. "left: 1 guard exclusive; right: guards free; right: 1 guard exclusive\n",
+        out)
+    end)
+
   it("draws the run, and explores nothing if it need not", function()
     local file = helper.file_with("") .. ".mmd"
     checked("zone/cell", "--record " .. file)

@@ -442,6 +442,8 @@ describe("rfsm-check", function()
         .. "run: no callback 'effect root.trans[7]'\n",
       ["return {\n  vars = { no = { 0, 1 } } }"] = "FILE_properties.lua:2: vars: no "
         .. "field is named 'no'\n",
+      ["return { ['va' .. 'rs'] = { ['n' .. 'o'] = { 0, 1 } } }"] =
+        "FILE_properties.lua: vars: no field is named 'no'\n",
       ["return {\n  vras = {} }"] = "FILE_properties.lua:2: unknown option 'vras' (did "
         .. "you mean 'vars'?), expected: ",
       ["return { properties = 7,"] = "FILE_properties.lua:1: ",
@@ -528,7 +530,12 @@ describe("rfsm-check", function()
 
   it("opens a chart with stubs in place of what is not here, and names them", function()
     local name = write_file("arm.lua", 'require "armlib"\n' .. CHART)
-    fails("rfsm viz " .. name, "rfsm viz: " .. name
+    local problem = name .. ":1: module 'armlib' not found (the option --stub loads "
+      .. "the chart without it)\n"
+    fails("rfsm viz " .. name, "rfsm viz: " .. problem)
+    fails("rfsm size " .. name, "rfsm size: " .. problem)
+    check("rfsm check " .. name, problem, "", 1)
+    fails("rfsm snapshot diff " .. name .. " " .. name, "rfsm snapshot: " .. name
       .. ":1: module 'armlib' not found\n")
     local line = name .. ": stubbed: armlib\n"
     check("rfsm check --static --stub " .. name, name .. ": ok\n" .. line)

@@ -3,16 +3,12 @@
 -- The modules are those that doc/config.ld lists for the pages of the API. Each line is
 -- the first sentence of a comment.
 
+local files = require "rfsm.shared.files"
 
-local function read(name)
-  local handle = assert(io.open(name, "rb"))
-  local text = handle:read("*a")
-  handle:close()
-  return text
-end
+local function read(name) return assert(files.read(name)) end
 
 -- Returns the files of modules, in the order of the pages.
-local function files()
+local function files_of_pages()
   local list = {}
   for name in read("doc/config.ld"):match("\nfile = (%b{})"):gmatch("'%.%./([^']+)'") do
     list[#list + 1] = name
@@ -122,7 +118,7 @@ end
 
 local parts = { "# All functions\n\nOne line for each, from its comment. `make "
   .. "functions` makes this page, `make doc` pages\nwith arguments and results." }
-for _, file in ipairs(files()) do
+for _, file in ipairs(files_of_pages()) do
   local module, text = file:gsub("%.lua$", ""):gsub("/", "."), read(file)
   local lines = lines_of(text)
   add_elsewhere(lines, module, text)

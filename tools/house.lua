@@ -8,6 +8,8 @@
 --
 -- spec/floors_spec.lua says what must hold.
 
+local files = require "rfsm.shared.files"
+
 local house = {}
 
 -- From the ground up. A room requires those below it, and of its own floor. A file in
@@ -52,13 +54,6 @@ local function lines_of(command)
   for line in pipe:lines() do lines[#lines + 1] = line end
   pipe:close()
   return lines
-end
-
-local function content(file)
-  local handle = assert(io.open(file, "rb"))
-  local text = handle:read("*a")
-  handle:close()
-  return text
 end
 
 -- What strings and comments begin with, and the pattern of the whole.
@@ -106,9 +101,9 @@ local FILES = "ls rfsm*.lua rfsm/*.lua rfsm/*/*.lua compat/*.lua"
 --- Read the tree: its files, { file, room, floor, lines, names }, and the file of each
 --- module's name. `names` are the names of modules in a file, without its own.
 function house.read()
-  local files, file_of, aliases = {}, {}, {}
+  local entries, file_of, aliases = {}, {}, {}
   for _, file in ipairs(lines_of(FILES)) do
-    local text = content(file)
+    local text = assert(files.read(file))
     local name = file:gsub("^compat/", ""):gsub("%.lua$", ""):gsub("/", ".")
     local target = target_of(text)
     if target then
@@ -119,26 +114,26 @@ function house.read()
       if file == "rfsm/" .. room .. ".lua" and not house.floor_of(room) then
         table.insert(house.FLOORS[2], room)
       end
-      files[#files + 1] = { file = file, room = house.room_of(file), text = text,
+      entries[#entries + 1] = { file = file, room = house.room_of(file), text = text,
         lines = select(2, text:gsub("\n", "")) }
     end
   end
   for _, alias in ipairs(aliases) do file_of[alias.name] = file_of[alias.target] end
-  for _, entry in ipairs(files) do
+  for _, entry in ipairs(entries) do
     entry.names, entry.floor = {}, house.floor_of(entry.room)
     for _, name in ipairs(house.strings_of(entry.text)) do
       local is_other = file_of[name] and file_of[name] ~= entry.file
       if is_other then entry.names[#entry.names + 1] = name end
     end
   end
-  return files, file_of
+  return entries, file_of
 end
 
 --- List the arrows between files: { from, to, name }, where both are entries.
-function house.arrows(files, file_of)
+function house.arrows(entries, file_of)
   local entry_of, arrows = {}, {}
-  for _, entry in ipairs(files) do entry_of[entry.file] = entry end
-  for _, entry in ipairs(files) do
+  for _, entry in ipairs(entries) do entry_of[entry.file] = entry end
+  for _, entry in ipairs(entries) do
     for _, name in ipairs(entry.names) do
       arrows[#arrows + 1] = { from = entry, to = entry_of[file_of[name]], name = name }
     end
@@ -167,9 +162,9 @@ end
 
 -- Prints the floors, the highest first.
 local function print_house()
-  local files, file_of = house.read()
-  local below, lines, total = house.rooms_below(house.arrows(files, file_of)), {}, 0
-  for _, entry in ipairs(files) do
+  local entries, file_of = house.read()
+  local below, lines, total = house.rooms_below(house.arrows(entries, file_of)), {}, 0
+  for _, entry in ipairs(entries) do
     lines[entry.room] = (lines[entry.room] or 0) + entry.lines
     total = total + entry.lines
   end

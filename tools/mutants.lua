@@ -61,7 +61,7 @@ local ROOMS = {
     specs = { "postgres_client", "postgres" } },
   { name = "rtt", files = { "rfsm/rtt.lua", "rfsm/rtt/*.lua" },
     specs = { "rtt_standin", "rtt", "rtt_launch", "rtt_own" } },
-  { name = "cli", files = { "rfsm/cli/*.lua" }, specs = { "cli", "tools" } },
+  { name = "cli", files = { "rfsm/cli/*.lua" }, specs = { "cli", "tools", "project" } },
   { name = "system", files = { "rfsm/system.lua", "rfsm/system/*.lua",
     "rfsm/cli/side_by_side.lua" }, specs = { "system" } },
   { name = "pp", files = { "rfsmpp.lua" }, specs = { "pp" } },

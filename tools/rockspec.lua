@@ -5,6 +5,8 @@
 -- The latter is the development rockspec with this version, with the tag of the release
 -- in the repository at URL, and with the address of that as homepage.
 
+local files = require "rfsm.shared.files"
+
 local DEV, PAGES = "rockspec/rfsm-dev-1.rockspec", "doc/config.ld"
 
 local version, url = arg[1], arg[2]
@@ -14,18 +16,7 @@ if version and not (url and version:find("^%d+%.%d+%.%d+$")) then
   os.exit(2)
 end
 
-local function read(name)
-  local file = assert(io.open(name))
-  local text = file:read("*a")
-  file:close()
-  return text
-end
-
-local function write(name, text)
-  local file = assert(io.open(name, "w"))
-  file:write(text)
-  file:close()
-end
+local function read(name) return assert(files.read(name)) end
 
 local text = read(DEV)
 
@@ -79,9 +70,9 @@ else
   replace("modules = %b{}", "modules = " .. list("    ",
     "*.lua rfsm/*.lua rfsm/*/*.lua compat/*.lua", module_of))
   replace("bin = %b{}", "bin = " .. list("      ", "tools/rfsm*", tool_of))
-  write(DEV, text)
+  assert(files.write(DEV, text))
   text = read(PAGES)
   replace("\nfile = %b{}", "\nfile = " .. list("  ",
     "*.lua && ls rfsm/*.lua rfsm/*/*.lua", page_of))
-  write(PAGES, text)
+  assert(files.write(PAGES, text))
 end

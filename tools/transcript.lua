@@ -4,12 +4,7 @@
 -- typed, and what the simulator prints for them as at a terminal is put in place of the
 -- others. The document with all its sessions is printed to stdout.
 
-local function read(name)
-  local file = assert(io.open(name, "rb"))
-  local text = file:read("*a")
-  file:close()
-  return text
-end
+local files = require "rfsm.shared.files"
 
 -- The lines to type: each group of them is printed first, as a terminal echoes it.
 local function input_of(block)
@@ -29,9 +24,7 @@ end
 
 local function run(arguments, block)
   local name = os.tmpname()
-  local file = assert(io.open(name, "w"))
-  file:write(input_of(block))
-  file:close()
+  assert(files.write(name, input_of(block)))
   local pipe = assert(io.popen(("TERM=dumb LUA='%s' '%s/rfsm' sim %s <%s 2>&1"):format(
     os.getenv("LUA") or arg[-1], arg[0]:match("^(.*)/"), arguments, name)))
   local output = pipe:read("*a")
@@ -44,4 +37,5 @@ local function again(arguments, block)
   return ("```\n$ rfsm sim %s\n%s```\n"):format(arguments, run(arguments, block))
 end
 
-io.write((read(arg[1]):gsub("```\n%$ rfsm sim ([^\n]*)\n(.-)```\n", again)))
+local document = assert(files.read(arg[1]))
+io.write((document:gsub("```\n%$ rfsm sim ([^\n]*)\n(.-)```\n", again)))

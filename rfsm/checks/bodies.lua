@@ -1,7 +1,7 @@
 --- Bodies: what cannot work in the text of a callback, in trees of luacheck's parser.
 --
--- A rule stands here only if it is sure: a guard that may return false somewhere is not
--- looked into, and neither is a parameter that is not used.
+-- There are only rules that are never wrong: a guard that may return false somewhere is
+-- left alone, and so is a parameter that is not used.
 --
 -- @module rfsm.checks.bodies
 -- @license BSD-3-Clause
@@ -30,7 +30,7 @@ end
 
 local each_node = bodies.each_node
 
--- Returns the name of a node of a certain tag, otherwise an empty text.
+-- Returns the name in a node that has this tag; an empty text for another node.
 local function name_of(node, tag) return node.tag == tag and node[1] or "" end
 
 --- Return the names in a call: "yield" and "rfsm" for rfsm.yield(), "print" for
@@ -58,7 +58,7 @@ local SIGNATURES = {
   guard = "guard(tr, events)", effect = "effect(fsm, tr, _, events)",
 }
 
--- What a parameter of this name is expected to be.
+-- What the author of a callback takes a parameter with this name for.
 local MEANINGS = {
   fsm = "machine", machine = "machine", tr = "transition", trans = "transition",
   transition = "transition", state = "state", event = "list of events",
@@ -89,11 +89,11 @@ end
 local NEVER_FALSE = { True = true, Number = true, String = true, Nil = true,
   Table = true, Function = true }
 
--- Returns the sole statement of a function.
+-- Returns the only statement of a function; nil if it has several.
 local function sole(func) return not func[2][2] and func[2][1] or nil end
 
--- A guard that raises an error forbids, too. One that returns true, and does nothing
--- else, is a placeholder.
+-- Finds a guard that never forbids. An error in a guard forbids, too, and a guard that
+-- only returns true is a placeholder.
 local function check_guard(func, add)
   local may_forbid, has_value = false, false
   each_node(func, function(node)

@@ -22,7 +22,7 @@ local codes = {}
 ---@type rfsm_checks.Code[]
 codes.list = {}
 
---- The same by code.
+--- All codes by their words, such as "dead-end".
 ---@type table<string, rfsm_checks.Code>
 codes.of = {}
 
@@ -132,6 +132,7 @@ local WARNINGS = {
   { "no outgoing transitions from node", false },
   { "'e_done' never fires here", false },
   { "each transition from here has events or a guard", false },
+  { "a connector has no ", false },
   { "has no field '", "unknown-field" },
   { "a plain table that", "unmarked" },
   { "a transition inside a leaf state", "misplaced" },
@@ -144,7 +145,7 @@ local WARNINGS = {
   { "an empty list, any event triggers it", "empty-events" },
 }
 
---- Return the code of a warning of the core; false if it is not needed.
+--- Return the code of a warning of the core; false if a check reports the same.
 function codes.of_warning(text)
   for _, pair in ipairs(WARNINGS) do
     if text:find(pair[1], 1, true) then return pair[2] end
@@ -152,7 +153,7 @@ function codes.of_warning(text)
   return "init"
 end
 
---- Return the hint that a code was misspelt.
+--- Return the hint with the nearest code for one that does not exist; it may be empty.
 function codes.nearest(code)
   return type(code) == "string"
     and advice.nearest_name(code, rfsm.sorted_keys(codes.of)) or ""

@@ -23,7 +23,7 @@ local function leaf_meant(name, leaves)
   return ""
 end
 
--- `init` warns of an e_done of the source itself.
+-- Finds e_done@F where F is no leaf. Of an e_done of the source itself `init` warns.
 local function check_e_done(tr, leaves, add)
   for _, event in ipairs(tr.events or {}) do
     local fqn = type(event) == "string" and event:match("^e_done@(.*)$")
@@ -39,15 +39,15 @@ end
 
 local MARKS = { [","] = "a comma", ["|"] = "a '|'" }
 
--- Is an event what somebody says? A part between commas has several words then, none of
--- which is an event by its name.
+-- Is the name of an event a sentence, such as a spoken command, and no list of events?
+-- A sentence has words with a blank between them, and none that begins with e_.
 local function is_sentence(event)
   return not event:find("|") and not event:find("%f[%w]e_") and not event:find("%s$")
     and event:find("%a%s+%a") ~= nil
 end
 
--- Returns what is odd about the name of an event: a comma, bar or blank, except in
--- word(a, b) and behind @, or a pattern.
+-- Returns what is odd about the name of an event: that it has a comma, bar or blank
+-- (but not in word(a, b) or behind @), or that it is a pattern.
 local function oddness_of_name(event)
   local word = event:match("^[^(@]*")
   if match.maker_of(event) or is_sentence(event) then
@@ -134,7 +134,7 @@ local function index_of(list)
   return index
 end
 
--- Returns the first event that looks like event `i`, and that as many or more use.
+-- Returns the first event that looks like event `i`, and is used more or named earlier.
 local function find_similar(list, users, index, i)
   local least
   each_shape(list[i], function(shape)

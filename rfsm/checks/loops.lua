@@ -6,7 +6,6 @@
 local rfsm = require "rfsm"
 local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
-local structure = require "rfsm.checks.structure"
 
 local ipairs = ipairs
 local concat = table.concat
@@ -14,11 +13,11 @@ local is_conn = rfsm.is_conn
 
 local loops = {}
 
--- Returns the first transition that the event takes; nil if a guard decides.
+-- Returns the first transition that is taken on the event; nil if a guard decides.
 local function find_taken(transitions, event)
   for _, tr in ipairs(transitions) do
     local is_wanted = match.triggers(tr, event)
-    if is_wanted == nil or is_wanted and tr.guard then return nil, true end
+    if is_wanted == nil or is_wanted and tr.guard then return nil end
     if is_wanted then return tr end
   end
 end
@@ -27,11 +26,7 @@ end
 -- where they end; nil if there are none, or a guard decides.
 local function follow(fsm, leaf)
   local event, path = "e_done@" .. leaf._fqn, {}
-  local tr, is_open
-  for _, node in ipairs(location.line(fsm, leaf)) do
-    tr, is_open = find_taken(node._otrs, event)
-    if tr or is_open then break end
-  end
+  local tr = find_taken(location.transitions(fsm, leaf), event)
   while tr and rfsm.target_of(tr) ~= "internal" do
     path[#path + 1] = tr
     if not is_conn(tr.tgt) then return tr.tgt, path end
@@ -40,7 +35,7 @@ local function follow(fsm, leaf)
   end
 end
 
--- Could a callback send an event of a transition that is not part of the cycle?
+-- Could a callback send an event of a transition out of the cycle, one not in `taken`?
 local function may_be_left(fsm, leaves, taken)
   local has_callback, has_exit = false, false
   for _, leaf in ipairs(leaves) do
@@ -55,7 +50,7 @@ local function may_be_left(fsm, leaves, taken)
   return has_callback and has_exit
 end
 
--- Returns the leaves of the cycle that a leaf is on, itself first.
+-- Returns the leaves of a cycle that a leaf is on and that is never left, itself first.
 local function find_cycle(fsm, start)
   local leaves, taken, leaf = {}, {}, start
   repeat
@@ -70,8 +65,8 @@ end
 
 --- Find cycles on which a machine never becomes idle.
 ---@type rfsm_checks.Check
-function loops.check(fsm, add)
-  local reached, is_told = structure.reached(fsm), {}
+function loops.check(fsm, add, reached)
+  local is_told = {}
   for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
     local cycle = reached[leaf] and not is_told[leaf] and find_cycle(fsm, leaf)
     if cycle then

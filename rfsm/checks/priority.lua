@@ -1,5 +1,5 @@
 --- Order: transitions that are never taken because others are tried earlier, and pairs
---- whose position alone decides.
+--- of transitions of which one is taken only because it stands first.
 --
 -- @module rfsm.checks.priority
 -- @license BSD-3-Clause
@@ -8,7 +8,6 @@ local rfsm = require "rfsm"
 local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
 local order = require "rfsm.shared.order"
-local structure = require "rfsm.checks.structure"
 
 local ipairs, setmetatable, type = ipairs, setmetatable, type
 local is_conn = rfsm.is_conn
@@ -32,26 +31,24 @@ function is_always_enabled(tr, seen)
   return not is_conn(tr.tgt) or has_path(tr.tgt, seen)
 end
 
-local ANY = {} -- any event
+local ANY = {} -- in place of an event: any one
 
 -- Does the event enable `tr` for certain? A predicate may refuse it.
 local function is_enabled_by(tr, event)
   return match.is_any(tr) or type(event) ~= "function" and match.triggers(tr, event)
 end
 
--- The path to a connector may have passed any other connector.
+-- The set of all connectors: a path to one of them may have passed any other.
 local ALL = setmetatable({}, { __index = function() return true end })
 
--- Returns a transition that is tried before `tr`, from its source or a composite around
--- that, and always taken on the event.
-local function find_shadow(fsm, tr, event)
-  for _, node in ipairs(is_conn(tr.src) and { tr.src } or location.line(fsm, tr.src)) do
-    for _, other in ipairs(node._otrs) do
-      if other == tr then break end
-      if is_enabled_by(other, event)
-        and is_always_enabled(other, is_conn(tr.src) and ALL or {}) then
-        return other
-      end
+-- Returns the transition in a list that stands before `tr` and is always taken on the
+-- event.
+local function find_shadow(list, tr, event)
+  for _, other in ipairs(list) do
+    if other == tr then return nil end
+    if is_enabled_by(other, event)
+      and is_always_enabled(other, is_conn(tr.src) and ALL or {}) then
+      return other
     end
   end
 end
@@ -60,8 +57,9 @@ end
 -- taken on one of them.
 local function find_shadows(fsm, tr)
   local list, is_listed = {}, {}
+  local tried = is_conn(tr.src) and tr.src._otrs or location.transitions(fsm, tr.src)
   for _, event in ipairs(match.is_any(tr) and { ANY } or tr.events) do
-    local shadow = find_shadow(fsm, tr, event)
+    local shadow = find_shadow(tried, tr, event)
     if not shadow then return nil end
     if not is_listed[shadow] then list[#list + 1] = shadow end
     is_listed[shadow] = true
@@ -79,14 +77,15 @@ local function check_shadows(fsm, tr, add)
   return true
 end
 
--- Does its position alone keep `tr` from being taken before `other`? A guard before a
--- transition without one reads as if and else; in connectors the engine warns.
+-- Is `other` taken in place of `tr` only because it stands first? An earlier transition
+-- with a guard and a later one without read as if and else, but not in a connector,
+-- where the engine warns of such pairs.
 local function may_clash(tr, other)
   return (other.pn or 0) == (tr.pn or 0)
     and (tr.guard or not other.guard or is_conn(tr.src))
 end
 
--- Returns an event that enables both, as a text.
+-- Returns the text of an event that enables both transitions; nil if there is none.
 local function shared_event(tr, other)
   if match.is_any(tr) and match.is_any(other) then return "any event" end
   for _, event in ipairs(match.is_any(tr) and other.events or tr.events) do
@@ -109,8 +108,7 @@ end
 
 --- Find what is wrong with the order of transitions.
 ---@type rfsm_checks.Check
-function priority.check(fsm, add)
-  local reached = structure.reached(fsm)
+function priority.check(fsm, add, reached)
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     if reached[tr.src] and not check_shadows(fsm, tr, add) then
       check_conflicts(tr, add)

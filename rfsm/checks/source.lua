@@ -1,7 +1,7 @@
 --- Source: mistakes in the text of a chart's callbacks, read by the parser of luacheck.
 --
--- Without luacheck there are none. Nothing uncertain is a warning: a call of an unknown
--- function may yield.
+-- Without luacheck nothing is found. Nothing uncertain is a warning: for example, a
+-- call of an unknown function may yield.
 --
 -- @module rfsm.checks.source
 -- @license BSD-3-Clause
@@ -45,7 +45,7 @@ source.is_there = luacheck and parser and decoder and getinfo ~= nil
 ---@field undefined { name: string, line: integer }[] globals that are read
 ---@field tested table<string, true> names whose existence is tested
 ---@field lost table<integer, table[]> by line of a table: keys that stand twice
----@field called table<integer, table[]> the same: callbacks that are calls
+---@field called table<integer, table[]> likewise: callbacks whose values are calls
 
 local walk, each_node, called_name = bodies.walk, bodies.each_node, bodies.called_name
 
@@ -90,8 +90,8 @@ end
 -- names, such as `report`.
 local USED = { yield = true, send_events = true }
 
--- Returns a name that looks like an undefined one, but is no module: programs keep
--- their machine in a global `fsm`.
+-- Returns the name of a global that looks like an undefined one. Modules do not count:
+-- programs keep their machine in a global `fsm`, which looks like `rfsm`.
 local function meant(name)
   if USED[name] then return "rfsm." .. name end
   for _, other in ipairs(rfsm.sorted_keys(_G)) do
@@ -115,14 +115,14 @@ local function check_globals(file, info, add)
   end
 end
 
--- Is it a call of a global function, one in a global table, or one of `rfsm`? They do
--- not yield, but for those with "yield" in their names, which come before.
+-- Does a node call a global function, or one in a global table or in `rfsm`? These do
+-- not yield. The caller has sorted out names with "yield".
 local function is_plain_call(node)
   local name, library = called_name(node)
   return library == "rfsm" or rawget(_G, library or name) ~= nil
 end
 
--- The effects of nodes in a loop.
+-- What a node in a loop of a doo may do: leave the loop, or yield true ("idles").
 local EFFECTS = {
   Return = "leaves", Break = "leaves", Goto = "leaves", Invoke = "idles",
 }
@@ -136,8 +136,8 @@ local function effect_of_call(node)
   return tag ~= "Nil" and tag ~= "False" and "idles" or "yields"
 end
 
--- Is it a loop without an end? One that calls and assigns nothing never changes its
--- condition.
+-- Is a node a loop without an end? A loop in which nothing is called or assigned never
+-- changes its condition.
 local function is_endless(node, condition)
   if node.tag ~= "While" and node.tag ~= "Repeat" then return false end
   if condition.tag == (node.tag == "While" and "True" or "False") then return true end
@@ -149,7 +149,7 @@ local function is_endless(node, condition)
   return not changes
 end
 
--- Notes the effects in a loop without an end.
+-- Notes in `seen` what a loop without an end does.
 local function look_into(loop, seen)
   local has = {}
   walk(loop, function(node)
@@ -196,8 +196,8 @@ local function check_callback(files, fsm, obj, field, add)
   if func and field == "doo" then check_doo(func, obj, report) end
 end
 
--- Returns the tables in a file at the line of each element's constructor, as lists of
--- elements: { file, line, objects }.
+-- Returns for each line with constructors the list of the elements that they made, with
+-- the fields `file` and `line`.
 local function places_of(fsm)
   local places, by_text = {}, {}
   for _, obj in ipairs(rfsm.elements(fsm)) do

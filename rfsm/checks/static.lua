@@ -1,7 +1,7 @@
 --- Static checks: mistakes, dead parts and risks that the structure of a chart shows.
 --
--- Each check has a file. It calls `add(code, obj, text)`. Findings are in the order of
--- the tree. A field `checks` of an element silences its findings.
+-- Each check is a file, and calls `add(code, obj, text)` for what it finds. Findings
+-- are in the order of the tree. A field `checks` of an element silences its findings.
 --
 -- @module rfsm.checks.static
 -- @license BSD-3-Clause
@@ -10,6 +10,7 @@ local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 local codes = require "rfsm.checks.codes"
 local location = require "rfsm.shared.location"
+local structure = require "rfsm.checks.structure"
 local stubs = require "rfsm.shared.stubs"
 
 local error, ipairs, pairs = error, ipairs, pairs
@@ -29,16 +30,17 @@ local static = {}
 ---@field hint string a remedy
 ---@field witness? rfsm_checks.WitnessStep[] of an exploration: the run that shows it
 
---- A check: calls `add` for each finding about a machine.
+--- A check: calls `add` for each finding about a machine. `reached` is the set of the
+--- nodes that some path of transitions leads to.
 ---@alias rfsm_checks.Add fun(code: string, obj: table, text: string, severity?: any)
----@alias rfsm_checks.Check fun(fsm: rfsm.Machine, add: rfsm_checks.Add)
+---@alias rfsm_checks.Check fun(fsm: rfsm.Machine, add: rfsm_checks.Add, reached: table)
 
 local CHECKS = {
   "rfsm.checks.structure", "rfsm.checks.priority", "rfsm.checks.loops",
   "rfsm.checks.event_names",
 }
 
---- The checks of files, which read the text of callbacks, too.
+--- The checks of a chart in a file: the text of callbacks is read, too.
 static.OF_FILES = { CHECKS[1], CHECKS[2], CHECKS[3], CHECKS[4], "rfsm.checks.source" }
 
 -- Findings, except those that an element expects ......................................
@@ -58,7 +60,7 @@ local function is_silenced(obj, code) return is_reason(silences_of(obj)[code]) e
 ---@class rfsm_checks.Findings
 ---@field [integer] rfsm_checks.Finding
 ---@field silenced table<string, true> findings that elements expect: "root.a dead-end"
----@field told table<string, true> the findings in the list, as keys
+---@field told table<string, true> those in the list: "dead-end root.a no exit, ..."
 local Findings = {}
 Findings.__index = Findings
 
@@ -80,7 +82,7 @@ function Findings:add(code, obj, path, text, at, file)
     self.silenced[path .. " " .. code] = true
     return nil
   elseif codes.of[code].severity ~= "error" and stubs.is_in(text) then
-    return nil -- the text that is meant is not known
+    return nil -- in place of some of the text there is the name of a stub
   end
   local known, key = codes.of[code], concat({ code, path or at, text }, " ")
   if self.told[key] then return nil end
@@ -92,7 +94,7 @@ function Findings:add(code, obj, path, text, at, file)
   return finding
 end
 
--- Returns the finding of the same code about the same element.
+-- Returns the finding in the list that has the same code and the same element.
 function Findings:find_same(finding)
   for _, other in ipairs(self) do
     local path = other.place:gsub(" %(.* %-> .*%)$", ""):gsub(": root", "")
@@ -100,7 +102,7 @@ function Findings:find_same(finding)
   end
 end
 
---- Append the findings of an exploration. A finding that is there already gets the run.
+--- Append the findings of an exploration. One that is listed already gets the run.
 ---@param others rfsm_checks.Findings
 function Findings:join(others)
   local more = {}
@@ -112,9 +114,9 @@ function Findings:join(others)
   for note in pairs(others.silenced) do self.silenced[note] = true end -- a set
 end
 
---- Append findings about silences that silence nothing.
-function Findings:add_idle_silences(model)
-  for _, entry in ipairs(rfsm.machines(static.init(model, false))) do
+--- Append a finding for each silence whose finding did not come.
+function Findings:add_idle_silences(fsm)
+  for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, obj in ipairs(rfsm.elements(entry.machine)) do
       for _, code in ipairs(rfsm.sorted_keys(silences_of(obj))) do
         local path = location.path(obj, entry.prefix)
@@ -127,7 +129,7 @@ function Findings:add_idle_silences(model)
   end
 end
 
--- Finds codes that do not exist, and those without a reason.
+-- Finds silences whose code does not exist, or that have no reason.
 local function check_silences(obj, add)
   local silences = silences_of(obj)
   for _, code in ipairs(rfsm.sorted_keys(silences)) do
@@ -151,7 +153,8 @@ local function check_machine(entry, findings, checks)
   local function add(code, obj, text, severity)
     table.insert(by_element[obj], { code = code, text = text, severity = severity })
   end
-  for _, name in ipairs(checks) do require(name).check(fsm, add) end
+  local reached = structure.reached(fsm)
+  for _, name in ipairs(checks) do require(name).check(fsm, add, reached) end
   for _, obj in ipairs(elements) do
     check_silences(obj, add)
     for _, found in ipairs(by_element[obj]) do
@@ -164,13 +167,13 @@ end
 
 -- Machines of the model ...........................................................
 
---- Make a machine that prints nothing but its warnings, with `warn`. It is made of the
---- model itself, because transitions may name its root.
+--- Make a machine that prints nothing; its warnings go to `warn`. It is made of the
+--- model itself, not of a copy, because transitions may name the root as a table.
 function static.init(model, warn)
   return calls.silently(calls.init_apart, model, warn)
 end
 
--- Returns the elements of a machine by the location in a warning about them.
+-- Returns the elements of a machine by the locations that warnings about them have.
 local function elements_by_place(fsm)
   local found = {}
   for _, obj in ipairs(fsm and rfsm.elements(fsm) or {}) do
@@ -182,7 +185,7 @@ local function elements_by_place(fsm)
   return found
 end
 
--- Appends lines of init about a machine as findings; `code`: nil for warnings.
+-- Appends findings for lines of init. Without `code` the text of a warning gives it.
 local function add_lines(findings, lines, code, fsm, prefix)
   local by_place = elements_by_place(fsm)
   for _, line in ipairs(lines) do
@@ -196,7 +199,7 @@ local function add_lines(findings, lines, code, fsm, prefix)
   end
 end
 
--- Returns a machine of a model, the problems, and the warnings; its regions are silent.
+-- Returns a machine of a model, the problems, and the warnings, but none of regions.
 local function init_and_listen(model)
   local warnings = {}
   local fsm, _, problems = static.init(model, function(text)
@@ -205,8 +208,8 @@ local function init_and_listen(model)
   return fsm, problems, warnings
 end
 
--- Appends all findings about a model: problems, warnings of init, those of the checks.
--- Returns its machine; nil if there is none.
+-- Appends findings for the problems of a model and the warnings of init. Returns the
+-- machine; nil if there is none.
 local function check_model(findings, model)
   local is_valid, problems, warnings = rfsm.verify_early(model)
   local fsm, regions = nil, {}
@@ -228,13 +231,14 @@ end
 ---@param model rfsm.State a model, or a machine
 ---@param checks? string[] names of modules
 ---@return rfsm_checks.Findings
+---@return rfsm.Machine? fsm of the model; nil if there is none
 function static.collect(model, checks)
   local findings = static.new_list()
   local fsm = rfsm.is_initialized_root(model) and model or check_model(findings, model)
   for _, entry in ipairs(fsm and rfsm.machines(fsm) or {}) do
     check_machine(entry, findings, checks or CHECKS)
   end
-  return findings
+  return findings, fsm
 end
 
 --- Give findings the severity that a project has set, and drop those that are off.
@@ -266,14 +270,15 @@ function static.findings(model, settings)
   end
   local problem = codes.check_settings(settings or {})
   if problem then error("rfsm_checks.findings: settings: " .. problem, 2) end
-  return static.apply(static.collect(model), settings or {})
+  return static.apply((static.collect(model)), settings or {})
 end
 
---- Return a finding in one line: "chart.lua:7: root.a: text [code]". The problems of a
---- model have no code: nothing can silence them.
-function static.line(finding)
+--- Return a finding in a line: "chart.lua:7: root.a: text (hint) [code]". The problems
+--- of a model have no code: nothing can silence them.
+function static.line(finding, has_hint)
+  local hint = has_hint and " (" .. finding.hint .. ")" or ""
   local code = finding.code ~= "invalid" and " [" .. finding.code .. "]" or ""
-  return finding.file .. finding.place .. ": " .. finding.text .. code
+  return finding.file .. finding.place .. ": " .. finding.text .. hint .. code
 end
 
 return static

@@ -41,7 +41,7 @@ function structure.reached(fsm)
   return reached
 end
 
--- Notes the leaves that a transition to a node enters.
+-- Appends the leaves that a transition to a node may enter.
 local function add_leaves(node, leaves, seen)
   if seen[node] then return end
   seen[node] = true
@@ -52,8 +52,8 @@ local function add_leaves(node, leaves, seen)
   end
 end
 
---- Do leaves of a machine lead back to each other? Else it is a sequence, which has to
---- end somewhere.
+--- Do leaves of a machine lead back to each other? If not, the leaves are a sequence,
+--- which has to end somewhere.
 ---@return boolean
 function structure.has_cycle(fsm)
   local is_under_way, is_done = {}, {}
@@ -62,8 +62,8 @@ function structure.has_cycle(fsm)
     if is_under_way[leaf] then return true end
     is_under_way[leaf] = true
     local leaves = {}
-    for _, node in ipairs(location.line(fsm, leaf)) do
-      for _, tr in ipairs(node._otrs) do add_leaves(tr.tgt, leaves, {}) end
+    for _, tr in ipairs(location.transitions(fsm, leaf)) do
+      add_leaves(tr.tgt, leaves, {})
     end
     is_done[leaf] = not any(leaves, function(other)
       return other ~= leaf and visit(other)
@@ -73,19 +73,15 @@ function structure.has_cycle(fsm)
   return any(rfsm.elements(fsm, is_leaf), visit)
 end
 
-local function has_way_out(fsm, state)
-  return any(location.line(fsm, state), function(node) return node._otrs[1] end)
-end
-
---- Is a leaf without a way out meant as an end? By its name, or because the leaves
---- are a sequence.
+--- Is a leaf without a way out meant as an end? Its name says so, or the leaves of the
+--- machine are a sequence.
 ---@return boolean
 function structure.is_end(fsm, leaf)
   return codes.means(leaf, "an end") or not structure.has_cycle(fsm)
 end
 
--- Finds nodes without a way in or out, but not in an unreachable composite. Transitions
--- may enter a composite elsewhere than at its `initial`.
+-- Finds nodes without a way in or out, except those in an unreachable composite. An
+-- `initial` needs no way in: transitions may enter its composite at another node.
 local function check_node(fsm, node, reached, add)
   if not reached[node] then
     if reached[node._parent] and node._id ~= "initial" then
@@ -95,7 +91,7 @@ local function check_node(fsm, node, reached, add)
     add("closed", node, "no way out of this connector, so that no transition to "
       .. "it is ever taken")
   elseif node ~= fsm and is_leaf(node) and not node.final
-    and not has_way_out(fsm, node) then
+    and not location.transitions(fsm, node)[1] then
     add("dead-end", node, "no exit, neither this state nor one around it is ever left",
       structure.is_end(fsm, node) and "note")
   end
@@ -115,11 +111,11 @@ local function check_callbacks(obj, add)
   end
 end
 
--- Fields that are true or false.
+-- Fields of a state that are true or false, and those of the root.
 local FLAGS = { "final" }
 local ROOT_FLAGS = { "dbg", "err", "info", "strict", "warn" }
 
--- Finds true and false in fields whose names look like those of the library.
+-- Finds fields with true or false whose names are nearly those of a flag.
 local function check_flags(state, flags, add)
   for _, key in ipairs(rfsm.sorted_keys(state)) do
     for _, flag in ipairs(type(state[key]) == "boolean" and flags or {}) do
@@ -134,8 +130,8 @@ end
 
 local HISTORIES = { shallow = true, deep = true, [true] = true }
 
--- Returns a field that another library has, or an extension that is not loaded, and
--- the remedy.
+-- Returns the name of a field that only another library knows, or an extension that is
+-- not loaded, and the remedy; nil if a state has none.
 local function foreign_field(state, loaded)
   local has_history = HISTORIES[state.history] and rfsm.is_composite(state)
   if has_history and not loaded["rfsm.history"] then
@@ -147,7 +143,7 @@ local function foreign_field(state, loaded)
   end
 end
 
--- Finds such fields, and texts in the field `final`.
+-- Finds fields of other libraries, and a text in the field `final`.
 local function check_fields(state, add)
   local field, remedy = foreign_field(state, rawget(_G, "package").loaded)
   if field then
@@ -159,7 +155,7 @@ local function check_fields(state, add)
   end
 end
 
--- Does a doo end in its first cycle, as far as its text tells, and send no event?
+-- Does a callback end at once, and send no event, as far as its text tells?
 local function ends_at_once(doo)
   local texts = {}
   writes.each(doo, function(text) texts[#texts + 1] = text end, {})
@@ -170,8 +166,8 @@ local function ends_at_once(doo)
   return texts[1] ~= nil
 end
 
--- Returns a transition from the same leaf whose events cannot come any more, since `tr`
--- is taken when the leaf was entered.
+-- Returns a transition from the same leaf that is never taken, because `tr` has no
+-- events and is taken as soon as the leaf was entered.
 local function find_outrun(tr)
   local leaf = tr.src
   if tr.guard or not is_leaf(leaf) or leaf.entry and not ends_at_once(leaf.entry)
@@ -196,14 +192,14 @@ end
 
 local ANY = setmetatable({}, { __tostring = function() return "any event" end })
 
--- Lists the events that can pass a transition if an event comes, or any.
+-- Lists the events on which a path that came on `event`, or ANY, goes on through `tr`.
 local function passing(tr, event)
   if match.triggers(tr, event) then return { event } end
   return event == ANY and tr.events or {}
 end
 
--- Notes the connectors to which a transition leads an event at its source. The events
--- that a predicate accepts are not known.
+-- Notes on which events a path that came to the source of `tr` on `event` reaches the
+-- connectors behind it. The events that a predicate accepts are not known.
 local function arrive(arrivals, tr, event)
   for _, own in ipairs(is_conn(tr.tgt) and passing(tr, event) or {}) do
     local list = arrivals[tr.tgt] or {}
@@ -214,7 +210,7 @@ local function arrive(arrivals, tr, event)
   end
 end
 
--- Returns the events that can lead to each connector, one at a time.
+-- Returns for each connector the list of events on which a path may reach it.
 local function arrivals_of(fsm)
   local arrivals = {}
   arrive(arrivals, { tgt = fsm.initial }, "e_init_fsm")
@@ -224,7 +220,7 @@ local function arrivals_of(fsm)
   return arrivals
 end
 
--- Is there a way on for this event that no guard can close?
+-- Does a transition without a guard lead on from a connector on this event?
 local function has_default(connector, event)
   return any(connector._otrs, function(tr)
     return not tr.guard and match.triggers(tr, event)
@@ -282,8 +278,7 @@ end
 
 --- Find what is wrong with nodes.
 ---@type rfsm_checks.Check
-function structure.check(fsm, add)
-  local reached = structure.reached(fsm)
+function structure.check(fsm, add, reached)
   for _, obj in ipairs(rfsm.elements(fsm)) do
     if rfsm.is_node(obj) then check_node(fsm, obj, reached, add) end
     if rfsm.is_trans(obj) then check_transition(obj, add) end

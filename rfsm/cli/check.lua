@@ -17,7 +17,9 @@ local check = {
 }
 
 local function print_codes()
-  print((require("rfsm.cli.review").codes_text():gsub("\n$", "")))
+  for _, entry in ipairs(require("rfsm.checks.codes").list) do
+    print(("%-16s%-9s%s"):format(entry.code, entry.severity, entry.meaning))
+  end
   os.exit(0)
 end
 
@@ -85,14 +87,15 @@ local function write_tests(options, parser)
   if old_text then report_difference(old_text, text) end
 end
 
--- Returns why a chart cannot be checked; a problem of its declarations has their file.
+-- Returns why a chart cannot be checked. A problem in the file of its declarations
+-- begins with the name of that file already.
 local function reason(file, failure)
   local text = chart.first_line(failure)
   local name = require("rfsm.cli.review").properties_of(file)
   return text:find(name, 1, true) == 1 and text or chart.reason(file, failure)
 end
 
--- Returns lines about the chart in a file, and the gravest severity.
+-- Returns lines about the chart in a file, and the gravest severity of its findings.
 local function lines_about(file, options)
   local review = require("rfsm.cli.review")
   local settings, model, warnings, world
@@ -113,7 +116,7 @@ end
 
 function check.run(options, parser)
   for _, file in ipairs(options.files) do common.check_readable(file) end
-  require("rfsm_timeevent") -- so that their events are known
+  require("rfsm_timeevent") -- so that events such as e_after(1) are known
   require("rfsm.await")
   if options.tests then return write_tests(options, parser) end
   local texts, status = {}, 0

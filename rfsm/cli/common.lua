@@ -1,7 +1,7 @@
 --- What the commands share: streams, charts in, results out, addresses.
 --
--- Output of a chart while it is loaded goes to stderr, so that it is never part of a
--- result.
+-- What a chart prints while it is loaded goes to stderr, so that it never becomes part
+-- of a result.
 --
 -- @module rfsm.cli.common
 -- @license BSD-3-Clause
@@ -15,7 +15,7 @@ local opts = require "rfsm.shared.options"
 local concat = table.concat
 
 local common = {
-  command = "", -- name of the one that runs
+  command = "", -- name of the command that runs
   NOWHERE = { write = function(self) return self end }, -- a stream that keeps nothing
 }
 
@@ -28,7 +28,7 @@ local function set_streams(printer, out, err, default)
   io.output(default)
 end
 
--- Calls f(...) as pcall does, while `print`, stdout and stderr are `stream`.
+-- Calls f(...) as pcall does. Meanwhile `print`, stdout and stderr write to `stream`.
 function common.with_streams(stream, f, ...)
   local printer, out, err, default = rawget(_G, "print"), io.stdout, io.stderr,
     io.output()
@@ -57,14 +57,14 @@ function common.try(result, problem)
   return result or common.fail(problem)
 end
 
--- Returns f(...), called silently for the chart in a file.
+-- Returns f(...), without what it prints. An error ends the program, with the file.
 function common.call(file, f, ...)
   local ok, result, more, list = common.with_streams(common.NOWHERE, f, ...)
   if not ok then common.fail(chart.reason(file, result)) end
   return result, more, list
 end
 
--- Calls a function that has no end; Control-C ends it.
+-- Calls a function that goes on until Control-C ends it.
 function common.until_interrupt(f, ...)
   local ok, problem = pcall(f, ...)
   if not (ok or rfsm.is_interrupt(problem)) then error(problem, 0) end
@@ -72,7 +72,7 @@ end
 
 -- Charts in -------------------------------------------------------------------
 
--- Returns a name of a file with slashes, which Windows takes, too.
+-- Returns the name of a file with slashes in place of backslashes. Windows takes both.
 local function with_slashes(name)
   return package.config:byte() == 92 and name:gsub("\\", "/") .. "" or name
 end
@@ -87,16 +87,23 @@ function common.add_files(command)
     :args("+"):argname("FILE"):convert(with_slashes)
 end
 
--- Adds an option of two names. The help has the short one: with both it has two lines.
+-- Adds an option with two names. The help has the short one: both would take two lines.
 function common.add_option(command, names, text, default)
   local short, long = names:match("(%-%a) (%-%-%a+)")
-  local option = command:option(short, text, default)
-  if not option.hidden_name then return option:name(long) end -- before argparse 0.7
-  return option:hidden_name(long):target(long:sub(3))
+  return command:option(short, text, default):hidden_name(long):target(long:sub(3))
 end
 
 function common.add_stub(command)
   command:flag("--stub", "modules and globals that are missing do nothing")
+    :init(false)
+end
+
+-- Returns a problem. If a module is missing, such as one of a robot, the text names the
+-- option --stub, unless that was given (true) or the command has no such option (nil).
+function common.with_hint(problem, has_stubs)
+  if has_stubs ~= false then return problem end
+  return (problem:gsub("module '[^']*' not found$",
+    "%0 (the option --stub loads the chart without it)"))
 end
 
 -- For commands whose charts may be programs that make several machines.
@@ -111,17 +118,18 @@ function common.check_readable(file)
   if not text then common.fail(problem, 2) end
 end
 
--- As chart.load; output goes to stderr.
-function common.load_model(...)
-  return select(2, common.with_streams(io.stderr, chart.load, ...))
+-- Loads a chart as chart.load does. What the chart prints goes to stderr.
+function common.load_model(file, has_stubs, number, load)
+  local _, model, result, world = common.with_streams(io.stderr, chart.load, file,
+    has_stubs, number, load)
+  return model, model and result or common.with_hint(result, has_stubs), world
 end
 
 -- Returns the machine of a chart, made silently, and the names of its stubs.
 local function load_machine(file, has_stubs, number)
   local model, problem, world = common.load_model(file, has_stubs, number)
   if not model then common.fail(problem) end
-  model.dbg, model.err, model.warn, model.info = false, false, false, false
-  local fsm, _, problems = common.call(file, rfsm.init, model)
+  local fsm, _, problems = common.call(file, calls.silently, rfsm.init, model)
   if not fsm then
     for i, text in ipairs(problems) do problems[i] = chart.line(file, text) end
     common.fail(concat(problems, "\n"))
@@ -134,7 +142,7 @@ end
 
 local is_count = opts.is_whole(1, math.huge)
 
--- Adds an option with a number, by default a whole one above 0.
+-- Adds an option with a number: one that `is_right` accepts, or a whole one above 0.
 function common.add_number(command, names, description, is_right, expected)
   local add = names:find(" ") and common.add_option or command.option
   return add(command, names, description):argname("N"):convert(function(text)
@@ -150,9 +158,9 @@ end
 common.CHART_NAMES = "The name of a chart is that of its file; NAME=FILE gives another "
   .. "one. Of charts with one name the last is the newest."
 
-common.is_size = opts.is_whole(1, 1e6) -- of a list in a server
+common.is_size = opts.is_whole(1, 1e6) -- for the length of a list that a server keeps
 
--- Adds the charts of a library, and how long it knows ids of events.
+-- Adds arguments for a library of charts, and for how long it remembers ids of events.
 function common.add_charts(command)
   command:argument("files", "Lua files that return a chart"):args("*")
     :argname("[NAME=]FILE"):convert(with_slashes)
@@ -162,8 +170,8 @@ function common.add_charts(command)
     common.is_size):argname("S")
 end
 
--- Returns the text of a library, bundle(files, settings), or ends the program with
--- what is wrong with a chart, in one line.
+-- Returns the text of a library, which bundle(files, settings) makes. If a chart is
+-- wrong, the reason in one line ends the program.
 function common.library_of(bundle, options, parser, settings)
   if not options.files[1] then parser:error("a chart expected") end
   settings.ids, settings.ids_for = options.ids, options.ids_for
@@ -176,7 +184,7 @@ end
 
 -- Results out -----------------------------------------------------------------
 
--- Writes a text to a file; `-` is stdout. A full disk shows when a stream is flushed.
+-- Writes a text to a file; `-` is stdout. Only a flush reports that the disk is full.
 function common.write(file, text)
   local ok, problem
   if file == "-" then
@@ -189,8 +197,8 @@ function common.write(file, text)
   if not ok then common.fail(problem) end
 end
 
--- Encodes the chart in every file before anything is written: encode(fsm, title, foot);
--- the foot names stubs.
+-- Returns the texts that encode(fsm, title, foot) makes of the charts in all files, so
+-- that nothing is written if one of them is wrong. The foot names the stubs.
 function common.encode_all(options, encode)
   local texts = {}
   for i, file in ipairs(options.files) do
@@ -205,7 +213,7 @@ end
 
 -- Addresses -------------------------------------------------------------------
 
-local PROTO_PORT = 44044 -- of rfsm.proto
+local PROTO_PORT = 44044 -- that of rfsm.proto by default
 
 function common.address_of(parser, text)
   local host, port = text:match("^(.*):(%d+)$")

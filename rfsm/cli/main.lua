@@ -1,5 +1,5 @@
---- The command line. Each command is a module in `rfsm/cli/`: texts of its help,
--- `add_arguments(parser)`, and `run(options, parser)`, which may return a status.
+--- The command line. Each command is a module in `rfsm/cli/` with texts for the help,
+-- `add_arguments(parser)`, and `run(options, parser)`, which may return an exit status.
 --
 -- @module rfsm.cli.main
 -- @license BSD-3-Clause
@@ -12,7 +12,7 @@ local opts = require "rfsm.shared.options"
 
 local cli = {}
 
--- The commands in the order of the help; each but the exporters has its module.
+-- The commands in the order of the help. Those of the exporters follow.
 local COMMANDS = { "check", "sim", "viz", "snapshot", "redis", "postgres", "fleet",
   "web", "watch", "size" }
 
@@ -27,12 +27,10 @@ local function report_usage(parser, problem)
   os.exit(2)
 end
 
--- Adds what every parser has. The help fits a terminal of 24 lines and 80 columns.
+-- Adds what all parsers have. Their help fits a terminal of 24 lines and 80 columns.
 local function prepare(parser, is_hidden)
   parser.error = report_usage
-  if parser.help_max_width then -- since 0.7
-    parser:usage_max_width(79):help_max_width(79):help_description_margin(26)
-  end
+  parser:usage_max_width(79):help_max_width(79):help_description_margin(26)
   parser:flag("-v --version", "print the version and end"):action(print_version)
     :hidden(is_hidden)
 end
@@ -47,7 +45,7 @@ local function print_help(parser, parsers, argv)
   return 0
 end
 
--- Ends the program with what to type if a chart stands where a command is expected.
+-- Ends the program if a chart stands in place of a command, and prints what to type.
 local function refuse_file(commands, name)
   if commands[name] or not name:find("%.lua$") then return end
   io.stderr:write("rfsm: '", name, "' is no command. To step through that chart, ",
@@ -55,7 +53,7 @@ local function refuse_file(commands, name)
   os.exit(2)
 end
 
---- Run a command line, without the name of the program; return its status.
+--- Run the command with a list of arguments; return the exit status.
 function cli.main(argv)
   local argparse, problem = opts.find_package("argparse")
   if not argparse then
@@ -72,10 +70,8 @@ function cli.main(argv)
     prepare(parsers[name], true)
   end
   prepare(parser, false)
-  if parser.add_complete then -- since 0.7
-    parser:add_complete { "--completion", argname = "SHELL",
-      description = "print the completions for bash, zsh or fish" }
-  end
+  parser:add_complete { "--completion", argname = "SHELL",
+    description = "print the completions for bash, zsh or fish" }
   for _, name in ipairs(COMMANDS) do add(name, require("rfsm.cli." .. name)) end
   for _, command in ipairs(exporters.commands) do add(command.name, command) end
   if argv[1] == nil or argv[1] == "help" then

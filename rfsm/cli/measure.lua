@@ -1,16 +1,16 @@
--- Prints the live heap in KiB that loading something adds, for `rfsm size`, which runs
--- this in a Lua of its own:
+-- Prints how many KiB loading something adds to the live heap. `rfsm size` runs this
+-- program in another Lua:
 --
 --   LUA measure.lua source|stripped PATH module NAME
 --   LUA measure.lua source|stripped PATH chart FILE [stub]
 
 local form, path, kind, name, has_stubs = ...
 local version = _VERSION:match("[%d.]+$")
-local execute, loadfile = os.execute, loadfile -- before a chart's are held back
+local execute, loadfile = os.execute, loadfile -- before charts get stubs for these
 
 package.path = path
 
--- Lua 5.1 and 5.2 strip nothing: their compiler does.
+-- In Lua 5.1 and 5.2 string.dump strips nothing, but luac does.
 local function load_stripped(file)
   if rawget(_G, "jit") or version > "5.2" then
     local text = string.dump(assert(loadfile(file)), true)
@@ -54,7 +54,7 @@ local function report(what)
 end
 
 local rfsm = require "rfsm"
-rfsm.save_memory() -- as in a pool
+rfsm.save_memory() -- as rfsm.rtt does in a pool
 require "rfsm.rtt"
 
 if kind == "module" then
@@ -70,8 +70,8 @@ local function fail(problem)
   os.exit(0)
 end
 
--- Returns the model, as a tool loads it: with stubs, or that of a program. What tools
--- need for that, and an init to warn, is no part of the chart.
+-- Returns the model as a tool loads it, with stubs, or from a program. The modules that
+-- only tools and warnings of init need are loaded before, and do not count.
 local function load_as_tools()
   local chart = require "rfsm.shared.chart"
   for _, tool in ipairs { "rfsm.advice", "rfsmpp", "rfsm.monitor" } do require(tool) end
@@ -80,7 +80,7 @@ local function load_as_tools()
   return model or fail(problem)
 end
 
--- Returns the model, as a launch loads it if it can.
+-- Returns the model as a launch loads it; if that fails, as a tool does.
 local function load_model()
   if has_stubs then return load_as_tools() end
   local limit = require "rfsm.shared.limit"
@@ -90,7 +90,7 @@ local function load_model()
   return ok and model or load_as_tools()
 end
 
--- Makes the machine, prints what it has; returns the KiB that all of it takes.
+-- Makes the machine and prints its size; returns the KiB of model, machine and modules.
 local function make_machine()
   local model = load_model()
   model.err, model.warn, model.info, model.dbg = false, false, false, false
@@ -104,5 +104,5 @@ local function make_machine()
 end
 
 local all = make_machine()
-local modules = math.max(kib() - before, 0) -- they stay
+local modules = math.max(kib() - before, 0) -- they stay when the machine is garbage
 print(("modules %.1f\nchart %.1f"):format(modules, all - modules))

@@ -31,8 +31,8 @@ local review = {}
 
 local SETTINGS = ".rfsmcheck.lua"
 
--- Returns the nearest file of settings, from the folder of a file up to the working
--- directory, or to /; nil if there is none.
+-- Returns the name of the nearest file of settings: in the folder of a chart, or in one
+-- above, up to the working directory or /; nil if there is none.
 local function find_settings(file)
   local folder = file:match("^(.*/)") or ""
   while not exists(folder .. SETTINGS) do
@@ -60,14 +60,9 @@ end
 -- Returns a finding as a line: "chart.lua:7: warning: root.a: text (hint) [code]".
 local function line_of(file, finding)
   local kind = finding.severity ~= "error" and finding.severity .. ": " or ""
-  local line = static.line(finding)
   local has_hint = finding.code ~= "invalid" and finding.code ~= "violated"
-  if has_hint and not finding.text:find("%)$") then
-    line = line:gsub(" %[[%w-]*%]$", function(code)
-      return " (" .. finding.hint .. ")" .. code
-    end)
-  end
-  return chart.line(file, line, kind)
+    and not finding.text:find("%)$")
+  return chart.line(file, static.line(finding, has_hint), kind)
 end
 
 -- Returns the gravest severity of findings; nil if there are only notes.
@@ -85,7 +80,7 @@ function review.properties_of(file)
   return file:gsub("%.lua$", "") .. "_properties.lua"
 end
 
--- Returns the declarations beside a chart.
+-- Returns the table of declarations in the file beside a chart; empty without a file.
 local function declared_for(file)
   local name = review.properties_of(file)
   if file == "-" or not exists(name) then return {} end
@@ -98,15 +93,14 @@ local function declared_for(file)
   return declared
 end
 
--- Configurations of a chart, and of a system, if no option has another number.
+-- Bounds for the configurations of a chart, and of a system, if no option has another.
 local MANY, MANY_TOGETHER = 10000, 100000
 
 local real_stderr = io and io.stderr
 
--- Returns a function that keeps a line of a terminal up to date; nil without one.
+-- Returns a function that shows the progress in one line; nil if stderr is no terminal.
 local function progress_line()
-  local ok, unistd = pcall(require, "posix.unistd")
-  if not (ok and unistd.isatty(2)) then return nil end
+  if not require("rfsm.sim.terminal").is_terminal(2) then return nil end
   return function(configurations, depth)
     real_stderr:write(("\r%d configurations, depth %d "):format(configurations, depth))
   end
@@ -115,7 +109,7 @@ end
 -- Writes the run that shows a finding to a file.
 local function write_witness(model, witness, name)
   if not system.is_system(model) then
-    os.remove(name) -- a recording is appended to
+    os.remove(name) -- the recording would be appended to what is there
     return rfsm_checks.record_witness(model, witness, name)
   end
   local text = name:find("%.mmd") and sequence.mermaid(model.names, witness)
@@ -124,7 +118,7 @@ local function write_witness(model, witness, name)
   if not ok then error(problem, 0) end
 end
 
--- Writes the runs that show findings to files: FILE, FILE.2, FILE.3; notes their names.
+-- Writes the runs of findings to files FILE, FILE.2, FILE.3; a finding notes its file.
 local function write_witnesses(model, findings, name)
   local count = 0
   for _, finding in ipairs(findings) do
@@ -137,8 +131,8 @@ local function write_witnesses(model, findings, name)
   end
 end
 
--- Returns the number of the first line with the name that a problem has in quotes, or
--- with the option that it begins with: "7: "; empty if there is none.
+-- Returns "7: " if line 7 of a text is the first that has the name in the quotes of a
+-- problem, or the option with which the problem begins; empty if there is no such line.
 local function line_with(text, problem)
   local wanted, number = problem:match("'(.-)'") or problem:match("^(%w+)") or "", 0
   for line in (text .. "\n"):gmatch("(.-)\n") do
@@ -148,16 +142,16 @@ local function line_with(text, problem)
   return ""
 end
 
--- Raises the failure of an exploration. If the file of declarations is wrong, the
--- failure begins with its name and line.
+-- Raises the failure of an exploration. If there is a file of declarations, the failure
+-- is one of that file, and begins with its name and a line.
 local function refuse(name, failure)
-  local text = type(failure) == "string" and exists(name) and files.read(name)
+  local text = type(failure) == "string" and files.read(name)
   if not text or failure:find("^%S+:%d+: ") then error(failure, 0) end
   local problem = failure:gsub("^rfsm[_%.]%l+%.explore: ", "")
   error(name .. ":" .. (line_with(text, problem):gsub("^$", " ")) .. problem, 0)
 end
 
--- Calls explore(model, declarations), with the bounds of the command.
+-- Calls explore(model, own), where `own` are declarations, with bounds of the command.
 local function run_explore(file, model, own, options, explore, most)
   for _, name in ipairs { "together", "seconds", "configurations" } do
     if options[name] ~= nil then own[name] = options[name] end
@@ -170,8 +164,8 @@ local function run_explore(file, model, own, options, explore, most)
   return result
 end
 
--- Returns the options of a machine: those beside its chart, but for the alphabet, and
--- those of the system.
+-- Returns the options for exploring a machine of a system: the declarations in the file
+-- beside its chart, except the alphabet, and over these what the system declares.
 local function machine_options(cell, name, given)
   local fsm = static.init(cell.models[name], false)
   local chart_file = location.split(rfsm.location_of(fsm))
@@ -194,10 +188,10 @@ local function explore_system(file, cell, options)
     MANY_TOGETHER)
 end
 
--- The modules that `rfsm check` loads, so that the events of charts are known.
+-- The modules that `rfsm check` loads, so that events such as e_after(1) are known.
 local EXTENSIONS = { "rfsm_timeevent", "rfsm.timeevent", "rfsm_await", "rfsm.await" }
 
---- Call a function that loads a chart, and note the extensions that it requires.
+--- Call a function that loads a chart, and note the extensions that the chart requires.
 ---@return table<string, true> required "rfsm_timeevent", "rfsm_await"
 ---@return any ... results of `f`
 function review.noting_extensions(f, ...)
@@ -225,8 +219,8 @@ function review.noting_extensions(f, ...)
 end
 
 -- Finds events of extensions that the chart does not require.
-local function add_missing_extensions(findings, model, required)
-  for _, entry in ipairs(rfsm.machines(static.init(model, false))) do
+local function add_missing_extensions(findings, fsm, required)
+  for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, tr in ipairs(rfsm.elements(entry.machine, rfsm.is_trans)) do
       for _, event in ipairs(tr.events or {}) do
         local module = match.maker_of(event) and advice.module_for(event)
@@ -247,16 +241,14 @@ local function find_all(file, model, settings, options)
     local result = not options.static and explore_system(file, model, options)
     return static.apply(result and result.findings or {}, settings), result or nil
   end
-  local findings, result = static.collect(model, static.OF_FILES), nil
-  if gravest_of(findings) ~= "error" then
-    add_missing_extensions(findings, model, options.required or {})
-  end
-  if not (options.static or gravest_of(findings) == "error") then
-    result = run_explore(file, model, declared_for(file), options, rfsm_checks.explore,
-      MANY)
-    findings:join(result.findings)
-    if not result.bound then findings:add_idle_silences(model) end
-  end
+  local findings, fsm = static.collect(model, static.OF_FILES)
+  if gravest_of(findings) == "error" then return static.apply(findings, settings) end
+  add_missing_extensions(findings, fsm, options.required or {})
+  if options.static then return static.apply(findings, settings) end
+  local result = run_explore(file, model, declared_for(file), options,
+    rfsm_checks.explore, MANY)
+  findings:join(result.findings)
+  if not result.bound then findings:add_idle_silences(fsm) end
   return static.apply(findings, settings), result
 end
 
@@ -290,7 +282,7 @@ end
 ---@param options table of the command: all, static, together ...; `required` is the
 -- result of `review.noting_extensions`
 ---@return string[] lines "chart.lua: ok" if there is nothing to report
----@return "error"|"warning"|nil gravest severity, but for notes
+---@return "error"|"warning"|nil gravest severity; nil if there are only notes
 function review.of(file, model, warnings, settings, options)
   local findings, result = find_all(file, model, settings, options)
   local gravest = gravest_of(findings) or warnings[1] and "warning" or nil
@@ -305,15 +297,6 @@ function review.of(file, model, warnings, settings, options)
       .. "luacheck is not installed"
   end
   return lines, gravest
-end
-
---- Return the table of all codes.
-function review.codes_text()
-  local lines = {}
-  for i, entry in ipairs(codes.list) do
-    lines[i] = ("%-16s%-9s%s"):format(entry.code, entry.severity, entry.meaning)
-  end
-  return concat(lines, "\n") .. "\n"
 end
 
 return review

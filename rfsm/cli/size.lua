@@ -25,16 +25,17 @@ end
 local FORMS = { "source", "stripped" }
 local EXTRAS = { "rfsmpp", "rfsm.record", "rfsm.proto" }
 
--- A pool adds to each block. Code has smaller ones than data.
+-- What a pool takes for 1 KiB of heap: it adds bytes to each block, and code has many.
 local CODE, DATA = 1.29, 1.12
+local FACTORS = { library = CODE, modules = CODE, module = CODE, chart = DATA }
 
--- KiB of a Lua with RTT 2.10 and rttlib, and of what a launch leaves there, by form.
+-- KiB by form: those of a Lua with RTT 2.10 and rttlib, and what a launch leaves there.
 local BASE = {
   source = { heap = 155 + 40, pool = 210 + 52 },
   stripped = { heap = 155 + 32, pool = 210 + 39 },
 }
 
--- A pool needs room for garbage: so much of what is in use.
+-- A pool needs room for garbage: it has to be so many times what is in use.
 local ROOM = 1.2
 
 local function quoted(text) return "'" .. text:gsub("'", "'\\''") .. "'" end
@@ -47,79 +48,65 @@ local function find_program()
   end
 end
 
--- Returns the values that rfsm/cli/measure.lua prints, by name.
+-- Notes a value that rfsm/cli/measure.lua prints: a number of KiB in heap and pool.
+local function note(values, key, value)
+  local factor, sum = FACTORS[key], values.together
+  values[key] = factor and { heap = tonumber(value), pool = value * factor } or value
+  if not factor then return end
+  sum.heap, sum.pool = sum.heap + values[key].heap, sum.pool + values[key].pool
+end
+
+-- Returns the values of a form by name; nil if that Lua has no stripped code.
 local function measure(options, form, kind, name)
   local pipe = io.popen(("%s %s %s %s %s %s %s 2>&1"):format(options.lua,
     quoted(find_program()), form, quoted(package.path), kind, quoted(name),
     options.stub and "stub" or ""))
-  local values, last = {}, "nothing"
+  local base, last = BASE[form], "nothing"
+  local values = { base = base, together = { heap = base.heap, pool = base.pool } }
   for line in pipe:lines() do
     local key, value = line:match("^(%l+) (.*)$")
-    if key then values[key] = tonumber(value) or value end
+    if key then note(values, key, value) end
     last = line
   end
   pipe:close()
-  if values.problem then common.fail(values.problem) end
-  if not (values.chart or values.module) then
-    if form == "stripped" then return nil end
-    common.fail(options.lua .. ": " .. last)
-  end
-  return values
+  if values.problem then common.fail(common.with_hint(values.problem, options.stub)) end
+  if values.chart or values.module then return values end
+  if form ~= "stripped" then common.fail(options.lua .. ": " .. last) end
 end
 
-local function write_row(name, cells)
+-- Returns the values of each form that can be measured.
+local function measure_all(options, kind, name)
+  local results = {}
+  for i, form in ipairs(FORMS) do results[i] = measure(options, form, kind, name) end
+  return results
+end
+
+local function write_row(name, results, key)
   local texts = {}
-  for i, value in ipairs(cells) do texts[i] = ("%7.0f"):format(value) end
-  io.stdout:write(("%-36s"):format(name), concat(texts), "\n")
-end
-
--- Appends the heap and the pool of a number of KiB.
-local function add(cells, kib, factor)
-  cells[#cells + 1], cells[#cells + 2] = kib, kib * factor
-end
-
--- Returns the rows: names in front, each with a list of cells.
-local function rows_of(options, results)
-  local base, library, modules, chart, sum = {}, {}, {}, {}, {}
-  for _, form in ipairs(FORMS) do
-    local values = results[form]
-    if values then
-      base[#base + 1], base[#base + 2] = BASE[form].heap, BASE[form].pool
-      add(library, values.library, CODE)
-      add(modules, values.modules, CODE)
-      add(chart, values.chart, DATA)
-    end
+  for i, values in ipairs(results) do
+    texts[i] = ("%7.0f%7.0f"):format(values[key].heap, values[key].pool)
   end
-  for i in ipairs(base) do sum[i] = base[i] + library[i] + modules[i] + chart[i] end
-  local counts = ("%s: %d states, %d transitions"):format(options.file:match("[^/]*$"),
-    results.source.states, results.source.transitions)
-  return { { "Lua with RTT, rttlib and a launch", base },
-    { "rfsm and rfsm.rtt", library }, { "modules that the chart loads", modules },
-    { counts, chart }, { "together", sum } }
+  io.stdout:write(("%-36s"):format(name), concat(texts), "\n")
 end
 
 function size.run(options)
   common.check_readable(options.file)
-  local results = {}
-  for _, form in ipairs(FORMS) do
-    results[form] = measure(options, form, "chart", options.file)
-  end
-  local form_count = results.stripped and 2 or 1
+  local results = measure_all(options, "chart", options.file)
+  local source = results[1]
   io.stdout:write(("%-36s"):format("KiB, " .. options.lua),
-    ("%14s%14s"):format("from source", "stripped"):sub(1, 14 * form_count),
-    "\n", (" "):rep(36), ("   heap   pool"):rep(form_count), "\n")
-  local rows = rows_of(options, results)
-  for _, line in ipairs(rows) do write_row(line[1], line[2]) end
+    ("%14s%14s"):format("from source", "stripped"):sub(1, 14 * #results),
+    "\n", (" "):rep(36), ("   heap   pool"):rep(#results), "\n")
+  write_row("Lua with RTT, rttlib and a launch", results, "base")
+  write_row("rfsm and rfsm.rtt", results, "library")
+  write_row("modules that the chart loads", results, "modules")
+  write_row(("%s: %s states, %s transitions"):format(options.file:match("[^/]*$"),
+    source.states, source.transitions), results, "chart")
+  write_row("together", results, "together")
   for _, name in ipairs(EXTRAS) do
-    local cells = {}
-    for _, form in ipairs(FORMS) do
-      local values = results[form] and measure(options, form, "module", name)
-      if values then add(cells, values.module, CODE) end
-    end
-    write_row("+ " .. name, cells)
+    write_row("+ " .. name, measure_all(options, "module", name), "module")
   end
   io.stdout:write(("launch { pool = %d } leaves room for garbage\n"):format(
-    ceil(rows[#rows][2][2] * ROOM / 50) * 50))
+    ceil(source.together.pool * ROOM / 50) * 50))
 end
 
 return size

@@ -19,25 +19,26 @@ local concat = table.concat
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
--- What stays after the launch holds these, and not all of the module.
+-- Functions that stay after the launch hold these, and not all of the module.
 local add_attributes, ATTRIBUTES = update.add_attributes, update.ATTRIBUTES
-local new_reporter = update.new_reporter
+local report = update.report
 
 local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 
 --- What a launch has asked for, and what belongs to its machine.
 ---@class rfsm.rtt.Launched : rfsm.rtt.Launch
----@field is_component boolean false: a service
----@field is_own boolean? does the component launch in its own configureHook?
+---@field is_component boolean is it in a component, and not in a service?
+---@field is_own boolean does the component launch its machine in its configureHook?
 ---@field theirs table<string, function> the program's hooks, by name
 ---@field log fun(level: string, ...) writes to RTT's log
 ---@field rtt table the module of RTT
 ---@field component any the TaskContext
 ---@field ports table<string, rfsm.rtt.Port> by field of the launch
----@field extra rfsm.rtt.Port[] those of `extra_in_ports`
+---@field extra rfsm.rtt.Port[] the ports in the global `extra_in_ports`
 ---@field variables table<string, any> the values of the attributes, by name
----@field attributes string[] names of those that this launch has added
----@field emit? fun(...) writes events to the port for them, the global `emit_event`
+---@field attributes string[] names of the attributes that this launch has added
+---@field counts table<string, integer> the values of the attributes that count
+---@field emit? fun(...) writes events to their port; is the global `emit_event`, too
 ---@field is_ready boolean are the ports there, and the hooks those of the launch?
 
 local function set_globals(globals)
@@ -46,7 +47,7 @@ end
 
 -- Ports --------------------------------------------------------------------------
 
--- By field of a launch: class, name if the field is true, global, description.
+-- By field of a launch: class, name by default, global, description, type (string).
 local PORTS = {
   fqn_port = { "OutputPort", "fqn", "fqn", "FQN of the active leaf" },
   ev_outport = { "OutputPort", "events_out", "ev_outport", "events of the machine" },
@@ -74,8 +75,8 @@ local function check_port(held)
     :format(held.name, wanted.porttype, wanted.type, found.porttype, found.type), 0)
 end
 
--- Makes a port. RTT would replace and disconnect one whose name is used again. A
--- component that launches by itself may have it, also from the launch before.
+-- Makes a port, unless a component that launches by itself has it, perhaps from the
+-- launch before. A name that another port has is an error: RTT would replace that port.
 local function provide_port(launch, field, held)
   if launch.is_own and held:find() then return check_port(held) end
   if held_port.of(held.component, held.name) then
@@ -85,28 +86,23 @@ local function provide_port(launch, field, held)
   new_port(launch, field, held)
 end
 
--- Holds the port that a field of the launch asks for: true, or its name. With
--- `ports = "configure"`, the port is made when the component is configured.
+-- Holds the port that a field of the launch asks for, by true or by a name. With
+-- `ports = "configure"` the port is made when the component is configured.
 local function add_port(launch, field)
   local wanted = launch[field]
   if not wanted then return nil end
-  local class, name, _, text, kind = unpack(PORTS[field], 1, 5)
+  local class, name, global, text, kind = unpack(PORTS[field], 1, 5)
   if wanted ~= true and field ~= "timer" then name = wanted end
   local held = held_port.reserve(launch.component, { name = name,
     type = kind or "string", desc = text,
     porttype = class == "InputPort" and "in" or "out" })
   if launch.ports_at ~= "configure" then provide_port(launch, field, held) end
   launch.ports[field] = held
+  rawset(_G, global, held.real or nil)
   return held
 end
 
-local function set_port_globals(launch)
-  for field, held in pairs(launch.ports) do -- any order: each is a global of its own
-    rawset(_G, PORTS[field][3], held.real or nil)
-  end
-end
-
--- Finds the ports again, and makes them if they shall be there.
+-- Finds the ports of the launch again. With `is_made`, those that are gone are made.
 local function find_ports(launch, is_made)
   for _, field in ipairs(FIELDS) do
     local held = launch.ports[field]
@@ -115,14 +111,14 @@ local function find_ports(launch, is_made)
     elseif held and is_made then
       new_port(launch, field, held)
     end
+    if held then rawset(_G, PORTS[field][3], held.real or nil) end
   end
-  set_port_globals(launch)
   for _, held in ipairs(launch.extra) do held:find() end
 end
 
 -- The machine --------------------------------------------------------------------
 
--- Returns what is read like a port: the events of a getevents, one by one.
+-- Returns an object that is read like a port, and gives the events of a getevents.
 local function port_of(getevents)
   local list, i = false, 0
   return { read = function()
@@ -134,7 +130,7 @@ local function port_of(getevents)
   end }
 end
 
--- The global `extra_in_ports` lists more ports, of a prefile.
+-- Holds the ports that a prefile has listed in the global `extra_in_ports`.
 local function hold_extra_ports(launch)
   local extra = rawget(_G, "extra_in_ports") or {}
   if extra[1] then rfsm_rtt.gen_read_events(unpack(extra)) end -- raises for wrong ones
@@ -143,7 +139,7 @@ local function hold_extra_ports(launch)
   end
 end
 
--- Makes the getevents of the machine: the port for events replaces that of the chart.
+-- Makes the getevents of the machine. The port for events replaces that of the chart.
 local function add_getevents(launch, fsm, getevents)
   if launch.ev_inport == nil and not getevents then
     launch.ev_inport = launch.is_own or not held_port.of(launch.component, "events_in")
@@ -160,9 +156,10 @@ end
 local function load_machine(launch)
   local ok, model = limit.load(rfsm.load, launch.fsmfile, { os.time })
   if not ok then error(model, 0) end
+  local log = launch.log
   for name, level in pairs { err = "Error", warn = "Warning", info = "Info" } do
     if model[name] == nil then -- any order
-      model[name] = update.printer(launch, level)
+      model[name] = function(...) log(level, ...) end
     end
   end
   launch.stage = "the machine is made"
@@ -173,9 +170,7 @@ end
 
 -- Hooks --------------------------------------------------------------------------
 
-local make_ready
-
--- Events that wait in ports stay there: the entry would not name them.
+-- Enters the machine, with no events of ports: the entry would discard most of them.
 local function enter(launch, fsm)
   if launch.enter ~= "start" or rfsm.get_sta_mode(fsm) ~= "inactive" then return end
   local getevents = rawget(fsm, "getevents")
@@ -183,7 +178,7 @@ local function enter(launch, fsm)
   fsm.getevents = no_events
   local ok, problem = pcall(rfsm.step, fsm)
   if fsm.getevents == no_events then fsm.getevents = getevents end
-  if not ok then new_reporter(launch)(problem) end
+  if not ok then report(launch, problem) end
 end
 
 -- Logs that time events wait for other events if nothing wakes the component.
@@ -218,13 +213,13 @@ local function wrap(launch, name, ours, always)
   rawset(_G, name, launch.hooks[name])
 end
 
--- A component that launches by itself does so in its configureHook.
+-- Wraps the hooks, but not the configureHook in which a component launches by itself.
 local function wrap_hooks(launch)
   if not launch.is_own then
-    wrap(launch, "configureHook", function() make_ready(launch) end)
+    wrap(launch, "configureHook", function() launch:make_ready() end)
   end
   wrap(launch, "startHook", function()
-    make_ready(launch)
+    launch:make_ready()
     warn_of_timers(launch)
     enter(launch, launch.fsm)
   end)
@@ -237,10 +232,10 @@ local function wrap_hooks(launch)
   end
 end
 
--- Makes the ports and attributes that are not there, and wraps hooks which a `lua_file`
--- has defined since. This happens in configureHook, in startHook, and at the first
--- update after a launch or a clean-up.
-function make_ready(launch)
+-- Makes the ports and attributes that are missing, and wraps hooks that a `lua_file`
+-- has defined after the launch. This happens in configureHook, in startHook, and at the
+-- first update after a launch or a clean-up.
+local function make_ready(launch)
   find_ports(launch, true)
   add_attributes(launch, ATTRIBUTES)
   wrap_hooks(launch)
@@ -312,15 +307,14 @@ local function add_outputs(launch)
   local write_fqn = rfsm_rtt.gen_write_fqn(fqn)
   launch.emit = out and rfsm_rtt.gen_raise_event(out)
   set_globals { setfqn = write_fqn, emit_event = launch.emit }
-  set_port_globals(launch)
   return write_fqn
 end
 
--- Connects the machine with its ports. The texts that it writes are converted now.
+-- Connects the machine with its ports. The FQNs to be written become Variables now.
 local function connect(launch, fsm, getevents, write_fqn)
   rfsm.post_step_hook_add(fsm, write_fqn)
   local emit = launch.emit
-  if emit then rfsm.set_emit(fsm, function(name) emit(name) end) end -- a port of texts
+  if emit then rfsm.set_emit(fsm, function(name) emit(name) end) end -- no data
   for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
     launch.ports.fqn_port.samples[leaf._fqn] =
       launch.rtt.Variable.new("string", leaf._fqn)
@@ -330,14 +324,6 @@ local function connect(launch, fsm, getevents, write_fqn)
   if launch.is_component then return end
   add_attributes(launch, update.OF_SERVICE)
   launch.variables.rfsm_halted:assign(not launch.eehook)
-end
-
--- Returns the updateHook of the program, or that of the launch.
-local function update_hook(launch, trigger)
-  if not launch.is_component then return nil end
-  local theirs = rawget(_G, "updateHook")
-  if not theirs then launch.hooks.updateHook = function() trigger() end end
-  return theirs or launch.hooks.updateHook
 end
 
 local function set_up(launch)
@@ -352,12 +338,12 @@ local function set_up(launch)
   launch.stage = "the machine is connected"
   pcall(collectgarbage)
   connect(launch, fsm, getevents, write_fqn)
-  set_port_globals(launch)
   launch.fsm, launch.meter = fsm, update.new_meter(launch)
-  launch.finish = update.new_finisher(launch)
-  local trigger = update.new_trigger(launch, fsm, make_ready)
-  set_globals { fsm = fsm, trigger = trigger,
-    updateHook = update_hook(launch, trigger) }
+  local trigger = update.new_trigger(launch, fsm)
+  set_globals { fsm = fsm, trigger = trigger }
+  if launch.is_component and not rawget(_G, "updateHook") then
+    wrap(launch, "updateHook", trigger)
+  end
   run(loadfile, launch.postfile)
   run(loadstring, launch.poststr, "=poststr")
   fsm.err = update.counted(launch, fsm.err)
@@ -373,21 +359,19 @@ local function obstacle()
   return "a machine was launched here before, it is the global 'fsm'"
 end
 
--- Returns a function that gives the program its hooks back, those that it has not
--- defined anew, and forgets the machine: a pool may not have room for two.
-local function new_forgetter(launch)
-  return function()
-    for name, hook in pairs(launch.hooks) do -- any order: each is a global of its own
-      if rawget(_G, name) == hook then rawset(_G, name, launch.theirs[name]) end
-    end
-    if rawequal(rawget(_G, "fsm"), launch.fsm) then rawset(_G, "fsm", nil) end
-    for _, name in ipairs { "trigger", "setfqn" } do rawset(_G, name, nil) end
-    launch.fsm, launch.hooks, launch.theirs = nil, {}, {}
-    pcall(collectgarbage)
+-- Gives the program its hooks back, those that it has not defined anew, and forgets the
+-- machine: a pool may not have room for two.
+local function forget(launch)
+  for name, hook in pairs(launch.hooks) do -- any order: each is a global of its own
+    if rawget(_G, name) == hook then rawset(_G, name, launch.theirs[name]) end
   end
+  if rawequal(rawget(_G, "fsm"), launch.fsm) then rawset(_G, "fsm", nil) end
+  for _, name in ipairs { "trigger", "setfqn" } do rawset(_G, name, nil) end
+  launch.fsm, launch.hooks, launch.theirs = nil, {}, {}
+  pcall(collectgarbage)
 end
 
--- Takes away what a launch has made. Ports and attributes are no garbage for Lua.
+-- Takes away what a launch has made: Lua does not collect ports and attributes.
 local function undo(launch)
   for _, field in ipairs(FIELDS) do
     local held = launch.ports[field]
@@ -400,7 +384,7 @@ local function undo(launch)
     launch.component:removeAttribute(name)
   end
   if launch.unload_timer then pcall(launch.unload_timer) end
-  launch.forget()
+  launch:forget()
 end
 
 -- Charts rely on rttlib, which makes constructors callable and operations methods, and
@@ -412,20 +396,23 @@ local function load_libraries(launch)
   if has_utils and not rawget(_G, "utils") then set_globals { utils = utils } end
 end
 
--- Completes the record of a launch.
+-- Adds the fields that a launch needs besides its settings.
 local function begin(launch)
   local rtt = package.loaded.rtt
   launch.rtt, launch.component = rtt, rtt.getTC()
   launch.hooks, launch.theirs, launch.stage = {}, {}, "the launch begins"
   launch.ports_at, launch.ports, launch.extra = launch.ports, {}, {}
   launch.variables, launch.attributes = {}, {}
+  launch.counts = { rfsm_errors = 0, rfsm_failures = 0, rfsm_overruns = 0 }
   launch.is_ready = launch.is_own or not launch.is_component
   launch.log, launch.flush = update.new_log(rtt)
+  launch.make_ready, launch.forget = make_ready, forget
+  launch.undo, launch.finish = undo, update.finish
 end
 
 --- Launch a machine in this Lua; return the hook to enable as the last act, if there is
--- one. Raises an error with the name of the chart. Call `launch.finish` behind it, when
--- most of this module is garbage.
+-- one. An error has the name of the chart. Call `launch:finish()` afterwards, when most
+-- of this module is garbage.
 ---@param launch rfsm.rtt.Launched
 function component.start(launch)
   launch.where = "launch of '" .. launch.fsmfile .. "': "
@@ -433,7 +420,6 @@ function component.start(launch)
   if problem then error(launch.where .. problem, 0) end
   load_libraries(launch)
   begin(launch)
-  launch.undo, launch.forget = function() undo(launch) end, new_forgetter(launch)
   local ok, result = pcall(set_up, launch)
   rfsm_rtt.forget_modules()
   if not ok then update.fail(launch, result) end
@@ -441,20 +427,12 @@ function component.start(launch)
   return result
 end
 
--- Returns the settings; those modules are garbage from then on.
-local function read(args)
-  local settings = require "rfsm.rtt.settings"
-  local launch = settings.read(settings.OWN, args, "fsmfile")
-  rfsm_rtt.forget_modules()
-  return launch
-end
-
 --- Launch a machine in the component of this Lua, as `rfsm.rtt.launch` does.
 ---@param args rfsm.rtt.Launch
 function component.launch(args)
-  local launch = read(args)
+  local launch = require("rfsm.rtt.settings").read("own", args)
+  rfsm_rtt.forget_modules() -- the settings module is garbage from here on
   set_globals(launch.env)
-  launch.is_own = true
   component.start(launch)
 end
 

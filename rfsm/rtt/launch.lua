@@ -23,7 +23,7 @@ local rtt_launch = {}
 
 -- The text that the other Lua executes ---------------------------------------------
 
--- Returns a value as Lua writes it; raises if Lua cannot write it, or if it has no end.
+-- Returns a value as a text that Lua reads; raises if there is none, as for a function.
 local function to_text(value, path)
   local kind = type(value)
   if kind == "string" then return ("%q"):format(value) end
@@ -41,9 +41,9 @@ local function to_text(value, path)
   return "{ " .. concat(texts, ", ") .. " }"
 end
 
--- Our modules come first, from where this one is: another rfsm may be installed. The
+-- This library's modules are found first, since another rfsm may be installed. The
 -- reason of a failure is written into a file, since `exec_str` returns false only.
--- Nothing is done in this Lua after the hook is enabled, since OCL takes no lock.
+-- Nothing is done in that Lua after the hook is enabled, since OCL takes no lock.
 local PROGRAM = [[
 local launch = %s
 local ok, hook = pcall(function()
@@ -52,7 +52,7 @@ local ok, hook = pcall(function()
   return require("rfsm.rtt.component").start(launch)
 end)
 local why = hook
-if ok then ok, why = pcall(launch.finish) end
+if ok then ok, why = pcall(launch.finish, launch) end
 if not ok then
   pcall(collectgarbage)
   local file = io.open(%q, "w")
@@ -65,7 +65,7 @@ end
 if hook then hook:enable() end
 ]]
 
--- Returns the template of our modules, with a semicolon; empty if it is not known.
+-- Returns the part of package.path for this library's modules; empty if not known.
 local function own_template()
   local source = debug and debug.getinfo(1, "S").source
   local folder = source and source:match("^@(.*)rfsm[/\\]rtt[/\\]launch%.lua$")
@@ -114,7 +114,7 @@ function rtt_launch.service_launch_rfsm(file, exec_str, eehook, env, more)
       error("options: table expected, " .. rfsm.got(more), 0)
     end
     for name, value in pairs(more or {}) do args[name] = value end -- any order
-    local launch = settings.read(settings.SERVICE, args, "fsmfile", "exec_str")
+    local launch = settings.read("service", args)
     launch.exec_str = nil
     execute(exec_str, launch)
   end)
@@ -165,7 +165,7 @@ function rtt_launch.service_resume_rfsm(exec_str)
   error("rfsm.rtt.service_resume_rfsm: RTT's log has the reason", 2)
 end
 
--- Returns the deployer: a component, or a peer's name.
+-- Returns the deployer: the component that is given, or the peer with a name.
 local function find_deployer(wanted)
   local found, peer = true, wanted
   if type(wanted) == "string" then
@@ -178,7 +178,7 @@ local function find_deployer(wanted)
 end
 
 local function launch_component(args)
-  local launch = settings.read(settings.COMPONENT, args, "name", "fsmfile")
+  local launch = settings.read("component", args)
   local name, kind = launch.name, launch.luatype or "OCL::LuaComponent"
   local deployer = find_deployer(launch.deployer or "Deployer")
   launch.deployer = deployer:getName()

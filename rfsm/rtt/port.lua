@@ -18,16 +18,16 @@ function port.of(component, name)
   return ok and found or nil
 end
 
---- Holds a port. It is read and written like one.
+--- An object that holds a port, and is read and written like one.
 ---@class rfsm.rtt.Port
 ---@field name string
----@field component any|false the component in which it is looked up, false: never
+---@field component any|false in which the port is looked up; false: it never is
 ---@field facts table<string, any> what `info` returned first
 ---@field real any|false the port, false as long as there is none
----@field was_found boolean did the component have it?
----@field is_made boolean? has the launch made it?
+---@field was_found boolean has the component ever had it?
+---@field is_made boolean? true if the launch has made it
 ---@field last any the last value written
----@field samples table<string, any> Variables by text, for texts that are known before
+---@field samples table<string, any> Variables by the texts that are going to be written
 local Port = {}
 Port.__index = Port
 
@@ -38,7 +38,7 @@ function Port:read(var)
   return real:read(var)
 end
 
---- Write a value; if there is no port, it is kept for the next one.
+--- Write a value. It is kept in `last`, for a port that is made later.
 function Port:write(value)
   self.last = value
   if not self.real then self:find() end
@@ -48,7 +48,7 @@ end
 --- Return the information of the port that was held first.
 function Port:info() return self.facts end
 
---- Look the port up in its component.
+--- Look the port up in its component; return whether it is there.
 function Port:find()
   local found = port.of(self.component, self.name)
   if found or self.was_found then self.real = found or false end
@@ -56,14 +56,14 @@ function Port:find()
   return found ~= nil
 end
 
---- Hold a port that is made later, by its name, type, porttype and desc.
+--- Hold a port that is made later. `facts`: its name, type, porttype and desc.
 function port.reserve(component, facts)
   return setmetatable({ name = facts.name, component = component, facts = facts,
     real = false, was_found = true, last = nil, samples = {} }, Port)
 end
 
---- Hold a port of this Lua's component, or what is read and written like one, by its
--- information. One that is held stays as it is.
+--- Hold a port of this Lua's component, or an object that is read and written like a
+-- port, with its information. A port that is held already is returned as it is.
 function port.hold(real, facts)
   if getmetatable(real) == Port then return real end
   local rtt = package.loaded.rtt

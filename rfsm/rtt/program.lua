@@ -7,7 +7,7 @@
 --   gripper.lua_string = "rfsm_launch = { fsmfile = 'charts/gripper.lua' }"
 --
 -- OCL ignores a failure of this file, and takes a missing configureHook for success. So
--- the hook is all that is here, and it does all.
+-- this file only defines that hook, which does everything.
 
 local source = debug.getinfo(1, "S").source
 

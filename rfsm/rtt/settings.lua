@@ -1,4 +1,4 @@
---- What a launch may be asked for: names, tests, defaults, and older names.
+--- The settings of a launch: names, tests, defaults, and older names.
 --
 -- @module rfsm.rtt.settings
 -- @license BSD-3-Clause
@@ -10,8 +10,8 @@ local huge = math.huge
 
 local settings = {}
 
---- The arguments of a launch. `name`, `luatype` and `ports` are for a new component,
--- those up to `pool` for a component.
+--- The arguments of a launch. `name`, `luatype` and `ports` are for a new component
+-- only. A service has none of those up to `pool`.
 ---@class rfsm.rtt.Launch
 ---@field name? string of a new component
 ---@field deployer? any the deployer, or the name of a peer ("Deployer")
@@ -21,9 +21,9 @@ local settings = {}
 ---@field timer? boolean wake an event-driven component for time events
 ---@field pool? integer KiB that a TLSF pool shall have at least
 ---@field fsmfile string the chart
----@field steps? integer an update makes as many at most (1000, in a service 1)
----@field samples? integer an update reads as many of each port at most (64)
----@field running_only? boolean not while the component is stopped or not configured
+---@field steps? integer how many an update makes at most (1000, in a service 1)
+---@field samples? integer how many an update reads of each port at most (64)
+---@field running_only? boolean no steps while the component is stopped
 ---@field error? boolean an error of the machine calls error() of the component
 ---@field ev_inport? string|boolean port for events ("events_in"), false: none
 ---@field ev_outport? string|boolean port ("events_out") to which `emit_event` writes
@@ -52,7 +52,7 @@ local STRING = { "string", options.is_a "string" }
 local FILE, NAME = { "file name", is_file }, { "name", is_anything }
 local COUNT = { "whole number, at least 1", options.is_whole(1, huge) }
 
--- Returns the fields of all launches and these, for options.read.
+-- Adds the fields that all launches have to a table for options.read.
 local function with_common(fields)
   fields.env = { "table of globals by name", is_env, {} }
   fields.fqn_port = { "string", options.is_a "string", "fqn" }
@@ -71,18 +71,21 @@ local function with_own(fields)
   return with_common(fields)
 end
 
---- By kind of launch, for `read`: in a service, in a new component, in this one.
-settings.SERVICE = with_common {
-  exec_str = { "operation exec_str", is_anything }, eehook = BOOLEAN,
+-- The fields by kind of launch: in a service, in a new component, in this one.
+local FIELDS = {
+  service = with_common {
+    exec_str = { "operation exec_str", is_anything }, eehook = BOOLEAN,
+  },
+  component = with_own {
+    name = STRING, luatype = STRING, ports = { "'configure'", is_word "configure" },
+  },
+  own = with_own {},
 }
-settings.COMPONENT = with_own {
-  name = STRING, luatype = STRING, ports = { "'configure'", is_word "configure" },
-}
-settings.OWN = with_own {}
+local REQUIRED = { "name", "fsmfile", "exec_str" } -- in the kinds that have them
 
-local STEPS = 1000 -- of an update that runs the machine; a run that is longer goes on
+local STEPS = 1000 -- an update makes no more; the next one goes on
 
--- Makes one number of the three that say how many steps an update makes.
+-- Sets `steps` of an update, for which `sync` and `run` are older names.
 local function set_steps(launch)
   if launch.steps and (launch.sync or launch.run) then
     error("steps: expected without sync and run, which are numbers of steps", 0)
@@ -91,16 +94,18 @@ local function set_steps(launch)
   launch.steps = launch.steps or runs and STEPS or 1
 end
 
---- Return the settings of a launch; raise if one is wrong, or a named one is missing.
-function settings.read(fields, args, ...)
+--- Return the settings of a launch; raise if one is wrong or a required one missing.
+---@param kind "service"|"component"|"own"
+function settings.read(kind, args)
+  local fields = FIELDS[kind]
   local launch, problem = options.read(fields, args)
   if not launch then error(problem, 0) end
-  for _, name in ipairs { ... } do
-    if launch[name] == nil then
+  for _, name in ipairs(REQUIRED) do
+    if fields[name] and launch[name] == nil then
       error(name .. ": " .. fields[name][1] .. " expected, got nil", 0)
     end
   end
-  launch.is_component = fields ~= settings.SERVICE
+  launch.is_component, launch.is_own = kind ~= "service", kind == "own"
   set_steps(launch)
   launch.samples = launch.samples or 64
   return launch

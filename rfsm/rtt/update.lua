@@ -1,6 +1,6 @@
 --- The updates of a machine in a component of Orocos RTT: steps, attributes, memory.
 --
--- Whatever is made here is made by a launch. An update allocates nothing.
+-- All functions and tables are made during the launch. An update allocates nothing.
 --
 -- @module rfsm.rtt.update
 -- @license BSD-3-Clause
@@ -24,7 +24,7 @@ local update = {}
 local function collect() pcall(collectgarbage) end
 
 -- Lua 5.1 collects when the heap has grown by a factor, not when memory is short. So a
--- pool that is full stays full: even the report of the error fails.
+-- pool that is full would stay full, and the report of the error would fail, too.
 local function make_room(problem)
   if type(problem) == "string" and problem:find("not enough memory", 1, true) then
     collect()
@@ -32,7 +32,7 @@ local function make_room(problem)
 end
 
 -- Returns the KiB in use, and of a TLSF pool the most that ever were, and its size.
--- Those of a pool count what it adds to each block.
+-- The figures of a pool include what it adds to each block.
 local function usage()
   local tlsf = rawget(_G, "tlsf")
   if not (tlsf and tlsf.stats) then return collectgarbage("count"), 0, huge end
@@ -51,7 +51,7 @@ end
 --- Enlarge the pool of a component to so many KiB; without a pool nothing happens.
 function update.enlarge_pool(launch, kib)
   local _, _, size = usage()
-  if size + 16 > kib then return end -- it is, but for what the pool itself takes
+  if size + 16 > kib then return end -- large enough: the pool itself takes up to 16 KiB
   local bytes = launch.rtt.Variable.new("uint")
   bytes:assign((kib - size) * 1024)
   launch.component:getOperation("tlsf_incmem")(bytes)
@@ -63,9 +63,9 @@ local function when_collected(note)
   getmetatable(newproxy(true)).__gc = note
 end
 
---- Return a function that notes the memory in use. What is in use at the end of a cycle
--- of the collector is live. It collects when nine tenths of the rest of a pool are in
--- use; it is called first when all garbage was collected.
+--- Return a function that notes the memory in use; what is in use at the end of a cycle
+-- of the collector is live. The function collects when nine tenths of a pool's free
+-- part are in use. Its first call must come when all garbage was collected.
 function update.new_meter(launch)
   local variables, peak, limit, is_collected = launch.variables, 0, false, true
   local function note() is_collected = true end
@@ -87,11 +87,11 @@ function update.new_meter(launch)
   end
 end
 
---- Undo a launch that has failed, and raise the reason; if that was a lack of memory,
--- also what was done then.
+--- Undo a launch that has failed, and raise the reason. A lack of memory is raised with
+-- the stage of the launch and the memory in use.
 function update.fail(launch, problem)
   collect() -- or undoing fails, too
-  launch.undo()
+  launch:undo()
   local text, memory = rfsm.text_of(problem), memory_text()
   if text:find("not enough memory", 1, true) then
     text = ("%s while %s, %s without that"):format(text, launch.stage, memory)
@@ -101,34 +101,32 @@ end
 
 local fail = update.fail
 
---- Return a function that prepares the machine, and logs what was launched.
-function update.new_finisher(launch)
-  return function()
-    collect()
-    launch.stage = "the machine is prepared"
-    local ok, problem = pcall(rfsm.prepare, launch.fsm)
-    if not ok then fail(launch, problem) end
-    launch.undo, launch.finish = nil, nil
-    launch.env, launch.prestr, launch.poststr = nil, nil, nil -- they may be long
-    launch.log("Info", ("rfsm.rtt: '%s' is launched in '%s': %s%s"):format(
-      launch.fsmfile, launch.component:getName(), memory_text(),
-      rawget(_G, "tlsf") and ", without rfsm.fast" or ""))
-    launch.meter()
-  end
+--- Prepare the machine, and log what was launched.
+function update.finish(launch)
+  collect()
+  launch.stage = "the machine is prepared"
+  local ok, problem = pcall(rfsm.prepare, launch.fsm)
+  if not ok then fail(launch, problem) end
+  launch.undo, launch.finish = nil, nil
+  launch.env, launch.prestr, launch.poststr = nil, nil, nil -- they may be long
+  launch.log("Info", ("rfsm.rtt: '%s' is launched in '%s': %s%s"):format(
+    launch.fsmfile, launch.component:getName(), memory_text(),
+    rawget(_G, "tlsf") and ", without rfsm.fast" or ""))
+  launch.meter()
 end
 
 -- Attributes ---------------------------------------------------------------------
 
---- The attributes of each launch, by name, and those of a service: their types.
+--- The attributes of each launch, and those that a service has besides: types by name.
 update.ATTRIBUTES = {
   rfsm_errors = "uint", rfsm_overruns = "uint", rfsm_failures = "uint",
   rfsm_live = "double", rfsm_peak = "double",
 }
 update.OF_SERVICE = { rfsm_halt = "bool", rfsm_halted = "bool" }
 
--- Gives the component attributes that it has not. Their values are Variables, which
--- stay when `rttlib.tc_cleanup` removes the attributes. Another service may have added
--- some; they are shared.
+-- Gives the component those attributes that are missing. Their values are Variables,
+-- which stay when `rttlib.tc_cleanup` removes the attributes. Attributes that another
+-- service has added are shared.
 function update.add_attributes(launch, types)
   for _, name in ipairs(rfsm.sorted_keys(types)) do
     local ok, attribute = pcall(function()
@@ -146,13 +144,10 @@ function update.add_attributes(launch, types)
   end
 end
 
--- Returns a function that counts in an attribute.
-local function new_counter(launch, name)
-  local count, variables = 0, launch.variables
-  return function()
-    count = count + 1
-    variables[name]:assign(count)
-  end
+-- Adds one to the count in an attribute.
+local function count(launch, name)
+  launch.counts[name] = launch.counts[name] + 1
+  launch.variables[name]:assign(launch.counts[name])
 end
 
 -- Log ----------------------------------------------------------------------------
@@ -174,7 +169,7 @@ end
 function update.new_log(rtt)
   local lines, is_behind = {}, false
 
-  -- Returns the line of that text; the oldest one goes.
+  -- Returns the line with a text. A new one takes the place of the oldest line.
   local function find(level, text)
     for i = 1, #lines do
       if lines[i].text == text and lines[i].level == level then return lines[i] end
@@ -205,42 +200,30 @@ function update.new_log(rtt)
   end
 end
 
---- Return a printer of a machine, which writes to RTT's log.
-function update.printer(launch, level)
-  local log = launch.log
-  return function(...) log(level, ...) end
-end
-
--- Returns a function that counts in an attribute, and calls error() of the component if
--- the launch has asked for it.
-local function new_alert(launch, name)
-  local count, target, calls_error = new_counter(launch, name), launch.component,
-    launch.error
-  return function()
-    count()
-    if calls_error then target:error() end
-  end
+-- Counts in an attribute, and calls error() of the component if the launch has asked
+-- for it.
+local function alert(launch, name)
+  count(launch, name)
+  if launch.error then launch.component:error() end
 end
 
 --- Return `err` of the machine with a count of its calls.
 function update.counted(launch, err)
-  local alert = new_alert(launch, "rfsm_errors")
   return function(...)
-    alert()
+    alert(launch, "rfsm_errors")
     if err then return err(...) end
   end
 end
 
--- Returns a function that reports what an update raised. It never raises, since RTT
--- removes a hook that fails.
-function update.new_reporter(launch)
-  local log, alert = launch.log, new_alert(launch, "rfsm_failures")
-  return function(problem)
-    make_room(problem)
-    alert()
-    pcall(log, "Error", "rfsm.rtt:", problem)
-  end
+--- Report what an update raised. This never raises, since RTT removes a hook that
+-- fails.
+function update.report(launch, problem)
+  make_room(problem)
+  alert(launch, "rfsm_failures")
+  pcall(launch.log, "Error", "rfsm.rtt:", problem)
 end
+
+local report = update.report
 
 -- Updates ------------------------------------------------------------------------
 
@@ -259,35 +242,33 @@ local function new_alarm(launch, fsm)
 end
 
 -- Returns a function that makes the steps of an update.
-local function new_update(launch, fsm, again, make_ready)
-  local count, alarm = new_counter(launch, "rfsm_overruns"), new_alarm(launch, fsm)
-  local steps = launch.steps
+local function new_update(launch, fsm, again)
+  local steps, alarm = launch.steps, new_alarm(launch, fsm)
   return function()
-    if not launch.is_ready then make_ready(launch) end
+    if not launch.is_ready then launch:make_ready() end
     local is_idle = rfsm.step(fsm, steps)
     if not is_idle and steps > 1 and rfsm.get_sta_mode(fsm) ~= "inactive" then
-      count()
+      count(launch, "rfsm_overruns")
       again()
     end
     alarm()
   end
 end
 
--- Returns a function that advances the machine. It returns true whatever happens. The
--- next update finishes a step that was cut short, and the one behind it reads what came
--- meanwhile: so one is triggered when failures begin and when they end.
-function update.new_trigger(launch, fsm, make_ready)
+-- Returns a function that advances the machine, and always returns true. The update
+-- after a failure finishes the step that was cut short, and one more reads what came
+-- meanwhile: so an update is triggered when failures begin and when they end.
+function update.new_trigger(launch, fsm)
   -- triggers the next update of a component, which otherwise waits for an event
   local again = launch.is_component and launch.component:getOperation("trigger")
     or function() end
-  local report = update.new_reporter(launch)
-  local advance = new_update(launch, fsm, again, make_ready)
+  local advance = new_update(launch, fsm, again)
   local meter, target, flush = launch.meter, launch.component, launch.flush
   local running_only, has_failed = launch.running_only, false
   return function()
     if running_only and target:getState() ~= "Running" then return true end
     local ok, problem = pcall(advance)
-    if not ok then report(problem) end
+    if not ok then report(launch, problem) end
     if ok == has_failed then pcall(again) end
     has_failed = not ok
     pcall(flush)

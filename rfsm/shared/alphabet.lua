@@ -12,7 +12,7 @@ local alphabet = {}
 --- The events that a machine knows.
 ---@class rfsm.Alphabet
 ---@field list any[] those that transitions name, in the order of the tree
----@field reactions any[] those that extensions react to besides
+---@field reactions any[] further ones, to which extensions react
 ---@field predicates function[]
 ---@field set table<any, boolean> all of these
 ---@field takes_any boolean a transition from a state has no events, so it takes any

@@ -35,7 +35,7 @@ function location.path(obj, prefix)
   return prefix and prefix .. path:sub(5) or path
 end
 
---- List the nodes from a machine, or a part of one, down to one of its nodes.
+--- List the nodes from a machine, or from one of its composites, down to a node in it.
 function location.line(fsm, node)
   local line = { node }
   while line[1] ~= fsm do table.insert(line, 1, line[1]._parent) end
@@ -47,6 +47,15 @@ end
 function location.tried(fsm, leaf)
   if leaf then return location.line(fsm, leaf) end
   return { rfsm.is_composite(fsm) and fsm.initial or nil }
+end
+
+--- List the transitions that are tried in a leaf, in order; `leaf` as in `tried`.
+function location.transitions(fsm, leaf)
+  local list = {}
+  for _, node in ipairs(location.tried(fsm, leaf)) do
+    for _, tr in ipairs(node._otrs) do list[#list + 1] = tr end
+  end
+  return list
 end
 
 --- List the regions of a state with their names, sorted by name.
@@ -70,35 +79,29 @@ function location.in_words(obj, prefix)
   return location.prefix(prefix) .. location.of(obj)
 end
 
---- Raise an error for a name that nothing has.
+--- Raise an error that nothing of this kind has the name.
 ---@param name any
 ---@param kind string "state"
----@param names string[] those that there are
+---@param names string[] the names that exist
 function location.refuse_name(name, kind, names)
   error(("no %s is named '%s'%s"):format(kind, rfsm.text_of(name),
     type(name) == "string" and advice.nearest_name(name, names) or ""), 0)
 end
 
---- Is a node a state, or in it?
-function location.is_inside(node, state)
-  while node ~= state and not rfsm.is_root(node) do node = node._parent end
-  return node == state
-end
-
---- Does a connector inside of a composite lead out of it? Then a step may pass through.
+--- Does a connector in a composite lead out of it? Then one step may go in and out.
 ---@param state rfsm.State
 ---@return boolean
 function location.is_passable(state)
-  local is_found = false
+  local prefix, is_found = state._fqn .. ".", false
   rfsm.mapfsm(function(connector)
     for _, tr in ipairs(connector._otrs) do
-      is_found = is_found or not location.is_inside(tr.tgt, state)
+      is_found = is_found or (tr.tgt._fqn .. "."):sub(1, #prefix) ~= prefix
     end
   end, state, rfsm.is_conn)
   return is_found
 end
 
--- Names without positions, so that tests stay right if a chart is reordered ...........
+-- Names without numbers, so that tests stay right if a chart is reordered .............
 
 --- Return the name of a node: its FQN without "root.". As a target, `initial` has the
 --- name of its composite.
@@ -109,8 +112,7 @@ function location.name_of(node, prefix, is_target)
   if is_target and rfsm.is_conn(node) and node._id == "initial" then
     node = node._parent
   end
-  local path = location.path(node, prefix)
-  return path ~= "root" and path:gsub("^root%.", "") or path
+  return (location.path(node, prefix):gsub("^root%.", ""))
 end
 
 -- Returns the text of an event without the FQN of its source behind @.

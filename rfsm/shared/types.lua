@@ -23,7 +23,7 @@
 ---@field gettime? false|fun(): number, number the machine's clock: seconds, nanoseconds
 ---@field [string|integer] any
 
---- The same as a constructor returns it, which is no machine.
+--- A state as a constructor returns it: a model, of which `rfsm.init` makes a machine.
 ---@class rfsm.Model : rfsm.State
 
 --- An edge from one state or connector to another, as the user writes it.
@@ -36,7 +36,7 @@
 ---@field pn? number priority among the transitions of a node, larger first (0)
 ---@field [string] any
 
---- The same in a machine.
+--- A transition of a machine.
 ---@class rfsm.Transition : rfsm.Edge
 ---@field _fsm rfsm.Machine
 
