@@ -64,7 +64,8 @@ local function edges_between(walk, numbers)
   local edges, is_in = {}, {}
   for _, number in ipairs(numbers) do edges[number], is_in[number] = {}, true end
   for _, number in ipairs(numbers) do
-    walk:each_step_again(number, function(try, tgt, label)
+    walk:each_step(number, function(_, try, key, label)
+      local tgt = key and walk:find_known(key)
       if not is_in[tgt] then return end
       local edge = { from = number, tgt = tgt, label = label(), entered = {} }
       for state in order.each(walk.subject.entered) do -- any order: a set

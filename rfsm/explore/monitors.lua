@@ -200,7 +200,7 @@ end
 ---@return string state that of before if the walk has no monitor
 ---@return integer[]? clocks see `monitors.look`
 function monitors.after(walk, try, key, label)
-  local judged, own, state = walk.monitored[1], walk.subject, try.conf.context.state
+  local judged, own, state = walk.monitor, walk.subject, try.conf.context.state
   if not judged or state == "violated" or not own.parts[1].fsm._act_leaf then
     return state
   end

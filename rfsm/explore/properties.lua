@@ -448,7 +448,7 @@ end
 ---@param walk rfsm_checks.Walk
 ---@param judged rfsm_checks.Judged
 function properties.monitor(walk, judged)
-  walk.monitored[1] = judged
+  walk.monitor = judged
   if judged.property.event ~= nil then want_event(walk, judged) end
 end
 

@@ -198,7 +198,7 @@ function timing.new(walk, options)
     period = options.period and nanoseconds(options.period) or false, fired = {},
     pending = options.pending, is_timed = false, is_cut = false }, Timing)
   self.unit = self.period or 0
-  add_clocks(self, walk.monitored[1], options.timers == "free")
+  add_clocks(self, walk.monitor, options.timers == "free")
   walk.subject.free.timers = has_free_timer(walk.subject)
   if not self.clocks[1] then return false end
   set_unit(self)
@@ -430,7 +430,7 @@ function Timing:after(time, group, walk, clocks)
   if add_pending(self, time, group, entries, sources) > self.pending then
     return nil, sources
   end
-  local clock = self.of[walk.monitored[1]]
+  local clock = self.of[walk.monitor]
   if clock then add_monitor(time, clock, clocks, entries, sources) end
   return find_time(self, entries, zones.project(group.zone, #time.entries, sources)),
     sources

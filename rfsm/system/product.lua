@@ -2,30 +2,28 @@
 --
 -- In a move a machine reads its wires and takes one step with what it has read, and
 -- with one event from outside or none. Any machine may move at any time. The engine
--- takes the step of a subject (`rfsm.explore.subject`) once for each configuration of
--- the machine and each list of events; its outcomes are kept.
+-- takes the step once for each configuration of the machine and each list of events;
+-- its outcomes are kept. So each machine has a walk (`rfsm.explore.explore`), which
+-- never walks by itself.
 --
--- A product has the fields of a walk (`rfsm.explore.explore`) that graphs and
--- properties read.
+-- A product has the fields of a walk that graphs and properties read.
 --
 -- @module rfsm.system.product
 -- @license BSD-3-Clause
 
-local data = require "rfsm.explore.data"
 local explore = require "rfsm.explore.explore"
 local graph = require "rfsm.explore.graph"
 local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 local properties = require "rfsm.explore.properties"
-local reactions = require "rfsm.explore.reactions"
 local rfsm = require "rfsm"
-local subject = require "rfsm.explore.subject"
 local wires = require "rfsm.system.wires"
 
 local error, ipairs, rawget = error, ipairs, rawget
 local setmetatable, tonumber, type = setmetatable, tonumber, type
 local concat = table.concat
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local product = {}
 
@@ -41,74 +39,31 @@ local product = {}
 ---@field lost table<rfsm.system.Wire, table> the first move that loses an event
 ---@field carries table<rfsm.system.Wire, true> wires over which an event goes
 ---@field is_partial boolean something else was not tried than what lies behind a bound
-local Product = {}
+local Product = { note_untried = explore.note_untried }
 Product.__index = Product
 
---- A machine of a product.
----@class rfsm.system.Member
+--- A machine of a product: its walk, and more.
+---@class rfsm.system.Member: rfsm_checks.Walk
 ---@field name string
 ---@field number integer
----@field own rfsm_checks.Subject
 ---@field confs rfsm_checks.Configuration[] those of it alone
 ---@field moves table<integer, table> outcomes by configuration and what was read
 ---@field wired table<string, boolean> events of its wires; true: by wires alone
----@field wanted string[] events of properties
 ---@field takes table<string, true> events that transitions have taken
----@field passed rfsm_checks.Passed[] moments of its steps
 ---@field outgoing table<string, integer[]> wires by event
-
--- Notes what is not tried of a machine.
-local function note_untried(self, member, bound, text)
-  self.is_partial = true
-  explore.note_untried(self, bound, member.name .. ": " .. text)
-end
 
 -- Steps of one machine ..............................................................
 
--- Returns the number of the configuration that a machine is in; nil if some of its data
--- is not followed.
-local function local_number(self, member)
-  local key, problem = member.own:read()
-  if problem then
-    note_untried(self, member, "values", problem)
-    return nil
-  end
-  local number = member.ids[key] or #member.confs + 1
-  member.ids[key] = number
-  member.confs[number] = member.confs[number] or member.own:configuration(key)
+-- Keeps a configuration of a machine. Returns its number.
+local function add_configuration(member, number)
+  member.confs[number] = member.confs[number] or member:configuration(number)
   return number
-end
-
--- Adds the events of a set that may come from outside as a set, if there are enough.
-local function add_outside(member, sets, set, least)
-  local kept = {}
-  for _, occurrence in ipairs(set) do
-    if occurrence.part.owner or not member.wired[occurrence.event] then
-      kept[#kept + 1] = occurrence
-    end
-  end
-  if kept[least] then sets[#sets + 1] = kept end
-end
-
--- Lists the sets of events that may come from outside: none, one, or several that a
--- path through connectors needs.
-local function outside_of(self, member, conf)
-  if conf.sets then return conf.sets end
-  local list, needed, is_cut = reactions.that_may_come(member.own, conf)
-  explore.add_wanted(member.own, member.wanted, list)
-  conf.sets = { {} }
-  for _, occurrence in ipairs(list) do
-    add_outside(member, conf.sets, occurrence.alone, 1)
-  end
-  for _, several in ipairs(needed) do add_outside(member, conf.sets, several, 2) end
-  if is_cut then note_untried(self, member, "sets", "some sets of events") end
-  return conf.sets
 end
 
 -- Returns the events of properties that a step had, and whether it took them. Notes
 -- those of wires that it took. An event with data has its name.
 local function events_of(member)
-  local came, own = {}, member.own
+  local came, own = {}, member.subject
   for _, event in ipairs(own.last_events) do
     local name = type(event) == "table" and rawget(event, "name") or event
     local is_taken = properties.is_taken(own, event)
@@ -119,11 +74,11 @@ local function events_of(member)
 end
 
 -- Returns where the step of a machine has led, and what it did.
-local function new_outcome(self, member, conf, set)
-  local own = member.own
-  local outcome = { tgt = local_number(self, member), outside = set,
+local function new_outcome(member, try, tgt, outside)
+  local own = member.subject
+  local outcome = { tgt = tgt, outside = outside,
     emitted = match.joined({}, own.emitted), passed = match.joined({}, own.passed),
-    came = conf[1].leaf and events_of(member) or {} }
+    came = try.conf[1].leaf and events_of(member) or {} }
   for _, moment in ipairs(outcome.passed) do
     member.passed[#member.passed + 1] = { moment = moment }
   end
@@ -143,43 +98,30 @@ local function text_of(outcome)
 end
 
 -- Adds the outcome of the last step, unless it is there.
-local function add_outcome(self, member, conf, set, list)
-  local outcome = new_outcome(self, member, conf, set)
-  local text = outcome.tgt and text_of(outcome)
-  if text and not list[text] then list[text], list[#list + 1] = outcome, outcome end
-  if member.own.sent_later[1] then
-    note_untried(self, member, "pending", "events that are sent later")
+local function add_outcome(member, list, try, key, label, count)
+  if not key then
+    return member:note_untried("endless", "a step that does not end")
+  elseif member.subject.sent_later[1] then
+    member:note_untried("pending", "events that are sent later")
   end
+  local tgt = add_configuration(member, member:find_configuration(key, try.from, label))
+  local outcome = new_outcome(member, try, tgt, { unpack(try.events, count + 1) })
+  local text = text_of(outcome)
+  if not list[text] then list[text], list[#list + 1] = outcome, outcome end
 end
 
--- Adds the outcomes of steps with events, one for each choice that makes a difference.
-local function add_outcomes(self, member, conf, read, set, list)
-  local events = match.joined(read, set)
-  if not (events[1] or subject.may_act(conf)) then return end
-  local untried = member.own:each_choice(conf, events, member, function(_, has_ended)
-    self.count = self.count + 1
-    if has_ended then
-      add_outcome(self, member, conf, set, list)
-    else
-      note_untried(self, member, "endless", "a step that does not end")
-    end
-  end)
-  if untried then note_untried(self, member, "choices", untried) end
-end
-
--- Returns the outcomes of the steps of a machine with what it has read.
-local function outcomes_of(self, member, number, read)
+-- Returns the outcomes of the steps of a machine with what it has read, one for each
+-- choice that makes a difference.
+local function outcomes_of(member, number, read)
   local known, numbers = member.moves[number] or {}, {}
   member.moves[number] = known
   for i, occurrence in ipairs(read) do numbers[i] = occurrence.number end
   local key = concat(numbers, ",")
   if not known[key] then
-    local conf = member.confs[number]
     known[key] = {}
-    for _, set in ipairs(outside_of(self, member, conf)) do
-      add_outcomes(self, member, conf, read, set, known[key])
-    end
-    data.rest(member.own)
+    member:each_step(number, function(_, try, tgt, label)
+      add_outcome(member, known[key], try, tgt, label, #read)
+    end, read)
   end
   return known[key]
 end
@@ -215,7 +157,7 @@ end
 local function moves_of(self, member, conf)
   local number, queues, read = conf.numbers[member.number], {}, {}
   if not member.confs[number][1].leaf then
-    return outcomes_of(self, member, number, read), conf.queues, read
+    return outcomes_of(member, number, read), conf.queues, read
   end
   for at, wire in ipairs(self.wires) do
     queues[at] = wire.to == member.name and copy(conf.queues[at]) or conf.queues[at]
@@ -223,9 +165,9 @@ local function moves_of(self, member, conf)
   local letters, by = wires.take(self.wires, queues, member.name)
   for i, letter in ipairs(letters) do
     local event = letter == "d" and by[i].with_data or by[i].event
-    read[i] = member.own:occurrence(member.own.parts[1], event)
+    read[i] = member.subject:occurrence(member.subject.parts[1], event)
   end
-  return outcomes_of(self, member, number, read), queues, by
+  return outcomes_of(member, number, read), queues, by
 end
 
 -- Returns the queues behind what a step has emitted, and for each event and wire
@@ -298,9 +240,7 @@ end
 
 --- Is some machine entered at some time?
 function Product:is_entered()
-  return order.any(self.members, function(member)
-    return order.any(member.confs, function(conf) return conf[1].leaf end)
-  end)
+  return order.any(self.members, function(member) return member:is_entered() end)
 end
 
 --- Return the member and the rest of a name such as "arm: root.moving".
@@ -322,9 +262,9 @@ function Product:view(conf, passed)
     local member, path = self:split(name)
     local own = member.confs[conf.numbers[member.number]]
     if passed and member == passed.member then
-      return member.own:view_of_moment(passed.moment)(path)
+      return member.subject:view_of_moment(passed.moment)(path)
     end
-    own.view = own.view or member.own:view(own)
+    own.view = own.view or member.subject:view(own)
     return own.view(path)
   end
 end
@@ -446,21 +386,13 @@ end
 
 local EMITS = "events that the %s may emit, which sends does not name"
 
-local function note_gaps(self, member)
-  for _, gap in ipairs(explore.gaps(member.own)) do
-    note_untried(self, member, gap[1], gap[2])
-  end
-  for _, name in ipairs(member.own.emitters) do
-    note_untried(self, member, "emits", EMITS:format(name))
-  end
-end
-
 -- Adds a machine.
 local function add_member(self, cell, name, options)
-  local own = subject.new(cell.models[name], options)
-  local member = { name = name, number = #self.members + 1, own = own, confs = {},
-    ids = {}, moves = {}, wired = {}, wanted = {}, takes = {}, outgoing = {},
-    passed = {} }
+  local member = explore.new(cell.models[name], options)
+  local own, maker_of = member.subject, member.subject.maker_of
+  self.members[#self.members + 1] = member
+  member.name, member.number, member.confs, member.moves = name, #self.members, {}, {}
+  member.wired, member.takes, member.outgoing = {}, {}, {}
   own.notes_events = true
   for at, wire in ipairs(self.wires) do
     if wire.to == name then
@@ -470,8 +402,15 @@ local function add_member(self, cell, name, options)
       member.outgoing[wire.event] = match.with(member.outgoing[wire.event] or {}, at)
     end
   end
-  self.members[member.number] = member
-  note_gaps(self, member)
+  function own.maker_of(_, event) return maker_of(own, event) or member.wired[event] end
+  function member.note_untried(_, bound, text)
+    self.is_partial = true
+    self:note_untried(bound, name .. ": " .. text)
+  end
+  member:begin()
+  for _, callback in ipairs(own.emitters) do
+    member:note_untried("emits", EMITS:format(callback))
+  end
 end
 
 --- Make the product of some machines of a system, with its first configuration.
@@ -485,7 +424,7 @@ function product.new(cell, group_of, group, settings)
     from = {}, labels = {}, first = {}, steps = {}, movers = {}, step_labels = {},
     expanded = 0, depth = 0, level_end = 1, stuck = {}, passed = {}, lost = {},
     carries = {}, afters = {}, owed = {}, untried = {}, unsure = {}, cut = {},
-    monitored = {}, count = 0, bound = nil, is_partial = false }, Product)
+    monitor = false, bound = nil, is_partial = false }, Product)
   self.subject = self
   for _, wire in ipairs(cell.wires) do
     if group_of[wire.to] == group then
@@ -497,7 +436,7 @@ function product.new(cell, group_of, group, settings)
     if group_of[name] == group then add_member(self, cell, name, settings[name]) end
   end
   local numbers, queues = {}, {}
-  for i, member in ipairs(self.members) do numbers[i] = local_number(self, member) end
+  for i, member in ipairs(self.members) do numbers[i] = add_configuration(member, 1) end
   for at in ipairs(self.wires) do queues[at] = {} end
   find_configuration(self, numbers, queues, 0, "")
   return self

@@ -68,7 +68,7 @@ local JUDGED = { never = true, always = true, from = true, after = true }
 -- Has a product look at the event of a property.
 local function watch_event(walk, judged)
   local member, event = walk:split(judged.property.event)
-  local own = member.own
+  local own = member.subject
   if not (own.event_numbers[event] or own.free.predicates) then
     error(("property '%s': no transition of '%s' names the event '%s'%s"):format(
       judged.name, member.name, event,
@@ -99,7 +99,7 @@ end
 
 -- Does a machine wait: is it not entered, or is a leaf not an end that events leave?
 local function is_waiting(member, conf)
-  for i, part in ipairs(member.own.parts) do
+  for i, part in ipairs(member.subject.parts) do
     local leaf = conf[i].leaf
     local is_end = leaf and (leaf.final == true or codes.means(leaf, "an end"))
     local found = (leaf or i == 1) and not is_end and reactions.of(part, leaf)
@@ -131,7 +131,7 @@ end
 -- Does a transition or an extension ever take an event?
 local function takes(member, event)
   return member.takes[event]
-    or match.has(alphabet.of_all(member.own.parts[1].fsm).reactions, event)
+    or match.has(alphabet.of_all(member.subject.parts[1].fsm).reactions, event)
 end
 
 -- Finds what a wire loses, and what is never in it or never taken.
@@ -167,7 +167,8 @@ local function unreached_alone(member, model, settings, bounds)
 end
 
 local function find_unreached(member, findings, unreached)
-  local own, active = member.own, verdict.active_in(member.own, member.passed)
+  local own = member.subject
+  local active = verdict.active_in(own, member.passed)
   for _, path in ipairs(unreached and own.paths or {}) do
     local above = path:match("^(.*)%.[^.]*$")
     if not (active[path] or unreached[path]) and (not above or active[above]) then
@@ -201,7 +202,7 @@ end
 local function add_premises(result, walk, settings)
   local function add(text) result.premises[#result.premises + 1] = text end
   for _, member in ipairs(walk.members) do
-    local own = member.own
+    local own = member.subject
     local free = rfsm.sorted_keys(own.free)
     if free[1] then add(member.name .. ": " .. concat(free, ", ") .. " free") end
     if settings[member.name].alphabet then
@@ -220,7 +221,9 @@ end
 local function add_walk(result, walk, cell, settings, options)
   explore.walk_all(walk, options)
   result.configurations = result.configurations + #walk.keys
-  result.steps = result.steps + walk.count
+  for _, member in ipairs(walk.members) do
+    result.steps = result.steps + member.count
+  end
   result.bound = result.bound or walk.bound
   result.untried = match.joined(result.untried, walk.untried)
   add_premises(result, walk, settings)
