@@ -82,8 +82,8 @@ local explore = {}
 ---@field count integer steps that were run
 ---@field wanted any[] events that properties look at
 ---@field monitor rfsm_checks.Judged|false the property whose monitor runs along
----@field has_contexts boolean more tells configurations apart: their `contexts`
----@field contexts table[] `state` of the monitor, `time`
+---@field contexts table[] with a monitor or clocks they tell configurations apart, too:
+-- `state` of the monitor, `time`
 ---@field context_ids table<string, integer>
 ---@field kin table<string, integer[]> configurations that differ in their times alone
 ---@field unsure table<integer, rfsm_checks.Group> positions of steps where other
@@ -123,7 +123,7 @@ end
 
 -- Returns the key of a configuration of the subject in a context.
 local function in_context(walk, key, state, time)
-  if not walk.has_contexts then return key end
+  if not (walk.monitor or walk.timing) then return key end
   local text = state .. (time and "@" .. time.text or "")
   local id = walk.context_ids[text]
   if not id then
@@ -132,9 +132,6 @@ local function in_context(walk, key, state, time)
   end
   return id .. "|" .. key
 end
-
---- Does an event wait in a configuration, so that `rfsm.run` would go on?
-function Walk:is_driven(number) return subject.is_driven(self:configuration(number)) end
 
 --- Is the machine entered in some configuration?
 ---@return boolean
@@ -487,11 +484,11 @@ function explore.new(model, options, way)
   local own = subject.new(model, settings, way)
   local walk = setmetatable({ subject = own, model = model, options = settings,
     way = way or false, together = settings.together or 1,
-    is_together_given = settings.together ~= nil, untried = {}, passed = {},
+    untried = {}, passed = {},
     keys = {}, numbers = {}, from = {}, labels = {}, depth = 0, level_end = 1,
     first = {}, steps = {}, taken = {}, endless = nil,
     bound = nil, stuck = {}, has_moved = false, count = 0, expanded = 0, wanted = {},
-    monitor = false, has_contexts = false, contexts = {}, context_ids = {}, kin = {},
+    monitor = false, contexts = {}, context_ids = {}, kin = {},
     unsure = {}, cut = {}, timing = false }, Walk)
   function walk.label() return label_of(walk.try, own.choices, own.asked) end
   return walk
@@ -516,7 +513,6 @@ function explore.walk(model, options, prepare, way)
   if prepare then prepare(walk) end
   walk.timing = timing.new(walk, walk.options)
   walk.subject.leaves_out = not (walk.timing or walk.subject.notes_events)
-  walk.has_contexts = walk.monitor ~= false or walk.timing ~= false
   walk:begin()
   if walk.timing and walk.timing.is_inexact then
     walk:note_untried("sets", "the order of times with more than 15 digits")

@@ -100,11 +100,11 @@ function graph.can_surely_reach(walk, goals)
   end)
 end
 
--- Counts the steps without events from outside, but not those of a doo that goes on.
+-- Counts the steps without events from outside. A walk has none of a doo that goes on.
 local function count_internal(walk, number)
   local count = 0
-  graph.each_step(walk, number, function(tgt, is_own)
-    if is_own and (tgt ~= number or walk:is_driven(number)) then count = count + 1 end
+  graph.each_step(walk, number, function(_, is_internal)
+    if is_internal then count = count + 1 end
   end)
   return count
 end

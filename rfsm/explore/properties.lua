@@ -19,13 +19,13 @@ local order = require "rfsm.shared.order"
 local error, getmetatable, ipairs = error, getmetatable, ipairs
 local pcall, rawget, setmetatable, type = pcall, rawget, setmetatable, type
 local concat, sort = table.concat, table.sort
-local holds = monitors.holds
+local holds, kinds = monitors.holds, monitors.kinds
 
 local properties = {}
 
 --- Something that must hold.
 ---@class rfsm_checks.Property
----@field kind string "never", "after" ...: see `JUDGES` and `rfsm.explore.monitors`
+---@field kind string "never", "after" ...: see `monitors.kinds`
 ---@field what? any the condition
 ---@field event? any
 ---@field goal? any the condition to be reached
@@ -206,22 +206,8 @@ local function text_of(what)
   return type(what) == "table" and concat(what, " and ") or rfsm.text_of(what)
 end
 
--- A text for each kind; the fields in braces are put in.
-local TEXTS = {
-  never = "never {what}", always = "always {what}",
-  after = "after {event} reach {goal}", from = "from {what} can reach {goal}",
-  leads_to = "after {event} leads to {goal}",
-  after_never = "after {event} never {goal}",
-  precedes = "{what} precedes {goal}", ["until"] = "{what} until {goal}",
-  reach_within = "after {event} reach {goal} within {seconds} s",
-  left_within = "from {what} left within {seconds} s",
-  stays = "from {what} stays {seconds} s",
-  at_most = "at most {count} {event} within {seconds} s",
-  at_least = "at least {count} {event} within {seconds} s",
-}
-
 function Property:__tostring()
-  return (TEXTS[self.kind]:gsub("{(%l+)}", function(field)
+  return (kinds[self.kind].text:gsub("{(%l+)}", function(field)
     return (field == "event" and text_of_event or text_of)(self[field])
   end))
 end
@@ -234,7 +220,6 @@ end
 ---@field property rfsm_checks.Property
 ---@field holds boolean|nil nil if something was not tried and nothing was found
 ---@field vacuous? string why nothing was there to be judged
----@field is_monitored boolean
 ---@field way rfsm_checks.Way
 ---@field walk rfsm_checks.Walk
 ---@field is_open? boolean it is not known, though everything was tried
@@ -287,10 +272,8 @@ end
 
 local NONE = {}
 
-local JUDGES = {}
-
 -- Some moment of a step may fulfil the condition, too.
-function JUDGES.never(walk, judged)
+function kinds.never.judge(walk, judged)
   find_first(walk, judged, set_of(walk, judged.property.what), NONE)
   if judged.holds == false then return end
   for _, passed in ipairs(walk.passed) do
@@ -301,7 +284,7 @@ function JUDGES.never(walk, judged)
   end
 end
 
-function JUDGES.always(walk, judged)
+function kinds.always.judge(walk, judged)
   local entered = {}
   for number = 2, #walk.keys do
     entered[number] = walk:configuration(number)[1].leaf ~= false
@@ -310,7 +293,7 @@ function JUDGES.always(walk, judged)
 end
 
 -- If a bound was hit no violation is known: a way may lead through what was not tried.
-function JUDGES.from(walk, judged)
+function kinds.from.judge(walk, judged)
   local property = judged.property
   local set = set_of(walk, property.what, "tgt")
   if order.is_empty(set) then
@@ -325,7 +308,7 @@ function JUDGES.from(walk, judged)
   end
 end
 
-function JUDGES.after(walk, judged)
+function kinds.after.judge(walk, judged)
   local must_reach = walk.must_reach or graph.must_reach
   local set = must_reach(walk, set_of(walk, judged.property.goal))
   local event = rfsm.text_of(judged.property.event)
@@ -403,7 +386,7 @@ end
 local function want_event(walk, judged)
   local event = judged.property.event
   walk.wanted[#walk.wanted + 1], walk.subject.wanted[event] = event, false
-  if monitors.follows[judged.property.kind] and not walk.is_together_given then
+  if judged.property.goal and not walk.options.together then
     walk.together = 2
   end
 end
@@ -420,7 +403,6 @@ function properties.list_for(own, given)
   for _, judged in ipairs(list) do
     properties.check_names(where, judged, active)
     if judged.property.event ~= nil then check_maker(own, judged) end
-    judged.is_monitored = not JUDGES[judged.property.kind]
   end
   return list
 end
@@ -434,7 +416,7 @@ function properties.watch(walk, list)
   walk.owed = {}
   for _, judged in ipairs(list) do
     local is_after = judged.property.kind == "after"
-    if is_after and not walk.is_together_given then walk.together = 2 end
+    if is_after and not walk.options.together then walk.together = 2 end
     if is_after and judged.way == walk.way then
       want_event(walk, judged)
       afters[#afters + 1], walk.owed[judged] = judged, {}
@@ -458,13 +440,13 @@ local function judge_monitored(walk, judged)
   if judged.property.event ~= nil and not judged.has_come then
     judged.vacuous = rfsm.text_of(judged.property.event) .. " never comes"
   end
-  local owes = monitors.owes[judged.property.kind]
+  local owes = kinds[judged.property.kind].owes
   if owes and judged.holds == nil then fairness.judge(walk, judged, owes) end
 end
 
 --- Judge a property when its walk is over.
 function properties.judge(walk, judged)
-  local judge = JUDGES[judged.property.kind] or judge_monitored
+  local judge = kinds[judged.property.kind].judge or judge_monitored
   judge(walk, judged)
   if not (walk.bound or walk:is_entered()) then
     judged.holds, judged.vacuous = nil, "the machine is never entered"

@@ -385,7 +385,7 @@ local function judge(result, judged, options)
       or walk.subject.free["sends with a delay"] and ", sends with a delay are free"
       or ", it depends on when timers expire",
     premises = premises_of({ walk }, options)
-      .. (monitors.owes[judged.property.kind] and "; doos end" or "") }
+      .. (monitors.kinds[judged.property.kind].owes and "; doos end" or "") }
 end
 
 -- Text ............................................................................
@@ -546,7 +546,7 @@ function verdict.of(model, options)
   end
   local result = new_result(own, walks, options)
   for i, judged in ipairs(list) do
-    judged.walk = not judged.is_monitored and by_way[judged.way]
+    judged.walk = monitors.kinds[judged.property.kind].judge and by_way[judged.way]
       or explore.walk(model, options, function(walk)
         properties.monitor(walk, judged)
       end, judged.way)

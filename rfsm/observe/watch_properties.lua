@@ -19,6 +19,7 @@ local stream = require "rfsm.observe.stream"
 
 local error, ipairs, type = error, ipairs, type
 local concat, remove = table.concat, table.remove
+local kinds = monitors.kinds
 
 local watch_properties = {}
 
@@ -146,7 +147,7 @@ local function look_at(own, monitor, look, events)
   local state, clocks = monitors.look(property, monitor.state, look)
   if clocks then set_clocks(monitor, clocks, look.now) end
   local is_violated = state == "violated"
-  monitor.state = is_violated and (monitors.next[property.kind] or "first") or state
+  monitor.state = is_violated and (kinds[property.kind].next or "first") or state
   if is_violated and not monitor.is_told then report(own, monitor) end
   monitor.is_told = is_violated
 end
@@ -190,7 +191,7 @@ local function monitors_of(where, given, active)
   local list = properties.list_of(where, given)
   for _, monitor in ipairs(list) do
     properties.check_names(where, monitor, active)
-    if not monitors.has(monitor.property) then
+    if not kinds[monitor.property.kind].see then
       error(("%s: property '%s' is about runs that might be: explore it"):format(where,
         monitor.name), 0)
     end
@@ -200,7 +201,7 @@ end
 
 local function is_timed(monitor) return monitor.property.seconds ~= nil end
 
-local function sees_passages(monitor) return monitors.passes[monitor.property.kind] end
+local function sees_passages(monitor) return kinds[monitor.property.kind].passes end
 
 -- Notes what is active when a composite is entered through which the step may pass.
 local function note_moment(own, state, snapshot)

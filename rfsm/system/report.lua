@@ -12,6 +12,7 @@ local data = require "rfsm.explore.data"
 local explore = require "rfsm.explore.explore"
 local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
+local monitors = require "rfsm.explore.monitors"
 local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 local product = require "rfsm.system.product"
@@ -63,8 +64,6 @@ local function machines_in(cell, property)
   return names
 end
 
-local JUDGED = { never = true, always = true, from = true, after = true }
-
 -- Has a product look at the event of a property.
 local function watch_event(walk, judged)
   local member, event = walk:split(judged.property.event)
@@ -81,7 +80,7 @@ end
 
 -- Has a product judge a property. Raises an error if it cannot.
 local function watch(walk, judged)
-  if not JUDGED[judged.property.kind] then
+  if not monitors.kinds[judged.property.kind].judge then
     error(("property '%s': it is not judged for a system, expected: never, always, "
       .. "from(...).can_reach or after(...).reach"):format(judged.name), 0)
   end
