@@ -61,6 +61,7 @@ end
 
 -- Has one machine move, with events from outside.
 function Side:move(name, events)
+  history.mark(self)
   print_move(self.cell, name, select(2, self.cell:move(name, events)))
 end
 
@@ -85,10 +86,7 @@ function Side:replay(file)
   local text, problem = files.read(file)
   if not text then error(problem, 0) end
   local moves = require("rfsm.system.sequence").read(text)
-  for _, each in ipairs(moves) do
-    history.mark(self)
-    self:move(each.machine, each.events)
-  end
+  for _, each in ipairs(moves) do self:move(each.machine, each.events) end
   return #moves, not moves[1] and "no line is a move" or nil
 end
 
@@ -119,7 +117,6 @@ local function machine_command(name, fsm)
   return command(name .. " [events]", "one machine moves, with events from outside",
     function(self, ...)
       for i, event in ipairs { ... } do self:check_event(event, i, fsm) end
-      history.mark(self)
       self:move(name, { ... })
       self:show()
     end, fsm)

@@ -68,9 +68,12 @@ end
 --- Return the set of configurations from which one of `goals` can be reached.
 ---@param goals table<integer, boolean>
 ---@param is_internal boolean? by steps without events from outside
+---@param within? table<integer, boolean> from these alone, and through them
 ---@return table<integer, boolean> set
-function graph.can_reach(walk, goals, is_internal)
-  return spread(walk, goals, is_internal, function() return true end)
+function graph.can_reach(walk, goals, is_internal, within)
+  return spread(walk, goals, is_internal, function(from)
+    return not within or within[from]
+  end)
 end
 
 -- Does a step lead into a set whatever the clocks show: one that needs no group of
@@ -152,9 +155,9 @@ local function visit_next(walk, search)
   local low, order, depth = search.low, search.order, #search.visits
   local number, at = search.visits[depth], search.at[depth]
   if at < (walk.first[number + 1] or 1) then
-    local tgt = abs(walk.steps[at])
+    local step, tgt = walk.steps[at], abs(walk.steps[at])
     search.at[depth] = at + 1
-    if search.set and not search.set[tgt] then
+    if search.set and not search.set[tgt] or search.is_internal and step > 0 then
       return
     elseif not order[tgt] then
       visit(walk, search, tgt)
@@ -192,24 +195,25 @@ end
 
 -- Does a step lead from a component to another one?
 local function leads_out(walk, component, index_of)
-  local own = index_of[component[1]]
+  local own, is_left = index_of[component[1]], false
   for _, number in ipairs(component) do
-    for at = walk.first[number] or 1, (walk.first[number + 1] or 1) - 1 do
-      if index_of[abs(walk.steps[at])] ~= own then return true end
-    end
+    graph.each_step(walk, number, function(tgt)
+      is_left = is_left or index_of[tgt] ~= own
+    end)
   end
-  return false
+  return is_left
 end
 
 --- List the sets of configurations that lead to each other, each sorted, in the order
 --- of their first ones.
 ---@param walk rfsm_checks.Walk
 ---@param set? table<integer, boolean> look at these alone
+---@param is_internal? boolean at steps without events from outside alone
 ---@return integer[][] components
 ---@return table<integer, integer> index_of a number for each component
-function graph.components_in(walk, set)
+function graph.components_in(walk, set, is_internal)
   local search = { count = 0, order = {}, low = {}, open = {}, visits = {}, at = {},
-    components = {}, index_of = {}, set = set }
+    components = {}, index_of = {}, set = set, is_internal = is_internal }
   for number = 1, set and walk.expanded or 1 do
     if not (search.order[number] or set and not set[number]) then
       visit(walk, search, number)

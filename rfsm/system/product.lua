@@ -275,35 +275,16 @@ end
 
 -- Runs that stay ....................................................................
 
--- Returns the moves without events from outside that do not begin or end in a set: what
--- graphs read of a walk, and the `edges` from each configuration.
-local function moves_outside(self, goals)
-  local part = setmetatable({ first = {}, steps = {}, edges = {} }, { __index = self })
-  for from = 1, self.expanded do
-    local edges = {}
-    part.first[from], part.edges[from] = #part.steps + 1, edges
-    graph.each_step(self, from, function(tgt, is_internal, at)
-      if is_internal and not (goals[from] or goals[tgt]) then
-        edges[#edges + 1] = { from = from, tgt = tgt, label = self.step_labels[at],
-          mover = self.movers[at] }
-        part.steps[#part.steps + 1] = tgt
-      end
-    end)
-  end
-  part.first[self.expanded + 1] = #part.steps + 1
-  return part
-end
-
--- Notes which machines have nothing to do in a configuration, or a move that stays.
-local function note_fair(self, part, number, index_of, is_fair)
+-- Notes which machines have nothing to do in a configuration, or a move that stays in
+-- its component.
+local function note_fair(self, number, index_of, is_fair)
   local is_busy = {}
   graph.each_step(self, number, function(tgt, is_internal, at)
-    if is_internal and tgt ~= number then is_busy[self.movers[at]] = true end
+    local mover, stays = self.movers[at], index_of[tgt] == index_of[number]
+    is_busy[mover] = is_busy[mover] or is_internal and tgt ~= number
+    is_fair[mover] = is_fair[mover] or is_internal and stays
   end)
   for i in ipairs(self.members) do is_fair[i] = is_fair[i] or not is_busy[i] end
-  for _, edge in ipairs(part.edges[number]) do
-    if index_of[edge.tgt] == index_of[number] then is_fair[edge.mover] = true end
-  end
 end
 
 --- Return the set of configurations from which moves without events from outside always
@@ -311,21 +292,21 @@ end
 ---@param goals table<integer, boolean>
 ---@return table<integer, boolean> set
 function Product:must_reach(goals)
-  local part, set, staying = moves_outside(self, goals), {}, {}
-  for number = 1, self.expanded do set[number] = not goals[number] end
-  local components, index_of = graph.components_in(part, set)
+  local set, staying, open = {}, {}, {}
+  for number = 1, self.expanded do open[number] = not goals[number] end
+  local components, index_of = graph.components_in(self, open, true)
   for _, numbers in ipairs(components) do
     local is_fair = {}
     for _, number in ipairs(numbers) do
-      note_fair(self, part, number, index_of, is_fair)
+      note_fair(self, number, index_of, is_fair)
     end
     local stays = order.all(self.members, function(member)
       return is_fair[member.number]
     end)
     for _, number in ipairs(numbers) do staying[number] = stays end
   end
-  self.part, self.staying = part, staying
-  local can_stay = graph.can_reach(part, staying)
+  self.open, self.staying = open, staying
+  local can_stay = graph.can_reach(self, staying, true, open)
   for number = 1, #self.keys do
     set[number] = self.is_partial or not can_stay[number]
   end
@@ -334,11 +315,19 @@ end
 
 -- Returns the moves from a configuration to one where the last run that was looked for
 -- may stay.
-local function way_to_stay(self, number)
-  if self.staying[number] then return {} end
-  return graph.find_way(self.part.edges, number, function(edge)
-    return self.staying[edge.tgt]
-  end) or {}
+local function way_to_stay(self, start)
+  if self.staying[start] then return {} end
+  local edges = setmetatable({}, { __index = function(_, number)
+    local list = {}
+    graph.each_step(self, number, function(tgt, is_internal, at)
+      if is_internal and self.open[tgt] then
+        list[#list + 1] = { from = number, tgt = tgt, label = self.step_labels[at] }
+      end
+    end)
+    return list
+  end })
+  return graph.find_way(edges, start, function(edge) return self.staying[edge.tgt] end)
+    or {}
 end
 
 -- Witnesses .........................................................................
