@@ -20,7 +20,8 @@ function graph.each_step(walk, number, f)
   end
 end
 
--- Calls f(from, tgt) for each step, or those without events from outside alone.
+-- Calls f(from, tgt) for each step; if `is_internal`, for those without events from
+-- outside.
 local function each_edge(walk, is_internal, f)
   for from = 1, walk.expanded do
     for at = walk.first[from], walk.first[from + 1] - 1 do
@@ -30,8 +31,9 @@ local function each_edge(walk, is_internal, f)
   end
 end
 
--- Returns a list of the configurations from which steps lead to the first one, then to
--- the second one, and so on; and for each the position before its own.
+-- Returns a list that has the configurations from which steps lead to configuration 1,
+-- then those from which they lead to 2, and so on; and for each the position before its
+-- first.
 local function reverse(walk, is_internal)
   local list, before, count = {}, { 0 }, #walk.keys
   for number = 1, count do before[number + 1] = 0 end
@@ -45,8 +47,9 @@ local function reverse(walk, is_internal)
   return list, before
 end
 
--- Returns a set of goals and, while there are some, of predecessors for which
--- `joins(from, tgt, set)` is true. It is asked for each step that leads into the set.
+-- Returns a set that begins with the goals. For each step that leads into the set,
+-- `joins(from, tgt, set)` decides whether the configuration where it begins joins the
+-- set.
 local function spread(walk, goals, is_internal, joins)
   local set, pending, list, before = {}, {}, reverse(walk, is_internal)
   for number = 1, #walk.keys do
@@ -76,8 +79,8 @@ function graph.can_reach(walk, goals, is_internal, within)
   end)
 end
 
--- Does a step lead into a set whatever the clocks show: one that needs no group of
--- deadlines to be over first, or one for each group that may be?
+-- Does a step lead into a set whatever the clocks show? Some step has to need no group
+-- of deadlines, or for each group that may be over first there has to be a step.
 local function leads_surely(walk, number, set)
   local ways, is_counted, is_sure = 0, {}, false
   graph.each_step(walk, number, function(tgt, _, at)
@@ -103,7 +106,7 @@ function graph.can_surely_reach(walk, goals)
   end)
 end
 
--- Counts the steps without events from outside. A walk has none of a doo that goes on.
+-- Counts the steps without events from outside. A doo that goes on is none of these.
 local function count_internal(walk, number)
   local count = 0
   graph.each_step(walk, number, function(_, is_internal)
@@ -118,7 +121,7 @@ end
 ---@return table<integer, boolean> set
 function graph.must_reach(walk, goals)
   local ends, left = {}, {}
-  for number = 1, #walk.keys do -- an unknown step is no fault
+  for number = 1, #walk.keys do -- what was not tried may lead to a goal
     ends[number] = goals[number] or number > walk.expanded or walk.cut[number]
   end
   return spread(walk, ends, true, function(from, tgt)
@@ -128,8 +131,9 @@ function graph.must_reach(walk, goals)
   end)
 end
 
--- Tarjan's search for strongly connected components: the configurations that are
--- visited, and the position of the step that is next in each, are two stacks.
+-- Begins to visit a configuration in Tarjan's search for strongly connected components.
+-- There are two stacks: the configurations that are being visited, and for each the
+-- position of its next step.
 local function visit(walk, search, number)
   local depth = #search.visits + 1
   search.count = search.count + 1

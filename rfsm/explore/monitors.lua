@@ -1,10 +1,10 @@
 --- Monitors: properties of runs, judged step by step.
 --
--- A monitor is in a state, a word, "first" when it begins, and has clocks, the oldest
--- first, each of which expires when the time of the property is over. It looks at each
--- step. An exploration keeps both with each configuration; a running machine has them
--- in a table. Conditions are judged where a step ends; `precedes` and `never` also see
--- states that a step passes.
+-- A monitor looks at each step. It has a state, which is a word, at first "first", and
+-- clocks, the oldest first, each of which expires when the time of the property is
+-- over. An exploration keeps state and clocks with each configuration; of a running
+-- machine they are in a table. Conditions are judged where a step ends; some kinds also
+-- look at the states that a step passes, those that it enters and leaves again.
 --
 -- @module rfsm.explore.monitors
 -- @license BSD-3-Clause
@@ -17,11 +17,11 @@ local monitors = {}
 ---@class rfsm_checks.Look
 ---@field active fun(name: string): boolean
 ---@field came boolean the event of the property came
----@field is_end boolean the step ends; otherwise it passes through a state
+---@field is_end boolean the step ends; otherwise it only passes a state
 ---@field expired integer clocks that have expired
 ---@field count integer clocks
 ---@field is_idle? boolean of a machine that runs: nothing happens before an event comes
----@field is_at_rest? boolean likewise, and no timer is armed
+---@field is_at_rest? boolean of a machine that runs: it is idle, and no timer is armed
 
 --- Does a condition hold?
 ---@param condition any see `rfsm.explore.properties`
@@ -39,8 +39,8 @@ local holds = monitors.holds
 
 local NONE, NEW = {}, { 0 }
 
--- Returns the clocks without the oldest ones, and with a new one if that is wanted. A
--- clock that stays is named by its number, 0 is a new one.
+-- Returns the next clocks: those from number `first` to `count` stay, and 0 stands for
+-- a new one, if there is one.
 local function clocks_from(first, count, is_new)
   local clocks = {}
   for i = first, count do clocks[#clocks + 1] = i end
@@ -130,7 +130,8 @@ function kinds.left_within.see(property, state, look)
   return state
 end
 
--- Once the condition holds it has to stay; when the clock has expired it may end.
+-- When the condition begins to hold a clock is started; until it expires the condition
+-- has to hold.
 function kinds.stays.see(property, state, look)
   if holds(property.what, look.active) then
     if state == "first" then return "young", NEW end
@@ -147,7 +148,8 @@ function kinds.at_most.see(property, state, look)
   return state, clocks_from(look.expired + 1, look.count, look.came)
 end
 
--- The window begins with the entry of the machine, as if the event had come then.
+-- The clocks are those of the last events, as many as have to come in the time. With
+-- the entry of the machine all begin, as if the events had come then.
 function kinds.at_least.see(property, state, look)
   if state == "first" then
     local clocks = {}
@@ -163,8 +165,8 @@ end
 ---@param state string
 ---@param look rfsm_checks.Look
 ---@return string state the next one; "violated" if the property does not hold
----@return integer[]? clocks from then on: numbers of those that stay, 0 for a new one;
--- nil: all of them stay
+---@return integer[]? clocks the next ones: numbers of those that stay, 0 for a new one;
+-- nil if all stay
 function monitors.look(property, state, look)
   local kind = kinds[property.kind]
   if not (look.is_end or kind.passes) then return state end
@@ -186,7 +188,8 @@ local function count_clocks(try, judged)
   return count, expired
 end
 
--- Returns the next state of a monitor and its clocks, when it has seen all of a step.
+-- Returns the next state of a monitor and its clocks, after it has looked at the states
+-- that a step passes and at its end.
 local function look_at(walk, judged, state, try, view)
   local own, property = walk.subject, judged.property
   local look = { came = false, is_end = false }

@@ -1,8 +1,8 @@
 --- Properties: what must hold in each configuration, and on each run.
 --
 -- A condition is the path of a state, which must be active, the name of a flag, a list
--- of these, all of which must be true, or a function. A function is called with another
--- one, `active`, that tells of a path or flag.
+-- of paths and flags, which must all be true, or a function. The function is called
+-- with another function, `active`, which returns whether a path or flag is true.
 --
 -- @module rfsm.explore.properties
 -- @license BSD-3-Clause
@@ -34,8 +34,7 @@ local properties = {}
 ---@field within? fun(seconds: number): rfsm_checks.Property
 local Property = {}
 
--- For each part of a property a function of its value: it returns what is wrong, nil if
--- nothing is.
+-- For each part of a property a function that returns the problem of a value, if any.
 local PROBLEMS = {}
 
 local is_name = opts.is_a "string"
@@ -82,8 +81,9 @@ local function new(kind, parts)
   return property
 end
 
--- Returns the function that takes the last part of a property, and makes it. The goal
--- of `after` may have a time.
+-- Returns the function that takes the last part of a property, and returns the
+-- property. That of `after(...).reach` has a function `within`, for a property with a
+-- time.
 local function ending(where, kind, parts, last)
   return function(value)
     local property = new(kind, parts)
@@ -96,8 +96,8 @@ local function ending(where, kind, parts, last)
   end
 end
 
--- Returns the first half of a property: the functions that take its last part, of which
--- `endings` has the kind and that part by their names.
+-- Returns the first half of a property: a table of the functions that take its last
+-- part. `endings` has, by the name of the function, the kind and the name of that part.
 local function first_half(where, parts, endings)
   local functions = {}
   for name, rest in order.each(endings) do -- any order: each stands alone
@@ -182,7 +182,8 @@ function properties.at_most(count, event)
     event = checked("at_most", "event", event) }, { within = { "at_most", "seconds" } })
 end
 
---- The same for the least number, from the first entry on.
+--- Declare that an event comes at least so often in any time of some length, from the
+--- first entry on: `at_least(1, "e_heartbeat").within(5)`.
 ---@param count integer
 ---@param event any
 ---@return { within: fun(seconds: number): rfsm_checks.Property }
@@ -219,12 +220,12 @@ end
 ---@field name string
 ---@field property rfsm_checks.Property
 ---@field holds boolean|nil nil if something was not tried and nothing was found
----@field vacuous? string why nothing was there to be judged
+---@field vacuous? string the reason why nothing tests the property
 ---@field way rfsm_checks.Way
 ---@field walk rfsm_checks.Walk
 ---@field is_open? boolean it is not known, though everything was tried
----@field at? integer configuration that shows that it does not
----@field label? string of a step from there
+---@field at? integer configuration that shows that it does not hold
+---@field label? string of the step from there that shows it
 ---@field tgt? integer where that step leads, of `after`
 
 --- List properties with their names, sorted.
@@ -245,8 +246,9 @@ function properties.list_of(where, given)
   return list
 end
 
--- Returns the set of configurations in which a condition holds; with `field`, "from" or
--- "tgt", also those with a step in which it holds for a moment.
+-- Returns the set of configurations in which a condition holds. With `field`, also
+-- those of steps in which it holds for a moment: "from" where they begin, "tgt" where
+-- they end.
 local function set_of(walk, condition, field)
   local set = {}
   for number = 2, #walk.keys do
@@ -272,7 +274,7 @@ end
 
 local NONE = {}
 
--- Some moment of a step may fulfil the condition, too.
+-- The condition may also hold for a moment within a step.
 function kinds.never.judge(walk, judged)
   find_first(walk, judged, set_of(walk, judged.property.what), NONE)
   if judged.holds == false then return end
@@ -292,7 +294,8 @@ function kinds.always.judge(walk, judged)
   find_first(walk, judged, entered, set_of(walk, judged.property.what))
 end
 
--- If a bound was hit no violation is known: a way may lead through what was not tried.
+-- If a bound was hit, a violation is not known: a run to the goal may go through steps
+-- that were not tried.
 function kinds.from.judge(walk, judged)
   local property = judged.property
   local set = set_of(walk, property.what, "tgt")
@@ -366,7 +369,7 @@ function properties.is_taken(own, event)
   return false
 end
 
--- Has the walk note where steps with the events of `after` lead.
+-- Has a walk note the configurations to which steps with the events of `after` lead.
 local function watch_steps(walk, afters)
   local own = walk.subject
   function walk.look(_, from, tgt, _, label)
@@ -407,8 +410,8 @@ function properties.list_for(own, given)
   return list
 end
 
---- Prepare a walk for the properties that are judged on it, but for those that have a
---- monitor. All walks have as many events in a step.
+--- Prepare a walk for the properties that are judged on it when it is over. A step has
+--- two events, if one of the properties is about `after`, whichever walk it belongs to.
 ---@param walk rfsm_checks.Walk
 ---@param list rfsm_checks.Judged[]
 function properties.watch(walk, list)
@@ -425,8 +428,8 @@ function properties.watch(walk, list)
   if afters[1] then watch_steps(walk, afters) end
 end
 
---- Prepare a walk for the monitor of a property. Each has one of its own: what the
---- monitor has seen tells configurations apart.
+--- Prepare a walk for the monitor of a property. Each monitor has a walk, since its
+--- state tells configurations apart.
 ---@param walk rfsm_checks.Walk
 ---@param judged rfsm_checks.Judged
 function properties.monitor(walk, judged)
@@ -434,8 +437,8 @@ function properties.monitor(walk, judged)
   if judged.property.event ~= nil then want_event(walk, judged) end
 end
 
--- Judges a property whose monitor has run along: it has found a violation, or something
--- is owed that need not come.
+-- Judges a property whose monitor has run along with the walk. The monitor has noted a
+-- violation, if there was one; what has to come eventually is judged here.
 local function judge_monitored(walk, judged)
   if judged.property.event ~= nil and not judged.has_come then
     judged.vacuous = rfsm.text_of(judged.property.event) .. " never comes"
