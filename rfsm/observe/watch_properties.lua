@@ -1,8 +1,8 @@
 --- The properties of an exploration, judged while a machine runs.
 --
--- Monitors look at the end of each iteration, and at the states that it passes. Times
--- are those of the machine's clock: a clock begins when a step is over, and is read
--- before the timers are.
+-- Monitors look at the end of each iteration, and at the states that it passes. Their
+-- clocks use the time of the machine: one is started when an iteration is over, and
+-- read when an iteration begins, before the timers are.
 --
 -- @module rfsm.observe.watch_properties
 -- @license BSD-3-Clause
@@ -29,7 +29,7 @@ local watch_properties = {}
 ---@field property rfsm_checks.Property
 ---@field state string
 ---@field clocks number[] when each began
----@field is_told boolean the last step has been reported
+---@field is_told boolean the last step broke the property, and was reported
 
 --- What is kept of a machine that is watched.
 ---@class rfsm_checks.Watched
@@ -59,8 +59,8 @@ local function read_clock(own)
   return time or error(failure, 0)
 end
 
--- Returns a function that tells of a path if the state is active; and one that returns
--- such a function for the present moment.
+-- Returns two functions: one returns whether the state of a path is active now; the
+-- other returns such a function that keeps the answers of the present moment.
 local function views_of(fsm)
   local states = {}
   for _, at in ipairs(rfsm.machines(fsm)) do
@@ -82,12 +82,12 @@ local function views_of(fsm)
   end
 end
 
--- Will nothing happen before an event comes: no event waits, and no doo goes on?
+-- Is the machine idle up to the next event, as none waits and no doo goes on?
 local function is_idle(fsm)
   return rfsm.check_events(fsm) == 0 and fsm._act_leaf._mode == "done"
 end
 
--- Do the events come from the engine alone?
+-- Do all of these events come from the engine?
 local function are_internal(events)
   for i = 1, #events do
     if match.maker_of(events[i]) ~= "engine" then return false end
@@ -95,7 +95,7 @@ local function are_internal(events)
   return true
 end
 
--- Notes a step in which something came or changed.
+-- Notes a step for reports, if an event came or another leaf is active.
 local function note_step(own, events)
   local texts, leaf = {}, own.fsm._act_leaf
   if leaf == own.leaf and are_internal(events) then return end
@@ -131,7 +131,7 @@ local function count_expired(own, monitor)
   return expired
 end
 
--- Sets the clocks of a monitor: those that stay, by number, and new ones.
+-- Sets the clocks of a monitor: `numbers` has those that stay, and 0 for a new one.
 local function set_clocks(monitor, numbers, now)
   local clocks = {}
   for i, number in ipairs(numbers) do clocks[i] = monitor.clocks[number] or now end
@@ -157,9 +157,9 @@ local function begin_iteration(own, at)
   own.now, own.leaf = read_clock(own), own.fsm._act_leaf or false
 end
 
--- Does the next iteration, which belongs to the same step, have these events again: for
--- the regions of the active leaf, or since an extension has put some back? Not if a
--- transition was taken.
+-- Does the next iteration have these events again, so that both count as one step? It
+-- does if no transition was taken, and they are forwarded to regions of the active
+-- leaf, or an extension has put some of them back.
 local function are_forwarded(fsm)
   return rfsm.is_free(fsm) and (rfsm.regions(fsm._act_leaf)[1] or fsm._intq[1] ~= nil)
 end

@@ -1,10 +1,11 @@
 --- Products: the configurations that the machines of a system reach together.
 --
--- In a move a machine reads its wires and takes one step with what it has read, and
--- with one event from outside or none. Any machine may move at any time. The engine
--- takes the step once for each configuration of the machine and each list of events;
--- its outcomes are kept. So each machine has a walk (`rfsm.explore.explore`), which
--- never walks by itself.
+-- In a move a machine reads its wires and takes one step with the events that it has
+-- read and at most one event from outside. Any machine may move at any time. The engine
+-- takes the step once for each configuration of the machine and each list of events
+-- that it has read, and the outcomes are kept. Each machine has a walk
+-- (`rfsm.explore.explore`) for its configurations and steps, but only the product
+-- walks.
 --
 -- A product has the fields of a walk that graphs and properties read.
 --
@@ -31,14 +32,15 @@ local product = {}
 ---@class rfsm.system.Product
 ---@field members rfsm.system.Member[]
 ---@field wires rfsm.system.Wire[] between them
----@field keys table[] configurations: `numbers` of those of the machines, `queues`
----@field numbers table<string, integer> configuration by a text
+---@field keys table[] configurations: `numbers` of those of the machines, `queues` of
+-- the wires
+---@field numbers table<string, integer> configuration by its text
 ---@field labels string[] configuration -> member and outcome of that move: "2:7"
 ---@field steps integer[] targets of moves; negative: without an event from outside
----@field movers integer[] of these, the numbers of members
+---@field movers integer[] for each of these moves the number of the member
 ---@field lost table<rfsm.system.Wire, table> the first move that loses an event
 ---@field carries table<rfsm.system.Wire, true> wires over which an event goes
----@field is_partial boolean something else was not tried than what lies behind a bound
+---@field is_partial boolean some steps of a machine were not tried
 local Product = { note_untried = explore.note_untried }
 Product.__index = Product
 
@@ -46,11 +48,11 @@ Product.__index = Product
 ---@class rfsm.system.Member: rfsm_checks.Walk
 ---@field name string
 ---@field number integer
----@field confs rfsm_checks.Configuration[] those of it alone
+---@field confs rfsm_checks.Configuration[] of this machine
 ---@field moves table<integer, table> outcomes by configuration and what was read
----@field wired table<string, boolean> events of its wires; true: by wires alone
+---@field wired table<string, boolean> events of its wires; true: come by wires alone
 ---@field takes table<string, true> events that transitions have taken
----@field outgoing table<string, integer[]> wires by event
+---@field outgoing table<string, integer[]> the wires that it puts an event into
 
 -- Steps of one machine ..............................................................
 
@@ -60,8 +62,8 @@ local function add_configuration(member, number)
   return number
 end
 
--- Returns the events of properties that a step had, and whether it took them. Notes
--- those of wires that it took. An event with data has its name.
+-- Returns for each event of a property that came in the last step whether a transition
+-- took it. Notes all events that were taken. An event with data stands under its name.
 local function events_of(member)
   local came, own = {}, member.subject
   for _, event in ipairs(own.last_events) do
@@ -73,7 +75,8 @@ local function events_of(member)
   return came
 end
 
--- Returns where the step of a machine has led, and what it did.
+-- Returns what the last step of a machine did: the configuration to which it has led,
+-- the events from outside, and the events that it has emitted.
 local function new_outcome(member, try, tgt, outside)
   local own = member.subject
   local outcome = { tgt = tgt, outside = outside,
@@ -128,15 +131,14 @@ end
 
 -- Moves .............................................................................
 
--- In a queue an event is a letter, as a wire carries one event: "d" with data, "e"
--- without.
+-- A wire carries one event, so in a queue "d" stands for it with data, "e" without.
 local function copy(queue) return match.joined({}, queue) end
 
 --- Return a configuration by its number.
 function Product:configuration(number) return self.keys[number] end
 
--- Returns the number of a configuration; a new one is to be looked at later. Its first
--- field tells properties if all machines were entered.
+-- Returns the number of a configuration; a new one is to be looked at later. Properties
+-- read its first field: whether all machines were entered.
 local function find_configuration(self, numbers, queues, from, label)
   local texts = { concat(numbers, ",") }
   for i, queue in ipairs(queues) do texts[i + 1] = concat(queue) end
@@ -152,8 +154,8 @@ local function find_configuration(self, numbers, queues, from, label)
   return number
 end
 
--- Returns the outcomes of a move, the queues when the wires were read, and for each
--- event the wire that it came by.
+-- Returns the outcomes of a move, the queues after the wires were read, and for each
+-- event the wire by which it came.
 local function moves_of(self, member, conf)
   local number, queues, read = conf.numbers[member.number], {}, {}
   if not member.confs[number][1].leaf then
@@ -170,8 +172,8 @@ local function moves_of(self, member, conf)
   return outcomes_of(member, number, read), queues, by
 end
 
--- Returns the queues behind what a step has emitted, and for each event and wire
--- whether it was lost.
+-- Returns the queues after the events that a step has emitted were put into them, and
+-- for each event and wire whether it was lost.
 local function send(self, member, queues, emitted)
   local after, sent = emitted[1] and copy(queues) or queues, {}
   for _, item in ipairs(emitted) do
@@ -184,7 +186,8 @@ local function send(self, member, queues, emitted)
   return after, sent
 end
 
--- Notes a move. One that changes nothing counts only if events are why it was taken.
+-- Notes a move. One that changes nothing counts only if it took a transition without an
+-- event from outside: then the machine goes on for ever.
 local function add_step(self, from, tgt, member, outcome, label)
   local is_internal = not outcome.outside[1]
   if tgt == from and not (is_internal and outcome.taken[1]) then return end
@@ -196,7 +199,8 @@ local function add_step(self, from, tgt, member, outcome, label)
   self.steps[at], self.movers[at], self.step_labels[at] = step, member.number, label
 end
 
--- Notes what a move shows that has not been seen before.
+-- Notes what a move shows: wires that carry or lose events, states that it passes, and
+-- where it leads if an event of a property came.
 local function note_move(self, move, member, outcome, sent)
   for _, each in ipairs(sent) do
     self.carries[each.wire] = true
@@ -243,7 +247,7 @@ function Product:is_entered()
   return order.any(self.members, function(member) return member:is_entered() end)
 end
 
---- Return the member and the rest of a name such as "arm: root.moving".
+--- Return the member and the path of a name such as "arm: root.moving".
 function Product:split(name)
   local front, rest = name:match("^%s*([^:]-)%s*:%s*(.-)%s*$")
   local names = {}
@@ -255,8 +259,9 @@ function Product:split(name)
   error(("'%s': expected as in 'arm: root.moving'"):format(name), 0)
 end
 
---- Return a function that tells of "arm: root.moving" if it is active; of one machine
---- in a moment of a step, if one is given. A product is its own subject.
+--- Return a function that returns whether "arm: root.moving" is active in a
+--- configuration. For the machine of `passed`, if that is given, the moment of a step
+--- counts. A product is its own subject, so that properties find this method.
 function Product:view(conf, passed)
   return function(name)
     local member, path = self:split(name)
@@ -275,8 +280,8 @@ end
 
 -- Runs that stay ....................................................................
 
--- Notes which machines have nothing to do in a configuration, or a move that stays in
--- its component.
+-- Notes which machines are treated fairly if a run stays in the component of a
+-- configuration: they have nothing to do there, or a move that stays in the component.
 local function note_fair(self, number, index_of, is_fair)
   local is_busy = {}
   graph.each_step(self, number, function(tgt, is_internal, at)
@@ -288,7 +293,7 @@ local function note_fair(self, number, index_of, is_fair)
 end
 
 --- Return the set of configurations from which moves without events from outside always
---- lead to one of `goals`: doos end, and each machine moves again and again.
+--- lead to one of `goals`, if doos end and each machine moves again and again.
 ---@param goals table<integer, boolean>
 ---@return table<integer, boolean> set
 function Product:must_reach(goals)
@@ -313,8 +318,8 @@ function Product:must_reach(goals)
   return set
 end
 
--- Returns the moves from a configuration to one where the last run that was looked for
--- may stay.
+-- Returns the moves from a configuration to the nearest one in which a run may stay, by
+-- the last call of `must_reach`.
 local function way_to_stay(self, start)
   if self.staying[start] then return {} end
   local edges = setmetatable({}, { __index = function(_, number)
@@ -336,7 +341,7 @@ end
 ---@class rfsm.system.Move
 ---@field machine string
 ---@field events string[] from outside
----@field read rfsm.system.Wire[] one for each event
+---@field read rfsm.system.Wire[] for each event that was read its wire
 ---@field sent { wire: rfsm.system.Wire, is_lost: boolean }[]
 ---@field choices { who: string, answer: boolean, is_doo: boolean }[]
 ---@field taken string[] paths of transitions
@@ -358,11 +363,11 @@ local function move_of(self, from, label)
   return move
 end
 
---- Return the shortest run to a configuration, and on by a move; with `stays` on to
---- where `must_reach` has found last that a run may stay.
+--- Return the shortest run to a configuration, and if given a move from there, and the
+--- way on to where the run may stay.
 ---@param number integer
 ---@param label string? of a move from there
----@param stays integer? target of that move
+---@param stays integer? target of that move, if a run that stays is shown
 ---@return rfsm.system.Move[] witness
 function Product:witness(number, label, stays)
   local way, moves = explore.way_to(self, number, label), {}

@@ -1,6 +1,6 @@
 --- Reports: what the products of a system show, and which properties hold.
 --
--- Machines that no wire and no property joins are explored apart.
+-- Groups of machines that neither a wire nor a property joins are explored one by one.
 --
 -- @module rfsm.system.report
 -- @license BSD-3-Clause
@@ -36,22 +36,23 @@ report.OF_MACHINE = { "alphabet", "complementary", "dry_run", "exclusive", "flag
 
 local OF_SYSTEM = { "configurations", "depth", "progress", "properties", "seconds" }
 
---- What is known of a system; `tostring` of it is a text.
+--- What is known of a system; `tostring` of it is the report as a text.
 ---@class rfsm.system.Report
 ---@field configurations integer
 ---@field walks rfsm.system.Product[]
----@field steps integer that the engine took
+---@field steps integer steps that the engine took
 ---@field findings rfsm_checks.Finding[] with field `witness`
 ---@field properties { name: string, holds: boolean|nil, vacuous?: string }[]
 ---@field premises string[]
----@field bound string? what was hit first
----@field untried string[]
+---@field bound string? the first bound that was hit
+---@field untried string[] what was not tried, as texts
 local Report = {}
 Report.__index = Report
 
 -- Properties ........................................................................
 
--- Lists the machines that a property names; all for a function, which may ask for any.
+-- Lists the machines that a property names; all if it has a function, which may ask for
+-- any of them.
 local function machines_in(cell, property)
   local names = {}
   for _, field in ipairs { "what", "goal", "event" } do
@@ -90,13 +91,14 @@ end
 
 -- Findings ..........................................................................
 
--- Adds a finding with the run to a configuration `at`, and on by a move.
+-- Adds a finding with the run to a configuration, `shown.at`, and the moves from there.
 local function add_run(walk, findings, code, path, text, shown, where)
   local finding = findings:add(code, nil, path, text, nil, where)
   if finding then finding.witness = walk:witness(shown.at, shown.label, shown.tgt) end
 end
 
--- Does a machine wait: is it not entered, or is a leaf not an end that events leave?
+-- Does a machine wait for an event? It does if it was not entered, or an event can have
+-- an effect in one of its leaves which is not an end.
 local function is_waiting(member, conf)
   for i, part in ipairs(member.subject.parts) do
     local leaf = conf[i].leaf
@@ -133,7 +135,8 @@ local function takes(member, event)
     or match.has(alphabet.of_all(member.subject.parts[1].fsm).reactions, event)
 end
 
--- Finds what a wire loses, and what is never in it or never taken.
+-- Finds out whether a wire may lose an event, never carries one, or carries one that
+-- its reader never takes.
 local function find_in_wire(walk, wire, findings)
   local place = wire_text(wire)
   local where = wire.location ~= "" and wire.location .. ": " or ""
@@ -150,7 +153,8 @@ local function find_in_wire(walk, wire, findings)
   end
 end
 
--- Explores a chart alone. Returns the states that it does not reach, or nil.
+-- Explores a chart alone, so that all of its events may come. Returns the set of states
+-- that are not reached; nil if a bound was hit.
 local function unreached_alone(member, model, settings, bounds)
   local own = { timers = "free", configurations = bounds.configurations,
     seconds = bounds.seconds }
@@ -179,7 +183,8 @@ end
 
 -- The whole .........................................................................
 
--- Returns for each machine a group: the same for those that wires or properties join.
+-- Returns a group for each machine, named after one of its machines. Machines that a
+-- wire or property joins are in the same group.
 local function groups_of(cell, list)
   local group_of = {}
   for _, name in ipairs(cell.names) do group_of[name] = name end
@@ -258,7 +263,8 @@ local function read_settings(cell, given)
   return settings
 end
 
--- Lists the products of the groups of machines; and by the name of the group.
+-- Returns the products of the groups of machines, in a list and by the name of the
+-- group.
 local function walks_of(cell, group_of, settings)
   local walks, by_group = {}, {}
   for _, name in ipairs(cell.names) do
