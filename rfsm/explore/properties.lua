@@ -227,6 +227,8 @@ end
 ---@field at? integer configuration that shows that it does not hold
 ---@field label? string of the step from there that shows it
 ---@field tgt? integer where that step leads, of `after`
+---@field owed? table<integer, table> of `after`: for each configuration the first step
+-- with the event that leads there
 
 --- List properties with their names, sorted.
 ---@param where string who is called, for errors
@@ -321,7 +323,7 @@ function kinds.after.judge(walk, judged)
     judged.vacuous = "no transition takes " .. event
   end
   for number = 1, #walk.keys do
-    local step = walk.owed[judged][number]
+    local step = judged.owed[number]
     local is_known = number <= walk.expanded or not walk.bound
     if step and is_known and not set[number]
       and (not judged.at or step.from < judged.at) then
@@ -375,7 +377,7 @@ local function watch_steps(walk, afters)
   function walk.look(_, from, tgt, _, label)
     if not own.parts[1].position.leaf then return end -- before the first entry
     for _, judged in ipairs(afters) do
-      local owed, event = walk.owed[judged], judged.property.event
+      local owed, event = judged.owed, judged.property.event
       if own.wanted[event] then
         judged.has_come = true
         judged.is_taken = judged.is_taken or properties.is_taken(own, event)
@@ -416,13 +418,12 @@ end
 ---@param list rfsm_checks.Judged[]
 function properties.watch(walk, list)
   local afters = {}
-  walk.owed = {}
   for _, judged in ipairs(list) do
     local is_after = judged.property.kind == "after"
     if is_after and not walk.options.together then walk.together = 2 end
     if is_after and judged.way == walk.way then
       want_event(walk, judged)
-      afters[#afters + 1], walk.owed[judged] = judged, {}
+      afters[#afters + 1], judged.owed = judged, {}
     end
   end
   if afters[1] then watch_steps(walk, afters) end

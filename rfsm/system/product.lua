@@ -213,7 +213,7 @@ local function note_move(self, move, member, outcome, sent)
       moment = { member = member, moment = moment, number = move.from } }
   end
   for _, judged in ipairs(self.afters) do
-    local is_taken, owed = outcome.came[judged.event], self.owed[judged]
+    local is_taken, owed = outcome.came[judged.event], judged.owed
     if judged.member == member and is_taken ~= nil then
       judged.has_come, judged.is_taken = true, judged.is_taken or is_taken
       owed[move.tgt] = owed[move.tgt] or move
@@ -417,7 +417,7 @@ function product.new(cell, group_of, group, settings)
   local self = setmetatable({ members = {}, wires = {}, keys = {}, numbers = {},
     from = {}, labels = {}, first = {}, steps = {}, movers = {}, step_labels = {},
     expanded = 0, depth = 0, level_end = 1, stuck = {}, passed = {}, lost = {},
-    carries = {}, afters = {}, owed = {}, untried = {}, unsure = {}, cut = {},
+    carries = {}, afters = {}, untried = {}, unsure = {}, cut = {},
     monitor = false, bound = nil, is_partial = false }, Product)
   self.subject = self
   for _, wire in ipairs(cell.wires) do

@@ -76,7 +76,7 @@ local function watch_event(walk, judged)
   end
   judged.member, judged.event = member, event
   member.wanted[#member.wanted + 1], own.wanted[event] = event, false
-  walk.afters[#walk.afters + 1], walk.owed[judged] = judged, {}
+  walk.afters[#walk.afters + 1], judged.owed = judged, {}
 end
 
 -- Has a product judge a property. Raises an error if it cannot.
