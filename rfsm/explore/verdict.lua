@@ -380,6 +380,14 @@ local function note_bound(result, walk)
   end
 end
 
+-- Returns the reason why a property is not known though everything was tried; the empty
+-- text if there is none.
+local function reason_of(walk, judged)
+  if not judged.is_open then return "" end
+  return walk.subject.free["sends with a delay"] and ", sends with a delay are free"
+    or ", it depends on when timers expire"
+end
+
 -- Judges a property on its walk, and adds a finding if it does not hold. Returns what
 -- is known of it.
 local function judge(result, judged, options)
@@ -389,13 +397,12 @@ local function judge(result, judged, options)
   if judged.holds == nil then note_bound(result, walk) end
   if judged.holds == false then
     witness.rests = judged.rests
-    result.findings:add("violated", nil, judged.name, "does not hold").witness = witness
+    local finding = result.findings:add("violated", nil, judged.name, "does not hold")
+    if finding then finding.witness = witness end -- nil: the property is given twice
   end
   return { name = judged.name, holds = judged.holds,
     vacuous = judged.holds and judged.vacuous or nil, witness = witness,
-    reason = not judged.is_open and ""
-      or walk.subject.free["sends with a delay"] and ", sends with a delay are free"
-      or ", it depends on when timers expire",
+    reason = reason_of(walk, judged),
     premises = premises_of({ walk }, options)
       .. (monitors.kinds[judged.property.kind].owes and "; doos end" or "") }
 end
