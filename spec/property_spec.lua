@@ -148,6 +148,9 @@ describe("a property of runs", function()
       { f = function() return (until_("root.a", 7)) end,
         text = "rfsm_checks.until_: path of a state, name of a flag, list of them or "
           .. "function expected, got number" },
+      { f = function() return (until_(nil, "root.a")) end,
+        text = "rfsm_checks.until_: path of a state, name of a flag, list of them or "
+          .. "function expected, got nil" },
     }
     for _, case in ipairs(CASES_OF_ERRORS) do
       local ok, text = pcall(case.f)

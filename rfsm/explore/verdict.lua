@@ -372,11 +372,8 @@ end
 
 -- Notes in a result what a walk has not tried.
 local function note_bound(result, walk)
-  result.bound = result.bound or walk.bound
   for _, text in ipairs(walk.untried) do
-    if not match.has(result.untried, text) then
-      result.untried[#result.untried + 1] = text
-    end
+    explore.note_untried(result, walk.bound, text)
   end
 end
 
