@@ -100,7 +100,8 @@ local function text_of(outcome)
   return concat(texts, " ")
 end
 
--- Adds the outcome of the last step, unless it is there.
+-- Adds the outcome of the last step, unless it is there. The step had as many events
+-- from wires as `count`.
 local function add_outcome(member, list, try, key, label, count)
   if not key then
     return member:note_untried("endless", "a step that does not end")
@@ -380,7 +381,8 @@ end
 
 local EMITS = "events that the %s may emit, which sends does not name"
 
--- Adds a machine.
+-- Adds a machine. To its subject an event that comes by wires alone is one that has a
+-- maker, so that its walk does not have it come from outside.
 local function add_member(self, cell, name, options)
   local member = explore.new(cell.models[name], options)
   local own, maker_of = member.subject, member.subject.maker_of
