@@ -9,6 +9,7 @@
 
 local rfsm = require "rfsm"
 local description = require "rfsm.system.description"
+local order = require "rfsm.shared.order"
 local search = require "rfsm.shared.search"
 local wires = require "rfsm.system.wires"
 
@@ -105,22 +106,16 @@ end
 
 -- Returns the names in the order of the next step.
 local function order_of(self)
-  local order = {}
+  local names = {}
   for i, name in ipairs(self.names) do
     local at = self.state and draw(self, i) or i
-    order[i] = order[at]
-    order[at] = name
+    names[i] = names[at]
+    names[at] = name
   end
-  return order
+  return names
 end
 
--- Does nothing wait in wires?
-local function is_empty(queues)
-  for _, queue in ipairs(queues) do
-    if queue[1] ~= nil then return false end
-  end
-  return true
-end
+local function has_event(queue) return queue[1] ~= nil end
 
 --- Have each machine move once.
 ---@param watch? fun(name: string, came: any[], by: rfsm.system.Wire[]) called after
@@ -133,7 +128,7 @@ function System:step(watch)
     if watch then watch(name, came, by) end
     are_idle = are_idle and is_idle
   end
-  return are_idle and is_empty(self.queues)
+  return are_idle and not order.any(self.queues, has_event)
 end
 
 --- Step until nothing is left to do.
