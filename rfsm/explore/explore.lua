@@ -141,7 +141,6 @@ end
 
 --- Return the number of a configuration that is there: of the same key, or of one whose
 --- clocks may have all values that they have here, and more.
----@param key string
 ---@return integer? number
 ---@return integer[]? kin without one: those that differ in these values alone
 function Walk:find_known(key)
@@ -158,11 +157,8 @@ function Walk:find_known(key)
   return nil, kin[name]
 end
 
---- Return the number of a configuration; a new one is to be looked at later.
----@param key string
----@param from integer where the step has begun that leads to it
----@param label fun(): string of that step
----@return integer number
+--- Return the number of a configuration to which a step from `from` has led; a new one
+--- is to be looked at later.
 function Walk:find_configuration(key, from, label)
   local number, kin = self:find_known(key)
   if number then return number end
@@ -196,8 +192,6 @@ end
 -- Steps .............................................................................
 
 --- Note that something was not tried, so that what was not found is not known.
----@param bound string what was hit
----@param text string
 function Walk:note_untried(bound, text)
   self.bound = self.bound or bound
   if not match.has(self.untried, text) then

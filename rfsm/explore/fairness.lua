@@ -50,8 +50,7 @@ end
 ---@field entered table<table, boolean> states that it enters; and the clocks of events
 -- that were sent later and come in this step or are dropped by it
 
--- Notes the clocks of events that were sent later and come in a step or are dropped by
--- it.
+-- Notes the clocks of events that were sent later and come in a step or are dropped.
 local function note_later(walk, try, entered)
   for i, entry in ipairs(try.group and try.conf.context.time.entries or {}) do
     local later = entry.clock.later

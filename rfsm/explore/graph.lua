@@ -20,8 +20,7 @@ function graph.each_step(walk, number, f)
   end
 end
 
--- Calls f(from, tgt) for each step; if `is_internal`, for those without events from
--- outside.
+-- Calls f(from, tgt) for each step, or for those without events from outside alone.
 local function each_edge(walk, is_internal, f)
   for from = 1, walk.expanded do
     for at = walk.first[from], walk.first[from + 1] - 1 do
@@ -31,9 +30,8 @@ local function each_edge(walk, is_internal, f)
   end
 end
 
--- Returns a list that has the configurations from which steps lead to configuration 1,
--- then those from which they lead to 2, and so on; and for each the position before its
--- first.
+-- Returns a list of the configurations from which steps lead to configuration 1, then
+-- to 2, and so on; and for each of these the position before the first one.
 local function reverse(walk, is_internal)
   local list, before, count = {}, { 0 }, #walk.keys
   for number = 1, count do before[number + 1] = 0 end
@@ -48,8 +46,7 @@ local function reverse(walk, is_internal)
 end
 
 -- Returns a set that begins with the goals. For each step that leads into the set,
--- `joins(from, tgt, set)` decides whether the configuration where it begins joins the
--- set.
+-- joins(from, tgt, set) decides whether the configuration `from` is added.
 local function spread(walk, goals, is_internal, joins)
   local set, pending, list, before = {}, {}, reverse(walk, is_internal)
   for number = 1, #walk.keys do
@@ -131,9 +128,8 @@ function graph.must_reach(walk, goals)
   end)
 end
 
--- Begins to visit a configuration in Tarjan's search for strongly connected components.
--- There are two stacks: the configurations that are being visited, and for each the
--- position of its next step.
+-- Tarjan's search for strongly connected components has two stacks: the configurations
+-- that are being visited, and for each of them the position of its next step.
 local function visit(walk, search, number)
   local depth = #search.visits + 1
   search.count = search.count + 1

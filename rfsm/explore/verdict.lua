@@ -103,8 +103,7 @@ local function entered_by(tr)
   return rfsm.is_conn(tgt) and tgt._id == "initial" and tgt._parent or tgt
 end
 
--- Returns the text about timers of the first transition into a state that has one; the
--- empty text if none has.
+-- Returns the first `timer_text` of the transitions into a state that is not empty.
 local function timers_text(walk, state)
   for _, entry in ipairs(walk.subject.transitions) do
     local text = entered_by(entry.tr) == state and timer_text(walk, entry) or ""
@@ -172,8 +171,7 @@ local function leaves_of(walk, number)
   return leaves, concat(paths, ", "), are_final
 end
 
--- Appends a finding with the run that leads to a configuration, and if `label` is given
--- with the step from there that it stands for.
+-- Appends a finding with the run to a configuration, and the step from there, if given.
 local function add_run(walk, findings, code, state, path, text, number, label)
   local finding = findings:add(code, state, path, text)
   if finding then finding.witness = walk:witness(number, label) end
@@ -202,8 +200,7 @@ local function add_dead_end(walk, findings, number)
 end
 
 -- Finds configurations in which nothing happens any more, one for each set of leaves.
--- If regions are explored one by one, all walks must have one with the same leaf of the
--- machine itself: otherwise something happens in another region.
+-- All walks must have one with that leaf, or something happens in another region.
 local function find_dead_ends(walks, findings)
   local are_stuck = {}
   for i, walk in ipairs(walks) do
@@ -219,8 +216,7 @@ local function find_dead_ends(walks, findings)
   end
 end
 
--- Finds a configuration from which `run` never ends, since an event waits after each
--- step.
+-- Finds a configuration from which `run` never ends: an event waits after each step.
 local function find_endless(walk, findings)
   local is_idle, are_idle, step = {}, true, walk.endless
   for number = 1, #walk.keys do
@@ -336,8 +332,7 @@ end
 
 local NUMBERS = { "one event", "two events", "three events" }
 
--- Returns a text for what is free, that is whose answers are all tried, as they are not
--- known: "guards and doos".
+-- Returns a text for what is free, as all answers are tried: "guards and doos".
 local function free_text(free)
   local names = rfsm.sorted_keys(free)
   local last = remove(names)
@@ -377,16 +372,14 @@ local function note_bound(result, walk)
   end
 end
 
--- Returns the reason why a property is not known though everything was tried; the empty
--- text if there is none.
+-- Returns why a property is not known though everything was tried; else the empty text.
 local function reason_of(walk, judged)
   if not judged.is_open then return "" end
   return walk.subject.free["sends with a delay"] and ", sends with a delay are free"
     or ", it depends on when timers expire"
 end
 
--- Judges a property on its walk, and adds a finding if it does not hold. Returns what
--- is known of it.
+-- Judges a property on its walk. Returns the verdict; a violation is also a finding.
 local function judge(result, judged, options)
   local walk = judged.walk
   properties.judge(walk, judged)

@@ -1,7 +1,6 @@
 --- Descriptions: the table from which a system is made, checked whole.
 --
--- Each function that checks appends the problems to a list and raises no error. No
--- callback runs.
+-- Functions that check append problems to a list and raise no error. No callback runs.
 --
 -- @module rfsm.system.description
 -- @license BSD-3-Clause
@@ -61,8 +60,7 @@ local function note_wires(lines, text, at, list)
   for i = 1, wires and #found == #list and #list or 0 do lines[i] = found[i] end
 end
 
--- Notes the lines of fields, and reports a name that stands twice, since of two fields
--- with the same name Lua keeps the last one.
+-- Notes the lines of fields, and reports names that stand twice: Lua keeps the last.
 local function note_fields(draft, text, at, fields)
   local lines = draft.lines
   for offset, name in fields:gmatch("()%f[%w_]([%a_][%w_]*)%s*=%f[^=]") do
@@ -153,8 +151,7 @@ end
 
 local NEEDED = { "from", "event", "to" }
 
--- Returns a wire, with defaults for fields that are not given. Wrong fields are
--- reported and left out.
+-- Returns a wire with its defaults. Wrong fields are reported and left out.
 local function read_wire(report, fields, given)
   local wire = opts.read(fields, {})
   for _, name in ipairs(rfsm.sorted_keys(given)) do

@@ -1,11 +1,9 @@
 --- Products: the configurations that the machines of a system reach together.
 --
 -- In a move a machine reads its wires and takes one step with the events that it has
--- read and at most one event from outside. Any machine may move at any time. The engine
--- takes the step once for each configuration of the machine and each list of events
--- that it has read, and the outcomes are kept. Each machine has a walk
--- (`rfsm.explore.explore`) for its configurations and steps, but only the product
--- walks.
+-- read and at most one event from outside. Any machine may move at any time. Each
+-- machine has a walk (`rfsm.explore.explore`), by which the engine takes a step once
+-- for each configuration and list of events that were read. The outcomes are kept.
 --
 -- A product has the fields of a walk that graphs and properties read.
 --

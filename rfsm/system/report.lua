@@ -51,8 +51,7 @@ Report.__index = Report
 
 -- Properties ........................................................................
 
--- Lists the machines that a property names; all if it has a function, which may ask for
--- any of them.
+-- Lists the machines that a property names; a function may ask for any of them.
 local function machines_in(cell, property)
   local names = {}
   for _, field in ipairs { "what", "goal", "event" } do
@@ -135,8 +134,7 @@ local function takes(member, event)
     or match.has(alphabet.of_all(member.subject.parts[1].fsm).reactions, event)
 end
 
--- Finds out whether a wire may lose an event, never carries one, or carries one that
--- its reader never takes.
+-- Finds that a wire can lose its event, never carries it, or that nobody takes it.
 local function find_in_wire(walk, wire, findings)
   local place = wire_text(wire)
   local where = wire.location ~= "" and wire.location .. ": " or ""
@@ -153,8 +151,7 @@ local function find_in_wire(walk, wire, findings)
   end
 end
 
--- Explores a chart alone, so that all of its events may come. Returns the set of states
--- that are not reached; nil if a bound was hit.
+-- Explores a chart alone. Returns the set of unreached states; nil if a bound was hit.
 local function unreached_alone(member, model, settings, bounds)
   local own = { timers = "free", configurations = bounds.configurations,
     seconds = bounds.seconds }
@@ -183,8 +180,7 @@ end
 
 -- The whole .........................................................................
 
--- Returns a group for each machine, named after one of its machines. Machines that a
--- wire or property joins are in the same group.
+-- Returns a group for each machine: the same if a wire or property joins two of them.
 local function groups_of(cell, list)
   local group_of = {}
   for _, name in ipairs(cell.names) do group_of[name] = name end
@@ -263,8 +259,7 @@ local function read_settings(cell, given)
   return settings
 end
 
--- Returns the products of the groups of machines, in a list and by the name of the
--- group.
+-- Returns the products of the groups of machines, in a list and by group.
 local function walks_of(cell, group_of, settings)
   local walks, by_group = {}, {}
   for _, name in ipairs(cell.names) do
