@@ -9,6 +9,7 @@
 
 local rfsm = require "rfsm"
 local description = require "rfsm.system.description"
+local order = require "rfsm.shared.order"
 local search = require "rfsm.shared.search"
 local wires = require "rfsm.system.wires"
 
@@ -24,12 +25,12 @@ local system = {}
 ---@class rfsm.System
 ---@field names string[] of the machines, in the order in which they move
 ---@field models table<string, rfsm.State>
----@field machines table<string, rfsm.Machine> made when they are first asked for
+---@field machines table<string, rfsm.Machine> made when this field is first read
 ---@field wires rfsm.system.Wire[]
----@field queues any[][] what waits in each wire, the oldest first
+---@field queues any[][] for each wire the events that wait in it, the oldest first
 ---@field lost integer[] how many events each wire has lost, because it was full
----@field file string? that describes it
----@field state number|false of the random order
+---@field file string? the file that describes the system
+---@field state number|false of the random numbers for the order; false: a fixed order
 local System = {}
 
 -- Raises an error that blames the caller of a method.
@@ -41,7 +42,7 @@ end
 
 local function is_number(x) return type(x) == "number" and x - x == 0 end
 
--- Puts what a machine emits into its wires.
+-- Puts an event that a machine emits into each wire that carries it.
 local function emit(self, from, name, data)
   for i, wire in ipairs(self.wires) do
     if wire.from == from and wire.event == name
@@ -51,7 +52,7 @@ local function emit(self, from, name, data)
   end
 end
 
--- Makes the machines when they are first asked for.
+-- Makes the machines when the field `machines` is first read.
 function System:__index(key)
   if key ~= "machines" then return System[key] end
   local machines = {}
@@ -73,8 +74,8 @@ end
 ---@param name string
 ---@param events? any[] events from outside, which come behind those of the wires
 ---@return boolean idle as `rfsm.step`
----@return any[] came from the wires and from outside
----@return rfsm.system.Wire[] by the wires of the first ones
+---@return any[] came the events from the wires, then those from outside
+---@return rfsm.system.Wire[] by for each event from a wire this wire
 function System:move(name, events)
   local is_name, problem = description.is_name(self.models, name)
   if not is_name then error("rfsm.system.move: " .. problem, 2) end
@@ -95,8 +96,8 @@ local function draw(self, n)
   return floor(self.state / 2147483647 * n) + 1
 end
 
---- Have the machines move in a random order, another one in each step; without a seed,
--- in the fixed order again.
+--- Have the machines move in another random order in each step; without a seed, in the
+--- fixed order again.
 ---@param seed? integer
 function System:shuffle(seed)
   check(seed == nil or is_number(seed), "shuffle", "number", seed)
@@ -105,25 +106,20 @@ end
 
 -- Returns the names in the order of the next step.
 local function order_of(self)
-  local order = {}
+  local names = {}
   for i, name in ipairs(self.names) do
     local at = self.state and draw(self, i) or i
-    order[i] = order[at]
-    order[at] = name
+    names[i] = names[at]
+    names[at] = name
   end
-  return order
+  return names
 end
 
--- Does nothing wait in wires?
-local function is_empty(queues)
-  for _, queue in ipairs(queues) do
-    if queue[1] ~= nil then return false end
-  end
-  return true
-end
+local function has_event(queue) return queue[1] ~= nil end
 
 --- Have each machine move once.
----@param watch? fun(name: string, came: any[], by: rfsm.system.Wire[]) behind each move
+---@param watch? fun(name: string, came: any[], by: rfsm.system.Wire[]) called after
+-- each move, with its results
 ---@return boolean idle true if no machine has anything left to do, and no event waits
 function System:step(watch)
   local are_idle = true
@@ -132,12 +128,12 @@ function System:step(watch)
     if watch then watch(name, came, by) end
     are_idle = are_idle and is_idle
   end
-  return are_idle and is_empty(self.queues)
+  return are_idle and not order.any(self.queues, has_event)
 end
 
 --- Step until nothing is left to do.
 ---@param most? integer steps, default no bound
----@return boolean idle false if the bound was hit
+---@return boolean idle false if so many steps did not suffice
 function System:run(most)
   check(most == nil or is_number(most), "run", "number of steps", most)
   for _ = 1, most or huge do
@@ -177,14 +173,16 @@ function system.is_system(value) return getmetatable(value) == System end
 -- The files that `load` is reading, the innermost last.
 local loading = {}
 
--- Returns the file that is being loaded, or the one that calls a function of this
--- module. A file that ends with `return system {...}`, a tail call, has left the stack.
+-- Returns the file that is being loaded; if there is none, the file that calls a
+-- function of this module. The stack alone would not do: `return system {...}` is a
+-- tail call.
 local function calling_file()
   local info = getinfo and getinfo(3, "S")
   return loading[#loading] or info and info.source:match("^@(.*)")
 end
 
--- Returns the path of a file beside the one that calls. The tools look there anyway.
+-- Returns the path of a file in the folder of the file that calls, if it is there.
+-- While a tool loads charts, that folder is searched anyway.
 local function beside(file, caller)
   local folder = caller and caller:match("^.*/") or ""
   local is_tools = caller and search.world_of("@" .. caller)
@@ -208,7 +206,7 @@ function system.load(file)
 end
 
 -- Makes a system: `system { arm = model, wires = { ... } }`. Raises an error with all
--- that is wrong, before anything runs.
+-- problems of the description, before anything runs.
 local function new(_, given)
   local self, text = description.read(given, calling_file())
   if not self then error(text, 0) end

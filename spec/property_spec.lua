@@ -116,6 +116,16 @@ describe("a property of runs", function()
       { configurations = 2 }))
   end)
 
+  it("may be given twice, without names: one finding", function()
+    local never = rfsm_checks.never
+    local result = rfsm_checks.explore(chart {}, {
+      properties = { never "root.b", never "root.b" } })
+    assert.equal(1, #result.findings)
+    assert.equal("never root.b", result.findings[1].place)
+    assert.is_false(result.properties[1].holds)
+    assert.is_false(result.properties[2].holds)
+  end)
+
   it("has a text", function()
     assert.equal("after e_x leads to root.a", tostring(after "e_x".leads_to "root.a"))
     assert.equal("after e_x never root.a", tostring(after "e_x".never "root.a"))
@@ -138,6 +148,9 @@ describe("a property of runs", function()
       { f = function() return (until_("root.a", 7)) end,
         text = "rfsm_checks.until_: path of a state, name of a flag, list of them or "
           .. "function expected, got number" },
+      { f = function() return (until_(nil, "root.a")) end,
+        text = "rfsm_checks.until_: path of a state, name of a flag, list of them or "
+          .. "function expected, got nil" },
     }
     for _, case in ipairs(CASES_OF_ERRORS) do
       local ok, text = pcall(case.f)

@@ -190,6 +190,7 @@ describe("cell:explore", function()
     assert.is_nil(unknown.properties[1].holds)
     assert.same({ "left: events that the effect root.trans[2] may emit, which sends "
       .. "does not name" }, unknown.untried)
+    assert.equal("emits", unknown.bound)
   end)
 
   it("gives an event with data to predicates alone", function()
@@ -223,6 +224,19 @@ describe("cell:explore", function()
     assert.is_false(holds { "e_x" })
   end)
 
+  it("joins events of a wire and from outside on a path through connectors", function()
+    local function holds(alphabet)
+      local right = chart(go("a", "k", "e_x"), go("k", "l", "e_y"), go("l", "b", "e_z"))
+      right.k, right.l = rfsm.conn {}, rfsm.conn {}
+      return explored({ left = chart(go("a", "b", "e_go", "e_x")), right = right },
+        { "left e_x right" }, { machines = { right = { alphabet = alphabet } },
+          properties = { never "right: root.b" } }).properties[1].holds
+    end
+    assert.is_false(holds())
+    assert.is_false(holds { "e_y", "e_z" })
+    assert.is_true(holds { "e_y" })
+  end)
+
   it("has timers expire any time, and knows no events that are sent later", function()
     local function found(item)
       local sends = { ["effect root.trans[3]"] = { item } }
@@ -233,8 +247,9 @@ describe("cell:explore", function()
           properties = { never { "left: root.b", "right: root.b" } } })
     end
     assert.is_false(found("e_y").properties[1].holds)
-    assert.same({ "left: events that are sent later" },
-      found({ "e_y", after = 1 }).untried)
+    local late = found { "e_y", after = 1 }
+    assert.same({ "pending", "left: events that are sent later" },
+      { late.bound, late.untried[1] })
   end)
 
   it("says that a bound was hit", function()

@@ -1,5 +1,5 @@
---- `rfsm sim` of a system: its machines side by side, what waits in the wires, and the
---- way back over all of them.
+--- `rfsm sim` of a system: shows its machines and what waits in the wires, and goes
+--- back over all of them together.
 --
 -- @module rfsm.cli.side_by_side
 -- @license BSD-3-Clause
@@ -20,15 +20,17 @@ local concat = table.concat
 
 local side_by_side = {}
 
---- A system and its prompt, in place of a session.
+--- A system and its prompt. It has the fields and methods of a session of the simulator
+--- that the prompt uses.
 ---@class rfsm.cli.Side
 ---@field cell rfsm.System
 ---@field fsm rfsm.Machine the first one
----@field history rfsm.observe.Rewind of that one, with the others and the wires
+---@field history rfsm.observe.Rewind of the first machine; its places also have
+-- snapshots of the other machines and of the wires
 local Side = { check_event = session.check_event }
 Side.__index = Side
 
--- What the prompt asks of a session -------------------------------------------------
+-- Methods that the prompt calls, as those of a session ------------------------------
 
 local function leaf_of(fsm) return rfsm.get_actleaf_fqn(fsm) or "<none>" end
 
@@ -47,7 +49,7 @@ function Side:show()
   end
 end
 
--- Prints what a machine got in a move, and where that has led.
+-- Prints the events that a machine got in a move, and the leaf to which they have led.
 local function print_move(cell, name, came, by)
   local fsm, got = cell.machines[name], {}
   for i, event in ipairs(came) do
@@ -61,6 +63,7 @@ end
 
 -- Has one machine move, with events from outside.
 function Side:move(name, events)
+  history.mark(self)
   print_move(self.cell, name, select(2, self.cell:move(name, events)))
 end
 
@@ -80,21 +83,19 @@ function Side.guard_doos() return function() end end
 
 function Side.set_dry() common.fail("--dry is for a chart, not for a system", 2) end
 
---- Take the moves of a witness; return how many.
+--- Take the moves of a witness in a file; return their number, and a problem if there
+--- is none.
 function Side:replay(file)
   local text, problem = files.read(file)
   if not text then error(problem, 0) end
   local moves = require("rfsm.system.sequence").read(text)
-  for _, each in ipairs(moves) do
-    history.mark(self)
-    self:move(each.machine, each.events)
-  end
+  for _, each in ipairs(moves) do self:move(each.machine, each.events) end
   return #moves, not moves[1] and "no line is a move" or nil
 end
 
 -- Commands --------------------------------------------------------------------------
 
--- Returns a command; without `run` it does what it does for a chart.
+-- Returns a command; without `run` it is the command of this name for charts.
 local function command(usage, brief, run, fsm)
   local name = usage:match("^[%w_]+")
   return { name = name, usage = usage, brief = brief, fsm = fsm,
@@ -119,7 +120,6 @@ local function machine_command(name, fsm)
   return command(name .. " [events]", "one machine moves, with events from outside",
     function(self, ...)
       for i, event in ipairs { ... } do self:check_event(event, i, fsm) end
-      history.mark(self)
       self:move(name, { ... })
       self:show()
     end, fsm)

@@ -82,7 +82,7 @@ local explore = {}
 ---@field passed rfsm_checks.Passed[] moments of steps, each once
 ---@field count integer how many steps were run
 ---@field wanted any[] events that properties look at
----@field monitored rfsm_checks.Judged[] the property whose monitor runs along, if any
+---@field monitor rfsm_checks.Judged|false the property whose monitor runs along
 ---@field contexts table[] by the number in a key: `state` of the monitor, `time`; a
 -- walk without monitor and clocks has none
 ---@field context_ids table<string, integer> these numbers, by the text of a context
@@ -125,7 +125,7 @@ end
 -- Returns the key of a configuration: that of the subject, behind the number of the
 -- context.
 local function in_context(walk, key, state, time)
-  if not (walk.timing or walk.monitored[1]) then return key end
+  if not (walk.monitor or walk.timing) then return key end
   local text = state .. (time and "@" .. time.text or "")
   local id = walk.context_ids[text]
   if not id then
@@ -135,40 +135,39 @@ local function in_context(walk, key, state, time)
   return id .. "|" .. key
 end
 
---- Does an event wait in the machine itself, so that `rfsm.run` would go on?
-function Walk:is_driven(number) return subject.is_driven(self:configuration(number)) end
-
 --- Is the machine entered in some configuration of the walk?
 ---@return boolean
 function Walk:is_entered()
   return any(self.subject.parts[1].positions, function(at) return at.leaf end)
 end
 
--- Returns the number of a known configuration with the same key, or of one that differs
--- in its times alone and whose zone of times includes that of the key. If there is
--- none, the second result lists the configurations that differ in their times alone.
-local function find_known(walk, key)
-  if walk.numbers[key] or not walk.timing then return walk.numbers[key] end
+--- Return the number of a known configuration with the same key, or of one that differs
+--- in its times alone and whose zone of times includes that of the key.
+---@return integer? number
+---@return integer[]? kin if there is none: those that differ in their times alone
+function Walk:find_known(key)
+  if self.numbers[key] or not self.timing then return self.numbers[key] end
   local id, own = split(key)
-  local context = walk.contexts[id]
-  local time, kin = context.time, walk.kin
+  local context = self.contexts[id]
+  local time, kin = context.time, self.kin
   local name = ("%s@%s|%s"):format(context.state, time.shape, own)
   kin[name] = kin[name] or {}
   for _, number in ipairs(kin[name]) do
-    local other = walk.contexts[split(walk.keys[number])]
+    local other = self.contexts[split(self.keys[number])]
     if zones.includes(other.time.zone, time.zone) then return number end
   end
   return nil, kin[name]
 end
 
--- Returns the number of a configuration. A new one is added, to be expanded later.
-local function find_configuration(walk, key, from, label)
-  local number, kin = find_known(walk, key)
+--- Return the number of a configuration to which a step from `from` has led. A new one
+--- is added, to be expanded later.
+function Walk:find_configuration(key, from, label)
+  local number, kin = self:find_known(key)
   if number then return number end
-  number = #walk.keys + 1
+  number = #self.keys + 1
   if kin then kin[#kin + 1] = number end
-  walk.keys[number], walk.numbers[key] = key, number
-  walk.from[number], walk.labels[number] = from, label()
+  self.keys[number], self.numbers[key] = key, number
+  self.from[number], self.labels[number] = from, label()
   return number
 end
 
@@ -194,15 +193,15 @@ end
 
 -- Steps .............................................................................
 
--- Notes that something was not tried: no finding is then no proof.
-local function note_untried(walk, bound, text)
-  walk.bound = walk.bound or bound
-  if not match.has(walk.untried, text) then
-    walk.untried[#walk.untried + 1] = text
+--- Note that something was not tried: no finding is then no proof.
+function Walk:note_untried(bound, text)
+  self.bound = self.bound or bound
+  if not match.has(self.untried, text) then
+    self.untried[#self.untried + 1] = text
   end
 end
 
-explore.note_untried = note_untried
+explore.note_untried = Walk.note_untried
 
 -- Notes the states that a step has entered and left again.
 local function note_passed(walk, from, tgt, label)
@@ -251,12 +250,12 @@ local function key_after(walk, try, label)
     time, sources = walk.timing:after(context.time, try.group, walk, clocks)
   end
   if time == nil then
-    note_untried(walk, "pending", ("more than %d events that wait to be sent later")
+    walk:note_untried("pending", ("more than %d events that wait to be sent later")
       :format(walk.options.pending))
     walk.cut[try.from] = true
     return nil, sources
   elseif problem then
-    note_untried(walk, "values", problem)
+    walk:note_untried("values", problem)
     return nil, sources
   end
   return in_context(walk, key, state, time), sources
@@ -280,7 +279,7 @@ local function note_step(walk, try, key, label)
     walk.endless = walk.endless or { from = from, label = label() }
     return
   end
-  local tgt = find_configuration(walk, key, from, label)
+  local tgt = walk:find_configuration(key, from, label)
   add_step(walk, try, tgt)
   walk.has_moved = walk.has_moved or tgt ~= from or walk.subject.taken[1] ~= nil
   note_passed(walk, from, tgt, label)
@@ -312,7 +311,7 @@ local function each_set(walk, from, conf, group, sets, f)
       try.is_internal = set[1] == nil and not is_over
       walk.try = try
       local untried = walk.subject:each_choice(conf, try.events, walk, after_choice)
-      if untried then note_untried(walk, "choices", untried) end
+      if untried then walk:note_untried("choices", untried) end
     end
   end
 end
@@ -323,12 +322,12 @@ local NO_GROUP = { false }
 local function groups_of(walk, conf)
   if not walk.timing then return NO_GROUP end
   local groups = walk.timing:groups(conf.context.time, subject.is_driven(conf))
-  if walk.timing.is_cut then note_untried(walk, "sets", "some orders of deadlines") end
+  if walk.timing.is_cut then walk:note_untried("sets", "some orders of deadlines") end
   return groups
 end
 
---- Add the events of properties to a list, unless the machine makes them itself.
-function explore.add_wanted(own, wanted, list)
+-- Adds the events of properties to a list, unless the machine makes them itself.
+local function add_wanted(own, wanted, list)
   for _, event in ipairs(wanted) do
     local occurrence = own:occurrence(own.parts[1], event)
     if not (own:maker_of(event) or match.has(list, occurrence)) then
@@ -337,19 +336,21 @@ function explore.add_wanted(own, wanted, list)
   end
 end
 
--- Takes a step for each set of events and deadlines from a configuration.
-local function each_try(walk, from, f)
+-- Takes a step for each set of events and deadlines from a configuration; if `read` is
+-- given, each behind these events.
+local function each_try(walk, from, f, read)
   local conf = walk:configuration(from)
   local list, needed, is_cut = reactions.that_may_come(walk.subject, conf)
   if is_cut then
-    note_untried(walk, "sets", ("some sets of events that paths from %s need"):format(
+    walk:note_untried("sets", ("some sets of events that paths from %s need"):format(
       conf[1].leaf and conf[1].leaf._fqn or "root.initial"))
   end
-  explore.add_wanted(walk.subject, walk.wanted, list)
+  add_wanted(walk.subject, walk.wanted, list)
   local sets = sets_of(list, walk.together)
   for _, set in ipairs(needed) do
     if #set > walk.together then sets[#sets + 1] = set end
   end
+  for i, set in ipairs(read and sets or {}) do sets[i] = match.joined(read, set) end
   for _, group in ipairs(groups_of(walk, conf)) do
     each_set(walk, from, conf, group, sets, f)
   end
@@ -362,13 +363,12 @@ function Walk.expand(walk, from)
   if not (walk.has_moved or walk.cut[from]) then walk.stuck[#walk.stuck + 1] = from end
 end
 
---- Take all steps from a configuration again, and call f(try, tgt, label) after each.
+--- Take all steps from a configuration, and call f(walk, try, key, label) after each.
 ---@param from integer
----@param f fun(try: rfsm_checks.Try, tgt: integer?, label: fun(): string)
-function Walk:each_step_again(from, f)
-  each_try(self, from, function(_, try, key, label)
-    f(try, key and find_known(self, key), label)
-  end)
+---@param f function as the field `f` of a try
+---@param read? rfsm_checks.Occurrence[] events that come in each step, before others
+function Walk:each_step(from, f, read)
+  each_try(self, from, f, read)
   data.rest(self.subject)
 end
 
@@ -385,14 +385,13 @@ end
 --- Have a walk, or a product of machines, take all steps from each configuration.
 function explore.walk_all(walk, options)
   local at, began = 1, os_clock()
-  local judged = walk.monitored[1] or {}
-  while walk.keys[at] and judged.holds == nil do
+  while walk.keys[at] and not (walk.monitor and walk.monitor.holds ~= nil) do
     if at > walk.level_end then
       walk.depth, walk.level_end = walk.depth + 1, #walk.keys
     end
     local bound = find_bound(walk, options, at, began)
     if bound then
-      note_untried(walk, bound, "what lies behind the bound on " .. bound)
+      walk:note_untried(bound, "what lies behind the bound on " .. bound)
       break
     end
     if options.progress and at % EVERY == 0 then
@@ -446,22 +445,19 @@ local KNOWN = {
   progress = { "function", rfsm.is_callable },
 }
 
---- List the effects of callbacks that an exploration does not follow: targets and data
---- that callbacks may write, and events that callbacks may send later or cancel though
---- the options do not name them.
----@param own rfsm_checks.Subject
----@return string[][] gaps each the name of a bound, and a text
-function explore.gaps(own)
-  local gaps = {}
+-- Notes the effects of callbacks that an exploration does not follow: targets and data
+-- that callbacks may write, and events that callbacks may send later or cancel though
+-- the options do not name them.
+local function note_gaps(walk)
+  local own = walk.subject
   local function add(names, bound, text)
-    for _, name in ipairs(names) do gaps[#gaps + 1] = { bound, text:format(name) } end
+    for _, name in ipairs(names) do walk:note_untried(bound, text:format(name)) end
   end
   add(own.writers, "targets", "targets that the %s may write")
   add(own.data_writers, "values", "data that the %s may write, which is not run")
   add(own.late_senders, "pending", "events that the %s may send later")
   add(own.later[1] and own.cancellers or {}, "pending",
     "events that the %s may cancel")
-  return gaps
 end
 
 --- Return the options of these names with their defaults; nil and the problem if one is
@@ -475,6 +471,34 @@ function explore.settings(options, names, more)
   return opts.read(known, options)
 end
 
+--- Make a walk over the configurations of a model, which has none yet.
+---@param model rfsm.State
+---@param options rfsm_checks.Options
+---@param way? rfsm_checks.Way
+---@return rfsm_checks.Walk walk
+function explore.new(model, options, way)
+  local settings = assert(opts.read(KNOWN, options))
+  local own = subject.new(model, settings, way)
+  local walk = setmetatable({ subject = own, model = model, options = settings,
+    way = way or false, together = settings.together or 1,
+    untried = {}, passed = {},
+    keys = {}, numbers = {}, from = {}, labels = {}, depth = 0, level_end = 1,
+    first = {}, steps = {}, taken = {}, endless = nil,
+    bound = nil, stuck = {}, has_moved = false, count = 0, expanded = 0, wanted = {},
+    monitor = false, contexts = {}, context_ids = {}, kin = {},
+    unsure = {}, cut = {}, timing = false }, Walk)
+  function walk.label() return label_of(walk.try, own.choices, own.asked) end
+  return walk
+end
+
+--- Have a walk begin with the configuration that its subject is in.
+function Walk:begin()
+  note_gaps(self)
+  local key = in_context(self, self.subject:read(), "first",
+    self.timing and self.timing.none)
+  self:find_configuration(key, 0, function() return "" end)
+end
+
 --- Walk over the configurations of a model, without judging them.
 ---@param model rfsm.State
 ---@param options rfsm_checks.Options
@@ -482,28 +506,16 @@ end
 ---@param way? rfsm_checks.Way
 ---@return rfsm_checks.Walk walk
 function explore.walk(model, options, prepare, way)
-  local settings = assert(opts.read(KNOWN, options))
-  local own = subject.new(model, settings, way)
-  local walk = setmetatable({ subject = own, model = model, options = settings,
-    way = way or false, together = settings.together or 1, untried = {}, passed = {},
-    keys = {}, numbers = {}, from = {}, labels = {}, depth = 0, level_end = 1,
-    first = {}, steps = {}, taken = {}, endless = nil, bound = nil, stuck = {},
-    has_moved = false, count = 0, expanded = 0, wanted = {},
-    monitored = {}, contexts = {}, context_ids = {}, kin = {}, unsure = {}, cut = {},
-    timing = false }, Walk)
-  function walk.label() return label_of(walk.try, own.choices, own.asked) end
-  for _, gap in ipairs(explore.gaps(own)) do note_untried(walk, gap[1], gap[2]) end
+  local walk = explore.new(model, options, way)
   if prepare then prepare(walk) end
-  walk.timing = timing.new(walk, settings)
+  walk.timing = timing.new(walk, walk.options)
+  walk.subject.leaves_out = not (walk.timing or walk.subject.notes_events)
+  walk:begin()
   if walk.timing and walk.timing.is_inexact then
-    note_untried(walk, "sets", "the order of times with more than 15 digits")
+    walk:note_untried("sets", "the order of times with more than 15 digits")
   end
-  own.leaves_out = not (walk.timing or own.notes_events)
-  local key = in_context(walk, own:read(), "first",
-    walk.timing and walk.timing.none)
-  find_configuration(walk, key, 0, function() return "" end)
-  explore.walk_all(walk, settings)
-  data.rest(own)
+  explore.walk_all(walk, walk.options)
+  data.rest(walk.subject)
   return walk
 end
 

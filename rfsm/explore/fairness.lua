@@ -1,10 +1,11 @@
---- Fairness: does something come some time, if doos end and time goes on?
+--- Fairness: does a condition hold eventually, if doos end and time goes on?
 --
--- What is owed need not come if some run stays among the configurations that owe it: it
--- rests, or takes the steps of a cycle again and again. A run is fair if each doo ends
--- and each timer expires, unless its state is left before: so somewhere on the cycle a
--- doo or timer is not pending, or its state is entered anew. Nothing is expected of
--- events from outside, or of guards.
+-- A configuration *owes* the condition if a monitor still waits for it. The property
+-- does not hold if some fair run stays among such configurations: it rests in one, or
+-- takes the steps of a cycle again and again. A run is fair if each doo ends and each
+-- timer expires, unless its state is left before: so somewhere on the cycle the doo or
+-- timer is not pending, or its state is entered anew. Events from outside need not
+-- come, and guards may always be false.
 --
 -- @module rfsm.explore.fairness
 -- @license BSD-3-Clause
@@ -19,8 +20,8 @@ local ipairs = ipairs
 
 local fairness = {}
 
--- Returns what is pending in a configuration: state by name, of doos and of timers; and
--- the clock of what is to be sent later.
+-- Returns what is pending in a configuration, by a name: for doos and timers their
+-- state, for events that are sent later their clock.
 local function pending_in(conf)
   local pending = {}
   for _, position in ipairs(conf) do
@@ -46,10 +47,10 @@ end
 ---@field from integer
 ---@field tgt integer
 ---@field label string
----@field entered table<table, boolean> states that it enters; clocks of what was sent
--- later, and comes or is dropped
+---@field entered table<table, boolean> states that it enters; and the clocks of events
+-- that were sent later and come in this step or are dropped by it
 
--- Notes the clocks of what was sent later, and comes in a step or is dropped by it.
+-- Notes the clocks of events that were sent later and come in a step or are dropped.
 local function note_later(walk, try, entered)
   for i, entry in ipairs(try.group and try.conf.context.time.entries or {}) do
     local later = entry.clock.later
@@ -64,7 +65,8 @@ local function edges_between(walk, numbers)
   local edges, is_in = {}, {}
   for _, number in ipairs(numbers) do edges[number], is_in[number] = {}, true end
   for _, number in ipairs(numbers) do
-    walk:each_step_again(number, function(try, tgt, label)
+    walk:each_step(number, function(_, try, key, label)
+      local tgt = key and walk:find_known(key)
       if not is_in[tgt] then return end
       local edge = { from = number, tgt = tgt, label = label(), entered = {} }
       for state in order.each(walk.subject.entered) do -- any order: a set
@@ -77,8 +79,8 @@ local function edges_between(walk, numbers)
   return edges
 end
 
--- Returns the first of some configurations in which nothing is pending, and nothing
--- goes on by itself.
+-- Returns the first of some configurations in which nothing is pending, no event waits,
+-- and no step without events leads elsewhere.
 local function find_rest(walk, numbers)
   for _, number in ipairs(numbers) do
     local conf = walk:configuration(number)
@@ -90,8 +92,8 @@ local function find_rest(walk, numbers)
   end
 end
 
--- Returns the steps between configurations if a fair run takes them again and again:
--- what is pending in all of them is entered anew by some step.
+-- Returns the steps between configurations if a fair run may take them again and again:
+-- each doo or timer that is pending in all configurations is entered anew by some step.
 local function find_fair(walk, numbers)
   local edges, has_edge = edges_between(walk, numbers), false
   local common = pending_in(walk:configuration(numbers[1]))
@@ -129,8 +131,8 @@ local function cycle_from(walk, edges, start)
   return cycle
 end
 
--- Are there times for two rounds of a cycle? A configuration may stand for another one
--- with fewer times, so that there need not be.
+-- Are there times at which two rounds of a cycle can be taken? There may be none, since
+-- a configuration also stands for others whose clocks have fewer values.
 local function has_times(walk, start, cycle)
   return not walk.timing
     or walk:witness(start, nil, match.joined(cycle, cycle))[1].at ~= nil

@@ -20,7 +20,7 @@ function graph.each_step(walk, number, f)
   end
 end
 
--- Calls f(from, tgt) for each step, or those without events from outside alone.
+-- Calls f(from, tgt) for each step, or for those without events from outside alone.
 local function each_edge(walk, is_internal, f)
   for from = 1, walk.expanded do
     for at = walk.first[from], walk.first[from + 1] - 1 do
@@ -30,8 +30,8 @@ local function each_edge(walk, is_internal, f)
   end
 end
 
--- Returns a list of the configurations from which steps lead to the first one, then to
--- the second one, and so on; and for each the position before its own.
+-- Returns a list of the configurations from which steps lead to configuration 1, then
+-- to 2, and so on; and for each of these the position before the first one.
 local function reverse(walk, is_internal)
   local list, before, count = {}, { 0 }, #walk.keys
   for number = 1, count do before[number + 1] = 0 end
@@ -45,8 +45,8 @@ local function reverse(walk, is_internal)
   return list, before
 end
 
--- Returns a set of goals and, while there are some, of predecessors for which
--- `joins(from, tgt, set)` is true. It is asked for each step that leads into the set.
+-- Returns a set that begins with the goals. For each step that leads into the set,
+-- joins(from, tgt, set) decides whether the configuration `from` is added.
 local function spread(walk, goals, is_internal, joins)
   local set, pending, list, before = {}, {}, reverse(walk, is_internal)
   for number = 1, #walk.keys do
@@ -68,13 +68,16 @@ end
 --- Return the set of configurations from which one of `goals` can be reached.
 ---@param goals table<integer, boolean>
 ---@param is_internal boolean? by steps without events from outside
+---@param within? table<integer, boolean> from these alone, and through them
 ---@return table<integer, boolean> set
-function graph.can_reach(walk, goals, is_internal)
-  return spread(walk, goals, is_internal, function() return true end)
+function graph.can_reach(walk, goals, is_internal, within)
+  return spread(walk, goals, is_internal, function(from)
+    return not within or within[from]
+  end)
 end
 
--- Does a step lead into a set whatever the clocks show: one that needs no group of
--- deadlines to be over first, or one for each group that may be?
+-- Does a step lead into a set whatever the clocks show? Some step has to need no group
+-- of deadlines, or for each group that may be over first there has to be a step.
 local function leads_surely(walk, number, set)
   local ways, is_counted, is_sure = 0, {}, false
   graph.each_step(walk, number, function(tgt, _, at)
@@ -100,11 +103,11 @@ function graph.can_surely_reach(walk, goals)
   end)
 end
 
--- Counts the steps without events from outside, but not those of a doo that goes on.
+-- Counts the steps without events from outside. A doo that goes on is none of these.
 local function count_internal(walk, number)
   local count = 0
-  graph.each_step(walk, number, function(tgt, is_own)
-    if is_own and (tgt ~= number or walk:is_driven(number)) then count = count + 1 end
+  graph.each_step(walk, number, function(_, is_internal)
+    if is_internal then count = count + 1 end
   end)
   return count
 end
@@ -115,7 +118,7 @@ end
 ---@return table<integer, boolean> set
 function graph.must_reach(walk, goals)
   local ends, left = {}, {}
-  for number = 1, #walk.keys do -- an unknown step is no fault
+  for number = 1, #walk.keys do -- what was not tried may lead to a goal
     ends[number] = goals[number] or number > walk.expanded or walk.cut[number]
   end
   return spread(walk, ends, true, function(from, tgt)
@@ -125,8 +128,8 @@ function graph.must_reach(walk, goals)
   end)
 end
 
--- Tarjan's search for strongly connected components: the configurations that are
--- visited, and the position of the step that is next in each, are two stacks.
+-- Tarjan's search for strongly connected components has two stacks: the configurations
+-- that are being visited, and for each of them the position of its next step.
 local function visit(walk, search, number)
   local depth = #search.visits + 1
   search.count = search.count + 1
@@ -152,9 +155,9 @@ local function visit_next(walk, search)
   local low, order, depth = search.low, search.order, #search.visits
   local number, at = search.visits[depth], search.at[depth]
   if at < (walk.first[number + 1] or 1) then
-    local tgt = abs(walk.steps[at])
+    local step, tgt = walk.steps[at], abs(walk.steps[at])
     search.at[depth] = at + 1
-    if search.set and not search.set[tgt] then
+    if search.set and not search.set[tgt] or search.is_internal and step > 0 then
       return
     elseif not order[tgt] then
       visit(walk, search, tgt)
@@ -192,24 +195,25 @@ end
 
 -- Does a step lead from a component to another one?
 local function leads_out(walk, component, index_of)
-  local own = index_of[component[1]]
+  local own, is_left = index_of[component[1]], false
   for _, number in ipairs(component) do
-    for at = walk.first[number] or 1, (walk.first[number + 1] or 1) - 1 do
-      if index_of[abs(walk.steps[at])] ~= own then return true end
-    end
+    graph.each_step(walk, number, function(tgt)
+      is_left = is_left or index_of[tgt] ~= own
+    end)
   end
-  return false
+  return is_left
 end
 
 --- List the sets of configurations that lead to each other, each sorted, in the order
 --- of their first ones.
 ---@param walk rfsm_checks.Walk
 ---@param set? table<integer, boolean> look at these alone
+---@param is_internal? boolean at steps without events from outside alone
 ---@return integer[][] components
 ---@return table<integer, integer> index_of a number for each component
-function graph.components_in(walk, set)
+function graph.components_in(walk, set, is_internal)
   local search = { count = 0, order = {}, low = {}, open = {}, visits = {}, at = {},
-    components = {}, index_of = {}, set = set }
+    components = {}, index_of = {}, set = set, is_internal = is_internal }
   for number = 1, set and walk.expanded or 1 do
     if not (search.order[number] or set and not set[number]) then
       visit(walk, search, number)

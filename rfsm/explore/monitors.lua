@@ -1,10 +1,10 @@
 --- Monitors: properties of runs, judged step by step.
 --
--- A monitor is in a state, a word, "first" when it begins, and has clocks, the oldest
--- first, each of which expires when the time of the property is over. It looks at each
--- step. An exploration keeps both with each configuration; a running machine has them
--- in a table. Conditions are judged where a step ends; `precedes` and `never` also see
--- states that a step passes.
+-- A monitor looks at each step. It has a state, which is a word, at first "first", and
+-- clocks, the oldest first, each of which expires when the time of the property is
+-- over. An exploration keeps state and clocks with each configuration; of a running
+-- machine they are in a table. Conditions are judged where a step ends; some kinds also
+-- look at the states that a step passes, those that it enters and leaves again.
 --
 -- @module rfsm.explore.monitors
 -- @license BSD-3-Clause
@@ -17,11 +17,11 @@ local monitors = {}
 ---@class rfsm_checks.Look
 ---@field active fun(name: string): boolean
 ---@field came boolean the event of the property came
----@field is_end boolean the step ends; otherwise it passes through a state
+---@field is_end boolean the step ends; otherwise it only passes a state
 ---@field expired integer clocks that have expired
 ---@field count integer clocks
 ---@field is_idle? boolean of a machine that runs: nothing happens before an event comes
----@field is_at_rest? boolean likewise, and no timer is armed
+---@field is_at_rest? boolean of a machine that runs: it is idle, and no timer is armed
 
 --- Does a condition hold?
 ---@param condition any see `rfsm.explore.properties`
@@ -39,8 +39,8 @@ local holds = monitors.holds
 
 local NONE, NEW = {}, { 0 }
 
--- Returns the clocks without the oldest ones, and with a new one if that is wanted. A
--- clock that stays is named by its number, 0 is a new one.
+-- Returns the next clocks: those from number `first` to `count` stay, and 0 stands for
+-- a new one, if there is one.
 local function clocks_from(first, count, is_new)
   local clocks = {}
   for i = first, count do clocks[#clocks + 1] = i end
@@ -48,77 +48,91 @@ local function clocks_from(first, count, is_new)
   return clocks
 end
 
--- How each kind of property looks at a step, see `monitors.look`.
-local see = {}
+--- A kind of property.
+---@class rfsm_checks.Kind
+---@field text string what it says; fields of the property in braces are put in
+---@field passes? boolean its monitor also looks at the states that a step passes
+---@field owes? string the state that its monitor must leave eventually
+---@field next? string the state after a violation, if there can be only one violation
+---@field see? function with the parameters and results of `monitors.look`: what its
+-- monitor does; nil for a property of runs that are possible
+---@field judge? fun(walk: rfsm_checks.Walk, judged: rfsm_checks.Judged) judges it when
+-- a walk is over; nil if its monitor runs along with a walk instead
 
---- The state after a violation, of the kinds that can be violated only once.
-monitors.next = { precedes = "done", ["until"] = "done" }
+--- The kinds of properties by name.
+---@type table<string, rfsm_checks.Kind>
+local kinds = {
+  never = { text = "never {what}", passes = true },
+  always = { text = "always {what}" },
+  after = { text = "after {event} reach {goal}" },
+  from = { text = "from {what} can reach {goal}" },
+  leads_to = { text = "after {event} leads to {goal}", owes = "owed" },
+  after_never = { text = "after {event} never {goal}", passes = true },
+  precedes = { text = "{what} precedes {goal}", passes = true, next = "done" },
+  ["until"] = { text = "{what} until {goal}", owes = "first", next = "done" },
+  reach_within = { text = "after {event} reach {goal} within {seconds} s" },
+  left_within = { text = "from {what} left within {seconds} s" },
+  stays = { text = "from {what} stays {seconds} s" },
+  at_most = { text = "at most {count} {event} within {seconds} s" },
+  at_least = { text = "at least {count} {event} within {seconds} s" },
+}
+monitors.kinds = kinds
 
---- The kinds that also look at the states that a step passes; others at its end alone.
-monitors.passes = { never = true, after_never = true, precedes = true }
-
---- By kind: the state of a monitor that it must leave eventually, as something has to
---- come.
-monitors.owes = { leads_to = "owed", ["until"] = "first" }
-
---- The kinds that say what an event leads to.
-monitors.follows = { after = true, leads_to = true, after_never = true,
-  reach_within = true }
-
-function see.never(property, _, look)
+function kinds.never.see(property, _, look)
   return holds(property.what, look.active) and "violated" or "first"
 end
 
-function see.always(property, state, look)
+function kinds.always.see(property, state, look)
   return holds(property.what, look.active) and state or "violated"
 end
 
-function see.leads_to(property, state, look)
+function kinds.leads_to.see(property, state, look)
   if holds(property.goal, look.active) then return "first" end
   if look.came then state = "owed" end
   return state == "owed" and look.is_at_rest and "violated" or state
 end
 
-function see.after(property, state, look)
+function kinds.after.see(property, state, look)
   if holds(property.goal, look.active) then return "first" end
   if look.came then state = "owed" end
   return state == "owed" and look.is_idle and "violated" or state
 end
 
-function see.after_never(property, state, look)
+function kinds.after_never.see(property, state, look)
   if look.is_end and look.came then state = "since" end
   if state == "first" or not holds(property.goal, look.active) then return state end
   return "violated"
 end
 
-function see.precedes(property, state, look)
+function kinds.precedes.see(property, state, look)
   if state == "done" or holds(property.what, look.active) then return "done" end
   return holds(property.goal, look.active) and "violated" or state
 end
 
-see["until"] = function(property, state, look)
+kinds["until"].see = function(property, state, look)
   if state == "done" then return state end
   if holds(property.goal, look.active) then return "done" end
   local is_broken = look.is_at_rest or not holds(property.what, look.active)
   return is_broken and "violated" or state
 end
 
-function see.reach_within(property, state, look)
+function kinds.reach_within.see(property, state, look)
   if holds(property.goal, look.active) then return "first", NONE end
   if look.expired > 0 then return "violated", NONE end
   if state == "first" and look.came then return "owed", NEW end
   return state
 end
 
-function see.left_within(property, state, look)
+function kinds.left_within.see(property, state, look)
   if not holds(property.what, look.active) then return "first", NONE end
   if look.expired > 0 then return "violated", NONE end
   if state == "first" then return "owed", NEW end
   return state
 end
 
--- Once the condition holds it has to stay; when the clock has expired it may end.
-function see.stays(property, state, look)
+-- When the condition begins to hold a clock is started; until it expires the condition
+-- has to hold.
+function kinds.stays.see(property, state, look)
   if holds(property.what, look.active) then
     if state == "first" then return "young", NEW end
     if look.expired > 0 then return "old", NONE end
@@ -128,14 +142,15 @@ function see.stays(property, state, look)
   return "first", NONE
 end
 
-function see.at_most(property, state, look)
+function kinds.at_most.see(property, state, look)
   local left = look.count - look.expired
   if look.came and left >= property.count then return "violated", NONE end
   return state, clocks_from(look.expired + 1, look.count, look.came)
 end
 
--- The window begins with the entry of the machine, as if the event had come then.
-function see.at_least(property, state, look)
+-- The clocks are those of the last events, as many as have to come in the time. With
+-- the entry of the machine all begin, as if the events had come then.
+function kinds.at_least.see(property, state, look)
   if state == "first" then
     local clocks = {}
     for i = 1, property.count do clocks[i] = 0 end
@@ -145,19 +160,17 @@ function see.at_least(property, state, look)
   return state, look.came and clocks_from(2, look.count, true) or nil
 end
 
---- Is a property of a kind that has a monitor? `from` asks what might be.
-function monitors.has(property) return see[property.kind] ~= nil end
-
 --- Have a monitor look at a step.
 ---@param property rfsm_checks.Property
 ---@param state string
 ---@param look rfsm_checks.Look
 ---@return string state the next one; "violated" if the property does not hold
----@return integer[]? clocks from then on: numbers of those that stay, 0 for a new one;
--- nil: all of them stay
+---@return integer[]? clocks the next ones: numbers of those that stay, 0 for a new one;
+-- nil if all stay
 function monitors.look(property, state, look)
-  if not (look.is_end or monitors.passes[property.kind]) then return state end
-  return see[property.kind](property, state, look)
+  local kind = kinds[property.kind]
+  if not (look.is_end or kind.passes) then return state end
+  return kind.see(property, state, look)
 end
 
 -- Monitors of an exploration ........................................................
@@ -175,7 +188,8 @@ local function count_clocks(try, judged)
   return count, expired
 end
 
--- Returns the next state of a monitor and its clocks, when it has seen all of a step.
+-- Returns the next state of a monitor and its clocks, after it has looked at the states
+-- that a step passes and at its end.
 local function look_at(walk, judged, state, try, view)
   local own, property = walk.subject, judged.property
   local look = { came = false, is_end = false }
@@ -200,7 +214,7 @@ end
 ---@return string state that of before if the walk has no monitor
 ---@return integer[]? clocks see `monitors.look`
 function monitors.after(walk, try, key, label)
-  local judged, own, state = walk.monitored[1], walk.subject, try.conf.context.state
+  local judged, own, state = walk.monitor, walk.subject, try.conf.context.state
   if not judged or state == "violated" or not own.parts[1].fsm._act_leaf then
     return state
   end

@@ -1,8 +1,8 @@
 --- Properties: what must hold in each configuration, and on each run.
 --
 -- A condition is the path of a state, which must be active, the name of a flag, a list
--- of these, all of which must be true, or a function. A function is called with another
--- one, `active`, that tells of a path or flag.
+-- of paths and flags, which must all be true, or a function. The function is called
+-- with another function, `active`, which returns whether a path or flag is true.
 --
 -- @module rfsm.explore.properties
 -- @license BSD-3-Clause
@@ -19,13 +19,13 @@ local order = require "rfsm.shared.order"
 local error, getmetatable, ipairs = error, getmetatable, ipairs
 local pcall, rawget, setmetatable, type = pcall, rawget, setmetatable, type
 local concat, sort = table.concat, table.sort
-local holds = monitors.holds
+local holds, kinds = monitors.holds, monitors.kinds
 
 local properties = {}
 
 --- Something that must hold.
 ---@class rfsm_checks.Property
----@field kind string "never", "after" ...: see `JUDGES` and `rfsm.explore.monitors`
+---@field kind string "never", "after" ...: see `monitors.kinds`
 ---@field what? any the condition
 ---@field event? any
 ---@field goal? any the condition to be reached
@@ -34,8 +34,7 @@ local properties = {}
 ---@field within? fun(seconds: number): rfsm_checks.Property
 local Property = {}
 
--- For each part of a property a function of its value: it returns what is wrong, nil if
--- nothing is.
+-- For each part of a property a function that returns the problem of a value, if any.
 local PROBLEMS = {}
 
 local is_name = opts.is_a "string"
@@ -82,8 +81,9 @@ local function new(kind, parts)
   return property
 end
 
--- Returns the function that takes the last part of a property, and makes it. The goal
--- of `after` may have a time.
+-- Returns the function that takes the last part of a property, and returns the
+-- property. That of `after(...).reach` has a function `within`, for a property with a
+-- time.
 local function ending(where, kind, parts, last)
   return function(value)
     local property = new(kind, parts)
@@ -96,8 +96,8 @@ local function ending(where, kind, parts, last)
   end
 end
 
--- Returns the first half of a property: the functions that take its last part, of which
--- `endings` has the kind and that part by their names.
+-- Returns the first half of a property: a table of the functions that take its last
+-- part. `endings` has, by the name of the function, the kind and the name of that part.
 local function first_half(where, parts, endings)
   local functions = {}
   for name, rest in order.each(endings) do -- any order: each stands alone
@@ -182,7 +182,8 @@ function properties.at_most(count, event)
     event = checked("at_most", "event", event) }, { within = { "at_most", "seconds" } })
 end
 
---- The same for the least number, from the first entry on.
+--- Declare that an event comes at least so often in any time of some length, from the
+--- first entry on: `at_least(1, "e_heartbeat").within(5)`.
 ---@param count integer
 ---@param event any
 ---@return { within: fun(seconds: number): rfsm_checks.Property }
@@ -206,22 +207,8 @@ local function text_of(what)
   return type(what) == "table" and concat(what, " and ") or rfsm.text_of(what)
 end
 
--- A text for each kind; the fields in braces are put in.
-local TEXTS = {
-  never = "never {what}", always = "always {what}",
-  after = "after {event} reach {goal}", from = "from {what} can reach {goal}",
-  leads_to = "after {event} leads to {goal}",
-  after_never = "after {event} never {goal}",
-  precedes = "{what} precedes {goal}", ["until"] = "{what} until {goal}",
-  reach_within = "after {event} reach {goal} within {seconds} s",
-  left_within = "from {what} left within {seconds} s",
-  stays = "from {what} stays {seconds} s",
-  at_most = "at most {count} {event} within {seconds} s",
-  at_least = "at least {count} {event} within {seconds} s",
-}
-
 function Property:__tostring()
-  return (TEXTS[self.kind]:gsub("{(%l+)}", function(field)
+  return (kinds[self.kind].text:gsub("{(%l+)}", function(field)
     return (field == "event" and text_of_event or text_of)(self[field])
   end))
 end
@@ -233,14 +220,15 @@ end
 ---@field name string
 ---@field property rfsm_checks.Property
 ---@field holds boolean|nil nil if something was not tried and nothing was found
----@field vacuous? string why nothing was there to be judged
----@field is_monitored boolean
+---@field vacuous? string the reason why nothing tests the property
 ---@field way rfsm_checks.Way
 ---@field walk rfsm_checks.Walk
 ---@field is_open? boolean it is not known, though everything was tried
----@field at? integer configuration that shows that it does not
----@field label? string of a step from there
+---@field at? integer configuration that shows that it does not hold
+---@field label? string of the step from there that shows it
 ---@field tgt? integer where that step leads, of `after`
+---@field owed? table<integer, table> of `after`: for each configuration the first step
+-- with the event that leads there
 
 --- List properties with their names, sorted.
 ---@param where string who is called, for errors
@@ -260,8 +248,9 @@ function properties.list_of(where, given)
   return list
 end
 
--- Returns the set of configurations in which a condition holds; with `field`, "from" or
--- "tgt", also those with a step in which it holds for a moment.
+-- Returns the set of configurations in which a condition holds. With `field`, also
+-- those of steps in which it holds for a moment: "from" where they begin, "tgt" where
+-- they end.
 local function set_of(walk, condition, field)
   local set = {}
   for number = 2, #walk.keys do
@@ -287,10 +276,8 @@ end
 
 local NONE = {}
 
-local JUDGES = {}
-
--- Some moment of a step may fulfil the condition, too.
-function JUDGES.never(walk, judged)
+-- The condition may also hold for a moment within a step.
+function kinds.never.judge(walk, judged)
   find_first(walk, judged, set_of(walk, judged.property.what), NONE)
   if judged.holds == false then return end
   for _, passed in ipairs(walk.passed) do
@@ -301,7 +288,7 @@ function JUDGES.never(walk, judged)
   end
 end
 
-function JUDGES.always(walk, judged)
+function kinds.always.judge(walk, judged)
   local entered = {}
   for number = 2, #walk.keys do
     entered[number] = walk:configuration(number)[1].leaf ~= false
@@ -309,8 +296,9 @@ function JUDGES.always(walk, judged)
   find_first(walk, judged, entered, set_of(walk, judged.property.what))
 end
 
--- If a bound was hit no violation is known: a way may lead through what was not tried.
-function JUDGES.from(walk, judged)
+-- If a bound was hit, a violation is not known: a run to the goal may go through steps
+-- that were not tried.
+function kinds.from.judge(walk, judged)
   local property = judged.property
   local set = set_of(walk, property.what, "tgt")
   if order.is_empty(set) then
@@ -325,7 +313,7 @@ function JUDGES.from(walk, judged)
   end
 end
 
-function JUDGES.after(walk, judged)
+function kinds.after.judge(walk, judged)
   local must_reach = walk.must_reach or graph.must_reach
   local set = must_reach(walk, set_of(walk, judged.property.goal))
   local event = rfsm.text_of(judged.property.event)
@@ -335,7 +323,7 @@ function JUDGES.after(walk, judged)
     judged.vacuous = "no transition takes " .. event
   end
   for number = 1, #walk.keys do
-    local step = walk.owed[judged][number]
+    local step = judged.owed[number]
     local is_known = number <= walk.expanded or not walk.bound
     if step and is_known and not set[number]
       and (not judged.at or step.from < judged.at) then
@@ -383,13 +371,13 @@ function properties.is_taken(own, event)
   return false
 end
 
--- Has the walk note where steps with the events of `after` lead.
+-- Has a walk note the configurations to which steps with the events of `after` lead.
 local function watch_steps(walk, afters)
   local own = walk.subject
   function walk.look(_, from, tgt, _, label)
     if not own.parts[1].position.leaf then return end -- before the first entry
     for _, judged in ipairs(afters) do
-      local owed, event = walk.owed[judged], judged.property.event
+      local owed, event = judged.owed, judged.property.event
       if own.wanted[event] then
         judged.has_come = true
         judged.is_taken = judged.is_taken or properties.is_taken(own, event)
@@ -403,7 +391,7 @@ end
 local function want_event(walk, judged)
   local event = judged.property.event
   walk.wanted[#walk.wanted + 1], walk.subject.wanted[event] = event, false
-  if monitors.follows[judged.property.kind] and not walk.options.together then
+  if judged.property.goal and not walk.options.together then
     walk.together = 2
   end
 end
@@ -420,51 +408,49 @@ function properties.list_for(own, given)
   for _, judged in ipairs(list) do
     properties.check_names(where, judged, active)
     if judged.property.event ~= nil then check_maker(own, judged) end
-    judged.is_monitored = not JUDGES[judged.property.kind]
   end
   return list
 end
 
---- Prepare a walk for the properties that are judged on it, but for those that have a
---- monitor. All walks have as many events in a step.
+--- Prepare a walk for the properties that are judged on it when it is over. A step has
+--- two events, if one of the properties is about `after`, whichever walk it belongs to.
 ---@param walk rfsm_checks.Walk
 ---@param list rfsm_checks.Judged[]
 function properties.watch(walk, list)
   local afters = {}
-  walk.owed = {}
   for _, judged in ipairs(list) do
     local is_after = judged.property.kind == "after"
     if is_after and not walk.options.together then walk.together = 2 end
     if is_after and judged.way == walk.way then
       want_event(walk, judged)
-      afters[#afters + 1], walk.owed[judged] = judged, {}
+      afters[#afters + 1], judged.owed = judged, {}
     end
   end
   if afters[1] then watch_steps(walk, afters) end
 end
 
---- Prepare a walk for the monitor of a property. Each has one of its own: what the
---- monitor has seen tells configurations apart.
+--- Prepare a walk for the monitor of a property. Each monitor has a walk, since its
+--- state tells configurations apart.
 ---@param walk rfsm_checks.Walk
 ---@param judged rfsm_checks.Judged
 function properties.monitor(walk, judged)
-  walk.monitored[1] = judged
+  walk.monitor = judged
   if judged.property.event ~= nil then want_event(walk, judged) end
 end
 
--- Judges a property whose monitor has run along: it has found a violation, or something
--- is owed that need not come.
+-- Judges a property whose monitor has run along with the walk. The monitor has noted a
+-- violation, if there was one; what has to come eventually is judged here.
 local function judge_monitored(walk, judged)
   if judged.property.event ~= nil and not judged.has_come then
     judged.vacuous = rfsm.text_of(judged.property.event) .. " never comes"
   end
-  local owes = monitors.owes[judged.property.kind]
+  local owes = kinds[judged.property.kind].owes
   if owes and judged.holds == nil then fairness.judge(walk, judged, owes) end
 end
 
 --- Judge a property when its walk is over.
 function properties.judge(walk, judged)
-  local judge = JUDGES[judged.property.kind] or judge_monitored
+  local judge = kinds[judged.property.kind].judge or judge_monitored
   judge(walk, judged)
   if not (walk.bound or walk:is_entered()) then
     judged.holds, judged.vacuous = nil, "the machine is never entered"

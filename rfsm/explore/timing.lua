@@ -1,18 +1,18 @@
 --- Timing: the order in which timers and the times of properties expire.
 --
 -- A state that is active has a clock, if it has an e_after that has not come yet; so
--- has a monitor of a property with a time. The values that they may have when a step
--- ends are a zone. A *group* is a set of deadlines that the next step finds over, with
--- the zone of the moment in which it begins. All deadlines of a group are equal, since
--- the machine is stepped between any two of them; with a period they are no further
--- apart than that. The times of properties are deadlines as timers are.
+-- has a monitor of a property with a time. The values that all clocks may have when a
+-- step ends are a zone. A *group* is a set of deadlines that the next step finds over,
+-- with the zone of the moment in which that step begins. All deadlines of a group are
+-- equal, since the machine is stepped between any two different ones; with a period
+-- they are at most a period apart. The times of properties are deadlines as well.
 --
--- An event that is sent later has a clock from then on, one each time it is sent. Where
--- timers are free, so is it: no bound is known of its clock.
+-- Each time an event is sent later, a clock for it begins. If timers are free, that
+-- clock is free, too: its deadline may be over at any time.
 --
--- The clock stands while a step is taken. e_at and functions of seconds have no clock:
--- they may come at any time. Zones need no extrapolation: a clock whose last deadline
--- is over is dropped, so that each of them is bounded by one.
+-- A step takes no time. e_at and functions of seconds have no clock: they may come at
+-- any time. Zones need no extrapolation: a clock is dropped when its last deadline is
+-- over, so a deadline bounds the value of each clock.
 --
 -- @module rfsm.explore.timing
 -- @license BSD-3-Clause
@@ -30,12 +30,12 @@ local timing = {}
 ---@class rfsm_checks.Timing
 ---@field subject rfsm_checks.Subject
 ---@field clocks rfsm_checks.Clock[]
----@field of table<table, rfsm_checks.Clock> of properties, and of what is sent later
+---@field of table<table, rfsm_checks.Clock> by property, and by what is sent later
 ---@field pending integer most events that wait to be sent
 ---@field is_timed boolean some clock is not free
 ---@field unit number nanoseconds of which all times are multiples
 ---@field period number|false in units
----@field none rfsm_checks.Time that of no clock
+---@field none rfsm_checks.Time without clocks
 ---@field times table<string, rfsm_checks.Time> by their texts
 ---@field fired table<rfsm_checks.Occurrence, boolean> time events that have come
 ---@field is_cut boolean some groups were left out
@@ -43,8 +43,8 @@ local timing = {}
 local Timing = {}
 Timing.__index = Timing
 
---- A clock: of a state; or of a property or an event that is sent later, which may have
---- several that are like it.
+--- A clock of a state, of a property, or of an event that is sent later. One of a state
+--- runs once at a time, the others may run several times at once.
 ---@class rfsm_checks.Clock
 ---@field number integer
 ---@field state? rfsm.State
@@ -52,7 +52,7 @@ Timing.__index = Timing
 ---@field later? rfsm_checks.Occurrence
 ---@field is_free boolean|nil its deadline may be over at any time, or never
 ---@field deadlines number[] rising, in units
----@field events rfsm_checks.Occurrence[][] that come then
+---@field events rfsm_checks.Occurrence[][] for each deadline those that come then
 
 --- Clocks that run, and their values.
 ---@class rfsm_checks.Time
@@ -67,12 +67,12 @@ Timing.__index = Timing
 ---@class rfsm_checks.Group
 ---@field number integer
 ---@field over integer[] for each entry, how many deadlines
----@field is_over boolean there is one
+---@field is_over boolean at least one deadline is over
 ---@field is_sure boolean if time goes on no other group can come first
 ---@field ways integer how many groups can come first
 ---@field events rfsm_checks.Occurrence[]
 ---@field zone number[] when the step begins
----@field bounds { [1]: integer, [2]: integer, [3]: number }[] that it is made by
+---@field bounds { [1]: integer, [2]: integer, [3]: number }[] that clocks keep then
 
 -- Clocks ............................................................................
 
@@ -82,8 +82,8 @@ local MOST_UNITS = 2 ^ 50 -- exact, also as a bound
 
 local function nanoseconds(seconds) return floor(seconds * BILLION + 0.5) end
 
--- Returns the nanoseconds of a timer; nil if they are not known or too many. See
--- rfsm_timeevent.lua for the tables.
+-- Returns the nanoseconds of a timer; nil if they are not known or too many. The fields
+-- are those of `rfsm_timeevent`.
 local function duration_of(timer)
   local event = timer.event
   if not event.is_relative or event.timeout then return nil end
@@ -156,7 +156,7 @@ local function greatest_divisor(a, b)
   return a
 end
 
--- Has all times be whole numbers of the greatest unit.
+-- Finds the greatest unit of which all times are multiples, and counts them in it.
 local function set_unit(self)
   for _, clock in ipairs(self.clocks) do
     for _, deadline in ipairs(clock.deadlines) do
@@ -176,7 +176,7 @@ local function set_unit(self)
   self.is_inexact = longest >= MOST_UNITS
 end
 
--- Returns a time: always the same table.
+-- Returns the time of these entries and this zone: always the same table.
 local function find_time(self, entries, zone)
   local texts = {}
   for i, entry in ipairs(entries) do
@@ -198,7 +198,7 @@ function timing.new(walk, options)
     period = options.period and nanoseconds(options.period) or false, fired = {},
     pending = options.pending, is_timed = false, is_cut = false }, Timing)
   self.unit = self.period or 0
-  add_clocks(self, walk.monitored[1], options.timers == "free")
+  add_clocks(self, walk.monitor, options.timers == "free")
   walk.subject.free.timers = has_free_timer(walk.subject)
   if not self.clocks[1] then return false end
   set_unit(self)
@@ -210,8 +210,9 @@ end
 
 local MANY_GROUPS = 200
 
--- Bounds under which `over` of the deadlines of a clock are over: each { i, j, bound }.
--- A step is not later than a period behind the first one.
+-- Returns the bounds, each { i, j, bound }, under which so many deadlines of the clock
+-- of entry i are over. With a period, the step is at most a period behind the first
+-- one.
 local function bounds_of(self, entry, i, over)
   if entry.clock.is_free then return {} end
   local deadlines, passed = entry.clock.deadlines, entry.passed
@@ -226,8 +227,8 @@ local function bounds_of(self, entry, i, over)
   return bounds
 end
 
--- Returns the bound under which the next deadline of one clock is not over behind that
--- of another: `bound` is zones.at_most, or zones.below if it is over in front of that.
+-- Returns the bound under which the next deadline of the entry `one` is not later than
+-- that of `other`, if `bound` is zones.at_most; earlier, if it is zones.below.
 local function order_of(entries, one, other, bound)
   local longer = entries[other].clock.deadlines[entries[other].passed + 1]
     - entries[one].clock.deadlines[entries[one].passed + 1]
@@ -257,8 +258,9 @@ local function add_group(self, groups, entries, found, numbers)
   groups[#groups + 1] = group
 end
 
--- Adds a group for each order in which events that were sent later can come: `rest`,
--- behind `numbers`. Those of one time come in the order of sending.
+-- Adds a group for each order in which the events of some entries, `rest`, can come
+-- behind those of the entries `numbers`. They were sent later; events of one time come
+-- in the order of sending.
 local function add_orders(self, groups, entries, count, found, numbers, rest)
   if not rest[2] then
     return add_group(self, groups, entries, found, match.joined(numbers, rest))
@@ -281,8 +283,9 @@ local function add_orders(self, groups, entries, count, found, numbers, rest)
   end
 end
 
--- Returns the numbers of entries, and of those that were sent later and may come in
--- another order: without a period all of a group come at one time.
+-- Returns the numbers of entries whose events come in this order, and of those that
+-- were sent later and may come in another order. Without a period there is none of
+-- these: all events of a group come at one time.
 local function numbers_of(self, entries, over)
   local numbers, sends = {}, {}
   for i, entry in ipairs(entries) do
@@ -325,8 +328,8 @@ local function add_groups(self, groups, entries, count, found)
   end
 end
 
--- Lists the groups. While an event waits, a step is taken within a period: a clock more
--- counts from the last one.
+-- Lists the groups. While an event waits, the next step is taken within a period, so
+-- one more clock counts from the last step.
 local function new_groups(self, time, is_driven)
   local entries, groups, bounds = time.entries, {}, {}
   local zone, count, sources = time.zone, #time.entries, {}
@@ -365,7 +368,7 @@ end
 
 -- Steps .............................................................................
 
--- Returns where the clock of an entry stands among those before, or nil.
+-- Returns the position of the first entry of a clock, or nil.
 local function find_entry(entries, clock)
   for i, entry in ipairs(entries) do
     if entry.clock == clock then return i end
@@ -430,7 +433,7 @@ function Timing:after(time, group, walk, clocks)
   if add_pending(self, time, group, entries, sources) > self.pending then
     return nil, sources
   end
-  local clock = self.of[walk.monitored[1]]
+  local clock = self.of[walk.monitor]
   if clock then add_monitor(time, clock, clocks, entries, sources) end
   return find_time(self, entries, zones.project(group.zone, #time.entries, sources)),
     sources
@@ -438,8 +441,8 @@ end
 
 -- Times of a run ....................................................................
 
--- Adds the bounds that a step puts on the time to one step from another. Returns for
--- each clock the step in which it began.
+-- Adds the bounds that a step puts on the times between two steps. Returns for each
+-- clock the number of the step in which it began.
 local function add_bounds(bounds, began, now, step)
   local began_then = {}
   local function of(i) return i == 0 and now or began[i] or now - 1 end
@@ -457,8 +460,8 @@ end
 
 local MILLISECOND = 1000000
 
--- Returns how many parts a unit has, so that there is room for one between any two of
--- the moments: milliseconds if there is.
+-- Returns into how many parts a unit is divided, so that so many steps can come one
+-- part after the other within a unit: milliseconds, if these are enough.
 local function parts_of(count, unit)
   if unit % MILLISECOND == 0 and unit / MILLISECOND > count then
     return unit / MILLISECOND

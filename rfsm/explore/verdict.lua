@@ -48,7 +48,7 @@ Exploration.__index = Exploration
 ---@field vacuous? string it holds because of this reason alone
 ---@field witness? rfsm_checks.WitnessStep[] the run that shows that it does not hold
 ---@field premises string
----@field reason string why it is not known though everything was tried; may be empty
+---@field reason string if everything was tried, why it is still not known; else empty
 
 -- Findings ........................................................................
 
@@ -70,8 +70,9 @@ function verdict.active_in(own, passed)
   return active
 end
 
--- Returns what steps have met: the set of the paths of `active` states; the targets of
--- the transitions that were taken; their sources.
+-- Returns three sets of what the steps of a walk have met: the paths of states that
+-- were `active`, the nodes `entered` by the transitions that were taken, and those
+-- `left`.
 local function met_by(walk)
   local met = { active = verdict.active_in(walk.subject, walk.passed), entered = {},
     left = {} }
@@ -82,8 +83,8 @@ local function met_by(walk)
   return met
 end
 
--- Returns why a transition is never taken: all of its events are timers that never
--- expire. Empty if that is not so.
+-- Returns a text with the reason why a transition is never taken, if all of its events
+-- are timers that never expire; otherwise the empty text.
 local function timer_text(walk, entry)
   local names = {}
   for i, event in ipairs(entry.tr.events or {}) do
@@ -102,7 +103,7 @@ local function entered_by(tr)
   return rfsm.is_conn(tgt) and tgt._id == "initial" and tgt._parent or tgt
 end
 
--- Returns the first such text of the transitions into a state; empty if there is none.
+-- Returns the first `timer_text` of the transitions into a state that is not empty.
 local function timers_text(walk, state)
   for _, entry in ipairs(walk.subject.transitions) do
     local text = entered_by(entry.tr) == state and timer_text(walk, entry) or ""
@@ -111,7 +112,7 @@ local function timers_text(walk, state)
   return ""
 end
 
--- States that are never active, but not those in another one.
+-- Finds states that are never active. The states inside of such a state are left out.
 local function find_unreachable(walk, findings, met)
   for _, path in ipairs(walk.subject.paths) do
     local state = walk.subject.names[path]
@@ -123,7 +124,8 @@ local function find_unreachable(walk, findings, met)
   end
 end
 
--- Connectors in reached states to which transitions lead, and which no step passes.
+-- Finds connectors that no step passes, though a transition leads there from a state
+-- that is reached. Returns the set of these connectors.
 local function find_closed(walk, findings, met)
   local is_closed = {}
   for _, entry in ipairs(walk.subject.transitions) do
@@ -139,8 +141,8 @@ local function find_closed(walk, findings, met)
   return is_closed
 end
 
--- Transitions that no step takes. They lead from reached states to reached states, or
--- from connectors that a step enters: of others another finding has the reason.
+-- Finds transitions that no step takes. Both ends must be reached: for other
+-- transitions there is a finding about an end, which is the reason.
 local function find_untaken(walk, findings, met, is_closed)
   local function is_told(entry)
     local src, tgt = entry.tr.src, entered_by(entry.tr)
@@ -169,14 +171,14 @@ local function leaves_of(walk, number)
   return leaves, concat(paths, ", "), are_final
 end
 
--- Appends a finding with the run that leads to a configuration, and on by a step.
+-- Appends a finding with the run to a configuration, and the step from there, if given.
 local function add_run(walk, findings, code, state, path, text, number, label)
   local finding = findings:add(code, state, path, text)
   if finding then finding.witness = walk:witness(number, label) end
   return finding or {}
 end
 
--- Returns the path of the leaf of the machine itself in a configuration.
+-- Returns the path of the leaf of the machine itself, not of its regions.
 local function own_leaf(walk, number)
   return walk:configuration(number)[1].known.path or "none"
 end
@@ -197,8 +199,8 @@ local function add_dead_end(walk, findings, number)
   end
 end
 
--- Configurations in which nothing happens any more, one for each set of leaves. If
--- regions are explored one by one, something happens unless all of them can be stuck.
+-- Finds configurations in which nothing happens any more, one for each set of leaves.
+-- All walks must have one with that leaf, or something happens in another region.
 local function find_dead_ends(walks, findings)
   local are_stuck = {}
   for i, walk in ipairs(walks) do
@@ -214,7 +216,7 @@ local function find_dead_ends(walks, findings)
   end
 end
 
--- Configurations from which events that wait lead on and on.
+-- Finds a configuration from which `run` never ends: an event waits after each step.
 local function find_endless(walk, findings)
   local is_idle, are_idle, step = {}, true, walk.endless
   for number = 1, #walk.keys do
@@ -237,7 +239,8 @@ local function find_endless(walk, findings)
   end
 end
 
--- Returns the leaves of some configurations and their paths, and whether one is final.
+-- Returns the paths of the leaves of some configurations, each set of leaves once;
+-- whether the machine has ended in one of them; and the last leaf of each set.
 local function leaves_of_all(walk, numbers)
   local paths, states, is_listed, has_end = {}, {}, {}, false
   for _, number in ipairs(numbers) do
@@ -251,7 +254,8 @@ local function leaves_of_all(walk, numbers)
   return paths, has_end, states
 end
 
--- Does a configuration wait for an event from outside? Not one that goes on by itself.
+-- Does a configuration wait for an event from outside? It does not if an event that was
+-- sent comes, a timer runs, or a step without events leads elsewhere.
 local function is_waiting(walk, number)
   local conf = walk:configuration(number)
   local goes_on = subject.is_driven(conf)
@@ -266,8 +270,8 @@ local function is_waiting(walk, number)
   return not (goes_on or reactions.of(part, conf[1].leaf).timers[1])
 end
 
--- Returns the first configuration of a component in which the machine waits, of those
--- in a set if one is given.
+-- Returns the first configuration of a component in which the machine waits for an
+-- event from outside; if a set is given, the first one in this set.
 local function find_waiting(walk, numbers, set)
   for _, number in ipairs(numbers) do
     if number > 1 and (not set or set[number]) and is_waiting(walk, number) then
@@ -291,7 +295,8 @@ local function find_before(walk, numbers, others, least)
   return first, false
 end
 
--- Does the machine itself stay in one leaf? Where it does not, the first walk has it.
+-- Does the machine itself stay in one leaf in all of these configurations? If it does
+-- not, the first walk has the same trap.
 local function is_in_one_leaf(walk, numbers)
   local leaf = own_leaf(walk, numbers[1])
   return not any(numbers, function(number) return own_leaf(walk, number) ~= leaf end)
@@ -299,9 +304,10 @@ end
 
 local function is_fault(state) return codes.means(state, "a fault") end
 
--- Configurations that lead to each other and nowhere else, while the machine waited for
--- an event before that led there. It may have been set up for them: a note, unless
--- there is a cycle of as many states elsewhere, or one of them is named as a fault.
+-- Finds configurations that lead to each other and nowhere else, if the machine waited
+-- for an event before it came there. This may have been its setup, so the finding is a
+-- note, unless there is a cycle of as many states elsewhere, or the name of one of the
+-- states means a fault.
 local function find_traps(walk, findings, is_first)
   local bottoms, others = graph.components(walk)
   local function waits_in(component) return find_waiting(walk, component) end
@@ -313,7 +319,7 @@ local function find_traps(walk, findings, is_first)
       outside, is_small = find_before(walk, numbers, others, #paths)
     end
     local _, name = leaves_of(walk, outside or 1)
-    if outside and not match.has(paths, name) then -- elsewhere with another memory
+    if outside and not match.has(paths, name) then -- the same leaf with other data
       local finding = add_run(walk, findings, "trap", states[1], paths[1],
         concat(paths, " and ") .. " lead to each other, and never back to " .. name,
         numbers[1])
@@ -326,7 +332,7 @@ end
 
 local NUMBERS = { "one event", "two events", "three events" }
 
--- Returns what is not known of a chart, and is tried in each way: "guards and doos".
+-- Returns a text for what is free, as all answers are tried: "guards and doos".
 local function free_text(free)
   local names = rfsm.sorted_keys(free)
   local last = remove(names)
@@ -359,17 +365,21 @@ local function premises_of(walks, options)
   return concat(texts, "; ")
 end
 
--- Notes what a walk has not tried.
+-- Notes in a result what a walk has not tried.
 local function note_bound(result, walk)
-  result.bound = result.bound or walk.bound
   for _, text in ipairs(walk.untried) do
-    if not match.has(result.untried, text) then
-      result.untried[#result.untried + 1] = text
-    end
+    explore.note_untried(result, walk.bound, text)
   end
 end
 
--- Judges a property on its walk.
+-- Returns why a property is not known though everything was tried; else the empty text.
+local function reason_of(walk, judged)
+  if not judged.is_open then return "" end
+  return walk.subject.free["sends with a delay"] and ", sends with a delay are free"
+    or ", it depends on when timers expire"
+end
+
+-- Judges a property on its walk. Returns the verdict; a violation is also a finding.
 local function judge(result, judged, options)
   local walk = judged.walk
   properties.judge(walk, judged)
@@ -377,15 +387,14 @@ local function judge(result, judged, options)
   if judged.holds == nil then note_bound(result, walk) end
   if judged.holds == false then
     witness.rests = judged.rests
-    result.findings:add("violated", nil, judged.name, "does not hold").witness = witness
+    local finding = result.findings:add("violated", nil, judged.name, "does not hold")
+    if finding then finding.witness = witness end -- nil: the property is given twice
   end
   return { name = judged.name, holds = judged.holds,
     vacuous = judged.holds and judged.vacuous or nil, witness = witness,
-    reason = not judged.is_open and ""
-      or walk.subject.free["sends with a delay"] and ", sends with a delay are free"
-      or ", it depends on when timers expire",
+    reason = reason_of(walk, judged),
     premises = premises_of({ walk }, options)
-      .. (monitors.owes[judged.property.kind] and "; doos end" or "") }
+      .. (monitors.kinds[judged.property.kind].owes and "; doos end" or "") }
 end
 
 -- Text ............................................................................
@@ -490,7 +499,8 @@ local function count_taken(walks)
   return count
 end
 
--- Returns walks over a model, by way; and those for findings, one for each of `ways`.
+-- Returns a table of the walks over a model by way, in which a walk is taken when it is
+-- first read; and the list of the walks for `ways`, which findings are about.
 local function walks_in(model, options, ways, list)
   local by_way, walks = {}, {}
   setmetatable(by_way, { __index = function(_, way)
@@ -540,13 +550,13 @@ function verdict.of(model, options)
   local ways = independence.ways(own, list, options)
   local by_way, walks = walks_in(model, options, ways, list)
   local has_endless = any(walks, function(walk) return walk.endless end)
-  if walks[2] and has_endless then -- a step of one that does not end ends all
+  if walks[2] and has_endless then -- no region goes on behind a step without an end
     options.multiply = true
     return verdict.of(model, options)
   end
   local result = new_result(own, walks, options)
   for i, judged in ipairs(list) do
-    judged.walk = not judged.is_monitored and by_way[judged.way]
+    judged.walk = monitors.kinds[judged.property.kind].judge and by_way[judged.way]
       or explore.walk(model, options, function(walk)
         properties.monitor(walk, judged)
       end, judged.way)

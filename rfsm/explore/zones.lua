@@ -1,9 +1,9 @@
 --- Zones: sets of values of clocks that run at the same speed.
 --
 -- A zone of n clocks is a difference bound matrix (Dill 1989): for each pair i, j, with
--- 0 for a clock that is always 0, a bound on x_i - x_j. It is a list, row by row, and
--- closed: each bound is the least one that follows from all of them. A bound is a whole
--- number: 2b + 1 for "at most b", 2b for "less than b", and infinity for none.
+-- 0 for a clock that is always 0, it has a bound on x_i - x_j. It is a list, row by
+-- row, and closed: no bound can be made less by combining others. A bound is a whole
+-- number: 2b + 1 means "at most b", 2b "less than b", and infinity no bound.
 --
 -- @module rfsm.explore.zones
 -- @license BSD-3-Clause
@@ -30,7 +30,7 @@ end
 --- Return the zone of no clock.
 function zones.new() return { ZERO } end
 
---- Return the zone that time leads to, if nothing ends it.
+--- Return the zone of all values that the clocks may have later.
 ---@param zone number[]
 ---@param count integer clocks
 ---@return number[] zone a new one
@@ -42,13 +42,13 @@ function zones.up(zone, count)
   return later
 end
 
---- Add a bound on x_i - x_j.
+--- Return a zone with one more bound, on x_i - x_j.
 ---@param zone number[]
 ---@param count integer clocks
 ---@param i integer
 ---@param j integer
 ---@param bound number
----@return number[]|nil zone a new one, nil if it is empty
+---@return number[]|nil zone nil if it is empty
 function zones.bounded(zone, count, i, j, bound)
   local size, closed = count + 1, {}
   if bound >= zone[i * size + j + 1] then return zone end

@@ -1,8 +1,8 @@
 --- The properties of an exploration, judged while a machine runs.
 --
--- Monitors look at the end of each iteration, and at the states that it passes. Times
--- are those of the machine's clock: a clock begins when a step is over, and is read
--- before the timers are.
+-- Monitors look at the end of each iteration, and at the states that it passes. Their
+-- clocks use the time of the machine: one is started when an iteration is over, and
+-- read when an iteration begins, before the timers are.
 --
 -- @module rfsm.observe.watch_properties
 -- @license BSD-3-Clause
@@ -19,6 +19,7 @@ local stream = require "rfsm.observe.stream"
 
 local error, ipairs, type = error, ipairs, type
 local concat, remove = table.concat, table.remove
+local kinds = monitors.kinds
 
 local watch_properties = {}
 
@@ -28,7 +29,7 @@ local watch_properties = {}
 ---@field property rfsm_checks.Property
 ---@field state string
 ---@field clocks number[] when each began
----@field is_told boolean the last step has been reported
+---@field is_told boolean the last step broke the property, and was reported
 
 --- What is kept of a machine that is watched.
 ---@class rfsm_checks.Watched
@@ -58,8 +59,8 @@ local function read_clock(own)
   return time or error(failure, 0)
 end
 
--- Returns a function that tells of a path if the state is active; and one that returns
--- such a function for the present moment.
+-- Returns two functions: one returns whether the state of a path is active now; the
+-- other returns such a function that keeps the answers of the present moment.
 local function views_of(fsm)
   local states = {}
   for _, at in ipairs(rfsm.machines(fsm)) do
@@ -81,12 +82,12 @@ local function views_of(fsm)
   end
 end
 
--- Will nothing happen before an event comes: no event waits, and no doo goes on?
+-- Is the machine idle up to the next event, as none waits and no doo goes on?
 local function is_idle(fsm)
   return rfsm.check_events(fsm) == 0 and fsm._act_leaf._mode == "done"
 end
 
--- Do the events come from the engine alone?
+-- Do all of these events come from the engine?
 local function are_internal(events)
   for i = 1, #events do
     if match.maker_of(events[i]) ~= "engine" then return false end
@@ -94,7 +95,7 @@ local function are_internal(events)
   return true
 end
 
--- Notes a step in which something came or changed.
+-- Notes a step for reports, if an event came or another leaf is active.
 local function note_step(own, events)
   local texts, leaf = {}, own.fsm._act_leaf
   if leaf == own.leaf and are_internal(events) then return end
@@ -130,7 +131,7 @@ local function count_expired(own, monitor)
   return expired
 end
 
--- Sets the clocks of a monitor: those that stay, by number, and new ones.
+-- Sets the clocks of a monitor: `numbers` has those that stay, and 0 for a new one.
 local function set_clocks(monitor, numbers, now)
   local clocks = {}
   for i, number in ipairs(numbers) do clocks[i] = monitor.clocks[number] or now end
@@ -146,7 +147,7 @@ local function look_at(own, monitor, look, events)
   local state, clocks = monitors.look(property, monitor.state, look)
   if clocks then set_clocks(monitor, clocks, look.now) end
   local is_violated = state == "violated"
-  monitor.state = is_violated and (monitors.next[property.kind] or "first") or state
+  monitor.state = is_violated and (kinds[property.kind].next or "first") or state
   if is_violated and not monitor.is_told then report(own, monitor) end
   monitor.is_told = is_violated
 end
@@ -156,9 +157,9 @@ local function begin_iteration(own, at)
   own.now, own.leaf = read_clock(own), own.fsm._act_leaf or false
 end
 
--- Does the next iteration, which belongs to the same step, have these events again: for
--- the regions of the active leaf, or since an extension has put some back? Not if a
--- transition was taken.
+-- Does the next iteration have these events again, so that both count as one step? It
+-- does if no transition was taken, and they are forwarded to regions of the active
+-- leaf, or an extension has put some of them back.
 local function are_forwarded(fsm)
   return rfsm.is_free(fsm) and (rfsm.regions(fsm._act_leaf)[1] or fsm._intq[1] ~= nil)
 end
@@ -190,7 +191,7 @@ local function monitors_of(where, given, active)
   local list = properties.list_of(where, given)
   for _, monitor in ipairs(list) do
     properties.check_names(where, monitor, active)
-    if not monitors.has(monitor.property) then
+    if not kinds[monitor.property.kind].see then
       error(("%s: property '%s' is about runs that might be: explore it"):format(where,
         monitor.name), 0)
     end
@@ -200,7 +201,7 @@ end
 
 local function is_timed(monitor) return monitor.property.seconds ~= nil end
 
-local function sees_passages(monitor) return monitors.passes[monitor.property.kind] end
+local function sees_passages(monitor) return kinds[monitor.property.kind].passes end
 
 -- Notes what is active when a composite is entered through which the step may pass.
 local function note_moment(own, state, snapshot)

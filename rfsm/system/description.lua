@@ -1,6 +1,6 @@
 --- Descriptions: the table from which a system is made, checked whole.
 --
--- Each function that checks appends to the problems and never raises. No callback runs.
+-- Functions that check append problems to a list and raise no error. No callback runs.
 --
 -- @module rfsm.system.description
 -- @license BSD-3-Clause
@@ -23,13 +23,13 @@ local concat, huge = table.concat, math.huge
 
 local description = {}
 
---- What is found while a description is read.
+--- What has been read of a description, and its problems.
 ---@class rfsm.system.Draft
 ---@field file? string
 ---@field lines table<string|integer, integer> of machines by name, of wires by number
 ---@field problems string[]
 ---@field models table<string, rfsm.State>
----@field machines table<string, rfsm.Machine> that are only looked at
+---@field machines table<string, rfsm.Machine> of the models, for checks; they never run
 
 local function place_of(draft, key)
   local line = draft.lines[key]
@@ -41,7 +41,7 @@ local function add(draft, key, text, place)
   draft.problems[#draft.problems + 1] = place .. (place ~= "" and ": " or "") .. text
 end
 
--- Lines: a table has none, so the text of the file is read -------------------------
+-- Lines: read from the text of the file, as a table does not know its own --------
 
 local function line_at(text, at)
   return select(2, text:sub(1, at - 1):gsub("\n", "")) + 1
@@ -49,7 +49,8 @@ end
 
 local function blank(text) return (text:gsub("[^\n]", " ")) end
 
--- Notes the lines of the tables in a list, if there are as many as `list` has.
+-- Notes the lines of wires. They are not known if the text does not have one table for
+-- each wire in `list`.
 local function note_wires(lines, text, at, list)
   local from, wires = text:match("^%s*()(%b{})", at)
   local found = {}
@@ -59,7 +60,7 @@ local function note_wires(lines, text, at, list)
   for i = 1, wires and #found == #list and #list or 0 do lines[i] = found[i] end
 end
 
--- Notes the lines of fields, and reports those that stand twice: Lua keeps the last.
+-- Notes the lines of fields, and reports names that stand twice: Lua keeps the last.
 local function note_fields(draft, text, at, fields)
   local lines = draft.lines
   for offset, name in fields:gmatch("()%f[%w_]([%a_][%w_]*)%s*=%f[^=]") do
@@ -72,7 +73,8 @@ local function note_fields(draft, text, at, fields)
   end
 end
 
--- Notes the lines of machines by name, of the wires in a list by number.
+-- Notes the lines of machines by name, and those of wires by number. The table that has
+-- the field `wires` is taken for the description.
 local function note_lines(draft, list)
   local text = code.of(draft.file and io and files.read(draft.file) or "")
   for at, whole in text:gmatch("()(%b{})") do
@@ -104,7 +106,7 @@ local function check_chart(draft, name, model)
   end
 end
 
--- Returns the hint for a field that is no chart.
+-- Returns a hint for a field whose value is not a chart.
 local function hint_for(name, value)
   if advice.is_near(name, "wires") then return " (did you mean 'wires'?)" end
   return type(value) == "string" and (" (did you mean system.load '%s'?)"):format(value)
@@ -149,7 +151,7 @@ end
 
 local NEEDED = { "from", "event", "to" }
 
--- Returns a wire with its defaults. A field that is wrong is left out.
+-- Returns a wire with its defaults. Wrong fields are reported and left out.
 local function read_wire(report, fields, given)
   local wire = opts.read(fields, {})
   for _, name in ipairs(rfsm.sorted_keys(given)) do

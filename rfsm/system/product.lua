@@ -1,31 +1,28 @@
 --- Products: the configurations that the machines of a system reach together.
 --
--- In a move a machine reads its wires and takes one step with what it has read, and
--- with one event from outside or none. Any machine may move at any time. The engine
--- takes the step of a subject (`rfsm.explore.subject`) once for each configuration of
--- the machine and each list of events; its outcomes are kept.
+-- In a move a machine reads its wires and takes one step with the events that it has
+-- read and at most one event from outside. Any machine may move at any time. Each
+-- machine has a walk (`rfsm.explore.explore`), by which the engine takes a step once
+-- for each configuration and list of events that were read. The outcomes are kept.
 --
--- A product has the fields of a walk (`rfsm.explore.explore`) that graphs and
--- properties read.
+-- A product has the fields of a walk that graphs and properties read.
 --
 -- @module rfsm.system.product
 -- @license BSD-3-Clause
 
-local data = require "rfsm.explore.data"
 local explore = require "rfsm.explore.explore"
 local graph = require "rfsm.explore.graph"
 local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 local properties = require "rfsm.explore.properties"
-local reactions = require "rfsm.explore.reactions"
 local rfsm = require "rfsm"
-local subject = require "rfsm.explore.subject"
 local wires = require "rfsm.system.wires"
 
 local error, ipairs, rawget = error, ipairs, rawget
 local setmetatable, tonumber, type = setmetatable, tonumber, type
 local concat = table.concat
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local product = {}
 
@@ -33,82 +30,40 @@ local product = {}
 ---@class rfsm.system.Product
 ---@field members rfsm.system.Member[]
 ---@field wires rfsm.system.Wire[] between them
----@field keys table[] configurations: `numbers` of those of the machines, `queues`
----@field numbers table<string, integer> configuration by a text
+---@field keys table[] configurations: `numbers` of those of the machines, `queues` of
+-- the wires
+---@field numbers table<string, integer> configuration by its text
 ---@field labels string[] configuration -> member and outcome of that move: "2:7"
 ---@field steps integer[] targets of moves; negative: without an event from outside
----@field movers integer[] of these, the numbers of members
+---@field movers integer[] for each of these moves the number of the member
 ---@field lost table<rfsm.system.Wire, table> the first move that loses an event
 ---@field carries table<rfsm.system.Wire, true> wires over which an event goes
----@field is_partial boolean something else was not tried than what lies behind a bound
-local Product = {}
+---@field is_partial boolean some steps of a machine were not tried
+local Product = { note_untried = explore.note_untried }
 Product.__index = Product
 
---- A machine of a product.
----@class rfsm.system.Member
+--- A machine of a product: its walk, and more.
+---@class rfsm.system.Member: rfsm_checks.Walk
 ---@field name string
 ---@field number integer
----@field own rfsm_checks.Subject
----@field confs rfsm_checks.Configuration[] those of it alone
+---@field confs rfsm_checks.Configuration[] of this machine
 ---@field moves table<integer, table> outcomes by configuration and what was read
----@field wired table<string, boolean> events of its wires; true: by wires alone
----@field wanted string[] events of properties
+---@field wired table<string, boolean> events of its wires; true: come by wires alone
 ---@field takes table<string, true> events that transitions have taken
----@field passed rfsm_checks.Passed[] moments of its steps
----@field outgoing table<string, integer[]> wires by event
-
--- Notes what is not tried of a machine.
-local function note_untried(self, member, bound, text)
-  self.is_partial = true
-  explore.note_untried(self, bound, member.name .. ": " .. text)
-end
+---@field outgoing table<string, integer[]> the wires that it puts an event into
 
 -- Steps of one machine ..............................................................
 
--- Returns the number of the configuration that a machine is in; nil if some of its data
--- is not followed.
-local function local_number(self, member)
-  local key, problem = member.own:read()
-  if problem then
-    note_untried(self, member, "values", problem)
-    return nil
-  end
-  local number = member.ids[key] or #member.confs + 1
-  member.ids[key] = number
-  member.confs[number] = member.confs[number] or member.own:configuration(key)
+-- Keeps a configuration of a machine. Returns its number.
+local function add_configuration(member, number)
+  member.confs[number] = member.confs[number] or member:configuration(number)
   return number
 end
 
--- Adds the events of a set that may come from outside as a set, if there are enough.
-local function add_outside(member, sets, set, least)
-  local kept = {}
-  for _, occurrence in ipairs(set) do
-    if occurrence.part.owner or not member.wired[occurrence.event] then
-      kept[#kept + 1] = occurrence
-    end
-  end
-  if kept[least] then sets[#sets + 1] = kept end
-end
-
--- Lists the sets of events that may come from outside: none, one, or several that a
--- path through connectors needs.
-local function outside_of(self, member, conf)
-  if conf.sets then return conf.sets end
-  local list, needed, is_cut = reactions.that_may_come(member.own, conf)
-  explore.add_wanted(member.own, member.wanted, list)
-  conf.sets = { {} }
-  for _, occurrence in ipairs(list) do
-    add_outside(member, conf.sets, occurrence.alone, 1)
-  end
-  for _, several in ipairs(needed) do add_outside(member, conf.sets, several, 2) end
-  if is_cut then note_untried(self, member, "sets", "some sets of events") end
-  return conf.sets
-end
-
--- Returns the events of properties that a step had, and whether it took them. Notes
--- those of wires that it took. An event with data has its name.
+-- Returns for each event of a property that came in the last step whether a transition
+-- took it. Notes all events that were taken. An event with data stands under its name.
 local function events_of(member)
-  local came, own = {}, member.own
+  local came, own = {}, member.subject
   for _, event in ipairs(own.last_events) do
     local name = type(event) == "table" and rawget(event, "name") or event
     local is_taken = properties.is_taken(own, event)
@@ -118,12 +73,13 @@ local function events_of(member)
   return came
 end
 
--- Returns where the step of a machine has led, and what it did.
-local function new_outcome(self, member, conf, set)
-  local own = member.own
-  local outcome = { tgt = local_number(self, member), outside = set,
+-- Returns what the last step of a machine did: the configuration to which it has led,
+-- the events from outside, and the events that it has emitted.
+local function new_outcome(member, try, tgt, outside)
+  local own = member.subject
+  local outcome = { tgt = tgt, outside = outside,
     emitted = match.joined({}, own.emitted), passed = match.joined({}, own.passed),
-    came = conf[1].leaf and events_of(member) or {} }
+    came = try.conf[1].leaf and events_of(member) or {} }
   for _, moment in ipairs(outcome.passed) do
     member.passed[#member.passed + 1] = { moment = moment }
   end
@@ -142,59 +98,46 @@ local function text_of(outcome)
   return concat(texts, " ")
 end
 
--- Adds the outcome of the last step, unless it is there.
-local function add_outcome(self, member, conf, set, list)
-  local outcome = new_outcome(self, member, conf, set)
-  local text = outcome.tgt and text_of(outcome)
-  if text and not list[text] then list[text], list[#list + 1] = outcome, outcome end
-  if member.own.sent_later[1] then
-    note_untried(self, member, "pending", "events that are sent later")
+-- Adds the outcome of the last step, unless it is there. The step had as many events
+-- from wires as `count`.
+local function add_outcome(member, list, try, key, label, count)
+  if not key then
+    return member:note_untried("endless", "a step that does not end")
+  elseif member.subject.sent_later[1] then
+    member:note_untried("pending", "events that are sent later")
   end
+  local tgt = add_configuration(member, member:find_configuration(key, try.from, label))
+  local outcome = new_outcome(member, try, tgt, { unpack(try.events, count + 1) })
+  local text = text_of(outcome)
+  if not list[text] then list[text], list[#list + 1] = outcome, outcome end
 end
 
--- Adds the outcomes of steps with events, one for each choice that makes a difference.
-local function add_outcomes(self, member, conf, read, set, list)
-  local events = match.joined(read, set)
-  if not (events[1] or subject.may_act(conf)) then return end
-  local untried = member.own:each_choice(conf, events, member, function(_, has_ended)
-    self.count = self.count + 1
-    if has_ended then
-      add_outcome(self, member, conf, set, list)
-    else
-      note_untried(self, member, "endless", "a step that does not end")
-    end
-  end)
-  if untried then note_untried(self, member, "choices", untried) end
-end
-
--- Returns the outcomes of the steps of a machine with what it has read.
-local function outcomes_of(self, member, number, read)
+-- Returns the outcomes of the steps of a machine with what it has read, one for each
+-- choice that makes a difference.
+local function outcomes_of(member, number, read)
   local known, numbers = member.moves[number] or {}, {}
   member.moves[number] = known
   for i, occurrence in ipairs(read) do numbers[i] = occurrence.number end
   local key = concat(numbers, ",")
   if not known[key] then
-    local conf = member.confs[number]
     known[key] = {}
-    for _, set in ipairs(outside_of(self, member, conf)) do
-      add_outcomes(self, member, conf, read, set, known[key])
-    end
-    data.rest(member.own)
+    member:each_step(number, function(_, try, tgt, label)
+      add_outcome(member, known[key], try, tgt, label, #read)
+    end, read)
   end
   return known[key]
 end
 
 -- Moves .............................................................................
 
--- In a queue an event is a letter, as a wire carries one event: "d" with data, "e"
--- without.
+-- A wire carries one event, so in a queue "d" stands for it with data, "e" without.
 local function copy(queue) return match.joined({}, queue) end
 
 --- Return a configuration by its number.
 function Product:configuration(number) return self.keys[number] end
 
--- Returns the number of a configuration; a new one is to be looked at later. Its first
--- field tells properties if all machines were entered.
+-- Returns the number of a configuration; a new one is to be looked at later. Properties
+-- read its first field: whether all machines were entered.
 local function find_configuration(self, numbers, queues, from, label)
   local texts = { concat(numbers, ",") }
   for i, queue in ipairs(queues) do texts[i + 1] = concat(queue) end
@@ -210,12 +153,12 @@ local function find_configuration(self, numbers, queues, from, label)
   return number
 end
 
--- Returns the outcomes of a move, the queues when the wires were read, and for each
--- event the wire that it came by.
+-- Returns the outcomes of a move, the queues after the wires were read, and for each
+-- event the wire by which it came.
 local function moves_of(self, member, conf)
   local number, queues, read = conf.numbers[member.number], {}, {}
   if not member.confs[number][1].leaf then
-    return outcomes_of(self, member, number, read), conf.queues, read
+    return outcomes_of(member, number, read), conf.queues, read
   end
   for at, wire in ipairs(self.wires) do
     queues[at] = wire.to == member.name and copy(conf.queues[at]) or conf.queues[at]
@@ -223,13 +166,13 @@ local function moves_of(self, member, conf)
   local letters, by = wires.take(self.wires, queues, member.name)
   for i, letter in ipairs(letters) do
     local event = letter == "d" and by[i].with_data or by[i].event
-    read[i] = member.own:occurrence(member.own.parts[1], event)
+    read[i] = member.subject:occurrence(member.subject.parts[1], event)
   end
-  return outcomes_of(self, member, number, read), queues, by
+  return outcomes_of(member, number, read), queues, by
 end
 
--- Returns the queues behind what a step has emitted, and for each event and wire
--- whether it was lost.
+-- Returns the queues after the events that a step has emitted were put into them, and
+-- for each event and wire whether it was lost.
 local function send(self, member, queues, emitted)
   local after, sent = emitted[1] and copy(queues) or queues, {}
   for _, item in ipairs(emitted) do
@@ -242,7 +185,8 @@ local function send(self, member, queues, emitted)
   return after, sent
 end
 
--- Notes a move. One that changes nothing counts only if events are why it was taken.
+-- Notes a move. One that changes nothing counts only if it took a transition without an
+-- event from outside: then the machine goes on for ever.
 local function add_step(self, from, tgt, member, outcome, label)
   local is_internal = not outcome.outside[1]
   if tgt == from and not (is_internal and outcome.taken[1]) then return end
@@ -254,7 +198,8 @@ local function add_step(self, from, tgt, member, outcome, label)
   self.steps[at], self.movers[at], self.step_labels[at] = step, member.number, label
 end
 
--- Notes what a move shows that has not been seen before.
+-- Notes what a move shows: wires that carry or lose events, states that it passes, and
+-- where it leads if an event of a property came.
 local function note_move(self, move, member, outcome, sent)
   for _, each in ipairs(sent) do
     self.carries[each.wire] = true
@@ -267,7 +212,7 @@ local function note_move(self, move, member, outcome, sent)
       moment = { member = member, moment = moment, number = move.from } }
   end
   for _, judged in ipairs(self.afters) do
-    local is_taken, owed = outcome.came[judged.event], self.owed[judged]
+    local is_taken, owed = outcome.came[judged.event], judged.owed
     if judged.member == member and is_taken ~= nil then
       judged.has_come, judged.is_taken = true, judged.is_taken or is_taken
       owed[move.tgt] = owed[move.tgt] or move
@@ -298,12 +243,10 @@ end
 
 --- Is some machine entered at some time?
 function Product:is_entered()
-  return order.any(self.members, function(member)
-    return order.any(member.confs, function(conf) return conf[1].leaf end)
-  end)
+  return order.any(self.members, function(member) return member:is_entered() end)
 end
 
---- Return the member and the rest of a name such as "arm: root.moving".
+--- Return the member and the path of a name such as "arm: root.moving".
 function Product:split(name)
   local front, rest = name:match("^%s*([^:]-)%s*:%s*(.-)%s*$")
   local names = {}
@@ -315,16 +258,17 @@ function Product:split(name)
   error(("'%s': expected as in 'arm: root.moving'"):format(name), 0)
 end
 
---- Return a function that tells of "arm: root.moving" if it is active; of one machine
---- in a moment of a step, if one is given. A product is its own subject.
+--- Return a function that returns whether "arm: root.moving" is active in a
+--- configuration. For the machine of `passed`, if that is given, the moment of a step
+--- counts. A product is its own subject, so that properties find this method.
 function Product:view(conf, passed)
   return function(name)
     local member, path = self:split(name)
     local own = member.confs[conf.numbers[member.number]]
     if passed and member == passed.member then
-      return member.own:view_of_moment(passed.moment)(path)
+      return member.subject:view_of_moment(passed.moment)(path)
     end
-    own.view = own.view or member.own:view(own)
+    own.view = own.view or member.subject:view(own)
     return own.view(path)
   end
 end
@@ -335,70 +279,59 @@ end
 
 -- Runs that stay ....................................................................
 
--- Returns the moves without events from outside that do not begin or end in a set: what
--- graphs read of a walk, and the `edges` from each configuration.
-local function moves_outside(self, goals)
-  local part = setmetatable({ first = {}, steps = {}, edges = {} }, { __index = self })
-  for from = 1, self.expanded do
-    local edges = {}
-    part.first[from], part.edges[from] = #part.steps + 1, edges
-    graph.each_step(self, from, function(tgt, is_internal, at)
-      if is_internal and not (goals[from] or goals[tgt]) then
-        edges[#edges + 1] = { from = from, tgt = tgt, label = self.step_labels[at],
-          mover = self.movers[at] }
-        part.steps[#part.steps + 1] = tgt
-      end
-    end)
-  end
-  part.first[self.expanded + 1] = #part.steps + 1
-  return part
-end
-
--- Notes which machines have nothing to do in a configuration, or a move that stays.
-local function note_fair(self, part, number, index_of, is_fair)
+-- Notes which machines are treated fairly if a run stays in the component of a
+-- configuration: they have nothing to do there, or a move that stays in the component.
+local function note_fair(self, number, index_of, is_fair)
   local is_busy = {}
   graph.each_step(self, number, function(tgt, is_internal, at)
-    if is_internal and tgt ~= number then is_busy[self.movers[at]] = true end
+    local mover, stays = self.movers[at], index_of[tgt] == index_of[number]
+    is_busy[mover] = is_busy[mover] or is_internal and tgt ~= number
+    is_fair[mover] = is_fair[mover] or is_internal and stays
   end)
   for i in ipairs(self.members) do is_fair[i] = is_fair[i] or not is_busy[i] end
-  for _, edge in ipairs(part.edges[number]) do
-    if index_of[edge.tgt] == index_of[number] then is_fair[edge.mover] = true end
-  end
 end
 
 --- Return the set of configurations from which moves without events from outside always
---- lead to one of `goals`: doos end, and each machine moves again and again.
+--- lead to one of `goals`, if doos end and each machine moves again and again.
 ---@param goals table<integer, boolean>
 ---@return table<integer, boolean> set
 function Product:must_reach(goals)
-  local part, set, staying = moves_outside(self, goals), {}, {}
-  for number = 1, self.expanded do set[number] = not goals[number] end
-  local components, index_of = graph.components_in(part, set)
+  local set, staying, open = {}, {}, {}
+  for number = 1, self.expanded do open[number] = not goals[number] end
+  local components, index_of = graph.components_in(self, open, true)
   for _, numbers in ipairs(components) do
     local is_fair = {}
     for _, number in ipairs(numbers) do
-      note_fair(self, part, number, index_of, is_fair)
+      note_fair(self, number, index_of, is_fair)
     end
     local stays = order.all(self.members, function(member)
       return is_fair[member.number]
     end)
     for _, number in ipairs(numbers) do staying[number] = stays end
   end
-  self.part, self.staying = part, staying
-  local can_stay = graph.can_reach(part, staying)
+  self.open, self.staying = open, staying
+  local can_stay = graph.can_reach(self, staying, true, open)
   for number = 1, #self.keys do
     set[number] = self.is_partial or not can_stay[number]
   end
   return set
 end
 
--- Returns the moves from a configuration to one where the last run that was looked for
--- may stay.
-local function way_to_stay(self, number)
-  if self.staying[number] then return {} end
-  return graph.find_way(self.part.edges, number, function(edge)
-    return self.staying[edge.tgt]
-  end) or {}
+-- Returns the moves from a configuration to the nearest one in which a run may stay, by
+-- the last call of `must_reach`.
+local function way_to_stay(self, start)
+  if self.staying[start] then return {} end
+  local edges = setmetatable({}, { __index = function(_, number)
+    local list = {}
+    graph.each_step(self, number, function(tgt, is_internal, at)
+      if is_internal and self.open[tgt] then
+        list[#list + 1] = { from = number, tgt = tgt, label = self.step_labels[at] }
+      end
+    end)
+    return list
+  end })
+  return graph.find_way(edges, start, function(edge) return self.staying[edge.tgt] end)
+    or {}
 end
 
 -- Witnesses .........................................................................
@@ -407,7 +340,7 @@ end
 ---@class rfsm.system.Move
 ---@field machine string
 ---@field events string[] from outside
----@field read rfsm.system.Wire[] one for each event
+---@field read rfsm.system.Wire[] for each event that was read its wire
 ---@field sent { wire: rfsm.system.Wire, is_lost: boolean }[]
 ---@field choices { who: string, answer: boolean, is_doo: boolean }[]
 ---@field taken string[] paths of transitions
@@ -429,11 +362,11 @@ local function move_of(self, from, label)
   return move
 end
 
---- Return the shortest run to a configuration, and on by a move; with `stays` on to
---- where `must_reach` has found last that a run may stay.
+--- Return the shortest run to a configuration, and if given a move from there, and the
+--- way on to where the run may stay.
 ---@param number integer
 ---@param label string? of a move from there
----@param stays integer? target of that move
+---@param stays integer? target of that move, if a run that stays is shown
 ---@return rfsm.system.Move[] witness
 function Product:witness(number, label, stays)
   local way, moves = explore.way_to(self, number, label), {}
@@ -446,21 +379,14 @@ end
 
 local EMITS = "events that the %s may emit, which sends does not name"
 
-local function note_gaps(self, member)
-  for _, gap in ipairs(explore.gaps(member.own)) do
-    note_untried(self, member, gap[1], gap[2])
-  end
-  for _, name in ipairs(member.own.emitters) do
-    note_untried(self, member, "emits", EMITS:format(name))
-  end
-end
-
--- Adds a machine.
+-- Adds a machine. To its subject an event that comes by wires alone is one that has a
+-- maker, so that its walk does not have it come from outside.
 local function add_member(self, cell, name, options)
-  local own = subject.new(cell.models[name], options)
-  local member = { name = name, number = #self.members + 1, own = own, confs = {},
-    ids = {}, moves = {}, wired = {}, wanted = {}, takes = {}, outgoing = {},
-    passed = {} }
+  local member = explore.new(cell.models[name], options)
+  local own, maker_of = member.subject, member.subject.maker_of
+  self.members[#self.members + 1] = member
+  member.name, member.number, member.confs, member.moves = name, #self.members, {}, {}
+  member.wired, member.takes, member.outgoing = {}, {}, {}
   own.notes_events = true
   for at, wire in ipairs(self.wires) do
     if wire.to == name then
@@ -470,8 +396,15 @@ local function add_member(self, cell, name, options)
       member.outgoing[wire.event] = match.with(member.outgoing[wire.event] or {}, at)
     end
   end
-  self.members[member.number] = member
-  note_gaps(self, member)
+  function own.maker_of(_, event) return maker_of(own, event) or member.wired[event] end
+  function member.note_untried(_, bound, text)
+    self.is_partial = true
+    self:note_untried(bound, name .. ": " .. text)
+  end
+  member:begin()
+  for _, callback in ipairs(own.emitters) do
+    member:note_untried("emits", EMITS:format(callback))
+  end
 end
 
 --- Make the product of some machines of a system, with its first configuration.
@@ -484,8 +417,8 @@ function product.new(cell, group_of, group, settings)
   local self = setmetatable({ members = {}, wires = {}, keys = {}, numbers = {},
     from = {}, labels = {}, first = {}, steps = {}, movers = {}, step_labels = {},
     expanded = 0, depth = 0, level_end = 1, stuck = {}, passed = {}, lost = {},
-    carries = {}, afters = {}, owed = {}, untried = {}, unsure = {}, cut = {},
-    monitored = {}, count = 0, bound = nil, is_partial = false }, Product)
+    carries = {}, afters = {}, untried = {}, unsure = {}, cut = {},
+    monitor = false, bound = nil, is_partial = false }, Product)
   self.subject = self
   for _, wire in ipairs(cell.wires) do
     if group_of[wire.to] == group then
@@ -497,7 +430,7 @@ function product.new(cell, group_of, group, settings)
     if group_of[name] == group then add_member(self, cell, name, settings[name]) end
   end
   local numbers, queues = {}, {}
-  for i, member in ipairs(self.members) do numbers[i] = local_number(self, member) end
+  for i, member in ipairs(self.members) do numbers[i] = add_configuration(member, 1) end
   for at in ipairs(self.wires) do queues[at] = {} end
   find_configuration(self, numbers, queues, 0, "")
   return self

@@ -1,6 +1,6 @@
 --- Reports: what the products of a system show, and which properties hold.
 --
--- Machines that no wire and no property joins are explored apart.
+-- Groups of machines that neither a wire nor a property joins are explored one by one.
 --
 -- @module rfsm.system.report
 -- @license BSD-3-Clause
@@ -12,6 +12,7 @@ local data = require "rfsm.explore.data"
 local explore = require "rfsm.explore.explore"
 local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
+local monitors = require "rfsm.explore.monitors"
 local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 local product = require "rfsm.system.product"
@@ -35,22 +36,22 @@ report.OF_MACHINE = { "alphabet", "complementary", "dry_run", "exclusive", "flag
 
 local OF_SYSTEM = { "configurations", "depth", "progress", "properties", "seconds" }
 
---- What is known of a system; `tostring` of it is a text.
+--- What is known of a system; `tostring` of it is the report as a text.
 ---@class rfsm.system.Report
 ---@field configurations integer
 ---@field walks rfsm.system.Product[]
----@field steps integer that the engine took
+---@field steps integer steps that the engine took
 ---@field findings rfsm_checks.Finding[] with field `witness`
 ---@field properties { name: string, holds: boolean|nil, vacuous?: string }[]
 ---@field premises string[]
----@field bound string? what was hit first
----@field untried string[]
+---@field bound string? the first bound that was hit
+---@field untried string[] what was not tried, as texts
 local Report = {}
 Report.__index = Report
 
 -- Properties ........................................................................
 
--- Lists the machines that a property names; all for a function, which may ask for any.
+-- Lists the machines that a property names; a function may ask for any of them.
 local function machines_in(cell, property)
   local names = {}
   for _, field in ipairs { "what", "goal", "event" } do
@@ -63,12 +64,10 @@ local function machines_in(cell, property)
   return names
 end
 
-local JUDGED = { never = true, always = true, from = true, after = true }
-
 -- Has a product look at the event of a property.
 local function watch_event(walk, judged)
   local member, event = walk:split(judged.property.event)
-  local own = member.own
+  local own = member.subject
   if not (own.event_numbers[event] or own.free.predicates) then
     error(("property '%s': no transition of '%s' names the event '%s'%s"):format(
       judged.name, member.name, event,
@@ -76,12 +75,12 @@ local function watch_event(walk, judged)
   end
   judged.member, judged.event = member, event
   member.wanted[#member.wanted + 1], own.wanted[event] = event, false
-  walk.afters[#walk.afters + 1], walk.owed[judged] = judged, {}
+  walk.afters[#walk.afters + 1], judged.owed = judged, {}
 end
 
 -- Has a product judge a property. Raises an error if it cannot.
 local function watch(walk, judged)
-  if not JUDGED[judged.property.kind] then
+  if not monitors.kinds[judged.property.kind].judge then
     error(("property '%s': it is not judged for a system, expected: never, always, "
       .. "from(...).can_reach or after(...).reach"):format(judged.name), 0)
   end
@@ -91,15 +90,16 @@ end
 
 -- Findings ..........................................................................
 
--- Adds a finding with the run to a configuration `at`, and on by a move.
+-- Adds a finding with the run to a configuration, `shown.at`, and the moves from there.
 local function add_run(walk, findings, code, path, text, shown, where)
   local finding = findings:add(code, nil, path, text, nil, where)
   if finding then finding.witness = walk:witness(shown.at, shown.label, shown.tgt) end
 end
 
--- Does a machine wait: is it not entered, or is a leaf not an end that events leave?
+-- Does a machine wait for an event? It does if it was not entered, or an event can have
+-- an effect in one of its leaves which is not an end.
 local function is_waiting(member, conf)
-  for i, part in ipairs(member.own.parts) do
+  for i, part in ipairs(member.subject.parts) do
     local leaf = conf[i].leaf
     local is_end = leaf and (leaf.final == true or codes.means(leaf, "an end"))
     local found = (leaf or i == 1) and not is_end and reactions.of(part, leaf)
@@ -131,10 +131,10 @@ end
 -- Does a transition or an extension ever take an event?
 local function takes(member, event)
   return member.takes[event]
-    or match.has(alphabet.of_all(member.own.parts[1].fsm).reactions, event)
+    or match.has(alphabet.of_all(member.subject.parts[1].fsm).reactions, event)
 end
 
--- Finds what a wire loses, and what is never in it or never taken.
+-- Finds that a wire can lose its event, never carries it, or that nobody takes it.
 local function find_in_wire(walk, wire, findings)
   local place = wire_text(wire)
   local where = wire.location ~= "" and wire.location .. ": " or ""
@@ -151,7 +151,7 @@ local function find_in_wire(walk, wire, findings)
   end
 end
 
--- Explores a chart alone. Returns the states that it does not reach, or nil.
+-- Explores a chart alone. Returns the set of unreached states; nil if a bound was hit.
 local function unreached_alone(member, model, settings, bounds)
   local own = { timers = "free", configurations = bounds.configurations,
     seconds = bounds.seconds }
@@ -167,7 +167,8 @@ local function unreached_alone(member, model, settings, bounds)
 end
 
 local function find_unreached(member, findings, unreached)
-  local own, active = member.own, verdict.active_in(member.own, member.passed)
+  local own = member.subject
+  local active = verdict.active_in(own, member.passed)
   for _, path in ipairs(unreached and own.paths or {}) do
     local above = path:match("^(.*)%.[^.]*$")
     if not (active[path] or unreached[path]) and (not above or active[above]) then
@@ -179,7 +180,7 @@ end
 
 -- The whole .........................................................................
 
--- Returns for each machine a group: the same for those that wires or properties join.
+-- Returns a group for each machine: the same if a wire or property joins two of them.
 local function groups_of(cell, list)
   local group_of = {}
   for _, name in ipairs(cell.names) do group_of[name] = name end
@@ -201,7 +202,7 @@ end
 local function add_premises(result, walk, settings)
   local function add(text) result.premises[#result.premises + 1] = text end
   for _, member in ipairs(walk.members) do
-    local own = member.own
+    local own = member.subject
     local free = rfsm.sorted_keys(own.free)
     if free[1] then add(member.name .. ": " .. concat(free, ", ") .. " free") end
     if settings[member.name].alphabet then
@@ -220,7 +221,9 @@ end
 local function add_walk(result, walk, cell, settings, options)
   explore.walk_all(walk, options)
   result.configurations = result.configurations + #walk.keys
-  result.steps = result.steps + walk.count
+  for _, member in ipairs(walk.members) do
+    result.steps = result.steps + member.count
+  end
   result.bound = result.bound or walk.bound
   result.untried = match.joined(result.untried, walk.untried)
   add_premises(result, walk, settings)
@@ -256,7 +259,7 @@ local function read_settings(cell, given)
   return settings
 end
 
--- Lists the products of the groups of machines; and by the name of the group.
+-- Returns the products of the groups of machines, in a list and by group.
 local function walks_of(cell, group_of, settings)
   local walks, by_group = {}, {}
   for _, name in ipairs(cell.names) do

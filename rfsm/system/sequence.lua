@@ -1,4 +1,5 @@
---- Sequence charts: the moves of a witness as text, and back; as Mermaid.
+--- Sequence charts: the moves of a witness as lines of text, which can be read back, or
+--- as a diagram of Mermaid.
 --
 -- @module rfsm.system.sequence
 -- @license BSD-3-Clause
@@ -33,7 +34,7 @@ function sequence.lines_of(witness)
   return lines
 end
 
---- Read the moves of a text: of each line that begins with a number and a point.
+--- Read the moves of a text: each line that begins with a number and a point is one.
 ---@param text string
 ---@return { machine: string, events: string[] }[] moves for `cell:move`
 function sequence.read(text)

@@ -1,6 +1,6 @@
---- Wires: queues between machines, which do as connections of Orocos.
+--- Wires: queues between machines, which behave as the connections of Orocos do.
 --
--- A queue is a plain list, the oldest event first. Nothing else is kept of a wire.
+-- A queue is a plain list of events, the oldest first.
 --
 -- @module rfsm.system.wires
 -- @license BSD-3-Clause
@@ -13,17 +13,17 @@ local wires = {}
 
 --- A wire, from one machine to another or to itself.
 ---@class rfsm.system.Wire
----@field number integer its position
+---@field number integer its position in the description
 ---@field from string machine
 ---@field event string
 ---@field to string machine
----@field kind "buffer"|"data" buffer: full, the new event is lost; data: the old one
+---@field kind "buffer"|"data" a full buffer loses a new event, data the old one
 ---@field size integer of the buffer; of data 1
----@field read "all"|"one" how much a move of its reader takes
+---@field read "all"|"one" how many events a move of the reader takes from the queue
 ---@field location string "cell.lua:7"
 
---- Return the event that `fsm.emit(name, data)` means: its name; with data, a table
---- that `rfsm.named` accepts. Data that is no table is its field `data`.
+--- Return the event that `fsm.emit(name, data)` sends: without data the name; otherwise
+--- a table that `rfsm.named` accepts. Data that is no table becomes its field `data`.
 function wires.event_of(name, data)
   if data == nil then return name end
   local event = encoding.copy_of(type(data) == "table" and data or { data = data })
@@ -47,7 +47,7 @@ end
 ---@param queues any[][] of these wires
 ---@param to string the machine
 ---@return any[] events
----@return rfsm.system.Wire[] by the wire of each
+---@return rfsm.system.Wire[] by for each event the wire from which it comes
 function wires.take(list, queues, to)
   local events, by = {}, {}
   for i, wire in ipairs(list) do

@@ -313,7 +313,7 @@ local function stand_in(own, walk, number)
   for i, member in ipairs(own.members) do
     for at, each in ipairs(walk.members) do
       if each.name == member.name then
-        local parts, stands = each.own.parts, {}
+        local parts, stands = each.subject.parts, {}
         for n, position in ipairs(each.confs[conf.numbers[at]]) do
           stands[n] = parts[n].prefix .. " " .. (position.leaf
             and position.leaf._fqn .. " " .. position.mode or "none")
@@ -430,7 +430,7 @@ local function set_outside(own, result)
   for _, walk in ipairs(result.walks) do
     for _, each in ipairs(walk.members) do
       local list = { "e_?" }
-      for _, event in ipairs(charts.outside_events(each.own)) do
+      for _, event in ipairs(charts.outside_events(each.subject)) do
         if not each.wired[event] then list[#list + 1] = event end
       end
       own.members[each.name].outside = list
