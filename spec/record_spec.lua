@@ -321,6 +321,18 @@ describe("a recording", function()
         kept = { data = { root = { n = 0.5 } } } })
   end)
 
+  it("in a file costs at most 500 VM instructions to encode in the usual case",
+    function()
+      if rawget(_G, "jit") then return end -- compiled code calls no hook
+      local usual = { done = true, events = { "e_done@root.off", "e_push" },
+        leaf = "root.on", n = 7 }
+      local count = 0
+      debug.sethook(function() count = count + 1 end, "", 1)
+      journal.encode(usual)
+      debug.sethook()
+      assert.is_true(count <= 500, count .. " instructions")
+    end)
+
   it("in a file has what regions did in an iteration", function()
     local function model()
       return state { emem = false, info = false, warn = false, err = false,
