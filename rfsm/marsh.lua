@@ -10,6 +10,7 @@
 -- @license BSD-3-Clause
 
 local digits_of = require("rfsm.shared.exact_json").digits_of
+local files = require "rfsm.shared.files"
 local rfsm = require "rfsm"
 
 local io, ipairs, rawget, rawset = rawget(_G, "io"), ipairs, rawget, rawset
@@ -130,10 +131,7 @@ end
 ---@param name string of the chunk, without its first character: "chart.lua"
 ---@return string? text nil if it cannot be read
 function marsh.read_source(name)
-  local file = io and io.open(name)
-  local text = file and file:read("*a")
-  if file then file:close() end
-  return text
+  return io and files.read(name) or nil
 end
 
 -- Returns the lines of a source; none where it cannot be read.

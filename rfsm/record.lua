@@ -105,19 +105,11 @@ function listener.getevents(_, track, own)
   end
 end
 
--- Returns the data that the chart keeps; nil if it cannot be saved. No other error is
--- caught: a debug hook has raised it, for the caller of the step.
-local function data_of(fsm)
-  local ok, kept = pcall(snapshot.take_data, fsm)
-  if ok then return kept end
-  if not encoding.text_of_fail(kept) then error(kept, 0) end
-end
-
 -- Notes the data that the chart keeps in a field of a record, if it has changed. It is
 -- noted again in the next iteration if an interrupt comes before the end.
 local function note_change(track, rec, field)
   if not tracks.may_have_changed(track.observed) then return end
-  local kept = data_of(track.fsm)
+  local kept = encoding.attempt(snapshot.take_data, track.fsm)
   if kept and not tracks.same(kept, track.kept) then
     if field == "regions" then
       tracks.note(rec, field, track.m, kept)

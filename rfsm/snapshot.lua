@@ -433,23 +433,17 @@ function snapshot.take(fsm, options)
   rfsm.check_between_steps(fsm, "rfsm.snapshot.take")
   local ok, snap = try(take, fsm)
   if not ok then error("rfsm.snapshot.take: " .. reason(snap), 2) end
-  if options and options.structure then snap.structure = shape.of(fsm).chart.all end
+  if options and options.structure then snap.structure = shape.lines_of(fsm) end
   return snap
 end
 
 --- Return a machine as a plain table, for those who watch: also at the beginning of an
--- iteration, whose events are not in it. Nil and the reason if it cannot be saved. Any
--- other error is raised, such as that of a debug hook.
+-- iteration, whose events are not in it. Nil and the reason if it cannot be saved.
+-- @raise if a debug hook raises an error
 ---@param fsm rfsm.Machine
 ---@return rfsm.snapshot.Snapshot?
 ---@return string? problem
-function snapshot.try_take(fsm)
-  local ok, snap = pcall(take, fsm)
-  if ok then return snap end
-  local problem = encoding.text_of_fail(snap)
-  if not problem then error(snap, 0) end
-  return nil, problem
-end
+function snapshot.try_take(fsm) return encoding.attempt(take, fsm) end
 
 --- Return a snapshot as JSON: one text for one snapshot, on every Lua.
 ---@param snap rfsm.snapshot.Snapshot

@@ -9,6 +9,7 @@
 -- @license BSD-3-Clause
 
 local calls = require "rfsm.shared.calls"
+local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 local shape = require "rfsm.snapshot.shape"
 local migrate = require "rfsm.snapshot.migrate"
@@ -59,12 +60,9 @@ end
 
 -- Returns the timers of a leaf and the states around it.
 local function timers_of(fsm, leaf)
-  local list, is_around, state = {}, {}, leaf
-  while not is_around[state] do
-    is_around[state], state = true, state._parent
-  end
+  local list = {}
   for _, tr in ipairs(shape.of(fsm).transitions) do
-    for _, event in ipairs(is_around[tr.src] and tr.events or {}) do
+    for _, event in ipairs(location.is_inside(leaf, tr.src) and tr.events or {}) do
       local name = rfsm.text_of(event)
       if match.maker_of(name) == "timer" then list[#list + 1] = name end
     end
@@ -105,21 +103,19 @@ local function place_from(fsm, prefix, rename)
   return places[1]
 end
 
-local function location_of(at, leaf) return at.prefix .. leaf._fqn:sub(5) end
-
 -- Returns the fate of the machines that are in a leaf of the machine or region `at`.
 local function fate_of(places, at, leaf, model, options)
   enter_at(places, at, leaf)
   local fsm, problem, list = snapshot.restore(model,
     snapshot.take(places[1].machine), options)
-  local fate = { leaf = location_of(at, leaf), to = false, notes = {} }
+  local fate = { leaf = location.path(leaf, at.prefix), to = false, notes = {} }
   if not fsm then
     fate.notes = reasons(problem, list, options)
     return fate
   end
   local new = place_from(fsm, at.prefix, options.rename)
   local to = new.machine._act_leaf
-  fate.to = to and location_of(new, to) or "no state"
+  fate.to = to and location.path(to, new.prefix) or "no state"
   if to then
     local old_timers, timers = timers_of(at.machine, leaf), timers_of(new.machine, to)
     note_timers(fate.notes, old_timers, timers, " is dropped")

@@ -15,7 +15,7 @@ local exact_json = require "rfsm.shared.exact_json"
 local each = require("rfsm.shared.order").each
 local rfsm = require "rfsm"
 
-local error, getmetatable, ipairs = error, getmetatable, ipairs
+local error, getmetatable, ipairs, pcall = error, getmetatable, ipairs, pcall
 local rawequal, rawget, tonumber, type = rawequal, rawget, tonumber, type
 local floor, huge, min = math.floor, math.huge, math.min
 local math_type, to_integer = rawget(math, "type"), rawget(math, "tointeger")
@@ -33,13 +33,21 @@ local NIL = {}
 --- Raise an error that the public functions of the caller turn into one line.
 local function fail(form, ...) error({ text = form:format(...) }, 0) end
 
---- Return the text of an error that was raised by `fail`; nil for any other error.
+-- Returns the text of an error that was raised by `fail`; nil for any other error.
 local function text_of_fail(failure)
   return type(failure) == "table" and rawget(failure, "text") or nil
 end
 
 --- Return the text of an error, also of one that was raised by `fail`.
 local function reason(failure) return text_of_fail(failure) or text_of(failure) end
+
+--- Return f(...); nil and the text of its error if `fail` has raised that. Any other
+-- error is raised, such as that of a debug hook.
+local function attempt(f, ...)
+  local ok, result = pcall(f, ...)
+  if ok then return result end
+  return nil, text_of_fail(result) or error(result, 0)
+end
 
 --- Call a function of the chart; its error is one of `fail`, with `what` in front.
 local function try(what, f, ...)
@@ -274,8 +282,8 @@ function unpack(packed, depth)
 end
 
 return {
-  NIL = NIL, as_table = as_table, copy_of = copy_of, fail = fail,
+  NIL = NIL, as_table = as_table, attempt = attempt, copy_of = copy_of, fail = fail,
   is_event = is_event, is_null = is_null, is_scalar = is_scalar,
-  location_of = location_of, pack = pack, reason = reason, text_of_fail = text_of_fail,
+  location_of = location_of, pack = pack, reason = reason,
   to_json = to_json, try = try, unpack = unpack,
 }

@@ -236,28 +236,17 @@ function migrate.difference(old, new)
   return list
 end
 
--- Returns the lines of the charts that the parts of a snapshot name, if all are known,
--- and those of the machine and its regions. Without a name there is nothing to compare.
+-- Returns the lines of the charts that the parts of a snapshot name; nil if one of them
+-- is not known. A part without a name is of the present chart.
 local function known_lines(fsm, snap)
-  local old, new = {}, {}
+  local lines = {}
   for _, at in ipairs(shape.of(fsm).places) do
-    local chart = shape.of(at.machine).chart
     local name = migrate.part_of(snap, at.prefix).chart
-    local was = name and shape.named(name) or not name and chart
-    if not was then return nil end
-    shape.append(old, at.prefix, was.lines)
-    shape.append(old, at.prefix, was.fields)
-    shape.append(new, at.prefix, chart.lines)
-    shape.append(new, at.prefix, chart.fields)
+    local chart = not name and shape.of(at.machine).chart or shape.named(name)
+    if not chart then return nil end
+    shape.append(lines, at.prefix, chart)
   end
-  return old, new
-end
-
--- Returns the lines of the chart of a snapshot, and those of the machine to compare.
-local function lines_of(fsm, snap, given)
-  local lines = given and shape.structure(given) or snap.structure
-  if lines then return lines, shape.of(fsm).chart.all end
-  return known_lines(fsm, snap)
+  return lines
 end
 
 local function missing(lost)
@@ -379,8 +368,9 @@ end
 -- Returns a snapshot of another chart as one for that of a machine, and as `to`.
 local function adapt(fsm, snap, options, most)
   local lost = migrate.lost(fsm, snap)
-  local old, new = lines_of(fsm, snap, options.old)
-  local list = old and migrate.difference(old, new) or missing(lost)
+  local old = options.old and shape.structure(options.old) or snap.structure
+    or known_lines(fsm, snap)
+  local list = old and migrate.difference(old, shape.lines_of(fsm)) or missing(lost)
   if most == "structure" and not (options.rename or options.migrate) then
     refuse("the snapshot is of another chart", list)
   end

@@ -108,8 +108,7 @@ end
 --- What is known of the structure that machines share.
 ---@class rfsm.snapshot.Chart
 ---@field lines string[] of states, connectors and transitions
----@field fields string[] of what is kept, and of regions
----@field all string[] both, and those of the regions
+---@field fields string[] lines of what is kept, and of regions
 ---@field structure string fingerprint of `lines`
 ---@field name string that, and the fingerprint of `fields` if there are some
 ---@field keepers rfsm.snapshot.Keeper[]
@@ -157,7 +156,7 @@ end
 local function chart_of(fsm)
   local key = rfsm.structure_of(fsm)
   if charts[key] then return charts[key] end
-  local self = { lines = {}, fields = {}, all = {}, structure = false, name = false,
+  local self = { lines = {}, fields = {}, structure = false, name = false,
     keepers = {}, keeper = {}, has_load = false, has_regions = false, leaves = {},
     nodes = {}, transitions = {} }
   for i, obj in ipairs(rfsm.elements(fsm)) do
@@ -178,30 +177,11 @@ local function chart_of(fsm)
   charts[key], by_name[self.name] = self, self
   count = count % MAX_LATEST + 1
   shape.latest[count] = self
-  for _, at in ipairs(places) do
-    local known = at.machine == fsm and self or chart_of(at.machine)
-    shape.append(self.all, at.prefix, known.lines)
-    shape.append(self.all, at.prefix, known.fields)
-  end
   return self
 end
 
 --- Return a chart that is known by the name in a snapshot; nil if it is not.
 function shape.named(name) return by_name[name] end
-
---- Append lines of the machine at a place.
-function shape.append(list, prefix, more)
-  local head = prefix == "root" and "" or prefix .. ": "
-  for _, line in ipairs(more) do list[#list + 1] = head .. line end
-end
-
---- Return the structure of a model or a machine as lines, none if it is wrong; such
--- lines as they are.
-function shape.structure(model)
-  if not rfsm.is_state(model) then return model end
-  local fsm = rfsm.is_initialized_root(model) and model or calls.init_apart(model)
-  return fsm and chart_of(fsm).all or {}
-end
 
 -- Machines --------------------------------------------------------------------------
 
@@ -233,6 +213,30 @@ function shape.of(fsm)
   end
   fsm._kept = own
   return own
+end
+
+--- Append the lines of the chart of the machine at a prefix.
+function shape.append(list, prefix, chart)
+  local head = prefix == "root" and "" or prefix .. ": "
+  for _, line in ipairs(chart.lines) do list[#list + 1] = head .. line end
+  for _, line in ipairs(chart.fields) do list[#list + 1] = head .. line end
+end
+
+--- Return the structure of a machine and its regions as lines.
+function shape.lines_of(fsm)
+  local list = {}
+  for _, at in ipairs(shape.of(fsm).places) do
+    shape.append(list, at.prefix, shape.of(at.machine).chart)
+  end
+  return list
+end
+
+--- Return the structure of a model or a machine as lines, none if it is wrong; such
+-- lines as they are.
+function shape.structure(model)
+  if not rfsm.is_state(model) then return model end
+  local fsm = rfsm.is_initialized_root(model) and model or calls.init_apart(model)
+  return fsm and shape.lines_of(fsm) or {}
 end
 
 --- Return the state that an FQN names; nil if there is none.
