@@ -19,7 +19,6 @@ local encoding = require "rfsm.snapshot.encoding"
 local replay = require "rfsm.record.replay"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
-local instrument = require "rfsm.shared.instrument"
 local tracks = require "rfsm.record.track"
 
 local error, ipairs, pcall = error, ipairs, pcall
@@ -241,7 +240,7 @@ function listener.guard(_, track, number, guard, tr, events)
 end
 
 function listener.attached(_, track)
-  track.kept = snapshot.take_data(track.fsm)
+  track.kept = encoding.attempt(snapshot.take_data, track.fsm)
   track.observed = tracks.observe_data(track.fsm)
 end
 
@@ -256,17 +255,6 @@ function listener.failed(recorder, track, element, name)
   local is_own = name == "guard" and not rawequal(element, track.failing)
   if is_own or select(2, rfsm.regions(element)) then recorder.is_moved = true end
   track.failing = nil
-end
-
--- Takes the snapshot of the header, and notes readings of the clock.
-local function take_first(recorder, fsm)
-  local changes = {}
-  instrument.put(changes, fsm, "gettime",
-    listener.gettime(recorder, { fsm = fsm }, rawget(fsm, "gettime")))
-  local ok, snap, problem = pcall(snapshot.try_take, fsm)
-  instrument.give_back(changes)
-  if not ok then error(snap, 0) end
-  return snap, problem
 end
 
 --- Record no more, up to `go_on`. Guards, getevents and clock are those of the machine.
@@ -308,20 +296,21 @@ end
 function record.record(fsm, sink)
   rfsm.check_between_steps(fsm, "rfsm.record.record")
   local header = { record = record.VERSION }
-  local recorder = setmetatable({ fsm = fsm, count = 0, timed = header, tracks = {} },
-    Recorder)
-  local snap, problem = take_first(recorder, fsm)
-  if not snap then error("rfsm.record.record: " .. problem, 2) end
-  if type(sink) == "string" then
+  local recorder = setmetatable({ fsm = fsm, count = 0, tracks = {} }, Recorder)
+  recorder:go_on()
+  recorder.timed = header
+  local ok, snap, problem = pcall(snapshot.try_take, fsm)
+  if ok and snap and type(sink) == "string" then
     recorder.file, problem = journal.open(sink)
-    if not recorder.file then error("rfsm.record.record: " .. problem, 2) end
     recorder.name = sink
   end
+  if not ok or problem then recorder:pause() end
+  if not ok then error(snap, 0) end
+  if problem then error("rfsm.record.record: " .. problem, 2) end
   header.snapshot, header.file = snap, rfsm.location_of(fsm):match("^(.*):%d+: root$")
   recorder.write, recorder.is_journal = writer_to(recorder.file or sink)
   header.guards = tracks.guard_texts(fsm)
   recorder.write(header)
-  recorder:go_on()
   recorder.is_moved, recorder.cuts = false, count_cuts(recorder)
   return recorder
 end

@@ -1017,6 +1017,25 @@ describe("a recorder", function()
     assert.same({ { 42, 0 } }, sink[1].clock)
   end)
 
+  it("reads the clocks of regions for its first snapshot", function()
+    local now = 200
+    local function model(gettime)
+      local region = state { info = false, warn = false, gettime = gettime,
+        a = state {}, b = state {}, trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_after(5)" } } }
+      return state { info = false, warn = false, p = rfsm.seqand { r = region },
+        trans { src = "initial", tgt = "p" } }
+    end
+    local fsm, sink = helper.init(model(function() return now, 0 end)), {}
+    rfsm.run(fsm)
+    now = 202
+    record.record(fsm, sink)
+    assert.same({ { 202, 0 } }, sink[1].clock)
+    now = 203
+    helper.post_and_run(fsm, "e_any")
+    assert(record.replay(model(function() return 0, 0 end), sink))
+  end)
+
   it("prints nothing in a dry replay, of what is created and what fails", function()
     local sink, said = {}, {}
     local fsm = helper.init(worker({}, function() error("no sensor", 0) end))
