@@ -22,7 +22,6 @@ local rehearsal = require "rfsm.tests.rehearsal"
 
 local error, ipairs, pairs = error, ipairs, pairs
 local tonumber, type = tonumber, type
-local ceil, max = math.ceil, math.max
 local concat = table.concat
 
 local tests = {}
@@ -31,7 +30,6 @@ local tests = {}
 ---@class rfsm_checks.Tests
 ---@field runs { steps: rfsm_checks.TestStep[] }[]
 ---@field steps integer of all runs
----@field least integer a lower bound for the steps of any tests
 ---@field taken integer how many transitions they take
 ---@field transitions integer of the chart
 ---@field skipped integer runs that a rehearsal cannot repeat
@@ -96,7 +94,7 @@ local function watch_steps(walk)
     is_noted[key] = true
     edges[from] = edges[from] or {}
     edges[from][#edges[from] + 1] = { from = from, tgt = tgt, shows = keys,
-      taken = #own.taken, label = label() }
+      label = label() }
   end
   walk.edges = edges
 end
@@ -236,20 +234,18 @@ function tests.plan(model, options)
   options = options or {}
   local walk = explore.walk(model, { together = 2, timers = "free" },
     watch_steps)
-  local left, most, result = {}, 1, { runs = {}, steps = 0, least = 0,
+  local left, result = {}, { runs = {}, steps = 0,
     taken = #rfsm.sorted_keys(walk.taken), transitions = #walk.subject.transitions,
     skipped = 0, modules = {} }
   for _, event in ipairs(walk.subject.event_list) do
     local module = match.maker_of(event) and advice.module_for(event)
     if module then result.modules[module] = true end
   end
-  for _, list in pairs(walk.edges) do -- any order: a set, and the greatest
+  for _, list in pairs(walk.edges) do -- any order: a set
     for _, edge in ipairs(list) do
-      most = max(most, edge.taken)
       for _, key in ipairs(edge.shows) do left[key] = true end
     end
   end
-  result.least = ceil(result.taken / most)
   local is_seen = {}
   for _, run in ipairs(plan(walk, left)) do
     local steps = rehearse(walk, model, run, true, is_seen, options)
