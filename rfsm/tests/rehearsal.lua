@@ -136,23 +136,11 @@ function rehearsal.rehearsal(what, options)
   return setmetatable({ subject = own }, Rehearsal)
 end
 
--- Returns the events of the step of a witness, as `Rehearsal:step` takes them.
-local function events_of(step)
-  local what = { inside = {} }
-  for i = 1, #step.values do what[i] = step.values[i] end
-  for _, inner in ipairs(step.inside) do
-    what.inside[inner.prefix] = what.inside[inner.prefix] or {}
-    table.insert(what.inside[inner.prefix], inner.event)
-  end
-  return what
-end
-
---- Return what to tell a rehearsal about a step of a witness.
+--- Return the answers in a step of a witness, as `Rehearsal:step` takes them.
 ---@param step rfsm_checks.WitnessStep
----@return table what see `Rehearsal:step`
-function Rehearsal:what_of(step)
-  local what, name_of = events_of(step), self.subject.name_of
-  what.guards, what.ends, what.goes_on = {}, {}, {}
+---@return { guards: table, ends: string[], goes_on: string[] } what
+function Rehearsal:answers_of(step)
+  local what, name_of = { guards = {}, ends = {}, goes_on = {} }, self.subject.name_of
   for _, choice in ipairs(step.choices) do
     local name = name_of[choice.who]
     if choice.is_doo then
@@ -262,17 +250,21 @@ end
 
 -- Takes the step of a witness again, with its choices one after the other.
 function Rehearsal:repeat_step(step)
-  local own, what, choices = self.subject, events_of(step), {}
+  local own, events, choices = self.subject, {}, {}
+  for i = 1, #step.values do
+    events[i] = own:occurrence(own.parts[1], step.values[i])
+  end
+  for _, inner in ipairs(step.inside) do
+    events[#events + 1] = own:occurrence(own.part_of[inner.prefix], inner.event)
+  end
   for i, choice in ipairs(step.choices) do choices[i] = choice.answer end
   own.choose = nil
   if step.at then own.time:advance(step.at - own.time:now()) end
   for _, part in ipairs(own.parts) do part.rounds = 0 end
-  own:step(occurrences_of(own, what), choices)
+  own:step(events, choices)
   own.choose = answer
   for _, sent in ipairs(step.sent) do
-    for _, part in ipairs(own.parts) do
-      if part.prefix == sent.prefix then send_after(part, sent.event) end
-    end
+    send_after(own.part_of[sent.prefix], sent.event)
   end
 end
 

@@ -141,14 +141,14 @@ local MARGIN = 0.001 -- seconds; a timer fires after its time
 
 -- Returns the argument of the rehearsal for a step.
 local function told_of(walk, own, edge, waits)
-  local what, events = own:what_of(walk:rerun(edge.from, edge.label)), {}
-  for i = #what, 1, -1 do events[i], what[i] = what[i], nil end
-  for _, event in ipairs(events) do
-    local seconds = waits and seconds_of(event)
+  local step = walk:rerun(edge.from, edge.label)
+  local what = own:answers_of(step)
+  for i = 1, #step.values do
+    local seconds = waits and seconds_of(step.values[i])
     if seconds then
       what.after = seconds + MARGIN
     else
-      what[#what + 1] = event
+      what[#what + 1] = step.values[i]
     end
   end
   return what
