@@ -11,6 +11,7 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local encoding = require "rfsm.snapshot.encoding"
 local explore = require "rfsm.explore.explore"
 local graph = require "rfsm.explore.graph"
 local match = require "rfsm.shared.match"
@@ -49,16 +50,9 @@ end
 
 -- Steps of the exploration ..........................................................
 
--- Can the events of a step be written?
-local function is_plain(events)
-  for i = 1, #events do
-    local kind = type(events[i].event)
-    if kind ~= "string" and kind ~= "number" and kind ~= "boolean"
-      or events[i].part.owner then
-      return false
-    end
-  end
-  return true
+-- Can an event be written in a spec? Those of regions cannot.
+local function is_plain(occurrence)
+  return encoding.is_scalar(occurrence.event) and not occurrence.part.owner
 end
 
 -- Lists the facts that a step shows, as keys: each transition taken, with each of its
@@ -88,9 +82,8 @@ local function watch_steps(walk)
   function walk.look(_, from, tgt, events, label)
     local keys = shown_by(own)
     local key = from .. " " .. tgt .. " " .. concat(keys, ",")
-    if is_noted[key] or not is_plain(events) or tgt == from and not keys[1] then
-      return
-    end
+    local is_wanted = order.all(events, is_plain) and (tgt ~= from or keys[1])
+    if is_noted[key] or not is_wanted then return end
     is_noted[key] = true
     edges[from] = edges[from] or {}
     edges[from][#edges[from] + 1] = { from = from, tgt = tgt, shows = keys,
