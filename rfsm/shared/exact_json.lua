@@ -92,11 +92,11 @@ local function encode_object(object, depth)
   return "{" .. concat(fields, ",") .. "}"
 end
 
--- Is a table a list? A key beside 1 to n makes it none.
+-- Is a table a list? It is not if it has a key beside 1 to n.
 local function is_list(t)
   if rawget(t, 1) == nil then return false end
   local count = 0
-  for _ in next, t do count = count + 1 end -- any order: a number
+  for _ in next, t do count = count + 1 end -- any order: they are counted
   return count == #t
 end
 
@@ -117,8 +117,8 @@ function encode(value, depth)
   error("a " .. type(value) .. " has no JSON", 0)
 end
 
---- Return a value as a text.
--- @raise if it holds what JSON has not: a function, NaN, a table in itself
+--- Return a value as a text of JSON.
+-- @raise if the value has a part that JSON lacks: a function, NaN, a table in itself
 ---@param value any
 ---@return string text
 function exact_json.encode(value) return encode(value, 0) end

@@ -1,7 +1,8 @@
 --- Rehearsal: a chart run step by step without its callbacks, for tests and witnesses.
 --
--- A step says what guards answer and which doos end; one that is asked and not
--- mentioned is part of the result. Time is what the rehearsal says.
+-- The argument of a step has answers for guards, and the doos that end. The result
+-- names a guard or doo that was asked and has no answer there. Time advances only in a
+-- step that says so.
 --
 -- @module rfsm.tests.rehearsal
 -- @license BSD-3-Clause
@@ -30,7 +31,7 @@ local Rehearsal = {}
 Rehearsal.__index = Rehearsal
 
 -- Returns the answer that the step has for a guard or doo, in place of
--- `Subject:choose`. Without one a guard is true and a doo goes on.
+-- `Subject:choose`. Without an answer a guard is true and a doo goes on.
 local function answer(own, who, is_doo)
   local said = own.said[who]
   if said == nil and not own.is_asked[who] then
@@ -161,7 +162,7 @@ local function find_asker(own, name)
       rfsm.sorted_keys(own.asker_of))), 4)
 end
 
--- Tells the subject what to decide in the next step.
+-- Notes the answers for guards and doos in the next step.
 local function tell(own, what)
   own.said, own.is_asked, own.unmentioned = {}, {}, {}
   for _, name in ipairs(rfsm.sorted_keys(what.guards or {})) do
@@ -174,7 +175,7 @@ local function tell(own, what)
   for _, part in ipairs(own.parts) do part.rounds = 0 end
 end
 
--- Lists what was asked and not mentioned, and what was mentioned and not asked.
+-- Lists the guards and doos that were asked and had no answer, and the reverse.
 local function surprises(own)
   local list = {}
   for _, who in ipairs(own.unmentioned) do
@@ -221,8 +222,8 @@ end
 -- of states whose doo ends or goes on; `after`: seconds; `inside`: lists of events of
 -- regions, by their paths
 ---@return string text "off -e_x-> on": transitions taken; "stays in off": none. What
--- was asked and not mentioned follows, and what was mentioned and not asked; behind a
--- colon the callbacks in order, if they run
+-- was asked and not mentioned follows, and what was mentioned and not asked. If
+-- callbacks run, they follow behind a colon, in order
 function Rehearsal:step(what)
   what = what or {}
   local own = self.subject
@@ -237,8 +238,8 @@ function Rehearsal:step(what)
   return outcome(own)
 end
 
--- Sends what a callback has sent in a step. The next step sees it, as in a machine,
--- unless that takes several steps in one.
+-- Sends an event that a callback has sent in a step. The next step sees the event, as
+-- in a machine, but not if a region takes several steps in one.
 local function send_after(part, event)
   if not part.is_single then
     error(("rfsm_checks.record_witness: a callback in %s sends '%s' while the region "
@@ -248,7 +249,7 @@ local function send_after(part, event)
   rfsm.send_events(part.fsm, event)
 end
 
--- Takes the step of a witness again, with its choices one after the other.
+-- Takes the step of a witness again. Guards and doos get its choices in order.
 function Rehearsal:repeat_step(step)
   local own, events, choices = self.subject, {}, {}
   for i = 1, #step.values do

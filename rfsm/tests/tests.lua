@@ -75,7 +75,7 @@ local function shown_by(own)
   return keys
 end
 
--- Notes the steps, once for each target and list of facts.
+-- Notes the steps of an exploration, once for each target and list of facts.
 local function watch_steps(walk)
   local edges, is_noted, own = {}, {}, walk.subject
   own.notes_events = true
@@ -94,7 +94,7 @@ end
 
 -- Runs ..............................................................................
 
--- Returns the shortest list of steps from a configuration whose last one shows a fact
+-- Returns the shortest list of steps from a configuration whose last step shows a fact
 -- in `left`.
 local function find_way(walk, start, left)
   return graph.find_way(walk.edges, start, function(edge)
@@ -176,7 +176,7 @@ local function steps_at_rest(walk, number)
   return list
 end
 
--- Is the last step of the rehearsal that of the exploration?
+-- Did the rehearsal take the same transitions to the same leaf as the exploration?
 local function is_as_explored(walk, own, edge)
   local step = walk:rerun(edge.from, edge.label)
   local paths = own.subject:paths_of()
