@@ -501,23 +501,21 @@ end
 
 local REPLACEMENT = "\239\191\189" -- U+FFFD
 
--- Bounds of the second byte, where a first byte has other ones than 128 and 191.
-local LOWEST, HIGHEST = { [224] = 160, [240] = 144 }, { [237] = 159, [244] = 143 }
+-- The characters of more than one byte.
+local CHARACTERS = { "^[\194-\223][\128-\191]", "^\224[\160-\191][\128-\191]",
+  "^[\225-\236\238\239][\128-\191][\128-\191]", "^\237[\128-\159][\128-\191]",
+  "^\240[\144-\191][\128-\191][\128-\191]",
+  "^[\241-\243][\128-\191][\128-\191][\128-\191]",
+  "^\244[\128-\143][\128-\191][\128-\191]" }
 
--- Returns how many bytes follow a first one.
-local function count_of(byte)
-  return not byte and 0 or byte < 224 and 1 or byte < 240 and 2 or 3
-end
-
--- Replaces the bytes of a sequence that are no UTF-8: a first byte and those behind it.
-local function mend(first, others)
-  local byte, second = first:byte(), others:byte()
-  local count = count_of(byte)
-  if byte and (#others < count or second < (LOWEST[byte] or 128)
-    or second > (HIGHEST[byte] or 191)) then
-    return REPLACEMENT:rep(1 + #others)
+-- Returns the character with which the bytes begin, if they do. Each byte behind it
+-- becomes U+FFFD.
+local function mend(bytes)
+  for _, character in ipairs(CHARACTERS) do
+    local _, last = bytes:find(character)
+    if last then return bytes:sub(1, last) .. REPLACEMENT:rep(#bytes - last) end
   end
-  return first .. others:sub(1, count) .. REPLACEMENT:rep(#others - count)
+  return REPLACEMENT:rep(#bytes)
 end
 
 --- Return a text as UTF-8: each byte outside of a character becomes U+FFFD.
@@ -526,8 +524,7 @@ end
 ---@nodiscard
 function marsh.utf8(text)
   if not text:find("[\128-\255]") then return text end
-  text = text:gsub("[\192\193\245-\255]", REPLACEMENT)
-  return (text:gsub("([\194-\244]?)([\128-\191]*)", mend))
+  return (text:gsub("[\128-\255][\128-\191]*", mend))
 end
 
 -- Returns a value that dkjson writes as the digits of the number; a text if it is
