@@ -304,7 +304,7 @@ end
 ---@field data table<string, table> by FQN
 ---@field values table<string, table> of extensions
 ---@field how table argument of the hooks of extensions
----@field saved? table<string, table> by FQN
+---@field saved? table<string, { value: any }> results of `save`, by FQN
 ---@field targets? table<rfsm.Transition, table>
 
 local function new_part(fsm, snap, how)

@@ -40,7 +40,8 @@ function shape.has_event(line, event)
   return has(events) or has((events:gsub(" pn %S+$", "")))
 end
 
--- Digests lines in numbers below 2^44, which doubles can multiply.
+-- Returns a hash of lines. Its numbers are below 2^44, so that doubles can multiply them
+-- by 257 exactly.
 local function fingerprint_of(lines)
   local hash = 7
   for _, line in ipairs(lines) do

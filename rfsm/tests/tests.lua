@@ -30,11 +30,11 @@ local tests = {}
 --- Runs of a chart.
 ---@class rfsm_checks.Tests
 ---@field runs { steps: rfsm_checks.TestStep[] }[]
----@field steps integer of all runs
+---@field steps integer number of steps in all runs
 ---@field taken integer how many transitions they take
----@field transitions integer of the chart
+---@field transitions integer number of transitions of the chart
 ---@field skipped integer runs that a rehearsal cannot repeat
----@field modules table<string, true> that make events of the chart
+---@field modules table<string, true> of the extensions whose events the chart names
 
 --- A step of a rehearsal, and its result.
 ---@class rfsm_checks.TestStep
@@ -209,10 +209,10 @@ end
 ---@class rfsm_checks.TestOptions
 ---@field callbacks? boolean run entries, exits and effects
 ---@field stub? boolean open the file with stubs
----@field machine? integer open this one of a program
----@field file? string where the model is from: each run is tried on it once more
+---@field machine? integer number of the machine, if a program makes several
+---@field file? string of the model; each run is tried once more on the chart in it
 
--- Are the results of a run the same on the chart as its file has it?
+-- Are the results of a run the same if the chart is loaded from its file again?
 local function does_repeat(steps, options)
   if not options.file then return true end
   local own = rehearsal.rehearsal(options.file, { callbacks = options.callbacks,
