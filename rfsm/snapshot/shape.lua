@@ -40,8 +40,8 @@ function shape.has_event(line, event)
   return has(events) or has((events:gsub(" pn %S+$", "")))
 end
 
--- Returns a hash of lines. Its numbers are below 2^44, so that doubles can multiply them
--- by 257 exactly.
+-- Returns a hash of lines. Its numbers are below 2^44, so that doubles multiply them by
+-- 257 exactly.
 local function fingerprint_of(lines)
   local hash = 7
   for _, line in ipairs(lines) do
