@@ -271,7 +271,7 @@ end
 --- Record again after `pause`, into the same recording.
 function Recorder:go_on()
   if self.tracks[1] then return end
-  self.timed, self.is_moved, self.cuts = false, true, 0
+  self.timed, self.is_moved = false, true
   self.tracks = tracks.attach(self.fsm, listener, self)
 end
 

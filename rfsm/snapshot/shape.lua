@@ -157,15 +157,14 @@ end
 local function chart_of(fsm)
   local key = rfsm.structure_of(fsm)
   if charts[key] then return charts[key] end
+  local places = rfsm.machines(fsm)
   local self = { lines = {}, fields = {}, structure = false, name = false,
-    keepers = {}, keeper = {}, has_load = false, has_regions = false, leaves = {},
-    nodes = {}, transitions = {} }
+    keepers = {}, keeper = {}, has_load = false, has_regions = places[2] ~= nil,
+    leaves = {}, nodes = {}, transitions = {} }
   for i, obj in ipairs(rfsm.elements(fsm)) do
     self.lines[i] = line_of(obj)
     add_element(self, obj)
   end
-  local places = rfsm.machines(fsm)
-  self.has_regions = places[2] ~= nil
   for _, at in ipairs(places) do
     if at.owner == fsm then self.fields[#self.fields + 1] = "region " .. at.prefix end
   end
