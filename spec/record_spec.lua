@@ -811,6 +811,23 @@ describe("a doo in a dry replay", function()
     assert.same({ "done", { "e_done@root.a" } }, { replayed(function() end) })
     assert.same({ "done", {} }, { replayed(error) })
   end)
+
+  it("of a region that is run goes on for as many cycles as it did", function()
+    local function model(doo)
+      return state { info = false, warn = false, p = rfsm.seqand { run = true,
+          r = chart { a = state { doo = doo }, [3] = trans { src = "a", tgt = "b",
+            events = { "e_done" } } } },
+        trans { src = "initial", tgt = "p" } }
+    end
+    local sink, fsm = {}, helper.init(model(function()
+      for _ = 1, 3 do rfsm.yield(false) end
+    end))
+    record.record(fsm, sink)
+    rfsm.step(fsm)
+    assert.equal("root.b", rfsm.get_actleaf_fqn(rfsm.machines(fsm)[2].machine))
+    local again = assert(record.replay(model(error), sink, { dry = true }))
+    assert.same(snapshot.take(fsm), snapshot.take(again))
+  end)
 end)
 
 describe("a guard in a replay", function()
