@@ -94,7 +94,7 @@ local function with_fakes(own, f, ...)
   end
   local ok, result = pcall(f, ...)
   if class and getmetatable(_G) == class then setmetatable(_G, nil) end
-  for name in pairs(fakes) do rawset(_G, name, real[name][1]) end -- likewise
+  for name in pairs(fakes) do rawset(_G, name, real[name][1]) end -- any order
   if not ok then error(result, 0) end
   return result
 end

@@ -102,7 +102,7 @@ local function find_way(walk, start, left)
   end)
 end
 
-local LONG = 12 -- steps after which a run may end
+local LONG = 12 -- steps; a longer run may end, if a new one is as near to the next fact
 
 -- Returns runs, lists of steps, that show all facts in `left`.
 local function plan(walk, left)
@@ -132,7 +132,8 @@ end
 
 local MARGIN = 0.001 -- seconds; a timer fires after its time
 
--- Returns the argument of the rehearsal for a step.
+-- Returns the argument of `Rehearsal:step` for a step of the exploration. With `waits`
+-- time goes by in place of timer events.
 local function told_of(walk, own, edge, waits)
   local step = walk:rerun(edge.from, edge.label)
   local what = own:answers_of(step)
@@ -147,7 +148,7 @@ local function told_of(walk, own, edge, waits)
   return what
 end
 
--- Is a transition taken on any event in a leaf?
+-- Is there a transition that any event triggers in a leaf?
 local function takes_any(part, leaf)
   for _, node in ipairs(leaf and location.line(part.fsm, leaf) or {}) do
     for _, tr in ipairs(node._otrs) do
