@@ -475,4 +475,13 @@ describe("a rehearsal", function()
     assert.matches("tests_spec.lua:%d+: rfsm_checks.rehearsal: file or state expected, "
       .. "got number", text)
   end)
+
+  it("blames the caller for what is no witness", function()
+    local _, text = pcall(function() return (rfsm_checks.path_of(nil)) end)
+    assert.matches("tests_spec.lua:%d+: rfsm_checks.path_of: the witness of a finding "
+      .. "expected, got nil", text)
+    _, text = pcall(function() rfsm_checks.record_witness(state {}, 7, {}) end)
+    assert.matches("tests_spec.lua:%d+: rfsm_checks.record_witness: the witness of a "
+      .. "finding expected, got number", text)
+  end)
 end)
