@@ -10,6 +10,7 @@
 -- @license BSD-3-Clause
 
 local digits_of = require("rfsm.shared.exact_json").digits_of
+local files = require "rfsm.shared.files"
 local rfsm = require "rfsm"
 
 local io, ipairs, rawget, rawset = rawget(_G, "io"), ipairs, rawget, rawset
@@ -21,35 +22,35 @@ local debug = rawget(_G, "debug")
 
 local marsh = {}
 
---- A transition as a plain table. A full one has the fields from `key` on, too.
+--- A transition as a plain table. Only a full description has the fields from `key` on.
 ---@class rfsm.marsh.Transition
 ---@field type "transition"
 ---@field src string FQN
----@field tgt string FQN; a composite stands as its `initial`
+---@field tgt string FQN; for a composite that of its `initial`
 ---@field pn? number
 ---@field events any[] empty if any event triggers it
 ---@field internal? true nothing is left or entered; src and tgt are the same
 ---@field key? string its location: "root.trans[2]"
 ---@field words? string[] its events for a reader: "e_go", "after 5 s", "done"
 ---@field guard? string a text of the callback
----@field effect? string likewise
+---@field effect? string a text of the callback
 ---@field at? string file and line of both: "guard chart.lua:7, effect chart.lua:9"
 ---@field doc? string that field of the model, for a reader
 
---- A node as a plain table. Only a composite has the two lists. A full one has the
--- fields from `entry` on, too.
+--- A node as a plain table. Only a composite has the two lists. Only a full description
+-- has the fields from `entry` on.
 ---@class rfsm.marsh.Node
 ---@field id string
 ---@field type "state"|"connector"
 ---@field transitions? rfsm.marsh.Transition[]
 ---@field subnodes? rfsm.marsh.Node[]
 ---@field entry? string a text of the callback
----@field exit? string likewise
----@field doo? string likewise
+---@field exit? string a text of the callback
+---@field doo? string a text of the callback
 ---@field at? string file and line of each: "entry chart.lua:7"
 ---@field doc? string that field of the model, for a reader
 ---@field final? true that field of the model
----@field history? "shallow"|"deep" likewise, see rfsm/history.lua
+---@field history? "shallow"|"deep" that field of the model, see rfsm/history.lua
 ---@field mode? "active"|"done" of a live machine
 ---@field regions? rfsm.marsh.Node[] the machines of a sequential AND state; their FQNs
 -- begin with that of the state and the region's name: "root.arms.left.open"
@@ -65,8 +66,8 @@ end
 -- Returns the target that a transition has in the model.
 local function target_of(tr) return rfsm.targets(tr)[1] end
 
--- Notes which child of a composite a transition leads to, and from which one; a child
--- that is entered from outside is noted for the composite.
+-- Notes which two children of a composite a transition leads from and to. A child that
+-- a transition enters from outside is noted in `entries`, for its composite.
 local function note_links(tr, links, entries)
   local around, child, tgt = {}, target_of(tr), target_of(tr)
   while not rfsm.is_root(child) do
@@ -130,13 +131,10 @@ end
 ---@param name string of the chunk, without its first character: "chart.lua"
 ---@return string? text nil if it cannot be read
 function marsh.read_source(name)
-  local file = io and io.open(name)
-  local text = file and file:read("*a")
-  if file then file:close() end
-  return text
+  return io and files.read(name) or nil
 end
 
--- Returns the lines of a source; none where it cannot be read.
+-- Returns the lines of a source; none if the source cannot be read.
 local function lines_of(source)
   local name, lines = source:match("^[@=](.*)$"), {}
   local text = source
@@ -169,8 +167,8 @@ end
 
 local LONGEST = 40 -- bytes of a body
 
--- Returns the body of the only function in a line that is assigned to a field. What is
--- in front of the first "end" must be a program, or that is another end.
+-- Returns the body of the only function in a line that is assigned to a field. The text
+-- in front of the first "end" must be a program, or that "end" is of a block in it.
 local function body_in_field(line, field)
   local head = "%f[%w_]" .. field .. "%s*=%s*function%s*%b()%s*"
   local body = line:match(head .. "(.-)%f[%w_]end%f[^%w_]")
@@ -178,7 +176,7 @@ local function body_in_field(line, field)
   return is_only and compile and compile(body) and body or nil
 end
 
--- Returns the body of a function if it has one line: the first, or the one behind it.
+-- Returns the body of a function if it is one line: that of the head, or the next one.
 local function body_of(info, lines, count, field)
   local first, last = info.linedefined, info.lastlinedefined
   local body
@@ -195,7 +193,7 @@ end
 
 local LONGEST_COMMENT = 60 -- bytes
 
--- Returns the comment behind the head of a function, or the line of it in front.
+-- Returns the comment behind the head of a function, or in the line before.
 local function comment_of(info, lines)
   local line, before = lines[info.linedefined], lines[info.linedefined - 1] or ""
   local text = line:match("function%s*%b()%s*%-%-+%s*(.-)%s*$")
@@ -210,7 +208,7 @@ for word in ("and do else elseif end for function if in local not or repeat retu
   IS_KEYWORD[word] = true
 end
 
--- Calls f(call) for each call in a body, but for none in arguments.
+-- Calls f(call) for each call in a body, but not for calls in its arguments.
 local function each_call(body, f)
   local position = 1
   while true do
@@ -262,8 +260,8 @@ end
 --- The text of a callback whose source says nothing of it.
 marsh.UNKNOWN = ".."
 
--- Returns a function that gives a callback a text, the same on each run and each Lua,
--- and file and line, "" if there are none.
+-- Returns a function that returns two texts about a callback, the same in each run and
+-- on each Lua: a short one for a reader, and file and line, "" if they are not known.
 local function new_callback_text()
   local sources = {}
   local function new_text(f, field)
@@ -323,13 +321,13 @@ end
 
 -- Tables ----------------------------------------------------------------------
 
---- How the tables of a machine are made.
+--- What a machine's tables are made from.
 ---@class rfsm.marsh.Writer
 ---@field walk fun(composite: rfsm.State): rfsm.Node[]?
 ---@field transitions table<rfsm.State, rfsm.Transition[]> those in each composite
 ---@field names table<rfsm.Transition, string|number>
 ---@field prefix string the FQN of the root
----@field callback_text? fun(f: function, field?: string): string only of a full one
+---@field callback_text? fun(f: function, field?: string): string for full descriptions
 ---@field event_text fun(event: any): string
 ---@field regions_of table<rfsm.State, rfsm.Place[]> of the whole machine
 ---@field has_history table<rfsm.State, true> composites entered where they were left
@@ -346,8 +344,8 @@ local function source_of(f)
   return debug and type(f) == "function" and debug.getinfo(f, "S").source
 end
 
--- Returns what has the user's callbacks of a state. That of regions has a doo of its
--- extension, which may have put itself before entry and exit and keep the user's.
+-- Returns a table with the user's callbacks of a state. If the state has regions, its
+-- doo is their extension's. Entry and exit may be, too; the extension keeps the user's.
 local function callbacks_of(state, regions)
   if not regions then return state end
   local _, kept = rfsm.regions(state)
@@ -503,23 +501,21 @@ end
 
 local REPLACEMENT = "\239\191\189" -- U+FFFD
 
--- Bounds of the second byte, where a first byte has other ones than 128 and 191.
-local LOWEST, HIGHEST = { [224] = 160, [240] = 144 }, { [237] = 159, [244] = 143 }
+-- The characters of more than one byte.
+local CHARACTERS = { "^[\194-\223][\128-\191]", "^\224[\160-\191][\128-\191]",
+  "^[\225-\236\238\239][\128-\191][\128-\191]", "^\237[\128-\159][\128-\191]",
+  "^\240[\144-\191][\128-\191][\128-\191]",
+  "^[\241-\243][\128-\191][\128-\191][\128-\191]",
+  "^\244[\128-\143][\128-\191][\128-\191]" }
 
--- Returns how many bytes follow a first one.
-local function count_of(byte)
-  return not byte and 0 or byte < 224 and 1 or byte < 240 and 2 or 3
-end
-
--- Replaces the bytes of a sequence that are no UTF-8: a first byte and those behind it.
-local function mend(first, others)
-  local byte, second = first:byte(), others:byte()
-  local count = count_of(byte)
-  if byte and (#others < count or second < (LOWEST[byte] or 128)
-    or second > (HIGHEST[byte] or 191)) then
-    return REPLACEMENT:rep(1 + #others)
+-- Returns the character with which the bytes begin, if they do. Each byte behind it
+-- becomes U+FFFD.
+local function mend(bytes)
+  for _, character in ipairs(CHARACTERS) do
+    local _, last = bytes:find(character)
+    if last then return bytes:sub(1, last) .. REPLACEMENT:rep(#bytes - last) end
   end
-  return first .. others:sub(1, count) .. REPLACEMENT:rep(#others - count)
+  return REPLACEMENT:rep(#bytes)
 end
 
 --- Return a text as UTF-8: each byte outside of a character becomes U+FFFD.
@@ -528,18 +524,18 @@ end
 ---@nodiscard
 function marsh.utf8(text)
   if not text:find("[\128-\255]") then return text end
-  text = text:gsub("[\192\193\245-\255]", REPLACEMENT)
-  return (text:gsub("([\194-\244]?)([\128-\191]*)", mend))
+  return (text:gsub("[\128-\255][\128-\191]*", mend))
 end
 
--- Returns what dkjson writes with these digits; infinite numbers as text.
+-- Returns a value that dkjson writes as the digits of the number; a text if it is
+-- infinite.
 local function plain_number(number)
   if number - number ~= 0 then return number > 0 and "inf" or "-inf" end
   local digits = digits_of(number + 0) -- not -0
   return setmetatable({}, { __tojson = function() return digits end })
 end
 
--- Returns an event as JSON knows it: text, finite number or boolean, else its text.
+-- Returns an event that JSON has, a text, finite number or boolean; or else its text.
 local function plain_event(event, text_of)
   local kind = type(event)
   if kind == "boolean" then return event end
@@ -558,7 +554,7 @@ local function each(tab, keys, f)
   for _, key in ipairs(keys) do tab[key] = tab[key] and f(tab[key]) end
 end
 
--- Makes an element of what dkjson can write without losing or adding anything.
+-- Changes the table of an element so that dkjson writes it without loss.
 local function plain(tab, text_of)
   each(tab, TEXTS, marsh.utf8)
   each(tab, LISTS, as_array)

@@ -6,8 +6,8 @@
 -- callbacks or, `dry`, without. A recording is a list of records, in a file one line of
 -- JSON each; only to read one needs the package dkjson.
 --
--- An iteration that an interrupt has cut short is in no record: the next one has a
--- snapshot, as has one before which the machine was reset or moved.
+-- An iteration that an interrupt has cut short is in no record. The next record has a
+-- snapshot, as has a record before which the machine was reset or moved.
 --
 -- @module rfsm.record
 -- @license BSD-3-Clause
@@ -19,7 +19,6 @@ local encoding = require "rfsm.snapshot.encoding"
 local replay = require "rfsm.record.replay"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
-local instrument = require "rfsm.shared.instrument"
 local tracks = require "rfsm.record.track"
 
 local error, ipairs, pcall = error, ipairs, pcall
@@ -35,29 +34,31 @@ local record = { VERSION = journal.VERSION }
 --- The first record of a recording.
 ---@class rfsm.record.Header
 ---@field record integer version of the format, 1
----@field file? string the chart, if it is known
+---@field file? string of the chart, if it is known
 ---@field clock? any[] readings while the snapshot was taken
----@field guards? any[] for each machine that has guards: their numbers and texts
+---@field guards? any[] a list for each machine: in turn number and text of a guard
 ---@field snapshot rfsm.snapshot.Snapshot of the machine
 
 --- One iteration of one machine. An absent field is empty or false.
 ---@class rfsm.record.Record
 ---@field m? integer number of a region
 ---@field inner? rfsm.record.Record[] iterations of regions in this one
----@field from? { snapshot: rfsm.snapshot.Snapshot, clock: any[]? } where the machine
--- stands, if that does not follow from the records before
+---@field from? { snapshot: rfsm.snapshot.Snapshot, clock: any[]? } the machine before
+-- the iteration, if that does not follow from the records before
 ---@field events? any[] of the iteration, before hooks have changed them
----@field added? any[] events that hooks have added, such as time events, for a reader
----@field had? table the user's data, if it has changed since the last iteration
+---@field added? any[] events that hooks have added, such as time events; replay adds
+-- its own
+---@field had? table the kept data, if it has changed since the last iteration
 ---@field clock? any[] readings: { seconds, nanoseconds } or { failure }
----@field guards? any[] number of a transition, result, number ...: a text is a failure
+---@field guards? any[] in turn a transition's number and its guard's result; a text is
+-- the error of a guard that failed
 ---@field reset? true a callback has reset the machine
 ---@field sent? any[] events in the queue at the end, sent by the machine itself
 ---@field leaf? string FQN of the active leaf at the end
 ---@field done? true the leaf is done
----@field kept? table the user's data, if it has changed
+---@field kept? table the kept data at the end, if the iteration has changed it
 ---@field regions? any[] data of regions, if it has changed outside of their iterations:
--- number, data, number, data ...
+-- in turn the number of a region and its data
 
 -- Record -------------------------------------------------------------------------
 
@@ -65,9 +66,9 @@ local record = { VERSION = journal.VERSION }
 ---@class rfsm.record.Recorder
 ---@field count integer iterations so far
 ---@field name? string of the file that the recorder has opened
----@field timed table|false what gets the readings of the clock
+---@field timed table|false the record that gets the readings of the clock
 ---@field is_moved boolean the machine was reset or moved since the last iteration
----@field cuts integer iterations that were cut short, when that was noted last
+---@field cuts integer iterations that had been cut short when a snapshot was noted
 ---@field tracks rfsm.record.Track[] empty while it is stopped
 local Recorder = {}
 Recorder.__index = Recorder
@@ -80,7 +81,7 @@ local function writer_to(sink)
   return journal.writer(sink), true
 end
 
-local listener = {} -- what a recorder does, see `tracks.attach`
+local listener = {} -- functions that `tracks.attach` calls
 
 -- Returns a clock that reads another one, and notes the reading in the present record.
 function listener.gettime(recorder, track, gettime)
@@ -105,19 +106,11 @@ function listener.getevents(_, track, own)
   end
 end
 
--- Returns the data that the chart keeps; nil if it cannot be saved. No other error is
--- caught: a debug hook has raised it, for the caller of the step.
-local function data_of(fsm)
-  local ok, kept = pcall(snapshot.take_data, fsm)
-  if ok then return kept end
-  if not encoding.text_of_fail(kept) then error(kept, 0) end
-end
-
--- Notes the data that the chart keeps in a field of a record, if it has changed. It is
--- noted again in the next iteration if an interrupt comes before the end.
+-- Notes the data that the chart keeps in a field of a record, if it has changed. If an
+-- interrupt comes before the end, the next record has the data.
 local function note_change(track, rec, field)
   if not tracks.may_have_changed(track.observed) then return end
-  local kept = data_of(track.fsm)
+  local kept = encoding.attempt(snapshot.take_data, track.fsm)
   if kept and not tracks.same(kept, track.kept) then
     if field == "regions" then
       tracks.note(rec, field, track.m, kept)
@@ -129,7 +122,8 @@ local function note_change(track, rec, field)
   tracks.note_values(track.observed)
 end
 
--- Notes data that has changed; also that of regions while they were left or reset.
+-- Notes changed data of a machine. The record of the outermost one also has data of
+-- regions that has changed while they were left or reset.
 local function note_data(recorder, track, rec)
   note_change(track, rec, "kept")
   for i = 2, track.m == nil and #recorder.tracks or 0 do
@@ -141,8 +135,8 @@ local function has_doo(leaf) return leaf and leaf.doo and leaf._mode ~= "done" e
 
 local NONE = {}
 
--- Returns how many iterations were cut short, also one that an interrupt in a callback
--- will end.
+-- Returns how many iterations were cut short, with one that is about to be, since an
+-- interrupt came in a callback.
 local function count_cuts(recorder)
   local count, tracked = 0, recorder.tracks
   for i = 1, #tracked do
@@ -153,13 +147,13 @@ local function count_cuts(recorder)
   return count
 end
 
--- Does the present state follow from the records?
+-- Does the present state of the machine follow from the records?
 local function is_known(recorder)
   return not recorder.is_moved and recorder.cuts == count_cuts(recorder)
 end
 
--- Notes in a record where the machine stands, unless it cannot be saved, or a region is
--- in the middle of a step that was cut short.
+-- Notes a snapshot of the machine in a record, unless it cannot be saved, or a region
+-- is in the middle of a step that was cut short.
 local function note_place(recorder, rec)
   for i = 2, #recorder.tracks do
     if recorder.tracks[i].fsm._phase ~= "idle" then return end
@@ -172,7 +166,8 @@ local function note_place(recorder, rec)
   recorder.is_moved, recorder.cuts = false, count_cuts(recorder)
 end
 
--- A record that is still there is dropped: its iteration was cut short or refused.
+-- Begins a record. An older one of the track, whose iteration was cut short or refused,
+-- is dropped.
 function listener.began(recorder, track, events)
   local dropped, leaf = track.rec or NONE, track.fsm._act_leaf
   local rec = { m = track.m, events = tracks.pack_events(events), had = dropped.had }
@@ -190,8 +185,8 @@ end
 local EFFECTS = { "events", "guards", "sent", "kept", "had", "from", "reset",
   "regions" }
 
--- Is an iteration left out? Only one of the outermost machine is, if it had no event,
--- resumed no doo, and changed nothing.
+-- Is the record of an iteration left out? Only that of the outermost machine is, if the
+-- iteration had no event, resumed no doo, and changed nothing.
 local function is_empty(track, rec)
   local leaf = track.fsm._act_leaf
   if track.m ~= nil or track.has_doo or leaf ~= track.leaf then return false end
@@ -222,13 +217,13 @@ local function note_results(recorder, track, rec, events)
   note_data(recorder, track, rec)
 end
 
--- Notes the results. The record of a region becomes a part of that of the iteration
--- around it; that one is written.
+-- Notes the results. The record of a region becomes a part of the record of the machine
+-- around it. The record of the outermost machine is written.
 function listener.finished(recorder, track, events)
   local rec, outer = track.rec, recorder.tracks[1].rec
   if not rec then return end
   note_results(recorder, track, rec, events)
-  track.rec = false -- a reset behind an interrupt here is none in this record
+  track.rec = false -- a reset from here on is not noted in this record
   if track.m ~= nil then
     if outer then tracks.note(outer, "inner", rec) end
   elseif is_known(recorder) and (events[1] ~= nil or not is_empty(track, rec)) then
@@ -249,7 +244,7 @@ function listener.guard(_, track, number, guard, tr, events)
 end
 
 function listener.attached(_, track)
-  track.kept = snapshot.take_data(track.fsm)
+  track.kept = encoding.attempt(snapshot.take_data, track.fsm)
   track.observed = tracks.observe_data(track.fsm)
 end
 
@@ -258,35 +253,25 @@ function listener.reset(recorder, track) -- between two iterations, or by a call
   if track.rec then track.rec.reset = true end
 end
 
--- A state that runs regions fails only if it is interrupted. So does a guard whose
--- failure `listener.guard` has not seen.
+-- Notes an interrupt, after which the state of the machine does not follow from the
+-- records. Nothing else makes a state that runs regions fail, or a guard whose failure
+-- `listener.guard` has not seen.
 function listener.failed(recorder, track, element, name)
   local is_own = name == "guard" and not rawequal(element, track.failing)
   if is_own or select(2, rfsm.regions(element)) then recorder.is_moved = true end
   track.failing = nil
 end
 
--- Takes the snapshot of the header, and notes readings of the clock.
-local function take_first(recorder, fsm)
-  local changes = {}
-  instrument.put(changes, fsm, "gettime",
-    listener.gettime(recorder, { fsm = fsm }, rawget(fsm, "gettime")))
-  local ok, snap, problem = pcall(snapshot.try_take, fsm)
-  instrument.give_back(changes)
-  if not ok then error(snap, 0) end
-  return snap, problem
-end
-
---- Record no more, up to `go_on`. Guards, getevents and clock are those of the machine.
+--- Record no more, until `go_on`. The machine has its own guards and clock again.
 function Recorder:pause()
   tracks.detach(self.tracks)
   self.tracks = {}
 end
 
---- Record again after `pause`, in the same recording.
+--- Record again after `pause`, into the same recording.
 function Recorder:go_on()
   if self.tracks[1] then return end
-  self.timed, self.is_moved, self.cuts = false, true, 0
+  self.timed, self.is_moved = false, true
   self.tracks = tracks.attach(self.fsm, listener, self)
 end
 
@@ -316,25 +301,26 @@ end
 function record.record(fsm, sink)
   rfsm.check_between_steps(fsm, "rfsm.record.record")
   local header = { record = record.VERSION }
-  local recorder = setmetatable({ fsm = fsm, count = 0, timed = header, tracks = {} },
-    Recorder)
-  local snap, problem = take_first(recorder, fsm)
-  if not snap then error("rfsm.record.record: " .. problem, 2) end
-  if type(sink) == "string" then
+  local recorder = setmetatable({ fsm = fsm, count = 0, tracks = {} }, Recorder)
+  recorder:go_on()
+  recorder.timed = header
+  local ok, snap, problem = pcall(snapshot.try_take, fsm)
+  if ok and snap and type(sink) == "string" then
     recorder.file, problem = journal.open(sink)
-    if not recorder.file then error("rfsm.record.record: " .. problem, 2) end
     recorder.name = sink
   end
+  if not ok or problem then recorder:pause() end
+  if not ok then error(snap, 0) end
+  if problem then error("rfsm.record.record: " .. problem, 2) end
   header.snapshot, header.file = snap, rfsm.location_of(fsm):match("^(.*):%d+: root$")
   recorder.write, recorder.is_journal = writer_to(recorder.file or sink)
   header.guards = tracks.guard_texts(fsm)
   recorder.write(header)
-  recorder:go_on()
   recorder.is_moved, recorder.cuts = false, count_cuts(recorder)
   return recorder
 end
 
--- Returns the records of a recording or of a file; nil and the problem if it is none.
+-- Returns the records of a recording or of a file; nil and the problem if it has none.
 local function records_of(recording)
   if type(recording) == "string" then recording = record.read(recording) end
   local header = type(recording) == "table" and recording[1]
@@ -365,7 +351,7 @@ end
 ---@class rfsm.record.Options
 ---@field to? integer stop after that many iterations
 ---@field dry? boolean call no callbacks
----@field migrate? boolean replay also if the chart has changed, up to a difference
+---@field migrate? boolean the chart may have changed; replay up to the first difference
 ---@field guards? boolean call guards, too, and compare their results
 ---@field each? fun(fsm: rfsm.Machine, records: table[]) called after each step
 ---@field watch? fun(fsm: rfsm.Machine) called before the first step, to set a `dbg`

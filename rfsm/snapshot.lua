@@ -1,11 +1,12 @@
 --- Snapshots: a machine between two steps as a plain table, and back.
 --
 -- A snapshot holds the active leaf of the machine, its queue, the data that the chart
--- names (`keep`, or `save` and `load`, in a state), what extensions keep. It consists
--- of texts, numbers, booleans and tables that any encoder takes: JSON, MessagePack.
+-- names (`keep`, or `save` and `load`, in a state), and the data of extensions. It
+-- consists of texts, numbers, booleans and tables that any encoder takes, such as those
+-- of JSON and MessagePack.
 --
--- The file reads in this order: take, put, public functions. `rfsm.snapshot.shape` has
--- what is known of a chart, `rfsm.snapshot.migrate` the way from another one.
+-- The file reads in this order: take, put, public functions. `rfsm.snapshot.shape`
+-- describes charts, `rfsm.snapshot.migrate` adapts a snapshot of another chart.
 --
 -- @module rfsm.snapshot
 -- @license BSD-3-Clause
@@ -29,7 +30,7 @@ local text_of, unpack = rfsm.text_of, encoding.unpack
 
 local snapshot = { VERSION = migrate.VERSION }
 
---- A machine between two steps. What is absent is empty.
+--- A machine between two steps. An absent field is empty or false.
 ---@class rfsm.snapshot.Snapshot
 ---@field version integer of the format, 2
 ---@field chart string fingerprint of the structure of the chart, and of what it keeps
@@ -38,10 +39,10 @@ local snapshot = { VERSION = migrate.VERSION }
 ---@field queue? any[] events that wait; absent: none, `e_init_fsm` if there is no leaf
 ---@field data? table<string, table> what `keep` names, by FQN of the state
 ---@field saved? table<string, any> what `save` returned, by FQN of the state
----@field targets? any[] targets that were changed: FQN of the composite in which the
--- transition is, its position or name there, FQN of the target, and so on
----@field ext? table<string, any> what extensions keep, by their names
----@field regions? table<string, table> likewise of the machines in states, by location
+---@field targets? any[] three values for each transition whose target was changed: FQN
+-- of the composite that it is in, its position or name there, FQN of the target
+---@field ext? table<string, any> data of extensions, by their names
+---@field regions? table<string, table> such a table for each region, by its location
 ---@field structure? string[] a line for each element of the chart
 
 -- Take -------------------------------------------------------------------------
@@ -62,7 +63,7 @@ local function pack_queue(queue, path)
   return list
 end
 
--- Returns the fields that a state keeps; nil if there are none.
+-- Returns the fields that a state keeps as plain data; nil if all of them are nil.
 local function pack_fields(state, keeper, path)
   local names, fields = keeper.names, nil
   path.owner, path.keeper = false, keeper
@@ -125,7 +126,7 @@ local function take_extensions(fsm, snap, path)
   end
 end
 
--- Notes the queue, unless it is that of a machine in which nothing has happened.
+-- Notes the queue, unless it is the usual one: empty, or `e_init_fsm` before the entry.
 local function take_queue(fsm, snap, path)
   local queue = fsm._intq
   local is_default = queue[1] == nil
@@ -133,20 +134,20 @@ local function take_queue(fsm, snap, path)
   if not is_default then snap.queue = pack_queue(queue, path) end
 end
 
--- Returns the path to what a machine holds.
+-- Returns the path for `pack`: one table for each machine, which is used again.
 local function path_of(own, prefix)
   local path = own.path
   path.prefix, path.seen = prefix, false
   return path
 end
 
--- Returns what a snapshot holds of a machine or region.
+-- Returns the part of a snapshot about a machine or region.
 local function take_part(fsm, prefix, version)
   local leaf, own = fsm._act_leaf, shape.of(fsm)
   local path = path_of(own, prefix)
   local part = { version = version, chart = own.chart.name,
     leaf = leaf and leaf._fqn or nil, done = leaf and leaf._mode == "done" or nil,
-    data = nil, ext = nil } -- Lua makes room for six
+    data = nil, ext = nil } -- so that Lua allocates six fields at once
   if not leaf and fsm._mode ~= "inactive" then
     fail("no leaf of the machine is active, but '%s' is", prefix)
   end
@@ -187,7 +188,7 @@ end
 local function unpack_queue(part)
   if not part.queue then return part.leaf and {} or { "e_init_fsm" } end
   local queue, count = {}, 0
-  for _ in each(part.queue) do count = count + 1 end -- any order: a number
+  for _ in each(part.queue) do count = count + 1 end -- any order: they are counted
   for i = 1, count do
     local event = unpack(part.queue[i], 2)
     if not encoding.is_event(event) then
@@ -198,14 +199,14 @@ local function unpack_queue(part)
   return queue
 end
 
--- Returns a table of a field of the snapshot, nil if null is there.
+-- Returns the table that a value in a field of the snapshot stands for; nil for null.
 local function unpack_table(field, name, value)
   local t = unpack(value, 2)
   if t == nil or type(t) == "table" then return t end
   fail("%s: table expected for '%s', got %s", field, text_of(name), type(t))
 end
 
--- Returns the fields of each state, checked: only what `keep` names may be set.
+-- Returns the fields by state. A field that the `keep` of its state lacks is an error.
 local function unpack_data(own, packed)
   local data, keepers = {}, own.chart.keeper
   for fqn, fields in each(packed) do -- any order: each stands alone
@@ -232,8 +233,8 @@ local function unpack_saved(fsm, packed)
   return saved
 end
 
--- Returns what extensions kept, by their names. If the snapshot is of another chart,
--- the machine may not have the extension.
+-- Returns the data of extensions, by their names. A snapshot of another chart may have
+-- data of an extension that the machine lacks.
 local function unpack_extensions(fsm, packed, is_migrated)
   local values, hooks = {}, rfsm.snapshot_hooks(fsm)
   for name, value in each(packed) do -- any order: each stands alone
@@ -247,7 +248,7 @@ local function unpack_extensions(fsm, packed, is_migrated)
   return values
 end
 
--- Returns the nodes that are targets, by transition.
+-- Returns the changed targets, by transition.
 local function unpack_targets(fsm, list)
   local targets = {}
   for i = 1, #list, 3 do
@@ -280,7 +281,7 @@ local function set_fields(state, keeper, fields)
   end
 end
 
--- Gives states what they kept, and the rest its first values.
+-- Gives states their data. Fields that the part lacks get their first values.
 local function set_data(part)
   local own = part.own
   for i, keeper in ipairs(own.chart.keepers) do
@@ -293,7 +294,7 @@ local function set_data(part)
   end
 end
 
---- What is to be put into a machine or region, all of it checked.
+--- The content of a snapshot for one machine or region, after all checks.
 ---@class rfsm.snapshot.Part
 ---@field fsm rfsm.Machine
 ---@field own rfsm.snapshot.Own
@@ -302,8 +303,8 @@ end
 ---@field queue any[]
 ---@field data table<string, table> by FQN
 ---@field values table<string, table> of extensions
----@field how table for the hooks of extensions
----@field saved? table<string, table> by FQN
+---@field how table argument of the hooks of extensions
+---@field saved? table<string, { value: any }> results of `save`, by FQN
 ---@field targets? table<rfsm.Transition, table>
 
 local function new_part(fsm, snap, how)
@@ -320,11 +321,12 @@ end
 
 local function is_never_new() return false end
 
--- What hooks get for a snapshot of the same chart.
+-- The argument `how` of hooks of extensions if the snapshot is of the same chart.
 local UNCHANGED = { entries = false, has_changed = false, is_migrated = false,
   is_new = is_never_new }
 
--- Timers follow the chart if its structure has changed.
+-- Checks a snapshot; returns a part for the machine and for each region. Hooks of
+-- extensions learn by `how` what has changed there.
 local function new_parts(fsm, snap, options)
   local parts, how = {}, UNCHANGED
   local moved, changes, is_new = migrate.to(fsm, snap, options)
@@ -351,7 +353,7 @@ local function run_entry(fsm, state)
   end
 end
 
--- From here on functions of the chart and of extensions are called, which may fail.
+-- Loads the data of a part by functions of the chart and extensions, which may fail.
 local function load_part(part)
   set_data(part)
   local hooks = rfsm.snapshot_hooks(part.fsm)
@@ -372,16 +374,16 @@ local function can_fail(part)
   return part.own.chart.has_load or rfsm.snapshot_hooks(part.fsm)[1]
 end
 
--- Is a snapshot of the same chart, without what is rare?
+-- Is a snapshot of the same chart, and has it none of the rare fields?
 local function is_usual(own, snap)
   return own.chart.leaves[snap.leaf] and snap.chart == own.chart.name
     and snap.version == migrate.VERSION and not (snap.queue or snap.saved
     or snap.targets or snap.regions) and not (own.chart.has_load or own.places[2])
 end
 
--- The short way, for a host that puts one snapshot of `take` after another into a
--- machine: nothing is made or looked for that is not there. Returns false, and has
--- changed nothing, if it does not know the way.
+-- Puts a trusted snapshot with only the usual fields, without the checks and tables of
+-- `put`, for a host that puts one after another into a machine. Returns false, and has
+-- changed nothing, if the snapshot has other fields.
 local function put_directly(fsm, snap, is_tidy)
   local own, data, ext = shape.of(fsm), snap.data or NONE, snap.ext or NONE
   local keepers, hooks = own.chart.keepers, rfsm.snapshot_hooks(fsm)
@@ -400,7 +402,8 @@ local function put_directly(fsm, snap, is_tidy)
   return true
 end
 
--- If a load fails the machine moves back to where it was, unless it may be reset.
+-- Puts a snapshot into a machine. If a load fails, the machine is put back to where it
+-- was. It is reset if that could not be saved, or if `may_reset` is true.
 local function put(fsm, snap, options, may_reset)
   local parts, has_before, before = new_parts(fsm, snap, options), false, nil
   if not may_reset and order.any(parts, can_fail) then
@@ -433,23 +436,17 @@ function snapshot.take(fsm, options)
   rfsm.check_between_steps(fsm, "rfsm.snapshot.take")
   local ok, snap = try(take, fsm)
   if not ok then error("rfsm.snapshot.take: " .. reason(snap), 2) end
-  if options and options.structure then snap.structure = shape.of(fsm).chart.all end
+  if options and options.structure then snap.structure = shape.lines_of(fsm) end
   return snap
 end
 
---- Return a machine as a plain table, for those who watch: also at the beginning of an
--- iteration, whose events are not in it. Nil and the reason if it cannot be saved. Any
--- other error is raised, such as that of a debug hook.
+--- Return a machine as a plain table, for observers, also at the beginning of an
+-- iteration: its events are left out. Nil and the reason if it cannot be saved.
+-- @raise if a debug hook raises an error
 ---@param fsm rfsm.Machine
 ---@return rfsm.snapshot.Snapshot?
 ---@return string? problem
-function snapshot.try_take(fsm)
-  local ok, snap = pcall(take, fsm)
-  if ok then return snap end
-  local problem = encoding.text_of_fail(snap)
-  if not problem then error(snap, 0) end
-  return nil, problem
-end
+function snapshot.try_take(fsm) return encoding.attempt(take, fsm) end
 
 --- Return a snapshot as JSON: one text for one snapshot, on every Lua.
 ---@param snap rfsm.snapshot.Snapshot
@@ -464,8 +461,8 @@ function snapshot.encode(snap) return exact_json.encode(snap) end
 ---@field migrate? fun(snap: table, list: string[]): table|false? false refuses
 ---@field old? rfsm.State|string[] the chart of the snapshot, or its structure
 ---@field trusted? boolean the caller promises that the snapshot is as `take` made it:
---- `put` is faster then. If it is not, `put` may reset the machine, or set only a part.
----@field is_tidy? boolean nothing has run since `take`, and then no target was set
+--- `put` is faster then. Another snapshot may reset the machine, or be put in part.
+---@field is_tidy? boolean the caller promises that no target of the machine is changed
 
 local is_boolean, is_table = opts.is_a "boolean", opts.is_a "table"
 
@@ -486,9 +483,10 @@ local OPTIONS = {
   trusted = { "boolean", is_boolean },
 }
 
--- Returns the options of a public function; those of a trusted snapshot are trusted.
+-- Returns the options of a public function, unchecked if the snapshot is trusted. A
+-- number in their place is the second result of a decoder, which comes first.
 local function read_options(options, where)
-  if options == nil or type(options) == "number" then return NONE end -- of a decoder
+  if options == nil or type(options) == "number" then return NONE end
   if type(options) ~= "table" or not options.trusted then
     local settings, problem = opts.read(OPTIONS, options)
     if not settings then error(where .. ": " .. problem, 3) end
@@ -510,8 +508,8 @@ end
 
 --- Move a machine to a snapshot; no callback runs.
 --
--- A snapshot that is wrong changes nothing. If a `load` fails after others have run,
--- they get what they had; a machine that could not be saved is reset then.
+-- A wrong snapshot changes nothing. If a `load` fails after others have run, the
+-- machine gets its former data back; one that could not be saved is reset.
 --
 ---@param fsm rfsm.Machine
 ---@param snap rfsm.snapshot.Snapshot
@@ -551,7 +549,7 @@ function snapshot.restore(model, snap, options)
   return false, problem, list
 end
 
---- Return what callbacks may have changed, as a snapshot holds it; also within a step.
+--- Return the data that callbacks may change, as in a snapshot; also within a step.
 -- @raise if something cannot be saved
 ---@param fsm rfsm.Machine
 ---@return { data: table?, saved: table?, targets: any[]? } kept
@@ -563,8 +561,8 @@ function snapshot.take_data(fsm)
   return kept
 end
 
---- Give that to a machine.
--- @raise if it is not of its chart
+--- Give a machine the data that `take_data` has returned.
+-- @raise if the data is of another chart
 ---@param fsm rfsm.Machine
 ---@param kept { data: table?, saved: table?, targets: any[]? }
 function snapshot.put_data(fsm, kept)

@@ -321,6 +321,18 @@ describe("a recording", function()
         kept = { data = { root = { n = 0.5 } } } })
   end)
 
+  it("in a file costs at most 500 VM instructions to encode in the usual case",
+    function()
+      if rawget(_G, "jit") then return end -- compiled code calls no hook
+      local usual = { done = true, events = { "e_done@root.off", "e_push" },
+        leaf = "root.on", n = 7 }
+      local count = 0
+      debug.sethook(function() count = count + 1 end, "", 1)
+      journal.encode(usual)
+      debug.sethook()
+      assert.is_true(count <= 500, count .. " instructions")
+    end)
+
   it("in a file has what regions did in an iteration", function()
     local function model()
       return state { emem = false, info = false, warn = false, err = false,
@@ -799,6 +811,23 @@ describe("a doo in a dry replay", function()
     assert.same({ "done", { "e_done@root.a" } }, { replayed(function() end) })
     assert.same({ "done", {} }, { replayed(error) })
   end)
+
+  it("of a region that is run goes on for as many cycles as it did", function()
+    local function model(doo)
+      return state { info = false, warn = false, p = rfsm.seqand { run = true,
+          r = chart { a = state { doo = doo }, [3] = trans { src = "a", tgt = "b",
+            events = { "e_done" } } } },
+        trans { src = "initial", tgt = "p" } }
+    end
+    local sink, fsm = {}, helper.init(model(function()
+      for _ = 1, 3 do rfsm.yield(false) end
+    end))
+    record.record(fsm, sink)
+    rfsm.step(fsm)
+    assert.equal("root.b", rfsm.get_actleaf_fqn(rfsm.machines(fsm)[2].machine))
+    local again = assert(record.replay(model(error), sink, { dry = true }))
+    assert.same(snapshot.take(fsm), snapshot.take(again))
+  end)
 end)
 
 describe("a guard in a replay", function()
@@ -1003,6 +1032,25 @@ describe("a recorder", function()
     rfsm.run(fsm)
     record.record(fsm, sink)
     assert.same({ { 42, 0 } }, sink[1].clock)
+  end)
+
+  it("reads the clocks of regions for its first snapshot", function()
+    local now = 200
+    local function model(gettime)
+      local region = state { info = false, warn = false, gettime = gettime,
+        a = state {}, b = state {}, trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_after(5)" } } }
+      return state { info = false, warn = false, p = rfsm.seqand { r = region },
+        trans { src = "initial", tgt = "p" } }
+    end
+    local fsm, sink = helper.init(model(function() return now, 0 end)), {}
+    rfsm.run(fsm)
+    now = 202
+    record.record(fsm, sink)
+    assert.same({ { 202, 0 } }, sink[1].clock)
+    now = 203
+    helper.post_and_run(fsm, "e_any")
+    assert(record.replay(model(function() return 0, 0 end), sink))
   end)
 
   it("prints nothing in a dry replay, of what is created and what fails", function()

@@ -65,6 +65,17 @@ describe("a snapshot", function()
     assert.equal(18, #snap.chart)
   end)
 
+  it("is the same text on each Lua, also in years", function()
+    local fsm = helper.init(state { info = false, warn = false, emem = false,
+      keep = { "count" }, count = 0, a = state {}, b = state {},
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = { "e_x" }, pn = 2 } })
+    rfsm.run(fsm)
+    assert.equal('{"chart":"729c0dbaf94-c862a3",'
+      .. '"data":{"root":{"count":0}},"done":true,"leaf":"root.a","version":2}',
+      snapshot.encode(snapshot.take(fsm)))
+  end)
+
   it("of a machine that was not entered is empty", function()
     local model = lamp()
     model.on.count = nil

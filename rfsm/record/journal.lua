@@ -1,9 +1,9 @@
 --- A recording in a file: runs, each a header and a line of JSON for each record.
 --
--- A line leaves out what follows from the lines before: queued events, a leaf that has
--- not changed, the completion of a leaf. So a file is a third as long as its records.
--- Each has its number `n`, and a run that was stopped ends with the last one, so that a
--- line that is missing is noticed. The last line of a run may be incomplete.
+-- A line leaves out all that follows from the lines before: queued events, a leaf that
+-- has not changed, the completion of a leaf. So a file is a third as long as its
+-- records. Each line has its number `n`, and a run that was stopped ends with the last
+-- number, so that a missing line is noticed. The last line of a run may be incomplete.
 --
 -- @module rfsm.record.journal
 -- @license BSD-3-Clause
@@ -30,10 +30,11 @@ local function usual(leaf, is_done)
   return is_done and leaf and { "e_done@" .. leaf } or nil
 end
 
--- Returns the last record of the machine of a record; none behind a snapshot.
+-- Returns the record of the same machine before a record. A record with a snapshot
+-- follows from no other one.
 local function last_of(all, rec)
   if rec.from then
-    for machine in order.each(all) do all[machine] = nil end -- any order: all of them
+    for machine in order.each(all) do all[machine] = nil end -- any order: all go
   end
   return all[rec.m or 0] or NONE
 end
@@ -107,7 +108,7 @@ function journal.writer(stream)
   end
 end
 
---- Open a file for one run more. An incomplete last line gets an end.
+--- Open a file to append a run. An incomplete last line gets an end.
 function journal.open(name)
   local old = io.open(name, "rb")
   local is_cut = old and old:seek("end", -1) and old:read(1) ~= "\n"

@@ -28,10 +28,10 @@ local list_text, leaf_text, same = tracks.list_text, tracks.leaf_text, tracks.sa
 ---@field fsm rfsm.Machine|nil nil if the snapshot of the header cannot be put
 ---@field problem string|nil the reason, or the departure from the recording
 ---@field snap rfsm.snapshot.Snapshot|nil of the end, unless there is a problem
----@field unsaved string|nil why the machine cannot be saved then
+---@field unsaved string|nil why the machine cannot be saved at the end
 ---@field clock rfsm.clock.Clock in place of the clocks of the machines
----@field readings any[]|nil the next ones of the clock in this iteration
----@field latest any[]|nil the last one
+---@field readings any[]|nil the next readings of the clock in this iteration
+---@field latest any[]|nil the last reading
 
 -- Raised by a pre step hook, to end a step that would go further than the recording.
 local STOP = {}
@@ -54,7 +54,7 @@ local function fill(session, list, events)
   end
 end
 
--- Reads the clock as it was recorded; after the last reading, that again.
+-- Returns the next recorded reading of the clock; after the last one, that one again.
 local function read_again(session)
   local now = remove(session.readings or {}, 1) or session.latest or { 0, 0 }
   if type(now[1]) == "string" then return false, now[1] end
@@ -89,7 +89,7 @@ local function hand_out(session, inner)
   end
 end
 
-local listener = {} -- what a replay does, see `tracks.attach`
+local listener = {} -- functions that `tracks.attach` calls
 
 function listener.began(session, track, events)
   local rec = next_record(session, track)
@@ -176,8 +176,8 @@ function listener.finished(session, track)
   if track.m == nil and not session.problem then session.at = session.at + 1 end
 end
 
--- Returns the recorded result of a guard. With the option `guards` that of now is
--- compared.
+-- Returns the recorded result of a guard. With the option `guards`, the guard is also
+-- called, and the two results are compared.
 function listener.guard(session, track, number, guard, tr, events)
   if not track.rec then return guard(tr, events) end
   local list, at = track.rec.guards or {}, track.guard_at + 1
@@ -196,7 +196,8 @@ function listener.guard(session, track, number, guard, tr, events)
   return answer
 end
 
--- A doo that ends when the recorded one ended or failed. Its e_done is in the record.
+-- Returns a doo that ends when the recorded one ended or failed. The record has its
+-- e_done.
 local function doo_again(track)
   return function(_, state)
     while true do
@@ -207,7 +208,8 @@ local function doo_again(track)
   end
 end
 
--- Returns the present numbers of guards by those then: the chart may have changed.
+-- Returns the present numbers of guards by the recorded ones. In a chart that has
+-- changed, a guard is found by the text of its transition.
 local function numbers_of(track, session)
   local now, numbers = {}, {}
   local then_texts = session.guards and session.guards[(track.m or 0) + 1] or {}
@@ -240,14 +242,14 @@ function listener.getevents() return no_events end
 
 local function itself(snap) return snap end
 
--- Puts a machine where a recording, or a part of it, begins.
+-- Puts a machine into the snapshot with which a recording, or a part of it, begins.
 local function put(session, fsm, from)
   session.readings = { unpack(from.clock or {}) }
   return snapshot.put(fsm, from.snapshot,
     { migrate = session.options.migrate and itself or nil })
 end
 
--- Takes a step. Returns whether that was recorded, too.
+-- Takes a step. Returns whether it went as recorded.
 local function take_step(session, track)
   local before, from = session.at, session.records[session.at + 1].from
   local ok, failure = true, nil
@@ -298,8 +300,8 @@ local function go_through(session, header)
   session.snap, session.unsaved = snapshot.try_take(session.fsm)
 end
 
---- Run a machine through a recording, which was checked; the session has the machine, a
--- snapshot of it, or a problem.
+--- Run a machine through a recording that was checked. The session that is returned has
+-- the machine and a snapshot of it at the end, or a problem.
 return function(model, recording, options)
   local session = new_session(recording, options)
   local fsm, problem = make(model, session.is_dry)

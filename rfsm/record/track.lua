@@ -1,7 +1,8 @@
---- Tracks: common parts of recording and replay.
+--- Tracks: the common parts of recording and replay.
 --
--- They are events as plain data, a quick test for changed data, and the hooks, guards
--- and clocks of a machine and its regions.
+-- A track follows one machine: the outermost one, or a region. It has replacements of
+-- the guards, getevents and clock, and a quick test for changed data. Events are noted
+-- as plain data.
 --
 -- @module rfsm.record.track
 -- @license BSD-3-Clause
@@ -51,7 +52,7 @@ function track.leaf_text(leaf, is_done)
   return leaf and leaf .. (is_done and "(done)" or "(active)") or "none"
 end
 
---- Are plain data the same?
+--- Are two values of plain data equal?
 function track.same(a, b)
   if type(a) ~= "table" or type(b) ~= "table" then return rawequal(a, b) end
   for key, value in order.each(a) do
@@ -89,7 +90,7 @@ function track.observe_data(fsm)
   return observed
 end
 
---- May the data have changed since its values were noted? A table may, at any time.
+--- May the data have changed since its values were noted? A table counts as changed.
 function track.may_have_changed(observed)
   for i = 1, #observed do
     local one = observed[i]
@@ -106,18 +107,18 @@ end
 
 -- Machines -----------------------------------------------------------------------
 
---- A machine that is recorded or replayed.
+--- A machine that is recorded or replayed: the outermost one, or a region.
 ---@class rfsm.record.Track
 ---@field fsm rfsm.Machine
----@field m integer|nil its number, if it is a region
+---@field m integer|nil number of the region
 ---@field rec rfsm.record.Record|false of the present iteration
 ---@field listener table<string, function> see `track.attach`
----@field session table
+---@field session table the recorder, or the session of a replay
 ---@field number_of table<rfsm.Transition, integer>
----@field changes table[]
----@field wrapped table<string, table> the last change of a field of the machine
+---@field changes table[] see `rfsm.shared.instrument`
+---@field wrapped table<string, table> the last change of getevents and of the clock
 
--- Replaces a function of the machine, again if a program has set another one meanwhile.
+-- Replaces a function of the machine; again if a program has set another one since.
 local function wrap(own, field)
   local wrapped, value = own.wrapped[field], rawget(own.fsm, field)
   if not (wrapped and rawequal(wrapped.new, value)) then
@@ -174,7 +175,7 @@ function track.attach(fsm, listener, session)
     track.wrap(own)
     tracks[i], of[at.machine] = own, own
   end
-  -- what is merged in meanwhile has no track, and no number
+  -- an element that is merged in meanwhile has no track, or no number
   function heard.guard(at, tr, guard, events)
     local own = of[at.machine]
     local number = own and own.number_of[tr]
@@ -191,7 +192,7 @@ function track.attach(fsm, listener, session)
   return tracks
 end
 
---- Leave the machines as they were.
+--- Give the machines their own guards, getevents and clocks back.
 function track.detach(tracks)
   if tracks.stream then tracks.stream:stop() end
   for _, own in ipairs(tracks) do instrument.give_back(own.changes) end

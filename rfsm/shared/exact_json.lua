@@ -12,9 +12,9 @@ local error, getmetatable, ipairs, next = error, getmetatable, ipairs, next
 local pcall, rawget, tonumber, tostring = pcall, rawget, tonumber, tostring
 local type = type
 local floor = math.floor
-local concat = table.concat
+local concat, sort = table.concat, table.sort
 local text_of = rfsm.text_of
-local math_type = rawget(math, "type")
+local jit, math_type = rawget(_G, "jit"), rawget(math, "type")
 
 local exact_json = {}
 
@@ -58,67 +58,70 @@ end
 
 local function quote(text) return '"' .. text:gsub('[%c"\\]', escape) .. '"' end
 
-local write
+local encode
 
-local function write_list(parts, list, depth)
-  for i = 1, #list do
-    parts[#parts + 1] = i == 1 and "[" or ","
-    write(parts, list[i], depth)
-  end
-  parts[#parts + 1] = "]"
+local function encode_list(list, depth)
+  local texts = {}
+  for i = 1, #list do texts[i] = encode(list[i], depth) end
+  return "[" .. concat(texts, ",") .. "]"
 end
 
-local function write_object(parts, object, depth)
-  parts[#parts + 1] = "{"
-  for i, key in ipairs(rfsm.sorted_keys(object)) do
-    local kind = type(key)
-    if kind ~= "string" and kind ~= "number" then
-      error("a text or number as key expected, got " .. kind, 0)
+-- Returns the keys of an object in order. Most objects have only texts as keys.
+local function keys_of(object)
+  local keys, count = {}, 0
+  for key in next, object do -- any order: they are sorted
+    if type(key) ~= "string" then return rfsm.sorted_keys(object) end
+    count = count + 1
+    keys[count] = key
+  end
+  sort(keys)
+  return keys
+end
+
+if jit then jit.off(keys_of) end -- it runs often: see `rfsm.shared.order`
+
+local function encode_object(object, depth)
+  local fields = keys_of(object)
+  for i, key in ipairs(fields) do
+    local name = type(key) == "number" and text_of(key) or key
+    if type(name) ~= "string" then
+      error("a text or number as key expected, got " .. type(key), 0)
     end
-    parts[#parts + 1] = (i > 1 and "," or "") .. quote(text_of(key)) .. ":"
-    write(parts, object[key], depth)
+    fields[i] = quote(name) .. ":" .. encode(object[key], depth)
   end
-  parts[#parts + 1] = "}"
+  return "{" .. concat(fields, ",") .. "}"
 end
 
--- Is a table a list? A key beside 1 to n makes it none.
+-- Is a table a list? It is not if it has a key beside 1 to n.
 local function is_list(t)
-  local count = 0
   if rawget(t, 1) == nil then return false end
-  for _ in next, t do count = count + 1 end -- any order: a number
+  local count = 0
+  for _ in next, t do count = count + 1 end -- any order: they are counted
   return count == #t
 end
 
-function write(parts, value, depth)
-  local kind = type(value)
-  if kind == "string" then
-    parts[#parts + 1] = quote(value)
-  elseif kind == "number" then
-    parts[#parts + 1] = exact_json.digits_of(value)
-  elseif kind == "boolean" then
-    parts[#parts + 1] = tostring(value)
-  elseif is_null(value) then
-    parts[#parts + 1] = "null"
-  elseif kind ~= "table" then
-    error("a " .. kind .. " has no JSON", 0)
-  elseif depth == MAX_DEPTH then
+local ENCODERS = { string = quote, number = exact_json.digits_of, boolean = tostring }
+
+function ENCODERS.table(t, depth)
+  if getmetatable(t) and is_null(t) then return "null" end
+  if depth == MAX_DEPTH then
     error("at most " .. MAX_DEPTH .. " tables inside each other expected", 0)
-  elseif is_list(value) then
-    write_list(parts, value, depth + 1)
-  else
-    write_object(parts, value, depth + 1)
   end
+  return (is_list(t) and encode_list or encode_object)(t, depth + 1)
 end
 
---- Return a value as a text.
--- @raise if it holds what JSON has not: a function, NaN, a table in itself
+function encode(value, depth)
+  local encoder = ENCODERS[type(value)]
+  if encoder then return encoder(value, depth) end
+  if is_null(value) then return "null" end
+  error("a " .. type(value) .. " has no JSON", 0)
+end
+
+--- Return a value as a text of JSON.
+-- @raise if the value has a part that JSON lacks: a function, NaN, a table in itself
 ---@param value any
 ---@return string text
-function exact_json.encode(value)
-  local parts = {}
-  write(parts, value, 0)
-  return concat(parts)
-end
+function exact_json.encode(value) return encode(value, 0) end
 
 --- Return the first number in a text of JSON that some Lua cannot hold: a whole number
 --- from 2^53 on, or one that is infinite. Nil if there is none.

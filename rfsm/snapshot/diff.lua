@@ -1,14 +1,15 @@
 --- What a new version of a chart means for machines of the old one, state by state.
 --
--- For each leaf of the old chart, and of its regions, a snapshot is made there. All
--- fields that are kept have a value, the first one or `true`. Regions that are not
--- looked at are in their first leaf. The root of the new chart may have `rename` and
--- `migrate`, as in Redis.
+-- A machine of the old chart is put into each leaf, also of each region, and is saved
+-- and restored with the new chart. All fields that are kept have a value, the first one
+-- or `true`; all other regions are in their first leaf. The root of the new chart may
+-- have the options `rename` and `migrate`, as in Redis.
 --
 -- @module rfsm.snapshot.diff
 -- @license BSD-3-Clause
 
 local calls = require "rfsm.shared.calls"
+local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 local shape = require "rfsm.snapshot.shape"
 local migrate = require "rfsm.snapshot.migrate"
@@ -20,7 +21,7 @@ local concat = table.concat
 
 local diff = {}
 
---- What is not looked at; the report ends with it.
+--- The end of a report: a list of all that is not compared.
 diff.PREMISES = "not looked at: values of fields (migrate had the first ones, or true),"
   .. "\n  what save returns, targets that programs set, events in queues,"
   .. "\n  states of several regions at once"
@@ -40,7 +41,7 @@ local function fill(fsm)
   end
 end
 
--- Puts a machine into a leaf, and the regions there into their first leaves.
+-- Puts a machine into a leaf, and the regions in that leaf into their first leaves.
 local function enter(machine, leaf)
   rfsm.place(machine, leaf, "done", {})
   for _, region in ipairs(rfsm.regions(leaf)) do
@@ -59,12 +60,9 @@ end
 
 -- Returns the timers of a leaf and the states around it.
 local function timers_of(fsm, leaf)
-  local list, is_around, state = {}, {}, leaf
-  while not is_around[state] do
-    is_around[state], state = true, state._parent
-  end
+  local list = {}
   for _, tr in ipairs(shape.of(fsm).transitions) do
-    for _, event in ipairs(is_around[tr.src] and tr.events or {}) do
+    for _, event in ipairs(location.is_inside(leaf, tr.src) and tr.events or {}) do
       local name = rfsm.text_of(event)
       if match.maker_of(name) == "timer" then list[#list + 1] = name end
     end
@@ -72,7 +70,7 @@ local function timers_of(fsm, leaf)
   return list
 end
 
--- Notes the timers of a list that another one does not have.
+-- Notes the timers in a list that another list lacks.
 local function note_timers(notes, list, others, text)
   for _, name in ipairs(list) do
     if not match.has(others, name) then notes[#notes + 1] = "timer " .. name .. text end
@@ -95,7 +93,8 @@ local function reasons(problem, list, options)
   return notes
 end
 
--- Returns the machine or region that has come from one at a prefix, else the machine.
+-- Returns the place of the machine or region that was at an old prefix; that of the
+-- outermost machine if there is none.
 local function place_from(fsm, prefix, rename)
   prefix = migrate.renamed(prefix, rename or {})
   local places = shape.of(fsm).places
@@ -105,21 +104,19 @@ local function place_from(fsm, prefix, rename)
   return places[1]
 end
 
-local function location_of(at, leaf) return at.prefix .. leaf._fqn:sub(5) end
-
 -- Returns the fate of the machines that are in a leaf of the machine or region `at`.
 local function fate_of(places, at, leaf, model, options)
   enter_at(places, at, leaf)
   local fsm, problem, list = snapshot.restore(model,
     snapshot.take(places[1].machine), options)
-  local fate = { leaf = location_of(at, leaf), to = false, notes = {} }
+  local fate = { leaf = location.path(leaf, at.prefix), to = false, notes = {} }
   if not fsm then
     fate.notes = reasons(problem, list, options)
     return fate
   end
   local new = place_from(fsm, at.prefix, options.rename)
   local to = new.machine._act_leaf
-  fate.to = to and location_of(new, to) or "no state"
+  fate.to = to and location.path(to, new.prefix) or "no state"
   if to then
     local old_timers, timers = timers_of(at.machine, leaf), timers_of(new.machine, to)
     note_timers(fate.notes, old_timers, timers, " is dropped")
@@ -128,8 +125,9 @@ local function fate_of(places, at, leaf, model, options)
   return fate
 end
 
---- Compare two versions of a chart: models, which should print nothing. The root of the
--- new one may have `rename` and `migrate`. Raises an error if one is no valid chart.
+--- Compare two versions of a chart. They are models, which should print nothing. The
+-- root of the new one may have `rename` and `migrate`.
+-- @raise if one of them is no valid chart
 ---@return string[] difference empty if the structure and what is kept are the same
 ---@return rfsm.snapshot.Fate[] fates one for each leaf of the old chart and its regions
 function diff.compare(old, new)
@@ -147,7 +145,7 @@ function diff.compare(old, new)
   return migrate.difference(was, is), fates
 end
 
---- Return a report as text, and if each machine moves.
+--- Return a report as text, and whether all machines move to the new chart.
 function diff.report(difference, fates)
   if not difference[1] then
     return "the charts have the same structure and keep the same: nothing moves\n", true

@@ -1,11 +1,11 @@
---- Plain data: values as any encoder takes them and any Lua gets them back.
+--- Plain data: values in a form that any encoder takes, and any Lua gets back.
 --
 -- Texts, booleans, most numbers, lists and tables with texts as keys stand for
 -- themselves. A list whose first item begins with % is one of these:
 --
 --    { "%n", digits }            a number that JSON would spoil
 --    { "%t", key, value, ... }   any other table
---    { "%z" }                    nil in a field that is not nil at first
+--    { "%z" }                    nil in a field whose first value is not nil
 --
 -- @module rfsm.snapshot.encoding
 -- @license BSD-3-Clause
@@ -15,25 +15,25 @@ local exact_json = require "rfsm.shared.exact_json"
 local each = require("rfsm.shared.order").each
 local rfsm = require "rfsm"
 
-local error, getmetatable, ipairs = error, getmetatable, ipairs
+local error, getmetatable, ipairs, pcall = error, getmetatable, ipairs, pcall
 local rawequal, rawget, tonumber, type = rawequal, rawget, tonumber, type
 local floor, huge, min = math.floor, math.huge, math.min
 local math_type, to_integer = rawget(math, "type"), rawget(math, "tointeger")
 local is_null, text_of = exact_json.is_null, rfsm.text_of
 
--- How many tables may be inside each other: in packed data; in the value of a field.
+-- The most tables inside each other, in packed data and in the value of a field.
 -- MessagePack in Redis leaves out what is deeper than 16 tables. Six may be around a
--- field: the value of the key, the snapshot, the regions, one of them, its data, the
--- state. A number of two parts is one more.
+-- field: the value of the key, the snapshot, its regions, one region, its data, and the
+-- fields of the state. A number that is packed as a list is one more.
 local MAX_PACKED_DEPTH, MAX_DEPTH = 40, 9
 
--- Stands for nil in a field that is not nil at first.
+-- Stands for nil in a field whose first value is not nil.
 local NIL = {}
 
 --- Raise an error that the public functions of the caller turn into one line.
 local function fail(form, ...) error({ text = form:format(...) }, 0) end
 
---- Return the text of an error that was raised by `fail`; nil for any other error.
+-- Returns the text of an error that was raised by `fail`; nil for any other error.
 local function text_of_fail(failure)
   return type(failure) == "table" and rawget(failure, "text") or nil
 end
@@ -41,7 +41,15 @@ end
 --- Return the text of an error, also of one that was raised by `fail`.
 local function reason(failure) return text_of_fail(failure) or text_of(failure) end
 
---- Call a function of the chart; its error is one of `fail`, with `what` in front.
+--- Return f(...); nil and the text of its error if `fail` has raised that. Any other
+-- error is raised, such as that of a debug hook.
+local function attempt(f, ...)
+  local ok, result = pcall(f, ...)
+  if ok then return result end
+  return nil, text_of_fail(result) or error(result, 0)
+end
+
+--- Call a function of the chart. Its error is raised by `fail`, with `what` in front.
 local function try(what, f, ...)
   local ok, result = calls.try(f, ...)
   if not ok then fail("%s: %s", what, text_of(result)) end
@@ -50,13 +58,13 @@ end
 
 --- The keys that lead to a value, for messages.
 ---@class rfsm.snapshot.Path
----@field owner string|false what has the value, false: a state
----@field keeper rfsm.snapshot.Keeper|false that state
+---@field owner string|false the name of what has the value; false: a state has it
+---@field keeper rfsm.snapshot.Keeper|false the state that has the value
 ---@field prefix string location of the machine
----@field seen table<table, true>|false tables that have come
----@field [integer] any keys
+---@field seen table<table, true>|false tables that were packed
+---@field [integer] any the keys, the outermost first
 
---- Return the location of a value, such as "root.a.list[2]", by so many of its keys.
+--- Return the location of a value, such as "root.a.list[2]", by `depth` of its keys.
 local function location_of(path, depth)
   local location = path.owner or path.prefix .. path.keeper.fqn:sub(5)
   for i = 1, depth do
@@ -79,7 +87,8 @@ local function is_event(value)
   return getmetatable(value) == nil and type(value.name) == "string"
 end
 
---- Return a value; a plain table as a copy, and those in it. `copies` were made before.
+--- Return a value, with copies in place of plain tables, at any depth. `copies` has the
+--- copies that were made before, by their originals.
 local function copy_of(value, copies)
   if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
   copies = copies or {}
@@ -94,7 +103,7 @@ end
 
 -- Pack --------------------------------------------------------------------------
 
--- Does JSON with 14 digits give back a number, as the integer or float that it is?
+-- Is a number the same, also as integer or float, after JSON with 14 digits?
 local function is_safe(n)
   if n - n ~= 0 then return false end -- not finite
   local is_whole = floor(n) == n
@@ -138,7 +147,7 @@ local function is_plain(t)
     count = count + 1
     if type(key) == "string" then has_texts = true else has_others = true end
   end
-  if has_texts or count == 0 then -- a number `n` is a length for dkjson
+  if has_texts or count == 0 then -- dkjson takes a number `n` for a length
     return has_texts and not has_others and type(t.n) ~= "number"
   end
   local first = t[1]
@@ -150,7 +159,7 @@ local function as_table(packed, path, depth)
   return is_plain(packed) and packed or to_pairs(packed, path, depth)
 end
 
--- Refuses a table that comes twice, as its copies would be two; or is too deep.
+-- Refuses a table that is too deep, or comes twice: two tables would come back.
 local function check_table(t, path, depth)
   path.seen = path.seen or {}
   if getmetatable(t) ~= nil then
@@ -175,9 +184,9 @@ local function pack_table(t, path, depth)
   return as_table(copy, path, depth)
 end
 
---- Return a value as plain data, null of JSON as nil; `depth` of the keys in a path
--- lead to it. Raises what cannot be saved, with its location: a function, a userdata, a
--- table with a metatable or one that comes twice.
+--- Return a value as plain data, null of JSON as nil. The first `depth` keys of the
+-- path lead to it. A value that cannot be saved is an error with its location: a
+-- function, a userdata, a table with a metatable, or a table that comes twice.
 function pack(value, path, depth)
   local kind = type(value)
   if kind == "string" or kind == "boolean" then return value end
@@ -192,8 +201,8 @@ function pack(value, path, depth)
   return pack_table(value, path, depth)
 end
 
---- Return a value as encoders of JSON take it: keys that are texts, or a list; numbers
--- that JSON has not as texts.
+--- Return a value in a form for encoders of JSON: a table is a list, or its keys are
+-- texts. Infinite numbers and NaN are texts.
 local function to_json(value)
   if type(value) == "number" and value - value ~= 0 then return digits_of(value) end
   if type(value) ~= "table" or is_null(value) then return value end
@@ -256,7 +265,7 @@ local function unpack_table(packed, depth)
 end
 
 --- Return the value that plain data stands for, in new tables; `depth` tables are
--- around it. Raises an error if it stands for none.
+-- around it. Raises an error if it is no plain data.
 function unpack(packed, depth)
   local kind = type(packed)
   if kind == "table" then
@@ -274,8 +283,8 @@ function unpack(packed, depth)
 end
 
 return {
-  NIL = NIL, as_table = as_table, copy_of = copy_of, fail = fail,
+  NIL = NIL, as_table = as_table, attempt = attempt, copy_of = copy_of, fail = fail,
   is_event = is_event, is_null = is_null, is_scalar = is_scalar,
-  location_of = location_of, pack = pack, reason = reason, text_of_fail = text_of_fail,
+  location_of = location_of, pack = pack, reason = reason,
   to_json = to_json, try = try, unpack = unpack,
 }

@@ -1,5 +1,7 @@
---- How a snapshot comes to a chart: its format and shape, and the way from another
--- chart. Nothing that it holds is lost unless `migrate` takes it out.
+--- Checks of the format of a snapshot, and the move of a snapshot from one chart to
+-- another. None of its data is lost unless the user's function `migrate` removes it.
+--
+-- A *part* is what a snapshot holds of the outermost machine, or of one region.
 --
 -- @module rfsm.snapshot.migrate
 -- @license BSD-3-Clause
@@ -37,7 +39,7 @@ end
 
 local function check_fields(snap, fields, where)
   local wrong = nil
-  for field, value in each(snap) do -- any order: the least one is named
+  for field, value in each(snap) do -- any order: the first by name is reported
     if type(value) ~= fields[field] then
       wrong = wrong or {}
       wrong[field] = true
@@ -51,7 +53,7 @@ local function check_fields(snap, fields, where)
   fail("%s%s: %s expected, got %s", where, field, fields[field], type(snap[field]))
 end
 
--- Returns a copy without nulls of JSON. Raises what is wrong with its fields.
+-- Returns a copy without nulls of JSON. A wrong field is an error.
 local function check_shape(snap)
   if type(snap) ~= "table" then fail("snapshot expected, got %s", type(snap)) end
   snap = copy_fields(snap)
@@ -75,7 +77,7 @@ end
 
 -- Parts: a machine and its regions --------------------------------------------------
 
---- Return what a snapshot holds of the machine at a place.
+--- Return the part of a snapshot about the machine at a prefix, see `rfsm.machines`.
 function migrate.part_of(snap, prefix)
   if prefix == "root" then return snap end
   return (snap.regions or NONE)[prefix] or NONE
@@ -108,7 +110,7 @@ local function note_data(list, chart, part, prefix)
   end
 end
 
--- Notes where a machine was, and targets that were set, that are gone.
+-- Notes the active leaf and the changed targets that the chart lacks.
 local function note_places(list, machine, part, prefix)
   local targets = part.targets or NONE
   if part.leaf and not shape.find_state(machine, part.leaf) then
@@ -123,8 +125,9 @@ local function note_places(list, machine, part, prefix)
   end
 end
 
--- Extensions whose data belong to elements of the chart: they go with these, and are
--- not lost. The extension need not be loaded here, so that no hook could tell.
+-- Extensions whose data belong to elements of the chart. Where such an element is gone,
+-- its data is not wanted any more. A chart without these elements may not even load the
+-- extension, so no hook of it could tell.
 local FOLLOWERS = { timers = true, emem = true, await = true }
 
 local function note_extensions(list, machine, part, prefix)
@@ -137,7 +140,7 @@ local function note_extensions(list, machine, part, prefix)
   end
 end
 
---- List what a snapshot holds, and a machine has no place for.
+--- List the content of a snapshot that the chart of a machine has no place for.
 function migrate.lost(fsm, snap)
   local list, is_known = {}, {}
   for _, at in ipairs(shape.of(fsm).places) do
@@ -156,8 +159,8 @@ end
 
 -- New names -------------------------------------------------------------------------
 
---- Return the new name for the FQN of a state that has moved, or of one in it; also in
--- an event such as e_done@root.a.
+--- Return an FQN with the new name of a state that has moved, also if it is the FQN of
+-- a state inside, or the end of an event such as e_done@root.a.
 function migrate.renamed(text, rename)
   local event, fqn = text:match("^(.*@)(root.*)$")
   local head, tail = fqn or text, ""
@@ -171,7 +174,7 @@ end
 
 local renamed_text = migrate.renamed
 
--- Returns a copy in which texts are changed, so many tables deep: keys and values.
+-- Returns a copy of a value with new names in keys and values, `depth` tables deep.
 local function renamed(value, rename, depth)
   if depth == 0 then return value end
   if type(value) == "string" then return renamed_text(value, rename) end
@@ -194,7 +197,8 @@ local function rename_part(part, rename)
   return copy
 end
 
--- Returns the new names inside of a region, where its own FQN begin with root.
+-- Returns the new names of states of a region, whose FQNs begin with root there, and
+-- the new location of the region.
 local function inside(rename, prefix)
   local inner, new_prefix = {}, renamed_text(prefix, rename)
   for old, new in each(rename) do -- any order: each stands alone
@@ -216,7 +220,7 @@ local function rename_states(snap, rename)
   return copy
 end
 
--- The way from another chart --------------------------------------------------------
+-- Move a snapshot from another chart ------------------------------------------------
 
 --- List what differs between two structures.
 function migrate.difference(old, new)
@@ -236,28 +240,17 @@ function migrate.difference(old, new)
   return list
 end
 
--- Returns the lines of the charts that the parts of a snapshot name, if all are known,
--- and those of the machine and its regions. Without a name there is nothing to compare.
+-- Returns the lines of the charts that the parts of a snapshot name; nil if one of them
+-- is not known. A part without a name is of the present chart.
 local function known_lines(fsm, snap)
-  local old, new = {}, {}
+  local lines = {}
   for _, at in ipairs(shape.of(fsm).places) do
-    local chart = shape.of(at.machine).chart
     local name = migrate.part_of(snap, at.prefix).chart
-    local was = name and shape.named(name) or not name and chart
-    if not was then return nil end
-    shape.append(old, at.prefix, was.lines)
-    shape.append(old, at.prefix, was.fields)
-    shape.append(new, at.prefix, chart.lines)
-    shape.append(new, at.prefix, chart.fields)
+    local chart = not name and shape.of(at.machine).chart or shape.named(name)
+    if not chart then return nil end
+    shape.append(lines, at.prefix, chart)
   end
-  return old, new
-end
-
--- Returns the lines of the chart of a snapshot, and those of the machine to compare.
-local function lines_of(fsm, snap, given)
-  local lines = given and shape.structure(given) or snap.structure
-  if lines then return lines, shape.of(fsm).chart.all end
-  return known_lines(fsm, snap)
+  return lines
 end
 
 local function missing(lost)
@@ -267,8 +260,8 @@ local function missing(lost)
   return list
 end
 
--- Returns a function: is an event of the machine at `prefix` one that the old chart did
--- not have? Where that is not known it is.
+-- Returns a function: did the old chart lack an event, in the machine at `prefix`? It
+-- returns true if the old chart is not known.
 local function new_events(old, rename)
   return function(prefix, event)
     local head = prefix == "root" and "" or prefix .. ": "
@@ -288,7 +281,7 @@ local function refuse(text, list)
   error({ text = text .. ":\n  " .. concat(list, "\n  "), difference = list }, 0)
 end
 
--- Returns a copy of a snapshot for `migrate`, who changes it.
+-- Returns a copy of a snapshot, which the user's `migrate` may change.
 local function copy_all(value)
   if type(value) ~= "table" or encoding.is_null(value) then return value end
   local copy = {}
@@ -296,14 +289,14 @@ local function copy_all(value)
   return copy
 end
 
--- Calls f(part, prefix) for what a snapshot holds of the machine and each region.
+-- Calls f(part, prefix) for each part of a snapshot.
 local function each_part(snap, f)
   f(snap, "root")
   for prefix, part in each(snap.regions or NONE) do f(part, prefix) end -- any order
 end
 
--- Unpacks what states keep: `migrate` gets the values that callbacks know. Returns the
--- fields that are nil, but not at first: prefix, FQN, name.
+-- Unpacks the data of states, so that `migrate` gets the values that callbacks know.
+-- Returns the fields that were nil, but whose first values are not: prefix, FQN, name.
 local function unpack_kept(snap)
   local nils = {}
   each_part(snap, function(part, prefix)
@@ -330,7 +323,7 @@ local function pack_all(values, owner)
   end
 end
 
--- Packs what states keep again. A field that was nil is nil in the new chart, too.
+-- Packs the data of states again. A field that was nil is nil in the new chart, too.
 local function pack_kept(fsm, snap, nils)
   local chart_at = {}
   for _, at in ipairs(shape.of(fsm).places) do
@@ -362,10 +355,11 @@ local function call_migrate(fsm, snap, list, options)
   return moved
 end
 
--- Returns what differs for a machine and its regions, in all and by prefix.
+-- Returns the gravest change between a snapshot and the charts of a machine and its
+-- regions, and the changes by prefix.
 local function changes(fsm, snap)
   local most, by_prefix, count = nil, {}, 0
-  for _ in each(snap.regions or NONE) do count = count + 1 end -- any order: a number
+  for _ in each(snap.regions or NONE) do count = count + 1 end -- any order: counted
   for _, at in ipairs(shape.of(fsm).places) do
     local part = migrate.part_of(snap, at.prefix)
     local change = change_of(at.machine, part)
@@ -376,11 +370,12 @@ local function changes(fsm, snap)
   return most or count > 0 and "kept" or nil, by_prefix
 end
 
--- Returns a snapshot of another chart as one for that of a machine, and as `to`.
+-- Returns what `migrate.to` does, for a snapshot of another chart.
 local function adapt(fsm, snap, options, most)
   local lost = migrate.lost(fsm, snap)
-  local old, new = lines_of(fsm, snap, options.old)
-  local list = old and migrate.difference(old, new) or missing(lost)
+  local old = options.old and shape.structure(options.old) or snap.structure
+    or known_lines(fsm, snap)
+  local list = old and migrate.difference(old, shape.lines_of(fsm)) or missing(lost)
   if most == "structure" and not (options.rename or options.migrate) then
     refuse("the snapshot is of another chart", list)
   end
@@ -391,8 +386,8 @@ local function adapt(fsm, snap, options, most)
   return snap, select(2, changes(fsm, snap)), new_events(old, options.rename)
 end
 
---- Return a snapshot as one for the chart of a machine, a copy.
--- Raises what is wrong with its fields, or the list of what differs, or would be lost.
+--- Return a copy of a snapshot that fits the chart of a machine. A wrong field is an
+-- error, and so is another chart, with the list of what differs or would be lost.
 ---@return rfsm.snapshot.Snapshot snap
 ---@return table<string, string>? changes by prefix; nil if it is of the same chart
 ---@return fun(prefix: string, event: string)? is_new

@@ -40,7 +40,8 @@ function shape.has_event(line, event)
   return has(events) or has((events:gsub(" pn %S+$", "")))
 end
 
--- Digests lines in numbers below 2^44, which doubles can multiply.
+-- Returns a hash of lines. Its numbers are below 2^44, so that doubles multiply them by
+-- 257 exactly.
 local function fingerprint_of(lines)
   local hash = 7
   for _, line in ipairs(lines) do
@@ -58,7 +59,7 @@ local RESERVED = {
   pre_step_hook = true, post_step_hook = true,
 }
 
--- Returns the names in the `keep` of a state; it may be a substate of that name.
+-- Returns the names in the `keep` of a state; none if a substate has the name `keep`.
 local function kept_names(state)
   local names = state.keep
   if names == nil or rfsm.is_node(names) then return {} end
@@ -83,7 +84,7 @@ end
 ---@class rfsm.snapshot.Keeper
 ---@field fqn string
 ---@field names string[] of the fields
----@field kept table<string, true> the same as a set
+---@field kept table<string, true> the names as a set
 ---@field first table<string, any> their first values
 ---@field has_load boolean it has functions `save` and `load`
 
@@ -108,23 +109,22 @@ end
 --- What is known of the structure that machines share.
 ---@class rfsm.snapshot.Chart
 ---@field lines string[] of states, connectors and transitions
----@field fields string[] of what is kept, and of regions
----@field all string[] both, and those of the regions
+---@field fields string[] lines of what is kept, and of regions
 ---@field structure string fingerprint of `lines`
 ---@field name string that, and the fingerprint of `fields` if there are some
 ---@field keepers rfsm.snapshot.Keeper[]
 ---@field keeper table<string, rfsm.snapshot.Keeper> by FQN
----@field has_load boolean a keeper has functions, which may fail
+---@field has_load boolean a keeper has functions `save` and `load`
 ---@field has_regions boolean
 ---@field leaves table<string, true> FQN of the leaves
 ---@field nodes table[] `fqn`, `id` and the FQN of the `parent`, parents first
 ---@field transitions table[] `id`, and the FQN of `parent` and of the `target`
 
--- What is known of structures that are in use, and by name.
+-- The charts of structures that are in use, by structure and by name.
 local charts = setmetatable({}, { __mode = "k" })
 local by_name = setmetatable({}, { __mode = "v" })
 
--- The latest ones are known whether they are in use or not.
+-- The latest charts are kept even if no machine uses them.
 local count, MAX_LATEST = 0, 64
 shape.latest = {}
 
@@ -157,15 +157,14 @@ end
 local function chart_of(fsm)
   local key = rfsm.structure_of(fsm)
   if charts[key] then return charts[key] end
-  local self = { lines = {}, fields = {}, all = {}, structure = false, name = false,
-    keepers = {}, keeper = {}, has_load = false, has_regions = false, leaves = {},
-    nodes = {}, transitions = {} }
+  local places = rfsm.machines(fsm)
+  local self = { lines = {}, fields = {}, structure = false, name = false,
+    keepers = {}, keeper = {}, has_load = false, has_regions = places[2] ~= nil,
+    leaves = {}, nodes = {}, transitions = {} }
   for i, obj in ipairs(rfsm.elements(fsm)) do
     self.lines[i] = line_of(obj)
     add_element(self, obj)
   end
-  local places = rfsm.machines(fsm)
-  self.has_regions = places[2] ~= nil
   for _, at in ipairs(places) do
     if at.owner == fsm then self.fields[#self.fields + 1] = "region " .. at.prefix end
   end
@@ -178,44 +177,25 @@ local function chart_of(fsm)
   charts[key], by_name[self.name] = self, self
   count = count % MAX_LATEST + 1
   shape.latest[count] = self
-  for _, at in ipairs(places) do
-    local known = at.machine == fsm and self or chart_of(at.machine)
-    shape.append(self.all, at.prefix, known.lines)
-    shape.append(self.all, at.prefix, known.fields)
-  end
   return self
 end
 
---- Return a chart that is known by the name in a snapshot; nil if it is not.
+--- Return the chart that a snapshot names; nil if it is not known.
 function shape.named(name) return by_name[name] end
-
---- Append lines of the machine at a place.
-function shape.append(list, prefix, more)
-  local head = prefix == "root" and "" or prefix .. ": "
-  for _, line in ipairs(more) do list[#list + 1] = head .. line end
-end
-
---- Return the structure of a model or a machine as lines, none if it is wrong; such
--- lines as they are.
-function shape.structure(model)
-  if not rfsm.is_state(model) then return model end
-  local fsm = rfsm.is_initialized_root(model) and model or calls.init_apart(model)
-  return fsm and chart_of(fsm).all or {}
-end
 
 -- Machines --------------------------------------------------------------------------
 
---- What is known of a machine, in its field `_kept`, as long as its structure is the
---- same.
+--- What is known of a machine. The machine has it in the field `_kept`, until its
+--- structure changes.
 ---@class rfsm.snapshot.Own
----@field key table of the structure
+---@field key table the structure, see `rfsm.structure_of`
 ---@field chart rfsm.snapshot.Chart
 ---@field places rfsm.Place[] the machine, and its regions at any depth
----@field states rfsm.State[] that of each keeper
+---@field states rfsm.State[] the state of each keeper
 ---@field nodes table<string, table> by FQN
 ---@field transitions rfsm.Transition[]
----@field targets table[] the target of each of them, as the model names it
----@field path rfsm.snapshot.Path for `take`
+---@field targets table[] the target that each transition has in the model
+---@field path rfsm.snapshot.Path that `take` uses
 
 --- Return what is known of a machine.
 function shape.of(fsm)
@@ -235,14 +215,38 @@ function shape.of(fsm)
   return own
 end
 
+--- Append the lines of the chart of the machine at a prefix.
+function shape.append(list, prefix, chart)
+  local head = prefix == "root" and "" or prefix .. ": "
+  for _, line in ipairs(chart.lines) do list[#list + 1] = head .. line end
+  for _, line in ipairs(chart.fields) do list[#list + 1] = head .. line end
+end
+
+--- Return the structure of a machine and its regions as lines.
+function shape.lines_of(fsm)
+  local list = {}
+  for _, at in ipairs(shape.of(fsm).places) do
+    shape.append(list, at.prefix, shape.of(at.machine).chart)
+  end
+  return list
+end
+
+--- Return the structure of a model or machine as lines; none if the model is wrong. A
+-- list of lines is returned as it is.
+function shape.structure(model)
+  if not rfsm.is_state(model) then return model end
+  local fsm = rfsm.is_initialized_root(model) and model or calls.init_apart(model)
+  return fsm and shape.lines_of(fsm) or {}
+end
+
 --- Return the state that an FQN names; nil if there is none.
 function shape.find_state(fsm, fqn)
   local node = shape.of(fsm).nodes[fqn]
   return rfsm.is_state(node) and node or nil
 end
 
---- Return what a list of targets has at a position: a transition and its target, nil if
---- one of them is not there; and the name of the transition.
+--- Return a transition, its target, and its name from a list of changed targets, where
+--- they begin at a position. The transition is nil if one of the two does not exist.
 function shape.target_at(fsm, list, i)
   local state, id = shape.find_state(fsm, list[i]), encoding.unpack(list[i + 1], 2)
   local tr = state and is_scalar(id) and rawget(state, id)

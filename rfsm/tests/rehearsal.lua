@@ -1,7 +1,8 @@
 --- Rehearsal: a chart run step by step without its callbacks, for tests and witnesses.
 --
--- A step says what guards answer and which doos end; one that is asked and not
--- mentioned is part of the result. Time is what the rehearsal says.
+-- The argument of a step has answers for guards, and the doos that end. The result
+-- names a guard or doo that was asked and has no answer there. Time advances only in a
+-- step that says so.
 --
 -- @module rfsm.tests.rehearsal
 -- @license BSD-3-Clause
@@ -30,7 +31,7 @@ local Rehearsal = {}
 Rehearsal.__index = Rehearsal
 
 -- Returns the answer that the step has for a guard or doo, in place of
--- `Subject:choose`. Without one a guard is true and a doo goes on.
+-- `Subject:choose`. Without an answer a guard is true and a doo goes on.
 local function answer(own, who, is_doo)
   local said = own.said[who]
   if said == nil and not own.is_asked[who] then
@@ -93,7 +94,7 @@ local function with_fakes(own, f, ...)
   end
   local ok, result = pcall(f, ...)
   if class and getmetatable(_G) == class then setmetatable(_G, nil) end
-  for name in pairs(fakes) do rawset(_G, name, real[name][1]) end -- likewise
+  for name in pairs(fakes) do rawset(_G, name, real[name][1]) end -- any order
   if not ok then error(result, 0) end
   return result
 end
@@ -136,23 +137,11 @@ function rehearsal.rehearsal(what, options)
   return setmetatable({ subject = own }, Rehearsal)
 end
 
--- Returns the events of the step of a witness, as `Rehearsal:step` takes them.
-local function events_of(step)
-  local what = { inside = {} }
-  for i = 1, #step.values do what[i] = step.values[i] end
-  for _, inner in ipairs(step.inside) do
-    what.inside[inner.prefix] = what.inside[inner.prefix] or {}
-    table.insert(what.inside[inner.prefix], inner.event)
-  end
-  return what
-end
-
---- Return what to tell a rehearsal about a step of a witness.
+--- Return the answers in a step of a witness, as `Rehearsal:step` takes them.
 ---@param step rfsm_checks.WitnessStep
----@return table what see `Rehearsal:step`
-function Rehearsal:what_of(step)
-  local what, name_of = events_of(step), self.subject.name_of
-  what.guards, what.ends, what.goes_on = {}, {}, {}
+---@return { guards: table, ends: string[], goes_on: string[] } what
+function Rehearsal:answers_of(step)
+  local what, name_of = { guards = {}, ends = {}, goes_on = {} }, self.subject.name_of
   for _, choice in ipairs(step.choices) do
     local name = name_of[choice.who]
     if choice.is_doo then
@@ -173,7 +162,7 @@ local function find_asker(own, name)
       rfsm.sorted_keys(own.asker_of))), 4)
 end
 
--- Tells the subject what to decide in the next step.
+-- Notes the answers for guards and doos in the next step.
 local function tell(own, what)
   own.said, own.is_asked, own.unmentioned = {}, {}, {}
   for _, name in ipairs(rfsm.sorted_keys(what.guards or {})) do
@@ -186,7 +175,7 @@ local function tell(own, what)
   for _, part in ipairs(own.parts) do part.rounds = 0 end
 end
 
--- Lists what was asked and not mentioned, and what was mentioned and not asked.
+-- Lists the guards and doos that were asked and had no answer, and the reverse.
 local function surprises(own)
   local list = {}
   for _, who in ipairs(own.unmentioned) do
@@ -233,8 +222,8 @@ end
 -- of states whose doo ends or goes on; `after`: seconds; `inside`: lists of events of
 -- regions, by their paths
 ---@return string text "off -e_x-> on": transitions taken; "stays in off": none. What
--- was asked and not mentioned follows, and what was mentioned and not asked; behind a
--- colon the callbacks in order, if they run
+-- was asked and not mentioned follows, and what was mentioned and not asked. If
+-- callbacks run, they follow behind a colon, in order
 function Rehearsal:step(what)
   what = what or {}
   local own = self.subject
@@ -249,8 +238,8 @@ function Rehearsal:step(what)
   return outcome(own)
 end
 
--- Sends what a callback has sent in a step. The next step sees it, as in a machine,
--- unless that takes several steps in one.
+-- Sends an event that a callback has sent in a step. The next step sees the event, as
+-- in a machine, but not if a region takes several steps in one.
 local function send_after(part, event)
   if not part.is_single then
     error(("rfsm_checks.record_witness: a callback in %s sends '%s' while the region "
@@ -260,19 +249,23 @@ local function send_after(part, event)
   rfsm.send_events(part.fsm, event)
 end
 
--- Takes the step of a witness again, with its choices one after the other.
+-- Takes the step of a witness again. Guards and doos get its choices in order.
 function Rehearsal:repeat_step(step)
-  local own, what, choices = self.subject, events_of(step), {}
+  local own, events, choices = self.subject, {}, {}
+  for i = 1, #step.values do
+    events[i] = own:occurrence(own.parts[1], step.values[i])
+  end
+  for _, inner in ipairs(step.inside) do
+    events[#events + 1] = own:occurrence(own.part_of[inner.prefix], inner.event)
+  end
   for i, choice in ipairs(step.choices) do choices[i] = choice.answer end
   own.choose = nil
   if step.at then own.time:advance(step.at - own.time:now()) end
   for _, part in ipairs(own.parts) do part.rounds = 0 end
-  own:step(occurrences_of(own, what), choices)
+  own:step(events, choices)
   own.choose = answer
   for _, sent in ipairs(step.sent) do
-    for _, part in ipairs(own.parts) do
-      if part.prefix == sent.prefix then send_after(part, sent.event) end
-    end
+    send_after(own.part_of[sent.prefix], sent.event)
   end
 end
 

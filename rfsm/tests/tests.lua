@@ -11,6 +11,7 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local encoding = require "rfsm.snapshot.encoding"
 local explore = require "rfsm.explore.explore"
 local graph = require "rfsm.explore.graph"
 local match = require "rfsm.shared.match"
@@ -22,7 +23,6 @@ local rehearsal = require "rfsm.tests.rehearsal"
 
 local error, ipairs, pairs = error, ipairs, pairs
 local tonumber, type = tonumber, type
-local ceil, max = math.ceil, math.max
 local concat = table.concat
 
 local tests = {}
@@ -30,12 +30,11 @@ local tests = {}
 --- Runs of a chart.
 ---@class rfsm_checks.Tests
 ---@field runs { steps: rfsm_checks.TestStep[] }[]
----@field steps integer of all runs
----@field least integer a lower bound for the steps of any tests
+---@field steps integer number of steps in all runs
 ---@field taken integer how many transitions they take
----@field transitions integer of the chart
+---@field transitions integer number of transitions of the chart
 ---@field skipped integer runs that a rehearsal cannot repeat
----@field modules table<string, true> that make events of the chart
+---@field modules table<string, true> of the extensions whose events the chart names
 
 --- A step of a rehearsal, and its result.
 ---@class rfsm_checks.TestStep
@@ -51,16 +50,9 @@ end
 
 -- Steps of the exploration ..........................................................
 
--- Can the events of a step be written?
-local function is_plain(events)
-  for i = 1, #events do
-    local kind = type(events[i].event)
-    if kind ~= "string" and kind ~= "number" and kind ~= "boolean"
-      or events[i].part.owner then
-      return false
-    end
-  end
-  return true
+-- Can an event be written in a spec? Those of regions cannot.
+local function is_plain(occurrence)
+  return encoding.is_scalar(occurrence.event) and not occurrence.part.owner
 end
 
 -- Lists the facts that a step shows, as keys: each transition taken, with each of its
@@ -83,27 +75,26 @@ local function shown_by(own)
   return keys
 end
 
--- Notes the steps, once for each target and list of facts.
+-- Notes the steps of an exploration, once for each target and list of facts.
 local function watch_steps(walk)
   local edges, is_noted, own = {}, {}, walk.subject
   own.notes_events = true
   function walk.look(_, from, tgt, events, label)
     local keys = shown_by(own)
     local key = from .. " " .. tgt .. " " .. concat(keys, ",")
-    if is_noted[key] or not is_plain(events) or tgt == from and not keys[1] then
-      return
-    end
+    local is_wanted = order.all(events, is_plain) and (tgt ~= from or keys[1])
+    if is_noted[key] or not is_wanted then return end
     is_noted[key] = true
     edges[from] = edges[from] or {}
     edges[from][#edges[from] + 1] = { from = from, tgt = tgt, shows = keys,
-      taken = #own.taken, label = label() }
+      label = label() }
   end
   walk.edges = edges
 end
 
 -- Runs ..............................................................................
 
--- Returns the shortest list of steps from a configuration whose last one shows a fact
+-- Returns the shortest list of steps from a configuration whose last step shows a fact
 -- in `left`.
 local function find_way(walk, start, left)
   return graph.find_way(walk.edges, start, function(edge)
@@ -111,7 +102,7 @@ local function find_way(walk, start, left)
   end)
 end
 
-local LONG = 12 -- steps after which a run may end
+local LONG = 12 -- steps; a longer run may end, if a new one is as near to the next fact
 
 -- Returns runs, lists of steps, that show all facts in `left`.
 local function plan(walk, left)
@@ -141,22 +132,23 @@ end
 
 local MARGIN = 0.001 -- seconds; a timer fires after its time
 
--- Returns the argument of the rehearsal for a step.
+-- Returns the argument of `Rehearsal:step` for a step of the exploration. With `waits`
+-- time goes by in place of timer events.
 local function told_of(walk, own, edge, waits)
-  local what, events = own:what_of(walk:rerun(edge.from, edge.label)), {}
-  for i = #what, 1, -1 do events[i], what[i] = what[i], nil end
-  for _, event in ipairs(events) do
-    local seconds = waits and seconds_of(event)
+  local step = walk:rerun(edge.from, edge.label)
+  local what = own:answers_of(step)
+  for i = 1, #step.values do
+    local seconds = waits and seconds_of(step.values[i])
     if seconds then
       what.after = seconds + MARGIN
     else
-      what[#what + 1] = event
+      what[#what + 1] = step.values[i]
     end
   end
   return what
 end
 
--- Is a transition taken on any event in a leaf?
+-- Is there a transition that any event triggers in a leaf?
 local function takes_any(part, leaf)
   for _, node in ipairs(leaf and location.line(part.fsm, leaf) or {}) do
     for _, tr in ipairs(node._otrs) do
@@ -185,7 +177,7 @@ local function steps_at_rest(walk, number)
   return list
 end
 
--- Is the last step of the rehearsal that of the exploration?
+-- Did the rehearsal take the same transitions to the same leaf as the exploration?
 local function is_as_explored(walk, own, edge)
   local step = walk:rerun(edge.from, edge.label)
   local paths = own.subject:paths_of()
@@ -218,10 +210,10 @@ end
 ---@class rfsm_checks.TestOptions
 ---@field callbacks? boolean run entries, exits and effects
 ---@field stub? boolean open the file with stubs
----@field machine? integer open this one of a program
----@field file? string where the model is from: each run is tried on it once more
+---@field machine? integer number of the machine, if a program makes several
+---@field file? string of the model; each run is tried once more on the chart in it
 
--- Are the results of a run the same on the chart as its file has it?
+-- Are the results of a run the same if the chart is loaded from its file again?
 local function does_repeat(steps, options)
   if not options.file then return true end
   local own = rehearsal.rehearsal(options.file, { callbacks = options.callbacks,
@@ -236,20 +228,18 @@ function tests.plan(model, options)
   options = options or {}
   local walk = explore.walk(model, { together = 2, timers = "free" },
     watch_steps)
-  local left, most, result = {}, 1, { runs = {}, steps = 0, least = 0,
+  local left, result = {}, { runs = {}, steps = 0,
     taken = #rfsm.sorted_keys(walk.taken), transitions = #walk.subject.transitions,
     skipped = 0, modules = {} }
   for _, event in ipairs(walk.subject.event_list) do
     local module = match.maker_of(event) and advice.module_for(event)
     if module then result.modules[module] = true end
   end
-  for _, list in pairs(walk.edges) do -- any order: a set, and the greatest
+  for _, list in pairs(walk.edges) do -- any order: a set
     for _, edge in ipairs(list) do
-      most = max(most, edge.taken)
       for _, key in ipairs(edge.shows) do left[key] = true end
     end
   end
-  result.least = ceil(result.taken / most)
   local is_seen = {}
   for _, run in ipairs(plan(walk, left)) do
     local steps = rehearse(walk, model, run, true, is_seen, options)
