@@ -1162,6 +1162,7 @@ local DEFAULTS = {
   dbg = silent, getevents = no_events, _entry_hooks = false, _exit_hooks = false,
   _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
   _snapshot_hooks = false, _failure = false, _reset_wanted = false, _preparing = false,
+  _emit = false, -- the function given to `set_emit`
   _cuts = 0, -- iterations that an error has ended
 }
 
@@ -1179,7 +1180,7 @@ do
   DEFAULTS.emit = new_emit(silent)
 
   --- Have f(name, data) called when callbacks of a machine or of its regions emit, for
-  -- hosts. Nobody listens otherwise.
+  -- hosts. Nobody listens otherwise. A region that is merged later emits there, too.
   --
   ---@param fsm rfsm.Machine
   ---@param f fun(name: string, data: any)
@@ -1188,6 +1189,7 @@ do
     local emit = new_emit(f)
     for _, at in ipairs(rfsm.machines(fsm)) do
       if not is_state(at.machine.emit) then at.machine.emit = emit end
+      at.machine._emit = f
     end
   end
 end
@@ -3449,11 +3451,23 @@ end
 -- Hooks: lists that are replaced, never changed: a run over one is not disturbed ...
 
 do
-  local IN_STEP = { _pre_hooks = true, _post_hooks = true, _path_hooks = true }
+  -- The hooks that are called in an iteration, which is not a usual one then.
+  local IN_STEP = { _pre_hooks = true, _post_hooks = true, _path_hooks = true,
+    _entry_hooks = true, _exit_hooks = true }
 
   -- Hooks in "front" bring events or note them. They stay in front of those that come
   -- "before", which may take events away. A list counts them in `front`.
   local PLACES = { front = true, before = true, after = true }
+
+  -- Adds a hook to the list in a field of `owner`.
+  local function put_in(owner, field, hook, place)
+    local old = owner[field] or NONE
+    local hooks, front = append({}, old), old.front or 0
+    local before = place == "before" and front + 1 or #hooks + 1
+    insert(hooks, place == "front" and 1 or before, hook)
+    hooks.front = place == "front" and front + 1 or front
+    owner[field] = hooks
+  end
 
   local function hook_adder(where, field)
     return function(fsm, hook, place)
@@ -3462,39 +3476,40 @@ do
       if place ~= nil and not PLACES[place] then
         error(where .. ": 'before' or 'after' expected, " .. got(place), 2)
       end
-      local old = fsm[field] or NONE
-      local hooks, front = append({}, old), old.front or 0
-      local before = place == "before" and front + 1 or #hooks + 1
-      insert(hooks, place == "front" and 1 or before, hook)
-      hooks.front = place == "front" and front + 1 or front
-      fsm[field] = hooks
+      put_in(fsm, field, hook, place)
       if IN_STEP[field] then fsm._is_hooked, fsm._is_usual = true, false end
     end
   end
 
-  -- Returns the list without a hook; nil if that is not in it.
-  local function without(hooks, hook)
+  -- The same for hooks of a key: a state, or what is watched.
+  local function keyed_adder(where, field, is_key, expected)
+    return function(fsm, key, hook)
+      check_machine(fsm, where)
+      check_function(hook, where)
+      if not is_key(fsm, key) then
+        error(where .. ": " .. expected .. " expected, " .. got(key), 2)
+      end
+      fsm[field] = fsm[field] or {}
+      put_in(fsm[field], key, hook)
+      if IN_STEP[field] then fsm._is_hooked, fsm._is_usual = true, false end
+    end
+  end
+
+  -- Takes a hook out of the list in a field of `owner`, false for an empty one, as a
+  -- machine has it at first. Returns whether the hook was there.
+  local function take_out(owner, field, hook)
+    local hooks = owner[field] or NONE
     for i = 1, #hooks do
       if rawequal(hooks[i], hook) then
         local others, front = append({}, hooks), hooks.front or 0
         remove(others, i)
         others.front = i <= front and front - 1 or front
-        return others
+        owner[field] = others[1] and others or false
+        if #others == 1 and others[1] == OWN then owner[field] = OWN_ONLY end
+        return true
       end
     end
-  end
-
-  -- Returns a list of hooks, false for an empty one, as a machine has it at first.
-  local function reduced(hooks)
-    if #hooks == 1 and hooks[1] == OWN then return OWN_ONLY end
-    return hooks[1] and hooks or false
-  end
-
-  -- Takes a hook out of the list in a field of `owner`. Returns whether it was there.
-  local function take_out(owner, field, hook)
-    local others = without(owner[field] or NONE, hook)
-    if others then owner[field] = reduced(others) end
-    return others ~= nil
+    return false
   end
 
   -- Makes the function that takes a hook out again, also the model's own at `slot`.
@@ -3508,18 +3523,14 @@ do
     end
   end
 
-  local function state_hook_adder(where, field)
-    return function(fsm, state, hook)
+  local function keyed_remover(where, field)
+    return function(fsm, key, hook)
       check_machine(fsm, where)
-      check_function(hook, where)
-      if not is_node_of(fsm, state, "state") then
-        error(where .. ": state of the fsm expected, " .. got(state), 2)
-      end
-      fsm[field] = fsm[field] or {}
-      fsm[field][state] = append(append({}, fsm[field][state] or {}), { hook })
-      fsm._is_hooked, fsm._is_usual = true, false
+      return take_out(fsm[field] or NONE, key, hook)
     end
   end
+
+  local function is_state_of(fsm, state) return is_node_of(fsm, state, "state") end
 
   --- Have `hook(fsm, state)` called each time `state` is entered, before its entry.
   --
@@ -3527,21 +3538,21 @@ do
   -- Its error is raised when the iteration is over.
   --
   ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function)
-  rfsm.entry_hook_add = state_hook_adder("rfsm.entry_hook_add", "_entry_hooks")
+  rfsm.entry_hook_add = keyed_adder("rfsm.entry_hook_add", "_entry_hooks", is_state_of,
+    "state of the fsm")
 
   --- Remove an entry hook of a state. Return whether it was there.
-  ---@param fsm rfsm.Machine
-  ---@param state rfsm.State
-  ---@param hook function
-  ---@return boolean
-  function rfsm.entry_hook_rm(fsm, state, hook)
-    check_machine(fsm, "rfsm.entry_hook_rm")
-    return take_out(fsm._entry_hooks or NONE, state, hook)
-  end
+  ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function): boolean
+  rfsm.entry_hook_rm = keyed_remover("rfsm.entry_hook_rm", "_entry_hooks")
 
   --- Have `hook(fsm, state)` called each time `state` is left, after its exit.
   ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function)
-  rfsm.exit_hook_add = state_hook_adder("rfsm.exit_hook_add", "_exit_hooks")
+  rfsm.exit_hook_add = keyed_adder("rfsm.exit_hook_add", "_exit_hooks", is_state_of,
+    "state of the fsm")
+
+  --- Remove an exit hook of a state. Return whether it was there.
+  ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function): boolean
+  rfsm.exit_hook_rm = keyed_remover("rfsm.exit_hook_rm", "_exit_hooks")
 
   --- Have `hook(fsm, events)` called in each iteration before anything is chosen.
   --
@@ -3605,6 +3616,7 @@ do
   ---@type fun(fsm: rfsm.Machine, hook: function): boolean
   rfsm.path_hook_rm = hook_remover("rfsm.path_hook_rm", "_path_hooks")
 
+  ---@alias rfsm.Watched "sent"|"failed"|"resumed"|"ended"|"merged"
   local WATCHED = { sent = true, failed = true, resumed = true, ended = true,
     merged = true }
 
@@ -3619,30 +3631,14 @@ do
   --
   -- Its error is raised when the iteration is over.
   --
-  ---@param fsm rfsm.Machine
-  ---@param what "sent"|"failed"|"resumed"|"ended"|"merged"
-  ---@param hook function
-  function rfsm.watch_hook_add(fsm, what, hook)
-    check_machine(fsm, "rfsm.watch_hook_add")
-    check_function(hook, "rfsm.watch_hook_add")
-    if not WATCHED[what] then
-      error("rfsm.watch_hook_add: 'sent', 'failed', 'resumed', 'ended' or 'merged' "
-        .. "expected, " .. got(what), 2)
-    end
-    local hooks = fsm._watch_hooks or {}
-    hooks[what] = append(append({}, hooks[what] or NONE), { hook })
-    fsm._watch_hooks = hooks
-  end
+  ---@type fun(fsm: rfsm.Machine, what: rfsm.Watched, hook: function)
+  rfsm.watch_hook_add = keyed_adder("rfsm.watch_hook_add", "_watch_hooks",
+    function(_, what) return WATCHED[what] end,
+    "'sent', 'failed', 'resumed', 'ended' or 'merged'")
 
   --- Remove a watch hook. Return whether it was there.
-  ---@param fsm rfsm.Machine
-  ---@param what "sent"|"failed"|"resumed"|"ended"|"merged"
-  ---@param hook function
-  ---@return boolean
-  function rfsm.watch_hook_rm(fsm, what, hook)
-    check_machine(fsm, "rfsm.watch_hook_rm")
-    return take_out(fsm._watch_hooks or NONE, what, hook)
-  end
+  ---@type fun(fsm: rfsm.Machine, what: rfsm.Watched, hook: function): boolean
+  rfsm.watch_hook_rm = keyed_remover("rfsm.watch_hook_rm", "_watch_hooks")
 
   --- Have `hook(fsm)` called when the machine is reset, for the data of an extension.
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
