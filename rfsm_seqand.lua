@@ -259,6 +259,7 @@ local function new_region(fsm, given)
     region, problems = fresh_region(fsm, given)
   end
   if region then rawset(region, "_owner", fsm) end
+  if region and fsm._emit then rfsm.set_emit(region, fsm._emit) end -- merged
   return region, problems
 end
 
