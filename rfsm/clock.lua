@@ -47,39 +47,35 @@ local function find_module(name)
   return ok and type(module) == "table" and module or {}
 end
 
-local function seconds_only(now) return now, 0 end
-
--- The best one comes first: a module, a function of it and the id of a clock; what
--- makes seconds and nanoseconds of the results. The time of RTT is not that of the day.
+-- The best one comes first: a module, and how to read it. The time of RTT is not that of
+-- the day.
 local INSTALLED = {
-  { "rtt", function(rtt, is_monotonic) return is_monotonic and rtt.getTime end },
+  { "rtt", function(rtt, is_monotonic)
+    if is_monotonic then return rtt.getTime() end
+  end },
   { "rtp", function(rtp, is_monotonic)
-    local id = is_monotonic and MONOTONIC or REALTIME
-    local gettime = type(rtp.clock) == "table" and rtp.clock.gettime
-    return gettime, pcall(gettime, id) and id or nil
+    return rtp.clock.gettime(is_monotonic and MONOTONIC or REALTIME)
   end },
+  { "rtp", function(rtp) return rtp.clock.gettime() end }, -- it knows no ids
   { "posix.time", function(time, is_monotonic)
-    local id = is_monotonic and time.CLOCK_MONOTONIC or time.CLOCK_REALTIME
-    return time.clock_gettime, id
-  end, function(now) return now and now.tv_sec, now and now.tv_nsec end },
-  { "posix", function(posix, is_monotonic) -- an old one
-    return posix.clock_gettime, is_monotonic and "monotonic" or "realtime"
+    local now = time.clock_gettime(time[is_monotonic and MONOTONIC or REALTIME])
+    return now.tv_sec, now.tv_nsec
   end },
-  { "socket", function(socket) return socket.gettime end, seconds_only },
-  { "os", function(os) return os.time end, seconds_only },
+  { "posix", function(posix, is_monotonic) -- an old one
+    return posix.clock_gettime(is_monotonic and "monotonic" or "realtime")
+  end },
+  { "socket", function(socket) return socket.gettime(), 0 end },
+  { "os", function(os) return os.time(), 0 end },
 }
-
-local function converted(convert, ok, sec, nsec)
-  if ok and convert then return true, convert(sec) end
-  return ok, sec, nsec
-end
 
 local function find(is_monotonic)
   for _, installed in ipairs(INSTALLED) do
-    local gettime, id = installed[2](find_module(installed[1]), is_monotonic)
-    local function read() return converted(installed[3], pcall(gettime, id)) end
-    local ok, sec = read()
-    if ok and sec then return read end
+    local module, read = find_module(installed[1]), installed[2]
+    local ok, sec = pcall(read, module, is_monotonic)
+    if rfsm.is_interrupt(sec) then error(sec, 0) end
+    if ok and sec then
+      return function() return true, read(module, is_monotonic) end
+    end
   end
   return function() return false, "no clock is installed" end
 end
