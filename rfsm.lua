@@ -2,8 +2,8 @@
 --
 -- A model is a tree of plain tables, marked by `rfsm.state`, `rfsm.trans` and
 -- `rfsm.conn`. `rfsm.init` checks it, reports every mistake with its location, and
--- makes an independent machine of it; `rfsm.step` and `rfsm.run` advance the machine,
--- and `rfsm.send_events` feeds it. The caller drives: nothing here waits by itself.
+-- makes an independent machine of it. `rfsm.send_events` sends events to the machine,
+-- `rfsm.step` and `rfsm.run` advance it. Only these calls do: nothing here waits.
 --
 -- The file reads in the order the data flows: model elements, load, check, clone,
 -- resolve, compile, machine, report, run, build, use, merge, names. An FQN is a fully
@@ -34,8 +34,8 @@ local loadstring = find_global "loadstring" or find_global "load"
 local getinfo = find_global("debug", "getinfo")
 local _, require = pcall(function() return require end) -- also one of a bundle
 
--- LuaJIT 2.1.0-beta3 now and then skips keys in a traversal that it has compiled: those
--- functions are interpreted.
+-- LuaJIT 2.1.0-beta3 sometimes skips keys in a traversal that it has compiled.
+-- Functions with such a traversal are given to `interpret`, and are never compiled.
 local interpret = find_global("jit", "off") or function() end
 
 ---@class rfsm
@@ -78,8 +78,8 @@ do
   local this_file = getinfo and getinfo(1, "S").short_src
   local knows_tail_calls = getinfo ~= nil and pcall(getinfo, 1, "t")
 
-  -- Notes the line that called a constructor, `level` functions up. After a tail call
-  -- the caller's frame is gone, and `level` names a different function.
+  -- Notes the line that called a constructor, `level` functions up. Nothing is noted
+  -- after a tail call: the caller's frame is gone, and `level` is another function.
   local function note_caller(t, level)
     if not getinfo then return end
     if knows_tail_calls and getinfo(level, "t").istailcall then return end
@@ -92,13 +92,13 @@ do
 
   --- Note the location of an element whose constructor is an extension's.
   ---@param t table the element
-  ---@param level integer whose line it is: 2 for the caller of the constructor
+  ---@param level integer the function whose line it is: 2 is the constructor's caller
   function rfsm.note_location(t, level)
     made_at[t] = nil
     note_caller(t, level + 1)
   end
 
-  -- A metatable for elements that inherit from `base`, a state or transition.
+  -- Returns a metatable for elements that inherit from `base`, a state or transition.
   local function heir_class(base)
     local class = getmetatable(base)
     return {
@@ -107,8 +107,8 @@ do
     }
   end
 
-  -- Gives `class` its constructor: X{...}, X:new{...}; base:new{...} inherits from
-  -- base.
+  -- Makes a class its own constructor: X{...} or X:new{...} marks a table as an element
+  -- of class X. An element made by base:new{...} inherits from the element `base`.
   function define(class, name)
     local function mark(base, t, level)
       if type(t) ~= "table" then
@@ -190,7 +190,7 @@ end
 local is_meta, is_node, is_state = rfsm.is_meta, rfsm.is_node, rfsm.is_state
 
 local function has_nodes(state)
-  for key, value in pairs(state) do -- any order: one node decides
+  for key, value in pairs(state) do -- any order: one node is enough
     if not is_meta(key) and is_node(value) then return true end
   end
   return false
@@ -328,7 +328,7 @@ function Transition.__tostring(tr)
   return text .. " }"
 end
 
--- Numbers ascending, then all others by their text.
+-- Orders keys: numbers ascending, then all others by their text.
 local function key_before(a, b)
   local is_number = type(a) == "number"
   if is_number ~= (type(b) == "number") then return is_number end
@@ -362,7 +362,8 @@ end
 
 -- Load ------------------------------------------------------------------------
 
--- Runs a chunk of a chart and returns its state. A root in a tail call has no line.
+-- Runs a chunk of a chart and returns its state. If `return rfsm.state{...}` was a tail
+-- call, the line of the root is not known: the first line of the file counts.
 local function run_chunk(chunk, file, where, accepts)
   local model = chunk(file)
   if accepts and accepts(model) then return model end
@@ -383,7 +384,7 @@ end
 -- @raise when there is no file name, the file cannot be read or fails, or it returns
 -- no state
 ---@param file string
----@param accepts? fun(value: any): boolean what it may return besides, for extensions
+---@param accepts? fun(value: any): boolean other values that the file may return
 ---@return rfsm.Model model
 ---@nodiscard
 function rfsm.load(file, accepts)
@@ -418,10 +419,10 @@ end
 
 -- Check: every mistake in the model, each with its location --------------------
 --
--- A check appends to the `problems` (they fail `init`) or `warnings` of the build and
--- never raises. They come in the order of the walk; `init` sorts them by location.
+-- A check never raises an error. It appends to the `problems` of the build, with which
+-- `init` fails, or to its `warnings`. `init` sorts both lists by location.
 
--- Returns a module that may be missing, nil then.
+-- Returns a module; nil if it is not installed.
 local function find_module(name)
   if type(require) ~= "function" then return nil end
   local ok, module = pcall(require, name)
@@ -441,35 +442,35 @@ local function advise(topic, ...)
   return advice[topic](...)
 end
 
---- The data of one `init` or `fsm_merge`. A plan is the part that machines share.
+--- The data of one `init` or `fsm_merge`. Machines share its result, the plan.
 ---@class rfsm.Build
 ---@field plan rfsm.Plan the result
 ---@field problems { file?: string, line: string }[]
 ---@field warnings { file?: string, line: string }[]
----@field created { line: string }[] `initial` connectors that are not declared
----@field mounts table<table, rfsm.Def[]> model node -> its clones
+---@field created { line: string }[] messages of `initial` connectors nobody declared
+---@field mounts table<table, rfsm.Def[]> node of the model -> one for each position
 ---@field fsm rfsm.Machine? the machine that something is merged into
 
 --- The definition of a node or transition: all that is known before a machine runs.
 --
--- The machines of a model share it. The table of an element in a machine holds the
--- fields of that machine, and inherits the rest from `proto`.
+-- The machines of a model share it. An element of a machine is a table with what that
+-- machine alone has, such as the mode of a state, and inherits the rest from `proto`.
 --
 ---@class rfsm.Def
 ---@field kind "state"|"transition"|"connector"
 ---@field index integer its position among the nodes or transitions of the plan
 ---@field id string|integer
----@field parent rfsm.Def its composite; the root is its own
----@field model table its source in the model
+---@field parent rfsm.Def the composite in which it stands; the root is its own parent
+---@field model table the element of the model that it was made of
 ---@field data any[] callbacks and the user's data: key, value, key, value ...
 ---@field proto table metatable of the elements
 ---@field fqn string of a node
 ---@field is_leaf boolean of a state
----@field otrs rfsm.Def[] transitions that leave the node, in the order of trying
----@field src rfsm.Def of a transition, as `tgt`, `events`, `pn`
+---@field otrs rfsm.Def[] transitions that leave a node, in the order they are tried in
+---@field src rfsm.Def of a transition, which also has `tgt`, `events` and `pn`
 
--- The name of an element in messages: an FQN, or root.trans[2] (a -> b), with
--- `field`.
+-- Returns the name of an element in messages: its FQN, or root.trans[2] (a -> b). The
+-- name of a field follows, if one is given.
 local function name_of(def, field)
   local suffix, key = field and "." .. field or "", text_of(def.id)
   if def.kind ~= "transition" then return def.fqn .. suffix end
@@ -491,8 +492,8 @@ local CALLBACKS = {
   transition = { guard = true, effect = true },
 }
 
--- Adds the warning that rfsm/advice.lua has on a topic, if there is one. It is asked
--- where something may be odd: most charts are made without that file.
+-- Adds the warning that rfsm/advice.lua has on a topic, if there is one. This is called
+-- only where something may be odd, so that most charts need not load that file.
 local function add_advice(list, topic, def, ...)
   local text, field = advise(topic, def, ...)
   if text ~= "" then add(list, def, field, text) end
@@ -541,7 +542,7 @@ end
 
 local model_of = rfsm.model_of
 
--- Is `value` a node of that machine? A live state, if `kind` says so.
+-- Is `value` a node of that machine, and of this kind, if one is given?
 local function is_node_of(fsm, value, kind)
   local value_kind = kind_of(value)
   local def = value_kind and value["_%def"]
@@ -549,7 +550,7 @@ local function is_node_of(fsm, value, kind)
     and rawequal(fsm._nodes[def.index], value)
 end
 
--- A node table of a model may stand in several places: notes that `def` is one of them.
+-- Notes that `def` is one position of its model: a table may stand in several.
 local function note_mount(build, def)
   local mounts = build.mounts[def.model] or {}
   mounts[#mounts + 1], build.mounts[def.model] = def, mounts
@@ -562,7 +563,8 @@ do
   for _, name in ipairs(PRINTERS) do ROOT_FIELDS[name] = true end
   for _, name in ipairs(HOOKS) do ROOT_FIELDS[name] = true end
 
-  -- The engine's own fields that anybody may read: never taken for the user's data.
+  -- Fields of the engine that anybody may read. A field of this name in a model is left
+  -- out: it is not the user's data.
   local API_FIELDS = {}
   for name in ("act_leaf actchild curq doo_co fqn fsm id initialized intq mode otrs "
     .. "parent"):gmatch("%S+") do
@@ -585,8 +587,8 @@ do
     end
   end
 
-  -- Returns the events of a transition as a list of its own: a list of anything but NaN
-  -- without holes, or one string. False when there are none.
+  -- Returns a new list of the events of a transition, false if there are none. The
+  -- model has one string, or a list of any values but NaN, without holes.
   local function check_events(build, def, events)
     if not events then return false end
     if type(events) == "string" then events = { events } end
@@ -615,8 +617,8 @@ do
     return count > 0 and list
   end
 
-  -- Returns the fields of a model element. An heir inherits callbacks and data, no
-  -- nodes and transitions.
+  -- Returns the fields of a model element. One that was made by base:new{...} inherits
+  -- the callbacks and data of `base`, and neither nodes nor transitions.
   local function fields_of(model)
     local class = getmetatable(model)
     local base = class.__index
@@ -643,7 +645,7 @@ do
     parent.members[key] = def
   end
 
-  -- Makes the bare node; `clone_below` fills it in when its turn comes.
+  -- Makes the definition of a node. `clone_below` adds its fields and members later.
   function new_node(build, kind, model, parent, key)
     local def = new_def(build.plan.nodes, kind, model_of(model), parent or false, key)
     def.fqn = parent and parent.fqn .. "." .. text_of(key) or key
@@ -659,7 +661,7 @@ do
     return def
   end
 
-  -- Is the model of `def` also the model of an ancestor? The walk would never end.
+  -- Is the model of `def` also the model of an ancestor? Then the walk would never end.
   local function is_inside_itself(def)
     local above = def
     while above.parent ~= above do
@@ -755,7 +757,8 @@ do
     interpret(f)
   end
 
-  -- Fills in the nodes from number `first` on; the list grows as it is walked.
+  -- Adds fields and members to the nodes from number `first` on. Members that are nodes
+  -- are appended to the same list, and have their turn.
   function clone_below(build, first)
     local nodes, i = build.plan.nodes, first
     while nodes[i] do
@@ -782,8 +785,8 @@ local function find_lca(a, b)
 end
 
 do
-  -- Walks from `def` down the names of a path "a.b"; nil and a reason when one fails.
-  -- A hint may come from `all` nodes.
+  -- Returns the node that a path "a.b" from `def` leads to; nil and a reason if there
+  -- is none, with a hint at a node among `all` that may be meant.
   local function find_below(def, path, all)
     for name in (path .. "."):gmatch("([^.]*)%.") do
       local child = def.members[name]
@@ -803,9 +806,9 @@ do
   end
 
   -- Returns the node that a name in a transition of `composite` refers to:
-  -- (a) ".a.b" or "..a.b" from the composite, (b) "a" in it, or the root itself,
-  -- (c) others from the root, where `root.` in front is optional, and a state may be
-  -- named so.
+  -- (a) ".a.b" or "..a.b" is a path from the composite, (b) "a" is a node in it, or
+  -- "root" the root, (c) any other path begins at the root, with or without "root." in
+  -- front. A state in the root may be named "root", too.
   local function find_named(build, composite, name)
     local all, relative = build.plan.nodes, name:match("^%.%.?([^.].*)$")
     local root = all[1]
@@ -820,7 +823,8 @@ do
     return def or root.members.root and find_below(root, name, all), reason
   end
 
-  -- A node table of the model may be mounted more than once: the nearest clone counts.
+  -- Returns the node that a table of the model, in place of a name, refers to. If the
+  -- table stands in several positions, the nearest one counts.
   local function find_mounted(build, composite, ref)
     local nearest, most, is_tie = nil, -1, false
     if build.fsm and is_node_of(build.fsm, ref) then
@@ -836,7 +840,8 @@ do
     return nearest, not nearest and "the table given is no part of this model" or nil
   end
 
-  -- Returns the node that src or tgt of a transition means; nil and a reason when none.
+  -- Returns the node that `src` or `tgt` of a transition refers to; nil and a reason if
+  -- there is none.
   local function find_end(build, def, field)
     local ref = def[field]
     if type(ref) == "string" then
@@ -852,7 +857,7 @@ do
     return nil, field .. ": name of a state or connector expected, " .. got(ref)
   end
 
-  -- An undeclared `initial` comes into being where a transition starts from it.
+  -- Makes the connector `initial` if a transition starts from it and none is declared.
   local function create_initial(build, def)
     local composite = def.parent
     if def.src ~= "initial" or composite.members.initial or composite.is_leaf then
@@ -890,7 +895,8 @@ do
     end
   end
 
-  -- Returns the node where a transition from `src` ends; of an internal one it is src.
+  -- Returns the node where a transition from `src` ends; nil and a reason; or `src`,
+  -- nil and true for an internal transition.
   local function find_target(build, def, src)
     if def.tgt ~= "internal" or def.parent.members.internal then
       return find_end(build, def, "tgt")
@@ -916,8 +922,8 @@ do
     return true
   end
 
-  -- Resolves the transitions from number `first` on. Inside a leaf, one with a wrong
-  -- reference is dropped.
+  -- Resolves the transitions from number `first` on. Those that have a wrong reference
+  -- are dropped: inside a leaf that is only a warning.
   function resolve(build, first)
     local transitions, kept = build.plan.transitions, first - 1
     for i = first, #transitions do create_initial(build, transitions[i]) end
@@ -944,9 +950,9 @@ end
 ---@field nodes rfsm.Def[] parents before children, the root first
 ---@field transitions rfsm.Def[]
 ---@field events table<any, true> the events that transitions name
----@field trail table|false see `is_current`; only the plan of a model has one
----@field variant rfsm.Plan|false what preproc functions have made of it, the latest
----@field order rfsm.Def[]? as `mapfsm` goes, once a preproc function has asked
+---@field trail table|false the notes of `make_trail`; false: only one machine uses it
+---@field variant rfsm.Plan|false the latest one that preproc functions made of this one
+---@field order rfsm.Def[]? in the order of `mapfsm`, once a preproc function has asked
 
 local compile, compile_transition, line_to
 
@@ -961,8 +967,8 @@ do
     return key_before(a.id, b.id)
   end
 
-  -- What elements inherit, for each class: the methods. The events of a transition are
-  -- a list of the caller's own, since machines share the definition.
+  -- The metatables of protos, by kind: they add the methods of the class. `tr.events`
+  -- is a new list at each access, since machines share the definition.
   local INHERITED = {
     state = { __index = State }, connector = { __index = Connector }, transition = {},
   }
@@ -977,7 +983,7 @@ do
   local function make_proto(def)
     local proto = def.proto or {
       ["_%def"] = def, rfsm = def.kind, __tostring = CLASSES[def.kind].__tostring,
-      __eq = rawequal, -- so that no other one's is ever asked
+      __eq = rawequal, -- so that the `__eq` of another value is never called
       __index = false,
     }
     if def.kind == "transition" then
@@ -992,8 +998,8 @@ do
     end
   end
 
-  -- Gives each node the list of its outgoing transitions, in order, and removes the
-  -- notes of an older structure.
+  -- Gives each node the list of its outgoing transitions, in order, and each definition
+  -- its proto. Returns the plan.
   function compile(plan)
     local nodes, transitions, events = plan.nodes, plan.transitions, {}
     for i = 1, #nodes do
@@ -1014,14 +1020,14 @@ do
       if nodes[i].otrs[2] then sort(nodes[i].otrs, tried_before) end
     end
     plan.events, nodes[1].plan = events, plan
-    -- The path that enters a root without states, and begins all other first entries.
+    -- The path of the first entry; if the root has states, only its beginning.
     nodes[1].entrance = { from = nodes[1], segments = NONE, entered = nodes[1] }
     return plan
   end
 
-  -- Lists the states that a transition enters, outermost first, and notes the fields
-  -- that a run reads, once. Returns the definition. The `lca` contains both ends and
-  -- stays active: states in it are left and entered. It may be the root.
+  -- Adds what a run reads to the definition of a transition, once, and returns it: the
+  -- states that are entered, outermost first, and the `lca`, the innermost state that
+  -- contains both ends and stays active. It may be the root.
   function compile_transition(def)
     if def.connector ~= nil then return def end
     local tgt, entries = def.tgt, {}
@@ -1053,8 +1059,8 @@ local function new_plan(model, warnings, created)
   }
 end
 
--- Returns a plan like this one, for changes: its definitions are new ones, in the same
--- order. Parents come before children.
+-- Returns a copy of a plan, to be changed. Its definitions are new ones, in the same
+-- order: parents before children.
 local function copy_plan(plan)
   local copy = new_plan(plan.model, plan.warnings, plan.created)
   local nodes, transitions = copy.nodes, copy.transitions
@@ -1093,9 +1099,9 @@ local function each_table(plan, f)
   end
 end
 
--- Notes a model, table by table, as the walk of `next` finds it: numbers stand for
--- keys and values, so that no value is ever compared with another by `==`. A 0 ends a
--- table.
+-- Notes the keys and values of all tables of a model, in the order of `next`. Each key
+-- or value is noted as a number, its position in `ids`: compared by `==`, tables might
+-- have an `__eq` called. A 0 ends a table.
 local function make_trail(plan)
   local ids, n, tables, trail, plain = {}, 0, {}, {}, {}
   local function id_of(value)
@@ -1150,8 +1156,8 @@ local function silent() end
 
 local function no_events() return {} end
 
--- Stands in a list of hooks for the one that the program has set, such as the field
--- `pre_step_hook`.
+-- In a list of hooks this function stands for the hook in a field of the machine, such
+-- as `pre_step_hook`, which a program may replace at any time.
 local function OWN() end
 
 local OWN_ONLY = { OWN }
@@ -1222,12 +1228,13 @@ end
 -- Functions that do not keep the list of events that they get.
 local borrowers = setmetatable({}, { __mode = "k" })
 
--- All machines, so that one access decides if a value is one.
+-- All machines, so that one access shows whether a value is a machine.
 local machines = setmetatable({}, { __mode = "k" })
 
 Machine.__index = DEFAULTS
 
--- These fields are absent until a hook is set: then `__newindex` is called.
+-- These fields of a machine are absent until a hook is set, so that `__newindex` is
+-- called then.
 local STEP_HOOKS = { getevents = true, pre_step_hook = true, post_step_hook = true }
 
 function Machine.__newindex(fsm, key, value)
@@ -1240,7 +1247,8 @@ function Machine.__newindex(fsm, key, value)
   rawset(fsm, key, value)
 end
 
--- Returns the copy of `value`. A plain table is filled later.
+-- Returns the copy of a value. That of a plain table is empty at first, and the table
+-- is appended to `pending`.
 local function copy_of(copies, value, pending)
   if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
   if not copies[value] then
@@ -1249,8 +1257,7 @@ local function copy_of(copies, value, pending)
   return copies[value]
 end
 
--- Copies a plain table; a list of pending tables instead of recursion bears any
--- depth.
+-- Copies a plain table, nested to any depth: tables wait in a list, without recursion.
 local function clone_data(copies, value)
   local pending = {}
   local copy = copy_of(copies, value, pending)
@@ -1304,7 +1311,7 @@ local function list_otrs(fsm, plan)
   local transitions, nodes = fsm._transitions, fsm._nodes
   for i = 1, #plan.nodes do
     local otrs = plan.nodes[i].otrs
-    local list = { otrs[1] and transitions[otrs[1].index] } -- of size 1 from the start
+    local list = { otrs[1] and transitions[otrs[1].index] } -- of the size of most lists
     for j = 2, #otrs do list[j] = transitions[otrs[j].index] end
     nodes[i]._otrs = list
   end
@@ -1322,7 +1329,7 @@ local function use_plan(fsm, plan)
   list_otrs(fsm, plan)
 end
 
--- Report: what a machine says to its printers, and errors that wait ---------------
+-- Report: what a machine says to its printers, and errors that are kept -----------
 
 local DEFAULT_PRINTER, printer_of
 
@@ -1358,7 +1365,8 @@ end
 
 --- Keep an error until the iteration is over, for extensions.
 --
--- `step` raises it then. Between two steps the next one does. The first error counts.
+-- `step` raises it then. If it is kept between two steps, the next one raises it. Of
+-- several errors only the first is kept.
 --
 ---@param fsm rfsm.Machine
 ---@param failure any
@@ -1405,7 +1413,7 @@ end
 --- Did an interrupt such as Control-C raise the error, rather than a callback? It is
 -- for the caller of `step` then. For extensions.
 --
--- The text is that of the interpreters, alone or behind a position.
+-- Such an error is the text "interrupted!", alone or behind a position.
 --
 ---@param failure any
 ---@return boolean
@@ -1415,7 +1423,7 @@ function rfsm.is_interrupt(failure)
 end
 
 -- Calls hooks of extensions from number `at` on, such as `_reset_hooks`. An error is
--- kept. There is no loop, for which LuaJIT would give up compiling the host's.
+-- kept. This is no loop, because LuaJIT would not compile the loop of a host around it.
 local function tell_from(at, fsm, hooks, ...)
   local ok, failure = pcall(hooks[at], fsm, ...)
   if not ok then keep_failure(fsm, failure) end
@@ -1475,8 +1483,8 @@ local PHASES, search = {}, nil
 
 -- Gather ..........................................................................
 
--- The current events are pending again, before the others. The phase is idle first: cut
--- short, the next iteration finds the events here or there.
+-- Makes the current events pending again, before those in the queue. The phase becomes
+-- idle first: if this is cut short, the next iteration finds the events in either list.
 local function put_back(fsm)
   fsm._outcome = "refused"
   fsm._phase = "idle"
@@ -1492,8 +1500,8 @@ local function give_up(fsm, failure)
   error(failure, 0)
 end
 
--- Returns the events of getevents, a list with nils perhaps; nil and the failure. The
--- answer is noted at once, and stays until it is appended: cut short, it is not lost.
+-- Returns the list of getevents, in which nils may be; nil and an error if it failed.
+-- The list is noted in `_given` until it is appended, so that no interrupt loses it.
 local function ask_getevents(fsm)
   local getevents = fsm.getevents
   if fsm._given then return fsm._given end
@@ -1511,8 +1519,8 @@ local function ask_getevents(fsm)
   return nil, "rfsm.step: getevents: list of events expected, " .. got(events)
 end
 
--- Appends what getevents returns. Cut short, it is appended again: the events of an
--- iteration are a set.
+-- Appends the events of getevents. If this is cut short they are appended again, which
+-- changes nothing: the events of an iteration are a set.
 local function append_getevents(fsm, list)
   local events, failure = ask_getevents(fsm)
   if not events then give_up(fsm, failure) end
@@ -1564,9 +1572,9 @@ local function reset_now(fsm)
   fsm._reset_wanted = false
 end
 
--- What is pending becomes current: the queue and the list of the last iteration,
--- which is empty, change places. If that was cut short, both are one list, or the one
--- of the last iteration has events: they come first.
+-- Makes the pending events current: the queue and the list of the last iteration, which
+-- is empty, change places. If an earlier exchange was cut short, both fields have the
+-- same list, or the list of the last iteration has events: these come first.
 local function take_queue(fsm)
   local queue, spare = fsm._intq, fsm._curq
   if rawequal(queue, spare) or spare[1] ~= nil then
@@ -1589,7 +1597,7 @@ end
 
 -- Search: the path that the events enable .........................................
 --
--- A search may be done twice if it is cut short: guards have no side effects.
+-- A search that was cut short is done again: guards must not have side effects.
 
 -- Is one of `events` among those of the transition, or accepted by a predicate there?
 local function matches(def, events)
@@ -1608,8 +1616,8 @@ local function matches(def, events)
   return false
 end
 
--- Returns the definition of a transition with the target that the machine has set in
--- place of the model's; it is made once. Nil if that is no node of the machine.
+-- Returns a definition with the target that a program has set in a transition of the
+-- machine. It is made once for each target. Nil if that is no node of the machine.
 local function retarget(fsm, def, tgt)
   local node = is_node(tgt) and getmetatable(tgt)["_%def"]
   if rawequal(tgt, fsm) then node = fsm._plan.nodes[1] end
@@ -1629,16 +1637,16 @@ local function retarget(fsm, def, tgt)
   return def.aimed[node]
 end
 
--- A guard that fails does not enable: returns false. One that is interrupted is asked
--- again by the next step.
+-- Reports that a guard has failed, and returns false in place of its answer. A guard
+-- that was interrupted is asked again by the next step.
 local function refuse_guard(fsm, tr, guard, failure)
   if rfsm.is_interrupt(failure) then error(failure, 0) end
   report_callback(fsm, "guard", tr, guard, failure)
   return false
 end
 
--- Asks the guard of a transition whose events match. Returns the definition, that of
--- another target if the machine has set one; nil if the guard inhibits.
+-- Asks the guard of a transition whose events match. Returns its definition, or that of
+-- `retarget` if a program has set another target; nil if the guard returns false.
 local function ask(fsm, def, events)
   local tr = fsm._transitions[def.index]
   local guard = tr.guard
@@ -1653,9 +1661,9 @@ local function ask(fsm, def, events)
   return def
 end
 
--- Returns what the searches of a machine note about a connector: `search` is the number
--- of the last one that came here, `way` the transition that leads on, false while it is
--- looked for. `_search` is the number of the current one.
+-- Returns the note of a machine about a connector: `search` is the number of the last
+-- search that came there, `way` the transition by which its path goes on from there,
+-- false while none is found. `fsm._search` is the number of the current search.
 local function note_of(fsm, connector)
   local note = fsm._ways[connector] or { search = 0, way = false }
   fsm._ways[connector] = note
@@ -1669,9 +1677,9 @@ end
 
 local lead
 
--- Finds the way out of a connector, once a search: its first transition that leads on.
--- Further ones of the same priority are asked, too, to warn of a conflict. Until one is
--- found the connector has no way out, so that cycles end.
+-- Finds the way out of a connector, once in each search: its first transition that is
+-- enabled and leads on. Further ones of the same priority are asked, too, to warn of a
+-- conflict. Until a way is noted the connector has none, so that cycles end.
 local function find_way(fsm, connector, note, events)
   local way, pn, others = false, nil, nil
   note.search, note.way = fsm._search, false
@@ -1688,7 +1696,8 @@ local function find_way(fsm, connector, note, events)
   note.way = way
 end
 
--- Returns the definition of an open transition if there is a path on from its target.
+-- Returns the definition of a transition that is enabled, if its target is a leaf or a
+-- connector with a way out; else nil.
 function lead(fsm, def, events)
   if not (def and def.connector) then return def end
   local note = note_of(fsm, def.connector)
@@ -1696,8 +1705,8 @@ function lead(fsm, def, events)
   return note.way and def or nil
 end
 
--- Returns the first transition of a list that is enabled, nil if there is none, or a
--- guard has merged something.
+-- Returns the first transition of a list that is enabled; nil if there is none, or if a
+-- guard has merged something, after which the list is out of date.
 local function first_enabled(fsm, list, events)
   local plan = fsm._plan
   for i = 1, #list do
@@ -1731,9 +1740,9 @@ do
   local OTHER = {} -- stands for all events that no transition from the leaf names
   local NO_CHOICE = { run = false, run_hooked = false, find = false }
 
-  -- Lists the choice of each event while the leaf is active: its candidates, the
-  -- transitions that it may trigger, in order. `ignored` is the leaf's e_done if
-  -- nothing waits for it, else NaN, which equals no event.
+  -- Makes the choice of each event while a leaf is active: the list of its candidates,
+  -- the transitions that it may trigger, in the order they are tried in. `ignored` is
+  -- the leaf's e_done if no transition waits for it, else NaN, which equals no event.
   function list_choices(leaf)
     local choices, lists = { [OTHER] = {} }, {}
     lists[1] = choices[OTHER]
@@ -1766,7 +1775,7 @@ do
     return choices[event] or choices[OTHER]
   end
 
-  -- Returns the candidates of the events, in order; nil if they have several lists.
+  -- Returns the candidates of some events; nil if two events have different ones.
   local function candidates_of(leaf, events)
     local common = NONE
     for i = 1, #events do
@@ -1779,9 +1788,9 @@ do
     return common
   end
 
-  -- Returns the transition that the events enable, nil if there is none: found among
-  -- the `candidates`, if they are known. If a guard has merged something into the
-  -- machine it is searched again, once.
+  -- Returns the transition that the events enable, nil if there is none. Only the
+  -- `candidates` are asked, if they are known. If a guard merges something into the
+  -- machine, the search is done again, once.
   function choose(fsm, leaf, events, candidates, is_again)
     local plan, find, from = fsm._plan, choose_by_node, leaf["_%def"]
     if not candidates then
@@ -1800,10 +1809,10 @@ do
   end
 end
 
--- Warns of events that were sent before the first entry, and that its path does not
--- name: they are consumed by it.
+-- Warns of events that were sent before the first entry, which consumes them, and that
+-- its path does not name.
 local function warn_of_lost_events(fsm, path, events)
-  if rfsm.is_strict(fsm) then return end -- rfsm/strict.lua has told the sender
+  if rfsm.is_strict(fsm) then return end -- rfsm/strict.lua has warned already
   local lost = {}
   for i = 1, #events do
     local is_named = rawequal(events[i], "e_init_fsm")
@@ -1817,7 +1826,7 @@ local function warn_of_lost_events(fsm, path, events)
     .. "them: " .. list_text(lost))
 end
 
--- First entry: the path from `initial`, nil if there is none.
+-- Returns the path of the first entry, from the root's `initial`; nil if there is none.
 local function find_entry(fsm, events)
   local root = fsm._plan.nodes[1]
   fsm._search = fsm._search + 1
@@ -1829,7 +1838,7 @@ local function find_entry(fsm, events)
   return path
 end
 
--- No path leads into the machine: the events are pending again.
+-- Reports that no path leads into the machine, and makes the events pending again.
 local function refuse_entry(fsm, events)
   report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
     .. "events: " .. list_text(events))
@@ -1847,7 +1856,7 @@ local function innermost(fsm)
   return state
 end
 
--- Takes a path from a leaf, nil if the machine is in none.
+-- Takes a path. `leaf` is the active one, nil at the first entry.
 local function take_path(fsm, leaf, path)
   local name, run = fsm._is_hooked and "run_hooked" or "run", false
   if leaf and fsm.dbg == silent then run = path[name] or compiled(path, name) end
@@ -1863,7 +1872,7 @@ local function take_path(fsm, leaf, path)
 end
 
 -- Goes on after the search from a leaf: takes the path of the transition that was
--- found, if there is one.
+-- found. If there is none, runs the doo or ends the iteration.
 local function follow(fsm, after_free, leaf, def)
   if fsm._act_leaf ~= leaf then -- a guard has moved the machine
     leaf = innermost(fsm)
@@ -1894,7 +1903,8 @@ end
 -- A path is a flat list of actions: functions f(fsm, arg, at) with an argument each, a
 -- definition as a rule, and the position `at` in the list.
 
--- Calls hooks of extensions. With several the position is noted in fractions.
+-- Calls hooks of extensions, in the action at position `at`. Each hook has a position
+-- of its own, a fraction between the last action and this one.
 local function call_hooks(fsm, hooks, what, at)
   for i = 1, #hooks do
     local number = at - 1 + i / #hooks
@@ -1906,8 +1916,8 @@ local function call_hooks(fsm, hooks, what, at)
   end
 end
 
--- Tells those who watch which transitions are about to be taken: none where a root
--- without states is entered.
+-- Calls the path hooks with the list of the transitions that are about to be taken. It
+-- is empty at the entry of a root without states.
 local function show_path(fsm, path, at)
   if not fsm._path_hooks then return end
   local list = {}
@@ -2037,7 +2047,7 @@ do
     list.args[#list.actions] = arg
   end
 
-  -- From the state `from` up to the lca, where nothing is left.
+  -- Adds the exits of the states from `from` up to the lca, which stays active.
   local function add_exits(list, def, from)
     add_action(list, recorders.exits, def)
     while from ~= def.lca do
@@ -2059,7 +2069,7 @@ do
     add_action(list, recorders.entry, state)
   end
 
-  local shapes = {} -- a tree of the lists that are there, by their actions
+  local shapes = {} -- a tree of all lists of actions; each level has the next action
 
   -- Returns a list with the same actions, which all paths of this shape share.
   local function shared(actions)
@@ -2103,10 +2113,10 @@ local function new_path(at, def)
 end
 
 -- Returns the path from `at` with the transition `def` and those out of its connectors.
--- Paths are kept in a tree: `at` is where one begins (a leaf, or the entrance of the
--- root), or a path so far.
+-- Paths are kept in a tree. `at` is the beginning of a path (a leaf, or the entrance of
+-- the root) or the part of it that is there already.
 function path_of(at, def, ways)
-  if def then -- no loop, for which LuaJIT would give up compiling that around it
+  if def then -- no loop, because LuaJIT would not compile a loop around this one
     at = at.paths and at.paths[def] or new_path(at, def)
     if def.connector then return path_of(at, ways[def.connector].way, ways) end
   end
@@ -2144,8 +2154,8 @@ do
     }
   end
 
-  -- Whatever stops that file from being loaded, such as too little memory, the machines
-  -- do without.
+  -- Loads rfsm/fast.lua. Whatever prevents that, such as too little memory, machines do
+  -- without it.
   function load_fast()
     if fast ~= nil then return end
     local ok, made = pcall(make_fast)
@@ -2155,7 +2165,7 @@ do
 
   function drop_fast() fast = false end
 
-  local OFTEN = 3 -- what is asked for more often is compiled
+  local OFTEN = 3 -- a path or list that is used more often is compiled
 
   -- Has rfsm/fast.lua make a function for a path or a list of candidates, and keeps it,
   -- or false if there is none:
@@ -2171,7 +2181,7 @@ do
     return at[name]
   end
 
-  -- Compiles it once it was asked for more than OFTEN times; until then returns false.
+  -- Returns that function, false before it has been asked for more than OFTEN times.
   function compiled(at, name)
     if at[name] ~= nil then return at[name] end
     at.used = (at.used or 0) + 1
@@ -2179,10 +2189,10 @@ do
     return compile_text(at, name)
   end
 
-  -- Returns the path that is taken whenever the transition `def` is the only candidate,
-  -- if no guard or other target has been set since: each connector has a single
-  -- transition, without events. Nil if there is no such path, or none of ten segments
-  -- at most: connectors may be a cycle.
+  -- Returns the path that is taken whenever the transition `def` is the only candidate:
+  -- each connector on it has a single transition, without events. The function made of
+  -- it looks for guards and other targets. Nil if there is no such path, or if it has
+  -- more than ten segments: connectors may form a cycle.
   local function straight_path(leaf, def)
     local first, ways, count = compile_transition(def), {}, 1
     while def.connector do
@@ -2205,12 +2215,12 @@ do
     return run
   end
 
-  -- Paths that are made before they are taken: so many of a leaf and event at most, of
-  -- so many segments at most.
+  -- `rfsm.prepare` makes at most so many paths for a leaf and an event, and at most so
+  -- many segments of a path.
   local MOST_PATHS, MOST_SEGMENTS = 50, 6
   local paths_left = 0
 
-  -- Makes now what the paths from `at` with the transition `def` would get in a run.
+  -- Makes the paths that go on from `at` with transition `def`, and their functions.
   local function prepare_paths(at, def, name)
     local path = at.paths and at.paths[def] or new_path(at, def)
     local connector = compile_transition(def).connector
@@ -2412,8 +2422,8 @@ do
     return true, idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
   end
 
-  -- Returns the text of the path that a search has found, if that is there, and the
-  -- machine is still a usual one.
+  -- Returns the function of the path that a search has found; nil if there is none, or
+  -- if a guard has made this iteration an unusual one.
   local function found_run(fsm, leaf, def)
     if not fsm._is_usual or fsm.dbg ~= silent or fsm._act_leaf ~= leaf then
       return nil
@@ -2470,9 +2480,9 @@ do
   end
 end
 
--- The iteration was ended by an error: one that was kept for its end, one of a step
--- hook, or one that is no callback's own. Without this mark, what was cut short could
--- not be told from a step that goes on.
+-- Marks that an error has ended the iteration, and raises it: one that was kept, one of
+-- a step hook, or one that is no callback's own. Without the mark `_is_cut` the machine
+-- would look as if its step were still under way.
 local function raise_cut(fsm, failure)
   fsm._cuts = fsm._cuts + 1
   fsm._is_usual = false
@@ -2482,8 +2492,8 @@ end
 
 -- Build: a plan of a model, and a machine of the plan -------------------------------
 
--- A program may copy all tables of a machine. The copy has a copy of the plan, too,
--- which the metatables of its elements do not know: it gets theirs.
+-- Accepts a machine whose tables were all copied by a program. Its plan is a copy, too,
+-- but the metatables of its elements belong to the original plan: it gets that one.
 local function adopt_copy(fsm)
   local node = fsm._nodes[2]
   local root = node and node["_%def"].parent or fsm["_%def"]
@@ -2563,8 +2573,8 @@ end
 local build_plan, new_build, plan_of
 
 do
-  -- The plans of models, kept by their machines; the latest one in any case, for
-  -- programs that drop each machine before they make the next.
+  -- The plans of models. A plan is kept by its machines; the latest plan is kept in any
+  -- case, for programs that drop each machine before they make the next.
   local plans, latest_plan = setmetatable({}, { __mode = "kv" }), nil
   local is_sparing = false
 
@@ -2574,8 +2584,7 @@ do
       created = plan.created, mounts = {} }
   end
 
-  -- The user's data at the root that has the name of one of the machine's fields is
-  -- left out.
+  -- Leaves out the user's data at the root that has the name of a field of machines.
   local function drop_taken_names(build, root)
     local taken, data = own_fields(), root.data
     root.data = {}
@@ -2736,8 +2745,8 @@ end
 ---@type (fun(fsm: rfsm.Machine, merged?: table): string[]?)[]
 rfsm.preproc = {}
 
---- Functions `f(event)` of extensions that make events: the name of the extension if it
--- makes the event, and the FQN of the state that has to be active, if one has to.
+--- Functions `f(event)` of extensions that make events. Each returns the extension's
+-- name if the event is its own, and the FQN of the state that has to be active, if any.
 ---@type (fun(event: string): string?, string?)[]
 rfsm.makers = {}
 
@@ -2849,9 +2858,9 @@ do
     if found ~= plan then use_plan(fsm, found) end
   end
 
-  -- Runs the preproc functions; returns the problems they found. When one of them
-  -- merges something into the machine, those before it are called for that, the others
-  -- are still to come.
+  -- Runs the preproc functions; returns the problems they found. If one of them merges
+  -- an element, only those before it are called for the element: the others see it
+  -- anyway, in their turn.
   function preprocess(fsm, merged)
     local problems, outer = {}, fsm._preparing
     local last = outer and outer - 1 or #rfsm.preproc
@@ -2974,8 +2983,8 @@ function rfsm.send_events(fsm, event, ...)
   if hooks and hooks.sent then return tell_from(1, fsm, hooks.sent, event, ...) end
 end
 
--- A step is under way unless an error has cut it short, also while a callback has
--- suspended the coroutine that called it.
+-- Raises an error if a step is under way, also if its coroutine is suspended. A step
+-- that an error has cut short is not under way.
 local function check_no_step(fsm, where, level)
   if fsm._phase == "idle" or fsm._is_cut then return end
   error(where .. ": the machine is in the middle of a step; if its coroutine is never "
@@ -3202,11 +3211,11 @@ do
   end
 end
 
---- What an extension that runs machines in a state keeps in its field `_regions`.
+--- The field `_regions` of a state in which an extension runs machines.
 ---@class rfsm.Regions
 ---@field [integer] rfsm.Machine in the order in which they are stepped
 ---@field names any[] their names, in that order
----@field entry? function the user's, where that of the state is the extension's
+---@field entry? function the user's, if the extension has put its own into the state
 ---@field exit? function likewise
 
 --- List the machines that run in a state, in the order in which they are stepped.
@@ -3221,8 +3230,8 @@ end
 
 --- List the nodes to which a transition may lead.
 --
--- An extension that has a transition into a composite lead anywhere in it, while the
--- machine runs, notes the target that it has in the model in the field `_initial`.
+-- If an extension changes the target of a transition into a composite, so that it leads
+-- to any node there, it notes the model's target in the field `_initial`.
 --
 ---@param tr rfsm.Transition a transition of a machine
 ---@return (rfsm.State|rfsm.Connector)[] targets its target; or `_initial` and the nodes
@@ -3290,8 +3299,8 @@ end
 
 --- Load and compile now what would be loaded and compiled while a machine runs.
 --
--- Without it a machine is compiled bit by bit, as its transitions are taken for the
--- first times. So is what comes later, by `fsm_merge` or as a first hook.
+-- Without this call a machine is compiled bit by bit, as its transitions are taken for
+-- the first times. So is whatever is added later, by `fsm_merge` or as a first hook.
 --
 ---@param fsm rfsm.Machine
 function rfsm.prepare(fsm)
@@ -3410,7 +3419,7 @@ end
 
 --- Set the mode of a state.
 --
--- The machine stands then where the state has that mode; no callback runs.
+-- The states around it become active, all others inactive; no callback runs.
 --
 ---@param state rfsm.State a state of a machine
 ---@param mode "active"|"inactive"|"done"
@@ -3728,7 +3737,7 @@ end
 -- Merge: a new element of a live machine ------------------------------------------
 
 do
-  -- Why nothing can be added below `parent`, a leaf so far; nil when it can.
+  -- Returns why nothing can be added to `parent`, a leaf so far; nil if it can.
   local function leaf_obstacle(fsm, parent)
     if parent._mode ~= "inactive" then
       return ("'%s' is an active leaf state"):format(parent._fqn)
@@ -3737,7 +3746,7 @@ do
     end
   end
 
-  -- Why `obj` cannot become a member of `parent`; nil when it can.
+  -- Returns why `obj` cannot become a member of `parent`; nil if it can.
   local function merge_obstacle(fsm, parent, obj, id)
     local kind = kind_of(obj)
     if not is_node_of(fsm, parent, "state") then
@@ -3817,7 +3826,8 @@ do
     use_targets(fsm, plan, moved)
   end
 
-  -- A preproc function has raised an error. Function `outer`, which merges, goes on.
+  -- Cleans up after a preproc function that has raised an error. If preproc function
+  -- number `outer` has merged the element, that one goes on.
   local function stop_preprocessing(fsm, outer)
     fsm._preparing = outer
     for _, tr in ipairs(outer and NONE or fsm._transitions) do

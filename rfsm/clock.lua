@@ -47,8 +47,8 @@ local function find_module(name)
   return ok and type(module) == "table" and module or {}
 end
 
--- The best one comes first: a module, and how to read it. The time of RTT is not that of
--- the day.
+-- The best one comes first: a module, and how to read it. The time of RTT is not that
+-- of the day.
 local INSTALLED = {
   { "rtt", function(rtt, is_monotonic)
     if is_monotonic then return rtt.getTime() end
