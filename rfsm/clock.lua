@@ -1,9 +1,9 @@
 --- Clocks: the one way in which the library reads them, and a simulated one for tests.
 --
 -- A clock is a function that returns seconds and nanoseconds, or nanoseconds in one
--- number: the field `gettime` of a machine or of one around it, else the clock of the
--- process, which is the best one installed unless the user sets another. e_after wants
--- a clock that is never set (`is_relative`), e_at the time of day.
+-- number. A machine reads its field `gettime`, or that of a machine around it, else the
+-- clock of the process: the best one installed, unless the user sets another. e_after
+-- needs a clock that is never set (`is_relative`), e_at the time of day.
 --
 -- @module rfsm.clock
 -- @license BSD-3-Clause
@@ -22,7 +22,7 @@ local MONOTONIC, REALTIME = "CLOCK_MONOTONIC", "CLOCK_REALTIME"
 --- A clock of the library; callbacks and users may call it, too. A simulated one has
 -- whole seconds `sec`, and nanoseconds `nsec` below a billion.
 ---@class rfsm.clock.Clock
----@field read fun(self: any, is_relative: boolean): boolean, any, number? as by pcall
+---@field read fun(self: any, is_relative: boolean): boolean, any, number? as pcall does
 local Clock = {}
 Clock.__index = Clock
 
@@ -80,7 +80,7 @@ local function find(is_monotonic)
   return function() return false, "no clock is installed" end
 end
 
-local found = {} -- by whether it is monotonic
+local found = {} -- the function that was found, by whether it is monotonic
 
 local best = clock.new(function(_, is_relative)
   found[is_relative] = found[is_relative] or find(is_relative)
@@ -100,10 +100,10 @@ end
 
 local function read_own(gettime, is_relative) return gettime:read(is_relative) end
 
-local readers = setmetatable({}, { __mode = "k" }) -- those functions, by clock
+local readers = setmetatable({}, { __mode = "k" }) -- clock -> one of those functions
 
--- Warns of a clock that returns one number, nanoseconds, which can only be seconds: it
--- is below a million, or at most a day from the time of day in seconds.
+-- Warns of a clock that returns one number if that can only be seconds, and no
+-- nanoseconds: it is below a million, or at most a day from the time of day.
 local function check_unit(fsm, number)
   local os = find_module("os")
   local is_day = os.time and abs(number - os.time()) < 86400
@@ -113,7 +113,8 @@ local function check_unit(fsm, number)
     :format(number))
 end
 
--- Finds out how to read a clock, and reads it. A 0 alone does not show its unit.
+-- Finds out how to read a clock, notes that, and reads it. If the clock returns a
+-- single 0, nothing is noted: that does not show the unit.
 local function read_first(gettime, is_relative, fsm)
   local is_own, rtt = rawequal(getmetatable(gettime), Clock), find_module("rtt")
   if rawequal(gettime, rtt.getTime) then return best:read(is_relative) end
@@ -128,7 +129,7 @@ local function read_first(gettime, is_relative, fsm)
   return ok, sec, nsec
 end
 
--- Returns what `clock.read` does for anything but two finite numbers.
+-- Returns the results of `clock.read`, if a clock did not return two finite numbers.
 local function read_unusual(ok, sec, nsec)
   if not ok then
     if rfsm.is_interrupt(sec) then error(sec, 0) end
@@ -192,7 +193,8 @@ end
 
 function Clock:read() return true, self.sec, self.nsec end
 
--- Adds seconds; blames the caller of a function for what is no clock, or no time.
+-- Adds seconds to a simulated clock. If it is none, or the seconds are no finite
+-- number, the caller of the method `where` is blamed.
 local function add(self, where, seconds)
   local is_clock = rawequal(getmetatable(self), Clock)
   if not is_clock or type(seconds) ~= "number" or seconds - seconds ~= 0 then
