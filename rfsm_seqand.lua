@@ -33,11 +33,12 @@ local step, run = rfsm.step, rfsm.run
 ---@field entry? function called before the regions are entered
 ---@field exit? function called after the regions were left
 
--- The regions of a state by name: models, in a model; machines, in an instance. The
--- core does not look into tables with a metatable, so it takes none for a substate.
+-- The metatable of the field `substates`: regions by name, models in a model, machines
+-- in an instance. The core does not look into tables with a metatable, so that regions
+-- are not taken for children of the state.
 local Substates = {}
 
--- The regions of states that were given transitions, which belong into a region.
+-- The `substates` of states that were given transitions: these belong into a region.
 local has_transitions = setmetatable({}, { __mode = "k" })
 
 local function has_regions(state)
@@ -93,7 +94,7 @@ end
 ---@field exit? function the user's
 ---@field is_shown boolean their order has been printed
 ---@field is_forwarded boolean the regions have got the events of this iteration
----@field is_restored boolean a snapshot was restored, and the entry is called again
+---@field is_restored boolean the entry is called again, because a snapshot was restored
 
 -- Calls f(region, ...). Its error is raised after the iteration of the parent machine.
 local function try(fsm, f, region, ...)
@@ -222,9 +223,10 @@ local HANDED_ON = {
 
 local PRINTERS = { "info", "warn", "err" }
 
-local is_apart = false -- a machine for a tool is being made
+local is_apart = false -- is a machine for a tool being made, by `init_apart`?
 
--- Returns who has the printers that the model of a region lacks; nobody for a tool.
+-- Returns the table whose printers a region gets if its model has none; silent ones if
+-- a tool makes the machine.
 local function owner_of_printers(fsm, given)
   if is_apart then return { info = false, warn = false, err = false } end
   return rfsm.is_initialized_root(given) and given or fsm
@@ -263,7 +265,7 @@ local function new_region(fsm, given)
   return region, problems
 end
 
-local in_progress = {} -- Substates of machines that are being made, to find circles
+local in_progress = {} -- `substates` whose regions are being made, to find circles
 
 -- Makes the regions of `state`; appends their problems.
 local function new_substates(fsm, state, problems)

@@ -16,8 +16,8 @@ local concat, sort = table.concat, table.sort
 
 local advice = {}
 
--- How many letters to insert, drop, replace, or swap with the next one, to make `b`
--- of `a`.
+-- Returns how many letters must be inserted, dropped, replaced, or swapped with the
+-- next one, to turn `a` into `b`.
 local function edit_distance(a, b)
   local before, row = {}, {}
   for j = 0, #b do row[j] = j end
@@ -222,8 +222,8 @@ end
 
 -- Events ------------------------------------------------------------------------
 
--- The modules of the words that are in front of a parenthesis. None of them may be
--- loaded, so that no hook of an extension could tell.
+-- The extensions by the words in front of a parenthesis. They stand here, because an
+-- extension that is not loaded cannot declare its words.
 local MODULE_OF = {
   e_after = "rfsm_timeevent", e_at = "rfsm_timeevent", await = "rfsm_await",
 }
@@ -282,7 +282,8 @@ local function unmarked(t, key)
   return ""
 end
 
--- Returns the warning of a table that names a neighbour: on = { e_go = "b" }.
+-- Returns the warning of a table that means transitions to a state beside this one,
+-- such as on = { e_go = "b" }.
 local function unwritten(def, key, value)
   local event = def.kind == "state" and def.parent ~= def
     and (key == "on" or key == "transitions") and rfsm.sorted_keys(value)[1]
@@ -294,7 +295,7 @@ end
 
 local WAITS = { timeout = true, after = true, delay = true }
 
--- Returns the warning of a transition on any event that names its event in another way.
+-- Returns the warning of a transition without events, if another field has an event.
 local function unnamed(def, key, value)
   local model = def.model
   if model.events or not (model.src and model.tgt) then return "" end
@@ -308,7 +309,7 @@ local function unnamed(def, key, value)
   return ""
 end
 
--- Returns the warning of a field that looks like one of the library's in other words.
+-- Returns the warning of a field whose name means another one, which is the library's.
 local function misspelt(def, key, value)
   if def.kind ~= "transition" and not rfsm.is_callable(value) then return "" end
   local meant = def.kind == "transition" and key == "event" and "events"
