@@ -83,11 +83,8 @@ end
 ---@param key string the key in the model
 function advice.field_meant(kind, key)
   for _, field in ipairs(FIELDS[kind]) do
-    if key == field then return "" end
-  end
-  for _, field in ipairs(FIELDS[kind]) do
     local is_alias = ALIASES[kind][plain(key)] == field
-    if is_alias or advice.is_near(key, field) then return field end
+    if is_alias or advice.is_near(key, field) then return key ~= field and field or "" end
   end
   return ""
 end

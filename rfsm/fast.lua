@@ -180,7 +180,7 @@ end
 -- Searches ----------------------------------------------------------------------------
 --
 -- The candidates are asked one after the other on level 0, those behind a connector on
--- the next level. On level $k, w$k is the way out that was found, x$k are its conflicts.
+-- the next level. On level $k, w$k is the way out that was found, x$k its conflicts.
 
 local FIND = [[
 return function(fsm, list, events)
