@@ -7,8 +7,8 @@
 --
 -- The file reads in the order the data flows: model elements, load, check, clone,
 -- resolve, compile, machine, report, run, build, use, merge, names. An FQN is a fully
--- qualified name ("root.a.b"); an iteration is one turn of the loop inside `step`. What
--- a machine does is complete here; rfsm/fast.lua makes it faster.
+-- qualified name ("root.a.b"); an iteration is one turn of the loop inside `step`. All
+-- that a machine does is in this file; rfsm/fast.lua only makes it faster.
 --
 -- @module rfsm
 -- @license BSD-3-Clause
@@ -53,8 +53,8 @@ local Machine = { rfsm = "state", __eq = rawequal }
 
 --- Return the kind of a model element, nil for any other value, for extensions.
 --
--- A table of another library counts if its metatable has a true `rfsm` and its method
--- `type` names a kind.
+-- A table of another library is an element, too, if its metatable has a true field
+-- `rfsm` and its method `type` returns a kind.
 --
 ---@param value any
 ---@return "state"|"transition"|"connector"|nil kind
@@ -870,8 +870,8 @@ do
     }
   end
 
-  -- Returns the node at which `def` ends: a composite is entered at its `initial`. Nil,
-  -- and a problem, if it has none.
+  -- Returns where a transition to `node` ends: a composite is entered at its `initial`.
+  -- If that is missing, adds a problem and returns nil.
   function find_entrance(build, def, node)
     if node.kind == "connector" or node.is_leaf then return node end
     local initial = node.members.initial
@@ -979,7 +979,7 @@ do
     return Transition[key]
   end
 
-  -- Makes the metatable of an element, in which absent fields are looked up.
+  -- Makes the proto of a definition, the metatable from which its elements inherit.
   local function make_proto(def)
     local proto = def.proto or {
       ["_%def"] = def, rfsm = def.kind, __tostring = CLASSES[def.kind].__tostring,
@@ -1282,7 +1282,7 @@ local function give_data(element, def, copies)
   end
 end
 
--- Makes the elements of the definitions from the given numbers on.
+-- Makes the elements of a machine, for the definitions from the given numbers on.
 local function make_elements(fsm, plan, first_node, first_transition)
   local nodes, transitions, copies = fsm._nodes, fsm._transitions, {}
   if first_node == 2 then give_data(fsm, plan.nodes[1], copies) end
@@ -1492,8 +1492,8 @@ local function put_back(fsm)
   fsm._curq = {}
 end
 
--- Ends an iteration early: a step hook or getevents has failed. Events that nobody has
--- seen are pending again.
+-- Ends an iteration early, because a step hook or getevents has failed. If that was
+-- before the search, its events are pending again.
 local function give_up(fsm, failure)
   if fsm._phase ~= "gather" then fsm._curq = {} end
   put_back(fsm)
@@ -1546,7 +1546,7 @@ local function run_hooks(fsm, hooks, slot)
 end
 
 -- Asks getevents, unless that was done before an interrupt, and calls the pre step
--- hooks. The list of current events has those that were pending.
+-- hooks. The current events are those that were pending.
 local function ask_hooks(fsm)
   if fsm._hook < 0 or fsm._given then
     fsm._hook = 0
@@ -1900,8 +1900,8 @@ end
 
 -- Take: the actions of a path .....................................................
 --
--- A path is a flat list of actions: functions f(fsm, arg, at) with an argument each, a
--- definition as a rule, and the position `at` in the list.
+-- A path has a flat list of actions, functions f(fsm, arg, at), and a list with `arg`
+-- for each of them, usually a definition. `at` is the position in both lists.
 
 -- Calls hooks of extensions, in the action at position `at`. Each hook has a position
 -- of its own, a fraction between the last action and this one.
@@ -2028,8 +2028,8 @@ local function become_leaf(fsm, def, at)
   if not leaf.doo then recorders.done(fsm, def, at) end
 end
 
--- A leaf without doo has done its work. Cut short it may raise its e_done twice, which
--- is the same for a set of events.
+-- A leaf without doo is done at once. If this is cut short, e_done may be queued twice,
+-- which changes nothing: the events of an iteration are a set.
 local function be_done(fsm, def, at)
   local leaf, queue = fsm._nodes[def.index], fsm._intq
   if leaf.doo then return end
@@ -2124,7 +2124,7 @@ function path_of(at, def, ways)
   return at
 end
 
--- Does the actions of `_path` behind the one that was begun last. Returns true.
+-- Performs the actions of `_path` behind the one that was begun last. Returns true.
 function perform(fsm)
   local path, begun = fsm._path, fsm._at
   local actions, args = path.actions, path.args
@@ -2167,12 +2167,12 @@ do
 
   local OFTEN = 3 -- a path or list that is used more often is compiled
 
-  -- Has rfsm/fast.lua make a function for a path or a list of candidates, and keeps it,
-  -- or false if there is none:
+  -- Has rfsm/fast.lua make a function for a path or a list of candidates, and keeps it
+  -- in a field of that; false if there is none:
   --
-  --   path.run, path.run_hooked   f(fsm, is_chosen) takes the path; returns false, and
-  --                               has done nothing, if the path was not chosen by a
-  --                               search, and needs one
+  --   path.run, path.run_hooked   f(fsm, is_chosen) takes the path. If no search has
+  --                               chosen it, and a transition has a guard or another
+  --                               target, a search is needed: it only returns false
   --   list.find                   as `first_enabled`
   local function compile_text(at, name)
     local ok, f = pcall(fast and fast[name] or silent, at)
@@ -2204,8 +2204,8 @@ do
     return path_of(leaf, first, ways)
   end
 
-  -- Returns the function that takes the path to which a list of candidates leads
-  -- without a search; false if it may lead to several, or has not led there often. The
+  -- Returns the function of the path that is taken without a search, because a list has
+  -- one candidate and that leads to one path; false if not, or not yet compiled. The
   -- list keeps the answer once it is final.
   function quick_run(leaf, choice, name)
     local def = choice[1]
@@ -2305,9 +2305,10 @@ do
 
   local resume, status = coroutine and coroutine.resume, coroutine and coroutine.status
 
-  -- One cycle of the active leaf's doo; true when it is idle or done. `_at` is 1 from
-  -- the resume on, 2 when its end was told, 3 when getevents was asked again. A doo
-  -- that failed is done at once, so that an interrupt here cannot make it complete.
+  -- Runs one cycle of the active leaf's doo; returns true if it is idle or done. `_at`
+  -- is 1 from the resume on, 2 once the watch hooks were called for its end, 3 once
+  -- getevents was asked again. If a doo fails, its leaf is done at once, so that no
+  -- interrupt makes it raise e_done.
   function run_doo(fsm, leaf)
     local co = leaf._doo_co or leaf._mode ~= "done" and start_doo(fsm, leaf)
     if not co then return true end
@@ -2367,7 +2368,7 @@ function conclude(fsm, outcome)
   return finish(fsm)
 end
 
--- One iteration, or the rest of one that was cut short.
+-- Makes one iteration, or the rest of one that was cut short.
 local function go_on(fsm, after_free)
   fsm._is_cut = false
   if fsm._phase == "idle" then
@@ -2379,13 +2380,13 @@ end
 
 -- The usual iterations, written out ................................................
 --
--- The machine is in a leaf, nobody traces, and there is one event, apart from an e_done
--- that nothing waits for, or none.
+-- An iteration is usual if the machine is in a leaf, `dbg` is silent, and there is at
+-- most one event, not counting an e_done that no transition names.
 
 local iterate
 
 do
-  -- One iteration of a machine with hooks. The lists of events have changed places.
+  -- Makes one iteration of a machine with hooks. The pending events are current now.
   local function iterate_hooked(fsm, after_free)
     fsm._hook = -1
     fsm._phase = "gather"
@@ -2404,7 +2405,7 @@ do
     return search(fsm, after_free, choice)
   end
 
-  -- One iteration without events.
+  -- Makes one iteration without events.
   local function rest(fsm, leaf, after_free)
     local events = fsm._curq
     if leaf._mode == "done" and not leaf._doo_co then
@@ -2431,10 +2432,10 @@ do
     return path_of(leaf["_%def"], def, fsm._ways).run
   end
 
-  -- One iteration. Returns nil if the machine cannot be entered, else whether it counts
-  -- as a step and whether the machine is idle. `after_free`: the last iteration did not
-  -- count. The two lists of events change places; `take_queue` repairs what an
-  -- interrupt leaves here.
+  -- Makes one iteration. Returns nil if the machine cannot be entered, else whether the
+  -- iteration counts as a step and whether the machine is idle. `after_free`: the last
+  -- iteration did not count. The two lists of events change places; if an interrupt
+  -- cuts that short, `take_queue` repairs it in the next iteration.
   function iterate(fsm, after_free) -- luacheck: ignore 561 (a call would cost)
     local leaf = fsm._act_leaf
     if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
@@ -2533,7 +2534,7 @@ local function check_function(f, where)
   if not is_callable(f) then error(where .. ": function expected, " .. got(f), 3) end
 end
 
--- Digits padded, so that trans[10] comes after trans[2].
+-- Returns a text with padded digits, so that trans[10] is sorted after trans[2].
 local function natural(text)
   return (text:gsub("%d+", function(n) return ("0"):rep(12 - #n) .. n end))
 end
@@ -2559,7 +2560,7 @@ end
 
 --- Return where an element stands: "chart.lua:7: root.trans[2] (off -> on)".
 --
--- The file and line are those of its constructor, left out where they are not known.
+-- File and line are those where its constructor was called; they may not be known.
 --
 ---@param obj rfsm.State|rfsm.Transition|rfsm.Connector an element of a machine
 ---@param field? string of the element: "root.trans[2].events (off -> on)"
@@ -3079,8 +3080,8 @@ end
 
 --- Make a machine as it was after `init`: inactive, no exit is called.
 --
--- Called by one of the machine's own functions it takes effect when the iteration ends.
--- It revives a machine whose step was cut short.
+-- If a callback of the machine calls this, it takes effect when the iteration ends. A
+-- machine whose step was cut short can be stepped again afterwards.
 --
 ---@param fsm rfsm.Machine
 function rfsm.reset(fsm)
@@ -3395,7 +3396,7 @@ function rfsm.exit_state(fsm, state)
   fsm._at = at
 end
 
--- Makes the states from the root to `state` the active ones, or those above it.
+-- Gives a state a mode. The states around it become active, all others inactive.
 local function move_to(state, mode)
   local fsm = state
   while fsm._parent ~= fsm do fsm = fsm._parent end
@@ -3443,8 +3444,8 @@ end
 
 --- Promise that a hook, effect or guard does not keep the list of events that it gets.
 --
--- Otherwise the machine needs a new list for the next iteration. An event that calls
--- only such functions costs no garbage.
+-- Without this promise the machine makes a new list for the next iteration. An
+-- iteration that calls only such functions makes no garbage.
 --
 -- @usage
 --    fsm.post_step_hook = rfsm.borrows(function(fsm, events) count(#events) end)
@@ -3464,8 +3465,9 @@ do
   local IN_STEP = { _pre_hooks = true, _post_hooks = true, _path_hooks = true,
     _entry_hooks = true, _exit_hooks = true }
 
-  -- Hooks in "front" bring events or note them. They stay in front of those that come
-  -- "before", which may take events away. A list counts them in `front`.
+  -- Hooks in "front" add events or note them. They stay in front of the hooks that are
+  -- added "before" others, and that may take events away. The field `front` of a list
+  -- is the number of such hooks.
   local PLACES = { front = true, before = true, after = true }
 
   -- Adds a hook to the list in a field of `owner`.
@@ -3490,7 +3492,7 @@ do
     end
   end
 
-  -- The same for hooks of a key: a state, or what is watched.
+  -- The same for hooks with a key: the state, or the kind of what is watched.
   local function keyed_adder(where, field, is_key, expected)
     return function(fsm, key, hook)
       check_machine(fsm, where)
@@ -3504,8 +3506,8 @@ do
     end
   end
 
-  -- Takes a hook out of the list in a field of `owner`, false for an empty one, as a
-  -- machine has it at first. Returns whether the hook was there.
+  -- Takes a hook out of the list in a field of `owner`. An empty list becomes false, as
+  -- it is in a new machine. Returns whether the hook was there.
   local function take_out(owner, field, hook)
     local hooks = owner[field] or NONE
     for i = 1, #hooks do
@@ -3521,7 +3523,8 @@ do
     return false
   end
 
-  -- Makes the function that takes a hook out again, also the model's own at `slot`.
+  -- Makes the function that takes a hook out again: from the list in `field`, or from
+  -- the field `slot` of the machine.
   local function hook_remover(where, field, slot)
     return function(fsm, hook)
       check_machine(fsm, where)
@@ -3614,9 +3617,9 @@ do
     return path ~= false
   end
 
-  --- Have `hook(fsm, path)` called before a path is taken: the list of its transitions.
+  --- Have `hook(fsm, path)` called before a path is taken, a list of transitions.
   --
-  -- For those who watch. Its error is raised when the iteration is over.
+  -- For observers. An error of the hook is raised when the iteration is over.
   --
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.path_hook_add = hook_adder("rfsm.path_hook_add", "_path_hooks")
@@ -3629,9 +3632,9 @@ do
   local WATCHED = { sent = true, failed = true, resumed = true, ended = true,
     merged = true }
 
-  --- Have `hook(fsm, ...)` called when something happens, for those who watch.
+  --- Have `hook(fsm, ...)` called when something happens, for observers.
   --
-  -- Other hooks tell what a step does. This one tells of the rest, by `what`:
+  -- Other hooks are called for what a step does, this one for the rest, by `what`:
   --
   --    "sent": event ...                  events were sent
   --    "failed": element, callback, error "entry", "guard" ... of an element failed
@@ -3660,14 +3663,14 @@ do
   --- Have `hook(fsm, state)` list the events that an extension reacts to while a state
   -- is active, besides those of the transitions from it; nil for none.
   --
-  -- For those who ask, by `rfsm.reactions`: what nothing reacts to is left out of
-  -- explorations, and reported as unknown. A function in the list is a predicate.
+  -- `rfsm.reactions` returns these events. Explorations leave out events to which
+  -- nothing reacts, and tools warn of them. A function in the list is a predicate.
   --
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.reaction_hook_add = hook_adder("rfsm.reaction_hook_add", "_reaction_hooks")
 
   --- Have `hook(fsm)` list the events that an extension keeps for later; nil for none.
-  --- For those who show the queue.
+  --- Tools show them beside the queue.
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.waiting_hook_add = hook_adder("rfsm.waiting_hook_add", "_waiting_hooks")
 end
@@ -3788,7 +3791,8 @@ do
     return build
   end
 
-  -- Transitions to a leaf that has become a composite end at its `initial` now.
+  -- Has the transitions to `parent`, if it was a leaf and is a composite now, end at
+  -- its `initial`. Returns the numbers of these transitions.
   local function move_targets(build, parent, first)
     local moved = {}
     if parent.is_leaf then return moved end
@@ -3907,7 +3911,8 @@ local function find_old_name(name)
   end
 end
 
--- Makes the module known; a sandbox may have no `package`, or none of its fields.
+-- Registers the module and the older names. A sandbox may have no `package`, or a
+-- `package` without fields.
 local function register(package)
   local searchers = package.searchers or package.loaders
   if searchers and loadfile and not searchers.rfsm then

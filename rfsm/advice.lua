@@ -84,7 +84,8 @@ end
 function advice.field_meant(kind, key)
   for _, field in ipairs(FIELDS[kind]) do
     local is_alias = ALIASES[kind][plain(key)] == field
-    if is_alias or advice.is_near(key, field) then return key ~= field and field or "" end
+    if key == field then return "" end
+    if is_alias or advice.is_near(key, field) then return field end
   end
   return ""
 end
