@@ -188,6 +188,11 @@ describe("many timers", function()
     function()
       assert.same({ "e_after(1)@root.a", "e_after(3)@root.a", "e_at(1001)@root.a" },
         effect_events { "e_after(3)", "e_after(1)", "e_at(1001)" })
+      local events = { "e_after(1)", "e_after(1.0)", "e_after(01)", "e_after(1.00)",
+        "e_after(1e0)", "e_after(001)" }
+      local named = {}
+      for i, event in ipairs(events) do named[i] = event .. "@root.a" end
+      assert.same(named, effect_events(events))
     end)
 
   it("with one name at one source are one timer", function()
