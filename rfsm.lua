@@ -2626,7 +2626,7 @@ do
     end
   end
 
-  -- Check, clone, resolve: all that can be said of a model without running anything.
+  -- Checks, clones and resolves a model, without a call of its functions.
   function build_plan(model)
     local build = new_build(new_plan(model))
     local root = new_node(build, "state", model, nil, "root")
@@ -2638,7 +2638,7 @@ do
     return build
   end
 
-  -- Returns the plan of a model; nil and the problems of a model that can have none.
+  -- Returns the plan of a model; nil and the problems if it has any.
   function plan_of(model)
     local plan = plans[model]
     if plan and is_current(plan) then return plan end
@@ -2661,7 +2661,7 @@ do
   end
 end
 
--- Makes a machine of a plan. Wrong printers are replaced.
+-- Makes a machine of a plan. Default printers replace those that cannot be called.
 local function new_machine(plan)
   local fsm = own_fields()
   fsm["_%def"], fsm._plan, fsm._parent, fsm._nodes = plan.nodes[1], plan, fsm, { fsm }
@@ -2718,7 +2718,7 @@ local function report_dead_ends(fsm, first)
   return dead[1] == nil
 end
 
--- Reports the warnings of the model, also after the preproc functions.
+-- Reports the warnings of the model, and what is odd after the preproc functions.
 local function report_findings(fsm, first_node, first_transition)
   local plan, found = fsm._plan, append({}, fsm._plan.warnings)
   for i = first_node, #plan.nodes do
@@ -2754,8 +2754,8 @@ rfsm.makers = {}
 local preprocess
 
 do
-  -- Each transition gets what a preproc function may change: the events and priority
-  -- that stand in the model; after a merge, those that the machine has.
+  -- Gives each transition the fields `events` and `pn`, which a preproc function may
+  -- change. It has them already if such a function is merging something.
   local function hand_out(fsm, plan)
     for i, tr in ipairs(fsm._transitions) do
       local def = plan.transitions[i]
@@ -2819,7 +2819,8 @@ do
     return fits(fsm, plan) and plan or nil
   end
 
-  -- Returns a plan with the definitions of one that only one machine has, for changes.
+  -- Returns a plan with the definitions of one that only this machine uses, and drops
+  -- what was compiled of them.
   local function renewed(plan)
     local variant = new_plan(plan.model, plan.warnings, plan.created)
     variant.nodes, variant.transitions = plan.nodes, plan.transitions
@@ -2845,7 +2846,7 @@ do
     return variant
   end
 
-  -- The machine gets the plan of what the preproc functions have made of its
+  -- Gives the machine the plan of what the preproc functions have made of its
   -- transitions. Machines with the same result share it.
   local function take_results(fsm, plan, problems)
     local found = find_plan(fsm, plan)
@@ -2879,7 +2880,7 @@ do
   end
 end
 
---- Are there to be more warnings? The environment may ask for them, for extensions.
+--- Is a machine strict, by its root or by the environment? For extensions.
 ---@param root rfsm.State a root state or a machine
 ---@return boolean
 function rfsm.is_strict(root)

@@ -105,7 +105,7 @@ function advice.other_word(model, field)
   return (" (there is '%s', did you mean '%s'?)"):format(words[1], field)
 end
 
---- Return the hint for a table of events that is no list.
+--- Return the hint for a field `events` that is a table, but no list.
 ---@return string hint " ('guard' belongs beside events)"
 function advice.list(events)
   for _, field in ipairs(FIELDS.transition) do
@@ -332,7 +332,7 @@ local function unmade(def, key, value)
   return text ~= "" and text or unwritten(def, key, value)
 end
 
---- Return the warning of a field that counts as the user's data, and where it stands.
+--- Return the warning of a field that counts as the user's data, and the field to name.
 ---@param def rfsm.Def the element that has the field
 ---@return string text
 ---@return string? field
@@ -368,7 +368,7 @@ function advice.plain_states(model)
     concat(names, "', '"), names[2] and "are" or "is")
 end
 
---- Return the hint that regions were meant by a composite without `initial`.
+--- Return the hint that a composite without `initial` was meant to have regions.
 function advice.regions(model)
   local is_meant = model.parallel == true or model.type == "parallel"
   return is_meant and " (did you mean rfsm.seqand{...}?)" or ""

@@ -68,7 +68,8 @@ local function hint_for(known, event)
   return advice.nearest_name(text_of(event), names)
 end
 
--- Returns the warning of a plain table. One with a name is an event with data.
+-- Returns the warning of a plain table that was sent. With a field `name` it may be an
+-- event with data.
 local function oddness_of_table(known, event)
   local _, named = names_of(known)
   if event[1] ~= nil then
@@ -153,11 +154,11 @@ local function check_events(fsm, at, ...)
   end
 end
 
--- The folder of this library's modules, as their chunks are named.
+-- The beginning of the chunk names of this library's modules: their folder.
 local own_folder = getinfo and getinfo(1, "S").source:match("^(@.*rfsm/)") or "none"
 
--- Returns "lamp.lua:7: " for the caller of the function that calls this, "" for one of
--- this library's.
+-- Returns "lamp.lua:7: ", the line that called the function that calls this; "" if the
+-- line is in this library.
 local function caller()
   local info = getinfo and getinfo(3, "Sl")
   local is_own = info and info.source:sub(1, #own_folder) == own_folder
@@ -293,7 +294,7 @@ local function check_end(fsm, events)
     or ("event '%s' comes again and again"):format(text_of(notes.event))))
 end
 
--- The path hook.
+-- The path hook: notes the path for the post step hook.
 local function note_path(fsm, path) fsm._strict.path = path end
 
 local function is_named_in(path, event)
@@ -328,7 +329,7 @@ local function check_lost(fsm, events)
   end
 end
 
--- The pre step hook. Events of getevents have no sender.
+-- The pre step hook. Warns of events from getevents without the line of a sender.
 local function check_machine(fsm, events)
   check_end(fsm, events)
   local count = fsm._strict.count or 0
