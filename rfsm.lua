@@ -949,7 +949,6 @@ end
 ---@field model rfsm.State its source
 ---@field nodes rfsm.Def[] parents before children, the root first
 ---@field transitions rfsm.Def[]
----@field events table<any, true> the events that transitions name
 ---@field trail table|false the notes of `make_trail`; false: only one machine uses it
 ---@field variant rfsm.Plan|false the latest one that preproc functions made of this one
 ---@field order rfsm.Def[]? in the order of `mapfsm`, once a preproc function has asked
@@ -1001,7 +1000,7 @@ do
   -- Gives each node the list of its outgoing transitions, in order, and each definition
   -- its proto. Returns the plan.
   function compile(plan)
-    local nodes, transitions, events = plan.nodes, plan.transitions, {}
+    local nodes, transitions = plan.nodes, plan.transitions
     for i = 1, #nodes do
       nodes[i].otrs = NONE
       make_proto(nodes[i])
@@ -1011,7 +1010,6 @@ do
       if src.otrs == NONE then src.otrs = {} end
       src.otrs[#src.otrs + 1] = def
       for j = 1, def.events and #def.events or 0 do
-        events[def.events[j]] = true
         def.is_asked = def.is_asked or type(def.events[j]) == "function"
       end
       make_proto(def)
@@ -1019,7 +1017,7 @@ do
     for i = 1, #nodes do
       if nodes[i].otrs[2] then sort(nodes[i].otrs, tried_before) end
     end
-    plan.events, nodes[1].plan = events, plan
+    nodes[1].plan = plan
     -- The path of the first entry; if the root has states, only its beginning.
     nodes[1].entrance = { from = nodes[1], segments = NONE, entered = nodes[1] }
     return plan
@@ -1054,8 +1052,8 @@ end
 
 local function new_plan(model, warnings, created)
   return {
-    model = model, nodes = {}, transitions = {}, events = {}, trail = false,
-    warnings = warnings, created = created, variant = false,
+    model = model, nodes = {}, transitions = {}, trail = false, warnings = warnings,
+    created = created, variant = false,
   }
 end
 
