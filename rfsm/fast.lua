@@ -156,7 +156,7 @@ end
 -- Writes the function of a path; nil if that is too much for one.
 local function write_path(writers, path, is_hooked)
   local text = new_text()
-  local fetch = path.segments[2] and "tr = fsm._transitions[x$k]" -- one: once, in HEAD
+  local fetch = path.segments[2] and "tr = fsm._transitions[x$k]" -- else in HEAD
   text.places = { fetch = fetch or "", tr = fetch and "nil" or "fsm._transitions[x1]" }
   text.is_hooked, text.at = is_hooked, 0
   bind(text, "path", path)

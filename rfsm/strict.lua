@@ -20,8 +20,8 @@ local text_of = rfsm.text_of
 
 local strict = {}
 
-local latest = nil -- the strict machine that was made last: its `warn` gets what is odd
--- in the use of the library, rather than of a machine
+-- The strict machine that was made last. It warns of functions that rfsm does not have.
+local latest = nil
 
 --- What is noted about a machine, in its field `_strict`.
 ---@class rfsm.strict.Notes
@@ -282,7 +282,7 @@ end
 
 local MANY = 10000 -- iterations of one run
 
--- Warns of a run that does not end. With an idle hook it is not meant to.
+-- Warns of a run that does not end. With an idle hook it is meant not to end.
 local function check_end(fsm, events)
   local notes, leaf = fsm._strict, fsm._act_leaf
   notes.count = notes.count and notes.count + 1
@@ -301,7 +301,7 @@ local function is_named_in(path, event)
   return order.any(path, function(tr) return match.triggers(tr, event) ~= false end)
 end
 
--- Returns the innermost active state that has a transition for an event.
+-- Returns the FQN of the innermost active state that has a transition for an event.
 local function waiting_for(fsm, event)
   local state = fsm._act_leaf
   while state do

@@ -627,6 +627,13 @@ describe("without a hook", function()
       assert.equal(case.ids, clocks_read(case.modules))
     end)
   end
+
+  it("an interrupt in the search for a clock reaches the caller of step", function()
+    local ok, failure = pcall(clocks_read, function()
+      return { rtp = { clock = { gettime = function() error("interrupted!", 0) end } } }
+    end)
+    assert.same({ false, "interrupted!" }, { ok, failure })
+  end)
 end)
 
 describe("dbg", function()
