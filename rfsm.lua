@@ -840,8 +840,7 @@ do
     return nearest, not nearest and "the table given is no part of this model" or nil
   end
 
-  -- Returns the node that `src` or `tgt` of a transition refers to; nil and a reason if
-  -- there is none.
+  -- Returns the node to which `src` or `tgt` of a transition refers; else nil, a reason.
   local function find_end(build, def, field)
     local ref = def[field]
     if type(ref) == "string" then
@@ -1097,9 +1096,8 @@ local function each_table(plan, f)
   end
 end
 
--- Notes the keys and values of all tables of a model, in the order of `next`. Each key
--- or value is noted as a number, its position in `ids`: compared by `==`, tables might
--- have an `__eq` called. A 0 ends a table.
+-- Notes the keys and values of all tables of a model, in the order of `next`, each as a
+-- number in `ids`: a comparison by `==` might call an `__eq`. A 0 ends a table.
 local function make_trail(plan)
   local ids, n, tables, trail, plain = {}, 0, {}, {}, {}
   local function id_of(value)
@@ -1245,8 +1243,7 @@ function Machine.__newindex(fsm, key, value)
   rawset(fsm, key, value)
 end
 
--- Returns the copy of a value. That of a plain table is empty at first, and the table
--- is appended to `pending`.
+-- Returns the copy of a value: of a plain table an empty one, filled by `clone_data`.
 local function copy_of(copies, value, pending)
   if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
   if not copies[value] then
@@ -1571,8 +1568,8 @@ local function reset_now(fsm)
 end
 
 -- Makes the pending events current: the queue and the list of the last iteration, which
--- is empty, change places. If an earlier exchange was cut short, both fields have the
--- same list, or the list of the last iteration has events: these come first.
+-- is empty, change places. If that was cut short before, both fields have one list, or
+-- the list of the last iteration has events, which come first.
 local function take_queue(fsm)
   local queue, spare = fsm._intq, fsm._curq
   if rawequal(queue, spare) or spare[1] ~= nil then
@@ -2304,9 +2301,8 @@ do
   local resume, status = coroutine and coroutine.resume, coroutine and coroutine.status
 
   -- Runs one cycle of the active leaf's doo; returns true if it is idle or done. `_at`
-  -- is 1 from the resume on, 2 once the watch hooks were called for its end, 3 once
-  -- getevents was asked again. If a doo fails, its leaf is done at once, so that no
-  -- interrupt makes it raise e_done.
+  -- is 1 from the resume on, 2 once watch hooks know of its end, 3 once getevents was
+  -- asked again. If a doo fails, its leaf is done at once, and never raises e_done.
   function run_doo(fsm, leaf)
     local co = leaf._doo_co or leaf._mode ~= "done" and start_doo(fsm, leaf)
     if not co then return true end
@@ -3464,9 +3460,8 @@ do
   local IN_STEP = { _pre_hooks = true, _post_hooks = true, _path_hooks = true,
     _entry_hooks = true, _exit_hooks = true }
 
-  -- Hooks in "front" add events or note them. They stay in front of the hooks that are
-  -- added "before" others, and that may take events away. The field `front` of a list
-  -- is the number of such hooks.
+  -- Hooks in "front" add events or note them. They stay in front of hooks "before"
+  -- others, which may take events away. A list has the number of them in `front`.
   local PLACES = { front = true, before = true, after = true }
 
   -- Adds a hook to the list in a field of `owner`.

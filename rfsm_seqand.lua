@@ -33,9 +33,8 @@ local step, run = rfsm.step, rfsm.run
 ---@field entry? function called before the regions are entered
 ---@field exit? function called after the regions were left
 
--- The metatable of the field `substates`: regions by name, models in a model, machines
--- in an instance. The core does not look into tables with a metatable, so that regions
--- are not taken for children of the state.
+-- The metatable of `substates`, the regions by name: models in a model, machines in an
+-- instance. The core does not look into such a table, so it takes none for a child.
 local Substates = {}
 
 -- The `substates` of states that were given transitions: these belong into a region.
@@ -225,8 +224,7 @@ local PRINTERS = { "info", "warn", "err" }
 
 local is_apart = false -- is a machine for a tool being made, by `init_apart`?
 
--- Returns the table whose printers a region gets if its model has none; silent ones if
--- a tool makes the machine.
+-- Returns a table with the printers for a region whose model has none.
 local function owner_of_printers(fsm, given)
   if is_apart then return { info = false, warn = false, err = false } end
   return rfsm.is_initialized_root(given) and given or fsm

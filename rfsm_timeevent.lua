@@ -26,8 +26,7 @@ local is_callable, report, text_of = rfsm.is_callable, rfsm.report, rfsm.text_of
 
 local rfsm_timeevent = {}
 
--- Takes the place of rfsm/clock.lua in a folder without that file: it reads os.time,
--- and gives no ids to clocks.
+-- In place of rfsm/clock.lua, if that is not there: reads os.time, gives clocks no id.
 local function new_clock()
   local function read_day() return rawget(_G, "os").time(), 0 end
   local hook = read_day

@@ -67,8 +67,7 @@ end
 
 local to_text
 
--- Returns the contents of a table: {"a","b",x=1}. `open` has the tables around it, so
--- that circles end.
+-- Returns the contents of a table: {"a","b",x=1}. `open` has the tables around it.
 local function table_to_text(t, open)
   local texts, length = {}, 0
   for i, key in ipairs(rfsm.sorted_keys(t)) do

@@ -18,8 +18,7 @@ local rfsm_await = {}
 
 -- Run: note the events that are received --------------------------------------------
 
---- One await(...). The field `_await` of a state lists those of its transitions, the
--- field `_awaits` of a machine all.
+--- One await(...), in the list `_await` of its source, and `_awaits` of the machine.
 ---@class rfsm.await.Await
 ---@field name string the event that comes when all were received
 ---@field wanted string[] the events to wait for

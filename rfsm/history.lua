@@ -1,8 +1,7 @@
 --- History: a composite with `history = "shallow"` or `"deep"` is entered where it was
 -- left: at the substate, or the leaf, that was active last. Whenever a leaf is entered,
--- the targets of the transitions into the composite are set. Nothing else is
--- remembered, so that snapshots hold the history, and `rfsm.targets` knows where
--- transitions lead.
+-- the targets of the transitions into the composite are set. There is no other memory,
+-- so that snapshots hold it, and `rfsm.targets` knows where transitions lead.
 --
 -- @module rfsm.history
 -- @license BSD-3-Clause
@@ -56,8 +55,7 @@ local function check(state)
   end, state, rfsm.is_composite, 1)[1] or nil
 end
 
--- Prepares an element: a leaf gets the hook, and a transition into a composite with a
--- history is noted.
+-- Gives a leaf the hook, and notes a transition into a composite with a history.
 local function note(fsm, obj)
   local composite = rfsm.is_trans(obj) and obj.tgt._id == "initial" and obj.tgt._parent
   if rfsm.is_leaf(obj) then

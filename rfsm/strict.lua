@@ -68,8 +68,7 @@ local function hint_for(known, event)
   return advice.nearest_name(text_of(event), names)
 end
 
--- Returns the warning of a plain table that was sent. With a field `name` it may be an
--- event with data.
+-- Returns the warning of a plain table. One with a field `name` is an event with data.
 local function oddness_of_table(known, event)
   local _, named = names_of(known)
   if event[1] ~= nil then
