@@ -840,7 +840,7 @@ do
     return nearest, not nearest and "the table given is no part of this model" or nil
   end
 
-  -- Returns the node to which `src` or `tgt` of a transition refers; else nil, a reason.
+  -- Returns the node to which `src` or `tgt` of a transition refers; nil and a reason.
   local function find_end(build, def, field)
     local ref = def[field]
     if type(ref) == "string" then
