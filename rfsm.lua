@@ -2,13 +2,13 @@
 --
 -- A model is a tree of plain tables, marked by `rfsm.state`, `rfsm.trans` and
 -- `rfsm.conn`. `rfsm.init` checks it, reports every mistake with its location, and
--- makes an independent machine of it; `rfsm.step` and `rfsm.run` advance the machine,
--- and `rfsm.send_events` feeds it. The caller drives: nothing here waits by itself.
+-- makes an independent machine of it. `rfsm.send_events` sends events to the machine,
+-- `rfsm.step` and `rfsm.run` advance it. Only these calls do: nothing here waits.
 --
 -- The file reads in the order the data flows: model elements, load, check, clone,
 -- resolve, compile, machine, report, run, build, use, merge, names. An FQN is a fully
--- qualified name ("root.a.b"); an iteration is one turn of the loop inside `step`. What
--- a machine does is complete here; rfsm/fast.lua makes it faster.
+-- qualified name ("root.a.b"); an iteration is one turn of the loop inside `step`. All
+-- that a machine does is in this file; rfsm/fast.lua only makes it faster.
 --
 -- @module rfsm
 -- @license BSD-3-Clause
@@ -34,8 +34,8 @@ local loadstring = find_global "loadstring" or find_global "load"
 local getinfo = find_global("debug", "getinfo")
 local _, require = pcall(function() return require end) -- also one of a bundle
 
--- LuaJIT 2.1.0-beta3 now and then skips keys in a traversal that it has compiled: those
--- functions are interpreted.
+-- LuaJIT 2.1.0-beta3 sometimes skips keys in a traversal that it has compiled.
+-- Functions with such a traversal are given to `interpret`, and are never compiled.
 local interpret = find_global("jit", "off") or function() end
 
 ---@class rfsm
@@ -53,8 +53,8 @@ local Machine = { rfsm = "state", __eq = rawequal }
 
 --- Return the kind of a model element, nil for any other value, for extensions.
 --
--- A table of another library counts if its metatable has a true `rfsm` and its method
--- `type` names a kind.
+-- A table of another library is an element, too, if its metatable has a true field
+-- `rfsm` and its method `type` returns a kind.
 --
 ---@param value any
 ---@return "state"|"transition"|"connector"|nil kind
@@ -78,8 +78,8 @@ do
   local this_file = getinfo and getinfo(1, "S").short_src
   local knows_tail_calls = getinfo ~= nil and pcall(getinfo, 1, "t")
 
-  -- Notes the line that called a constructor, `level` functions up. After a tail call
-  -- the caller's frame is gone, and `level` names a different function.
+  -- Notes the line that called a constructor, `level` functions up. Nothing is noted
+  -- after a tail call: the caller's frame is gone, and `level` is another function.
   local function note_caller(t, level)
     if not getinfo then return end
     if knows_tail_calls and getinfo(level, "t").istailcall then return end
@@ -92,13 +92,13 @@ do
 
   --- Note the location of an element whose constructor is an extension's.
   ---@param t table the element
-  ---@param level integer whose line it is: 2 for the caller of the constructor
+  ---@param level integer the function whose line it is: 2 is the constructor's caller
   function rfsm.note_location(t, level)
     made_at[t] = nil
     note_caller(t, level + 1)
   end
 
-  -- A metatable for elements that inherit from `base`, a state or transition.
+  -- Returns a metatable for elements that inherit from `base`, a state or transition.
   local function heir_class(base)
     local class = getmetatable(base)
     return {
@@ -107,8 +107,8 @@ do
     }
   end
 
-  -- Gives `class` its constructor: X{...}, X:new{...}; base:new{...} inherits from
-  -- base.
+  -- Makes a class its own constructor: X{...} or X:new{...} marks a table as an element
+  -- of class X. An element made by base:new{...} inherits from the element `base`.
   function define(class, name)
     local function mark(base, t, level)
       if type(t) ~= "table" then
@@ -190,7 +190,7 @@ end
 local is_meta, is_node, is_state = rfsm.is_meta, rfsm.is_node, rfsm.is_state
 
 local function has_nodes(state)
-  for key, value in pairs(state) do -- any order: one node decides
+  for key, value in pairs(state) do -- any order: one node is enough
     if not is_meta(key) and is_node(value) then return true end
   end
   return false
@@ -328,7 +328,7 @@ function Transition.__tostring(tr)
   return text .. " }"
 end
 
--- Numbers ascending, then all others by their text.
+-- Orders keys: numbers ascending, then all others by their text.
 local function key_before(a, b)
   local is_number = type(a) == "number"
   if is_number ~= (type(b) == "number") then return is_number end
@@ -362,7 +362,8 @@ end
 
 -- Load ------------------------------------------------------------------------
 
--- Runs a chunk of a chart and returns its state. A root in a tail call has no line.
+-- Runs a chunk of a chart and returns its state. If `return rfsm.state{...}` was a tail
+-- call, the line of the root is not known: the first line of the file counts.
 local function run_chunk(chunk, file, where, accepts)
   local model = chunk(file)
   if accepts and accepts(model) then return model end
@@ -383,7 +384,7 @@ end
 -- @raise when there is no file name, the file cannot be read or fails, or it returns
 -- no state
 ---@param file string
----@param accepts? fun(value: any): boolean what it may return besides, for extensions
+---@param accepts? fun(value: any): boolean other values that the file may return
 ---@return rfsm.Model model
 ---@nodiscard
 function rfsm.load(file, accepts)
@@ -418,10 +419,10 @@ end
 
 -- Check: every mistake in the model, each with its location --------------------
 --
--- A check appends to the `problems` (they fail `init`) or `warnings` of the build and
--- never raises. They come in the order of the walk; `init` sorts them by location.
+-- A check never raises an error. It appends to the `problems` of the build, with which
+-- `init` fails, or to its `warnings`. `init` sorts both lists by location.
 
--- Returns a module that may be missing, nil then.
+-- Returns a module; nil if it is not installed.
 local function find_module(name)
   if type(require) ~= "function" then return nil end
   local ok, module = pcall(require, name)
@@ -441,35 +442,35 @@ local function advise(topic, ...)
   return advice[topic](...)
 end
 
---- The data of one `init` or `fsm_merge`. A plan is the part that machines share.
+--- The data of one `init` or `fsm_merge`. Machines share its result, the plan.
 ---@class rfsm.Build
 ---@field plan rfsm.Plan the result
 ---@field problems { file?: string, line: string }[]
 ---@field warnings { file?: string, line: string }[]
----@field created { line: string }[] `initial` connectors that are not declared
----@field mounts table<table, rfsm.Def[]> model node -> its clones
+---@field created { line: string }[] messages of `initial` connectors nobody declared
+---@field mounts table<table, rfsm.Def[]> node of the model -> one for each position
 ---@field fsm rfsm.Machine? the machine that something is merged into
 
 --- The definition of a node or transition: all that is known before a machine runs.
 --
--- The machines of a model share it. The table of an element in a machine holds the
--- fields of that machine, and inherits the rest from `proto`.
+-- The machines of a model share it. An element of a machine is a table with what that
+-- machine alone has, such as the mode of a state, and inherits the rest from `proto`.
 --
 ---@class rfsm.Def
 ---@field kind "state"|"transition"|"connector"
 ---@field index integer its position among the nodes or transitions of the plan
 ---@field id string|integer
----@field parent rfsm.Def its composite; the root is its own
----@field model table its source in the model
+---@field parent rfsm.Def the composite in which it stands; the root is its own parent
+---@field model table the element of the model that it was made of
 ---@field data any[] callbacks and the user's data: key, value, key, value ...
 ---@field proto table metatable of the elements
 ---@field fqn string of a node
 ---@field is_leaf boolean of a state
----@field otrs rfsm.Def[] transitions that leave the node, in the order of trying
----@field src rfsm.Def of a transition, as `tgt`, `events`, `pn`
+---@field otrs rfsm.Def[] transitions that leave a node, in the order they are tried in
+---@field src rfsm.Def of a transition, which also has `tgt`, `events` and `pn`
 
--- The name of an element in messages: an FQN, or root.trans[2] (a -> b), with
--- `field`.
+-- Returns the name of an element in messages: its FQN, or root.trans[2] (a -> b). The
+-- name of a field follows, if one is given.
 local function name_of(def, field)
   local suffix, key = field and "." .. field or "", text_of(def.id)
   if def.kind ~= "transition" then return def.fqn .. suffix end
@@ -491,8 +492,8 @@ local CALLBACKS = {
   transition = { guard = true, effect = true },
 }
 
--- Adds the warning that rfsm/advice.lua has on a topic, if there is one. It is asked
--- where something may be odd: most charts are made without that file.
+-- Adds the warning that rfsm/advice.lua has on a topic, if there is one. This is called
+-- only where something may be odd, so that most charts need not load that file.
 local function add_advice(list, topic, def, ...)
   local text, field = advise(topic, def, ...)
   if text ~= "" then add(list, def, field, text) end
@@ -541,7 +542,7 @@ end
 
 local model_of = rfsm.model_of
 
--- Is `value` a node of that machine? A live state, if `kind` says so.
+-- Is `value` a node of that machine, and of this kind, if one is given?
 local function is_node_of(fsm, value, kind)
   local value_kind = kind_of(value)
   local def = value_kind and value["_%def"]
@@ -549,7 +550,7 @@ local function is_node_of(fsm, value, kind)
     and rawequal(fsm._nodes[def.index], value)
 end
 
--- A node table of a model may stand in several places: notes that `def` is one of them.
+-- Notes that `def` is one position of its model: a table may stand in several.
 local function note_mount(build, def)
   local mounts = build.mounts[def.model] or {}
   mounts[#mounts + 1], build.mounts[def.model] = def, mounts
@@ -562,7 +563,8 @@ do
   for _, name in ipairs(PRINTERS) do ROOT_FIELDS[name] = true end
   for _, name in ipairs(HOOKS) do ROOT_FIELDS[name] = true end
 
-  -- The engine's own fields that anybody may read: never taken for the user's data.
+  -- Fields of the engine that anybody may read. A field of this name in a model is left
+  -- out: it is not the user's data.
   local API_FIELDS = {}
   for name in ("act_leaf actchild curq doo_co fqn fsm id initialized intq mode otrs "
     .. "parent"):gmatch("%S+") do
@@ -585,8 +587,8 @@ do
     end
   end
 
-  -- Returns the events of a transition as a list of its own: a list of anything but NaN
-  -- without holes, or one string. False when there are none.
+  -- Returns a new list of the events of a transition, false if there are none. The
+  -- model has one string, or a list of any values but NaN, without holes.
   local function check_events(build, def, events)
     if not events then return false end
     if type(events) == "string" then events = { events } end
@@ -615,8 +617,8 @@ do
     return count > 0 and list
   end
 
-  -- Returns the fields of a model element. An heir inherits callbacks and data, no
-  -- nodes and transitions.
+  -- Returns the fields of a model element. One that was made by base:new{...} inherits
+  -- the callbacks and data of `base`, and neither nodes nor transitions.
   local function fields_of(model)
     local class = getmetatable(model)
     local base = class.__index
@@ -643,7 +645,7 @@ do
     parent.members[key] = def
   end
 
-  -- Makes the bare node; `clone_below` fills it in when its turn comes.
+  -- Makes the definition of a node. `clone_below` adds its fields and members later.
   function new_node(build, kind, model, parent, key)
     local def = new_def(build.plan.nodes, kind, model_of(model), parent or false, key)
     def.fqn = parent and parent.fqn .. "." .. text_of(key) or key
@@ -659,7 +661,7 @@ do
     return def
   end
 
-  -- Is the model of `def` also the model of an ancestor? The walk would never end.
+  -- Is the model of `def` also the model of an ancestor? Then the walk would never end.
   local function is_inside_itself(def)
     local above = def
     while above.parent ~= above do
@@ -755,7 +757,8 @@ do
     interpret(f)
   end
 
-  -- Fills in the nodes from number `first` on; the list grows as it is walked.
+  -- Adds fields and members to the nodes from number `first` on. Members that are nodes
+  -- are appended to the same list, and have their turn.
   function clone_below(build, first)
     local nodes, i = build.plan.nodes, first
     while nodes[i] do
@@ -782,8 +785,8 @@ local function find_lca(a, b)
 end
 
 do
-  -- Walks from `def` down the names of a path "a.b"; nil and a reason when one fails.
-  -- A hint may come from `all` nodes.
+  -- Returns the node that a path "a.b" from `def` leads to; nil and a reason if there
+  -- is none, with a hint at a node among `all` that may be meant.
   local function find_below(def, path, all)
     for name in (path .. "."):gmatch("([^.]*)%.") do
       local child = def.members[name]
@@ -803,9 +806,9 @@ do
   end
 
   -- Returns the node that a name in a transition of `composite` refers to:
-  -- (a) ".a.b" or "..a.b" from the composite, (b) "a" in it, or the root itself,
-  -- (c) others from the root, where `root.` in front is optional, and a state may be
-  -- named so.
+  -- (a) ".a.b" or "..a.b" is a path from the composite, (b) "a" is a node in it, or
+  -- "root" the root, (c) any other path begins at the root, with or without "root." in
+  -- front. A state in the root may be named "root", too.
   local function find_named(build, composite, name)
     local all, relative = build.plan.nodes, name:match("^%.%.?([^.].*)$")
     local root = all[1]
@@ -820,7 +823,8 @@ do
     return def or root.members.root and find_below(root, name, all), reason
   end
 
-  -- A node table of the model may be mounted more than once: the nearest clone counts.
+  -- Returns the node that a table of the model, in place of a name, refers to. If the
+  -- table stands in several positions, the nearest one counts.
   local function find_mounted(build, composite, ref)
     local nearest, most, is_tie = nil, -1, false
     if build.fsm and is_node_of(build.fsm, ref) then
@@ -836,7 +840,7 @@ do
     return nearest, not nearest and "the table given is no part of this model" or nil
   end
 
-  -- Returns the node that src or tgt of a transition means; nil and a reason when none.
+  -- Returns the node to which `src` or `tgt` of a transition refers; nil and a reason.
   local function find_end(build, def, field)
     local ref = def[field]
     if type(ref) == "string" then
@@ -852,7 +856,7 @@ do
     return nil, field .. ": name of a state or connector expected, " .. got(ref)
   end
 
-  -- An undeclared `initial` comes into being where a transition starts from it.
+  -- Makes the connector `initial` if a transition starts from it and none is declared.
   local function create_initial(build, def)
     local composite = def.parent
     if def.src ~= "initial" or composite.members.initial or composite.is_leaf then
@@ -865,8 +869,8 @@ do
     }
   end
 
-  -- Returns the node at which `def` ends: a composite is entered at its `initial`. Nil,
-  -- and a problem, if it has none.
+  -- Returns where a transition to `node` ends: a composite is entered at its `initial`.
+  -- If that is missing, adds a problem and returns nil.
   function find_entrance(build, def, node)
     if node.kind == "connector" or node.is_leaf then return node end
     local initial = node.members.initial
@@ -890,7 +894,8 @@ do
     end
   end
 
-  -- Returns the node where a transition from `src` ends; of an internal one it is src.
+  -- Returns the node where a transition from `src` ends; nil and a reason; or `src`,
+  -- nil and true for an internal transition.
   local function find_target(build, def, src)
     if def.tgt ~= "internal" or def.parent.members.internal then
       return find_end(build, def, "tgt")
@@ -916,8 +921,8 @@ do
     return true
   end
 
-  -- Resolves the transitions from number `first` on. Inside a leaf, one with a wrong
-  -- reference is dropped.
+  -- Resolves the transitions from number `first` on. Those that have a wrong reference
+  -- are dropped: inside a leaf that is only a warning.
   function resolve(build, first)
     local transitions, kept = build.plan.transitions, first - 1
     for i = first, #transitions do create_initial(build, transitions[i]) end
@@ -943,10 +948,9 @@ end
 ---@field model rfsm.State its source
 ---@field nodes rfsm.Def[] parents before children, the root first
 ---@field transitions rfsm.Def[]
----@field events table<any, true> the events that transitions name
----@field trail table|false see `is_current`; only the plan of a model has one
----@field variant rfsm.Plan|false what preproc functions have made of it, the latest
----@field order rfsm.Def[]? as `mapfsm` goes, once a preproc function has asked
+---@field trail table|false the notes of `make_trail`; false: only one machine uses it
+---@field variant rfsm.Plan|false the latest one that preproc functions made of this one
+---@field order rfsm.Def[]? in the order of `mapfsm`, once a preproc function has asked
 
 local compile, compile_transition, line_to
 
@@ -961,8 +965,8 @@ do
     return key_before(a.id, b.id)
   end
 
-  -- What elements inherit, for each class: the methods. The events of a transition are
-  -- a list of the caller's own, since machines share the definition.
+  -- The metatables of protos, by kind: they add the methods of the class. `tr.events`
+  -- is a new list at each access, since machines share the definition.
   local INHERITED = {
     state = { __index = State }, connector = { __index = Connector }, transition = {},
   }
@@ -973,11 +977,11 @@ do
     return Transition[key]
   end
 
-  -- Makes the metatable of an element, in which absent fields are looked up.
+  -- Makes the proto of a definition, the metatable from which its elements inherit.
   local function make_proto(def)
     local proto = def.proto or {
       ["_%def"] = def, rfsm = def.kind, __tostring = CLASSES[def.kind].__tostring,
-      __eq = rawequal, -- so that no other one's is ever asked
+      __eq = rawequal, -- so that the `__eq` of another value is never called
       __index = false,
     }
     if def.kind == "transition" then
@@ -992,10 +996,10 @@ do
     end
   end
 
-  -- Gives each node the list of its outgoing transitions, in order, and removes the
-  -- notes of an older structure.
+  -- Gives each node the list of its outgoing transitions, in order, and each definition
+  -- its proto. Returns the plan.
   function compile(plan)
-    local nodes, transitions, events = plan.nodes, plan.transitions, {}
+    local nodes, transitions = plan.nodes, plan.transitions
     for i = 1, #nodes do
       nodes[i].otrs = NONE
       make_proto(nodes[i])
@@ -1005,7 +1009,6 @@ do
       if src.otrs == NONE then src.otrs = {} end
       src.otrs[#src.otrs + 1] = def
       for j = 1, def.events and #def.events or 0 do
-        events[def.events[j]] = true
         def.is_asked = def.is_asked or type(def.events[j]) == "function"
       end
       make_proto(def)
@@ -1013,15 +1016,15 @@ do
     for i = 1, #nodes do
       if nodes[i].otrs[2] then sort(nodes[i].otrs, tried_before) end
     end
-    plan.events, nodes[1].plan = events, plan
-    -- The path that enters a root without states, and begins all other first entries.
+    nodes[1].plan = plan
+    -- The path of the first entry; if the root has states, only its beginning.
     nodes[1].entrance = { from = nodes[1], segments = NONE, entered = nodes[1] }
     return plan
   end
 
-  -- Lists the states that a transition enters, outermost first, and notes the fields
-  -- that a run reads, once. Returns the definition. The `lca` contains both ends and
-  -- stays active: states in it are left and entered. It may be the root.
+  -- Adds what a run reads to the definition of a transition, once, and returns it: the
+  -- states that are entered, outermost first, and the `lca`, the innermost state that
+  -- contains both ends and stays active. It may be the root.
   function compile_transition(def)
     if def.connector ~= nil then return def end
     local tgt, entries = def.tgt, {}
@@ -1048,13 +1051,13 @@ end
 
 local function new_plan(model, warnings, created)
   return {
-    model = model, nodes = {}, transitions = {}, events = {}, trail = false,
-    warnings = warnings, created = created, variant = false,
+    model = model, nodes = {}, transitions = {}, trail = false, warnings = warnings,
+    created = created, variant = false,
   }
 end
 
--- Returns a plan like this one, for changes: its definitions are new ones, in the same
--- order. Parents come before children.
+-- Returns a copy of a plan, to be changed. Its definitions are new ones, in the same
+-- order: parents before children.
 local function copy_plan(plan)
   local copy = new_plan(plan.model, plan.warnings, plan.created)
   local nodes, transitions = copy.nodes, copy.transitions
@@ -1093,9 +1096,8 @@ local function each_table(plan, f)
   end
 end
 
--- Notes a model, table by table, as the walk of `next` finds it: numbers stand for
--- keys and values, so that no value is ever compared with another by `==`. A 0 ends a
--- table.
+-- Notes the keys and values of all tables of a model, in the order of `next`, each as a
+-- number in `ids`: a comparison by `==` might call an `__eq`. A 0 ends a table.
 local function make_trail(plan)
   local ids, n, tables, trail, plain = {}, 0, {}, {}, {}
   local function id_of(value)
@@ -1150,8 +1152,8 @@ local function silent() end
 
 local function no_events() return {} end
 
--- Stands in a list of hooks for the one that the program has set, such as the field
--- `pre_step_hook`.
+-- In a list of hooks this function stands for the hook in a field of the machine, such
+-- as `pre_step_hook`, which a program may replace at any time.
 local function OWN() end
 
 local OWN_ONLY = { OWN }
@@ -1162,6 +1164,7 @@ local DEFAULTS = {
   dbg = silent, getevents = no_events, _entry_hooks = false, _exit_hooks = false,
   _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
   _snapshot_hooks = false, _failure = false, _reset_wanted = false, _preparing = false,
+  _emit = false, -- the function given to `set_emit`
   _cuts = 0, -- iterations that an error has ended
 }
 
@@ -1179,7 +1182,7 @@ do
   DEFAULTS.emit = new_emit(silent)
 
   --- Have f(name, data) called when callbacks of a machine or of its regions emit, for
-  -- hosts. Nobody listens otherwise.
+  -- hosts. Nobody listens otherwise. A region that is merged later emits there, too.
   --
   ---@param fsm rfsm.Machine
   ---@param f fun(name: string, data: any)
@@ -1188,6 +1191,7 @@ do
     local emit = new_emit(f)
     for _, at in ipairs(rfsm.machines(fsm)) do
       if not is_state(at.machine.emit) then at.machine.emit = emit end
+      at.machine._emit = f
     end
   end
 end
@@ -1220,12 +1224,13 @@ end
 -- Functions that do not keep the list of events that they get.
 local borrowers = setmetatable({}, { __mode = "k" })
 
--- All machines, so that one access decides if a value is one.
+-- All machines, so that one access shows whether a value is a machine.
 local machines = setmetatable({}, { __mode = "k" })
 
 Machine.__index = DEFAULTS
 
--- These fields are absent until a hook is set: then `__newindex` is called.
+-- These fields of a machine are absent until a hook is set, so that `__newindex` is
+-- called then.
 local STEP_HOOKS = { getevents = true, pre_step_hook = true, post_step_hook = true }
 
 function Machine.__newindex(fsm, key, value)
@@ -1238,7 +1243,7 @@ function Machine.__newindex(fsm, key, value)
   rawset(fsm, key, value)
 end
 
--- Returns the copy of `value`. A plain table is filled later.
+-- Returns the copy of a value: of a plain table an empty one, filled by `clone_data`.
 local function copy_of(copies, value, pending)
   if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
   if not copies[value] then
@@ -1247,8 +1252,7 @@ local function copy_of(copies, value, pending)
   return copies[value]
 end
 
--- Copies a plain table; a list of pending tables instead of recursion bears any
--- depth.
+-- Copies a plain table, nested to any depth: tables wait in a list, without recursion.
 local function clone_data(copies, value)
   local pending = {}
   local copy = copy_of(copies, value, pending)
@@ -1273,7 +1277,7 @@ local function give_data(element, def, copies)
   end
 end
 
--- Makes the elements of the definitions from the given numbers on.
+-- Makes the elements of a machine, for the definitions from the given numbers on.
 local function make_elements(fsm, plan, first_node, first_transition)
   local nodes, transitions, copies = fsm._nodes, fsm._transitions, {}
   if first_node == 2 then give_data(fsm, plan.nodes[1], copies) end
@@ -1302,7 +1306,7 @@ local function list_otrs(fsm, plan)
   local transitions, nodes = fsm._transitions, fsm._nodes
   for i = 1, #plan.nodes do
     local otrs = plan.nodes[i].otrs
-    local list = { otrs[1] and transitions[otrs[1].index] } -- of size 1 from the start
+    local list = { otrs[1] and transitions[otrs[1].index] } -- of the size of most lists
     for j = 2, #otrs do list[j] = transitions[otrs[j].index] end
     nodes[i]._otrs = list
   end
@@ -1320,7 +1324,7 @@ local function use_plan(fsm, plan)
   list_otrs(fsm, plan)
 end
 
--- Report: what a machine says to its printers, and errors that wait ---------------
+-- Report: what a machine says to its printers, and errors that are kept -----------
 
 local DEFAULT_PRINTER, printer_of
 
@@ -1356,7 +1360,8 @@ end
 
 --- Keep an error until the iteration is over, for extensions.
 --
--- `step` raises it then. Between two steps the next one does. The first error counts.
+-- `step` raises it then. If it is kept between two steps, the next one raises it. Of
+-- several errors only the first is kept.
 --
 ---@param fsm rfsm.Machine
 ---@param failure any
@@ -1403,7 +1408,7 @@ end
 --- Did an interrupt such as Control-C raise the error, rather than a callback? It is
 -- for the caller of `step` then. For extensions.
 --
--- The text is that of the interpreters, alone or behind a position.
+-- Such an error is the text "interrupted!", alone or behind a position.
 --
 ---@param failure any
 ---@return boolean
@@ -1413,7 +1418,7 @@ function rfsm.is_interrupt(failure)
 end
 
 -- Calls hooks of extensions from number `at` on, such as `_reset_hooks`. An error is
--- kept. There is no loop, for which LuaJIT would give up compiling the host's.
+-- kept. This is no loop, because LuaJIT would not compile the loop of a host around it.
 local function tell_from(at, fsm, hooks, ...)
   local ok, failure = pcall(hooks[at], fsm, ...)
   if not ok then keep_failure(fsm, failure) end
@@ -1473,8 +1478,8 @@ local PHASES, search = {}, nil
 
 -- Gather ..........................................................................
 
--- The current events are pending again, before the others. The phase is idle first: cut
--- short, the next iteration finds the events here or there.
+-- Makes the current events pending again, before those in the queue. The phase becomes
+-- idle first: if this is cut short, the next iteration finds the events in either list.
 local function put_back(fsm)
   fsm._outcome = "refused"
   fsm._phase = "idle"
@@ -1482,16 +1487,16 @@ local function put_back(fsm)
   fsm._curq = {}
 end
 
--- Ends an iteration early: a step hook or getevents has failed. Events that nobody has
--- seen are pending again.
+-- Ends an iteration early, because a step hook or getevents has failed. If that was
+-- before the search, its events are pending again.
 local function give_up(fsm, failure)
   if fsm._phase ~= "gather" then fsm._curq = {} end
   put_back(fsm)
   error(failure, 0)
 end
 
--- Returns the events of getevents, a list with nils perhaps; nil and the failure. The
--- answer is noted at once, and stays until it is appended: cut short, it is not lost.
+-- Returns the list of getevents, in which nils may be; nil and an error if it failed.
+-- The list is noted in `_given` until it is appended, so that no interrupt loses it.
 local function ask_getevents(fsm)
   local getevents = fsm.getevents
   if fsm._given then return fsm._given end
@@ -1509,8 +1514,8 @@ local function ask_getevents(fsm)
   return nil, "rfsm.step: getevents: list of events expected, " .. got(events)
 end
 
--- Appends what getevents returns. Cut short, it is appended again: the events of an
--- iteration are a set.
+-- Appends the events of getevents. If this is cut short they are appended again, which
+-- changes nothing: the events of an iteration are a set.
 local function append_getevents(fsm, list)
   local events, failure = ask_getevents(fsm)
   if not events then give_up(fsm, failure) end
@@ -1536,7 +1541,7 @@ local function run_hooks(fsm, hooks, slot)
 end
 
 -- Asks getevents, unless that was done before an interrupt, and calls the pre step
--- hooks. The list of current events has those that were pending.
+-- hooks. The current events are those that were pending.
 local function ask_hooks(fsm)
   if fsm._hook < 0 or fsm._given then
     fsm._hook = 0
@@ -1562,9 +1567,9 @@ local function reset_now(fsm)
   fsm._reset_wanted = false
 end
 
--- What is pending becomes current: the queue and the list of the last iteration,
--- which is empty, change places. If that was cut short, both are one list, or the one
--- of the last iteration has events: they come first.
+-- Makes the pending events current: the queue and the list of the last iteration, which
+-- is empty, change places. If that was cut short before, both fields have one list, or
+-- the list of the last iteration has events, which come first.
 local function take_queue(fsm)
   local queue, spare = fsm._intq, fsm._curq
   if rawequal(queue, spare) or spare[1] ~= nil then
@@ -1587,7 +1592,7 @@ end
 
 -- Search: the path that the events enable .........................................
 --
--- A search may be done twice if it is cut short: guards have no side effects.
+-- A search that was cut short is done again: guards must not have side effects.
 
 -- Is one of `events` among those of the transition, or accepted by a predicate there?
 local function matches(def, events)
@@ -1606,8 +1611,8 @@ local function matches(def, events)
   return false
 end
 
--- Returns the definition of a transition with the target that the machine has set in
--- place of the model's; it is made once. Nil if that is no node of the machine.
+-- Returns a definition with the target that a program has set in a transition of the
+-- machine. It is made once for each target. Nil if that is no node of the machine.
 local function retarget(fsm, def, tgt)
   local node = is_node(tgt) and getmetatable(tgt)["_%def"]
   if rawequal(tgt, fsm) then node = fsm._plan.nodes[1] end
@@ -1627,16 +1632,16 @@ local function retarget(fsm, def, tgt)
   return def.aimed[node]
 end
 
--- A guard that fails does not enable: returns false. One that is interrupted is asked
--- again by the next step.
+-- Reports that a guard has failed, and returns false in place of its answer. A guard
+-- that was interrupted is asked again by the next step.
 local function refuse_guard(fsm, tr, guard, failure)
   if rfsm.is_interrupt(failure) then error(failure, 0) end
   report_callback(fsm, "guard", tr, guard, failure)
   return false
 end
 
--- Asks the guard of a transition whose events match. Returns the definition, that of
--- another target if the machine has set one; nil if the guard inhibits.
+-- Asks the guard of a transition whose events match. Returns its definition, or that of
+-- `retarget` if a program has set another target; nil if the guard returns false.
 local function ask(fsm, def, events)
   local tr = fsm._transitions[def.index]
   local guard = tr.guard
@@ -1651,9 +1656,9 @@ local function ask(fsm, def, events)
   return def
 end
 
--- Returns what the searches of a machine note about a connector: `search` is the number
--- of the last one that came here, `way` the transition that leads on, false while it is
--- looked for. `_search` is the number of the current one.
+-- Returns the note of a machine about a connector: `search` is the number of the last
+-- search that came there, `way` the transition by which its path goes on from there,
+-- false while none is found. `fsm._search` is the number of the current search.
 local function note_of(fsm, connector)
   local note = fsm._ways[connector] or { search = 0, way = false }
   fsm._ways[connector] = note
@@ -1667,9 +1672,9 @@ end
 
 local lead
 
--- Finds the way out of a connector, once a search: its first transition that leads on.
--- Further ones of the same priority are asked, too, to warn of a conflict. Until one is
--- found the connector has no way out, so that cycles end.
+-- Finds the way out of a connector, once in each search: its first transition that is
+-- enabled and leads on. Further ones of the same priority are asked, too, to warn of a
+-- conflict. Until a way is noted the connector has none, so that cycles end.
 local function find_way(fsm, connector, note, events)
   local way, pn, others = false, nil, nil
   note.search, note.way = fsm._search, false
@@ -1686,7 +1691,8 @@ local function find_way(fsm, connector, note, events)
   note.way = way
 end
 
--- Returns the definition of an open transition if there is a path on from its target.
+-- Returns the definition of a transition that is enabled, if its target is a leaf or a
+-- connector with a way out; else nil.
 function lead(fsm, def, events)
   if not (def and def.connector) then return def end
   local note = note_of(fsm, def.connector)
@@ -1694,8 +1700,8 @@ function lead(fsm, def, events)
   return note.way and def or nil
 end
 
--- Returns the first transition of a list that is enabled, nil if there is none, or a
--- guard has merged something.
+-- Returns the first transition of a list that is enabled; nil if there is none, or if a
+-- guard has merged something, after which the list is out of date.
 local function first_enabled(fsm, list, events)
   local plan = fsm._plan
   for i = 1, #list do
@@ -1729,9 +1735,9 @@ do
   local OTHER = {} -- stands for all events that no transition from the leaf names
   local NO_CHOICE = { run = false, run_hooked = false, find = false }
 
-  -- Lists the choice of each event while the leaf is active: its candidates, the
-  -- transitions that it may trigger, in order. `ignored` is the leaf's e_done if
-  -- nothing waits for it, else NaN, which equals no event.
+  -- Makes the choice of each event while a leaf is active: the list of its candidates,
+  -- the transitions that it may trigger, in the order they are tried in. `ignored` is
+  -- the leaf's e_done if no transition waits for it, else NaN, which equals no event.
   function list_choices(leaf)
     local choices, lists = { [OTHER] = {} }, {}
     lists[1] = choices[OTHER]
@@ -1764,7 +1770,7 @@ do
     return choices[event] or choices[OTHER]
   end
 
-  -- Returns the candidates of the events, in order; nil if they have several lists.
+  -- Returns the candidates of some events; nil if two events have different ones.
   local function candidates_of(leaf, events)
     local common = NONE
     for i = 1, #events do
@@ -1777,9 +1783,9 @@ do
     return common
   end
 
-  -- Returns the transition that the events enable, nil if there is none: found among
-  -- the `candidates`, if they are known. If a guard has merged something into the
-  -- machine it is searched again, once.
+  -- Returns the transition that the events enable, nil if there is none. Only the
+  -- `candidates` are asked, if they are known. If a guard merges something into the
+  -- machine, the search is done again, once.
   function choose(fsm, leaf, events, candidates, is_again)
     local plan, find, from = fsm._plan, choose_by_node, leaf["_%def"]
     if not candidates then
@@ -1798,10 +1804,10 @@ do
   end
 end
 
--- Warns of events that were sent before the first entry, and that its path does not
--- name: they are consumed by it.
+-- Warns of events that were sent before the first entry, which consumes them, and that
+-- its path does not name.
 local function warn_of_lost_events(fsm, path, events)
-  if rfsm.is_strict(fsm) then return end -- rfsm/strict.lua has told the sender
+  if rfsm.is_strict(fsm) then return end -- rfsm/strict.lua has warned already
   local lost = {}
   for i = 1, #events do
     local is_named = rawequal(events[i], "e_init_fsm")
@@ -1815,7 +1821,7 @@ local function warn_of_lost_events(fsm, path, events)
     .. "them: " .. list_text(lost))
 end
 
--- First entry: the path from `initial`, nil if there is none.
+-- Returns the path of the first entry, from the root's `initial`; nil if there is none.
 local function find_entry(fsm, events)
   local root = fsm._plan.nodes[1]
   fsm._search = fsm._search + 1
@@ -1827,7 +1833,7 @@ local function find_entry(fsm, events)
   return path
 end
 
--- No path leads into the machine: the events are pending again.
+-- Reports that no path leads into the machine, and makes the events pending again.
 local function refuse_entry(fsm, events)
   report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
     .. "events: " .. list_text(events))
@@ -1845,7 +1851,7 @@ local function innermost(fsm)
   return state
 end
 
--- Takes a path from a leaf, nil if the machine is in none.
+-- Takes a path. `leaf` is the active one, nil at the first entry.
 local function take_path(fsm, leaf, path)
   local name, run = fsm._is_hooked and "run_hooked" or "run", false
   if leaf and fsm.dbg == silent then run = path[name] or compiled(path, name) end
@@ -1861,7 +1867,7 @@ local function take_path(fsm, leaf, path)
 end
 
 -- Goes on after the search from a leaf: takes the path of the transition that was
--- found, if there is one.
+-- found. If there is none, runs the doo or ends the iteration.
 local function follow(fsm, after_free, leaf, def)
   if fsm._act_leaf ~= leaf then -- a guard has moved the machine
     leaf = innermost(fsm)
@@ -1889,10 +1895,11 @@ end
 
 -- Take: the actions of a path .....................................................
 --
--- A path is a flat list of actions: functions f(fsm, arg, at) with an argument each, a
--- definition as a rule, and the position `at` in the list.
+-- A path has a flat list of actions, functions f(fsm, arg, at), and a list with `arg`
+-- for each of them, usually a definition. `at` is the position in both lists.
 
--- Calls hooks of extensions. With several the position is noted in fractions.
+-- Calls hooks of extensions, in the action at position `at`. Each hook has a position
+-- of its own, a fraction between the last action and this one.
 local function call_hooks(fsm, hooks, what, at)
   for i = 1, #hooks do
     local number = at - 1 + i / #hooks
@@ -1904,8 +1911,8 @@ local function call_hooks(fsm, hooks, what, at)
   end
 end
 
--- Tells those who watch which transitions are about to be taken: none where a root
--- without states is entered.
+-- Calls the path hooks with the list of the transitions that are about to be taken. It
+-- is empty at the entry of a root without states.
 local function show_path(fsm, path, at)
   if not fsm._path_hooks then return end
   local list = {}
@@ -2016,8 +2023,8 @@ local function become_leaf(fsm, def, at)
   if not leaf.doo then recorders.done(fsm, def, at) end
 end
 
--- A leaf without doo has done its work. Cut short it may raise its e_done twice, which
--- is the same for a set of events.
+-- A leaf without doo is done at once. If this is cut short, e_done may be queued twice,
+-- which changes nothing: the events of an iteration are a set.
 local function be_done(fsm, def, at)
   local leaf, queue = fsm._nodes[def.index], fsm._intq
   if leaf.doo then return end
@@ -2035,7 +2042,7 @@ do
     list.args[#list.actions] = arg
   end
 
-  -- From the state `from` up to the lca, where nothing is left.
+  -- Adds the exits of the states from `from` up to the lca, which stays active.
   local function add_exits(list, def, from)
     add_action(list, recorders.exits, def)
     while from ~= def.lca do
@@ -2057,7 +2064,7 @@ do
     add_action(list, recorders.entry, state)
   end
 
-  local shapes = {} -- a tree of the lists that are there, by their actions
+  local shapes = {} -- a tree of all lists of actions; each level has the next action
 
   -- Returns a list with the same actions, which all paths of this shape share.
   local function shared(actions)
@@ -2101,10 +2108,10 @@ local function new_path(at, def)
 end
 
 -- Returns the path from `at` with the transition `def` and those out of its connectors.
--- Paths are kept in a tree: `at` is where one begins (a leaf, or the entrance of the
--- root), or a path so far.
+-- Paths are kept in a tree. `at` is the beginning of a path (a leaf, or the entrance of
+-- the root) or the part of it that is there already.
 function path_of(at, def, ways)
-  if def then -- no loop, for which LuaJIT would give up compiling that around it
+  if def then -- no loop, because LuaJIT would not compile a loop around this one
     at = at.paths and at.paths[def] or new_path(at, def)
     if def.connector then return path_of(at, ways[def.connector].way, ways) end
   end
@@ -2112,7 +2119,7 @@ function path_of(at, def, ways)
   return at
 end
 
--- Does the actions of `_path` behind the one that was begun last. Returns true.
+-- Performs the actions of `_path` behind the one that was begun last. Returns true.
 function perform(fsm)
   local path, begun = fsm._path, fsm._at
   local actions, args = path.actions, path.args
@@ -2142,8 +2149,8 @@ do
     }
   end
 
-  -- Whatever stops that file from being loaded, such as too little memory, the machines
-  -- do without.
+  -- Loads rfsm/fast.lua. Whatever prevents that, such as too little memory, machines do
+  -- without it.
   function load_fast()
     if fast ~= nil then return end
     local ok, made = pcall(make_fast)
@@ -2153,14 +2160,14 @@ do
 
   function drop_fast() fast = false end
 
-  local OFTEN = 3 -- what is asked for more often is compiled
+  local OFTEN = 3 -- a path or list that is used more often is compiled
 
-  -- Has rfsm/fast.lua make a function for a path or a list of candidates, and keeps it,
-  -- or false if there is none:
+  -- Has rfsm/fast.lua make a function for a path or a list of candidates, and keeps it
+  -- in a field of that; false if there is none:
   --
-  --   path.run, path.run_hooked   f(fsm, is_chosen) takes the path; returns false, and
-  --                               has done nothing, if the path was not chosen by a
-  --                               search, and needs one
+  --   path.run, path.run_hooked   f(fsm, is_chosen) takes the path. If no search has
+  --                               chosen it, and a transition has a guard or another
+  --                               target, a search is needed: it only returns false
   --   list.find                   as `first_enabled`
   local function compile_text(at, name)
     local ok, f = pcall(fast and fast[name] or silent, at)
@@ -2169,7 +2176,7 @@ do
     return at[name]
   end
 
-  -- Compiles it once it was asked for more than OFTEN times; until then returns false.
+  -- Returns that function, false before it has been asked for more than OFTEN times.
   function compiled(at, name)
     if at[name] ~= nil then return at[name] end
     at.used = (at.used or 0) + 1
@@ -2177,10 +2184,10 @@ do
     return compile_text(at, name)
   end
 
-  -- Returns the path that is taken whenever the transition `def` is the only candidate,
-  -- if no guard or other target has been set since: each connector has a single
-  -- transition, without events. Nil if there is no such path, or none of ten segments
-  -- at most: connectors may be a cycle.
+  -- Returns the path that is taken whenever the transition `def` is the only candidate:
+  -- each connector on it has a single transition, without events. The function made of
+  -- it looks for guards and other targets. Nil if there is no such path, or if it has
+  -- more than ten segments: connectors may form a cycle.
   local function straight_path(leaf, def)
     local first, ways, count = compile_transition(def), {}, 1
     while def.connector do
@@ -2192,8 +2199,8 @@ do
     return path_of(leaf, first, ways)
   end
 
-  -- Returns the function that takes the path to which a list of candidates leads
-  -- without a search; false if it may lead to several, or has not led there often. The
+  -- Returns the function of the path that is taken without a search, because a list has
+  -- one candidate and that leads to one path; false if not, or not yet compiled. The
   -- list keeps the answer once it is final.
   function quick_run(leaf, choice, name)
     local def = choice[1]
@@ -2203,12 +2210,12 @@ do
     return run
   end
 
-  -- Paths that are made before they are taken: so many of a leaf and event at most, of
-  -- so many segments at most.
+  -- `rfsm.prepare` makes at most so many paths for a leaf and an event, and at most so
+  -- many segments of a path.
   local MOST_PATHS, MOST_SEGMENTS = 50, 6
   local paths_left = 0
 
-  -- Makes now what the paths from `at` with the transition `def` would get in a run.
+  -- Makes the paths that go on from `at` with transition `def`, and their functions.
   local function prepare_paths(at, def, name)
     local path = at.paths and at.paths[def] or new_path(at, def)
     local connector = compile_transition(def).connector
@@ -2293,9 +2300,9 @@ do
 
   local resume, status = coroutine and coroutine.resume, coroutine and coroutine.status
 
-  -- One cycle of the active leaf's doo; true when it is idle or done. `_at` is 1 from
-  -- the resume on, 2 when its end was told, 3 when getevents was asked again. A doo
-  -- that failed is done at once, so that an interrupt here cannot make it complete.
+  -- Runs one cycle of the active leaf's doo; returns true if it is idle or done. `_at`
+  -- is 1 from the resume on, 2 once watch hooks know of its end, 3 once getevents was
+  -- asked again. If a doo fails, its leaf is done at once, and never raises e_done.
   function run_doo(fsm, leaf)
     local co = leaf._doo_co or leaf._mode ~= "done" and start_doo(fsm, leaf)
     if not co then return true end
@@ -2355,7 +2362,7 @@ function conclude(fsm, outcome)
   return finish(fsm)
 end
 
--- One iteration, or the rest of one that was cut short.
+-- Makes one iteration, or the rest of one that was cut short.
 local function go_on(fsm, after_free)
   fsm._is_cut = false
   if fsm._phase == "idle" then
@@ -2367,13 +2374,13 @@ end
 
 -- The usual iterations, written out ................................................
 --
--- The machine is in a leaf, nobody traces, and there is one event, apart from an e_done
--- that nothing waits for, or none.
+-- An iteration is usual if the machine is in a leaf, `dbg` is silent, and there is at
+-- most one event, not counting an e_done that no transition names.
 
 local iterate
 
 do
-  -- One iteration of a machine with hooks. The lists of events have changed places.
+  -- Makes one iteration of a machine with hooks. The pending events are current now.
   local function iterate_hooked(fsm, after_free)
     fsm._hook = -1
     fsm._phase = "gather"
@@ -2392,7 +2399,7 @@ do
     return search(fsm, after_free, choice)
   end
 
-  -- One iteration without events.
+  -- Makes one iteration without events.
   local function rest(fsm, leaf, after_free)
     local events = fsm._curq
     if leaf._mode == "done" and not leaf._doo_co then
@@ -2410,8 +2417,8 @@ do
     return true, idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
   end
 
-  -- Returns the text of the path that a search has found, if that is there, and the
-  -- machine is still a usual one.
+  -- Returns the function of the path that a search has found; nil if there is none, or
+  -- if a guard has made this iteration an unusual one.
   local function found_run(fsm, leaf, def)
     if not fsm._is_usual or fsm.dbg ~= silent or fsm._act_leaf ~= leaf then
       return nil
@@ -2419,10 +2426,10 @@ do
     return path_of(leaf["_%def"], def, fsm._ways).run
   end
 
-  -- One iteration. Returns nil if the machine cannot be entered, else whether it counts
-  -- as a step and whether the machine is idle. `after_free`: the last iteration did not
-  -- count. The two lists of events change places; `take_queue` repairs what an
-  -- interrupt leaves here.
+  -- Makes one iteration. Returns nil if the machine cannot be entered, else whether the
+  -- iteration counts as a step and whether the machine is idle. `after_free`: the last
+  -- iteration did not count. The two lists of events change places; if an interrupt
+  -- cuts that short, `take_queue` repairs it in the next iteration.
   function iterate(fsm, after_free) -- luacheck: ignore 561 (a call would cost)
     local leaf = fsm._act_leaf
     if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
@@ -2468,9 +2475,9 @@ do
   end
 end
 
--- The iteration was ended by an error: one that was kept for its end, one of a step
--- hook, or one that is no callback's own. Without this mark, what was cut short could
--- not be told from a step that goes on.
+-- Marks that an error has ended the iteration, and raises it: one that was kept, one of
+-- a step hook, or one that is no callback's own. Without the mark `_is_cut` the machine
+-- would look as if its step were still under way.
 local function raise_cut(fsm, failure)
   fsm._cuts = fsm._cuts + 1
   fsm._is_usual = false
@@ -2480,8 +2487,8 @@ end
 
 -- Build: a plan of a model, and a machine of the plan -------------------------------
 
--- A program may copy all tables of a machine. The copy has a copy of the plan, too,
--- which the metatables of its elements do not know: it gets theirs.
+-- Accepts a machine whose tables were all copied by a program. Its plan is a copy, too,
+-- but the metatables of its elements belong to the original plan: it gets that one.
 local function adopt_copy(fsm)
   local node = fsm._nodes[2]
   local root = node and node["_%def"].parent or fsm["_%def"]
@@ -2521,7 +2528,7 @@ local function check_function(f, where)
   if not is_callable(f) then error(where .. ": function expected, " .. got(f), 3) end
 end
 
--- Digits padded, so that trans[10] comes after trans[2].
+-- Returns a text with padded digits, so that trans[10] is sorted after trans[2].
 local function natural(text)
   return (text:gsub("%d+", function(n) return ("0"):rep(12 - #n) .. n end))
 end
@@ -2547,7 +2554,7 @@ end
 
 --- Return where an element stands: "chart.lua:7: root.trans[2] (off -> on)".
 --
--- The file and line are those of its constructor, left out where they are not known.
+-- File and line are those where its constructor was called; they may not be known.
 --
 ---@param obj rfsm.State|rfsm.Transition|rfsm.Connector an element of a machine
 ---@param field? string of the element: "root.trans[2].events (off -> on)"
@@ -2561,8 +2568,8 @@ end
 local build_plan, new_build, plan_of
 
 do
-  -- The plans of models, kept by their machines; the latest one in any case, for
-  -- programs that drop each machine before they make the next.
+  -- The plans of models. A plan is kept by its machines; the latest plan is kept in any
+  -- case, for programs that drop each machine before they make the next.
   local plans, latest_plan = setmetatable({}, { __mode = "kv" }), nil
   local is_sparing = false
 
@@ -2572,8 +2579,7 @@ do
       created = plan.created, mounts = {} }
   end
 
-  -- The user's data at the root that has the name of one of the machine's fields is
-  -- left out.
+  -- Leaves out the user's data at the root that has the name of a field of machines.
   local function drop_taken_names(build, root)
     local taken, data = own_fields(), root.data
     root.data = {}
@@ -2614,7 +2620,7 @@ do
     end
   end
 
-  -- Check, clone, resolve: all that can be said of a model without running anything.
+  -- Checks, clones and resolves a model, without a call of its functions.
   function build_plan(model)
     local build = new_build(new_plan(model))
     local root = new_node(build, "state", model, nil, "root")
@@ -2626,7 +2632,7 @@ do
     return build
   end
 
-  -- Returns the plan of a model; nil and the problems of a model that can have none.
+  -- Returns the plan of a model; nil and the problems if it has any.
   function plan_of(model)
     local plan = plans[model]
     if plan and is_current(plan) then return plan end
@@ -2649,7 +2655,7 @@ do
   end
 end
 
--- Makes a machine of a plan. Wrong printers are replaced.
+-- Makes a machine of a plan. Default printers replace those that cannot be called.
 local function new_machine(plan)
   local fsm = own_fields()
   fsm["_%def"], fsm._plan, fsm._parent, fsm._nodes = plan.nodes[1], plan, fsm, { fsm }
@@ -2706,7 +2712,7 @@ local function report_dead_ends(fsm, first)
   return dead[1] == nil
 end
 
--- Reports the warnings of the model, also after the preproc functions.
+-- Reports the warnings of the model, and what is odd after the preproc functions.
 local function report_findings(fsm, first_node, first_transition)
   local plan, found = fsm._plan, append({}, fsm._plan.warnings)
   for i = first_node, #plan.nodes do
@@ -2734,16 +2740,16 @@ end
 ---@type (fun(fsm: rfsm.Machine, merged?: table): string[]?)[]
 rfsm.preproc = {}
 
---- Functions `f(event)` of extensions that make events: the name of the extension if it
--- makes the event, and the FQN of the state that has to be active, if one has to.
+--- Functions `f(event)` of extensions that make events. Each returns the extension's
+-- name if the event is its own, and the FQN of the state that has to be active, if any.
 ---@type (fun(event: string): string?, string?)[]
 rfsm.makers = {}
 
 local preprocess
 
 do
-  -- Each transition gets what a preproc function may change: the events and priority
-  -- that stand in the model; after a merge, those that the machine has.
+  -- Gives each transition the fields `events` and `pn`, which a preproc function may
+  -- change. It has them already if such a function is merging something.
   local function hand_out(fsm, plan)
     for i, tr in ipairs(fsm._transitions) do
       local def = plan.transitions[i]
@@ -2807,7 +2813,8 @@ do
     return fits(fsm, plan) and plan or nil
   end
 
-  -- Returns a plan with the definitions of one that only one machine has, for changes.
+  -- Returns a plan with the definitions of one that only this machine uses, and drops
+  -- what was compiled of them.
   local function renewed(plan)
     local variant = new_plan(plan.model, plan.warnings, plan.created)
     variant.nodes, variant.transitions = plan.nodes, plan.transitions
@@ -2833,7 +2840,7 @@ do
     return variant
   end
 
-  -- The machine gets the plan of what the preproc functions have made of its
+  -- Gives the machine the plan of what the preproc functions have made of its
   -- transitions. Machines with the same result share it.
   local function take_results(fsm, plan, problems)
     local found = find_plan(fsm, plan)
@@ -2847,9 +2854,9 @@ do
     if found ~= plan then use_plan(fsm, found) end
   end
 
-  -- Runs the preproc functions; returns the problems they found. When one of them
-  -- merges something into the machine, those before it are called for that, the others
-  -- are still to come.
+  -- Runs the preproc functions; returns the problems they found. If one of them merges
+  -- an element, only those before it are called for the element: the others see it
+  -- anyway, in their turn.
   function preprocess(fsm, merged)
     local problems, outer = {}, fsm._preparing
     local last = outer and outer - 1 or #rfsm.preproc
@@ -2867,7 +2874,7 @@ do
   end
 end
 
---- Are there to be more warnings? The environment may ask for them, for extensions.
+--- Is a machine strict, by its root or by the environment? For extensions.
 ---@param root rfsm.State a root state or a machine
 ---@return boolean
 function rfsm.is_strict(root)
@@ -2972,8 +2979,8 @@ function rfsm.send_events(fsm, event, ...)
   if hooks and hooks.sent then return tell_from(1, fsm, hooks.sent, event, ...) end
 end
 
--- A step is under way unless an error has cut it short, also while a callback has
--- suspended the coroutine that called it.
+-- Raises an error if a step is under way, also if its coroutine is suspended. A step
+-- that an error has cut short is not under way.
 local function check_no_step(fsm, where, level)
   if fsm._phase == "idle" or fsm._is_cut then return end
   error(where .. ": the machine is in the middle of a step; if its coroutine is never "
@@ -3068,8 +3075,8 @@ end
 
 --- Make a machine as it was after `init`: inactive, no exit is called.
 --
--- Called by one of the machine's own functions it takes effect when the iteration ends.
--- It revives a machine whose step was cut short.
+-- If a callback of the machine calls this, it takes effect when the iteration ends. A
+-- machine whose step was cut short can be stepped again afterwards.
 --
 ---@param fsm rfsm.Machine
 function rfsm.reset(fsm)
@@ -3200,11 +3207,11 @@ do
   end
 end
 
---- What an extension that runs machines in a state keeps in its field `_regions`.
+--- The field `_regions` of a state in which an extension runs machines.
 ---@class rfsm.Regions
 ---@field [integer] rfsm.Machine in the order in which they are stepped
 ---@field names any[] their names, in that order
----@field entry? function the user's, where that of the state is the extension's
+---@field entry? function the user's, if the extension has put its own into the state
 ---@field exit? function likewise
 
 --- List the machines that run in a state, in the order in which they are stepped.
@@ -3219,8 +3226,8 @@ end
 
 --- List the nodes to which a transition may lead.
 --
--- An extension that has a transition into a composite lead anywhere in it, while the
--- machine runs, notes the target that it has in the model in the field `_initial`.
+-- If an extension changes the target of a transition into a composite, so that it leads
+-- to any node there, it notes the model's target in the field `_initial`.
 --
 ---@param tr rfsm.Transition a transition of a machine
 ---@return (rfsm.State|rfsm.Connector)[] targets its target; or `_initial` and the nodes
@@ -3288,8 +3295,8 @@ end
 
 --- Load and compile now what would be loaded and compiled while a machine runs.
 --
--- Without it a machine is compiled bit by bit, as its transitions are taken for the
--- first times. So is what comes later, by `fsm_merge` or as a first hook.
+-- Without this call a machine is compiled bit by bit, as its transitions are taken for
+-- the first times. So is whatever is added later, by `fsm_merge` or as a first hook.
 --
 ---@param fsm rfsm.Machine
 function rfsm.prepare(fsm)
@@ -3384,7 +3391,7 @@ function rfsm.exit_state(fsm, state)
   fsm._at = at
 end
 
--- Makes the states from the root to `state` the active ones, or those above it.
+-- Gives a state a mode. The states around it become active, all others inactive.
 local function move_to(state, mode)
   local fsm = state
   while fsm._parent ~= fsm do fsm = fsm._parent end
@@ -3408,7 +3415,7 @@ end
 
 --- Set the mode of a state.
 --
--- The machine stands then where the state has that mode; no callback runs.
+-- The states around it become active, all others inactive; no callback runs.
 --
 ---@param state rfsm.State a state of a machine
 ---@param mode "active"|"inactive"|"done"
@@ -3432,8 +3439,8 @@ end
 
 --- Promise that a hook, effect or guard does not keep the list of events that it gets.
 --
--- Otherwise the machine needs a new list for the next iteration. An event that calls
--- only such functions costs no garbage.
+-- Without this promise the machine makes a new list for the next iteration. An
+-- iteration that calls only such functions makes no garbage.
 --
 -- @usage
 --    fsm.post_step_hook = rfsm.borrows(function(fsm, events) count(#events) end)
@@ -3449,11 +3456,23 @@ end
 -- Hooks: lists that are replaced, never changed: a run over one is not disturbed ...
 
 do
-  local IN_STEP = { _pre_hooks = true, _post_hooks = true, _path_hooks = true }
+  -- The hooks that are called in an iteration, which is not a usual one then.
+  local IN_STEP = { _pre_hooks = true, _post_hooks = true, _path_hooks = true,
+    _entry_hooks = true, _exit_hooks = true }
 
-  -- Hooks in "front" bring events or note them. They stay in front of those that come
-  -- "before", which may take events away. A list counts them in `front`.
+  -- Hooks in "front" add events or note them. They stay in front of hooks "before"
+  -- others, which may take events away. A list has the number of them in `front`.
   local PLACES = { front = true, before = true, after = true }
+
+  -- Adds a hook to the list in a field of `owner`.
+  local function put_in(owner, field, hook, place)
+    local old = owner[field] or NONE
+    local hooks, front = append({}, old), old.front or 0
+    local before = place == "before" and front + 1 or #hooks + 1
+    insert(hooks, place == "front" and 1 or before, hook)
+    hooks.front = place == "front" and front + 1 or front
+    owner[field] = hooks
+  end
 
   local function hook_adder(where, field)
     return function(fsm, hook, place)
@@ -3462,42 +3481,44 @@ do
       if place ~= nil and not PLACES[place] then
         error(where .. ": 'before' or 'after' expected, " .. got(place), 2)
       end
-      local old = fsm[field] or NONE
-      local hooks, front = append({}, old), old.front or 0
-      local before = place == "before" and front + 1 or #hooks + 1
-      insert(hooks, place == "front" and 1 or before, hook)
-      hooks.front = place == "front" and front + 1 or front
-      fsm[field] = hooks
+      put_in(fsm, field, hook, place)
       if IN_STEP[field] then fsm._is_hooked, fsm._is_usual = true, false end
     end
   end
 
-  -- Returns the list without a hook; nil if that is not in it.
-  local function without(hooks, hook)
+  -- The same for hooks with a key: the state, or the kind of what is watched.
+  local function keyed_adder(where, field, is_key, expected)
+    return function(fsm, key, hook)
+      check_machine(fsm, where)
+      check_function(hook, where)
+      if not is_key(fsm, key) then
+        error(where .. ": " .. expected .. " expected, " .. got(key), 2)
+      end
+      fsm[field] = fsm[field] or {}
+      put_in(fsm[field], key, hook)
+      if IN_STEP[field] then fsm._is_hooked, fsm._is_usual = true, false end
+    end
+  end
+
+  -- Takes a hook out of the list in a field of `owner`. An empty list becomes false, as
+  -- it is in a new machine. Returns whether the hook was there.
+  local function take_out(owner, field, hook)
+    local hooks = owner[field] or NONE
     for i = 1, #hooks do
       if rawequal(hooks[i], hook) then
         local others, front = append({}, hooks), hooks.front or 0
         remove(others, i)
         others.front = i <= front and front - 1 or front
-        return others
+        owner[field] = others[1] and others or false
+        if #others == 1 and others[1] == OWN then owner[field] = OWN_ONLY end
+        return true
       end
     end
+    return false
   end
 
-  -- Returns a list of hooks, false for an empty one, as a machine has it at first.
-  local function reduced(hooks)
-    if #hooks == 1 and hooks[1] == OWN then return OWN_ONLY end
-    return hooks[1] and hooks or false
-  end
-
-  -- Takes a hook out of the list in a field of `owner`. Returns whether it was there.
-  local function take_out(owner, field, hook)
-    local others = without(owner[field] or NONE, hook)
-    if others then owner[field] = reduced(others) end
-    return others ~= nil
-  end
-
-  -- Makes the function that takes a hook out again, also the model's own at `slot`.
+  -- Makes the function that takes a hook out again: from the list in `field`, or from
+  -- the field `slot` of the machine.
   local function hook_remover(where, field, slot)
     return function(fsm, hook)
       check_machine(fsm, where)
@@ -3508,18 +3529,14 @@ do
     end
   end
 
-  local function state_hook_adder(where, field)
-    return function(fsm, state, hook)
+  local function keyed_remover(where, field)
+    return function(fsm, key, hook)
       check_machine(fsm, where)
-      check_function(hook, where)
-      if not is_node_of(fsm, state, "state") then
-        error(where .. ": state of the fsm expected, " .. got(state), 2)
-      end
-      fsm[field] = fsm[field] or {}
-      fsm[field][state] = append(append({}, fsm[field][state] or {}), { hook })
-      fsm._is_hooked, fsm._is_usual = true, false
+      return take_out(fsm[field] or NONE, key, hook)
     end
   end
+
+  local function is_state_of(fsm, state) return is_node_of(fsm, state, "state") end
 
   --- Have `hook(fsm, state)` called each time `state` is entered, before its entry.
   --
@@ -3527,21 +3544,21 @@ do
   -- Its error is raised when the iteration is over.
   --
   ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function)
-  rfsm.entry_hook_add = state_hook_adder("rfsm.entry_hook_add", "_entry_hooks")
+  rfsm.entry_hook_add = keyed_adder("rfsm.entry_hook_add", "_entry_hooks", is_state_of,
+    "state of the fsm")
 
   --- Remove an entry hook of a state. Return whether it was there.
-  ---@param fsm rfsm.Machine
-  ---@param state rfsm.State
-  ---@param hook function
-  ---@return boolean
-  function rfsm.entry_hook_rm(fsm, state, hook)
-    check_machine(fsm, "rfsm.entry_hook_rm")
-    return take_out(fsm._entry_hooks or NONE, state, hook)
-  end
+  ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function): boolean
+  rfsm.entry_hook_rm = keyed_remover("rfsm.entry_hook_rm", "_entry_hooks")
 
   --- Have `hook(fsm, state)` called each time `state` is left, after its exit.
   ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function)
-  rfsm.exit_hook_add = state_hook_adder("rfsm.exit_hook_add", "_exit_hooks")
+  rfsm.exit_hook_add = keyed_adder("rfsm.exit_hook_add", "_exit_hooks", is_state_of,
+    "state of the fsm")
+
+  --- Remove an exit hook of a state. Return whether it was there.
+  ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function): boolean
+  rfsm.exit_hook_rm = keyed_remover("rfsm.exit_hook_rm", "_exit_hooks")
 
   --- Have `hook(fsm, events)` called in each iteration before anything is chosen.
   --
@@ -3594,9 +3611,9 @@ do
     return path ~= false
   end
 
-  --- Have `hook(fsm, path)` called before a path is taken: the list of its transitions.
+  --- Have `hook(fsm, path)` called before a path is taken, a list of transitions.
   --
-  -- For those who watch. Its error is raised when the iteration is over.
+  -- For observers. An error of the hook is raised when the iteration is over.
   --
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.path_hook_add = hook_adder("rfsm.path_hook_add", "_path_hooks")
@@ -3605,12 +3622,13 @@ do
   ---@type fun(fsm: rfsm.Machine, hook: function): boolean
   rfsm.path_hook_rm = hook_remover("rfsm.path_hook_rm", "_path_hooks")
 
+  ---@alias rfsm.Watched "sent"|"failed"|"resumed"|"ended"|"merged"
   local WATCHED = { sent = true, failed = true, resumed = true, ended = true,
     merged = true }
 
-  --- Have `hook(fsm, ...)` called when something happens, for those who watch.
+  --- Have `hook(fsm, ...)` called when something happens, for observers.
   --
-  -- Other hooks tell what a step does. This one tells of the rest, by `what`:
+  -- Other hooks are called for what a step does, this one for the rest, by `what`:
   --
   --    "sent": event ...                  events were sent
   --    "failed": element, callback, error "entry", "guard" ... of an element failed
@@ -3619,30 +3637,14 @@ do
   --
   -- Its error is raised when the iteration is over.
   --
-  ---@param fsm rfsm.Machine
-  ---@param what "sent"|"failed"|"resumed"|"ended"|"merged"
-  ---@param hook function
-  function rfsm.watch_hook_add(fsm, what, hook)
-    check_machine(fsm, "rfsm.watch_hook_add")
-    check_function(hook, "rfsm.watch_hook_add")
-    if not WATCHED[what] then
-      error("rfsm.watch_hook_add: 'sent', 'failed', 'resumed', 'ended' or 'merged' "
-        .. "expected, " .. got(what), 2)
-    end
-    local hooks = fsm._watch_hooks or {}
-    hooks[what] = append(append({}, hooks[what] or NONE), { hook })
-    fsm._watch_hooks = hooks
-  end
+  ---@type fun(fsm: rfsm.Machine, what: rfsm.Watched, hook: function)
+  rfsm.watch_hook_add = keyed_adder("rfsm.watch_hook_add", "_watch_hooks",
+    function(_, what) return WATCHED[what] end,
+    "'sent', 'failed', 'resumed', 'ended' or 'merged'")
 
   --- Remove a watch hook. Return whether it was there.
-  ---@param fsm rfsm.Machine
-  ---@param what "sent"|"failed"|"resumed"|"ended"|"merged"
-  ---@param hook function
-  ---@return boolean
-  function rfsm.watch_hook_rm(fsm, what, hook)
-    check_machine(fsm, "rfsm.watch_hook_rm")
-    return take_out(fsm._watch_hooks or NONE, what, hook)
-  end
+  ---@type fun(fsm: rfsm.Machine, what: rfsm.Watched, hook: function): boolean
+  rfsm.watch_hook_rm = keyed_remover("rfsm.watch_hook_rm", "_watch_hooks")
 
   --- Have `hook(fsm)` called when the machine is reset, for the data of an extension.
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
@@ -3655,14 +3657,14 @@ do
   --- Have `hook(fsm, state)` list the events that an extension reacts to while a state
   -- is active, besides those of the transitions from it; nil for none.
   --
-  -- For those who ask, by `rfsm.reactions`: what nothing reacts to is left out of
-  -- explorations, and reported as unknown. A function in the list is a predicate.
+  -- `rfsm.reactions` returns these events. Explorations leave out events to which
+  -- nothing reacts, and tools warn of them. A function in the list is a predicate.
   --
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.reaction_hook_add = hook_adder("rfsm.reaction_hook_add", "_reaction_hooks")
 
   --- Have `hook(fsm)` list the events that an extension keeps for later; nil for none.
-  --- For those who show the queue.
+  --- Tools show them beside the queue.
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.waiting_hook_add = hook_adder("rfsm.waiting_hook_add", "_waiting_hooks")
 end
@@ -3732,7 +3734,7 @@ end
 -- Merge: a new element of a live machine ------------------------------------------
 
 do
-  -- Why nothing can be added below `parent`, a leaf so far; nil when it can.
+  -- Returns why nothing can be added to `parent`, a leaf so far; nil if it can.
   local function leaf_obstacle(fsm, parent)
     if parent._mode ~= "inactive" then
       return ("'%s' is an active leaf state"):format(parent._fqn)
@@ -3741,7 +3743,7 @@ do
     end
   end
 
-  -- Why `obj` cannot become a member of `parent`; nil when it can.
+  -- Returns why `obj` cannot become a member of `parent`; nil if it can.
   local function merge_obstacle(fsm, parent, obj, id)
     local kind = kind_of(obj)
     if not is_node_of(fsm, parent, "state") then
@@ -3783,7 +3785,8 @@ do
     return build
   end
 
-  -- Transitions to a leaf that has become a composite end at its `initial` now.
+  -- Has the transitions to `parent`, if it was a leaf and is a composite now, end at
+  -- its `initial`. Returns the numbers of these transitions.
   local function move_targets(build, parent, first)
     local moved = {}
     if parent.is_leaf then return moved end
@@ -3821,7 +3824,8 @@ do
     use_targets(fsm, plan, moved)
   end
 
-  -- A preproc function has raised an error. Function `outer`, which merges, goes on.
+  -- Cleans up after a preproc function that has raised an error. If preproc function
+  -- number `outer` has merged the element, that one goes on.
   local function stop_preprocessing(fsm, outer)
     fsm._preparing = outer
     for _, tr in ipairs(outer and NONE or fsm._transitions) do
@@ -3901,7 +3905,8 @@ local function find_old_name(name)
   end
 end
 
--- Makes the module known; a sandbox may have no `package`, or none of its fields.
+-- Registers the module and the older names. A sandbox may have no `package`, or a
+-- `package` without fields.
 local function register(package)
   local searchers = package.searchers or package.loaders
   if searchers and loadfile and not searchers.rfsm then

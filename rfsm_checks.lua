@@ -82,7 +82,7 @@ local function check_event(fsm, event)
     "WARNING: undeclared event " .. text_of(event) .. " received")
 end
 
--- This runs in every iteration: one look for an event that is declared.
+-- This runs in every iteration: a declared event takes one access to a table.
 local function check_events(fsm)
   local events, known = fsm._curq, fsm._checks.events
   for i = 1, #events do

@@ -33,11 +33,11 @@ local step, run = rfsm.step, rfsm.run
 ---@field entry? function called before the regions are entered
 ---@field exit? function called after the regions were left
 
--- The regions of a state by name: models, in a model; machines, in an instance. The
--- core does not look into tables with a metatable, so it takes none for a substate.
+-- The metatable of `substates`, the regions by name: models in a model, machines in an
+-- instance. The core does not look into such a table, so it takes none for a child.
 local Substates = {}
 
--- The regions of states that were given transitions, which belong into a region.
+-- The `substates` of states that were given transitions: these belong into a region.
 local has_transitions = setmetatable({}, { __mode = "k" })
 
 local function has_regions(state)
@@ -93,7 +93,7 @@ end
 ---@field exit? function the user's
 ---@field is_shown boolean their order has been printed
 ---@field is_forwarded boolean the regions have got the events of this iteration
----@field is_restored boolean a snapshot was restored, and the entry is called again
+---@field is_restored boolean the entry is called again, because a snapshot was restored
 
 -- Calls f(region, ...). Its error is raised after the iteration of the parent machine.
 local function try(fsm, f, region, ...)
@@ -222,9 +222,9 @@ local HANDED_ON = {
 
 local PRINTERS = { "info", "warn", "err" }
 
-local is_apart = false -- a machine for a tool is being made
+local is_apart = false -- is a machine for a tool being made, by `init_apart`?
 
--- Returns who has the printers that the model of a region lacks; nobody for a tool.
+-- Returns a table with the printers for a region whose model has none.
 local function owner_of_printers(fsm, given)
   if is_apart then return { info = false, warn = false, err = false } end
   return rfsm.is_initialized_root(given) and given or fsm
@@ -259,10 +259,11 @@ local function new_region(fsm, given)
     region, problems = fresh_region(fsm, given)
   end
   if region then rawset(region, "_owner", fsm) end
+  if region and fsm._emit then rfsm.set_emit(region, fsm._emit) end -- merged
   return region, problems
 end
 
-local in_progress = {} -- Substates of machines that are being made, to find circles
+local in_progress = {} -- `substates` whose regions are being made, to find circles
 
 -- Makes the regions of `state`; appends their problems.
 local function new_substates(fsm, state, problems)

@@ -5,9 +5,10 @@
 -- source of its transition is entered. The event `e_after(T)@FQN` comes in the first
 -- iteration that finds the timer expired, once per entry.
 --
--- An entry notes the time for all timers of the state. Most iterations only compare the
--- clock with one number, before which no timer expires. It is -huge while an entry or a
--- search is under way: after an interrupt the next iteration searches all timers.
+-- The entry of a state notes the time once for all its timers. Most iterations only
+-- compare the clock with one number, a time before which no timer expires. The number
+-- is -huge while an entry or a search for expired timers is under way, so that after an
+-- interrupt the next iteration searches all timers.
 --
 -- `send_after` sends an event later, whatever state is active then.
 --
@@ -25,7 +26,7 @@ local is_callable, report, text_of = rfsm.is_callable, rfsm.report, rfsm.text_of
 
 local rfsm_timeevent = {}
 
--- For a folder without rfsm/clock.lua: os.time, and no clock ids.
+-- In place of rfsm/clock.lua, if that is not there: reads os.time, gives clocks no id.
 local function new_clock()
   local function read_day() return rawget(_G, "os").time(), 0 end
   local hook = read_day
@@ -46,7 +47,7 @@ local read = clock.read
 
 -- Time events: objects and texts ---------------------------------------------------
 
--- Carries: whole seconds, which may be infinite, and nanoseconds from 0 below 1e9.
+-- Returns a time as whole seconds, which may be infinite, and nanoseconds below 1e9.
 local function normalise(sec, nsec)
   if sec - sec ~= 0 then return sec, 0 end
   local whole = floor(sec)
@@ -63,7 +64,7 @@ local function from_text(text)
     local number = text:match("^%s*%d*%.?%d*[eE][+-]?%d+%s*$") and tonumber(text)
     if number then return normalise(number, 0) end
   elseif whole .. fraction ~= "" then
-    local digits = (fraction .. ("0"):rep(10)):sub(1, 10) -- the tenth only rounds
+    local digits = (fraction .. ("0"):rep(10)):sub(1, 10) -- the tenth is rounded
     return normalise(tonumber("0" .. whole), floor(tonumber(digits) / 10 + 0.5))
   end
 end
@@ -85,7 +86,7 @@ local function new_event(kind, name, sec, nsec)
     nsec = nsec }, Timeevent)
 end
 
--- Makes an object. Blames the caller of e_after or e_at for a wrong value.
+-- Makes the object of e_after or e_at, and blames their caller for a wrong value.
 local function new_object(kind, x, id)
   if is_callable(x) then
     local shown = id == nil and "function" or text_of(id)
@@ -99,7 +100,7 @@ local function new_object(kind, x, id)
     .. "expected, got " .. (type(x) == "number" and text_of(x) or type(x)), 3)
 end
 
-local parsed = setmetatable({}, { __mode = "v" }) -- events by text, of all machines
+local parsed = setmetatable({}, { __mode = "v" }) -- events by text; machines share them
 
 -- Returns the event of a text such as "e_after(3)"; nil for any other text, and the
 -- problem if it looks like a time event.
@@ -118,14 +119,19 @@ end
 
 -- Run: arm, raise ------------------------------------------------------------------
 
---- The list of the timers of a state, its field `_timers`. The field `_timeevent` of a
--- machine has the times in seconds before which no e_after (`true`) or e_at (`false`)
--- expires, huge if none is armed; `has_timers`; `has_at`, and `is_unusual` if there is
--- an e_at or a function; `sends`, events to be sent later, the next one last.
+--- The field `_timeevent` of a machine. Its keys `true` and `false` have the seconds
+-- before which no e_after, or no e_at, expires; huge if none is armed.
+---@class rfsm_timeevent.Own
+---@field has_timers boolean a state has timers
+---@field has_at boolean one of them is an e_at
+---@field is_unusual boolean one of them is an e_at, or has a timeout function
+---@field sends rfsm_timeevent.Send[] events to be sent later, the next one last
+
+--- The list of the timers of a state, its field `_timers`.
 ---@class rfsm_timeevent.Timers
 ---@field sec number|false the time of the latest entry; false: it is not known
 ---@field nsec number
----@field delay number|false the shortest e_after; huge: there are functions only
+---@field delay number|false of the shortest e_after; huge: all have functions
 ---@field entry integer number of the latest entry
 
 --- A timer. It is armed with all timers of its state when that is entered.
@@ -133,18 +139,19 @@ end
 ---@field name string of the event that it raises
 ---@field event rfsm_timeevent.Timeevent
 ---@field timers rfsm_timeevent.Timers the list that it is in
----@field entry integer|false it was set alone since that entry of its state
----@field sec number|false its deadline then; huge: not armed, false: not known yet
+---@field entry integer|false if it is that of `timers`, this timer was set alone
+---@field sec number|false the deadline that was set; huge: not armed, false: not known
 ---@field nsec number
----@field left number nanoseconds until it expires, when that was last looked for
----@field rank integer its position among all timers then
+---@field left number nanoseconds until it expires, at the last search
+---@field rank integer its position among all timers, at the last search
 
-local MARGIN = 0.001 -- seconds; more than the error of a time as one number
+local MARGIN = 0.001 -- seconds; more than a time in one number may be rounded by
 
 local function report_clock(fsm, reason)
   report(fsm, "err", "TIMEEVENT", "the clock failed: ", reason)
 end
 
+-- Is it an e_after in seconds? Then the time of the entry gives the deadline.
 local function is_usual(event) return event.is_relative and event.sec end
 
 -- Returns the deadline of a timer; false if it is not known.
@@ -155,8 +162,8 @@ local function deadline_of(timer)
   return timers.sec + event.sec, timers.nsec + event.nsec
 end
 
--- Sets the deadline of a timer alone, and returns it. `entry` comes last: then both
--- numbers are there.
+-- Sets the deadline of one timer, and returns it. `entry` is written last, so that an
+-- interrupt leaves no half of a deadline.
 local function set(fsm, timer, sec, nsec)
   local own, kind = fsm._timeevent, timer.event.is_relative
   timer.entry = false
@@ -166,7 +173,7 @@ local function set(fsm, timer, sec, nsec)
   return sec, nsec
 end
 
--- Returns the time for which a timer is set; huge if a timeout function fails.
+-- Returns the seconds and nanoseconds of a timer's event; huge if its function fails.
 local function duration_of(fsm, timer)
   local event = timer.event
   if not event.timeout then return event.sec, event.nsec end
@@ -184,7 +191,7 @@ local function duration_of(fsm, timer)
   return huge, 0
 end
 
--- Arms a timer alone, from a time on. Returns the deadline.
+-- Arms one timer, from a time on, which may be false: not known. Returns its deadline.
 local function arm(fsm, timer, sec, nsec)
   local is_relative = timer.event.is_relative
   if is_relative and not sec then return set(fsm, timer, false, 0) end
@@ -249,8 +256,8 @@ local function time_left(sec, nsec, now, now_nsec)
   return floor((sec - now) * 1e9 + (nsec - now_nsec) + 0.5)
 end
 
--- Lists the timers of one kind that have expired, in order. Arms those that wait for
--- the clock. Returns also the nanoseconds until the first of the others expires.
+-- Lists the timers of one kind that have expired, in order. Arms those whose deadline
+-- is not known. Returns also the nanoseconds until the first of the others expires.
 local function find_expired(fsm, is_relative, now, now_nsec)
   local list, count, least = list_timers(fsm), 0, huge
   for rank = 1, #list do
@@ -292,7 +299,8 @@ local function raise_sends(fsm, events, sec, nsec)
   return left
 end
 
--- Cut short, an event may be in the list twice, which means the same.
+-- Appends the events whose time has come to the current ones. If this is cut short, an
+-- event may be appended twice, which means the same.
 local function raise_expired(fsm, is_relative, time, sec, nsec)
   if not time then return report_clock(fsm, sec) end
   local events, expired, least = fsm._curq, find_expired(fsm, is_relative, sec, nsec)
@@ -305,7 +313,7 @@ local function raise_expired(fsm, is_relative, time, sec, nsec)
   fsm._timeevent[is_relative] = time + least * 1e-9 - MARGIN
 end
 
--- This runs in every iteration. The literals stand for huge, without an upvalue.
+-- This runs in every iteration. 1e300 stands for huge: a literal costs no upvalue.
 local function check_timers(fsm)
   local own = fsm._timeevent
   local soon, soon_at = own[true], own[false]
@@ -327,7 +335,7 @@ end
 
 -- Snapshots: timers are kept with the time that is left, by their names ------------
 
-local MAX_EXACT = 1000000 -- seconds, of which one number has the nanoseconds
+local MAX_EXACT = 1000000 -- seconds; below, one number holds the nanoseconds, too
 
 local function kept_time(sec, nsec)
   sec, nsec = normalise(sec, nsec)
@@ -351,7 +359,7 @@ local function save(fsm)
   return left
 end
 
--- Returns the time of a snapshot: a number, or seconds and nanoseconds.
+-- Returns the seconds and nanoseconds of a time in a snapshot: a number, or both.
 local function loaded_time(left, what)
   local sec, nsec = left, 0
   if type(left) == "table" then sec, nsec = left[1], left[2] end
@@ -361,7 +369,7 @@ local function loaded_time(left, what)
   return sec, nsec
 end
 
--- Arms a timer with the time of a snapshot, which is true if it is not known.
+-- Arms a timer with the time in a snapshot, or `true` if the snapshot does not know it.
 local function load_timer(fsm, timer, left)
   local now, now_nsec = 0, 0
   if left == true then return set(fsm, timer, false, 0) end
@@ -397,16 +405,16 @@ end
 --- An event to be sent.
 ---@class rfsm_timeevent.Send
 ---@field event any
----@field id any what cancels it
----@field sec number when
+---@field id any the one for `cancel`
+---@field sec number the time for it, in seconds
 ---@field nsec number
 
 local function drop_sends(fsm) fsm._timeevent.sends = {} end
 
--- Returns the list of sends, the next one first, as `text` returns each.
-local function list_sends(fsm, text)
+-- Lists f(send) for each send, the next one first; nil if there is none.
+local function list_sends(fsm, f)
   local sends, list = fsm._timeevent and fsm._timeevent.sends or {}, {}
-  for at = #sends, 1, -1 do list[#list + 1] = text(sends[at]) end
+  for at = #sends, 1, -1 do list[#list + 1] = f(sends[at]) end
   return list[1] ~= nil and list or nil
 end
 
@@ -414,7 +422,7 @@ local function event_of(send) return send.event end
 
 local function list_waiting(fsm) return list_sends(fsm, event_of) end
 
--- Adds the hook for what has expired to a machine, before others, which see the events.
+-- Adds the hook that raises events to a machine, in front of hooks that look at events.
 local function prepare_machine(fsm)
   if fsm._timeevent then return end
   fsm._timeevent = { [true] = huge, [false] = huge, has_timers = false, has_at = false,
@@ -424,8 +432,8 @@ local function prepare_machine(fsm)
   rfsm.waiting_hook_add(fsm, list_waiting)
 end
 
--- Adds a send before those that come sooner, and before those of its time, which were
--- added sooner.
+-- Adds a send. In the list it stands before all that come sooner: those of an earlier
+-- time, and those of the same time that were added earlier.
 local function add_send(fsm, event, id, sec, nsec)
   local own = fsm._timeevent
   local sends, from, to = own.sends, 1, #own.sends
@@ -486,8 +494,8 @@ local function prepare_timers(fsm, state)
   return state._timers
 end
 
--- Returns the name of an event at its source; true if a timer there has that name and
--- always expires together with the event.
+-- Returns the name of an event at its source, and whether a timer there has that name
+-- already and always expires together with the event.
 local function find_name(timers, event, fqn)
   local name, count = event.name .. "@" .. fqn, 1
   for _, timer in ipairs(timers) do
@@ -543,9 +551,9 @@ local function expand_text(fsm, tr, text)
   end))
 end
 
--- First, because awaited time events become names here.
+-- The first preproc function, because it makes names of the time events in an await.
 insert(rfsm.preproc, 1, function(fsm, merged)
-  -- each machine, since one that has sent nothing yet may get a snapshot
+  -- in each machine, since one that has sent nothing may load a snapshot with sends
   if not merged then rfsm.snapshot_hook_add(fsm, "sends", save_sends, load_sends) end
   for _, tr in ipairs(rfsm.elements(merged or fsm, rfsm.is_trans)) do
     for i, event in ipairs(tr.events) do
@@ -616,14 +624,14 @@ local function remaining(fsm, is_relative)
   return expired[1] and 0 or (least + 1) / 1e9
 end
 
--- Likewise until the first event is sent.
+-- Returns the seconds until the next event is sent; huge: there is none.
 local function until_send(fsm)
   if not fsm._timeevent.sends[1] then return huge end
   local _, left = next_send(fsm, read_or_raise(fsm, true))
   return left < 0 and 0 or (left + 1) / 1e9
 end
 
--- Likewise of a machine and its active regions, for both kinds.
+-- Returns the seconds until a machine or an active region of it raises the next event.
 local function earliest(fsm)
   local least, state = huge, fsm._mode ~= "inactive" and fsm
   if fsm._timeevent then

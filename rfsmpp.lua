@@ -22,7 +22,7 @@ local rfsmpp = { is_plain = false }
 
 local has_ansicolors, ansicolors = pcall(require, "ansicolors")
 
--- Returns the escape sequence of "red bright"; nothing without ansicolors.
+-- Returns the escape sequence of "red bright"; an empty text without ansicolors.
 local function escape(names)
   if not has_ansicolors then return "" end
   if ansicolors.noReset then return ansicolors.noReset("%{" .. names .. "}") end
@@ -67,7 +67,7 @@ end
 
 local to_text
 
--- The contents of a table: {"a","b",x=1}. `open` has the tables around it.
+-- Returns the contents of a table: {"a","b",x=1}. `open` has the tables around it.
 local function table_to_text(t, open)
   local texts, length = {}, 0
   for i, key in ipairs(rfsm.sorted_keys(t)) do
@@ -170,10 +170,10 @@ end
 
 -- States: one a line, indented as they are nested ----------------------------------
 
--- A name is one line, whatever is in it.
+-- Control characters are escaped, so that a name takes one line.
 local function escape_control(character) return ("\\%d"):format(character:byte()) end
 
--- The name of a state, in the colour of its mode; without colour the mode follows.
+-- Returns the name of a state, in the colour of its mode, or with the mode as a word.
 local function state_text(state, letters, is_coloured)
   local name, mode = state._id:gsub("%c", escape_control), rfsm.get_sta_mode(state)
   local is_active_leaf = mode == "active" and rfsm.is_leaf(state)

@@ -16,8 +16,8 @@ local concat, sort = table.concat, table.sort
 
 local advice = {}
 
--- How many letters to insert, drop, replace, or swap with the next one, to make `b`
--- of `a`.
+-- Returns how many letters must be inserted, dropped, replaced, or swapped with the
+-- next one, to turn `a` into `b`.
 local function edit_distance(a, b)
   local before, row = {}, {}
   for j = 0, #b do row[j] = j end
@@ -83,10 +83,8 @@ end
 ---@param key string the key in the model
 function advice.field_meant(kind, key)
   for _, field in ipairs(FIELDS[kind]) do
-    if key == field then return "" end
-  end
-  for _, field in ipairs(FIELDS[kind]) do
     local is_alias = ALIASES[kind][plain(key)] == field
+    if key == field then return "" end
     if is_alias or advice.is_near(key, field) then return field end
   end
   return ""
@@ -107,7 +105,7 @@ function advice.other_word(model, field)
   return (" (there is '%s', did you mean '%s'?)"):format(words[1], field)
 end
 
---- Return the hint for a table of events that is no list.
+--- Return the hint for a field `events` that is a table, but no list.
 ---@return string hint " ('guard' belongs beside events)"
 function advice.list(events)
   for _, field in ipairs(FIELDS.transition) do
@@ -222,8 +220,8 @@ end
 
 -- Events ------------------------------------------------------------------------
 
--- The modules of the words that are in front of a parenthesis. None of them may be
--- loaded, so that no hook of an extension could tell.
+-- The extensions by the words in front of a parenthesis. They stand here, because an
+-- extension that is not loaded cannot declare its words.
 local MODULE_OF = {
   e_after = "rfsm_timeevent", e_at = "rfsm_timeevent", await = "rfsm_await",
 }
@@ -282,7 +280,8 @@ local function unmarked(t, key)
   return ""
 end
 
--- Returns the warning of a table that names a neighbour: on = { e_go = "b" }.
+-- Returns the warning of a table that means transitions to a state beside this one,
+-- such as on = { e_go = "b" }.
 local function unwritten(def, key, value)
   local event = def.kind == "state" and def.parent ~= def
     and (key == "on" or key == "transitions") and rfsm.sorted_keys(value)[1]
@@ -294,7 +293,7 @@ end
 
 local WAITS = { timeout = true, after = true, delay = true }
 
--- Returns the warning of a transition on any event that names its event in another way.
+-- Returns the warning of a transition without events, if another field has an event.
 local function unnamed(def, key, value)
   local model = def.model
   if model.events or not (model.src and model.tgt) then return "" end
@@ -308,7 +307,7 @@ local function unnamed(def, key, value)
   return ""
 end
 
--- Returns the warning of a field that looks like one of the library's in other words.
+-- Returns the warning of a field whose name means another one, which is the library's.
 local function misspelt(def, key, value)
   if def.kind ~= "transition" and not rfsm.is_callable(value) then return "" end
   local meant = def.kind == "transition" and key == "event" and "events"
@@ -333,7 +332,7 @@ local function unmade(def, key, value)
   return text ~= "" and text or unwritten(def, key, value)
 end
 
---- Return the warning of a field that counts as the user's data, and where it stands.
+--- Return the warning of a field that counts as the user's data, and the field to name.
 ---@param def rfsm.Def the element that has the field
 ---@return string text
 ---@return string? field
@@ -369,7 +368,7 @@ function advice.plain_states(model)
     concat(names, "', '"), names[2] and "are" or "is")
 end
 
---- Return the hint that regions were meant by a composite without `initial`.
+--- Return the hint that a composite without `initial` was meant to have regions.
 function advice.regions(model)
   local is_meant = model.parallel == true or model.type == "parallel"
   return is_meant and " (did you mean rfsm.seqand{...}?)" or ""

@@ -18,12 +18,12 @@ local rfsm_await = {}
 
 -- Run: note the events that are received --------------------------------------------
 
---- One await. Lists of them: `_await` of each source, `_awaits` of the machine.
+--- One await(...), in the list `_await` of its source, and `_awaits` of the machine.
 ---@class rfsm.await.Await
 ---@field name string the event that comes when all were received
 ---@field wanted string[] the events to wait for
----@field received table<string, boolean> did it come? of each of them
----@field missing integer how many did not
+---@field received table<string, boolean> whether each of them came
+---@field missing integer how many did not come
 
 local function note_event(await, event)
   if await.received[event] ~= false then return end
@@ -98,8 +98,8 @@ end
 
 -- Prepare: await(...) becomes an event ----------------------------------------------
 
--- Replaces the FQN of the source, which may have a comma or parenthesis in it, while a
--- text is read.
+-- Stands for the FQN of the source while a text is parsed: in a name there may be a
+-- comma or a parenthesis.
 local SOURCE = "\1"
 
 local function hide_source(text, fqn)
@@ -127,8 +127,8 @@ local function split(text, fqn)
   return names
 end
 
--- Returns the names in "await(e_a, e_b)" at a source; nil if it is another event, false
--- and the reason if it was meant to be one.
+-- Returns the names in "await(e_a, e_b)" at a source; nil for any other event; false
+-- and the reason for an await that is malformed.
 local function parse(event, fqn)
   local text = type(event) == "string" and hide_source(event, fqn)
   local inside = text and text:match("^await%s*%((.*)$")

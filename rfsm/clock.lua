@@ -1,9 +1,9 @@
 --- Clocks: the one way in which the library reads them, and a simulated one for tests.
 --
 -- A clock is a function that returns seconds and nanoseconds, or nanoseconds in one
--- number: the field `gettime` of a machine or of one around it, else the clock of the
--- process, which is the best one installed unless the user sets another. e_after wants
--- a clock that is never set (`is_relative`), e_at the time of day.
+-- number. A machine reads its field `gettime`, or that of a machine around it, else the
+-- clock of the process: the best one installed, unless the user sets another. e_after
+-- needs a clock that is never set (`is_relative`), e_at the time of day.
 --
 -- @module rfsm.clock
 -- @license BSD-3-Clause
@@ -22,7 +22,7 @@ local MONOTONIC, REALTIME = "CLOCK_MONOTONIC", "CLOCK_REALTIME"
 --- A clock of the library; callbacks and users may call it, too. A simulated one has
 -- whole seconds `sec`, and nanoseconds `nsec` below a billion.
 ---@class rfsm.clock.Clock
----@field read fun(self: any, is_relative: boolean): boolean, any, number? as by pcall
+---@field read fun(self: any, is_relative: boolean): boolean, any, number? as pcall does
 local Clock = {}
 Clock.__index = Clock
 
@@ -47,44 +47,40 @@ local function find_module(name)
   return ok and type(module) == "table" and module or {}
 end
 
-local function seconds_only(now) return now, 0 end
-
--- The best one comes first: a module, a function of it and the id of a clock; what
--- makes seconds and nanoseconds of the results. The time of RTT is not that of the day.
+-- The best one comes first: a module, and how to read it. The time of RTT is not that
+-- of the day.
 local INSTALLED = {
-  { "rtt", function(rtt, is_monotonic) return is_monotonic and rtt.getTime end },
+  { "rtt", function(rtt, is_monotonic)
+    if is_monotonic then return rtt.getTime() end
+  end },
   { "rtp", function(rtp, is_monotonic)
-    local id = is_monotonic and MONOTONIC or REALTIME
-    local gettime = type(rtp.clock) == "table" and rtp.clock.gettime
-    return gettime, pcall(gettime, id) and id or nil
+    return rtp.clock.gettime(is_monotonic and MONOTONIC or REALTIME)
   end },
+  { "rtp", function(rtp) return rtp.clock.gettime() end }, -- it knows no ids
   { "posix.time", function(time, is_monotonic)
-    local id = is_monotonic and time.CLOCK_MONOTONIC or time.CLOCK_REALTIME
-    return time.clock_gettime, id
-  end, function(now) return now and now.tv_sec, now and now.tv_nsec end },
-  { "posix", function(posix, is_monotonic) -- an old one
-    return posix.clock_gettime, is_monotonic and "monotonic" or "realtime"
+    local now = time.clock_gettime(time[is_monotonic and MONOTONIC or REALTIME])
+    return now.tv_sec, now.tv_nsec
   end },
-  { "socket", function(socket) return socket.gettime end, seconds_only },
-  { "os", function(os) return os.time end, seconds_only },
+  { "posix", function(posix, is_monotonic) -- an old one
+    return posix.clock_gettime(is_monotonic and "monotonic" or "realtime")
+  end },
+  { "socket", function(socket) return socket.gettime(), 0 end },
+  { "os", function(os) return os.time(), 0 end },
 }
-
-local function converted(convert, ok, sec, nsec)
-  if ok and convert then return true, convert(sec) end
-  return ok, sec, nsec
-end
 
 local function find(is_monotonic)
   for _, installed in ipairs(INSTALLED) do
-    local gettime, id = installed[2](find_module(installed[1]), is_monotonic)
-    local function read() return converted(installed[3], pcall(gettime, id)) end
-    local ok, sec = read()
-    if ok and sec then return read end
+    local module, read = find_module(installed[1]), installed[2]
+    local ok, sec = pcall(read, module, is_monotonic)
+    if rfsm.is_interrupt(sec) then error(sec, 0) end
+    if ok and sec then
+      return function() return true, read(module, is_monotonic) end
+    end
   end
   return function() return false, "no clock is installed" end
 end
 
-local found = {} -- by whether it is monotonic
+local found = {} -- the function that was found, by whether it is monotonic
 
 local best = clock.new(function(_, is_relative)
   found[is_relative] = found[is_relative] or find(is_relative)
@@ -104,10 +100,10 @@ end
 
 local function read_own(gettime, is_relative) return gettime:read(is_relative) end
 
-local readers = setmetatable({}, { __mode = "k" }) -- those functions, by clock
+local readers = setmetatable({}, { __mode = "k" }) -- clock -> one of those functions
 
--- Warns of a clock that returns one number, nanoseconds, which can only be seconds: it
--- is below a million, or at most a day from the time of day in seconds.
+-- Warns of a clock that returns one number if that can only be seconds, and no
+-- nanoseconds: it is below a million, or at most a day from the time of day.
 local function check_unit(fsm, number)
   local os = find_module("os")
   local is_day = os.time and abs(number - os.time()) < 86400
@@ -117,7 +113,8 @@ local function check_unit(fsm, number)
     :format(number))
 end
 
--- Finds out how to read a clock, and reads it. A 0 alone does not show its unit.
+-- Finds out how to read a clock, notes that, and reads it. If the clock returns a
+-- single 0, nothing is noted: that does not show the unit.
 local function read_first(gettime, is_relative, fsm)
   local is_own, rtt = rawequal(getmetatable(gettime), Clock), find_module("rtt")
   if rawequal(gettime, rtt.getTime) then return best:read(is_relative) end
@@ -132,7 +129,7 @@ local function read_first(gettime, is_relative, fsm)
   return ok, sec, nsec
 end
 
--- Returns what `clock.read` does for anything but two finite numbers.
+-- Returns the results of `clock.read`, if a clock did not return two finite numbers.
 local function read_unusual(ok, sec, nsec)
   if not ok then
     if rfsm.is_interrupt(sec) then error(sec, 0) end
@@ -196,7 +193,8 @@ end
 
 function Clock:read() return true, self.sec, self.nsec end
 
--- Adds seconds; blames the caller of a function for what is no clock, or no time.
+-- Adds seconds to a simulated clock. If it is none, or the seconds are no finite
+-- number, the caller of the method `where` is blamed.
 local function add(self, where, seconds)
   local is_clock = rawequal(getmetatable(self), Clock)
   if not is_clock or type(seconds) ~= "number" or seconds - seconds ~= 0 then

@@ -17,8 +17,8 @@ local insert, ipairs, type = table.insert, ipairs, type
 local MOST = 64 -- events that a machine keeps, unless the state has another `max`
 
 -- A machine keeps its deferred events in the list `_deferred`. Other fields of that
--- table: `is_done`, whether this iteration has kept what it keeps; `told`, the warnings
--- that were given; `known`, the alphabet of the machine.
+-- table: `is_done`, whether the events of this iteration were looked at; `told`, the
+-- warnings that were given; `known`, the alphabet of the machine.
 local function reset(fsm) fsm._deferred = { is_done = false, told = {} } end
 
 local function warn(fsm, state, event, text)
@@ -51,7 +51,7 @@ local function keep(fsm, state, event)
   rfsm.report(fsm, "dbg", "DEFERRED", event)
 end
 
--- Keeps the deferred events of an iteration, but for those that a transition takes.
+-- Keeps the events of an iteration that a state defers, but for those that `tr` takes.
 local function keep_others(fsm, events, tr)
   for _, event in ipairs(events) do
     local state = not (tr and match.takes(tr.events, event)) and deferrer(fsm, event)
@@ -59,7 +59,8 @@ local function keep_others(fsm, events, tr)
   end
 end
 
--- The pre step hook. Only hooks in "front" come before it, as that of timers.
+-- The pre step hook: recalls the first event that no state defers any more. Only hooks
+-- in "front" are called before, such as that of timers.
 local function recall(fsm, events)
   local own = fsm._deferred
   own.is_done = not fsm._act_leaf
@@ -120,7 +121,7 @@ local function problem_of(defer)
   end
 end
 
--- The list is that of the model, whose events are no copies.
+-- The list comes from the model: in a machine, events that are tables would be copies.
 local function prepare_state(fsm, state)
   local defer = rfsm.model_of(state).defer
   local problem = problem_of(defer)
@@ -133,7 +134,7 @@ local function has_defer(obj)
   return rfsm.is_state(obj) and obj.defer ~= nil and not rfsm.is_fsmobj(obj.defer)
 end
 
--- The first of all, so that its hook comes before those that count events.
+-- The first preproc function: its hook is called before those that count events.
 insert(rfsm.preproc, 1, function(fsm, merged)
   local problems = {}
   for _, state in ipairs(rfsm.elements(merged or fsm, has_defer)) do

@@ -21,18 +21,18 @@ local rawget, rawset, setmetatable, type = rawget, rawset, setmetatable, type
 
 local rfsm_emem = {}
 
---- What is kept in a machine, in its field `_emem`.
+--- The field `_emem` of a machine.
 ---@class rfsm.emem.Own
----@field is_blocked table<rfsm.State, boolean> states with a state of the name `emem`
----@field others table<rfsm.State, integer> how many of its events no transition names
+---@field is_blocked table<rfsm.State, boolean> states with a node named `emem` in them
+---@field others table<rfsm.State, integer> counted events that no transition names
 ---@field declared table<any, boolean>|false the events that transitions name; false
 -- until they are collected
 
--- The counts forget an event with its object.
+-- The counts do not keep an event that is a table from being collected.
 local WEAK = { __mode = "k" }
 
--- Events that no transition names and a state counts. Events with data in their names
--- would take ever more memory.
+-- So many events that no transition names are counted in a state, because events with
+-- data in their names would take ever more memory.
 local MOST_OTHERS = 1000
 
 local function clear(_, state)

@@ -45,8 +45,8 @@ end
 
 -- Paths -------------------------------------------------------------------------------
 --
--- $a is the state at which the path is, $b the next one, $at the position of the
--- action, $k the number of the segment. A guard, or another target, wants a search.
+-- $a is the state that the path has come to, $b the next one, $at the position of the
+-- action, $k the number of the segment. A guard or a target set later needs a search.
 
 local HEAD = [[
 return function(fsm, is_chosen)
@@ -106,7 +106,7 @@ end]]
 -- The root has a metatable, which would be asked about a field that is absent.
 local LINK, LINK_TO_ROOT = "$a._actchild = $b", 'rawset($a, "_actchild", $b)'
 
--- `at` is how many states have been left or entered, s0 and s1 in turn.
+-- `text.at` counts the states that are left or entered: s0 and s1 have them in turn.
 local function write(text, block, more)
   local places = text.places
   places.a, places.b = "s" .. text.at % 2, "s" .. (text.at + 1) % 2
@@ -118,7 +118,7 @@ local function write_hooks(text, field, owner)
   if text.is_hooked then write(text, HOOKS, { hooks = field, owner = owner }) end
 end
 
--- Returns what writes each of the core's actions.
+-- Returns, for each action of the core, the function that writes its text.
 local function new_writers(core)
   return {
     [core.show_path] = function(text) write(text, text.is_hooked and SHOW or "") end,
@@ -156,7 +156,7 @@ end
 -- Writes the function of a path; nil if that is too much for one.
 local function write_path(writers, path, is_hooked)
   local text = new_text()
-  local fetch = path.segments[2] and "tr = fsm._transitions[x$k]" -- else that is once
+  local fetch = path.segments[2] and "tr = fsm._transitions[x$k]" -- else in HEAD
   text.places = { fetch = fetch or "", tr = fetch and "nil" or "fsm._transitions[x1]" }
   text.is_hooked, text.at = is_hooked, 0
   bind(text, "path", path)
@@ -179,8 +179,8 @@ end
 
 -- Searches ----------------------------------------------------------------------------
 --
--- The candidates are asked one after the other, as the core does: level 0. On level $k,
--- w$k is the way out of a connector, x$k those in conflict with it.
+-- The candidates are asked one after the other on level 0, those behind a connector on
+-- the next level. On level $k, w$k is the way out that was found, x$k its conflicts.
 
 local FIND = [[
 return function(fsm, list, events)
@@ -229,8 +229,8 @@ local function condition(way, first)
   return "(not w$k or (w$k.pn or 0) == (d$n.pn or 0)) and " .. may
 end
 
--- Writes the asking of a transition on level `k`, and of those behind its connector. A
--- connector that is reached twice is too much.
+-- Writes the lines that ask a transition on level `k`, and those behind its connector.
+-- If a connector is reached twice, that is too much for a function.
 local function write_ask(text, core, def, k, may)
   local n, connector = #text.names, core.compile_transition(def).connector
   local places = { n = n, k = k, may = may }

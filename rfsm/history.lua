@@ -1,8 +1,7 @@
 --- History: a composite with `history = "shallow"` or `"deep"` is entered where it was
--- left: at the substate, or the leaf, that was active last. The memory is the targets
--- of the transitions that enter it, which are set whenever a leaf is entered. So
--- snapshots hold it, and whatever asks where a transition leads (`rfsm.targets`) knows
--- it.
+-- left: at the substate, or the leaf, that was active last. Whenever a leaf is entered,
+-- the targets of the transitions into the composite are set. There is no other memory,
+-- so that snapshots hold it, and `rfsm.targets` knows where transitions lead.
 --
 -- @module rfsm.history
 -- @license BSD-3-Clause
@@ -19,8 +18,8 @@ local function is_inside(node, composite)
   return rfsm.is_node(node) and node._fqn:sub(1, #fqn) == fqn
 end
 
--- Has the transitions into a composite, or all of them, lead to a node of it, or to its
--- initial. Those that a program has made to lead elsewhere stay.
+-- Sets the targets of the transitions into a composite, or into all of them, to a node
+-- in it, or to its `initial`. Targets elsewhere, which a program has set, stay.
 local function lead_to(fsm, composite, node)
   for _, tr in ipairs(fsm._history) do
     local own = tr._initial._parent
@@ -31,7 +30,8 @@ end
 
 -- The entry hook of a leaf: notes where each composite around it is entered next.
 local function remember(fsm, leaf)
-  local deep = leaf.final and leaf._parent.initial and leaf._parent or leaf -- as in UML
+  -- after an end the composite begins anew, as in UML
+  local deep = leaf.final and leaf._parent.initial and leaf._parent or leaf
   local node, way = leaf, deep
   while node ~= fsm do
     node = node._parent
@@ -55,7 +55,7 @@ local function check(state)
   end, state, rfsm.is_composite, 1)[1] or nil
 end
 
--- Notes what concerns a history: a leaf, or a transition that enters a composite.
+-- Gives a leaf the hook, and notes a transition into a composite with a history.
 local function note(fsm, obj)
   local composite = rfsm.is_trans(obj) and obj.tgt._id == "initial" and obj.tgt._parent
   if rfsm.is_leaf(obj) then

@@ -20,18 +20,19 @@ local text_of = rfsm.text_of
 
 local strict = {}
 
-local latest = nil -- the strict machine that was made last: it reports for the library
+-- The strict machine that was made last. It warns of functions that rfsm does not have.
+local latest = nil
 
 --- What is noted about a machine, in its field `_strict`.
 ---@class rfsm.strict.Notes
 ---@field told table<string, true> warnings that were given
----@field models table<table, table> element -> the callbacks of its model
+---@field models table<table, table> element -> the callbacks that its model had
 ---@field path rfsm.Transition[]|false taken in this iteration
 ---@field count integer|false iterations since `rfsm.run` was called
 ---@field event any that of the last iteration that had one
 ---@field event_at integer the count then
----@field structure table|false that whose alphabet is `known`
----@field known rfsm.Alphabet|false
+---@field structure table|false the structure to which `known` belongs
+---@field known rfsm.Alphabet|false the events of the machine
 
 local function warn(fsm, text)
   if fsm._strict.told[text] then return end
@@ -67,7 +68,7 @@ local function hint_for(known, event)
   return advice.nearest_name(text_of(event), names)
 end
 
--- Returns the warning of a plain table. One with a name is an event with data.
+-- Returns the warning of a plain table. One with a field `name` is an event with data.
 local function oddness_of_table(known, event)
   local _, named = names_of(known)
   if event[1] ~= nil then
@@ -152,11 +153,11 @@ local function check_events(fsm, at, ...)
   end
 end
 
--- The folder of this library's modules, as their chunks are named.
+-- The beginning of the chunk names of this library's modules: their folder.
 local own_folder = getinfo and getinfo(1, "S").source:match("^(@.*rfsm/)") or "none"
 
--- Returns "lamp.lua:7: " for the caller of the function that calls this, "" for one of
--- this library's.
+-- Returns "lamp.lua:7: ", the line that called the function that calls this; "" if the
+-- line is in this library.
 local function caller()
   local info = getinfo and getinfo(3, "Sl")
   local is_own = info and info.source:sub(1, #own_folder) == own_folder
@@ -171,7 +172,7 @@ end
 
 -- Functions ........................................................................
 
--- Functions that programs call as methods of a machine.
+-- Functions that programs call as methods of a machine, by mistake.
 local METHODS = { run = true, step = true, send_events = true, reset = true,
   is_in = true, is_idle = true }
 
@@ -198,7 +199,7 @@ local function watch_reads()
   end
 end
 
--- From the first strict machine on calls go this way.
+-- Replaces functions of rfsm by ones that look at their arguments.
 local function watch_calls()
   local send_events, run = rfsm.send_events, rfsm.run
   function rfsm.send_events(fsm, ...)
@@ -241,7 +242,7 @@ local function check_model(fsm, obj)
   end
 end
 
--- Is it a state or transition of a model, which `rfsm.init` has not seen?
+-- Is it an element that was put into the machine later, so that it is not part of it?
 local function is_foreign(value)
   return rfsm.is_fsmobj(value) and rawget(value, "_parent") == nil
 end
@@ -257,7 +258,8 @@ local function check_callbacks(fsm, obj)
   end
 end
 
--- Warns of fields that are nearly those of the library, and of elements of models.
+-- Warns of functions in fields whose names are nearly those of the library, and of
+-- elements that were put into the machine later.
 local function check_fields(fsm, obj)
   local kind = rfsm.is_root(obj) and "root" or rfsm.kind_of(obj)
   for _, key in ipairs(rfsm.sorted_keys(obj)) do
@@ -279,7 +281,7 @@ end
 
 local MANY = 10000 -- iterations of one run
 
--- Warns of a run that goes on and on. One with an idle hook is meant to.
+-- Warns of a run that does not end. With an idle hook it is meant not to end.
 local function check_end(fsm, events)
   local notes, leaf = fsm._strict, fsm._act_leaf
   notes.count = notes.count and notes.count + 1
@@ -291,14 +293,14 @@ local function check_end(fsm, events)
     or ("event '%s' comes again and again"):format(text_of(notes.event))))
 end
 
--- The path hook.
+-- The path hook: notes the path for the post step hook.
 local function note_path(fsm, path) fsm._strict.path = path end
 
 local function is_named_in(path, event)
   return order.any(path, function(tr) return match.triggers(tr, event) ~= false end)
 end
 
--- Returns an active state that an event would leave.
+-- Returns the FQN of the innermost active state that has a transition for an event.
 local function waiting_for(fsm, event)
   local state = fsm._act_leaf
   while state do
@@ -326,7 +328,7 @@ local function check_lost(fsm, events)
   end
 end
 
--- The pre step hook. Events of getevents have no sender.
+-- The pre step hook. Warns of events from getevents without the line of a sender.
 local function check_machine(fsm, events)
   check_end(fsm, events)
   local count = fsm._strict.count or 0

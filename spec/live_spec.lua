@@ -172,23 +172,26 @@ describe("a step hook", function()
     assert.same({ "once", "other", "other" }, trace)
   end)
 
-  it("of an entry can be taken out again, also by itself", function()
-    local trace, fsm = {}, started()
-    local hook = function() trace[#trace + 1] = "hook" end
-    local function once(_, node)
-      trace[#trace + 1] = "once"
-      assert.is_true(rfsm.entry_hook_rm(fsm, node, once))
-    end
-    assert.is_false(rfsm.entry_hook_rm(fsm, fsm.b, hook))
-    rfsm.entry_hook_add(fsm, fsm.b, once)
-    rfsm.entry_hook_add(fsm, fsm.b, hook)
-    assert.is_false(rfsm.entry_hook_rm(fsm, fsm.a, hook))
-    for _ = 1, 4 do post_and_run(fsm, "e") end
-    assert.is_true(rfsm.entry_hook_rm(fsm, fsm.b, hook))
-    assert.is_false(rfsm.entry_hook_rm(fsm, fsm.b, hook))
-    for _ = 1, 4 do post_and_run(fsm, "e") end
-    assert.same({ "once", "hook", "hook" }, trace)
-  end)
+  for _, what in ipairs { "entry", "exit" } do
+    it(("of an %s can be taken out again, also by itself"):format(what), function()
+      local trace, fsm = {}, started()
+      local add, take_out = rfsm[what .. "_hook_add"], rfsm[what .. "_hook_rm"]
+      local hook = function() trace[#trace + 1] = "hook" end
+      local function once(_, node)
+        trace[#trace + 1] = "once"
+        assert.is_true(take_out(fsm, node, once))
+      end
+      assert.is_false(take_out(fsm, fsm.b, hook))
+      add(fsm, fsm.b, once)
+      add(fsm, fsm.b, hook)
+      assert.is_false(take_out(fsm, fsm.a, hook))
+      for _ = 1, 4 do post_and_run(fsm, "e") end
+      assert.is_true(take_out(fsm, fsm.b, hook))
+      assert.is_false(take_out(fsm, fsm.b, hook))
+      for _ = 1, 4 do post_and_run(fsm, "e") end
+      assert.same({ "once", "hook", "hook" }, trace)
+    end)
+  end
 
   it("can ask if the step goes on", function()
     local trace, fsm = {}, started()

@@ -145,6 +145,7 @@ describe("a wrong sequential AND state", function()
     { "doo: is the state's own, and cannot be set", { doo = print } },
     { "substates: is the state's own, and cannot be set", { substates = {} } },
     { "entry: cannot be a state", { entry = state {} } },
+    { "run: cannot be a state", { run = state {} } },
     { "k: cannot be a connector", { k = rfsm.conn {} } },
     { "doo: is the state's own, and cannot be set", -- the least text
       { state {}, doo = print, substates = {}, run = state {}, k = rfsm.conn {} } },
@@ -175,6 +176,15 @@ describe("a wrong sequential AND state", function()
     assert.matches("^spec/seqand_spec.lua:%d+: root.par.left: root.trans%[1%] "
       .. "%(initial %-> b%): tgt 'b': no state or connector is named 'b' in 'root'",
       problems[1])
+  end)
+
+  it("with a transition warns", function()
+    local lines = {}
+    local model = parent(seqand { left = region({}, "left"), trans { src = "left" } })
+    model.warn = function(line) lines[#lines + 1] = line:match("root%.par: .*") end
+    init(model)
+    assert.same({ "root.par: a transition in a sequential AND state, it belongs into a "
+      .. "region (none leads from one region to another)" }, lines)
   end)
 
   it("that contains itself is a problem of the model", function()
@@ -486,7 +496,10 @@ describe("a machine given as a region", function()
   end)
 
   it("stands for its model in further ones, with what was set on it", function()
-    local given, model = given_and_model()
+    local chart_with_err = region({}, "left")
+    chart_with_err.err = false
+    local given = init(chart_with_err)
+    local model = parent(seqand { left = given, idle_doo = "auto" })
     local records = helper.said(given, "dbg", "STATE_ENTER")
     local fields = { "info", "warn", "err", "getevents", "pre_step_hook",
       "post_step_hook", "gettime" }
@@ -634,6 +647,21 @@ describe("a snapshot", function()
     run(other, "e_enter")
     assert.equal("root.a root.a", leaves(other.par))
   end)
+
+  -- Is the machine in par, and are entries called when it is restored?
+  for _, case in ipairs { { true, false }, { false, true } } do
+    it("changes no later entry, put in " .. (case[1] and "par" or "off"), function()
+      local model = parent(two {})
+      local fsm = started(model)
+      if not case[1] then run(fsm, "e_leave") end
+      local other = assert(snapshot.restore(model, snapshot.take(fsm),
+        { entries = case[2] }))
+      if case[1] then run(other, "e_leave") end
+      rfsm.send_events(other, "e_enter")
+      rfsm.step(other)
+      assert.equal("root.a root.a", leaves(other.par))
+    end)
+  end
 end)
 
 describe("reset", function()

@@ -70,6 +70,20 @@ describe("fsm.emit", function()
     assert.same({ "e_own 7", "e_left nil" }, trace)
   end)
 
+  it("calls the host also from regions that are merged later, at any depth", function()
+    local names = {}
+    local fsm = helper.init(chart { a = rfsm.seqand {
+      left = chart { a = rfsm.state {} } } })
+    rfsm.set_emit(fsm, function(name) names[#names + 1] = name end)
+    local left = fsm.a.substates.left
+    local region = chart { a = rfsm.seqand { inner = emitter("e_inner") } }
+    assert(rfsm.fsm_merge(left, left, rfsm.seqand { region = region }, "par"))
+    assert(rfsm.fsm_merge(left, left, rfsm.trans { src = "a", tgt = "par" }))
+    rfsm.run(fsm)
+    rfsm.run(fsm)
+    assert.same({ "e_inner" }, names)
+  end)
+
   it("leaves a state of that name alone", function()
     local fsm = helper.init(chart { emit = rfsm.state {} })
     rfsm.set_emit(fsm, print)

@@ -188,6 +188,11 @@ describe("many timers", function()
     function()
       assert.same({ "e_after(1)@root.a", "e_after(3)@root.a", "e_at(1001)@root.a" },
         effect_events { "e_after(3)", "e_after(1)", "e_at(1001)" })
+      local events = { "e_after(1)", "e_after(1.0)", "e_after(01)", "e_after(1.00)",
+        "e_after(1e0)", "e_after(001)" }
+      local named = {}
+      for i, event in ipairs(events) do named[i] = event .. "@root.a" end
+      assert.same(named, effect_events(events))
     end)
 
   it("with one name at one source are one timer", function()
@@ -622,6 +627,13 @@ describe("without a hook", function()
       assert.equal(case.ids, clocks_read(case.modules))
     end)
   end
+
+  it("an interrupt in the search for a clock reaches the caller of step", function()
+    local ok, failure = pcall(clocks_read, function()
+      return { rtp = { clock = { gettime = function() error("interrupted!", 0) end } } }
+    end)
+    assert.same({ false, "interrupted!" }, { ok, failure })
+  end)
 end)
 
 describe("dbg", function()
