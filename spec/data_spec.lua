@@ -466,6 +466,8 @@ describe("guards that stay free", function()
         .. "expected, got table" },
       { options = { run = { "entry root.b" } }, text = "run: no callback 'entry root.b'"
         .. " (did you mean 'entry root.a'?)" },
+      { options = { run = { "x" } }, text = "run: no callback 'x' (there is "
+        .. "'entry root.a')" },
       { options = { same = { "entry root.a" } }, text = "same: no guard "
         .. "'entry root.a'" },
       { options = { run = { yes } }, text = "run: function 1 is no callback of the "

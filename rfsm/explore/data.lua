@@ -175,6 +175,8 @@ end
 
 -- Guards ............................................................................
 
+local function is_name_of(_, key) return type(key) == "string" end
+
 -- Returns the callbacks of a list of functions and names; raises an error if the chart
 -- does not have one of them.
 local function found_in(named, list, field)
@@ -187,7 +189,7 @@ local function found_in(named, list, field)
     found[i] = is_known[item]
     if not found[i] and type(item) == "string" then
       error(("%s: no %s '%s'%s"):format(field, field == "run" and "callback" or "guard",
-        item, advice.nearest_name(item, rfsm.sorted_keys(is_known))), 0)
+        item, advice.nearest_name(item, rfsm.sorted_keys(is_known, is_name_of))), 0)
     elseif not found[i] then
       error(("%s: function %d is no %s of the chart"):format(field, i,
         field == "run" and "callback" or "guard"), 0)
