@@ -7,7 +7,7 @@
 -- @license BSD-3-Clause
 
 local ipairs, select = ipairs, select
-local concat = table.concat
+local concat, huge = table.concat, math.huge
 
 local code = {}
 
@@ -30,23 +30,26 @@ local function end_of_token(text, at)
   return at
 end
 
+-- The beginnings of comments, of long strings, and of others.
+local OPENINGS = { "%-%-", "%[=*%[", "[\"']" }
+
 --- Return a text with blanks in place of comments, and of strings unless `has_strings`.
 --- Each line keeps its number.
 ---@param text string
 ---@param has_strings? boolean
 ---@return string code
 function code.of(text, has_strings)
-  local parts, at = {}, 1
+  local parts, at, next_ones = {}, 1, {}
   while true do
-    local from = text:find("[\"']", at)
-    local comment, long = text:find("--", at, true), text:find("%[=*%[", at)
-    for _, other in ipairs { comment or false, long or false } do
-      if other and (not from or other < from) then from = other end
+    local from, is_comment = #text + 1, false
+    for i, opening in ipairs(OPENINGS) do
+      if (next_ones[i] or 0) < at then next_ones[i] = text:find(opening, at) or huge end
+      if next_ones[i] < from then from, is_comment = next_ones[i], i == 1 end
     end
-    if not from then break end
+    if from > #text then break end
     local last = end_of_token(text, from)
     local token = text:sub(from, last)
-    local stays = has_strings and from ~= comment
+    local stays = has_strings and not is_comment
     parts[#parts + 1] = text:sub(at, from - 1) .. (stays and token or blank(token))
     at = last + 1
   end
