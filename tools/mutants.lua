@@ -63,10 +63,11 @@ local ROOMS = {
     specs = { "rtt_standin", "rtt", "rtt_launch", "rtt_own" } },
   { name = "cli", files = { "rfsm/cli/*.lua" }, specs = { "cli", "tools", "project" } },
   { name = "system", files = { "rfsm/system.lua", "rfsm/system/*.lua",
-    "rfsm/cli/side_by_side.lua" }, specs = { "system" } },
+    "rfsm/cli/side_by_side.lua" }, specs = { "system", "system_check" } },
   { name = "pp", files = { "rfsmpp.lua" }, specs = { "pp" } },
   { name = "shared", files = { "rfsm/advice.lua", "rfsm/shared/*.lua" },
-    specs = { "shared", "reactions", "stub", "mistakes", "checks", "tools" } },
+    specs = { "shared", "reactions", "stub", "mistakes", "checks", "stream", "data",
+      "record", "verdict", "tools" } },
 }
 
 local function fail(message)

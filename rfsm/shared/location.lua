@@ -88,14 +88,20 @@ function location.refuse_name(name, kind, names)
     type(name) == "string" and advice.nearest_name(name, names) or ""), 0)
 end
 
+--- Is a node a state, or in it?
+function location.is_inside(node, state)
+  local prefix = state._fqn .. "."
+  return (node._fqn .. "."):sub(1, #prefix) == prefix
+end
+
 --- Does a connector in a composite lead out of it? Then one step may go in and out.
 ---@param state rfsm.State
 ---@return boolean
 function location.is_passable(state)
-  local prefix, is_found = state._fqn .. ".", false
+  local is_found = false
   rfsm.mapfsm(function(connector)
     for _, tr in ipairs(connector._otrs) do
-      is_found = is_found or (tr.tgt._fqn .. "."):sub(1, #prefix) ~= prefix
+      is_found = is_found or not location.is_inside(tr.tgt, state)
     end
   end, state, rfsm.is_conn)
   return is_found
