@@ -627,7 +627,7 @@ do
     for key, value in pairs(fields_of(base)) do -- any order: each stands alone
       if not kind_of(value) then fields[key] = value end
     end
-    for key, value in pairs(model) do fields[key] = value end -- any order: as above
+    for key, value in pairs(model) do fields[key] = value end -- any order: a copy
     return fields
   end
 
@@ -2515,7 +2515,8 @@ local check_machine = rfsm.check_machine
 
 --- Return a table that machines of the same structure share, for extensions.
 --
--- `fsm_merge`, and events that a preproc function changes, give a machine another one.
+-- A machine has another table after `fsm_merge`, and after a preproc function has
+-- changed its transitions.
 --
 ---@param fsm rfsm.Machine
 ---@return table structure

@@ -433,7 +433,8 @@ local function prepare_machine(fsm)
 end
 
 -- Adds a send. In the list it stands before all that come sooner: those of an earlier
--- time, and those of the same time that were added earlier.
+-- time, and those of the same time that were added earlier. `own[true]` is set first:
+-- an interrupt in between must not leave a send at which `check_timers` does not look.
 local function add_send(fsm, event, id, sec, nsec)
   local own = fsm._timeevent
   local sends, from, to = own.sends, 1, #own.sends
@@ -445,7 +446,7 @@ local function add_send(fsm, event, id, sec, nsec)
       to = at - 1
     end
   end
-  own[true] = min(own[true], sec + nsec * 1e-9 - MARGIN) -- first: see `check_timers`
+  own[true] = min(own[true], sec + nsec * 1e-9 - MARGIN)
   insert(sends, from, { event = event, id = id, sec = sec, nsec = nsec })
 end
 

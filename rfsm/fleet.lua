@@ -122,7 +122,8 @@ end
 
 -- Machines -----------------------------------------------------------------------
 
---- Return the latest moves of a machine, the newest first. The library needs --history.
+--- Return the latest moves of a machine, the newest first. Return a problem if the
+-- library that Redis has loaded was made without `--history`.
 ---@param id any
 ---@param count? integer default 10
 ---@return { time: number, event: string, from: string, to: string }[]? moves

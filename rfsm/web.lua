@@ -64,7 +64,8 @@ local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline
 local Server = {}
 Server.__index = Server
 
--- Returns the version of a tab. A page with another one fetches chart and picture.
+-- Returns the version of a tab. A page that shows another version fetches the chart and
+-- the picture again.
 local function version_of(server, tab)
   return ("%s-%d-%d-%d"):format(server.id, tab, #server.sources,
     server.sources[tab].generation)

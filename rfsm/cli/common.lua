@@ -57,7 +57,8 @@ function common.try(result, problem)
   return result or common.fail(problem)
 end
 
--- Returns f(...), without what it prints. An error ends the program, with the file.
+-- Returns the results of f(...), and discards what it prints. An error ends the program
+-- with a message that names the file.
 function common.call(file, f, ...)
   local ok, result, more, list = common.with_streams(common.NOWHERE, f, ...)
   if not ok then common.fail(chart.reason(file, result)) end

@@ -97,7 +97,7 @@ local explore = {}
 local Walk = {}
 Walk.__index = Walk
 
---- A moment in a step in which a state is active that the step leaves again.
+--- A step that enters a state and leaves it again, and the moment of that entry.
 ---@class rfsm_checks.Passed
 ---@field moment rfsm_checks.Moment
 ---@field from integer configuration

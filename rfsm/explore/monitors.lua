@@ -206,13 +206,13 @@ local function look_at(walk, judged, state, try, view)
   return monitors.look(property, state, look)
 end
 
---- Return the state of the monitor of a walk after the last step, and its clocks.
+--- Have the monitor of a walk look at the last step; return its next state and clocks.
 ---@param walk rfsm_checks.Walk
----@param try rfsm_checks.Try
----@param key string of the configuration that it has led to
----@param label fun(): string
----@return string state that of before if the walk has no monitor
----@return integer[]? clocks see `monitors.look`
+---@param try rfsm_checks.Try the step
+---@param key string of the configuration to which the step has led
+---@param label fun(): string returns the label of the step
+---@return string state the next one; the old one if the walk has no monitor
+---@return integer[]? clocks the next ones, see `monitors.look`
 function monitors.after(walk, try, key, label)
   local judged, own, state = walk.monitor, walk.subject, try.conf.context.state
   if not judged or state == "violated" or not own.parts[1].fsm._act_leaf then

@@ -27,7 +27,7 @@ local reactions = {}
 ---@field timers string[] time events of states that are active
 ---@field sets any[][] sets of several events that a path through connectors needs
 ---@field is_cut boolean there are more than MANY_SETS of these sets
----@field outside rfsm_checks.Occurrence[]|false those from outside, once listed
+---@field outside rfsm_checks.Occurrence[]|false events from outside; false: not listed
 ---@field own table<any, boolean>|false the set of the events that count for the leaf
 -- itself, without those of its regions; false: any event does
 

@@ -600,11 +600,12 @@ end
 
 local MANY_CHOICES = 4096
 
---- Take a step from a configuration once for each list of choices, and call
---- f(owner, has_ended) after each; `has_ended` is the result of `step`.
+--- Take a step from a configuration once for each list of choices: the answers of
+--- guards and predicates, and whether a doo ends. Call f(owner, has_ended) after each
+--- step; `has_ended` is the result of `step`.
 ---@param conf rfsm_checks.Configuration
 ---@param events rfsm_checks.Occurrence[]
----@param owner any
+---@param owner any is handed to `f`
 ---@param f fun(owner: any, has_ended: true?)
 ---@return string? untried what was left out, as a text; nil if nothing was
 function Subject:each_choice(conf, events, owner, f)

@@ -78,7 +78,7 @@ Timing.__index = Timing
 
 local BILLION = 1000000000
 local MOST = 2 ^ 53 -- nanoseconds, 104 days: exact
-local MOST_UNITS = 2 ^ 50 -- exact, also as a bound
+local MOST_UNITS = 2 ^ 50 -- so that bounds (twice as large, see zones) are exact, too
 
 local function nanoseconds(seconds) return floor(seconds * BILLION + 0.5) end
 

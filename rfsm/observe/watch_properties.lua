@@ -59,8 +59,8 @@ local function read_clock(own)
   return time or error(failure, 0)
 end
 
--- Returns two functions: one returns whether the state of a path is active now; the
--- other returns such a function that keeps the answers of the present moment.
+-- Returns two functions. `active(path)` returns whether a state is active now.
+-- `snapshot()` returns a function like it, whose answers stay as they are at that call.
 local function views_of(fsm)
   local states = {}
   for _, at in ipairs(rfsm.machines(fsm)) do

@@ -84,8 +84,8 @@ local function add_curve(line, a, b, c, d, is_good, halvings)
   add_curve(line, middle, bcd, cd, d, is_good, halvings - 1)
 end
 
---- Return a line in more curves, so that its control points are in a frame if the line
--- is: Graphviz makes room for all points.
+--- Divide the curves of a line, so that not only the line but also its control points
+-- are in a frame; return the result. Graphviz makes room for control points, too.
 function lines.inside(line, frame)
   local result, left, bottom = { line[1] }, frame.left, frame.bottom
   local function is_inside(point)

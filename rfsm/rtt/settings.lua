@@ -10,8 +10,8 @@ local huge = math.huge
 
 local settings = {}
 
---- The arguments of a launch. `name`, `luatype` and `ports` are for a new component
--- only. A service has none of those up to `pool`.
+--- The arguments of a launch. Only a new component takes `name`, `luatype` and `ports`.
+-- A service takes none of the first seven, `name` to `pool`.
 ---@class rfsm.rtt.Launch
 ---@field name? string of a new component
 ---@field deployer? any the deployer, or the name of a peer ("Deployer")

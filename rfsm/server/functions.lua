@@ -529,7 +529,8 @@ end
 -- machine was there.
 function functions.rfsm_remove(keys) return host.remove(key_of(keys)) and 1 or 0 end
 
--- rfsm_why KEY event: the answer of each transition, from the outermost state inwards.
+-- rfsm_why KEY event: returns lines that say for each transition, from the outermost
+-- state inwards, whether the event would have it taken, and if not, why.
 function functions.rfsm_why(keys, args)
   if #args ~= 1 then fail("one event expected, got %d", #args) end
   local key, lines = key_of(keys), {}

@@ -29,13 +29,13 @@ function times.get()
   return sec, nsec
 end
 
---- Return the time that machines see in one number.
+--- Return the time that machines see, as one number of seconds.
 function times.seen()
   if not sec then sec, nsec = read() end
   return sec + nsec / 1e9
 end
 
---- Return the time of the call in one number.
+--- Return the time of the call, as one number of seconds.
 function times.now()
   if not call_sec then read() end
   return call_sec + call_nsec / 1e9

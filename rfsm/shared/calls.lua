@@ -58,7 +58,7 @@ function calls.silently(make, model, warn)
   return fsm, text, problems
 end
 
---- Return a text of several lines, such as a problem with a list, as one line.
+--- Return a text of several lines, such as a problem and a list below it, as one line.
 function calls.line(text)
   return (text:gsub(":\n%s*", ": "):gsub("[\r\n]+%s*", "; "))
 end

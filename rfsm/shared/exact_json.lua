@@ -92,7 +92,7 @@ local function encode_object(object, depth)
   return "{" .. concat(fields, ",") .. "}"
 end
 
--- Is a table a list? It is not if it has a key beside 1 to n.
+-- Is a table a list? A list has the keys 1 to n, at least one, and no other keys.
 local function is_list(t)
   if rawget(t, 1) == nil then return false end
   local count = 0

@@ -1,8 +1,9 @@
---- The terminal of the simulator: Control-C, and lines typed, piped in, or to stderr.
+--- The terminal of the simulator: catches Control-C, and reads and writes lines.
 --
--- A reader is a function that takes a prompt and returns a line; nil at the end of the
--- input; false if Control-C dropped the line. Without lua-readline a line cannot be
--- edited. Without luaposix and luv a second Control-C ends the program.
+-- A reader is a function that takes a prompt and returns a line, typed or piped in; nil
+-- at the end of the input; false if Control-C dropped the line. Without lua-readline a
+-- line cannot be edited. If neither luaposix nor luv is there, a second Control-C ends
+-- the program.
 --
 -- @module rfsm.sim.terminal
 -- @license BSD-3-Clause

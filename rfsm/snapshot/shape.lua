@@ -197,7 +197,7 @@ function shape.named(name) return by_name[name] end
 ---@field targets table[] the target that each transition has in the model
 ---@field path rfsm.snapshot.Path that `take` uses
 
---- Return what is known of a machine.
+--- Return the `rfsm.snapshot.Own` of a machine, a new one if its structure changed.
 function shape.of(fsm)
   local own, key = fsm._kept, rfsm.structure_of(fsm)
   if own and own.key == key then return own end
