@@ -762,6 +762,12 @@ describe("a page", function()
     assert.equal("root.green", message.leaf)
     assert.is_true(message.clock > 3.4 and message.clock < 3.6)
     assert.equal("root.red", page:command("next").leaf)
+    assert.equal("root.red", page:command("wait", { seconds = 5.5 }).leaf)
+    page:command "back" -- both timers in one turn
+    page:command("breakpoint", { at = "root.green", on = true })
+    message = page:command("wait", { seconds = 9 })
+    assert.same({ "root.green", true },
+      { message.leaf, message.clock > 7 and message.clock < 7.6 })
   end)
 
   it("shows regions", function()

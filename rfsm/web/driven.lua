@@ -205,11 +205,25 @@ function commands.clock(session, message)
   start_clock(session)
 end
 
+local function next_timer(session)
+  return session.view and clock.until_timer(session.view.fsm) or nil
+end
+
+-- Has the time pass, up to a breakpoint. The machine runs when a timer expires, and at
+-- the end.
 local function pass(session, seconds)
   begin_turn(session)
-  session.time:advance(seconds)
+  for _ = 1, Driven.MAX_STEPS do
+    local part = min(seconds, next_timer(session) or seconds)
+    part = min(seconds, ceil(part / TICK) * TICK)
+    session.time:advance(part)
+    run(session)
+    seconds = seconds - part
+    if seconds <= 0 or session.stopped then return start_clock(session) end
+  end
   start_clock(session)
-  run(session)
+  session.view:note("note", ("%.6g s are left after %d timers"):format(seconds,
+    Driven.MAX_STEPS))
 end
 
 function commands.wait(session, message)
@@ -236,10 +250,6 @@ function commands.breakpoint(session, message)
 end
 
 commands.inspect = LocalView.answer_inspect
-
-local function next_timer(session)
-  return session.view and clock.until_timer(session.view.fsm) or nil
-end
 
 function commands.next(session)
   local seconds = next_timer(session)
