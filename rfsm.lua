@@ -330,9 +330,9 @@ end
 
 -- Orders keys: numbers ascending, then all others by their text.
 local function key_before(a, b)
-  local is_number = type(a) == "number"
-  if is_number ~= (type(b) == "number") then return is_number end
-  if is_number then return a < b end
+  local kind, other = type(a), type(b)
+  if kind == other and (kind == "string" or kind == "number") then return a < b end
+  if kind == "number" or other == "number" then return kind == "number" end
   return text_of(a) < text_of(b)
 end
 
