@@ -303,7 +303,7 @@ describe("tools/test.sh", function()
     local busted = helper.file_with("#!/bin/sh\ncat <<EOF\n" .. text .. "EOF\n")
     local messages = helper.file_with("")
     os.execute("chmod +x " .. busted)
-    return lines_of(("{ %s FILES='%s' BUSTED=%s tools/test.sh %s; echo $?; } 2>%s")
+    return lines_of(("{ LINT= %s FILES='%s' BUSTED=%s tools/test.sh %s; echo $?; } 2>%s")
       :format(settings or "PENDING=", FILES, busted, arg[-1], messages)),
       lines_of("cat " .. messages)
   end
