@@ -303,7 +303,8 @@ describe("tools/test.sh", function()
     local busted = helper.file_with("#!/bin/sh\ncat <<EOF\n" .. text .. "EOF\n")
     local messages = helper.file_with("")
     os.execute("chmod +x " .. busted)
-    return lines_of(("{ LINT= %s FILES='%s' BUSTED=%s tools/test.sh %s; echo $?; } 2>%s")
+    local command = "LINT= %s FILES='%s' BUSTED=%s tools/test.sh %s"
+    return lines_of(("{ " .. command .. "; echo $?; } 2>%s")
       :format(settings or "PENDING=", FILES, busted, arg[-1], messages)),
       lines_of("cat " .. messages)
   end
