@@ -2,13 +2,13 @@
 --
 -- A model is a tree of plain tables, marked by `rfsm.state`, `rfsm.trans` and
 -- `rfsm.conn`. `rfsm.init` checks it, reports every mistake with its location, and
--- makes an independent machine of it. `rfsm.send_events` sends events to the machine,
--- `rfsm.step` and `rfsm.run` advance it. Only these calls do: nothing here waits.
+-- makes an independent machine of it. `rfsm.send_events` sends events to the machine.
+-- The machine advances only in calls of `rfsm.step` and `rfsm.run`; no call waits.
 --
 -- The file reads in the order the data flows: model elements, load, check, clone,
 -- resolve, compile, machine, report, run, build, use, merge, names. An FQN is a fully
--- qualified name ("root.a.b"); an iteration is one turn of the loop inside `step`. All
--- that a machine does is in this file; rfsm/fast.lua only makes it faster.
+-- qualified name ("root.a.b"). An iteration is one turn of the loop inside `step`. The
+-- file is complete: rfsm/fast.lua only makes machines faster.
 --
 -- @module rfsm
 -- @license BSD-3-Clause
@@ -32,7 +32,7 @@ local coroutine, loadfile = find_global "coroutine", find_global "loadfile"
 local loadstring = find_global "loadstring" or find_global "load"
 
 local getinfo = find_global("debug", "getinfo")
-local _, require = pcall(function() return require end) -- also one of a bundle
+local _, require = pcall(function() return require end) -- a bundler may replace it
 
 -- LuaJIT 2.1.0-beta3 sometimes skips keys in a traversal that it has compiled.
 -- Functions with such a traversal are given to `interpret`, and are never compiled.
@@ -78,21 +78,21 @@ do
   local this_file = getinfo and getinfo(1, "S").short_src
   local knows_tail_calls = getinfo ~= nil and pcall(getinfo, 1, "t")
 
-  -- Notes the line that called a constructor, `level` functions up. Nothing is noted
-  -- after a tail call: the caller's frame is gone, and `level` is another function.
+  -- Records the line that called the constructor at stack level `level`. After a tail
+  -- call nothing is recorded, because the stack frame of the caller is gone.
   local function note_caller(t, level)
     if not getinfo then return end
     if knows_tail_calls and getinfo(level, "t").istailcall then return end
     local caller = getinfo(level + 1, "Sl")
     if caller and caller.currentline > 0 and caller.short_src ~= this_file then
-      local file = caller.source:match("^@(.*)") or caller.short_src -- cut to 60
+      local file = caller.source:match("^@(.*)") or caller.short_src -- at most 60 bytes
       made_at[t] = ("%s:%d"):format(file, caller.currentline)
     end
   end
 
-  --- Note the location of an element whose constructor is an extension's.
+  --- Record where an element was made, for constructors in extensions.
   ---@param t table the element
-  ---@param level integer the function whose line it is: 2 is the constructor's caller
+  ---@param level integer stack level, as for `error`: 2 is the constructor's caller
   function rfsm.note_location(t, level)
     made_at[t] = nil
     note_caller(t, level + 1)
@@ -114,7 +114,7 @@ do
       if type(t) ~= "table" then
         error("rfsm." .. name .. ": table expected, got " .. type(t), level + 1)
       end
-      if rawget(t, "_parent") ~= nil and kind_of(t) then return t end -- a live one
+      if rawget(t, "_parent") ~= nil and kind_of(t) then return t end -- in a machine
       note_caller(t, level + 1)
       return setmetatable(t, base == class and class or heir_class(base))
     end
@@ -150,11 +150,11 @@ rfsm.transition = rfsm.trans
 rfsm.conn = define(Connector, "conn")
 rfsm.connector = rfsm.conn
 
---- Suspend a doo until the next doo cycle; a true value means idle.
+--- Suspend a doo until the next doo cycle; pass `true` if the doo is idle.
 ---@type fun(idle?: boolean): rfsm.Machine, rfsm.State, "doo"
 rfsm.yield = find_global("coroutine", "yield")
 
---- Is `key` one of the engine's own (a leading underscore)?
+--- Is `key` reserved for the engine: a text that begins with an underscore?
 ---@param key any
 ---@return boolean
 function rfsm.is_meta(key) return type(key) == "string" and key:byte() == 95 end
@@ -241,7 +241,7 @@ function rfsm.is_callable(value)
   return type(class) == "table" and rawget(class, "__call") ~= nil
 end
 
---- Return any value as text: numbers alike on every Lua, and no error for any value.
+--- Return any value as text, never an error; numbers look the same on every Lua.
 ---@param value any
 ---@return string
 function rfsm.text_of(value)
@@ -258,10 +258,10 @@ local is_callable, text_of = rfsm.is_callable, rfsm.text_of
 local event_names = setmetatable({}, { __mode = "k" })
 local predicates = setmetatable({}, { __mode = "v" })
 
---- Return a predicate for `events`: it accepts a table whose field `name` is that text.
+--- Return a predicate for `events`: it accepts each table with this `name` as a field.
 --
 -- Such events carry data: `rfsm.send_events(fsm, { name = "e_paid", amount = 12 })`.
--- The same name gives the same predicate, whose name every tool can read.
+-- Equal names give the same predicate. `rfsm.event_name` returns the name of it.
 --
 ---@param name string
 ---@return fun(event: any): boolean predicate
@@ -284,7 +284,7 @@ end
 ---@return string? name
 function rfsm.event_name(predicate) return event_names[predicate] end
 
---- Return an event, or what a transition names, as text: by its name if it has one.
+--- Return an event or predicate of a transition as text: its name if it has one.
 ---@param event any
 ---@return string
 function rfsm.event_text(event)
@@ -303,7 +303,7 @@ local function end_text(node)
   return kind and kind ~= "transition" and (node._fqn or kind) or text_of(node)
 end
 
--- state root.a (active)
+-- Example: state root.a (active)
 function State.__tostring(state)
   local fqn, mode = state._fqn, state._mode
   return "state" .. (fqn and " " .. fqn or "") .. (mode and " (" .. mode .. ")" or "")
@@ -317,7 +317,7 @@ function Machine.__tostring(fsm)
   return "machine, active: " .. (fsm._act_leaf and fsm._act_leaf._fqn or "<none>")
 end
 
--- T={ src='a', tgt='b', pn=3, events='x, y' }, with FQNs after init.
+-- Example: T={ src='a', tgt='b', pn=3, events='x, y' }. After init the ends are FQNs.
 function Transition.__tostring(tr)
   local text = "T={ src='" .. end_text(tr.src) .. "', tgt='" .. end_text(tr.tgt) .. "'"
   local events = type(tr.events) == "string" and { tr.events } or tr.events
@@ -338,7 +338,7 @@ end
 
 --- Return the keys of a table, numbers ascending, then others by text, for extensions.
 ---@param t table
----@param pred? fun(value: any, key: any): boolean the keys wanted, default all
+---@param pred? fun(value: any, key: any): boolean true for the keys to return
 ---@return any[] keys
 function rfsm.sorted_keys(t, pred)
   local keys = {}
@@ -362,8 +362,8 @@ end
 
 -- Load ------------------------------------------------------------------------
 
--- Runs a chunk of a chart and returns its state. If `return rfsm.state{...}` was a tail
--- call, the line of the root is not known: the first line of the file counts.
+-- Runs the chunk of a chart and returns its root state. If `return rfsm.state{...}` was
+-- a tail call, the line of the root is not known, and line 1 is recorded in its place.
 local function run_chunk(chunk, file, where, accepts)
   local model = chunk(file)
   if accepts and accepts(model) then return model end
@@ -381,10 +381,9 @@ end
 -- @usage
 --    local fsm = rfsm.init(rfsm.load("examples/hello_world.lua"))
 --
--- @raise when there is no file name, the file cannot be read or fails, or it returns
--- no state
+-- @raise when `file` is no text, or the file cannot be read, fails or returns no state
 ---@param file string
----@param accepts? fun(value: any): boolean other values that the file may return
+---@param accepts? fun(value: any): boolean true for other values that are allowed
 ---@return rfsm.Model model
 ---@nodiscard
 function rfsm.load(file, accepts)
@@ -419,8 +418,8 @@ end
 
 -- Check: every mistake in the model, each with its location --------------------
 --
--- A check never raises an error. It appends to the `problems` of the build, with which
--- `init` fails, or to its `warnings`. `init` sorts both lists by location.
+-- A check never raises an error. It appends to the `problems` of the build, which make
+-- `init` fail, or to its `warnings`. `init` sorts both lists by location.
 
 -- Returns a module; nil if it is not installed.
 local function find_module(name)
@@ -432,8 +431,7 @@ local function find_module(name)
   end
 end
 
--- Returns the hint of rfsm/advice.lua on a topic, an empty text if there is no such
--- file.
+-- Returns the hint of rfsm/advice.lua on a topic, or "" if this file is missing.
 local advice
 
 local function advise(topic, ...)
@@ -442,35 +440,35 @@ local function advise(topic, ...)
   return advice[topic](...)
 end
 
---- The data of one `init` or `fsm_merge`. Machines share its result, the plan.
+--- The working data of one call of `init` or `fsm_merge`, which makes a plan.
 ---@class rfsm.Build
----@field plan rfsm.Plan the result
+---@field plan rfsm.Plan the result: the structure of the machine
 ---@field problems { file?: string, line: string }[]
 ---@field warnings { file?: string, line: string }[]
----@field created { line: string }[] messages of `initial` connectors nobody declared
----@field mounts table<table, rfsm.Def[]> node of the model -> one for each position
----@field fsm rfsm.Machine? the machine that something is merged into
+---@field created { line: string }[] a message for each undeclared `initial`
+---@field mounts table<table, rfsm.Def[]> node of the model -> its definitions
+---@field fsm rfsm.Machine? the machine that `fsm_merge` extends; nil in `init`
 
 --- The definition of a node or transition: all that is known before a machine runs.
 --
--- The machines of a model share it. An element of a machine is a table with what that
--- machine alone has, such as the mode of a state, and inherits the rest from `proto`.
+-- All machines of a model share the definition. An element of a machine is a table with
+-- the data of this machine, such as the mode of a state, and inherits from `proto`.
 --
 ---@class rfsm.Def
 ---@field kind "state"|"transition"|"connector"
 ---@field index integer its position among the nodes or transitions of the plan
----@field id string|integer
----@field parent rfsm.Def the composite in which it stands; the root is its own parent
----@field model table the element of the model that it was made of
+---@field id string|integer the name, or the position of a transition without a name
+---@field parent rfsm.Def the state that contains it; for the root, the root itself
+---@field model table the element of the model from which it was made
 ---@field data any[] callbacks and the user's data: key, value, key, value ...
----@field proto table metatable of the elements
----@field fqn string of a node
----@field is_leaf boolean of a state
----@field otrs rfsm.Def[] transitions that leave a node, in the order they are tried in
----@field src rfsm.Def of a transition, which also has `tgt`, `events` and `pn`
+---@field proto table the metatable of its elements in all machines
+---@field fqn string the fully qualified name (nodes only)
+---@field is_leaf boolean true for a state that contains no nodes
+---@field otrs rfsm.Def[] the outgoing transitions, in search order (nodes only)
+---@field src rfsm.Def the source (transitions only; so are `tgt`, `events` and `pn`)
 
--- Returns the name of an element in messages: its FQN, or root.trans[2] (a -> b). The
--- name of a field follows, if one is given.
+-- Returns the name of an element for messages: an FQN, or root.trans[2] (a -> b). If
+-- `field` is given, the name includes it: root.trans[2].events (a -> b).
 local function name_of(def, field)
   local suffix, key = field and "." .. field or "", text_of(def.id)
   if def.kind ~= "transition" then return def.fqn .. suffix end
@@ -492,8 +490,8 @@ local CALLBACKS = {
   transition = { guard = true, effect = true },
 }
 
--- Adds the warning that rfsm/advice.lua has on a topic, if there is one. This is called
--- only where something may be odd, so that most charts need not load that file.
+-- Adds the warning of rfsm/advice.lua on a topic, if the file has one. The caller has
+-- found something suspicious already, so most charts do not load the file.
 local function add_advice(list, topic, def, ...)
   local text, field = advise(topic, def, ...)
   if text ~= "" then add(list, def, field, text) end
@@ -522,7 +520,7 @@ end
 
 -- Clone: a definition for each position of a node -------------------------------
 
---- Return the model that a machine or an element of one was made of, for extensions.
+--- Return the model of a machine, or of an element of a machine, for extensions.
 ---@param value any
 ---@return any model the value itself if it is no part of a machine
 function rfsm.model_of(value)
@@ -542,7 +540,7 @@ end
 
 local model_of = rfsm.model_of
 
--- Is `value` a node of that machine, and of this kind, if one is given?
+-- Is `value` a node of the machine, and of the given kind? Without `kind`, of any kind.
 local function is_node_of(fsm, value, kind)
   local value_kind = kind_of(value)
   local def = value_kind and value["_%def"]
@@ -550,7 +548,7 @@ local function is_node_of(fsm, value, kind)
     and rawequal(fsm._nodes[def.index], value)
 end
 
--- Notes that `def` is one position of its model: a table may stand in several.
+-- Records `def` as a definition of its model: a model table may be used several times.
 local function note_mount(build, def)
   local mounts = build.mounts[def.model] or {}
   mounts[#mounts + 1], build.mounts[def.model] = def, mounts
@@ -563,15 +561,15 @@ do
   for _, name in ipairs(PRINTERS) do ROOT_FIELDS[name] = true end
   for _, name in ipairs(HOOKS) do ROOT_FIELDS[name] = true end
 
-  -- Fields of the engine that anybody may read. A field of this name in a model is left
-  -- out: it is not the user's data.
+  -- Public fields of the engine. If a model has a field with such a name, the field is
+  -- not copied, because it is not the user's data.
   local API_FIELDS = {}
   for name in ("act_leaf actchild curq doo_co fqn fsm id initialized intq mode otrs "
     .. "parent"):gmatch("%S+") do
     API_FIELDS["_" .. name] = true
   end
 
-  -- A node needs a name that a reference can spell and that is no field of its parent.
+  -- Checks the name of a node: a path can contain it, and it is no field of the parent.
   local function check_name(build, def)
     local name, parent = def.id, def.parent
     if type(name) ~= "string" then
@@ -587,8 +585,8 @@ do
     end
   end
 
-  -- Returns a new list of the events of a transition, false if there are none. The
-  -- model has one string, or a list of any values but NaN, without holes.
+  -- Returns the events of a transition as a new list, or false if it has none. A model
+  -- has one string, or a list without holes; NaN is the only value that is no event.
   local function check_events(build, def, events)
     if not events then return false end
     if type(events) == "string" then events = { events } end
@@ -617,8 +615,8 @@ do
     return count > 0 and list
   end
 
-  -- Returns the fields of a model element. One that was made by base:new{...} inherits
-  -- the callbacks and data of `base`, and neither nodes nor transitions.
+  -- Returns the fields of a model element. An element made by base:new{...} inherits
+  -- callbacks and data from `base`, but no nodes and no transitions.
   local function fields_of(model)
     local class = getmetatable(model)
     local base = class.__index
@@ -661,7 +659,7 @@ do
     return def
   end
 
-  -- Is the model of `def` also the model of an ancestor? Then the walk would never end.
+  -- Is the model of `def` also the model of an ancestor? Then cloning would never end.
   local function is_inside_itself(def)
     local above = def
     while above.parent ~= above do
@@ -682,7 +680,7 @@ do
     end
   end
 
-  -- Takes over a field that is no element of the model: a callback or the user's data.
+  -- Copies a field that is no node and no transition: a callback or the user's data.
   local function clone_field(build, def, key, value)
     if CALLBACKS[def.kind][key] then
       check_callable(build, def, key, value)
@@ -757,8 +755,8 @@ do
     interpret(f)
   end
 
-  -- Adds fields and members to the nodes from number `first` on. Members that are nodes
-  -- are appended to the same list, and have their turn.
+  -- Adds fields and members to the nodes from number `first` on. New nodes are appended
+  -- to the list of nodes, so that the loop reaches them, too.
   function clone_below(build, first)
     local nodes, i = build.plan.nodes, first
     while nodes[i] do
@@ -785,8 +783,8 @@ local function find_lca(a, b)
 end
 
 do
-  -- Returns the node that a path "a.b" from `def` leads to; nil and a reason if there
-  -- is none, with a hint at a node among `all` that may be meant.
+  -- Returns the node at the path "a.b" below `def`. If there is no such node, returns
+  -- nil and the reason, which may suggest a node from the list `all`.
   local function find_below(def, path, all)
     for name in (path .. "."):gmatch("([^.]*)%.") do
       local child = def.members[name]
@@ -806,9 +804,9 @@ do
   end
 
   -- Returns the node that a name in a transition of `composite` refers to:
-  -- (a) ".a.b" or "..a.b" is a path from the composite, (b) "a" is a node in it, or
-  -- "root" the root, (c) any other path begins at the root, with or without "root." in
-  -- front. A state in the root may be named "root", too.
+  -- (a) ".a.b" or "..a.b" is a path below the composite;
+  -- (b) "a" is a member of the composite; "root" is the root, unless a member has it;
+  -- (c) "a.b" or "root.a.b" is a path below the root, which may have a member "root".
   local function find_named(build, composite, name)
     local all, relative = build.plan.nodes, name:match("^%.%.?([^.].*)$")
     local root = all[1]
@@ -823,8 +821,8 @@ do
     return def or root.members.root and find_below(root, name, all), reason
   end
 
-  -- Returns the node that a table of the model, in place of a name, refers to. If the
-  -- table stands in several positions, the nearest one counts.
+  -- Returns the node for a reference by a table of the model, not by name. If the model
+  -- uses this table in several places, returns the node nearest to `composite`.
   local function find_mounted(build, composite, ref)
     local nearest, most, is_tie = nil, -1, false
     if build.fsm and is_node_of(build.fsm, ref) then
@@ -840,7 +838,7 @@ do
     return nearest, not nearest and "the table given is no part of this model" or nil
   end
 
-  -- Returns the node to which `src` or `tgt` of a transition refers; nil and a reason.
+  -- Returns the node to which `src` or `tgt` refers, or nil and a reason.
   local function find_end(build, def, field)
     local ref = def[field]
     if type(ref) == "string" then
@@ -869,13 +867,13 @@ do
     }
   end
 
-  -- Returns where a transition to `node` ends: a composite is entered at its `initial`.
-  -- If that is missing, adds a problem and returns nil.
+  -- Returns the node where a transition to `node` ends: for a composite, its `initial`.
+  -- If the composite has no `initial`, adds a problem and returns nil.
   function find_entrance(build, def, node)
     if node.kind == "connector" or node.is_leaf then return node end
     local initial = node.members.initial
     if initial and initial.kind == "connector" then return initial end
-    if node.parent == node then return nil end -- a problem of the root's own
+    if node.parent == node then return nil end -- `check_root` reports it
     add(build.problems, def, nil, "tgt '%s': the composite has no initial transition "
       .. "(rfsm.trans{ src='initial', tgt=... })%s", node.fqn,
       advise("regions", node.model))
@@ -894,8 +892,8 @@ do
     end
   end
 
-  -- Returns the node where a transition from `src` ends; nil and a reason; or `src`,
-  -- nil and true for an internal transition.
+  -- Returns the target of a transition from `src`, or nil and a reason. For an internal
+  -- transition returns `src`, nil and true.
   local function find_target(build, def, src)
     if def.tgt ~= "internal" or def.parent.members.internal then
       return find_end(build, def, "tgt")
@@ -905,12 +903,12 @@ do
     return src, nil, true
   end
 
-  -- Returns true if the transition has both ends.
+  -- Resolves the ends of a transition. Returns false if one of them is not found.
   local function resolve_transition(build, def)
     local src, src_reason = find_end(build, def, "src")
     if src and src.kind == "connector" then src.is_left = true end
     local tgt, tgt_reason, is_internal = find_target(build, def, src)
-    if not def.parent.is_leaf then -- there is a warning of those
+    if not def.parent.is_leaf then -- a leaf got a warning already
       if src_reason then add(build.problems, def, nil, src_reason) end
       if tgt_reason then add(build.problems, def, nil, tgt_reason) end
     end
@@ -921,8 +919,8 @@ do
     return true
   end
 
-  -- Resolves the transitions from number `first` on. Those that have a wrong reference
-  -- are dropped: inside a leaf that is only a warning.
+  -- Resolves the transitions from number `first` on. Transitions with a wrong reference
+  -- are dropped, since inside a leaf a wrong reference does not make `init` fail.
   function resolve(build, first)
     local transitions, kept = build.plan.transitions, first - 1
     for i = first, #transitions do create_initial(build, transitions[i]) end
@@ -939,24 +937,24 @@ end
 
 -- Compile: the structure becomes lists, shared by all machines of the model ------
 --
--- At init only the transitions of each node are listed. The rest is made when a leaf is
--- searched or a transition is taken for the first time, so that unused parts take
--- neither time nor memory. Callbacks are not compiled: each is read when it is called.
+-- At init only the outgoing transitions of each node are listed. Candidates and paths
+-- are listed when they are first needed, so that unused parts take neither time nor
+-- memory. Callbacks are not compiled: each is read when it is called.
 
 --- The structure that machines of a model share.
 ---@class rfsm.Plan
----@field model rfsm.State its source
+---@field model rfsm.State the model from which it was made
 ---@field nodes rfsm.Def[] parents before children, the root first
 ---@field transitions rfsm.Def[]
----@field trail table|false the notes of `make_trail`; false: only one machine uses it
----@field variant rfsm.Plan|false the latest one that preproc functions made of this one
----@field order rfsm.Def[]? in the order of `mapfsm`, once a preproc function has asked
+---@field trail table|false result of `make_trail`; false if one machine owns the plan
+---@field variant rfsm.Plan|false the latest plan that preproc functions made from it
+---@field order rfsm.Def[]? all definitions in the order of `mapfsm`, made on demand
 
 local compile, compile_transition, line_to
 
 do
-  -- The order in which the transitions of a node are tried: larger pn first, then the
-  -- one declared further out, then position in its table, then name.
+  -- Is transition `a` of a node tried before `b`? Larger pn first; then the transition
+  -- whose parent is less deep; then by FQN of the parent; then by position or name.
   local function tried_before(a, b)
     local a_pn, b_pn = a.pn or 0, b.pn or 0
     if a_pn ~= b_pn then return a_pn > b_pn end
@@ -965,8 +963,8 @@ do
     return key_before(a.id, b.id)
   end
 
-  -- The metatables of protos, by kind: they add the methods of the class. `tr.events`
-  -- is a new list at each access, since machines share the definition.
+  -- The metatables of protos, by kind. They add the methods of the class. `tr.events`
+  -- is a new list at each access, because machines share the list of the definition.
   local INHERITED = {
     state = { __index = State }, connector = { __index = Connector }, transition = {},
   }
@@ -996,8 +994,8 @@ do
     end
   end
 
-  -- Gives each node the list of its outgoing transitions, in order, and each definition
-  -- its proto. Returns the plan.
+  -- Gives each node the list of its outgoing transitions, in search order, and gives
+  -- each definition its proto. Returns the plan.
   function compile(plan)
     local nodes, transitions = plan.nodes, plan.transitions
     for i = 1, #nodes do
@@ -1017,14 +1015,14 @@ do
       if nodes[i].otrs[2] then sort(nodes[i].otrs, tried_before) end
     end
     nodes[1].plan = plan
-    -- The path of the first entry; if the root has states, only its beginning.
+    -- The path of the first entry begins here; a root without states needs no more.
     nodes[1].entrance = { from = nodes[1], segments = NONE, entered = nodes[1] }
     return plan
   end
 
-  -- Adds what a run reads to the definition of a transition, once, and returns it: the
-  -- states that are entered, outermost first, and the `lca`, the innermost state that
-  -- contains both ends and stays active. It may be the root.
+  -- Completes the definition of a transition when it is first needed, and returns it.
+  -- `entries` are the states that are entered, outermost first. `lca` is the innermost
+  -- state that contains both ends and stays active.
   function compile_transition(def)
     if def.connector ~= nil then return def end
     local tgt, entries = def.tgt, {}
@@ -1035,7 +1033,7 @@ do
       entries[i], state = state, state.parent
     end
     def.lca, def.entries = lca, entries
-    def.connector = tgt.kind == "connector" and tgt -- last: the others are set
+    def.connector = tgt.kind == "connector" and tgt -- set last: it marks completion
     return def
   end
 
@@ -1056,8 +1054,8 @@ local function new_plan(model, warnings, created)
   }
 end
 
--- Returns a copy of a plan, to be changed. Its definitions are new ones, in the same
--- order: parents before children.
+-- Returns a copy of a plan that the caller may change. Its definitions are copies in
+-- the same order: parents before children.
 local function copy_plan(plan)
   local copy = new_plan(plan.model, plan.warnings, plan.created)
   local nodes, transitions = copy.nodes, copy.transitions
@@ -1096,8 +1094,9 @@ local function each_table(plan, f)
   end
 end
 
--- Notes the keys and values of all tables of a model, in the order of `next`, each as a
--- number in `ids`: a comparison by `==` might call an `__eq`. A 0 ends a table.
+-- Records the keys and values of all tables of a model, in the order of `next`, so that
+-- `is_current` finds changes. Each is a number in `ids`, because a comparison of the
+-- values by `==` might call an `__eq`. A 0 ends a table.
 local function make_trail(plan)
   local ids, n, tables, trail, plain = {}, 0, {}, {}, {}
   local function id_of(value)
@@ -1141,19 +1140,19 @@ interpret(is_current)
 
 -- Machine: an instance of a plan ------------------------------------------------
 --
--- A machine is a tree of plain tables: children by name, transitions by position or
--- name, callbacks, `_parent`, `_otrs`, `_mode` and the user's data are raw. `_fqn`,
--- `_id`, `events`, `pn` are inherited from the definition.
+-- A machine is a tree of plain tables. Raw fields are the children by name, transitions
+-- by position or name, callbacks, `_parent`, `_otrs`, `_mode` and the user's data. The
+-- fields `_fqn`, `_id`, `events` and `pn` are inherited from the definition.
 --
--- The configuration is kept in the machine, and nowhere else: `_mode` of each state,
--- `_actchild` of each active composite, `_act_leaf`.
+-- The configuration is kept only in these fields: `_mode` of each state, `_actchild` of
+-- each active composite, and `_act_leaf` of the machine.
 
 local function silent() end
 
 local function no_events() return {} end
 
--- In a list of hooks this function stands for the hook in a field of the machine, such
--- as `pre_step_hook`, which a program may replace at any time.
+-- In a list of hooks OWN marks the place of the hook in a field of the machine, such as
+-- `pre_step_hook`. A program may set this field at any time.
 local function OWN() end
 
 local OWN_ONLY = { OWN }
@@ -1165,11 +1164,11 @@ local DEFAULTS = {
   _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
   _snapshot_hooks = false, _failure = false, _reset_wanted = false, _preparing = false,
   _emit = false, -- the function given to `set_emit`
-  _cuts = 0, -- iterations that an error has ended
+  _cuts = 0, -- number of iterations that an error has ended
 }
 
 do
-  -- Returns the `emit` of a machine: callbacks call it.
+  -- Returns the function `emit` of a machine, which callbacks call.
   local function new_emit(f)
     return function(name, data)
       if type(name) ~= "string" then
@@ -1181,8 +1180,9 @@ do
 
   DEFAULTS.emit = new_emit(silent)
 
-  --- Have f(name, data) called when callbacks of a machine or of its regions emit, for
-  -- hosts. Nobody listens otherwise. A region that is merged later emits there, too.
+  --- Have f(name, data) called when a callback of a machine or its regions emits.
+  --
+  -- For hosts. By default `emit` does nothing. Regions merged later are included.
   --
   ---@param fsm rfsm.Machine
   ---@param f fun(name: string, data: any)
@@ -1204,16 +1204,18 @@ local function own_fields()
     -- the structure
     ["_%def"] = false, _plan = false, _nodes = false, _transitions = {},
     -- the iteration, see "Run":
-    --   _path       the path under way, or taken since `took_path` was asked
-    --   _ways       what searches note about connectors; _search numbers the searches
-    --   _at         number of the action, or of the part of a doo cycle, begun last
-    --   _hook       number of the step hook begun last; -1: getevents was not asked
-    --   _given      events of getevents that are in no list yet
-    --   _outcome    free | counted | idle | refused: what the iteration was
-    --   _is_usual   nothing was interrupted, failed or reset: `iterate` may be quick
-    --   _is_lent    a callback may have kept the list of current events
-    --   _is_cut     an error has ended the iteration: the next step goes on with it
-    --   _is_hooked  a step hook, path hook or getevents was set once
+    --   _path       the path being taken, or the last one since `took_path` was called
+    --   _ways       notes about connectors, see `note_of`
+    --   _search     number of the current search
+    --   _at         number of the action (or part of a doo cycle) that was begun last
+    --   _hook       number of the step hook begun last; -1: getevents is not called yet
+    --   _given      events that getevents has returned and that are in no list yet
+    --   _outcome    counted | idle | free (events enabled no path, no step is counted)
+    --               | refused (the entry or a step hook failed)
+    --   _is_usual   true if `iterate` may be quick: no interrupt, error or reset before
+    --   _is_lent    true if a callback may have kept the list of current events
+    --   _is_cut     true if an error ended the iteration; the next step completes it
+    --   _is_hooked  true once a step hook, path hook or getevents was set
     _phase = "idle", _path = false, _ways = {}, _search = 0,
     _outcome = "free", _at = 0, _hook = 0, _is_usual = false, _is_cut = false,
     _given = false, _is_lent = false,
@@ -1221,7 +1223,7 @@ local function own_fields()
   }
 end
 
--- Functions that do not keep the list of events that they get.
+-- Functions given to `rfsm.borrows`: they do not keep the list of current events.
 local borrowers = setmetatable({}, { __mode = "k" })
 
 -- All machines, so that one access shows whether a value is a machine.
@@ -1229,8 +1231,8 @@ local machines = setmetatable({}, { __mode = "k" })
 
 Machine.__index = DEFAULTS
 
--- These fields of a machine are absent until a hook is set, so that `__newindex` is
--- called then.
+-- These fields of a machine are absent until a program sets them, so that `__newindex`
+-- is called for the assignment.
 local STEP_HOOKS = { getevents = true, pre_step_hook = true, post_step_hook = true }
 
 function Machine.__newindex(fsm, key, value)
@@ -1243,7 +1245,7 @@ function Machine.__newindex(fsm, key, value)
   rawset(fsm, key, value)
 end
 
--- Returns the copy of a value: of a plain table an empty one, filled by `clone_data`.
+-- Returns the value, but for a plain table a new table, which `clone_data` fills later.
 local function copy_of(copies, value, pending)
   if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
   if not copies[value] then
@@ -1252,7 +1254,7 @@ local function copy_of(copies, value, pending)
   return copies[value]
 end
 
--- Copies a plain table, nested to any depth: tables wait in a list, without recursion.
+-- Copies nested plain tables. They wait in the list `pending`, so any depth is allowed.
 local function clone_data(copies, value)
   local pending = {}
   local copy = copy_of(copies, value, pending)
@@ -1306,7 +1308,7 @@ local function list_otrs(fsm, plan)
   local transitions, nodes = fsm._transitions, fsm._nodes
   for i = 1, #plan.nodes do
     local otrs = plan.nodes[i].otrs
-    local list = { otrs[1] and transitions[otrs[1].index] } -- of the size of most lists
+    local list = { otrs[1] and transitions[otrs[1].index] } -- most have one
     for j = 2, #otrs do list[j] = transitions[otrs[j].index] end
     nodes[i]._otrs = list
   end
@@ -1350,7 +1352,7 @@ do
     dbg = silent, info = to_stdout, warn = to_stderr, err = to_stderr,
   }
 
-  -- Returns the function that a printer field means: true prints, false is silent.
+  -- Returns the function for a printer field's value: true prints, false is silent.
   function printer_of(fsm, name)
     local printer = fsm[name]
     if printer == nil then return DEFAULT_PRINTER[name] end
@@ -1360,8 +1362,8 @@ end
 
 --- Keep an error until the iteration is over, for extensions.
 --
--- `step` raises it then. If it is kept between two steps, the next one raises it. Of
--- several errors only the first is kept.
+-- Then `step` raises the error. If this is called between two steps, the next step
+-- raises the error. Of several errors only the first is kept.
 --
 ---@param fsm rfsm.Machine
 ---@param failure any
@@ -1405,10 +1407,9 @@ local function is_traced(fsm)
   return dbg and dbg ~= silent
 end
 
---- Did an interrupt such as Control-C raise the error, rather than a callback? It is
--- for the caller of `step` then. For extensions.
+--- Did an interrupt such as Control-C raise the error, not a callback? For extensions.
 --
--- Such an error is the text "interrupted!", alone or behind a position.
+-- `step` raises such an error. It is the text "interrupted!", maybe after a position.
 --
 ---@param failure any
 ---@return boolean
@@ -1417,8 +1418,8 @@ function rfsm.is_interrupt(failure)
     or failure:find("^[^\n]*:%d+: interrupted!$") ~= nil)
 end
 
--- Calls hooks of extensions from number `at` on, such as `_reset_hooks`. An error is
--- kept. This is no loop, because LuaJIT would not compile the loop of a host around it.
+-- Calls the hooks of a list, such as `_reset_hooks`, from number `at` on. Their errors
+-- are kept. It is recursive, as LuaJIT would not compile a host's loop around a loop.
 local function tell_from(at, fsm, hooks, ...)
   local ok, failure = pcall(hooks[at], fsm, ...)
   if not ok then keep_failure(fsm, failure) end
@@ -1433,8 +1434,8 @@ local function tell_watch(fsm, what, ...)
   if fsm._watch_hooks then return tell(fsm, fsm._watch_hooks[what], ...) end
 end
 
--- Reports that a callback has failed. For a doo `callback` is nil: its coroutine made
--- the call.
+-- Reports that a callback has failed. For a doo `callback` is nil, because the doo was
+-- called by its coroutine.
 local function report_callback(fsm, name, owner, callback, failure)
   if rfsm.is_interrupt(failure) then return keep_failure(fsm, failure) end
   if callback ~= nil and not is_callable(callback) then
@@ -1449,37 +1450,37 @@ end
 -- Run: one iteration after the other ----------------------------------------------
 --
 -- Between two iterations exactly one leaf is active, or none before the first entry.
--- `_phase` names what is under way:
+-- `_phase` is one of these:
 --
 --   idle     nothing: the machine waits for its caller
---   gather   the pending events and those of getevents become the current ones, the
---            pre step hooks are called
+--   gather   the pending events and the events of getevents become the current events,
+--            then the pre step hooks are called
 --   search   a path is chosen that the events enable
---   take     the actions of that path are performed
+--   take     the actions of the chosen path are performed
 --   doo      there is no path: a doo cycle is run
 --   finish   the post step hooks are called
 --
 -- Each phase ends in a call of the next one.
 --
--- An error that is no callback's own comes from a debug hook: Control-C, a host's limit
--- of time. It may come at any instruction, and reaches the caller of `step`; the
--- machine is marked as cut short. The next step repeats the phase, but for the
--- callbacks up to the one under way. One rule makes that right:
+-- An interrupt is an error that a debug hook raises: Control-C, or a host's time limit.
+-- It may come at any instruction. It reaches the caller of `step`, and the iteration is
+-- marked as cut short. The next step repeats the phase without the callbacks that were
+-- begun before the interrupt. One rule makes the repetition correct:
 --
 --   An action calls callbacks of one kind at most, changes the machine before it calls
 --   them, and notes its position right before each call.
 --
 -- The position is `_at` on a path and in a doo, `_hook` among the step hooks. So each
--- callback is called at most once, and what changes the machine may be repeated. Only
--- guards may be asked again.
+-- callback is called at most once, and changes of the machine may be repeated. Only
+-- guards may be called again.
 
 local compiled, conclude, path_of, perform
 local PHASES, search = {}, nil
 
 -- Gather ..........................................................................
 
--- Makes the current events pending again, before those in the queue. The phase becomes
--- idle first: if this is cut short, the next iteration finds the events in either list.
+-- Makes the current events pending again, ahead of the queue. The phase becomes idle
+-- first, so that after an interrupt here `take_queue` finds the events in either list.
 local function put_back(fsm)
   fsm._outcome = "refused"
   fsm._phase = "idle"
@@ -1487,16 +1488,16 @@ local function put_back(fsm)
   fsm._curq = {}
 end
 
--- Ends an iteration early, because a step hook or getevents has failed. If that was
--- before the search, its events are pending again.
+-- Ends an iteration early, because a step hook or getevents has failed. Before the
+-- search the current events become pending again; after it they are dropped.
 local function give_up(fsm, failure)
   if fsm._phase ~= "gather" then fsm._curq = {} end
   put_back(fsm)
   error(failure, 0)
 end
 
--- Returns the list of getevents, in which nils may be; nil and an error if it failed.
--- The list is noted in `_given` until it is appended, so that no interrupt loses it.
+-- Calls getevents. Returns its list, which may contain nils, or nil and an error. The
+-- list is kept in `_given` until it is appended, so that no interrupt loses it.
 local function ask_getevents(fsm)
   local getevents = fsm.getevents
   if fsm._given then return fsm._given end
@@ -1514,8 +1515,8 @@ local function ask_getevents(fsm)
   return nil, "rfsm.step: getevents: list of events expected, " .. got(events)
 end
 
--- Appends the events of getevents. If this is cut short they are appended again, which
--- changes nothing: the events of an iteration are a set.
+-- Appends the events of getevents. After an interrupt they are appended again, without
+-- harm: an event that is current twice has the effect of one.
 local function append_getevents(fsm, list)
   local events, failure = ask_getevents(fsm)
   if not events then give_up(fsm, failure) end
@@ -1523,7 +1524,7 @@ local function append_getevents(fsm, list)
   fsm._given = false
 end
 
--- Calls the step hooks behind number `_hook`.
+-- Calls the step hooks after number `_hook`, which was begun last.
 local function run_hooks(fsm, hooks, slot)
   for i = fsm._hook + 1, #hooks do
     local hook = hooks[i]
@@ -1540,8 +1541,8 @@ local function run_hooks(fsm, hooks, slot)
   end
 end
 
--- Asks getevents, unless that was done before an interrupt, and calls the pre step
--- hooks. The current events are those that were pending.
+-- Calls getevents, unless it was called before an interrupt, then the pre step hooks.
+-- The pending events have become the current events already.
 local function ask_hooks(fsm)
   if fsm._hook < 0 or fsm._given then
     fsm._hook = 0
@@ -1553,7 +1554,7 @@ local function ask_hooks(fsm)
   fsm._phase = "search"
 end
 
--- Makes a machine as it was after init, but for the events of the current iteration.
+-- Resets a machine as if it were new, but keeps the events of the current iteration.
 local function reset_now(fsm)
   for _, node in ipairs(fsm._nodes) do
     if node._mode then
@@ -1567,9 +1568,9 @@ local function reset_now(fsm)
   fsm._reset_wanted = false
 end
 
--- Makes the pending events current: the queue and the list of the last iteration, which
--- is empty, change places. If that was cut short before, both fields have one list, or
--- the list of the last iteration has events, which come first.
+-- Makes the pending events current: swaps the queue `_intq` with `_curq`, an empty
+-- list. After an interrupt both fields may have the same list, or `_curq` may have
+-- events, which come first.
 local function take_queue(fsm)
   local queue, spare = fsm._intq, fsm._curq
   if rawequal(queue, spare) or spare[1] ~= nil then
@@ -1594,7 +1595,7 @@ end
 --
 -- A search that was cut short is done again: guards must not have side effects.
 
--- Is one of `events` among those of the transition, or accepted by a predicate there?
+-- Does the transition name one of `events`, or accept one by a predicate?
 local function matches(def, events)
   local wanted = def.events
   if not wanted then return true end
