@@ -1612,8 +1612,8 @@ local function matches(def, events)
   return false
 end
 
--- Returns a definition with the target that a program has set in a transition of the
--- machine. It is made once for each target. Nil if that is no node of the machine.
+-- Returns a definition with `tgt`, which a program has set in a transition, as target.
+-- It is made once for each target. Returns nil if `tgt` is no node of the machine.
 local function retarget(fsm, def, tgt)
   local node = is_node(tgt) and getmetatable(tgt)["_%def"]
   if rawequal(tgt, fsm) then node = fsm._plan.nodes[1] end
@@ -1624,7 +1624,7 @@ local function retarget(fsm, def, tgt)
   end
   if node.kind == "state" and not node.is_leaf then node = node.members.initial end
   if not node then return nil end
-  def = fsm._plan.transitions[def.index] -- a guard may have merged something
+  def = fsm._plan.transitions[def.index] -- a guard may have called fsm_merge
   def.aimed = def.aimed or {}
   def.aimed[node] = def.aimed[node] or compile_transition {
     kind = "transition", index = def.index, id = def.id, parent = def.parent,
@@ -1641,8 +1641,8 @@ local function refuse_guard(fsm, tr, guard, failure)
   return false
 end
 
--- Asks the guard of a transition whose events match. Returns its definition, or that of
--- `retarget` if a program has set another target; nil if the guard returns false.
+-- Calls the guard of a transition whose events match. Returns nil if the guard returns
+-- false. Otherwise returns the definition, from `retarget` if the target was changed.
 local function ask(fsm, def, events)
   local tr = fsm._transitions[def.index]
   local guard = tr.guard
@@ -1657,9 +1657,9 @@ local function ask(fsm, def, events)
   return def
 end
 
--- Returns the note of a machine about a connector: `search` is the number of the last
--- search that came there, `way` the transition by which its path goes on from there,
--- false while none is found. `fsm._search` is the number of the current search.
+-- Returns the note of a machine about a connector. `search` is the number of the last
+-- search that reached the connector (the current one is `fsm._search`). `way` is the
+-- transition with which the path continues there, false if none was found.
 local function note_of(fsm, connector)
   local note = fsm._ways[connector] or { search = 0, way = false }
   fsm._ways[connector] = note
@@ -1674,8 +1674,8 @@ end
 local lead
 
 -- Finds the way out of a connector, once in each search: its first transition that is
--- enabled and leads on. Further ones of the same priority are asked, too, to warn of a
--- conflict. Until a way is noted the connector has none, so that cycles end.
+-- enabled and leads to a leaf. Others of the same priority are tried, too, to warn of a
+-- conflict. During the search `note.way` is false, so that cycles of connectors end.
 local function find_way(fsm, connector, note, events)
   local way, pn, others = false, nil, nil
   note.search, note.way = fsm._search, false
@@ -1692,8 +1692,8 @@ local function find_way(fsm, connector, note, events)
   note.way = way
 end
 
--- Returns the definition of a transition that is enabled, if its target is a leaf or a
--- connector with a way out; else nil.
+-- Returns `def`, an enabled transition, if its target is a leaf or a connector with a
+-- way out. Otherwise returns nil.
 function lead(fsm, def, events)
   if not (def and def.connector) then return def end
   local note = note_of(fsm, def.connector)
@@ -1701,8 +1701,8 @@ function lead(fsm, def, events)
   return note.way and def or nil
 end
 
--- Returns the first transition of a list that is enabled; nil if there is none, or if a
--- guard has merged something, after which the list is out of date.
+-- Returns the first enabled transition of a list. Returns nil if there is none, or if a
+-- guard has called `fsm_merge`: the list is out of date then.
 local function first_enabled(fsm, list, events)
   local plan = fsm._plan
   for i = 1, #list do
@@ -1733,12 +1733,13 @@ do
     if traces then report(fsm, "dbg", "TRANSITION", "no enabled paths found") end
   end
 
-  local OTHER = {} -- stands for all events that no transition from the leaf names
+  local OTHER = {} -- the key for all events that no transition names
   local NO_CHOICE = { run = false, run_hooked = false, find = false }
 
-  -- Makes the choice of each event while a leaf is active: the list of its candidates,
-  -- the transitions that it may trigger, in the order they are tried in. `ignored` is
-  -- the leaf's e_done if no transition waits for it, else NaN, which equals no event.
+  -- Makes `leaf.choices`: for each event the list of candidates, which are the
+  -- transitions that it may trigger while the leaf is active, in search order.
+  -- `leaf.ignored` is the leaf's e_done if no transition reacts to it. Otherwise it is
+  -- NaN, which equals no event.
   function list_choices(leaf)
     local choices, lists = { [OTHER] = {} }, {}
     lists[1] = choices[OTHER]
@@ -1771,7 +1772,7 @@ do
     return choices[event] or choices[OTHER]
   end
 
-  -- Returns the candidates of some events; nil if two events have different ones.
+  -- Returns the candidates for `events`; nil if two events have different candidates.
   local function candidates_of(leaf, events)
     local common = NONE
     for i = 1, #events do
@@ -1784,9 +1785,9 @@ do
     return common
   end
 
-  -- Returns the transition that the events enable, nil if there is none. Only the
-  -- `candidates` are asked, if they are known. If a guard merges something into the
-  -- machine, the search is done again, once.
+  -- Returns the transition that the events enable, or nil. If `candidates` are given,
+  -- no other transitions are tried. If a guard calls `fsm_merge`, the search is
+  -- repeated once.
   function choose(fsm, leaf, events, candidates, is_again)
     local plan, find, from = fsm._plan, choose_by_node, leaf["_%def"]
     if not candidates then
@@ -1805,8 +1806,8 @@ do
   end
 end
 
--- Warns of events that were sent before the first entry, which consumes them, and that
--- its path does not name.
+-- Warns of events that are lost: they were sent before the first entry, the entry
+-- consumes them, and no transition of its path names them.
 local function warn_of_lost_events(fsm, path, events)
   if rfsm.is_strict(fsm) then return end -- rfsm/strict.lua has warned already
   local lost = {}
@@ -1852,7 +1853,7 @@ local function innermost(fsm)
   return state
 end
 
--- Takes a path. `leaf` is the active one, nil at the first entry.
+-- Takes a path. `leaf` is the active leaf, or nil at the first entry.
 local function take_path(fsm, leaf, path)
   local name, run = fsm._is_hooked and "run_hooked" or "run", false
   if leaf and fsm.dbg == silent then run = path[name] or compiled(path, name) end
@@ -1867,8 +1868,8 @@ local function take_path(fsm, leaf, path)
   return conclude(fsm, "counted")
 end
 
--- Goes on after the search from a leaf: takes the path of the transition that was
--- found. If there is none, runs the doo or ends the iteration.
+-- Continues after a search from a leaf: takes the path that begins with `def`, the
+-- transition found. If `def` is nil, runs the doo or ends the iteration.
 local function follow(fsm, after_free, leaf, def)
   if fsm._act_leaf ~= leaf then -- a guard has moved the machine
     leaf = innermost(fsm)
@@ -1883,7 +1884,7 @@ local function follow(fsm, after_free, leaf, def)
   return conclude(fsm, "free")
 end
 
--- The phase "search". `choice` has the candidates, if they are known.
+-- The phase "search". `choice` is the list of candidates, or nil if it is not known.
 function search(fsm, after_free, choice)
   local leaf, events = fsm._act_leaf, fsm._curq
   if leaf then
@@ -1896,11 +1897,11 @@ end
 
 -- Take: the actions of a path .....................................................
 --
--- A path has a flat list of actions, functions f(fsm, arg, at), and a list with `arg`
--- for each of them, usually a definition. `at` is the position in both lists.
+-- A path has a flat list of actions, which are functions f(fsm, arg, at), and a second
+-- list with the `arg` of each action, usually a definition. `at` is the position.
 
--- Calls hooks of extensions, in the action at position `at`. Each hook has a position
--- of its own, a fraction between the last action and this one.
+-- Calls hooks of extensions in the action at position `at`. Each hook gets a fractional
+-- position after `at - 1`, so that no hook is called again after an interrupt.
 local function call_hooks(fsm, hooks, what, at)
   for i = 1, #hooks do
     local number = at - 1 + i / #hooks
@@ -1912,8 +1913,8 @@ local function call_hooks(fsm, hooks, what, at)
   end
 end
 
--- Calls the path hooks with the list of the transitions that are about to be taken. It
--- is empty at the entry of a root without states.
+-- Calls the path hooks with the list of the transitions that are about to be taken. The
+-- list is empty at the entry of a root without states.
 local function show_path(fsm, path, at)
   if not fsm._path_hooks then return end
   local list = {}
@@ -1921,7 +1922,7 @@ local function show_path(fsm, path, at)
   call_hooks(fsm, fsm._path_hooks, list, at)
 end
 
--- Actions that trace a record, by its kind.
+-- Actions that report a record of the trace to `dbg`, by kind of record.
 local recorders = {}
 
 do
@@ -1930,10 +1931,10 @@ do
     return node.fqn .. (node.is_leaf and "[LS]" or "[CS]")
   end
 
-  -- The records of a trace, by kind. Each returns the id of the record, then its texts.
+  -- Makers of trace records, by kind. Each returns the record's id, then its texts.
   local RECORDS = {}
 
-  -- root.a[LS]->root.k[c]->root.b[LS]
+  -- Example: root.a[LS]->root.k[c]->root.b[LS]
   function RECORDS.path(path)
     local text = path.text or label_of(path.segments[1].src)
     for _, def in ipairs(path.text and NONE or path.segments) do
@@ -1944,7 +1945,7 @@ do
   end
 
   function RECORDS.exits(def)
-    local outermost = line_to(def.src)[def.lca.depth + 2] or def.src -- of the root
+    local outermost = line_to(def.src)[def.lca.depth + 2] or def.src -- the root
     return "TRANS_EXIT", "exiting all up to (including):", outermost.fqn, ", lca:",
       def.lca.fqn
   end
@@ -2024,8 +2025,8 @@ local function become_leaf(fsm, def, at)
   if not leaf.doo then recorders.done(fsm, def, at) end
 end
 
--- A leaf without doo is done at once. If this is cut short, e_done may be queued twice,
--- which changes nothing: the events of an iteration are a set.
+-- A leaf without doo is done at once. After an interrupt e_done may be queued twice,
+-- without harm: an event that is current twice has the effect of one.
 local function be_done(fsm, def, at)
   local leaf, queue = fsm._nodes[def.index], fsm._intq
   if leaf.doo then return end
@@ -2067,7 +2068,7 @@ do
 
   local shapes = {} -- a tree of all lists of actions; each level has the next action
 
-  -- Returns a list with the same actions, which all paths of this shape share.
+  -- Returns an equal list of actions. All paths with the same actions share this list.
   local function shared(actions)
     local at = shapes
     for _, action in ipairs(actions) do
@@ -2078,8 +2079,8 @@ do
     return at.list
   end
 
-  -- Each segment: (a) the states up to the lca are left, (b) the effect is run,
-  -- (c) those down to the target are entered.
+  -- Lists for each segment (a) the exits of the states below the lca, (b) the effect,
+  -- (c) the entries of the states from below the lca to the target.
   function list_actions(path)
     local from, list = path.from, { actions = {}, args = {} }
     add_action(list, show_path, path)
@@ -2108,9 +2109,9 @@ local function new_path(at, def)
   return path
 end
 
--- Returns the path from `at` with the transition `def` and those out of its connectors.
--- Paths are kept in a tree. `at` is the beginning of a path (a leaf, or the entrance of
--- the root) or the part of it that is there already.
+-- Returns the path that continues `at` with the transition `def` and, at each connector
+-- reached, with the transition noted in `ways`. Paths are kept in a tree. Its roots are
+-- the leaves and the entrance of the root state; `at` is a root or a part of a path.
 function path_of(at, def, ways)
   if def then -- no loop, because LuaJIT would not compile a loop around this one
     at = at.paths and at.paths[def] or new_path(at, def)
@@ -2120,7 +2121,7 @@ function path_of(at, def, ways)
   return at
 end
 
--- Performs the actions of `_path` behind the one that was begun last. Returns true.
+-- Performs the actions of `_path` after the one that was begun last. Returns true.
 function perform(fsm)
   local path, begun = fsm._path, fsm._at
   local actions, args = path.actions, path.args
@@ -2150,8 +2151,8 @@ do
     }
   end
 
-  -- Loads rfsm/fast.lua. Whatever prevents that, such as too little memory, machines do
-  -- without it.
+  -- Loads rfsm/fast.lua. If that fails, for example for lack of memory, machines work
+  -- without this file.
   function load_fast()
     if fast ~= nil then return end
     local ok, made = pcall(make_fast)
@@ -2163,13 +2164,13 @@ do
 
   local OFTEN = 3 -- a path or list that is used more often is compiled
 
-  -- Has rfsm/fast.lua make a function for a path or a list of candidates, and keeps it
-  -- in a field of that; false if there is none:
+  -- Has rfsm/fast.lua make a function for `at`, a path or a list of candidates. The
+  -- function is kept in one of these fields, which is false if none can be made:
   --
   --   path.run, path.run_hooked   f(fsm, is_chosen) takes the path. If no search has
-  --                               chosen it, and a transition has a guard or another
-  --                               target, a search is needed: it only returns false
-  --   list.find                   as `first_enabled`
+  --                               chosen the path, and a guard or a changed target
+  --                               requires a search, f does nothing and returns false
+  --   list.find                   does the same as `first_enabled`
   local function compile_text(at, name)
     local ok, f = pcall(fast and fast[name] or silent, at)
     if not ok and f ~= "not enough memory" then error(f, 0) end
@@ -2177,7 +2178,8 @@ do
     return at[name]
   end
 
-  -- Returns that function, false before it has been asked for more than OFTEN times.
+  -- Returns the function in the field `name` of `at`, a path or a list of candidates.
+  -- It is compiled after OFTEN calls; until then the result is false.
   function compiled(at, name)
     if at[name] ~= nil then return at[name] end
     at.used = (at.used or 0) + 1
@@ -2185,10 +2187,10 @@ do
     return compile_text(at, name)
   end
 
-  -- Returns the path that is taken whenever the transition `def` is the only candidate:
-  -- each connector on it has a single transition, without events. The function made of
-  -- it looks for guards and other targets. Nil if there is no such path, or if it has
-  -- more than ten segments: connectors may form a cycle.
+  -- Returns the only path that can begin with the transition `def`: each connector on
+  -- it has a single transition, without events. (The function compiled from the path
+  -- checks guards and changed targets.) Returns nil if there is no such path, or if it
+  -- has more than ten segments, because connectors may form a cycle.
   local function straight_path(leaf, def)
     local first, ways, count = compile_transition(def), {}, 1
     while def.connector do
@@ -2200,9 +2202,9 @@ do
     return path_of(leaf, first, ways)
   end
 
-  -- Returns the function of the path that is taken without a search, because a list has
-  -- one candidate and that leads to one path; false if not, or not yet compiled. The
-  -- list keeps the answer once it is final.
+  -- Returns the function that takes a path without a search, if `choice` has only one
+  -- candidate and this candidate has only one path. Otherwise, or if the function is
+  -- not compiled yet, returns false. `choice` keeps the result when it is final.
   function quick_run(leaf, choice, name)
     local def = choice[1]
     local path = def and not (choice[2] or def.is_asked) and straight_path(leaf, def)
@@ -2211,12 +2213,12 @@ do
     return run
   end
 
-  -- `rfsm.prepare` makes at most so many paths for a leaf and an event, and at most so
-  -- many segments of a path.
+  -- Limits of `rfsm.prepare`: the number of paths for a leaf and an event, and the
+  -- number of segments in a path.
   local MOST_PATHS, MOST_SEGMENTS = 50, 6
   local paths_left = 0
 
-  -- Makes the paths that go on from `at` with transition `def`, and their functions.
+  -- Makes the paths that continue `at` with transition `def`, and compiles them.
   local function prepare_paths(at, def, name)
     local path = at.paths and at.paths[def] or new_path(at, def)
     local connector = compile_transition(def).connector
@@ -2229,7 +2231,7 @@ do
     end
   end
 
-  -- The same for the paths that begin with one of a list of transitions.
+  -- Makes and compiles the paths that continue `at` with each transition of a list.
   local function prepare_list(at, list, name)
     paths_left = MOST_PATHS
     for _, def in ipairs(list) do prepare_paths(at, def, name) end
@@ -2256,7 +2258,7 @@ end
 local run_doo
 
 do
-  -- The coroutine is dropped last: if a doo's end is cut short, it is done again.
+  -- The coroutine is dropped last, so that after an interrupt the failure is handled.
   local function fail_doo(fsm, leaf, failure)
     report_callback(fsm, "doo", leaf, nil, failure)
     leaf._doo_co = nil
@@ -2282,8 +2284,8 @@ do
     leaf._doo_co = nil
   end
 
-  -- Makes the coroutine of a leaf's doo. Returns nil if there is none, which completes
-  -- the leaf, or if there are no coroutines: the doo has failed then.
+  -- Makes the coroutine of a leaf's doo. Returns nil if the leaf has no doo, which
+  -- completes it, or if this Lua has no coroutines, which makes the doo fail.
   local function start_doo(fsm, leaf)
     local doo = leaf.doo
     if not doo then return complete(fsm, leaf) end
@@ -2301,9 +2303,9 @@ do
 
   local resume, status = coroutine and coroutine.resume, coroutine and coroutine.status
 
-  -- Runs one cycle of the active leaf's doo; returns true if it is idle or done. `_at`
-  -- is 1 from the resume on, 2 once watch hooks know of its end, 3 once getevents was
-  -- asked again. If a doo fails, its leaf is done at once, and never raises e_done.
+  -- Runs one cycle of the active leaf's doo. Returns true if the doo is idle or done.
+  -- `_at` is 1 when the doo is resumed, 2 when watch hooks are called at its end, 3 when
+  -- getevents is called. If a doo fails, its leaf is done at once, without e_done.
   function run_doo(fsm, leaf)
     local co = leaf._doo_co or leaf._mode ~= "done" and start_doo(fsm, leaf)
     if not co then return true end
@@ -2381,7 +2383,8 @@ end
 local iterate
 
 do
-  -- Makes one iteration of a machine with hooks. The pending events are current now.
+  -- Makes one iteration of a machine with hooks. The caller has made the pending events
+  -- current.
   local function iterate_hooked(fsm, after_free)
     fsm._hook = -1
     fsm._phase = "gather"
@@ -2418,8 +2421,8 @@ do
     return true, idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
   end
 
-  -- Returns the function of the path that a search has found; nil if there is none, or
-  -- if a guard has made this iteration an unusual one.
+  -- Returns the function of the path that a search has found. Returns nil if it is not
+  -- compiled, or if the iteration is no longer a usual one because of a guard.
   local function found_run(fsm, leaf, def)
     if not fsm._is_usual or fsm.dbg ~= silent or fsm._act_leaf ~= leaf then
       return nil
@@ -2427,10 +2430,10 @@ do
     return path_of(leaf["_%def"], def, fsm._ways).run
   end
 
-  -- Makes one iteration. Returns nil if the machine cannot be entered, else whether the
-  -- iteration counts as a step and whether the machine is idle. `after_free`: the last
-  -- iteration did not count. The two lists of events change places; if an interrupt
-  -- cuts that short, `take_queue` repairs it in the next iteration.
+  -- Makes one iteration. Returns two booleans: the iteration counts as a step; the
+  -- machine is idle. Returns nil if the machine cannot be entered. `after_free` is true
+  -- if the last iteration did not count. The two lists of events are swapped. If an
+  -- interrupt cuts the swap short, `take_queue` repairs it in the next iteration.
   function iterate(fsm, after_free) -- luacheck: ignore 561 (a call would cost)
     local leaf = fsm._act_leaf
     if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
@@ -2476,9 +2479,9 @@ do
   end
 end
 
--- Marks that an error has ended the iteration, and raises it: one that was kept, one of
--- a step hook, or one that is no callback's own. Without the mark `_is_cut` the machine
--- would look as if its step were still under way.
+-- Raises an error that has ended an iteration: a kept error, an error of a step hook or
+-- an interrupt. The mark `_is_cut` shows that no step is under way any more, although
+-- the phase may not be "idle".
 local function raise_cut(fsm, failure)
   fsm._cuts = fsm._cuts + 1
   fsm._is_usual = false
@@ -2488,8 +2491,8 @@ end
 
 -- Build: a plan of a model, and a machine of the plan -------------------------------
 
--- Accepts a machine whose tables were all copied by a program. Its plan is a copy, too,
--- but the metatables of its elements belong to the original plan: it gets that one.
+-- Accepts a machine that is a program's deep copy. Its plan is a copy, too, but the
+-- metatables of its elements belong to the original plan, so it gets the original.
 local function adopt_copy(fsm)
   local node = fsm._nodes[2]
   local root = node and node["_%def"].parent or fsm["_%def"]
@@ -2500,11 +2503,11 @@ end
 --- Raise an error that blames the caller, unless `fsm` is a machine; for extensions.
 ---@param fsm any
 ---@param where string the public function, such as "rfsm.step"
----@param level? integer the function to blame: 3, the default, for the caller's caller
+---@param level? integer level of `error`; default 3, which blames the caller's caller
 function rfsm.check_machine(fsm, where, level)
   if machines[fsm] then return end
   if rawequal(getmetatable(fsm), Machine) and rawget(fsm, "_initialized") then
-    if not fsm._preparing then adopt_copy(fsm) end -- else `init` goes on with it
+    if not fsm._preparing then adopt_copy(fsm) end -- else `init` is not over
     return
   end
   local hint = is_state(fsm) and (rawget(fsm, "_initialized")
@@ -2516,8 +2519,8 @@ local check_machine = rfsm.check_machine
 
 --- Return a table that machines of the same structure share, for extensions.
 --
--- A machine has another table after `fsm_merge`, and after a preproc function has
--- changed its transitions.
+-- A machine gets another table from `fsm_merge`, and when a preproc function changes
+-- its transitions.
 --
 ---@param fsm rfsm.Machine
 ---@return table structure
@@ -2530,7 +2533,7 @@ local function check_function(f, where)
   if not is_callable(f) then error(where .. ": function expected, " .. got(f), 3) end
 end
 
--- Returns a text with padded digits, so that trans[10] is sorted after trans[2].
+-- Pads the numbers in a text with zeros, so that trans[10] is sorted after trans[2].
 local function natural(text)
   return (text:gsub("%d+", function(n) return ("0"):rep(12 - #n) .. n end))
 end
@@ -2554,12 +2557,12 @@ local function summary(where, problems)
     #problems == 1 and "" or "s", concat(problems, "\n  "), hint)
 end
 
---- Return where an element stands: "chart.lua:7: root.trans[2] (off -> on)".
+--- Return the location of an element: "chart.lua:7: root.trans[2] (off -> on)".
 --
--- File and line are those where its constructor was called; they may not be known.
+-- Its constructor was called at this file and line. They are omitted if not known.
 --
 ---@param obj rfsm.State|rfsm.Transition|rfsm.Connector an element of a machine
----@param field? string of the element: "root.trans[2].events (off -> on)"
+---@param field? string a field to include: "root.trans[2].events (off -> on)"
 ---@return string location
 function rfsm.location_of(obj, field)
   local def = obj["_%def"]
@@ -2570,8 +2573,8 @@ end
 local build_plan, new_build, plan_of
 
 do
-  -- The plans of models. A plan is kept by its machines; the latest plan is kept in any
-  -- case, for programs that drop each machine before they make the next.
+  -- Model -> plan, a weak table. Machines keep their plan alive. `latest_plan` keeps
+  -- one more, for programs that drop each machine before they make the next.
   local plans, latest_plan = setmetatable({}, { __mode = "kv" }), nil
   local is_sparing = false
 
@@ -2581,7 +2584,7 @@ do
       created = plan.created, mounts = {} }
   end
 
-  -- Leaves out the user's data at the root that has the name of a field of machines.
+  -- Removes user data of the root whose key is also a field of every machine.
   local function drop_taken_names(build, root)
     local taken, data = own_fields(), root.data
     root.data = {}
@@ -2596,7 +2599,7 @@ do
     end
   end
 
-  -- Reports each `initial` that no transition leaves: nothing could enter there.
+  -- Reports each `initial` that no transition leaves: its composite cannot be entered.
   local function check_ways_in(build)
     for _, def in ipairs(build.plan.nodes) do
       if def.id == "initial" and def.kind == "connector" and not def.is_left then
@@ -2634,7 +2637,7 @@ do
     return build
   end
 
-  -- Returns the plan of a model; nil and the problems if it has any.
+  -- Returns the plan of a model. If the model has problems, returns nil and their list.
   function plan_of(model)
     local plan = plans[model]
     if plan and is_current(plan) then return plan end
@@ -2647,10 +2650,10 @@ do
     return latest_plan
   end
 
-  --- Take less memory from now on, and more time: for all machines of this Lua.
+  --- Use less memory and more time from now on, for all machines of this Lua state.
   --
-  -- Nothing is compiled by rfsm/fast.lua, and each `init` makes a plan of its own,
-  -- which is not kept longer than its machine.
+  -- rfsm/fast.lua compiles nothing more. Each `init` makes a new plan, which is dropped
+  -- with its machine.
   function rfsm.save_memory()
     drop_fast()
     is_sparing, latest_plan = true, nil
@@ -2681,7 +2684,7 @@ local function report_lines(fsm, name, list)
   end
 end
 
--- Returns the set of the composites that a transition leaves from inside.
+-- Returns the set of composites that are left by a transition from a node inside.
 local function left_composites(plan)
   local left = {}
   for _, def in ipairs(plan.transitions) do
@@ -2691,14 +2694,15 @@ local function left_composites(plan)
   return left
 end
 
--- Does a transition leave a composite around a state, and the state with it?
+-- Does a composite that contains the state `def` have an outgoing transition?
 local function is_left_around(def)
   local around = def.parent
   while around ~= around.parent and not around.otrs[1] do around = around.parent end
   return def.kind == "state" and around.otrs[1] ~= nil
 end
 
--- Warns of the nodes, from number `first` on, that nothing leaves.
+-- Warns of the nodes, from number `first` on, that no transition leaves. Returns true
+-- if there are none.
 local function report_dead_ends(fsm, first)
   local plan, dead, left = fsm._plan, {}, nil
   for i = first, #plan.nodes do
@@ -2714,7 +2718,8 @@ local function report_dead_ends(fsm, first)
   return dead[1] == nil
 end
 
--- Reports the warnings of the model, and what is odd after the preproc functions.
+-- Reports the warnings of the model, then suspicious guards and events, which preproc
+-- functions may have changed.
 local function report_findings(fsm, first_node, first_transition)
   local plan, found = fsm._plan, append({}, fsm._plan.warnings)
   for i = first_node, #plan.nodes do
@@ -2736,14 +2741,15 @@ end
 --
 -- They run after names are resolved and before events are indexed, and may change
 -- `events`, `pn`, `src`, `tgt` and callbacks. `rfsm.fsm_merge` calls them again with
--- the element that it added. A list of texts "location: problem" that one returns
--- counts among the model's problems.
+-- the element that it added. A function may return a list of texts "location:
+-- problem", which are added to the problems of the model.
 --
 ---@type (fun(fsm: rfsm.Machine, merged?: table): string[]?)[]
 rfsm.preproc = {}
 
---- Functions `f(event)` of extensions that make events. Each returns the extension's
--- name if the event is its own, and the FQN of the state that has to be active, if any.
+--- Functions `f(event)` of extensions that raise events. If `event` is raised by its
+-- extension, f returns the extension's name. A second result is optional: the FQN of
+-- the state that must be active for the event.
 ---@type (fun(event: string): string?, string?)[]
 rfsm.makers = {}
 
@@ -2751,7 +2757,7 @@ local preprocess
 
 do
   -- Gives each transition the fields `events` and `pn`, which a preproc function may
-  -- change. It has them already if such a function is merging something.
+  -- change. The fields exist already if a preproc function has called `fsm_merge`.
   local function hand_out(fsm, plan)
     for i, tr in ipairs(fsm._transitions) do
       local def = plan.transitions[i]
@@ -2760,7 +2766,7 @@ do
     end
   end
 
-  -- Returns the field that got a wrong value from a preproc function.
+  -- Returns the name of a field with a wrong value from a preproc function; else false.
   local function wrong_field(fsm, tr)
     local events, pn = tr.events or NONE, rawget(tr, "pn") or 0
     if type(events) ~= "table" and type(events) ~= "string" then return "events" end
@@ -2769,8 +2775,8 @@ do
     return not is_node_of(fsm, tr.tgt) and "tgt"
   end
 
-  -- Gives the fields of a transition the form that a plan has: a list of events, a
-  -- target that is no composite. Returns a problem if there is one.
+  -- Converts the fields of a transition into the form of a plan: a list of events, and
+  -- a target that is no composite. Returns the text of a problem, or nil.
   local function check_transition(fsm, tr)
     local wrong = wrong_field(fsm, tr)
     if wrong then
@@ -2790,7 +2796,7 @@ do
     tr.events = type(events) == "string" and { events } or events
   end
 
-  -- Has each transition of a machine the ends, the priority and the events of a plan?
+  -- Do all transitions of a machine have the ends, priority and events of the plan?
   local function fits(fsm, plan)
     local nodes = fsm._nodes
     for i, tr in ipairs(fsm._transitions) do
@@ -2809,14 +2815,14 @@ do
     return true
   end
 
-  -- Returns the plan that fits a machine: the latest variant or the plan itself.
+  -- Returns the latest variant or the plan itself, if it fits the machine; else nil.
   local function find_plan(fsm, plan)
     if plan.variant and fits(fsm, plan.variant) then return plan.variant end
     return fits(fsm, plan) and plan or nil
   end
 
-  -- Returns a plan with the definitions of one that only this machine uses, and drops
-  -- what was compiled of them.
+  -- Returns a new plan with the definitions of `plan`, which no other machine uses, and
+  -- drops their compiled fields.
   local function renewed(plan)
     local variant = new_plan(plan.model, plan.warnings, plan.created)
     variant.nodes, variant.transitions = plan.nodes, plan.transitions
@@ -2827,7 +2833,7 @@ do
     return variant
   end
 
-  -- Returns a plan whose transitions are what the preproc functions have made of them.
+  -- Returns a new plan with the transitions as the preproc functions have changed them.
   local function new_variant(fsm, plan)
     local variant = plan.trail and copy_plan(plan) or renewed(plan)
     for i, tr in ipairs(fsm._transitions) do
@@ -2842,8 +2848,8 @@ do
     return variant
   end
 
-  -- Gives the machine the plan of what the preproc functions have made of its
-  -- transitions. Machines with the same result share it.
+  -- Gives the machine a plan that fits its transitions after the preproc functions.
+  -- Machines with equal transitions share this plan.
   local function take_results(fsm, plan, problems)
     local found = find_plan(fsm, plan)
     if not found then
@@ -2856,9 +2862,9 @@ do
     if found ~= plan then use_plan(fsm, found) end
   end
 
-  -- Runs the preproc functions; returns the problems they found. If one of them merges
-  -- an element, only those before it are called for the element: the others see it
-  -- anyway, in their turn.
+  -- Runs the preproc functions and returns the problems they found. If one of them
+  -- calls `fsm_merge`, only the functions before it are called for the new element,
+  -- because the later ones are still to be called for the whole machine.
   function preprocess(fsm, merged)
     local problems, outer = {}, fsm._preparing
     local last = outer and outer - 1 or #rfsm.preproc
@@ -2876,7 +2882,7 @@ do
   end
 end
 
---- Is a machine strict, by its root or by the environment? For extensions.
+--- Is a machine strict, by `strict` of its root or RFSM_STRICT=1? For extensions.
 ---@param root rfsm.State a root state or a machine
 ---@return boolean
 function rfsm.is_strict(root)
@@ -2900,9 +2906,9 @@ end
 -- to `err` in one text, sorted by location.
 --
 -- @raise when `model` is no state
----@param model rfsm.State a root state, or a machine for a fresh one of the same model
+---@param model rfsm.State a root state; or a machine, to get a new one of its model
 ---@return rfsm.Machine? fsm false when the model has problems
----@return string? text all problems, for `assert`
+---@return string? text all problems as one text, which `assert` raises
 ---@return string[]? problems each "file:line: location: problem"
 ---@nodiscard
 function rfsm.init(model)
@@ -2946,9 +2952,9 @@ function rfsm.verify_early(model)
   return not build.problems[1], lines_of(build.problems), lines_of(build.warnings)
 end
 
---- Warn of each state or connector that nothing leaves.
+--- Warn of each state or connector that no transition leaves.
 ---@param fsm rfsm.Machine
----@return boolean is_clean true when there is none
+---@return boolean is_clean true if there is no such node
 function rfsm.check_no_otrs(fsm)
   check_machine(fsm, "rfsm.check_no_otrs")
   return report_dead_ends(fsm, 1)
@@ -2970,7 +2976,7 @@ end
 --
 ---@param fsm rfsm.Machine
 ---@param event? any anything; nil is skipped
----@param ... any more of them
+---@param ... any more events
 function rfsm.send_events(fsm, event, ...)
   if not machines[fsm] then check_machine(fsm, "rfsm.send_events") end
   if fsm.dbg ~= silent and fsm.dbg then report(fsm, "dbg", "RAISED", event, ...) end
@@ -2995,8 +3001,10 @@ local function try(fsm, after_free)
   return counted, idle
 end
 
---- Raise an error that blames the caller's caller while a step is under way, for
--- extensions. A step that was cut short is finished.
+--- Raise an error if a step is under way, for extensions.
+--
+-- It blames the caller's caller. A step that an error has cut short is finished first.
+--
 ---@param fsm rfsm.Machine
 ---@param where string the public function
 function rfsm.check_between_steps(fsm, where)
@@ -3038,14 +3046,14 @@ local function step_often(fsm, n)
     error("rfsm.step: number of steps expected, " .. got(n)
       .. (type(n) == "string" and " (did you mean rfsm.send_events?)" or ""), 3)
   end
-  return advance(fsm, n == n and n or 1, try(fsm)) -- NaN is 1
+  return advance(fsm, n == n and n or 1, try(fsm)) -- NaN counts as 1
 end
 
 --- Advance a machine by at most `n` transitions or doo cycles.
 --
--- Returns earlier if it is idle. Errors of callbacks are reported to `err`. Those of
--- step hooks and getevents are raised at once, those of printers when the iteration is
--- over. A step that an interrupt has cut short is finished first.
+-- Returns earlier if the machine is idle. Errors of callbacks are reported to `err`.
+-- Errors of step hooks and getevents are raised at once, errors of printers at the end
+-- of the iteration. A step that an interrupt has cut short is finished first.
 --
 ---@param fsm rfsm.Machine
 ---@param n? number at least 1, default 1
@@ -3053,7 +3061,7 @@ end
 function rfsm.step(fsm, n)
   if not machines[fsm] then check_machine(fsm, "rfsm.step") end
   if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.step", 3) end
-  if n ~= nil then return (step_often(fsm, n)) end -- no tail call: it blames
+  if n ~= nil then return (step_often(fsm, n)) end -- no tail call: error levels
   local ok, counted, idle = pcall(iterate, fsm)
   if ok and counted then return idle end -- no loop: LuaJIT makes one trace of it
   if ok and counted == false then ok, counted, idle = pcall(iterate, fsm, true) end
@@ -3075,7 +3083,7 @@ function rfsm.run(fsm)
   return advance(fsm, huge, counted, idle)
 end
 
---- Make a machine as it was after `init`: inactive, no exit is called.
+--- Reset a machine to its state after `init`, which is inactive; no exit is called.
 --
 -- If a callback of the machine calls this, it takes effect when the iteration ends. A
 -- machine whose step was cut short can be stepped again afterwards.
@@ -3091,7 +3099,7 @@ function rfsm.reset(fsm)
   raise_failure(fsm)
 end
 
---- Move the events of getevents to the queue.
+--- Call getevents and append its events to the queue.
 ---@param fsm rfsm.Machine
 ---@return integer waiting length of the queue
 function rfsm.check_events(fsm)
@@ -3139,14 +3147,14 @@ end
 
 --- Call `f(obj, parent, name)` for each element below `fsm` that `pred` accepts.
 --
--- Parents before children; the array part first, then names sorted. A machine itself
--- comes first, as `f(fsm, fsm, "root")`.
+-- Parents come before children, numeric keys before names, names in sorted order. For a
+-- machine the first call is `f(fsm, fsm, "root")`.
 --
 ---@param f fun(obj: table, parent: rfsm.State, name: string|integer): any
 ---@param fsm table a machine, a model, or any table of elements
 ---@param pred? fun(obj: any): boolean default is_fsmobj
----@param depth? integer how many levels, default all
----@return any[] results those of f, in order, without nils
+---@param depth? integer number of levels, default all
+---@return any[] results the results of f, in order, without nils
 function rfsm.mapfsm(f, fsm, pred, depth)
   check_function(f, "rfsm.mapfsm")
   if type(fsm) ~= "table" then error("rfsm.mapfsm: state expected, " .. got(fsm), 2) end
@@ -3171,8 +3179,8 @@ end
 do
   local function itself(element) return element end
 
-  -- Lists the elements of a machine that is being prepared. They stand in the order of
-  -- `mapfsm`, which is found once for all machines of its plan.
+  -- Lists the elements of a machine while preproc functions run. They are in the order
+  -- of `mapfsm`, which is computed once for all machines of the plan.
   local function planned_elements(fsm, pred)
     local nodes, transitions, order = fsm._nodes, fsm._transitions, fsm._plan.order
     if not order then
@@ -3192,10 +3200,10 @@ do
     return list
   end
 
-  --- List an element and those below it that `pred` accepts, for extensions.
+  --- List the elements that `pred` accepts among `obj` and its members, for extensions.
   --
   -- A preproc function `f(fsm, merged)` works on `rfsm.elements(merged or fsm, pred)`.
-  -- Machines that share `structure_of` have their elements at the same positions.
+  -- Machines with the same `rfsm.structure_of` have their elements in the same order.
   --
   ---@param obj table a machine or an element of one
   ---@param pred? fun(obj: any): boolean default is_fsmobj
@@ -3205,21 +3213,21 @@ do
     if is_root and obj._preparing then return planned_elements(obj, pred) end
     local list = not is_root and (not pred or pred(obj)) and { obj } or {}
     if rfsm.is_trans(obj) then return list end
-    return append(list, rfsm.mapfsm(itself, obj, pred)) -- a root is in it
+    return append(list, rfsm.mapfsm(itself, obj, pred)) -- with a root
   end
 end
 
 --- The field `_regions` of a state in which an extension runs machines.
 ---@class rfsm.Regions
 ---@field [integer] rfsm.Machine in the order in which they are stepped
----@field names any[] their names, in that order
----@field entry? function the user's, if the extension has put its own into the state
----@field exit? function likewise
+---@field names any[] the names of these machines, in the same order
+---@field entry? function the user's entry, if the extension has replaced it
+---@field exit? function the user's exit, if the extension has replaced it
 
 --- List the machines that run in a state, in the order in which they are stepped.
 ---@param state rfsm.State a state of a machine
----@return rfsm.Machine[] regions empty where there are none; not to be changed
----@return rfsm.Regions? own what the extension keeps; nil: none runs machines there
+---@return rfsm.Machine[] regions empty if there are none; the caller must not change it
+---@return rfsm.Regions? own the field `_regions`; nil if no machines run in the state
 function rfsm.regions(state)
   local own = is_state(state) and rawget(state, "_regions")
   if type(own) ~= "table" then return NONE, nil end
@@ -3228,12 +3236,12 @@ end
 
 --- List the nodes to which a transition may lead.
 --
--- If an extension changes the target of a transition into a composite, so that it leads
--- to any node there, it notes the model's target in the field `_initial`.
+-- An extension may change the target of a transition so that it leads to any node in a
+-- composite. Then the extension keeps the model's target in the field `_initial`.
 --
 ---@param tr rfsm.Transition a transition of a machine
----@return (rfsm.State|rfsm.Connector)[] targets its target; or `_initial` and the nodes
--- of that composite
+---@return (rfsm.State|rfsm.Connector)[] targets the target; or `_initial` and all nodes
+-- of the composite that contains it
 function rfsm.targets(tr)
   local initial = tr._initial
   if not initial then return { tr.tgt } end
@@ -3244,10 +3252,10 @@ end
 ---@class rfsm.Place
 ---@field machine rfsm.Machine
 ---@field owner rfsm.Machine|false the parent machine, whose state runs it
----@field state rfsm.State|false that state
+---@field state rfsm.State|false the state of the parent machine that runs it
 ---@field prefix string "root", or the name of the region: "root.arms.left"
 
---- List a machine and the regions in its states, at any depth; itself first.
+--- List a machine, then the regions in its states, at any depth.
 ---@param fsm rfsm.Machine
 ---@return rfsm.Place[] places
 function rfsm.machines(fsm)
@@ -3270,8 +3278,7 @@ function rfsm.machines(fsm)
 end
 
 do
-  -- Returns a node of a machine, or of one in its states, by its name,
-  -- "root.par.left.a".
+  -- Returns the node with a name such as "root.par.left.a" in a machine or its regions.
   local function find_by_name(fsm, name)
     for _, at in ipairs(rfsm.machines(fsm)) do
       for _, node in ipairs(at.machine._nodes) do
@@ -3280,9 +3287,9 @@ do
     end
   end
 
-  --- Is a state active, in the machine or in one that runs in its states?
+  --- Is a state of the machine, or of one of its regions, active?
   ---@param fsm rfsm.Machine
-  ---@param state rfsm.State|string the name begins as `rfsm.machines` says
+  ---@param state rfsm.State|string a name begins with the `prefix` of `rfsm.machines`
   ---@return boolean
   function rfsm.is_in(fsm, state)
     check_machine(fsm, "rfsm.is_in")
@@ -3295,10 +3302,10 @@ do
   end
 end
 
---- Load and compile now what would be loaded and compiled while a machine runs.
+--- Compile a machine completely now, not while it runs.
 --
--- Without this call a machine is compiled bit by bit, as its transitions are taken for
--- the first times. So is whatever is added later, by `fsm_merge` or as a first hook.
+-- Without this call a path is compiled when it has been taken a few times. This is also
+-- true of paths that change later, by `fsm_merge` or because a first hook is set.
 --
 ---@param fsm rfsm.Machine
 function rfsm.prepare(fsm)
@@ -3317,13 +3324,13 @@ end
 
 -- Tools: they look at a machine or move it; no part of a run ......................
 
---- Call `f(fsm, state)` for each state on the line between two, both included.
+--- Call `f(fsm, state)` for each state from `from` up or down to `to`, both included.
 -- @raise when neither is an ancestor of the other
 ---@param fsm rfsm.Machine
 ---@param f fun(fsm: rfsm.Machine, state: rfsm.State): any
 ---@param from rfsm.State where to begin
 ---@param to rfsm.State an ancestor or descendant of `from`
----@return any[] results those of f, in order, without nils
+---@return any[] results the results of f, in order, without nils
 function rfsm.map_from_to(fsm, f, from, to)
   check_machine(fsm, "rfsm.map_from_to")
   check_function(f, "rfsm.map_from_to")
@@ -3343,10 +3350,10 @@ function rfsm.map_from_to(fsm, f, from, to)
   return results
 end
 
---- Find the path that events would enable from one node, and do not take it.
+--- Find the path that events would enable from a node, without taking it.
 --
--- A path is { node, nextl }: `nextl` is a list of { trans, next }, and false at the
--- leaf at the end of the path.
+-- A path is a table { node, nextl }. `nextl` is a list of tables { trans, next }, whose
+-- `next` is the rest of the path. At the end of the path `nextl` is false.
 --
 ---@param fsm rfsm.Machine
 ---@param node rfsm.State|rfsm.Connector
@@ -3360,7 +3367,7 @@ function rfsm.node_find_enabled(fsm, node, events)
   if type(events) ~= "table" then
     error("rfsm.node_find_enabled: list of events expected, " .. got(events), 2)
   end
-  local ways, number = fsm._ways, fsm._search -- this may be asked during a search
+  local ways, number = fsm._ways, fsm._search -- a guard may call this
   fsm._ways, fsm._search = {}, 1
   local def = first_enabled(fsm, node["_%def"].otrs, events)
   local path = def and { node = node, nextl = false } or false
@@ -3393,11 +3400,11 @@ function rfsm.exit_state(fsm, state)
   fsm._at = at
 end
 
--- Gives a state a mode. The states around it become active, all others inactive.
+-- Sets the mode of a state. Its ancestors become active, all other states inactive.
 local function move_to(state, mode)
   local fsm = state
   while fsm._parent ~= fsm do fsm = fsm._parent end
-  local left = fsm -- what is active is reached by _actchild
+  local left = fsm -- _actchild leads to all active states
   while left do
     local child = left._actchild
     left._mode = "inactive"
@@ -3417,7 +3424,7 @@ end
 
 --- Set the mode of a state.
 --
--- The states around it become active, all others inactive; no callback runs.
+-- Its ancestors become active, all other states inactive. No callback runs.
 --
 ---@param state rfsm.State a state of a machine
 ---@param mode "active"|"inactive"|"done"
@@ -3458,12 +3465,12 @@ end
 -- Hooks: lists that are replaced, never changed: a run over one is not disturbed ...
 
 do
-  -- The hooks that are called in an iteration, which is not a usual one then.
+  -- Hooks that are called in an iteration: machines with one use `iterate_hooked`.
   local IN_STEP = { _pre_hooks = true, _post_hooks = true, _path_hooks = true,
     _entry_hooks = true, _exit_hooks = true }
 
-  -- Hooks in "front" add events or note them. They stay in front of hooks "before"
-  -- others, which may take events away. A list has the number of them in `front`.
+  -- Hooks placed in "front" add or record events. They are called before hooks placed
+  -- "before", which may remove events. `front` of a list is the number of front hooks.
   local PLACES = { front = true, before = true, after = true }
 
   -- Adds a hook to the list in a field of `owner`.
@@ -3488,7 +3495,8 @@ do
     end
   end
 
-  -- The same for hooks with a key: the state, or the kind of what is watched.
+  -- Makes a function that adds a hook to the list of a key. Keys are states, or the
+  -- words of `rfsm.Watched`.
   local function keyed_adder(where, field, is_key, expected)
     return function(fsm, key, hook)
       check_machine(fsm, where)
@@ -3502,8 +3510,8 @@ do
     end
   end
 
-  -- Takes a hook out of the list in a field of `owner`. An empty list becomes false, as
-  -- it is in a new machine. Returns whether the hook was there.
+  -- Removes a hook from the list in a field of `owner`. An empty list becomes false, as
+  -- in a new machine. Returns true if the hook was in the list.
   local function take_out(owner, field, hook)
     local hooks = owner[field] or NONE
     for i = 1, #hooks do
@@ -3519,8 +3527,8 @@ do
     return false
   end
 
-  -- Makes the function that takes a hook out again: from the list in `field`, or from
-  -- the field `slot` of the machine.
+  -- Makes a function that removes a hook: from the list in `field`, or, if the hook is
+  -- in the machine's field `slot`, from this field.
   local function hook_remover(where, field, slot)
     return function(fsm, hook)
       check_machine(fsm, where)
@@ -3542,8 +3550,8 @@ do
 
   --- Have `hook(fsm, state)` called each time `state` is entered, before its entry.
   --
-  -- For extensions: unlike a wrapped entry it stays when a tool replaces `state.entry`.
-  -- Its error is raised when the iteration is over.
+  -- For extensions: the hook stays when a tool replaces `state.entry`. An error of the
+  -- hook is raised when the iteration is over.
   --
   ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function)
   rfsm.entry_hook_add = keyed_adder("rfsm.entry_hook_add", "_entry_hooks", is_state_of,
@@ -3562,11 +3570,11 @@ do
   ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function): boolean
   rfsm.exit_hook_rm = keyed_remover("rfsm.exit_hook_rm", "_exit_hooks")
 
-  --- Have `hook(fsm, events)` called in each iteration before anything is chosen.
+  --- Have `hook(fsm, events)` called in each iteration before a transition is chosen.
   --
-  -- It may change the list of events. The machine's own `pre_step_hook` is among the
-  -- hooks, and stays replaceable. `place`, "after" (default) or "before", is relative
-  -- to the other hooks.
+  -- The hook may change the list of events. `fsm.pre_step_hook` is called together with
+  -- these hooks, and a program may still set this field. `place`, "after" (default) or
+  -- "before", is relative to the other hooks.
   --
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.pre_step_hook_add = hook_adder("rfsm.pre_step_hook_add", "_pre_hooks")
@@ -3585,8 +3593,7 @@ do
   rfsm.post_step_hook_rm = hook_remover("rfsm.post_step_hook_rm", "_post_hooks",
     "post_step_hook")
 
-  --- For post step hooks: does the step go on with another iteration, because events
-  -- came and nothing was taken?
+  --- For post step hooks: will `step` iterate again, since no transition was enabled?
   ---@param fsm rfsm.Machine
   ---@return boolean
   function rfsm.is_free(fsm)
@@ -3602,8 +3609,10 @@ do
     return fsm._outcome == "idle" and fsm._intq[1] == nil
   end
 
-  --- Has the machine taken a path since this was last asked? For its host, which asks
-  -- between steps, and has no need of a path hook then.
+  --- Has the machine taken a path since the last call of this function?
+  --
+  -- A host that calls this between steps needs no path hook.
+  --
   ---@param fsm rfsm.Machine
   ---@return boolean
   function rfsm.took_path(fsm)
@@ -3613,7 +3622,7 @@ do
     return path ~= false
   end
 
-  --- Have `hook(fsm, path)` called before a path is taken, a list of transitions.
+  --- Have `hook(fsm, path)` called before a path, a list of transitions, is taken.
   --
   -- For observers. An error of the hook is raised when the iteration is over.
   --
@@ -3628,16 +3637,17 @@ do
   local WATCHED = { sent = true, failed = true, resumed = true, ended = true,
     merged = true }
 
-  --- Have `hook(fsm, ...)` called when something happens, for observers.
+  --- Have `hook(fsm, ...)` called for one of five occasions, for observers.
   --
-  -- Other hooks are called for what a step does, this one for the rest, by `what`:
+  -- These are the values of `what`, and the arguments of the hook after `fsm`:
   --
-  --    "sent": event ...                  events were sent
-  --    "failed": element, callback, error "entry", "guard" ... of an element failed
-  --    "resumed", "ended": leaf           a doo is resumed; it has come to its end
-  --    "merged": element                  the machine has a new element
+  --    "sent": event ...               events were sent
+  --    "failed": element, name, error  the callback `name` of the element has failed
+  --    "resumed": leaf                 the doo of the leaf is resumed
+  --    "ended": leaf                   the doo of the leaf has ended
+  --    "merged": element               the element was added by `fsm_merge`
   --
-  -- Its error is raised when the iteration is over.
+  -- An error of the hook is raised when the iteration is over.
   --
   ---@type fun(fsm: rfsm.Machine, what: rfsm.Watched, hook: function)
   rfsm.watch_hook_add = keyed_adder("rfsm.watch_hook_add", "_watch_hooks",
@@ -3648,7 +3658,7 @@ do
   ---@type fun(fsm: rfsm.Machine, what: rfsm.Watched, hook: function): boolean
   rfsm.watch_hook_rm = keyed_remover("rfsm.watch_hook_rm", "_watch_hooks")
 
-  --- Have `hook(fsm)` called when the machine is reset, for the data of an extension.
+  --- Have `hook(fsm)` called when the machine is reset, to reset an extension's data.
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.reset_hook_add = hook_adder("rfsm.reset_hook_add", "_reset_hooks")
 
@@ -3656,11 +3666,11 @@ do
   ---@type fun(fsm: rfsm.Machine, hook: function): boolean
   rfsm.reset_hook_rm = hook_remover("rfsm.reset_hook_rm", "_reset_hooks")
 
-  --- Have `hook(fsm, state)` list the events that an extension reacts to while a state
-  -- is active, besides those of the transitions from it; nil for none.
+  --- Have `hook(fsm, state)` list the events to which an extension reacts in a state.
   --
-  -- `rfsm.reactions` returns these events. Explorations leave out events to which
-  -- nothing reacts, and tools warn of them. A function in the list is a predicate.
+  -- Events of transitions are not included; nil means no events. `rfsm.reactions` returns
+  -- the events of all hooks. Explorations omit events to which nothing reacts, and tools
+  -- warn of them. A function in the list is a predicate.
   --
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.reaction_hook_add = hook_adder("rfsm.reaction_hook_add", "_reaction_hooks")
@@ -3678,8 +3688,7 @@ local function collect(hooks, ...)
   return list
 end
 
---- List the events that extensions react to while a state is active, besides those of
---- the transitions from it.
+--- List the events to which extensions react while a state is active.
 ---@param fsm rfsm.Machine
 ---@param state rfsm.State
 ---@return any[] events
@@ -3694,11 +3703,11 @@ function rfsm.waiting(fsm) return collect(fsm._waiting_hooks, fsm) end
 
 -- Snapshots: what an extension keeps of a machine, and where the machine stands ....
 
---- Have snapshots hold what an extension keeps of a machine, under `name`.
+--- Have snapshots of a machine include data of an extension, under `name`.
 --
--- `save(fsm)` returns plain data, nil if there is nothing to keep. `load(fsm,
--- data, how)` takes it back, also nil, and raises an error if the data is not its own.
--- `is_explored`: explorations keep it, too, because transitions depend on it.
+-- `save(fsm)` returns plain data, or nil if there is none. `load(fsm, data, how)`
+-- restores the data (also nil), and raises an error if the data is not valid.
+-- `is_explored` is true if transitions depend on the data: explorations keep it, too.
 --
 ---@param fsm rfsm.Machine
 ---@param name string
@@ -3713,12 +3722,12 @@ function rfsm.snapshot_hook_add(fsm, name, save, load, is_explored)
     { { name = name, save = save, load = load, is_explored = is_explored } })
 end
 
---- List what `snapshot_hook_add` was called with, in that order, for extensions.
+--- List the arguments of all calls of `snapshot_hook_add`, in order, for extensions.
 ---@param fsm rfsm.Machine
 ---@return { name: string, save: function, load: function, is_explored?: boolean }[]
 function rfsm.snapshot_hooks(fsm) return fsm._snapshot_hooks or NONE end
 
---- Reset a machine and have it stand in a leaf, false for none; no callback runs.
+--- Reset a machine, then make `leaf` active (false: no leaf); no callback runs.
 ---@type fun(fsm: rfsm.Machine, leaf: rfsm.State|false, mode: string, queue: any[])
 function rfsm.place(fsm, leaf, mode, queue)
   check_between_steps(fsm, "rfsm.place")
@@ -3736,7 +3745,7 @@ end
 -- Merge: a new element of a live machine ------------------------------------------
 
 do
-  -- Returns why nothing can be added to `parent`, a leaf so far; nil if it can.
+  -- Returns the reason why the leaf `parent` cannot become a composite; nil if it can.
   local function leaf_obstacle(fsm, parent)
     if parent._mode ~= "inactive" then
       return ("'%s' is an active leaf state"):format(parent._fqn)
@@ -3745,7 +3754,7 @@ do
     end
   end
 
-  -- Returns why `obj` cannot become a member of `parent`; nil if it can.
+  -- Returns the reason why `obj` cannot become a member of `parent`; nil if it can.
   local function merge_obstacle(fsm, parent, obj, id)
     local kind = kind_of(obj)
     if not is_node_of(fsm, parent, "state") then
@@ -3787,8 +3796,8 @@ do
     return build
   end
 
-  -- Has the transitions to `parent`, if it was a leaf and is a composite now, end at
-  -- its `initial`. Returns the numbers of these transitions.
+  -- If `parent` was a leaf and is a composite now, makes its `initial` the target of
+  -- the transitions to it. Returns the numbers of these transitions.
   local function move_targets(build, parent, first)
     local moved = {}
     if parent.is_leaf then return moved end
@@ -3801,7 +3810,7 @@ do
     return moved
   end
 
-  -- Takes out again what the list holds from number `first` on.
+  -- Removes the elements from number `first` on, from the list and from their parents.
   local function truncate(list, first)
     for i = #list, first, -1 do
       local element = list[i]
@@ -3812,7 +3821,7 @@ do
     end
   end
 
-  -- Uses a plan, and its targets for the transitions in `moved`.
+  -- Makes a machine use a plan, and sets the targets of the transitions in `moved`.
   local function use_targets(fsm, plan, moved)
     for _, i in ipairs(moved) do
       fsm._transitions[i].tgt = fsm._nodes[plan.transitions[i].tgt.index]
@@ -3827,7 +3836,7 @@ do
   end
 
   -- Cleans up after a preproc function that has raised an error. If preproc function
-  -- number `outer` has merged the element, that one goes on.
+  -- number `outer` has called `fsm_merge`, this function continues.
   local function stop_preprocessing(fsm, outer)
     fsm._preparing = outer
     for _, tr in ipairs(outer and NONE or fsm._transitions) do
@@ -3842,15 +3851,15 @@ do
 
   --- Add a state, connector or transition to a live machine.
   --
-  -- From the next iteration on the machine behaves as if it had been there at `init`.
-  -- If it cannot be added, the reason is reported to `err`, and nothing has changed.
+  -- From the next iteration on the machine behaves as if its model had the new element.
+  -- If `obj` cannot be added, the reason is reported to `err`, and nothing has changed.
   --
   ---@param fsm rfsm.Machine
-  ---@param parent rfsm.State the state of the machine that gets it
-  ---@param obj rfsm.State|rfsm.Connector|rfsm.Transition it is cloned, as `init` does
-  ---@param id? string name; optional for a transition
+  ---@param parent rfsm.State the state of the machine that gets the new element
+  ---@param obj rfsm.State|rfsm.Connector|rfsm.Transition the element, which is cloned
+  ---@param id? string its name; optional for a transition
   ---@return boolean is_merged
-  ---@return string? reason why not
+  ---@return string? reason the reason if it was not added
   function rfsm.fsm_merge(fsm, parent, obj, id)
     check_machine(fsm, "rfsm.fsm_merge")
     local obstacle = merge_obstacle(fsm, parent, obj, id)
@@ -3862,7 +3871,7 @@ do
     local build = build_merge(fsm, plan, parent_def, obj, id)
     local moved = move_targets(build, parent_def, first_transition)
     if rfsm.is_trans(obj) and not plan.transitions[first_transition] then
-      append(build.problems, build.warnings) -- in a leaf, and leads nowhere
+      append(build.problems, build.warnings) -- in a leaf, with a wrong end
     end
     local problems = lines_of(build.problems)
     if problems[1] then return refuse(fsm, summary("rfsm.fsm_merge", problems)) end
@@ -3897,7 +3906,7 @@ setmetatable(rfsm, { __index = function(_, field)
   return rawget(rfsm, field)
 end })
 
--- Finds flat names (rfsm_emem for rfsm.emem) in the folder compat/ beside this file.
+-- Searcher for `require`: finds old flat names (rfsm_emem for rfsm.emem) in compat/.
 local function find_old_name(name)
   if not name:find("^rfsm[%w_]+$") then return nil end
   local file = "compat/" .. name .. ".lua"
