@@ -2304,7 +2304,7 @@ do
   local resume, status = coroutine and coroutine.resume, coroutine and coroutine.status
 
   -- Runs one cycle of the active leaf's doo. Returns true if the doo is idle or done.
-  -- `_at` is 1 when the doo is resumed, 2 when watch hooks are called at its end, 3 when
+  -- `_at` is 1 when the doo is resumed, 2 when watch hooks are called at its end, 3 if
   -- getevents is called. If a doo fails, its leaf is done at once, without e_done.
   function run_doo(fsm, leaf)
     local co = leaf._doo_co or leaf._mode ~= "done" and start_doo(fsm, leaf)
@@ -3668,9 +3668,9 @@ do
 
   --- Have `hook(fsm, state)` list the events to which an extension reacts in a state.
   --
-  -- Events of transitions are not included; nil means no events. `rfsm.reactions` returns
-  -- the events of all hooks. Explorations omit events to which nothing reacts, and tools
-  -- warn of them. A function in the list is a predicate.
+  -- Events of transitions are not included. The result nil means no events.
+  -- `rfsm.reactions` lists the events of all hooks. Explorations omit other events, and
+  -- tools warn of them. A function in the list is a predicate.
   --
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.reaction_hook_add = hook_adder("rfsm.reaction_hook_add", "_reaction_hooks")
