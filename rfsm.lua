@@ -21,7 +21,7 @@ local concat, insert = table.concat, table.insert
 local remove, sort = table.remove, table.sort
 local huge = 1 / 0
 
--- Returns a global, or a field of one; nil where a sandbox lacks it.
+-- Returns a global, or a field of a global table; nil if a sandbox does not have it.
 local function find_global(name, field)
   local value = rawget(_G, name)
   if not field then return value end
@@ -51,7 +51,7 @@ local CLASSES = { state = State, transition = Transition, connector = Connector 
 
 local Machine = { rfsm = "state", __eq = rawequal }
 
---- Return the kind of a model element, nil for any other value, for extensions.
+--- Return the kind of a model element, or nil for any other value, for extensions.
 --
 -- A table of another library is an element, too, if its metatable has a true field
 -- `rfsm` and its method `type` returns a kind.
@@ -522,7 +522,7 @@ end
 
 --- Return the model of a machine, or of an element of a machine, for extensions.
 ---@param value any
----@return any model the value itself if it is no part of a machine
+---@return any model or `value` itself, if it is not a part of a machine
 function rfsm.model_of(value)
   local class = getmetatable(value)
   if rawequal(class, Machine) then return rfsm.structure_of(value).model end
@@ -530,7 +530,7 @@ function rfsm.model_of(value)
   return def and def.model or value
 end
 
---- Return the name of the target that the model gives a transition, for extensions.
+--- Return the FQN of a transition's target in the model, for extensions.
 ---@param tr rfsm.Transition a transition of a machine
 ---@return string fqn "internal" for an internal transition
 function rfsm.target_of(tr)
@@ -622,7 +622,7 @@ do
     local base = class.__index
     if CLASSES[class.rfsm] and base == class or not kind_of(base) then return model end
     local fields = {}
-    for key, value in pairs(fields_of(base)) do -- any order: each stands alone
+    for key, value in pairs(fields_of(base)) do -- any order: independent entries
       if not kind_of(value) then fields[key] = value end
     end
     for key, value in pairs(model) do fields[key] = value end -- any order: a copy
@@ -715,7 +715,7 @@ do
       add(build.problems, def, nil, "a transition cannot have this name, it is a field "
         .. "of every state")
     end
-    for field, value in pairs(fields_of(model)) do -- any order: each stands alone
+    for field, value in pairs(fields_of(model)) do -- any order: independent entries
       if not OWN_FIELDS[field] then clone_field(build, def, field, value) end
     end
     def.src, def.tgt, def.pn = model.src, model.tgt, model.pn or nil
@@ -774,7 +774,7 @@ end
 
 local find_entrance, resolve
 
--- Returns the nearest node that is, or contains, each of two nodes.
+-- Returns the innermost node that contains both nodes or is one of them.
 local function find_lca(a, b)
   while a ~= b do
     if a.depth >= b.depth then a = a.parent else b = b.parent end
@@ -805,7 +805,7 @@ do
 
   -- Returns the node that a name in a transition of `composite` refers to:
   -- (a) ".a.b" or "..a.b" is a path below the composite;
-  -- (b) "a" is a member of the composite; "root" is the root, unless a member has it;
+  -- (b) "a" is a member of the composite; "root" is a member of this name or the root;
   -- (c) "a.b" or "root.a.b" is a path below the root, which may have a member "root".
   local function find_named(build, composite, name)
     local all, relative = build.plan.nodes, name:match("^%.%.?([^.].*)$")
@@ -920,7 +920,7 @@ do
   end
 
   -- Resolves the transitions from number `first` on. Transitions with a wrong reference
-  -- are dropped, since inside a leaf a wrong reference does not make `init` fail.
+  -- are dropped: inside a leaf they give only a warning, and `init` may succeed.
   function resolve(build, first)
     local transitions, kept = build.plan.transitions, first - 1
     for i = first, #transitions do create_initial(build, transitions[i]) end
@@ -1020,7 +1020,7 @@ do
     return plan
   end
 
-  -- Completes the definition of a transition when it is first needed, and returns it.
+  -- Completes the definition of a transition on the first call, and returns it.
   -- `entries` are the states that are entered, outermost first. `lca` is the innermost
   -- state that contains both ends and stays active.
   function compile_transition(def)
@@ -1100,7 +1100,7 @@ end
 local function make_trail(plan)
   local ids, n, tables, trail, plain = {}, 0, {}, {}, {}
   local function id_of(value)
-    if value ~= value then return 0 end -- NaN: never the same
+    if value ~= value then return 0 end -- NaN never equals itself
     if not ids[value] then n, ids[value] = n + 1, n + 1 end
     return ids[value]
   end
@@ -1117,7 +1117,7 @@ local function make_trail(plan)
   return { ids = ids, tables = tables, trail = trail, plain = plain }
 end
 
--- Is the model still the same as when the plan was made?
+-- Does the model have the same keys and values as when the plan was made?
 local function is_current(plan)
   local noted = plan.trail
   local ids, tables, trail, at = noted.ids, noted.tables, noted.trail, 1
@@ -1130,7 +1130,7 @@ local function is_current(plan)
     at = at + 1
   end
   for i = 1, #noted.plain do
-    if getmetatable(noted.plain[i]) then return false end -- it has become an element
+    if getmetatable(noted.plain[i]) then return false end -- it is an element now
   end
   return true
 end
@@ -1279,7 +1279,8 @@ local function give_data(element, def, copies)
   end
 end
 
--- Makes the elements of a machine, for the definitions from the given numbers on.
+-- Makes the elements of a machine for the definitions with numbers from `first_node`
+-- and `first_transition` on.
 local function make_elements(fsm, plan, first_node, first_transition)
   local nodes, transitions, copies = fsm._nodes, fsm._transitions, {}
   if first_node == 2 then give_data(fsm, plan.nodes[1], copies) end
@@ -1331,8 +1332,8 @@ end
 local DEFAULT_PRINTER, printer_of
 
 do
-  -- Prints any values, separated by tabs: to stderr if there is one, else with the
-  -- current `print`.
+  -- Prints values, separated by tabs, to the stream io[stream]. If there is no such
+  -- stream, prints them with the current `print`.
   local function print_line(stream, ...)
     local texts = {}
     for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
@@ -1595,7 +1596,7 @@ end
 --
 -- A search that was cut short is done again: guards must not have side effects.
 
--- Does the transition name one of `events`, or accept one by a predicate?
+-- Do `events` trigger the transition? A transition without events is always triggered.
 local function matches(def, events)
   local wanted = def.events
   if not wanted then return true end
@@ -1633,8 +1634,8 @@ local function retarget(fsm, def, tgt)
   return def.aimed[node]
 end
 
--- Reports that a guard has failed, and returns false in place of its answer. A guard
--- that was interrupted is asked again by the next step.
+-- Reports that a guard has failed, and returns false as its result. After an interrupt
+-- the next step calls the guard again.
 local function refuse_guard(fsm, tr, guard, failure)
   if rfsm.is_interrupt(failure) then error(failure, 0) end
   report_callback(fsm, "guard", tr, guard, failure)
@@ -1823,7 +1824,7 @@ local function warn_of_lost_events(fsm, path, events)
     .. "them: " .. list_text(lost))
 end
 
--- Returns the path of the first entry, from the root's `initial`; nil if there is none.
+-- Returns the path of the first entry, which begins at the root's `initial`, or nil.
 local function find_entry(fsm, events)
   local root = fsm._plan.nodes[1]
   fsm._search = fsm._search + 1
@@ -1966,7 +1967,7 @@ do
 
   function RECORDS.entry(state) return "STATE_ENTER", state.fqn end
 
-  for name, words in pairs(RECORDS) do -- any order: each stands alone
+  for name, words in pairs(RECORDS) do -- any order: independent entries
     recorders[name] = function(fsm, arg, at)
       local dbg = fsm.dbg
       if dbg == silent or not dbg then return end
@@ -2097,7 +2098,7 @@ do
       from = def.tgt.parent
     end
     path.args = list.args
-    path.actions = shared(list.actions) -- last: then both are complete
+    path.actions = shared(list.actions) -- last: both lists are complete now
   end
 end
 
@@ -2258,7 +2259,7 @@ end
 local run_doo
 
 do
-  -- The coroutine is dropped last, so that after an interrupt the failure is handled.
+  -- The coroutine is dropped last. After an interrupt the next step repeats all this.
   local function fail_doo(fsm, leaf, failure)
     report_callback(fsm, "doo", leaf, nil, failure)
     leaf._doo_co = nil
@@ -2335,6 +2336,7 @@ function PHASES.doo(fsm) return finish_cycle(fsm, run_doo(fsm, innermost(fsm))) 
 
 -- Iterate ........................................................................
 
+-- The phase "finish": calls the post step hooks and returns the results of `iterate`.
 -- The list of current events is used again, unless a callback may have kept it.
 local function finish(fsm)
   if fsm._reset_wanted then reset_now(fsm) end
@@ -2377,8 +2379,8 @@ end
 
 -- The usual iterations, written out ................................................
 --
--- An iteration is usual if the machine is in a leaf, `dbg` is silent, and there is at
--- most one event, not counting an e_done that no transition names.
+-- An iteration is a usual one if the machine is in a leaf, `dbg` is silent, and there
+-- is at most one event. An e_done that no transition names is not counted.
 
 local iterate
 
@@ -2538,7 +2540,7 @@ local function natural(text)
   return (text:gsub("%d+", function(n) return ("0"):rep(12 - #n) .. n end))
 end
 
--- Turns { file, line } into lines "file: location: text", sorted by location.
+-- Turns a list of { file, line } into texts "file: location: text", sorted by location.
 local function lines_of(list)
   local keys, lines = {}, {}
   for i = 1, #list do
@@ -2669,7 +2671,7 @@ local function new_machine(plan)
     local printer = printer_of(fsm, name)
     fsm[name] = is_callable(printer) and printer or DEFAULT_PRINTER[name]
   end
-  for name in pairs(STEP_HOOKS) do -- any order: each stands alone
+  for name in pairs(STEP_HOOKS) do -- any order: independent entries
     if fsm[name] then fsm._is_hooked = true else fsm[name] = nil end
   end
   return setmetatable(fsm, Machine)
@@ -3015,8 +3017,8 @@ end
 
 local check_between_steps = rfsm.check_between_steps
 
--- Iterates until `left` iterations counted or the machine is idle. Returns whether it
--- is idle. `counted` and `idle` are the results of the last iteration.
+-- Iterates until `left` iterations have counted as steps or the machine is idle; returns
+-- true if it is idle. `counted` and `idle` are the results of the last iteration.
 local function advance(fsm, left, counted, idle)
   while counted ~= nil do
     if counted then
@@ -3076,14 +3078,14 @@ end
 function rfsm.run(fsm)
   if not machines[fsm] then check_machine(fsm, "rfsm.run") end
   if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.run", 3) end
-  local ok, counted, idle = pcall(iterate, fsm) -- the usual two without a loop
+  local ok, counted, idle = pcall(iterate, fsm) -- usually two iterations
   if ok and counted and not idle then ok, counted, idle = pcall(iterate, fsm) end
   if not ok then raise_cut(fsm, counted) end
   if idle and fsm.dbg == silent and not fsm.idle_hook then return true end
   return advance(fsm, huge, counted, idle)
 end
 
---- Reset a machine to its state after `init`, which is inactive; no exit is called.
+--- Make a machine inactive, as it was after `init`, without a call of any exit.
 --
 -- If a callback of the machine calls this, it takes effect when the iteration ends. A
 -- machine whose step was cut short can be stepped again afterwards.
@@ -3140,7 +3142,7 @@ end
 
 --- Return the active child of a composite.
 ---@param state rfsm.State
----@return rfsm.State? child nil when there is none
+---@return rfsm.State? child nil if no child is active
 function rfsm.actchild_get(state)
   return type(state) == "table" and state._actchild or nil
 end
@@ -3187,7 +3189,7 @@ do
       order = rfsm.mapfsm(function(element) return element["_%def"] end, fsm)
       fsm._plan.order = order
     end
-    local list, is_simple = {}, pred == rfsm.is_trans -- as most preproc functions ask
+    local list, is_simple = {}, pred == rfsm.is_trans -- the most common case
     for i = 1, #order do
       local def = order[i]
       if def.kind == "transition" then
@@ -3213,13 +3215,13 @@ do
     if is_root and obj._preparing then return planned_elements(obj, pred) end
     local list = not is_root and (not pred or pred(obj)) and { obj } or {}
     if rfsm.is_trans(obj) then return list end
-    return append(list, rfsm.mapfsm(itself, obj, pred)) -- with a root
+    return append(list, rfsm.mapfsm(itself, obj, pred)) -- lists a root, too
   end
 end
 
 --- The field `_regions` of a state in which an extension runs machines.
 ---@class rfsm.Regions
----@field [integer] rfsm.Machine in the order in which they are stepped
+---@field [integer] rfsm.Machine the machines, in the order in which they are stepped
 ---@field names any[] the names of these machines, in the same order
 ---@field entry? function the user's entry, if the extension has replaced it
 ---@field exit? function the user's exit, if the extension has replaced it
@@ -3358,7 +3360,7 @@ end
 ---@param fsm rfsm.Machine
 ---@param node rfsm.State|rfsm.Connector
 ---@param events any[]
----@return table|false path false when there is none
+---@return table|false path false if no path is enabled
 function rfsm.node_find_enabled(fsm, node, events)
   check_machine(fsm, "rfsm.node_find_enabled")
   if not is_node_of(fsm, node) then
@@ -3550,14 +3552,14 @@ do
 
   --- Have `hook(fsm, state)` called each time `state` is entered, before its entry.
   --
-  -- For extensions: the hook stays when a tool replaces `state.entry`. An error of the
-  -- hook is raised when the iteration is over.
+  -- For extensions: a tool that replaces `state.entry` does not remove the hook. An
+  -- error of the hook is raised when the iteration is over.
   --
   ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function)
   rfsm.entry_hook_add = keyed_adder("rfsm.entry_hook_add", "_entry_hooks", is_state_of,
     "state of the fsm")
 
-  --- Remove an entry hook of a state. Return whether it was there.
+  --- Remove an entry hook of a state. Return true if the state had this hook.
   ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function): boolean
   rfsm.entry_hook_rm = keyed_remover("rfsm.entry_hook_rm", "_entry_hooks")
 
@@ -3566,7 +3568,7 @@ do
   rfsm.exit_hook_add = keyed_adder("rfsm.exit_hook_add", "_exit_hooks", is_state_of,
     "state of the fsm")
 
-  --- Remove an exit hook of a state. Return whether it was there.
+  --- Remove an exit hook of a state. Return true if the state had this hook.
   ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function): boolean
   rfsm.exit_hook_rm = keyed_remover("rfsm.exit_hook_rm", "_exit_hooks")
 
@@ -3579,7 +3581,7 @@ do
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.pre_step_hook_add = hook_adder("rfsm.pre_step_hook_add", "_pre_hooks")
 
-  --- Remove a pre step hook. Return whether it was there.
+  --- Remove a pre step hook. Return true if the machine had this hook.
   ---@type fun(fsm: rfsm.Machine, hook: function): boolean
   rfsm.pre_step_hook_rm = hook_remover("rfsm.pre_step_hook_rm", "_pre_hooks",
     "pre_step_hook")
@@ -3588,7 +3590,7 @@ do
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.post_step_hook_add = hook_adder("rfsm.post_step_hook_add", "_post_hooks")
 
-  --- Remove a post step hook. Return whether it was there.
+  --- Remove a post step hook. Return true if the machine had this hook.
   ---@type fun(fsm: rfsm.Machine, hook: function): boolean
   rfsm.post_step_hook_rm = hook_remover("rfsm.post_step_hook_rm", "_post_hooks",
     "post_step_hook")
@@ -3629,7 +3631,7 @@ do
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.path_hook_add = hook_adder("rfsm.path_hook_add", "_path_hooks")
 
-  --- Remove a path hook. Return whether it was there.
+  --- Remove a path hook. Return true if the machine had this hook.
   ---@type fun(fsm: rfsm.Machine, hook: function): boolean
   rfsm.path_hook_rm = hook_remover("rfsm.path_hook_rm", "_path_hooks")
 
@@ -3654,7 +3656,7 @@ do
     function(_, what) return WATCHED[what] end,
     "'sent', 'failed', 'resumed', 'ended' or 'merged'")
 
-  --- Remove a watch hook. Return whether it was there.
+  --- Remove a watch hook. Return true if the machine had this hook.
   ---@type fun(fsm: rfsm.Machine, what: rfsm.Watched, hook: function): boolean
   rfsm.watch_hook_rm = keyed_remover("rfsm.watch_hook_rm", "_watch_hooks")
 
@@ -3662,15 +3664,15 @@ do
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.reset_hook_add = hook_adder("rfsm.reset_hook_add", "_reset_hooks")
 
-  --- Remove a reset hook. Return whether it was there.
+  --- Remove a reset hook. Return true if the machine had this hook.
   ---@type fun(fsm: rfsm.Machine, hook: function): boolean
   rfsm.reset_hook_rm = hook_remover("rfsm.reset_hook_rm", "_reset_hooks")
 
   --- Have `hook(fsm, state)` list the events to which an extension reacts in a state.
   --
   -- Events of transitions are not included. The result nil means no events.
-  -- `rfsm.reactions` lists the events of all hooks. Explorations omit other events, and
-  -- tools warn of them. A function in the list is a predicate.
+  -- `rfsm.reactions` lists the events of all hooks. Explorations omit events to which
+  -- nothing reacts, and tools warn of them. A function in the list is a predicate.
   --
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.reaction_hook_add = hook_adder("rfsm.reaction_hook_add", "_reaction_hooks")
@@ -3921,7 +3923,7 @@ end
 local function register(package)
   local searchers = package.searchers or package.loaders
   if searchers and loadfile and not searchers.rfsm then
-    searchers.rfsm = find_old_name -- a mark: one searcher is enough
+    searchers.rfsm = find_old_name -- marks it as installed
     searchers[#searchers + 1] = find_old_name
   end
   if package.loaded and not package.loaded.rfsm then package.loaded.rfsm = rfsm end

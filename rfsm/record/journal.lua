@@ -49,7 +49,7 @@ end
 -- of the same machine.
 local function without_known(rec, before)
   local short, events = {}, rec.events
-  for key, value in order.each(rec) do -- any order: each stands alone
+  for key, value in order.each(rec) do -- any order: independent entries
     if not SHORT[key] then short[key] = value end
   end
   if not same(events, before.sent) then short.events = events or NONE end
