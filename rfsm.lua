@@ -3017,8 +3017,8 @@ end
 
 local check_between_steps = rfsm.check_between_steps
 
--- Iterates until `left` iterations have counted as steps or the machine is idle; returns
--- true if it is idle. `counted` and `idle` are the results of the last iteration.
+-- Iterates until `left` iterations have counted as steps or the machine is idle. The
+-- result is true if it is idle. `counted` and `idle` come from the last iteration.
 local function advance(fsm, left, counted, idle)
   while counted ~= nil do
     if counted then

@@ -70,7 +70,7 @@ local function fail(problem)
   os.exit(0)
 end
 
--- Returns the model as tools load it: a chart may need stubs, or be inside a program.
+-- Returns the model as tools load it, also from a chart with stubs or from a program.
 -- Modules for tools and for warnings of init are loaded first, so they do not count.
 local function load_as_tools()
   local chart = require "rfsm.shared.chart"

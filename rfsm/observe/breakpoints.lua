@@ -22,7 +22,7 @@ local breakpoints = {}
 ---@class rfsm.observe.Breakpoint
 ---@field kind "state"|"transition"|"event"|"watch"
 ---@field name string the text to show; for "watch" the text of the expression
----@field value any name of the state, set of transitions, the event, or last value
+---@field value any state name, set of transitions, event, or last value of the "watch"
 ---@field condition? string text of the expression after `if`
 ---@field holds? fun(): any the condition, compiled
 
@@ -32,7 +32,7 @@ local function is_at(tr_end, node)
 end
 
 -- Returns a breakpoint at the transitions of a machine and its regions for which
--- `is_meant(tr)` is true; nil if there are none. The first one gives it its name.
+-- `is_meant(tr)` is true; nil if there are none. Its name is that of the first one.
 local function at_transitions(fsm, is_meant)
   local point
   for _, at in ipairs(rfsm.machines(fsm)) do
@@ -145,7 +145,8 @@ function breakpoints.delete(sim, n)
 end
 
 --- Move all breakpoints to the states and transitions with the same names in a new
--- machine. Without such an element the breakpoint is removed: complain(line) is called.
+-- machine. If a name is missing there, the breakpoint is removed, and `complain(line)`
+-- is called.
 function breakpoints.renew(sim, complain)
   for i = #sim.points, 1, -1 do
     local point = sim.points[i]

@@ -53,7 +53,7 @@ local function attach_element(own, at, element)
   end
 end
 
--- Adds hooks to the states in `top` and replaces the guards. Does so only once.
+-- Adds hooks to the states in `top` and replaces guards, only once for each element.
 local function attach_elements(own, at, top)
   for _, element in ipairs(rfsm.elements(top)) do
     if not own.is_known[element] then attach_element(own, at, element) end
@@ -65,7 +65,7 @@ local join
 
 local WATCHED = { "failed", "sent", "resumed", "ended" }
 
--- Function of a listener -> the kind of hook that calls it, the place of the hook.
+-- Function of a listener -> the kind of the hook that calls it, and the hook's place.
 local HOOKS = { began = { "pre_step", "front" }, finished = { "post_step", "before" },
   passed = { "post_step", "after" }, reset = { "reset" } }
 

@@ -30,8 +30,8 @@ local Client = {}
 ---@field leaf string FQN of the active leaf
 ---@field mode string mode of the active leaf
 ---@field errors string[] errors of callbacks during the call
----@field outcome string result for the events: "taken", "kept" or "dropped"; it is
---- "known" if a call with this id was made before
+---@field outcome string result for the events: "taken", "kept" or "dropped"; or
+--- "known", if a call with this id was made before
 
 --- Return an id that no other client has.
 ---@return string id
