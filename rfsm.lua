@@ -400,10 +400,10 @@ function rfsm.load(file, accepts)
     accepts)
 end
 
---- Load a model from a text that returns it.
--- @raise when the text does not compile or fails, or it returns no state
+--- Load a model from a text of Lua that returns it.
+-- @raise when the text does not compile, fails or returns no state
 ---@param text string Lua source
----@param chunkname? string its name in error messages
+---@param chunkname? string name of the text in error messages
 ---@return rfsm.Model model
 ---@nodiscard
 function rfsm.load_str(text, chunkname)
@@ -805,7 +805,7 @@ do
 
   -- Returns the node that a name in a transition of `composite` refers to:
   -- (a) ".a.b" or "..a.b" is a path below the composite;
-  -- (b) "a" is a member of the composite; "root" is a member of this name or the root;
+  -- (b) "a" is a member of the composite; "root" is a member of this name, or the root;
   -- (c) "a.b" or "root.a.b" is a path below the root, which may have a member "root".
   local function find_named(build, composite, name)
     local all, relative = build.plan.nodes, name:match("^%.%.?([^.].*)$")
@@ -3464,7 +3464,7 @@ function rfsm.borrows(f)
   return f
 end
 
--- Hooks: lists that are replaced, never changed: a run over one is not disturbed ...
+-- Hooks: a list is replaced, never changed, so that a loop over it is not disturbed ...
 
 do
   -- Hooks that are called in an iteration: machines with one use `iterate_hooked`.
@@ -3683,7 +3683,7 @@ do
   rfsm.waiting_hook_add = hook_adder("rfsm.waiting_hook_add", "_waiting_hooks")
 end
 
--- Returns what the hooks of a list return, in one list.
+-- Calls all hooks of a list, and joins the lists that they return.
 local function collect(hooks, ...)
   local list = {}
   for _, hook in ipairs(hooks or NONE) do append(list, hook(...) or NONE) end
@@ -3703,7 +3703,7 @@ end
 ---@return any[] events
 function rfsm.waiting(fsm) return collect(fsm._waiting_hooks, fsm) end
 
--- Snapshots: what an extension keeps of a machine, and where the machine stands ....
+-- Snapshots: the data of extensions, and the configuration of the machine .........
 
 --- Have snapshots of a machine include data of an extension, under `name`.
 --
@@ -3837,8 +3837,8 @@ do
     use_targets(fsm, plan, moved)
   end
 
-  -- Cleans up after a preproc function that has raised an error. If preproc function
-  -- number `outer` has called `fsm_merge`, this function continues.
+  -- Cleans up after an error of a preproc function. If `outer` is a number, the preproc
+  -- function with this number has called `fsm_merge`, and continues.
   local function stop_preprocessing(fsm, outer)
     fsm._preparing = outer
     for _, tr in ipairs(outer and NONE or fsm._transitions) do
@@ -3918,8 +3918,8 @@ local function find_old_name(name)
   end
 end
 
--- Registers the module and the older names. A sandbox may have no `package`, or a
--- `package` without fields.
+-- Registers the module and a searcher for the older names. In a sandbox `package` may
+-- be missing or have no fields.
 local function register(package)
   local searchers = package.searchers or package.loaders
   if searchers and loadfile and not searchers.rfsm then

@@ -90,8 +90,8 @@ function breakpoints.add(sim, what)
   return #sim.points
 end
 
---- Call f(i, point) for each breakpoint in a list that has been reached: the state with
--- the name `value` was entered, the transition `value` taken or the event received.
+--- Call f(i, point) for each breakpoint in a list that has this `kind` and waits for
+-- `value`: the name of a state entered, a transition taken, or an event received.
 function breakpoints.each_reached(list, kind, value, f)
   for i, point in ipairs(list) do
     if point.kind == kind and (rawequal(point.value, value)
