@@ -2,13 +2,13 @@
 --
 -- A model is a tree of plain tables, marked by `rfsm.state`, `rfsm.trans` and
 -- `rfsm.conn`. `rfsm.init` checks it, reports every mistake with its location, and
--- makes an independent machine of it. `rfsm.send_events` sends events to the machine,
--- `rfsm.step` and `rfsm.run` advance it. Only these calls do: nothing here waits.
+-- makes an independent machine of it. `rfsm.send_events` sends events to the machine.
+-- The machine advances only in calls of `rfsm.step` and `rfsm.run`; no call waits.
 --
 -- The file reads in the order the data flows: model elements, load, check, clone,
 -- resolve, compile, machine, report, run, build, use, merge, names. An FQN is a fully
--- qualified name ("root.a.b"); an iteration is one turn of the loop inside `step`. All
--- that a machine does is in this file; rfsm/fast.lua only makes it faster.
+-- qualified name ("root.a.b"). An iteration is one turn of the loop inside `step`. The
+-- file is complete: rfsm/fast.lua only makes machines faster.
 --
 -- @module rfsm
 -- @license BSD-3-Clause
@@ -21,7 +21,7 @@ local concat, insert = table.concat, table.insert
 local remove, sort = table.remove, table.sort
 local huge = 1 / 0
 
--- Returns a global, or a field of one; nil where a sandbox lacks it.
+-- Returns a global, or a field of a global table; nil if a sandbox does not have it.
 local function find_global(name, field)
   local value = rawget(_G, name)
   if not field then return value end
@@ -32,7 +32,7 @@ local coroutine, loadfile = find_global "coroutine", find_global "loadfile"
 local loadstring = find_global "loadstring" or find_global "load"
 
 local getinfo = find_global("debug", "getinfo")
-local _, require = pcall(function() return require end) -- also one of a bundle
+local _, require = pcall(function() return require end) -- a bundler may replace it
 
 -- LuaJIT 2.1.0-beta3 sometimes skips keys in a traversal that it has compiled.
 -- Functions with such a traversal are given to `interpret`, and are never compiled.
@@ -51,7 +51,7 @@ local CLASSES = { state = State, transition = Transition, connector = Connector 
 
 local Machine = { rfsm = "state", __eq = rawequal }
 
---- Return the kind of a model element, nil for any other value, for extensions.
+--- Return the kind of a model element, or nil for any other value, for extensions.
 --
 -- A table of another library is an element, too, if its metatable has a true field
 -- `rfsm` and its method `type` returns a kind.
@@ -78,21 +78,21 @@ do
   local this_file = getinfo and getinfo(1, "S").short_src
   local knows_tail_calls = getinfo ~= nil and pcall(getinfo, 1, "t")
 
-  -- Notes the line that called a constructor, `level` functions up. Nothing is noted
-  -- after a tail call: the caller's frame is gone, and `level` is another function.
+  -- Records the line that called the constructor at stack level `level`. After a tail
+  -- call nothing is recorded, because the stack frame of the caller is gone.
   local function note_caller(t, level)
     if not getinfo then return end
     if knows_tail_calls and getinfo(level, "t").istailcall then return end
     local caller = getinfo(level + 1, "Sl")
     if caller and caller.currentline > 0 and caller.short_src ~= this_file then
-      local file = caller.source:match("^@(.*)") or caller.short_src -- cut to 60
+      local file = caller.source:match("^@(.*)") or caller.short_src -- at most 60 bytes
       made_at[t] = ("%s:%d"):format(file, caller.currentline)
     end
   end
 
-  --- Note the location of an element whose constructor is an extension's.
+  --- Record where an element was made, for constructors in extensions.
   ---@param t table the element
-  ---@param level integer the function whose line it is: 2 is the constructor's caller
+  ---@param level integer stack level, as for `error`: 2 is the constructor's caller
   function rfsm.note_location(t, level)
     made_at[t] = nil
     note_caller(t, level + 1)
@@ -114,7 +114,7 @@ do
       if type(t) ~= "table" then
         error("rfsm." .. name .. ": table expected, got " .. type(t), level + 1)
       end
-      if rawget(t, "_parent") ~= nil and kind_of(t) then return t end -- a live one
+      if rawget(t, "_parent") ~= nil and kind_of(t) then return t end -- in a machine
       note_caller(t, level + 1)
       return setmetatable(t, base == class and class or heir_class(base))
     end
@@ -150,11 +150,11 @@ rfsm.transition = rfsm.trans
 rfsm.conn = define(Connector, "conn")
 rfsm.connector = rfsm.conn
 
---- Suspend a doo until the next doo cycle; a true value means idle.
+--- Suspend a doo until the next doo cycle; pass `true` if the doo is idle.
 ---@type fun(idle?: boolean): rfsm.Machine, rfsm.State, "doo"
 rfsm.yield = find_global("coroutine", "yield")
 
---- Is `key` one of the engine's own (a leading underscore)?
+--- Is `key` reserved for the engine: a text that begins with an underscore?
 ---@param key any
 ---@return boolean
 function rfsm.is_meta(key) return type(key) == "string" and key:byte() == 95 end
@@ -241,7 +241,7 @@ function rfsm.is_callable(value)
   return type(class) == "table" and rawget(class, "__call") ~= nil
 end
 
---- Return any value as text: numbers alike on every Lua, and no error for any value.
+--- Return any value as text, never an error; numbers look the same on every Lua.
 ---@param value any
 ---@return string
 function rfsm.text_of(value)
@@ -258,10 +258,10 @@ local is_callable, text_of = rfsm.is_callable, rfsm.text_of
 local event_names = setmetatable({}, { __mode = "k" })
 local predicates = setmetatable({}, { __mode = "v" })
 
---- Return a predicate for `events`: it accepts a table whose field `name` is that text.
+--- Return a predicate for `events`: it accepts each table with this `name` as a field.
 --
 -- Such events carry data: `rfsm.send_events(fsm, { name = "e_paid", amount = 12 })`.
--- The same name gives the same predicate, whose name every tool can read.
+-- Equal names give the same predicate. `rfsm.event_name` returns the name of it.
 --
 ---@param name string
 ---@return fun(event: any): boolean predicate
@@ -284,7 +284,7 @@ end
 ---@return string? name
 function rfsm.event_name(predicate) return event_names[predicate] end
 
---- Return an event, or what a transition names, as text: by its name if it has one.
+--- Return an event or predicate of a transition as text: its name if it has one.
 ---@param event any
 ---@return string
 function rfsm.event_text(event)
@@ -303,7 +303,7 @@ local function end_text(node)
   return kind and kind ~= "transition" and (node._fqn or kind) or text_of(node)
 end
 
--- state root.a (active)
+-- Example: state root.a (active)
 function State.__tostring(state)
   local fqn, mode = state._fqn, state._mode
   return "state" .. (fqn and " " .. fqn or "") .. (mode and " (" .. mode .. ")" or "")
@@ -317,7 +317,7 @@ function Machine.__tostring(fsm)
   return "machine, active: " .. (fsm._act_leaf and fsm._act_leaf._fqn or "<none>")
 end
 
--- T={ src='a', tgt='b', pn=3, events='x, y' }, with FQNs after init.
+-- Example: T={ src='a', tgt='b', pn=3, events='x, y' }. After init the ends are FQNs.
 function Transition.__tostring(tr)
   local text = "T={ src='" .. end_text(tr.src) .. "', tgt='" .. end_text(tr.tgt) .. "'"
   local events = type(tr.events) == "string" and { tr.events } or tr.events
@@ -338,7 +338,7 @@ end
 
 --- Return the keys of a table, numbers ascending, then others by text, for extensions.
 ---@param t table
----@param pred? fun(value: any, key: any): boolean the keys wanted, default all
+---@param pred? fun(value: any, key: any): boolean true for the keys to return
 ---@return any[] keys
 function rfsm.sorted_keys(t, pred)
   local keys = {}
@@ -362,8 +362,8 @@ end
 
 -- Load ------------------------------------------------------------------------
 
--- Runs a chunk of a chart and returns its state. If `return rfsm.state{...}` was a tail
--- call, the line of the root is not known: the first line of the file counts.
+-- Runs the chunk of a chart and returns its root state. If `return rfsm.state{...}` was
+-- a tail call, the line of the root is not known, and line 1 is recorded in its place.
 local function run_chunk(chunk, file, where, accepts)
   local model = chunk(file)
   if accepts and accepts(model) then return model end
@@ -381,10 +381,9 @@ end
 -- @usage
 --    local fsm = rfsm.init(rfsm.load("examples/hello_world.lua"))
 --
--- @raise when there is no file name, the file cannot be read or fails, or it returns
--- no state
+-- @raise when `file` is no text, or the file cannot be read, fails or returns no state
 ---@param file string
----@param accepts? fun(value: any): boolean other values that the file may return
+---@param accepts? fun(value: any): boolean true for other values that are allowed
 ---@return rfsm.Model model
 ---@nodiscard
 function rfsm.load(file, accepts)
@@ -401,10 +400,10 @@ function rfsm.load(file, accepts)
     accepts)
 end
 
---- Load a model from a text that returns it.
--- @raise when the text does not compile or fails, or it returns no state
+--- Load a model from a text of Lua that returns it.
+-- @raise when the text does not compile, fails or returns no state
 ---@param text string Lua source
----@param chunkname? string its name in error messages
+---@param chunkname? string name of the text in error messages
 ---@return rfsm.Model model
 ---@nodiscard
 function rfsm.load_str(text, chunkname)
@@ -419,8 +418,8 @@ end
 
 -- Check: every mistake in the model, each with its location --------------------
 --
--- A check never raises an error. It appends to the `problems` of the build, with which
--- `init` fails, or to its `warnings`. `init` sorts both lists by location.
+-- A check never raises an error. It appends to the `problems` of the build, which make
+-- `init` fail, or to its `warnings`. `init` sorts both lists by location.
 
 -- Returns a module; nil if it is not installed.
 local function find_module(name)
@@ -432,8 +431,7 @@ local function find_module(name)
   end
 end
 
--- Returns the hint of rfsm/advice.lua on a topic, an empty text if there is no such
--- file.
+-- Returns the hint of rfsm/advice.lua on a topic, or "" if this file is missing.
 local advice
 
 local function advise(topic, ...)
@@ -442,35 +440,35 @@ local function advise(topic, ...)
   return advice[topic](...)
 end
 
---- The data of one `init` or `fsm_merge`. Machines share its result, the plan.
+--- The working data of one call of `init` or `fsm_merge`, which makes a plan.
 ---@class rfsm.Build
----@field plan rfsm.Plan the result
+---@field plan rfsm.Plan the result: the structure of the machine
 ---@field problems { file?: string, line: string }[]
 ---@field warnings { file?: string, line: string }[]
----@field created { line: string }[] messages of `initial` connectors nobody declared
----@field mounts table<table, rfsm.Def[]> node of the model -> one for each position
----@field fsm rfsm.Machine? the machine that something is merged into
+---@field created { line: string }[] a message for each undeclared `initial`
+---@field mounts table<table, rfsm.Def[]> node of the model -> its definitions
+---@field fsm rfsm.Machine? the machine that `fsm_merge` extends; nil in `init`
 
 --- The definition of a node or transition: all that is known before a machine runs.
 --
--- The machines of a model share it. An element of a machine is a table with what that
--- machine alone has, such as the mode of a state, and inherits the rest from `proto`.
+-- All machines of a model share the definition. An element of a machine is a table with
+-- the data of this machine, such as the mode of a state, and inherits from `proto`.
 --
 ---@class rfsm.Def
 ---@field kind "state"|"transition"|"connector"
 ---@field index integer its position among the nodes or transitions of the plan
----@field id string|integer
----@field parent rfsm.Def the composite in which it stands; the root is its own parent
----@field model table the element of the model that it was made of
+---@field id string|integer the name, or the position of a transition without a name
+---@field parent rfsm.Def the state that contains it; for the root, the root itself
+---@field model table the element of the model from which it was made
 ---@field data any[] callbacks and the user's data: key, value, key, value ...
----@field proto table metatable of the elements
----@field fqn string of a node
----@field is_leaf boolean of a state
----@field otrs rfsm.Def[] transitions that leave a node, in the order they are tried in
----@field src rfsm.Def of a transition, which also has `tgt`, `events` and `pn`
+---@field proto table the metatable of its elements in all machines
+---@field fqn string the fully qualified name (nodes only)
+---@field is_leaf boolean true for a state that contains no nodes
+---@field otrs rfsm.Def[] the outgoing transitions, in search order (nodes only)
+---@field src rfsm.Def the source (transitions only; so are `tgt`, `events` and `pn`)
 
--- Returns the name of an element in messages: its FQN, or root.trans[2] (a -> b). The
--- name of a field follows, if one is given.
+-- Returns the name of an element for messages: an FQN, or root.trans[2] (a -> b). If
+-- `field` is given, the name includes it: root.trans[2].events (a -> b).
 local function name_of(def, field)
   local suffix, key = field and "." .. field or "", text_of(def.id)
   if def.kind ~= "transition" then return def.fqn .. suffix end
@@ -492,8 +490,8 @@ local CALLBACKS = {
   transition = { guard = true, effect = true },
 }
 
--- Adds the warning that rfsm/advice.lua has on a topic, if there is one. This is called
--- only where something may be odd, so that most charts need not load that file.
+-- Adds the warning of rfsm/advice.lua on a topic, if the file has one. The caller has
+-- found something suspicious already, so most charts do not load the file.
 local function add_advice(list, topic, def, ...)
   local text, field = advise(topic, def, ...)
   if text ~= "" then add(list, def, field, text) end
@@ -522,9 +520,9 @@ end
 
 -- Clone: a definition for each position of a node -------------------------------
 
---- Return the model that a machine or an element of one was made of, for extensions.
+--- Return the model of a machine, or of an element of a machine, for extensions.
 ---@param value any
----@return any model the value itself if it is no part of a machine
+---@return any model or `value` itself, if it is not a part of a machine
 function rfsm.model_of(value)
   local class = getmetatable(value)
   if rawequal(class, Machine) then return rfsm.structure_of(value).model end
@@ -532,7 +530,7 @@ function rfsm.model_of(value)
   return def and def.model or value
 end
 
---- Return the name of the target that the model gives a transition, for extensions.
+--- Return the FQN of a transition's target in the model, for extensions.
 ---@param tr rfsm.Transition a transition of a machine
 ---@return string fqn "internal" for an internal transition
 function rfsm.target_of(tr)
@@ -542,7 +540,7 @@ end
 
 local model_of = rfsm.model_of
 
--- Is `value` a node of that machine, and of this kind, if one is given?
+-- Is `value` a node of the machine, and of the given kind? Without `kind`, of any kind.
 local function is_node_of(fsm, value, kind)
   local value_kind = kind_of(value)
   local def = value_kind and value["_%def"]
@@ -550,7 +548,7 @@ local function is_node_of(fsm, value, kind)
     and rawequal(fsm._nodes[def.index], value)
 end
 
--- Notes that `def` is one position of its model: a table may stand in several.
+-- Records `def` as a definition of its model: a model table may be used several times.
 local function note_mount(build, def)
   local mounts = build.mounts[def.model] or {}
   mounts[#mounts + 1], build.mounts[def.model] = def, mounts
@@ -563,15 +561,15 @@ do
   for _, name in ipairs(PRINTERS) do ROOT_FIELDS[name] = true end
   for _, name in ipairs(HOOKS) do ROOT_FIELDS[name] = true end
 
-  -- Fields of the engine that anybody may read. A field of this name in a model is left
-  -- out: it is not the user's data.
+  -- Public fields of the engine. If a model has a field with such a name, the field is
+  -- not copied, because it is not the user's data.
   local API_FIELDS = {}
   for name in ("act_leaf actchild curq doo_co fqn fsm id initialized intq mode otrs "
     .. "parent"):gmatch("%S+") do
     API_FIELDS["_" .. name] = true
   end
 
-  -- A node needs a name that a reference can spell and that is no field of its parent.
+  -- Checks the name of a node: a path can contain it, and it is no field of the parent.
   local function check_name(build, def)
     local name, parent = def.id, def.parent
     if type(name) ~= "string" then
@@ -587,8 +585,8 @@ do
     end
   end
 
-  -- Returns a new list of the events of a transition, false if there are none. The
-  -- model has one string, or a list of any values but NaN, without holes.
+  -- Returns the events of a transition as a new list, or false if it has none. A model
+  -- has one string, or a list without holes; NaN is the only value that is no event.
   local function check_events(build, def, events)
     if not events then return false end
     if type(events) == "string" then events = { events } end
@@ -617,14 +615,14 @@ do
     return count > 0 and list
   end
 
-  -- Returns the fields of a model element. One that was made by base:new{...} inherits
-  -- the callbacks and data of `base`, and neither nodes nor transitions.
+  -- Returns the fields of a model element. An element made by base:new{...} inherits
+  -- callbacks and data from `base`, but no nodes and no transitions.
   local function fields_of(model)
     local class = getmetatable(model)
     local base = class.__index
     if CLASSES[class.rfsm] and base == class or not kind_of(base) then return model end
     local fields = {}
-    for key, value in pairs(fields_of(base)) do -- any order: each stands alone
+    for key, value in pairs(fields_of(base)) do -- any order: independent entries
       if not kind_of(value) then fields[key] = value end
     end
     for key, value in pairs(model) do fields[key] = value end -- any order: a copy
@@ -661,7 +659,7 @@ do
     return def
   end
 
-  -- Is the model of `def` also the model of an ancestor? Then the walk would never end.
+  -- Is the model of `def` also the model of an ancestor? Then cloning would never end.
   local function is_inside_itself(def)
     local above = def
     while above.parent ~= above do
@@ -682,7 +680,7 @@ do
     end
   end
 
-  -- Takes over a field that is no element of the model: a callback or the user's data.
+  -- Copies a field that is no node and no transition: a callback or the user's data.
   local function clone_field(build, def, key, value)
     if CALLBACKS[def.kind][key] then
       check_callable(build, def, key, value)
@@ -717,7 +715,7 @@ do
       add(build.problems, def, nil, "a transition cannot have this name, it is a field "
         .. "of every state")
     end
-    for field, value in pairs(fields_of(model)) do -- any order: each stands alone
+    for field, value in pairs(fields_of(model)) do -- any order: independent entries
       if not OWN_FIELDS[field] then clone_field(build, def, field, value) end
     end
     def.src, def.tgt, def.pn = model.src, model.tgt, model.pn or nil
@@ -757,8 +755,8 @@ do
     interpret(f)
   end
 
-  -- Adds fields and members to the nodes from number `first` on. Members that are nodes
-  -- are appended to the same list, and have their turn.
+  -- Adds fields and members to the nodes from number `first` on. New nodes are appended
+  -- to the list of nodes, so that the loop reaches them, too.
   function clone_below(build, first)
     local nodes, i = build.plan.nodes, first
     while nodes[i] do
@@ -776,7 +774,7 @@ end
 
 local find_entrance, resolve
 
--- Returns the nearest node that is, or contains, each of two nodes.
+-- Returns the innermost node that contains both nodes or is one of them.
 local function find_lca(a, b)
   while a ~= b do
     if a.depth >= b.depth then a = a.parent else b = b.parent end
@@ -785,8 +783,8 @@ local function find_lca(a, b)
 end
 
 do
-  -- Returns the node that a path "a.b" from `def` leads to; nil and a reason if there
-  -- is none, with a hint at a node among `all` that may be meant.
+  -- Returns the node at the path "a.b" below `def`. If there is no such node, returns
+  -- nil and the reason, which may suggest a node from the list `all`.
   local function find_below(def, path, all)
     for name in (path .. "."):gmatch("([^.]*)%.") do
       local child = def.members[name]
@@ -806,9 +804,9 @@ do
   end
 
   -- Returns the node that a name in a transition of `composite` refers to:
-  -- (a) ".a.b" or "..a.b" is a path from the composite, (b) "a" is a node in it, or
-  -- "root" the root, (c) any other path begins at the root, with or without "root." in
-  -- front. A state in the root may be named "root", too.
+  -- (a) ".a.b" or "..a.b" is a path below the composite;
+  -- (b) "a" is a member of the composite; "root" is a member of this name, or the root;
+  -- (c) "a.b" or "root.a.b" is a path below the root, which may have a member "root".
   local function find_named(build, composite, name)
     local all, relative = build.plan.nodes, name:match("^%.%.?([^.].*)$")
     local root = all[1]
@@ -823,8 +821,8 @@ do
     return def or root.members.root and find_below(root, name, all), reason
   end
 
-  -- Returns the node that a table of the model, in place of a name, refers to. If the
-  -- table stands in several positions, the nearest one counts.
+  -- Returns the node for a reference by a table of the model, not by name. If the model
+  -- uses this table in several places, returns the node nearest to `composite`.
   local function find_mounted(build, composite, ref)
     local nearest, most, is_tie = nil, -1, false
     if build.fsm and is_node_of(build.fsm, ref) then
@@ -840,7 +838,7 @@ do
     return nearest, not nearest and "the table given is no part of this model" or nil
   end
 
-  -- Returns the node to which `src` or `tgt` of a transition refers; nil and a reason.
+  -- Returns the node to which `src` or `tgt` refers, or nil and a reason.
   local function find_end(build, def, field)
     local ref = def[field]
     if type(ref) == "string" then
@@ -869,13 +867,13 @@ do
     }
   end
 
-  -- Returns where a transition to `node` ends: a composite is entered at its `initial`.
-  -- If that is missing, adds a problem and returns nil.
+  -- Returns the node where a transition to `node` ends: for a composite, its `initial`.
+  -- If the composite has no `initial`, adds a problem and returns nil.
   function find_entrance(build, def, node)
     if node.kind == "connector" or node.is_leaf then return node end
     local initial = node.members.initial
     if initial and initial.kind == "connector" then return initial end
-    if node.parent == node then return nil end -- a problem of the root's own
+    if node.parent == node then return nil end -- `check_root` reports it
     add(build.problems, def, nil, "tgt '%s': the composite has no initial transition "
       .. "(rfsm.trans{ src='initial', tgt=... })%s", node.fqn,
       advise("regions", node.model))
@@ -894,8 +892,8 @@ do
     end
   end
 
-  -- Returns the node where a transition from `src` ends; nil and a reason; or `src`,
-  -- nil and true for an internal transition.
+  -- Returns the target of a transition from `src`, or nil and a reason. For an internal
+  -- transition returns `src`, nil and true.
   local function find_target(build, def, src)
     if def.tgt ~= "internal" or def.parent.members.internal then
       return find_end(build, def, "tgt")
@@ -905,12 +903,12 @@ do
     return src, nil, true
   end
 
-  -- Returns true if the transition has both ends.
+  -- Resolves the ends of a transition. Returns false if one of them is not found.
   local function resolve_transition(build, def)
     local src, src_reason = find_end(build, def, "src")
     if src and src.kind == "connector" then src.is_left = true end
     local tgt, tgt_reason, is_internal = find_target(build, def, src)
-    if not def.parent.is_leaf then -- there is a warning of those
+    if not def.parent.is_leaf then -- a leaf got a warning already
       if src_reason then add(build.problems, def, nil, src_reason) end
       if tgt_reason then add(build.problems, def, nil, tgt_reason) end
     end
@@ -921,8 +919,8 @@ do
     return true
   end
 
-  -- Resolves the transitions from number `first` on. Those that have a wrong reference
-  -- are dropped: inside a leaf that is only a warning.
+  -- Resolves the transitions from number `first` on. Transitions with a wrong reference
+  -- are dropped: inside a leaf they give only a warning, and `init` may succeed.
   function resolve(build, first)
     local transitions, kept = build.plan.transitions, first - 1
     for i = first, #transitions do create_initial(build, transitions[i]) end
@@ -939,24 +937,24 @@ end
 
 -- Compile: the structure becomes lists, shared by all machines of the model ------
 --
--- At init only the transitions of each node are listed. The rest is made when a leaf is
--- searched or a transition is taken for the first time, so that unused parts take
--- neither time nor memory. Callbacks are not compiled: each is read when it is called.
+-- At init only the outgoing transitions of each node are listed. Candidates and paths
+-- are listed when they are first needed, so that unused parts take neither time nor
+-- memory. Callbacks are not compiled: each is read when it is called.
 
 --- The structure that machines of a model share.
 ---@class rfsm.Plan
----@field model rfsm.State its source
+---@field model rfsm.State the model from which it was made
 ---@field nodes rfsm.Def[] parents before children, the root first
 ---@field transitions rfsm.Def[]
----@field trail table|false the notes of `make_trail`; false: only one machine uses it
----@field variant rfsm.Plan|false the latest one that preproc functions made of this one
----@field order rfsm.Def[]? in the order of `mapfsm`, once a preproc function has asked
+---@field trail table|false result of `make_trail`; false if one machine owns the plan
+---@field variant rfsm.Plan|false the latest plan that preproc functions made from it
+---@field order rfsm.Def[]? all definitions in the order of `mapfsm`, made on demand
 
 local compile, compile_transition, line_to
 
 do
-  -- The order in which the transitions of a node are tried: larger pn first, then the
-  -- one declared further out, then position in its table, then name.
+  -- Is transition `a` of a node tried before `b`? Larger pn first; then the transition
+  -- whose parent is less deep; then by FQN of the parent; then by position or name.
   local function tried_before(a, b)
     local a_pn, b_pn = a.pn or 0, b.pn or 0
     if a_pn ~= b_pn then return a_pn > b_pn end
@@ -965,8 +963,8 @@ do
     return key_before(a.id, b.id)
   end
 
-  -- The metatables of protos, by kind: they add the methods of the class. `tr.events`
-  -- is a new list at each access, since machines share the definition.
+  -- The metatables of protos, by kind. They add the methods of the class. `tr.events`
+  -- is a new list at each access, because machines share the list of the definition.
   local INHERITED = {
     state = { __index = State }, connector = { __index = Connector }, transition = {},
   }
@@ -996,8 +994,8 @@ do
     end
   end
 
-  -- Gives each node the list of its outgoing transitions, in order, and each definition
-  -- its proto. Returns the plan.
+  -- Gives each node the list of its outgoing transitions, in search order, and gives
+  -- each definition its proto. Returns the plan.
   function compile(plan)
     local nodes, transitions = plan.nodes, plan.transitions
     for i = 1, #nodes do
@@ -1017,14 +1015,14 @@ do
       if nodes[i].otrs[2] then sort(nodes[i].otrs, tried_before) end
     end
     nodes[1].plan = plan
-    -- The path of the first entry; if the root has states, only its beginning.
+    -- The path of the first entry begins here; a root without states needs no more.
     nodes[1].entrance = { from = nodes[1], segments = NONE, entered = nodes[1] }
     return plan
   end
 
-  -- Adds what a run reads to the definition of a transition, once, and returns it: the
-  -- states that are entered, outermost first, and the `lca`, the innermost state that
-  -- contains both ends and stays active. It may be the root.
+  -- Completes the definition of a transition on the first call, and returns it.
+  -- `entries` are the states that are entered, outermost first. `lca` is the innermost
+  -- state that contains both ends and stays active.
   function compile_transition(def)
     if def.connector ~= nil then return def end
     local tgt, entries = def.tgt, {}
@@ -1035,7 +1033,7 @@ do
       entries[i], state = state, state.parent
     end
     def.lca, def.entries = lca, entries
-    def.connector = tgt.kind == "connector" and tgt -- last: the others are set
+    def.connector = tgt.kind == "connector" and tgt -- set last: it marks completion
     return def
   end
 
@@ -1056,8 +1054,8 @@ local function new_plan(model, warnings, created)
   }
 end
 
--- Returns a copy of a plan, to be changed. Its definitions are new ones, in the same
--- order: parents before children.
+-- Returns a copy of a plan that the caller may change. Its definitions are copies in
+-- the same order: parents before children.
 local function copy_plan(plan)
   local copy = new_plan(plan.model, plan.warnings, plan.created)
   local nodes, transitions = copy.nodes, copy.transitions
@@ -1096,12 +1094,13 @@ local function each_table(plan, f)
   end
 end
 
--- Notes the keys and values of all tables of a model, in the order of `next`, each as a
--- number in `ids`: a comparison by `==` might call an `__eq`. A 0 ends a table.
+-- Records the keys and values of all tables of a model, in the order of `next`, so that
+-- `is_current` finds changes. Each is a number in `ids`, because a comparison of the
+-- values by `==` might call an `__eq`. A 0 ends a table.
 local function make_trail(plan)
   local ids, n, tables, trail, plain = {}, 0, {}, {}, {}
   local function id_of(value)
-    if value ~= value then return 0 end -- NaN: never the same
+    if value ~= value then return 0 end -- NaN never equals itself
     if not ids[value] then n, ids[value] = n + 1, n + 1 end
     return ids[value]
   end
@@ -1118,7 +1117,7 @@ local function make_trail(plan)
   return { ids = ids, tables = tables, trail = trail, plain = plain }
 end
 
--- Is the model still the same as when the plan was made?
+-- Does the model have the same keys and values as when the plan was made?
 local function is_current(plan)
   local noted = plan.trail
   local ids, tables, trail, at = noted.ids, noted.tables, noted.trail, 1
@@ -1131,7 +1130,7 @@ local function is_current(plan)
     at = at + 1
   end
   for i = 1, #noted.plain do
-    if getmetatable(noted.plain[i]) then return false end -- it has become an element
+    if getmetatable(noted.plain[i]) then return false end -- it is an element now
   end
   return true
 end
@@ -1141,19 +1140,19 @@ interpret(is_current)
 
 -- Machine: an instance of a plan ------------------------------------------------
 --
--- A machine is a tree of plain tables: children by name, transitions by position or
--- name, callbacks, `_parent`, `_otrs`, `_mode` and the user's data are raw. `_fqn`,
--- `_id`, `events`, `pn` are inherited from the definition.
+-- A machine is a tree of plain tables. Raw fields are the children by name, transitions
+-- by position or name, callbacks, `_parent`, `_otrs`, `_mode` and the user's data. The
+-- fields `_fqn`, `_id`, `events` and `pn` are inherited from the definition.
 --
--- The configuration is kept in the machine, and nowhere else: `_mode` of each state,
--- `_actchild` of each active composite, `_act_leaf`.
+-- The configuration is kept only in these fields: `_mode` of each state, `_actchild` of
+-- each active composite, and `_act_leaf` of the machine.
 
 local function silent() end
 
 local function no_events() return {} end
 
--- In a list of hooks this function stands for the hook in a field of the machine, such
--- as `pre_step_hook`, which a program may replace at any time.
+-- In a list of hooks OWN marks the place of the hook in a field of the machine, such as
+-- `pre_step_hook`. A program may set this field at any time.
 local function OWN() end
 
 local OWN_ONLY = { OWN }
@@ -1165,11 +1164,11 @@ local DEFAULTS = {
   _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
   _snapshot_hooks = false, _failure = false, _reset_wanted = false, _preparing = false,
   _emit = false, -- the function given to `set_emit`
-  _cuts = 0, -- iterations that an error has ended
+  _cuts = 0, -- number of iterations that an error has ended
 }
 
 do
-  -- Returns the `emit` of a machine: callbacks call it.
+  -- Returns the function `emit` of a machine, which callbacks call.
   local function new_emit(f)
     return function(name, data)
       if type(name) ~= "string" then
@@ -1181,8 +1180,9 @@ do
 
   DEFAULTS.emit = new_emit(silent)
 
-  --- Have f(name, data) called when callbacks of a machine or of its regions emit, for
-  -- hosts. Nobody listens otherwise. A region that is merged later emits there, too.
+  --- Have f(name, data) called when a callback of a machine or its regions emits.
+  --
+  -- For hosts. By default `emit` does nothing. Regions merged later are included.
   --
   ---@param fsm rfsm.Machine
   ---@param f fun(name: string, data: any)
@@ -1204,16 +1204,18 @@ local function own_fields()
     -- the structure
     ["_%def"] = false, _plan = false, _nodes = false, _transitions = {},
     -- the iteration, see "Run":
-    --   _path       the path under way, or taken since `took_path` was asked
-    --   _ways       what searches note about connectors; _search numbers the searches
-    --   _at         number of the action, or of the part of a doo cycle, begun last
-    --   _hook       number of the step hook begun last; -1: getevents was not asked
-    --   _given      events of getevents that are in no list yet
-    --   _outcome    free | counted | idle | refused: what the iteration was
-    --   _is_usual   nothing was interrupted, failed or reset: `iterate` may be quick
-    --   _is_lent    a callback may have kept the list of current events
-    --   _is_cut     an error has ended the iteration: the next step goes on with it
-    --   _is_hooked  a step hook, path hook or getevents was set once
+    --   _path       the path being taken, or the last one since `took_path` was called
+    --   _ways       notes about connectors, see `note_of`
+    --   _search     number of the current search
+    --   _at         number of the action (or part of a doo cycle) that was begun last
+    --   _hook       number of the step hook begun last; -1: getevents is not called yet
+    --   _given      events that getevents has returned and that are in no list yet
+    --   _outcome    counted | idle | free (events enabled no path, no step is counted)
+    --               | refused (the entry or a step hook failed)
+    --   _is_usual   true if `iterate` may be quick: no interrupt, error or reset before
+    --   _is_lent    true if a callback may have kept the list of current events
+    --   _is_cut     true if an error ended the iteration; the next step completes it
+    --   _is_hooked  true once a step hook, path hook or getevents was set
     _phase = "idle", _path = false, _ways = {}, _search = 0,
     _outcome = "free", _at = 0, _hook = 0, _is_usual = false, _is_cut = false,
     _given = false, _is_lent = false,
@@ -1221,7 +1223,7 @@ local function own_fields()
   }
 end
 
--- Functions that do not keep the list of events that they get.
+-- Functions given to `rfsm.borrows`: they do not keep the list of current events.
 local borrowers = setmetatable({}, { __mode = "k" })
 
 -- All machines, so that one access shows whether a value is a machine.
@@ -1229,8 +1231,8 @@ local machines = setmetatable({}, { __mode = "k" })
 
 Machine.__index = DEFAULTS
 
--- These fields of a machine are absent until a hook is set, so that `__newindex` is
--- called then.
+-- These fields of a machine are absent until a program sets them, so that `__newindex`
+-- is called for the assignment.
 local STEP_HOOKS = { getevents = true, pre_step_hook = true, post_step_hook = true }
 
 function Machine.__newindex(fsm, key, value)
@@ -1243,7 +1245,7 @@ function Machine.__newindex(fsm, key, value)
   rawset(fsm, key, value)
 end
 
--- Returns the copy of a value: of a plain table an empty one, filled by `clone_data`.
+-- Returns the value, but for a plain table a new table, which `clone_data` fills later.
 local function copy_of(copies, value, pending)
   if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
   if not copies[value] then
@@ -1252,7 +1254,7 @@ local function copy_of(copies, value, pending)
   return copies[value]
 end
 
--- Copies a plain table, nested to any depth: tables wait in a list, without recursion.
+-- Copies nested plain tables. They wait in the list `pending`, so any depth is allowed.
 local function clone_data(copies, value)
   local pending = {}
   local copy = copy_of(copies, value, pending)
@@ -1277,7 +1279,8 @@ local function give_data(element, def, copies)
   end
 end
 
--- Makes the elements of a machine, for the definitions from the given numbers on.
+-- Makes the elements of a machine for the definitions with numbers from `first_node`
+-- and `first_transition` on.
 local function make_elements(fsm, plan, first_node, first_transition)
   local nodes, transitions, copies = fsm._nodes, fsm._transitions, {}
   if first_node == 2 then give_data(fsm, plan.nodes[1], copies) end
@@ -1306,7 +1309,7 @@ local function list_otrs(fsm, plan)
   local transitions, nodes = fsm._transitions, fsm._nodes
   for i = 1, #plan.nodes do
     local otrs = plan.nodes[i].otrs
-    local list = { otrs[1] and transitions[otrs[1].index] } -- of the size of most lists
+    local list = { otrs[1] and transitions[otrs[1].index] } -- most have one
     for j = 2, #otrs do list[j] = transitions[otrs[j].index] end
     nodes[i]._otrs = list
   end
@@ -1329,8 +1332,8 @@ end
 local DEFAULT_PRINTER, printer_of
 
 do
-  -- Prints any values, separated by tabs: to stderr if there is one, else with the
-  -- current `print`.
+  -- Prints values, separated by tabs, to the stream io[stream]. If there is no such
+  -- stream, prints them with the current `print`.
   local function print_line(stream, ...)
     local texts = {}
     for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
@@ -1350,7 +1353,7 @@ do
     dbg = silent, info = to_stdout, warn = to_stderr, err = to_stderr,
   }
 
-  -- Returns the function that a printer field means: true prints, false is silent.
+  -- Returns the function for a printer field's value: true prints, false is silent.
   function printer_of(fsm, name)
     local printer = fsm[name]
     if printer == nil then return DEFAULT_PRINTER[name] end
@@ -1360,8 +1363,8 @@ end
 
 --- Keep an error until the iteration is over, for extensions.
 --
--- `step` raises it then. If it is kept between two steps, the next one raises it. Of
--- several errors only the first is kept.
+-- Then `step` raises the error. If this is called between two steps, the next step
+-- raises the error. Of several errors only the first is kept.
 --
 ---@param fsm rfsm.Machine
 ---@param failure any
@@ -1405,10 +1408,9 @@ local function is_traced(fsm)
   return dbg and dbg ~= silent
 end
 
---- Did an interrupt such as Control-C raise the error, rather than a callback? It is
--- for the caller of `step` then. For extensions.
+--- Did an interrupt such as Control-C raise the error, not a callback? For extensions.
 --
--- Such an error is the text "interrupted!", alone or behind a position.
+-- `step` raises such an error. It is the text "interrupted!", maybe after a position.
 --
 ---@param failure any
 ---@return boolean
@@ -1417,8 +1419,8 @@ function rfsm.is_interrupt(failure)
     or failure:find("^[^\n]*:%d+: interrupted!$") ~= nil)
 end
 
--- Calls hooks of extensions from number `at` on, such as `_reset_hooks`. An error is
--- kept. This is no loop, because LuaJIT would not compile the loop of a host around it.
+-- Calls the hooks of a list, such as `_reset_hooks`, from number `at` on. Their errors
+-- are kept. It is recursive, as LuaJIT would not compile a host's loop around a loop.
 local function tell_from(at, fsm, hooks, ...)
   local ok, failure = pcall(hooks[at], fsm, ...)
   if not ok then keep_failure(fsm, failure) end
@@ -1433,8 +1435,8 @@ local function tell_watch(fsm, what, ...)
   if fsm._watch_hooks then return tell(fsm, fsm._watch_hooks[what], ...) end
 end
 
--- Reports that a callback has failed. For a doo `callback` is nil: its coroutine made
--- the call.
+-- Reports that a callback has failed. For a doo `callback` is nil, because the doo was
+-- called by its coroutine.
 local function report_callback(fsm, name, owner, callback, failure)
   if rfsm.is_interrupt(failure) then return keep_failure(fsm, failure) end
   if callback ~= nil and not is_callable(callback) then
@@ -1449,37 +1451,37 @@ end
 -- Run: one iteration after the other ----------------------------------------------
 --
 -- Between two iterations exactly one leaf is active, or none before the first entry.
--- `_phase` names what is under way:
+-- `_phase` is one of these:
 --
 --   idle     nothing: the machine waits for its caller
---   gather   the pending events and those of getevents become the current ones, the
---            pre step hooks are called
+--   gather   the pending events and the events of getevents become the current events,
+--            then the pre step hooks are called
 --   search   a path is chosen that the events enable
---   take     the actions of that path are performed
+--   take     the actions of the chosen path are performed
 --   doo      there is no path: a doo cycle is run
 --   finish   the post step hooks are called
 --
 -- Each phase ends in a call of the next one.
 --
--- An error that is no callback's own comes from a debug hook: Control-C, a host's limit
--- of time. It may come at any instruction, and reaches the caller of `step`; the
--- machine is marked as cut short. The next step repeats the phase, but for the
--- callbacks up to the one under way. One rule makes that right:
+-- An interrupt is an error that a debug hook raises: Control-C, or a host's time limit.
+-- It may come at any instruction. It reaches the caller of `step`, and the iteration is
+-- marked as cut short. The next step repeats the phase without the callbacks that were
+-- begun before the interrupt. One rule makes the repetition correct:
 --
 --   An action calls callbacks of one kind at most, changes the machine before it calls
 --   them, and notes its position right before each call.
 --
 -- The position is `_at` on a path and in a doo, `_hook` among the step hooks. So each
--- callback is called at most once, and what changes the machine may be repeated. Only
--- guards may be asked again.
+-- callback is called at most once, and changes of the machine may be repeated. Only
+-- guards may be called again.
 
 local compiled, conclude, path_of, perform
 local PHASES, search = {}, nil
 
 -- Gather ..........................................................................
 
--- Makes the current events pending again, before those in the queue. The phase becomes
--- idle first: if this is cut short, the next iteration finds the events in either list.
+-- Makes the current events pending again, ahead of the queue. The phase becomes idle
+-- first, so that after an interrupt here `take_queue` finds the events in either list.
 local function put_back(fsm)
   fsm._outcome = "refused"
   fsm._phase = "idle"
@@ -1487,16 +1489,16 @@ local function put_back(fsm)
   fsm._curq = {}
 end
 
--- Ends an iteration early, because a step hook or getevents has failed. If that was
--- before the search, its events are pending again.
+-- Ends an iteration early, because a step hook or getevents has failed. Before the
+-- search the current events become pending again; after it they are dropped.
 local function give_up(fsm, failure)
   if fsm._phase ~= "gather" then fsm._curq = {} end
   put_back(fsm)
   error(failure, 0)
 end
 
--- Returns the list of getevents, in which nils may be; nil and an error if it failed.
--- The list is noted in `_given` until it is appended, so that no interrupt loses it.
+-- Calls getevents. Returns its list, which may contain nils, or nil and an error. The
+-- list is kept in `_given` until it is appended, so that no interrupt loses it.
 local function ask_getevents(fsm)
   local getevents = fsm.getevents
   if fsm._given then return fsm._given end
@@ -1514,8 +1516,8 @@ local function ask_getevents(fsm)
   return nil, "rfsm.step: getevents: list of events expected, " .. got(events)
 end
 
--- Appends the events of getevents. If this is cut short they are appended again, which
--- changes nothing: the events of an iteration are a set.
+-- Appends the events of getevents. After an interrupt they are appended again, without
+-- harm: an event that is current twice has the effect of one.
 local function append_getevents(fsm, list)
   local events, failure = ask_getevents(fsm)
   if not events then give_up(fsm, failure) end
@@ -1523,7 +1525,7 @@ local function append_getevents(fsm, list)
   fsm._given = false
 end
 
--- Calls the step hooks behind number `_hook`.
+-- Calls the step hooks after number `_hook`, which was begun last.
 local function run_hooks(fsm, hooks, slot)
   for i = fsm._hook + 1, #hooks do
     local hook = hooks[i]
@@ -1540,8 +1542,8 @@ local function run_hooks(fsm, hooks, slot)
   end
 end
 
--- Asks getevents, unless that was done before an interrupt, and calls the pre step
--- hooks. The current events are those that were pending.
+-- Calls getevents, unless it was called before an interrupt, then the pre step hooks.
+-- The pending events have become the current events already.
 local function ask_hooks(fsm)
   if fsm._hook < 0 or fsm._given then
     fsm._hook = 0
@@ -1553,7 +1555,7 @@ local function ask_hooks(fsm)
   fsm._phase = "search"
 end
 
--- Makes a machine as it was after init, but for the events of the current iteration.
+-- Resets a machine as if it were new, but keeps the events of the current iteration.
 local function reset_now(fsm)
   for _, node in ipairs(fsm._nodes) do
     if node._mode then
@@ -1567,9 +1569,9 @@ local function reset_now(fsm)
   fsm._reset_wanted = false
 end
 
--- Makes the pending events current: the queue and the list of the last iteration, which
--- is empty, change places. If that was cut short before, both fields have one list, or
--- the list of the last iteration has events, which come first.
+-- Makes the pending events current: swaps the queue `_intq` with `_curq`, an empty
+-- list. After an interrupt both fields may have the same list, or `_curq` may have
+-- events, which come first.
 local function take_queue(fsm)
   local queue, spare = fsm._intq, fsm._curq
   if rawequal(queue, spare) or spare[1] ~= nil then
@@ -1594,7 +1596,7 @@ end
 --
 -- A search that was cut short is done again: guards must not have side effects.
 
--- Is one of `events` among those of the transition, or accepted by a predicate there?
+-- Do `events` trigger the transition? A transition without events is always triggered.
 local function matches(def, events)
   local wanted = def.events
   if not wanted then return true end
@@ -1611,8 +1613,8 @@ local function matches(def, events)
   return false
 end
 
--- Returns a definition with the target that a program has set in a transition of the
--- machine. It is made once for each target. Nil if that is no node of the machine.
+-- Returns a definition with `tgt`, which a program has set in a transition, as target.
+-- It is made once for each target. Returns nil if `tgt` is no node of the machine.
 local function retarget(fsm, def, tgt)
   local node = is_node(tgt) and getmetatable(tgt)["_%def"]
   if rawequal(tgt, fsm) then node = fsm._plan.nodes[1] end
@@ -1623,7 +1625,7 @@ local function retarget(fsm, def, tgt)
   end
   if node.kind == "state" and not node.is_leaf then node = node.members.initial end
   if not node then return nil end
-  def = fsm._plan.transitions[def.index] -- a guard may have merged something
+  def = fsm._plan.transitions[def.index] -- a guard may have called fsm_merge
   def.aimed = def.aimed or {}
   def.aimed[node] = def.aimed[node] or compile_transition {
     kind = "transition", index = def.index, id = def.id, parent = def.parent,
@@ -1632,16 +1634,16 @@ local function retarget(fsm, def, tgt)
   return def.aimed[node]
 end
 
--- Reports that a guard has failed, and returns false in place of its answer. A guard
--- that was interrupted is asked again by the next step.
+-- Reports that a guard has failed, and returns false as its result. After an interrupt
+-- the next step calls the guard again.
 local function refuse_guard(fsm, tr, guard, failure)
   if rfsm.is_interrupt(failure) then error(failure, 0) end
   report_callback(fsm, "guard", tr, guard, failure)
   return false
 end
 
--- Asks the guard of a transition whose events match. Returns its definition, or that of
--- `retarget` if a program has set another target; nil if the guard returns false.
+-- Calls the guard of a transition whose events match. Returns nil if the guard returns
+-- false. Otherwise returns the definition, from `retarget` if the target was changed.
 local function ask(fsm, def, events)
   local tr = fsm._transitions[def.index]
   local guard = tr.guard
@@ -1656,9 +1658,9 @@ local function ask(fsm, def, events)
   return def
 end
 
--- Returns the note of a machine about a connector: `search` is the number of the last
--- search that came there, `way` the transition by which its path goes on from there,
--- false while none is found. `fsm._search` is the number of the current search.
+-- Returns the note of a machine about a connector. `search` is the number of the last
+-- search that reached the connector (the current one is `fsm._search`). `way` is the
+-- transition with which the path continues there, false if none was found.
 local function note_of(fsm, connector)
   local note = fsm._ways[connector] or { search = 0, way = false }
   fsm._ways[connector] = note
@@ -1673,8 +1675,8 @@ end
 local lead
 
 -- Finds the way out of a connector, once in each search: its first transition that is
--- enabled and leads on. Further ones of the same priority are asked, too, to warn of a
--- conflict. Until a way is noted the connector has none, so that cycles end.
+-- enabled and leads to a leaf. Others of the same priority are tried, too, to warn of a
+-- conflict. During the search `note.way` is false, so that cycles of connectors end.
 local function find_way(fsm, connector, note, events)
   local way, pn, others = false, nil, nil
   note.search, note.way = fsm._search, false
@@ -1691,8 +1693,8 @@ local function find_way(fsm, connector, note, events)
   note.way = way
 end
 
--- Returns the definition of a transition that is enabled, if its target is a leaf or a
--- connector with a way out; else nil.
+-- Returns `def`, an enabled transition, if its target is a leaf or a connector with a
+-- way out. Otherwise returns nil.
 function lead(fsm, def, events)
   if not (def and def.connector) then return def end
   local note = note_of(fsm, def.connector)
@@ -1700,8 +1702,8 @@ function lead(fsm, def, events)
   return note.way and def or nil
 end
 
--- Returns the first transition of a list that is enabled; nil if there is none, or if a
--- guard has merged something, after which the list is out of date.
+-- Returns the first enabled transition of a list. Returns nil if there is none, or if a
+-- guard has called `fsm_merge`: the list is out of date then.
 local function first_enabled(fsm, list, events)
   local plan = fsm._plan
   for i = 1, #list do
@@ -1732,12 +1734,13 @@ do
     if traces then report(fsm, "dbg", "TRANSITION", "no enabled paths found") end
   end
 
-  local OTHER = {} -- stands for all events that no transition from the leaf names
+  local OTHER = {} -- the key for all events that no transition names
   local NO_CHOICE = { run = false, run_hooked = false, find = false }
 
-  -- Makes the choice of each event while a leaf is active: the list of its candidates,
-  -- the transitions that it may trigger, in the order they are tried in. `ignored` is
-  -- the leaf's e_done if no transition waits for it, else NaN, which equals no event.
+  -- Makes `leaf.choices`: for each event the list of candidates, which are the
+  -- transitions that it may trigger while the leaf is active, in search order.
+  -- `leaf.ignored` is the leaf's e_done if no transition reacts to it. Otherwise it is
+  -- NaN, which equals no event.
   function list_choices(leaf)
     local choices, lists = { [OTHER] = {} }, {}
     lists[1] = choices[OTHER]
@@ -1770,7 +1773,7 @@ do
     return choices[event] or choices[OTHER]
   end
 
-  -- Returns the candidates of some events; nil if two events have different ones.
+  -- Returns the candidates for `events`; nil if two events have different candidates.
   local function candidates_of(leaf, events)
     local common = NONE
     for i = 1, #events do
@@ -1783,9 +1786,9 @@ do
     return common
   end
 
-  -- Returns the transition that the events enable, nil if there is none. Only the
-  -- `candidates` are asked, if they are known. If a guard merges something into the
-  -- machine, the search is done again, once.
+  -- Returns the transition that the events enable, or nil. If `candidates` are given,
+  -- no other transitions are tried. If a guard calls `fsm_merge`, the search is
+  -- repeated once.
   function choose(fsm, leaf, events, candidates, is_again)
     local plan, find, from = fsm._plan, choose_by_node, leaf["_%def"]
     if not candidates then
@@ -1804,8 +1807,8 @@ do
   end
 end
 
--- Warns of events that were sent before the first entry, which consumes them, and that
--- its path does not name.
+-- Warns of events that are lost: they were sent before the first entry, the entry
+-- consumes them, and no transition of its path names them.
 local function warn_of_lost_events(fsm, path, events)
   if rfsm.is_strict(fsm) then return end -- rfsm/strict.lua has warned already
   local lost = {}
@@ -1821,7 +1824,7 @@ local function warn_of_lost_events(fsm, path, events)
     .. "them: " .. list_text(lost))
 end
 
--- Returns the path of the first entry, from the root's `initial`; nil if there is none.
+-- Returns the path of the first entry, which begins at the root's `initial`, or nil.
 local function find_entry(fsm, events)
   local root = fsm._plan.nodes[1]
   fsm._search = fsm._search + 1
@@ -1851,7 +1854,7 @@ local function innermost(fsm)
   return state
 end
 
--- Takes a path. `leaf` is the active one, nil at the first entry.
+-- Takes a path. `leaf` is the active leaf, or nil at the first entry.
 local function take_path(fsm, leaf, path)
   local name, run = fsm._is_hooked and "run_hooked" or "run", false
   if leaf and fsm.dbg == silent then run = path[name] or compiled(path, name) end
@@ -1866,8 +1869,8 @@ local function take_path(fsm, leaf, path)
   return conclude(fsm, "counted")
 end
 
--- Goes on after the search from a leaf: takes the path of the transition that was
--- found. If there is none, runs the doo or ends the iteration.
+-- Continues after a search from a leaf: takes the path that begins with `def`, the
+-- transition found. If `def` is nil, runs the doo or ends the iteration.
 local function follow(fsm, after_free, leaf, def)
   if fsm._act_leaf ~= leaf then -- a guard has moved the machine
     leaf = innermost(fsm)
@@ -1882,7 +1885,7 @@ local function follow(fsm, after_free, leaf, def)
   return conclude(fsm, "free")
 end
 
--- The phase "search". `choice` has the candidates, if they are known.
+-- The phase "search". `choice` is the list of candidates, or nil if it is not known.
 function search(fsm, after_free, choice)
   local leaf, events = fsm._act_leaf, fsm._curq
   if leaf then
@@ -1895,11 +1898,11 @@ end
 
 -- Take: the actions of a path .....................................................
 --
--- A path has a flat list of actions, functions f(fsm, arg, at), and a list with `arg`
--- for each of them, usually a definition. `at` is the position in both lists.
+-- A path has a flat list of actions, which are functions f(fsm, arg, at), and a second
+-- list with the `arg` of each action, usually a definition. `at` is the position.
 
--- Calls hooks of extensions, in the action at position `at`. Each hook has a position
--- of its own, a fraction between the last action and this one.
+-- Calls hooks of extensions in the action at position `at`. Each hook gets a fractional
+-- position after `at - 1`, so that no hook is called again after an interrupt.
 local function call_hooks(fsm, hooks, what, at)
   for i = 1, #hooks do
     local number = at - 1 + i / #hooks
@@ -1911,8 +1914,8 @@ local function call_hooks(fsm, hooks, what, at)
   end
 end
 
--- Calls the path hooks with the list of the transitions that are about to be taken. It
--- is empty at the entry of a root without states.
+-- Calls the path hooks with the list of the transitions that are about to be taken. The
+-- list is empty at the entry of a root without states.
 local function show_path(fsm, path, at)
   if not fsm._path_hooks then return end
   local list = {}
@@ -1920,7 +1923,7 @@ local function show_path(fsm, path, at)
   call_hooks(fsm, fsm._path_hooks, list, at)
 end
 
--- Actions that trace a record, by its kind.
+-- Actions that report a record of the trace to `dbg`, by kind of record.
 local recorders = {}
 
 do
@@ -1929,10 +1932,10 @@ do
     return node.fqn .. (node.is_leaf and "[LS]" or "[CS]")
   end
 
-  -- The records of a trace, by kind. Each returns the id of the record, then its texts.
+  -- Makers of trace records, by kind. Each returns the record's id, then its texts.
   local RECORDS = {}
 
-  -- root.a[LS]->root.k[c]->root.b[LS]
+  -- Example: root.a[LS]->root.k[c]->root.b[LS]
   function RECORDS.path(path)
     local text = path.text or label_of(path.segments[1].src)
     for _, def in ipairs(path.text and NONE or path.segments) do
@@ -1943,7 +1946,7 @@ do
   end
 
   function RECORDS.exits(def)
-    local outermost = line_to(def.src)[def.lca.depth + 2] or def.src -- of the root
+    local outermost = line_to(def.src)[def.lca.depth + 2] or def.src -- the root
     return "TRANS_EXIT", "exiting all up to (including):", outermost.fqn, ", lca:",
       def.lca.fqn
   end
@@ -1964,7 +1967,7 @@ do
 
   function RECORDS.entry(state) return "STATE_ENTER", state.fqn end
 
-  for name, words in pairs(RECORDS) do -- any order: each stands alone
+  for name, words in pairs(RECORDS) do -- any order: independent entries
     recorders[name] = function(fsm, arg, at)
       local dbg = fsm.dbg
       if dbg == silent or not dbg then return end
@@ -2023,8 +2026,8 @@ local function become_leaf(fsm, def, at)
   if not leaf.doo then recorders.done(fsm, def, at) end
 end
 
--- A leaf without doo is done at once. If this is cut short, e_done may be queued twice,
--- which changes nothing: the events of an iteration are a set.
+-- A leaf without doo is done at once. After an interrupt e_done may be queued twice,
+-- without harm: an event that is current twice has the effect of one.
 local function be_done(fsm, def, at)
   local leaf, queue = fsm._nodes[def.index], fsm._intq
   if leaf.doo then return end
@@ -2066,7 +2069,7 @@ do
 
   local shapes = {} -- a tree of all lists of actions; each level has the next action
 
-  -- Returns a list with the same actions, which all paths of this shape share.
+  -- Returns an equal list of actions. All paths with the same actions share this list.
   local function shared(actions)
     local at = shapes
     for _, action in ipairs(actions) do
@@ -2077,8 +2080,8 @@ do
     return at.list
   end
 
-  -- Each segment: (a) the states up to the lca are left, (b) the effect is run,
-  -- (c) those down to the target are entered.
+  -- Lists for each segment (a) the exits of the states below the lca, (b) the effect,
+  -- (c) the entries of the states from below the lca to the target.
   function list_actions(path)
     local from, list = path.from, { actions = {}, args = {} }
     add_action(list, show_path, path)
@@ -2095,7 +2098,7 @@ do
       from = def.tgt.parent
     end
     path.args = list.args
-    path.actions = shared(list.actions) -- last: then both are complete
+    path.actions = shared(list.actions) -- last: both lists are complete now
   end
 end
 
@@ -2107,9 +2110,9 @@ local function new_path(at, def)
   return path
 end
 
--- Returns the path from `at` with the transition `def` and those out of its connectors.
--- Paths are kept in a tree. `at` is the beginning of a path (a leaf, or the entrance of
--- the root) or the part of it that is there already.
+-- Returns the path that continues `at` with the transition `def` and, at each connector
+-- reached, with the transition noted in `ways`. Paths are kept in a tree. Its roots are
+-- the leaves and the entrance of the root state; `at` is a root or a part of a path.
 function path_of(at, def, ways)
   if def then -- no loop, because LuaJIT would not compile a loop around this one
     at = at.paths and at.paths[def] or new_path(at, def)
@@ -2119,7 +2122,7 @@ function path_of(at, def, ways)
   return at
 end
 
--- Performs the actions of `_path` behind the one that was begun last. Returns true.
+-- Performs the actions of `_path` after the one that was begun last. Returns true.
 function perform(fsm)
   local path, begun = fsm._path, fsm._at
   local actions, args = path.actions, path.args
@@ -2149,8 +2152,8 @@ do
     }
   end
 
-  -- Loads rfsm/fast.lua. Whatever prevents that, such as too little memory, machines do
-  -- without it.
+  -- Loads rfsm/fast.lua. If that fails, for example for lack of memory, machines work
+  -- without this file.
   function load_fast()
     if fast ~= nil then return end
     local ok, made = pcall(make_fast)
@@ -2162,13 +2165,13 @@ do
 
   local OFTEN = 3 -- a path or list that is used more often is compiled
 
-  -- Has rfsm/fast.lua make a function for a path or a list of candidates, and keeps it
-  -- in a field of that; false if there is none:
+  -- Has rfsm/fast.lua make a function for `at`, a path or a list of candidates. The
+  -- function is kept in one of these fields, which is false if none can be made:
   --
   --   path.run, path.run_hooked   f(fsm, is_chosen) takes the path. If no search has
-  --                               chosen it, and a transition has a guard or another
-  --                               target, a search is needed: it only returns false
-  --   list.find                   as `first_enabled`
+  --                               chosen the path, and a guard or a changed target
+  --                               requires a search, f does nothing and returns false
+  --   list.find                   does the same as `first_enabled`
   local function compile_text(at, name)
     local ok, f = pcall(fast and fast[name] or silent, at)
     if not ok and f ~= "not enough memory" then error(f, 0) end
@@ -2176,7 +2179,8 @@ do
     return at[name]
   end
 
-  -- Returns that function, false before it has been asked for more than OFTEN times.
+  -- Returns the function in the field `name` of `at`, a path or a list of candidates.
+  -- It is compiled after OFTEN calls; until then the result is false.
   function compiled(at, name)
     if at[name] ~= nil then return at[name] end
     at.used = (at.used or 0) + 1
@@ -2184,10 +2188,10 @@ do
     return compile_text(at, name)
   end
 
-  -- Returns the path that is taken whenever the transition `def` is the only candidate:
-  -- each connector on it has a single transition, without events. The function made of
-  -- it looks for guards and other targets. Nil if there is no such path, or if it has
-  -- more than ten segments: connectors may form a cycle.
+  -- Returns the only path that can begin with the transition `def`: each connector on
+  -- it has a single transition, without events. (The function compiled from the path
+  -- checks guards and changed targets.) Returns nil if there is no such path, or if it
+  -- has more than ten segments, because connectors may form a cycle.
   local function straight_path(leaf, def)
     local first, ways, count = compile_transition(def), {}, 1
     while def.connector do
@@ -2199,9 +2203,9 @@ do
     return path_of(leaf, first, ways)
   end
 
-  -- Returns the function of the path that is taken without a search, because a list has
-  -- one candidate and that leads to one path; false if not, or not yet compiled. The
-  -- list keeps the answer once it is final.
+  -- Returns the function that takes a path without a search, if `choice` has only one
+  -- candidate and this candidate has only one path. Otherwise, or if the function is
+  -- not compiled yet, returns false. `choice` keeps the result when it is final.
   function quick_run(leaf, choice, name)
     local def = choice[1]
     local path = def and not (choice[2] or def.is_asked) and straight_path(leaf, def)
@@ -2210,12 +2214,12 @@ do
     return run
   end
 
-  -- `rfsm.prepare` makes at most so many paths for a leaf and an event, and at most so
-  -- many segments of a path.
+  -- Limits of `rfsm.prepare`: the number of paths for a leaf and an event, and the
+  -- number of segments in a path.
   local MOST_PATHS, MOST_SEGMENTS = 50, 6
   local paths_left = 0
 
-  -- Makes the paths that go on from `at` with transition `def`, and their functions.
+  -- Makes the paths that continue `at` with transition `def`, and compiles them.
   local function prepare_paths(at, def, name)
     local path = at.paths and at.paths[def] or new_path(at, def)
     local connector = compile_transition(def).connector
@@ -2228,7 +2232,7 @@ do
     end
   end
 
-  -- The same for the paths that begin with one of a list of transitions.
+  -- Makes and compiles the paths that continue `at` with each transition of a list.
   local function prepare_list(at, list, name)
     paths_left = MOST_PATHS
     for _, def in ipairs(list) do prepare_paths(at, def, name) end
@@ -2255,7 +2259,7 @@ end
 local run_doo
 
 do
-  -- The coroutine is dropped last: if a doo's end is cut short, it is done again.
+  -- The coroutine is dropped last. After an interrupt the next step repeats all this.
   local function fail_doo(fsm, leaf, failure)
     report_callback(fsm, "doo", leaf, nil, failure)
     leaf._doo_co = nil
@@ -2281,8 +2285,8 @@ do
     leaf._doo_co = nil
   end
 
-  -- Makes the coroutine of a leaf's doo. Returns nil if there is none, which completes
-  -- the leaf, or if there are no coroutines: the doo has failed then.
+  -- Makes the coroutine of a leaf's doo. Returns nil if the leaf has no doo, which
+  -- completes it, or if this Lua has no coroutines, which makes the doo fail.
   local function start_doo(fsm, leaf)
     local doo = leaf.doo
     if not doo then return complete(fsm, leaf) end
@@ -2300,9 +2304,9 @@ do
 
   local resume, status = coroutine and coroutine.resume, coroutine and coroutine.status
 
-  -- Runs one cycle of the active leaf's doo; returns true if it is idle or done. `_at`
-  -- is 1 from the resume on, 2 once watch hooks know of its end, 3 once getevents was
-  -- asked again. If a doo fails, its leaf is done at once, and never raises e_done.
+  -- Runs one cycle of the active leaf's doo. Returns true if the doo is idle or done.
+  -- `_at` is 1 when the doo is resumed, 2 when watch hooks are called at its end, 3 if
+  -- getevents is called. If a doo fails, its leaf is done at once, without e_done.
   function run_doo(fsm, leaf)
     local co = leaf._doo_co or leaf._mode ~= "done" and start_doo(fsm, leaf)
     if not co then return true end
@@ -2332,6 +2336,7 @@ function PHASES.doo(fsm) return finish_cycle(fsm, run_doo(fsm, innermost(fsm))) 
 
 -- Iterate ........................................................................
 
+-- The phase "finish": calls the post step hooks and returns the results of `iterate`.
 -- The list of current events is used again, unless a callback may have kept it.
 local function finish(fsm)
   if fsm._reset_wanted then reset_now(fsm) end
@@ -2374,13 +2379,14 @@ end
 
 -- The usual iterations, written out ................................................
 --
--- An iteration is usual if the machine is in a leaf, `dbg` is silent, and there is at
--- most one event, not counting an e_done that no transition names.
+-- An iteration is a usual one if the machine is in a leaf, `dbg` is silent, and there
+-- is at most one event. An e_done that no transition names is not counted.
 
 local iterate
 
 do
-  -- Makes one iteration of a machine with hooks. The pending events are current now.
+  -- Makes one iteration of a machine with hooks. The caller has made the pending events
+  -- current.
   local function iterate_hooked(fsm, after_free)
     fsm._hook = -1
     fsm._phase = "gather"
@@ -2417,8 +2423,8 @@ do
     return true, idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
   end
 
-  -- Returns the function of the path that a search has found; nil if there is none, or
-  -- if a guard has made this iteration an unusual one.
+  -- Returns the function of the path that a search has found. Returns nil if it is not
+  -- compiled, or if the iteration is no longer a usual one because of a guard.
   local function found_run(fsm, leaf, def)
     if not fsm._is_usual or fsm.dbg ~= silent or fsm._act_leaf ~= leaf then
       return nil
@@ -2426,10 +2432,10 @@ do
     return path_of(leaf["_%def"], def, fsm._ways).run
   end
 
-  -- Makes one iteration. Returns nil if the machine cannot be entered, else whether the
-  -- iteration counts as a step and whether the machine is idle. `after_free`: the last
-  -- iteration did not count. The two lists of events change places; if an interrupt
-  -- cuts that short, `take_queue` repairs it in the next iteration.
+  -- Makes one iteration. Returns two booleans: the iteration counts as a step; the
+  -- machine is idle. Returns nil if the machine cannot be entered. `after_free` is true
+  -- if the last iteration did not count. The two lists of events are swapped. If an
+  -- interrupt cuts the swap short, `take_queue` repairs it in the next iteration.
   function iterate(fsm, after_free) -- luacheck: ignore 561 (a call would cost)
     local leaf = fsm._act_leaf
     if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
@@ -2475,9 +2481,9 @@ do
   end
 end
 
--- Marks that an error has ended the iteration, and raises it: one that was kept, one of
--- a step hook, or one that is no callback's own. Without the mark `_is_cut` the machine
--- would look as if its step were still under way.
+-- Raises an error that has ended an iteration: a kept error, an error of a step hook or
+-- an interrupt. The mark `_is_cut` shows that no step is under way any more, although
+-- the phase may not be "idle".
 local function raise_cut(fsm, failure)
   fsm._cuts = fsm._cuts + 1
   fsm._is_usual = false
@@ -2487,8 +2493,8 @@ end
 
 -- Build: a plan of a model, and a machine of the plan -------------------------------
 
--- Accepts a machine whose tables were all copied by a program. Its plan is a copy, too,
--- but the metatables of its elements belong to the original plan: it gets that one.
+-- Accepts a machine that is a program's deep copy. Its plan is a copy, too, but the
+-- metatables of its elements belong to the original plan, so it gets the original.
 local function adopt_copy(fsm)
   local node = fsm._nodes[2]
   local root = node and node["_%def"].parent or fsm["_%def"]
@@ -2499,11 +2505,11 @@ end
 --- Raise an error that blames the caller, unless `fsm` is a machine; for extensions.
 ---@param fsm any
 ---@param where string the public function, such as "rfsm.step"
----@param level? integer the function to blame: 3, the default, for the caller's caller
+---@param level? integer level of `error`; default 3, which blames the caller's caller
 function rfsm.check_machine(fsm, where, level)
   if machines[fsm] then return end
   if rawequal(getmetatable(fsm), Machine) and rawget(fsm, "_initialized") then
-    if not fsm._preparing then adopt_copy(fsm) end -- else `init` goes on with it
+    if not fsm._preparing then adopt_copy(fsm) end -- else `init` is not over
     return
   end
   local hint = is_state(fsm) and (rawget(fsm, "_initialized")
@@ -2515,8 +2521,8 @@ local check_machine = rfsm.check_machine
 
 --- Return a table that machines of the same structure share, for extensions.
 --
--- A machine has another table after `fsm_merge`, and after a preproc function has
--- changed its transitions.
+-- A machine gets another table from `fsm_merge`, and when a preproc function changes
+-- its transitions.
 --
 ---@param fsm rfsm.Machine
 ---@return table structure
@@ -2529,12 +2535,12 @@ local function check_function(f, where)
   if not is_callable(f) then error(where .. ": function expected, " .. got(f), 3) end
 end
 
--- Returns a text with padded digits, so that trans[10] is sorted after trans[2].
+-- Pads the numbers in a text with zeros, so that trans[10] is sorted after trans[2].
 local function natural(text)
   return (text:gsub("%d+", function(n) return ("0"):rep(12 - #n) .. n end))
 end
 
--- Turns { file, line } into lines "file: location: text", sorted by location.
+-- Turns a list of { file, line } into texts "file: location: text", sorted by location.
 local function lines_of(list)
   local keys, lines = {}, {}
   for i = 1, #list do
@@ -2553,12 +2559,12 @@ local function summary(where, problems)
     #problems == 1 and "" or "s", concat(problems, "\n  "), hint)
 end
 
---- Return where an element stands: "chart.lua:7: root.trans[2] (off -> on)".
+--- Return the location of an element: "chart.lua:7: root.trans[2] (off -> on)".
 --
--- File and line are those where its constructor was called; they may not be known.
+-- Its constructor was called at this file and line. They are omitted if not known.
 --
 ---@param obj rfsm.State|rfsm.Transition|rfsm.Connector an element of a machine
----@param field? string of the element: "root.trans[2].events (off -> on)"
+---@param field? string a field to include: "root.trans[2].events (off -> on)"
 ---@return string location
 function rfsm.location_of(obj, field)
   local def = obj["_%def"]
@@ -2569,8 +2575,8 @@ end
 local build_plan, new_build, plan_of
 
 do
-  -- The plans of models. A plan is kept by its machines; the latest plan is kept in any
-  -- case, for programs that drop each machine before they make the next.
+  -- Model -> plan, a weak table. Machines keep their plan alive. `latest_plan` keeps
+  -- one more, for programs that drop each machine before they make the next.
   local plans, latest_plan = setmetatable({}, { __mode = "kv" }), nil
   local is_sparing = false
 
@@ -2580,7 +2586,7 @@ do
       created = plan.created, mounts = {} }
   end
 
-  -- Leaves out the user's data at the root that has the name of a field of machines.
+  -- Removes user data of the root whose key is also a field of every machine.
   local function drop_taken_names(build, root)
     local taken, data = own_fields(), root.data
     root.data = {}
@@ -2595,7 +2601,7 @@ do
     end
   end
 
-  -- Reports each `initial` that no transition leaves: nothing could enter there.
+  -- Reports each `initial` that no transition leaves: its composite cannot be entered.
   local function check_ways_in(build)
     for _, def in ipairs(build.plan.nodes) do
       if def.id == "initial" and def.kind == "connector" and not def.is_left then
@@ -2633,7 +2639,7 @@ do
     return build
   end
 
-  -- Returns the plan of a model; nil and the problems if it has any.
+  -- Returns the plan of a model. If the model has problems, returns nil and their list.
   function plan_of(model)
     local plan = plans[model]
     if plan and is_current(plan) then return plan end
@@ -2646,10 +2652,10 @@ do
     return latest_plan
   end
 
-  --- Take less memory from now on, and more time: for all machines of this Lua.
+  --- Use less memory and more time from now on, for all machines of this Lua state.
   --
-  -- Nothing is compiled by rfsm/fast.lua, and each `init` makes a plan of its own,
-  -- which is not kept longer than its machine.
+  -- rfsm/fast.lua compiles nothing more. Each `init` makes a new plan, which is dropped
+  -- with its machine.
   function rfsm.save_memory()
     drop_fast()
     is_sparing, latest_plan = true, nil
@@ -2665,7 +2671,7 @@ local function new_machine(plan)
     local printer = printer_of(fsm, name)
     fsm[name] = is_callable(printer) and printer or DEFAULT_PRINTER[name]
   end
-  for name in pairs(STEP_HOOKS) do -- any order: each stands alone
+  for name in pairs(STEP_HOOKS) do -- any order: independent entries
     if fsm[name] then fsm._is_hooked = true else fsm[name] = nil end
   end
   return setmetatable(fsm, Machine)
@@ -2680,7 +2686,7 @@ local function report_lines(fsm, name, list)
   end
 end
 
--- Returns the set of the composites that a transition leaves from inside.
+-- Returns the set of composites that are left by a transition from a node inside.
 local function left_composites(plan)
   local left = {}
   for _, def in ipairs(plan.transitions) do
@@ -2690,14 +2696,15 @@ local function left_composites(plan)
   return left
 end
 
--- Does a transition leave a composite around a state, and the state with it?
+-- Does a composite that contains the state `def` have an outgoing transition?
 local function is_left_around(def)
   local around = def.parent
   while around ~= around.parent and not around.otrs[1] do around = around.parent end
   return def.kind == "state" and around.otrs[1] ~= nil
 end
 
--- Warns of the nodes, from number `first` on, that nothing leaves.
+-- Warns of the nodes, from number `first` on, that no transition leaves. Returns true
+-- if there are none.
 local function report_dead_ends(fsm, first)
   local plan, dead, left = fsm._plan, {}, nil
   for i = first, #plan.nodes do
@@ -2713,7 +2720,8 @@ local function report_dead_ends(fsm, first)
   return dead[1] == nil
 end
 
--- Reports the warnings of the model, and what is odd after the preproc functions.
+-- Reports the warnings of the model, then suspicious guards and events, which preproc
+-- functions may have changed.
 local function report_findings(fsm, first_node, first_transition)
   local plan, found = fsm._plan, append({}, fsm._plan.warnings)
   for i = first_node, #plan.nodes do
@@ -2735,14 +2743,15 @@ end
 --
 -- They run after names are resolved and before events are indexed, and may change
 -- `events`, `pn`, `src`, `tgt` and callbacks. `rfsm.fsm_merge` calls them again with
--- the element that it added. A list of texts "location: problem" that one returns
--- counts among the model's problems.
+-- the element that it added. A function may return a list of texts "location:
+-- problem", which are added to the problems of the model.
 --
 ---@type (fun(fsm: rfsm.Machine, merged?: table): string[]?)[]
 rfsm.preproc = {}
 
---- Functions `f(event)` of extensions that make events. Each returns the extension's
--- name if the event is its own, and the FQN of the state that has to be active, if any.
+--- Functions `f(event)` of extensions that raise events. If `event` is raised by its
+-- extension, f returns the extension's name. A second result is optional: the FQN of
+-- the state that must be active for the event.
 ---@type (fun(event: string): string?, string?)[]
 rfsm.makers = {}
 
@@ -2750,7 +2759,7 @@ local preprocess
 
 do
   -- Gives each transition the fields `events` and `pn`, which a preproc function may
-  -- change. It has them already if such a function is merging something.
+  -- change. The fields exist already if a preproc function has called `fsm_merge`.
   local function hand_out(fsm, plan)
     for i, tr in ipairs(fsm._transitions) do
       local def = plan.transitions[i]
@@ -2759,7 +2768,7 @@ do
     end
   end
 
-  -- Returns the field that got a wrong value from a preproc function.
+  -- Returns the name of a field with a wrong value from a preproc function; else false.
   local function wrong_field(fsm, tr)
     local events, pn = tr.events or NONE, rawget(tr, "pn") or 0
     if type(events) ~= "table" and type(events) ~= "string" then return "events" end
@@ -2768,8 +2777,8 @@ do
     return not is_node_of(fsm, tr.tgt) and "tgt"
   end
 
-  -- Gives the fields of a transition the form that a plan has: a list of events, a
-  -- target that is no composite. Returns a problem if there is one.
+  -- Converts the fields of a transition into the form of a plan: a list of events, and
+  -- a target that is no composite. Returns the text of a problem, or nil.
   local function check_transition(fsm, tr)
     local wrong = wrong_field(fsm, tr)
     if wrong then
@@ -2789,7 +2798,7 @@ do
     tr.events = type(events) == "string" and { events } or events
   end
 
-  -- Has each transition of a machine the ends, the priority and the events of a plan?
+  -- Do all transitions of a machine have the ends, priority and events of the plan?
   local function fits(fsm, plan)
     local nodes = fsm._nodes
     for i, tr in ipairs(fsm._transitions) do
@@ -2808,14 +2817,14 @@ do
     return true
   end
 
-  -- Returns the plan that fits a machine: the latest variant or the plan itself.
+  -- Returns the latest variant or the plan itself, if it fits the machine; else nil.
   local function find_plan(fsm, plan)
     if plan.variant and fits(fsm, plan.variant) then return plan.variant end
     return fits(fsm, plan) and plan or nil
   end
 
-  -- Returns a plan with the definitions of one that only this machine uses, and drops
-  -- what was compiled of them.
+  -- Returns a new plan with the definitions of `plan`, which no other machine uses, and
+  -- drops their compiled fields.
   local function renewed(plan)
     local variant = new_plan(plan.model, plan.warnings, plan.created)
     variant.nodes, variant.transitions = plan.nodes, plan.transitions
@@ -2826,7 +2835,7 @@ do
     return variant
   end
 
-  -- Returns a plan whose transitions are what the preproc functions have made of them.
+  -- Returns a new plan with the transitions as the preproc functions have changed them.
   local function new_variant(fsm, plan)
     local variant = plan.trail and copy_plan(plan) or renewed(plan)
     for i, tr in ipairs(fsm._transitions) do
@@ -2841,8 +2850,8 @@ do
     return variant
   end
 
-  -- Gives the machine the plan of what the preproc functions have made of its
-  -- transitions. Machines with the same result share it.
+  -- Gives the machine a plan that fits its transitions after the preproc functions.
+  -- Machines with equal transitions share this plan.
   local function take_results(fsm, plan, problems)
     local found = find_plan(fsm, plan)
     if not found then
@@ -2855,9 +2864,9 @@ do
     if found ~= plan then use_plan(fsm, found) end
   end
 
-  -- Runs the preproc functions; returns the problems they found. If one of them merges
-  -- an element, only those before it are called for the element: the others see it
-  -- anyway, in their turn.
+  -- Runs the preproc functions and returns the problems they found. If one of them
+  -- calls `fsm_merge`, only the functions before it are called for the new element,
+  -- because the later ones are still to be called for the whole machine.
   function preprocess(fsm, merged)
     local problems, outer = {}, fsm._preparing
     local last = outer and outer - 1 or #rfsm.preproc
@@ -2875,7 +2884,7 @@ do
   end
 end
 
---- Is a machine strict, by its root or by the environment? For extensions.
+--- Is a machine strict, by `strict` of its root or RFSM_STRICT=1? For extensions.
 ---@param root rfsm.State a root state or a machine
 ---@return boolean
 function rfsm.is_strict(root)
@@ -2899,9 +2908,9 @@ end
 -- to `err` in one text, sorted by location.
 --
 -- @raise when `model` is no state
----@param model rfsm.State a root state, or a machine for a fresh one of the same model
+---@param model rfsm.State a root state; or a machine, to get a new one of its model
 ---@return rfsm.Machine? fsm false when the model has problems
----@return string? text all problems, for `assert`
+---@return string? text all problems as one text, which `assert` raises
 ---@return string[]? problems each "file:line: location: problem"
 ---@nodiscard
 function rfsm.init(model)
@@ -2945,9 +2954,9 @@ function rfsm.verify_early(model)
   return not build.problems[1], lines_of(build.problems), lines_of(build.warnings)
 end
 
---- Warn of each state or connector that nothing leaves.
+--- Warn of each state or connector that no transition leaves.
 ---@param fsm rfsm.Machine
----@return boolean is_clean true when there is none
+---@return boolean is_clean true if there is no such node
 function rfsm.check_no_otrs(fsm)
   check_machine(fsm, "rfsm.check_no_otrs")
   return report_dead_ends(fsm, 1)
@@ -2969,7 +2978,7 @@ end
 --
 ---@param fsm rfsm.Machine
 ---@param event? any anything; nil is skipped
----@param ... any more of them
+---@param ... any more events
 function rfsm.send_events(fsm, event, ...)
   if not machines[fsm] then check_machine(fsm, "rfsm.send_events") end
   if fsm.dbg ~= silent and fsm.dbg then report(fsm, "dbg", "RAISED", event, ...) end
@@ -2994,8 +3003,10 @@ local function try(fsm, after_free)
   return counted, idle
 end
 
---- Raise an error that blames the caller's caller while a step is under way, for
--- extensions. A step that was cut short is finished.
+--- Raise an error if a step is under way, for extensions.
+--
+-- It blames the caller's caller. A step that an error has cut short is finished first.
+--
 ---@param fsm rfsm.Machine
 ---@param where string the public function
 function rfsm.check_between_steps(fsm, where)
@@ -3006,8 +3017,8 @@ end
 
 local check_between_steps = rfsm.check_between_steps
 
--- Iterates until `left` iterations counted or the machine is idle. Returns whether it
--- is idle. `counted` and `idle` are the results of the last iteration.
+-- Iterates until `left` iterations have counted as steps or the machine is idle. The
+-- result is true if it is idle. `counted` and `idle` come from the last iteration.
 local function advance(fsm, left, counted, idle)
   while counted ~= nil do
     if counted then
@@ -3037,14 +3048,14 @@ local function step_often(fsm, n)
     error("rfsm.step: number of steps expected, " .. got(n)
       .. (type(n) == "string" and " (did you mean rfsm.send_events?)" or ""), 3)
   end
-  return advance(fsm, n == n and n or 1, try(fsm)) -- NaN is 1
+  return advance(fsm, n == n and n or 1, try(fsm)) -- NaN counts as 1
 end
 
 --- Advance a machine by at most `n` transitions or doo cycles.
 --
--- Returns earlier if it is idle. Errors of callbacks are reported to `err`. Those of
--- step hooks and getevents are raised at once, those of printers when the iteration is
--- over. A step that an interrupt has cut short is finished first.
+-- Returns earlier if the machine is idle. Errors of callbacks are reported to `err`.
+-- Errors of step hooks and getevents are raised at once, errors of printers at the end
+-- of the iteration. A step that an interrupt has cut short is finished first.
 --
 ---@param fsm rfsm.Machine
 ---@param n? number at least 1, default 1
@@ -3052,7 +3063,7 @@ end
 function rfsm.step(fsm, n)
   if not machines[fsm] then check_machine(fsm, "rfsm.step") end
   if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.step", 3) end
-  if n ~= nil then return (step_often(fsm, n)) end -- no tail call: it blames
+  if n ~= nil then return (step_often(fsm, n)) end -- no tail call: error levels
   local ok, counted, idle = pcall(iterate, fsm)
   if ok and counted then return idle end -- no loop: LuaJIT makes one trace of it
   if ok and counted == false then ok, counted, idle = pcall(iterate, fsm, true) end
@@ -3067,14 +3078,14 @@ end
 function rfsm.run(fsm)
   if not machines[fsm] then check_machine(fsm, "rfsm.run") end
   if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.run", 3) end
-  local ok, counted, idle = pcall(iterate, fsm) -- the usual two without a loop
+  local ok, counted, idle = pcall(iterate, fsm) -- usually two iterations
   if ok and counted and not idle then ok, counted, idle = pcall(iterate, fsm) end
   if not ok then raise_cut(fsm, counted) end
   if idle and fsm.dbg == silent and not fsm.idle_hook then return true end
   return advance(fsm, huge, counted, idle)
 end
 
---- Make a machine as it was after `init`: inactive, no exit is called.
+--- Make a machine inactive, as it was after `init`, without a call of any exit.
 --
 -- If a callback of the machine calls this, it takes effect when the iteration ends. A
 -- machine whose step was cut short can be stepped again afterwards.
@@ -3090,7 +3101,7 @@ function rfsm.reset(fsm)
   raise_failure(fsm)
 end
 
---- Move the events of getevents to the queue.
+--- Call getevents and append its events to the queue.
 ---@param fsm rfsm.Machine
 ---@return integer waiting length of the queue
 function rfsm.check_events(fsm)
@@ -3131,21 +3142,21 @@ end
 
 --- Return the active child of a composite.
 ---@param state rfsm.State
----@return rfsm.State? child nil when there is none
+---@return rfsm.State? child nil if no child is active
 function rfsm.actchild_get(state)
   return type(state) == "table" and state._actchild or nil
 end
 
 --- Call `f(obj, parent, name)` for each element below `fsm` that `pred` accepts.
 --
--- Parents before children; the array part first, then names sorted. A machine itself
--- comes first, as `f(fsm, fsm, "root")`.
+-- Parents come before children, numeric keys before names, names in sorted order. For a
+-- machine the first call is `f(fsm, fsm, "root")`.
 --
 ---@param f fun(obj: table, parent: rfsm.State, name: string|integer): any
 ---@param fsm table a machine, a model, or any table of elements
 ---@param pred? fun(obj: any): boolean default is_fsmobj
----@param depth? integer how many levels, default all
----@return any[] results those of f, in order, without nils
+---@param depth? integer number of levels, default all
+---@return any[] results the results of f, in order, without nils
 function rfsm.mapfsm(f, fsm, pred, depth)
   check_function(f, "rfsm.mapfsm")
   if type(fsm) ~= "table" then error("rfsm.mapfsm: state expected, " .. got(fsm), 2) end
@@ -3170,15 +3181,15 @@ end
 do
   local function itself(element) return element end
 
-  -- Lists the elements of a machine that is being prepared. They stand in the order of
-  -- `mapfsm`, which is found once for all machines of its plan.
+  -- Lists the elements of a machine while preproc functions run. They are in the order
+  -- of `mapfsm`, which is computed once for all machines of the plan.
   local function planned_elements(fsm, pred)
     local nodes, transitions, order = fsm._nodes, fsm._transitions, fsm._plan.order
     if not order then
       order = rfsm.mapfsm(function(element) return element["_%def"] end, fsm)
       fsm._plan.order = order
     end
-    local list, is_simple = {}, pred == rfsm.is_trans -- as most preproc functions ask
+    local list, is_simple = {}, pred == rfsm.is_trans -- the most common case
     for i = 1, #order do
       local def = order[i]
       if def.kind == "transition" then
@@ -3191,10 +3202,10 @@ do
     return list
   end
 
-  --- List an element and those below it that `pred` accepts, for extensions.
+  --- List the elements that `pred` accepts among `obj` and its members, for extensions.
   --
   -- A preproc function `f(fsm, merged)` works on `rfsm.elements(merged or fsm, pred)`.
-  -- Machines that share `structure_of` have their elements at the same positions.
+  -- Machines with the same `rfsm.structure_of` have their elements in the same order.
   --
   ---@param obj table a machine or an element of one
   ---@param pred? fun(obj: any): boolean default is_fsmobj
@@ -3204,21 +3215,21 @@ do
     if is_root and obj._preparing then return planned_elements(obj, pred) end
     local list = not is_root and (not pred or pred(obj)) and { obj } or {}
     if rfsm.is_trans(obj) then return list end
-    return append(list, rfsm.mapfsm(itself, obj, pred)) -- a root is in it
+    return append(list, rfsm.mapfsm(itself, obj, pred)) -- lists a root, too
   end
 end
 
 --- The field `_regions` of a state in which an extension runs machines.
 ---@class rfsm.Regions
----@field [integer] rfsm.Machine in the order in which they are stepped
----@field names any[] their names, in that order
----@field entry? function the user's, if the extension has put its own into the state
----@field exit? function likewise
+---@field [integer] rfsm.Machine the machines, in the order in which they are stepped
+---@field names any[] the names of these machines, in the same order
+---@field entry? function the user's entry, if the extension has replaced it
+---@field exit? function the user's exit, if the extension has replaced it
 
 --- List the machines that run in a state, in the order in which they are stepped.
 ---@param state rfsm.State a state of a machine
----@return rfsm.Machine[] regions empty where there are none; not to be changed
----@return rfsm.Regions? own what the extension keeps; nil: none runs machines there
+---@return rfsm.Machine[] regions empty if there are none; the caller must not change it
+---@return rfsm.Regions? own the field `_regions`; nil if no machines run in the state
 function rfsm.regions(state)
   local own = is_state(state) and rawget(state, "_regions")
   if type(own) ~= "table" then return NONE, nil end
@@ -3227,12 +3238,12 @@ end
 
 --- List the nodes to which a transition may lead.
 --
--- If an extension changes the target of a transition into a composite, so that it leads
--- to any node there, it notes the model's target in the field `_initial`.
+-- An extension may change the target of a transition so that it leads to any node in a
+-- composite. Then the extension keeps the model's target in the field `_initial`.
 --
 ---@param tr rfsm.Transition a transition of a machine
----@return (rfsm.State|rfsm.Connector)[] targets its target; or `_initial` and the nodes
--- of that composite
+---@return (rfsm.State|rfsm.Connector)[] targets the target; or `_initial` and all nodes
+-- of the composite that contains it
 function rfsm.targets(tr)
   local initial = tr._initial
   if not initial then return { tr.tgt } end
@@ -3243,10 +3254,10 @@ end
 ---@class rfsm.Place
 ---@field machine rfsm.Machine
 ---@field owner rfsm.Machine|false the parent machine, whose state runs it
----@field state rfsm.State|false that state
+---@field state rfsm.State|false the state of the parent machine that runs it
 ---@field prefix string "root", or the name of the region: "root.arms.left"
 
---- List a machine and the regions in its states, at any depth; itself first.
+--- List a machine, then the regions in its states, at any depth.
 ---@param fsm rfsm.Machine
 ---@return rfsm.Place[] places
 function rfsm.machines(fsm)
@@ -3269,8 +3280,7 @@ function rfsm.machines(fsm)
 end
 
 do
-  -- Returns a node of a machine, or of one in its states, by its name,
-  -- "root.par.left.a".
+  -- Returns the node with a name such as "root.par.left.a" in a machine or its regions.
   local function find_by_name(fsm, name)
     for _, at in ipairs(rfsm.machines(fsm)) do
       for _, node in ipairs(at.machine._nodes) do
@@ -3279,9 +3289,9 @@ do
     end
   end
 
-  --- Is a state active, in the machine or in one that runs in its states?
+  --- Is a state of the machine, or of one of its regions, active?
   ---@param fsm rfsm.Machine
-  ---@param state rfsm.State|string the name begins as `rfsm.machines` says
+  ---@param state rfsm.State|string a name begins with the `prefix` of `rfsm.machines`
   ---@return boolean
   function rfsm.is_in(fsm, state)
     check_machine(fsm, "rfsm.is_in")
@@ -3294,10 +3304,10 @@ do
   end
 end
 
---- Load and compile now what would be loaded and compiled while a machine runs.
+--- Compile a machine completely now, not while it runs.
 --
--- Without this call a machine is compiled bit by bit, as its transitions are taken for
--- the first times. So is whatever is added later, by `fsm_merge` or as a first hook.
+-- Without this call a path is compiled when it has been taken a few times. This is also
+-- true of paths that change later, by `fsm_merge` or because a first hook is set.
 --
 ---@param fsm rfsm.Machine
 function rfsm.prepare(fsm)
@@ -3316,13 +3326,13 @@ end
 
 -- Tools: they look at a machine or move it; no part of a run ......................
 
---- Call `f(fsm, state)` for each state on the line between two, both included.
+--- Call `f(fsm, state)` for each state from `from` up or down to `to`, both included.
 -- @raise when neither is an ancestor of the other
 ---@param fsm rfsm.Machine
 ---@param f fun(fsm: rfsm.Machine, state: rfsm.State): any
 ---@param from rfsm.State where to begin
 ---@param to rfsm.State an ancestor or descendant of `from`
----@return any[] results those of f, in order, without nils
+---@return any[] results the results of f, in order, without nils
 function rfsm.map_from_to(fsm, f, from, to)
   check_machine(fsm, "rfsm.map_from_to")
   check_function(f, "rfsm.map_from_to")
@@ -3342,15 +3352,15 @@ function rfsm.map_from_to(fsm, f, from, to)
   return results
 end
 
---- Find the path that events would enable from one node, and do not take it.
+--- Find the path that events would enable from a node, without taking it.
 --
--- A path is { node, nextl }: `nextl` is a list of { trans, next }, and false at the
--- leaf at the end of the path.
+-- A path is a table { node, nextl }. `nextl` is a list of tables { trans, next }, whose
+-- `next` is the rest of the path. At the end of the path `nextl` is false.
 --
 ---@param fsm rfsm.Machine
 ---@param node rfsm.State|rfsm.Connector
 ---@param events any[]
----@return table|false path false when there is none
+---@return table|false path false if no path is enabled
 function rfsm.node_find_enabled(fsm, node, events)
   check_machine(fsm, "rfsm.node_find_enabled")
   if not is_node_of(fsm, node) then
@@ -3359,7 +3369,7 @@ function rfsm.node_find_enabled(fsm, node, events)
   if type(events) ~= "table" then
     error("rfsm.node_find_enabled: list of events expected, " .. got(events), 2)
   end
-  local ways, number = fsm._ways, fsm._search -- this may be asked during a search
+  local ways, number = fsm._ways, fsm._search -- a guard may call this
   fsm._ways, fsm._search = {}, 1
   local def = first_enabled(fsm, node["_%def"].otrs, events)
   local path = def and { node = node, nextl = false } or false
@@ -3392,11 +3402,11 @@ function rfsm.exit_state(fsm, state)
   fsm._at = at
 end
 
--- Gives a state a mode. The states around it become active, all others inactive.
+-- Sets the mode of a state. Its ancestors become active, all other states inactive.
 local function move_to(state, mode)
   local fsm = state
   while fsm._parent ~= fsm do fsm = fsm._parent end
-  local left = fsm -- what is active is reached by _actchild
+  local left = fsm -- _actchild leads to all active states
   while left do
     local child = left._actchild
     left._mode = "inactive"
@@ -3416,7 +3426,7 @@ end
 
 --- Set the mode of a state.
 --
--- The states around it become active, all others inactive; no callback runs.
+-- Its ancestors become active, all other states inactive. No callback runs.
 --
 ---@param state rfsm.State a state of a machine
 ---@param mode "active"|"inactive"|"done"
@@ -3454,15 +3464,15 @@ function rfsm.borrows(f)
   return f
 end
 
--- Hooks: lists that are replaced, never changed: a run over one is not disturbed ...
+-- Hooks: a list is replaced, never changed, so that a loop over it is not disturbed ...
 
 do
-  -- The hooks that are called in an iteration, which is not a usual one then.
+  -- Hooks that are called in an iteration: machines with one use `iterate_hooked`.
   local IN_STEP = { _pre_hooks = true, _post_hooks = true, _path_hooks = true,
     _entry_hooks = true, _exit_hooks = true }
 
-  -- Hooks in "front" add events or note them. They stay in front of hooks "before"
-  -- others, which may take events away. A list has the number of them in `front`.
+  -- Hooks placed in "front" add or record events. They are called before hooks placed
+  -- "before", which may remove events. `front` of a list is the number of front hooks.
   local PLACES = { front = true, before = true, after = true }
 
   -- Adds a hook to the list in a field of `owner`.
@@ -3487,7 +3497,8 @@ do
     end
   end
 
-  -- The same for hooks with a key: the state, or the kind of what is watched.
+  -- Makes a function that adds a hook to the list of a key. Keys are states, or the
+  -- words of `rfsm.Watched`.
   local function keyed_adder(where, field, is_key, expected)
     return function(fsm, key, hook)
       check_machine(fsm, where)
@@ -3501,8 +3512,8 @@ do
     end
   end
 
-  -- Takes a hook out of the list in a field of `owner`. An empty list becomes false, as
-  -- it is in a new machine. Returns whether the hook was there.
+  -- Removes a hook from the list in a field of `owner`. An empty list becomes false, as
+  -- in a new machine. Returns true if the hook was in the list.
   local function take_out(owner, field, hook)
     local hooks = owner[field] or NONE
     for i = 1, #hooks do
@@ -3518,8 +3529,8 @@ do
     return false
   end
 
-  -- Makes the function that takes a hook out again: from the list in `field`, or from
-  -- the field `slot` of the machine.
+  -- Makes a function that removes a hook: from the list in `field`, or, if the hook is
+  -- in the machine's field `slot`, from this field.
   local function hook_remover(where, field, slot)
     return function(fsm, hook)
       check_machine(fsm, where)
@@ -3541,14 +3552,14 @@ do
 
   --- Have `hook(fsm, state)` called each time `state` is entered, before its entry.
   --
-  -- For extensions: unlike a wrapped entry it stays when a tool replaces `state.entry`.
-  -- Its error is raised when the iteration is over.
+  -- For extensions: a tool that replaces `state.entry` does not remove the hook. An
+  -- error of the hook is raised when the iteration is over.
   --
   ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function)
   rfsm.entry_hook_add = keyed_adder("rfsm.entry_hook_add", "_entry_hooks", is_state_of,
     "state of the fsm")
 
-  --- Remove an entry hook of a state. Return whether it was there.
+  --- Remove an entry hook of a state. Return true if the state had this hook.
   ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function): boolean
   rfsm.entry_hook_rm = keyed_remover("rfsm.entry_hook_rm", "_entry_hooks")
 
@@ -3557,20 +3568,20 @@ do
   rfsm.exit_hook_add = keyed_adder("rfsm.exit_hook_add", "_exit_hooks", is_state_of,
     "state of the fsm")
 
-  --- Remove an exit hook of a state. Return whether it was there.
+  --- Remove an exit hook of a state. Return true if the state had this hook.
   ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function): boolean
   rfsm.exit_hook_rm = keyed_remover("rfsm.exit_hook_rm", "_exit_hooks")
 
-  --- Have `hook(fsm, events)` called in each iteration before anything is chosen.
+  --- Have `hook(fsm, events)` called in each iteration before a transition is chosen.
   --
-  -- It may change the list of events. The machine's own `pre_step_hook` is among the
-  -- hooks, and stays replaceable. `place`, "after" (default) or "before", is relative
-  -- to the other hooks.
+  -- The hook may change the list of events. `fsm.pre_step_hook` is called together with
+  -- these hooks, and a program may still set this field. `place`, "after" (default) or
+  -- "before", is relative to the other hooks.
   --
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.pre_step_hook_add = hook_adder("rfsm.pre_step_hook_add", "_pre_hooks")
 
-  --- Remove a pre step hook. Return whether it was there.
+  --- Remove a pre step hook. Return true if the machine had this hook.
   ---@type fun(fsm: rfsm.Machine, hook: function): boolean
   rfsm.pre_step_hook_rm = hook_remover("rfsm.pre_step_hook_rm", "_pre_hooks",
     "pre_step_hook")
@@ -3579,13 +3590,12 @@ do
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.post_step_hook_add = hook_adder("rfsm.post_step_hook_add", "_post_hooks")
 
-  --- Remove a post step hook. Return whether it was there.
+  --- Remove a post step hook. Return true if the machine had this hook.
   ---@type fun(fsm: rfsm.Machine, hook: function): boolean
   rfsm.post_step_hook_rm = hook_remover("rfsm.post_step_hook_rm", "_post_hooks",
     "post_step_hook")
 
-  --- For post step hooks: does the step go on with another iteration, because events
-  -- came and nothing was taken?
+  --- For post step hooks: will `step` iterate again, since no transition was enabled?
   ---@param fsm rfsm.Machine
   ---@return boolean
   function rfsm.is_free(fsm)
@@ -3601,8 +3611,10 @@ do
     return fsm._outcome == "idle" and fsm._intq[1] == nil
   end
 
-  --- Has the machine taken a path since this was last asked? For its host, which asks
-  -- between steps, and has no need of a path hook then.
+  --- Has the machine taken a path since the last call of this function?
+  --
+  -- A host that calls this between steps needs no path hook.
+  --
   ---@param fsm rfsm.Machine
   ---@return boolean
   function rfsm.took_path(fsm)
@@ -3612,14 +3624,14 @@ do
     return path ~= false
   end
 
-  --- Have `hook(fsm, path)` called before a path is taken, a list of transitions.
+  --- Have `hook(fsm, path)` called before a path, a list of transitions, is taken.
   --
   -- For observers. An error of the hook is raised when the iteration is over.
   --
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.path_hook_add = hook_adder("rfsm.path_hook_add", "_path_hooks")
 
-  --- Remove a path hook. Return whether it was there.
+  --- Remove a path hook. Return true if the machine had this hook.
   ---@type fun(fsm: rfsm.Machine, hook: function): boolean
   rfsm.path_hook_rm = hook_remover("rfsm.path_hook_rm", "_path_hooks")
 
@@ -3627,38 +3639,39 @@ do
   local WATCHED = { sent = true, failed = true, resumed = true, ended = true,
     merged = true }
 
-  --- Have `hook(fsm, ...)` called when something happens, for observers.
+  --- Have `hook(fsm, ...)` called for one of five occasions, for observers.
   --
-  -- Other hooks are called for what a step does, this one for the rest, by `what`:
+  -- These are the values of `what`, and the arguments of the hook after `fsm`:
   --
-  --    "sent": event ...                  events were sent
-  --    "failed": element, callback, error "entry", "guard" ... of an element failed
-  --    "resumed", "ended": leaf           a doo is resumed; it has come to its end
-  --    "merged": element                  the machine has a new element
+  --    "sent": event ...               events were sent
+  --    "failed": element, name, error  the callback `name` of the element has failed
+  --    "resumed": leaf                 the doo of the leaf is resumed
+  --    "ended": leaf                   the doo of the leaf has ended
+  --    "merged": element               the element was added by `fsm_merge`
   --
-  -- Its error is raised when the iteration is over.
+  -- An error of the hook is raised when the iteration is over.
   --
   ---@type fun(fsm: rfsm.Machine, what: rfsm.Watched, hook: function)
   rfsm.watch_hook_add = keyed_adder("rfsm.watch_hook_add", "_watch_hooks",
     function(_, what) return WATCHED[what] end,
     "'sent', 'failed', 'resumed', 'ended' or 'merged'")
 
-  --- Remove a watch hook. Return whether it was there.
+  --- Remove a watch hook. Return true if the machine had this hook.
   ---@type fun(fsm: rfsm.Machine, what: rfsm.Watched, hook: function): boolean
   rfsm.watch_hook_rm = keyed_remover("rfsm.watch_hook_rm", "_watch_hooks")
 
-  --- Have `hook(fsm)` called when the machine is reset, for the data of an extension.
+  --- Have `hook(fsm)` called when the machine is reset, to reset an extension's data.
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.reset_hook_add = hook_adder("rfsm.reset_hook_add", "_reset_hooks")
 
-  --- Remove a reset hook. Return whether it was there.
+  --- Remove a reset hook. Return true if the machine had this hook.
   ---@type fun(fsm: rfsm.Machine, hook: function): boolean
   rfsm.reset_hook_rm = hook_remover("rfsm.reset_hook_rm", "_reset_hooks")
 
-  --- Have `hook(fsm, state)` list the events that an extension reacts to while a state
-  -- is active, besides those of the transitions from it; nil for none.
+  --- Have `hook(fsm, state)` list the events to which an extension reacts in a state.
   --
-  -- `rfsm.reactions` returns these events. Explorations leave out events to which
+  -- Events of transitions are not included. The result nil means no events.
+  -- `rfsm.reactions` lists the events of all hooks. Explorations omit events to which
   -- nothing reacts, and tools warn of them. A function in the list is a predicate.
   --
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
@@ -3670,15 +3683,14 @@ do
   rfsm.waiting_hook_add = hook_adder("rfsm.waiting_hook_add", "_waiting_hooks")
 end
 
--- Returns what the hooks of a list return, in one list.
+-- Calls all hooks of a list, and joins the lists that they return.
 local function collect(hooks, ...)
   local list = {}
   for _, hook in ipairs(hooks or NONE) do append(list, hook(...) or NONE) end
   return list
 end
 
---- List the events that extensions react to while a state is active, besides those of
---- the transitions from it.
+--- List the events to which extensions react while a state is active.
 ---@param fsm rfsm.Machine
 ---@param state rfsm.State
 ---@return any[] events
@@ -3691,13 +3703,13 @@ end
 ---@return any[] events
 function rfsm.waiting(fsm) return collect(fsm._waiting_hooks, fsm) end
 
--- Snapshots: what an extension keeps of a machine, and where the machine stands ....
+-- Snapshots: the data of extensions, and the configuration of the machine .........
 
---- Have snapshots hold what an extension keeps of a machine, under `name`.
+--- Have snapshots of a machine include data of an extension, under `name`.
 --
--- `save(fsm)` returns plain data, nil if there is nothing to keep. `load(fsm,
--- data, how)` takes it back, also nil, and raises an error if the data is not its own.
--- `is_explored`: explorations keep it, too, because transitions depend on it.
+-- `save(fsm)` returns plain data, or nil if there is none. `load(fsm, data, how)`
+-- restores the data (also nil), and raises an error if the data is not valid.
+-- `is_explored` is true if transitions depend on the data: explorations keep it, too.
 --
 ---@param fsm rfsm.Machine
 ---@param name string
@@ -3712,12 +3724,12 @@ function rfsm.snapshot_hook_add(fsm, name, save, load, is_explored)
     { { name = name, save = save, load = load, is_explored = is_explored } })
 end
 
---- List what `snapshot_hook_add` was called with, in that order, for extensions.
+--- List the arguments of all calls of `snapshot_hook_add`, in order, for extensions.
 ---@param fsm rfsm.Machine
 ---@return { name: string, save: function, load: function, is_explored?: boolean }[]
 function rfsm.snapshot_hooks(fsm) return fsm._snapshot_hooks or NONE end
 
---- Reset a machine and have it stand in a leaf, false for none; no callback runs.
+--- Reset a machine, then make `leaf` active (false: no leaf); no callback runs.
 ---@type fun(fsm: rfsm.Machine, leaf: rfsm.State|false, mode: string, queue: any[])
 function rfsm.place(fsm, leaf, mode, queue)
   check_between_steps(fsm, "rfsm.place")
@@ -3735,7 +3747,7 @@ end
 -- Merge: a new element of a live machine ------------------------------------------
 
 do
-  -- Returns why nothing can be added to `parent`, a leaf so far; nil if it can.
+  -- Returns the reason why the leaf `parent` cannot become a composite; nil if it can.
   local function leaf_obstacle(fsm, parent)
     if parent._mode ~= "inactive" then
       return ("'%s' is an active leaf state"):format(parent._fqn)
@@ -3744,7 +3756,7 @@ do
     end
   end
 
-  -- Returns why `obj` cannot become a member of `parent`; nil if it can.
+  -- Returns the reason why `obj` cannot become a member of `parent`; nil if it can.
   local function merge_obstacle(fsm, parent, obj, id)
     local kind = kind_of(obj)
     if not is_node_of(fsm, parent, "state") then
@@ -3786,8 +3798,8 @@ do
     return build
   end
 
-  -- Has the transitions to `parent`, if it was a leaf and is a composite now, end at
-  -- its `initial`. Returns the numbers of these transitions.
+  -- If `parent` was a leaf and is a composite now, makes its `initial` the target of
+  -- the transitions to it. Returns the numbers of these transitions.
   local function move_targets(build, parent, first)
     local moved = {}
     if parent.is_leaf then return moved end
@@ -3800,7 +3812,7 @@ do
     return moved
   end
 
-  -- Takes out again what the list holds from number `first` on.
+  -- Removes the elements from number `first` on, from the list and from their parents.
   local function truncate(list, first)
     for i = #list, first, -1 do
       local element = list[i]
@@ -3811,7 +3823,7 @@ do
     end
   end
 
-  -- Uses a plan, and its targets for the transitions in `moved`.
+  -- Makes a machine use a plan, and sets the targets of the transitions in `moved`.
   local function use_targets(fsm, plan, moved)
     for _, i in ipairs(moved) do
       fsm._transitions[i].tgt = fsm._nodes[plan.transitions[i].tgt.index]
@@ -3825,8 +3837,8 @@ do
     use_targets(fsm, plan, moved)
   end
 
-  -- Cleans up after a preproc function that has raised an error. If preproc function
-  -- number `outer` has merged the element, that one goes on.
+  -- Cleans up after an error of a preproc function. If `outer` is a number, the preproc
+  -- function with this number has called `fsm_merge`, and continues.
   local function stop_preprocessing(fsm, outer)
     fsm._preparing = outer
     for _, tr in ipairs(outer and NONE or fsm._transitions) do
@@ -3841,15 +3853,15 @@ do
 
   --- Add a state, connector or transition to a live machine.
   --
-  -- From the next iteration on the machine behaves as if it had been there at `init`.
-  -- If it cannot be added, the reason is reported to `err`, and nothing has changed.
+  -- From the next iteration on the machine behaves as if its model had the new element.
+  -- If `obj` cannot be added, the reason is reported to `err`, and nothing has changed.
   --
   ---@param fsm rfsm.Machine
-  ---@param parent rfsm.State the state of the machine that gets it
-  ---@param obj rfsm.State|rfsm.Connector|rfsm.Transition it is cloned, as `init` does
-  ---@param id? string name; optional for a transition
+  ---@param parent rfsm.State the state of the machine that gets the new element
+  ---@param obj rfsm.State|rfsm.Connector|rfsm.Transition the element, which is cloned
+  ---@param id? string its name; optional for a transition
   ---@return boolean is_merged
-  ---@return string? reason why not
+  ---@return string? reason the reason if it was not added
   function rfsm.fsm_merge(fsm, parent, obj, id)
     check_machine(fsm, "rfsm.fsm_merge")
     local obstacle = merge_obstacle(fsm, parent, obj, id)
@@ -3861,7 +3873,7 @@ do
     local build = build_merge(fsm, plan, parent_def, obj, id)
     local moved = move_targets(build, parent_def, first_transition)
     if rfsm.is_trans(obj) and not plan.transitions[first_transition] then
-      append(build.problems, build.warnings) -- in a leaf, and leads nowhere
+      append(build.problems, build.warnings) -- in a leaf, with a wrong end
     end
     local problems = lines_of(build.problems)
     if problems[1] then return refuse(fsm, summary("rfsm.fsm_merge", problems)) end
@@ -3896,7 +3908,7 @@ setmetatable(rfsm, { __index = function(_, field)
   return rawget(rfsm, field)
 end })
 
--- Finds flat names (rfsm_emem for rfsm.emem) in the folder compat/ beside this file.
+-- Searcher for `require`: finds old flat names (rfsm_emem for rfsm.emem) in compat/.
 local function find_old_name(name)
   if not name:find("^rfsm[%w_]+$") then return nil end
   local file = "compat/" .. name .. ".lua"
@@ -3906,12 +3918,12 @@ local function find_old_name(name)
   end
 end
 
--- Registers the module and the older names. A sandbox may have no `package`, or a
--- `package` without fields.
+-- Registers the module and a searcher for the older names. In a sandbox `package` may
+-- be missing or have no fields.
 local function register(package)
   local searchers = package.searchers or package.loaders
   if searchers and loadfile and not searchers.rfsm then
-    searchers.rfsm = find_old_name -- a mark: one searcher is enough
+    searchers.rfsm = find_old_name -- marks it as installed
     searchers[#searchers + 1] = find_old_name
   end
   if package.loaded and not package.loaded.rfsm then package.loaded.rfsm = rfsm end

@@ -1,4 +1,5 @@
---- Loops: cycles of leaves that need no event from outside, so that run never ends.
+--- Finds cycles of leaves that a machine runs through without events from outside, so
+-- that `rfsm.run` never returns.
 --
 -- @module rfsm.checks.loops
 -- @license BSD-3-Clause
@@ -13,7 +14,8 @@ local is_conn = rfsm.is_conn
 
 local loops = {}
 
--- Returns the first transition that is taken on the event; nil if a guard decides.
+-- Returns the first transition that the event triggers; nil if there is none, or if a
+-- guard or predicate decides.
 local function find_taken(transitions, event)
   for _, tr in ipairs(transitions) do
     local is_wanted = match.triggers(tr, event)
@@ -22,8 +24,8 @@ local function find_taken(transitions, event)
   end
 end
 
--- Returns the transitions that a leaf without doo takes on its own e_done, and the leaf
--- where they end; nil if there are none, or a guard decides.
+-- Returns the leaf to which e_done leads from a leaf without doo, and the transitions
+-- on this path. Returns nil if there is no such path, or if a guard decides.
 local function follow(fsm, leaf)
   local event, path = "e_done@" .. leaf._fqn, {}
   local tr = find_taken(location.transitions(fsm, leaf), event)
@@ -35,7 +37,7 @@ local function follow(fsm, leaf)
   end
 end
 
--- Could a callback send an event of a transition out of the cycle, one not in `taken`?
+-- Could a callback send an event that triggers a transition not in the set `taken`?
 local function may_be_left(fsm, leaves, taken)
   local has_callback, has_exit = false, false
   for _, leaf in ipairs(leaves) do
@@ -50,7 +52,8 @@ local function may_be_left(fsm, leaves, taken)
   return has_callback and has_exit
 end
 
--- Returns the leaves of a cycle that a leaf is on and that is never left, itself first.
+-- Returns the leaves of a cycle that contains `start` and is never left, `start` first.
+-- Returns nil or false if there is no such cycle.
 local function find_cycle(fsm, start)
   local leaves, taken, leaf = {}, {}, start
   repeat

@@ -1,6 +1,5 @@
 --- The exporters. Each is a module `rfsm.NAME` with `encode(fsm)`, and a command that
--- writes each chart to a file. The help, `rfsm viz` and the floors of the house read
--- this table.
+-- writes each chart to a file. The help, `rfsm viz` and tools/house.lua read this list.
 --
 -- @module rfsm.cli.exporters
 -- @license BSD-3-Clause
@@ -12,9 +11,9 @@ local concat = table.concat
 
 --- One exporter.
 ---@class rfsm.cli.Exporter
----@field name string
----@field language string as the help has it
----@field ending string of the files
+---@field name string NAME of the module and of the command
+---@field language string name of the format, for the help
+---@field ending string ending of the file names
 local EXPORTERS = {
   { name = "dot", language = "Graphviz graphs", ending = "dot" },
   { name = "plantuml", language = "PlantUML diagrams", ending = "puml" },
@@ -30,7 +29,7 @@ local function add_arguments(command)
     :argname("FILE")
 end
 
--- Writes a text to the file beside a chart, and reports if that was another one.
+-- Writes a text to the file beside a chart, and warns if the file had another text.
 local function write_beside(file, ending, text)
   local output = file == "-" and "-" or file:gsub("%.lua$", "") .. ending
   local old = output ~= "-" and files.read(output)

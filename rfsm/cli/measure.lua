@@ -1,5 +1,5 @@
--- Prints how many KiB loading something adds to the live heap. `rfsm size` runs this
--- program in another Lua:
+-- Prints how many KiB a module or a chart adds to the live heap when it is loaded.
+-- `rfsm size` runs this program in a new Lua process:
 --
 --   LUA measure.lua source|stripped PATH module NAME
 --   LUA measure.lua source|stripped PATH chart FILE [stub]
@@ -70,8 +70,8 @@ local function fail(problem)
   os.exit(0)
 end
 
--- Returns the model as a tool loads it, with stubs, or from a program. The modules that
--- only tools and warnings of init need are loaded before, and do not count.
+-- Returns the model as tools load it, also from a chart with stubs or from a program.
+-- Modules for tools and for warnings of init are loaded first, so they do not count.
 local function load_as_tools()
   local chart = require "rfsm.shared.chart"
   for _, tool in ipairs { "rfsm.advice", "rfsmpp", "rfsm.monitor" } do require(tool) end
@@ -80,7 +80,7 @@ local function load_as_tools()
   return model or fail(problem)
 end
 
--- Returns the model as a launch loads it; if that fails, as a tool does.
+-- Returns the model as `rfsm.rtt` loads it at a launch, or, if this fails, as tools do.
 local function load_model()
   if has_stubs then return load_as_tools() end
   local limit = require "rfsm.shared.limit"
@@ -90,7 +90,8 @@ local function load_model()
   return ok and model or load_as_tools()
 end
 
--- Makes the machine and prints its size; returns the KiB of model, machine and modules.
+-- Makes the machine and prints the number of its states and transitions. Returns the
+-- KiB that the model, the machine and the modules take.
 local function make_machine()
   local model = load_model()
   model.err, model.warn, model.info, model.dbg = false, false, false, false

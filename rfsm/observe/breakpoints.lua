@@ -1,8 +1,8 @@
---- Breakpoints, and expressions whose values are watched.
+--- Breakpoints and watched expressions.
 --
--- They belong to a session of the simulator or to a view of the page: a table with the
--- machine, `fsm`, and the list `points`. Only a session has expressions, and evaluates
--- them by `value_of(text)`.
+-- They belong to `sim`, which is a session of the simulator or a view of the page. It
+-- has the machine `fsm` and the list `points`. Only a session has expressions, which
+-- its function `value_of(text)` evaluates.
 --
 -- @module rfsm.observe.breakpoints
 -- @license BSD-3-Clause
@@ -21,9 +21,9 @@ local breakpoints = {}
 --- A breakpoint, or an expression that is watched.
 ---@class rfsm.observe.Breakpoint
 ---@field kind "state"|"transition"|"event"|"watch"
----@field name string for a person; of an expression its text
----@field value any name of a state, set of transitions, event; last value of a "watch"
----@field condition? string text of the expression behind `if`
+---@field name string the text to show; for "watch" the text of the expression
+---@field value any state name, set of transitions, event, or last value of the "watch"
+---@field condition? string text of the expression after `if`
 ---@field holds? fun(): any the condition, compiled
 
 -- Is an end of a transition this node, or the initial connector of this composite?
@@ -32,7 +32,7 @@ local function is_at(tr_end, node)
 end
 
 -- Returns a breakpoint at the transitions of a machine and its regions for which
--- `is_meant(tr)` is true, with the name of the first one; nil if there is none.
+-- `is_meant(tr)` is true; nil if there are none. Its name is that of the first one.
 local function at_transitions(fsm, is_meant)
   local point
   for _, at in ipairs(rfsm.machines(fsm)) do
@@ -90,8 +90,8 @@ function breakpoints.add(sim, what)
   return #sim.points
 end
 
---- Call f(i, point) for each breakpoint in a list that is reached when a state with the
--- name `value` is entered, the transition `value` taken, or the event `value` received.
+--- Call f(i, point) for each breakpoint in a list that has this `kind` and waits for
+-- `value`: the name of a state entered, a transition taken, or an event received.
 function breakpoints.each_reached(list, kind, value, f)
   for i, point in ipairs(list) do
     if point.kind == kind and (rawequal(point.value, value)
@@ -136,7 +136,7 @@ function breakpoints.list(sim)
   if not sim.points[1] then print("there is none") end
 end
 
---- Remove the breakpoint or expression with this number; without a number all of them.
+--- Remove the breakpoint or expression with number `n`, or all if `n` is nil.
 function breakpoints.delete(sim, n)
   if n ~= nil and not sim.points[n] then
     error("delete: number of a breakpoint expected, got " .. text_of(n), 0)
@@ -144,8 +144,9 @@ function breakpoints.delete(sim, n)
   if n then remove(sim.points, n) else sim.points = {} end
 end
 
---- Have all breakpoints mean the states and transitions of a new machine, by name. A
--- breakpoint at what the machine lacks is removed, and `complain` gets a line about it.
+--- Move all breakpoints to the states and transitions with the same names in a new
+-- machine. If a name is missing there, the breakpoint is removed, and `complain(line)`
+-- is called.
 function breakpoints.renew(sim, complain)
   for i = #sim.points, 1, -1 do
     local point = sim.points[i]

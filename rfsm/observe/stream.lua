@@ -1,20 +1,20 @@
---- What a machine does, as one stream of values in one order, on every Lua.
+--- Calls a listener for all that a machine does, in the same order on every Lua.
 --
--- A listener is a table of these functions; nothing is done for one that it lacks. `at`
--- is the entry of `rfsm.machines` for the machine in which something happens.
+-- A listener is a table with any of these functions. `at` is the entry of
+-- `rfsm.machines` for the machine concerned, which may be a region.
 --
 --    began(at, events)                    an iteration begins, before other hooks
 --    guard(at, tr, own, events)           called in place of the guard `own`
---    taken(at, path, events)              these transitions are about to be taken
---    entered(at, state)                   before its entry
---    failed(at, element, name, failure)   the callback `name` of an element
---    sent(at, event, ...)
---    resumed(at, leaf), ended(at, leaf)   the doo of a leaf
+--    taken(at, path, events)              the transitions in `path` will be taken
+--    entered(at, state)                   a state is entered, before its entry
+--    failed(at, element, name, failure)   the callback `name` of an element has failed
+--    sent(at, event, ...)                 events were sent
+--    resumed(at, leaf), ended(at, leaf)   the doo of a leaf is resumed, has ended
 --    finished(at, events)                 an iteration is over, before other hooks
 --    passed(at, events)                   an iteration is over, after other hooks; the
---                                         machine rests if `rfsm.is_idle`
---    reset(at)
---    merged(at, element)
+--                                         machine is idle if `rfsm.is_idle` is true
+--    reset(at)                            the machine was reset
+--    merged(at, element)                  `fsm_merge` has added an element
 --
 -- The regions of the machine are followed, too, and elements that are merged later.
 --
@@ -30,10 +30,10 @@ local ipairs, setmetatable = ipairs, setmetatable
 --- A machine that a listener follows.
 ---@class rfsm.observe.Stream
 ---@field fsm rfsm.Machine
----@field machines table[] as `rfsm.machines`
+---@field machines table[] the latest result of `rfsm.machines`
 ---@field listener table<string, function>
 ---@field changes table[] hooks added and guards replaced, for `stop`
----@field is_known table<table, true> elements that have their hooks
+---@field is_known table<table, true> set of elements to which hooks were added
 local Stream = {}
 Stream.__index = Stream
 
@@ -53,7 +53,7 @@ local function attach_element(own, at, element)
   end
 end
 
--- Adds hooks to the states in an element and replaces guards, unless that was done.
+-- Adds hooks to the states in `top` and replaces guards, only once for each element.
 local function attach_elements(own, at, top)
   for _, element in ipairs(rfsm.elements(top)) do
     if not own.is_known[element] then attach_element(own, at, element) end
@@ -65,7 +65,7 @@ local join
 
 local WATCHED = { "failed", "sent", "resumed", "ended" }
 
--- Functions that are hooks: the kind of the hook, and its place among those of a kind.
+-- Function of a listener -> the kind of the hook that calls it, and the hook's place.
 local HOOKS = { began = { "pre_step", "front" }, finished = { "post_step", "before" },
   passed = { "post_step", "after" }, reset = { "reset" } }
 
@@ -105,7 +105,7 @@ function join(own)
   end
 end
 
---- Stop following the machine, which has the hooks and guards then that it had before.
+--- Stop following the machine, and restore its hooks and guards.
 function Stream:stop() instrument.give_back(self.changes) end
 
 --- Follow a machine and its regions.

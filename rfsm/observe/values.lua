@@ -1,4 +1,4 @@
---- Values as a person reads them.
+--- Converts values to texts for a person, and prints them.
 --
 -- @module rfsm.observe.values
 -- @license BSD-3-Clause
@@ -12,7 +12,7 @@ local text_of = rfsm.text_of
 
 local values = {}
 
-local MAX_SHOWN, MAX_DEPTH = 20, 3 -- entries shown of a table; tables in tables
+local MAX_SHOWN, MAX_DEPTH = 20, 3 -- entries of a table; nested tables
 
 local show
 
@@ -29,7 +29,7 @@ local function show_table(t, depth)
   return texts[1] and "{ " .. concat(texts, ", ") .. " }" or "{}"
 end
 
--- Returns a value as a person reads it; `depth` counts the tables around it.
+-- Returns a value as a text for a person. `depth` is the number of tables around it.
 function show(value, depth)
   if type(value) == "string" and depth > 0 then return ("%q"):format(value) end
   if rfsm.is_node(value) then return text_of(value) end
@@ -39,7 +39,7 @@ function show(value, depth)
   return show_table(value, depth)
 end
 
---- Return a value as a person reads it.
+--- Return a value as a text for a person.
 function values.value(value) return show(value, 0) end
 
 --- Print values in one line, if there are any.

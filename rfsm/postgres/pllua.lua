@@ -1,4 +1,4 @@
---- What `rfsm.postgres.host` needs of the server, if it runs inside, in PL/Lua.
+--- Functions that `rfsm.postgres.host` needs when it runs in PostgreSQL, in PL/Lua.
 --
 -- @module rfsm.postgres.pllua
 -- @license BSD-3-Clause
@@ -14,7 +14,7 @@ local function executor(spi, statements)
   end
 end
 
--- Returns the functions for JSON; they make values of the type jsonb.
+-- Returns the functions that convert texts and tables to and from the type jsonb.
 local function new_json(spi, pgtype)
   local jsonb = require "pllua.jsonb"
   local PLAIN = { map = function(key, value)
@@ -23,7 +23,7 @@ local function new_json(spi, pgtype)
   end }
   local json = {}
 
-  -- Returns a table without metatables.
+  -- Converts a value of the type jsonb into a table without metatables.
   function json.list_of(datum) return datum(PLAIN) end
 
   function json.datum(text)
@@ -38,15 +38,15 @@ local function new_json(spi, pgtype)
   return json
 end
 
---- Return a function that makes `rfsm.call` of a library and its globals. `host` is the
--- module `rfsm.postgres.host`, `id` the id of the library.
+--- Return a function f(library, globals) that returns the function behind `rfsm.call`.
+-- `host` is the module `rfsm.postgres.host`, and `id` is the id of the library.
 return function(host, spi, pgtype, id)
   local json, given = new_json(spi, pgtype), nil
   local server = { execute = executor(spi, host.STATEMENTS), json = json,
     warn = spi.warning }
 
-  -- A call that began before a newer library was loaded may find a machine that has
-  -- moved to it, and fail. Then the call is made again, by the newer library.
+  -- A call fails if a newer library was loaded after the call began and its machine has
+  -- moved to the newer library. Then the newer library repeats the call.
   function server.refuse(text)
     if server.execute("newest")[1].library == "library " .. id then
       return spi.error("raise_exception", text)

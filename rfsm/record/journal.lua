@@ -1,9 +1,9 @@
---- A recording in a file: runs, each a header and a line of JSON for each record.
+--- Files of recordings. A file has runs: a header, then a JSON line for each record.
 --
--- A line leaves out all that follows from the lines before: queued events, a leaf that
--- has not changed, the completion of a leaf. So a file is a third as long as its
--- records. Each line has its number `n`, and a run that was stopped ends with the last
--- number, so that a missing line is noticed. The last line of a run may be incomplete.
+-- A line omits the fields that follow from the lines before: queued events, a leaf that
+-- has not changed, the completion of a leaf. This makes the file a third as long. Each
+-- line has a number `n`, and the end of a run repeats the last one, so that a missing
+-- line is noticed. The last line of a run may be incomplete.
 --
 -- @module rfsm.record.journal
 -- @license BSD-3-Clause
@@ -25,13 +25,13 @@ local journal = { VERSION = 1 }
 
 local NONE, SHORT = {}, { events = true, leaf = true, done = true, sent = true }
 
--- Returns the events that a machine sends without any callback: a done leaf's e_done.
+-- Returns the events that a machine sends itself: the e_done of a leaf that is done.
 local function usual(leaf, is_done)
   return is_done and leaf and { "e_done@" .. leaf } or nil
 end
 
--- Returns the record of the same machine before a record. A record with a snapshot
--- follows from no other one.
+-- Returns the previous record of the machine of `rec`. A record with a snapshot in
+-- `from` does not depend on earlier records, so these are forgotten.
 local function last_of(all, rec)
   if rec.from then
     for machine in order.each(all) do all[machine] = nil end -- any order: all go
@@ -45,10 +45,11 @@ local function each_of(f, list, ...)
   return results
 end
 
--- Returns a record without the fields that follow from the last one of its machine.
+-- Returns a record without the fields that follow from `before`, the previous record
+-- of the same machine.
 local function without_known(rec, before)
   local short, events = {}, rec.events
-  for key, value in order.each(rec) do -- any order: each stands alone
+  for key, value in order.each(rec) do -- any order: independent entries
     if not SHORT[key] then short[key] = value end
   end
   if not same(events, before.sent) then short.events = events or NONE end
@@ -92,7 +93,7 @@ end
 --- Return a record as a line of JSON.
 journal.encode = exact_json.encode
 
---- Return a function that writes the records of a run to a stream; nil ends the run.
+--- Return a function f(rec) that writes a record to a stream; `rec` nil ends the run.
 function journal.writer(stream)
   local before, number = {}, 0
   return function(rec)
@@ -108,7 +109,7 @@ function journal.writer(stream)
   end
 end
 
---- Open a file to append a run. An incomplete last line gets an end.
+--- Open a file to append a run. An incomplete last line is ended with a newline.
 function journal.open(name)
   local old = io.open(name, "rb")
   local is_cut = old and old:seek("end", -1) and old:read(1) ~= "\n"
@@ -122,11 +123,11 @@ end
 
 --- A run in a file.
 ---@class rfsm.record.Run
----@field [integer] table its lines, decoded
----@field is_cut boolean its last line is incomplete
----@field has_end boolean it was stopped, and all lines are there
+---@field [integer] table the decoded lines of the run
+---@field is_cut boolean true if the last line is incomplete
+---@field has_end boolean true if the run was stopped and no line is missing
 
--- Adds a record, or the end, to a run.
+-- Adds a decoded line to a run: a record, or the end of the run.
 local function add_record(run, value)
   if type(value) ~= "table" then
     error(("record %d: table expected, got %s"):format(#run + 1, type(value)), 0)
@@ -141,7 +142,7 @@ local function add_record(run, value)
   if last then run.has_end = true else run[#run + 1] = value end
 end
 
--- Adds a line to the runs. After a line that is no JSON only a header may come.
+-- Adds a line to the runs. After a line that is no JSON only a header may follow.
 local function add_line(runs, line, number)
   local json = opts.need("rfsm.record", "dkjson")
   local value, _, problem = json.decode(line, 1, nil)
@@ -176,7 +177,7 @@ local function expand(run)
   return list
 end
 
---- Return the records of a run in a file, the last one if there is no number. Raises an
+--- Return the records of run `number` (default: the last run) in a file. Raises an
 -- error if the file cannot be read, a line is no record, or there is no such run.
 function journal.read(name, number)
   local text, problem = files.read(name)

@@ -1,6 +1,6 @@
---- The methods that the clients of both servers have for one machine. Each calls a
+--- Methods of a client for one machine, the same for both servers. Each method calls a
 -- function of `rfsm.server.functions`. Events are sent with an id, so that they are
--- applied once even if a client sends them again.
+-- applied only once if a client sends them again.
 --
 -- @submodule rfsm.fleet
 -- @license BSD-3-Clause
@@ -16,24 +16,24 @@ local rawget, tonumber, tostring, type = rawget, tonumber, tostring, type
 local insert = table.insert
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
---- A client: what `rfsm.fleet` and `rfsm.postgres` have in common.
+--- The part of a client that `rfsm.fleet` and `rfsm.postgres` have in common.
 ---@class rfsm.server.Client
 ---@field where string name of its module, for messages
 ---@field id string the beginning of all ids that the client makes
----@field count integer of the ids that it has made
+---@field count integer number of ids that the client has made
 ---@field ask fun(self, name: string, id: any, ...: any): any, string? calls a function
 --- for a machine; returns the reply, or nil and the problem
 local Client = {}
 
---- What a machine replies to a call.
+--- The reply to a call for a machine.
 ---@class rfsm.server.Reply
 ---@field leaf string FQN of the active leaf
----@field mode string of that leaf
----@field errors string[] of callbacks
----@field outcome string what became of the events: "taken", "kept" or "dropped";
---- "known": a call with this id was made before
+---@field mode string mode of the active leaf
+---@field errors string[] errors of callbacks during the call
+---@field outcome string result for the events: "taken", "kept" or "dropped"; or
+--- "known", if a call with this id was made before
 
---- Return a text that no other client has.
+--- Return an id that no other client has.
 ---@return string id
 function Client.new_id()
   return files.random(5) or ("%.0f-%s"):format(os.time(), tostring({}):match("%x+$"))
@@ -44,7 +44,7 @@ local function next_id(self)
   return self.id .. "-" .. ("%d"):format(self.count)
 end
 
--- Returns the list that a function replies as a table with names.
+-- Converts the list that a function has returned into a table with field names.
 local function reply_of(list, problem)
   if not list then return nil, problem end
   local errors = {}
@@ -52,10 +52,10 @@ local function reply_of(list, problem)
   return { leaf = list[1], mode = list[2], errors = errors, outcome = list[#list] }
 end
 
---- Make a machine.
----@param id any
----@param chart string its name in the library
----@param data? table fields that the root of the chart keeps
+--- Make a machine of a chart in the library.
+---@param id any the id of the new machine
+---@param chart string the name of the chart
+---@param data? table values for the fields that the root of the chart keeps
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
 function Client:create(id, chart, data)
@@ -64,8 +64,8 @@ function Client:create(id, chart, data)
   return reply_of(self:ask("rfsm_create", id, chart, text, "ID", next_id(self)))
 end
 
--- Calls a function that takes events. They are put in front of the last two arguments,
--- "ID" and an id. A table is an event with data, and is sent as JSON.
+-- Calls a function that takes events. The events are inserted before the last two
+-- arguments, "ID" and an id. A table is an event with data, and is sent as JSON.
 local function ask_with(self, name, id, arguments, ...)
   for i = 1, select("#", ...) do
     local event = select(i, ...)
@@ -77,17 +77,17 @@ local function ask_with(self, name, id, arguments, ...)
   return self:ask(name, id, unpack(arguments))
 end
 
---- Send events to a machine, and run it. They are applied once, also if the connection
--- is lost and they must be sent again.
+--- Send events to a machine, and run it. The events are applied only once, even if they
+-- must be sent again because the connection was lost.
 ---@param id any
 ---@param ... any events; a table with a text `name` carries data
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
 function Client:send(id, ...) return self:send_once(next_id(self), id, ...) end
 
---- Send events with an id of your own: that of a message that may come again.
----@param event_id string the machine applies events with this id once
----@param id any of the machine
+--- Send events with your own id, such as the id of a message that may arrive twice.
+---@param event_id string the machine applies events with this id only once
+---@param id any id of the machine
 ---@param ... any events
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
@@ -95,7 +95,7 @@ function Client:send_once(event_id, id, ...)
   return reply_of(ask_with(self, "rfsm_send", id, { "ID", event_id }, ...))
 end
 
---- Send events to a machine when a time has come, if a worker wakes it.
+--- Send events to a machine after a delay. They are applied when a worker wakes it.
 ---@param id any
 ---@param seconds number from now on
 ---@param ... any events
@@ -111,17 +111,17 @@ function Client:send_after(id, seconds, ...)
   return reply and ticket, problem
 end
 
---- Take back events of `send_after` whose time has not come.
+--- Cancel events of `send_after` that have not been applied yet.
 ---@param id any
 ---@param ticket string
----@return boolean? was_there
+---@return boolean? was_there true if there were such events
 ---@return string? problem
 function Client:cancel(id, ticket)
   local count, problem = self:ask("rfsm_cancel", id, ticket)
   return count and count == 1, problem
 end
 
---- Run a machine that is due.
+--- Run a machine whose timer or delayed event is due.
 ---@param id any
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
@@ -133,29 +133,29 @@ function Client:tick(id) return reply_of(self:ask("rfsm_tick", id)) end
 ---@return string? problem
 function Client:hold(id) return reply_of(self:ask("rfsm_hold", id)) end
 
---- Let a machine go on that was held: what has come due meanwhile runs in order.
+--- Release a held machine. Events and timers that came due meanwhile run in order.
 ---@param id any
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
 function Client:release(id) return reply_of(self:ask("rfsm_release", id)) end
 
---- Put a machine into a leaf, with its timers. No callback of a way there runs.
+--- Put a machine into a leaf and start the leaf's timers. No callback runs for this.
 ---@param id any
 ---@param state string FQN
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
 function Client:force(id, state) return reply_of(self:ask("rfsm_force", id, state)) end
 
---- End a machine, with its timers and streams.
+--- Remove a machine with its timers and streams.
 ---@param id any
----@return boolean? was_there
+---@return boolean? was_there true if there was such a machine
 ---@return string? problem
 function Client:remove(id)
   local count, problem = self:ask("rfsm_remove", id)
   return count and count == 1, problem
 end
 
---- Look at a machine.
+--- Return a table that describes a machine.
 ---@param id any
 ---@return table? view chart, version, leaf, mode, configuration, data, queue, due
 ---@return string? problem
@@ -169,10 +169,10 @@ function Client:get(id)
   return view
 end
 
---- Ask what an event would do to a machine.
+--- Explain which transitions an event would trigger in a machine, and why not others.
 ---@param id any
 ---@param event any
----@return string[]? lines
+---@return string[]? lines one for each transition
 ---@return string? problem
 function Client:why(id, event)
   if type(event) == "table" then event = codec.encode(event) end

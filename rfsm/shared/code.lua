@@ -1,7 +1,7 @@
---- Code: a text of Lua in which comments and strings are blank.
+--- Replaces comments and strings in a Lua text by blanks, so that only code is left.
 --
--- The library has no other scanner of Lua; `rfsm.checks.source` has luacheck parse
--- callbacks, if that is installed.
+-- The library has no other scanner of Lua. `rfsm.checks.source` parses callbacks with
+-- luacheck, if it is installed.
 --
 -- @module rfsm.shared.code
 -- @license BSD-3-Clause
@@ -30,7 +30,7 @@ local function end_of_token(text, at)
   return at
 end
 
--- The beginnings of comments, of long strings, and of others.
+-- Patterns for the beginning of a comment, a long string and a quoted string.
 local OPENINGS = { "%-%-", "%[=*%[", "[\"']" }
 
 --- Return a text with blanks in place of comments, and of strings unless `has_strings`.

@@ -1,8 +1,7 @@
 --- The observer of a session: follows the machine while a command advances it.
 --
--- Each path that is taken is printed when it begins, before what its callbacks print.
--- After the advance the observer knows which events were discarded, and which
--- breakpoints were hit.
+-- Each path that is taken is printed before its callbacks run. After the advance the
+-- observer knows which events were discarded, and which breakpoints were hit.
 --
 -- @module rfsm.sim.observer
 -- @license BSD-3-Clause
@@ -22,13 +21,13 @@ local text_of = rfsm.text_of
 local Observer = {}
 Observer.__index = Observer
 
--- May the transition have been taken on this event? A predicate may have accepted it.
+-- Could this event have triggered the transition? If a predicate decides, assumes yes.
 local function takes(tr, event)
   if match.is_any(tr) then return match.begins_on_any(tr) end
   return match.triggers(tr, event) ~= false
 end
 
--- Adds an event to a set, in which NaN cannot be.
+-- Adds an event to a set, unless it is NaN, which cannot be a key.
 local function add(set, event)
   if event == event then set[event] = true end
 end
@@ -55,8 +54,8 @@ function Observer:check_conditions()
   if problem then error(problem, 0) end
 end
 
--- Notes the events that a transition may have been taken on. Appends their texts to
--- `by` if the transition names events.
+-- Records in `is_used` the events that may have triggered a transition. If the
+-- transition names events, also appends their texts to the list `by`.
 function Observer:note_used(tr, events, by)
   for i = 1, #events do
     local event = events[i]
@@ -81,7 +80,8 @@ function Observer:taken(at, path, events)
     .. (by[1] and " on " .. concat(by, ", ") or ""))
 end
 
--- Prints a line; for equal lines behind it only their number, once another one comes.
+-- Prints a line. If the next lines are equal, only counts them, and prints the count
+-- before the first different line.
 function Observer:print_taken(line)
   if line == self.line then
     self.times = self.times + 1
@@ -108,7 +108,7 @@ function Observer:finished(_, events)
   end
 end
 
---- Start observing an advance; print the transitions that are taken if `is_shown`.
+--- Start observing an advance of the machine. If `is_shown`, the paths are printed.
 function Observer:begin(is_shown)
   self.is_on, self.is_shown, self.line, self.times = true, is_shown, false, 1
   self.hits, self.reached, self.is_hit = {}, {}, false
@@ -121,8 +121,8 @@ function Observer:finish()
   self:print_taken(false)
 end
 
---- List the events on which no transition was taken and that wait in no queue, in the
--- order in which they came.
+--- List the discarded events in the order they came. They have triggered no transition
+-- and are not pending.
 function Observer:discarded()
   local is_pending, list = {}, {}
   for _, at in ipairs(self.stream.machines) do

@@ -18,10 +18,10 @@ local time = {}
 
 --- A simulated clock: the real time at which it began, and the time passed since.
 ---@class rfsm.sim.Time
----@field passed rfsm.clock.Clock
----@field starts table<boolean, { sec: number, nsec: number }> key true: for e_after,
--- key false: the time of day, for e_at
----@field changes table[] the real clock of the machine, to be given back
+---@field passed rfsm.clock.Clock the time that has passed
+---@field starts table<boolean, { sec: number, nsec: number }> the real time at the
+-- beginning: at key true for e_after, at key false the time of day for e_at
+---@field changes table[] the field `gettime` of the machine, to be restored
 
 --- Have the timers of a machine read the simulated clock, if a session has one.
 function time.install(sim, fsm)
@@ -47,7 +47,7 @@ local function start(sim)
   time.install(sim, sim.fsm)
 end
 
---- Go on with the real clock.
+--- Switch back from the simulated to the real clock.
 function time.use_real(sim)
   if not sim.time then return end
   history.pause(sim)
@@ -61,13 +61,13 @@ function time.text(seconds)
   return (("%.3f"):format(seconds):gsub("%.?0+$", "")) .. " s"
 end
 
---- Print the time.
+--- Print the simulated time, or that the clock is real.
 function time.show(sim)
   local now = sim.time
   print("clock:  " .. (now and time.text(now.passed:now()) or "real time"))
 end
 
-local MAX_STEPS = 1000 -- of one advance: a doo may never be idle
+local MAX_STEPS = 1000 -- limit for one advance, as a doo may never be idle
 
 --- Let simulated seconds pass; advance the machine at each timer, and at the end.
 function time.pass(sim, seconds)
