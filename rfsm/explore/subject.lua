@@ -404,7 +404,7 @@ end
 --- Return the key of the current configuration: the numbers of the positions, a sign
 --- for each flag, and the values of fields.
 ---@return string key
----@return string? problem names a field whose value the option `vars` does not allow
+---@return string? problem names data that the exploration does not follow
 function Subject:read()
   local parts, ids = self.parts, self.ids
   for i = 1, #parts do
