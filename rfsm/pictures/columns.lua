@@ -37,7 +37,9 @@ local function size_of(box, direction)
   return box.height, box.width
 end
 
-local CHANNEL, TRACKS, PITCH = 40, 60, 8 -- points: beside, above and below columns
+-- In points: about the width of a channel, about the height of the lines above and
+-- below columns, and the distance between lines.
+local CHANNEL, TRACKS, PITCH = 40, 60, 8
 
 -- Returns a list with the number of the column of each node. The nodes are divided
 -- among `count` columns of equal length.
