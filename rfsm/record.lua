@@ -37,14 +37,14 @@ local record = { VERSION = journal.VERSION }
 ---@field record integer version of the format, 1
 ---@field file? string file of the chart, if it is known
 ---@field clock? any[] readings of the clock while the snapshot was taken
----@field guards? any[] for each machine a list { number, text, number, text ... }: the
--- numbers of transitions that have a guard, and their texts
+---@field guards? any[] for each machine a list { number, text, number, text ... } of
+-- the transitions that have a guard
 ---@field snapshot rfsm.snapshot.Snapshot the machine at the beginning
 
 --- One iteration of one machine. An absent field is empty or false.
 ---@class rfsm.record.Record
 ---@field m? integer number of the region; absent for the outermost machine
----@field inner? rfsm.record.Record[] iterations of regions in this one
+---@field inner? rfsm.record.Record[] iterations of regions within this iteration
 ---@field from? { snapshot: rfsm.snapshot.Snapshot, clock: any[]? } the machine before
 -- the iteration, if its state does not follow from the earlier records
 ---@field events? any[] the events of the iteration, before hooks have changed them

@@ -104,8 +104,9 @@ function common.add_stub(command)
     :init(false)
 end
 
--- Returns a problem. If a module is missing, such as one of a robot, the text names the
--- option --stub, unless that was given (true) or the command has no such option (nil).
+-- Returns the text of a problem. If a module is missing, such as one of a robot, and
+-- the option --stub was not given (`has_stubs` is false), the text names the option.
+-- The text does not change if the command has no such option (`has_stubs` is nil).
 function common.with_hint(problem, has_stubs)
   if has_stubs ~= false then return problem end
   return (problem:gsub("module '[^']*' not found$",

@@ -147,8 +147,8 @@ local function line_with(text, problem)
   return ""
 end
 
--- Raises the failure of an exploration. If there is a file of declarations, the failure
--- is taken for an error in that file, and its name and line are put in front.
+-- Raises the failure of an exploration. If there is a file of declarations, it is taken
+-- to be the cause: the name of the file and a line number are put in front.
 local function refuse(name, failure)
   local text = type(failure) == "string" and files.read(name)
   if not text or failure:find("^%S+:%d+: ") then error(failure, 0) end
@@ -198,7 +198,7 @@ end
 local EXTENSIONS = { "rfsm_timeevent", "rfsm.timeevent", "rfsm_await", "rfsm.await" }
 
 --- Call a function that loads a chart, and note the extensions that the chart requires.
----@return table<string, true> required a set of "rfsm_timeevent", "rfsm_await"
+---@return table<string, true> required their names: "rfsm_timeevent", "rfsm_await"
 ---@return any ... the results of `f`
 function review.noting_extensions(f, ...)
   local required, kept = {}, {}
@@ -241,7 +241,7 @@ local function add_missing_extensions(findings, fsm, required)
   end
 end
 
--- Returns all findings about a chart, and the result of the exploration; nil if the
+-- Returns all findings about a chart. The second result is the exploration, nil if the
 -- chart was not explored.
 local function find_all(file, model, settings, options)
   if system.is_system(model) then

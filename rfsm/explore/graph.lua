@@ -1,4 +1,5 @@
 --- Graph: which configurations of a walk can be reached from others, and its cycles.
+--
 -- An *internal* step needs no event from outside.
 --
 -- @module rfsm.explore.graph

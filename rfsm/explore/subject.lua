@@ -42,7 +42,7 @@ local subject = {}
 --- The machines of a model, and what they did in the last step.
 ---@class rfsm_checks.Subject
 ---@field parts rfsm_checks.Part[] the machine itself first
----@field transitions table[] { tr, path, part, prefix } of the transitions of all parts
+---@field transitions table[] { tr, path, part, prefix } for each transition of a part
 ---@field names table<string, rfsm.State> the states of all parts, by path
 ---@field part_of table<string, rfsm_checks.Part> path of a state -> the part it is in
 ---@field paths string[] the paths of all states, in the order of the tree
@@ -54,7 +54,8 @@ local subject = {}
 ---@field passed rfsm_checks.Moment[] entries of states that the last step left again
 ---@field entered table<rfsm.State, boolean> states with a doo or timers that the last
 -- step has entered
----@field sent { prefix: string, event: any }[] that replacements sent in the last step
+---@field sent { prefix: string, event: any }[] events that replacements sent in the
+-- last step
 ---@field emitted { emit: string, data?: any }[] events that the last step emitted for
 -- other machines
 ---@field emitters string[] callbacks that may emit events that the options do not name
@@ -90,7 +91,8 @@ Subject.__index = Subject
 ---@field may_keep boolean an extension may keep events in its data
 ---@field leaf rfsm.State|false the state of the parent machine that runs the region
 ---@field is_bound boolean one of its callbacks is called, or a guard has a rule
----@field known table<rfsm.State|false, rfsm_checks.Leaf> by leaf; false: not entered
+---@field known table<rfsm.State|false, rfsm_checks.Leaf> what is known of each
+-- leaf; the key `false` is for a part that was not entered
 ---@field positions rfsm_checks.Position[] all positions found so far, by their `id`
 ---@field timed table<string, boolean> time events that come in the order of deadlines
 ---@field position rfsm_checks.Position the position in which the step began
@@ -104,7 +106,7 @@ Subject.__index = Subject
 ---@class rfsm_checks.Occurrence
 ---@field part rfsm_checks.Part
 ---@field event any
----@field after? number seconds, if a replacement sends the event to come so much later
+---@field after? number seconds of delay, if a replacement sends the event later
 ---@field number integer position in the list of all occurrences
 ---@field alone rfsm_checks.Occurrence[] a list that has this occurrence only
 
@@ -445,8 +447,7 @@ local function put_position(part, position)
   end
 end
 
--- Will the machine itself, apart from its regions, react to none of the events, and to
--- no waiting event?
+-- Does the machine ignore both the given and the waiting events? Its regions may react.
 local function is_deaf(self, part, position, events)
   local own = #position.waiting == 0 and reactions.of(part, position.leaf).own
   for i = 1, own and #events or 0 do

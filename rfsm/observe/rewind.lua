@@ -1,4 +1,5 @@
 --- Rewind: snapshots of a machine are noted during its run, and it can return to them.
+--
 -- A *place* is the machine as it was between two advances. A return calls no callback
 -- and no guard. It does not restore data outside of `keep`, and a doo begins anew. If
 -- the places take too many bytes, the oldest ones are forgotten.

@@ -1,4 +1,5 @@
 --- Why: explains for each transition if events would make the machine take it.
+--
 -- Guards and predicates are called, as the engine does when it searches a transition.
 -- No other callback is called, and the machine does not change.
 --
@@ -49,7 +50,7 @@ local function texts_of(values)
   return texts
 end
 
--- Search: that of the engine, but with an answer of each transition ----------------
+-- Search: as in the engine, but with an answer for each transition -----------------
 
 -- Do the events trigger a transition? Without events, only a machine that was not
 -- entered takes a transition.
@@ -180,6 +181,7 @@ local function explain(fsm, events)
 end
 
 --- Explain the effect of events in the current state of a machine.
+--
 -- There is an answer for each transition of the active leaf and the states around it.
 -- If the transition would not be taken, the answer has the reason: it waits for another
 -- event, its guard is false, another transition is tried earlier, or its path ends at a

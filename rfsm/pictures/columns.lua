@@ -1,4 +1,5 @@
---- Columns: a chain that is too long is divided into parts side by side.
+--- Columns: a chain of nodes that is too long is divided into parts side by side.
+--
 -- A column has a part of the nodes, in the order of the walk from `initial`. It is a
 -- composite without a frame, whose nodes Graphviz lays out. Between a column and the
 -- next one there is one arrow at most, in either direction. Its line leaves the first

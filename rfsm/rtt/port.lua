@@ -1,4 +1,5 @@
 --- A port of RTT that is found again by its name.
+--
 -- `rttlib.tc_cleanup` deletes the ports of a component. If Lua code uses a deleted
 -- port, the process ends. So the ports of a launch, and the hook that writes the FQN,
 -- look their port up by name.
@@ -64,8 +65,8 @@ function port.reserve(component, facts)
 end
 
 --- Make an object that holds `real`: a port of the component of this Lua, or an object
--- that is read and written like a port. `facts` is its information. If `real` is such
--- an object already, it is returned unchanged.
+-- that is read and written like a port. `facts` is its information. If `real` is a
+-- held port already, it is returned unchanged.
 function port.hold(real, facts)
   if getmetatable(real) == Port then return real end
   local rtt = package.loaded.rtt

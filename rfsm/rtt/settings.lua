@@ -15,7 +15,7 @@ local settings = {}
 -- the first seven arguments, `name` to `pool`.
 ---@class rfsm.rtt.Launch
 ---@field name? string name of a new component
----@field deployer? any the deployer, or the name of the peer that is it ("Deployer")
+---@field deployer? any the deployer, or the name under which it is a peer ("Deployer")
 ---@field luatype? string type of a new component ("OCL::LuaComponent")
 ---@field enter? "start" enter the machine in startHook; default: in the first update
 ---@field ports? "configure" make ports in configureHook; default: during the launch
@@ -86,7 +86,7 @@ local FIELDS = {
   },
   own = with_own {},
 }
-local REQUIRED = { "name", "fsmfile", "exec_str" } -- if the kind has the field
+local REQUIRED = { "name", "fsmfile", "exec_str" } -- if the kind of launch has it
 
 local STEPS = 1000 -- the most steps of an update; the next update goes on from there
 

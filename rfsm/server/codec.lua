@@ -1,5 +1,5 @@
---- JSON for clients of a server: dkjson decodes it, `rfsm.shared.exact_json` encodes
--- it.
+--- JSON for clients of a server: decoded by dkjson, encoded by
+-- `rfsm.shared.exact_json`.
 --
 -- @module rfsm.server.codec
 -- @license BSD-3-Clause
@@ -9,8 +9,7 @@ local opts = require "rfsm.shared.options"
 
 local codec = { encode = exact_json.encode }
 
---- Return the value of a JSON text, in tables without metatables; nil if the text is
--- not JSON.
+--- Return the value of a JSON text, in tables without metatables; nil if it is no JSON.
 function codec.decode(text)
   return (opts.need("rfsm.server", "dkjson").decode(text, 1, nil, nil, nil))
 end

@@ -43,7 +43,8 @@ end
 
 local PRINTERS = { "dbg", "info", "warn", "err" }
 
---- Return make(model), without printed lines. `make` is a function such as `rfsm.init`.
+--- Return the results of make(model), such as `rfsm.init`, with the printers of the
+-- model off.
 ---@param warn? function|false a printer for warnings; default: they are not printed
 function calls.silently(make, model, warn)
   local own = {}

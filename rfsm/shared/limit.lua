@@ -40,8 +40,8 @@ end
 -- of pcall, and whether the call took too long. If it did, the error names the
 -- innermost line of a source that `is_known(source)` accepts (of any source without
 -- `is_known`).
--- LuaJIT does not call the hook in compiled code, so compilation is off during the
--- call.
+--
+-- LuaJIT does not call the hook in compiled code, so it compiles nothing in the call.
 function limit.load(f, file, clocks, is_known)
   if not (debug and debug.sethook) then return pcall(f, file) end
   local state, is_compiling = { is_on = true, is_late = false }, jit and jit.status()

@@ -106,8 +106,7 @@ end
 
 -- Pack --------------------------------------------------------------------------
 
--- Does a number stay the same in JSON with 14 digits, also its subtype, integer or
--- float?
+-- Does JSON with 14 digits keep a number as it is, also as an integer or a float?
 local function is_safe(n)
   if n - n ~= 0 then return false end -- not finite
   local is_whole = floor(n) == n

@@ -112,7 +112,7 @@ local function note_data(list, chart, part, prefix)
   end
 end
 
--- Notes the active leaf of a part, and changed targets, if the chart lacks them.
+-- Adds the active leaf of a part and its changed targets, if the chart lacks them.
 local function note_places(list, machine, part, prefix)
   local targets = part.targets or NONE
   if part.leaf and not shape.find_state(machine, part.leaf) then
@@ -245,9 +245,9 @@ function migrate.difference(old, new)
   return list
 end
 
--- Returns the lines of the structure that a snapshot is of, from the charts that its
--- parts name; nil if one of these charts is not known. A part that names no chart is of
--- the present one.
+-- Returns the structure of a snapshot's chart as lines. Each part has the name of its
+-- chart; a part without a name has the present chart. Returns nil if one of the names
+-- is not known.
 local function known_lines(fsm, snap)
   local lines = {}
   for _, at in ipairs(shape.of(fsm).places) do
@@ -316,7 +316,7 @@ local function unpack_kept(snap)
         end
       end
     end
-    for fqn, packed in each(part.saved or NONE) do -- likewise
+    for fqn, packed in each(part.saved or NONE) do -- any order
       part.saved[fqn] = encoding.unpack(packed, 2)
     end
   end)

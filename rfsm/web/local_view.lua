@@ -1,4 +1,5 @@
 --- The view of a machine that runs in this program, with the regions in its states.
+--
 -- Failures and warnings are always noted. Steps and entries of states are noted only
 -- while the machine is observed. Only the function `LocalView:why` calls guards.
 --
@@ -47,7 +48,7 @@ local MAX_LOST = 20 -- how many events without an effect are noted, at most
 local LocalView = setmetatable({}, { __index = View })
 LocalView.__index = LocalView
 
--- The machines: that of the view, and those inside its states -----------------------
+-- The machines: the machine of the view, and the regions in its states --------------
 
 -- Notes the number that each element of a machine has in the outline of the view.
 local function add_machine(view, at)
@@ -170,7 +171,7 @@ function LocalView:observe(is_wanted)
   self:touch()
 end
 
---- Leave the machine as it was.
+--- Stop observing; remove the hooks and printers of the view from the machine.
 function LocalView:close()
   self:observe(false)
   instrument.give_back(self.changes)
@@ -211,8 +212,8 @@ end
 
 -- Questions -----------------------------------------------------------------------
 
---- Return a text: why the events in the last "lost" entry of the log take no
--- transition. Guards are called.
+--- Return a text that explains why the events in the last "lost" entry of the log take
+-- no transition. Guards are called.
 function LocalView:why()
   local _, text = rfsm_checks.why(self.fsm, unpack(self.last_lost))
   return utf8(text)
