@@ -50,8 +50,7 @@ local record = { VERSION = journal.VERSION }
 ---@field events? any[] the events of the iteration, before hooks have changed them
 ---@field added? any[] events that hooks have added, such as time events. A replay does
 -- not use them: its own hooks add events
----@field had? table the kept data at the beginning, if it has changed since the last
--- iteration
+---@field had? table the kept data at the beginning, if the last record has other data
 ---@field clock? any[] readings of the clock: { seconds, nanoseconds } or { failure }
 ---@field guards? any[] { number, result, number, result ... }: numbers of transitions,
 -- and the results of their guards; for a guard that failed, the text of its error
@@ -265,8 +264,7 @@ function listener.failed(recorder, track, element, name)
   track.failing = nil
 end
 
---- Stop recording until `go_on` is called. The machine gets its own guards, getevents
---- and clock back.
+--- Stop recording until `go_on` is called. The machine gets its functions back.
 function Recorder:pause()
   tracks.detach(self.tracks)
   self.tracks = {}
@@ -298,8 +296,7 @@ end
 -- @usage
 --    local recorder = record.record(fsm, "run.jsonl")
 --
--- @raise if a step is under way, the machine cannot be saved, or the file cannot be
--- opened
+-- @raise during a step, or if the machine cannot be saved or the file cannot be opened
 ---@param fsm rfsm.Machine
 ---@param sink table|function|file*|string
 ---@return rfsm.record.Recorder recorder
@@ -360,8 +357,7 @@ end
 ---@field migrate? boolean the chart may have changed: replay up to the first difference
 ---@field guards? boolean call guards, too, and compare their results
 ---@field each? fun(fsm: rfsm.Machine, records: table[]) called after each step
----@field watch? fun(fsm: rfsm.Machine) called before the first step, so that it can set
--- the printer `dbg`
+---@field watch? fun(fsm: rfsm.Machine) called before the first step; may set `dbg`
 
 --- Run a machine through a recording.
 --

@@ -24,8 +24,7 @@ local function leaf_meant(name, leaves)
   return ""
 end
 
--- Finds events e_done@F where F is no leaf. (`rfsm.init` warns of an e_done of the
--- source itself.)
+-- Finds events e_done@F where F is no leaf. `init` warns if F is the source itself.
 local function check_e_done(tr, leaves, add)
   for _, event in ipairs(tr.events or {}) do
     local fqn = type(event) == "string" and event:match("^e_done@(.*)$")
@@ -41,17 +40,15 @@ end
 
 local MARKS = { [","] = "a comma", ["|"] = "a '|'" }
 
--- Is the name of an event a sentence, such as a spoken command, and not a list of
--- events? A sentence has words with blanks between them, and no word that begins with
--- e_.
+-- Is the name of an event a sentence, such as a spoken command, and no list of events?
+-- A sentence has blanks between words, and no word begins with e_.
 local function is_sentence(event)
   return not event:find("|") and not event:find("%f[%w]e_") and not event:find("%s$")
     and event:find("%a%s+%a") ~= nil
 end
 
--- Returns a text if the name of an event is odd: if it has a comma, bar or blank
--- (except in parentheses or after @), or looks like a pattern. Returns nil for other
--- names.
+-- Returns a text if the name of an event is odd: if it looks like a pattern, or has a
+-- comma, bar or blank that is not in parentheses or after @.
 local function oddness_of_name(event)
   local word = event:match("^[^(@]*")
   if match.maker_of(event) or is_sentence(event) then

@@ -95,8 +95,7 @@ local function reason(file, failure)
   return text:find(name, 1, true) == 1 and text or chart.reason(file, failure)
 end
 
--- Returns the lines to print about the chart in a file, and the gravest severity of its
--- findings.
+-- Returns lines about the chart in a file, and the gravest severity of its findings.
 local function lines_about(file, options)
   local review = require("rfsm.cli.review")
   local settings, model, warnings, world

@@ -1,5 +1,4 @@
---- Functions that the commands share: streams, loading of charts, options, writing of
--- results, addresses.
+--- Functions for all commands: streams, loading charts, options, results, addresses.
 --
 -- Text that a chart prints while it is loaded goes to stderr, so that it never becomes
 -- part of a result.
@@ -47,8 +46,7 @@ function common.warn(line)
   io.stderr:write("rfsm ", common.command, ": ", line, "\n")
 end
 
--- Writes each line of a problem to stderr, and ends the program with a status, 1 by
--- default.
+-- Writes a problem to stderr, and ends the program with a status (1 by default).
 function common.fail(problem, status)
   io.stdout:flush()
   for line in problem:gmatch("[^\n]+") do common.warn(line) end
@@ -76,8 +74,7 @@ end
 
 -- Charts in -------------------------------------------------------------------
 
--- On Windows, returns the name of a file with slashes in place of backslashes. Windows
--- accepts both.
+-- Returns the name of a file, with / in place of \ on Windows, which accepts both.
 local function with_slashes(name)
   return package.config:byte() == 92 and name:gsub("\\", "/") .. "" or name
 end

@@ -95,8 +95,7 @@ local function declared_for(file)
   return declared
 end
 
--- Default bounds of an exploration: the most configurations of a chart, and of a
--- system.
+-- The most configurations that are explored by default: of a chart, and of a system.
 local MANY, MANY_TOGETHER = 10000, 100000
 
 local real_stderr = io and io.stderr

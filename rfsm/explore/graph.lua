@@ -23,8 +23,7 @@ function graph.each_step(walk, number, f)
   end
 end
 
--- Calls f(from, tgt) for each step; if `is_internal`, only for steps that need no event
--- from outside.
+-- Calls f(from, tgt) for each step; if `is_internal`, for internal steps only.
 local function each_edge(walk, is_internal, f)
   for from = 1, walk.expanded do
     for at = walk.first[from], walk.first[from + 1] - 1 do
@@ -157,8 +156,7 @@ local function take_component(search, root)
   search.components[index] = component
 end
 
--- Follows the next step of the visit on top of the stack. After its last step, the
--- visit ends.
+-- Follows the next step of the visit on top of the stack, or ends the visit.
 local function visit_next(walk, search)
   local low, order, depth = search.low, search.order, #search.visits
   local number, at = search.visits[depth], search.at[depth]
@@ -181,8 +179,7 @@ local function visit_next(walk, search)
 end
 
 --- Return the shortest way from a configuration to a wanted edge, as a list of edges.
----@param edges table<integer, table[]> configuration -> edges { from, tgt } that begin
--- there
+---@param edges table<integer, table[]> configuration -> its edges { from, tgt }
 ---@param start integer
 ---@param is_wanted fun(edge: table): boolean
 ---@return table[]? way its last edge is the wanted one; nil if there is no such way

@@ -54,10 +54,8 @@ local subject = {}
 ---@field passed rfsm_checks.Moment[] entries of states that the last step left again
 ---@field entered table<rfsm.State, boolean> states with a doo or timers that the last
 -- step has entered
----@field sent { prefix: string, event: any }[] events that replacements sent in the
--- last step
----@field emitted { emit: string, data?: any }[] events that the last step emitted for
--- other machines
+---@field sent { prefix: string, event: any }[] sent by replacements in the last step
+---@field emitted { emit: string, data?: any }[] calls of `fsm.emit` in the last step
 ---@field emitters string[] callbacks that may emit events that the options do not name
 ---@field later rfsm_checks.Occurrence[] events that replacements send later
 ---@field sent_later rfsm_checks.Occurrence[] events of `later` that the last step sent
@@ -68,8 +66,7 @@ local subject = {}
 ---@field called string[] names of the callbacks that the last step called, the events
 -- that they sent, and their failures, as texts
 ---@field time rfsm.clock.Clock the clock of the machines
----@field answers table<function, any> the answers in this step of predicates, and of
--- guards with rules
+---@field answers table<function, any> of predicates and guards with rules, in this step
 ---@field leaves_out boolean steps do not advance regions in which nothing would happen
 ---@field trimmed rfsm.State|false the state from whose list of regions some are removed
 ---@field notes_events boolean `last_events` gets the events of all iterations of a step
@@ -90,7 +87,7 @@ Subject.__index = Subject
 ---@field kept rfsm_checks.Kept|false the places of data of extensions; false: none
 ---@field may_keep boolean an extension may keep events in its data
 ---@field leaf rfsm.State|false the state of the parent machine that runs the region
----@field is_bound boolean one of its callbacks is called, or a guard has a rule
+---@field is_bound boolean one of its callbacks is really called, or a guard has a rule
 ---@field known table<rfsm.State|false, rfsm_checks.Leaf> what is known of each
 -- leaf; the key `false` is for a part that was not entered
 ---@field positions rfsm_checks.Position[] all positions found so far, by their `id`
@@ -686,8 +683,7 @@ local function new_predicate(self, tr)
   return predicate
 end
 
--- Replaces the predicates of the transitions of a machine by functions that ask for a
--- choice.
+-- Replaces the predicates of transitions by functions that ask for a choice.
 local function free_predicates(self, fsm)
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     for i, event in ipairs(tr.events) do
@@ -746,8 +742,8 @@ local function leave_out(entry)
   end
 end
 
--- Adds the machines as parts, each before its regions. If there is a `way`, only the
--- machines in it become parts.
+-- Adds machines as parts, each before its regions: all, or those in `way` if it is
+-- given.
 local function add_parts(self, fsm, way)
   local part_of = { [false] = false }
   for _, entry in ipairs(rfsm.machines(fsm)) do

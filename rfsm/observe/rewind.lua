@@ -94,8 +94,7 @@ end
 
 --- Put the machine into a place.
 ---@param number integer
----@return rfsm.observe.Place|false place false if no place has the number, or it has no
--- snapshot
+---@return rfsm.observe.Place|false place false if it is absent or has no snapshot
 ---@return string? problem
 function Rewind:go(number)
   self:note()
@@ -131,8 +130,7 @@ end
 
 --- How places are kept.
 ---@class rfsm.observe.RewindOptions
----@field bytes? integer the most bytes of all places (32 MiB); the present place is
--- kept in any case
+---@field bytes? integer the most bytes of all places (32 MiB); the present one is kept
 ---@field about? fun(): any called for each place; its result is kept with the place
 ---@field prepare? fun(about: any) called with the result of `about` before `go` puts
 -- the machine into the place, for example to set a clock

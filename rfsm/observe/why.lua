@@ -39,10 +39,8 @@ local why = {}
 ---@field events string[] the events, as texts
 ---@field leaf string|false FQN of the active leaf; false before the first entry
 ---@field fires string|false place of the transition that would be taken
----@field answers rfsm_checks.Answer[] in the order in which the engine tries
--- transitions
----@field regions { name: string, why: rfsm_checks.Why }[] the regions of the active
--- leaf
+---@field answers rfsm_checks.Answer[] in the order in which transitions are tried
+---@field regions { name: string, why: rfsm_checks.Why }[] regions of the leaf
 
 local function texts_of(values)
   local texts = {}
@@ -74,9 +72,8 @@ local function name_of(tgt) return rfsm.is_node(tgt) and tgt._fqn or text_of(tgt
 
 local ask_connector
 
--- Returns the verdict on a transition and the reason in words. If the path is closed at
--- a connector, also returns the FQN of the connector and the answers of its
--- transitions.
+-- Returns the verdict on a transition and the reason in words. If the path ends at a
+-- connector, also returns its FQN and the answers of its transitions.
 local function judge(search, tr)
   if not matches(search, tr) then
     local wanted = concat(texts_of(tr.events or {}), ", ")

@@ -26,8 +26,7 @@ local function misfit_of(width, height)
   return abs(log(width / height / RATIO))
 end
 
---- Return how much the ratio of width to height of a level differs from the best ratio;
--- 0 if it does not differ.
+--- Return how much the ratio of width to height of a level differs from `RATIO`.
 function columns.misfit(level) return misfit_of(level.width, level.height) end
 
 -- Columns: which nodes are in them --------------------------------------------
@@ -54,8 +53,7 @@ local function deal(level, count)
   return numbers
 end
 
--- Do arrows lead only from a column to the next one, or back, and not more than one for
--- each two columns?
+-- Is there at most one arrow between neighbouring columns, and none between others?
 local function is_chain(level, numbers)
   local is_linked = {}
   for _, link in ipairs(level.links) do
@@ -86,8 +84,7 @@ function columns.plan(level)
   return best
 end
 
---- Put each node of a level into the column that `numbers` has for it. Return the
--- levels of the columns.
+--- Put node i of a level into column numbers[i]. Return the levels of the columns.
 function columns.split(level, numbers)
   local composite, nodes, levels = level.composite, {}, {}
   for i, node in ipairs(composite.nodes) do
@@ -138,8 +135,7 @@ local function corners_of(at, before, place, top, foot, direction)
     at(place.channel, top - PITCH), at(tgt, top - PITCH), at(tgt, top) }
 end
 
--- Sets the line of the arrow into a column, and the place of its label: beside the
--- lower end of the channel.
+-- Sets the line of the arrow into a column, and the place of its label in the channel.
 local function place_link(at, before, place, top, foot, direction)
   local link, label = place.link, place.link.arrow.label_box
   link.points = lines.rounded(corners_of(at, before, place, top, foot, direction))

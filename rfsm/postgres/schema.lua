@@ -3,8 +3,8 @@
 --
 -- When the script is loaded, tables that exist are kept, and functions are replaced.
 -- Tables that do not change are not locked, so clients need not wait for the load.
--- `rfsm.postgres.script` inserts texts for $TAG, $CODE, $ID, $LOG, $OWNER, $HISTORY and
--- $NOTIFY.
+-- $TAG, $CODE, $ID, $LOG, $OWNER, $HISTORY and $NOTIFY are replaced by
+-- `rfsm.postgres.script`.
 --
 -- @module rfsm.postgres.schema
 -- @license BSD-3-Clause
@@ -95,8 +95,7 @@ local VERBS = {
   { "remove", "", "boolean" },
 }
 
--- For each type of result, an expression that makes it. `rfsm.call` stands for %s, and
--- returns a list of texts.
+-- For each type of result, the SQL expression that makes it; %s is a list of texts.
 local RESULTS = { text = "(%s)[1]", boolean = "(%s)[1] = '1'",
   ["SETOF text"] = "unnest(%s)" }
 

@@ -73,8 +73,7 @@ end
 
 -- Changes of data that the chart keeps, and of targets -------------------------------
 
---- Return a list of the kept fields and the targets of a machine with their values, for
--- `may_have_changed`.
+--- Return the kept fields and targets of a machine with values, for `may_have_changed`.
 function track.observe_data(fsm)
   local observed = { has_save = false }
   local function add(obj, field, is_data)
@@ -138,9 +137,8 @@ function track.wrap(own)
   if rawget(fsm, "getevents") then wrap(own, "getevents") end
 end
 
---- Return the guards of a machine and its regions: for each machine a list { number,
--- text, number, text ... } of the transitions that have a guard. Return nil if no
--- transition has one.
+--- Return for a machine and each region a list { number, text, number, text ... } of
+-- the transitions that have a guard. Return nil if there are no guards.
 function track.guard_texts(fsm)
   local lists, has_some = {}, false
   for i, at in ipairs(rfsm.machines(fsm)) do

@@ -54,8 +54,7 @@ Connection.__index = Connection
 
 local commands = {}
 
--- Sends a command. Raises the error of the server, without the words that lua-redis
--- puts in front.
+-- Sends a command. Raises the error of the server, without the prefix of lua-redis.
 local function command(client, name, ...)
   commands[name] = commands[name] or need("redis").command(name)
   local ok, reply = pcall(commands[name], client, ...)

@@ -26,8 +26,7 @@ local settings = {}
 ---@field samples? integer the most samples that one update reads from each port (64)
 ---@field running_only? boolean make no steps while the component is stopped
 ---@field error? boolean call error() of the component if the machine has an error
----@field ev_inport? string|boolean name of the port for events ("events_in"); false:
--- none
+---@field ev_inport? string|boolean port for events ("events_in"); false: no port
 ---@field ev_outport? string|boolean name of the port to which `emit_event` writes
 -- ("events_out"); false: none
 ---@field fqn_port? string name of the port for the FQN of the active leaf ("fqn")

@@ -1,5 +1,4 @@
---- JSON for clients of a server: decoded by dkjson, encoded by
--- `rfsm.shared.exact_json`.
+--- JSON for clients of a server: decoded by dkjson, encoded by `exact_json`.
 --
 -- @module rfsm.server.codec
 -- @license BSD-3-Clause

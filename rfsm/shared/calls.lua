@@ -43,8 +43,8 @@ end
 
 local PRINTERS = { "dbg", "info", "warn", "err" }
 
---- Return the results of make(model), such as `rfsm.init`, with the printers of the
--- model off.
+--- Return make(model), such as rfsm.init(model); the model's printers are off
+-- meanwhile.
 ---@param warn? function|false a printer for warnings; default: they are not printed
 function calls.silently(make, model, warn)
   local own = {}

@@ -38,8 +38,7 @@ end
 
 --- Call f(file), for at most `limit.SECONDS` on each of the clocks. Return the results
 -- of pcall, and whether the call took too long. If it did, the error names the
--- innermost line of a source that `is_known(source)` accepts (of any source without
--- `is_known`).
+-- innermost line whose source `is_known(source)` accepts. By default it accepts all.
 --
 -- LuaJIT does not call the hook in compiled code, so it compiles nothing in the call.
 function limit.load(f, file, clocks, is_known)

@@ -20,8 +20,7 @@ local complain = terminal.complain
 
 local rfsm_sim = { VERSION = rfsm._VERSION:match("%S+$") }
 
--- Runs the Lua texts of the option -e, until one ends the simulator. Returns false if a
--- text fails.
+-- Runs the texts of the option -e until one quits. Returns false if a text fails.
 local function run_code(sim, texts)
   for _, text in ipairs(texts) do
     if sim.is_over then break end
@@ -71,8 +70,7 @@ end
 ---@field quiet? boolean print no banner
 ---@field interactive? boolean read commands after `execute`, too
 
--- Applies the options. Returns the exit status if the program is to end without a
--- prompt, false otherwise.
+-- Applies the options. Returns the exit status if there is to be no prompt.
 local function prepare(sim, options)
   prompt.install(sim)
   if options.dry then sim:set_dry(true) end
@@ -83,8 +81,7 @@ local function prepare(sim, options)
 end
 
 --- Open a chart, run the given code, and read commands from stdin. Return the exit
--- status: 1 if the chart, the code, or a line that comes from a pipe is wrong; 0
--- otherwise.
+-- status: 1 if the chart, the code, or a line from a pipe is wrong, else 0.
 ---@param options rfsm.sim.Options
 ---@param open function opens the chart, as `session.open` does
 function rfsm_sim.main(options, open)

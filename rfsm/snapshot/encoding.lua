@@ -24,8 +24,7 @@ local is_null, text_of = exact_json.is_null, rfsm.text_of
 -- How deep tables may be nested in packed data, and in the value of a field. The second
 -- limit is due to Redis: MessagePack there drops tables deeper than 16. Six tables may
 -- be around a field: the value of the key, the snapshot, its regions, one region, its
--- data, and the fields of the state. A number that is packed as a list is one more
--- table.
+-- data, and the fields of the state. A number packed as a list is one more.
 local MAX_PACKED_DEPTH, MAX_DEPTH = 40, 9
 
 -- The value that represents nil in a field whose first value is not nil.
@@ -83,8 +82,7 @@ local function is_scalar(value)
   return kind == "string" or kind == "number" or kind == "boolean"
 end
 
---- Can a value be kept as an event? A scalar can, and a table with a name (`name`) and
--- no metatable.
+--- Can an event be kept? A scalar can, and a table with a `name` and no metatable.
 local function is_event(value)
   if type(value) ~= "table" then return is_scalar(value) and value == value end
   return getmetatable(value) == nil and type(value.name) == "string"
@@ -119,8 +117,7 @@ local function is_safe(n)
   return tonumber(("%.14g"):format(n)) == n
 end
 
--- Returns a number as text, from which any Lua reads the same number. A float without a
--- fraction gets ".0".
+-- Returns a number as text, from which any Lua reads the same number: 1.0, not 1.
 local function digits_of(n)
   if n ~= n then return "nan" end
   if n - n ~= 0 then return n > 0 and "inf" or "-inf" end
@@ -131,8 +128,7 @@ end
 
 local pack
 
--- Returns the list { "%t", key, value, ... } for a table whose values are packed
--- already. It is sorted by key.
+-- Returns { "%t", key, value, ... }, sorted by key, for a table of packed values.
 local function to_pairs(packed, path, depth)
   local list = { "%t" }
   for _, key in ipairs(rfsm.sorted_keys(packed)) do

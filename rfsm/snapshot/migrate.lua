@@ -302,8 +302,8 @@ local function each_part(snap, f)
 end
 
 -- Unpacks the data of states, so that `migrate` gets the values as callbacks see them.
--- Fields that are saved as nil become absent. Returns a list of them, each { prefix,
--- FQN, name }.
+-- Fields saved as nil become absent. They are returned in a list of { prefix, FQN, name
+-- }.
 local function unpack_kept(snap)
   local nils = {}
   each_part(snap, function(part, prefix)

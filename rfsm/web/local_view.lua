@@ -43,8 +43,7 @@ local MAX_LOST = 20 -- how many events without an effect are noted, at most
 ---@field stream rfsm.observe.Stream|false false while the machine is not observed
 ---@field changes table[] hooks and printers that `close` takes back
 ---@field points rfsm.observe.Breakpoint[] breakpoints
----@field hit string|false name of the last breakpoint reached; the caller sets it back
--- to false
+---@field hit string|false name of the last breakpoint reached; the caller resets it
 local LocalView = setmetatable({}, { __index = View })
 LocalView.__index = LocalView
 
@@ -197,8 +196,7 @@ function LocalView:now()
   }
 end
 
---- Add an entry to the log for the events that took no transition. Called when the
--- machine is idle.
+--- Add an entry to the log for events without an effect, once the machine is idle.
 function LocalView:settle()
   if self.lost[1] == nil then return end
   self.last_lost, self.lost = self.lost, {}
