@@ -219,8 +219,8 @@ local function note_results(recorder, track, rec, events)
   note_data(recorder, track, rec)
 end
 
--- Notes the results. The record of a region becomes a part of the record of the machine
--- around it. The record of the outermost machine is written.
+-- Notes the results of an iteration. The record of a region becomes a part of the
+-- record of the outermost machine, which is written at the end of its iteration.
 function listener.finished(recorder, track, events)
   local rec, outer = track.rec, recorder.tracks[1].rec
   if not rec then return end

@@ -85,11 +85,11 @@ end
 -- Misspelt events ................................................................
 
 -- Calls f(shape) for each shape of an event. Two events with a shape in common look
--- alike. Shapes are: the event without underscores and capitals; the event with two
--- adjacent letters of a word in alphabetical order; the event without one letter inside
--- a word of five or more letters. No shape ignores letters at the ends of words (close,
--- closed; lock, block), in short words (load, lead) or beside digits. There, similar
--- names are usually meant to differ.
+-- alike. Shapes are: the event itself; the event without underscores and capitals; with
+-- two adjacent letters of a word in alphabetical order; without one letter inside a
+-- word of five or more letters. No shape leaves out letters at the ends of words
+-- (close, closed; lock, block), in short words (load, lead) or beside digits, since
+-- such names are usually meant to differ.
 local function each_shape(event, f)
   f((event:lower():gsub("_", "")))
   for at, word in event:gmatch("()(%a+)") do

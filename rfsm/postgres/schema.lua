@@ -1,5 +1,4 @@
---- The schema `rfsm` as texts of SQL: tables, one function in PL/Lua, and functions in
--- SQL that call it.
+--- The schema `rfsm` as texts of SQL: tables, a function in PL/Lua, functions in SQL.
 --
 -- When the script is loaded, tables that exist are kept, and functions are replaced.
 -- Tables that do not change are not locked, so clients need not wait for the load.

@@ -129,8 +129,8 @@ local function wrap(own, field)
   end
 end
 
---- Replace getevents and the clock of a machine. A region without a clock reads that of
--- its parent machine.
+--- Replace getevents and the clock of a machine. A region that has no clock uses the
+-- clock of its parent machine.
 function track.wrap(own)
   local fsm = own.fsm
   if own.m == nil or rawget(fsm, "gettime") then wrap(own, "gettime") end

@@ -66,7 +66,7 @@ end
 ---@field execute? string[] Lua texts to run at the beginning
 ---@field replay? string recording to replay at the beginning
 ---@field stub? boolean modules and globals that are missing do nothing
----@field dry? boolean call no entries, exits and effects of the chart
+---@field dry? boolean call no functions of the chart; guards count as true
 ---@field quiet? boolean print no banner
 ---@field interactive? boolean read commands after `execute`, too
 

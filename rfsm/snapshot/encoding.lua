@@ -155,7 +155,8 @@ local function is_plain(t)
   return count == #t and not (type(first) == "string" and first:byte() == 37)
 end
 
--- Returns a table of packed values as plain data.
+-- Returns plain data for a table of packed values: the table itself, or a list of
+-- pairs.
 local function as_table(packed, path, depth)
   return is_plain(packed) and packed or to_pairs(packed, path, depth)
 end
