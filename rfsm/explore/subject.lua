@@ -444,7 +444,8 @@ local function put_position(part, position)
   end
 end
 
--- Does the machine ignore both the given and the waiting events? Its regions may react.
+-- Is no event waiting, and does the machine ignore all of `events`? Its regions may
+-- react to them.
 local function is_deaf(self, part, position, events)
   local own = #position.waiting == 0 and reactions.of(part, position.leaf).own
   for i = 1, own and #events or 0 do

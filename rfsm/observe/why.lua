@@ -34,7 +34,7 @@ local why = {}
 ---@field ways? rfsm_checks.Answer[] if "closed": the answers of the transitions from
 -- the connector, unless an earlier answer has them
 
---- The answers of all transitions of a machine that are tried.
+--- The answers of a machine: of each transition that the engine may try.
 ---@class rfsm_checks.Why
 ---@field events string[] the events, as texts
 ---@field leaf string|false FQN of the active leaf; false before the first entry
