@@ -1,13 +1,14 @@
---- Recordings: the inputs of a machine, and the same run again.
+--- Recordings: the inputs of a machine are noted, and the same run is repeated.
 --
--- `record` notes the events, the readings of the clock and the results of guards of
--- each iteration, and its results: the events that the machine sent itself, its leaf,
--- the data that its chart keeps. `replay` runs a machine through them, with the user's
--- callbacks or, `dry`, without. A recording is a list of records, in a file one line of
--- JSON each; only to read one needs the package dkjson.
+-- For each iteration, `record` notes the events, the readings of the clock and the
+-- results of guards. It also notes the effect: the events that the machine sent itself,
+-- its leaf, and the data that its chart keeps. `replay` runs a machine through a
+-- recording, and calls the user's callbacks unless the option `dry` is set. A recording
+-- is a list of records. In a file each record is a line of JSON. Only the reading of a
+-- file needs the package dkjson.
 --
 -- An iteration that an interrupt has cut short is in no record. The next record has a
--- snapshot, as has a record before which the machine was reset or moved.
+-- snapshot. So has a record before which the machine was reset or moved.
 --
 -- @module rfsm.record
 -- @license BSD-3-Clause
@@ -34,42 +35,43 @@ local record = { VERSION = journal.VERSION }
 --- The first record of a recording.
 ---@class rfsm.record.Header
 ---@field record integer version of the format, 1
----@field file? string of the chart, if it is known
----@field clock? any[] readings while the snapshot was taken
----@field guards? any[] a list for each machine: in turn number and text of a guard
----@field snapshot rfsm.snapshot.Snapshot of the machine
+---@field file? string file of the chart, if it is known
+---@field clock? any[] readings of the clock while the snapshot was taken
+---@field guards? any[] for each machine a list { number, text, number, text ... } of
+-- the transitions that have a guard
+---@field snapshot rfsm.snapshot.Snapshot the machine at the beginning
 
 --- One iteration of one machine. An absent field is empty or false.
 ---@class rfsm.record.Record
----@field m? integer number of a region
----@field inner? rfsm.record.Record[] iterations of regions in this one
+---@field m? integer number of the region; absent for the outermost machine
+---@field inner? rfsm.record.Record[] iterations of regions within this iteration
 ---@field from? { snapshot: rfsm.snapshot.Snapshot, clock: any[]? } the machine before
--- the iteration, if that does not follow from the records before
----@field events? any[] of the iteration, before hooks have changed them
----@field added? any[] events that hooks have added, such as time events; replay adds
--- its own
----@field had? table the kept data, if it has changed since the last iteration
----@field clock? any[] readings: { seconds, nanoseconds } or { failure }
----@field guards? any[] in turn a transition's number and its guard's result; a text is
--- the error of a guard that failed
+-- the iteration, if its state does not follow from the earlier records
+---@field events? any[] the events of the iteration, before hooks have changed them
+---@field added? any[] events that hooks have added, such as time events. A replay does
+-- not use them: its own hooks add events
+---@field had? table the kept data at the beginning, if the last record has other data
+---@field clock? any[] readings of the clock: { seconds, nanoseconds } or { failure }
+---@field guards? any[] { number, result, number, result ... }: numbers of transitions,
+-- and the results of their guards; for a guard that failed, the text of its error
 ---@field reset? true a callback has reset the machine
----@field sent? any[] events in the queue at the end, sent by the machine itself
+---@field sent? any[] events in the queue at the end that the machine has sent itself
 ---@field leaf? string FQN of the active leaf at the end
----@field done? true the leaf is done
+---@field done? true the leaf is done at the end
 ---@field kept? table the kept data at the end, if the iteration has changed it
----@field regions? any[] data of regions, if it has changed outside of their iterations:
--- in turn the number of a region and its data
+---@field regions? any[] { number, data, number, data ... }: regions whose kept data has
+-- changed outside of their iterations
 
 -- Record -------------------------------------------------------------------------
 
 --- A machine that is being recorded.
 ---@class rfsm.record.Recorder
----@field count integer iterations so far
----@field name? string of the file that the recorder has opened
+---@field count integer how many iterations were recorded
+---@field name? string name of the file that the recorder has opened
 ---@field timed table|false the record that gets the readings of the clock
 ---@field is_moved boolean the machine was reset or moved since the last iteration
----@field cuts integer iterations that had been cut short when a snapshot was noted
----@field tracks rfsm.record.Track[] empty while it is stopped
+---@field cuts integer how many iterations had been cut short at the last snapshot
+---@field tracks rfsm.record.Track[] for each machine; empty while nothing is recorded
 local Recorder = {}
 Recorder.__index = Recorder
 
@@ -83,7 +85,7 @@ end
 
 local listener = {} -- functions that `tracks.attach` calls
 
--- Returns a clock that reads another one, and notes the reading in the present record.
+-- Returns a clock that calls `gettime` and notes each reading in the present record.
 function listener.gettime(recorder, track, gettime)
   local other = { gettime = gettime, warn = track.fsm.warn }
   return clock.new(function(_, is_relative)
@@ -106,8 +108,8 @@ function listener.getevents(_, track, own)
   end
 end
 
--- Notes the data that the chart keeps in a field of a record, if it has changed. If an
--- interrupt comes before the end, the next record has the data.
+-- Notes the kept data of a machine in `field` of a record, if it has changed. If an
+-- interrupt ends this function early, the data is noted in the next record.
 local function note_change(track, rec, field)
   if not tracks.may_have_changed(track.observed) then return end
   local kept = encoding.attempt(snapshot.take_data, track.fsm)
@@ -122,8 +124,8 @@ local function note_change(track, rec, field)
   tracks.note_values(track.observed)
 end
 
--- Notes changed data of a machine. The record of the outermost one also has data of
--- regions that has changed while they were left or reset.
+-- Notes changed data of a machine. The record of the outermost machine also gets the
+-- data of regions that changed outside of their iterations, as when a region is reset.
 local function note_data(recorder, track, rec)
   note_change(track, rec, "kept")
   for i = 2, track.m == nil and #recorder.tracks or 0 do
@@ -135,8 +137,8 @@ local function has_doo(leaf) return leaf and leaf.doo and leaf._mode ~= "done" e
 
 local NONE = {}
 
--- Returns how many iterations were cut short, with one that is about to be, since an
--- interrupt came in a callback.
+-- Returns how many iterations were cut short. An iteration whose callback has met an
+-- interrupt counts already, since it is going to be cut short.
 local function count_cuts(recorder)
   local count, tracked = 0, recorder.tracks
   for i = 1, #tracked do
@@ -147,13 +149,13 @@ local function count_cuts(recorder)
   return count
 end
 
--- Does the present state of the machine follow from the records?
+-- Does the present state of the machine follow from the records, without a snapshot?
 local function is_known(recorder)
   return not recorder.is_moved and recorder.cuts == count_cuts(recorder)
 end
 
--- Notes a snapshot of the machine in a record, unless it cannot be saved, or a region
--- is in the middle of a step that was cut short.
+-- Notes a snapshot of the machine in a record, unless the machine cannot be saved, or a
+-- region is in the middle of a step that was cut short.
 local function note_place(recorder, rec)
   for i = 2, #recorder.tracks do
     if recorder.tracks[i].fsm._phase ~= "idle" then return end
@@ -166,8 +168,8 @@ local function note_place(recorder, rec)
   recorder.is_moved, recorder.cuts = false, count_cuts(recorder)
 end
 
--- Begins a record. An older one of the track, whose iteration was cut short or refused,
--- is dropped.
+-- Begins a record. If the track still has a record, its iteration was cut short or
+-- refused, and that record is dropped.
 function listener.began(recorder, track, events)
   local dropped, leaf = track.rec or NONE, track.fsm._act_leaf
   local rec = { m = track.m, events = tracks.pack_events(events), had = dropped.had }
@@ -185,8 +187,8 @@ end
 local EFFECTS = { "events", "guards", "sent", "kept", "had", "from", "reset",
   "regions" }
 
--- Is the record of an iteration left out? Only that of the outermost machine is, if the
--- iteration had no event, resumed no doo, and changed nothing.
+-- Is the record of an iteration left out? It is if the machine is the outermost one,
+-- and the iteration had no event, resumed no doo, and changed nothing.
 local function is_empty(track, rec)
   local leaf = track.fsm._act_leaf
   if track.m ~= nil or track.has_doo or leaf ~= track.leaf then return false end
@@ -197,7 +199,7 @@ local function is_empty(track, rec)
   return true
 end
 
--- Notes the events that the machine has sent, and those that hooks have added.
+-- Notes the events that the machine has sent, and the events that hooks have added.
 local function note_events(track, rec, events)
   local queue = track.fsm._intq
   rec.sent, rec.added = nil, nil
@@ -217,13 +219,13 @@ local function note_results(recorder, track, rec, events)
   note_data(recorder, track, rec)
 end
 
--- Notes the results. The record of a region becomes a part of the record of the machine
--- around it. The record of the outermost machine is written.
+-- Notes the results of an iteration. The record of a region becomes a part of the
+-- record of the outermost machine, which is written at the end of its iteration.
 function listener.finished(recorder, track, events)
   local rec, outer = track.rec, recorder.tracks[1].rec
   if not rec then return end
   note_results(recorder, track, rec, events)
-  track.rec = false -- a reset from here on is not noted in this record
+  track.rec = false -- so that a later reset is not noted in this record
   if track.m ~= nil then
     if outer then tracks.note(outer, "inner", rec) end
   elseif is_known(recorder) and (events[1] ~= nil or not is_empty(track, rec)) then
@@ -253,22 +255,22 @@ function listener.reset(recorder, track) -- between two iterations, or by a call
   if track.rec then track.rec.reset = true end
 end
 
--- Notes an interrupt, after which the state of the machine does not follow from the
--- records. Nothing else makes a state that runs regions fail, or a guard whose failure
--- `listener.guard` has not seen.
+-- Notes interrupts, after which the state of the machine does not follow from the
+-- records. A failure is an interrupt if a state that runs regions fails, or a guard
+-- whose failure `listener.guard` has not seen. Nothing else makes these fail.
 function listener.failed(recorder, track, element, name)
   local is_own = name == "guard" and not rawequal(element, track.failing)
   if is_own or select(2, rfsm.regions(element)) then recorder.is_moved = true end
   track.failing = nil
 end
 
---- Record no more, until `go_on`. The machine has its own guards and clock again.
+--- Stop recording until `go_on` is called. The machine gets its functions back.
 function Recorder:pause()
   tracks.detach(self.tracks)
   self.tracks = {}
 end
 
---- Record again after `pause`, into the same recording.
+--- Continue a recording after `pause`.
 function Recorder:go_on()
   if self.tracks[1] then return end
   self.timed, self.is_moved = false, true
@@ -287,14 +289,14 @@ end
 
 --- Record a machine from now on.
 --
--- The sink is a list of the records; a function that is called with each; or a file or
--- its name. The file gets a line of JSON for each record; a new run is appended to it.
--- Iterations without an event and without a doo are left out.
+-- The sink is a list to which records are appended, a function that is called with each
+-- record, a file, or a file name. A file gets a line of JSON for each record, and a new
+-- run is appended. Iterations without an event and without a doo are left out.
 --
 -- @usage
 --    local recorder = record.record(fsm, "run.jsonl")
 --
--- @raise if a step is under way, the machine cannot be saved, or the file not opened
+-- @raise during a step, or if the machine cannot be saved or the file cannot be opened
 ---@param fsm rfsm.Machine
 ---@param sink table|function|file*|string
 ---@return rfsm.record.Recorder recorder
@@ -320,7 +322,8 @@ function record.record(fsm, sink)
   return recorder
 end
 
--- Returns the records of a recording or of a file; nil and the problem if it has none.
+-- Returns the records of a recording, or of a file with this name. Returns nil and the
+-- problem if they are not valid.
 local function records_of(recording)
   if type(recording) == "string" then recording = record.read(recording) end
   local header = type(recording) == "table" and recording[1]
@@ -351,23 +354,23 @@ end
 ---@class rfsm.record.Options
 ---@field to? integer stop after that many iterations
 ---@field dry? boolean call no callbacks
----@field migrate? boolean the chart may have changed; replay up to the first difference
+---@field migrate? boolean the chart may have changed: replay up to the first difference
 ---@field guards? boolean call guards, too, and compare their results
 ---@field each? fun(fsm: rfsm.Machine, records: table[]) called after each step
----@field watch? fun(fsm: rfsm.Machine) called before the first step, to set a `dbg`
+---@field watch? fun(fsm: rfsm.Machine) called before the first step; may set `dbg`
 
 --- Run a machine through a recording.
 --
--- Its callbacks run, but getevents and the clock are those of the recording, and so are
--- the results of guards. `dry`: no callback runs.
+-- Its callbacks run, unless the option `dry` is set. The events, the readings of the
+-- clock and the results of guards are taken from the recording.
 --
 ---@param model rfsm.State the chart that was recorded
 ---@param recording table[]|string records, or the name of a file
 ---@param options? rfsm.record.Options
----@return rfsm.Machine|false fsm with its own clock; false if it has departed from the
--- recording
+---@return rfsm.Machine|false fsm with its own clock; false if the replay has failed or
+-- differs from the recording
 ---@return string? problem the step and the difference
----@return integer? step the last one that was the same
+---@return integer? step number of the last step that was the same
 function record.replay(model, recording, options)
   if not rfsm.is_state(model) then
     error("rfsm.record.replay: state expected, got " .. type(model), 2)
@@ -383,13 +386,14 @@ function record.replay(model, recording, options)
 end
 
 --- Read the records of a run in a file. An incomplete last line is left out.
--- @raise if the file cannot be read, a line is no record or is missing, or there is no
--- such run
+-- @raise if the file cannot be read, a line is no record or is missing, or the file has
+-- no run with this number
 ---@param file string
----@param run? integer the last one if it is absent
+---@param run? integer number of the run; default: the last run in the file
 ---@return table[] recording
----@return { runs: integer, is_cut: boolean, has_end: boolean } about `is_cut`: a line
--- was left out; `has_end`: the recorder was stopped, and no line is missing
+---@return { runs: integer, is_cut: boolean, has_end: boolean } about `runs`: how many
+-- runs the file has; `is_cut`: the last line was left out, since it is incomplete;
+-- `has_end`: the recorder was stopped, and no line is missing
 ---@nodiscard
 function record.read(file, run)
   local ok, recording, about = pcall(journal.read, file, run)
@@ -420,11 +424,11 @@ describe(FILE, function()
 end)
 ]]
 
---- Return a busted spec: the chart takes the steps that were recorded.
--- @raise if it is no recording, or its chart is not known
+--- Return a busted spec that checks if a chart takes the steps that were recorded.
+-- @raise if `recording` is no recording, or the file of its chart is not known
 ---@param recording table[]|string records, or the name of a file
----@param options? { chart: string?, dry: boolean? } `chart`: its file, if not the one
--- in the recording; `dry`: call no callbacks
+---@param options? { chart: string?, dry: boolean? } `chart`: file of the chart, if not
+-- the one that the recording names; `dry`: call no callbacks
 ---@return string text
 ---@nodiscard
 function record.to_spec(recording, options)

@@ -1,4 +1,4 @@
---- Names: events that nobody sends, or that look like a misspelt other one.
+--- Event names: finds e_done events that never come, odd names, and misspelt events.
 --
 -- @module rfsm.checks.event_names
 -- @license BSD-3-Clause
@@ -13,7 +13,8 @@ local event_names = {}
 
 -- e_done@F of no leaf ............................................................
 
--- Returns the hint for a name that is no FQN of a leaf.
+-- Returns a hint for a name that is no FQN: "did you mean" the first leaf whose FQN
+-- ends with the name. Returns an empty text if there is no such leaf.
 local function leaf_meant(name, leaves)
   for _, fqn in ipairs(leaves) do
     if fqn:sub(-#name - 1) == "." .. name then
@@ -23,7 +24,7 @@ local function leaf_meant(name, leaves)
   return ""
 end
 
--- Finds e_done@F where F is no leaf. Of an e_done of the source itself `init` warns.
+-- Finds events e_done@F where F is no leaf. `init` warns if F is the source itself.
 local function check_e_done(tr, leaves, add)
   for _, event in ipairs(tr.events or {}) do
     local fqn = type(event) == "string" and event:match("^e_done@(.*)$")
@@ -40,14 +41,14 @@ end
 local MARKS = { [","] = "a comma", ["|"] = "a '|'" }
 
 -- Is the name of an event a sentence, such as a spoken command, and no list of events?
--- A sentence has words with a blank between them, and none that begins with e_.
+-- A sentence has blanks between words, and no word begins with e_.
 local function is_sentence(event)
   return not event:find("|") and not event:find("%f[%w]e_") and not event:find("%s$")
     and event:find("%a%s+%a") ~= nil
 end
 
--- Returns what is odd about the name of an event: that it has a comma, bar or blank
--- (but not in word(a, b) or behind @), or that it is a pattern.
+-- Returns a text if the name of an event is odd: if it looks like a pattern, or has a
+-- comma, bar or blank that is not in parentheses or after @.
 local function oddness_of_name(event)
   local word = event:match("^[^(@]*")
   if match.maker_of(event) or is_sentence(event) then
@@ -61,7 +62,8 @@ local function oddness_of_name(event)
   end
 end
 
--- Returns what is odd about a plain table, which no other table equals.
+-- Returns a text if a plain table is used as an event as if it were a list or had a
+-- name. Such an event is equal to this table only.
 local function oddness_of_table(event)
   if type(event[1]) == "string" then
     return "a list that holds '" .. event[1] .. "' is one event"
@@ -82,11 +84,12 @@ end
 
 -- Misspelt events ................................................................
 
--- Calls f(shape) for the shapes of an event. Two events with a shape in common look
--- alike. The shapes are the event without underscores and capitals; with two letters of
--- a word in alphabetical order; and without one letter inside a word of five or more.
--- Letters at the ends (close, closed; lock, block), in short words (load, lead) and at
--- numbers distinguish events that are meant.
+-- Calls f(shape) for each shape of an event. Two events with a shape in common look
+-- alike. Shapes are: the event itself; the event without underscores and capitals; with
+-- two adjacent letters of a word in alphabetical order; without one letter inside a
+-- word of five or more letters. No shape leaves out letters at the ends of words
+-- (close, closed; lock, block), in short words (load, lead) or beside digits, since
+-- such names are usually meant to differ.
 local function each_shape(event, f)
   f((event:lower():gsub("_", "")))
   for at, word in event:gmatch("()(%a+)") do
@@ -108,7 +111,7 @@ local function is_name(event)
   return type(event) == "string" and not event:find("[@%(,]")
 end
 
--- Returns the names of events in order, and the transitions that use each.
+-- Returns a list of the names of events, and a table name -> transitions that use it.
 local function usage_of(fsm)
   local list, users = {}, {}
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
@@ -122,7 +125,7 @@ local function usage_of(fsm)
   return list, users
 end
 
--- Returns lists of positions of events, by their shapes.
+-- Returns a table shape -> list of the positions of the events with that shape.
 local function index_of(list)
   local index = {}
   for i, event in ipairs(list) do
@@ -134,7 +137,8 @@ local function index_of(list)
   return index
 end
 
--- Returns the first event that looks like event `i`, and is used more or named earlier.
+-- Returns the first event that looks like event `i`, and that several transitions use
+-- or that comes earlier in the list.
 local function find_similar(list, users, index, i)
   local least
   each_shape(list[i], function(shape)
@@ -152,7 +156,7 @@ local function is_nearly_done(event, tr)
   return rfsm.is_leaf(tr.src) and (word == "done" or word == "edone")
 end
 
--- Finds events that one transition uses, and that look like another event.
+-- Finds events that only one transition uses, and that look like another event.
 local function check_typos(fsm, add)
   local list, users = usage_of(fsm)
   local index = index_of(list)
@@ -167,7 +171,7 @@ local function check_typos(fsm, add)
   end
 end
 
---- Find what is wrong with the events of transitions.
+--- Find odd and misspelt events of transitions, and e_done events that never come.
 ---@type rfsm_checks.Check
 function event_names.check(fsm, add)
   local leaves = {}

@@ -47,7 +47,7 @@ function check.add_arguments(command)
     :argname("FILE")
 end
 
--- Reports the lines that only one of two texts has.
+-- Writes the lines that only one of two texts has to stderr, with - (old) or + (new).
 local function report_difference(old, new)
   local function lines_of(text)
     local list, set = {}, {}
@@ -87,8 +87,8 @@ local function write_tests(options, parser)
   if old_text then report_difference(old_text, text) end
 end
 
--- Returns why a chart cannot be checked. A problem in the file of its declarations
--- begins with the name of that file already.
+-- Returns the reason why a chart cannot be checked, with the name of the file in front:
+-- the chart, or the file of its declarations, which `failure` begins with already.
 local function reason(file, failure)
   local text = chart.first_line(failure)
   local name = require("rfsm.cli.review").properties_of(file)

@@ -1,7 +1,7 @@
---- What the commands share: streams, charts in, results out, addresses.
+--- Functions for all commands: streams, loading charts, options, results, addresses.
 --
--- What a chart prints while it is loaded goes to stderr, so that it never becomes part
--- of a result.
+-- Text that a chart prints while it is loaded goes to stderr, so that it never becomes
+-- part of a result.
 --
 -- @module rfsm.cli.common
 -- @license BSD-3-Clause
@@ -28,7 +28,8 @@ local function set_streams(printer, out, err, default)
   io.output(default)
 end
 
--- Calls f(...) as pcall does. Meanwhile `print`, stdout and stderr write to `stream`.
+-- Returns the results of pcall(f, ...). During the call, `print`, io.stdout and
+-- io.stderr write to `stream`.
 function common.with_streams(stream, f, ...)
   local printer, out, err, default = rawget(_G, "print"), io.stdout, io.stderr,
     io.output()
@@ -45,27 +46,27 @@ function common.warn(line)
   io.stderr:write("rfsm ", common.command, ": ", line, "\n")
 end
 
--- Reports each line of a problem on stderr, and ends the program.
+-- Writes a problem to stderr, and ends the program with a status (1 by default).
 function common.fail(problem, status)
   io.stdout:flush()
   for line in problem:gmatch("[^\n]+") do common.warn(line) end
   os.exit(status or 1)
 end
 
--- Returns the result, or ends the program with the problem.
+-- Returns the result. If it is nil or false, prints the problem and ends the program.
 function common.try(result, problem)
   return result or common.fail(problem)
 end
 
--- Returns the results of f(...), and discards what it prints. An error ends the program
--- with a message that names the file.
+-- Returns the results of f(...), and discards the text that it prints. An error in `f`
+-- ends the program with a message that names the file.
 function common.call(file, f, ...)
   local ok, result, more, list = common.with_streams(common.NOWHERE, f, ...)
   if not ok then common.fail(chart.reason(file, result)) end
   return result, more, list
 end
 
--- Calls a function that goes on until Control-C ends it.
+-- Calls f(...), which runs until Control-C ends it. Other errors are raised.
 function common.until_interrupt(f, ...)
   local ok, problem = pcall(f, ...)
   if not (ok or rfsm.is_interrupt(problem)) then error(problem, 0) end
@@ -73,7 +74,7 @@ end
 
 -- Charts in -------------------------------------------------------------------
 
--- Returns the name of a file with slashes in place of backslashes. Windows takes both.
+-- Returns the name of a file, with / in place of \ on Windows, which accepts both.
 local function with_slashes(name)
   return package.config:byte() == 92 and name:gsub("\\", "/") .. "" or name
 end
@@ -88,7 +89,8 @@ function common.add_files(command)
     :args("+"):argname("FILE"):convert(with_slashes)
 end
 
--- Adds an option with two names. The help has the short one: both would take two lines.
+-- Adds an option with a short and a long name. The help shows only the short name,
+-- since both names would not fit in one line.
 function common.add_option(command, names, text, default)
   local short, long = names:match("(%-%a) (%-%-%a+)")
   return command:option(short, text, default):hidden_name(long):target(long:sub(3))
@@ -99,15 +101,16 @@ function common.add_stub(command)
     :init(false)
 end
 
--- Returns a problem. If a module is missing, such as one of a robot, the text names the
--- option --stub, unless that was given (true) or the command has no such option (nil).
+-- Returns the text of a problem. If a module is missing, such as one of a robot, and
+-- the option --stub was not given (`has_stubs` is false), the text names the option.
+-- The text does not change if the command has no such option (`has_stubs` is nil).
 function common.with_hint(problem, has_stubs)
   if has_stubs ~= false then return problem end
   return (problem:gsub("module '[^']*' not found$",
     "%0 (the option --stub loads the chart without it)"))
 end
 
--- For commands whose charts may be programs that make several machines.
+-- Adds the option --machine. It is for files that are programs with several machines.
 function common.add_machine(command)
   common.add_number(command, "--machine", "of a program: number of the machine (1)")
 end
@@ -119,14 +122,15 @@ function common.check_readable(file)
   if not text then common.fail(problem, 2) end
 end
 
--- Loads a chart as chart.load does. What the chart prints goes to stderr.
+-- Loads a chart as chart.load does. Text that the chart prints goes to stderr.
 function common.load_model(file, has_stubs, number, load)
   local _, model, result, world = common.with_streams(io.stderr, chart.load, file,
     has_stubs, number, load)
   return model, model and result or common.with_hint(result, has_stubs), world
 end
 
--- Returns the machine of a chart, made silently, and the names of its stubs.
+-- Loads a chart and makes its machine, with the printers off. Returns the machine, and
+-- the names of the modules and globals that stubs have replaced.
 local function load_machine(file, has_stubs, number)
   local model, problem, world = common.load_model(file, has_stubs, number)
   if not model then common.fail(problem) end
@@ -143,7 +147,8 @@ end
 
 local is_count = opts.is_whole(1, math.huge)
 
--- Adds an option with a number: one that `is_right` accepts, or a whole one above 0.
+-- Adds an option that takes a number. The number has to satisfy `is_right`; by default
+-- it has to be a whole number above 0.
 function common.add_number(command, names, description, is_right, expected)
   local add = names:find(" ") and common.add_option or command.option
   return add(command, names, description):argname("N"):convert(function(text)
@@ -161,7 +166,8 @@ common.CHART_NAMES = "The name of a chart is that of its file; NAME=FILE gives a
 
 common.is_size = opts.is_whole(1, 1e6) -- for the length of a list that a server keeps
 
--- Adds arguments for a library of charts, and for how long it remembers ids of events.
+-- Adds the arguments for a library of charts: the files, and how many ids of events it
+-- keeps for how long.
 function common.add_charts(command)
   command:argument("files", "Lua files that return a chart"):args("*")
     :argname("[NAME=]FILE"):convert(with_slashes)
@@ -172,7 +178,7 @@ function common.add_charts(command)
 end
 
 -- Returns the text of a library, which bundle(files, settings) makes. If a chart is
--- wrong, the reason in one line ends the program.
+-- wrong, prints the reason in one line and ends the program.
 function common.library_of(bundle, options, parser, settings)
   if not options.files[1] then parser:error("a chart expected") end
   settings.ids, settings.ids_for = options.ids, options.ids_for
@@ -185,7 +191,8 @@ end
 
 -- Results out -----------------------------------------------------------------
 
--- Writes a text to a file; `-` is stdout. Only a flush reports that the disk is full.
+-- Writes a text to a file; `-` is stdout. stdout is flushed, since only a flush reports
+-- that the disk is full.
 function common.write(file, text)
   local ok, problem
   if file == "-" then
@@ -198,8 +205,8 @@ function common.write(file, text)
   if not ok then common.fail(problem) end
 end
 
--- Returns the texts that encode(fsm, title, foot) makes of the charts in all files, so
--- that nothing is written if one of them is wrong. The foot names the stubs.
+-- Calls encode(fsm, title, foot) for the chart in each file, and returns the list of
+-- texts. Nothing is written before all charts are encoded. The foot names the stubs.
 function common.encode_all(options, encode)
   local texts = {}
   for i, file in ipairs(options.files) do
@@ -214,7 +221,7 @@ end
 
 -- Addresses -------------------------------------------------------------------
 
-local PROTO_PORT = 44044 -- that of rfsm.proto by default
+local PROTO_PORT = 44044 -- the default port of rfsm.proto
 
 function common.address_of(parser, text)
   local host, port = text:match("^(.*):(%d+)$")

@@ -12,7 +12,7 @@ local opts = require "rfsm.shared.options"
 
 local cli = {}
 
--- The commands in the order of the help. Those of the exporters follow.
+-- The commands in the order of the help. The commands of the exporters come after them.
 local COMMANDS = { "check", "sim", "viz", "snapshot", "redis", "postgres", "fleet",
   "web", "watch", "size" }
 
@@ -21,13 +21,15 @@ local function print_version()
   os.exit(0)
 end
 
--- argparse calls this with the parser of the command, whose usage is printed.
+-- Prints the usage of a command and the problem, and ends the program. argparse calls
+-- this function with the parser of the command.
 local function report_usage(parser, problem)
   io.stderr:write(parser:get_usage(), "\n\nError: ", problem, "\n")
   os.exit(2)
 end
 
--- Adds what all parsers have. Their help fits a terminal of 24 lines and 80 columns.
+-- Adds --version to a parser, and sets how problems are reported and how wide the help
+-- is. The help fits a terminal of 24 lines and 80 columns.
 local function prepare(parser, is_hidden)
   parser.error = report_usage
   parser:usage_max_width(79):help_max_width(79):help_description_margin(26)
@@ -45,7 +47,8 @@ local function print_help(parser, parsers, argv)
   return 0
 end
 
--- Ends the program if a chart stands in place of a command, and prints what to type.
+-- If the name of a chart is given in place of a command, prints the right command and
+-- ends the program.
 local function refuse_file(commands, name)
   if commands[name] or not name:find("%.lua$") then return end
   io.stderr:write("rfsm: '", name, "' is no command. To step through that chart, ",
@@ -53,7 +56,7 @@ local function refuse_file(commands, name)
   os.exit(2)
 end
 
---- Run the command with a list of arguments; return the exit status.
+--- Run the command that a list of arguments names; return the exit status.
 function cli.main(argv)
   local argparse, problem = opts.find_package("argparse")
   if not argparse then

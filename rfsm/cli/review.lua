@@ -1,4 +1,5 @@
---- The work of the command `rfsm check`: from settings and findings to lines.
+--- Review: the command `rfsm check` reads settings, checks and explores a chart, and
+-- prints the findings as lines.
 --
 -- @module rfsm.cli.review
 -- @license BSD-3-Clause
@@ -31,8 +32,9 @@ local review = {}
 
 local SETTINGS = ".rfsmcheck.lua"
 
--- Returns the name of the nearest file of settings: in the folder of a chart, or in one
--- above, up to the working directory or /; nil if there is none.
+-- Returns the name of the nearest file of settings. It is searched for in the folder of
+-- a chart, then in its parent folders, up to the working directory or /. Returns nil if
+-- there is no such file.
 local function find_settings(file)
   local folder = file:match("^(.*/)") or ""
   while not exists(folder .. SETTINGS) do
@@ -43,8 +45,8 @@ local function find_settings(file)
 end
 
 --- Load the settings for a chart, from the nearest `.rfsmcheck.lua`.
----@param file string of the chart
----@return table<string, string>? settings code -> severity; nil if they are wrong
+---@param file string file name of the chart
+---@return table<string, string>? settings code -> severity; nil if a setting is wrong
 ---@return string? problem
 function review.settings_for(file)
   local name = find_settings(file)
@@ -65,7 +67,7 @@ local function line_of(file, finding)
   return chart.line(file, static.line(finding, has_hint), kind)
 end
 
--- Returns the gravest severity of findings; nil if there are only notes.
+-- Returns the gravest severity of findings: "error" or "warning"; nil for notes only.
 local function gravest_of(findings)
   local found = {}
   for _, finding in ipairs(findings) do found[finding.severity] = true end
@@ -74,13 +76,13 @@ end
 
 -- Explore .........................................................................
 
---- Return the name of the file with declarations beside a chart: a.lua has
+--- Return the name of the file with the declarations for a chart. For a.lua it is
 --- a_properties.lua.
 function review.properties_of(file)
   return file:gsub("%.lua$", "") .. "_properties.lua"
 end
 
--- Returns the table of declarations in the file beside a chart; empty without a file.
+-- Returns the table of declarations for a chart, which is empty if no file has them.
 local function declared_for(file)
   local name = review.properties_of(file)
   if file == "-" or not exists(name) then return {} end
@@ -93,7 +95,7 @@ local function declared_for(file)
   return declared
 end
 
--- Bounds for the configurations of a chart, and of a system, if no option has another.
+-- The most configurations that are explored by default: of a chart, and of a system.
 local MANY, MANY_TOGETHER = 10000, 100000
 
 local real_stderr = io and io.stderr
@@ -109,7 +111,7 @@ end
 -- Writes the run that shows a finding to a file.
 local function write_witness(model, witness, name)
   if not system.is_system(model) then
-    os.remove(name) -- the recording would be appended to what is there
+    os.remove(name) -- or the recording would be appended to an older one
     return rfsm_checks.record_witness(model, witness, name)
   end
   local text = name:find("%.mmd") and sequence.mermaid(model.names, witness)
@@ -118,7 +120,8 @@ local function write_witness(model, witness, name)
   if not ok then error(problem, 0) end
 end
 
--- Writes the runs of findings to files FILE, FILE.2, FILE.3; a finding notes its file.
+-- Writes the runs that show findings to the files `name`, `name`.2, `name`.3. Sets the
+-- field `record` of each such finding to the name of its file.
 local function write_witnesses(model, findings, name)
   local count = 0
   for _, finding in ipairs(findings) do
@@ -131,8 +134,9 @@ local function write_witnesses(model, findings, name)
   end
 end
 
--- Returns "7: " if line 7 of a text is the first that has the name in the quotes of a
--- problem, or the option with which the problem begins; empty if there is no such line.
+-- Returns "7: " if line 7 is the first line of a text that contains the name which the
+-- problem has in quotes (or the option with which the problem begins). Returns an empty
+-- text if no line contains it.
 local function line_with(text, problem)
   local wanted, number = problem:match("'(.-)'") or problem:match("^(%w+)") or "", 0
   for line in (text .. "\n"):gmatch("(.-)\n") do
@@ -142,8 +146,8 @@ local function line_with(text, problem)
   return ""
 end
 
--- Raises the failure of an exploration. If there is a file of declarations, the failure
--- is one of that file, and begins with its name and a line.
+-- Raises the failure of an exploration. If there is a file of declarations, it is taken
+-- to be the cause: the name of the file and a line number are put in front.
 local function refuse(name, failure)
   local text = type(failure) == "string" and files.read(name)
   if not text or failure:find("^%S+:%d+: ") then error(failure, 0) end
@@ -151,7 +155,8 @@ local function refuse(name, failure)
   error(name .. ":" .. (line_with(text, problem):gsub("^$", " ")) .. problem, 0)
 end
 
--- Calls explore(model, own), where `own` are declarations, with bounds of the command.
+-- Calls explore(model, own). `own` has the declarations; options of the command replace
+-- their bounds. `most` is the default for the configurations.
 local function run_explore(file, model, own, options, explore, most)
   for _, name in ipairs { "together", "seconds", "configurations" } do
     if options[name] ~= nil then own[name] = options[name] end
@@ -164,8 +169,8 @@ local function run_explore(file, model, own, options, explore, most)
   return result
 end
 
--- Returns the options for exploring a machine of a system: the declarations in the file
--- beside its chart, except the alphabet, and over these what the system declares.
+-- Returns the options for exploring one machine of a system: the declarations for its
+-- chart, without the alphabet. A declaration of the system (`given`) takes precedence.
 local function machine_options(cell, name, given)
   local fsm = static.init(cell.models[name], false)
   local chart_file = location.split(rfsm.location_of(fsm))
@@ -176,7 +181,7 @@ local function machine_options(cell, name, given)
   return own
 end
 
--- Explores a system, with the declarations in the files beside it and its charts.
+-- Explores a system with the declarations for the system and for each of its charts.
 local function explore_system(file, cell, options)
   local own = declared_for(file)
   local machines = own.machines or {}
@@ -192,8 +197,8 @@ end
 local EXTENSIONS = { "rfsm_timeevent", "rfsm.timeevent", "rfsm_await", "rfsm.await" }
 
 --- Call a function that loads a chart, and note the extensions that the chart requires.
----@return table<string, true> required "rfsm_timeevent", "rfsm_await"
----@return any ... results of `f`
+---@return table<string, true> required their names: "rfsm_timeevent", "rfsm_await"
+---@return any ... the results of `f`
 function review.noting_extensions(f, ...)
   local required, kept = {}, {}
   local loaded, preload = package.loaded, package.preload
@@ -218,7 +223,7 @@ function review.noting_extensions(f, ...)
   return required, unpack(results, 2, 4)
 end
 
--- Finds events of extensions that the chart does not require.
+-- Adds a finding for each event of an extension that the chart does not require.
 local function add_missing_extensions(findings, fsm, required)
   for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, tr in ipairs(rfsm.elements(entry.machine, rfsm.is_trans)) do
@@ -235,7 +240,8 @@ local function add_missing_extensions(findings, fsm, required)
   end
 end
 
--- Returns all findings about a chart, and the exploration, if there was one.
+-- Returns all findings about a chart. The second result is the exploration, nil if the
+-- chart was not explored.
 local function find_all(file, model, settings, options)
   if system.is_system(model) then
     local result = not options.static and explore_system(file, model, options)
@@ -252,7 +258,7 @@ local function find_all(file, model, settings, options)
   return static.apply(findings, settings), result
 end
 
--- Appends the lines of a finding, with the run that shows it.
+-- Appends the lines of a finding, and the lines of the run that shows it.
 local function add_finding(lines, file, finding)
   lines[#lines + 1] = line_of(file, finding)
   local witness = finding.witness or {}
@@ -276,11 +282,11 @@ local function lines_of_all(file, findings, warnings, has_notes)
   return lines
 end
 
---- Return the findings about a chart in lines, those of each severity in the order of
---- the tree, then the summary of the exploration.
----@param warnings string[] about its file
----@param options table of the command: all, static, together ...; `required` is the
--- result of `review.noting_extensions`
+--- Return the findings about a chart in lines: errors first, then warnings and notes.
+--- Lines with the summary of the exploration follow.
+---@param warnings string[] texts about the file of the chart
+---@param options table options of the command, such as `all` and `static`; `required`
+-- is the first result of `review.noting_extensions`
 ---@return string[] lines "chart.lua: ok" if there is nothing to report
 ---@return "error"|"warning"|nil gravest severity; nil if there are only notes
 function review.of(file, model, warnings, settings, options)

@@ -1,4 +1,6 @@
---- Graph: reachability and cycles in the steps of a walk.
+--- Graph: which configurations of a walk can be reached from others, and its cycles.
+--
+-- An *internal* step needs no event from outside.
 --
 -- @module rfsm.explore.graph
 -- @license BSD-3-Clause
@@ -9,9 +11,10 @@ local insert, remove, sort = table.insert, table.remove, table.sort
 
 local graph = {}
 
---- Call `f(tgt, is_internal, position)` for each step from a configuration.
+--- Call `f(tgt, is_internal, position)` for each step from a configuration. `position`
+--- is the place of the step in `walk.steps`.
 ---@param walk rfsm_checks.Walk
----@param number integer
+---@param number integer number of the configuration
 ---@param f fun(tgt: integer, is_internal: boolean, position: integer)
 function graph.each_step(walk, number, f)
   for i = walk.first[number] or 1, (walk.first[number + 1] or 1) - 1 do
@@ -20,7 +23,7 @@ function graph.each_step(walk, number, f)
   end
 end
 
--- Calls f(from, tgt) for each step, or for those without events from outside alone.
+-- Calls f(from, tgt) for each step; if `is_internal`, for internal steps only.
 local function each_edge(walk, is_internal, f)
   for from = 1, walk.expanded do
     for at = walk.first[from], walk.first[from + 1] - 1 do
@@ -30,8 +33,9 @@ local function each_edge(walk, is_internal, f)
   end
 end
 
--- Returns a list of the configurations from which steps lead to configuration 1, then
--- to 2, and so on; and for each of these the position before the first one.
+-- Returns a list of the sources of all steps: first of the steps to configuration 1,
+-- then of those to 2, and so on. The sources of the steps to configuration n begin
+-- behind position before[n] of the list.
 local function reverse(walk, is_internal)
   local list, before, count = {}, { 0 }, #walk.keys
   for number = 1, count do before[number + 1] = 0 end
@@ -45,8 +49,8 @@ local function reverse(walk, is_internal)
   return list, before
 end
 
--- Returns a set that begins with the goals. For each step that leads into the set,
--- joins(from, tgt, set) decides whether the configuration `from` is added.
+-- Returns a set that begins with the goals and grows. For each step from outside into
+-- the set, joins(from, tgt, set) decides whether the configuration `from` is added.
 local function spread(walk, goals, is_internal, joins)
   local set, pending, list, before = {}, {}, reverse(walk, is_internal)
   for number = 1, #walk.keys do
@@ -67,8 +71,8 @@ end
 
 --- Return the set of configurations from which one of `goals` can be reached.
 ---@param goals table<integer, boolean>
----@param is_internal boolean? by steps without events from outside
----@param within? table<integer, boolean> from these alone, and through them
+---@param is_internal boolean? use only steps that need no event from outside
+---@param within? table<integer, boolean> use only these configurations on the way
 ---@return table<integer, boolean> set
 function graph.can_reach(walk, goals, is_internal, within)
   return spread(walk, goals, is_internal, function(from)
@@ -76,8 +80,9 @@ function graph.can_reach(walk, goals, is_internal, within)
   end)
 end
 
--- Does a step lead into a set whatever the clocks show? Some step has to need no group
--- of deadlines, or for each group that may be over first there has to be a step.
+-- Does a step lead into the set, whatever the clocks of the configuration show? It does
+-- if a step depends on no deadline, or if there is a step for each group of deadlines
+-- that may be over first.
 local function leads_surely(walk, number, set)
   local ways, is_counted, is_sure = 0, {}, false
   graph.each_step(walk, number, function(tgt, _, at)
@@ -93,7 +98,7 @@ local function leads_surely(walk, number, set)
 end
 
 --- Return the set of configurations from which one of `goals` can be reached, whatever
---- their clocks show.
+--- the clocks of the configurations show.
 ---@param walk rfsm_checks.Walk
 ---@param goals table<integer, boolean>
 ---@return table<integer, boolean> set
@@ -103,7 +108,8 @@ function graph.can_surely_reach(walk, goals)
   end)
 end
 
--- Counts the steps without events from outside. A doo that goes on is none of these.
+-- Counts the steps that need no event from outside. A step in which a doo goes on and
+-- nothing changes is not among the steps of a walk.
 local function count_internal(walk, number)
   local count = 0
   graph.each_step(walk, number, function(_, is_internal)
@@ -112,13 +118,13 @@ local function count_internal(walk, number)
   return count
 end
 
---- Return the set of configurations from which steps without events from outside always
---- lead to one of `goals`. Each doo is taken to end some time.
+--- Return the set of configurations from which the machine always comes to one of
+--- `goals` without events from outside. Each doo is assumed to end at some time.
 ---@param goals table<integer, boolean>
 ---@return table<integer, boolean> set
 function graph.must_reach(walk, goals)
   local ends, left = {}, {}
-  for number = 1, #walk.keys do -- what was not tried may lead to a goal
+  for number = 1, #walk.keys do -- a step not tried may lead to a goal
     ends[number] = goals[number] or number > walk.expanded or walk.cut[number]
   end
   return spread(walk, ends, true, function(from, tgt)
@@ -138,7 +144,7 @@ local function visit(walk, search, number)
   search.visits[depth], search.at[depth] = number, walk.first[number] or 1
 end
 
--- Takes the component of a configuration from the open configurations.
+-- Makes a component of the open configurations down to `root`, the first one visited.
 local function take_component(search, root)
   local component, index = {}, #search.components + 1
   repeat
@@ -150,7 +156,7 @@ local function take_component(search, root)
   search.components[index] = component
 end
 
--- Goes on with the visit on top of the stack: deeper, or back.
+-- Follows the next step of the visit on top of the stack, or ends the visit.
 local function visit_next(walk, search)
   local low, order, depth = search.low, search.order, #search.visits
   local number, at = search.visits[depth], search.at[depth]
@@ -172,14 +178,14 @@ local function visit_next(walk, search)
   if low[number] == order[number] then take_component(search, number) end
 end
 
---- Return the shortest list of edges from a configuration whose last one is wanted.
----@param edges table<integer, table[]> by the configuration `from`, with `tgt`
+--- Return the shortest way from a configuration to a wanted edge, as a list of edges.
+---@param edges table<integer, table[]> configuration -> its edges { from, tgt }
 ---@param start integer
 ---@param is_wanted fun(edge: table): boolean
----@return table[]? way
+---@return table[]? way its last edge is the wanted one; nil if there is no such way
 function graph.find_way(edges, start, is_wanted)
   local came, list = { [start] = false }, { start }
-  for _, number in ipairs(list) do -- which gets longer
+  for _, number in ipairs(list) do -- the loop appends to the list
     for _, edge in ipairs(edges[number] or {}) do
       if is_wanted(edge) then
         local way = { edge }
@@ -193,7 +199,7 @@ function graph.find_way(edges, start, is_wanted)
   end
 end
 
--- Does a step lead from a component to another one?
+-- Does a step lead from this component to another component?
 local function leads_out(walk, component, index_of)
   local own, is_left = index_of[component[1]], false
   for _, number in ipairs(component) do
@@ -204,13 +210,14 @@ local function leads_out(walk, component, index_of)
   return is_left
 end
 
---- List the sets of configurations that lead to each other, each sorted, in the order
---- of their first ones.
+--- List the strongly connected components: sets of configurations that can all reach
+--- each other. Each set is sorted, and the sets are sorted by their first items.
 ---@param walk rfsm_checks.Walk
----@param set? table<integer, boolean> look at these alone
----@param is_internal? boolean at steps without events from outside alone
+---@param set? table<integer, boolean> consider only these configurations
+---@param is_internal? boolean consider only steps that need no event from outside
 ---@return integer[][] components
----@return table<integer, integer> index_of a number for each component
+---@return table<integer, integer> index_of configuration -> a number of its component,
+-- which is not its position in the list
 function graph.components_in(walk, set, is_internal)
   local search = { count = 0, order = {}, low = {}, open = {}, visits = {}, at = {},
     components = {}, index_of = {}, set = set, is_internal = is_internal }
@@ -224,9 +231,9 @@ function graph.components_in(walk, set, is_internal)
   return search.components, search.index_of
 end
 
---- List the sets of configurations that lead to each other.
----@return integer[][] bottoms those that lead nowhere else, each sorted
----@return integer[][] others
+--- List the strongly connected components, each sorted, in two lists.
+---@return integer[][] bottoms components from which no step leads to another component
+---@return integer[][] others the other components
 function graph.components(walk)
   local bottoms, others = {}, {}
   local components, index_of = graph.components_in(walk)

@@ -1,16 +1,16 @@
 --- A subject: a machine of a model whose callbacks are replaced. Exploration runs the
 --- engine with it.
 --
--- The answer of a guard or predicate is a *choice*: a step is given a list of booleans,
--- one for each question, in order. Whether a doo ends is a choice, too. Entries, exits
--- and effects set flags and send events (`rfsm.explore.replacements`). The clock stands
--- still: a time event comes when it is among the events of a step.
+-- Each answer of a guard or predicate is a *choice*, and so is the end of a doo. A step
+-- gets a list of booleans, its choices, in the order of the questions. Entries, exits
+-- and effects set flags and send events (`rfsm.explore.replacements`). The clock does
+-- not advance: a time event comes only if it is among the events of a step.
 -- The machine, and the regions of sequential AND states, are the *parts* of a subject.
 --
 -- A *position* is the state of one part: its active leaf, the mode of the leaf, the
 -- waiting events, and the data of extensions. Waiting events to which nothing in the
--- leaf can react are left out. A configuration is a position for each part, the flags,
--- and the values of fields. Its key is a text.
+-- leaf can react are left out. A configuration has a position for each part, the flags,
+-- and the values of fields. It is identified by a text, its key.
 --
 -- The file reads in this order: the machines, configurations, steps, public functions.
 --
@@ -39,39 +39,41 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local subject = {}
 
---- The machines of a model, with what was asked of them in the last step.
+--- The machines of a model, and what they did in the last step.
 ---@class rfsm_checks.Subject
 ---@field parts rfsm_checks.Part[] the machine itself first
----@field transitions table[] of all parts: `tr`, its `path`, its `part`, the `prefix`
----@field names table<string, rfsm.State> states by path
----@field part_of table<string, rfsm_checks.Part> the parts of these states, by path
----@field paths string[] of the states, in the order of the tree
----@field flags ("+"|"-")[] see `options.flags`
+---@field transitions table[] { tr, path, part, prefix } for each transition of a part
+---@field names table<string, rfsm.State> the states of all parts, by path
+---@field part_of table<string, rfsm_checks.Part> path of a state -> the part it is in
+---@field paths string[] the paths of all states, in the order of the tree
+---@field flags ("+"|"-")[] "+" for each flag that is on, "-" for each that is off
 ---@field writers string[] callbacks that may write the targets of transitions
 ---@field free table<string, true> the kinds of choices that the chart has: "guards",
 -- "predicates", "timers", "doos"
----@field wanted table<any, boolean> events of properties; true: the last step had it
----@field passed rfsm_checks.Moment[] of the last step
+---@field wanted table<any, boolean> event of a property -> did the last step have it?
+---@field passed rfsm_checks.Moment[] entries of states that the last step left again
 ---@field entered table<rfsm.State, boolean> states with a doo or timers that the last
 -- step has entered
----@field sent { prefix: string, event: any }[] that replacements sent in the last step
----@field emitted { emit: string, data?: any }[] for other machines, in the last step
+---@field sent { prefix: string, event: any }[] sent by replacements in the last step
+---@field emitted { emit: string, data?: any }[] calls of `fsm.emit` in the last step
 ---@field emitters string[] callbacks that may emit events that the options do not name
 ---@field later rfsm_checks.Occurrence[] events that replacements send later
----@field sent_later rfsm_checks.Occurrence[] those that the last step has sent
----@field dropped table<rfsm_checks.Occurrence, boolean> by a reset or `cancel` in it
+---@field sent_later rfsm_checks.Occurrence[] events of `later` that the last step sent
+---@field dropped table<rfsm_checks.Occurrence, boolean> events of `later` that a reset
+-- or a `cancel` has dropped in the last step
 ---@field late_senders string[] callbacks that may send more events later
 ---@field cancellers string[] callbacks that may cancel events that were sent later
----@field called string[] what callbacks did in the last step, if they are called
----@field time rfsm.clock.Clock what time events see
----@field answers table<function, any> in this step: of guards with rules, predicates
+---@field called string[] names of the callbacks that the last step called, the events
+-- that they sent, and their failures, as texts
+---@field time rfsm.clock.Clock the clock of the machines
+---@field answers table<function, any> of predicates and guards with rules, in this step
 ---@field leaves_out boolean steps do not advance regions in which nothing would happen
----@field trimmed rfsm.State|false the state whose list of regions lacks some now
+---@field trimmed rfsm.State|false the state from whose list of regions some are removed
 ---@field notes_events boolean `last_events` gets the events of all iterations of a step
----@field choices boolean[] of the last step, in the order in which they were asked
+---@field choices boolean[] the choices of the last step, in the order of the questions
 ---@field askers string[] for each choice the path of the transition or leaf
 ---@field is_doo boolean[] for each choice: is it about the end of a doo?
----@field is_known boolean[] for each choice: is its other side impossible?
+---@field is_known boolean[] for each choice: is the opposite answer impossible?
 ---@field asked integer how many choices the last step had
 ---@field taken integer[] numbers of the transitions that the last step took
 local Subject = {}
@@ -80,62 +82,64 @@ Subject.__index = Subject
 --- One of the machines of a subject.
 ---@class rfsm_checks.Part
 ---@field fsm rfsm.Machine
----@field prefix string see `rfsm.machines`
----@field owner rfsm_checks.Part|false the part around it
----@field kept rfsm_checks.Kept|false what extensions keep of it
----@field may_keep boolean extensions react to events, so they may keep some of them
----@field leaf rfsm.State|false the state of the owner whose region it is
----@field is_bound boolean one of its callbacks is called, or a guard has a rule
----@field known table<rfsm.State|false, rfsm_checks.Leaf> by leaf; false: not entered
----@field positions rfsm_checks.Position[] all that were met
+---@field prefix string "root", or the name of the region: "root.arms.left"
+---@field owner rfsm_checks.Part|false the part of the parent machine
+---@field kept rfsm_checks.Kept|false the places of data of extensions; false: none
+---@field may_keep boolean an extension may keep events in its data
+---@field leaf rfsm.State|false the state of the parent machine that runs the region
+---@field is_bound boolean one of its callbacks is really called, or a guard has a rule
+---@field known table<rfsm.State|false, rfsm_checks.Leaf> what is known of each
+-- leaf; the key `false` is for a part that was not entered
+---@field positions rfsm_checks.Position[] all positions found so far, by their `id`
 ---@field timed table<string, boolean> time events that come in the order of deadlines
----@field position rfsm_checks.Position the one in which the step began
----@field rounds integer iterations in this step
+---@field position rfsm_checks.Position the position in which the step began
+---@field rounds integer how many iterations it has made in this step
 ---@field inner rfsm_checks.Part[] its regions, in the order of the tree
----@field is_single boolean a step of the subject advances it once at most: then it
--- enters and leaves no state but a composite
+---@field is_single boolean a step of the subject advances it once at most. Such a step
+-- cannot enter and leave again any state but a composite.
 ---@field is_quiet boolean the step leaves it out, since nothing would happen in it
 
 --- An event that comes to a part of a subject in a step.
 ---@class rfsm_checks.Occurrence
 ---@field part rfsm_checks.Part
 ---@field event any
----@field after? number seconds, if it comes so long after a replacement has sent it
----@field number integer
----@field alone rfsm_checks.Occurrence[] a list of this one
+---@field after? number seconds of delay, if a replacement sends the event later
+---@field number integer position in the list of all occurrences
+---@field alone rfsm_checks.Occurrence[] a list that has this occurrence only
 
 --- A moment in a step: the entry of a state that the same step leaves again.
 ---@class rfsm_checks.Moment
 ---@field state rfsm.State
----@field active table<string, boolean> paths of states
----@field flags string
+---@field active table<string, boolean> the paths of the states that are active then
+---@field flags string a sign for each flag, "+" or "-"
 
 --- What is known of a leaf of a part, or of a part that was not entered.
 ---@class rfsm_checks.Leaf
 ---@field state rfsm.State|false
----@field path string of the leaf
----@field paths string[] of the leaf and the states around it
----@field reactions rfsm_checks.Reactions|false
----@field positions table<string, rfsm_checks.Position>
+---@field path string path of the leaf
+---@field paths string[] paths of the leaf and of the states around it
+---@field reactions rfsm_checks.Reactions|false false until they are asked for
+---@field positions table<string, rfsm_checks.Position> by a text of mode, events, data
 
---- A position of a machine.
+--- The state of one part: its leaf, the mode, waiting events, data of extensions.
 ---@class rfsm_checks.Position
----@field id integer
+---@field id integer its number among the positions of the part
 ---@field leaf rfsm.State|false
----@field known rfsm_checks.Leaf
----@field mode string
----@field waiting any[] events
----@field kept any[]|false what extensions keep, see `rfsm.explore.kept`
+---@field known rfsm_checks.Leaf what is known of the leaf
+---@field mode string of the leaf: "active", "done"; "inactive" without a leaf
+---@field waiting any[] the events in the queue
+---@field kept any[]|false data of extensions, and changed targets
 
---- The positions of all parts; fields `flags`, a text, and `values` of fields.
+--- The positions of all parts. It has two more fields: `flags`, a text with a sign for
+--- each flag, and `values`, the values of the fields that callbacks may set.
 ---@alias rfsm_checks.Configuration rfsm_checks.Position[]
 
 local NOTHING = {}
 
 -- The machines ....................................................................
 
--- Returns the next of the choices of the step; the default is true. A `known` answer is
--- a choice whose other side is not tried.
+-- Returns the next choice of the step, true by default. `known` is given if only this
+-- answer is possible. Then the opposite answer is not tried.
 function Subject:choose(who, is_doo, known)
   local n = self.asked + 1
   self.asked = n
@@ -146,7 +150,8 @@ function Subject:choose(who, is_doo, known)
   return self.choices[n]
 end
 
--- Makes a doo whose end is a choice, which only its first cycle in a step asks for.
+-- Makes a doo that ends if a choice is true. In the machine itself it asks for a choice
+-- in the first iteration of a step only. In a region it asks in each iteration.
 local function new_doo(self, part, who)
   return function()
     while true do
@@ -156,7 +161,7 @@ local function new_doo(self, part, who)
   end
 end
 
--- Returns a number for an event, always the same.
+-- Returns the number of an event; a new event gets the next number.
 function Subject:number_of_event(event)
   local number = self.event_numbers[event]
   if not number then
@@ -166,8 +171,8 @@ function Subject:number_of_event(event)
   return number
 end
 
---- Return who makes an event, as `match.maker_of`. If no leaf has the FQN of an e_done,
---- the engine does not make it, so it comes from outside.
+--- Return who makes an event, as `match.maker_of` does: nil for an event from outside.
+--- An e_done@F is such an event, too, if F is the FQN of no leaf.
 function Subject:maker_of(event)
   local maker, fqn = match.maker_of(event)
   if maker == "engine" and event ~= "e_init_fsm" and not self.done[event] then
@@ -176,7 +181,7 @@ function Subject:maker_of(event)
   return maker, fqn
 end
 
---- Return an occurrence with a number of its own.
+--- Make an occurrence of an event, with the next number.
 ---@return rfsm_checks.Occurrence
 function Subject:new_occurrence(part, event, after)
   local new = { part = part, event = event, after = after,
@@ -185,7 +190,7 @@ function Subject:new_occurrence(part, event, after)
   return new
 end
 
---- Return the occurrence of an event in a part: always the same table.
+--- Return the occurrence of an event in a part, the same table at each call.
 ---@return rfsm_checks.Occurrence
 function Subject:occurrence(part, event)
   part.occurrences[event] = part.occurrences[event] or self:new_occurrence(part, event)
@@ -271,7 +276,7 @@ local function make_transition(self, part, tr)
   end
 end
 
-local ROUNDS = 1000 -- more than any step needs that ends
+local ROUNDS = 1000 -- iterations; a step with more of them is taken to be endless
 
 local function count_round(self, part)
   part.rounds = part.rounds + 1
@@ -281,7 +286,7 @@ local function count_round(self, part)
   end
 end
 
--- Returns the hook that counts the iterations of a step, and notes their events.
+-- Returns a step hook that counts the iterations of a step, and notes their events.
 local function new_hook(self, part)
   return function(_, events)
     count_round(self, part)
@@ -307,7 +312,7 @@ end
 
 local SILENT = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook", "dbg" }
 
--- Does a step of the subject advance a machine once at most?
+-- Can a step of the subject advance this machine not more than once?
 local function is_single(part)
   if not part.owner then return true end
   local steps = part.leaf.step or 1
@@ -349,10 +354,9 @@ end
 
 -- Configurations ..................................................................
 
--- Lists the waiting events that have an effect in the leaf, each once. If there are
--- none, and the leaf reacts to any event, one of the others stands for them all.
--- An extension may keep events for another leaf, and as often as they came: then all of
--- them are listed.
+-- Lists the waiting events to which the leaf can react, each once. If there are none,
+-- and the leaf reacts to any event, the first waiting event is listed alone. If an
+-- extension may keep events for another leaf, all waiting events are listed.
 local function relevant(self, part, leaf, events)
   if part.may_keep then return match.joined({}, events) end
   local found, list, other = reactions.of(part, leaf), NOTHING, nil
@@ -368,7 +372,7 @@ local function relevant(self, part, leaf, events)
   return list
 end
 
--- Returns the numbers of events that wait as a text; empty if there are none.
+-- Returns a text with the numbers of the waiting events; empty if no event waits.
 local function text_of_waiting(self, part, waiting)
   if waiting[1] == nil then return "" end
   local numbers = {}
@@ -377,7 +381,7 @@ local function text_of_waiting(self, part, waiting)
   return concat(numbers, ",")
 end
 
--- Returns the position in which a machine is: the same table each time.
+-- Returns the present position of a machine. Equal positions are the same table.
 local function read_position(self, part)
   local leaf, values, data_text = part.fsm._act_leaf, false, ""
   local known, mode = part.known[leaf], leaf and leaf._mode or "inactive"
@@ -399,7 +403,7 @@ end
 --- Return the key of the current configuration: the numbers of the positions, a sign
 --- for each flag, and the values of fields.
 ---@return string key
----@return string? problem data with a value that `vars` does not allow
+---@return string? problem names data that the exploration does not follow
 function Subject:read()
   local parts, ids = self.parts, self.ids
   for i = 1, #parts do
@@ -414,7 +418,7 @@ function Subject:read()
   return key .. "=" .. text
 end
 
---- Return the configuration with a key.
+--- Return the configuration that has a key.
 ---@param key string
 ---@return rfsm_checks.Configuration conf
 function Subject:configuration(key)
@@ -427,7 +431,7 @@ function Subject:configuration(key)
   return conf
 end
 
--- Puts a machine into a position. Often only its queue differs from that.
+-- Puts a machine into a position. Often only the queue of the machine has to change.
 local function put_position(part, position)
   local fsm, leaf, waiting = part.fsm, position.leaf, position.waiting
   local queue, mode = fsm._intq, (leaf or fsm)._mode
@@ -440,7 +444,8 @@ local function put_position(part, position)
   end
 end
 
--- Can none of the events have an effect in a machine itself, apart from its regions?
+-- Is no event waiting, and does the machine ignore all of `events`? Its regions may
+-- react to them.
 local function is_deaf(self, part, position, events)
   local own = #position.waiting == 0 and reactions.of(part, position.leaf).own
   for i = 1, own and #events or 0 do
@@ -449,7 +454,7 @@ local function is_deaf(self, part, position, events)
   return own and not part.kept
 end
 
--- Sets which regions of a leaf the engine advances: all, or those that are not quiet.
+-- Sets the regions of a leaf that the engine advances: all, or all that are not quiet.
 local function set_regions(self, leaf, are_all)
   local _, regions = rfsm.regions(leaf)
   local count = 0
@@ -462,15 +467,17 @@ local function set_regions(self, leaf, are_all)
   for i = #regions, count + 1, -1 do regions[i] = nil end
 end
 
--- Would a step with these events change nothing in a region, if `leaf` stays active?
+-- Does a step with these events change nothing in a region, if `leaf` stays active? A
+-- region of another leaf is not run at all.
 local function is_quiet(self, part, position, leaf, events)
   if part.owner ~= self.parts[1] or part.inner[1] then return false end
   return part.leaf ~= leaf
     or position.mode == "done" and is_deaf(self, part, position, events)
 end
 
--- Saves the engine the regions in which nothing would happen: no doo goes on, and no
--- event has an effect. All of them are advanced if the step may leave their state.
+-- Marks the regions in which nothing would happen as quiet, so that the engine does not
+-- advance them: no doo goes on, and no event has an effect. If the step may leave the
+-- active leaf, no region is quiet.
 local function leave_out_quiet(self, conf, events)
   local leaf = self.leaves_out and conf[1].leaf
   local _, own = rfsm.regions(leaf)
@@ -486,7 +493,7 @@ local function leave_out_quiet(self, conf, events)
   if stays then set_regions(self, leaf, false) end
 end
 
---- Put the machines into a configuration, to take a step with events.
+--- Put the machines into a configuration, from which a step with `events` is to start.
 ---@param conf rfsm_checks.Configuration
 ---@param events rfsm_checks.Occurrence[]
 function Subject:put(conf, events)
@@ -513,7 +520,8 @@ function subject.leaves(conf)
   return leaves
 end
 
--- Returns the function `active` of conditions: is the state or flag of a name active?
+-- Returns the function `active` for conditions: active(name) is true if the state with
+-- this path is active, or the flag with this name is on.
 local function new_view(self, active, flags)
   return function(name)
     local number = self.flag_numbers[name]
@@ -524,7 +532,7 @@ local function new_view(self, active, flags)
   end
 end
 
---- Return a function that is true for the paths and flags active in a configuration.
+--- Return a function f(name): is the state or flag of that name active in `conf`?
 ---@param conf rfsm_checks.Configuration
 ---@return fun(name: string): boolean
 function Subject:view(conf)
@@ -535,15 +543,16 @@ function Subject:view(conf)
   return new_view(self, active, conf.flags)
 end
 
---- The same for a moment in a step.
+--- Return a function f(name): is the state or flag of that name active at `moment`?
 ---@param moment rfsm_checks.Moment
+---@return fun(name: string): boolean
 function Subject:view_of_moment(moment)
   return new_view(self, moment.active, moment.flags)
 end
 
 -- Steps ...........................................................................
 
--- The lists of what a step did, which are emptied when the next one begins.
+-- The fields with lists of what a step did. They are emptied when the next step begins.
 local OF_STEP = { "taken", "passed", "last_events", "sent", "sent_later", "emitted",
   "called" }
 
@@ -551,15 +560,15 @@ local function clear(list)
   for i = #list, 1, -1 do list[i] = nil end
 end
 
--- Drops the moments of states that the step has not left again.
+-- Drops the moments whose states are still active at the end of the step.
 local function keep_passed(self)
   for i = #self.passed, 1, -1 do
     if self.passed[i].state._mode ~= "inactive" then remove(self.passed, i) end
   end
 end
 
---- Take one step with events and with choices; `read` returns where it has led.
---- The result is nil if a region never becomes idle.
+--- Take one step with events and with choices. After it, `read` returns the key of the
+--- new configuration. The result is nil if a region never becomes idle.
 ---@param events rfsm_checks.Occurrence[]
 ---@param choices boolean[]
 ---@return true?
@@ -585,7 +594,7 @@ function Subject:step(events, choices)
   for _, part in ipairs(self.parts) do rfsm.reset(part.fsm) end
 end
 
--- Changes the choices to the next ones to try; returns false if all were tried.
+-- Changes the list of choices to the next one to try; returns false if all were tried.
 local function next_choices(self, choices)
   for i = #choices, self.asked + 1, -1 do choices[i] = nil end
   for i = self.asked, 1, -1 do
@@ -605,9 +614,9 @@ local MANY_CHOICES = 4096
 --- step; `has_ended` is the result of `step`.
 ---@param conf rfsm_checks.Configuration
 ---@param events rfsm_checks.Occurrence[]
----@param owner any is handed to `f`
+---@param owner any the first argument of `f`
 ---@param f fun(owner: any, has_ended: true?)
----@return string? untried what was left out, as a text; nil if nothing was
+---@return string? untried a text if some lists of choices were not tried, nil otherwise
 function Subject:each_choice(conf, events, owner, f)
   local choices, tries = {}, 0
   repeat
@@ -620,7 +629,7 @@ end
 
 local MANY_PATHS = 20 -- a step with more transitions is shown in part
 
---- Return the outcome of a step as a text: the transitions taken, and the active leaf.
+--- Return the outcome of a step as a text: the transitions taken and the active leaf.
 ---@param paths string[]
 ---@param leaf? string|false
 ---@return string text "root.trans[2] -> root.b"
@@ -640,17 +649,17 @@ function Subject:paths_of()
   return paths
 end
 
---- Does an event wait in the machine itself, so that `rfsm.run` would go on?
+--- Does an event wait in the queue of the machine itself, so that `rfsm.run` goes on?
 function subject.is_driven(conf) return conf[1].waiting[1] ~= nil end
 
---- May a step without events from outside change something: is the machine not entered,
---- has its leaf an unfinished doo, or does an event wait?
+--- May a step without events from outside change something? It may if the machine was
+--- not entered, if the doo of its leaf goes on, or if an event waits.
 function subject.is_busy(conf)
   return not conf[1].leaf or conf[1].mode ~= "done" or subject.is_driven(conf)
 end
 
---- May a step without events from outside change something, since the machine is busy
---- or an extension keeps data, such as an event that it will send?
+--- May a step without events from outside change something? It may if the machine is
+--- busy, or if an extension has data, such as an event that it will send.
 function subject.may_act(conf)
   local is_data = false
   for _, position in ipairs(conf) do
@@ -661,7 +670,7 @@ end
 
 -- Public functions ................................................................
 
--- Returns a predicate whose answer is a choice, asked once for each event of a step.
+-- Returns a predicate whose answer is a choice. Each event gets one answer in a step.
 local function new_predicate(self, tr)
   local function predicate(event)
     local answers = self.answers[predicate] or {}
@@ -675,7 +684,7 @@ local function new_predicate(self, tr)
   return predicate
 end
 
--- Puts choices in place of the predicates among the events of a machine.
+-- Replaces the predicates of transitions by functions that ask for a choice.
 local function free_predicates(self, fsm)
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     for i, event in ipairs(tr.events) do
@@ -688,9 +697,9 @@ local function free_predicates(self, fsm)
   end
 end
 
--- Makes a silent machine of a model, with choices in place of predicates. The engine
--- indexes events when it makes a machine, so a preproc function has to replace them.
--- To make one may load an extension, which adds its own preproc function.
+-- Makes a silent machine of a model, with choices in place of predicates. A preproc
+-- function puts them there, before the engine indexes the events. It is removed by its
+-- position, since an extension that is loaded meanwhile may append its own function.
 local function new_machine(self, model)
   local init = rfsm.is_initialized_root(model) and rfsm.init or static.init
   local preproc, at = rfsm.preproc, #rfsm.preproc + 1
@@ -701,8 +710,8 @@ local function new_machine(self, model)
   return fsm or error("the model has problems\n  " .. concat(problems, "\n  "), 0)
 end
 
--- Raises an error for events in the alphabet that no transition names, unless the chart
--- has predicates, which may accept any event.
+-- Raises an error for events in the alphabet that no transition names. A chart with
+-- predicates may have any events there, since a predicate may accept them.
 local function check_alphabet(self, alphabet)
   for _, event in ipairs(self.free.predicates and {} or alphabet or {}) do
     if not self.event_numbers[event] then
@@ -713,7 +722,7 @@ local function check_alphabet(self, alphabet)
   end
 end
 
---- List the events that transitions name, without those that are no texts.
+--- List the events that transitions name, if they are texts.
 ---@return string[] names
 function Subject:named_texts()
   local list = {}
@@ -734,7 +743,8 @@ local function leave_out(entry)
   end
 end
 
--- Adds the machines as parts, each before its regions; with a way, those in it alone.
+-- Adds machines as parts, each before its regions: all, or those in `way` if it is
+-- given.
 local function add_parts(self, fsm, way)
   local part_of = { [false] = false }
   for _, entry in ipairs(rfsm.machines(fsm)) do
@@ -749,7 +759,7 @@ local function add_parts(self, fsm, way)
   end
 end
 
--- Raises an error if the options name what the chart does not have.
+-- Raises an error if the options name a state, callback or event that the chart lacks.
 local function check_options(self, options)
   replacements.check_flag_names(self)
   replacements.check_names(self, self.flags_of, "flags")
@@ -762,7 +772,7 @@ end
 ---@param model rfsm.State
 ---@param options table `alphabet`, `flags`, `sends`, `dry_run` as in an exploration;
 -- `callbacks`: call entries, exits and effects
----@param way? rfsm_checks.Way
+---@param way? rfsm_checks.Way the machines that become parts; default: all
 ---@return rfsm_checks.Subject
 function subject.new(model, options, way)
   local self = setmetatable({ parts = {}, transitions = {}, number_of = {},

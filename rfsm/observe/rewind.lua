@@ -1,8 +1,8 @@
---- The way back: snapshots of a machine at places of its run, and the return to them.
+--- Rewind: snapshots of a machine are noted during its run, and it can return to them.
 --
--- A place is where the machine was between two advances. No callback runs and no guard
--- is asked on the way. What a snapshot cannot hold does not go back: data outside of
--- `keep`, and a doo, which begins anew. The oldest places are forgotten.
+-- A *place* is the machine as it was between two advances. A return calls no callback
+-- and no guard. It does not restore data outside of `keep`, and a doo begins anew. If
+-- the places take too many bytes, the oldest ones are forgotten.
 --
 -- @module rfsm.observe.rewind
 -- @license BSD-3-Clause
@@ -19,7 +19,7 @@ local concat = table.concat
 
 local rewind = {}
 
--- Description, test, default of each option.
+-- The options, each with a description, a test and the default.
 local OPTIONS = {
   about = { "function", rfsm.is_callable, function() end },
   bytes = { "number of bytes", opts.is_whole(0, huge), 32 * 1024 * 1024 },
@@ -30,7 +30,7 @@ local OPTIONS = {
 ---@class rfsm.observe.Place
 ---@field snap? rfsm.snapshot.Snapshot nil if the machine could not be saved
 ---@field problem? string why there is no snapshot
----@field about any what the option `about` has returned
+---@field about any the result of the option `about`
 ---@field size integer about how many bytes the place takes
 
 --- The places of a machine, by their numbers. Place 0 is the first one.
@@ -40,8 +40,8 @@ local OPTIONS = {
 ---@field first integer number of the oldest place that is kept
 ---@field at integer number of the present place
 ---@field last integer number of the last place; greater than `at` after a return
----@field size integer bytes of all places
----@field [integer] rfsm.observe.Place the present one is in the list once it was noted
+---@field size integer bytes that all places take
+---@field [integer] rfsm.observe.Place the places; the present place only after `note`
 local Rewind = {}
 Rewind.__index = Rewind
 
@@ -61,8 +61,8 @@ local function forget(self, number)
   self[number] = nil
 end
 
---- Note the present place in the list, where it is already if `go` has led there. A
--- step that was interrupted is finished first.
+--- Note the present place in the list and return it. If `go` has led to this place, it
+-- is in the list already. A step that was interrupted is finished first.
 ---@return rfsm.observe.Place
 function Rewind:note()
   local at = self.at
@@ -77,8 +77,8 @@ function Rewind:note()
   return self[at]
 end
 
---- Note the present place, from which the machine goes on. Places that `go` has undone
--- are forgotten.
+--- Note the present place, before the machine is advanced. If `go` has led back to it,
+-- the later places are forgotten.
 ---@return integer number of the next place
 function Rewind:leave()
   for number = self.at, self.last do forget(self, number) end
@@ -94,7 +94,7 @@ end
 
 --- Put the machine into a place.
 ---@param number integer
----@return rfsm.observe.Place|false place false if there is none, or it was not saved
+---@return rfsm.observe.Place|false place false if it is absent or has no snapshot
 ---@return string? problem
 function Rewind:go(number)
   self:note()
@@ -113,11 +113,11 @@ function Rewind:go(number)
     or problem
 end
 
---- Put a machine of a chart that was changed into the state in which the machine of the
--- older chart was saved. Data that no longer fit are left out. Return the problem if
--- that state is gone.
+--- Put a machine of a changed chart into the state of a snapshot of the older chart.
+-- Data that do not fit any more are left out. Return the problem if the active leaf of
+-- the snapshot is gone.
 ---@param fsm rfsm.Machine
----@param snap rfsm.snapshot.Snapshot of the older machine; may lose its data
+---@param snap rfsm.snapshot.Snapshot its data may be removed by this call
 ---@return string? problem
 function rewind.carry_over(fsm, snap)
   local options = { migrate = function() return snap end }
@@ -130,10 +130,10 @@ end
 
 --- How places are kept.
 ---@class rfsm.observe.RewindOptions
----@field bytes? integer that all places may take, 32 MiB; the present one stays
----@field about? fun(): any called for each place, which keeps the result
----@field prepare? fun(about: any) called with that result before `go` puts the machine
--- into the place, to set its clock
+---@field bytes? integer the most bytes of all places (32 MiB); the present one is kept
+---@field about? fun(): any called for each place; its result is kept with the place
+---@field prepare? fun(about: any) called with the result of `about` before `go` puts
+-- the machine into the place, for example to set a clock
 
 --- Begin to note the places of a machine.
 --

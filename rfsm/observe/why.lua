@@ -1,7 +1,7 @@
---- Why events have an effect or none: the answer of each transition.
+--- Why: explains for each transition if events would make the machine take it.
 --
--- Guards and predicates are called, as by a search of the engine, but nothing else is.
--- Nothing is changed.
+-- Guards and predicates are called, as the engine does when it searches a transition.
+-- No other callback is called, and the machine does not change.
 --
 -- @module rfsm.observe.why
 -- @license BSD-3-Clause
@@ -21,26 +21,26 @@ local is_conn, text_of = rfsm.is_conn, rfsm.text_of
 
 local why = {}
 
---- The answer of one transition.
+--- The answer of one transition: would it be taken, and why (not)?
 ---@class rfsm_checks.Answer
 ---@field verdict "fires"|"lost"|"enabled"|"event"|"guard"|"failed"|"closed"
 ---@field reason string the verdict in words
 ---@field place string "root.trans[2] (off -> on)"
 ---@field file string "chart.lua:7: "; empty if it is not known
----@field src string FQN
----@field tgt string FQN
----@field winner? string of a "lost" one: the place of the transition that is taken
----@field connector? string of a "closed" one: FQN of the connector where the path ends
----@field ways? rfsm_checks.Answer[] of a "closed" one: the transitions from there,
--- unless an earlier answer has them
+---@field src string FQN of the source
+---@field tgt string FQN of the target
+---@field winner? string if "lost": the place of the transition that is taken instead
+---@field connector? string if "closed": FQN of the connector where the path ends
+---@field ways? rfsm_checks.Answer[] if "closed": the answers of the transitions from
+-- the connector, unless an earlier answer has them
 
---- The answers of a machine.
+--- The answers of a machine: of each transition that the engine may try.
 ---@class rfsm_checks.Why
----@field events string[] as texts
+---@field events string[] the events, as texts
 ---@field leaf string|false FQN of the active leaf; false before the first entry
 ---@field fires string|false place of the transition that would be taken
----@field answers rfsm_checks.Answer[] in the order in which they are tried
----@field regions { name: string, why: rfsm_checks.Why }[] the machines in the leaf
+---@field answers rfsm_checks.Answer[] in the order in which transitions are tried
+---@field regions { name: string, why: rfsm_checks.Why }[] regions of the leaf
 
 local function texts_of(values)
   local texts = {}
@@ -48,9 +48,10 @@ local function texts_of(values)
   return texts
 end
 
--- Search: that of the engine, but with an answer of each transition ----------------
+-- Search: as in the engine, but with an answer for each transition -----------------
 
--- Do the events trigger a transition? Without events only the first entry takes one.
+-- Do the events trigger a transition? Without events, only a machine that was not
+-- entered takes a transition.
 local function matches(search, tr)
   if match.is_any(tr) then return not search.is_mute end
   return order.any(search.events, function(event)
@@ -58,7 +59,8 @@ local function matches(search, tr)
   end)
 end
 
--- Returns the node to which a transition leads, also if a program has set its target.
+-- Returns the node to which a transition leads, even if a program has changed its
+-- target; nil if the target cannot be entered.
 local function target_of(tr)
   local tgt = tr.tgt
   if rawequal(tr.src, tgt) and rfsm.target_of(tr) == "internal" then return tgt end
@@ -70,8 +72,8 @@ local function name_of(tgt) return rfsm.is_node(tgt) and tgt._fqn or text_of(tgt
 
 local ask_connector
 
--- Returns the verdict on a transition and the reason in words; if a connector makes it
--- "closed", also the FQN of that and the answers of the transitions from there.
+-- Returns the verdict on a transition and the reason in words. If the path ends at a
+-- connector, also returns its FQN and the answers of its transitions.
 local function judge(search, tr)
   if not matches(search, tr) then
     local wanted = concat(texts_of(tr.events or {}), ", ")
@@ -99,9 +101,10 @@ local function ask(search, tr)
 end
 
 -- Asks the transitions from a connector. The field `way` of the first result is true if
--- one of them is enabled. The second result has their answers, at the first call of a
--- search only. During that call the connector counts as closed. The engine stops at the
--- first transition that is enabled. Here the others are asked as well.
+-- one of the transitions is enabled. The second result is a list of their answers. In a
+-- search, only the first call for a connector returns this list. During that call the
+-- connector counts as closed, so that a cycle of connectors ends. All transitions are
+-- asked, while the engine stops at the first one that is enabled.
 function ask_connector(search, connector)
   local found = search.found[connector]
   if found then return found end
@@ -176,15 +179,16 @@ end
 
 --- Explain the effect of events in the current state of a machine.
 --
--- Each transition from the root to the active leaf is asked whether it would be taken;
--- if not, the answer names the rule: another event, the guard, another transition that
--- is tried earlier, a connector where the path ends. Guards are called, nothing else
--- is. Events that a step hook or a timer would add are not known here.
+-- There is an answer for each transition of the active leaf and the states around it.
+-- If the transition would not be taken, the answer has the reason: it waits for another
+-- event, its guard is false, another transition is tried earlier, or its path ends at a
+-- connector. Guards and predicates are called, other callbacks are not. Events that a
+-- step hook or a timer would add are not known here.
 --
 ---@param fsm rfsm.Machine
----@param ... any events; none: those in the queue
----@return rfsm_checks.Why why plain tables
----@return string text the same for a person
+---@param ... any events; without events, those in the queue are used
+---@return rfsm_checks.Why why the answers as plain tables
+---@return string text the answers as text
 function why.why(fsm, ...)
   rfsm.check_machine(fsm, "rfsm_checks.why")
   local events = select("#", ...) == 0 and { unpack(fsm._intq) } or {}
@@ -199,8 +203,9 @@ end
 -- An event that no transition names.
 local OTHER = setmetatable({}, { __tostring = function() return "any other event" end })
 
--- Appends the events that enable a transition of the machine or of regions of its leaf.
--- They are tried though a transition may take any event: its guard may refuse some.
+-- Appends the events on which the machine, or a region of its leaf, takes a transition.
+-- Each event is tried, even if a transition reacts to any event, since its guard may
+-- refuse some events.
 local function add_enabled(list, is_listed, fsm)
   local takes_any = select(2, answers_of(fsm, { OTHER })) and true
   for _, event in ipairs(alphabet.of(fsm).list) do
@@ -216,13 +221,13 @@ local function add_enabled(list, is_listed, fsm)
   return list
 end
 
---- List the events that would have a transition taken now, one event at a time.
+--- List the events that would make the machine take a transition now.
 --
--- Events are those that transitions name, in the order of the tree.
+-- Each event that a transition names is tried alone, in the order of the tree.
 --
 ---@param fsm rfsm.Machine
----@return any[] events its field `any` is true if any other event would do so, too
----@return string text the same for a person
+---@return any[] events the field `any` is true if any other event would do so, too
+---@return string text the events as text, one in a line
 function why.enabled(fsm)
   rfsm.check_machine(fsm, "rfsm_checks.enabled")
   local list = add_enabled({ any = false }, {}, fsm)

@@ -1,13 +1,13 @@
---- Columns: a chain that is too long is divided into parts side by side.
+--- Columns: a chain of nodes that is too long is divided into parts side by side.
 --
 -- A column has a part of the nodes, in the order of the walk from `initial`. It is a
--- composite without a frame, which Graphviz lays out. One arrow at most leads from a
--- column to the next one, or back: it leaves the column below, runs up in the channel
--- before the next one, and enters that from above. If the direction is LR, the columns
--- are rows.
+-- composite without a frame, whose nodes Graphviz lays out. Between a column and the
+-- next one there is one arrow at most, in either direction. Its line leaves the first
+-- column at the lower end, runs up in the channel between the columns, and enters the
+-- next column from above. If the direction is LR, the columns are rows.
 --
--- Positions have two parts: `u` runs across, from column to column, and `v` along, from
--- the upper end of the columns to the lower one.
+-- Positions have two coordinates: `u` goes *across*, from column to column, and `v`
+-- *along*, from the upper end of the columns to the lower end.
 --
 -- @module rfsm.pictures.columns
 -- @license BSD-3-Clause
@@ -26,20 +26,23 @@ local function misfit_of(width, height)
   return abs(log(width / height / RATIO))
 end
 
---- Return how far the shape of a level is from the best one; 0 if it has that shape.
+--- Return how much the ratio of width to height of a level differs from `RATIO`.
 function columns.misfit(level) return misfit_of(level.width, level.height) end
 
 -- Columns: which nodes are in them --------------------------------------------
 
--- Returns the size of a box: across and along.
+-- Returns two sizes of a box: across the columns, and along them.
 local function size_of(box, direction)
   if direction == "TB" then return box.width, box.height end
   return box.height, box.width
 end
 
-local CHANNEL, TRACKS, PITCH = 40, 60, 8 -- points: beside, above and below columns
+-- In points: about the width of a channel, about the height of the lines above and
+-- below columns, and the distance between lines.
+local CHANNEL, TRACKS, PITCH = 40, 60, 8
 
--- Returns the number of the column for each node, for columns of equal length.
+-- Returns a list with the number of the column of each node. The nodes are divided
+-- among `count` columns of equal length.
 local function deal(level, count)
   local numbers, is_down = {}, level.direction == "TB"
   local length = is_down and level.inner_height or level.inner_width
@@ -50,7 +53,7 @@ local function deal(level, count)
   return numbers
 end
 
--- Does at most one arrow lead from each column to the next, and none to another column?
+-- Is there at most one arrow between neighbouring columns, and none between others?
 local function is_chain(level, numbers)
   local is_linked = {}
   for _, link in ipairs(level.links) do
@@ -64,8 +67,9 @@ local function is_chain(level, numbers)
   return true
 end
 
---- Return the number of the column for each node of a level; nil if arrows cross its
--- frame, or if columns do not improve its shape, or are no chain.
+--- Return a list with the number of the column of each node of a level. Return nil if
+-- arrows cross the frame of the level, if columns do not improve its shape, or if the
+-- arrows between them form no chain.
 function columns.plan(level)
   if level.gates[1] then return nil end
   local across, length = size_of(level, level.direction)
@@ -80,8 +84,7 @@ function columns.plan(level)
   return best
 end
 
---- Put the nodes of a level into columns, given the number of the column for each node.
--- Return the levels of the columns.
+--- Put node i of a level into column numbers[i]. Return the levels of the columns.
 function columns.split(level, numbers)
   local composite, nodes, levels = level.composite, {}, {}
   for i, node in ipairs(composite.nodes) do
@@ -103,8 +106,8 @@ end
 
 -- Places: of the columns, and of the arrows between them -----------------------
 
--- Places the columns across, each behind its channel. Returns the places and the size
--- of all: across and along.
+-- Places the columns side by side, each behind its channel. Returns a list of places,
+-- and the total size: across and along.
 local function place_columns(level)
   local list, into, u, length = {}, {}, 0, 0
   for _, link in ipairs(level.links) do into[link.lower.node.index] = link end
@@ -121,8 +124,9 @@ local function place_columns(level)
   return list, u, length
 end
 
--- Returns the corners of the line into a column, from the one before it. `at` returns
--- the point for a position, `top` and `foot` are where columns begin and end.
+-- Returns the corners of the line into a column from the column before it. at(u, v)
+-- returns the point for a position. The columns begin at v = `top`; `foot` is the end
+-- of the longest column.
 local function corners_of(at, before, place, top, foot, direction)
   local link = place.link
   local _, from = size_of(before.column.level, direction)
@@ -131,7 +135,7 @@ local function corners_of(at, before, place, top, foot, direction)
     at(place.channel, top - PITCH), at(tgt, top - PITCH), at(tgt, top) }
 end
 
--- Draws the arrow into a column, with its label beside the lower end of the channel.
+-- Sets the line of the arrow into a column, and the place of its label in the channel.
 local function place_link(at, before, place, top, foot, direction)
   local link, label = place.link, place.link.arrow.label_box
   link.points = lines.rounded(corners_of(at, before, place, top, foot, direction))
@@ -141,7 +145,7 @@ local function place_link(at, before, place, top, foot, direction)
   end
 end
 
--- Gives a level its size, and its header a place.
+-- Sets the size of a level, and the place of its header.
 local function measure(level, across, along, header)
   if level.direction == "LR" then
     across, along = along, across + (header and header.height + PITCH or 0)
@@ -152,8 +156,8 @@ local function measure(level, across, along, header)
     y = level.inner_height - header.height / 2 }
 end
 
---- Place the columns of a level, and the arrows between them; `header` is the size of
--- its name and rows.
+--- Place the columns of a level, and the arrows between them. `header` is the size of
+-- the name of the level and the rows below the name.
 function columns.arrange(level, header)
   local is_down, direction = level.direction == "TB", level.direction
   local places, across, length = place_columns(level)

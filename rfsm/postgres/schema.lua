@@ -1,9 +1,9 @@
---- The schema `rfsm`: tables, and functions in SQL around the one in PL/Lua.
+--- The schema `rfsm` as texts of SQL: tables, a function in PL/Lua, functions in SQL.
 --
--- A load keeps tables that exist, and replaces functions. It locks no table that does
--- not change, so the load and clients do not wait for each other. $TAG, $CODE, $ID,
--- $LOG, $OWNER, $HISTORY and $NOTIFY stand for texts that `rfsm.postgres.script`
--- inserts.
+-- When the script is loaded, tables that exist are kept, and functions are replaced.
+-- Tables that do not change are not locked, so clients need not wait for the load.
+-- $TAG, $CODE, $ID, $LOG, $OWNER, $HISTORY and $NOTIFY are replaced by
+-- `rfsm.postgres.script`.
 --
 -- @module rfsm.postgres.schema
 -- @license BSD-3-Clause
@@ -78,8 +78,8 @@ CREATE OR REPLACE FUNCTION rfsm.is_in(state text, other text)
 $$;
 ]]
 
--- Functions for one machine, each with its name, the parameters behind the key, the
--- type of the result, and what it gives to the library: a list and an id, or nothing.
+-- The functions in SQL for one machine: name, parameters after `key`, type of the
+-- result, and the arguments `args` and `id` for `rfsm.call` (NULL, NULL if absent).
 local VERBS = {
   { "create", ", chart text, data jsonb DEFAULT '{}', id text DEFAULT NULL", "text",
     "ARRAY[chart, coalesce(data, '{}')::text], id" },
@@ -94,12 +94,12 @@ local VERBS = {
   { "remove", "", "boolean" },
 }
 
--- The expression that makes each type of result of the list that `rfsm.call` returns.
+-- For each type of result, the SQL expression that makes it; %s is a list of texts.
 local RESULTS = { text = "(%s)[1]", boolean = "(%s)[1] = '1'",
   ["SETOF text"] = "unnest(%s)" }
 
--- A role that has USAGE of the schema may call all functions that are not revoked. They
--- run with the rights of the owner ($OWNER), and find only what their text names.
+-- The functions in SQL. A role that has USAGE of the schema may call them, except those
+-- that are revoked below. They run with the rights of the owner ($OWNER).
 local calls = {}
 for i, verb in ipairs(VERBS) do
   local name, arguments, kind = verb[1], verb[2], verb[3]

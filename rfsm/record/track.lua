@@ -1,8 +1,8 @@
---- Tracks: the common parts of recording and replay.
+--- Tracks: functions that recording and replay share.
 --
--- A track follows one machine: the outermost one, or a region. It has replacements of
--- the guards, getevents and clock, and a quick test for changed data. Events are noted
--- as plain data.
+-- A track follows one machine: the outermost one, or a region. It replaces the guards,
+-- getevents and the clock of the machine, and tests quickly if data has changed. Events
+-- are noted as plain data.
 --
 -- @module rfsm.record.track
 -- @license BSD-3-Clause
@@ -23,8 +23,8 @@ local track = {}
 
 -- Data ----------------------------------------------------------------------------
 
---- Return an event as plain data. A table or another object becomes the name of its
--- type, which cannot be replayed.
+--- Return an event as plain data. Of a table or another object only the name of its
+-- type is noted, so such an event cannot be replayed.
 function track.pack_event(event)
   if encoding.is_scalar(event) then return encoding.pack(event) end
   return { "%x", type(event) }
@@ -37,7 +37,7 @@ function track.pack_events(events)
   return list[1] ~= nil and list or nil
 end
 
---- Return packed events as text.
+--- Return a list of packed events as text: "e_a, e_b", or "none".
 function track.list_text(list)
   local texts = {}
   for i = 1, list and #list or 0 do
@@ -47,7 +47,7 @@ function track.list_text(list)
   return texts[1] and concat(texts, ", ") or "none"
 end
 
---- Return the active leaf of a record as text.
+--- Return an active leaf as text: "root.a(active)", "root.a(done)" or "none".
 function track.leaf_text(leaf, is_done)
   return leaf and leaf .. (is_done and "(done)" or "(active)") or "none"
 end
@@ -64,7 +64,7 @@ function track.same(a, b)
   return true
 end
 
---- Append to the list t[field].
+--- Append values to the list t[field], which is made if it is absent.
 function track.note(t, field, ...)
   local list = t[field] or {}
   t[field] = list
@@ -73,7 +73,7 @@ end
 
 -- Changes of data that the chart keeps, and of targets -------------------------------
 
---- Return the values of a machine that `may_have_changed` compares.
+--- Return the kept fields and targets of a machine with values, for `may_have_changed`.
 function track.observe_data(fsm)
   local observed = { has_save = false }
   local function add(obj, field, is_data)
@@ -90,7 +90,8 @@ function track.observe_data(fsm)
   return observed
 end
 
---- May the data have changed since its values were noted? A table counts as changed.
+--- May the data have changed since its values were noted? If a kept field has a table,
+-- or a state has the function `save`, the data counts as changed.
 function track.may_have_changed(observed)
   for i = 1, #observed do
     local one = observed[i]
@@ -100,7 +101,7 @@ function track.may_have_changed(observed)
   return observed.has_save
 end
 
---- Note the present values.
+--- Note the present values, with which `may_have_changed` compares later ones.
 function track.note_values(observed)
   for _, one in ipairs(observed) do one.value = one.obj[one.field] end
 end
@@ -110,15 +111,16 @@ end
 --- A machine that is recorded or replayed: the outermost one, or a region.
 ---@class rfsm.record.Track
 ---@field fsm rfsm.Machine
----@field m integer|nil number of the region
----@field rec rfsm.record.Record|false of the present iteration
----@field listener table<string, function> see `track.attach`
+---@field m integer|nil number of the region; nil for the outermost machine
+---@field rec rfsm.record.Record|false the record of the present iteration
+---@field listener table<string, function> the functions that `track.attach` calls
 ---@field session table the recorder, or the session of a replay
 ---@field number_of table<rfsm.Transition, integer>
----@field changes table[] see `rfsm.shared.instrument`
----@field wrapped table<string, table> the last change of getevents and of the clock
+---@field changes table[] fields that were replaced, for `track.detach`
+---@field wrapped table<string, table> the last changes of "getevents" and "gettime"
 
--- Replaces a function of the machine; again if a program has set another one since.
+-- Replaces a function of the machine by the one that the listener returns. Does so
+-- again if a program has set another function since.
 local function wrap(own, field)
   local wrapped, value = own.wrapped[field], rawget(own.fsm, field)
   if not (wrapped and rawequal(wrapped.new, value)) then
@@ -127,16 +129,16 @@ local function wrap(own, field)
   end
 end
 
---- Replace getevents and the clock of a machine. A region without a clock reads that of
--- its parent machine.
+--- Replace getevents and the clock of a machine. A region that has no clock uses the
+-- clock of its parent machine.
 function track.wrap(own)
   local fsm = own.fsm
   if own.m == nil or rawget(fsm, "gettime") then wrap(own, "gettime") end
   if rawget(fsm, "getevents") then wrap(own, "getevents") end
 end
 
---- Return the guards of a machine and its regions, nil if there are none: for each
--- machine a list { number, text, number, text ... }.
+--- Return for a machine and each region a list { number, text, number, text ... } of
+-- the transitions that have a guard. Return nil if there are no guards.
 function track.guard_texts(fsm)
   local lists, has_some = {}, false
   for i, at in ipairs(rfsm.machines(fsm)) do
@@ -151,15 +153,15 @@ function track.guard_texts(fsm)
   return has_some and lists or nil
 end
 
--- Returns the numbers of the transitions of a machine.
+-- Returns a table transition -> number, for the transitions of a machine.
 local function numbers_of(fsm)
   local numbers = {}
   for i, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do numbers[tr] = i end
   return numbers
 end
 
---- Make the tracks of a machine and its regions. The functions of `listener` get the
--- session and a track, then
+--- Make the tracks of a machine and its regions. The functions of `listener` are called
+-- with the session, a track, and these arguments:
 --
 --    attached()                     the machine is about to be followed
 --    began(events), finished(events), reset(), failed(element, name)
@@ -175,7 +177,7 @@ function track.attach(fsm, listener, session)
     track.wrap(own)
     tracks[i], of[at.machine] = own, own
   end
-  -- an element that is merged in meanwhile has no track, or no number
+  -- A machine that is merged in later has no track, and a transition no number.
   function heard.guard(at, tr, guard, events)
     local own = of[at.machine]
     local number = own and own.number_of[tr]

@@ -42,11 +42,11 @@ end
 
 --- Connections to the nodes of a fleet.
 ---@class rfsm.redis.Connection
----@field settings table parts of the first URL: password, TLS, database
+---@field settings table the first URL as `connection.parse` returns it
 ---@field options table `timeout`, `patience` (seconds), `tls`
----@field seeds string[] addresses: first those of the URLs, then those of the cluster
----@field nodes table<string, table> open connections by address
----@field node_of table<string, string> the address to which a hash tag has moved
+---@field seeds string[] addresses to try: from the URLs, then the other cluster nodes
+---@field nodes table<string, table> address -> open connection
+---@field node_of table<string, string> hash tag that has moved -> address of its node
 local Connection = {}
 Connection.__index = Connection
 
@@ -54,7 +54,7 @@ Connection.__index = Connection
 
 local commands = {}
 
--- Sends a command. Raises the error of the server, without what lua-redis adds to it.
+-- Sends a command. Raises the error of the server, without the prefix of lua-redis.
 local function command(client, name, ...)
   commands[name] = commands[name] or need("redis").command(name)
   local ok, reply = pcall(commands[name], client, ...)
@@ -116,7 +116,7 @@ local function node(self, address)
   return client
 end
 
--- Closes a connection, and forgets which hash tags are on its node.
+-- Closes the connection to an address, and forgets which hash tags have moved there.
 local function drop(self, address)
   local client = self.nodes[address]
   if client then pcall(client.network.socket.close, client.network.socket) end
@@ -126,7 +126,7 @@ local function drop(self, address)
   end
 end
 
--- Adds the addresses of all nodes, if the server belongs to a cluster.
+-- Adds the addresses of all nodes to `seeds`, if the server belongs to a cluster.
 local function learn(self, client)
   local ok, slots = pcall(command, client, "CLUSTER", "SLOTS")
   if not ok and is_lost(slots) then
@@ -148,8 +148,8 @@ end
 
 -- All nodes -----------------------------------------------------------------------
 
---- Connect to the server of a URL; of several the others are tried if the first is
--- lost. Raises an error if there is no server, or a URL is wrong.
+--- Connect to the server of a URL. In a list of URLs, the later ones are tried if the
+-- first is not reached. Raises an error if no server is reached, or a URL is wrong.
 function connection.connect(urls, options)
   local self = setmetatable({ settings = false, options = options, seeds = {},
     nodes = {}, node_of = {} }, Connection)
@@ -178,8 +178,9 @@ local function sleep(seconds) need("socket").sleep(seconds) end
 
 local function time() return need("socket").gettime() end
 
--- Returns the address to try after an error of the server: false is any other address,
--- nil none. Returns also whether the command ASKING has to come first.
+-- Returns the address to try after an error of the server; false if any other address
+-- is to be tried, nil if the command is not to be sent again. The second result is true
+-- if the command ASKING has to be sent first.
 local function redirected(self, tag, address, text)
   local kind, host, port = text:match("^(%u+) %d+ ([^ ]*):(%d+)$")
   if kind == "MOVED" or kind == "ASK" then
@@ -194,7 +195,8 @@ local function redirected(self, tag, address, text)
   end
 end
 
--- Sends a command to one node, behind ASKING if `is_asked`; returns what pcall does.
+-- Sends a command to one node, and ASKING before it if `is_asked`. Returns true and the
+-- reply, or false and the error.
 local function ask(self, address, is_asked, name, ...)
   local found, client = pcall(node, self, address)
   if not found then return false, client end
@@ -205,8 +207,9 @@ local function ask(self, address, is_asked, name, ...)
   return pcall(command, client, name, ...)
 end
 
---- Send a command to the node that has the keys of a hash tag. While the node cannot be
--- reached, it is tried again for `patience` seconds. Raises the error of the server.
+--- Send a command to the node that has the keys of a hash tag; return the reply. If the
+-- node is not reached, the command is sent again for `patience` seconds, also to other
+-- nodes. Raises the error of the server.
 function Connection:call(tag, name, ...)
   local address, is_asked = self.node_of[tag] or self.seeds[1], false
   local started, tries, seed = time(), 0, 1
@@ -216,7 +219,7 @@ function Connection:call(tag, name, ...)
     local other
     other, is_asked = redirected(self, tag, address, reply)
     if other == nil then error(reply, 0) end
-    if other == false then -- the next one that is known
+    if other == false then -- any other: the next address of `seeds`
       seed = seed % #self.seeds + 1
       other = self.seeds[seed]
     end
@@ -236,7 +239,8 @@ local function read(client)
   return command(client, "READ")
 end
 
--- Sends calls to one node in one text; returns the replies that came, by their numbers.
+-- Sends calls to one node in one text. Returns the replies by the numbers of the calls.
+-- A call without a reply has none in the table.
 local function ask_at_once(self, address, calls)
   local found, client = pcall(node, self, address)
   local texts, replies = {}, {}
@@ -260,9 +264,9 @@ local function ask_at_once(self, address, calls)
   return replies
 end
 
---- Send calls, each { command, argument, ... }: one for each of the hash tags. Those of
--- one node are sent together. Return the replies. A call may arrive twice. Raises the
--- error of the server.
+--- Send one call { command, argument, ... } for each hash tag; return the replies. The
+-- calls for one node are sent together. A call without a reply is sent again, so it may
+-- arrive twice. Raises the error of the server.
 function Connection:call_all(tags, calls)
   local by_address, replies = {}, {}
   for i, tag in ipairs(tags) do
@@ -272,7 +276,7 @@ function Connection:call_all(tags, calls)
     group.calls[#group.calls + 1], group.numbers[#group.numbers + 1] = calls[i], i
   end
   for address, group in order.each(by_address) do -- any order: each stands alone
-    for i, reply in order.each(ask_at_once(self, address, group.calls)) do -- likewise
+    for i, reply in order.each(ask_at_once(self, address, group.calls)) do -- any order
       replies[group.numbers[i]] = reply
     end
   end
@@ -282,8 +286,8 @@ function Connection:call_all(tags, calls)
   return replies
 end
 
---- Call `f(text)` for each text that is published on a channel, until it returns true.
--- The channel is on the node of the hash tag, to which a connection of its own is made.
+--- Call `f(text)` for each text that is published on a channel, until `f` returns true.
+-- This opens another connection, to the node of the hash tag, which has the channel.
 function Connection:subscribe(tag, channel, f)
   local host, port = (self.node_of[tag] or self.seeds[1]):match("^(.*):(%d+)$")
   local client = open(self, host, tonumber(port))
@@ -293,7 +297,8 @@ function Connection:subscribe(tag, channel, f)
   client.network.socket:close()
 end
 
---- Call `f(call)` for the server, or each node of the cluster that takes writes.
+--- Call f(call) for each master of the cluster, or once for a server without a cluster.
+-- call(name, ...) sends a command to this node, and returns the reply.
 function Connection:each_master(f)
   local _, address = next(self.node_of)
   local ok, text = ask(self, address or self.seeds[1], false, "CLUSTER", "NODES")

@@ -1,8 +1,8 @@
 --- A port of RTT that is found again by its name.
 --
--- `rttlib.tc_cleanup` deletes the ports of a component. A Lua that uses a deleted port
--- ends the process. So what outlives a clean-up holds its port by name: the hook that
--- writes the FQN, and the ports of a launch.
+-- `rttlib.tc_cleanup` deletes the ports of a component. If Lua code uses a deleted
+-- port, the process ends. So the ports of a launch, and the hook that writes the FQN,
+-- look their port up by name.
 --
 -- @module rfsm.rtt.port
 -- @license BSD-3-Clause
@@ -12,26 +12,26 @@ local setmetatable = setmetatable
 
 local port = {}
 
---- Return the port of a component, nil if it has none of that name.
+--- Return the port of a component that has a name; nil if there is no such port.
 function port.of(component, name)
   local ok, found = pcall(function() return component:getPort(name) end)
   return ok and found or nil
 end
 
---- An object that holds a port, and is read and written like one.
+--- An object that holds a port, and is read and written like a port.
 ---@class rfsm.rtt.Port
----@field name string
----@field component any|false in which the port is looked up; false: it never is
----@field facts table<string, any> what `info` returned first
----@field real any|false the port, false as long as there is none
----@field was_found boolean has the component ever had it?
----@field is_made boolean? true if the launch has made it
+---@field name string name of the port
+---@field component any|false the component of the port; false: it is not looked up
+---@field facts table<string, any> the information of the port that was held first
+---@field real any|false the port; false while there is no such port
+---@field was_found boolean has the component ever had the port?
+---@field is_made boolean? true if the launch has made the port
 ---@field last any the last value written
----@field samples table<string, any> Variables by the texts that are going to be written
+---@field samples table<string, any> text to write -> an RTT Variable with the text
 local Port = {}
 Port.__index = Port
 
---- Read a sample, "NoData" if there is no port.
+--- Read a sample into `var`; return the status, "NoData" if there is no port.
 function Port:read(var)
   local real = self.real
   if not real then return "NoData" end
@@ -45,7 +45,7 @@ function Port:write(value)
   if self.real then self.real:write(value) end
 end
 
---- Return the information of the port that was held first.
+--- Return the information of the port that was held first, such as its type.
 function Port:info() return self.facts end
 
 --- Look the port up in its component; return whether it is there.
@@ -56,14 +56,16 @@ function Port:find()
   return found ~= nil
 end
 
---- Hold a port that is made later. `facts`: its name, type, porttype and desc.
+--- Make an object for a port that is made later. `facts` has the name, type, porttype
+-- and desc of the port.
 function port.reserve(component, facts)
   return setmetatable({ name = facts.name, component = component, facts = facts,
     real = false, was_found = true, last = nil, samples = {} }, Port)
 end
 
---- Hold a port of this Lua's component, or an object that is read and written like a
--- port, with its information. A port that is held already is returned as it is.
+--- Make an object that holds `real`: a port of the component of this Lua, or an object
+-- that is read and written like a port. `facts` is its information. If `real` is a
+-- held port already, it is returned unchanged.
 function port.hold(real, facts)
   if getmetatable(real) == Port then return real end
   local rtt = package.loaded.rtt

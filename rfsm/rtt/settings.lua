@@ -1,4 +1,4 @@
---- The settings of a launch: names, tests, defaults, and older names.
+--- The settings of a launch: their names and older names, tests, and defaults.
 --
 -- @module rfsm.rtt.settings
 -- @license BSD-3-Clause
@@ -10,29 +10,32 @@ local huge = math.huge
 
 local settings = {}
 
---- The arguments of a launch. Only a new component takes `name`, `luatype` and `ports`.
--- A service takes none of the first seven, `name` to `pool`.
+--- The arguments of a launch, with defaults in parentheses. Only the launch of a new
+-- component takes `name`, `luatype` and `ports`. The launch of a service takes none of
+-- the first seven arguments, `name` to `pool`.
 ---@class rfsm.rtt.Launch
----@field name? string of a new component
----@field deployer? any the deployer, or the name of a peer ("Deployer")
+---@field name? string name of a new component
+---@field deployer? any the deployer, or the name under which it is a peer ("Deployer")
 ---@field luatype? string type of a new component ("OCL::LuaComponent")
 ---@field enter? "start" enter the machine in startHook; default: in the first update
----@field ports? "configure" make ports in configureHook; default: in the launch
----@field timer? boolean wake an event-driven component for time events
----@field pool? integer KiB that a TLSF pool shall have at least
----@field fsmfile string the chart
----@field steps? integer how many an update makes at most (1000, in a service 1)
----@field samples? integer how many an update reads of each port at most (64)
----@field running_only? boolean no steps while the component is stopped
----@field error? boolean an error of the machine calls error() of the component
----@field ev_inport? string|boolean port for events ("events_in"), false: none
----@field ev_outport? string|boolean port ("events_out") to which `emit_event` writes
----@field fqn_port? string port for the FQN of the active leaf ("fqn")
----@field prefile? string file to run before the chart is loaded
----@field prestr? string text to run after prefile
----@field postfile? string file to run at the end, when the global `fsm` is there
----@field poststr? string text to run after postfile
----@field env? table<string, any> globals: strings, numbers, booleans, tables of these
+---@field ports? "configure" make ports in configureHook; default: during the launch
+---@field timer? boolean wake an event-driven component when a time event is due
+---@field pool? integer the least size of a TLSF pool in KiB
+---@field fsmfile string file of the chart
+---@field steps? integer the most steps that one update makes (1000, in a service 1)
+---@field samples? integer the most samples that one update reads from each port (64)
+---@field running_only? boolean make no steps while the component is stopped
+---@field error? boolean call error() of the component if the machine has an error
+---@field ev_inport? string|boolean port for events ("events_in"); false: no port
+---@field ev_outport? string|boolean name of the port to which `emit_event` writes
+-- ("events_out"); false: none
+---@field fqn_port? string name of the port for the FQN of the active leaf ("fqn")
+---@field prefile? string Lua file to run before the chart is loaded
+---@field prestr? string Lua code to run after `prefile`
+---@field postfile? string Lua file to run at the end, when the global `fsm` is set
+---@field poststr? string Lua code to run after `postfile`
+---@field env? table<string, any> globals to set: strings, numbers, booleans, or tables
+-- of these
 ---@field rttlib? boolean load rttlib and utils, which charts rely on (true)
 ---@field sync? boolean older name of `steps = 1`
 ---@field run? boolean older name of `steps = 1000`
@@ -52,7 +55,7 @@ local STRING = { "string", options.is_a "string" }
 local FILE, NAME = { "file name", is_file }, { "name", is_anything }
 local COUNT = { "whole number, at least 1", options.is_whole(1, huge) }
 
--- Adds the fields that all launches have to a table for options.read.
+-- Adds the fields of every launch to a table for `options.read`.
 local function with_common(fields)
   fields.env = { "table of globals by name", is_env, {} }
   fields.fqn_port = { "string", options.is_a "string", "fqn" }
@@ -71,7 +74,8 @@ local function with_own(fields)
   return with_common(fields)
 end
 
--- The fields by kind of launch: in a service, in a new component, in this one.
+-- The fields by kind of launch: in a service, in a new component, or in the component
+-- whose Lua makes the launch (`own`).
 local FIELDS = {
   service = with_common {
     exec_str = { "operation exec_str", is_anything }, eehook = BOOLEAN,
@@ -81,11 +85,11 @@ local FIELDS = {
   },
   own = with_own {},
 }
-local REQUIRED = { "name", "fsmfile", "exec_str" } -- in the kinds that have them
+local REQUIRED = { "name", "fsmfile", "exec_str" } -- if the kind of launch has it
 
-local STEPS = 1000 -- an update makes no more; the next one goes on
+local STEPS = 1000 -- the most steps of an update; the next update goes on from there
 
--- Sets `steps` of an update, for which `sync` and `run` are older names.
+-- Sets `steps`, the most steps of an update. `sync` and `run` are its older names.
 local function set_steps(launch)
   if launch.steps and (launch.sync or launch.run) then
     error("steps: expected without sync and run, which are numbers of steps", 0)
@@ -94,7 +98,7 @@ local function set_steps(launch)
   launch.steps = launch.steps or runs and STEPS or 1
 end
 
---- Return the settings of a launch; raise if one is wrong or a required one missing.
+--- Return the settings of a launch; raise an error if one is wrong or is missing.
 ---@param kind "service"|"component"|"own"
 function settings.read(kind, args)
   local fields = FIELDS[kind]

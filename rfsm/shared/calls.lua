@@ -1,4 +1,5 @@
---- Calls: functions that may fail, programs in texts, and arguments as texts.
+--- Calls: calling functions that may fail, loading texts as programs, making machines
+-- for tools, and writing arguments as texts.
 --
 -- @module rfsm.shared.calls
 -- @license BSD-3-Clause
@@ -18,19 +19,19 @@ local function pass(ok, ...)
   return ok, ...
 end
 
---- Call a function as `pcall` does. An interrupt such as Control-C reaches the caller.
+--- Call a function as `pcall` does, but raise an interrupt, such as Control-C, again.
 function calls.try(f, ...) return pass(pcall(f, ...)) end
 
---- Load a text as a program whose globals are the fields of a table, on every Lua; nil
--- and the problem if it is no program.
+--- Load a text as a program whose globals are the fields of a table, on each version of
+-- Lua. Return the program as a function, or nil and the problem.
 function calls.load(text, name, globals)
   local chunk, problem = load(text, name, "t", globals)
   if chunk and setfenv then setfenv(chunk, globals) end
   return chunk, problem
 end
 
---- Make a machine of a model for a tool, as `rfsm.init` does. Machines that the model
--- has as regions are left alone: the new machine has others of their models.
+--- Make a machine of a model for a tool, as `rfsm.init` does. If regions of the model
+-- are machines, they are not used: the new machine gets new regions of the same models.
 function calls.init_apart(model)
   local was_apart, make = calls.is_apart, rfsm.seqand and rfsm.seqand.init_apart
   calls.is_apart = true
@@ -42,8 +43,9 @@ end
 
 local PRINTERS = { "dbg", "info", "warn", "err" }
 
---- Return make(model), such as `rfsm.init`, while the printers of the model are off.
----@param warn? function|false called with warnings
+--- Return make(model), such as rfsm.init(model); the model's printers are off
+-- meanwhile.
+---@param warn? function|false a printer for warnings; default: they are not printed
 function calls.silently(make, model, warn)
   local own = {}
   for _, name in ipairs(PRINTERS) do

@@ -1,4 +1,4 @@
---- A limit of time for the loading of files that other people wrote.
+--- A time limit for the loading of files that other people wrote.
 --
 -- @module rfsm.shared.limit
 -- @license BSD-3-Clause
@@ -6,9 +6,10 @@
 local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
 local debug, jit = rawget(_G, "debug"), rawget(_G, "jit")
 
-local limit = { SECONDS = 5 } -- that the loading of a chart may take
+local limit = { SECONDS = 5 } -- the longest time that the loading of a chart may take
 
--- Returns "file:line: " of the innermost function on the stack whose source is known.
+-- Returns "file:line: " of the innermost function on the stack that has a line, and
+-- whose source `is_known` accepts, if that is given.
 local function location(is_known)
   local level, info = 3, debug.getinfo(3, "Sl")
   while info and (info.currentline < 1 or is_known and not is_known(info.source)) do
@@ -18,9 +19,9 @@ local function location(is_known)
   return info and ("%s:%d: "):format(info.short_src, info.currentline) or ""
 end
 
--- Returns the debug hook that ends the loading. It looks at the first clock at each
--- call of a function, since code that sleeps calls one, and at all clocks at each
--- 10,000th instruction.
+-- Returns a debug hook that raises an error if the loading takes too long. It reads the
+-- first clock at each call of a function, since code that sleeps calls a function. It
+-- reads all clocks at each 10,000th instruction.
 local function new_hook(state, clocks, is_known)
   local ends, seconds = {}, limit.SECONDS
   for i, clock in ipairs(clocks) do ends[i] = clock() + seconds end
@@ -36,10 +37,10 @@ local function new_hook(state, clocks, is_known)
 end
 
 --- Call f(file), for at most `limit.SECONDS` on each of the clocks. Return the results
--- of pcall, and whether the call took too long. The error then names the innermost line
--- whose source `is_known(source)` accepts; without `is_known` each source is right.
+-- of pcall, and whether the call took too long. If it did, the error names the
+-- innermost line whose source `is_known(source)` accepts. By default it accepts all.
 --
--- LuaJIT does not call the hook in compiled code, so it compiles nothing meanwhile.
+-- LuaJIT does not call the hook in compiled code, so it compiles nothing in the call.
 function limit.load(f, file, clocks, is_known)
   if not (debug and debug.sethook) then return pcall(f, file) end
   local state, is_compiling = { is_on = true, is_late = false }, jit and jit.status()

@@ -1,13 +1,13 @@
---- Order: loops over the keys of a table that skip none, on every Lua.
+--- Order: loops over the keys of a table that skip no key, on every Lua.
 --
 -- `rfsm.sorted_keys` returns the keys of a table in order. `order.each` is for loops in
 -- which the order does not matter.
 --
 -- LuaJIT 2.1.0-beta3 may compile `next` wrongly: a traversal inside of another skips
 -- keys, and where the two results have to change places a pointer loses its upper half,
--- which crashes the process. It compiles no loop over `order.each`, and no loop around
--- such a loop. So loops that run often use `order.each`. The other Luas traverse by
--- `next` itself.
+-- which crashes the process. LuaJIT compiles no loop over `order.each`, and no loop
+-- around such a loop. So loops that run often use `order.each`. On other Luas it is the
+-- same as a loop with `next`.
 --
 -- @module rfsm.shared.order
 -- @license BSD-3-Clause
@@ -23,7 +23,7 @@ if jit then
   jit.off(step)
 end
 
---- Traverse a table as `pairs` does; no metatable is asked.
+--- Traverse a table as `pairs` does, but without metamethods.
 function order.each(t) return step, t end
 
 --- Has a table no keys?

@@ -1,9 +1,9 @@
 --- The simulator: steps through a chart by hand, with Lua at the prompt.
 --
--- It is the command `rfsm sim`. Code typed at the prompt sees the machine as `fsm`, the
--- commands that `help()` lists, and the globals of the chart, which it can also set.
--- `rfsm.sim.session` advances the machine, `rfsm.sim.commands` has the commands,
--- `rfsm.sim.prompt` reads and evaluates.
+-- It is the command `rfsm sim`. Code at the prompt can use the machine `fsm` and the
+-- commands that `help()` lists, and can read and set the globals of the chart.
+-- `rfsm.sim.session` advances the machine, `rfsm.sim.commands` has the commands, and
+-- `rfsm.sim.prompt` reads and evaluates lines.
 --
 -- @module rfsm.sim.simulator
 -- @license BSD-3-Clause
@@ -20,7 +20,7 @@ local complain = terminal.complain
 
 local rfsm_sim = { VERSION = rfsm._VERSION:match("%S+$") }
 
--- Runs the texts of the option -e up to one that quits; returns false if one fails.
+-- Runs the texts of the option -e until one quits. Returns false if a text fails.
 local function run_code(sim, texts)
   for _, text in ipairs(texts) do
     if sim.is_over then break end
@@ -33,7 +33,7 @@ local function run_code(sim, texts)
   return true
 end
 
--- Runs the machine through a recording; returns false if that cannot be read.
+-- Runs the machine through a recording. Returns false if the recording cannot be read.
 local function replay(sim, file)
   local ok, count, problem = calls.try(sim.replay or history.replay, sim, file)
   if not ok then
@@ -62,15 +62,15 @@ end
 
 --- The options of `rfsm sim`.
 ---@class rfsm.sim.Options
----@field file string the chart
----@field execute? string[] Lua to run first
----@field replay? string file to replay first
+---@field file string file of the chart
+---@field execute? string[] Lua texts to run at the beginning
+---@field replay? string recording to replay at the beginning
 ---@field stub? boolean modules and globals that are missing do nothing
----@field dry? boolean without the functions of the chart
----@field quiet? boolean no banner
----@field interactive? boolean read commands, also after `execute`
+---@field dry? boolean call no functions of the chart; guards count as true
+---@field quiet? boolean print no banner
+---@field interactive? boolean read commands after `execute`, too
 
--- Does what the options want. Returns the status if the program ends without a prompt.
+-- Applies the options. Returns the exit status if there is to be no prompt.
 local function prepare(sim, options)
   prompt.install(sim)
   if options.dry then sim:set_dry(true) end
@@ -80,10 +80,10 @@ local function prepare(sim, options)
   return (sim.is_over or code[1] and not options.interactive) and 0
 end
 
---- Open a chart, run the code given, read commands from stdin; return the status for
--- the shell: 0, or 1 for a chart, code or line of a pipe that is wrong.
+--- Open a chart, run the given code, and read commands from stdin. Return the exit
+-- status: 1 if the chart, the code, or a line from a pipe is wrong, else 0.
 ---@param options rfsm.sim.Options
----@param open function as `session.open`
+---@param open function opens the chart, as `session.open` does
 function rfsm_sim.main(options, open)
   local is_terminal = terminal.is_terminal(0)
   rfsmpp.is_plain = not terminal.is_terminal(1)

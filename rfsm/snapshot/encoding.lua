@@ -1,10 +1,10 @@
---- Plain data: values in a form that any encoder takes, and any Lua gets back.
+--- Plain data: values in a form that each encoder can write, and each Lua reads back.
 --
--- Texts, booleans, most numbers, lists and tables with texts as keys stand for
--- themselves. A list whose first item begins with % is one of these:
+-- Texts, booleans, most numbers, lists, and tables with texts as keys are plain data
+-- already. Other values become a list whose first item begins with %:
 --
---    { "%n", digits }            a number that JSON would spoil
---    { "%t", key, value, ... }   any other table
+--    { "%n", digits }            a number that JSON would change
+--    { "%t", key, value, ... }   a table that is not plain data
 --    { "%z" }                    nil in a field whose first value is not nil
 --
 -- @module rfsm.snapshot.encoding
@@ -21,16 +21,16 @@ local floor, huge, min = math.floor, math.huge, math.min
 local math_type, to_integer = rawget(math, "type"), rawget(math, "tointeger")
 local is_null, text_of = exact_json.is_null, rfsm.text_of
 
--- The most tables inside each other, in packed data and in the value of a field.
--- MessagePack in Redis leaves out what is deeper than 16 tables. Six may be around a
--- field: the value of the key, the snapshot, its regions, one region, its data, and the
--- fields of the state. A number that is packed as a list is one more.
+-- How deep tables may be nested in packed data, and in the value of a field. The second
+-- limit is due to Redis: MessagePack there drops tables deeper than 16. Six tables may
+-- be around a field: the value of the key, the snapshot, its regions, one region, its
+-- data, and the fields of the state. A number packed as a list is one more.
 local MAX_PACKED_DEPTH, MAX_DEPTH = 40, 9
 
--- Stands for nil in a field whose first value is not nil.
+-- The value that represents nil in a field whose first value is not nil.
 local NIL = {}
 
---- Raise an error that the public functions of the caller turn into one line.
+--- Raise a table with the field `text`. Public functions report it as a one-line error.
 local function fail(form, ...) error({ text = form:format(...) }, 0) end
 
 -- Returns the text of an error that was raised by `fail`; nil for any other error.
@@ -41,30 +41,31 @@ end
 --- Return the text of an error, also of one that was raised by `fail`.
 local function reason(failure) return text_of_fail(failure) or text_of(failure) end
 
---- Return f(...); nil and the text of its error if `fail` has raised that. Any other
--- error is raised, such as that of a debug hook.
+--- Return f(...). If `fail` has raised an error in it, return nil and the text of the
+-- error. Any other error, such as that of a debug hook, is raised again.
 local function attempt(f, ...)
   local ok, result = pcall(f, ...)
   if ok then return result end
   return nil, text_of_fail(result) or error(result, 0)
 end
 
---- Call a function of the chart. Its error is raised by `fail`, with `what` in front.
+--- Return f(...), for a function of the chart. If it raises an error, `fail` raises the
+-- text of the error with `what` in front.
 local function try(what, f, ...)
   local ok, result = calls.try(f, ...)
   if not ok then fail("%s: %s", what, text_of(result)) end
   return result
 end
 
---- The keys that lead to a value, for messages.
+--- The keys that lead to a value. Messages show them.
 ---@class rfsm.snapshot.Path
----@field owner string|false the name of what has the value; false: a state has it
+---@field owner string|false name of the owner of the value; false if a state has it
 ---@field keeper rfsm.snapshot.Keeper|false the state that has the value
----@field prefix string location of the machine
----@field seen table<table, true>|false tables that were packed
+---@field prefix string location of the machine: "root", "root.arms.left"
+---@field seen table<table, true>|false tables that were packed already
 ---@field [integer] any the keys, the outermost first
 
---- Return the location of a value, such as "root.a.list[2]", by `depth` of its keys.
+--- Return the location to which the first `depth` keys lead, such as "root.a.list[2]".
 local function location_of(path, depth)
   local location = path.owner or path.prefix .. path.keeper.fqn:sub(5)
   for i = 1, depth do
@@ -81,14 +82,14 @@ local function is_scalar(value)
   return kind == "string" or kind == "number" or kind == "boolean"
 end
 
---- Is a value an event that can be kept: a scalar, or a plain table with a name?
+--- Can an event be kept? A scalar can, and a table with a `name` and no metatable.
 local function is_event(value)
   if type(value) ~= "table" then return is_scalar(value) and value == value end
   return getmetatable(value) == nil and type(value.name) == "string"
 end
 
---- Return a value, with copies in place of plain tables, at any depth. `copies` has the
---- copies that were made before, by their originals.
+--- Return a copy of a value, in which tables without metatables are copied at any
+--- depth. `copies` is a table original -> copy, of the copies made before.
 local function copy_of(value, copies)
   if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
   copies = copies or {}
@@ -103,7 +104,7 @@ end
 
 -- Pack --------------------------------------------------------------------------
 
--- Is a number the same, also as integer or float, after JSON with 14 digits?
+-- Does JSON with 14 digits keep a number as it is, also as an integer or a float?
 local function is_safe(n)
   if n - n ~= 0 then return false end -- not finite
   local is_whole = floor(n) == n
@@ -116,7 +117,7 @@ local function is_safe(n)
   return tonumber(("%.14g"):format(n)) == n
 end
 
--- Returns digits from which any Lua reads the number; a whole float has a point.
+-- Returns a number as text, from which any Lua reads the same number: 1.0, not 1.
 local function digits_of(n)
   if n ~= n then return "nan" end
   if n - n ~= 0 then return n > 0 and "inf" or "-inf" end
@@ -127,7 +128,7 @@ end
 
 local pack
 
--- Returns { "%t", key, value, ... }, sorted by key, of values that are packed.
+-- Returns { "%t", key, value, ... }, sorted by key, for a table of packed values.
 local function to_pairs(packed, path, depth)
   local list = { "%t" }
   for _, key in ipairs(rfsm.sorted_keys(packed)) do
@@ -140,26 +141,28 @@ local function to_pairs(packed, path, depth)
   return list
 end
 
--- Does a table stand for itself: as a list, or with texts as keys?
+-- Is a table plain data already? A list is, and a table whose keys are texts.
 local function is_plain(t)
   local count, has_texts, has_others = 0, false, false
   for key in each(t) do -- any order: all of them count
     count = count + 1
     if type(key) == "string" then has_texts = true else has_others = true end
   end
-  if has_texts or count == 0 then -- dkjson takes a number `n` for a length
+  if has_texts or count == 0 then -- dkjson takes a number in `n` for the length
     return has_texts and not has_others and type(t.n) ~= "number"
   end
   local first = t[1]
   return count == #t and not (type(first) == "string" and first:byte() == 37)
 end
 
--- Returns a table of packed values as plain data.
+-- Returns plain data for a table of packed values: the table itself, or a list of
+-- pairs.
 local function as_table(packed, path, depth)
   return is_plain(packed) and packed or to_pairs(packed, path, depth)
 end
 
--- Refuses a table that is too deep, or comes twice: two tables would come back.
+-- Raises an error for a table that is too deep, has a metatable, or was packed before:
+-- unpacking would make two tables of it.
 local function check_table(t, path, depth)
   path.seen = path.seen or {}
   if getmetatable(t) ~= nil then
@@ -184,9 +187,9 @@ local function pack_table(t, path, depth)
   return as_table(copy, path, depth)
 end
 
---- Return a value as plain data, null of JSON as nil. The first `depth` keys of the
--- path lead to it. A value that cannot be saved is an error with its location: a
--- function, a userdata, a table with a metatable, or a table that comes twice.
+--- Return a value as plain data; nil for null of JSON. The first `depth` keys of `path`
+-- lead to the value. Raises an error with the location of a value that cannot be saved:
+-- a function, a userdata, a table with a metatable, or a table that comes twice.
 function pack(value, path, depth)
   local kind = type(value)
   if kind == "string" or kind == "boolean" then return value end
@@ -201,8 +204,8 @@ function pack(value, path, depth)
   return pack_table(value, path, depth)
 end
 
---- Return a value in a form for encoders of JSON: a table is a list, or its keys are
--- texts. Infinite numbers and NaN are texts.
+--- Return a copy of a value for an encoder of JSON. If a table is no list, its keys
+-- become texts. Infinite numbers and NaN become texts, too.
 local function to_json(value)
   if type(value) == "number" and value - value ~= 0 then return digits_of(value) end
   if type(value) ~= "table" or is_null(value) then return value end
@@ -264,8 +267,8 @@ local function unpack_table(packed, depth)
   return t
 end
 
---- Return the value that plain data stands for, in new tables; `depth` tables are
--- around it. Raises an error if it is no plain data.
+--- Return the value that was packed as plain data, in new tables. `depth` is the number
+-- of tables around it. Raises an error if `packed` is not plain data.
 function unpack(packed, depth)
   local kind = type(packed)
   if kind == "table" then
@@ -279,7 +282,7 @@ function unpack(packed, depth)
   elseif packed ~= packed then
     fail("a number expected, got NaN")
   end
-  return to_integer and to_integer(packed) or packed -- some decoders know only floats
+  return to_integer and to_integer(packed) or packed -- some decoders return floats only
 end
 
 return {

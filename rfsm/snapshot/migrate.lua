@@ -1,7 +1,7 @@
---- Checks of the format of a snapshot, and the move of a snapshot from one chart to
--- another. None of its data is lost unless the user's function `migrate` removes it.
+--- Migration: checks the format of a snapshot, and changes the snapshot of one chart so
+-- that it fits another. Data is lost only if the user's function `migrate` removes it.
 --
--- A *part* is what a snapshot holds of the outermost machine, or of one region.
+-- A *part* of a snapshot has the data of one machine: the outermost one, or a region.
 --
 -- @module rfsm.snapshot.migrate
 -- @license BSD-3-Clause
@@ -20,7 +20,7 @@ local migrate, NONE = { VERSION = 2 }, {}
 
 -- Shape -----------------------------------------------------------------------------
 
--- The types of the fields of a region's snapshot, and of a whole one.
+-- The types of the fields of a part. A whole snapshot has the fields of `WHOLE`, too.
 local PART = {
   chart = "string", leaf = "string", done = "boolean", queue = "table", data = "table",
   saved = "table", targets = "table", ext = "table",
@@ -53,7 +53,8 @@ local function check_fields(snap, fields, where)
   fail("%s%s: %s expected, got %s", where, field, fields[field], type(snap[field]))
 end
 
--- Returns a copy without nulls of JSON. A wrong field is an error.
+-- Returns a copy of a snapshot, in which fields with null of JSON are absent. Raises an
+-- error if a field has a wrong name or type.
 local function check_shape(snap)
   if type(snap) ~= "table" then fail("snapshot expected, got %s", type(snap)) end
   snap = copy_fields(snap)
@@ -77,13 +78,14 @@ end
 
 -- Parts: a machine and its regions --------------------------------------------------
 
---- Return the part of a snapshot about the machine at a prefix, see `rfsm.machines`.
+--- Return the part of a snapshot for the machine at a prefix: "root", "root.arms.left".
 function migrate.part_of(snap, prefix)
   if prefix == "root" then return snap end
   return (snap.regions or NONE)[prefix] or NONE
 end
 
--- Returns what differs between a machine and a part: nil, "kept" or "structure".
+-- Returns how the chart of a machine differs from the chart of a part: "kept" if only
+-- the kept fields differ, "structure" if the structure does, nil if they are the same.
 local function change_of(machine, part)
   local chart = shape.of(machine).chart
   if part.chart == nil or part.chart == chart.name then return nil end
@@ -110,7 +112,7 @@ local function note_data(list, chart, part, prefix)
   end
 end
 
--- Notes the active leaf and the changed targets that the chart lacks.
+-- Adds the active leaf of a part and its changed targets, if the chart lacks them.
 local function note_places(list, machine, part, prefix)
   local targets = part.targets or NONE
   if part.leaf and not shape.find_state(machine, part.leaf) then
@@ -125,9 +127,9 @@ local function note_places(list, machine, part, prefix)
   end
 end
 
--- Extensions whose data belong to elements of the chart. Where such an element is gone,
--- its data is not wanted any more. A chart without these elements may not even load the
--- extension, so no hook of it could tell.
+-- Extensions whose data belong to elements of the chart. If such an element is gone,
+-- its data is not needed. The extensions are named here, since a chart without such
+-- elements may not load the extension, and then has no hook of it.
 local FOLLOWERS = { timers = true, emem = true, await = true }
 
 local function note_extensions(list, machine, part, prefix)
@@ -140,7 +142,8 @@ local function note_extensions(list, machine, part, prefix)
   end
 end
 
---- List the content of a snapshot that the chart of a machine has no place for.
+--- List the states, targets, regions and data of a snapshot that a machine cannot take,
+-- since its chart lacks them.
 function migrate.lost(fsm, snap)
   local list, is_known = {}, {}
   for _, at in ipairs(shape.of(fsm).places) do
@@ -159,8 +162,8 @@ end
 
 -- New names -------------------------------------------------------------------------
 
---- Return an FQN with the new name of a state that has moved, also if it is the FQN of
--- a state inside, or the end of an event such as e_done@root.a.
+--- Return an FQN with new names, given a table of old and new FQNs. The text may also
+-- be the FQN of a state inside a renamed one, or an event such as e_done@root.a.
 function migrate.renamed(text, rename)
   local event, fqn = text:match("^(.*@)(root.*)$")
   local head, tail = fqn or text, ""
@@ -174,7 +177,8 @@ end
 
 local renamed_text = migrate.renamed
 
--- Returns a copy of a value with new names in keys and values, `depth` tables deep.
+-- Returns a copy of a value with new names in keys and values. Only `depth` levels of
+-- tables are changed; what is deeper stays as it is.
 local function renamed(value, rename, depth)
   if depth == 0 then return value end
   if type(value) == "string" then return renamed_text(value, rename) end
@@ -186,7 +190,7 @@ local function renamed(value, rename, depth)
   return copy
 end
 
--- How many tables deep a field of a snapshot has names of states.
+-- For each field of a snapshot that has names of states: the depth for `renamed`.
 local NAMED = { leaf = 1, queue = 2, targets = 2, ext = 20, data = 1, saved = 1 }
 
 local function rename_part(part, rename)
@@ -197,8 +201,8 @@ local function rename_part(part, rename)
   return copy
 end
 
--- Returns the new names of states of a region, whose FQNs begin with root there, and
--- the new location of the region.
+-- Returns the new names of the states of a region, as a table of old and new FQNs that
+-- begin with root, and the new prefix of the region.
 local function inside(rename, prefix)
   local inner, new_prefix = {}, renamed_text(prefix, rename)
   for old, new in each(rename) do -- any order: each stands alone
@@ -222,7 +226,8 @@ end
 
 -- Move a snapshot from another chart ------------------------------------------------
 
---- List what differs between two structures.
+--- List the lines that only one of two structures has. If they have the same lines, the
+-- list says that their order differs.
 function migrate.difference(old, new)
   local counts, list = {}, {}
   for _, line in ipairs(old) do counts[line] = (counts[line] or 0) + 1 end
@@ -240,8 +245,9 @@ function migrate.difference(old, new)
   return list
 end
 
--- Returns the lines of the charts that the parts of a snapshot name; nil if one of them
--- is not known. A part without a name is of the present chart.
+-- Returns the structure of a snapshot's chart as lines. Each part has the name of its
+-- chart; a part without a name has the present chart. Returns nil if one of the names
+-- is not known.
 local function known_lines(fsm, snap)
   local lines = {}
   for _, at in ipairs(shape.of(fsm).places) do
@@ -260,8 +266,8 @@ local function missing(lost)
   return list
 end
 
--- Returns a function: did the old chart lack an event, in the machine at `prefix`? It
--- returns true if the old chart is not known.
+-- Returns a function f(prefix, event): did the machine at this prefix have no such
+-- event in the old chart? It returns true if the old chart is not known.
 local function new_events(old, rename)
   return function(prefix, event)
     local head = prefix == "root" and "" or prefix .. ": "
@@ -281,7 +287,7 @@ local function refuse(text, list)
   error({ text = text .. ":\n  " .. concat(list, "\n  "), difference = list }, 0)
 end
 
--- Returns a copy of a snapshot, which the user's `migrate` may change.
+-- Returns a copy of a snapshot, at any depth, for the user's `migrate` to change.
 local function copy_all(value)
   if type(value) ~= "table" or encoding.is_null(value) then return value end
   local copy = {}
@@ -295,8 +301,9 @@ local function each_part(snap, f)
   for prefix, part in each(snap.regions or NONE) do f(part, prefix) end -- any order
 end
 
--- Unpacks the data of states, so that `migrate` gets the values that callbacks know.
--- Returns the fields that were nil, but whose first values are not: prefix, FQN, name.
+-- Unpacks the data of states, so that `migrate` gets the values as callbacks see them.
+-- Fields saved as nil become absent. They are returned in a list of { prefix, FQN, name
+-- }.
 local function unpack_kept(snap)
   local nils = {}
   each_part(snap, function(part, prefix)
@@ -309,7 +316,7 @@ local function unpack_kept(snap)
         end
       end
     end
-    for fqn, packed in each(part.saved or NONE) do -- likewise
+    for fqn, packed in each(part.saved or NONE) do -- any order
       part.saved[fqn] = encoding.unpack(packed, 2)
     end
   end)
@@ -323,7 +330,8 @@ local function pack_all(values, owner)
   end
 end
 
--- Packs the data of states again. A field that was nil is nil in the new chart, too.
+-- Packs the data of states again. Each field in the list `nils` is saved as nil again,
+-- unless `migrate` has set it or the new chart does not keep it.
 local function pack_kept(fsm, snap, nils)
   local chart_at = {}
   for _, at in ipairs(shape.of(fsm).places) do
@@ -356,7 +364,7 @@ local function call_migrate(fsm, snap, list, options)
 end
 
 -- Returns the gravest change between a snapshot and the charts of a machine and its
--- regions, and the changes by prefix.
+-- regions ("structure", "kept" or nil), and the change of each machine, by prefix.
 local function changes(fsm, snap)
   local most, by_prefix, count = nil, {}, 0
   for _ in each(snap.regions or NONE) do count = count + 1 end -- any order: counted
@@ -370,7 +378,7 @@ local function changes(fsm, snap)
   return most or count > 0 and "kept" or nil, by_prefix
 end
 
--- Returns what `migrate.to` does, for a snapshot of another chart.
+-- Fits a snapshot of another chart to a machine. Returns the results of `migrate.to`.
 local function adapt(fsm, snap, options, most)
   local lost = migrate.lost(fsm, snap)
   local old = options.old and shape.structure(options.old) or snap.structure
@@ -386,11 +394,13 @@ local function adapt(fsm, snap, options, most)
   return snap, select(2, changes(fsm, snap)), new_events(old, options.rename)
 end
 
---- Return a copy of a snapshot that fits the chart of a machine. A wrong field is an
--- error, and so is another chart, with the list of what differs or would be lost.
+--- Return a copy of a snapshot that fits the chart of a machine. Raises an error if a
+-- field is wrong, or if the snapshot is of another chart and cannot be changed to fit;
+-- the error lists the differences, or the data that would be lost.
 ---@return rfsm.snapshot.Snapshot snap
----@return table<string, string>? changes by prefix; nil if it is of the same chart
----@return fun(prefix: string, event: string)? is_new
+---@return table<string, string>? changes "kept" or "structure" by prefix; nil if the
+-- snapshot is of the same chart
+---@return fun(prefix: string, event: string)? is_new is the event new in this machine?
 function migrate.to(fsm, snap, options)
   local given = check_shape(snap)
   local most = changes(fsm, given)

@@ -1,10 +1,10 @@
---- The view of a machine in this program, and of the regions in its states.
+--- The view of a machine that runs in this program, with the regions in its states.
 --
--- Failures and warnings are always noted, what else happens only while the machine is
--- observed. Guards are called only by the question why an event did nothing.
+-- Failures and warnings are always noted. Steps and entries of states are noted only
+-- while the machine is observed. Only the function `LocalView:why` calls guards.
 --
--- The file reads in this order: the machines, failures, what an observed machine does,
--- the present state, questions.
+-- The sections of this file: the machines, failures, what an observed machine does, the
+-- present state, questions.
 --
 -- @module rfsm.web.local_view
 -- @license BSD-3-Clause
@@ -27,27 +27,29 @@ local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local utf8 = marsh.utf8
 
-local MAX_LOST = 20 -- events without an effect that are noted
+local MAX_LOST = 20 -- how many events without an effect are noted, at most
 
 --- A machine that is observed.
 ---@class rfsm.web.LocalView : rfsm.web.View
 ---@field fsm rfsm.Machine
----@field machines table[] as `rfsm.machines`
----@field numbers table<table, integer> of nodes and transitions, but those merged later
----@field path table<rfsm.Machine, string> taken in the current iteration, as a text
----@field lost any[] events that took no transition, since the last transition
----@field last_lost any[] the events in the last entry of the log about such events
----@field entered table<integer, integer> how often a state was entered while observed
----@field stream rfsm.observe.Stream|false all that happens, while it is observed
----@field changes table[] hooks added and printers replaced, for `close`
+---@field machines rfsm.Place[] the machine and its regions
+---@field numbers table<table, integer> numbers of nodes and transitions. An element
+-- that was merged in later has none
+---@field path table<rfsm.Machine, string> the path taken in the current iteration
+---@field lost any[] events without an effect, since the last transition was taken
+---@field last_lost any[] the events in the last "lost" entry of the log
+---@field entered table<integer, integer> number of a state -> how often it was entered
+-- while the machine was observed
+---@field stream rfsm.observe.Stream|false false while the machine is not observed
+---@field changes table[] hooks and printers that `close` takes back
 ---@field points rfsm.observe.Breakpoint[] breakpoints
----@field hit string|false the last breakpoint reached, until this is set to false
+---@field hit string|false name of the last breakpoint reached; the caller resets it
 local LocalView = setmetatable({}, { __index = View })
 LocalView.__index = LocalView
 
--- The machines: that of the view, and those inside its states -----------------------
+-- The machines: the machine of the view, and the regions in its states --------------
 
--- Notes the numbers of the elements of a machine.
+-- Notes the number that each element of a machine has in the outline of the view.
 local function add_machine(view, at)
   local lists, numbers = view.outline, view.numbers
   for _, element in ipairs(rfsm.elements(at.machine)) do
@@ -64,14 +66,16 @@ end
 
 -- Failures: noted also while the machine is not observed -----------------------------
 
--- Notes in the log what a printer of a machine (`err`, `warn`) prints, without the id.
+-- Notes in the log each text that a printer of a machine (`err`, `warn`) gets, without
+-- the words in front of it, such as "ERROR: ".
 local function listen_to(view, fsm, name, kind)
   instrument.listen(view.changes, fsm, name, function(...)
     view:note(kind, (calls.text(" ", ...):gsub("^%u+:? ", ""):gsub(":  ", ": ")))
   end)
 end
 
--- Counts failed callbacks by state: guards and effects for the source of a transition.
+-- Counts the failed callbacks of each state. A guard or effect counts for the source of
+-- its transition.
 local function count_failures(view, fsm)
   instrument.hook_of(view.changes, fsm, "watch", "failed", function(_, element)
     local number = view.numbers[rfsm.is_trans(element) and element.src or element]
@@ -81,14 +85,16 @@ end
 
 -- What an observed machine does ------------------------------------------------------
 
--- Notes a breakpoint that is reached, see `breakpoints.each_reached`.
+-- Notes in `hit` the breakpoint that is reached, if there is one for this state,
+-- transition or event (`kind` is "state", "transition" or "event").
 local function check_points(view, kind, value)
   breakpoints.each_reached(view.points, kind, value, function(_, point)
     view.hit = point.name
   end)
 end
 
--- Returns the numbers of the active states, from the root down, then those of regions.
+-- Returns the numbers of the active states: first those of the machine itself, from the
+-- root down, then those of its regions.
 local function active_numbers(view)
   local numbers = {}
   for _, at in ipairs(view.machines) do
@@ -101,7 +107,7 @@ local function active_numbers(view)
   return numbers
 end
 
--- Notes events without an effect, except those that the machine sends itself.
+-- Notes events without an effect, except events that the engine makes, such as e_done.
 local function add_lost(view, events)
   for i = 1, #events do
     if match.maker_of(events[i]) ~= "engine" and #view.lost < MAX_LOST then
@@ -116,7 +122,8 @@ local function text_of_path(at, path)
   return concat(texts, " \226\134\146 ")
 end
 
--- Adds an entry for an iteration to the log, if it has taken a path.
+-- Adds an entry to the log if the iteration has taken a path. If it has not, its events
+-- are noted as lost.
 local function note_step(view, fsm, events)
   local path = view.path[fsm]
   for i = 1, view.points[1] and #events or 0 do
@@ -153,7 +160,7 @@ local function new_listener(view)
   }
 end
 
---- Start, or stop, noting what the machine does.
+--- Observe the machine from now on, or no longer.
 function LocalView:observe(is_wanted)
   if is_wanted == (self.stream ~= false) then return end
   if self.stream then self.stream:stop() end
@@ -163,7 +170,7 @@ function LocalView:observe(is_wanted)
   self:touch()
 end
 
---- Leave the machine as it was.
+--- Stop observing; remove the hooks and printers of the view from the machine.
 function LocalView:close()
   self:observe(false)
   instrument.give_back(self.changes)
@@ -189,7 +196,7 @@ function LocalView:now()
   }
 end
 
---- Note the events that took no transition in the log, once the machine is idle.
+--- Add an entry to the log for events without an effect, once the machine is idle.
 function LocalView:settle()
   if self.lost[1] == nil then return end
   self.last_lost, self.lost = self.lost, {}
@@ -203,7 +210,8 @@ end
 
 -- Questions -----------------------------------------------------------------------
 
---- Return why the events that were last noted took no transition. Guards are called.
+--- Return a text that explains why the events in the last "lost" entry of the log take
+-- no transition. Guards are called.
 function LocalView:why()
   local _, text = rfsm_checks.why(self.fsm, unpack(self.last_lost))
   return utf8(text)
@@ -223,7 +231,7 @@ local function data_of(state)
   return texts
 end
 
---- Return what is known of a state; nil if there is none of that number.
+--- Return what is known of the state with a number; nil if no state has that number.
 function LocalView:inspect(number)
   local node = self.node_of[number]
   if not node then return nil end
@@ -238,14 +246,14 @@ function LocalView:inspect(number)
   return about
 end
 
---- Answer the command `inspect` of a page: return a problem, or nil and the answer.
+--- Answer the command `inspect` of a page. Return nil and the answer, or a problem.
 function LocalView.answer_inspect(source, message)
   local about = source.view:inspect(message.node)
   return not about and "node: number of a state expected" or nil, about
 end
 
---- Return a view of a machine, which is not observed yet. `clock` returns seconds for
--- the entries of the log.
+--- Make a view of a machine. It does not observe the machine yet. `clock` is a function
+-- that returns seconds, the times of entries in the log.
 function LocalView.new(fsm, clock)
   local view = View.create(LocalView, marsh.model2tab(fsm, true), clock)
   view.fsm, view.machines, view.numbers, view.node_of = fsm, rfsm.machines(fsm), {}, {}
