@@ -1,7 +1,7 @@
 --- A machine as a Mermaid state diagram, which GitHub and other web pages draw.
 --
--- The root has no frame, because Mermaid draws shallow diagrams better. Arrows of the
--- root begin at a box of that name.
+-- The root has no frame, because Mermaid draws shallow diagrams better. Arrows that
+-- begin or end at the root have a box with the root's name there.
 --
 -- @module rfsm.mermaid
 -- @license BSD-3-Clause
@@ -30,8 +30,9 @@ end
 
 -- Lines -----------------------------------------------------------------------
 
--- Returns the initials that are drawn as [*] and a diamond behind it. In Mermaid no
--- arrow can end at [*] where a composite begins, or lead out of it from there.
+-- Returns the initial connectors that are drawn as [*] with a diamond behind it. In
+-- Mermaid no arrow can end at the [*] of a composite, or lead from it out of the
+-- composite.
 local function find_diamonds(chart)
   local diamonds = {}
   local function note(node, is_plain)
@@ -45,7 +46,8 @@ local function find_diamonds(chart)
   return diamonds
 end
 
--- Mermaid has an element "root" of its own. No other node has the id "root_".
+-- The root gets the id "root_", because Mermaid uses "root" itself. No other node has
+-- it.
 local function id_of(node) return node.parent and node.id or node.id .. "_" end
 
 local function start_of(node, diamonds)

@@ -50,7 +50,8 @@ function names.nodes(fsm)
   return list, by_name
 end
 
---- Return a hint with the nearest name in a list: " (did you mean 'e_go'?)"; else "".
+--- Return a hint such as " (did you mean 'e_go'?)" with the nearest name in a list; ""
+--- if no name is near.
 function names.hint(name, list) return (advice.nearest_name(name, list)) end
 
 return names
