@@ -101,7 +101,7 @@ local function new_object(kind, x, id)
     .. "expected, got " .. (type(x) == "number" and text_of(x) or type(x)), 3)
 end
 
-local parsed = setmetatable({}, { __mode = "v" }) -- events by text; machines share them
+local parsed = setmetatable({}, { __mode = "v" }) -- time events by their texts
 
 -- Returns the time event that a text such as "e_after(3)" describes; nil for any other
 -- text. Also returns the problem if the text is a time event with wrong seconds.
@@ -319,8 +319,8 @@ local function raise_expired(fsm, is_relative, time, sec, nsec)
   fsm._timeevent[is_relative] = time + least * 1e-9 - MARGIN
 end
 
--- Raises time events; runs in every iteration. The literal 1e300, in place of `huge`,
--- saves the access to an upvalue.
+-- Raises the time events of an iteration. It runs in each one, so the literal 1e300 in
+-- place of `huge` saves the access to an upvalue.
 local function check_timers(fsm)
   local own = fsm._timeevent
   local soon, soon_at = own[true], own[false]
@@ -377,8 +377,8 @@ local function loaded_time(left, what)
   return sec, nsec
 end
 
--- Arms a timer with the time `left` from a snapshot; `true` if the deadline was not
--- known when the snapshot was taken.
+-- Arms a timer with the time `left` from a snapshot. `left` is `true` if the deadline
+-- was not known when the snapshot was taken.
 local function load_timer(fsm, timer, left)
   local now, now_nsec = 0, 0
   if left == true then return set(fsm, timer, false, 0) end

@@ -37,7 +37,7 @@ local fleet = {}
 ---@field connection rfsm.redis.Connection
 local Fleet = { where = "rfsm.fleet" }
 Fleet.__index = Fleet
-for name, f in pairs(Client) do Fleet[name] = f end -- any order: a copy
+for name, f in pairs(Client) do Fleet[name] = f end -- any order: it copies
 
 local function is_positive(x) return type(x) == "number" and x > 0 end
 
@@ -89,7 +89,7 @@ end
 
 -- Calls: keys and replies ---------------------------------------------------------
 
---- Return the key of a machine in Redis. An id that has a hash tag in braces is a key.
+--- Return the key of a machine in Redis. An id with a hash tag in braces is a key.
 ---@param id any
 ---@return string key
 ---@return string tag
@@ -140,8 +140,8 @@ function Fleet:history(id, count)
   return moves
 end
 
---- Call `f(leaf)` each time the active leaf of a machine changes. Return when `f` has
--- returned true.
+--- Call `f(leaf)` each time the active leaf of a machine changes, until `f` returns
+-- true. Only then does the function return.
 ---@param id any
 ---@param f fun(leaf: string): boolean?
 function Fleet:watch(id, f)
@@ -208,7 +208,7 @@ end
 ---@field stream string
 ---@field group string
 ---@field worker string the name of the worker
----@field options table
+---@field options table the options of `Fleet:work`
 ---@field count integer number of entries that were handled
 ---@field failures string[]
 
@@ -321,9 +321,10 @@ local WORK = {
 ---@param group string
 ---@param worker string a name that no other worker of the group has
 ---@param f fun(entry: table)
----@param options? { count: integer?, idle: integer?, tries: integer? } 100, 30000, 5
+---@param options? { count: integer?, idle: integer?, tries: integer? } by default
+-- `count` is 100, `idle` is 30000, and `tries` is 5
 ---@return integer count entries that were handled
----@return string[] failures errors of `f`, and a text for entries that killed workers
+---@return string[] failures errors of `f`, and a text for each entry never finished
 function Fleet:work(group, worker, f, options)
   local settings, problem = opts.read(WORK, options or {})
   if not settings then error("rfsm.fleet.work: " .. problem, 2) end
@@ -350,10 +351,10 @@ end
 ---@field tag string
 ---@field id string
 ---@field machine string
----@field what string
----@field data string JSON
----@field deliveries string
----@field error string
+---@field what string the emitted event
+---@field data string the event's data, in JSON
+---@field deliveries string how often a worker got the entry
+---@field error string the error of the last try
 ---@field group string the group in which the entry failed
 
 --- Return dead entries, the oldest of each hash tag first.

@@ -31,8 +31,7 @@ end
 -- Lines -----------------------------------------------------------------------
 
 -- Returns the initial connectors that are drawn as [*] with a diamond behind it. In
--- Mermaid no arrow can end at the [*] of a composite, or lead from it out of the
--- composite.
+-- Mermaid no arrow can end at the [*] of a composite, or leave the composite from it.
 local function find_diamonds(chart)
   local diamonds = {}
   local function note(node, is_plain)
@@ -46,8 +45,7 @@ local function find_diamonds(chart)
   return diamonds
 end
 
--- The root gets the id "root_", because Mermaid uses "root" itself. No other node has
--- it.
+-- The root gets the id "root_", because Mermaid uses "root" itself. The id is unique.
 local function id_of(node) return node.parent and node.id or node.id .. "_" end
 
 local function start_of(node, diamonds)
@@ -79,7 +77,7 @@ local function add_leaf(lines, depth, node)
   end
 end
 
--- A composite has no rows in Mermaid: they become a note beside it.
+-- In Mermaid a composite has no rows of text, so the rows become a note beside it.
 local function add_composite(lines, depth, node, add_members, diamonds)
   add_state(lines, depth, node, " {")
   add_members(lines, depth + 1, node, diamonds)

@@ -71,7 +71,7 @@ function monitor.gen_monitor_state(t)
   local problem = check_monitor(t)
   if problem then error("rfsm.monitor.gen_monitor_state: " .. problem, 2) end
   local state = {}
-  for key, value in pairs(t) do -- any order: each stands alone
+  for key, value in pairs(t) do -- any order: the fields are independent
     if not OWN[key] then state[key] = value end
   end
   state.doo = new_doo(t.montab, t.break_first or t.breakfirst)

@@ -14,7 +14,7 @@ local function code(character) return ("<U+%04X>"):format(character:byte()) end
 
 local function text_of(text)
   text = text:gsub('[\\"<&~%%]', code):gsub("/'", "/" .. code("'")):gsub("^ +$", code)
-  -- Two equal ones of these in a row begin or end bold, italic or other marked text.
+  -- Pairs of these characters begin or end bold, italic or other marked text.
   text = text:gsub("([*/_-])%1", function(one) return one .. code(one) end)
   return (text:gsub("\n", "\\n"))
 end

@@ -1,4 +1,4 @@
---- Bundles charts with the core as one library of Redis functions.
+--- Bundles charts and the core into one library of Redis functions.
 --
 -- The command `rfsm redis CHART...` calls this module. Redis 7 loads the library with
 -- FUNCTION LOAD. Its functions are those of `rfsm.server.functions`.
@@ -45,8 +45,8 @@ local names = { "create", "send", "send_at", "cancel", "tick", "wake", "hold",
 for i = 1, #names do register("rfsm_" .. names[i], i > 10 and "no-writes" or nil) end
 ]]
 
---- Return the name of a chart and its file. Both are in an argument of the command,
--- such as `lamp.lua` or `lamp=old/lamp.lua`.
+--- Return the name of a chart, and its file, from an argument of the command, such as
+-- `lamp.lua` or `lamp=old/lamp.lua`.
 ---@param argument string
 ---@return string name
 ---@return string file

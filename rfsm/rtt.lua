@@ -5,10 +5,10 @@
 -- `gen_write_fqn` makes a hook that writes the FQN of the active leaf. The launchers,
 -- `rfsm.rtt.component` and `rfsm.rtt.launch`, are loaded when they are used.
 --
--- Variables are made once and used again, so that reading, raising and writing allocate
--- nothing in the steady state. The module loads without RTT, and needs no rttlib. In a
--- Lua whose memory is a TLSF pool, loading this module makes the garbage collector work
--- harder, and machines do not use rfsm.fast.
+-- RTT's Variables are made once and reused, so that reading, raising and writing
+-- allocate nothing in the steady state. The module loads without RTT, and needs no
+-- rttlib. In a Lua whose memory is a TLSF pool, loading this module makes the garbage
+-- collector work harder, and machines do not use rfsm.fast.
 --
 -- @module rfsm.rtt
 -- @license BSD-3-Clause

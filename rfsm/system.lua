@@ -147,7 +147,7 @@ local function empty_wires(self)
   for i in ipairs(self.wires) do self.queues[i], self.lost[i] = {}, 0 end
 end
 
---- Put the system back to its beginning.
+--- Reset the machines and empty the wires.
 --
 -- After that no machine is entered, and no event waits.
 --
@@ -157,7 +157,7 @@ function System:reset()
 end
 
 --- Explore every configuration that the machines can reach together.
----@param options? table see `rfsm.system.report`
+---@param options? table the options of `explore` in `rfsm.system.report`
 ---@return rfsm.system.Report
 function System:explore(options)
   return require("rfsm.system.report").explore(self, options)

@@ -1,5 +1,5 @@
 --- Order: finds transitions that are never taken because others are tried before them.
---- Also finds two transitions of which the first is taken only because of its position.
+--- Also finds pairs of transitions of which one is taken only because it comes first.
 --
 -- @module rfsm.checks.priority
 -- @license BSD-3-Clause

@@ -25,12 +25,12 @@ local static = {}
 ---@class rfsm_checks.Finding
 ---@field code string the kind of finding, such as "dead-end"
 ---@field severity "error"|"warning"|"note"
----@field file string "chart.lua:7: "; empty if it is not known
----@field place string "root.trans[2] (off -> on)", in a region "root.par.left: root.a"
+---@field file string file and line, such as "chart.lua:7: "; empty if not known
+---@field place string location: "root.trans[2] (off -> on)" or "root.par.left: root.a"
 ---@field text string one sentence
 ---@field hint string a remedy
 ---@field witness? rfsm_checks.WitnessStep[] the run by which an exploration found it
----@field run? rfsm_checks.WitnessStep[] a run that shows it, if a check has found it
+---@field run? rfsm_checks.WitnessStep[] for a static finding, a run that shows it, too
 
 --- A check: calls `add` for each finding about a machine. `reached` is the set of the
 --- nodes that some path of transitions leads to.
@@ -61,7 +61,7 @@ local function is_silenced(obj, code) return is_reason(silences_of(obj)[code]) e
 --- A list of findings.
 ---@class rfsm_checks.Findings
 ---@field [integer] rfsm_checks.Finding
----@field silenced table<string, true> findings that elements expect: "root.a dead-end"
+---@field silenced table<string, true> findings that elements silence: "root.a dead-end"
 ---@field told table<string, true> findings in the list: "dead-end root.a no exit, ..."
 local Findings = {}
 Findings.__index = Findings
@@ -114,7 +114,7 @@ function Findings:join(others)
     if same then same.run = finding.witness else more[#more + 1] = finding end
   end
   for _, finding in ipairs(more) do self[#self + 1] = finding end
-  for note in pairs(others.silenced) do self.silenced[note] = true end -- a set
+  for note in pairs(others.silenced) do self.silenced[note] = true end -- any order
 end
 
 --- Append a finding for each entry in a field `checks` that has silenced nothing.

@@ -95,8 +95,7 @@ end
 
 -- Commands --------------------------------------------------------------------------
 
--- Returns a command. Without `run` it does what the command of this name does for
--- charts.
+-- Returns a command. Without `run` it runs the command of the same name for charts.
 local function command(usage, brief, run, fsm)
   local name = usage:match("^[%w_]+")
   return { name = name, usage = usage, brief = brief, fsm = fsm,

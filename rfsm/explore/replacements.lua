@@ -29,7 +29,7 @@ local function is_list(value)
     return false
   end
   local count = 0
-  for _ in pairs(value) do count = count + 1 end -- any order: a number
+  for _ in pairs(value) do count = count + 1 end -- any order: it counts
   return count == #value
 end
 

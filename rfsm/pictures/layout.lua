@@ -1,8 +1,7 @@
 --- Charts as graphs in which everything has its position, so that Graphviz only draws.
 --
--- There are two layouts. `rfsm.pictures.levels` lays out composite by composite;
--- `rfsm.pictures.plain` reads Graphviz' layout of the whole chart. The better one is
--- drawn.
+-- There are two layouts. `rfsm.pictures.levels` lays out composite by composite, and
+-- `rfsm.pictures.plain` reads Graphviz' layout of the chart. The better one is drawn.
 --
 -- @module rfsm.pictures.layout
 -- @license BSD-3-Clause
@@ -27,10 +26,9 @@ local layout = {}
 ---@field width number
 ---@field height number
 ---@field places table<rfsm.pictures.Node, rfsm.pictures.Place>
----@field lines { points: number[][], tip: number[], label?: number[] }[] by arrow
+---@field lines { points: number[][], tip: number[], label?: number[] }[] of arrows
 
---- The place of a node: its middle. A composite has the middle of its header, and a
--- frame.
+--- The place of a node: its middle. A composite has its header's middle, and a frame.
 ---@class rfsm.pictures.Place
 ---@field x number
 ---@field y number
@@ -59,7 +57,7 @@ local function move(places, composite, left, bottom)
   end
 end
 
--- Joins the lines of an arrow's links, one for each level, to one line.
+-- Joins the lines of an arrow's links to one line.
 local function line_of(arrow, direction)
   local line, tip, label, axis = {}, nil, nil, direction == "TB" and 1 or 2
   for _, link in ipairs(arrow.links) do

@@ -37,7 +37,7 @@ end
 
 local MISSING = { Redis = {}, PostgreSQL = { "bit", "struct", "cmsgpack", "redis",
   "unpack", "loadstring" } }
-for _, list in pairs(MISSING) do -- any order: each stands alone
+for _, list in pairs(MISSING) do -- any order: the lists are independent
   for name in ("os io debug package dofile loadfile setfenv getfenv"):gmatch "%l+" do
     list[#list + 1] = name
   end
@@ -49,8 +49,7 @@ local function is_key(code, from, behind)
   return before == "." or before == ":" or code:find("^%s*=[^=]", behind)
 end
 
--- Finds the first use of a library that the server lacks. Returns the position and
--- name.
+-- Returns position and name of the first library in a text that the server lacks.
 local function find_missing(code, server)
   local first, found = nil, nil
   for _, name in ipairs(MISSING[server]) do
@@ -124,8 +123,7 @@ local function new_load(globals)
   end
 end
 
--- The function `require` that charts get. It finds rfsm and modules in plain Lua, and
--- no library such as `os`.
+-- The function `require` that charts get. It refuses a library that is not plain Lua.
 local function find_module(name)
   local is_plain = HERE[name] or type(name) ~= "string" or name:find("^rfsm")
     or files.find((name:gsub("%.", "/")))
@@ -184,7 +182,7 @@ function sandbox.run(text, here, server, log)
   local globals = new_globals(server)
   globals.rfsm, globals.rfsm_timeevent, globals.bit, globals.struct = nil, nil, nil, nil
   rawset(globals, "jit", rawget(_G, "jit")) -- the core reads this global
-  for name, value in pairs(here) do globals[name] = value end -- any order: a copy
+  for name, value in pairs(here) do globals[name] = value end -- any order
   local f, problem = calls.load(text, "=rfsm", globals)
   if not f then error(problem, 0) end
   return f(log, globals)

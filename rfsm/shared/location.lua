@@ -75,14 +75,14 @@ end
 --- empty for findings about the machine itself.
 function location.prefix(prefix) return prefix ~= "root" and prefix .. ": " or "" end
 
---- Return the location of an element, for one in a region "root.par.left: root.a".
+--- Return the location of an element, such as "root.par.left: root.a" in a region.
 function location.in_words(obj, prefix)
   return location.prefix(prefix) .. location.of(obj)
 end
 
---- Raise an error which states that no element of a kind has the name.
+--- Raise an error which says that no element of a kind has the name.
 ---@param name any
----@param kind string "state"
+---@param kind string such as "state"
 ---@param names string[] the names that exist
 function location.refuse_name(name, kind, names)
   error(("no %s is named '%s'%s"):format(kind, rfsm.text_of(name),
@@ -123,8 +123,7 @@ function location.name_of(node, prefix, is_target)
   return (location.path(node, prefix):gsub("^root%.", ""))
 end
 
--- Returns the text of an event. If it ends in "@" and the FQN of the transition's
--- source, this end is left out.
+-- Returns the text of an event, without "@" and the FQN of its transition's source.
 local function event_text(event, tr)
   if type(event) == "function" then return "a predicate" end
   local text, behind = rfsm.text_of(event), "@" .. tr.src._fqn

@@ -89,7 +89,7 @@ local function problem_of_missing(sim, name, list)
   return "nothing is named " .. name .. hint
 end
 
--- Returns a complaint if a line is only a name, and this is an event or does not exist.
+-- Returns a complaint if a line is only the name of an event, or an unknown name.
 local function problem_of_name(sim, text)
   local name = text:match("^%s*([%a_][%w_]*)%s*$")
   if not name or sim.env[name] ~= nil or not load("local " .. name) then return nil end
@@ -192,7 +192,7 @@ local function words_after(sim, before)
     words[#words + 1] = "fsm" .. name:match("%..*")
   end
   if kind == "points" and not before:find("%sif%s") then return words, {} end
-  for name in pairs(sim.env) do words[#words + 1] = name end -- any order: sorted
+  for name in pairs(sim.env) do words[#words + 1] = name end -- any order: sorted later
   for name in pairs(rfsm) do words[#words + 1] = "rfsm." .. name end
   return words, {}
 end

@@ -36,7 +36,7 @@ local is_busy = false -- true while C code calls Lua: the hook must not raise an
 
 --- A counter of Control-C, made with luaposix or luv.
 ---@class rfsm.sim.Counter
----@field look fun() lets the handler of a signal that has come run
+---@field look fun() runs the handler of a signal that has come
 ---@field wait fun(): boolean waits for a key or a signal; returns whether a key came
 
 local poll
@@ -80,7 +80,7 @@ local function luv_counter()
   }
 end
 
---- Has Control-C been typed since the last look?
+--- Has Control-C been typed since the last call of this function?
 function terminal.is_interrupted()
   local was_busy = is_busy
   is_busy = true
@@ -103,7 +103,7 @@ function terminal.catch_interrupts()
   counter = posix_counter() or luv_counter()
   if not counter then return end
   sethook(poll, "", PERIOD)
-  if jit then jit.off() end -- its code calls no hook
+  if jit then jit.off() end -- compiled code calls no hook
 end
 
 --- Set the debug hook again, because other code may have replaced it.
@@ -114,7 +114,7 @@ end
 --- Is Control-C caught?
 function terminal.is_caught() return counter ~= nil end
 
---- Return a callback that Control-C can end in a coroutine, by setting the hook there.
+--- Wrap a callback so that Control-C ends it also in a coroutine that has no hook.
 function terminal.interruptible(callback)
   return function(...)
     sethook(poll, "", PERIOD)

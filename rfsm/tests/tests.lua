@@ -151,7 +151,7 @@ local function told_of(walk, own, edge, waits)
   return what
 end
 
--- May an event that no transition names trigger one of those tried in `leaf`?
+-- May an event that no transition names trigger a transition that is tried in `leaf`?
 local function takes_any(part, leaf)
   for _, node in ipairs(leaf and location.line(part.fsm, leaf) or {}) do
     for _, tr in ipairs(node._otrs) do
@@ -238,7 +238,7 @@ function tests.plan(model, options)
     local module = match.maker_of(event) and advice.module_for(event)
     if module then result.modules[module] = true end
   end
-  for _, list in pairs(walk.edges) do -- any order: a set
+  for _, list in pairs(walk.edges) do -- any order: `left` is a set
     for _, edge in ipairs(list) do
       for _, key in ipairs(edge.shows) do left[key] = true end
     end
@@ -317,7 +317,7 @@ local RUNS = {
 local BEGIN = "-- rfsm check --tests: what stands from here ...\n"
 local END = "-- rfsm check --tests: ... to here is written anew.\n"
 
-local WIDTH = 88 -- of a line
+local WIDTH = 88 -- columns of a line in the spec
 
 local function add_step(lines, step)
   local call, result = step_text(step.what), quoted(step.result)
@@ -360,7 +360,7 @@ local function file_text(file, output)
   return "here .. " .. quoted(folder:gsub("%.?[^/]*/", "../") .. file)
 end
 
--- Returns the text of a spec, or an old spec with new runs between its two marks.
+-- Returns the spec `old` with new runs between its marks; without `old`, a new spec.
 local function merge(old, head, body)
   if not old or old == "" then return head .. BEGIN .. body .. END end
   local _, from = old:find(BEGIN, 1, true)

@@ -28,7 +28,7 @@ local BEAT_TIME = 15 -- seconds without a message until a heartbeat
 
 -- Seconds that a phase of a connection may take. "reading" ends when the request is
 -- complete, "writing" when the client has taken the reply, "closing" when the client
--- closes the connection. The client of a stream has so long to take a message.
+-- closes the connection. In a "stream" the client must take each message in this time.
 local MAX_TIME = { reading = 5, writing = 30, closing = 2, stream = 30 }
 
 -- Requests --------------------------------------------------------------------
