@@ -306,7 +306,7 @@ local function raise_sends(fsm, events, sec, nsec)
 end
 
 -- Appends the events of expired timers, and sends that are due, to the current events.
--- After an interrupt an event may be appended twice, which has the effect of once.
+-- After an interrupt an event may be appended twice, with the same effect as once.
 local function raise_expired(fsm, is_relative, time, sec, nsec)
   if not time then return report_clock(fsm, sec) end
   local events, expired, least = fsm._curq, find_expired(fsm, is_relative, sec, nsec)

@@ -43,7 +43,7 @@ function location.line(fsm, node)
 end
 
 --- List the nodes whose transitions are tried while a leaf is active, in order. If
---- `leaf` is false, the machine was not entered.
+--- `leaf` is false, the machine was not entered, and the node is its initial connector.
 function location.tried(fsm, leaf)
   if leaf then return location.line(fsm, leaf) end
   return { rfsm.is_composite(fsm) and fsm.initial or nil }

@@ -142,7 +142,7 @@ function prompt.install(sim)
   for _, command in ipairs(sim.commands.list) do
     env[command.name] = function(...) return command.run(sim, ...) end
   end
-  function sim.compile(text, name) -- an expression
+  function sim.compile(text, name) -- the text is an expression
     local chunk, problem = load_in(env, "return " .. text, "=" .. name)
     return chunk or error(problem, 0)
   end

@@ -27,7 +27,7 @@ end
 -- Control-C, any number of times --------------------------------------------------
 --
 -- The interpreter alone survives only the first Control-C. So luaposix (or luv) counts
--- them, and a debug hook raises an error for each, also in a doo.
+-- each Control-C, and a debug hook raises an error for it, also in a doo.
 
 local PERIOD = 10000 -- VM instructions between two checks for Control-C
 local counter -- the counter, made with luaposix or luv, once interrupts are caught

@@ -209,7 +209,7 @@ end
 
 -- Public functions ..................................................................
 
---- How tests are made.
+--- Options for the planning of tests.
 ---@class rfsm_checks.TestOptions
 ---@field callbacks? boolean run entries, exits and effects
 ---@field stub? boolean load the file with stubs in place of missing modules
