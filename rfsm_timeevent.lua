@@ -7,8 +7,8 @@
 --
 -- The entry of a state notes the time once for all its timers. Most iterations only
 -- compare the clock with one number, a time before which no timer expires. The number
--- is -huge while an entry or a search for expired timers is under way, so that after an
--- interrupt the next iteration searches all timers.
+-- is -huge during an entry, and only the end of a search for expired timers raises it,
+-- so that after an interrupt the next iteration searches all timers.
 --
 -- `send_after` sends an event later, whatever state is active then.
 --
@@ -26,7 +26,8 @@ local is_callable, report, text_of = rfsm.is_callable, rfsm.report, rfsm.text_of
 
 local rfsm_timeevent = {}
 
--- In place of rfsm/clock.lua, if that is not there: reads os.time, gives clocks no id.
+-- Makes a clock in place of rfsm/clock.lua if that file is missing. It reads os.time,
+-- or calls the clock of the machine or process, without a clock id.
 local function new_clock()
   local function read_day() return rawget(_G, "os").time(), 0 end
   local hook = read_day
@@ -56,27 +57,27 @@ local function normalise(sec, nsec)
   return whole + floor((nsec - rest) / 1e9), rest
 end
 
--- Returns the seconds and nanoseconds of a text such as "0.25", which no float rounds,
--- or "1e-3"; nil if it is no number of seconds.
+-- Returns the whole seconds and nanoseconds of a text such as "0.25" or "1e-3"; nil if
+-- the text is no number. Digits such as "0.25" are split as text, so no float rounds.
 local function from_text(text)
   local whole, fraction = text:match("^%s*(%d*)%.?(%d*)%s*$")
   if not whole then
     local number = text:match("^%s*%d*%.?%d*[eE][+-]?%d+%s*$") and tonumber(text)
     if number then return normalise(number, 0) end
   elseif whole .. fraction ~= "" then
-    local digits = (fraction .. ("0"):rep(10)):sub(1, 10) -- the tenth is rounded
+    local digits = (fraction .. ("0"):rep(10)):sub(1, 10) -- the tenth rounds the ninth
     return normalise(tonumber("0" .. whole), floor(tonumber(digits) / 10 + 0.5))
   end
 end
 
---- A time event made by `e_after` or `e_at`, or of a text.
+--- A time event, made by `e_after` or `e_at`, or parsed from a text.
 ---@class rfsm_timeevent.Timeevent
----@field name string as a text: "e_after(3)"
----@field is_relative boolean e_after, not e_at
----@field sec? number seconds
----@field nsec? number nanoseconds
----@field timeout? fun(id: any): number returns the seconds at each entry
----@field id? any its argument
+---@field name string the text of the event: "e_after(3)"
+---@field is_relative boolean true for e_after, false for e_at
+---@field sec? number whole seconds; absent if `timeout` returns the time
+---@field nsec? number nanoseconds in addition to `sec`
+---@field timeout? fun(id: any): number called at each entry, returns the seconds
+---@field id? any the argument of `timeout`
 local Timeevent = {}
 
 function Timeevent.__tostring(event) return event.name end
@@ -86,7 +87,7 @@ local function new_event(kind, name, sec, nsec)
     nsec = nsec }, Timeevent)
 end
 
--- Makes the object of e_after or e_at, and blames their caller for a wrong value.
+-- Makes an event for `e_after` or `e_at`. An error about `x` blames their caller.
 local function new_object(kind, x, id)
   if is_callable(x) then
     local shown = id == nil and "function" or text_of(id)
@@ -100,10 +101,10 @@ local function new_object(kind, x, id)
     .. "expected, got " .. (type(x) == "number" and text_of(x) or type(x)), 3)
 end
 
-local parsed = setmetatable({}, { __mode = "v" }) -- events by text; machines share them
+local parsed = setmetatable({}, { __mode = "v" }) -- time events by their texts
 
--- Returns the event of a text such as "e_after(3)"; nil for any other text, and the
--- problem if it looks like a time event.
+-- Returns the time event that a text such as "e_after(3)" describes; nil for any other
+-- text. Also returns the problem if the text is a time event with wrong seconds.
 local function parse(text)
   if parsed[text] then return parsed[text] end
   local kind = text:match("^(e_after)%s*%(") or text:match("^(e_at)%s*%(")
@@ -119,39 +120,41 @@ end
 
 -- Run: arm, raise ------------------------------------------------------------------
 
---- The field `_timeevent` of a machine. Its keys `true` and `false` have the seconds
--- before which no e_after, or no e_at, expires; huge if none is armed.
+--- The field `_timeevent` of a machine. In its field `[true]` is the time, in seconds,
+-- before which no e_after expires and no send is due; in `[false]` is the time before
+-- which no e_at expires. A time is huge if nothing is armed.
 ---@class rfsm_timeevent.Own
----@field has_timers boolean a state has timers
----@field has_at boolean one of them is an e_at
----@field is_unusual boolean one of them is an e_at, or has a timeout function
----@field sends rfsm_timeevent.Send[] events to be sent later, the next one last
+---@field has_timers boolean a state of the machine has timers
+---@field has_at boolean a timer of the machine is an e_at
+---@field is_unusual boolean a timer is an e_at or has a timeout function
+---@field sends rfsm_timeevent.Send[] events to be sent later; the last is sent first
 
---- The list of the timers of a state, its field `_timers`.
+--- The timers of a state, in a list: the field `_timers` of the state.
 ---@class rfsm_timeevent.Timers
----@field sec number|false the time of the latest entry; false: it is not known
----@field nsec number
----@field delay number|false of the shortest e_after; huge: all have functions
----@field entry integer number of the latest entry
+---@field sec number|false seconds on the clock at the latest entry; false: not known
+---@field nsec number nanoseconds in addition to `sec`
+---@field delay number|false seconds of the shortest e_after, less MARGIN; huge if each
+-- e_after has a function, false if there is no e_after
+---@field entry integer how often the state has been entered
 
---- A timer. It is armed with all timers of its state when that is entered.
+--- A timer. The entry of a state arms all timers of the state.
 ---@class rfsm_timeevent.Timer
----@field name string of the event that it raises
+---@field name string the event that the timer raises: "e_after(3)@root.a"
 ---@field event rfsm_timeevent.Timeevent
----@field timers rfsm_timeevent.Timers the list that it is in
----@field entry integer|false if it is that of `timers`, this timer was set alone
----@field sec number|false the deadline that was set; huge: not armed, false: not known
----@field nsec number
----@field left number nanoseconds until it expires, at the last search
----@field rank integer its position among all timers, at the last search
+---@field timers rfsm_timeevent.Timers the list that has this timer
+---@field entry integer|false the number of the entry for which `sec` and `nsec` hold
+---@field sec number|false seconds of the deadline; huge: not armed, false: not known
+---@field nsec number nanoseconds in addition to `sec`
+---@field left number nanoseconds until the deadline, at the latest search
+---@field rank integer position of the timer in the list of the latest search
 
-local MARGIN = 0.001 -- seconds; more than a time in one number may be rounded by
+local MARGIN = 0.001 -- seconds; greater than the rounding error of a time in one number
 
 local function report_clock(fsm, reason)
   report(fsm, "err", "TIMEEVENT", "the clock failed: ", reason)
 end
 
--- Is it an e_after in seconds? Then the time of the entry gives the deadline.
+-- Is it an e_after without a function? Its deadline follows from the time of the entry.
 local function is_usual(event) return event.is_relative and event.sec end
 
 -- Returns the deadline of a timer; false if it is not known.
@@ -162,8 +165,8 @@ local function deadline_of(timer)
   return timers.sec + event.sec, timers.nsec + event.nsec
 end
 
--- Sets the deadline of one timer, and returns it. `entry` is written last, so that an
--- interrupt leaves no half of a deadline.
+-- Sets the deadline of one timer, and returns it. `timer.entry` makes the deadline
+-- valid. It is written last, so that an interrupt leaves no half-written deadline.
 local function set(fsm, timer, sec, nsec)
   local own, kind = fsm._timeevent, timer.event.is_relative
   timer.entry = false
@@ -173,7 +176,8 @@ local function set(fsm, timer, sec, nsec)
   return sec, nsec
 end
 
--- Returns the seconds and nanoseconds of a timer's event; huge if its function fails.
+-- Returns the seconds and nanoseconds of a timer's event, from its function if it has
+-- one; huge if the function fails.
 local function duration_of(fsm, timer)
   local event = timer.event
   if not event.timeout then return event.sec, event.nsec end
@@ -191,7 +195,8 @@ local function duration_of(fsm, timer)
   return huge, 0
 end
 
--- Arms one timer, from a time on, which may be false: not known. Returns its deadline.
+-- Arms one timer, and returns its deadline. An e_after counts from the time `sec`,
+-- `nsec`; if `sec` is false, its deadline stays unknown.
 local function arm(fsm, timer, sec, nsec)
   local is_relative = timer.event.is_relative
   if is_relative and not sec then return set(fsm, timer, false, 0) end
@@ -206,7 +211,7 @@ local function arm_now(fsm, timer)
   arm(fsm, timer, time and sec, nsec)
 end
 
--- Arms the functions among the timers of a state, and the e_at.
+-- Arms the timers of a state that have a function or an e_at.
 local function arm_unusual(fsm, timers)
   for _, timer in ipairs(timers) do
     if not is_usual(timer.event) then arm(fsm, timer, timers.sec, timers.nsec) end
@@ -251,13 +256,14 @@ local function expires_before(a, b)
   return a.rank < b.rank
 end
 
--- Returns the nanoseconds from a time to another one.
+-- Returns the nanoseconds from the time `now` until the time `sec`, negative if `sec`
+-- has passed. Each time is given as seconds and nanoseconds.
 local function time_left(sec, nsec, now, now_nsec)
   return floor((sec - now) * 1e9 + (nsec - now_nsec) + 0.5)
 end
 
--- Lists the timers of one kind that have expired, in order. Arms those whose deadline
--- is not known. Returns also the nanoseconds until the first of the others expires.
+-- Lists the expired timers of one kind, e_after or e_at, the earliest first. Arms those
+-- without a known deadline. Also returns the nanoseconds until the next timer expires.
 local function find_expired(fsm, is_relative, now, now_nsec)
   local list, count, least = list_timers(fsm), 0, huge
   for rank = 1, #list do
@@ -279,14 +285,14 @@ local function find_expired(fsm, is_relative, now, now_nsec)
   return list, least
 end
 
--- Returns the send that comes next, and the nanoseconds until then; huge without one.
+-- Returns the next event to send, and the nanoseconds until then; nil and huge if none.
 local function next_send(fsm, sec, nsec)
   local sends = fsm._timeevent.sends
   local send = sends[#sends]
   return send, send and time_left(send.sec, send.nsec, sec, nsec) or huge
 end
 
--- Adds the events whose time has come. Returns the nanoseconds until the next one.
+-- Moves due sends to the list `events`. Returns the nanoseconds until the next send.
 local function raise_sends(fsm, events, sec, nsec)
   local sends = fsm._timeevent.sends
   local send, left = next_send(fsm, sec, nsec)
@@ -299,8 +305,8 @@ local function raise_sends(fsm, events, sec, nsec)
   return left
 end
 
--- Appends the events whose time has come to the current ones. If this is cut short, an
--- event may be appended twice, which means the same.
+-- Appends the events of expired timers, and sends that are due, to the current events.
+-- After an interrupt an event may be appended twice, with the same effect as once.
 local function raise_expired(fsm, is_relative, time, sec, nsec)
   if not time then return report_clock(fsm, sec) end
   local events, expired, least = fsm._curq, find_expired(fsm, is_relative, sec, nsec)
@@ -313,7 +319,8 @@ local function raise_expired(fsm, is_relative, time, sec, nsec)
   fsm._timeevent[is_relative] = time + least * 1e-9 - MARGIN
 end
 
--- This runs in every iteration. 1e300 stands for huge: a literal costs no upvalue.
+-- Raises the time events of an iteration. It runs in each one, so the literal 1e300 in
+-- place of `huge` saves the access to an upvalue.
 local function check_timers(fsm)
   local own = fsm._timeevent
   local soon, soon_at = own[true], own[false]
@@ -335,7 +342,7 @@ end
 
 -- Snapshots: timers are kept with the time that is left, by their names ------------
 
-local MAX_EXACT = 1000000 -- seconds; below, one number holds the nanoseconds, too
+local MAX_EXACT = 1000000 -- seconds; one number below this is exact to the nanosecond
 
 local function kept_time(sec, nsec)
   sec, nsec = normalise(sec, nsec)
@@ -359,7 +366,8 @@ local function save(fsm)
   return left
 end
 
--- Returns the seconds and nanoseconds of a time in a snapshot: a number, or both.
+-- Returns the seconds and nanoseconds of a time in a snapshot. The snapshot has one
+-- number of seconds, or a list of seconds and nanoseconds.
 local function loaded_time(left, what)
   local sec, nsec = left, 0
   if type(left) == "table" then sec, nsec = left[1], left[2] end
@@ -369,7 +377,8 @@ local function loaded_time(left, what)
   return sec, nsec
 end
 
--- Arms a timer with the time in a snapshot, or `true` if the snapshot does not know it.
+-- Arms a timer with the time `left` from a snapshot. `left` is `true` if the deadline
+-- was not known when the snapshot was taken.
 local function load_timer(fsm, timer, left)
   local now, now_nsec = 0, 0
   if left == true then return set(fsm, timer, false, 0) end
@@ -378,8 +387,8 @@ local function load_timer(fsm, timer, left)
   set(fsm, timer, sec + now, nsec + now_nsec)
 end
 
--- Timers follow the chart: in a migration a new timer is armed from now on, and a timer
--- that the chart does not have is dropped.
+-- Loads the timers of a snapshot. In a migration to a changed chart, a timer that is
+-- new in the chart is armed from now on, and a timer that the chart lacks is dropped.
 local function load(fsm, left, how)
   local own, is_known = fsm._timeevent, {}
   left = left or {}
@@ -402,16 +411,16 @@ end
 
 -- Sends: events whose time comes later ---------------------------------------------
 
---- An event to be sent.
+--- A send: an event of `send_after` that waits for its time.
 ---@class rfsm_timeevent.Send
 ---@field event any
----@field id any the one for `cancel`
----@field sec number the time for it, in seconds
----@field nsec number
+---@field id any the id by which `cancel` finds the event, or nil
+---@field sec number the time at which the event is sent, in whole seconds
+---@field nsec number nanoseconds in addition to `sec`
 
 local function drop_sends(fsm) fsm._timeevent.sends = {} end
 
--- Lists f(send) for each send, the next one first; nil if there is none.
+-- Lists f(send) for each waiting send, the earliest first. Returns nil if none waits.
 local function list_sends(fsm, f)
   local sends, list = fsm._timeevent and fsm._timeevent.sends or {}, {}
   for at = #sends, 1, -1 do list[#list + 1] = f(sends[at]) end
@@ -422,7 +431,8 @@ local function event_of(send) return send.event end
 
 local function list_waiting(fsm) return list_sends(fsm, event_of) end
 
--- Adds the hook that raises events to a machine, in front of hooks that look at events.
+-- Gives a machine the hook that raises its time events. The hook is called before all
+-- hooks that look at the events.
 local function prepare_machine(fsm)
   if fsm._timeevent then return end
   fsm._timeevent = { [true] = huge, [false] = huge, has_timers = false, has_at = false,
@@ -432,9 +442,9 @@ local function prepare_machine(fsm)
   rfsm.waiting_hook_add(fsm, list_waiting)
 end
 
--- Adds a send. In the list it stands before all that come sooner: those of an earlier
--- time, and those of the same time that were added earlier. `own[true]` is set first:
--- an interrupt in between must not leave a send at which `check_timers` does not look.
+-- Inserts a send into the list, which is sorted by time, the latest first. Of sends
+-- with the same time the one added first comes last, so it is sent first. `own[true]`
+-- is set before, so that `check_timers` finds the send even after an interrupt.
 local function add_send(fsm, event, id, sec, nsec)
   local own = fsm._timeevent
   local sends, from, to = own.sends, 1, #own.sends
@@ -481,7 +491,8 @@ end
 
 -- Prepare: the events of a model become timers -------------------------------------
 
--- Gives a state its timers, and a hook that starts them when it is entered.
+-- Returns the list of timers of a state. The first call makes the list, and adds the
+-- entry hook that arms the timers.
 local function prepare_timers(fsm, state)
   prepare_machine(fsm)
   if not fsm._timeevent.has_timers then
@@ -495,8 +506,9 @@ local function prepare_timers(fsm, state)
   return state._timers
 end
 
--- Returns the name of an event at its source, and whether a timer there has that name
--- already and always expires together with the event.
+-- Returns the name of an event in the state `fqn`: "e_after(3)@root.a", with a number
+-- if the name is taken. Also returns true if `timers` has a timer of this name that
+-- always expires at the same time, which the event can share.
 local function find_name(timers, event, fqn)
   local name, count = event.name .. "@" .. fqn, 1
   for _, timer in ipairs(timers) do
@@ -522,10 +534,11 @@ local function add_timer(fsm, state, name, event)
   end
   own.has_at = own.has_at or not event.is_relative
   own.is_unusual = own.is_unusual or not is_usual(event)
-  if state._mode ~= "inactive" then arm_now(fsm, timer) end -- merged
+  if state._mode ~= "inactive" then arm_now(fsm, timer) end -- a merge
 end
 
--- Returns the name of a time event at the source of `tr`, a state that gets a timer.
+-- Gives the source state of `tr` a timer for a time event. Returns the name of the
+-- event with the FQN of this state.
 local function expand(fsm, tr, event)
   local src = tr.src
   if not rfsm.is_state(src) then
@@ -538,7 +551,7 @@ local function expand(fsm, tr, event)
   return name
 end
 
--- Expands a text; also the time events in one such as "await(e_a, e_after(2))".
+-- Expands each time event in a text, also in a text such as "await(e_a, e_after(2))".
 local function expand_text(fsm, tr, text)
   local _, problem = parse(text)
   if problem then
@@ -552,9 +565,10 @@ local function expand_text(fsm, tr, text)
   end))
 end
 
--- The first preproc function, because it makes names of the time events in an await.
+-- This is the first preproc function, because the time events inside an "await(...)"
+-- must have their names before rfsm.await reads them.
 insert(rfsm.preproc, 1, function(fsm, merged)
-  -- in each machine, since one that has sent nothing may load a snapshot with sends
+  -- Each machine gets this hook: it may load a snapshot with sends before it has any.
   if not merged then rfsm.snapshot_hook_add(fsm, "sends", save_sends, load_sends) end
   for _, tr in ipairs(rfsm.elements(merged or fsm, rfsm.is_trans)) do
     for i, event in ipairs(tr.events) do
@@ -581,15 +595,17 @@ end
 --    local e_after = rfsm_timeevent.e_after
 --    rfsm.trans { src = "green", tgt = "red", events = { e_after(2.5) } }
 --
----@param x number|fun(id: any): number seconds, or a function called at each entry
----@param id? any the argument of that function; part of the event's name
+---@param x number|fun(id: any): number seconds, or a function that is called at each
+-- entry and returns the seconds
+---@param id? any argument of this function; it is also part of the event's name
 ---@return rfsm_timeevent.Timeevent event
 ---@nodiscard
 function rfsm_timeevent.e_after(x, id) return (new_object("e_after", x, id)) end
 
 --- Make an event that comes when the clock shows more than `x`, if its state is active.
----@param x number|fun(id: any): number as of e_after
----@param id? any
+---@param x number|fun(id: any): number seconds on the clock, or a function that is
+-- called at each entry and returns them
+---@param id? any argument of this function; it is also part of the event's name
 ---@return rfsm_timeevent.Timeevent event
 ---@nodiscard
 function rfsm_timeevent.e_at(x, id) return (new_object("e_at", x, id)) end
@@ -602,12 +618,12 @@ function rfsm_timeevent.is_timeevent(value)
   return type(value) == "string" and parse((value:gsub("@.*$", ""))) ~= nil
 end
 
---- Set the clock of the process: that of each machine without a field `gettime`.
+--- Set the clock of the process, which machines without a field `gettime` read.
 --
--- Set it before machines run: armed timers keep their times. A clock returns seconds
--- and nanoseconds, or nanoseconds in one number. It is for e_after and e_at. One that
--- wants a clock id is given "CLOCK_MONOTONIC" or "CLOCK_REALTIME"; that of RTT is for
--- e_after alone.
+-- Set it before machines run, because armed timers keep their deadlines. A clock
+-- returns seconds and nanoseconds, or one number of nanoseconds. It serves e_after and
+-- e_at. A clock that needs a clock id is called with "CLOCK_MONOTONIC" for e_after and
+-- "CLOCK_REALTIME" for e_at. The clock of RTT serves e_after only.
 --
 ---@param gettime? fun(id?: string): number, number? nil for the best clock installed
 function rfsm_timeevent.set_gettime_hook(gettime)
@@ -618,21 +634,23 @@ function rfsm_timeevent.set_gettime_hook(gettime)
   clock.set_hook(gettime)
 end
 
--- Returns the seconds until the first timer of one kind fires; huge: there is none.
+-- Returns the seconds until the next timer of one kind, e_after or e_at, expires; huge
+-- if no such timer is armed.
 local function remaining(fsm, is_relative)
   if fsm._timeevent[is_relative] == huge or not list_timers(fsm)[1] then return huge end
   local expired, least = find_expired(fsm, is_relative, read_or_raise(fsm, is_relative))
   return expired[1] and 0 or (least + 1) / 1e9
 end
 
--- Returns the seconds until the next event is sent; huge: there is none.
+-- Returns the seconds until the next event of `send_after` is sent; huge if none waits.
 local function until_send(fsm)
   if not fsm._timeevent.sends[1] then return huge end
   local _, left = next_send(fsm, read_or_raise(fsm, true))
   return left < 0 and 0 or (left + 1) / 1e9
 end
 
--- Returns the seconds until a machine or an active region of it raises the next event.
+-- Returns the seconds until a machine, or an active region in it, raises its next time
+-- event or sends an event; huge if neither is to come.
 local function earliest(fsm)
   local least, state = huge, fsm._mode ~= "inactive" and fsm
   if fsm._timeevent then
@@ -647,21 +665,21 @@ local function earliest(fsm)
   return least
 end
 
---- Send an event to a machine when more than some seconds have passed.
+--- Send an event to a machine when more than `seconds` have passed.
 --
--- The machine's clock counts, and the state that is active then does not. Events of one
--- time are sent in the order of these calls.
+-- The time is measured by the machine's clock. The event is sent whatever state is
+-- active then. Events with the same time are sent in the order of the calls.
 --
 -- @usage
 --    rfsm_timeevent.send_after(fsm, 5, "e_retry", "retry")
 --    rfsm_timeevent.cancel(fsm, "retry") --> true
 --
--- @raise if `seconds` is no such number, an event is waiting with that id, or the clock
--- fails
+-- @raise if `seconds` is infinite or below 0, if an event with this id already waits,
+-- or if the clock fails
 ---@param fsm rfsm.Machine
 ---@param seconds number finite, not below 0
 ---@param event any
----@param id? any for `cancel`
+---@param id? any by which `cancel` finds the event
 function rfsm_timeevent.send_after(fsm, seconds, event, id)
   local where = "rfsm_timeevent.send_after: "
   rfsm.check_machine(fsm, "rfsm_timeevent.send_after")
@@ -679,10 +697,10 @@ function rfsm_timeevent.send_after(fsm, seconds, event, id)
   add_send(fsm, event, id, normalise(sec + seconds, nsec))
 end
 
---- Send an event of `send_after` never.
+--- Drop an event of `send_after` that has not been sent yet.
 ---@param fsm rfsm.Machine
----@param id any
----@return boolean was_there false: it was sent, or there is no such id
+---@param id any the `id` given to `send_after`
+---@return boolean was_there false if no event with this id waits
 function rfsm_timeevent.cancel(fsm, id)
   rfsm.check_machine(fsm, "rfsm_timeevent.cancel")
   local at = id ~= nil and find_send(fsm, id)
@@ -692,12 +710,13 @@ end
 
 --- Return how long a host may sleep: seconds until the next timer can fire.
 --
--- A step before that finds no time event; the first one after it does. The timers of
--- machines in an active sequential AND state count.
+-- A step before that time finds no time event, the first step after it does. The timers
+-- of regions in an active sequential AND state are included.
 --
 -- @raise if the clock fails
 ---@param fsm rfsm.Machine
----@return number? seconds 0 if a timer has expired already, nil if none is armed
+---@return number? seconds 0 if a timer has expired already; nil if no timer is armed
+-- and no event of `send_after` waits
 function rfsm_timeevent.next_deadline(fsm)
   rfsm.check_machine(fsm, "rfsm_timeevent.next_deadline")
   local least = earliest(fsm)

@@ -2,12 +2,12 @@
 --
 -- The machines live in a server that has loaded a library of `rfsm.redis`. The client
 -- chooses their keys, so that machines spread over the slots of a cluster. It gives
--- each event an id, so that the event is applied once even if it is sent again. It
--- wakes machines that are due, and reads what they have emitted. Needs the packages
--- lua-redis and dkjson.
+-- each event an id, so that the event is applied once even if it is sent again. It runs
+-- machines whose timers are due, and reads the events that machines have emitted. Needs
+-- the packages lua-redis and dkjson.
 --
--- The file reads in this order: connect, calls, machines, workers. What the clients of
--- all servers share is in `rfsm.server.client`.
+-- The file reads in this order: connect, calls, machines, workers. The methods that the
+-- clients of all servers share are in `rfsm.server.client`.
 --
 -- @module rfsm.fleet
 -- @license BSD-3-Clause
@@ -32,12 +32,12 @@ local fleet = {}
 
 --- A connection to a fleet.
 ---@class rfsm.fleet.Fleet : rfsm.server.Client
----@field name string with which the keys of the machines begin
----@field tags integer number of hash tags over which the machines spread
+---@field name string the keys of the machines begin with this name
+---@field tags integer number of hash tags; the machines are spread over them
 ---@field connection rfsm.redis.Connection
 local Fleet = { where = "rfsm.fleet" }
 Fleet.__index = Fleet
-for name, f in pairs(Client) do Fleet[name] = f end -- any order: a copy
+for name, f in pairs(Client) do Fleet[name] = f end -- any order: it copies
 
 local function is_positive(x) return type(x) == "number" and x > 0 end
 
@@ -56,9 +56,9 @@ local OPTIONS = {
 --
 -- @raise if there is no server
 ---@param url? string|string[] redis[s]://[USER:PASSWORD@]HOST[:PORT][/DB], default
---- redis://127.0.0.1:6379; of several the others are tried if the first is lost
----@param options? table `name`, `tags` (64), `timeout` of a call (5 s), `patience`
---- while no server answers (10 s), `tls` for luasec
+--- redis://127.0.0.1:6379; in a list, the others are tried if the first is lost
+---@param options? table `name` ("machine"), `tags` (64), `timeout`: seconds for a call
+--- (5), `patience`: seconds while no server answers (10), `tls`: parameters of luasec
 ---@return rfsm.fleet.Fleet fleet
 function fleet.connect(url, options)
   local settings, problem = opts.read(OPTIONS, options or {})
@@ -73,14 +73,14 @@ end
 
 --- Send a command to the node that has the keys of a hash tag. The command may arrive
 -- twice, if the connection was lost before the reply came.
--- @raise the error of the server
+-- @raise the error that the server returns
 ---@param tag string
 ---@param name string
 ---@param ... any
 ---@return any reply
 function Fleet:call(tag, name, ...) return self.connection:call(tag, name, ...) end
 
--- Returns a list of names and values in turns as a table.
+-- Turns a list { name, value, name, value, ... } into a table of values by name.
 local function fields_of(list)
   local fields = {}
   for i = 1, #list, 2 do fields[list[i]] = list[i + 1] end
@@ -89,7 +89,7 @@ end
 
 -- Calls: keys and replies ---------------------------------------------------------
 
---- Return the key of a machine. An id with a hash tag in braces is a key already.
+--- Return the key of a machine in Redis. An id with a hash tag in braces is a key.
 ---@param id any
 ---@return string key
 ---@return string tag
@@ -105,7 +105,8 @@ function Fleet:key_of(id)
   return self.name .. ":{" .. tag .. "}:" .. id, tag
 end
 
---- Call a function for a machine. A cluster must know all keys that it may write.
+--- Call a function of the loaded library for a machine. The command lists all keys that
+-- the function may write, because a cluster requires that.
 ---@param name string
 ---@param id any
 ---@param ... any
@@ -139,20 +140,20 @@ function Fleet:history(id, count)
   return moves
 end
 
---- Call `f(leaf)` each time a machine has got another active leaf, until it returns
--- true. The call does not return before.
+--- Call `f(leaf)` each time the active leaf of a machine changes, until `f` returns
+-- true. Only then does the function return.
 ---@param id any
 ---@param f fun(leaf: string): boolean?
 function Fleet:watch(id, f)
   local key, tag = self:key_of(id)
-  self:call(tag, "EXISTS", key) -- so that the node of the tag is known
+  self:call(tag, "EXISTS", key) -- finds the node that has the tag
   self.connection:subscribe(tag, keys_of.channel(key), f)
 end
 
 -- Workers ------------------------------------------------------------------------
 
--- Calls a function for each hash tag, in parallel; returns the replies. `keys` has
--- functions of `rfsm.server.keys`, of which each returns a key of the call.
+-- Calls a function of the loaded library for each hash tag, in parallel. Returns the
+-- replies. `keys` lists functions of `rfsm.server.keys`; each makes one key of a call.
 local function call_tags(self, name, keys, ...)
   local tags, calls = {}, {}
   for i = 1, self.tags do
@@ -164,8 +165,8 @@ local function call_tags(self, name, keys, ...)
   return self.connection:call_all(tags, calls)
 end
 
---- Run the machines that are due. What cannot be run is put aside for a minute.
----@param limit? integer at most that many of each tag (100)
+--- Run the machines that are due. A machine that cannot run is put aside for a minute.
+---@param limit? integer greatest number of machines for each hash tag (100)
 ---@return integer count
 ---@return integer failed machines that were put aside
 function Fleet:wake(limit)
@@ -177,11 +178,11 @@ function Fleet:wake(limit)
   return count, failed
 end
 
---- Return the keys of machines in a state. The library needs --index.
+--- Return the keys of machines in a state. The library must be made with `--index`.
 ---@param chart string
 ---@param state string FQN of a leaf or composite
 ---@param limit? integer default 100
----@param seconds? integer only those that are in their leaf for so long
+---@param seconds? integer return only machines that are in their leaf for so long
 ---@return string[]? keys
 ---@return string? problem
 function Fleet:find(chart, state, limit, seconds)
@@ -200,15 +201,15 @@ end
 
 -- Messages ------------------------------------------------------------------------
 
---- A worker at the stream of one hash tag.
+--- The work of one worker on one hash tag: it reads the stream of emitted events.
 ---@class rfsm.fleet.Work
 ---@field fleet rfsm.fleet.Fleet
 ---@field tag string
 ---@field stream string
 ---@field group string
----@field worker string its name
----@field options table
----@field count integer entries that were handled
+---@field worker string the name of the worker
+---@field options table the options of `Fleet:work`
+---@field count integer number of entries that were handled
 ---@field failures string[]
 
 -- Sends a command for the stream of a worker.
@@ -216,8 +217,8 @@ local function ask_stream(work, name, ...)
   return work.fleet:call(work.tag, name, work.stream, ...)
 end
 
--- Returns an entry for f. Its id is unique among all groups and streams, so that it may
--- be the id of an event.
+-- Returns the entry that `f` gets. Its id is unique among all groups and streams, so
+-- that `f` may send an event with this id.
 local function entry_of(work, raw)
   local entry = fields_of(raw[2])
   entry.id = concat({ work.group, work.tag, raw[1] }, ":")
@@ -225,7 +226,7 @@ local function entry_of(work, raw)
   return entry
 end
 
--- Moves an entry that has failed too often to the stream of such entries.
+-- Moves an entry that has failed too often to the stream of dead entries.
 local function bury(work, raw, deliveries, problem)
   local fields = { unpack(raw[2]) }
   for _, text in ipairs { "group", work.group, "id", raw[1], "deliveries", deliveries,
@@ -237,8 +238,8 @@ local function bury(work, raw, deliveries, problem)
   ask_stream(work, "XACK", work.group, raw[1])
 end
 
--- Calls f with an entry. If f raises, the entry stays pending until it has failed too
--- often. If all tries ended without an answer, f is not called again.
+-- Calls f with an entry. If f raises an error, the entry stays pending, or is buried
+-- after the last try. If a worker died in each try, the entry is buried without a call.
 local function handle(work, f, raw, deliveries)
   local tries, ok, problem = work.options.tries, false, "no worker has finished it"
   if deliveries <= tries then ok, problem = pcall(f, entry_of(work, raw)) end
@@ -252,14 +253,15 @@ local function handle(work, f, raw, deliveries)
   if deliveries >= tries then bury(work, raw, min(deliveries, tries), problem) end
 end
 
--- Makes a group that gets all entries of the stream.
+-- Makes a group that gets all entries of the stream, unless another worker has made it.
 local function make_group(work)
   local ok, reply = pcall(work.fleet.call, work.fleet, work.tag, "XGROUP", "CREATE",
     work.stream, work.group, "0", "MKSTREAM")
   if not ok and not reply:find("^BUSYGROUP") then error(reply, 0) end -- another's
 end
 
--- Lists the entries that workers of the group got some time ago and have not finished.
+-- Lists the entries that workers of the group got at least `idle` milliseconds ago, and
+-- have not finished.
 local function pending(work)
   local ok, reply = pcall(ask_stream, work, "XPENDING", work.group, "IDLE",
     work.options.idle, "-", "+", work.options.count)
@@ -282,7 +284,7 @@ local function retry(work, f)
   end
 end
 
--- Returns the id of an entry with zeros in front of its numbers, so that texts compare.
+-- Pads the numbers in the id of an entry with zeros, so that ids compare as texts.
 local function sortable(id)
   return (id:gsub("%d+", function(digits) return ("0"):rep(20 - #digits) .. digits end))
 end
@@ -291,7 +293,7 @@ local function next_id(id)
   return (id:gsub("%d+$", function(digits) return ("%.0f"):format(digits + 1) end))
 end
 
--- Removes the entries that all groups have done from the stream.
+-- Removes those entries from the stream that all groups have finished.
 local function trim(work)
   local least = nil
   for _, info in ipairs(work.fleet:call(work.tag, "XINFO", "GROUPS", work.stream)) do
@@ -309,19 +311,20 @@ local WORK = {
   tries = { "a whole number", opts.is_whole(1, 1000), 5 },
 }
 
---- Call `f(entry)` with what machines have emitted, at least once each, for each group.
+--- Call `f(entry)` for each event that machines have emitted, at least once in a group.
 --
--- An entry has `machine`, `what`, `data`, and an `id` for `send_once`. If `f` raises,
--- or the worker dies, a worker of the group gets the entry once more: after `idle`
+-- An entry has `machine`, `what`, `data`, and an `id` for `send_once`. If `f` raises an
+-- error, or the worker dies, a worker of the group gets the entry again: after `idle`
 -- milliseconds, then after twice as long, and so on. After `tries` calls it moves to
--- the stream rfsm:dead:{tag}. An entry that all groups have done leaves its stream.
+-- the stream rfsm:dead:{tag}. An entry that all groups have finished leaves its stream.
 --
 ---@param group string
 ---@param worker string a name that no other worker of the group has
 ---@param f fun(entry: table)
----@param options? { count: integer?, idle: integer?, tries: integer? } 100, 30000, 5
+---@param options? { count: integer?, idle: integer?, tries: integer? } by default
+-- `count` is 100, `idle` is 30000, and `tries` is 5
 ---@return integer count entries that were handled
----@return string[] failures what `f` raised, or that no worker has finished an entry
+---@return string[] failures errors of `f`, and a text for each entry never finished
 function Fleet:work(group, worker, f, options)
   local settings, problem = opts.read(WORK, options or {})
   if not settings then error("rfsm.fleet.work: " .. problem, 2) end
@@ -348,14 +351,14 @@ end
 ---@field tag string
 ---@field id string
 ---@field machine string
----@field what string
----@field data string JSON
----@field deliveries string
----@field error string
----@field group string in which it failed
+---@field what string the emitted event
+---@field data string the event's data, in JSON
+---@field deliveries string how often a worker got the entry
+---@field error string the error of the last try
+---@field group string the group in which the entry failed
 
 --- Return dead entries, the oldest of each hash tag first.
----@param limit? integer of each tag (100)
+---@param limit? integer greatest number of entries for each hash tag (100)
 ---@return rfsm.fleet.Dead[] entries
 function Fleet:dead(limit)
   local entries = {}
@@ -379,7 +382,7 @@ function Fleet:drop(tag, id)
   return self:call(tag, "XDEL", keys_of.dead("{" .. tag .. "}"), id) == 1
 end
 
---- Send a dead entry again, to all groups.
+--- Put a dead entry back into its stream, for all groups.
 ---@param tag string
 ---@param id string
 ---@return boolean was_there
@@ -395,9 +398,9 @@ end
 
 -- Libraries and numbers --------------------------------------------------------------
 
---- Load a library into the server, or each node of the cluster, in place of the one
--- that is there.
----@param text string see `rfsm.redis`
+--- Load a library into the server, or into each node of the cluster. It replaces the
+-- library that was loaded before.
+---@param text string the library, made by `rfsm.redis.bundle`
 ---@return boolean ok
 ---@return string? problem
 function Fleet:load(text)
@@ -406,7 +409,7 @@ function Fleet:load(text)
   return ok, not ok and problem or nil
 end
 
--- Calls `f(tag)` for each hash tag that the machines of a server have.
+-- Calls `f(tag)` once for each hash tag in the keys of a server.
 local function scan_tags(call, f)
   local at, is_known = "0", {}
   repeat
@@ -423,9 +426,9 @@ end
 local function label(text) return (text:gsub('[\\"\n]', { ["\\"] = "\\\\",
   ['"'] = '\\"', ["\n"] = "\\n" })) end
 
---- Return the numbers of all machines in the server, as Prometheus reads them: by chart
--- and state (the library needs --index), due, put aside, entries that wait, overdue for
--- a minute, and dead entries.
+--- Return the numbers of the fleet in the text format of Prometheus: machines by chart
+-- and state (if the library was made with `--index`), with a timer, put aside, and
+-- overdue for a minute; entries in the streams, and dead entries.
 ---@return string text
 function Fleet:stats()
   local states, sums = {}, { 0, 0, 0, 0, 0 }

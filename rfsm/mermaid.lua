@@ -1,7 +1,7 @@
 --- A machine as a Mermaid state diagram, which GitHub and other web pages draw.
 --
--- The root has no frame, because Mermaid draws shallow diagrams better. Arrows of the
--- root begin at a box of that name.
+-- The root has no frame, because Mermaid draws shallow diagrams better. Arrows that
+-- begin or end at the root have a box with the root's name there.
 --
 -- @module rfsm.mermaid
 -- @license BSD-3-Clause
@@ -30,8 +30,8 @@ end
 
 -- Lines -----------------------------------------------------------------------
 
--- Returns the initials that are drawn as [*] and a diamond behind it. In Mermaid no
--- arrow can end at [*] where a composite begins, or lead out of it from there.
+-- Returns the initial connectors that are drawn as [*] with a diamond behind it. In
+-- Mermaid no arrow can end at the [*] of a composite, or leave the composite from it.
 local function find_diamonds(chart)
   local diamonds = {}
   local function note(node, is_plain)
@@ -45,7 +45,7 @@ local function find_diamonds(chart)
   return diamonds
 end
 
--- Mermaid has an element "root" of its own. No other node has the id "root_".
+-- The root gets the id "root_", because Mermaid uses "root" itself. The id is unique.
 local function id_of(node) return node.parent and node.id or node.id .. "_" end
 
 local function start_of(node, diamonds)
@@ -77,7 +77,7 @@ local function add_leaf(lines, depth, node)
   end
 end
 
--- A composite has no rows in Mermaid: they become a note beside it.
+-- In Mermaid a composite has no rows of text, so the rows become a note beside it.
 local function add_composite(lines, depth, node, add_members, diamonds)
   add_state(lines, depth, node, " {")
   add_members(lines, depth + 1, node, diamonds)

@@ -13,9 +13,10 @@ local monitor = {}
 
 --- The fields for `gen_monitor_state`. All others become fields of the state.
 ---@class rfsm.monitor.Monitor
----@field montab table<any, fun(fsm: rfsm.Machine, state: rfsm.State): any> by event
+---@field montab table<any, fun(fsm: rfsm.Machine, state: rfsm.State): any> conditions,
+-- by the event that is sent if the condition returns a true value
 ---@field break_first? boolean send at most one event in each cycle
----@field breakfirst? boolean the same
+---@field breakfirst? boolean another spelling of `break_first`
 ---@field entry? function
 ---@field exit? function
 ---@field [any] any
@@ -56,8 +57,8 @@ local OWN = { montab = true, break_first = true, breakfirst = true }
 
 --- Make a state that watches conditions.
 --
--- In each cycle every function of `montab` is called, in the order of its event. If it
--- returns a true value, the event is sent. The state is never idle.
+-- In each cycle the functions of `montab` are called, sorted by their events. If a
+-- function returns a true value, its event is sent. The state is never idle.
 --
 -- @usage
 --    watch = monitor.gen_monitor_state { montab = { e_low = battery_is_low } }
@@ -70,7 +71,7 @@ function monitor.gen_monitor_state(t)
   local problem = check_monitor(t)
   if problem then error("rfsm.monitor.gen_monitor_state: " .. problem, 2) end
   local state = {}
-  for key, value in pairs(t) do -- any order: each stands alone
+  for key, value in pairs(t) do -- any order: the fields are independent
     if not OWN[key] then state[key] = value end
   end
   state.doo = new_doo(t.montab, t.break_first or t.breakfirst)

@@ -14,15 +14,15 @@ local function code(character) return ("<U+%04X>"):format(character:byte()) end
 
 local function text_of(text)
   text = text:gsub('[\\"<&~%%]', code):gsub("/'", "/" .. code("'")):gsub("^ +$", code)
-  -- two of these in a row begin or end bold, italic, underlined, struck out text
+  -- Pairs of these characters begin or end bold, italic or other marked text.
   text = text:gsub("([*/_-])%1", function(one) return one .. code(one) end)
   return (text:gsub("\n", "\\n"))
 end
 
 -- Lines -----------------------------------------------------------------------
 
--- Returns the text for an end of an arrow. An initial is [*] if the arrow begins there
--- and belongs to its composite, else the composite stands for it.
+-- Returns the text for an end of an arrow. An initial connector is written as [*] if an
+-- arrow of its composite begins there, and otherwise as its composite.
 local function end_of(node, is_start)
   if node.kind ~= "initial" then return node.id end
   return is_start and "[*]" or node.parent.id

@@ -1,7 +1,7 @@
---- Bundles charts with the core as one library of Redis functions.
+--- Bundles charts and the core into one library of Redis functions.
 --
--- The command `rfsm redis CHART...` calls it. Redis 7 loads the text with FUNCTION
--- LOAD. The functions are those of `rfsm.server.functions`.
+-- The command `rfsm redis CHART...` calls this module. Redis 7 loads the library with
+-- FUNCTION LOAD. Its functions are those of `rfsm.server.functions`.
 --
 -- @module rfsm.redis
 -- @license BSD-3-Clause
@@ -45,7 +45,7 @@ local names = { "create", "send", "send_at", "cancel", "tick", "wake", "hold",
 for i = 1, #names do register("rfsm_" .. names[i], i > 10 and "no-writes" or nil) end
 ]]
 
---- Return the name of the chart in a file, and the file, of an argument such as
+--- Return the name of a chart, and its file, from an argument of the command, such as
 -- `lamp.lua` or `lamp=old/lamp.lua`.
 ---@param argument string
 ---@return string name
@@ -53,8 +53,9 @@ for i = 1, #names do register("rfsm_" .. names[i], i > 10 and "no-writes" or nil
 function redis.name_of(argument) return library.name_of(argument) end
 
 --- Return the text of a library for FUNCTION LOAD.
--- @raise if a chart has a problem, in one line
----@param arguments string[] see `name_of`; a later version of a name is newer
+-- @raise if a chart has a problem; the error has one line
+---@param arguments string[] charts, as for `name_of`; if two have the same name, the
+-- later one is the newer version
 ---@param options? rfsm.server.Options
 ---@return string text
 ---@return string[] warnings

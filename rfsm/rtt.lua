@@ -1,14 +1,14 @@
 --- Machines and the ports of Orocos RTT-Lua.
 --
--- `gen_read_events` and `gen_read_str_events` make a getevents of input ports,
--- `gen_raise_event` sends events to an output port, `gen_write_fqn` makes a hook that
--- writes the FQN of the active leaf. The launchers are in `rfsm.rtt.component` and
--- `rfsm.rtt.launch`, which are loaded when one of them is used.
+-- `gen_read_events` and `gen_read_str_events` make a `getevents` that reads input
+-- ports, `gen_raise_event` makes a function that sends events to an output port, and
+-- `gen_write_fqn` makes a hook that writes the FQN of the active leaf. The launchers,
+-- `rfsm.rtt.component` and `rfsm.rtt.launch`, are loaded when they are used.
 --
--- Variables are made once and used again, so that reading, raising and writing allocate
--- nothing in the steady state. The module loads without RTT, and needs no rttlib. In a
--- Lua with a TLSF pool, loading it sets the garbage collector, and has machines do
--- without rfsm.fast.
+-- RTT's Variables are made once and reused, so that reading, raising and writing
+-- allocate nothing in the steady state. The module loads without RTT, and needs no
+-- rttlib. In a Lua whose memory is a TLSF pool, loading this module makes the garbage
+-- collector work harder, and machines do not use rfsm.fast.
 --
 -- @module rfsm.rtt
 -- @license BSD-3-Clause
@@ -19,9 +19,9 @@ local require, select = require, select
 local setmetatable, tostring, type = setmetatable, tostring, type
 local min = math.min
 
--- RTT's Lua is 5.1. It does not collect garbage because memory is short, and the pool
--- of a TLSF component fails when it is full. So the collector never pauses there from
--- now on, and is through with the heap before 5 % of it are garbage.
+-- RTT's Lua 5.1 does not start a collection when memory is short, and a component fails
+-- when its TLSF pool is full. So with a pool the collector never pauses, and completes
+-- a cycle before 5 % of the heap are garbage.
 if rawget(_G, "tlsf") then
   pcall(collectgarbage, "setpause", 100)
   pcall(collectgarbage, "setstepmul", 3000)
@@ -30,11 +30,11 @@ end
 local rfsm = require "rfsm"
 local held_port = require "rfsm.rtt.port"
 
--- The code that rfsm/fast.lua makes takes 2 KiB for each state.
+-- rfsm/fast.lua would generate code that takes 2 KiB of the pool for each state.
 if rawget(_G, "tlsf") then rfsm.save_memory() end
 
 ---@class rfsm.rtt
----@field launched rfsm.rtt.Launched? what was launched last in this Lua
+---@field launched rfsm.rtt.Launched? the latest launch in this Lua
 ---@field service_launch_rfsm fun(file: string, exec_str: function, ...): boolean
 ---@field component_launch_rfsm fun(args: rfsm.rtt.Launch): any
 ---@field service_halt_rfsm fun(component: any, seconds?: number): boolean
@@ -49,21 +49,21 @@ for name in ("double float int uint long int8 uint8 int16 uint16 int32 uint32 in
   LUA_TYPES[name] = "number"
 end
 
--- Can `value:name(...)` be called? Asking a Variable for a field may raise.
+-- Can `value:name(...)` be called? Reading a field of a Variable may raise an error.
 local function has_method(value, name)
   local ok, method = pcall(function() return value[name] end)
   return ok and rfsm.is_callable(method)
 end
 
--- Returns the information of a port; an empty table for anything else.
+-- Returns the table `port:info()`; an empty table if `port` is no port of RTT.
 local function info_of(port)
   local ok, info = pcall(function() return port:info() end)
   return ok and type(info) == "table" and info or {}
 end
 
--- Returns a Variable to use again and again; nil if the port is not RTT's, or if Lua
--- has no value for its type: then each sample is a Variable of its own. Returns a
--- second one if RTT-Lua converts the type only from and to a Variable of type double.
+-- Returns a Variable that holds each sample of a port in turn; nil if the port is not
+-- one of RTT, or if no type of Lua matches its type. Also returns a second Variable if
+-- RTT-Lua converts the type only from and to a Variable of type double.
 local function new_variables(port)
   local kind, rtt = info_of(port).type, package.loaded.rtt
   if not (LUA_TYPES[kind] and rtt) then return nil end
@@ -75,7 +75,8 @@ end
 local DIRECTIONS = { read = "input port", write = "output port" }
 local GOT = { ["in"] = "got an input port", out = "got an output port" }
 
--- Returns why `port` cannot `method` samples of type `kind` (nil: any); nil if it can.
+-- Returns the problem if a port does not have the method "read" or "write", or is not
+-- of type `kind` (nil: any type); nil if the port is right.
 local function port_problem(port, method, kind)
   local info = info_of(port)
   local got = not has_method(port, method) and (GOT[info.porttype] or rfsm.got(port))
@@ -84,12 +85,12 @@ local function port_problem(port, method, kind)
     kind and " of type " .. kind or "", got) or nil
 end
 
--- Does the status of a read mean a new sample? RTT makes a text of the status at each
--- read. As keys of this table these texts do not become garbage each time.
+-- Does the status of a read mean a new sample? RTT returns the status as a string. The
+-- keys of this table keep the three strings alive, so that no read allocates one.
 local IS_NEW = { NewData = true, OldData = false, NoData = false }
 
 -- Returns a function that appends new samples of a port to a list until the list has
--- `most` events. That function returns true if there may be more samples.
+-- `most` events. The function returns true if the port may have more samples.
 local function new_reader(port)
   local var, double = new_variables(port)
   return function(events, most)
@@ -116,8 +117,8 @@ local function new_writer(port)
   end
 end
 
--- Returns a function that has this Lua's component updated once more. It does nothing
--- without RTT, and in a service, whose machine triggers nothing.
+-- Returns a function that triggers one more update of the component in which this Lua
+-- runs. The function does nothing without RTT, or if this Lua runs in a service.
 local function new_trigger()
   local rtt = package.loaded.rtt
   local own = rtt and rtt.getTC()
@@ -125,20 +126,20 @@ local function new_trigger()
   return is_lua_component and own:getOperation("trigger") or function() end
 end
 
--- How many samples of each port a call reads at most by default. All samples of a burst
--- may not fit in a pool.
+-- The greatest number of samples that a call reads from each port, if none is given.
+-- The samples of a long burst might not fit in a pool.
 local MOST = 64
 
--- Makes a getevents of ports; blames the caller of the public function for wrong ones.
--- When a port raises, the events of the others are kept for the next call. When samples
--- are left, an update is triggered, since they trigger none any more.
+-- Makes a `getevents` that reads ports. Errors about wrong ports blame the caller of
+-- the public function. If a read raises an error, the events read before are kept for
+-- the next call. If samples are left, an update is triggered, since they trigger none.
 local function gen_reader(where, kind, ...)
   local bound, readers, is_taken = (...), {}, false
   local has_bound = type(bound) == "number" and bound >= 1
   local ports = { select(has_bound and 2 or 1, ...) }
   local n = select("#", ...) - (has_bound and 1 or 0)
   if not has_bound then bound = MOST end
-  local events = { nil, nil, nil, nil, nil, nil, nil, nil } -- room for the first ones
+  local events = { nil, nil, nil, nil, nil, nil, nil, nil } -- room for eight events
   if n == 0 then error(where .. ": at least one port expected, got none", 3) end
   for i = 1, n do
     local problem = port_problem(ports[i], "read", kind)
@@ -151,7 +152,7 @@ local function gen_reader(where, kind, ...)
     is_taken = false
     local has_more = false
     for i = 1, n do
-      local most = min(#events + bound, i * bound) -- bounds also those that are kept
+      local most = min(#events + bound, i * bound) -- kept events count, too
       has_more = readers[i](events, most) or has_more
     end
     is_taken = true
@@ -160,35 +161,35 @@ local function gen_reader(where, kind, ...)
   end
 end
 
---- Make a getevents that reads new samples of input ports, in the order given.
+--- Make a `getevents` that reads new samples of input ports, in the order of the ports.
 --
 -- A call reads at most 64 samples of each port, or the number that is given before the
--- ports. If some are left, a Lua component is updated once more.
+-- ports. If samples are left, the call triggers one more update of a Lua component.
 --
--- Samples of types that have a type of Lua become values of Lua. A sample of another
--- type is a Variable of its own. The list returned is valid until the next call.
+-- A sample becomes a Lua value if a type of Lua matches its type; otherwise it is a new
+-- Variable. The returned list is valid until the next call.
 --
 -- @usage
 --    fsm.getevents = rfsm_rtt.gen_read_events(commands, alarms)
 --
 -- @raise when a port is no input port
----@param ... any perhaps a number; input ports, at least one
+---@param ... any one or more input ports, after an optional number of samples
 ---@return fun(): any[] getevents
 ---@nodiscard
 function rfsm_rtt.gen_read_events(...)
   return (gen_reader("rfsm.rtt.gen_read_events", nil, ...))
 end
 
---- Make a getevents that reads new samples of input ports of type string, likewise.
--- @raise when a port is no input port, or one of another type
----@param ... any perhaps a number; input ports, at least one
+--- Make a `getevents` as `gen_read_events` does, but for input ports of type string.
+-- @raise when a port is no input port of type string
+---@param ... any one or more input ports, after an optional number of samples
 ---@return fun(): string[] getevents
 ---@nodiscard
 function rfsm_rtt.gen_read_str_events(...)
   return (gen_reader("rfsm.rtt.gen_read_str_events", "string", ...))
 end
 
--- Returns why a port of type `kind` cannot take an event; nil if it can.
+-- Returns the problem if a port of type `kind` cannot take an event; nil if it can.
 local function event_problem(kind, event)
   if event == nil or not kind then return nil end
   local wanted, actual = LUA_TYPES[kind], type(event)
@@ -201,8 +202,8 @@ end
 
 --- Make a function that writes each of its arguments to an output port.
 --
--- With `fsm`, it sends them to that machine as well. nil is skipped. An event that the
--- port cannot take is an error, and then none is written.
+-- With `fsm`, the function also sends the arguments to this machine. It skips nil. If
+-- the port cannot take one of the events, it raises an error and writes none.
 --
 -- @usage
 --    local raise_event = rfsm_rtt.gen_raise_event(port)
@@ -238,8 +239,8 @@ end
 
 --- Make a post step hook that writes the FQN of the active leaf to a string port.
 --
--- It writes on change only, and `<none>` at once and when the machine is reset. If the
--- port was deleted, the hook writes to the port that has its name, if there is one.
+-- The hook writes only if the leaf has changed. It writes `<none>` at once and at each
+-- reset. If the port was deleted, the hook writes to a port of the same name.
 --
 -- @usage
 --    rfsm.post_step_hook_add(fsm, rfsm_rtt.gen_write_fqn(port))
@@ -277,7 +278,7 @@ end
 
 -- Launchers: loaded when they are used ---------------------------------------------
 
---- Return why a launch has failed; for lack of memory, also what to do.
+--- Return the reason why a launch has failed; if memory was short, also a remedy.
 ---@param problem any
 ---@return string reason
 function rfsm_rtt.reason(problem)
@@ -292,15 +293,15 @@ local NOT_NEEDED = { "rtt.component", "rtt.update", "rtt.settings", "shared.opti
   "shared.limit", "shared.calls", "advice" }
 
 --- Forget the modules that a launch has loaded, so that they become garbage. A launch
--- begins with this, too: Lua 5.1 refuses a module for ever if its loading once failed.
+-- also begins with this: Lua 5.1 never loads a module again if loading it once failed.
 function rfsm_rtt.forget_modules()
   for _, name in ipairs(NOT_NEEDED) do package.loaded["rfsm." .. name] = nil end
 end
 
 --- Launch a machine in the component of this Lua, in its configureHook.
 --
--- The component gets ports, attributes, and hooks that run the machine. Called again,
--- it begins anew with the chart as it is then. Ports that are there stay connected.
+-- The component gets ports, attributes, and hooks that run the machine. A later call
+-- launches a new machine of the chart as it is then. Existing ports stay connected.
 --
 -- @usage
 --    function configureHook()

@@ -1,8 +1,8 @@
 --- Systems: several charts that talk over wires, and run side by side.
 --
--- Each machine of a system is a machine as `rfsm.init` makes it. `fsm.emit` in its
--- callbacks puts events into wires. A move of a machine reads its wires and takes one
--- step. The description is checked whole before anything runs.
+-- Each machine of a system is a machine as `rfsm.init` makes it. Its callbacks call
+-- `fsm.emit` to put events into wires. A move of a machine reads its wires and takes
+-- one step. The whole description of a system is checked before anything runs.
 --
 -- @module rfsm.system
 -- @license BSD-3-Clause
@@ -23,14 +23,14 @@ local system = {}
 
 --- Machines and the wires between them.
 ---@class rfsm.System
----@field names string[] of the machines, in the order in which they move
+---@field names string[] names of the machines, in the order in which they move
 ---@field models table<string, rfsm.State>
 ---@field machines table<string, rfsm.Machine> made when this field is first read
 ---@field wires rfsm.system.Wire[]
 ---@field queues any[][] for each wire the events that wait in it, the oldest first
 ---@field lost integer[] how many events each wire has lost, because it was full
 ---@field file string? the file that describes the system
----@field state number|false of the random numbers for the order; false: a fixed order
+---@field state number|false random state for the order of moves; false: a fixed order
 local System = {}
 
 -- Raises an error that blames the caller of a method.
@@ -68,14 +68,14 @@ end
 
 --- Have one machine read its wires and take one step.
 --
--- In its first move a machine is entered, and reads no wire: its entry would lose the
--- events. So does a component of Orocos with `enter = "start"`.
+-- In its first move a machine is entered, and reads no wire, because the entry would
+-- lose the events. A component of Orocos with `enter = "start"` does the same.
 --
 ---@param name string
----@param events? any[] events from outside, which come behind those of the wires
----@return boolean idle as `rfsm.step`
----@return any[] came the events from the wires, then those from outside
----@return rfsm.system.Wire[] by for each event from a wire this wire
+---@param events? any[] events from outside, queued after the events from the wires
+---@return boolean idle the result of `rfsm.step`
+---@return any[] came the events from the wires, then the events from outside
+---@return rfsm.system.Wire[] by for each event that came from a wire, this wire
 function System:move(name, events)
   local is_name, problem = description.is_name(self.models, name)
   if not is_name then error("rfsm.system.move: " .. problem, 2) end
@@ -96,8 +96,8 @@ local function draw(self, n)
   return floor(self.state / 2147483647 * n) + 1
 end
 
---- Have the machines move in another random order in each step; without a seed, in the
---- fixed order again.
+--- Have the machines move in a new random order in each step. Without a seed, they move
+--- in the fixed order again.
 ---@param seed? integer
 function System:shuffle(seed)
   check(seed == nil or is_number(seed), "shuffle", "number", seed)
@@ -132,7 +132,7 @@ function System:step(watch)
 end
 
 --- Step until nothing is left to do.
----@param most? integer steps, default no bound
+---@param most? integer greatest number of steps; default: no limit
 ---@return boolean idle false if so many steps did not suffice
 function System:run(most)
   check(most == nil or is_number(most), "run", "number of steps", most)
@@ -147,9 +147,9 @@ local function empty_wires(self)
   for i in ipairs(self.wires) do self.queues[i], self.lost[i] = {}, 0 end
 end
 
---- Make the system as it was at first.
+--- Reset the machines and empty the wires.
 --
--- No machine is entered, and no event waits.
+-- After that no machine is entered, and no event waits.
 --
 function System:reset()
   for _, name in ipairs(self.names) do rfsm.reset(self.machines[name]) end
@@ -157,7 +157,7 @@ function System:reset()
 end
 
 --- Explore every configuration that the machines can reach together.
----@param options? table see `rfsm.system.report`
+---@param options? table the options of `explore` in `rfsm.system.report`
 ---@return rfsm.system.Report
 function System:explore(options)
   return require("rfsm.system.report").explore(self, options)
@@ -174,23 +174,23 @@ function system.is_system(value) return getmetatable(value) == System end
 local loading = {}
 
 -- Returns the file that is being loaded; if there is none, the file that calls a
--- function of this module. The stack alone would not do: `return system {...}` is a
--- tail call.
+-- function of this module. The stack alone does not show the file, if it ends with the
+-- tail call `return system {...}`.
 local function calling_file()
   local info = getinfo and getinfo(3, "S")
   return loading[#loading] or info and info.source:match("^@(.*)")
 end
 
--- Returns the path of a file in the folder of the file that calls, if it is there.
--- While a tool loads charts, that folder is searched anyway.
+-- Returns the path of `file` in the folder of `caller`, if the file exists there; else
+-- `file` itself. A tool that loads charts searches the folder of the chart by itself.
 local function beside(file, caller)
   local folder = caller and caller:match("^.*/") or ""
   local is_tools = caller and search.world_of("@" .. caller)
   return not is_tools and search.exists(folder .. file) and folder .. file or file
 end
 
---- Load a chart or a system from a file, beside the file that calls.
--- @raise when the file cannot be read or fails, or returns neither
+--- Load a chart or a system from a file. The folder of the calling file is tried first.
+-- @raise when the file cannot be read or fails, or returns no chart and no system
 ---@param file string
 ---@return rfsm.State|rfsm.System loaded
 ---@nodiscard

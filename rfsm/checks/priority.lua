@@ -1,5 +1,5 @@
---- Order: transitions that are never taken because others are tried earlier, and pairs
---- of transitions of which one is taken only because it stands first.
+--- Order: finds transitions that are never taken because others are tried before them.
+--- Also finds pairs of transitions of which one is taken only because it comes first.
 --
 -- @module rfsm.checks.priority
 -- @license BSD-3-Clause
@@ -16,7 +16,7 @@ local priority = {}
 
 local is_always_enabled
 
--- Does some path lead on from this connector, whatever the events and guards?
+-- Is a path from this connector always enabled, whatever the events and guards?
 local function has_path(connector, seen)
   if seen[connector] then return false end
   seen[connector] = true
@@ -31,18 +31,18 @@ function is_always_enabled(tr, seen)
   return not is_conn(tr.tgt) or has_path(tr.tgt, seen)
 end
 
-local ANY = {} -- in place of an event: any one
+local ANY = {} -- stands for any event
 
--- Does the event enable `tr` for certain? A predicate may refuse it.
+-- Does the event trigger `tr` for certain? If a predicate decides, the answer is no.
 local function is_enabled_by(tr, event)
   return match.is_any(tr) or type(event) ~= "function" and match.triggers(tr, event)
 end
 
--- The set of all connectors: a path to one of them may have passed any other.
+-- The set of all connectors: the path to a connector may have passed any other one.
 local ALL = setmetatable({}, { __index = function() return true end })
 
--- Returns the transition in a list that stands before `tr` and is always taken on the
--- event.
+-- Returns the first transition in a list that comes before `tr` and is always taken on
+-- the event; nil if there is none.
 local function find_shadow(list, tr, event)
   for _, other in ipairs(list) do
     if other == tr then return nil end
@@ -77,9 +77,9 @@ local function check_shadows(fsm, tr, add)
   return true
 end
 
--- Is `other` taken in place of `tr` only because it stands first? An earlier transition
--- with a guard and a later one without read as if and else, but not in a connector,
--- where the engine warns of such pairs.
+-- Is `other` taken in place of `tr` only because it comes first? A transition with a
+-- guard before a transition without a guard is meant as if and else, and no clash,
+-- except at a connector, where the engine warns of such pairs.
 local function may_clash(tr, other)
   return (other.pn or 0) == (tr.pn or 0)
     and (tr.guard or not other.guard or is_conn(tr.src))
@@ -106,7 +106,7 @@ local function check_conflicts(tr, add)
   end
 end
 
---- Find what is wrong with the order of transitions.
+--- Find mistakes in the order of transitions.
 ---@type rfsm_checks.Check
 function priority.check(fsm, add, reached)
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do

@@ -1,7 +1,8 @@
 --- Static checks: mistakes, dead parts and risks that the structure of a chart shows.
 --
--- Each check is a file, and calls `add(code, obj, text)` for what it finds. Findings
--- are in the order of the tree. A field `checks` of an element silences its findings.
+-- Each check is a module that calls `add(code, obj, text)` for each of its findings.
+-- The findings are sorted in the order of the tree. An element can silence findings
+-- about itself with a field `checks`.
 --
 -- @module rfsm.checks.static
 -- @license BSD-3-Clause
@@ -22,13 +23,14 @@ local static = {}
 
 --- A finding.
 ---@class rfsm_checks.Finding
----@field code string "dead-end"
+---@field code string the kind of finding, such as "dead-end"
 ---@field severity "error"|"warning"|"note"
----@field file string "chart.lua:7: "; empty if it is not known
----@field place string "root.trans[2] (off -> on)", in a region "root.par.left: root.a"
+---@field file string file and line, such as "chart.lua:7: "; empty if not known
+---@field place string location: "root.trans[2] (off -> on)" or "root.par.left: root.a"
 ---@field text string one sentence
 ---@field hint string a remedy
----@field witness? rfsm_checks.WitnessStep[] of an exploration: the run that shows it
+---@field witness? rfsm_checks.WitnessStep[] the run by which an exploration found it
+---@field run? rfsm_checks.WitnessStep[] for a static finding, a run that shows it, too
 
 --- A check: calls `add` for each finding about a machine. `reached` is the set of the
 --- nodes that some path of transitions leads to.
@@ -40,7 +42,7 @@ local CHECKS = {
   "rfsm.checks.event_names",
 }
 
---- The checks of a chart in a file: the text of callbacks is read, too.
+--- The checks for a chart that is loaded from a file. The last one reads its text.
 static.OF_FILES = { CHECKS[1], CHECKS[2], CHECKS[3], CHECKS[4], "rfsm.checks.source" }
 
 -- Findings, except those that an element expects ......................................
@@ -59,8 +61,8 @@ local function is_silenced(obj, code) return is_reason(silences_of(obj)[code]) e
 --- A list of findings.
 ---@class rfsm_checks.Findings
 ---@field [integer] rfsm_checks.Finding
----@field silenced table<string, true> findings that elements expect: "root.a dead-end"
----@field told table<string, true> those in the list: "dead-end root.a no exit, ..."
+---@field silenced table<string, true> findings that elements silence: "root.a dead-end"
+---@field told table<string, true> findings in the list: "dead-end root.a no exit, ..."
 local Findings = {}
 Findings.__index = Findings
 
@@ -70,11 +72,11 @@ function static.new_list()
   return setmetatable({ silenced = {}, told = {} }, Findings)
 end
 
---- Append a finding, unless its element expects it.
+--- Append a finding, unless its element silences it or the list has it already.
 ---@param code string
 ---@param obj rfsm.State|rfsm.Transition|rfsm.Connector|nil
----@param path string of the element, see `location.path`
----@param at? string its location
+---@param path string path of the element, as `location.path` returns it
+---@param at? string location of the element, shown in place of the path
 ---@param file? string
 ---@return rfsm_checks.Finding? finding
 function Findings:add(code, obj, path, text, at, file)
@@ -82,7 +84,7 @@ function Findings:add(code, obj, path, text, at, file)
     self.silenced[path .. " " .. code] = true
     return nil
   elseif codes.of[code].severity ~= "error" and stubs.is_in(text) then
-    return nil -- in place of some of the text there is the name of a stub
+    return nil -- the text has the name of a stub, whose real value is not known
   end
   local known, key = codes.of[code], concat({ code, path or at, text }, " ")
   if self.told[key] then return nil end
@@ -102,7 +104,8 @@ function Findings:find_same(finding)
   end
 end
 
---- Append the findings of an exploration. One that is listed already gets the run.
+--- Append the findings of an exploration. A finding that the list already has is not
+--- appended, but gets the run by which the exploration found it.
 ---@param others rfsm_checks.Findings
 function Findings:join(others)
   local more = {}
@@ -111,10 +114,10 @@ function Findings:join(others)
     if same then same.run = finding.witness else more[#more + 1] = finding end
   end
   for _, finding in ipairs(more) do self[#self + 1] = finding end
-  for note in pairs(others.silenced) do self.silenced[note] = true end -- a set
+  for note in pairs(others.silenced) do self.silenced[note] = true end -- any order
 end
 
---- Append a finding for each silence whose finding did not come.
+--- Append a finding for each entry in a field `checks` that has silenced nothing.
 function Findings:add_idle_silences(fsm)
   for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, obj in ipairs(rfsm.elements(entry.machine)) do
@@ -129,7 +132,7 @@ function Findings:add_idle_silences(fsm)
   end
 end
 
--- Finds silences whose code does not exist, or that have no reason.
+-- Finds entries of a field `checks` whose code does not exist, or that have no reason.
 local function check_silences(obj, add)
   local silences = silences_of(obj)
   for _, code in ipairs(rfsm.sorted_keys(silences)) do
@@ -185,7 +188,8 @@ local function elements_by_place(fsm)
   return found
 end
 
--- Appends findings for lines of init. Without `code` the text of a warning gives it.
+-- Appends a finding for each problem or warning of `rfsm.init` in `lines`. Without
+-- `code`, the code follows from the text of a warning.
 local function add_lines(findings, lines, code, fsm, prefix)
   local by_place = elements_by_place(fsm)
   for _, line in ipairs(lines) do
@@ -199,7 +203,8 @@ local function add_lines(findings, lines, code, fsm, prefix)
   end
 end
 
--- Returns a machine of a model, the problems, and the warnings, but none of regions.
+-- Initialises a model. Returns the machine, the problems, and the warnings; warnings
+-- about regions are left out.
 local function init_and_listen(model)
   local warnings = {}
   local fsm, _, problems = static.init(model, function(text)
@@ -229,9 +234,9 @@ end
 
 --- Return all findings, of any severity.
 ---@param model rfsm.State a model, or a machine
----@param checks? string[] names of modules
+---@param checks? string[] names of the modules with the checks
 ---@return rfsm_checks.Findings
----@return rfsm.Machine? fsm of the model; nil if there is none
+---@return rfsm.Machine? fsm the machine of the model; nil if the model is wrong
 function static.collect(model, checks)
   local findings = static.new_list()
   local fsm = rfsm.is_initialized_root(model) and model or check_model(findings, model)
@@ -255,9 +260,8 @@ end
 
 --- Find mistakes, dead parts and risks in a model.
 --
--- A finding of an element is left out if its field `checks` has the code, with a
--- reason. The fields of a project's settings are codes, their values severities or
--- "off".
+-- A finding is left out if the field `checks` of its element has the finding's code
+-- with a reason. `settings` has, for some codes, the severity of the project, or "off".
 --
 -- @raise if `model` is no state, or a setting is wrong
 ---@param model rfsm.State a model, or a machine
@@ -273,8 +277,8 @@ function static.findings(model, settings)
   return static.apply((static.collect(model)), settings or {})
 end
 
---- Return a finding in a line: "chart.lua:7: root.a: text (hint) [code]". The problems
---- of a model have no code: nothing can silence them.
+--- Return a finding in a line: "chart.lua:7: root.a: text (hint) [code]". Problems of a
+--- model are shown without a code, because nothing can silence them.
 function static.line(finding, has_hint)
   local hint = has_hint and " (" .. finding.hint .. ")" or ""
   local code = finding.code ~= "invalid" and " [" .. finding.code .. "]" or ""

@@ -1,5 +1,5 @@
---- `rfsm sim` of a system: shows its machines and what waits in the wires, and goes
---- back over all of them together.
+--- The simulator (`rfsm sim`) for a system. It shows the machines, and the events that
+--- wait in wires, and it takes back moves of all machines together.
 --
 -- @module rfsm.cli.side_by_side
 -- @license BSD-3-Clause
@@ -20,12 +20,12 @@ local concat = table.concat
 
 local side_by_side = {}
 
---- A system and its prompt. It has the fields and methods of a session of the simulator
---- that the prompt uses.
+--- A system and its prompt. It has those fields and methods of `rfsm.sim.Session` that
+--- the prompt uses.
 ---@class rfsm.cli.Side
 ---@field cell rfsm.System
----@field fsm rfsm.Machine the first one
----@field history rfsm.observe.Rewind of the first machine; its places also have
+---@field fsm rfsm.Machine the first machine of the system
+---@field history rfsm.observe.Rewind history of the first machine; its places also have
 -- snapshots of the other machines and of the wires
 local Side = { check_event = session.check_event }
 Side.__index = Side
@@ -83,8 +83,8 @@ function Side.guard_doos() return function() end end
 
 function Side.set_dry() common.fail("--dry is for a chart, not for a system", 2) end
 
---- Take the moves of a witness in a file; return their number, and a problem if there
---- is none.
+--- Make the moves that a file lists, such as a witness of an exploration. Return the
+--- number of moves, and a problem if the file has no move.
 function Side:replay(file)
   local text, problem = files.read(file)
   if not text then error(problem, 0) end
@@ -95,7 +95,7 @@ end
 
 -- Commands --------------------------------------------------------------------------
 
--- Returns a command; without `run` it is the command of this name for charts.
+-- Returns a command. Without `run` it runs the command of the same name for charts.
 local function command(usage, brief, run, fsm)
   local name = usage:match("^[%w_]+")
   return { name = name, usage = usage, brief = brief, fsm = fsm,
@@ -115,7 +115,7 @@ local function help(self)
   print("Other lines are Lua: 'cell' is the system, cell.machines has the machines.")
 end
 
--- Returns the command that is the name of a machine.
+-- Returns a command, named after a machine, that has this machine move.
 local function machine_command(name, fsm)
   return command(name .. " [events]", "one machine moves, with events from outside",
     function(self, ...)
@@ -149,8 +149,8 @@ end
 
 -- Open ------------------------------------------------------------------------------
 
--- Returns a snapshot of the wires and of all machines but the first. It may have a
--- `problem`: a machine that cannot be saved.
+-- Returns a snapshot of the wires and of all machines but the first. Its field
+-- `problem` is set if a machine cannot be saved.
 local function place_of(cell)
   local place = encoding.copy_of { queues = cell.queues, lost = cell.lost, snaps = {} }
   for i = 2, #cell.names do

@@ -1,7 +1,7 @@
---- Replacements: what an exploration runs in place of the callbacks of a chart.
+--- Replacements: functions that an exploration calls in place of a chart's callbacks.
 --
 -- The replacement of an entry, exit or effect sets the flags and sends the events that
--- the options name for that callback: "entry root.a", "effect root.trans[2]".
+-- the options list for the callback's name: "entry root.a", "effect root.trans[2]".
 --
 -- @module rfsm.explore.replacements
 -- @license BSD-3-Clause
@@ -29,7 +29,7 @@ local function is_list(value)
     return false
   end
   local count = 0
-  for _ in pairs(value) do count = count + 1 end -- any order: a number
+  for _ in pairs(value) do count = count + 1 end -- any order: it counts
   return count == #value
 end
 
@@ -65,8 +65,8 @@ function replacements.check_flags(flags)
   return true
 end
 
--- Returns what an item of `sends` is, if it is more than an event: "after" for
--- { "e_x", after = 2 }, "cancel" for { cancel = "e_x" }, "emit" for { emit = "e_x" }.
+-- Returns the kind of an item of `sends`: "after" for { "e_x", after = 2 }, "cancel"
+-- for { cancel = "e_x" }, "emit" for { emit = "e_x" }; nil for a plain event.
 local function kind_of(item)
   if type(item) ~= "table" or getmetatable(item) then return nil end
   if rawget(item, "after") ~= nil then return "after" end
@@ -92,8 +92,8 @@ local function check_later(where, item)
 end
 
 --- Is the option a table of lists of events: { ["entry root.a"] = { "e_x" } }?
---- { "e_x", after = 2 } is sent later, { cancel = "e_x" } takes that back, and
---- { emit = "e_x" }, with data { emit = "e_x", data = true }, is a call of `fsm.emit`.
+--- { "e_x", after = 2 } sends the event later, and { cancel = "e_x" } cancels that.
+--- { emit = "e_x" } calls `fsm.emit`; { emit = "e_x", data = true } also passes data.
 ---@return boolean is_right
 ---@return string? problem
 function replacements.check_sends(sends)
@@ -120,7 +120,7 @@ function replacements.check_list(value) return is_list(value) end
 local FIELDS = { "entry", "exit", "doo", "guard", "effect" }
 
 -- Calls f(name, callback, fsm, element, field) for each callback of a machine and its
--- regions. Of a sequential AND state these are the user's, not the extension's.
+-- regions. For a sequential AND state f gets the user's callbacks, not the extension's.
 local function each_callback(fsm, f)
   for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, obj in ipairs(rfsm.elements(entry.machine)) do
@@ -137,14 +137,14 @@ local function each_callback(fsm, f)
 end
 
 --- Return the callbacks of a machine and its regions, by name.
----@return table<string, function> named "effect root.trans[2]"
+---@return table<string, function> named with keys such as "effect root.trans[2]"
 function replacements.named(fsm)
   local named = {}
   each_callback(fsm, function(name, callback) named[name] = callback end)
   return named
 end
 
--- May a callback call this function of rfsm_timeevent, as far as its text shows?
+-- May a callback call the function `name` of rfsm_timeevent, as far as its text shows?
 local function may_call(callback, name)
   local f = (package.loaded.rfsm_timeevent or {})[name]
   return writes.each(callback, function(text, own)
@@ -155,8 +155,8 @@ end
 
 local EMIT = "%f[%w_](emit[%w_]*)%s*%(?%s*([\"']?)([^\"'%s]*)"
 
--- Lists the events that a text emits; false stands for an event whose name is not in
--- the text.
+-- Lists the events that the text of a callback emits; false stands for an event whose
+-- name is not in the text.
 local function emitted_in(text)
   local list = {}
   for word, quote, name in text:gmatch(EMIT) do
@@ -186,9 +186,9 @@ function replacements.emitted_by(fsm)
   return is_certain and not match.has(emitted, false) and emitted or nil
 end
 
---- Note what a callback may do that the exploration does not follow: write the target
---- of a transition; and emit events, send them later or cancel them, unless `sends`
---- names the callback.
+--- Note what a callback may do that the exploration does not follow: it may write the
+--- target of a transition; it may also emit, delay or cancel events, unless the option
+--- `sends` lists the events of the callback.
 function replacements.note_writer(self, name, callback)
   if writes.may_write(callback, { "tgt" }) then table.insert(self.writers, name) end
   local is_run = self.runs[callback or false]
@@ -211,7 +211,7 @@ local function call_apart(callback, fsm, ...)
   return sent, ok, failure
 end
 
--- How errors of the interpreters begin; the rest differs from one Lua to another.
+-- How error messages of Lua itself begin. The rest differs from one Lua to another.
 local OWN_WORDS = { "^attempt to ", "^bad argument ", "stack overflow",
   "^number .* has no integer", "^invalid " }
 
@@ -241,8 +241,8 @@ end
 
 local IS_DRY = { entry = true, exit = true, effect = true }
 
---- Call each entry, exit and effect of a machine once, which is used for nothing else.
---- Return the events that each sends and emits, by its name.
+--- Call each entry, exit and effect of a machine once. The machine is used for nothing
+--- else. Return the events that a callback sends and emits, by the callback's name.
 function replacements.dry_run(fsm)
   local sent, emitted = {}, {}
   rfsm.set_emit(fsm, function(event, value)
@@ -256,7 +256,7 @@ function replacements.dry_run(fsm)
   return sent
 end
 
---- Drop the waiting events that a part has sent later: all, or those equal to `event`.
+--- Drop the delayed events that a part has sent: all, or only those equal to `event`.
 function replacements.drop_later(self, part, event)
   local function is_dropped(later)
     return later.part == part and (event == nil or rawequal(later.event, event))
@@ -269,7 +269,7 @@ function replacements.drop_later(self, part, event)
   end
 end
 
--- Returns the function f(fsm) that does what an item of `sends` says.
+-- Returns a function f(fsm) for an item of `sends`: it sends, delays, cancels or emits.
 local function new_send(self, part, item)
   local kind = kind_of(item)
   if kind == "after" then
@@ -287,8 +287,8 @@ local function new_send(self, part, item)
   end
 end
 
--- Returns a function that calls the callback if `run` has it, sets flags and sends
--- events; nil if there is nothing to do.
+-- Returns a function that calls the callback `run`, unless it is nil or false, sets
+-- flags and sends events; nil if there is nothing to do.
 local function new_replacement(self, part, run, flags, events)
   if not (flags[1] or events[1] ~= nil or run) then return nil end
   if run then part.is_bound = true end
@@ -304,8 +304,8 @@ local function new_replacement(self, part, run, flags, events)
   end
 end
 
---- Return the replacement of a callback, and note its name; options may name it also if
---- the chart has no such callback.
+--- Return the replacement of a callback, and note the callback's name. The options may
+--- list flags and events for it even if the chart has no such callback.
 ---@param self rfsm_checks.Subject
 ---@param what "entry"|"exit"|"effect"
 ---@param path string
@@ -326,7 +326,7 @@ function replacements.new(self, what, path, part, callback)
   return new_replacement(self, part, run, self.flags_of[name] or {}, events)
 end
 
--- Notes that the replacements of these names set a flag to a value.
+-- Notes that the replacements of the callbacks `names` set a flag to a value.
 local function set_flag(self, names, number, value)
   for _, name in ipairs(names or {}) do
     self.flags_of[name] = self.flags_of[name] or {}
@@ -334,8 +334,8 @@ local function set_flag(self, names, number, value)
   end
 end
 
---- Number the flags of { motor = { on = { "entry root.a" }, off = { ... } } }, and list
---- for each name of a callback the flags that it sets.
+--- Number the flags of { motor = { on = { "entry root.a" }, off = { ... } } }. List the
+--- flags that each callback's replacement sets, by the callback's name.
 function replacements.read_flags(self, flags)
   for number, name in ipairs(rfsm.sorted_keys(flags)) do
     self.flag_numbers[name], self.flags[number] = number, "-"
@@ -344,7 +344,7 @@ function replacements.read_flags(self, flags)
   end
 end
 
---- Raise an error if a flag is named like a state: a condition could mean both.
+--- Raise an error if a flag has the name of a state, since a condition could mean both.
 function replacements.check_flag_names(self)
   for _, name in ipairs(rfsm.sorted_keys(self.flag_numbers)) do
     if self.names[name] then

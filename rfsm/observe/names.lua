@@ -16,7 +16,7 @@ local ipairs, type = ipairs, type
 
 local names = {}
 
---- List the events that are texts. Those with an @ are left out: machines make them.
+--- List the events that are texts. Events with an @ are left out: machines make them.
 function names.events(fsm)
   local is_text = {}
   for event in order.each(alphabet.of_all(fsm).set) do -- any order: sorted below
@@ -38,7 +38,7 @@ function names.is_event(fsm, event)
   end)
 end
 
---- List the names of states and connectors; return also the nodes by their names.
+--- Return a list of the names of states and connectors, and a table of nodes by name.
 function names.nodes(fsm)
   local list, by_name = {}, {}
   for _, at in ipairs(rfsm.machines(fsm)) do
@@ -50,7 +50,8 @@ function names.nodes(fsm)
   return list, by_name
 end
 
---- Return a hint with the nearest name in a list: " (did you mean 'e_go'?)"; else "".
+--- Return a hint such as " (did you mean 'e_go'?)" with the nearest name in a list; ""
+--- if no name is near.
 function names.hint(name, list) return (advice.nearest_name(name, list)) end
 
 return names

@@ -1,7 +1,7 @@
---- Charts as graphs with the position of everything, which Graphviz only has to draw.
+--- Charts as graphs in which everything has its position, so that Graphviz only draws.
 --
--- There are two layouts: `rfsm.pictures.levels` lays out composite by composite, in
--- `rfsm.pictures.plain` Graphviz lays out the whole chart. The better one is drawn.
+-- There are two layouts. `rfsm.pictures.levels` lays out composite by composite, and
+-- `rfsm.pictures.plain` reads Graphviz' layout of the chart. The better one is drawn.
 --
 -- @module rfsm.pictures.layout
 -- @license BSD-3-Clause
@@ -18,7 +18,7 @@ local concat, add = table.concat, diagram.add
 
 local layout = {}
 
---- Where everything is, in points from the lower left corner.
+--- A layout: the position of everything, in points from the lower left corner.
 ---@class rfsm.pictures.Layout
 ---@field kind "levels"|"plain"
 ---@field left number
@@ -26,13 +26,13 @@ local layout = {}
 ---@field width number
 ---@field height number
 ---@field places table<rfsm.pictures.Node, rfsm.pictures.Place>
----@field lines { points: number[][], tip: number[], label?: number[] }[] of the arrows
+---@field lines { points: number[][], tip: number[], label?: number[] }[] of arrows
 
---- The middle of a node; for a composite the middle of its header, and its frame.
+--- The place of a node: its middle. A composite has its header's middle, and a frame.
 ---@class rfsm.pictures.Place
 ---@field x number
 ---@field y number
----@field left? number of the frame; absent if the node is no composite
+---@field left? number left edge of the frame; absent if the node is no composite
 ---@field bottom? number
 ---@field width? number
 ---@field height? number
@@ -57,7 +57,7 @@ local function move(places, composite, left, bottom)
   end
 end
 
--- Joins the lines of the links of an arrow.
+-- Joins the lines of an arrow's links to one line.
 local function line_of(arrow, direction)
   local line, tip, label, axis = {}, nil, nil, direction == "TB" and 1 or 2
   for _, link in ipairs(arrow.links) do
@@ -78,7 +78,7 @@ local function line_of(arrow, direction)
   return { points = line, tip = tip, label = label }
 end
 
--- Returns the layout of our levels, or nil and the problem.
+-- Returns the layout that `rfsm.pictures.levels` makes, or nil and the problem.
 local function lay_out(chart, run)
   local problem = levels.lay_out(chart, run)
   if problem then return nil, problem end
@@ -106,8 +106,8 @@ local function position_text(place)
   return (', %s, lp="%s"'):format(box_text(place), point)
 end
 
--- Returns the identifier for an end of an arrow. No edge of Graphviz ends at a cluster,
--- so a leaf in a composite stands for it.
+-- Returns the identifier of the node at which an arrow ends. In Graphviz no edge ends
+-- at a cluster, so the arrow of a composite ends at the first leaf in it.
 local function anchor_of(node)
   while node.nodes[1] do node = node.nodes[1] end
   return node.id
@@ -130,7 +130,7 @@ local function add_arrow(texts, arrow, line, frame)
       looks.arrow_label(arrow)) or ""))
 end
 
-local FOOT = 8 -- points below a picture
+local FOOT = 8 -- points from the picture down to the text below it
 
 local function graph_of(chart, positions)
   local root, places = chart.root, positions.places
@@ -151,10 +151,11 @@ local function graph_of(chart, positions)
   return concat(texts, "\n") .. "\n"
 end
 
-local MOST = 1000 -- nodes: Graphviz lays out such a chart in about a second
+local MOST = 1000 -- nodes; Graphviz needs about a second to lay out so many
 
 --- Return the graph of a chart, with positions; nil and the problem if there is one.
--- `graph` is the text by `rfsm.dot.encode`, for the plain layout.
+-- `graph` is the result of `rfsm.dot.encode`, which the plain layout needs. `run(text)`
+-- has Graphviz lay out a graph.
 function layout.draw(chart, graph, run)
   local function ask(text)
     local answer, problem = run(text)

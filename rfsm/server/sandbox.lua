@@ -1,7 +1,7 @@
---- Finds out, while a chart is bundled, what in it cannot run in a server: globals that
--- the sandbox lacks, modules that are not plain Lua, loops without an end.
+--- Checks, while a chart is bundled, that it can run in a server. Finds globals that
+-- the server lacks, modules that are not plain Lua, and loops without an end.
 --
--- A chart is loaded with the globals that the server has. That does not run its
+-- A chart is loaded with the globals that the server has. Loading does not run the
 -- callbacks, so their text is searched for libraries that the server lacks.
 --
 -- @module rfsm.server.sandbox
@@ -37,19 +37,19 @@ end
 
 local MISSING = { Redis = {}, PostgreSQL = { "bit", "struct", "cmsgpack", "redis",
   "unpack", "loadstring" } }
-for _, list in pairs(MISSING) do -- any order: each stands alone
+for _, list in pairs(MISSING) do -- any order: the lists are independent
   for name in ("os io debug package dofile loadfile setfenv getfenv"):gmatch "%l+" do
     list[#list + 1] = name
   end
 end
 
--- Is the name between two positions a field, or a key in a table, and not a global?
+-- Is the name between two positions not a global, but a field or a key of a table?
 local function is_key(code, from, behind)
   local before = code:sub(1, from - 1):match("(%S)%s*$")
   return before == "." or before == ":" or code:find("^%s*=[^=]", behind)
 end
 
--- Returns the position and the name of the first library that the server lacks.
+-- Returns position and name of the first library in a text that the server lacks.
 local function find_missing(code, server)
   local first, found = nil, nil
   for _, name in ipairs(MISSING[server]) do
@@ -69,7 +69,7 @@ end
 local OPENS = { ["function"] = true, ["if"] = true, ["do"] = true, ["repeat"] = true }
 local LEAVES = { ["break"] = true, ["return"] = true, error = true, yield = true }
 
--- Does no statement leave the loop whose block begins at a position?
+-- Is the loop whose block begins at a position without a statement that leaves it?
 local function is_endless(code, at)
   local depth = 0
   for word, behind in code:sub(at):gmatch("([%a_][%w_]*)()") do
@@ -84,7 +84,7 @@ local function is_endless(code, at)
   return false
 end
 
---- List the lines of a text in which a loop has no end.
+--- List the numbers of the lines in which a loop without an end begins.
 function sandbox.endless(text)
   local lines, code = {}, code_of(text)
   for _, pattern in ipairs { "%f[%w_]while[%s(]+true[%s)]+()do%f[^%w_]",
@@ -100,7 +100,7 @@ end
 
 -- Loading -----------------------------------------------------------------------------
 
--- Returns the text that a function returns in pieces, as `load` takes it.
+-- Joins the pieces of a text that a function returns one by one, as for Lua's `load`.
 local function text_from(pieces)
   local texts = {}
   for piece in pieces do
@@ -110,7 +110,8 @@ local function text_from(pieces)
   return concat(texts)
 end
 
--- Returns `load` for texts, whose globals are those of the sandbox.
+-- Returns the function `load` that charts get. It refuses binary chunks. A chunk has
+-- the globals of the sandbox, unless the caller passes others.
 local function new_load(globals)
   return function(text, name, _, own)
     if type(text) == "function" then text = text_from(text) end
@@ -122,7 +123,7 @@ local function new_load(globals)
   end
 end
 
--- The `require` of charts. A library that is not plain Lua, such as `os`, is missing.
+-- The function `require` that charts get. It refuses a library that is not plain Lua.
 local function find_module(name)
   local is_plain = HERE[name] or type(name) ~= "string" or name:find("^rfsm")
     or files.find((name:gsub("%.", "/")))
@@ -154,8 +155,8 @@ local function new_globals(server)
   })
 end
 
---- Load the chart in a text as a server ("Redis" or "PostgreSQL") will; nil and the
--- problem, with file and line, if it cannot run there.
+--- Load the chart in a text as a server ("Redis" or "PostgreSQL") will load it. Return
+-- the model; nil and the problem, with file and line, if the chart cannot run there.
 function sandbox.load(text, file, server)
   server = server or "Redis"
   local from, name = find_missing(code_of(text), server)
@@ -175,20 +176,20 @@ function sandbox.load(text, file, server)
   return nil, ("%s: a state expected, got %s"):format(file, type(model))
 end
 
---- Run a library in this process, and return what it returns. Its globals are those of
--- the server, and those in `here`. `log` is called with each line that is printed.
+--- Run the text of a library in this process, and return its results. Its globals are
+-- those of the server and the fields of `here`. `log` is called with each printed line.
 function sandbox.run(text, here, server, log)
   local globals = new_globals(server)
   globals.rfsm, globals.rfsm_timeevent, globals.bit, globals.struct = nil, nil, nil, nil
-  rawset(globals, "jit", rawget(_G, "jit")) -- the core asks for it
-  for name, value in pairs(here) do globals[name] = value end -- any order: a copy
+  rawset(globals, "jit", rawget(_G, "jit")) -- the core reads this global
+  for name, value in pairs(here) do globals[name] = value end -- any order
   local f, problem = calls.load(text, "=rfsm", globals)
   if not f then error(problem, 0) end
   return f(log, globals)
 end
 
 --- List the modules that a text requires by name, and the line of each. `code` is the
--- text without comments, if that is known.
+-- text without comments, if the caller has it.
 function sandbox.required(text, code)
   local modules = {}
   code = code or code_of(text)

@@ -11,11 +11,11 @@ local alphabet = {}
 
 --- The events that a machine knows.
 ---@class rfsm.Alphabet
----@field list any[] those that transitions name, in the order of the tree
----@field reactions any[] further ones, to which extensions react
----@field predicates function[]
----@field set table<any, boolean> all of these
----@field takes_any boolean a transition from a state has no events, so it takes any
+---@field list any[] events that transitions name, in the order of the tree
+---@field reactions any[] further events, to which extensions react
+---@field predicates function[] predicates among the events of transitions
+---@field set table<any, boolean> all events and predicates of the three lists
+---@field takes_any boolean does a state have a transition that any event triggers?
 
 local function add(known, list, event)
   if known.set[event] or event ~= event then return end -- NaN is no event

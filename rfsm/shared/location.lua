@@ -12,7 +12,7 @@ local text_of = rfsm.text_of
 
 local location = {}
 
---- Split a location, or a text that begins with one, at the root.
+--- Split a location, or a text that begins with a location, in front of "root".
 ---@param text string "chart.lua:7: root.trans[2]"
 ---@return string file "chart.lua:7: "; empty if it is not known
 ---@return string rest "root.trans[2]"
@@ -29,27 +29,28 @@ end
 
 --- Return the path of an element: "root.a.trans[2]", in a region "root.par.left.a".
 ---@param obj rfsm.State|rfsm.Transition|rfsm.Connector
----@param prefix? string of its machine, see `rfsm.machines`
+---@param prefix? string prefix of the element's machine, from `rfsm.machines`
 function location.path(obj, prefix)
   local path = obj._fqn or location.of(obj):gsub(" %(.* %-> .*%)$", "")
   return prefix and prefix .. path:sub(5) or path
 end
 
---- List the nodes from a machine, or from one of its composites, down to a node in it.
+--- List the nodes from `fsm`, a machine or composite, down to a node inside it.
 function location.line(fsm, node)
   local line = { node }
   while line[1] ~= fsm do table.insert(line, 1, line[1]._parent) end
   return line
 end
 
---- List the nodes whose transitions are tried in a leaf, in order. If `leaf` is false,
---- the machine was not entered.
+--- List the nodes whose transitions are tried while a leaf is active, in order. If
+--- `leaf` is false, the machine was not entered, and the node is its initial connector.
 function location.tried(fsm, leaf)
   if leaf then return location.line(fsm, leaf) end
   return { rfsm.is_composite(fsm) and fsm.initial or nil }
 end
 
---- List the transitions that are tried in a leaf, in order; `leaf` as in `tried`.
+--- List the transitions that are tried while a leaf is active, in order. If `leaf` is
+--- false, the machine was not entered.
 function location.transitions(fsm, leaf)
   local list = {}
   for _, node in ipairs(location.tried(fsm, leaf)) do
@@ -70,31 +71,32 @@ function location.regions_of(state)
   return regions
 end
 
---- Return the path of a region in front of findings about it: "root.par.left: "; empty
---- for the machine itself.
+--- Return the text in front of findings about a region, such as "root.par.left: ";
+--- empty for findings about the machine itself.
 function location.prefix(prefix) return prefix ~= "root" and prefix .. ": " or "" end
 
---- Return the location of an element of a machine: "root.par.left: root.a".
+--- Return the location of an element, such as "root.par.left: root.a" in a region.
 function location.in_words(obj, prefix)
   return location.prefix(prefix) .. location.of(obj)
 end
 
---- Raise an error that nothing of this kind has the name.
+--- Raise an error which says that no element of a kind has the name.
 ---@param name any
----@param kind string "state"
+---@param kind string such as "state"
 ---@param names string[] the names that exist
 function location.refuse_name(name, kind, names)
   error(("no %s is named '%s'%s"):format(kind, rfsm.text_of(name),
     type(name) == "string" and advice.nearest_name(name, names) or ""), 0)
 end
 
---- Is a node a state, or in it?
+--- Is a node the state itself, or inside the state?
 function location.is_inside(node, state)
   local prefix = state._fqn .. "."
   return (node._fqn .. "."):sub(1, #prefix) == prefix
 end
 
---- Does a connector in a composite lead out of it? Then one step may go in and out.
+--- Does a transition lead from a connector in a composite out of the composite? Then
+--- one step may enter and leave the composite.
 ---@param state rfsm.State
 ---@return boolean
 function location.is_passable(state)
@@ -112,7 +114,7 @@ end
 --- Return the name of a node: its FQN without "root.". As a target, `initial` has the
 --- name of its composite.
 ---@param node rfsm.State|rfsm.Connector
----@param prefix string of its machine
+---@param prefix string prefix of the node's machine
 ---@param is_target? boolean
 function location.name_of(node, prefix, is_target)
   if is_target and rfsm.is_conn(node) and node._id == "initial" then
@@ -121,7 +123,7 @@ function location.name_of(node, prefix, is_target)
   return (location.path(node, prefix):gsub("^root%.", ""))
 end
 
--- Returns the text of an event without the FQN of its source behind @.
+-- Returns the text of an event, without "@" and the FQN of its transition's source.
 local function event_text(event, tr)
   if type(event) == "function" then return "a predicate" end
   local text, behind = rfsm.text_of(event), "@" .. tr.src._fqn
@@ -137,8 +139,8 @@ local function transition_name(tr, prefix)
       or location.name_of(tr.tgt, prefix, true))
 end
 
---- Set the field `name` of transitions. The second of those between the same states on
---- the same events has " #2" behind it.
+--- Set the field `name` of transitions: "off -e_on-> on". If two transitions of a node
+--- have the same source, target and events, the name of the second ends in " #2".
 ---@param entries { tr: rfsm.Transition, prefix: string, name: string }[]
 function location.add_names(entries)
   for _, entry in ipairs(entries) do

@@ -21,7 +21,7 @@ function match.has(list, event)
 end
 
 --- Is the event in a list, or does a predicate in the list accept it? A predicate that
---- raises an error does not.
+--- raises an error does not accept the event.
 function match.takes(list, event)
   if match.has(list, event) then return true end
   for i = 1, #list do
@@ -32,7 +32,7 @@ function match.takes(list, event)
   return false
 end
 
---- Return two lists in one; the first one itself if there is nothing to add.
+--- Return two lists joined to a new one; the first list itself if the second is empty.
 function match.joined(list, more)
   if more[1] == nil then return list end
   local longer = {}
@@ -44,7 +44,7 @@ end
 --- Return a copy of a list with one event more.
 function match.with(list, event) return match.joined(list, { event }) end
 
---- Does any event trigger the transition, since it names none?
+--- Does any event trigger the transition, because it names no event?
 function match.is_any(tr) return not tr.events or tr.events[1] == nil end
 
 --- Can a path begin with the transition on any event? No path begins at a connector.
@@ -84,11 +84,11 @@ function match.may_enable(tr, list, seen)
   return false
 end
 
---- Return who makes an event. One that a machine makes itself ends in @ and the FQN of
---- the state that it belongs to.
+--- Return the part of the library that makes an event. The name of an event that a
+--- machine makes ends in "@" and the FQN of a state.
 ---@param event any
 ---@return string? maker "engine" or an extension; nil: the event comes from outside
----@return string? fqn of a time event: the state that has to be active
+---@return string? fqn for a time event, the FQN of the state that has to be active
 function match.maker_of(event)
   if type(event) ~= "string" then return nil end
   if event == "e_init_fsm" or event:find("^e_done@root") then return "engine" end

@@ -1,7 +1,7 @@
 --- The prompt of the simulator: Lua, and commands written as words.
 --
 -- An expression prints its value, a statement runs. A line that is no Lua and begins
--- with a command is split into words: `ser e_push` is `ser("e_push")`.
+-- with a command is split into words: `ser e_push` means `ser("e_push")`.
 --
 -- @module rfsm.sim.prompt
 -- @license BSD-3-Clause
@@ -24,14 +24,14 @@ local prompt = {}
 
 -- Compile ---------------------------------------------------------------------------
 
--- The blank in front is for 5.1, to which a text that begins with an escape (of an
--- arrow key) is a compiled chunk.
+-- Loads a text with a blank in front. Lua 5.1 takes a text that begins with an escape
+-- character, which arrow keys send, for a compiled chunk.
 local function load_in(env, text, chunkname)
   return calls.load(" " .. text, chunkname, env)
 end
 
--- Compiles an expression to a chunk that calls its argument with the values. A chunk
--- such as `return f()` would make a tail call, after which an error has no line.
+-- Compiles an expression to a chunk that passes its values to the chunk's argument. The
+-- simpler chunk `return f()` makes a tail call, after which an error has no line.
 local function compile_expression(env, text, chunkname)
   local chunk, problem = load_in(env, "return " .. text, chunkname)
   return chunk and load_in(env, "(...)(" .. text .. "\n)", chunkname) or chunk, problem
@@ -66,7 +66,8 @@ local function split(text)
   return words
 end
 
--- Returns a function that calls the command in a line of words; nil if there is none.
+-- Returns a function that calls the command with which a line of words begins; nil if
+-- it begins with no command.
 local function call_of(sim, text)
   local name, rest = text:match("^%s*([%a_][%w_]*)%f[%s%z]%s*(.-)%s*$")
   if not name then name, rest = text:match("^%s*(goto)%((.-)%)%s*$") end -- a keyword
@@ -77,7 +78,7 @@ local function call_of(sim, text)
   return function() sim.env[name](unpack(arguments)) end
 end
 
--- Words by which other programs are left.
+-- Commands that end other programs; `quit` ends the simulator.
 local LEAVE = { bye = true, exit = true, q = true }
 
 -- Returns the complaint about a name that does not exist.
@@ -88,7 +89,7 @@ local function problem_of_missing(sim, name, list)
   return "nothing is named " .. name .. hint
 end
 
--- Returns the complaint about a line that is only the name of an event, or of nothing.
+-- Returns a complaint if a line is only the name of an event, or an unknown name.
 local function problem_of_name(sim, text)
   local name = text:match("^%s*([%a_][%w_]*)%s*$")
   if not name or sim.env[name] ~= nil or not load("local " .. name) then return nil end
@@ -100,7 +101,8 @@ end
 
 -- Evaluate --------------------------------------------------------------------------
 
--- Returns the problem of a line; if that calls what does not exist, with a hint.
+-- Returns the problem of a line. If the line has called a global that does not exist,
+-- returns a complaint about this name, with a hint.
 local function explain(sim, problem)
   local name = problem:find("attempt to call", 1, true) and sim.missing[1]
   return name and problem_of_missing(sim, name, {}) or problem
@@ -120,7 +122,7 @@ end
 --- Run a text; return true, or false, the problem, and whether the text is incomplete.
 function prompt.evaluate(sim, text, chunkname)
   sim.missing = {}
-  -- `view /tmp/x.svg` would be a division
+  -- Certainly words, not Lua? Lua would take `view /tmp/x.svg` for a division.
   local is_clear = text:find("^%s*[%a_][%w_]*%s*$")
     or text:find("^%s*[%a_][%w_]*%s+[%w_/.-]")
   local problem = problem_of_name(sim, text)
@@ -134,13 +136,13 @@ function prompt.evaluate(sim, text, chunkname)
   return false, first_line(problem), is_incomplete(problem)
 end
 
---- Make the environment of typed code: the commands, then the globals of the chart.
+--- Make the environment of typed code. A name is a command or a global of the chart.
 function prompt.install(sim)
   local env = { fsm = sim.fsm, rfsm = rfsm, cell = sim.cell }
   for _, command in ipairs(sim.commands.list) do
     env[command.name] = function(...) return command.run(sim, ...) end
   end
-  function sim.compile(text, name) -- an expression
+  function sim.compile(text, name) -- the text is an expression
     local chunk, problem = load_in(env, "return " .. text, "=" .. name)
     return chunk or error(problem, 0)
   end
@@ -176,7 +178,8 @@ local function events_now(fsm)
   return words
 end
 
--- Returns the words that the Tab key may offer after a text, and those to offer first.
+-- Returns two lists of words for the Tab key after the text `before`: all words, and
+-- the words to offer first.
 local function words_after(sim, before)
   local command = sim.commands.find(before:match("^%s*([%w_]+)[%s(]") or "") or {}
   local fsm = command.fsm or sim.fsm
@@ -189,7 +192,7 @@ local function words_after(sim, before)
     words[#words + 1] = "fsm" .. name:match("%..*")
   end
   if kind == "points" and not before:find("%sif%s") then return words, {} end
-  for name in pairs(sim.env) do words[#words + 1] = name end -- any order: sorted
+  for name in pairs(sim.env) do words[#words + 1] = name end -- any order: sorted later
   for name in pairs(rfsm) do words[#words + 1] = "rfsm." .. name end
   return words, {}
 end
@@ -202,16 +205,16 @@ local function beginning_with(word, words)
   return rfsm.sorted_keys(set)
 end
 
--- Returns the words that complete the typed one. Readline sorts them, so those that
--- come first are offered alone, unless none of them begins with the typed word.
+-- Returns the words that complete the typed word. Readline sorts them. So the words to
+-- offer first are returned alone, unless none of them begins with the typed word.
 local function complete(sim, word, before)
   local words, first = words_after(sim, before)
   first = beginning_with(word, first)
   return first[1] and first or beginning_with(word, words)
 end
 
--- Evaluates a text and prints its problem. Returns the text if it is incomplete, else
--- ""; and the problem, if there is one.
+-- Evaluates a text and prints its problem. The first result is the text if it is
+-- incomplete, else "". The second result is the problem, or nil.
 local function evaluate(sim, text)
   local ok, problem, is_open = prompt.evaluate(sim, text, "=stdin")
   if is_open then return text, problem end
@@ -219,14 +222,14 @@ local function evaluate(sim, text)
   return "", problem
 end
 
--- Returns the line; in place of an empty one the last line, if that was a command.
+-- Returns the line; if the line is empty, the last line, if that was a command.
 local function repeated(sim, line)
   if not line:find("%S") then return sim.last_line or line end
   sim.last_line = sim.commands.find(line:match("^%s*([%w_]*)")) and line
   return line
 end
 
--- Evaluates an incomplete text with one line more. Returns what `evaluate` does.
+-- Evaluates an incomplete text with a further line. Returns the results of `evaluate`.
 local function take_line(sim, text, line)
   if text == "" and sim.follows then line = repeated(sim, line) end
   return evaluate(sim, text .. line .. "\n")

@@ -30,30 +30,31 @@ local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local complain, text_of = terminal.complain, rfsm.text_of
 
---- One chart and its prompt.
+--- A session: one chart and its prompt.
 ---@class rfsm.sim.Session
 ---@field fsm rfsm.Machine
 ---@field model rfsm.State
----@field file string of the chart
----@field has_stubs boolean
----@field follows boolean an advance prints what was taken, and the tree
----@field tree? string|false the tree shown last, which is not shown again
----@field level boolean|"full" are trace records shown? true: only the main ones
+---@field file string the file of the chart
+---@field has_stubs boolean was the file loaded with stubs in place of missing modules?
+---@field follows boolean does an advance print the transitions taken, and the tree?
+---@field tree? string|false the latest tree shown; an unchanged tree is not shown again
+---@field level boolean|"full" trace records shown: none, the main ones (true), or all
 ---@field hooks (fun(fsm: rfsm.Machine))[] called after each advance
 ---@field points rfsm.observe.Breakpoint[] breakpoints and expressions that are watched
----@field picture? string|false file into which each advance draws the machine
+---@field picture? string|false a file into which each advance draws the machine
 ---@field history rfsm.observe.Rewind
 ---@field observer rfsm.sim.Observer
 ---@field came string[] the events of the present advance, as texts
 ---@field recorder? rfsm.record.Recorder
 ---@field time? rfsm.sim.Time the simulated clock
----@field saved? table[] the functions that `dry` has taken away
+---@field saved? table[] the changes by which dry mode has removed functions
 ---@field env table what typed code sees: the commands, then the globals
 ---@field missing string[] globals that the current line reads and that do not exist
 ---@field last_line? string|false the last line typed, if it was a command
 ---@field commands { list: rfsm.sim.Command[], find: fun(name): rfsm.sim.Command? }
 ---@field cell? rfsm.System in place of a chart: the system whose machines are stepped
----@field replay? fun(sim: rfsm.sim.Session, file: string): integer, string? of a system
+---@field replay? fun(sim: rfsm.sim.Session, file: string): integer, string? if the
+-- session has a system: takes the moves that a file lists
 ---@field is_over boolean does the session end after this line?
 local Session = {}
 Session.__index = Session
@@ -108,7 +109,7 @@ function Session:show()
   if self.picture then self:draw(self.picture) end
 end
 
---- Draw the machine into a file, now and after each advance; false ends that.
+--- Draw the machine into a file, now and after each advance. If `file` is false, stop.
 function Session:draw(file)
   history.pause(self)
   local problem = file and drawing.draw(self.fsm, file)
@@ -116,8 +117,8 @@ function Session:draw(file)
   if problem then complain("view: " .. problem) end
 end
 
--- Advances by n steps, or fewer: to a breakpoint, until the machine is idle, or if it
--- cannot be entered. Returns whether it is idle, which one with an idle hook never is.
+-- Advances by n steps. Stops earlier at a breakpoint, if the machine is idle, or if it
+-- cannot be entered. Returns true if it is idle; a machine with an idle hook never is.
 local function advance(sim, n)
   local fsm, observed = sim.fsm, sim.observer
   if not sim.points[1] then return rfsm.step(fsm, n) and not fsm.idle_hook end
@@ -139,7 +140,7 @@ function Session:print_hits()
   end
 end
 
---- Advance by n steps, or until the machine is idle; show the result, also of an error.
+--- Advance by n steps, or until the machine is idle. Show the result, even of an error.
 function Session:advance(n)
   local observed = self.observer
   observed:begin(self.follows and not self.level)
@@ -182,7 +183,7 @@ function Session:check_event(event, i, fsm)
   end
 end
 
---- Send events; `e_done` is that of the active leaf.
+--- Send events. `e_done` stands for the event `e_done@FQN` of the active leaf.
 function Session:send(...)
   local leaf, events, n = self.fsm._act_leaf, { ... }, select("#", ...)
   for i = 1, n do
@@ -206,7 +207,7 @@ end
 
 -- Other records, another machine ----------------------------------------------------
 
--- The records that matter most while a chart is written.
+-- The trace records that matter most to the author of a chart.
 local MAIN_RECORDS = {}
 for id in ("STATE_ENTER STATE_EXIT EFFECT DOO EXEC_PATH ERROR HIBERNATING RAISED "
   .. "TIMEEVENT"):gmatch("%S+") do
@@ -226,7 +227,7 @@ function Session:set_level(level)
   self.fsm.dbg = level and rfsmpp.gen_dbgcolor(name, ids, level == "full")
 end
 
--- The doo in dry mode: goes on until its state is left.
+-- Replaces each doo in dry mode. It goes on until its state is left.
 local function idle()
   while true do rfsm.yield(true) end
 end
@@ -248,7 +249,7 @@ local function take_functions(fsm)
   return changes
 end
 
---- Take the functions of the chart away (dry mode), or give them back.
+--- Begin or end dry mode, in which the machine runs without the functions of the chart.
 function Session:set_dry(is_dry)
   history.pause(self)
   instrument.give_back(self.saved or {})

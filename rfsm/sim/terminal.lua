@@ -18,7 +18,7 @@ local jit = rawget(_G, "jit")
 
 local terminal = {}
 
---- Write a line to stderr, after the text in stdout.
+--- Flush stdout, then write a line to stderr.
 function terminal.complain(text)
   io.stdout:flush()
   io.stderr:write(text, "\n")
@@ -27,23 +27,24 @@ end
 -- Control-C, any number of times --------------------------------------------------
 --
 -- The interpreter alone survives only the first Control-C. So luaposix (or luv) counts
--- them, and a debug hook raises an error for each, also in a doo.
+-- each Control-C, and a debug hook raises an error for it, also in a doo.
 
-local PERIOD = 10000 -- VM instructions between two looks
-local counter -- luaposix or luv, once interrupts are caught
-local count, seen = 0, 0 -- Control-Cs typed, and raised as errors
-local is_busy = false -- C code runs that calls Lua: the hook must not raise an error
+local PERIOD = 10000 -- VM instructions between two checks for Control-C
+local counter -- the counter, made with luaposix or luv, once interrupts are caught
+local count, seen = 0, 0 -- how many Control-Cs were typed, and how many were noticed
+local is_busy = false -- true while C code calls Lua: the hook must not raise an error
 
---- Functions of luaposix or luv: what counts Control-C.
+--- A counter of Control-C, made with luaposix or luv.
 ---@class rfsm.sim.Counter
----@field look fun() lets the handler of the signal run
+---@field look fun() runs the handler of a signal that has come
 ---@field wait fun(): boolean waits for a key or a signal; returns whether a key came
 
 local poll
 
 -- luaposix calls the handler from a debug hook of the coroutine that has loaded
--- luaposix. So a coroutine of its own loads it, and is resumed to look. LuaJIT has one
--- debug hook for all coroutines: luaposix takes it, and the handler sets ours again.
+-- luaposix. So a coroutine only for this purpose loads it, and `look` resumes the
+-- coroutine. LuaJIT has one debug hook for all coroutines: luaposix replaces our hook,
+-- and the handler sets it again.
 local function posix_counter()
   local listener = coroutine.create(function()
     local signal = require "posix.signal"
@@ -79,7 +80,7 @@ local function luv_counter()
   }
 end
 
---- Has Control-C been typed since the last look?
+--- Has Control-C been typed since the last call of this function?
 function terminal.is_interrupted()
   local was_busy = is_busy
   is_busy = true
@@ -93,7 +94,7 @@ end
 function poll()
   if is_busy or not terminal.is_interrupted() then return end
   print() -- ends the line in which the terminal has shown ^C
-  error("interrupted!", 2) -- the core knows this text
+  error("interrupted!", 2) -- by this text the core knows an interrupt
 end
 
 --- Have each Control-C raise an error in the code that runs then.
@@ -102,10 +103,10 @@ function terminal.catch_interrupts()
   counter = posix_counter() or luv_counter()
   if not counter then return end
   sethook(poll, "", PERIOD)
-  if jit then jit.off() end -- its code calls no hook
+  if jit then jit.off() end -- compiled code calls no hook
 end
 
---- Set the debug hook again, which other code may have taken.
+--- Set the debug hook again, because other code may have replaced it.
 function terminal.settle()
   if counter then sethook(poll, "", PERIOD) end
 end
@@ -113,7 +114,7 @@ end
 --- Is Control-C caught?
 function terminal.is_caught() return counter ~= nil end
 
---- Return a callback that Control-C ends also in a coroutine, which has its own hook.
+--- Wrap a callback so that Control-C ends it also in a coroutine that has no hook.
 function terminal.interruptible(callback)
   return function(...)
     sethook(poll, "", PERIOD)
@@ -131,8 +132,8 @@ end
 
 -- Reads a line key by key, so that Control-C is noticed at once. Meanwhile the debug
 -- hook raises no error (`is_busy`), which would interrupt readline in the middle of its
--- work. After Control-C the handler of the line stays until the next line replaces it.
--- Removed at once, it would have lua-readline 3.2 write to a stream that is closed.
+-- work. After Control-C the handler of the line stays until the next line replaces it,
+-- because removing it then makes lua-readline 3.2 write to a closed stream.
 local function read_keys(readline, prompt)
   local line, is_done = nil, false
   readline.handler_install(prompt, function(text)
@@ -142,7 +143,7 @@ local function read_keys(readline, prompt)
   is_busy = true -- up to the end of `terminal.read`
   while not is_done do
     local has_key = counter.wait()
-    if terminal.is_interrupted() then -- a key behind it belongs to the next line
+    if terminal.is_interrupted() then -- a later key belongs to the next line
       print()
       return false
     end
@@ -153,7 +154,7 @@ end
 
 local HISTORY = (os.getenv("HOME") or ".") .. "/.rfsm_sim_history"
 
--- The line is in the file at once, and is not lost if the simulator is killed.
+-- Adds a line to the history, and to its file, at once: the simulator may be killed.
 local function keep_line(readline, line)
   readline.add_history(line)
   local file = io.open(HISTORY, "a")
@@ -162,7 +163,7 @@ local function keep_line(readline, line)
   file:close()
 end
 
--- Line editing, history and completion by the readline module; nil without it.
+-- Returns a reader with line editing, history and completion; nil without lua-readline.
 local function readline_reader(complete)
   local ok, readline = pcall(require, "readline")
   if not ok then return nil end
@@ -197,15 +198,15 @@ end
 
 local function piped_reader() return io.read() end
 
---- Return the reader for stdin: a pipe, or a terminal, where the Tab key offers the
--- words that `complete(word, before)` lists for a word and the text before it.
+--- Return the reader for stdin. At a terminal the Tab key offers the words that
+-- `complete(word, before)` lists for the typed word and the text before it.
 function terminal.new_reader(complete)
   if not terminal.is_terminal(0) then return piped_reader end
   return terminal.is_terminal(1) and readline_reader(complete) or prompting_reader
 end
 
---- Read a line; return what the reader does, and whether Control-C was typed. Then the
--- caller drops the incomplete lines before this one.
+--- Read a line. Return the result of the reader, and whether Control-C was typed. If it
+-- was, the caller drops the incomplete lines before this line.
 function terminal.read(read, prompt)
   local ok, line = pcall(read, prompt)
   is_busy = false

@@ -1,10 +1,11 @@
---- Tests: runs that together take every transition of a chart that can be taken, on
---- each of its events, and show which of two is taken if both are enabled.
+--- Tests: runs that together take each transition of a chart that can be taken, on each
+--- of its events. They also show which of two enabled transitions is taken.
 --
--- The steps come from an exploration with two events a step. A run goes on to the
--- nearest step that shows something new; a new run begins if that is shorter. The first
--- visit of a leaf is followed by steps that it ignores: without an event, with an event
--- that no transition names, and with one to which only other leaves react.
+-- The steps come from an exploration with two events in a step. A run goes on to the
+-- nearest step that shows something new. If the run is long and this step is as near
+-- from the start, a new run begins. After the first visit of a leaf the run has steps
+-- that the leaf ignores: without an event, with an event that no transition names, and
+-- with an event to which only other leaves react.
 --
 -- @module rfsm.tests.tests
 -- @license BSD-3-Clause
@@ -31,17 +32,17 @@ local tests = {}
 ---@class rfsm_checks.Tests
 ---@field runs { steps: rfsm_checks.TestStep[] }[]
 ---@field steps integer number of steps in all runs
----@field taken integer how many transitions they take
+---@field taken integer number of transitions that the exploration has taken
 ---@field transitions integer number of transitions of the chart
----@field skipped integer runs that a rehearsal cannot repeat
----@field modules table<string, true> of the extensions whose events the chart names
+---@field skipped integer number of planned runs that a rehearsal could not repeat
+---@field modules table<string, true> names of extensions whose events the chart names
 
 --- A step of a rehearsal, and its result.
 ---@class rfsm_checks.TestStep
 ---@field what table the argument of `Rehearsal:step`
 ---@field result string
 
--- Returns the transition from the same node that is tried next.
+-- Returns the transition of the same node that is tried next; nil if `tr` is the last.
 local function next_of(tr)
   for i, other in ipairs(tr.src._otrs) do
     if other == tr then return tr.src._otrs[i + 1] end
@@ -50,13 +51,14 @@ end
 
 -- Steps of the exploration ..........................................................
 
--- Can an event be written in a spec? Those of regions cannot.
+-- Can an event be written in a spec? It must be a plain value, and not go to a region.
 local function is_plain(occurrence)
   return encoding.is_scalar(occurrence.event) and not occurrence.part.owner
 end
 
--- Lists the facts that a step shows, as keys: each transition taken, with each of its
--- events that came, and with the next one in order if that was enabled, too.
+-- Lists the facts that the last step shows, as keys: "taken 3" for transition 3,
+-- "taken 3 on 1" if it names event 1, which came, and "taken 3 before 4" if transition
+-- 4, which is tried next, was enabled, too.
 local function shown_by(own)
   local keys, events = {}, own.last_events
   for _, number in ipairs(own.taken) do
@@ -75,7 +77,8 @@ local function shown_by(own)
   return keys
 end
 
--- Notes the steps of an exploration, once for each target and list of facts.
+-- Notes the steps of an exploration. Of several steps with the same source, target and
+-- facts only the first one is noted.
 local function watch_steps(walk)
   local edges, is_noted, own = {}, {}, walk.subject
   own.notes_events = true
@@ -94,17 +97,17 @@ end
 
 -- Runs ..............................................................................
 
--- Returns the shortest list of steps from a configuration whose last step shows a fact
--- in `left`.
+-- Returns the shortest list of steps from the configuration `start` to a step that
+-- shows a fact in `left`.
 local function find_way(walk, start, left)
   return graph.find_way(walk.edges, start, function(edge)
     return order.any(edge.shows, function(key) return left[key] end)
   end)
 end
 
-local LONG = 12 -- steps; a longer run may end, if a new one is as near to the next fact
+local LONG = 12 -- steps; a longer run ends if a new run is as near to the next fact
 
--- Returns runs, lists of steps, that show all facts in `left`.
+-- Returns runs that together show all facts in `left`. A run is a list of steps.
 local function plan(walk, left)
   local runs, run, at = {}, nil, 1
   while true do
@@ -125,15 +128,15 @@ end
 
 -- Steps for the rehearsal ...........................................................
 
--- "e_after(3)@root.a" becomes 3, to be waited for.
+-- Returns the seconds in a timer event such as "e_after(3)@root.a"; else nil or false.
 local function seconds_of(event)
   return type(event) == "string" and tonumber(event:match("^e_after%(([%d.]+)%)@"))
 end
 
-local MARGIN = 0.001 -- seconds; a timer fires after its time
+local MARGIN = 0.001 -- seconds to wait longer: a timer expires only after its time
 
 -- Returns the argument of `Rehearsal:step` for a step of the exploration. With `waits`
--- time goes by in place of timer events.
+-- the rehearsal lets time pass in place of sending timer events.
 local function told_of(walk, own, edge, waits)
   local step = walk:rerun(edge.from, edge.label)
   local what = own:answers_of(step)
@@ -148,7 +151,7 @@ local function told_of(walk, own, edge, waits)
   return what
 end
 
--- Is there a transition that any event triggers in a leaf?
+-- May an event that no transition names trigger a transition that is tried in `leaf`?
 local function takes_any(part, leaf)
   for _, node in ipairs(leaf and location.line(part.fsm, leaf) or {}) do
     for _, tr in ipairs(node._otrs) do
@@ -158,8 +161,8 @@ local function takes_any(part, leaf)
   return false
 end
 
--- Lists steps that a leaf ignores: without an event; with an event that no transition
--- names; with one to which other leaves react.
+-- Lists steps that a leaf ignores: without an event, with an event that no transition
+-- names, and with an event to which only other leaves react.
 local function steps_at_rest(walk, number)
   local own, conf = walk.subject, walk:configuration(number)
   local leaf = conf[1].leaf
@@ -185,8 +188,8 @@ local function is_as_explored(walk, own, edge)
     and step.leaf == rfsm.get_actleaf_fqn(own.subject.parts[1].fsm)
 end
 
--- Rehearses a planned run; with `waits` time goes by for its timers. Returns the steps;
--- nil if the rehearsal departs from the plan. Notes the leaves that are visited.
+-- Rehearses a planned run. With `waits` time passes in place of timer events. Returns
+-- the steps; nil if the rehearsal departs from the plan. `is_seen` gets visited leaves.
 local function rehearse(walk, model, run, waits, is_seen, options)
   local steps = {}
   local own = rehearsal.rehearsal(model, { callbacks = options.callbacks })
@@ -206,12 +209,12 @@ end
 
 -- Public functions ..................................................................
 
---- How tests are made.
+--- Options for the planning of tests.
 ---@class rfsm_checks.TestOptions
 ---@field callbacks? boolean run entries, exits and effects
----@field stub? boolean open the file with stubs
----@field machine? integer number of the machine, if a program makes several
----@field file? string of the model; each run is tried once more on the chart in it
+---@field stub? boolean load the file with stubs in place of missing modules
+---@field machine? integer number of the machine, if the file is a program with several
+---@field file? string the file of the model; each run is repeated on the chart in it
 
 -- Are the results of a run the same if the chart is loaded from its file again?
 local function does_repeat(steps, options)
@@ -235,7 +238,7 @@ function tests.plan(model, options)
     local module = match.maker_of(event) and advice.module_for(event)
     if module then result.modules[module] = true end
   end
-  for _, list in pairs(walk.edges) do -- any order: a set
+  for _, list in pairs(walk.edges) do -- any order: `left` is a set
     for _, edge in ipairs(list) do
       for _, key in ipairs(edge.shows) do left[key] = true end
     end
@@ -314,7 +317,7 @@ local RUNS = {
 local BEGIN = "-- rfsm check --tests: what stands from here ...\n"
 local END = "-- rfsm check --tests: ... to here is written anew.\n"
 
-local WIDTH = 88 -- of a line
+local WIDTH = 88 -- columns of a line in the spec
 
 local function add_step(lines, step)
   local call, result = step_text(step.what), quoted(step.result)
@@ -325,7 +328,7 @@ local function add_step(lines, step)
   lines[#lines + 1] = line
 end
 
--- Names a run by its leaves, as far as a line has room.
+-- Names a run by the leaves that it reaches. A long name leaves out some in the middle.
 local function name_of(run)
   local names, last = {}, nil
   for _, step in ipairs(run.steps) do
@@ -342,7 +345,7 @@ local function name_of(run)
   return "goes to " .. text
 end
 
--- Returns the expression for the chart's file, relative to the folder of the spec.
+-- Returns a Lua expression for the chart's file, relative to the folder of the spec.
 local function file_text(file, output)
   local folder = output and output ~= "-" and output:match("^(.*/)") or ""
   if file:sub(1, 1) == "/" or not output or output == "-"
@@ -357,7 +360,7 @@ local function file_text(file, output)
   return "here .. " .. quoted(folder:gsub("%.?[^/]*/", "../") .. file)
 end
 
--- Returns an old file with new runs in place of its own.
+-- Returns the spec `old` with new runs between its marks; without `old`, a new spec.
 local function merge(old, head, body)
   if not old or old == "" then return head .. BEGIN .. body .. END end
   local _, from = old:find(BEGIN, 1, true)
@@ -374,10 +377,10 @@ local function options_text(options)
 end
 
 --- Write the runs of a chart as a spec for busted.
----@param file string of the chart
+---@param file string the file of the chart
 ---@param options? rfsm_checks.TestOptions
 ---@param output? string the file of the spec; the chart is loaded relative to it
----@param old? string the text of that file, in which the marked lines are replaced
+---@param old? string the present text of `output`; its marked lines are replaced
 ---@return string text
 ---@return rfsm_checks.Tests
 function tests.busted(file, model, options, output, old)

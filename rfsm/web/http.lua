@@ -20,24 +20,24 @@ local http = {}
 -- Limits ----------------------------------------------------------------------
 
 local MAX_CONNECTIONS = 200
-local MAX_DESCRIPTOR = 1023 -- the greatest one that `select` takes
-local MAX_ACCEPTED = 50 -- at a time, before the open connections are served again
+local MAX_DESCRIPTOR = 1023 -- the greatest file descriptor that `select` takes
+local MAX_ACCEPTED = 50 -- new connections in one step
 local MAX_STREAMS = 32
 local MAX_HEAD, MAX_BODY = 8192, 16384
 local BEAT_TIME = 15 -- seconds without a message until a heartbeat
 
--- Seconds that a phase of a connection may take: until the request is complete, until
--- the client has read the reply, until it has sent the rest of a request and closes.
--- The client of a stream may leave a message unread for so long.
+-- Seconds that a phase of a connection may take. "reading" ends when the request is
+-- complete, "writing" when the client has taken the reply, "closing" when the client
+-- closes the connection. In a "stream" the client must take each message in this time.
 local MAX_TIME = { reading = 5, writing = 30, closing = 2, stream = 30 }
 
 -- Requests --------------------------------------------------------------------
 
 --- A request.
 ---@class rfsm.web.Request
----@field method string "GET", "POST"
----@field path string as sent, up to a question mark
----@field query string behind the question mark, or ""
+---@field method string such as "GET"
+---@field path string the target of the request up to a question mark, not decoded
+---@field query string the text behind the question mark; "" if there is none
 ---@field headers table<string, string> by lower-case name
 ---@field body string
 
@@ -56,7 +56,7 @@ local function parse_headers(lines)
   return headers
 end
 
--- Returns the length of the body, or nil and the status of a refusal.
+-- Returns the length of the body; nil and the HTTP status if the request is refused.
 local function body_length(headers)
   if headers["transfer-encoding"] then return nil, 501 end
   local text = headers["content-length"] or "0"
@@ -66,7 +66,7 @@ local function body_length(headers)
   return length
 end
 
--- Returns the request in a text; nil if it is incomplete, and a status if it is wrong.
+-- Returns the request in a text; nil if it is incomplete, nil and a status if wrong.
 local function parse_request(text)
   local stop, body_start = text:find("\r\n\r\n", 1, true)
   if not stop then return nil, #text > MAX_HEAD and 431 or nil end
@@ -91,9 +91,9 @@ end
 ---@class rfsm.web.Reply
 ---@field status? integer default 200
 ---@field type? string default "text/plain"
----@field body? string of a stream the first message
+---@field body? string the body, or the first message of a stream
 ---@field policy? string the header field Content-Security-Policy
----@field stream? any if set, more messages follow, about this subject
+---@field stream? any the subject of a stream: messages about it follow the first one
 
 local REASONS = {
   [200] = "OK", [202] = "Accepted", [204] = "No Content", [400] = "Bad Request",
@@ -124,8 +124,8 @@ end
 ---@field received string
 ---@field pending string a reply or message that is being sent; "" if there is none
 ---@field sent integer bytes of `pending` that the client has taken
----@field since number when the phase began; of a stream, when its client last took
--- bytes or a new message was begun
+---@field since number the time when the phase began; in a stream, the latest time when
+-- the client took bytes or a message was begun
 ---@field stream? any the subject of a stream
 
 local function new_connection(client, now)
@@ -144,8 +144,8 @@ local function drop(server, connection)
   end
 end
 
--- If there are too many streams for another one, drops the one whose client has not
--- read for the longest time. If all have read, drops the oldest.
+-- If no more streams are allowed, drops the stream whose client has left a message
+-- unread for the longest time. If no message is unread, drops the oldest stream.
 local function make_room(server)
   local silent, count = nil, 0
   for _, connection in ipairs(server.connections) do
@@ -172,7 +172,7 @@ local function begin_reply(server, connection, reply)
   begin_message(connection, reply_text(reply), server.clock())
 end
 
--- Sends as much as the client takes. If it is gone, `read` will find that.
+-- Sends as much as the client takes. If the client is gone, `read` will notice.
 local function write(server, connection)
   local last, _, partly = connection.socket:send(connection.pending,
     connection.sent + 1)
@@ -204,7 +204,7 @@ end
 
 -- The server ------------------------------------------------------------------
 
---- An open port.
+--- A server: an open port and its connections.
 ---@class rfsm.web.HttpServer
 ---@field host string
 ---@field port integer
@@ -243,7 +243,7 @@ local function drop_late(server)
   end
 end
 
---- Serve what is ready; wait at most `timeout` seconds.
+--- Serve the connections that are ready; wait at most `timeout` seconds for one.
 function Server:step(timeout)
   local readers, writers, by_socket = { self.socket }, {}, {}
   for i, connection in ipairs(self.connections) do
@@ -263,8 +263,9 @@ function Server:step(timeout)
   drop_late(self)
 end
 
---- Send a message to each stream whose client has taken the last one: the text that
--- `next_message(connection)` returns, if it returns one. It is called for others later.
+--- Send a message to each stream whose client has taken the previous message. The text
+-- is the result of `next_message(connection)`. If that is nil, nothing is sent, except
+-- a heartbeat from time to time.
 function Server:feed(next_message)
   local now = self.clock()
   for _, connection in ipairs(self.connections) do
@@ -286,8 +287,8 @@ function Server:close()
   self.socket:close()
 end
 
---- Open a port, or a free one if `port` is 0; nil and the problem if that fails. The
--- limits of time are those of `clock`.
+--- Open a port, or any free port if `port` is 0. Return the server; nil and the problem
+-- if that fails. `clock` measures the limits of time.
 ---@param handle fun(request: rfsm.web.Request): rfsm.web.Reply
 function http.listen(host, port, handle, clock)
   local listening, problem = socket.bind(host, port, 128)
