@@ -16,8 +16,8 @@ local setmetatable, huge = setmetatable, math.huge
 ---@field problems string[]
 ---@field generation integer
 ---@field commands table<string, function>
----@field has_history boolean is it observed also while no page is open?
----@field seen_at number when a page has read last
+---@field has_history boolean is the machine observed also while no page is open?
+---@field seen_at number the time at which a page has read it last
 local Served = {}
 Served.__index = Served
 
@@ -32,7 +32,7 @@ end
 
 function COMMANDS.why(served) return nil, served.view:why() end
 
---- Start, or stop, noting what the machine does. With `history` that never stops.
+--- Start, or stop, to observe the machine. With `history` it is observed all the time.
 function Served:observe(is_wanted)
   self.view:observe(is_wanted or self.has_history)
 end
