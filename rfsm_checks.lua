@@ -24,9 +24,9 @@ local elements, text_of = rfsm.elements, rfsm.text_of
 ---@field coverage fun(fsm: rfsm.Machine, earlier?: table): rfsm_checks.Coverage
 ---@field rehearsal fun(chart: string|rfsm.State): rfsm_checks.Rehearsal for tests
 ---@field record_witness fun(model: rfsm.State, witness: table, sink: table|string)
----@field path_of fun(witness: table): string[] the option `trace` of a picture
----@field never fun(condition: any): rfsm_checks.Property it never holds
----@field always fun(condition: any): rfsm_checks.Property it always holds
+---@field path_of fun(witness: table): string[] for the option `trace` of a picture
+---@field never fun(condition: any): rfsm_checks.Property the condition never holds
+---@field always fun(condition: any): rfsm_checks.Property the condition always holds
 ---@field after fun(event: any): table after(event).reach(condition)
 ---@field from fun(condition: any): table from(condition).can_reach(condition)
 ---@field precedes fun(first: any, second: any): rfsm_checks.Property

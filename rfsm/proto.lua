@@ -31,7 +31,7 @@ local VERSION = 2 -- of the messages and of the graph in them, as rfsm.json writ
 
 -- Options ---------------------------------------------------------------------
 
--- Description, test, default of each option.
+-- Name of an option -> its description, its test and its default.
 local OPTIONS = {
   allow_send = { "boolean", opts.is_a "boolean", false },
   clock = { "function that returns seconds", rfsm.is_callable },
@@ -283,8 +283,8 @@ local function read_clock(server)
   server.now = now
 end
 
--- Drops subscribers that were silent too long; none of them because of a clock that was
--- set back.
+-- Drops subscribers that were silent too long. If the clock was set back, the silence
+-- of each subscriber begins anew.
 local function drop_silent(server)
   for i = #server.subscribers, 1, -1 do
     local sub = server.subscribers[i]
@@ -383,11 +383,11 @@ local servers = setmetatable({}, { __mode = "k" }) -- all servers that are still
 ---@field port? integer default 44044; 0 for any that is free
 ---@field read_timeout? number seconds that an iteration waits for a datagram, default 0
 ---@field allow_send? boolean may messages send events? default false
----@field fsm? rfsm.Machine answers; nil: all machines initialised from now on do
+---@field fsm? rfsm.Machine the machine that answers; nil: all that are made from now on
 ---@field clock? fun(): number returns seconds; default `socket.gettime`
----@field max_datagram? integer bytes that are sent at most, default 65507
----@field max_received? integer bytes that are read at most, default 4096
----@field max_reads? integer datagrams read in an iteration, default 64
+---@field max_datagram? integer most bytes of a message that is sent, default 65507
+---@field max_received? integer most bytes of a message that is read, default 4096
+---@field max_reads? integer most datagrams read in an iteration, default 64
 ---@field max_events? integer most events that wait in a machine, default 1000
 ---@field max_subscribers? integer default 16
 ---@field max_silence? number seconds; a subscriber without heartbeat for longer is

@@ -24,7 +24,7 @@ local strict = {}
 -- The strict machine that was made last. It warns of functions that rfsm does not have.
 local latest = nil
 
---- What is noted about a machine, in its field `_strict`.
+--- The notes about a machine, in its field `_strict`.
 ---@class rfsm.strict.Notes
 ---@field told table<string, true> warnings that were given
 ---@field models table<table, table> element -> the callbacks that its model had
@@ -158,8 +158,8 @@ end
 -- The folder of this library, with which the chunk names of its modules begin.
 local own_folder = getinfo and getinfo(1, "S").source:match("^(@.*rfsm/)") or "none"
 
--- Returns the place of the call of the function that calls `caller`, "lamp.lua:7: "; ""
--- if that place is in this library.
+-- Returns the place, such as "lamp.lua:7: ", from which the caller of this function was
+-- called; "" if the place is in this library.
 local function caller()
   local info = getinfo and getinfo(3, "Sl")
   local is_own = info and info.source:sub(1, #own_folder) == own_folder
@@ -245,8 +245,8 @@ local function check_model(fsm, obj)
   end
 end
 
--- Is a value an element that was put into a machine after rfsm.init? The machine does
--- not look at it.
+-- Is a value an element that was put into a machine after rfsm.init? It is
+-- not a part of the machine.
 local function is_foreign(value)
   return rfsm.is_fsmobj(value) and rawget(value, "_parent") == nil
 end
@@ -315,8 +315,8 @@ local function waiting_for(fsm, event)
   end
 end
 
--- The post step hook: warns of each event that is discarded, as it came together with
--- an event that was taken, and for which a state that is active now has a transition.
+-- The post step hook: warns of each discarded event for which a state that is active
+-- now has a transition. It came together with the event that was taken.
 local function check_lost(fsm, events)
   local path = fsm._strict.path
   fsm._strict.path = false

@@ -41,8 +41,8 @@ source.is_there = luacheck and parser and decoder and getinfo ~= nil
 
 --- A file that was read.
 ---@class rfsm_checks.File
----@field functions table<integer, table|false> by first line; false: several functions
----@field undefined { name: string, line: integer }[] globals that are read
+---@field functions table<integer, table|false> first line -> function; false: several
+---@field undefined { name: string, line: integer }[] globals that the file reads
 ---@field tested table<string, true> names whose existence is tested
 ---@field lost table<integer, table[]> line of a table -> keys that the table has twice
 ---@field called table<integer, table[]> line of a table -> calls in place of callbacks
@@ -116,7 +116,7 @@ local function check_globals(file, info, add)
 end
 
 -- Does a node call a global function, or a function in a global table or in `rfsm`?
--- Such a function does not yield, as the caller has handled names with "yield" before.
+-- The caller has handled names with "yield" before, so the function does not yield.
 local function is_plain_call(node)
   local name, library = called_name(node)
   return library == "rfsm" or rawget(_G, library or name) ~= nil

@@ -18,7 +18,7 @@ local is_conn, is_leaf = rfsm.is_conn, rfsm.is_leaf
 
 local structure = {}
 
--- Marks a node to which a transition leads, and the composites around it.
+-- Marks a node to which a transition leads, and the composites around it, as reached.
 local function mark(reached, pending, node)
   while not reached[node] do
     reached[node] = true

@@ -4,7 +4,7 @@
 -- each configuration steps are taken without an event, with each event that may come
 -- and can have an effect (or each set of up to `options.together` such events), and
 -- with the larger sets that paths through connectors need. Each step is repeated for
--- every combination of answers: of guards and predicates, and whether a doo ends.
+-- every list of choices: the answers of guards and predicates, and whether a doo ends.
 --
 -- The walk stores for each configuration its key, the number of the configuration from
 -- which it was first reached, and the label of that step. For each step it stores the
@@ -72,11 +72,11 @@ local explore = {}
 ---@field depth integer how many steps lead to the configurations expanded now
 ---@field level_end integer the last configuration of this depth
 ---@field first integer[] configuration -> the position of its first step in `steps`
----@field steps integer[] the target of each; negative: it has no event from outside
+---@field steps integer[] target of each step; negative: without event from outside
 ---@field taken table<integer, table> transition -> the first step that takes it
 ---@field stuck integer[] configurations whose steps stay there and take no transition
----@field has_moved boolean the configuration expanded now is not stuck
----@field expanded integer configurations whose steps were all taken
+---@field has_moved boolean the configuration expanded now is known not to be stuck
+---@field expanded integer how many configurations had all their steps taken
 ---@field endless table? the first step in which a region never becomes idle
 ---@field bound string? the name of the first bound that was hit
 ---@field untried string[] texts that say what was not tried
@@ -144,7 +144,7 @@ end
 --- Return the number of a known configuration with the same key, or of one that differs
 --- only in its times and whose zone of times includes the zone of the key.
 ---@return integer? number nil if no such configuration is known
----@return integer[]? kin without a number: the configurations that differ only in times
+---@return integer[]? kin if `number` is nil: configurations that differ only in times
 function Walk:find_known(key)
   if self.numbers[key] or not self.timing then return self.numbers[key] end
   local id, own = split(key)
@@ -270,7 +270,7 @@ local function after_choice(walk, has_ended)
   if key or not has_ended then try.f(walk, try, key, label) end
 end
 
--- Notes what a step has done.
+-- Notes the outcome of a step in the walk.
 local function note_step(walk, try, key, label)
   local from = try.from
   for _, number in ipairs(walk.subject.taken) do
@@ -300,8 +300,8 @@ local function sets_of(list, most)
   return sets
 end
 
--- Takes the steps at which the deadlines of a group are over: one step for each set of
--- events from outside and each list of choices.
+-- Takes the steps that begin when the deadlines of a group are over: one step for each
+-- set of events from outside and each list of choices.
 local function each_set(walk, from, conf, group, sets, f)
   local timers, is_over = group and group.events or {}, group and group.is_over
   local try = { from = from, conf = conf, group = group, events = false,
@@ -446,8 +446,8 @@ local KNOWN = {
   progress = { "function", rfsm.is_callable },
 }
 
--- Notes what callbacks may do without the knowledge of the exploration: write targets
--- and data, and send events later or cancel them though the options do not name these.
+-- Notes that callbacks may do what the exploration does not follow: write targets and
+-- data, and send events later or cancel them though the options do not name these.
 local function note_gaps(walk)
   local own = walk.subject
   local function add(names, bound, text)
@@ -460,8 +460,8 @@ local function note_gaps(walk)
     "events that the %s may cancel")
 end
 
---- Return the options with these names, with their defaults. If an option is wrong or
---- has another name, return nil and the problem.
+--- Return the options of the given names; missing options get their defaults. If an
+--- option is wrong or has another name, return nil and the problem.
 ---@param options table
 ---@param names string[]
 ---@param more? table<string, any[]> options that only the caller has

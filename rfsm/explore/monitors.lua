@@ -13,15 +13,15 @@ local ipairs, type = ipairs, type
 
 local monitors = {}
 
---- What a monitor sees of a step.
+--- The view of a step that a monitor has.
 ---@class rfsm_checks.Look
 ---@field active fun(name: string): boolean is the state or flag active?
 ---@field came boolean the event of the property came
 ---@field is_end boolean the step ends; otherwise it only passes a state
 ---@field expired integer how many clocks have expired
 ---@field count integer how many clocks there are
----@field is_idle? boolean a running machine does nothing before an event comes
----@field is_at_rest? boolean a running machine is idle, and no timer is armed
+---@field is_idle? boolean for running machines: nothing happens before an event comes
+---@field is_at_rest? boolean for running machines: it is idle, and no timer is armed
 
 --- Does a condition hold?
 ---@param condition any see `rfsm.explore.properties`

@@ -124,7 +124,7 @@ function properties.always(condition)
   return new("always", { what = checked("always", "what", condition) })
 end
 
---- Declare what an event leads to, once the machine was entered.
+--- Declare the consequence of an event that comes after the first entry.
 --
 -- `after("e_stop").reach("root.stopped")`: the condition holds after the step with the
 -- event, or after one of the next steps without events from outside, whatever guards
@@ -139,7 +139,7 @@ function properties.after(event)
       never = { "after_never", "goal" } })
 end
 
---- Declare what becomes of a condition.
+--- Declare how long a condition holds, or what can follow it.
 --
 -- `from("root.fault").can_reach("root.ready")`: from each configuration in `root.fault`
 -- some run leads to `root.ready`. `left_within(2)`: each time the condition begins to
@@ -193,7 +193,7 @@ function properties.at_least(count, event)
     { within = { "at_least", "seconds" } })
 end
 
--- Returns the text of an event, the same in each run.
+-- Returns a text of an event that is the same in each run, so without addresses.
 local function text_of_event(event)
   if type(event) == "function" then return "a function" end
   if type(event) ~= "table" then return rfsm.text_of(event) end
@@ -225,7 +225,7 @@ end
 ---@field walk rfsm_checks.Walk
 ---@field is_open? boolean the verdict is not known, though everything was tried
 ---@field at? integer the configuration that violates the property
----@field label? string label of the step from `at` that violates the property instead
+---@field label? string label of the step from `at`, if a step violates the property
 ---@field tgt? integer of an `after`: the configuration to which this step leads
 ---@field owed? table<integer, table> of an `after`: configuration -> the first step
 -- that has the event and leads to it
@@ -248,9 +248,9 @@ function properties.list_of(where, given)
   return list
 end
 
--- Returns the set of configurations in which a condition holds. If a condition holds in
--- a state that a step enters and leaves again, the set also has the configuration in
--- which the step begins (`field` is "from") or ends ("tgt").
+-- Returns the set of configurations in which a condition holds. With `field`, if it
+-- holds in a state that a step enters and leaves again, the set also has the
+-- configuration in which the step begins ("from") or ends ("tgt").
 local function set_of(walk, condition, field)
   local set = {}
   for number = 2, #walk.keys do

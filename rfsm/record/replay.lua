@@ -23,7 +23,7 @@ local list_text, leaf_text, same = tracks.list_text, tracks.leaf_text, tracks.sa
 ---@class rfsm.record.Session
 ---@field records rfsm.record.Record[] the records of the outermost machine
 ---@field at integer how many records have been replayed
----@field last integer how many are to be replayed
+---@field last integer how many records are to be replayed
 ---@field is_dry boolean the functions of the chart are not called
 ---@field fsm rfsm.Machine|nil nil if the snapshot of the header cannot be put into it
 ---@field problem string|nil why there is no machine, or how it departs from the records
@@ -41,8 +41,8 @@ local function depart(session, form, ...)
     or ("step %d: "):format(session.at + 1) .. form:format(...)
 end
 
--- Replaces the events in a list by others, which are packed. If one cannot be replayed,
--- the replay departs from the recording.
+-- Fills a list with packed events, which are unpacked. If one of them cannot be
+-- replayed, the replay departs from the recording.
 local function fill(session, list, events)
   for i = #list, 1, -1 do list[i] = nil end
   for i = 1, events and #events or 0 do
@@ -55,7 +55,8 @@ local function fill(session, list, events)
   end
 end
 
--- Returns the next recorded reading of the clock. The last one is repeated.
+-- Returns true and the next recorded reading of the clock, or false and the recorded
+-- error. The last reading is repeated.
 local function read_again(session)
   local now = remove(session.readings or {}, 1) or session.latest or { 0, 0 }
   if type(now[1]) == "string" then return false, now[1] end

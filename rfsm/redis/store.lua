@@ -107,8 +107,8 @@ local function heads_of(index)
   return heads
 end
 
--- Lists the members that the index may have for a key: one for each chart and state. It
--- is for a key whose state is not known; a machine removed by DEL leaves a member.
+-- Lists the members that the index may have for a key, one for each chart and state.
+-- The state may be unknown, since a machine that is removed by DEL leaves its member.
 local function members_of(key)
   local members = heads_of(keys_of.index(key))
   for i, head in ipairs(members) do members[i] = head .. key end
@@ -179,7 +179,7 @@ local function whole_of(text, default, most)
 end
 
 -- Runs a machine that is due, and removes it from the machines that were put aside if
--- it may be one of them. If it does not exist any more, it is not due any more, either.
+-- it may be one of them. If it does not exist, its key is removed from the due ones.
 local function tick(key, may_be_aside)
   local reply = tick_machine({ key })
   if not reply then call("ZREM", keys_of.due(key), key) end

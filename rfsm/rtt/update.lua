@@ -33,7 +33,7 @@ local function make_room(problem)
 end
 
 -- Returns the KiB in use, the most KiB that ever were in use, and the size of the TLSF
--- pool. The figures of a pool include its overhead. Without a pool: 0, and infinity.
+-- pool. The figures of a pool include its overhead. Without one: 0 and infinity.
 local function usage()
   local tlsf = rawget(_G, "tlsf")
   if not (tlsf and tlsf.stats) then return collectgarbage("count"), 0, huge end
@@ -153,7 +153,7 @@ end
 
 -- Log ----------------------------------------------------------------------------
 
-local MOST_LINES = 16 -- with different texts, which are remembered
+local MOST_LINES = 16 -- lines with different texts that a log remembers
 
 local function write(rtt, line)
   rtt.logl(line.level, line.text
@@ -165,8 +165,8 @@ end
 -- written in the same second already is only counted. The other function, to be called
 -- now and then, writes the lines that were counted, with their counts.
 --
--- Arguments become texts, since OCL mutes the log of the whole process at an error that
--- is no text.
+-- Arguments become texts, since OCL mutes the log of the whole process if an error is
+-- not a text.
 function update.new_log(rtt)
   local lines, is_behind = {}, false
 

@@ -12,7 +12,7 @@
 ---@field exit? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "exit")
 ---@field doo? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "doo"): boolean?
 ---@field final? boolean a leaf that is meant to be the end
----@field getevents? false|fun(fsm: rfsm.Machine): any[]? root only, as all below
+---@field getevents? false|fun(fsm: rfsm.Machine): any[]? root only, as all fields below
 ---@field dbg? boolean|fun(id: string, ...)
 ---@field info? boolean|fun(...)
 ---@field warn? boolean|fun(...)
@@ -31,7 +31,8 @@
 ---@field src string|rfsm.State|rfsm.Connector source; a node after init
 ---@field tgt string|rfsm.State|rfsm.Connector target; a node after init
 ---@field events? false|any[]|string one of them triggers; none: any event does
----@field guard? false|fun(tr: rfsm.Transition, events: any[]): boolean? false inhibits
+---@field guard? false|fun(tr: rfsm.Transition, events: any[]): boolean?
+-- the transition is not enabled if the guard returns false
 ---@field effect? false|fun(m: rfsm.Machine, tr: rfsm.Transition, s: string, e: any[])
 ---@field pn? number priority among the transitions of a node, larger first (0)
 ---@field [string] any
