@@ -64,7 +64,7 @@ local explore = {}
 ---@field subject rfsm_checks.Subject
 ---@field model rfsm.State
 ---@field options rfsm_checks.Options
----@field way rfsm_checks.Way
+---@field way rfsm_checks.Way the parts of the machine that the walk has; false: all
 ---@field keys string[] of the configurations; in the first one no state is active
 ---@field numbers table<string, integer> key -> configuration
 ---@field from integer[] configuration -> the one from which it was first reached
@@ -367,7 +367,8 @@ end
 --- Take all steps from a configuration, and call f(walk, try, key, label) after each.
 ---@param from integer
 ---@param f function see the field `f` of `rfsm_checks.Try`
----@param read? rfsm_checks.Occurrence[] events that come in each step, before others
+---@param read? rfsm_checks.Occurrence[] events that come in each step, before its own
+-- ones
 function Walk:each_step(from, f, read)
   each_try(self, from, f, read)
   data.rest(self.subject)
@@ -474,7 +475,7 @@ end
 --- Make a walk over the configurations of a model. The walk has no configuration yet.
 ---@param model rfsm.State
 ---@param options rfsm_checks.Options
----@param way? rfsm_checks.Way
+---@param way? rfsm_checks.Way the parts of the machine to explore; nil: all
 ---@return rfsm_checks.Walk walk
 function explore.new(model, options, way)
   local settings = assert(opts.read(KNOWN, options))
@@ -503,7 +504,7 @@ end
 ---@param model rfsm.State
 ---@param options rfsm_checks.Options
 ---@param prepare? fun(walk: rfsm_checks.Walk) called before the walk begins
----@param way? rfsm_checks.Way
+---@param way? rfsm_checks.Way the parts of the machine to explore; nil: all
 ---@return rfsm_checks.Walk walk
 function explore.walk(model, options, prepare, way)
   local walk = explore.new(model, options, way)
@@ -627,7 +628,7 @@ function Walk:witness(number, label, cycle)
   local way, steps = explore.way_to(self, number, label), {}
   steps.again = cycle and #way + 1
   way = match.joined(way, cycle or {})
-  local timed = {} -- for `Timing:times_of`
+  local timed = {} -- the argument of `Timing:times_of`
   local whole = self.way and subject.new(self.model, self.options)
   for i, step in ipairs(way) do
     local try

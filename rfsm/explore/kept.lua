@@ -1,4 +1,4 @@
---- Kept data: the data of extensions, and the targets that extensions change. As the
+--- Kept data: the data of extensions, and the targets that extensions change. Like the
 --- active states and the queue, they decide which transitions a machine takes.
 --
 -- @module rfsm.explore.kept

@@ -77,7 +77,7 @@ end
 
 local function new(kind, parts)
   local property = setmetatable({ kind = kind }, Property)
-  for part, value in order.each(parts) do property[part] = value end -- any order
+  for part, value in order.each(parts) do property[part] = value end -- any order: a copy
   return property
 end
 
@@ -172,8 +172,8 @@ function properties.until_(first, second)
     goal = checked("until_", "goal", second) })
 end
 
---- Declare that an event comes at most so often in any time span of some length:
---- `at_most(3, "e_retry").within(10)`.
+--- Declare that an event comes at most `count` times in any time span of a given
+--- length: `at_most(3, "e_retry").within(10)`.
 ---@param count integer most steps with the event
 ---@param event any
 ---@return { within: fun(seconds: number): rfsm_checks.Property }
@@ -182,8 +182,8 @@ function properties.at_most(count, event)
     event = checked("at_most", "event", event) }, { within = { "at_most", "seconds" } })
 end
 
---- Declare that an event comes at least so often in any time span of some length after
---- the first entry: `at_least(1, "e_heartbeat").within(5)`.
+--- Declare that an event comes at least `count` times in any time span of a given
+--- length after the first entry: `at_least(1, "e_heartbeat").within(5)`.
 ---@param count integer fewest steps with the event
 ---@param event any
 ---@return { within: fun(seconds: number): rfsm_checks.Property }
@@ -221,8 +221,8 @@ end
 ---@field property rfsm_checks.Property
 ---@field holds boolean|nil nil: not known, since something was not tried
 ---@field vacuous? string the reason why nothing tests the property
----@field way rfsm_checks.Way
----@field walk rfsm_checks.Walk
+---@field way rfsm_checks.Way the parts of the machine that its walk has
+---@field walk rfsm_checks.Walk the walk on which it is judged
 ---@field is_open? boolean the verdict is not known, though everything was tried
 ---@field at? integer the configuration that violates the property
 ---@field label? string label of the step from `at`, if a step violates the property
@@ -236,7 +236,7 @@ end
 ---@return rfsm_checks.Judged[] list
 function properties.list_of(where, given)
   local list = {}
-  for key, property in order.each(given) do -- any order: sorted
+  for key, property in order.each(given) do -- any order: the list is sorted below
     if getmetatable(property) ~= Property then
       error(where .. ": properties: never(...), after(...).reach(...) or another "
         .. "property expected, got " .. type(property), 0)

@@ -18,7 +18,7 @@ local ipairs = ipairs
 
 local links = {}
 
---- The inside of a composite. Positions are points from the lower left corner.
+--- The inside of a composite. Positions are in points, from the lower left corner.
 ---@class rfsm.pictures.Level
 ---@field composite rfsm.pictures.Node
 ---@field direction "TB"|"LR"

@@ -102,14 +102,14 @@ end
 
 local fail = update.fail
 
---- Prepare the machine, and log what was launched.
+--- Prepare the machine, and log that it is launched.
 function update.finish(launch)
   collect()
   launch.stage = "the machine is prepared"
   local ok, problem = pcall(rfsm.prepare, launch.fsm)
   if not ok then fail(launch, problem) end
   launch.undo, launch.finish = nil, nil
-  launch.env, launch.prestr, launch.poststr = nil, nil, nil -- they may be long
+  launch.env, launch.prestr, launch.poststr = nil, nil, nil -- they may be large
   launch.log("Info", ("rfsm.rtt: '%s' is launched in '%s': %s%s"):format(
     launch.fsmfile, launch.component:getName(), memory_text(),
     rawget(_G, "tlsf") and ", without rfsm.fast" or ""))

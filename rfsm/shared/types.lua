@@ -45,7 +45,7 @@
 ---@class rfsm.Connector
 ---@field [string] any
 
---- A machine, which `rfsm.init` makes from a model. It is the root of its states.
+--- A machine, which `rfsm.init` makes from a model. It is also its root state.
 ---@class rfsm.Machine : rfsm.State
 ---@field _act_leaf rfsm.State|false the innermost active state
 ---@field _intq any[] events that wait for the next iteration
