@@ -237,7 +237,7 @@ end
 local function check_model(fsm, obj)
   local notes, model = fsm._strict.models, callbacks_of_model(obj)
   notes[obj] = notes[obj] or model
-  for field, value in pairs(model) do -- any order: each warning has its own text
+  for field, value in pairs(model) do -- any order: each has its own text
     if not rawequal(notes[obj][field], value) then
       warn(fsm, ("%s: was set in the model after rfsm.init (set it in the machine)")
         :format(rfsm.location_of(obj, field)))

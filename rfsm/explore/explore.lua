@@ -367,8 +367,7 @@ end
 --- Take all steps from a configuration, and call f(walk, try, key, label) after each.
 ---@param from integer
 ---@param f function see the field `f` of `rfsm_checks.Try`
----@param read? rfsm_checks.Occurrence[] events that come in each step, before its own
--- ones
+---@param read? rfsm_checks.Occurrence[] events that come first in each step
 function Walk:each_step(from, f, read)
   each_try(self, from, f, read)
   data.rest(self.subject)
