@@ -77,7 +77,7 @@ end
 
 local function new(kind, parts)
   local property = setmetatable({ kind = kind }, Property)
-  for part, value in order.each(parts) do property[part] = value end -- any order: a copy
+  for part, value in order.each(parts) do property[part] = value end -- any order
   return property
 end
 

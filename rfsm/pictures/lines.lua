@@ -69,7 +69,7 @@ function lines.around(from, to, far, direction)
   return lines.rounded { from, { far, from[2] }, { far, to[2] }, to }
 end
 
-local HALVINGS = 4 -- so often a curve is halved at most
+local HALVINGS = 4 -- most times that a curve is halved
 
 -- Adds a curve from a to d with the control points b and c. It is divided into halves
 -- until all control points are good.
