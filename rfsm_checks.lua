@@ -1,9 +1,9 @@
---- Checks: undeclared events, and dead or suspicious parts of a model.
+--- Checks: find undeclared events, and dead or suspicious parts of a model.
 --
 -- `rfsm_checks.check` looks at the structure of a model. `rfsm_checks.watch` has a
--- machine warn of each event that no transition names, as `checkevents = true` in the
--- root of its model does. `rfsm_checks.watch_all` and `require "rfsm.checkevents"` have
--- all machines initialised afterwards do so.
+-- machine warn of each event that no transition names. So does `checkevents = true` in
+-- the root of its model. `rfsm_checks.watch_all` and `require "rfsm.checkevents"` have
+-- all machines warn that are initialised afterwards.
 --
 -- @module rfsm_checks
 -- @license BSD-3-Clause
@@ -15,7 +15,7 @@ local rawset, require, setmetatable, type = rawset, require, setmetatable, type
 local is_leaf, is_state = rfsm.is_leaf, rfsm.is_state
 local elements, text_of = rfsm.elements, rfsm.text_of
 
---- The functions in the folders of rfsm/, loaded when they are first used.
+--- Functions from modules in the folders of rfsm/, which are loaded at their first use.
 ---@class rfsm_checks
 ---@field findings fun(model: rfsm.State, settings?: table): rfsm_checks.Finding[]
 ---@field explore fun(model: rfsm.State, options?: table): rfsm_checks.Exploration
@@ -24,9 +24,9 @@ local elements, text_of = rfsm.elements, rfsm.text_of
 ---@field coverage fun(fsm: rfsm.Machine, earlier?: table): rfsm_checks.Coverage
 ---@field rehearsal fun(chart: string|rfsm.State): rfsm_checks.Rehearsal for tests
 ---@field record_witness fun(model: rfsm.State, witness: table, sink: table|string)
----@field path_of fun(witness: table): string[] for the `trace` of a picture
----@field never fun(condition: any): rfsm_checks.Property in no configuration
----@field always fun(condition: any): rfsm_checks.Property in each configuration
+---@field path_of fun(witness: table): string[] for the option `trace` of a picture
+---@field never fun(condition: any): rfsm_checks.Property the condition never holds
+---@field always fun(condition: any): rfsm_checks.Property the condition always holds
 ---@field after fun(event: any): table after(event).reach(condition)
 ---@field from fun(condition: any): table from(condition).can_reach(condition)
 ---@field precedes fun(first: any, second: any): rfsm_checks.Property
@@ -41,7 +41,7 @@ local rfsm_checks = {}
 --- The events that a machine knows, in its field `_checks`.
 ---@class rfsm_checks.Known
 ---@field events table<any, boolean> empty until the first event comes
----@field predicates function[]|false functions in events; false: nothing collected yet
+---@field predicates function[]|false predicates among them; false: not collected yet
 
 local function add_events(known, events)
   for _, event in ipairs(events) do
@@ -52,7 +52,7 @@ local function add_events(known, events)
   end
 end
 
--- Collects the events of the transitions, of extensions and of the engine itself.
+-- Collects the events that transitions, extensions and the engine itself know.
 local function collect_known(fsm, known)
   known.events, known.predicates = { e_init_fsm = true }, {}
   for _, tr in ipairs(elements(fsm, rfsm.is_trans)) do
@@ -82,7 +82,8 @@ local function check_event(fsm, event)
     "WARNING: undeclared event " .. text_of(event) .. " received")
 end
 
--- This runs in every iteration: a declared event takes one access to a table.
+-- The pre step hook. It is fast, as it runs in every iteration: a declared event takes
+-- one access to a table.
 local function check_events(fsm)
   local events, known = fsm._curq, fsm._checks.events
   for i = 1, #events do
@@ -90,7 +91,8 @@ local function check_events(fsm)
   end
 end
 
--- Nothing is collected before the first event comes: other extensions may add events.
+-- Has a machine warn of undeclared events. Declared events are collected when the first
+-- event comes, since other extensions may declare events until then.
 local function watch(fsm)
   if not fsm._checks then rfsm.pre_step_hook_add(fsm, rfsm.borrows(check_events)) end
   fsm._checks = { events = {}, predicates = false }
@@ -105,7 +107,7 @@ end
 
 -- Public functions ------------------------------------------------------------
 
--- The modules of functions that are loaded when they are first used.
+-- Function of rfsm_checks -> the module that has it, loaded at its first use.
 local ELSEWHERE = {
   why = "rfsm.observe.why", enabled = "rfsm.observe.why",
   findings = "rfsm.checks.static", explore = "rfsm.explore.explore",
@@ -118,7 +120,7 @@ local ELSEWHERE = {
   watch_properties = "rfsm.observe.watch_properties",
 }
 
--- Returns a module of a folder in rfsm; nil if this file was copied without it.
+-- Returns a module in a folder of rfsm; nil if this file was copied without the module.
 local function find_part(name)
   local ok, part = pcall(require, name)
   if ok then return part end
@@ -149,8 +151,8 @@ end
 --
 -- Notes are left out; `rfsm_checks.findings` returns them, too. A field `final = true`
 -- declares a leaf without a way out; a field `checks` silences findings of its element.
--- Without the folder rfsm/checks beside this file the lines are those of `rfsm.init`,
--- without codes.
+-- Without the folder rfsm/checks only the problems and warnings of `rfsm.init` are
+-- returned, without codes.
 --
 -- @raise if `model` is no state
 ---@param model rfsm.State a model, or a machine
@@ -189,7 +191,7 @@ end
 -- `checkevents = false` in the root of a model excludes its machines. Requiring
 -- `rfsm.checkevents` or `rfsm_checkevents` calls this function.
 --
----@return table rfsm_checks this module, for `require` of these names
+---@return table rfsm_checks this module, as the result of `require` of these names
 function rfsm_checks.watch_all()
   watches_all = true
   set_global("rfsm_checkevents")

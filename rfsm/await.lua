@@ -18,12 +18,12 @@ local rfsm_await = {}
 
 -- Run: note the events that are received --------------------------------------------
 
---- One await(...), in the list `_await` of its source, and `_awaits` of the machine.
+--- An await(...). It is in the lists `_await` of its source and `_awaits` of the fsm.
 ---@class rfsm.await.Await
----@field name string the event that comes when all were received
+---@field name string the event that occurs when all wanted events were received
 ---@field wanted string[] the events to wait for
----@field received table<string, boolean> whether each of them came
----@field missing integer how many did not come
+---@field received table<string, boolean> for each wanted event: was it received?
+---@field missing integer how many wanted events were not received yet
 
 local function note_event(await, event)
   if await.received[event] ~= false then return end
@@ -31,7 +31,7 @@ local function note_event(await, event)
   await.missing = await.missing - 1
 end
 
--- Appends the event of an await that is complete.
+-- Has an await note the first n events, and appends its event if it is complete.
 local function raise_complete(fsm, await, events, n)
   local was_missing = await.missing
   for i = 1, was_missing > 0 and n or 0 do note_event(await, events[i]) end
@@ -40,7 +40,7 @@ local function raise_complete(fsm, await, events, n)
   if was_missing > 0 then rfsm.report(fsm, "dbg", "AWAIT", await.name) end
 end
 
--- This runs in every iteration.
+-- The pre step hook: shows the events to the awaits of each active state.
 local function check_awaits(fsm)
   local events, state = fsm._curq, fsm._act_leaf and fsm
   local n = #events
@@ -64,7 +64,7 @@ local function reset(fsm)
   for _, await in ipairs(fsm._awaits) do forget(await) end
 end
 
--- Snapshots hold the events that were received, by the names of awaits.
+-- Returns the data for a snapshot: name of an await -> set of the received events.
 local function save(fsm)
   local kept = {}
   for _, await in ipairs(fsm._awaits) do
@@ -87,7 +87,7 @@ local function load(fsm, kept)
   end
 end
 
--- The reaction hook.
+-- The reaction hook: lists the events for which the awaits of a state wait.
 local function list_wanted(_, state)
   local wanted = {}
   for _, await in ipairs(state._await or {}) do
@@ -98,8 +98,8 @@ end
 
 -- Prepare: await(...) becomes an event ----------------------------------------------
 
--- Stands for the FQN of the source while a text is parsed: in a name there may be a
--- comma or a parenthesis.
+-- Replaces the FQN of the source while a text is parsed, since the names of states may
+-- contain commas and parentheses.
 local SOURCE = "\1"
 
 local function hide_source(text, fqn)
@@ -114,7 +114,8 @@ local function hide_source(text, fqn)
   return text
 end
 
--- Splits "e_a, 'e_b'" into names without blanks and quotes; nil if one is empty.
+-- Splits "e_a, 'e_b'" into names without blanks and quotes. Returns nil if a name is
+-- empty.
 local function split(text, fqn)
   local names = {}
   for part in (text .. ","):gmatch("([^,]*),") do
@@ -127,8 +128,8 @@ local function split(text, fqn)
   return names
 end
 
--- Returns the names in "await(e_a, e_b)" at a source; nil for any other event; false
--- and the reason for an await that is malformed.
+-- Returns the names in "await(e_a, e_b)" at a source. Returns nil for any other event,
+-- and false and the reason for a malformed await.
 local function parse(event, fqn)
   local text = type(event) == "string" and hide_source(event, fqn)
   local inside = text and text:match("^await%s*%((.*)$")
@@ -173,10 +174,10 @@ local function add_await(fsm, state, await)
   state._await[#state._await + 1], fsm._awaits[#fsm._awaits + 1] = await, await
 end
 
--- Returns the name of the event for the await of `names` at the source of `tr`.
+-- Adds an await for `names` to the source of `tr`, and returns the name of its event.
 local function expand(fsm, tr, names)
   local src = tr.src
-  for i = 1, #names do -- as outside of await, `e_done` is that of the source
+  for i = 1, #names do -- `e_done` is that of the source, as in other events
     if names[i] == "e_done" then
       names[i] = "e_done@" .. src._fqn
       if not rfsm.is_leaf(src) then warn_never(fsm, tr, "e_done", "leaf state") end

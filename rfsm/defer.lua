@@ -2,8 +2,8 @@
 --
 -- Once this module is loaded, a state may have a list `defer` of events and predicates.
 -- Such an event is kept if it comes while the state is active and no transition takes
--- it. When no active state defers it any more it is recalled: it is the only event of
--- an iteration then, and what came later waits.
+-- it. When no active state defers it any more, it is *recalled*: it becomes the only
+-- event of an iteration, and the events that came later wait.
 --
 -- @module rfsm.defer
 -- @license BSD-3-Clause
@@ -14,7 +14,7 @@ local match = require "rfsm.shared.match"
 
 local insert, ipairs, type = table.insert, ipairs, type
 
-local MOST = 64 -- events that a machine keeps, unless the state has another `max`
+local MOST = 64 -- events that a machine keeps, if `defer` of the state has no `max`
 
 -- A machine keeps its deferred events in the list `_deferred`. Other fields of that
 -- table: `is_done`, whether the events of this iteration were looked at; `told`, the
@@ -29,7 +29,8 @@ local function warn(fsm, state, event, text)
     rfsm.location_of(state, "defer"), name))
 end
 
--- Returns the first active state that defers an event, from the root on.
+-- Returns the outermost active state that defers an event; no state defers events that
+-- the machine makes.
 local function deferrer(fsm, event)
   local state = not match.maker_of(event) and fsm._act_leaf and fsm
   while state and not (state._defers and match.takes(state._defers, event)) do
@@ -51,7 +52,7 @@ local function keep(fsm, state, event)
   rfsm.report(fsm, "dbg", "DEFERRED", event)
 end
 
--- Keeps the events of an iteration that a state defers, but for those that `tr` takes.
+-- Keeps the events of an iteration that a state defers, except those that `tr` takes.
 local function keep_others(fsm, events, tr)
   for _, event in ipairs(events) do
     local state = not (tr and match.takes(tr.events, event)) and deferrer(fsm, event)
@@ -60,7 +61,7 @@ local function keep_others(fsm, events, tr)
 end
 
 -- The pre step hook: recalls the first event that no state defers any more. Only hooks
--- in "front" are called before, such as that of timers.
+-- at the place "front" are called before it, such as the hook of timers.
 local function recall(fsm, events)
   local own = fsm._deferred
   own.is_done = not fsm._act_leaf
@@ -75,10 +76,10 @@ local function recall(fsm, events)
   end
 end
 
--- The path hook: the states that the path leaves are still active.
+-- The path hook: keeps events before the path leaves the states that defer them.
 local function before_path(fsm, path)
   fsm._deferred.is_done = true
-  local first = path[1] -- none where a root without states is entered
+  local first = path[1] -- none if a root without states is entered
   if first and not match.is_any(first) then keep_others(fsm, fsm._curq, first) end
 end
 
@@ -121,7 +122,8 @@ local function problem_of(defer)
   end
 end
 
--- The list comes from the model: in a machine, events that are tables would be copies.
+-- Prepares a state with a list `defer`, or returns the problem of the list. It is read
+-- from the model, since the machine has copies of events that are tables.
 local function prepare_state(fsm, state)
   local defer = rfsm.model_of(state).defer
   local problem = problem_of(defer)
@@ -134,7 +136,8 @@ local function has_defer(obj)
   return rfsm.is_state(obj) and obj.defer ~= nil and not rfsm.is_fsmobj(obj.defer)
 end
 
--- The first preproc function: its hook is called before those that count events.
+-- This preproc function is the first one, so that its hook is called before the hooks
+-- that count events.
 insert(rfsm.preproc, 1, function(fsm, merged)
   local problems = {}
   for _, state in ipairs(rfsm.elements(merged or fsm, has_defer)) do

@@ -31,7 +31,7 @@ local VERSION = 2 -- of the messages and of the graph in them, as rfsm.json writ
 
 -- Options ---------------------------------------------------------------------
 
--- Description, test, default of each option.
+-- Name of an option -> its description, its test and its default.
 local OPTIONS = {
   allow_send = { "boolean", opts.is_a "boolean", false },
   clock = { "function that returns seconds", rfsm.is_callable },
@@ -87,7 +87,7 @@ local function open_server(server)
     server.clock or socket.gettime
   server.udp, server.json, server.now, server.is_closed = udp, json, 0, false
   server.subscribers = {} -- in the order in which they came
-  -- what is known of each machine, by its number; only the hooks of the machine keep it
+  -- number of a machine -> its feed (see `attach`), which only the machine's hooks hold
   server.feeds, server.count = setmetatable({}, { __mode = "v" }), 0
   return setmetatable(server, Server)
 end
@@ -105,8 +105,8 @@ local function drop(server, ip, port)
   if i then remove(server.subscribers, i) end
 end
 
--- Sends a text. If the buffer is full it is lost, as any datagram may be. A subscriber
--- that cannot be reached is dropped.
+-- Sends a text. If the send buffer is full the text is lost, as any datagram may be. A
+-- subscriber that cannot be reached is dropped.
 local function send(server, ip, port, text)
   local sent, problem = server.udp:sendto(text, ip, port)
   if not sent and problem ~= "timeout" then drop(server, ip, port) end
@@ -117,7 +117,7 @@ local function error_text(server, text)
     server.json.quotestring(text))
 end
 
--- Returns a message about a machine, or an error if it is too long for a datagram.
+-- Returns a message about a machine, or an error message if it is too long to be sent.
 local function message_text(feed, kind, body)
   local text = ('{"type":"rfsm_%s","version":%d,"fsm":%d,"cnt":%d,%s}'):format(kind,
     VERSION, feed.number, feed.cnt, body)
@@ -125,7 +125,7 @@ local function message_text(feed, kind, body)
   return error_text(feed.server, kind .. ": too long for a datagram")
 end
 
--- Calls f(sub) for each subscriber of a machine, from the last one on: f may drop it.
+-- Calls f(sub) for each subscriber of a machine, the last one first, as f may drop it.
 local function each_subscriber(feed, f)
   local subscribers = feed.server.subscribers
   for i = #subscribers, 1, -1 do
@@ -138,8 +138,8 @@ local KEY_ORDER = {
   "id", "type", "src", "tgt", "pn", "events", "internal", "transitions", "subnodes",
 }
 
--- Returns the message with the graph, whose JSON is made once; an error for a chart
--- that is nested too deep to be written.
+-- Returns the message with the graph of a machine, or an error message if the chart is
+-- nested too deep for JSON. The JSON is made once.
 local function graph_text(feed)
   if not feed.graph then
     local ok, graph = pcall(function()
@@ -174,7 +174,7 @@ local function send_state(feed)
   each_subscriber(feed, function(sub) send(feed.server, sub.ip, sub.port, text) end)
 end
 
--- Messages: each incoming type; a returned text is the reason of a refusal ------
+-- Messages by type: each function returns the reason of a refusal, or nil -------
 
 local MESSAGES = {}
 
@@ -237,8 +237,8 @@ local function decode(server, data)
   end
 end
 
--- Handles a datagram. One of an unknown type is not answered: two services that
--- answered each other, or an echo, would never end.
+-- Handles a datagram. A message of unknown type gets no answer, since two services that
+-- do not know each other's answers would exchange errors without an end.
 local function handle(server, data, ip, port)
   local message = decode(server, data)
   local kind = message and message.type
@@ -247,7 +247,7 @@ local function handle(server, data, ip, port)
   if refusal then send(server, ip, port, error_text(server, refusal)) end
 end
 
--- Reads a datagram. If it has one byte more than the limit, it is known to be too long.
+-- Reads a datagram up to one byte beyond the limit, which shows that it is too long.
 local function read(server)
   return server.udp:receivefrom(server.max_received + 1)
 end
@@ -259,8 +259,8 @@ local function read_first(server)
   return data, ip, port
 end
 
--- Handles datagrams, at most `max_reads`; `data` is the first one. Returns true if no
--- more wait. The errors of earlier sends are returned here, too, and are skipped.
+-- Handles at most `max_reads` datagrams; `data` is the first one. Returns true if no
+-- more wait. A read may return the error of an earlier send, which is skipped.
 local function read_all(server, data, ip, port)
   for i = 1, server.max_reads do
     if data then
@@ -273,7 +273,7 @@ local function read_all(server, data, ip, port)
   return false
 end
 
--- Sets the server's time. If the clock fails, returns the problem and leaves the time.
+-- Sets the server's time. If the clock fails, returns the problem, and the time stays.
 local function read_clock(server)
   local ok, now = pcall(server.clock)
   if not ok then return tostring(now) end
@@ -283,7 +283,8 @@ local function read_clock(server)
   server.now = now
 end
 
--- Drops subscribers that were silent too long. A clock that was set back drops none.
+-- Drops subscribers that were silent too long. If the clock was set back, the silence
+-- of each subscriber begins anew.
 local function drop_silent(server)
   for i = #server.subscribers, 1, -1 do
     local sub = server.subscribers[i]
@@ -292,8 +293,8 @@ local function drop_silent(server)
   end
 end
 
--- Reads the port. Returns the problem if the clock failed. Nobody is dropped while
--- datagrams wait, which may be heartbeats.
+-- Reads the port. Returns the problem if the clock failed. No subscriber is dropped
+-- while datagrams wait, since they may be heartbeats.
 local function receive(server)
   local data, ip, port = read_first(server)
   if not data and not server.subscribers[1] then return nil end
@@ -328,8 +329,8 @@ end
 
 -- Hooks of a machine -----------------------------------------------------------
 
--- Has a machine answer at a port. The feed is what the port knows of the machine. It
--- gets its number with the first step, so that machines that never run have none.
+-- Has a machine answer at a port. The feed is the record of the port about the machine.
+-- A machine gets its number with the first step, so a machine that never runs has none.
 local function attach(fsm, server)
   local feed = { server = server, fsm = fsm, number = 0, cnt = 0, graph = false,
     path = false, hooks = {} }
@@ -364,7 +365,7 @@ local function attach(fsm, server)
     each_subscriber(feed, function(sub) sub.has_graph_of[feed] = nil end)
   end
 
-  -- before other hooks, which then find the events that have come
+  -- called before other hooks, so that these see the events that were received
   instrument.hook(hooks, fsm, "pre_step", before_step, "before")
   instrument.hook(hooks, fsm, "post_step", after_step)
   instrument.hook(hooks, fsm, "reset", after_reset)
@@ -381,15 +382,16 @@ local servers = setmetatable({}, { __mode = "k" }) -- all servers that are still
 ---@field host? string name or address to listen on, default "localhost"
 ---@field port? integer default 44044; 0 for any that is free
 ---@field read_timeout? number seconds that an iteration waits for a datagram, default 0
----@field allow_send? boolean take events? default false
----@field fsm? rfsm.Machine the one that answers; nil for all initialised from now on
----@field clock? fun(): number seconds, for heartbeats; default `socket.gettime`
----@field max_datagram? integer bytes that are sent at most, default 65507
----@field max_received? integer bytes that are read at most, default 4096
----@field max_reads? integer datagrams read in an iteration, default 64
----@field max_events? integer events in the queue of a machine, default 1000
+---@field allow_send? boolean may messages send events? default false
+---@field fsm? rfsm.Machine the machine that answers; nil: all that are made from now on
+---@field clock? fun(): number returns seconds; default `socket.gettime`
+---@field max_datagram? integer most bytes of a message that is sent, default 65507
+---@field max_received? integer most bytes of a message that is read, default 4096
+---@field max_reads? integer most datagrams read in an iteration, default 64
+---@field max_events? integer most events that wait in a machine, default 1000
 ---@field max_subscribers? integer default 16
----@field max_silence? number seconds without a heartbeat, default 3
+---@field max_silence? number seconds; a subscriber without heartbeat for longer is
+-- dropped, default 3
 
 --- Open a port at which machines answer.
 --
@@ -414,7 +416,7 @@ function proto.install(options)
   return server
 end
 
---- Close all ports; machines go on without.
+--- Close all ports; the machines go on running.
 function proto.uninstall()
   for server in pairs(servers) do server:close() end -- any order: all of them
   open, servers = {}, setmetatable({}, { __mode = "k" })

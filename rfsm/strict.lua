@@ -1,8 +1,9 @@
---- Strict: warnings of events that are odd, early, lost or undeclared, of fields that
---- are not there, with the caller's file and line, and of a run that does not end.
+--- Strict: warns of events that are undeclared, too early or lost, of functions and
+--- fields that do not exist, and of a run that does not end.
 --
--- It is on for machines whose root has `strict = true`, and for all if the environment
--- has RFSM_STRICT=1: the core loads it then. Each warning comes once a machine.
+-- Machines whose root has `strict = true` are watched; if the environment has
+-- RFSM_STRICT=1, all machines are. The core then loads this module. Warnings name the
+-- caller's file and line. A machine gives each warning once.
 --
 -- @module rfsm.strict
 -- @license BSD-3-Clause
@@ -23,14 +24,14 @@ local strict = {}
 -- The strict machine that was made last. It warns of functions that rfsm does not have.
 local latest = nil
 
---- What is noted about a machine, in its field `_strict`.
+--- The notes about a machine, in its field `_strict`.
 ---@class rfsm.strict.Notes
 ---@field told table<string, true> warnings that were given
 ---@field models table<table, table> element -> the callbacks that its model had
----@field path rfsm.Transition[]|false taken in this iteration
+---@field path rfsm.Transition[]|false the path that this iteration has taken
 ---@field count integer|false iterations since `rfsm.run` was called
----@field event any that of the last iteration that had one
----@field event_at integer the count then
+---@field event any the first event of the last iteration that had events
+---@field event_at integer the value of `count` in that iteration
 ---@field structure table|false the structure to which `known` belongs
 ---@field known rfsm.Alphabet|false the events of the machine
 
@@ -42,7 +43,7 @@ end
 
 -- Events ............................................................................
 
--- Returns the names of all events, and those of events with data.
+-- Returns two lists: the names of all events, and the names of the events with data.
 local function names_of(known)
   local names, named = {}, {}
   for _, list in ipairs { known.list, known.reactions } do
@@ -68,7 +69,8 @@ local function hint_for(known, event)
   return advice.nearest_name(text_of(event), names)
 end
 
--- Returns the warning of a plain table. One with a field `name` is an event with data.
+-- Returns the warning for an event that is a plain table. A table with a field `name`
+-- is an event with data.
 local function oddness_of_table(known, event)
   local _, named = names_of(known)
   if event[1] ~= nil then
@@ -115,7 +117,7 @@ local function check_early(fsm, at, event)
     :format(at, name))
 end
 
--- Returns the alphabet of a machine. A merge gives it another structure.
+-- Returns the alphabet of a machine, the events that it knows; made anew after a merge.
 local function alphabet_of(fsm)
   local notes, structure = fsm._strict, rfsm.structure_of(fsm)
   if notes.structure ~= structure then
@@ -124,8 +126,8 @@ local function alphabet_of(fsm)
   return notes.known
 end
 
--- May a transition accept an event? Predicates of the user are not called, they may
--- accept any.
+-- May a transition accept an event? Predicates of the user are not called; they count
+-- as accepting any event.
 local function may_accept(known, event)
   if known.set[event] then return true end
   for _, predicate in ipairs(known.predicates) do
@@ -137,7 +139,7 @@ local function may_accept(known, event)
   return false
 end
 
--- Warns of what is sent to a machine. `at`: the sender, "lamp.lua:7: ".
+-- Checks events that are sent to a machine. `at` is the sender, such as "lamp.lua:7: ".
 local function check_events(fsm, at, ...)
   local known = alphabet_of(fsm)
   for i = 1, select("#", ...) do
@@ -153,11 +155,11 @@ local function check_events(fsm, at, ...)
   end
 end
 
--- The beginning of the chunk names of this library's modules: their folder.
+-- The folder of this library, with which the chunk names of its modules begin.
 local own_folder = getinfo and getinfo(1, "S").source:match("^(@.*rfsm/)") or "none"
 
--- Returns "lamp.lua:7: ", the line that called the function that calls this; "" if the
--- line is in this library.
+-- Returns the place, such as "lamp.lua:7: ", from which the caller of this function was
+-- called; "" if the place is in this library.
 local function caller()
   local info = getinfo and getinfo(3, "Sl")
   local is_own = info and info.source:sub(1, #own_folder) == own_folder
@@ -165,7 +167,8 @@ local function caller()
     and ("%s:%d: "):format(info.short_src, info.currentline) or ""
 end
 
--- A region gets the events of its parent machine, which were checked there.
+-- Is a machine watched? A region is not: it gets the events of its parent machine,
+-- which were checked there.
 local function is_watched(fsm)
   return rfsm.is_root(fsm) and fsm._strict and not rawget(fsm, "_owner")
 end
@@ -176,7 +179,7 @@ end
 local METHODS = { run = true, step = true, send_events = true, reset = true,
   is_in = true, is_idle = true }
 
--- Warns of reads of functions that are not there: rfsm.send_event, fsm:run().
+-- Warns of reads of functions that do not exist: rfsm.send_event, fsm:run().
 local function watch_reads()
   local Library, Machine = getmetatable(rfsm), getmetatable(latest)
   local load_field, defaults, told = Library.__index, Machine.__index, {}
@@ -199,7 +202,7 @@ local function watch_reads()
   end
 end
 
--- Replaces functions of rfsm by ones that look at their arguments.
+-- Replaces rfsm.send_events and rfsm.run by functions that check their arguments first.
 local function watch_calls()
   local send_events, run = rfsm.send_events, rfsm.run
   function rfsm.send_events(fsm, ...)
@@ -242,7 +245,8 @@ local function check_model(fsm, obj)
   end
 end
 
--- Is it an element that was put into the machine later, so that it is not part of it?
+-- Is a value an element that was put into a machine after rfsm.init? Such an element is
+-- not a part of the machine.
 local function is_foreign(value)
   return rfsm.is_fsmobj(value) and rawget(value, "_parent") == nil
 end
@@ -258,8 +262,8 @@ local function check_callbacks(fsm, obj)
   end
 end
 
--- Warns of functions in fields whose names are nearly those of the library, and of
--- elements that were put into the machine later.
+-- Warns of functions in fields whose names look like misspelt ones (`entri`), and of
+-- elements that were put into the machine after rfsm.init.
 local function check_fields(fsm, obj)
   local kind = rfsm.is_root(obj) and "root" or rfsm.kind_of(obj)
   for _, key in ipairs(rfsm.sorted_keys(obj)) do
@@ -281,7 +285,7 @@ end
 
 local MANY = 10000 -- iterations of one run
 
--- Warns of a run that does not end. With an idle hook it is meant not to end.
+-- Warns of a run that does not end, unless an idle hook shows that this is intended.
 local function check_end(fsm, events)
   local notes, leaf = fsm._strict, fsm._act_leaf
   notes.count = notes.count and notes.count + 1
@@ -311,8 +315,8 @@ local function waiting_for(fsm, event)
   end
 end
 
--- The post step hook: warns of events that came together with the one that was used,
--- and for which the state that is active now waits.
+-- The post step hook: warns of each discarded event for which a state that is active
+-- now has a transition. It came together with the event that was taken.
 local function check_lost(fsm, events)
   local path = fsm._strict.path
   fsm._strict.path = false
@@ -328,7 +332,8 @@ local function check_lost(fsm, events)
   end
 end
 
--- The pre step hook. Warns of events from getevents without the line of a sender.
+-- The pre step hook: checks the elements of the machine, and warns of events that come
+-- too early. For events from getevents no line of a sender is known.
 local function check_machine(fsm, events)
   check_end(fsm, events)
   local count = fsm._strict.count or 0
@@ -345,7 +350,7 @@ end
 
 -- Public functions ..................................................................
 
---- Have a machine warn of what is odd.
+--- Have a machine warn of suspicious events, fields and runs.
 ---@param fsm rfsm.Machine
 function strict.watch(fsm)
   if not latest then

@@ -1,7 +1,7 @@
---- Source: mistakes in the text of a chart's callbacks, read by the parser of luacheck.
+--- Source: finds mistakes in the text of callbacks, with the parser of luacheck.
 --
--- Without luacheck nothing is found. Nothing uncertain is a warning: for example, a
--- call of an unknown function may yield.
+-- Without luacheck nothing is found. Only what is certain is a warning. For example, a
+-- loop that calls an unknown function is not reported, since the function may yield.
 --
 -- @module rfsm.checks.source
 -- @license BSD-3-Clause
@@ -34,24 +34,24 @@ end
 local luacheck, parser = find "luacheck", find "luacheck.parser"
 local decoder = find "luacheck.decoder"
 
---- Can texts be read? Only where luacheck and Lua's debug library are.
+--- Can texts be read? This needs luacheck and Lua's debug library.
 source.is_there = luacheck and parser and decoder and getinfo ~= nil
 
 -- Files ...........................................................................
 
 --- A file that was read.
 ---@class rfsm_checks.File
----@field functions table<integer, table|false> by line; false: several begin there
----@field undefined { name: string, line: integer }[] globals that are read
+---@field functions table<integer, table|false> first line -> function; false: several
+---@field undefined { name: string, line: integer }[] globals that the file reads
 ---@field tested table<string, true> names whose existence is tested
----@field lost table<integer, table[]> by line of a table: keys that stand twice
----@field called table<integer, table[]> likewise: callbacks whose values are calls
+---@field lost table<integer, table[]> line of a table -> keys that the table has twice
+---@field called table<integer, table[]> line of a table -> calls in place of callbacks
 
 local walk, each_node, called_name = bodies.walk, bodies.each_node, bodies.called_name
 
 local TESTS = { ["not"] = true, ["and"] = true, ["or"] = true, eq = true, ne = true }
 
--- Notes the names that are operands of a test, or conditions.
+-- Notes the names that are conditions, or operands of a test, such as `not` or `==`.
 local function note_tested(node, tested)
   local first = node.tag == "Op" and TESTS[node[1]] and 2
     or (node.tag == "If" or node.tag == "While") and 1
@@ -86,12 +86,12 @@ end
 
 -- Checks ..........................................................................
 
--- Functions of the library that callbacks use. The host may have others of the same
--- names, such as `report`.
+-- The functions of rfsm that a callback may call without `rfsm.` by mistake. Others are
+-- left out, since the host may have globals of these names, such as `report`.
 local USED = { yield = true, send_events = true }
 
--- Returns the name of a global that looks like an undefined one. Modules do not count:
--- programs keep their machine in a global `fsm`, which looks like `rfsm`.
+-- Returns the name of a defined global that looks like an undefined name. Modules do
+-- not count: programs keep their machine in a global `fsm`, which looks like `rfsm`.
 local function meant(name)
   if USED[name] then return "rfsm." .. name end
   for _, other in ipairs(rfsm.sorted_keys(_G)) do
@@ -115,19 +115,21 @@ local function check_globals(file, info, add)
   end
 end
 
--- Does a node call a global function, or one in a global table or in `rfsm`? These do
--- not yield. The caller has sorted out names with "yield".
+-- Does a node call a global function, or a function in a global table or in `rfsm`?
+-- The caller has handled names with "yield" before, so the function does not yield.
 local function is_plain_call(node)
   local name, library = called_name(node)
   return library == "rfsm" or rawget(_G, library or name) ~= nil
 end
 
--- What a node in a loop of a doo may do: leave the loop, or yield true ("idles").
+-- Tag of a node in a loop of a doo -> what it may do: leave the loop, or yield true
+-- ("idles").
 local EFFECTS = {
   Return = "leaves", Break = "leaves", Goto = "leaves", Invoke = "idles",
 }
 
--- Returns "yields" for a yield of nothing, "idles" if the call may yield a true value.
+-- Returns "yields" if a call yields nil or false, "idles" if it may yield a true value,
+-- nil if it does not yield.
 local function effect_of_call(node)
   if not called_name(node):find("yield") then
     return not is_plain_call(node) and "idles" or nil
@@ -196,8 +198,8 @@ local function check_callback(files, fsm, obj, field, add)
   if func and field == "doo" then check_doo(func, obj, report) end
 end
 
--- Returns for each line with constructors the list of the elements that they made, with
--- the fields `file` and `line`.
+-- Returns for each line of code that calls constructors a list of the elements that
+-- were made there. The list also has the fields `file` and `line`.
 local function places_of(fsm)
   local places, by_text = {}, {}
   for _, obj in ipairs(rfsm.elements(fsm)) do
@@ -216,15 +218,15 @@ local function has_field(objects, field)
   return order.any(objects, function(obj) return rfsm.model_of(obj)[field] ~= nil end)
 end
 
--- Describes a callback that was called too early, and the cure.
+-- Returns a text about a call in place of a callback (`entry = f()`), and the cure.
 local function text_of_call(call)
   local body = (call.name == "guard" and "return " or "") .. call.by .. "(...)"
   return ("%s was called while the chart was loaded, and left no %s (%s = function() "
     .. "%s end)"):format(call.by, call.name, call.name, body)
 end
 
--- Finds mistakes in the tables that were given to constructors: keys that stand twice,
--- callbacks that were called and are nil.
+-- Finds mistakes in the tables that were given to constructors: keys that a table has
+-- twice, and calls in place of callbacks that have returned nil.
 local function check_tables(files, fsm, add)
   for _, place in ipairs(places_of(fsm)) do
     local file = files[place.file]
@@ -240,7 +242,7 @@ local function check_tables(files, fsm, add)
   end
 end
 
---- Find what is wrong with the text of callbacks.
+--- Find mistakes in the text of callbacks.
 ---@type rfsm_checks.Check
 function source.check(fsm, add)
   if not source.is_there then return end

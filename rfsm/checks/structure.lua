@@ -1,5 +1,5 @@
---- Structure: nodes that are never reached or left, callbacks that are never called,
---- connectors that are dead ends at times, or lead back to themselves.
+--- Structure: finds nodes that are never reached or left, callbacks that are never
+--- called, and connectors that may be dead ends or lead back to themselves.
 --
 -- @module rfsm.checks.structure
 -- @license BSD-3-Clause
@@ -18,7 +18,7 @@ local is_conn, is_leaf = rfsm.is_conn, rfsm.is_leaf
 
 local structure = {}
 
--- Marks a node to which a transition leads, and the composites around it.
+-- Marks a node to which a transition leads, and the composites around it, as reached.
 local function mark(reached, pending, node)
   while not reached[node] do
     reached[node] = true
@@ -52,8 +52,8 @@ local function add_leaves(node, leaves, seen)
   end
 end
 
---- Do leaves of a machine lead back to each other? If not, the leaves are a sequence,
---- which has to end somewhere.
+--- Do transitions lead from some leaf to other leaves and back to it? If not, the
+--- leaves are a sequence, which must end somewhere.
 ---@return boolean
 function structure.has_cycle(fsm)
   local is_under_way, is_done = {}, {}
@@ -73,8 +73,8 @@ function structure.has_cycle(fsm)
   return any(rfsm.elements(fsm, is_leaf), visit)
 end
 
---- Is a leaf without a way out meant as an end? Its name says so, or the leaves of the
---- machine are a sequence.
+--- Is a leaf without a way out meant as an end? Yes if its name means an end, or if no
+--- leaves of the machine lead back to each other.
 ---@return boolean
 function structure.is_end(fsm, leaf)
   return codes.means(leaf, "an end") or not structure.has_cycle(fsm)
@@ -111,11 +111,11 @@ local function check_callbacks(obj, add)
   end
 end
 
--- Fields of a state that are true or false, and those of the root.
+-- The names of fields that are true or false: in each state, and in the root only.
 local FLAGS = { "final" }
 local ROOT_FLAGS = { "dbg", "err", "info", "strict", "warn" }
 
--- Finds fields with true or false whose names are nearly those of a flag.
+-- Finds boolean fields whose names look like a misspelt flag.
 local function check_flags(state, flags, add)
   for _, key in ipairs(rfsm.sorted_keys(state)) do
     for _, flag in ipairs(type(state[key]) == "boolean" and flags or {}) do
@@ -130,8 +130,8 @@ end
 
 local HISTORIES = { shallow = true, deep = true, [true] = true }
 
--- Returns the name of a field that only another library knows, or an extension that is
--- not loaded, and the remedy; nil if a state has none.
+-- Returns the name of a field that only another library, or an extension that is not
+-- loaded, would read, and the remedy; nil if the state has no such field.
 local function foreign_field(state, loaded)
   local has_history = HISTORIES[state.history] and rfsm.is_composite(state)
   if has_history and not loaded["rfsm.history"] then
@@ -155,7 +155,7 @@ local function check_fields(state, add)
   end
 end
 
--- Does a callback end at once, and send no event, as far as its text tells?
+-- Does a callback end at once and send no event, as far as its source text shows?
 local function ends_at_once(doo)
   local texts = {}
   writes.each(doo, function(text) texts[#texts + 1] = text end, {})
@@ -192,14 +192,15 @@ end
 
 local ANY = setmetatable({}, { __tostring = function() return "any event" end })
 
--- Lists the events on which a path that came on `event`, or ANY, goes on through `tr`.
+-- Lists the events on which a path that has come on `event` goes on through `tr`; the
+-- event may be ANY.
 local function passing(tr, event)
   if match.triggers(tr, event) then return { event } end
   return event == ANY and tr.events or {}
 end
 
--- Notes on which events a path that came to the source of `tr` on `event` reaches the
--- connectors behind it. The events that a predicate accepts are not known.
+-- A path has come to the source of `tr` on `event`: notes for the connectors behind
+-- `tr` on which events it reaches them. Predicates are left out.
 local function arrive(arrivals, tr, event)
   for _, own in ipairs(is_conn(tr.tgt) and passing(tr, event) or {}) do
     local list = arrivals[tr.tgt] or {}
@@ -220,7 +221,7 @@ local function arrivals_of(fsm)
   return arrivals
 end
 
--- Does a transition without a guard lead on from a connector on this event?
+-- Does a transition without a guard lead on from a connector on an event?
 local function has_default(connector, event)
   return any(connector._otrs, function(tr)
     return not tr.guard and match.triggers(tr, event)
@@ -247,7 +248,8 @@ end
 
 -- Cycles ..........................................................................
 
--- Returns the connectors on a way from `node` back to `start`, without `start`.
+-- Returns the FQNs of the connectors on a way from `node` back to `start`, without that
+-- of `start`; nil if there is no such way.
 local function find_cycle(start, node, seen)
   if seen[node] then return nil end
   seen[node] = true
@@ -261,7 +263,7 @@ local function find_cycle(start, node, seen)
   end
 end
 
--- Finds mistakes of connectors.
+-- Finds connectors without a default, and cycles of connectors.
 local function check_connectors(fsm, add)
   local arrivals, is_told = arrivals_of(fsm), {}
   for _, connector in ipairs(rfsm.elements(fsm, is_conn)) do
@@ -276,7 +278,7 @@ local function check_connectors(fsm, add)
   end
 end
 
---- Find what is wrong with nodes.
+--- Find mistakes in the structure of a machine.
 ---@type rfsm_checks.Check
 function structure.check(fsm, add, reached)
   for _, obj in ipairs(rfsm.elements(fsm)) do

@@ -1,15 +1,15 @@
---- Exploration: every configuration that a chart can reach, breadth first.
+--- Exploration: visits every configuration that a chart can reach, breadth first.
 --
--- Each step is one `rfsm.step` of a subject, which the engine runs. From each
--- configuration steps are taken without an event, with each event that may come and can
--- have an effect (or each set of up to `options.together` of them), and with the larger
--- sets that paths through connectors need. Each of these steps is taken once for every
--- choice of the guards, predicates and doos that it asks.
+-- Each step is one `rfsm.step` of a subject, a machine with replaced callbacks. From
+-- each configuration steps are taken without an event, with each event that may come
+-- and can have an effect (or each set of up to `options.together` such events), and
+-- with the larger sets that paths through connectors need. Each step is repeated for
+-- every list of choices: the answers of guards and predicates, and whether a doo ends.
 --
--- The walk keeps of a configuration its key, the number of the configuration from
--- which it was first reached, and the label of that step. Of a step it keeps the number
--- of the configuration to which it leads; the number is negative for a step without
--- events from outside.
+-- The walk stores for each configuration its key, the number of the configuration from
+-- which it was first reached, and the label of that step. For each step it stores the
+-- number of the configuration to which the step leads; the number is negative if the
+-- step has no event from outside.
 --
 -- @module rfsm.explore.explore
 -- @license BSD-3-Clause
@@ -37,24 +37,25 @@ local explore = {}
 
 --- Options of an exploration.
 ---@class rfsm_checks.Options
----@field together? integer most events of a step (1; 2 for properties of `after`)
+---@field together? integer most events of one step (1; 2 if a property is an `after`)
 ---@field alphabet? any[] the events from outside; default: all that transitions name
 ---@field sends? table<string, any[]> what callbacks send: ["entry root.a"] = { "e_x" };
--- { "e_x", after = 2 } is sent later, and { cancel = "e_x" } takes that back
+-- { "e_x", after = 2 } is sent 2 s later, { cancel = "e_x" } cancels such an event
 ---@field pending? integer most events that wait to be sent later (4)
 ---@field dry_run? boolean call entries, exits and effects once, to note what they send
----@field flags? table<string, { on?: string[], off?: string[] }> the callbacks of each
+---@field flags? table<string, { on?: string[], off?: string[] }> by the name of a flag,
+-- the callbacks that set it and those that clear it
 ---@field vars? table<string, any> fields that callbacks in `run` read and set
 ---@field run? (function|string)[] callbacks that are called: "effect root.trans[2]"
----@field exclusive? any[] guards of which one at most is true in a step, or such lists
----@field complementary? any[] guards of which exactly one is true, or such lists
----@field same? any[] guards that give the same answer throughout a step, or such lists
+---@field exclusive? any[] guards, or lists of guards: in a step at most one is true
+---@field complementary? any[] guards, or lists of guards: exactly one is true
+---@field same? any[] guards, or lists of guards: all give one answer throughout a step
 ---@field timers? "in order"|"free" "free": time events may come at any time
 ---@field period? number seconds, the longest time between two steps
----@field properties? table<any, table> see `rfsm_checks.never` and others
----@field configurations? integer stop after so many (1,000,000)
----@field depth? integer stop after so many steps
----@field seconds? number stop after so long
+---@field properties? table<any, table> results of `rfsm_checks.never` and others
+---@field configurations? integer stop after so many configurations (1,000,000)
+---@field depth? integer stop after so many steps from the start
+---@field seconds? number stop after so many seconds
 ---@field multiply? boolean explore independent regions together, not one by one
 ---@field progress? fun(configurations: integer, depth: integer) called now and then
 
@@ -63,34 +64,34 @@ local explore = {}
 ---@field subject rfsm_checks.Subject
 ---@field model rfsm.State
 ---@field options rfsm_checks.Options
----@field way rfsm_checks.Way
+---@field way rfsm_checks.Way the parts of the machine that the walk has; false: all
 ---@field keys string[] of the configurations; in the first one no state is active
 ---@field numbers table<string, integer> key -> configuration
----@field from integer[] configuration -> the one it was first reached from
----@field labels string[] configuration -> events and choices of that step
----@field depth integer the least number of steps to the configurations looked at now
----@field level_end integer the last configuration of that depth
+---@field from integer[] configuration -> the one from which it was first reached
+---@field labels string[] configuration -> label of the step that first reached it
+---@field depth integer how many steps lead to the configurations expanded now
+---@field level_end integer the last configuration of this depth
 ---@field first integer[] configuration -> the position of its first step in `steps`
----@field steps integer[] the targets; negative: no event from outside
+---@field steps integer[] target of each step; negative: without event from outside
 ---@field taken table<integer, table> transition -> the first step that takes it
----@field stuck integer[] configurations whose steps take no transition, change nothing
----@field has_moved boolean some step from the configuration looked at does either
----@field expanded integer configurations whose steps were all taken
+---@field stuck integer[] configurations whose steps stay there and take no transition
+---@field has_moved boolean the configuration expanded now is known not to be stuck
+---@field expanded integer how many configurations had all their steps taken
 ---@field endless table? the first step in which a region never becomes idle
 ---@field bound string? the name of the first bound that was hit
----@field untried string[] what was not tried, as texts
----@field passed rfsm_checks.Passed[] moments of steps, each once
+---@field untried string[] texts that say what was not tried
+---@field passed rfsm_checks.Passed[] states that steps enter and leave again
 ---@field count integer how many steps were run
 ---@field wanted any[] events that properties look at
----@field monitor rfsm_checks.Judged|false the property whose monitor runs along
----@field contexts table[] by the number in a key: `state` of the monitor, `time`; a
--- walk without monitor and clocks has none
----@field context_ids table<string, integer> these numbers, by the text of a context
----@field kin table<string, integer[]> configurations that differ in their times alone
----@field unsure table<integer, rfsm_checks.Group> by the position of a step: the
--- deadlines that must be over first for it, where others may be first
----@field cut table<integer, boolean> configurations with a step that is not followed,
--- since too many events wait to be sent after it
+---@field monitor rfsm_checks.Judged|false the property whose monitor sees each step
+---@field contexts table[] by the number in a key, `state` of the monitor and `time`;
+-- empty if the walk has neither a monitor nor clocks
+---@field context_ids table<string, integer> text of a context -> its number in a key
+---@field kin table<string, integer[]> configurations that differ only in their times
+---@field unsure table<integer, rfsm_checks.Group> position of a step in `steps` -> the
+-- deadlines that it needs to be over first, if other deadlines may be over first, too
+---@field cut table<integer, boolean> configurations with a step whose target is not
+-- explored, since more than `pending` events wait to be sent later
 ---@field try rfsm_checks.Try the step that is taken now
 ---@field label fun(): string the label of that step
 ---@field timing rfsm_checks.Timing|false clocks, if timers come in order
@@ -100,13 +101,13 @@ Walk.__index = Walk
 --- A step that enters a state and leaves it again, and the moment of that entry.
 ---@class rfsm_checks.Passed
 ---@field moment rfsm_checks.Moment
----@field from integer configuration
----@field tgt integer configuration
----@field label string
+---@field from integer the configuration in which the step begins
+---@field tgt integer the configuration in which it ends
+---@field label string of the step
 
 -- Configurations and labels of steps ................................................
 
--- Returns the number of the context in a key, or nil, and the key of the subject.
+-- Splits a key into the number of its context, which may be nil, and the subject's key.
 local function split(key)
   local id, own = key:match("^(%d+)|(.*)$")
   return tonumber(id), own or key
@@ -122,8 +123,7 @@ function Walk:configuration(number)
   return conf
 end
 
--- Returns the key of a configuration: that of the subject, behind the number of the
--- context.
+-- Returns the key of a configuration: the number of its context, and the subject's key.
 local function in_context(walk, key, state, time)
   if not (walk.monitor or walk.timing) then return key end
   local text = state .. (time and "@" .. time.text or "")
@@ -142,9 +142,9 @@ function Walk:is_entered()
 end
 
 --- Return the number of a known configuration with the same key, or of one that differs
---- in its times alone and whose zone of times includes that of the key.
----@return integer? number
----@return integer[]? kin if there is none: those that differ in their times alone
+--- only in its times and whose zone of times includes the zone of the key.
+---@return integer? number nil if no such configuration is known
+---@return integer[]? kin if `number` is nil: configurations that differ only in times
 function Walk:find_known(key)
   if self.numbers[key] or not self.timing then return self.numbers[key] end
   local id, own = split(key)
@@ -159,8 +159,8 @@ function Walk:find_known(key)
   return nil, kin[name]
 end
 
---- Return the number of a configuration to which a step from `from` has led. A new one
---- is added, to be expanded later.
+--- Return the number of a configuration to which a step from `from` has led. A new
+--- configuration is added; it is expanded later.
 function Walk:find_configuration(key, from, label)
   local number, kin = self:find_known(key)
   if number then return number end
@@ -171,8 +171,8 @@ function Walk:find_configuration(key, from, label)
   return number
 end
 
--- Returns the label of a step, "3,5:101@2": the numbers of its events, its choices, and
--- the number of the group of deadlines that were over.
+-- Returns the label of a step, such as "3,5:101@2": the numbers of its events (3, 5),
+-- its choices (101), and the number of the group of deadlines that were over (2).
 local function label_of(try, choices, asked)
   local numbers, digits = {}, {}
   for i, event in ipairs(try.events) do numbers[i] = event.number end
@@ -193,7 +193,8 @@ end
 
 -- Steps .............................................................................
 
---- Note that something was not tried: no finding is then no proof.
+--- Note that something was not tried, so that a property is not proved if no violation
+--- is found.
 function Walk:note_untried(bound, text)
   self.bound = self.bound or bound
   if not match.has(self.untried, text) then
@@ -215,9 +216,9 @@ local function note_passed(walk, from, tgt, label)
   end
 end
 
--- Appends the target of a step, once for each target and each group of deadlines that
--- need not be the first. A step that stays where it is counts only if waiting events
--- make the machine take it.
+-- Appends the target of a step, unless the configuration in which it begins has another
+-- step to this target with the same `unsure` deadlines. A step that stays in its
+-- configuration counts only if waiting events make the machine take it.
 local function add_step(walk, try, tgt)
   if tgt == try.from and not subject.is_driven(try.conf) then return end
   local step, unsure = try.is_internal and -tgt or tgt, walk.unsure
@@ -230,18 +231,18 @@ local function add_step(walk, try, tgt)
 end
 
 --- A step that is tried: its events, and the deadlines that are over when it begins.
---- All steps from a configuration with the same deadlines use one table.
+--- One table serves all steps that begin in a configuration with the same deadlines.
 ---@class rfsm_checks.Try
----@field from integer
+---@field from integer number of the configuration in which the step begins
 ---@field conf rfsm_checks.Configuration
 ---@field events rfsm_checks.Occurrence[] the time events are the last ones
 ---@field is_internal boolean the step has no event from outside and no deadline
----@field group rfsm_checks.Group|false the deadlines
+---@field group rfsm_checks.Group|false the deadlines; false if the walk has no clocks
 ---@field f fun(walk: rfsm_checks.Walk, try: rfsm_checks.Try, key: string|nil,
--- label: fun()) called after the step; without a key the step does not end
+-- label: fun()) called after the step; `key` is nil if the step never ends
 
--- Returns the key of the configuration to which the last step has led, and the number
--- of each clock before it; no key if the step is not followed.
+-- Returns the key of the configuration to which the last step has led, nil if that is
+-- not explored; and for each clock of the configuration its number before the step.
 local function key_after(walk, try, label)
   local context, key, problem = try.conf.context, walk.subject:read()
   local state, time, clocks, sources = false, false, nil, nil
@@ -261,7 +262,7 @@ local function key_after(walk, try, label)
   return in_context(walk, key, state, time), sources
 end
 
--- Calls `f` of the step that was taken, unless it is not followed.
+-- Calls the function `f` of the try after a step, unless its target is not explored.
 local function after_choice(walk, has_ended)
   local try, label = walk.try, walk.label
   walk.count = walk.count + 1
@@ -269,7 +270,7 @@ local function after_choice(walk, has_ended)
   if key or not has_ended then try.f(walk, try, key, label) end
 end
 
--- Notes what a step has done.
+-- Notes the outcome of a step in the walk.
 local function note_step(walk, try, key, label)
   local from = try.from
   for _, number in ipairs(walk.subject.taken) do
@@ -286,7 +287,7 @@ local function note_step(walk, try, key, label)
   walk:look(from, tgt, try.events, label)
 end
 
--- Lists the sets of up to `most` of the events, smaller ones first.
+-- Lists the sets of up to `most` events of a list, smaller sets first.
 local function sets_of(list, most)
   local sets, last, at = { {} }, { 0 }, 1
   while sets[at] and #sets[at] < most do
@@ -299,8 +300,8 @@ local function sets_of(list, most)
   return sets
 end
 
--- Takes steps with the deadlines of a group, one for each set of events from outside
--- and each list of choices.
+-- Takes the steps that begin when the deadlines of a group are over: one step for each
+-- set of events from outside and each list of choices.
 local function each_set(walk, from, conf, group, sets, f)
   local timers, is_over = group and group.events or {}, group and group.is_over
   local try = { from = from, conf = conf, group = group, events = false,
@@ -326,7 +327,7 @@ local function groups_of(walk, conf)
   return groups
 end
 
--- Adds the events of properties to a list, unless the machine makes them itself.
+-- Adds the events of properties to a list, except those that the machine itself makes.
 local function add_wanted(own, wanted, list)
   for _, event in ipairs(wanted) do
     local occurrence = own:occurrence(own.parts[1], event)
@@ -336,8 +337,8 @@ local function add_wanted(own, wanted, list)
   end
 end
 
--- Takes a step for each set of events and deadlines from a configuration; if `read` is
--- given, each behind these events.
+-- Takes a step from a configuration for each set of events and each group of deadlines.
+-- If events `read` are given, each step gets them before its own events.
 local function each_try(walk, from, f, read)
   local conf = walk:configuration(from)
   local list, needed, is_cut = reactions.that_may_come(walk.subject, conf)
@@ -365,8 +366,8 @@ end
 
 --- Take all steps from a configuration, and call f(walk, try, key, label) after each.
 ---@param from integer
----@param f function as the field `f` of a try
----@param read? rfsm_checks.Occurrence[] events that come in each step, before others
+---@param f function see the field `f` of `rfsm_checks.Try`
+---@param read? rfsm_checks.Occurrence[] events that come first in each step
 function Walk:each_step(from, f, read)
   each_try(self, from, f, read)
   data.rest(self.subject)
@@ -445,9 +446,8 @@ local KNOWN = {
   progress = { "function", rfsm.is_callable },
 }
 
--- Notes the effects of callbacks that an exploration does not follow: targets and data
--- that callbacks may write, and events that callbacks may send later or cancel though
--- the options do not name them.
+-- Notes that callbacks may do what the exploration does not follow: write targets and
+-- data, and send events later or cancel them though the options do not name these.
 local function note_gaps(walk)
   local own = walk.subject
   local function add(names, bound, text)
@@ -460,8 +460,8 @@ local function note_gaps(walk)
     "events that the %s may cancel")
 end
 
---- Return the options of these names with their defaults; nil and the problem if one is
---- wrong or has another name.
+--- Return the options of the given names; missing options get their defaults. If an
+--- option is wrong or has another name, return nil and the problem.
 ---@param options table
 ---@param names string[]
 ---@param more? table<string, any[]> options that only the caller has
@@ -471,10 +471,10 @@ function explore.settings(options, names, more)
   return opts.read(known, options)
 end
 
---- Make a walk over the configurations of a model, which has none yet.
+--- Make a walk over the configurations of a model. The walk has no configuration yet.
 ---@param model rfsm.State
 ---@param options rfsm_checks.Options
----@param way? rfsm_checks.Way
+---@param way? rfsm_checks.Way the parts of the machine to explore; nil: all
 ---@return rfsm_checks.Walk walk
 function explore.new(model, options, way)
   local settings = assert(opts.read(KNOWN, options))
@@ -502,8 +502,8 @@ end
 --- Walk over the configurations of a model, without judging them.
 ---@param model rfsm.State
 ---@param options rfsm_checks.Options
----@param prepare? fun(walk: rfsm_checks.Walk) called before it begins
----@param way? rfsm_checks.Way
+---@param prepare? fun(walk: rfsm_checks.Walk) called before the walk begins
+---@param way? rfsm_checks.Way the parts of the machine to explore; nil: all
 ---@return rfsm_checks.Walk walk
 function explore.walk(model, options, prepare, way)
   local walk = explore.new(model, options, way)
@@ -522,13 +522,14 @@ end
 --- A step of a witness.
 ---@class rfsm_checks.WitnessStep
 ---@field events string[] all events that came, as texts
----@field values any[] the events that came to the machine itself
----@field inside { prefix: string, event: any }[] the time events that came to regions
----@field sent { prefix: string, event: any }[] what callbacks send, as options say
+---@field values any[] the events that are sent to the machine itself
+---@field inside { prefix: string, event: any }[] time events that are sent to regions
+---@field sent { prefix: string, event: any }[] events that callbacks send, by `sends`
 ---@field at? number seconds since the first step, if timers come in order
----@field choices { who: string, answer: boolean, is_doo: boolean }[] in order
----@field taken string[] paths of the transitions that it takes
----@field leaf string|false FQN of the active leaf then
+---@field choices { who: string, answer: boolean, is_doo: boolean }[] the answers of
+-- guards and predicates and the ends of doos, in the order in which they were asked
+---@field taken string[] paths of the transitions that the step takes
+---@field leaf string|false FQN of the active leaf after the step
 
 local function text_of_event(occurrence)
   local text, part = rfsm.text_of(occurrence.event), occurrence.part
@@ -549,8 +550,8 @@ function explore.note_outcome(own, step)
   step.sent = match.joined({}, own.sent)
 end
 
--- Returns the step of a witness with its events. Nobody sends the time events whose
--- order is known: the field `at` makes them come.
+-- Returns the step of a witness with its events. `values` and `inside` have no time
+-- events whose order is known: a replay advances the clock to the time `at` instead.
 local function new_step(events)
   local step = { events = {}, values = {}, inside = {} }
   for i, occurrence in ipairs(events) do
@@ -566,8 +567,8 @@ local function new_step(events)
   return step
 end
 
--- Takes the step of a walk that has left out regions on a subject that has all of them.
--- In these regions guards are false and doos go on.
+-- Repeats a step on a subject with all regions, after a walk that has left out some. In
+-- the regions that were left out guards are false and doos go on.
 local function repeat_on(own, events, step)
   local at, choices, list = 0, step.choices, {}
   function own:choose(who, is_doo)
@@ -586,13 +587,13 @@ local function repeat_on(own, events, step)
   explore.note_outcome(own, step)
 end
 
---- Run a step again.
----@param from integer
----@param label string
----@param whole? rfsm_checks.Subject also takes the step; it has the parts that the walk
--- has left out
+--- Run a step of the walk again.
+---@param from integer the configuration in which the step begins
+---@param label string the label of the step
+---@param whole? rfsm_checks.Subject with all regions, if the walk has left out some: it
+-- takes the step, too, and its outcome is returned
 ---@return rfsm_checks.WitnessStep step
----@return rfsm_checks.Try|false try
+---@return rfsm_checks.Try|false try false if the walk has no clocks
 function Walk:rerun(from, label, whole)
   local events, choices, number = read_label(self, label)
   local conf, step = self:configuration(from), new_step(events)
@@ -604,7 +605,8 @@ function Walk:rerun(from, label, whole)
     group = groups_of(self, conf)[number] }
 end
 
---- List the steps of the shortest run to a configuration, then the step of `label`.
+--- List the steps of the shortest run to a configuration, then the step from there that
+--- has the given label.
 ---@return { from: integer, label: string }[] way
 function explore.way_to(walk, number, label)
   local way = { label and { from = number, label = label } }
@@ -615,17 +617,17 @@ function explore.way_to(walk, number, label)
   return way
 end
 
---- Return the shortest run to a configuration, then the step of `label` or the steps of
---- a cycle.
----@param number integer
+--- Return the shortest run to a configuration, then the step from there that has the
+--- given label, or the steps of a cycle.
+---@param number integer the configuration
 ---@param label? string
 ---@param cycle? rfsm_checks.Edge[]
----@return rfsm_checks.WitnessStep[] witness field `again`: where the cycle begins
+---@return rfsm_checks.WitnessStep[] witness `again`: position at which the cycle begins
 function Walk:witness(number, label, cycle)
   local way, steps = explore.way_to(self, number, label), {}
   steps.again = cycle and #way + 1
   way = match.joined(way, cycle or {})
-  local timed = {} -- for `Timing:times_of`
+  local timed = {} -- the argument of `Timing:times_of`
   local whole = self.way and subject.new(self.model, self.options)
   for i, step in ipairs(way) do
     local try
@@ -643,9 +645,9 @@ end
 
 --- Explore every configuration that a chart can reach.
 --
--- Returns what was found: states that are never active, transitions that are never
--- taken, configurations that nothing leaves, cycles without an end, and properties
--- that do not hold, each with the shortest run that shows it.
+-- The result has the findings: states that are never active, transitions that are never
+-- taken, configurations that no step leaves, cycles without an end, and properties that
+-- do not hold, each with the shortest run that shows it.
 --
 -- @raise if the model is not valid, or an option is wrong
 ---@param model rfsm.State

@@ -1,4 +1,4 @@
---- Fairness: does a condition hold eventually, if doos end and time goes on?
+--- Fairness: does a condition hold eventually if doos end and time goes on?
 --
 -- A configuration *owes* the condition if a monitor still waits for it. The property
 -- does not hold if some fair run stays among such configurations: it rests in one, or
@@ -20,8 +20,8 @@ local ipairs = ipairs
 
 local fairness = {}
 
--- Returns what is pending in a configuration, by a name: for doos and timers their
--- state, for events that are sent later their clock.
+-- Returns what is pending in a configuration, as a table: name of a doo or timer -> its
+-- state, name of an event that is sent later -> its clock.
 local function pending_in(conf)
   local pending = {}
   for _, position in ipairs(conf) do
@@ -44,13 +44,13 @@ end
 
 -- A step that leads from one configuration of a component to another one.
 ---@class rfsm_checks.Edge
----@field from integer
----@field tgt integer
+---@field from integer the configuration in which the step begins
+---@field tgt integer the configuration to which it leads
 ---@field label string
----@field entered table<table, boolean> states that it enters; and the clocks of events
--- that were sent later and come in this step or are dropped by it
+---@field entered table<table, boolean> states that the step enters, and clocks of later
+-- events that come in the step or that it drops
 
--- Notes the clocks of events that were sent later and come in a step or are dropped.
+-- Notes the clocks of events sent later that come in a step or that the step drops.
 local function note_later(walk, try, entered)
   for i, entry in ipairs(try.group and try.conf.context.time.entries or {}) do
     local later = entry.clock.later
@@ -60,7 +60,7 @@ local function note_later(walk, try, entered)
   end
 end
 
--- Lists the steps between configurations, by where they begin.
+-- Returns the steps between some configurations: configuration -> list of its steps.
 local function edges_between(walk, numbers)
   local edges, is_in = {}, {}
   for _, number in ipairs(numbers) do edges[number], is_in[number] = {}, true end
@@ -79,8 +79,8 @@ local function edges_between(walk, numbers)
   return edges
 end
 
--- Returns the first of some configurations in which nothing is pending, no event waits,
--- and no step without events leads elsewhere.
+-- Returns the first configuration of a list in which a run may rest: nothing is
+-- pending, no event waits, and no step without events leads to another configuration.
 local function find_rest(walk, numbers)
   for _, number in ipairs(numbers) do
     local conf = walk:configuration(number)
@@ -110,7 +110,7 @@ local function find_fair(walk, numbers)
   return has_edge and order.is_empty(common) and edges or nil
 end
 
--- Returns the steps of a cycle on which nothing stays pending.
+-- Returns the steps of a cycle from `start` on which no doo or timer stays pending.
 local function cycle_from(walk, edges, start)
   local cycle, at = {}, start
   local function go(is_wanted)
@@ -132,13 +132,13 @@ local function cycle_from(walk, edges, start)
 end
 
 -- Are there times at which two rounds of a cycle can be taken? There may be none, since
--- a configuration also stands for others whose clocks have fewer values.
+-- a configuration also stands for configurations whose clocks allow fewer times.
 local function has_times(walk, start, cycle)
   return not walk.timing
     or walk:witness(start, nil, match.joined(cycle, cycle))[1].at ~= nil
 end
 
--- Returns the set of the configurations that have been looked at and owe something.
+-- Returns the set of the expanded configurations in which the monitor has state `owes`.
 local function owing(walk, owes)
   local set = {}
   for number = 2, walk.expanded do
@@ -147,11 +147,11 @@ local function owing(walk, owes)
   return set
 end
 
---- Judge a property that owes something in one of its states: it does not hold if a
---- fair run stays there.
+--- Judge a property whose monitor must leave a state eventually: the property does not
+--- hold if the monitor stays in that state on a fair run.
 ---@param walk rfsm_checks.Walk
 ---@param judged rfsm_checks.Judged
----@param owes string
+---@param owes string the state of the monitor
 function fairness.judge(walk, judged, owes)
   for _, numbers in ipairs(graph.components_in(walk, owing(walk, owes))) do
     local rest = find_rest(walk, numbers)

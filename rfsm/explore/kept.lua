@@ -1,5 +1,5 @@
---- Kept: the data of a machine that decide which transitions it takes, besides its
---- states and its queue: data of extensions, and targets that extensions change.
+--- Kept data: the data of extensions, and the targets that extensions change. Like the
+--- active states and the queue, they decide which transitions a machine takes.
 --
 -- @module rfsm.explore.kept
 -- @license BSD-3-Clause
@@ -11,10 +11,10 @@ local concat = table.concat
 
 local kept = {}
 
---- Where the kept data of a machine are.
+--- The places where the kept data of a machine are.
 ---@class rfsm_checks.Kept
 ---@field hooks table[] snapshot hooks whose data is explored
----@field transitions rfsm.Transition[] those with several targets
+---@field transitions rfsm.Transition[] transitions that may have several targets
 
 --- Find the kept data of a machine; return false if there are none.
 ---@param fsm rfsm.Machine
@@ -30,7 +30,8 @@ function kept.of(fsm)
   return (own.hooks[1] or own.transitions[1]) and own or false
 end
 
--- Returns a text of plain data. An event that is a table or function has its number.
+-- Returns plain data as a text. An event that is a table or function is replaced by its
+-- number.
 local function text_of(value, event_numbers)
   local kind = type(value)
   if kind == "string" then return #value .. ":" .. value end
@@ -47,11 +48,11 @@ local function text_of(value, event_numbers)
   return "{" .. concat(texts, ",") .. "}"
 end
 
---- Return the kept data as they are now, and a text of them.
+--- Return the kept data as they are now, and the data as a text.
 ---@param own rfsm_checks.Kept
 ---@param event_numbers table<any, integer>
----@return any[] values field `is_data`: is there data of an extension?
----@return string key
+---@return any[] values the field `is_data` is true if an extension has data
+---@return string key the text
 function kept.read(own, fsm, event_numbers)
   local values, texts, n = {}, {}, #own.hooks
   for i, hook in ipairs(own.hooks) do
@@ -65,7 +66,8 @@ function kept.read(own, fsm, event_numbers)
   return values, concat(texts, ",")
 end
 
--- The last argument of a hook's `load`: the chart has not changed (rfsm/snapshot.lua).
+-- The last argument of `load` of a snapshot hook (see rfsm/snapshot.lua). It says that
+-- the chart has not changed.
 local UNCHANGED = { entries = false, has_changed = false, is_migrated = false,
   is_new = function() return false end }
 

@@ -1,10 +1,10 @@
---- Monitors: properties of runs, judged step by step.
+--- Monitors: judge properties of runs, step by step.
 --
--- A monitor looks at each step. It has a state, which is a word, at first "first", and
--- clocks, the oldest first, each of which expires when the time of the property is
--- over. An exploration keeps state and clocks with each configuration; of a running
--- machine they are in a table. Conditions are judged where a step ends; some kinds also
--- look at the states that a step passes, those that it enters and leaves again.
+-- A monitor looks at each step. Its state is a word, "first" in the beginning. It also
+-- has a list of clocks, the oldest one first; a clock expires when the time of the
+-- property is over. An exploration stores state and clocks with each configuration; for
+-- a running machine they are in a table. Conditions are judged at the end of a step.
+-- Some kinds also look at the states that a step *passes*: enters and leaves again.
 --
 -- @module rfsm.explore.monitors
 -- @license BSD-3-Clause
@@ -13,15 +13,15 @@ local ipairs, type = ipairs, type
 
 local monitors = {}
 
---- What a monitor sees of a step.
+--- The view of a step that a monitor has.
 ---@class rfsm_checks.Look
----@field active fun(name: string): boolean
+---@field active fun(name: string): boolean is the state or flag active?
 ---@field came boolean the event of the property came
 ---@field is_end boolean the step ends; otherwise it only passes a state
----@field expired integer clocks that have expired
----@field count integer clocks
----@field is_idle? boolean of a machine that runs: nothing happens before an event comes
----@field is_at_rest? boolean of a machine that runs: it is idle, and no timer is armed
+---@field expired integer how many clocks have expired
+---@field count integer how many clocks there are
+---@field is_idle? boolean for running machines: nothing happens before an event comes
+---@field is_at_rest? boolean for running machines: it is idle, and no timer is armed
 
 --- Does a condition hold?
 ---@param condition any see `rfsm.explore.properties`
@@ -39,8 +39,8 @@ local holds = monitors.holds
 
 local NONE, NEW = {}, { 0 }
 
--- Returns the next clocks: those from number `first` to `count` stay, and 0 stands for
--- a new one, if there is one.
+-- Returns the next clocks: the numbers `first` to `count` of the clocks that stay, then
+-- 0 if there is a new clock.
 local function clocks_from(first, count, is_new)
   local clocks = {}
   for i = first, count do clocks[#clocks + 1] = i end
@@ -50,14 +50,14 @@ end
 
 --- A kind of property.
 ---@class rfsm_checks.Kind
----@field text string what it says; fields of the property in braces are put in
+---@field text string the text of a property; its field `what` replaces {what}
 ---@field passes? boolean its monitor also looks at the states that a step passes
 ---@field owes? string the state that its monitor must leave eventually
 ---@field next? string the state after a violation, if there can be only one violation
----@field see? function with the parameters and results of `monitors.look`: what its
--- monitor does; nil for a property of runs that are possible
+---@field see? function looks at a step, with the parameters and results of
+-- `monitors.look`; nil for `from`, which no single run can violate
 ---@field judge? fun(walk: rfsm_checks.Walk, judged: rfsm_checks.Judged) judges it when
--- a walk is over; nil if its monitor runs along with a walk instead
+-- a walk is over; nil if its monitor looks at the steps of the walk instead
 
 --- The kinds of properties by name.
 ---@type table<string, rfsm_checks.Kind>
@@ -130,8 +130,8 @@ function kinds.left_within.see(property, state, look)
   return state
 end
 
--- When the condition begins to hold a clock is started; until it expires the condition
--- has to hold.
+-- When the condition begins to hold, a clock is started. The condition has to hold
+-- until the clock expires.
 function kinds.stays.see(property, state, look)
   if holds(property.what, look.active) then
     if state == "first" then return "young", NEW end
@@ -148,8 +148,8 @@ function kinds.at_most.see(property, state, look)
   return state, clocks_from(look.expired + 1, look.count, look.came)
 end
 
--- The clocks are those of the last events, as many as have to come in the time. With
--- the entry of the machine all begin, as if the events had come then.
+-- There are `count` clocks, one for each of the last events. At the entry of the
+-- machine all of them begin, as if the events had come then.
 function kinds.at_least.see(property, state, look)
   if state == "first" then
     local clocks = {}
@@ -162,11 +162,11 @@ end
 
 --- Have a monitor look at a step.
 ---@param property rfsm_checks.Property
----@param state string
+---@param state string the present state of the monitor
 ---@param look rfsm_checks.Look
----@return string state the next one; "violated" if the property does not hold
----@return integer[]? clocks the next ones: numbers of those that stay, 0 for a new one;
--- nil if all stay
+---@return string state the next state; "violated" if the property does not hold
+---@return integer[]? clocks the numbers of the clocks that stay, and 0 for a new clock;
+-- nil if all clocks stay
 function monitors.look(property, state, look)
   local kind = kinds[property.kind]
   if not (look.is_end or kind.passes) then return state end
@@ -188,8 +188,8 @@ local function count_clocks(try, judged)
   return count, expired
 end
 
--- Returns the next state of a monitor and its clocks, after it has looked at the states
--- that a step passes and at its end.
+-- Has a monitor look at the states that the last step has passed, and at the end of the
+-- step. Returns the next state of the monitor and the next clocks.
 local function look_at(walk, judged, state, try, view)
   local own, property = walk.subject, judged.property
   local look = { came = false, is_end = false }

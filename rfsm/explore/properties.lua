@@ -1,4 +1,4 @@
---- Properties: what must hold in each configuration, and on each run.
+--- Properties: conditions that must hold in each configuration, or on each run.
 --
 -- A condition is the path of a state, which must be active, the name of a flag, a list
 -- of paths and flags, which must all be true, or a function. The function is called
@@ -23,18 +23,18 @@ local holds, kinds = monitors.holds, monitors.kinds
 
 local properties = {}
 
---- Something that must hold.
+--- A property that a machine must have. The kind decides which other fields there are.
 ---@class rfsm_checks.Property
 ---@field kind string "never", "after" ...: see `monitors.kinds`
 ---@field what? any the condition
----@field event? any
----@field goal? any the condition to be reached
----@field seconds? number
----@field count? integer
----@field within? fun(seconds: number): rfsm_checks.Property
+---@field event? any the event that the property is about
+---@field goal? any the second condition, such as the one to be reached
+---@field seconds? number the time limit or time span
+---@field count? integer how many events at most, or at least
+---@field within? fun(seconds: number): rfsm_checks.Property of `after(...).reach(...)`
 local Property = {}
 
--- For each part of a property a function that returns the problem of a value, if any.
+-- Part of a property -> function that returns the problem of a value, or nil.
 local PROBLEMS = {}
 
 local is_name = opts.is_a "string"
@@ -68,7 +68,7 @@ function PROBLEMS.seconds(seconds)
     opts.got(seconds))
 end
 
--- Returns a part of a property; raises an error if it is wrong.
+-- Returns the value of a part of a property; raises an error if the value is wrong.
 local function checked(where, part, value)
   local problem = PROBLEMS[part](value)
   if problem then error("rfsm_checks." .. where .. ": " .. problem, 3) end
@@ -81,9 +81,9 @@ local function new(kind, parts)
   return property
 end
 
--- Returns the function that takes the last part of a property, and returns the
--- property. That of `after(...).reach` has a function `within`, for a property with a
--- time.
+-- Returns a function that takes the last part of a property and returns the property.
+-- The property of `after(...).reach(...)` also has a function `within`, which returns a
+-- property with a time limit.
 local function ending(where, kind, parts, last)
   return function(value)
     local property = new(kind, parts)
@@ -96,8 +96,8 @@ local function ending(where, kind, parts, last)
   end
 end
 
--- Returns the first half of a property: a table of the functions that take its last
--- part. `endings` has, by the name of the function, the kind and the name of that part.
+-- Returns the first half of a property: a table of functions that take its last part.
+-- `endings`: name of a function -> kind of the property, and name of its last part.
 local function first_half(where, parts, endings)
   local functions = {}
   for name, rest in order.each(endings) do -- any order: each stands alone
@@ -124,12 +124,12 @@ function properties.always(condition)
   return new("always", { what = checked("always", "what", condition) })
 end
 
---- Declare what an event leads to, once the machine was entered.
+--- Declare the consequence of an event that comes after the first entry.
 --
--- `after("e_stop").reach("root.stopped")`: in the step that has the event, or in those
--- that follow without an event from outside, whatever guards answer; `.within(5)`: when
--- 5 seconds are over, whatever else comes. `leads_to`: some time. `never`: from the end
--- of that step on, the condition does not hold any more.
+-- `after("e_stop").reach("root.stopped")`: the condition holds after the step with the
+-- event, or after one of the next steps without events from outside, whatever guards
+-- answer. `.within(5)`: it holds within 5 seconds, whatever other events come.
+-- `leads_to`: it holds eventually. `never`: after that step it never holds.
 --
 ---@param event any
 ---@return table of `reach(condition)`, `leads_to(condition)`, `never(condition)`
@@ -139,11 +139,11 @@ function properties.after(event)
       never = { "after_never", "goal" } })
 end
 
---- Declare what becomes of a condition.
+--- Declare how long a condition holds, or what can follow it.
 --
--- `from("root.fault").can_reach("root.ready")`: from each such configuration some run
--- leads there. `left_within(2)`: when 2 seconds are over, the condition does not hold
--- any more. `stays(2)`: once it holds, it does so for 2 seconds.
+-- `from("root.fault").can_reach("root.ready")`: from each configuration in `root.fault`
+-- some run leads to `root.ready`. `left_within(2)`: each time the condition begins to
+-- hold, it ends within 2 seconds. `stays(2)`: it then holds for at least 2 seconds.
 --
 ---@param condition any
 ---@return table of `can_reach(condition)`, `left_within(seconds)`, `stays(seconds)`
@@ -153,7 +153,7 @@ function properties.from(condition)
       stays = { "stays", "seconds" } })
 end
 
---- Declare that one condition does not hold before another one has.
+--- Declare that the second condition does not hold before the first one has held.
 ---@param first any
 ---@param second any
 ---@return rfsm_checks.Property
@@ -162,8 +162,8 @@ function properties.precedes(first, second)
     goal = checked("precedes", "goal", second) })
 end
 
---- Declare that from the first entry on one condition holds until another one does,
---- and that the other one comes eventually.
+--- Declare that from the first entry on the first condition holds until the second one
+--- does, and that the second one holds eventually.
 ---@param first any
 ---@param second any
 ---@return rfsm_checks.Property
@@ -172,9 +172,9 @@ function properties.until_(first, second)
     goal = checked("until_", "goal", second) })
 end
 
---- Declare how often an event comes in any time of some length:
---- `at_most(3, "e_retry").within(10)`.
----@param count integer steps with the event
+--- Declare that an event comes at most `count` times in any time span of a given
+--- length: `at_most(3, "e_retry").within(10)`.
+---@param count integer most steps with the event
 ---@param event any
 ---@return { within: fun(seconds: number): rfsm_checks.Property }
 function properties.at_most(count, event)
@@ -182,9 +182,9 @@ function properties.at_most(count, event)
     event = checked("at_most", "event", event) }, { within = { "at_most", "seconds" } })
 end
 
---- Declare that an event comes at least so often in any time of some length, from the
---- first entry on: `at_least(1, "e_heartbeat").within(5)`.
----@param count integer
+--- Declare that an event comes at least `count` times in any time span of a given
+--- length after the first entry: `at_least(1, "e_heartbeat").within(5)`.
+---@param count integer fewest steps with the event
 ---@param event any
 ---@return { within: fun(seconds: number): rfsm_checks.Property }
 function properties.at_least(count, event)
@@ -193,7 +193,7 @@ function properties.at_least(count, event)
     { within = { "at_least", "seconds" } })
 end
 
--- Returns the text of an event, the same in each run.
+-- Returns a text of an event that is the same in each run, so without addresses.
 local function text_of_event(event)
   if type(event) == "function" then return "a function" end
   if type(event) ~= "table" then return rfsm.text_of(event) end
@@ -215,28 +215,28 @@ end
 
 -- Check ...........................................................................
 
---- A property with its name, and what was found.
+--- A property with its name, and the verdict on it.
 ---@class rfsm_checks.Judged
 ---@field name string
 ---@field property rfsm_checks.Property
----@field holds boolean|nil nil if something was not tried and nothing was found
+---@field holds boolean|nil nil: not known, since something was not tried
 ---@field vacuous? string the reason why nothing tests the property
----@field way rfsm_checks.Way
----@field walk rfsm_checks.Walk
----@field is_open? boolean it is not known, though everything was tried
----@field at? integer configuration that shows that it does not hold
----@field label? string of the step from there that shows it
----@field tgt? integer where that step leads, of `after`
----@field owed? table<integer, table> of `after`: for each configuration the first step
--- with the event that leads there
+---@field way rfsm_checks.Way the parts of the machine that its walk has
+---@field walk rfsm_checks.Walk the walk on which it is judged
+---@field is_open? boolean the verdict is not known, though everything was tried
+---@field at? integer the configuration that violates the property
+---@field label? string label of the step from `at`, if a step violates the property
+---@field tgt? integer of an `after`: the configuration to which this step leads
+---@field owed? table<integer, table> of an `after`: configuration -> the first step
+-- that has the event and leads to it
 
 --- List properties with their names, sorted.
----@param where string who is called, for errors
+---@param where string name of the function that was called, for errors
 ---@param given table<any, rfsm_checks.Property>
 ---@return rfsm_checks.Judged[] list
 function properties.list_of(where, given)
   local list = {}
-  for key, property in order.each(given) do -- any order: sorted
+  for key, property in order.each(given) do -- any order: the list is sorted below
     if getmetatable(property) ~= Property then
       error(where .. ": properties: never(...), after(...).reach(...) or another "
         .. "property expected, got " .. type(property), 0)
@@ -248,9 +248,9 @@ function properties.list_of(where, given)
   return list
 end
 
--- Returns the set of configurations in which a condition holds. With `field`, also
--- those of steps in which it holds for a moment: "from" where they begin, "tgt" where
--- they end.
+-- Returns the set of configurations in which a condition holds. With `field`, if it
+-- holds in a state that a step enters and leaves again, the set also has the
+-- configuration in which the step begins ("from") or ends ("tgt").
 local function set_of(walk, condition, field)
   local set = {}
   for number = 2, #walk.keys do
@@ -276,7 +276,7 @@ end
 
 local NONE = {}
 
--- The condition may also hold for a moment within a step.
+-- A condition that holds in a state that a step enters and leaves is a violation, too.
 function kinds.never.judge(walk, judged)
   find_first(walk, judged, set_of(walk, judged.property.what), NONE)
   if judged.holds == false then return end
@@ -296,8 +296,8 @@ function kinds.always.judge(walk, judged)
   find_first(walk, judged, entered, set_of(walk, judged.property.what))
 end
 
--- If a bound was hit, a violation is not known: a run to the goal may go through steps
--- that were not tried.
+-- If a bound was hit no violation is reported, since a run to the goal may go through
+-- steps that were not tried.
 function kinds.from.judge(walk, judged)
   local property = judged.property
   local set = set_of(walk, property.what, "tgt")
@@ -333,8 +333,8 @@ function kinds.after.judge(walk, judged)
   end
 end
 
---- Raise an error for names that do not exist.
----@param where string who is called
+--- Raise an error if a condition names a state or flag that does not exist.
+---@param where string name of the function that was called
 ---@param judged rfsm_checks.Judged
 ---@param active fun(name: string): boolean
 function properties.check_names(where, judged, active)
@@ -349,7 +349,8 @@ function properties.check_names(where, judged, active)
   end
 end
 
--- Raises an error for an event that the machine would make itself, and does not.
+-- Raises an error for an event that only a machine itself can make, such as a time
+-- event, and that this machine never makes.
 local function check_maker(own, judged)
   local event = judged.property.event
   if not own:maker_of(event) or own.event_numbers[event] or own.done[event] then
@@ -359,7 +360,7 @@ local function check_maker(own, judged)
     :format(judged.name, event, advice.nearest_name(event, own:named_texts())), 0)
 end
 
---- Is the event named by a transition that the step took, or does one take any?
+--- Has the last step taken a transition that names the event, or that takes any event?
 function properties.is_taken(own, event)
   for _, number in ipairs(own.taken) do
     local tr = own.transitions[number].tr
@@ -371,7 +372,8 @@ function properties.is_taken(own, event)
   return false
 end
 
--- Has a walk note the configurations to which steps with the events of `after` lead.
+-- Has a walk note the configurations to which the steps lead that have the event of an
+-- `after` property.
 local function watch_steps(walk, afters)
   local own = walk.subject
   function walk.look(_, from, tgt, _, label)
@@ -397,7 +399,7 @@ local function want_event(walk, judged)
 end
 
 --- List the properties of an exploration.
--- @raise if one of them names what is not there
+-- @raise if a property names a state, a flag or an event that does not exist
 ---@param own rfsm_checks.Subject
 ---@param given table<any, rfsm_checks.Property>
 ---@return rfsm_checks.Judged[] list sorted by name
@@ -412,8 +414,8 @@ function properties.list_for(own, given)
   return list
 end
 
---- Prepare a walk for the properties that are judged on it when it is over. A step has
---- two events, if one of the properties is about `after`, whichever walk it belongs to.
+--- Prepare a walk for the properties that are judged when it is over. If one of the
+--- properties is an `after`, even one of another walk, a step may have two events.
 ---@param walk rfsm_checks.Walk
 ---@param list rfsm_checks.Judged[]
 function properties.watch(walk, list)
@@ -429,8 +431,8 @@ function properties.watch(walk, list)
   if afters[1] then watch_steps(walk, afters) end
 end
 
---- Prepare a walk for the monitor of a property. Each monitor has a walk, since its
---- state tells configurations apart.
+--- Prepare a walk for the monitor of a property. Monitors do not share a walk, since
+--- the state of the monitor is a part of each configuration.
 ---@param walk rfsm_checks.Walk
 ---@param judged rfsm_checks.Judged
 function properties.monitor(walk, judged)
@@ -438,8 +440,8 @@ function properties.monitor(walk, judged)
   if judged.property.event ~= nil then want_event(walk, judged) end
 end
 
--- Judges a property whose monitor has run along with the walk. The monitor has noted a
--- violation, if there was one; what has to come eventually is judged here.
+-- Judges a property whose monitor has looked at each step of the walk. The monitor
+-- itself notes a violation. Here it is judged whether a condition holds eventually.
 local function judge_monitored(walk, judged)
   if judged.property.event ~= nil and not judged.has_come then
     judged.vacuous = rfsm.text_of(judged.property.event) .. " never comes"

@@ -1,5 +1,5 @@
---- Lines as Graphviz has them: a point, then for each curve two control points and its
--- end.
+--- Lines in the form of Graphviz: the start, then for each curve two control points and
+-- its end.
 --
 -- @module rfsm.pictures.lines
 -- @license BSD-3-Clause
@@ -24,11 +24,11 @@ local function add_straight(line, point)
   line[#line + 1] = point
 end
 
-local NEAR = 3 -- points: a port of a box may be that far from its gate
+local NEAR = 3 -- points: the most that a port of a box is away from its gate
 
---- Append the line `more` to a line, which may be empty. An `axis` (1: x, 2: y) is the
--- one across the arrows. If `more` begins near the end of the line on this axis, its
--- start is moved there, so that there is no bend at a gate.
+--- Append the line `more` to a line, which may be empty. If `axis` is given, the axis
+-- across the arrows (1: x, 2: y), and `more` begins near the end of the line on that
+-- axis, the start of `more` is moved to that end, so that a gate makes no bend.
 function lines.join(line, more, axis)
   local last = line[#line]
   local shift = axis and last and last[axis] - more[1][axis] or 0
@@ -61,7 +61,7 @@ function lines.rounded(points)
   return line
 end
 
---- Return a line around a label, to the far side of it and back.
+--- Return a line around a label: to the coordinate `far` behind it, and back.
 function lines.around(from, to, far, direction)
   if direction == "TB" then
     return lines.rounded { from, { from[1], far }, { to[1], far }, to }
@@ -69,9 +69,10 @@ function lines.around(from, to, far, direction)
   return lines.rounded { from, { far, from[2] }, { far, to[2] }, to }
 end
 
-local HALVINGS = 4 -- of a curve, at most
+local HALVINGS = 4 -- most times that a curve is halved
 
--- Adds a curve from a to d, divided into halves until both control points are good.
+-- Adds a curve from a to d with the control points b and c. It is divided into halves
+-- until all control points are good.
 local function add_curve(line, a, b, c, d, is_good, halvings)
   if halvings == 0 or is_good(b) and is_good(c) then
     line[#line + 1], line[#line + 2], line[#line + 3] = b, c, d
@@ -99,7 +100,7 @@ function lines.inside(line, frame)
   return result
 end
 
---- Return a line, moved, and in its other direction if it is turned.
+--- Return a line that is moved by x and y, and reversed if it is turned.
 function lines.moved(line, x, y, is_turned)
   local moved = {}
   for i, point in ipairs(line) do

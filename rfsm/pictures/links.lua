@@ -1,12 +1,13 @@
---- Levels: the inside of each composite; links: what arrows are in them.
+--- Levels and links: a level is the inside of a composite, a link a part of an arrow.
 --
--- In the level of its parent a composite is a box. Where an arrow crosses the frame of
--- a composite there is a gate at its upper or its lower side: a port of the box, and a
--- point in the level of the composite. So an arrow is a chain of links, from its source
--- out to its home and from there in to its target. Links lead downward in the order of
--- the walk from `initial`. Those of an arrow that leads back are turned.
+-- A composite is a box in the level of its parent. Where an arrow crosses the frame of
+-- the composite, the frame has a gate at its upper or lower side: a port of the box,
+-- and a point in the level of the composite. An arrow is a chain of links, from its
+-- source out to its home, the innermost composite that contains both ends, and in to
+-- its target. All links lead downward, in the order of the walk from `initial`; the
+-- links of an arrow that leads upward are *turned*.
 --
--- "Upper" and "lower" are left and right if the direction is LR.
+-- If the direction is LR, "upper" means left and "lower" means right.
 --
 -- @module rfsm.pictures.links
 -- @license BSD-3-Clause
@@ -17,20 +18,20 @@ local ipairs = ipairs
 
 local links = {}
 
---- The inside of a composite. Positions are points from the lower left corner.
+--- The inside of a composite. Positions are in points, from the lower left corner.
 ---@class rfsm.pictures.Level
 ---@field composite rfsm.pictures.Node
 ---@field direction "TB"|"LR"
 ---@field gates rfsm.pictures.Gate[]
 ---@field gate_of table<string, rfsm.pictures.Gate> by key of the arrow
 ---@field links rfsm.pictures.Link[]
----@field link_of table<string, rfsm.pictures.Link>
----@field boxes rfsm.pictures.Box[] of the nodes
----@field arches rfsm.pictures.Box[] of the labels above composites, by number of a link
+---@field link_of table<string, rfsm.pictures.Link> by key of the arrow
+---@field boxes rfsm.pictures.Box[] the boxes of the nodes
+---@field arches rfsm.pictures.Box[] id of an arch -> the box of its label
 ---@field width number
 ---@field height number
 ---@field is_spread? boolean leaves are at both sides of a hub
----@field header? rfsm.pictures.Box of name and rows
+---@field header? rfsm.pictures.Box the box of the composite's name and rows
 
 --- A part of a level: its middle, and its size.
 ---@class rfsm.pictures.Box
@@ -39,21 +40,21 @@ local links = {}
 ---@field width number
 ---@field height number
 
---- Where an arrow crosses a frame.
+--- The place where an arrow crosses a frame.
 ---@class rfsm.pictures.Gate
 ---@field id string
 ---@field is_upper boolean
----@field twin? rfsm.pictures.Gate of an arch: where its other line meets the frame
+---@field twin? rfsm.pictures.Gate the gate of the other line of an arch
 ---@field x number
 ---@field y number
----@field offset number from the corner of the frame at which its side begins
+---@field offset number distance from the corner where its side of the frame begins
 
 --- An end of a link: a node, a gate of a node's box, or a gate of the level.
 ---@class rfsm.pictures.End
 ---@field node? rfsm.pictures.Node
 ---@field gate? rfsm.pictures.Gate
 
---- A part of an arrow: between two ends in a level.
+--- A part of an arrow: the line between two ends in a level.
 ---@class rfsm.pictures.Link
 ---@field id integer
 ---@field level rfsm.pictures.Level
@@ -65,10 +66,10 @@ local links = {}
 ---@field is_loop? boolean
 ---@field has_head? boolean this link has the arrowhead
 ---@field arch? { id: integer, legs: rfsm.pictures.Link[] } a label above a composite,
--- and two links to its frame
----@field points? number[][] the line
----@field tip? number[] of the arrowhead
----@field label_at? number[]
+-- and the two links from the label to the frame of the composite
+---@field points? number[][] the points of the line
+---@field tip? number[] the tip of the arrowhead
+---@field label_at? number[] the position of the label
 
 -- Gates and links -------------------------------------------------------------
 
@@ -78,8 +79,8 @@ function links.new_level(composite, direction)
     links = {}, link_of = {}, boxes = {}, arches = {}, width = 0, height = 0 }
 end
 
--- Returns the gate of an arrow in a level, and makes it the first time. If an arrow has
--- two gates there, the second has a `mark`.
+-- Returns the gate of an arrow in a level; the first call makes it. If an arrow has two
+-- gates in the level, `mark` is a text for the second one; otherwise it is "".
 local function gate_of(level, arrow, is_upper, mark)
   local key = mark .. arrow.key
   local gate = level.gate_of[key]
@@ -89,7 +90,7 @@ local function gate_of(level, arrow, is_upper, mark)
   return gate
 end
 
--- Returns the link of an arrow in a level; the first time it is the given one.
+-- Returns the link of an arrow in a level; the first call adds the given link.
 local function link_of(level, link, mark)
   local key = mark .. link.arrow.key
   if not level.link_of[key] then
@@ -112,8 +113,8 @@ end
 
 -- Chains: from the source out to the home, and in to the target ---------------
 
--- Follows an arrow from one of its ends, a node, out to its home. Returns the end that
--- the arrow has there, and the links from the node to the home.
+-- Follows an arrow from the node at one of its ends out to its home. Returns the end of
+-- the arrow in the level of the home, and the links from the node to that end.
 local function climb(arrow, node, is_upper, is_src)
   local composite, finish, list = node.parent, { node = node }, {}
   while composite ~= arrow.home do
@@ -130,7 +131,8 @@ local function climb(arrow, node, is_upper, is_src)
   return finish, list
 end
 
--- Returns the links of an arrow between a composite and a node in it.
+-- Returns the links of an arrow between a composite and a node inside of it: two links
+-- from the label above the composite to its frame, and the links inside.
 local function arch_links(arrow, composite)
   local level, is_out = arrow.home.level, arrow.src == composite
   local frame = { node = composite, gate = gate_of(composite.level, arrow, true, "/") }
@@ -184,7 +186,7 @@ function links.prepare(chart)
   for _, arrow in ipairs(chart.all) do link_arrow(arrow) end
 end
 
---- Link the arrows of a level anew after its nodes have got other parents.
+--- Make the links of a level again after its nodes were moved to other parents.
 function links.renew(level)
   local old = level.links
   level.links, level.link_of = {}, {}

@@ -1,5 +1,5 @@
---- The output of `rfsm watch`, for a machine that answers by `rfsm.proto`: at a
--- terminal the tree of its states and a log, in a pipe a line for each change.
+--- Prints a machine that answers by `rfsm.proto`, for `rfsm watch`: at a terminal the
+-- tree of its states and a log, in a pipe a line for each change.
 --
 -- @module rfsm.proto.follow
 -- @license BSD-3-Clause
@@ -13,7 +13,7 @@ local follow = {}
 
 local MAX_LOG = 10 -- lines
 
--- Appends a line for each state in a node of the graph. Active ones have a star.
+-- Appends a line for each state in a node of the graph. Active states have a star.
 local function add_tree(lines, node, fqn, leaf)
   if node.type ~= "state" then return lines end
   local is_active = leaf and (leaf .. "."):sub(1, #fqn + 1) == fqn .. "."
@@ -25,14 +25,14 @@ local function add_tree(lines, node, fqn, leaf)
   return lines
 end
 
---- A machine as it was received.
+--- A remote machine, as far as it is known from messages.
 ---@class rfsm.proto.Follower
----@field graph table? the description of the machine, once it has come
----@field leaf string|false|nil FQN of the active state
----@field log string[] the last lines
----@field count integer number of all lines so far
+---@field graph table? the description of the machine, once it was received
+---@field leaf string|false|nil FQN of the active leaf; false: not active
+---@field log string[] the last lines of the log
+---@field count integer number of all lines so far, also of those that were removed
 
--- Adds a line, unless it equals the last one.
+-- Adds a line to the log, unless it equals the last line.
 local function add(self, text)
   if text == self.last then return end
   self.last, self.count = text, self.count + 1
@@ -60,7 +60,7 @@ local function draw(self)
     .. status)
 end
 
-local SILENCE = 3 -- seconds without a message
+local SILENCE = 3 -- seconds without a message that are reported
 
 -- Reports that no message comes: at a terminal below each tree, in a pipe once.
 local function note_silence(self, client)
@@ -74,7 +74,7 @@ local function note_silence(self, client)
   io.stderr:write(self.status, "\n")
 end
 
---- Print a machine as it changes; up to `count` lines, or without an end.
+--- Print a machine as it changes, until `options.count` lines were printed.
 function follow.run(client, options)
   local self = {
     log = {}, count = 0, is_terminal = options.is_terminal, number = options.number,

@@ -1,4 +1,4 @@
---- Replay: a machine runs through a recording.
+--- Replay: runs a machine through a recording.
 --
 -- @module rfsm.record.replay
 -- @license BSD-3-Clause
@@ -21,19 +21,19 @@ local list_text, leaf_text, same = tracks.list_text, tracks.leaf_text, tracks.sa
 
 --- A machine that is being replayed.
 ---@class rfsm.record.Session
----@field records rfsm.record.Record[] of the outermost machine
+---@field records rfsm.record.Record[] the records of the outermost machine
 ---@field at integer how many records have been replayed
----@field last integer how many are to be replayed
----@field is_dry boolean
----@field fsm rfsm.Machine|nil nil if the snapshot of the header cannot be put
----@field problem string|nil the reason, or the departure from the recording
----@field snap rfsm.snapshot.Snapshot|nil of the end, unless there is a problem
+---@field last integer how many records are to be replayed
+---@field is_dry boolean the functions of the chart are not called
+---@field fsm rfsm.Machine|nil nil if the snapshot of the header cannot be put into it
+---@field problem string|nil why there is no machine, or how it departs from the records
+---@field snap rfsm.snapshot.Snapshot|nil the machine at the end; nil after a problem
 ---@field unsaved string|nil why the machine cannot be saved at the end
----@field clock rfsm.clock.Clock in place of the clocks of the machines
+---@field clock rfsm.clock.Clock replaces the clocks of the machines
 ---@field readings any[]|nil the next readings of the clock in this iteration
----@field latest any[]|nil the last reading
+---@field latest any[]|nil the reading that was returned last
 
--- Raised by a pre step hook, to end a step that would go further than the recording.
+-- The error that a pre step hook raises to end a step at the end of the recording.
 local STOP = {}
 
 local function depart(session, form, ...)
@@ -41,7 +41,8 @@ local function depart(session, form, ...)
     or ("step %d: "):format(session.at + 1) .. form:format(...)
 end
 
--- Fills a list with packed events; departs if one cannot be replayed.
+-- Fills a list with packed events, which are unpacked. If one of them cannot be
+-- replayed, the replay departs from the recording.
 local function fill(session, list, events)
   for i = #list, 1, -1 do list[i] = nil end
   for i = 1, events and #events or 0 do
@@ -54,7 +55,8 @@ local function fill(session, list, events)
   end
 end
 
--- Returns the next recorded reading of the clock; after the last one, that one again.
+-- Returns true and the next recorded reading of the clock, or false and the recorded
+-- error. The last reading is repeated.
 local function read_again(session)
   local now = remove(session.readings or {}, 1) or session.latest or { 0, 0 }
   if type(now[1]) == "string" then return false, now[1] end
@@ -78,7 +80,7 @@ local function next_record(session, track)
   return rec
 end
 
--- Gives the regions their records in an iteration.
+-- Gives each region its records in an iteration of the outermost machine.
 local function hand_out(session, inner)
   for i = 2, #session.tracks do
     session.tracks[i].at, session.tracks[i].records = 0, {}
@@ -125,7 +127,7 @@ end
 
 local function values_of(packed) return packed and encoding.unpack(packed, 0) or {} end
 
--- Returns the text of what differs between data that was kept, and that of now.
+-- Returns a text about the first difference between recorded data and present data.
 local function difference(old, new)
   for _, part in ipairs { "data", "saved" } do
     local before, now = old[part] or {}, new[part] or {}
@@ -196,8 +198,8 @@ function listener.guard(session, track, number, guard, tr, events)
   return answer
 end
 
--- Returns a doo that ends when the recorded one ended or failed. The record has its
--- e_done.
+-- Returns a doo that ends when the recorded doo ended or failed. Its e_done is among
+-- the recorded events.
 local function doo_again(track)
   return function(_, state)
     while true do
@@ -208,8 +210,8 @@ local function doo_again(track)
   end
 end
 
--- Returns the present numbers of guards by the recorded ones. In a chart that has
--- changed, a guard is found by the text of its transition.
+-- Returns a table: recorded number of a guard -> its present number. In a chart that
+-- has changed, a guard is found by the text of its transition.
 local function numbers_of(track, session)
   local now, numbers = {}, {}
   local then_texts = session.guards and session.guards[(track.m or 0) + 1] or {}
@@ -264,7 +266,7 @@ local function take_step(session, track)
   return not session.problem
 end
 
--- Advances the machine to the end of the recording, or to where it departs from it.
+-- Advances the machine until the recording ends, or the machine departs from it.
 local function run(session, track)
   local each, before = session.options.each or function() end, 0
   while session.at < session.last and take_step(session, track) do

@@ -1,9 +1,9 @@
---- Machines in the keys of Redis: the host that `rfsm.server.functions` has there, and
+--- Stores machines in the keys of Redis: the host of `rfsm.server.functions`, and the
 -- functions for many machines.
 --
--- `rfsm.redis` bundles this module. An error changes nothing, since all that can fail
--- comes before the first write: also the types of the keys that will be written, and
--- the user's rights, are checked before.
+-- `rfsm.redis` bundles this module. A call that fails changes nothing, since all checks
+-- come before the first write, also those of the user's rights and of the types of the
+-- keys that will be written.
 --
 -- @module rfsm.redis.store
 -- @license BSD-3-Clause
@@ -24,8 +24,8 @@ local MAX_LOG = 1000
 local OVERDUE = 60 -- seconds; a machine that is due for longer counts as overdue
 local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 
--- What Redis gives to libraries, the function rfsm_tick, and the options of the
--- library. One library runs in a server, so these are locals of the module.
+-- The objects that Redis passes to libraries, the function rfsm_tick, and the options
+-- of the library. They are locals of the module, since a server runs one such library.
 local redis, call, cmsgpack, tick_machine, options
 
 local store = {}
@@ -34,13 +34,13 @@ local function score(time) return ("%.6f"):format(time) end
 
 -- One machine ----------------------------------------------------------------------
 
---- Return the time: seconds and nanoseconds.
+--- Return the time of the server: seconds and nanoseconds.
 function store.time()
   local time = call("TIME")
   return tonumber(time[1]), tonumber(time[2]) * 1000
 end
 
---- Return the list in the value of a machine; nil if there is none.
+--- Return the list that is stored for a machine; nil if there is no machine.
 function store.read(key)
   local value = call("GET", key)
   if not value then return nil end
@@ -53,13 +53,13 @@ end
 
 function store.pack(list) return cmsgpack.pack(list) end
 
--- The writes of a machine, each { command, key, ... }, and the commands that were
--- checked, by their keys: a call that wakes many machines checks a shared key once.
+-- `writes`: the commands that store a machine, each { name, key, ... }. `asked`: key ->
+-- command that was checked, since a call for many machines checks a shared key once.
 local writes, asked = {}, {}
 
--- Adds a write. Writes behind the first one must not fail, since what was written
--- before them stays: the key has to be absent, or of the type `kind`, and the user
--- needs the right.
+-- Adds a command. Only the first one may fail, since earlier commands are not undone.
+-- So the others are checked: the key must be absent or of the type `kind`, and the user
+-- must have the right to do the command.
 local function add_write(kind, name, key, ...)
   writes[#writes + 1] = { name, key, ... }
   if writes[2] == nil or asked[key] == name then return end -- the first may fail
@@ -96,7 +96,7 @@ end
 -- Returns the least text that is greater than all texts that begin with `head`.
 local function behind(head) return head:sub(1, -2) .. char(head:byte(-1) + 1) end
 
--- Lists the beginnings of the members of an index: chart, tab, state, tab.
+-- Lists the different beginnings, "chart TAB state TAB", of the members of an index.
 local function heads_of(index)
   local heads, from = {}, ""
   repeat
@@ -107,8 +107,8 @@ local function heads_of(index)
   return heads
 end
 
--- Lists all members that the index may have for a key. One may be left of a machine
--- that ended by DEL: then its state is not known.
+-- Lists the members that the index may have for a key, one for each chart and state.
+-- The state may be unknown, since a machine that is removed by DEL leaves its member.
 local function members_of(key)
   local members = heads_of(keys_of.index(key))
   for i, head in ipairs(members) do members[i] = head .. key end
@@ -137,7 +137,7 @@ local function add_moves(machine)
   end
 end
 
---- Write all that has changed.
+--- Write a machine, its timers, its streams and its moves.
 function store.write(machine, due, emitted, errors)
   writes = {}
   add_due(machine, due)
@@ -178,8 +178,8 @@ local function whole_of(text, default, most)
   return number
 end
 
--- Runs a machine that is due, then removes it from those that were put aside, if it may
--- be one. If there is no machine any more, its key is removed from those that are due.
+-- Runs a machine that is due, and removes it from the machines that were put aside if
+-- it may be one of them. If it does not exist, its key is removed from the due ones.
 local function tick(key, may_be_aside)
   local reply = tick_machine({ key })
   if not reply then call("ZREM", keys_of.due(key), key) end
@@ -191,7 +191,7 @@ end
 function more.rfsm_tick(keys) return tick(keys[1], true) end
 
 -- Has a machine that cannot be run wait for a minute, so that others are not held up.
--- It is counted, and its log has the reason.
+-- The failure is counted, and the reason is added to the log of the machine.
 local function put_aside(due, key, problem)
   local text = "rfsm_wake: " .. reason_of(problem)
   call("ZADD", due, score(now() + ASIDE), key)
@@ -204,8 +204,8 @@ local function is_elsewhere(problem)
   return reason_of(problem):find("non local key", 1, true) ~= nil
 end
 
--- rfsm_wake KEY [limit]: runs the machines that are due, of those that share the hash
--- tag of the key; returns how many ran, and how many could not.
+-- rfsm_wake KEY [limit]: runs the due machines that share the hash tag of the key;
+-- returns how many ran, and how many failed.
 function more.rfsm_wake(keys, args)
   local due, limit = keys_of.due(keys[1]), whole_of(args[1], 100, 10000)
   local list = call("ZRANGEBYSCORE", due, "-inf", score(now()), "LIMIT", 0, limit)
@@ -223,8 +223,8 @@ function more.rfsm_wake(keys, args)
   return { count, failed }
 end
 
--- rfsm_due KEY [limit [seconds]]: the machines, of those that share the hash tag of the
--- key, that are due now, or at a time.
+-- rfsm_due KEY [limit [seconds]]: returns the keys of the machines that share the hash
+-- tag of the key and are due now, or at a time in seconds.
 function more.rfsm_due(keys, args)
   local limit, at = tonumber(args[1] or 100), tonumber(args[2] or now())
   if not limit or not at then fail("a number expected") end
@@ -232,22 +232,22 @@ function more.rfsm_due(keys, args)
     limit)
 end
 
--- Does a machine of the index exist? One that was ended by DEL has left its member
--- there. While the slot of the key moves to another node nobody knows, so the index is
--- believed.
+-- Does a machine of the index exist? A machine that was removed by DEL leaves its
+-- member in the index. EXISTS may fail while the slot of the key moves to another node;
+-- then the machine counts as existing.
 local function is_there(key)
   local ok, count = pcall(call, "EXISTS", key)
   return not ok or count == 1
 end
 
--- Has a machine been in its leaf since a time, or longer?
+-- Has a machine been in its active leaf since a time, or longer? Without a time: yes.
 local function is_since(key, time)
   local since = time and call("ZSCORE", keys_of.since(key), key)
   return not time or since and tonumber(since) <= time
 end
 
--- Lists the keys of machines whose members of the index begin with `head`, at most
--- `limit`.
+-- Lists at most `limit` keys of machines whose members of the index begin with `head`,
+-- and which have been in their active leaf since `time`, if that is given.
 local function keys_with(index, head, limit, time)
   local found, count = {}, min(limit, 1000)
   local from, to = "[" .. head, "(" .. behind(head)
@@ -263,8 +263,9 @@ local function keys_with(index, head, limit, time)
   return found
 end
 
--- rfsm_find KEY chart state [limit [seconds]]: the machines, of those that share the
--- hash tag of the key, whose active leaf is the state, or in it, for so many seconds.
+-- rfsm_find KEY chart state [limit [seconds]]: returns the keys of the machines that
+-- share the hash tag of the key, and whose active leaf is the state or inside of it,
+-- for at least so many seconds.
 function more.rfsm_find(keys, args)
   if not options.index then fail("the library was made without --index") end
   local index, limit = keys_of.index(keys[1]), whole_of(args[3], 100, 100000)
@@ -278,9 +279,9 @@ function more.rfsm_find(keys, args)
   return found
 end
 
--- rfsm_stats KEY: numbers of the machines that share the hash tag of the key. A list of
--- chart, state and number in turns; how many have a time at which they are due; how
--- many were put aside; entries; how many are overdue for a minute; dead entries.
+-- rfsm_stats KEY: returns six results for the machines that share the hash tag of the
+-- key: a list of chart, state, number, chart ...; how many have a deadline; how many
+-- were put aside; entries of the stream; how many are overdue; dead entries.
 function more.rfsm_stats(keys)
   local key, reply = keys[1], {}
   local index, due = keys_of.index(key), keys_of.due(key)
@@ -296,8 +297,8 @@ function more.rfsm_stats(keys)
     call("XLEN", keys_of.dead(key)) }
 end
 
--- rfsm_history KEY [count]: the latest moves of a machine, the newest first, each as
--- four items: time, events, from, to.
+-- rfsm_history KEY [count]: returns the latest moves of a machine, the newest first,
+-- each as four items: time, events, from, to.
 function more.rfsm_history(keys, args)
   if not options.history then fail("the library was made without --history") end
   local reply, count = {}, whole_of(args[1], 10, 10000)
@@ -325,12 +326,12 @@ function store.add(all, settings)
   end
 end
 
---- Return the reply of a call that fails.
+--- Return the error reply of a call that fails.
 function store.refuse(name, reason)
   return redis.error_reply("ERR " .. name .. ": " .. reason)
 end
 
---- Return the host. The arguments are what Redis has for libraries.
+--- Return the host. The arguments are `redis`, `cjson` and `cmsgpack` of Redis.
 return function(server, cjson, pack)
   redis, call, cmsgpack = server, server.call, pack
   function store.decode(text) return cjson.decode(text) end

@@ -14,25 +14,26 @@ local pcall, rawget, require, select = pcall, rawget, require, select
 local setmetatable, type = setmetatable, type
 local huge, remove = math.huge, table.remove
 local newproxy = rawget(_G, "newproxy")
-local text_of = calls.text -- what stays after the launch holds this, not the module
+local text_of = calls.text -- the launched functions hold this, not the module
 
 local update = {}
 
 -- Memory: a pool of a fixed size -------------------------------------------------
 
--- The collector itself allocates, and raises in a pool that is full.
+-- Collects garbage. The collector itself allocates, so it may fail in a full pool.
 local function collect() pcall(collectgarbage) end
 
--- Lua 5.1 collects when the heap has grown by a factor, not when memory is short. So a
--- pool that is full would stay full, and the report of the error would fail, too.
+-- Collects garbage after an error for lack of memory. Lua 5.1 itself collects when the
+-- heap has grown by a factor, not when memory is short. So a full pool would stay full,
+-- and the report of the error would fail, too.
 local function make_room(problem)
   if type(problem) == "string" and problem:find("not enough memory", 1, true) then
     collect()
   end
 end
 
--- Returns the KiB in use, and of a TLSF pool the most that ever were, and its size.
--- The figures of a pool include what it adds to each block.
+-- Returns the KiB in use, the most KiB that ever were in use, and the size of the TLSF
+-- pool. The figures of a pool include its overhead. Without one: 0 and infinity.
 local function usage()
   local tlsf = rawget(_G, "tlsf")
   if not (tlsf and tlsf.stats) then return collectgarbage("count"), 0, huge end
@@ -57,15 +58,15 @@ function update.enlarge_pool(launch, kib)
   launch.component:getOperation("tlsf_incmem")(bytes)
 end
 
--- Has `note` called when the collector has come to the end of its cycle.
+-- Has `note` called when the present cycle of the collector ends.
 local function when_collected(note)
   if not newproxy then return setmetatable({}, { __gc = note }) end
   getmetatable(newproxy(true)).__gc = note
 end
 
---- Return a function that notes the memory in use; what is in use at the end of a cycle
--- of the collector is live. The function collects when nine tenths of a pool's free
--- part are in use. Its first call must come when all garbage was collected.
+--- Return a function that writes the memory in use to attributes: `rfsm_live` after
+-- each cycle of the collector, `rfsm_peak` the most so far. It collects garbage when
+-- nine tenths of a pool's free part are used up. Before its first call, collect all.
 function update.new_meter(launch)
   local variables, peak, limit, is_collected = launch.variables, 0, false, true
   local function note() is_collected = true end
@@ -87,8 +88,8 @@ function update.new_meter(launch)
   end
 end
 
---- Undo a launch that has failed, and raise the reason. A lack of memory is raised with
--- the stage of the launch and the memory in use.
+--- Undo a launch that has failed, and raise the reason. If that is a lack of memory,
+-- the message also has the stage of the launch and the memory in use.
 function update.fail(launch, problem)
   collect() -- or undoing fails, too
   launch:undo()
@@ -101,14 +102,14 @@ end
 
 local fail = update.fail
 
---- Prepare the machine, and log what was launched.
+--- Prepare the machine, and log that it is launched.
 function update.finish(launch)
   collect()
   launch.stage = "the machine is prepared"
   local ok, problem = pcall(rfsm.prepare, launch.fsm)
   if not ok then fail(launch, problem) end
   launch.undo, launch.finish = nil, nil
-  launch.env, launch.prestr, launch.poststr = nil, nil, nil -- they may be long
+  launch.env, launch.prestr, launch.poststr = nil, nil, nil -- they may be large
   launch.log("Info", ("rfsm.rtt: '%s' is launched in '%s': %s%s"):format(
     launch.fsmfile, launch.component:getName(), memory_text(),
     rawget(_G, "tlsf") and ", without rfsm.fast" or ""))
@@ -117,16 +118,16 @@ end
 
 -- Attributes ---------------------------------------------------------------------
 
---- The attributes of each launch, and those that a service has besides: types by name.
+--- Name of an attribute -> its type: for each launch, and further ones for a service.
 update.ATTRIBUTES = {
   rfsm_errors = "uint", rfsm_overruns = "uint", rfsm_failures = "uint",
   rfsm_live = "double", rfsm_peak = "double",
 }
 update.OF_SERVICE = { rfsm_halt = "bool", rfsm_halted = "bool" }
 
--- Gives the component those attributes that are missing. Their values are Variables,
--- which stay when `rttlib.tc_cleanup` removes the attributes. Attributes that another
--- service has added are shared.
+-- Adds the attributes that the component does not have. Their values are Variables,
+-- which stay when `rttlib.tc_cleanup` removes the attributes. An attribute that another
+-- service has added is shared with it.
 function update.add_attributes(launch, types)
   for _, name in ipairs(rfsm.sorted_keys(types)) do
     local ok, attribute = pcall(function()
@@ -138,7 +139,7 @@ function update.add_attributes(launch, types)
       launch.attributes[#launch.attributes + 1] = name
     end
     local value, before = attribute:getRaw(), launch.variables[name]
-    if launch.is_own and not before then value:assign(0) end -- it begins anew
+    if launch.is_own and not before then value:assign(0) end -- a new launch
     if before and not ok then value:assign(before) end
     launch.variables[name] = value
   end
@@ -152,7 +153,7 @@ end
 
 -- Log ----------------------------------------------------------------------------
 
-local MOST_LINES = 16 -- of different texts
+local MOST_LINES = 16 -- lines with different texts that a log remembers
 
 local function write(rtt, line)
   rtt.logl(line.level, line.text
@@ -160,16 +161,16 @@ local function write(rtt, line)
   line.second, line.count = rtt.getTime(), 0
 end
 
---- Return a function log(level, ...) that writes to RTT's log, and a function to be
--- called now and then. A line that comes again is not written at once: the second
--- function writes it once a second, with how often it came.
+--- Return two functions. log(level, ...) writes a line to RTT's log; a line that was
+-- written in the same second already is only counted. The other function, to be called
+-- now and then, writes the lines that were counted, with their counts.
 --
--- Arguments become texts, since OCL mutes the log of the whole process at an error that
--- is no text.
+-- Arguments become texts, since OCL mutes the log of the whole process if an error is
+-- not a text.
 function update.new_log(rtt)
   local lines, is_behind = {}, false
 
-  -- Returns the line with a text. A new one takes the place of the oldest line.
+  -- Returns the line with a level and a text. A new line replaces the oldest one.
   local function find(level, text)
     for i = 1, #lines do
       if lines[i].text == text and lines[i].level == level then return lines[i] end
@@ -200,14 +201,14 @@ function update.new_log(rtt)
   end
 end
 
--- Counts in an attribute, and calls error() of the component if the launch has asked
--- for it.
+-- Adds one to the count in an attribute, and calls error() of the component if the
+-- option `error` of the launch is true.
 local function alert(launch, name)
   count(launch, name)
   if launch.error then launch.component:error() end
 end
 
---- Return `err` of the machine with a count of its calls.
+--- Return a function that counts its calls as errors, and calls `err` of the machine.
 function update.counted(launch, err)
   return function(...)
     alert(launch, "rfsm_errors")
@@ -215,8 +216,8 @@ function update.counted(launch, err)
   end
 end
 
---- Report what an update raised. This never raises, since RTT removes a hook that
--- fails.
+--- Report an error that an update raised. This function raises no error itself, since
+-- RTT removes a hook that fails.
 function update.report(launch, problem)
   make_room(problem)
   alert(launch, "rfsm_failures")
@@ -241,7 +242,7 @@ local function new_alarm(launch, fsm)
   end
 end
 
--- Returns a function that makes the steps of an update.
+-- Returns a function that takes the steps of an update.
 local function new_update(launch, fsm, again)
   local steps, alarm = launch.steps, new_alarm(launch, fsm)
   return function()
@@ -256,8 +257,8 @@ local function new_update(launch, fsm, again)
 end
 
 -- Returns a function that advances the machine, and always returns true. The update
--- after a failure finishes the step that was cut short, and one more reads what came
--- meanwhile: so an update is triggered when failures begin and when they end.
+-- after a failure finishes the step that was cut short, and the one after that reads
+-- the new events. So another update is triggered when failures begin and when they end.
 function update.new_trigger(launch, fsm)
   -- triggers the next update of a component, which otherwise waits for an event
   local again = launch.is_component and launch.component:getOperation("trigger")

@@ -7,8 +7,8 @@ local files = require "rfsm.shared.files"
 
 local bundle = {}
 
---- The text before the modules, with the `require` that they call. A text before it
--- declares `outer_require`: the `require` of the host, or nil.
+--- The text before the modules. It defines the `require` that the modules call. A text
+-- before it has to declare `outer_require`: the `require` of the host, or nil.
 bundle.HEAD = [[
 local bundled, loaded = {}, {}
 
@@ -26,8 +26,8 @@ end
 
 ]]
 
---- Append a module to the parts of a text, under its name or another one; return its
--- source, nil if it is not found.
+--- Append a module to the parts of a bundle, under its name or the name `as`. Return
+-- the source of the module; nil if it is not found.
 function bundle.add(parts, name, as)
   local text = files.find((name:gsub("%.", "/")))
   if not text then return nil end

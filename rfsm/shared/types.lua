@@ -4,15 +4,15 @@
 
 --- A state as the user writes it.
 --
--- Every key not named here is the user's data. Only a leaf state can have a doo, a
--- coroutine; a true value that it yields means that it is idle.
+-- Every key not named here is the user's data. Only a leaf can have a doo, which runs
+-- as a coroutine. If the doo yields a true value, it is idle.
 --
 ---@class rfsm.State
 ---@field entry? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "entry")
 ---@field exit? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "exit")
 ---@field doo? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "doo"): boolean?
 ---@field final? boolean a leaf that is meant to be the end
----@field getevents? false|fun(fsm: rfsm.Machine): any[]? this and the rest: root only
+---@field getevents? false|fun(fsm: rfsm.Machine): any[]? root only, as all fields below
 ---@field dbg? boolean|fun(id: string, ...)
 ---@field info? boolean|fun(...)
 ---@field warn? boolean|fun(...)
@@ -30,8 +30,9 @@
 ---@class rfsm.Edge
 ---@field src string|rfsm.State|rfsm.Connector source; a node after init
 ---@field tgt string|rfsm.State|rfsm.Connector target; a node after init
----@field events? false|any[]|string any one of them triggers; none: any event does
----@field guard? false|fun(tr: rfsm.Transition, events: any[]): boolean? false inhibits
+---@field events? false|any[]|string one of them triggers; none: any event does
+---@field guard? false|fun(tr: rfsm.Transition, events: any[]): boolean?
+-- the transition is not enabled if the guard returns false
 ---@field effect? false|fun(m: rfsm.Machine, tr: rfsm.Transition, s: string, e: any[])
 ---@field pn? number priority among the transitions of a node, larger first (0)
 ---@field [string] any
@@ -40,11 +41,11 @@
 ---@class rfsm.Transition : rfsm.Edge
 ---@field _fsm rfsm.Machine
 
---- A point where transitions meet; never active.
+--- A connector joins transitions into a path. It is never active.
 ---@class rfsm.Connector
 ---@field [string] any
 
---- A model made ready to run by `rfsm.init`; the root state of its own tree.
+--- A machine, which `rfsm.init` makes from a model. It is also its root state.
 ---@class rfsm.Machine : rfsm.State
 ---@field _act_leaf rfsm.State|false the innermost active state
 ---@field _intq any[] events that wait for the next iteration

@@ -1,4 +1,4 @@
---- The tree of states and the picture in the simulator.
+--- Draws the tree of states and the picture for the simulator.
 --
 -- @module rfsm.sim.drawing
 -- @license BSD-3-Clause
@@ -19,7 +19,7 @@ local MAX_SIBLINGS = 12
 
 local add_state
 
--- Adds lines for the children of a state: the first ones, and all that are active.
+-- Adds lines for children of a state: for the first ones, and for all active ones.
 local function add_children(lines, children, indent)
   local hidden = 0
   for i, child in ipairs(children) do
@@ -66,8 +66,8 @@ end
 
 local FORMATS = { svg = true, png = true, pdf = true, dot = true }
 
---- Draw a machine with its active states into a file, in the format of its ending;
--- return the problem in one line if there is one.
+--- Draw a machine with its active states into a file, in the format that the ending of
+-- the file names. Return nil, or the problem in one line.
 function drawing.draw(fsm, file)
   local dot, format = require "rfsm.dot", (file:match("%.(%w+)$") or ""):lower()
   if not FORMATS[format] then

@@ -1,4 +1,4 @@
---- The history of a session: the places where its advances ended, and its recordings.
+--- The history of a simulation: the places where advances ended, and recordings.
 --
 -- @module rfsm.sim.history
 -- @license BSD-3-Clause
@@ -17,9 +17,9 @@ local print = print
 local concat = table.concat
 local text_of = rfsm.text_of
 
-local history = { BYTES = nil } -- that all places may take; nil: the default of rewind
+local history = { BYTES = nil } -- most bytes of all places; nil: the default of rewind
 
-local START = { sec = 0, nsec = 0 } -- the simulated time while there is no such clock
+local START = { sec = 0, nsec = 0 } -- the time if there is no simulated clock
 
 local function about(sim)
   local leaf, now = sim.fsm._act_leaf, sim.time and sim.time.passed or START
@@ -32,7 +32,7 @@ local function set_time(sim, place)
   now.sec, now.nsec = place.sec, place.nsec
 end
 
---- Begin a history. A recording goes on in the same file, with another run.
+--- Begin a history. A recording goes on in the same file, where a new run begins.
 function history.start(sim)
   sim.came = {}
   sim.history = rewind.new(sim.fsm, { bytes = history.BYTES,
@@ -50,7 +50,7 @@ function history.mark(sim)
   if sim.recorder then sim.recorder:go_on() end
 end
 
---- Let the machine have its own guards until the next advance, as without a recording.
+--- Pause a recording until the next advance, so that the machine has its own guards.
 function history.pause(sim)
   if sim.recorder then sim.recorder:pause() end
 end
@@ -70,7 +70,7 @@ local function go(sim, number)
   sim.came = place.about.came
 end
 
---- Put the machine into the place where advance n ended.
+--- Put the machine back into the place where advance n ended.
 function history.go_to(sim, n)
   local way = sim.history
   if type(n) ~= "number" or n < way.first or n > way.last or n % 1 ~= 0 then
@@ -86,7 +86,7 @@ local function check_count(name, n)
   end
 end
 
---- Undo the last advances.
+--- Undo the last n advances.
 function history.back(sim, n)
   local way = sim.history
   check_count("back", n)
@@ -94,7 +94,7 @@ function history.back(sim, n)
   go(sim, max(way.at - n, way.first))
 end
 
---- Do again what `back` has undone.
+--- Do n advances again that `back` has undone.
 function history.forward(sim, n)
   local way = sim.history
   check_count("forward", n)
@@ -104,7 +104,7 @@ end
 
 -- Recordings ----------------------------------------------------------------------
 
---- Record what follows in a file; without a name, end the recording.
+--- Record the next advances in a file. Without a name, end the recording.
 function history.save(sim, name)
   if sim.recorder then sim.recorder:stop() end
   sim.recorder = nil
@@ -117,8 +117,8 @@ function history.save(sim, name)
   sim.recorder = recorder
 end
 
---- Run the chart through the recording in a file, each step an advance; return the
--- number of steps, and a problem if the run departs from it.
+--- Run the chart through the recording in a file. Each step counts as an advance.
+-- Return the number of steps, and a problem if the chart departs from the recording.
 function history.replay(sim, name)
   local list, run = record.read(name)
   local model = sim.model
@@ -142,7 +142,7 @@ end
 
 -- Show ----------------------------------------------------------------------------
 
---- Print the last advances, at most so many.
+--- Print the last advances, at most `last` of them.
 function history.show(sim, last)
   local way = sim.history
   local problem = way:note().problem

@@ -12,12 +12,12 @@ local setmetatable, huge = setmetatable, math.huge
 --- A machine that a program drives.
 ---@class rfsm.web.Served
 ---@field view rfsm.web.LocalView
----@field title string
----@field problems string[]
----@field generation integer
----@field commands table<string, function>
----@field has_history boolean is it observed also while no page is open?
----@field seen_at number when a page has read last
+---@field title string of the tab
+---@field problems string[] always empty, since the machine runs
+---@field generation integer always 1, since the chart stays the same
+---@field commands table<string, function> type of a page's message -> its function
+---@field has_history boolean is the machine observed also while no page is open?
+---@field seen_at number the time at which a page has read it last
 local Served = {}
 Served.__index = Served
 
@@ -32,7 +32,7 @@ end
 
 function COMMANDS.why(served) return nil, served.view:why() end
 
---- Start, or stop, noting what the machine does. With `history` that never stops.
+--- Start, or stop, to observe the machine. With `history` it is observed all the time.
 function Served:observe(is_wanted)
   self.view:observe(is_wanted or self.has_history)
 end
@@ -49,7 +49,7 @@ function Served.wait() return huge end
 
 function Served:describe(message) message.clock = self.view.clock() end
 
---- Make a tab for a machine.
+--- Make a tab of the web page for a machine.
 function Served.new(fsm, title, settings)
   local served = setmetatable({
     view = LocalView.new(fsm, clock.from_now()), title = title, problems = {},
