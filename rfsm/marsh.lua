@@ -575,8 +575,8 @@ end
 
 --- Return the structure of a machine as dkjson should write it.
 --
--- The table is that of `model2tab`, except for this: lists are marked as arrays, numbers
--- have the same digits on every Lua, texts are UTF-8, and other events become texts.
+-- It differs from the result of `model2tab`: lists are marked as arrays, numbers have
+-- the same digits on every Lua, texts are UTF-8, and events that JSON lacks are texts.
 --
 -- @raise if `fsm` was not initialised
 ---@param fsm rfsm.Machine

@@ -158,7 +158,7 @@ local function greatest_divisor(a, b)
   return a
 end
 
--- Finds the greatest unit of which all times are multiples, and sets the times in units.
+-- Finds the greatest unit of which all times are multiples, and sets times in units.
 local function set_unit(self)
   for _, clock in ipairs(self.clocks) do
     for _, deadline in ipairs(clock.deadlines) do
