@@ -1,9 +1,9 @@
 --- Fast: paths and searches as generated functions without loops.
 --
 -- The core also runs without this file: then `perform` does the actions in the list of
--- a path one by one. Here the list becomes one function. It notes positions as `perform`
--- does, so that the core can go on behind each callback if the path is cut short, or if
--- a callback switches dbg on. Actions that only trace are left out. The candidates of a
+-- a path one by one. Here the list becomes one function. It notes positions, too, so
+-- that the core can go on behind each callback if the path is cut short, or if a
+-- callback switches dbg on. Actions that only trace are left out. The candidates of a
 -- search become one function, too.
 --
 -- A text depends on a shape only: how many states are left and entered, and where
@@ -106,7 +106,7 @@ end]]
 -- The root has a metatable, which `rawset` does not ask about the absent field.
 local LINK, LINK_TO_ROOT = "$a._actchild = $b", 'rawset($a, "_actchild", $b)'
 
--- Appends a block. `text.at` counts states left and entered; s0 and s1 hold them in turn.
+-- Appends a block. `text.at` counts states left or entered; s0, s1 have them in turn.
 local function write(text, block, more)
   local places = text.places
   places.a, places.b = "s" .. text.at % 2, "s" .. (text.at + 1) % 2
@@ -179,7 +179,7 @@ end
 
 -- Searches ----------------------------------------------------------------------------
 --
--- Candidates are asked in turn on level 0, the ways out of a connector on the next level.
+-- Candidates are asked in turn on level 0, ways out of a connector on the next level.
 -- On level $k, w$k is the way that was found, x$k the list of ways if they conflict.
 
 local FIND = [[
@@ -229,8 +229,8 @@ local function condition(way, first)
   return "(not w$k or (w$k.pn or 0) == (d$n.pn or 0)) and " .. may
 end
 
--- Writes the lines that ask a transition on level `k`, and ways out of its connector. If
--- a connector is reached twice, the search is too long for one function.
+-- Writes the lines that ask a transition on level `k`, and ways out of its connector.
+-- If a connector is reached twice, the search is too long for one function.
 local function write_ask(text, core, def, k, may)
   local n, connector = #text.names, core.compile_transition(def).connector
   local places = { n = n, k = k, may = may }

@@ -18,9 +18,9 @@ local concat, sort, add = table.concat, table.sort, diagram.add
 
 local graphs = {}
 
---- A function that has Graphviz lay out graphs. It returns an answer, which is the graphs
--- with positions, or nil and a problem. In the answer each statement is one line, since
--- `rfsm.pictures.layout` has joined broken lines.
+--- A function that has Graphviz lay out graphs. It returns the graphs with positions as
+-- an answer, or nil and a problem. In the answers that this file reads, each statement
+-- is one line: `rfsm.pictures.layout` has joined broken lines.
 ---@alias rfsm.pictures.Run fun(graphs: string): string?, string?
 
 -- Boxes: composites, with a port for each gate --------------------------------
@@ -133,8 +133,8 @@ local function add_nodes(lines, level)
   end
 end
 
--- Keeps the header above all nodes: an invisible edge leads from the header to each node
--- that no link keeps below another node.
+-- Keeps the header above all nodes: an invisible edge leads from the header to each
+-- node that no link keeps below another node.
 local function add_order(lines, level)
   local is_lower = {}
   for _, link in ipairs(level.links) do

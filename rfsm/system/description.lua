@@ -1,4 +1,4 @@
---- Descriptions: the table from which a system is made, checked whole.
+--- Descriptions: the tables from which systems are made, and the checks of these tables.
 --
 -- Functions that check append problems to a list and raise no error. No callback runs.
 --
@@ -23,7 +23,7 @@ local concat, huge = table.concat, math.huge
 
 local description = {}
 
---- What has been read of a description, and its problems.
+--- The parts of a description that have been read, and the problems found.
 ---@class rfsm.system.Draft
 ---@field file? string
 ---@field lines table<string|integer, integer> of machines by name, of wires by number
@@ -41,7 +41,7 @@ local function add(draft, key, text, place)
   draft.problems[#draft.problems + 1] = place .. (place ~= "" and ": " or "") .. text
 end
 
--- Lines: read from the text of the file, as a table does not know its own --------
+-- Lines: read from the text of the file, since a table does not know its lines ---
 
 local function line_at(text, at)
   return select(2, text:sub(1, at - 1):gsub("\n", "")) + 1
@@ -60,7 +60,7 @@ local function note_wires(lines, text, at, list)
   for i = 1, wires and #found == #list and #list or 0 do lines[i] = found[i] end
 end
 
--- Notes the lines of fields, and reports names that stand twice: Lua keeps the last.
+-- Notes the lines of fields. Reports names that occur twice, as Lua keeps the last one.
 local function note_fields(draft, text, at, fields)
   local lines = draft.lines
   for offset, name in fields:gmatch("()%f[%w_]([%a_][%w_]*)%s*=%f[^=]") do
@@ -137,7 +137,7 @@ local function one_of(a, b)
   return function(x) return x == a or x == b end
 end
 
--- Returns description, test, default of each field of a wire.
+-- Returns for each field of a wire: a description, a test, and the default.
 local function fields_of(draft)
   local function is_name(x) return description.is_name(draft.models, x) end
   return {
@@ -207,11 +207,11 @@ local function check_wires(draft, list)
   end
 end
 
---- Read a description; nil and all its problems in one text if it is wrong.
+--- Read a description. If it is wrong, return nil and all its problems as one text.
 ---@param given any
----@param file? string in which it stands
----@return table? parts names, models, wires, file
----@return string? text
+---@param file? string file that has the description
+---@return table? parts the fields names, models, wires and file
+---@return string? text the problems
 function description.read(given, file)
   if type(given) ~= "table" or rfsm.is_fsmobj(given) then
     return nil, "rfsm.system: table of machines expected, " .. opts.got(given)

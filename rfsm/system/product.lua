@@ -282,7 +282,7 @@ end
 
 -- Runs that stay ....................................................................
 
--- Notes to which machines a run is fair if it stays in the component of a configuration.
+-- Notes to which machines a run is fair if it stays in a configuration's component.
 -- There, such a machine has nothing to do, or has a move that stays in the component.
 local function note_fair(self, number, index_of, is_fair)
   local is_busy = {}
