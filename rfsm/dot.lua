@@ -2,11 +2,11 @@
 --
 -- There are two graphs. `layout` has Graphviz lay out each composite, one after the
 -- other, and returns a graph with the position of everything: pictures are drawn from
--- this graph. `encode` needs no Graphviz, and its graph has no positions: composites are
--- clusters, and a label is a node in the line of its arrow, so that Graphviz draws no
--- other line through the label. All edges of this graph point onward in the order of the
--- walk from `initial`: the edge of an arrow that leads back is reversed, and is drawn
--- with its head at the other end.
+-- this graph. `encode` needs no Graphviz, and its graph has no positions: composites
+-- are clusters, and a label is a node in the line of its arrow, so that Graphviz draws
+-- no other line through the label. All edges of this graph point onward in the order of
+-- the walk from `initial`: the edge of an arrow that leads back is reversed, and is
+-- drawn with its head at the other end.
 --
 -- In the SVG each state, connector and transition is an element whose id is its FQN or
 -- key. In the SVG of `encode`, the lines before and behind a label are the elements
@@ -48,8 +48,8 @@ local function anchor_of(node, is_tail)
   return node.id .. (node.kind == "connector" and ":p" or "")
 end
 
--- Returns over how many ranks an edge leads down from a node. A composite adds a rank if
--- its last node has a loop: the label of the loop is there.
+-- Returns over how many ranks an edge leads down from a node. If the last node of a
+-- composite has a loop, the loop's label is one more rank.
 local function length_of(node)
   local length = 1
   while node.kind == "composite" do
@@ -107,8 +107,8 @@ local function add_edge(lines, arrow, half, upper, lower, dir)
     dir ~= "forward" and ", dir=" .. dir or ""))
 end
 
--- Adds the edge of an arrow. If the arrow has a label, there are two edges: to the label
--- and from it. The label of a loop is below both ends of the loop, and is its bottom.
+-- Adds the edge of an arrow; if the arrow has a label, an edge to the label and one
+-- from it. The label of a loop is below both ends of the loop, and is its bottom.
 local function add_arrow(lines, arrow)
   local src, tgt, label = arrow.src, arrow.tgt, arrow.label
   local is_back, is_round = leads_back(arrow), is_loop(arrow)

@@ -37,7 +37,7 @@ local BASE = {
   stripped = { heap = 155 + 32, pool = 210 + 39 },
 }
 
--- A pool needs room for garbage: it must be larger than the memory in use by this factor.
+-- A pool needs room for garbage: it is larger than the memory in use by this factor.
 local ROOM = 1.2
 
 local function quoted(text) return "'" .. text:gsub("'", "'\\''") .. "'" end
@@ -58,8 +58,7 @@ local function note(values, key, value)
   sum.heap, sum.pool = sum.heap + values[key].heap, sum.pool + values[key].pool
 end
 
--- Returns the measured values of a form by name; nil if that Lua cannot measure stripped
--- code.
+-- Returns the measured values of a form by name; nil if that Lua strips no code.
 local function measure(options, form, kind, name)
   local pipe = io.popen(("%s %s %s %s %s %s %s 2>&1"):format(options.lua,
     quoted(find_program()), form, quoted(package.path), kind, quoted(name),

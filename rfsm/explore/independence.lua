@@ -10,9 +10,9 @@
 -- - both have timers, since the machine is stepped between any two deadlines.
 --
 -- A *bound* region is in each way that has the machine around it. A region is bound if
--- it has a callback in `run` or a guard with a rule, or if it has timers and the machine
--- or a property has times, too. A property is judged on a walk that has all regions
--- that the property names.
+-- it has a callback in `run` or a guard with a rule, or if it has timers and the
+-- machine or a property has times, too. A property is judged on a walk that has all
+-- regions that the property names.
 --
 -- @module rfsm.explore.independence
 -- @license BSD-3-Clause

@@ -1,9 +1,9 @@
 --- Zones: sets of values of clocks that run at the same speed.
 --
--- A zone of n clocks is a difference bound matrix (Dill 1989): for each pair i, j from 0
--- to n it has a bound on x_i - x_j, where x_0 is always 0. The matrix is a list, row by
--- row. It is closed: no bound becomes less if other bounds are combined. A bound is a
--- number: 2b + 1 means "at most b", 2b means "less than b", and infinity is no bound.
+-- A zone of n clocks is a difference bound matrix (Dill 1989): for each pair i, j from
+-- 0 to n it has a bound on x_i - x_j, where x_0 is always 0. The matrix is a list, row
+-- by row. It is closed: no bound becomes less if other bounds are combined. A bound is
+-- a number: 2b + 1 means "at most b", 2b means "less than b", and infinity is no bound.
 --
 -- @module rfsm.explore.zones
 -- @license BSD-3-Clause

@@ -30,12 +30,12 @@ local floor = math.floor
 
 --- Functions of the server, or of a client, that the host uses.
 ---@class rfsm.postgres.Server
----@field execute fun(name: string, ...: any): table[] runs a statement, returns its rows
+---@field execute fun(name: string, ...: any): table[] runs a statement, returns rows
 ---@field json table `decode`; `list_of` returns the column `value` as a list; `datum`
 --- returns a JSON text as an argument of a statement
 ---@field warn fun(text: string)
----@field refuse fun(text: string): any raises the text as an error, or returns the reply
---- of a newer library
+---@field refuse fun(text: string): any raises the text as an error, or returns the
+--- reply of a newer library
 
 local host = {}
 
@@ -83,8 +83,8 @@ local function save_effects(server, execute, key, change)
   end
 end
 
--- Writes the row of a machine. Returns false if the machine is new but the key has a row.
--- Each move is an UPDATE, so that triggers see it. Events without a move are noted.
+-- Writes the row of a machine; returns false if the machine is new but has a row. Each
+-- move is an UPDATE, so that triggers see it. Events that moved nothing are noted.
 local function save(server, execute, key, change)
   local machine = change.machine
   local is_new, by = machine.leaf == false, nil
@@ -111,9 +111,9 @@ local function in_sql(text)
     :gsub("%(rfsm_create makes one%)$", "(rfsm.create makes one)"))
 end
 
---- Return a function `answer(name, key, args, found)` that calls the function `name` for
--- the machine at a key. If the row was read before, `found` has its `list`, `us` and
--- `execute`. A library returns `require`, `charts` and `options`.
+--- Return a function `answer(name, key, args, found)` that calls the function `name`
+-- for the machine at a key. If the row was read before, `found` has its `list`, `us`
+-- and `execute`. A library returns `require`, `charts` and `options`.
 ---@param server rfsm.postgres.Server
 function host.new(server, require, charts, options)
   local data_of = require("rfsm.server.charts").data_of

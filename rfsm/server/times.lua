@@ -13,8 +13,8 @@ local floor, max = math.floor, math.max
 
 local times = {}
 
--- `host` is the server. The time of the call is read from it when it is needed. `sec` and
--- `nsec` are the time that machines see. A false time was not read yet.
+-- `host` is the server, from which the time of a call is read when it is needed. `sec`
+-- and `nsec` are the time that machines see. A time that was not read yet is false.
 local host, call_sec, call_nsec = nil, false, 0
 local sec, nsec = false, 0
 

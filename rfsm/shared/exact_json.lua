@@ -34,9 +34,9 @@ end
 
 exact_json.is_null = is_null
 
---- Return digits from which `tonumber` returns a number again. They are the same on every
---- Lua (5.3 prints 5.0) and in every locale (some print a comma). An infinite number is
---- an error.
+--- Return the digits of a number, enough of them to read it back. They are the same on
+--- every Lua (5.3 prints 5.0) and in every locale (some print a comma). An infinite
+--- number is an error.
 ---@param n number
 ---@return string digits
 function exact_json.digits_of(n)
@@ -79,7 +79,7 @@ local function keys_of(object)
   return keys
 end
 
-if jit then jit.off(keys_of) end -- LuaJIT may compile `next` wrongly, see `shared.order`
+if jit then jit.off(keys_of) end -- LuaJIT may compile `next` wrongly
 
 local function encode_object(object, depth)
   local fields = keys_of(object)

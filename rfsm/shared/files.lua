@@ -36,7 +36,7 @@ function files.find(name, ending)
   end
 end
 
---- Return random bytes as hexadecimal digits; nil if the system has none.
+--- Return random bytes as hexadecimal digits; nil if there is no /dev/urandom.
 function files.random(count)
   local handle = io.open("/dev/urandom", "rb")
   local bytes = handle and handle:read(count)

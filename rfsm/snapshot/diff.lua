@@ -1,9 +1,9 @@
 --- Compare two versions of a chart: what the new one means for machines of the old one.
 --
--- A machine of the old chart is put into each leaf, also of each region, then it is saved
--- and restored with the new chart. All fields that are kept have a value: their first
--- value, or `true`. All other regions are in their first leaf. The root of the new chart
--- may have the options `rename` and `migrate`, as in `rfsm.redis`.
+-- A machine of the old chart is put into each leaf, also of each region, then it is
+-- saved and restored with the new chart. All fields that are kept have a value: their
+-- first value, or `true`. All other regions are in their first leaf. The root of the
+-- new chart may have the options `rename` and `migrate`, as in `rfsm.redis`.
 --
 -- @module rfsm.snapshot.diff
 -- @license BSD-3-Clause
@@ -129,7 +129,7 @@ end
 --- nothing. The root of the new version may have `rename` and `migrate`.
 -- @raise if one of them is no valid chart
 ---@return string[] difference empty if structure and kept fields are the same
----@return rfsm.snapshot.Fate[] fates a fate for each leaf of the old chart, also in regions
+---@return rfsm.snapshot.Fate[] fates one for each leaf of the old chart and its regions
 function diff.compare(old, new)
   local before, after = new_machine(old), new_machine(new)
   local options = { rename = after.rename, migrate = after.migrate }

@@ -1,4 +1,4 @@
---- Descriptions: the tables from which systems are made, and the checks of these tables.
+--- Descriptions: the tables from which systems are made, and the checks of the tables.
 --
 -- Functions that check append problems to a list and raise no error. No callback runs.
 --
