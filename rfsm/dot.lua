@@ -10,8 +10,8 @@
 --
 -- In the SVG each state, connector and transition is an element whose id is its FQN or
 -- key. In the SVG of `encode`, the lines before and behind a label are the elements
--- `KEY/src` and `KEY/tgt`.
--- Classes: `state`, `connector`, `initial`, `region`, `transition`, `active`, `done`.
+-- `KEY/src` and `KEY/tgt`. The classes of elements are `state`, `connector`, `initial`,
+-- `region`, `transition`, `active`, `done`.
 --
 -- @module rfsm.dot
 -- @license BSD-3-Clause
@@ -25,7 +25,7 @@ local ipairs, os = ipairs, rawget(_G, "os")
 local concat, add = table.concat, diagram.add
 local id_of = looks.id_of
 
--- Adds the labels of the arrows in a composite, which are nodes.
+-- Adds the labels of the arrows in a composite. Each label is a node of the graph.
 local function add_labels(lines, depth, composite)
   for _, arrow in ipairs(composite.arrows) do
     if arrow.label then
@@ -59,7 +59,7 @@ local function length_of(node)
   return length
 end
 
--- Does an arrow lead from a node to itself, or into it?
+-- Does an arrow lead from a node to the same node, or to a node inside of it?
 local function is_loop(arrow)
   return arrow.src == arrow.tgt or diagram.is_inside(arrow.tgt, arrow.src)
 end

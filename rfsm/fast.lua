@@ -6,8 +6,8 @@
 -- callback switches dbg on. Actions that only trace are left out. The candidates of a
 -- search become one function, too.
 --
--- A text depends on a shape only: how many states are left and entered, and where
--- connectors are. It is compiled once, then bound to definitions, and names no element.
+-- The text of a function depends on a shape: how many states are left and entered, and
+-- where connectors are. It names no element, so it is compiled once for all such paths.
 --
 -- @module rfsm.fast
 -- @license BSD-3-Clause
@@ -38,7 +38,7 @@ end
 -- Appends the lines of a block. `places` has the texts that replace the block's $words.
 local function add(text, block, places)
   for line in block:gmatch("[^\n]+") do
-    local filled = line:gsub("$(%l+)", places):gsub("$(%l+)", places) -- also in a place
+    local filled = line:gsub("$(%l+)", places):gsub("$(%l+)", places) -- nested, too
     if filled ~= "" then text.lines[#text.lines + 1] = for_jit(filled) end
   end
 end
@@ -156,7 +156,7 @@ end
 -- Returns the text of a path's function; nil or false if the core has to perform it.
 local function write_path(writers, path, is_hooked)
   local text = new_text()
-  local fetch = path.segments[2] and "tr = fsm._transitions[x$k]" -- else in HEAD
+  local fetch = path.segments[2] and "tr = fsm._transitions[x$k]" -- else HEAD does it
   text.places = { fetch = fetch or "", tr = fetch and "nil" or "fsm._transitions[x1]" }
   text.is_hooked, text.at = is_hooked, 0
   bind(text, "path", path)
@@ -253,7 +253,7 @@ local function write_ask(text, core, def, k, may)
   add(text, "end\nend\nend", places)
 end
 
--- Returns the text of a search among candidates; false if that `is_too_much`.
+-- Returns the text of a search among candidates; false if it is too long.
 local function write_find(core, list)
   local text = new_text()
   add(text, FIND, {})

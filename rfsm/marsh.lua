@@ -63,7 +63,7 @@ local function append(lists, key, value)
   list[#list + 1] = value
 end
 
--- Returns the target that a transition has in the model.
+-- Returns the target of a transition in the model: history may change it in a machine.
 local function target_of(tr) return rfsm.targets(tr)[1] end
 
 -- Notes a transition in `links`, from one child to another of the innermost composite
@@ -130,7 +130,7 @@ end
 -- Callbacks: their name, text, comment or calls in the source ------------------
 
 --- Read a source file. A host without `io` may replace this function.
----@param name string chunk name of a function without its first character: "chart.lua"
+---@param name string the file: "chart.lua" for a function of the chunk "@chart.lua"
 ---@return string? text nil if it cannot be read
 function marsh.read_source(name)
   return io and files.read(name) or nil
@@ -159,8 +159,8 @@ local function arguments_of(f, parameters)
 end
 
 local IS_FIELD = { entry = true, exit = true, doo = true, guard = true, effect = true }
--- Returns the name of a function in the line in which it begins, nil if there is none.
--- The first of several functions in a line has made the others: "move(5)".
+-- Returns the name of a function from the line in which it begins, or nil. If several
+-- functions begin in that line, the first one makes the others by a call: "move(5)".
 local function name_in_line(f, line, count)
   local name, parameters = line:match("function%s+([%a_][%w_.:]*)%s*(%b())")
   if name and count > 1 then return name .. arguments_of(f, parameters) end
@@ -171,7 +171,7 @@ end
 local LONGEST = 40 -- bytes of a body
 
 -- Returns the body of a function that a line assigns to a field, if the line does so
--- once. The text before the first "end" must compile, else that "end" closes a block.
+-- once. The text before the first "end" must compile, else this "end" is inside of it.
 local function body_in_field(line, field)
   local head = "%f[%w_]" .. field .. "%s*=%s*function%s*%b()%s*"
   local body = line:match(head .. "(.-)%f[%w_]end%f[^%w_]")

@@ -1,7 +1,7 @@
 --- Bodies: mistakes in the code of callbacks, found in trees of luacheck's parser.
 --
--- There are only rules that are never wrong: a guard that may return false somewhere is
--- left alone, and so is a parameter that is not used.
+-- A rule reports only what is certainly wrong. So nothing is reported for a guard that
+-- may return false somewhere, or for a parameter that is not used.
 --
 -- @module rfsm.checks.bodies
 -- @license BSD-3-Clause
@@ -59,7 +59,7 @@ local SIGNATURES = {
   guard = "guard(tr, events)", effect = "effect(fsm, tr, _, events)",
 }
 
--- The meaning that the author of a callback expects of a parameter with such a name.
+-- Names of parameters, and the value that an author expects under such a name.
 local MEANINGS = {
   fsm = "machine", machine = "machine", tr = "transition", trans = "transition",
   transition = "transition", state = "state", event = "list of events",

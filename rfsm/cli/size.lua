@@ -50,7 +50,7 @@ local function find_program()
   end
 end
 
--- Notes a value that rfsm/cli/measure.lua prints: a number of KiB in heap and pool.
+-- Notes a value that rfsm/cli/measure.lua prints. A value with a factor is KiB of heap.
 local function note(values, key, value)
   local factor, sum = FACTORS[key], values.together
   values[key] = factor and { heap = tonumber(value), pool = value * factor } or value
@@ -58,7 +58,7 @@ local function note(values, key, value)
   sum.heap, sum.pool = sum.heap + values[key].heap, sum.pool + values[key].pool
 end
 
--- Returns the measured values of a form by name; nil if that Lua strips no code.
+-- Returns the measured values of a form by name; nil if the Lua loads no stripped code.
 local function measure(options, form, kind, name)
   local pipe = io.popen(("%s %s %s %s %s %s %s 2>&1"):format(options.lua,
     quoted(find_program()), form, quoted(package.path), kind, quoted(name),

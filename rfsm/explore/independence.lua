@@ -49,7 +49,7 @@ local function is_any(tr)
   return triggers == nil or triggers and (rfsm.is_state(tr.src) or tr.guard ~= false)
 end
 
--- Returns the traits of a part, without those of its regions.
+-- Returns the traits of a part, without the traits of its regions.
 local function own_traits(own, part, are_free)
   local traits = { events = {}, is_bound = part.is_bound, has_timer = false,
     is_any = any(rfsm.elements(part.fsm, rfsm.is_trans), is_any) }
@@ -63,7 +63,7 @@ end
 
 -- Adds the traits of a region to those of the region around it.
 local function add_inner(traits, inner)
-  for event in order.each(inner.events) do traits.events[event] = true end -- a set
+  for event in order.each(inner.events) do traits.events[event] = true end -- any order
   traits.is_any = traits.is_any or inner.is_any
   traits.has_timer = traits.has_timer or inner.has_timer
   traits.is_bound = traits.is_bound or inner.is_bound
@@ -93,7 +93,7 @@ local function are_joined(a, b)
   if a.has_timer and b.has_timer then return true end
   if a.is_any and (b.is_any or not order.is_empty(b.events)) then return true end
   if b.is_any and not order.is_empty(a.events) then return true end
-  for event in order.each(a.events) do -- any order: is there one?
+  for event in order.each(a.events) do -- any order: one is enough
     if b.events[event] then return true end
   end
   return false
@@ -114,7 +114,7 @@ local function with_region(groups, traits, part)
   return list
 end
 
---- What is known of a chart while its walks are planned.
+--- The tables that are filled while the walks of a chart are planned.
 ---@class rfsm_checks.Planning
 ---@field own rfsm_checks.Subject
 ---@field traits table<rfsm_checks.Part, rfsm_checks.Traits>

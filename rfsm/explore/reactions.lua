@@ -178,8 +178,7 @@ local function is_allowed(self, event)
   return not self.alphabet or match.has(self.alphabet, event)
 end
 
--- Lists the events from outside that can have an effect in a leaf. Each leaf keeps its
--- list.
+-- Lists the events from outside that can have an effect in a leaf, and keeps the list.
 local function outside_of(self, found)
   if found.outside then return found.outside end
   local list, is_listed = {}, {}

@@ -37,7 +37,7 @@ local timing = {}
 ---@field unit number nanoseconds; all times are multiples of the unit
 ---@field period number|false longest time between two steps, in units; false: not given
 ---@field none rfsm_checks.Time the time at which no clock runs
----@field times table<string, rfsm_checks.Time> by their texts
+---@field times table<string, rfsm_checks.Time> the times by their texts
 ---@field fired table<rfsm_checks.Occurrence, boolean> time events that have come
 ---@field is_cut boolean some groups were left out
 ---@field is_inexact boolean some times have too many digits
@@ -69,7 +69,7 @@ Timing.__index = Timing
 ---@field number integer
 ---@field over integer[] for each entry of the time, how many more deadlines are over
 ---@field is_over boolean at least one deadline is over
----@field is_sure boolean this group comes first if time goes on, no other one can
+---@field is_sure boolean if time goes on, no other group can come first
 ---@field ways integer how many groups can come first
 ---@field events rfsm_checks.Occurrence[]
 ---@field zone number[] values of the clocks when the step begins
@@ -300,8 +300,8 @@ local function numbers_of(self, entries, over)
   return numbers, sends
 end
 
--- Returns the unfinished group `found` with a decision about one more entry: so many of
--- its deadlines are over. Returns nil if that is impossible.
+-- Returns the unfinished group `found` with one more entry, of which the next `over`
+-- deadlines are over. Returns nil if that is impossible.
 local function extended(self, entries, count, found, over)
   local i = #found.over + 1
   local bounds, is_free = bounds_of(self, entries[i], i, over), entries[i].clock.is_free
@@ -315,7 +315,7 @@ local function extended(self, entries, count, found, over)
     first = found.first or over > 0 and not is_free and i or nil }
 end
 
--- Adds all groups that begin with the decisions in `found` about the first entries.
+-- Adds all groups that begin with `found`, which has the first entries of a group.
 local function add_groups(self, groups, entries, count, found)
   local entry = entries[#found.over + 1]
   if #groups >= MANY_GROUPS then
@@ -411,8 +411,8 @@ local function add_pending(self, time, group, entries, sources)
   return #entries - before
 end
 
--- Adds the clocks of the monitor: all that ran before, or if `numbers` is given the
--- clocks with these numbers; a 0 in it is a new clock.
+-- Adds the clocks of the monitor: all that ran before, or if `numbers` is given, the
+-- clocks with these numbers. A 0 in `numbers` is a new clock.
 local function add_monitor(time, clock, numbers, entries, sources)
   local list = {}
   for i, entry in ipairs(time.entries) do

@@ -27,7 +27,7 @@ local function sum(a, b)
   return a + b - a % 2 - b % 2
 end
 
---- Return the zone of no clock.
+--- Return the zone that has no clocks.
 function zones.new() return { ZERO } end
 
 --- Return the zone of all values that the clocks may have as time goes on.

@@ -199,7 +199,7 @@ local function add_link(lines, level, link)
     has_label and ", label=" .. looks.roomy_label(link.arrow) or ""))
 end
 
-local LARGE = 100 -- links
+local LARGE = 100 -- links in a level
 
 local function graph_of(level)
   local composite = level.composite
@@ -240,7 +240,8 @@ local function value_end(text, from)
   return position
 end
 
--- Reads attributes. Returns them, and the position behind them.
+-- Reads the attributes that begin at a position. Returns their table, and the position
+-- behind them.
 local function read_attributes(text, position)
   local attributes = {}
   while true do
@@ -261,7 +262,7 @@ end
 
 local numbers_in = graphs.numbers_in
 
---- Return the middle of a node, and its size.
+--- Return the middle of a node and its size, in points.
 function graphs.box_of(attributes)
   local point = numbers_in(attributes.pos)
   return { x = point[1], y = point[2], width = attributes.width * 72,

@@ -39,7 +39,7 @@ local floor = math.floor
 
 local host = {}
 
---- Functions that need no lock.
+--- Functions that only read the machine, so that its row needs no lock.
 host.READ_ONLY = { rfsm_get = true, rfsm_why = true }
 
 --- Statements by their names. A statement that writes a machine returns a row if it has

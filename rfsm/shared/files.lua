@@ -26,8 +26,8 @@ function files.write(name, text)
   return false, name .. ": " .. (why or why_not)
 end
 
---- Search `package.path` for a file and return its content. The name has slashes and no
--- ending (".lua" by default). Return nil if the file is not found, or is bytecode.
+--- Search `package.path` for a file and return its content. `name` has slashes and no
+-- ending, `ending` is ".lua" by default. Return nil if no file is found, or bytecode.
 function files.find(name, ending)
   for template in package.path:gmatch("[^;]+") do
     local file = template:gsub("%?", name):gsub("%.lua$", ending or ".lua")

@@ -26,10 +26,10 @@ local description = {}
 --- The parts of a description that have been read, and the problems found.
 ---@class rfsm.system.Draft
 ---@field file? string
----@field lines table<string|integer, integer> of machines by name, of wires by number
+---@field lines table<string|integer, integer> by name of a machine or number of a wire
 ---@field problems string[]
 ---@field models table<string, rfsm.State>
----@field machines table<string, rfsm.Machine> of the models, for checks; they never run
+---@field machines table<string, rfsm.Machine> machines for the checks; they never run
 
 local function place_of(draft, key)
   local line = draft.lines[key]
@@ -41,7 +41,7 @@ local function add(draft, key, text, place)
   draft.problems[#draft.problems + 1] = place .. (place ~= "" and ": " or "") .. text
 end
 
--- Lines: read from the text of the file, since a table does not know its lines ---
+-- Lines: from the text of the file, since a table does not know its lines --------
 
 local function line_at(text, at)
   return select(2, text:sub(1, at - 1):gsub("\n", "")) + 1
@@ -49,8 +49,7 @@ end
 
 local function blank(text) return (text:gsub("[^\n]", " ")) end
 
--- Notes the lines of wires. They are not known if the text does not have one table for
--- each wire in `list`.
+-- Notes the lines of the wires, if the text has as many tables as `list` has wires.
 local function note_wires(lines, text, at, list)
   local from, wires = text:match("^%s*()(%b{})", at)
   local found = {}
@@ -73,8 +72,8 @@ local function note_fields(draft, text, at, fields)
   end
 end
 
--- Notes the lines of machines by name, and those of wires by number. The table that has
--- the field `wires` is taken for the description.
+-- Notes the lines of machines by name, and the lines of wires by number. The table that
+-- has the field `wires` is taken for the description.
 local function note_lines(draft, list)
   local text = code.of(draft.file and io and files.read(draft.file) or "")
   for at, whole in text:gmatch("()(%b{})") do

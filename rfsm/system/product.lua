@@ -29,7 +29,7 @@ local product = {}
 --- A walk over the configurations of several machines.
 ---@class rfsm.system.Product
 ---@field members rfsm.system.Member[]
----@field wires rfsm.system.Wire[] between them
+---@field wires rfsm.system.Wire[] wires between the members
 ---@field keys table[] configurations: `numbers` has the configuration of each machine,
 -- `queues` the queue of each wire
 ---@field numbers table<string, integer> number of a configuration by its text
@@ -37,7 +37,7 @@ local product = {}
 -- outcome 7 of member 2
 ---@field steps integer[] targets of moves; negative: without an event from outside
 ---@field movers integer[] by index of `steps`, the number of the member that moved
----@field lost table<rfsm.system.Wire, table> the first move that loses an event
+---@field lost table<rfsm.system.Wire, table> the first move that loses the wire's event
 ---@field carries table<rfsm.system.Wire, true> wires over which an event goes
 ---@field is_partial boolean some steps of a machine were not tried
 local Product = { note_untried = explore.note_untried }
@@ -49,7 +49,7 @@ Product.__index = Product
 ---@field number integer
 ---@field confs rfsm_checks.Configuration[] configurations of this machine alone
 ---@field moves table<integer, table> outcomes by configuration, then by events read
----@field wired table<string, boolean> events of wires to it; true: they only come so
+---@field wired table<string, boolean> events that wires bring; true: only wires do
 ---@field takes table<string, true> events that transitions have taken
 ---@field outgoing table<string, integer[]> by event, the numbers of wires that take it
 
@@ -132,8 +132,8 @@ end
 
 -- Moves .............................................................................
 
--- Each wire carries one event. So in a queue the letter "d" means that event with data,
--- the letter "e" that event without data.
+-- All events of a wire have one name. So in a queue the letter "d" stands for an event
+-- with data, the letter "e" for an event without data.
 local function copy(queue) return match.joined({}, queue) end
 
 --- Return a configuration by its number.
@@ -282,8 +282,9 @@ end
 
 -- Runs that stay ....................................................................
 
--- Notes to which machines a run is fair if it stays in a configuration's component.
--- There, such a machine has nothing to do, or has a move that stays in the component.
+-- Notes to which machines a run is fair if it stays in the strongly connected component
+-- of a configuration: machines that have nothing to do in the configuration, or a move
+-- that stays in the component.
 local function note_fair(self, number, index_of, is_fair)
   local is_busy = {}
   graph.each_step(self, number, function(tgt, is_internal, at)
@@ -365,8 +366,8 @@ local function move_of(self, from, label)
   return move
 end
 
---- Return the shortest run to a configuration. With `label` the run goes on by that
---- move, with `stays` also to a configuration in which the run may stay.
+--- Return the shortest run to a configuration. If `label` is given, the run goes on by
+--- that move; if `stays` is given, it then goes on to where it may stay.
 ---@param number integer
 ---@param label string? of a move from the configuration
 ---@param stays integer? target of that move, if a run that stays is shown

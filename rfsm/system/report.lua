@@ -36,7 +36,7 @@ report.OF_MACHINE = { "alphabet", "complementary", "dry_run", "exclusive", "flag
 
 local OF_SYSTEM = { "configurations", "depth", "progress", "properties", "seconds" }
 
---- What is known of a system; `tostring` of it is the report as a text.
+--- The results of exploring a system; `tostring` returns them as a text.
 ---@class rfsm.system.Report
 ---@field configurations integer
 ---@field walks rfsm.system.Product[]

@@ -74,7 +74,7 @@ local function init(session, model)
   local fsm, text, problems = rfsm.init(model)
   if not fsm then return fsm, text, problems end
   fsm.gettime = session.gettime
-  if own_warn == nil then fsm.warn = false end -- the view listens to `warn`
+  if own_warn == nil then fsm.warn = false end -- the view listens from now on
   return fsm, text, problems
 end
 
@@ -121,7 +121,8 @@ local function run(session)
   view:note("note", ("not idle after %d steps"):format(Driven.MAX_STEPS))
 end
 
--- Begins with a new machine, in the state of a snapshot if the chart still has it.
+-- Begins with a new machine. If the chart still has the state of the snapshot, the
+-- machine is put into that state; otherwise it runs from the start.
 local function begin(session, fsm, snap)
   session.view = LocalView.new(fsm, function() return session.time:now() end)
   session.view.points = session.points
