@@ -27,7 +27,7 @@ local marsh = {}
 ---@field type "transition"
 ---@field src string FQN of the source
 ---@field tgt string FQN of the target; of its `initial` if the target is a composite
----@field pn? number
+---@field pn? number priority number of the transition
 ---@field events any[] empty if any event triggers it
 ---@field internal? true no state is left or entered, `src` and `tgt` are the same
 ---@field key? string location of the transition: "root.trans[2]"
@@ -264,7 +264,7 @@ end
 marsh.UNKNOWN = ".."
 
 -- Returns a function that returns two texts about a callback: a short description, then
--- file and line ("" if unknown). Both are the same in each run and on each Lua.
+-- file and line ("" if unknown). Both texts are equal in each run and on each Lua.
 local function new_callback_text()
   local sources = {}
   local function new_text(f, field)
@@ -326,12 +326,12 @@ end
 
 --- The functions and tables from which the table of a machine is made.
 ---@class rfsm.marsh.Writer
----@field walk fun(composite: rfsm.State): rfsm.Node[]?
+---@field walk fun(composite: rfsm.State): rfsm.Node[]? lists the nodes of a composite
 ---@field transitions table<rfsm.State, rfsm.Transition[]> transitions in each composite
----@field names table<rfsm.Transition, string|number>
+---@field names table<rfsm.Transition, string|number> name in its composite
 ---@field prefix string the FQN of the root
 ---@field callback_text? fun(f: function, field?: string): string for full descriptions
----@field event_text fun(event: any): string
+---@field event_text fun(event: any): string returns the text of an event
 ---@field regions_of table<rfsm.State, rfsm.Place[]> the regions of each state
 ---@field has_history table<rfsm.State, true> composites entered through their history
 

@@ -61,7 +61,7 @@ local function own_traits(own, part, are_free)
   return traits
 end
 
--- Adds the traits of a region to those of the region around it.
+-- Adds the traits of a region to the traits of the region around it.
 local function add_inner(traits, inner)
   for event in order.each(inner.events) do traits.events[event] = true end -- any order
   traits.is_any = traits.is_any or inner.is_any
@@ -116,7 +116,7 @@ end
 
 --- The tables that are filled while the walks of a chart are planned.
 ---@class rfsm_checks.Planning
----@field own rfsm_checks.Subject
+---@field own rfsm_checks.Subject the chart
 ---@field traits table<rfsm_checks.Part, rfsm_checks.Traits>
 ---@field states table<rfsm_checks.Part, table[]> for each state with regions in a part:
 -- its `leaf`, the list of its `bound` regions, and the `groups` of its joined regions

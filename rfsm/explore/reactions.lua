@@ -1,9 +1,9 @@
---- Reactions: the events that can have an effect while a leaf is active, and those of
---- these events that may come next.
+--- Reactions: the events that can have an effect while a leaf is active, and the ones
+--- among them that may come next.
 --
--- A sequential AND state forwards the events of an iteration to its regions, also those
--- of the iteration that enters it. So an event to which a region can react counts for
--- the leaf with the region, and for each leaf from which a transition leads to it.
+-- A sequential AND state forwards the events of an iteration to its regions, also in
+-- the iteration that enters the state. So an event to which a region can react counts
+-- for the leaf that has the region, and for each leaf with a transition to that leaf.
 --
 -- @module rfsm.explore.reactions
 -- @license BSD-3-Clause
@@ -18,16 +18,16 @@ local is_conn = rfsm.is_conn
 
 local reactions = {}
 
---- The events that can have an effect in a leaf, as a list, and more about them.
+--- The events that can have an effect in a leaf, as a list with more fields.
 ---@class rfsm_checks.Reactions
----@field [integer] any
----@field set table<any, boolean> the same events as a set
+---@field [integer] any the events
+---@field set table<any, boolean> the events as a set
 ---@field any boolean any other event can have an effect, too
 ---@field has_predicate boolean a predicate may accept any event; `any` is true, too
 ---@field timers string[] time events of states that are active
 ---@field sets any[][] sets of several events that a path through connectors needs
 ---@field is_cut boolean there are more than MANY_SETS of these sets
----@field outside rfsm_checks.Occurrence[]|false events from outside; false: not listed
+---@field outside rfsm_checks.Occurrence[]|false events from outside; false: no list yet
 ---@field own table<any, boolean>|false the set of the events that count for the leaf
 -- itself, without events of its regions; false: all events count
 
@@ -66,7 +66,8 @@ local function add_regions(found, leaf)
   end
 end
 
--- Collects the events of the transitions from a node, and of those behind connectors.
+-- Collects the events of the transitions from a node, and of transitions behind their
+-- connectors.
 local function add_reactions(found, fsm, node, seen)
   if seen[node] then return end
   seen[node] = true

@@ -31,7 +31,7 @@ local timing = {}
 ---@class rfsm_checks.Timing
 ---@field subject rfsm_checks.Subject
 ---@field clocks rfsm_checks.Clock[]
----@field of table<table, rfsm_checks.Clock> by property, or by event that is sent later
+---@field of table<table, rfsm_checks.Clock> by property, or by event to be sent later
 ---@field pending integer how many events may wait to be sent, at most
 ---@field is_timed boolean some clock is not free
 ---@field unit number nanoseconds; all times are multiples of the unit
@@ -40,17 +40,17 @@ local timing = {}
 ---@field times table<string, rfsm_checks.Time> the times by their texts
 ---@field fired table<rfsm_checks.Occurrence, boolean> time events that have come
 ---@field is_cut boolean some groups were left out
----@field is_inexact boolean some times have too many digits
+---@field is_inexact boolean some times have too many units to be exact
 local Timing = {}
 Timing.__index = Timing
 
 --- A clock of a state, of a property, or of an event that is sent later. The clock of a
 --- state runs once at a time, the other clocks may run several times at once.
 ---@class rfsm_checks.Clock
----@field number integer
----@field state? rfsm.State
----@field judged? rfsm_checks.Judged
----@field later? rfsm_checks.Occurrence
+---@field number integer index in the list of clocks
+---@field state? rfsm.State the state that the clock belongs to
+---@field judged? rfsm_checks.Judged the property that it belongs to
+---@field later? rfsm_checks.Occurrence the event sent later that it belongs to
 ---@field is_free boolean|nil its deadline may be over at any time, or never
 ---@field deadlines number[] in rising order, in units
 ---@field events rfsm_checks.Occurrence[][] for each deadline, the events that come then
@@ -59,19 +59,19 @@ Timing.__index = Timing
 ---@class rfsm_checks.Time
 ---@field entries { clock: rfsm_checks.Clock, passed: integer }[] `passed`: how many
 -- deadlines of the clock are over
----@field zone number[]
+---@field zone number[] the values that these clocks may have, see `rfsm.explore.zones`
 ---@field shape string the entries as a text
----@field text string
----@field groups table<boolean, rfsm_checks.Group[]> by `is_driven` of `Timing:groups`
+---@field text string the entries and the zone as a text
+---@field groups table<boolean, rfsm_checks.Group[]> results of `Timing:groups`
 
 --- A set of deadlines that are over when the next step begins.
 ---@class rfsm_checks.Group
----@field number integer
+---@field number integer index in the list of groups
 ---@field over integer[] for each entry of the time, how many more deadlines are over
 ---@field is_over boolean at least one deadline is over
 ---@field is_sure boolean if time goes on, no other group can come first
 ---@field ways integer how many groups can come first
----@field events rfsm_checks.Occurrence[]
+---@field events rfsm_checks.Occurrence[] the events of these deadlines, in order
 ---@field zone number[] values of the clocks when the step begins
 ---@field bounds { [1]: integer, [2]: integer, [3]: number }[] bounds of this group on
 -- the values: { i, j, bound }, see `rfsm.explore.zones`

@@ -228,7 +228,7 @@ end
 
 -- Answers ---------------------------------------------------------------------
 
--- Returns the position of the last character of a value, given that of the first one.
+-- Returns the position of the last character of the value that begins at `from`.
 local function value_end(text, from)
   local first = text:sub(from, from)
   if first == "<" then return select(2, text:find("%b<>", from)) end
@@ -356,7 +356,7 @@ end
 
 -- Public functions ------------------------------------------------------------
 
-local MARGIN = 10 -- points between a frame and what is in it
+local MARGIN = 10 -- points between a frame and the nodes in it
 
 local function place_gate(level, gate)
   local x, y = gate.at[1] + level.x, gate.at[2] + level.y

@@ -23,17 +23,17 @@ local floor = math.floor
 --- The arguments with which a function has called `write`; they are saved when it ends.
 ---@class rfsm.postgres.Change
 ---@field machine rfsm.server.Machine
----@field due number|nil
----@field emitted string[][]
----@field errors string[]
----@field data string JSON
+---@field due number|nil time in seconds at which the machine has something to do
+---@field emitted string[][] each { name, data }, where data is JSON or ""
+---@field errors string[] texts of errors
+---@field data string JSON for the column `data`
 
 --- Functions of the server, or of a client, that the host uses.
 ---@class rfsm.postgres.Server
 ---@field execute fun(name: string, ...: any): table[] runs a statement, returns rows
 ---@field json table `decode`; `list_of` returns the column `value` as a list; `datum`
 --- returns a JSON text as an argument of a statement
----@field warn fun(text: string)
+---@field warn fun(text: string) reports an error of a callback
 ---@field refuse fun(text: string): any raises the text as an error, or returns the
 --- reply of a newer library
 

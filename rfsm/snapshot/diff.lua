@@ -128,7 +128,7 @@ end
 --- Compare two versions of a chart. Both are models, whose callbacks should print
 --- nothing. The root of the new version may have `rename` and `migrate`.
 -- @raise if one of them is no valid chart
----@return string[] difference empty if structure and kept fields are the same
+---@return string[] difference lines; none if structure and kept fields are equal
 ---@return rfsm.snapshot.Fate[] fates one for each leaf of the old chart and its regions
 function diff.compare(old, new)
   local before, after = new_machine(old), new_machine(new)

@@ -28,7 +28,7 @@ local description = {}
 ---@field file? string
 ---@field lines table<string|integer, integer> by name of a machine or number of a wire
 ---@field problems string[]
----@field models table<string, rfsm.State>
+---@field models table<string, rfsm.State> charts by the names of machines
 ---@field machines table<string, rfsm.Machine> machines for the checks; they never run
 
 local function place_of(draft, key)

@@ -5,7 +5,7 @@
 -- machine has a walk (`rfsm.explore.explore`), by which the engine takes a step once
 -- for each configuration and list of events that were read. The outcomes are kept.
 --
--- A product also has those fields of a walk that graphs and properties read.
+-- A product also has the fields of a walk that graphs and properties read.
 --
 -- @module rfsm.system.product
 -- @license BSD-3-Clause
@@ -297,7 +297,7 @@ end
 
 --- Return the set of configurations from which moves without events from outside always
 --- lead to one of `goals`, if doos end and each machine moves again and again.
----@param goals table<integer, boolean>
+---@param goals table<integer, boolean> set of configurations
 ---@return table<integer, boolean> set
 function Product:must_reach(goals)
   local set, staying, open = {}, {}, {}
@@ -342,13 +342,14 @@ end
 
 --- A move of a witness.
 ---@class rfsm.system.Move
----@field machine string
+---@field machine string name of the machine that moves
 ---@field events string[] events from outside
 ---@field read rfsm.system.Wire[] for each event that was read, the wire it came from
----@field sent { wire: rfsm.system.Wire, is_lost: boolean }[]
----@field choices { who: string, answer: boolean, is_doo: boolean }[]
+---@field sent { wire: rfsm.system.Wire, is_lost: boolean }[] events put into wires
+---@field choices { who: string, answer: boolean, is_doo: boolean }[] tried answers of
+-- callbacks; for a doo, whether it ends
 ---@field taken string[] paths of the transitions that were taken
----@field leaf string|false
+---@field leaf string|false path of the leaf after the move; false: not entered yet
 
 -- Returns the move of a witness that leaves the configuration `from` by a label.
 local function move_of(self, from, label)
@@ -369,7 +370,7 @@ end
 --- Return the shortest run to a configuration. If `label` is given, the run goes on by
 --- that move; if `stays` is given, it then goes on to where it may stay.
 ---@param number integer
----@param label string? of a move from the configuration
+---@param label string? label of a move from the configuration
 ---@param stays integer? target of that move, if a run that stays is shown
 ---@return rfsm.system.Move[] witness
 function Product:witness(number, label, stays)

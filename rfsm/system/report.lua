@@ -39,11 +39,11 @@ local OF_SYSTEM = { "configurations", "depth", "progress", "properties", "second
 --- The results of exploring a system; `tostring` returns them as a text.
 ---@class rfsm.system.Report
 ---@field configurations integer
----@field walks rfsm.system.Product[]
+---@field walks rfsm.system.Product[] one for each group of machines
 ---@field steps integer steps that the engine took
 ---@field findings rfsm_checks.Finding[] the field `witness` is the run to a finding
 ---@field properties { name: string, holds: boolean|nil, vacuous?: string }[]
----@field premises string[]
+---@field premises string[] assumptions under which the results hold
 ---@field bound string? the first bound that was hit
 ---@field untried string[] what was not tried, as texts
 local Report = {}
