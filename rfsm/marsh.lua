@@ -260,7 +260,7 @@ local function text_without_address(value)
   return not is_address and kind ~= "function" and kind ~= "thread" and text or nil
 end
 
---- The text of a callback for which the source gives no text.
+--- The text of a callback whose source gives no name, code or comment.
 marsh.UNKNOWN = ".."
 
 -- Returns a function that returns two texts about a callback: a short description, then

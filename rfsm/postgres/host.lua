@@ -113,7 +113,7 @@ end
 
 --- Return a function `answer(name, key, args, found)` that calls the function `name`
 -- for the machine at a key. If the row was read before, `found` has its `list`, `us`
--- and `execute`. A library returns `require`, `charts` and `options`.
+-- and `execute`. `require`, `charts` and `options` come from the bundled library.
 ---@param server rfsm.postgres.Server
 function host.new(server, require, charts, options)
   local data_of = require("rfsm.server.charts").data_of

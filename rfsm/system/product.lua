@@ -75,8 +75,8 @@ local function events_of(member)
   return came
 end
 
--- Returns what the last step of a machine did: the configuration to which it has led,
--- the events from outside, and the events that it has emitted.
+-- Returns the outcome of a machine's last step: the configuration to which the step has
+-- led, the events from outside, and the events that were emitted.
 local function new_outcome(member, try, tgt, outside)
   local own = member.subject
   local outcome = { tgt = tgt, outside = outside,
