@@ -2,14 +2,16 @@
 --
 -- There are two graphs. `layout` has Graphviz lay out each composite, one after the
 -- other, and returns a graph with the position of everything: pictures are drawn from
--- that. `encode` needs no Graphviz and has no positions: composites are clusters, and a
--- label is a node in the line of its arrow, so that Graphviz lets nothing run through
--- it. All its edges point onward in the order of the walk from `initial`: those of
--- arrows that lead back are reversed, and drawn backwards.
+-- this graph. `encode` needs no Graphviz, and its graph has no positions: composites
+-- are clusters, and a label is a node in the line of its arrow, so that Graphviz draws
+-- no other line through the label. All edges of this graph point onward in the order of
+-- the walk from `initial`: the edge of an arrow that leads back is reversed, and is
+-- drawn with its head at the other end.
 --
 -- In the SVG each state, connector and transition is an element whose id is its FQN or
--- key. In that of `encode` an arrow with a label has `KEY/src` and `KEY/tgt`, too.
--- Classes: `state`, `connector`, `initial`, `region`, `transition`, `active`, `done`.
+-- key. In the SVG of `encode`, the lines before and behind a label are the elements
+-- `KEY/src` and `KEY/tgt`. The classes of elements are `state`, `connector`, `initial`,
+-- `region`, `transition`, `active`, `done`.
 --
 -- @module rfsm.dot
 -- @license BSD-3-Clause
@@ -23,7 +25,7 @@ local ipairs, os = ipairs, rawget(_G, "os")
 local concat, add = table.concat, diagram.add
 local id_of = looks.id_of
 
--- Adds the labels of the arrows in a composite, which are nodes.
+-- Adds the labels of the arrows in a composite. Each label is a node of the graph.
 local function add_labels(lines, depth, composite)
   for _, arrow in ipairs(composite.arrows) do
     if arrow.label then
@@ -35,9 +37,9 @@ end
 
 -- Arrows ----------------------------------------------------------------------
 
--- Returns the node at which an edge ends for Graphviz. For a composite it is the last
--- node in it if the edge begins there, else the first one, because nodes are drawn in
--- about this order from top to bottom.
+-- Returns the node at which Graphviz shall end an edge. In a composite it is the last
+-- node if the edge begins there, else the first node, because nodes are drawn in about
+-- this order from top to bottom.
 local function anchor_of(node, is_tail)
   if node.text then return node.id .. (is_tail and node.tail or node.head) end
   while node.kind == "composite" do
@@ -46,8 +48,8 @@ local function anchor_of(node, is_tail)
   return node.id .. (node.kind == "connector" and ":p" or "")
 end
 
--- Returns over how many ranks an edge leads down from a node. In a composite there is
--- one more for the label of a loop at its last node.
+-- Returns over how many ranks an edge leads down from a node. If the last node of a
+-- composite has a loop, the loop's label is one more rank.
 local function length_of(node)
   local length = 1
   while node.kind == "composite" do
@@ -57,7 +59,7 @@ local function length_of(node)
   return length
 end
 
--- Does an arrow lead from a node to itself, or into it?
+-- Does an arrow lead from a node to the same node, or to a node inside of it?
 local function is_loop(arrow)
   return arrow.src == arrow.tgt or diagram.is_inside(arrow.tgt, arrow.src)
 end
@@ -67,7 +69,7 @@ local function leads_back(arrow)
   return src.index > tgt.index
 end
 
--- Gives an arrow a node for its label if it has a text, or is a loop.
+-- Gives an arrow a node for its label if the arrow has a text, or is a loop.
 local function place_label(chart, arrow)
   local is_round = is_loop(arrow)
   arrow.src.has_loop = arrow.src.has_loop or is_round
@@ -92,8 +94,8 @@ local function min_length(upper, lower)
   return crosses_frame(upper, lower) and length + 1 or length
 end
 
--- Adds an edge of an arrow, from an upper node to a lower one; `half` is "", "/src" or
--- "/tgt", `dir` that of Graphviz.
+-- Adds an edge of an arrow, from an upper node to a lower one. `half` is "", "/src" or
+-- "/tgt"; `dir` is the attribute `dir` of Graphviz.
 local function add_edge(lines, arrow, half, upper, lower, dir)
   local length = min_length(upper, lower)
   add(lines, 1, ("%s -> %s [%s, %s%s%s%s%s]"):format(
@@ -105,8 +107,8 @@ local function add_edge(lines, arrow, half, upper, lower, dir)
     dir ~= "forward" and ", dir=" .. dir or ""))
 end
 
--- Adds the edge of an arrow, or one to its label and one from there. The label of a
--- loop is below both its ends, and is the bottom of the loop.
+-- Adds the edge of an arrow; if the arrow has a label, an edge to the label and one
+-- from it. The label of a loop is below both ends of the loop, and is its bottom.
 local function add_arrow(lines, arrow)
   local src, tgt, label = arrow.src, arrow.tgt, arrow.label
   local is_back, is_round = leads_back(arrow), is_loop(arrow)
@@ -128,7 +130,7 @@ local function draw(chart)
   root.name = chart.title or root.name
   local lines = { "digraph " .. looks.quoted(root.name) .. " {",
     looks.head(chart.direction) }
-  -- so that Graphviz takes seconds, not a minute; the picture is hardly wider
+  -- with this Graphviz takes seconds, not a minute; the picture is hardly wider
   if #chart.nodes > LARGE then add(lines, 1, "graph [nslimit=1]") end
   looks.add_node(lines, 1, root, nil, add_labels)
   add_labels(lines, 1, chart)
@@ -156,7 +158,7 @@ end
 local dot = diagram.exporter("rfsm.dot", "rfsm2dot", draw)
 
 --- Have Graphviz draw a graph.
----@param text string of a graph
+---@param text string the graph
 ---@param format string "svg", "png", "pdf" or another format of Graphviz
 ---@return string? picture
 ---@return string? problem in one line
@@ -180,7 +182,7 @@ end
 --- Have Graphviz lay out a machine, or a description.
 ---@param fsm rfsm.Machine
 ---@param options? rfsm.pictures.Options
----@param run? rfsm.pictures.Run for hosts on which Graphviz is no program
+---@param run? rfsm.pictures.Run runs Graphviz on a host without the program `dot`
 ---@return string? graph with the position of everything in it
 ---@return string? problem in one line
 ---@nodiscard

@@ -1,13 +1,13 @@
---- Fast: paths and searches as text without loops.
+--- Fast: paths and searches as generated functions without loops.
 --
--- The core does without this file. A path there is a flat list of actions, which
--- `perform` does one by one; here the list is one function without a loop. Positions
--- are noted as there, so that the core can go on behind each callback if the path is
--- cut short, or if a callback switches dbg on. Actions that only trace are left out.
--- The candidates of a search become one function, too.
+-- The core also runs without this file: then `perform` does the actions in the list of
+-- a path one by one. Here the list becomes one function. It notes positions, too, so
+-- that the core can go on behind each callback if the path is cut short, or if a
+-- callback switches dbg on. Actions that only trace are left out. The candidates of a
+-- search become one function, too.
 --
--- Text is generated for a shape: how many states are left and entered, where connectors
--- are. It is compiled once and bound to definitions; no name of a model is in it.
+-- The text of a function depends on a shape: how many states are left and entered, and
+-- where connectors are. It names no element, so it is compiled once for all such paths.
 --
 -- @module rfsm.fast
 -- @license BSD-3-Clause
@@ -15,9 +15,9 @@
 local ipairs, pairs = ipairs, pairs
 local concat = table.concat
 local jit, unpack = rawget(_G, "jit"), rawget(table, "unpack") or rawget(_G, "unpack")
-local MAX_VALUES = 50 -- bound to one function: Lua 5.1 allows 60
+local MAX_VALUES = 50 -- bound to one function; Lua 5.1 allows 60 upvalues
 
--- A text under construction: `names` and `values` are bound to it.
+-- Returns an empty text. Its function gets `values` in the parameters `names`.
 local function new_text() return { lines = {}, names = {}, values = {} } end
 
 local function bind(text, name, value)
@@ -25,8 +25,8 @@ local function bind(text, name, value)
   text.values[#text.names] = value
 end
 
--- LuaJIT looks for a metamethod at each access that may find none. There, `rawget` and
--- `rawset` are instructions.
+-- LuaJIT looks for a metamethod if a field is absent. It compiles `rawget` and `rawset`
+-- to instructions, so these replace accesses to fields that may be absent.
 local function for_jit(line)
   if not jit then return line end
   line = line:gsub("= (s[01])%.(e%w+)$", '= rawget(%1, "%2")')
@@ -35,18 +35,18 @@ local function for_jit(line)
   return (line:gsub("^([sf]%w+)%.(_[%w_]+) = (.+)$", 'rawset(%1, "%2", %3)'))
 end
 
--- Appends the lines of a block; `places` has what its $words stand for.
+-- Appends the lines of a block. `places` has the texts that replace the block's $words.
 local function add(text, block, places)
   for line in block:gmatch("[^\n]+") do
-    local filled = line:gsub("$(%l+)", places):gsub("$(%l+)", places) -- also in a place
+    local filled = line:gsub("$(%l+)", places):gsub("$(%l+)", places) -- nested, too
     if filled ~= "" then text.lines[#text.lines + 1] = for_jit(filled) end
   end
 end
 
 -- Paths -------------------------------------------------------------------------------
 --
--- $a is the state that the path has come to, $b the next one, $at the position of the
--- action, $k the number of the segment. A guard or a target set later needs a search.
+-- $a is the state that the path has come to, $b the next state, $at the position of the
+-- action, $k the number of the segment. If a guard or target is set later, CHECK fails.
 
 local HEAD = [[
 return function(fsm, is_chosen)
@@ -103,10 +103,10 @@ f[#f + 1] = done_event
 $b._mode = "done"
 end]]
 
--- The root has a metatable, which would be asked about a field that is absent.
+-- The root has a metatable, which `rawset` does not ask about the absent field.
 local LINK, LINK_TO_ROOT = "$a._actchild = $b", 'rawset($a, "_actchild", $b)'
 
--- `text.at` counts the states that are left or entered: s0 and s1 have them in turn.
+-- Appends a block. `text.at` counts states left or entered; s0, s1 have them in turn.
 local function write(text, block, more)
   local places = text.places
   places.a, places.b = "s" .. text.at % 2, "s" .. (text.at + 1) % 2
@@ -153,10 +153,10 @@ local function new_writers(core)
   }
 end
 
--- Writes the function of a path; nil if that is too much for one.
+-- Returns the text of a path's function; nil or false if the core has to perform it.
 local function write_path(writers, path, is_hooked)
   local text = new_text()
-  local fetch = path.segments[2] and "tr = fsm._transitions[x$k]" -- else in HEAD
+  local fetch = path.segments[2] and "tr = fsm._transitions[x$k]" -- else HEAD does it
   text.places = { fetch = fetch or "", tr = fetch and "nil" or "fsm._transitions[x1]" }
   text.is_hooked, text.at = is_hooked, 0
   bind(text, "path", path)
@@ -179,8 +179,8 @@ end
 
 -- Searches ----------------------------------------------------------------------------
 --
--- The candidates are asked one after the other on level 0, those behind a connector on
--- the next level. On level $k, w$k is the way out that was found, x$k its conflicts.
+-- Candidates are asked in turn on level 0, ways out of a connector on the next level.
+-- On level $k, w$k is the way that was found, x$k the list of ways if they conflict.
 
 local FIND = [[
 return function(fsm, list, events)
@@ -222,15 +222,15 @@ local CHOSEN = [[
 if def then return def end
 if fsm._plan ~= plan then return nil end]]
 
--- When is a way out of a connector asked? `first` is the first one there.
+-- Returns the condition to ask a connector's way out; `first` is its first way out.
 local function condition(way, first)
   local may = way.events and "matches(d$n, events)" or "true"
   if (way.pn or 0) == (first.pn or 0) then return may end
   return "(not w$k or (w$k.pn or 0) == (d$n.pn or 0)) and " .. may
 end
 
--- Writes the lines that ask a transition on level `k`, and those behind its connector.
--- If a connector is reached twice, that is too much for a function.
+-- Writes the lines that ask a transition on level `k`, and ways out of its connector.
+-- If a connector is reached twice, the search is too long for one function.
 local function write_ask(text, core, def, k, may)
   local n, connector = #text.names, core.compile_transition(def).connector
   local places = { n = n, k = k, may = may }
@@ -253,7 +253,7 @@ local function write_ask(text, core, def, k, may)
   add(text, "end\nend\nend", places)
 end
 
--- Writes the search among the candidates of a list; nil if that is too much.
+-- Returns the text of a search among candidates; false if it is too long.
 local function write_find(core, list)
   local text = new_text()
   add(text, FIND, {})
@@ -265,8 +265,8 @@ local function write_find(core, list)
   return not text.is_too_much and text
 end
 
---- Return what makes the functions of paths, without or with hooks, and of lists of
---- candidates; each returns nil where that would be too long.
+--- Return three functions that make functions: `run` of a path, `run_hooked` of a path
+--- with hooks, `find` of a list of candidates. They return nil if a text is too long.
 ---@param core table functions of the core, by name
 return function(core)
   local names, values = { "pcall", "rawget", "rawset" }, { pcall, rawget, rawset }

@@ -1,10 +1,10 @@
 --- A machine as plain tables, which exporters and protocols read.
 --
--- All lists are in a fixed order: nodes in that of a walk from `initial`, transitions
--- in that of `rfsm.mapfsm`.
+-- All lists are in a fixed order: nodes in the order of a walk from `initial`,
+-- transitions in the order of `rfsm.mapfsm`.
 --
--- The file reads in the order in which a description is made: order of nodes, texts of
--- callbacks, texts of events, tables, JSON.
+-- The sections follow the steps in which a description is made: order of nodes, texts
+-- of callbacks, texts of events, tables, JSON.
 --
 -- @module rfsm.marsh
 -- @license BSD-3-Clause
@@ -25,35 +25,35 @@ local marsh = {}
 --- A transition as a plain table. Only a full description has the fields from `key` on.
 ---@class rfsm.marsh.Transition
 ---@field type "transition"
----@field src string FQN
----@field tgt string FQN; for a composite that of its `initial`
----@field pn? number
+---@field src string FQN of the source
+---@field tgt string FQN of the target; of its `initial` if the target is a composite
+---@field pn? number priority number of the transition
 ---@field events any[] empty if any event triggers it
----@field internal? true nothing is left or entered; src and tgt are the same
----@field key? string its location: "root.trans[2]"
----@field words? string[] its events for a reader: "e_go", "after 5 s", "done"
----@field guard? string a text of the callback
----@field effect? string a text of the callback
----@field at? string file and line of both: "guard chart.lua:7, effect chart.lua:9"
----@field doc? string that field of the model, for a reader
+---@field internal? true no state is left or entered, `src` and `tgt` are the same
+---@field key? string location of the transition: "root.trans[2]"
+---@field words? string[] its events in words: "e_go", "after 5 s", "done"
+---@field guard? string the name, code or comment of the guard in its source
+---@field effect? string the name, code or comment of the effect in its source
+---@field at? string where callbacks begin: "guard chart.lua:7, effect chart.lua:9"
+---@field doc? string the field `doc` of the transition in the model
 
---- A node as a plain table. Only a composite has the two lists. Only a full description
--- has the fields from `entry` on.
+--- A node as a plain table. Only a composite has `transitions` and `subnodes`. Only a
+-- full description has the fields from `entry` on.
 ---@class rfsm.marsh.Node
 ---@field id string
 ---@field type "state"|"connector"
 ---@field transitions? rfsm.marsh.Transition[]
 ---@field subnodes? rfsm.marsh.Node[]
----@field entry? string a text of the callback
----@field exit? string a text of the callback
----@field doo? string a text of the callback
----@field at? string file and line of each: "entry chart.lua:7"
----@field doc? string that field of the model, for a reader
----@field final? true that field of the model
----@field history? "shallow"|"deep" that field of the model, see rfsm/history.lua
----@field mode? "active"|"done" of a live machine
----@field regions? rfsm.marsh.Node[] the machines of a sequential AND state; their FQNs
--- begin with that of the state and the region's name: "root.arms.left.open"
+---@field entry? string the name, code or comment of the callback in its source
+---@field exit? string the name, code or comment of the callback in its source
+---@field doo? string the name, code or comment of the callback in its source
+---@field at? string where each callback begins: "entry chart.lua:7"
+---@field doc? string the field `doc` of the state in the model
+---@field final? true the model has `final` in this state
+---@field history? "shallow"|"deep" how transitions enter the composite, if any does so
+---@field mode? "active"|"done" mode in a live machine; absent if the state is inactive
+---@field regions? rfsm.marsh.Node[] the regions of a sequential AND state; their FQNs
+-- begin with the FQN of the state and the name of the region: "root.arms.left.open"
 
 -- Order: a walk from `initial` ------------------------------------------------
 
@@ -63,11 +63,12 @@ local function append(lists, key, value)
   list[#list + 1] = value
 end
 
--- Returns the target that a transition has in the model.
+-- Returns the target of a transition in the model: history may change it in a machine.
 local function target_of(tr) return rfsm.targets(tr)[1] end
 
--- Notes which two children of a composite a transition leads from and to. A child that
--- a transition enters from outside is noted in `entries`, for its composite.
+-- Notes a transition in `links`, from one child to another of the innermost composite
+-- around both its ends. Each child of a deeper composite that the transition enters is
+-- noted in `entries`, by that composite.
 local function note_links(tr, links, entries)
   local around, child, tgt = {}, target_of(tr), target_of(tr)
   while not rfsm.is_root(child) do
@@ -97,9 +98,10 @@ local function members_of(fsm)
   return transitions, nodes, names, links, entries
 end
 
--- Returns a function that lists the nodes of a composite: breadth first from `initial`,
--- then from those that are entered from outside, then from the others by name; nil for
--- a leaf. Returns the transitions in each composite and their names, too.
+-- Returns a function that lists the nodes of a composite, or returns nil for a leaf.
+-- The list is breadth first from `initial`, then from nodes that are entered from
+-- outside, then from the other nodes by name. Also returns the transitions in each
+-- composite, and the names of transitions.
 local function new_walk(fsm)
   local transitions, nodes_in, names, links, entries = members_of(fsm)
   return function(composite)
@@ -128,7 +130,7 @@ end
 -- Callbacks: their name, text, comment or calls in the source ------------------
 
 --- Read a source file. A host without `io` may replace this function.
----@param name string of the chunk, without its first character: "chart.lua"
+---@param name string the file: "chart.lua" for a function of the chunk "@chart.lua"
 ---@return string? text nil if it cannot be read
 function marsh.read_source(name)
   return io and files.read(name) or nil
@@ -157,7 +159,8 @@ local function arguments_of(f, parameters)
 end
 
 local IS_FIELD = { entry = true, exit = true, doo = true, guard = true, effect = true }
--- Returns what a line calls the function that begins in it.
+-- Returns the name of a function from the line in which it begins, or nil. If several
+-- functions begin in that line, the first one makes the others by a call: "move(5)".
 local function name_in_line(f, line, count)
   local name, parameters = line:match("function%s+([%a_][%w_.:]*)%s*(%b())")
   if name and count > 1 then return name .. arguments_of(f, parameters) end
@@ -167,8 +170,8 @@ end
 
 local LONGEST = 40 -- bytes of a body
 
--- Returns the body of the only function in a line that is assigned to a field. The text
--- in front of the first "end" must be a program, or that "end" is of a block in it.
+-- Returns the body of a function that a line assigns to a field, if the line does so
+-- once. The text before the first "end" must compile, else this "end" is inside of it.
 local function body_in_field(line, field)
   local head = "%f[%w_]" .. field .. "%s*=%s*function%s*%b()%s*"
   local body = line:match(head .. "(.-)%f[%w_]end%f[^%w_]")
@@ -176,7 +179,7 @@ local function body_in_field(line, field)
   return is_only and compile and compile(body) and body or nil
 end
 
--- Returns the body of a function if it is one line: that of the head, or the next one.
+-- Returns the body of a function if it is one line: the line of the head or the next.
 local function body_of(info, lines, count, field)
   local first, last = info.linedefined, info.lastlinedefined
   local body
@@ -193,7 +196,7 @@ end
 
 local LONGEST_COMMENT = 60 -- bytes
 
--- Returns the comment behind the head of a function, or in the line before.
+-- Returns the comment after the head of a function, or else in the line above the head.
 local function comment_of(info, lines)
   local line, before = lines[info.linedefined], lines[info.linedefined - 1] or ""
   local text = line:match("function%s*%b()%s*%-%-+%s*(.-)%s*$")
@@ -237,7 +240,7 @@ local function calls_of(info, lines)
   return result
 end
 
--- Returns the text of a function, the value of a field, in its source.
+-- Returns the name of a function in its source; or else its body, comment or calls.
 local function text_in_source(f, info, lines, field)
   local line = lines[info.linedefined]
   if not line then return nil end
@@ -246,7 +249,7 @@ local function text_in_source(f, info, lines, field)
     or comment_of(info, lines) or count == 1 and calls_of(info, lines) or nil
 end
 
--- Returns the text of a value; nil if it is an address, which no two runs share.
+-- Returns the text of a value; nil if the text has an address, which no two runs share.
 local function text_without_address(value)
   local kind = type(value)
   if kind == "string" then return value end
@@ -257,11 +260,11 @@ local function text_without_address(value)
   return not is_address and kind ~= "function" and kind ~= "thread" and text or nil
 end
 
---- The text of a callback whose source says nothing of it.
+--- The text of a callback whose source gives no name, code or comment.
 marsh.UNKNOWN = ".."
 
--- Returns a function that returns two texts about a callback, the same in each run and
--- on each Lua: a short one for a reader, and file and line, "" if they are not known.
+-- Returns a function that returns two texts about a callback: a short description, then
+-- file and line ("" if unknown). Both texts are equal in each run and on each Lua.
 local function new_callback_text()
   local sources = {}
   local function new_text(f, field)
@@ -289,8 +292,8 @@ end
 
 --- Return a function that gives each event a text, the same on each run and each Lua.
 --
--- An event without a text of its own, such as a function, is called by its type and a
--- number: "function 1" is the first that was asked for.
+-- An event whose text would be an address, such as a function, gets its type and a
+-- number: "function 1" is the first function for which a text was requested.
 --
 ---@return fun(event: any): string text_of
 ---@nodiscard
@@ -307,8 +310,8 @@ function marsh.gen_event_text()
 end
 
 --- Return an event in words: "after 5 s", "done".
----@param text string
----@param fqn string of the source of its transition
+---@param text string the event: "e_after(5)@root.on"
+---@param fqn string FQN of the source of the event's transition
 ---@return string
 ---@nodiscard
 function marsh.words_of(text, fqn)
@@ -321,16 +324,16 @@ end
 
 -- Tables ----------------------------------------------------------------------
 
---- What a machine's tables are made from.
+--- The functions and tables from which the table of a machine is made.
 ---@class rfsm.marsh.Writer
----@field walk fun(composite: rfsm.State): rfsm.Node[]?
----@field transitions table<rfsm.State, rfsm.Transition[]> those in each composite
----@field names table<rfsm.Transition, string|number>
+---@field walk fun(composite: rfsm.State): rfsm.Node[]? lists the nodes of a composite
+---@field transitions table<rfsm.State, rfsm.Transition[]> transitions in each composite
+---@field names table<rfsm.Transition, string|number> name in its composite
 ---@field prefix string the FQN of the root
 ---@field callback_text? fun(f: function, field?: string): string for full descriptions
----@field event_text fun(event: any): string
----@field regions_of table<rfsm.State, rfsm.Place[]> of the whole machine
----@field has_history table<rfsm.State, true> composites entered where they were left
+---@field event_text fun(event: any): string returns the text of an event
+---@field regions_of table<rfsm.State, rfsm.Place[]> the regions of each state
+---@field has_history table<rfsm.State, true> composites entered through their history
 
 local function regions_by_state(fsm)
   local regions_of = {}
@@ -344,8 +347,9 @@ local function source_of(f)
   return debug and type(f) == "function" and debug.getinfo(f, "S").source
 end
 
--- Returns a table with the user's callbacks of a state. If the state has regions, its
--- doo is their extension's. Entry and exit may be, too; the extension keeps the user's.
+-- Returns a table with the user's callbacks of a state. If the state has regions, an
+-- extension has set its doo, and perhaps entry and exit. The user's entry and exit are
+-- then kept by the extension.
 local function callbacks_of(state, regions)
   if not regions then return state end
   local _, kept = rfsm.regions(state)
@@ -375,7 +379,7 @@ end
 
 local EFFECTS, PROGRAMS = { "guard", "effect" }, { "entry", "exit", "doo" }
 
--- Returns a name for a function that is an event: its text, or file and line.
+-- Returns a name for an event that is a function: its text, or else file and line.
 local function name_of(writer, f)
   local text, place = writer.callback_text(f)
   return text ~= marsh.UNKNOWN and text or place
@@ -440,8 +444,7 @@ local function node_table(writer, node)
   return tab
 end
 
--- Returns the set of the composites that a transition enters where they were left, as
--- their history says.
+-- Returns the set of the composites that some transition enters through their history.
 local function histories_of(fsm)
   local composites = {}
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
@@ -451,7 +454,8 @@ local function histories_of(fsm)
   return composites
 end
 
--- Returns the table of a machine under a name; texts are those of `texts`.
+-- Returns the table of a machine or region with an id. `texts` has the functions of the
+-- writer that make texts; it is empty if the description is not full.
 function machine_table(fsm, id, prefix, texts)
   local walk, transitions, names = new_walk(fsm)
   local tab = node_table({ walk = walk, transitions = transitions, names = names,
@@ -470,8 +474,8 @@ end
 
 --- Return the structure of a machine.
 --
--- A full description has all that a picture shows: texts of callbacks, regions, and the
--- states that are active.
+-- A full description has all that a picture shows: texts of callbacks, regions, and
+-- which states are active.
 --
 -- @raise if `fsm` was not initialised
 ---@param fsm rfsm.Machine
@@ -483,12 +487,12 @@ function marsh.model2tab(fsm, is_full)
   return description_of(fsm, is_full)
 end
 
---- Return what is active in a machine.
+--- Return the active leaf of a machine, and its mode.
 -- @raise if `fsm` was not initialised
 ---@param fsm rfsm.Machine
 ---@return string|false fqn of the active leaf; false if there is none
----@return string|false mode
----@return false path
+---@return string|false mode of the leaf
+---@return false path always false
 ---@nodiscard
 function marsh.actinfo2tab(fsm)
   rfsm.check_machine(fsm, "rfsm.marsh.actinfo2tab")
@@ -501,15 +505,15 @@ end
 
 local REPLACEMENT = "\239\191\189" -- U+FFFD
 
--- The characters of more than one byte.
+-- Patterns of the UTF-8 characters that have more than one byte.
 local CHARACTERS = { "^[\194-\223][\128-\191]", "^\224[\160-\191][\128-\191]",
   "^[\225-\236\238\239][\128-\191][\128-\191]", "^\237[\128-\159][\128-\191]",
   "^\240[\144-\191][\128-\191][\128-\191]",
   "^[\241-\243][\128-\191][\128-\191][\128-\191]",
   "^\244[\128-\143][\128-\191][\128-\191]" }
 
--- Returns the character with which the bytes begin, if they do. Each byte behind it
--- becomes U+FFFD.
+-- Keeps the character with which the bytes begin, if they begin with a whole one. Each
+-- other byte becomes U+FFFD.
 local function mend(bytes)
   for _, character in ipairs(CHARACTERS) do
     local _, last = bytes:find(character)
@@ -518,7 +522,7 @@ local function mend(bytes)
   return REPLACEMENT:rep(#bytes)
 end
 
---- Return a text as UTF-8: each byte outside of a character becomes U+FFFD.
+--- Return a text as UTF-8: each byte that belongs to no character becomes U+FFFD.
 ---@param text string
 ---@return string
 ---@nodiscard
@@ -527,15 +531,15 @@ function marsh.utf8(text)
   return (text:gsub("[\128-\255][\128-\191]*", mend))
 end
 
--- Returns a value that dkjson writes as the digits of the number; a text if it is
--- infinite.
+-- Returns a value that dkjson writes as the exact digits of a number; the text "inf" or
+-- "-inf" if the number is infinite.
 local function plain_number(number)
   if number - number ~= 0 then return number > 0 and "inf" or "-inf" end
-  local digits = digits_of(number + 0) -- not -0
+  local digits = digits_of(number + 0) -- + 0 turns -0 into 0
   return setmetatable({}, { __tojson = function() return digits end })
 end
 
--- Returns an event that JSON has, a text, finite number or boolean; or else its text.
+-- Returns an event as JSON has it: a boolean, a finite number, or else a text.
 local function plain_event(event, text_of)
   local kind = type(event)
   if kind == "boolean" then return event end
@@ -571,8 +575,8 @@ end
 
 --- Return the structure of a machine as dkjson should write it.
 --
--- As `model2tab`, but the lists are marked as arrays, numbers look alike on every Lua,
--- texts are UTF-8, and events that JSON does not know are their text.
+-- It differs from the result of `model2tab`: lists are marked as arrays, numbers have
+-- the same digits on every Lua, texts are UTF-8, and events that JSON lacks are texts.
 --
 -- @raise if `fsm` was not initialised
 ---@param fsm rfsm.Machine

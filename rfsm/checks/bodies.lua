@@ -1,7 +1,7 @@
---- Bodies: what cannot work in the text of a callback, in trees of luacheck's parser.
+--- Bodies: mistakes in the code of callbacks, found in trees of luacheck's parser.
 --
--- There are only rules that are never wrong: a guard that may return false somewhere is
--- left alone, and so is a parameter that is not used.
+-- A rule reports only what is certainly wrong. So nothing is reported for a guard that
+-- may return false somewhere, or for a parameter that is not used.
 --
 -- @module rfsm.checks.bodies
 -- @license BSD-3-Clause
@@ -12,7 +12,8 @@ local ipairs, rawget, type = ipairs, rawget, type
 
 local bodies = {}
 
---- Call f(node) for a node and the nodes in it, unless f(node) returns false.
+--- Call f(node) for a node and the nodes in it. The nodes in a node are left out if
+--- f(node) returns false.
 function bodies.walk(node, f)
   if type(node) ~= "table" or node.tag and f(node) == false then return end
   for _, child in ipairs(node) do bodies.walk(child, f) end
@@ -58,7 +59,7 @@ local SIGNATURES = {
   guard = "guard(tr, events)", effect = "effect(fsm, tr, _, events)",
 }
 
--- What the author of a callback takes a parameter with this name for.
+-- Names of parameters, and the value that an author expects under such a name.
 local MEANINGS = {
   fsm = "machine", machine = "machine", tr = "transition", trans = "transition",
   transition = "transition", state = "state", event = "list of events",
@@ -92,8 +93,8 @@ local NEVER_FALSE = { True = true, Number = true, String = true, Nil = true,
 -- Returns the only statement of a function; nil if it has several.
 local function sole(func) return not func[2][2] and func[2][1] or nil end
 
--- Finds a guard that never forbids. An error in a guard forbids, too, and a guard that
--- only returns true is a placeholder.
+-- Finds a guard that never forbids its transition. An error in a guard forbids, too. A
+-- guard that only returns true is a placeholder, and is no mistake.
 local function check_guard(func, add)
   local may_forbid, has_value = false, false
   each_node(func, function(node)
@@ -117,7 +118,7 @@ local YIELDS = { rfsm = true, coroutine = true }
 
 local DRIVES = { run = true, step = true, send_events = true }
 
--- Returns what is wrong with a call of a function that moves a machine.
+-- Returns the mistake in a call of rfsm.run, rfsm.step or rfsm.send_events.
 local function problem_of_drive(name, first, field, fsm)
   if first.tag == "String" then
     return ("rfsm.%s gets the machine first (rfsm.%s(fsm, ...))"):format(name, name)
@@ -127,7 +128,7 @@ local function problem_of_drive(name, first, field, fsm)
   end
 end
 
--- Returns what is wrong with a call in a callback that gets the machine as `fsm`.
+-- Returns the mistake in a call in a callback, which gets the machine as `fsm`.
 local function problem_of_call(node, field, fsm)
   local name, library = bodies.called_name(node)
   if YIELDS[library or ""] and name == "yield" and field ~= "doo" then
@@ -137,7 +138,7 @@ local function problem_of_call(node, field, fsm)
   end
 end
 
--- Returns what is wrong with a method call: fsm:send_events(...).
+-- Returns the mistake in a call of a method, such as fsm:send_events(...).
 local function problem_of_method(node, fsm, machine)
   local name = node[2][1]
   local is_machine = fsm and node[1].tag == "Id" and node[1][1] == fsm
@@ -159,15 +160,15 @@ end
 
 -- Tables ..........................................................................
 
--- Returns the name of the function whose call is the value of a field: "print".
+-- Returns the function that a field's value calls: "print" for { entry = print() }.
 local function called_in(pair)
   local value = pair[2]
   local name = value.tag == "Call" and bodies.called_name(value)
   return name ~= "" and name or nil
 end
 
---- Note in a table node which keys stand twice, and which callbacks are calls.
----@param file { lost: table, called: table } by line: { { name = key, by = function } }
+--- Note which keys occur twice in a table node, and which callbacks are calls.
+---@param file { lost: table, called: table } lists of { name = key, ... } by line
 function bodies.note_table(file, node)
   local seen = {}
   local function note(list, entry)

@@ -25,7 +25,7 @@ function redis.add_arguments(command)
     :argname("URL")
 end
 
--- Reports on each chart of which there are two versions; returns whether all are safe.
+-- Reports on each chart that has two versions. Returns whether all machines can move.
 local function compare(files)
   local latest, is_safe, count = {}, true, 0
   for _, argument in ipairs(files) do

@@ -25,22 +25,24 @@ end
 local FORMS = { "source", "stripped" }
 local EXTRAS = { "rfsmpp", "rfsm.record", "rfsm.proto" }
 
--- What a pool takes for 1 KiB of heap: it adds bytes to each block, and code has many.
+-- KiB in a pool for each KiB of heap. A pool adds bytes to each block; code has many
+-- small blocks.
 local CODE, DATA = 1.29, 1.12
 local FACTORS = { library = CODE, modules = CODE, module = CODE, chart = DATA }
 
--- KiB by form: those of a Lua with RTT 2.10 and rttlib, and what a launch leaves there.
+-- KiB by form. The first number is a Lua with RTT 2.10 and rttlib, the second one what
+-- a launch leaves in that Lua.
 local BASE = {
   source = { heap = 155 + 40, pool = 210 + 52 },
   stripped = { heap = 155 + 32, pool = 210 + 39 },
 }
 
--- A pool needs room for garbage: it has to be so many times what is in use.
+-- A pool needs room for garbage: it is larger than the memory in use by this factor.
 local ROOM = 1.2
 
 local function quoted(text) return "'" .. text:gsub("'", "'\\''") .. "'" end
 
--- Returns the name of the program that measures.
+-- Returns the name of the Lua file that measures.
 local function find_program()
   for template in package.path:gmatch("[^;]+") do
     local name = template:gsub("%?", "rfsm/cli/measure")
@@ -48,7 +50,7 @@ local function find_program()
   end
 end
 
--- Notes a value that rfsm/cli/measure.lua prints: a number of KiB in heap and pool.
+-- Notes a value that rfsm/cli/measure.lua prints. A value with a factor is KiB of heap.
 local function note(values, key, value)
   local factor, sum = FACTORS[key], values.together
   values[key] = factor and { heap = tonumber(value), pool = value * factor } or value
@@ -56,7 +58,7 @@ local function note(values, key, value)
   sum.heap, sum.pool = sum.heap + values[key].heap, sum.pool + values[key].pool
 end
 
--- Returns the values of a form by name; nil if that Lua has no stripped code.
+-- Returns the measured values of a form by name; nil if the Lua loads no stripped code.
 local function measure(options, form, kind, name)
   local pipe = io.popen(("%s %s %s %s %s %s %s 2>&1"):format(options.lua,
     quoted(find_program()), form, quoted(package.path), kind, quoted(name),

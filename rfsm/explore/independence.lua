@@ -2,15 +2,17 @@
 --
 -- Each step advances all regions of a state, and no event leaves a region. So the
 -- machine and one region have the same configurations whether the other regions exist
--- or not, and a walk may leave these out. A *way* is the set of parts of a subject that
--- one walk has. Two regions are *joined*, and so always in the same ways, if
+-- or not, and a walk may leave the others out. A *way* is the set of parts of a subject
+-- that one walk has. Two regions are *joined*, and so always in the same ways, if
 --
--- - both react to an event from outside: dead ends of both together depend on it,
--- - both have timers: the machine is stepped between any two deadlines.
+-- - both react to the same event from outside, since that event decides whether the two
+--   are at a dead end together, or
+-- - both have timers, since the machine is stepped between any two deadlines.
 --
--- A *bound* region is in each way that has the machine around it. It has a callback in
--- `run`, a guard with a rule, or timers, if the machine or a property has times, too.
--- A property is judged on a walk that has all regions that it names.
+-- A *bound* region is in each way that has the machine around it. A region is bound if
+-- it has a callback in `run` or a guard with a rule, or if it has timers and the
+-- machine or a property has times, too. A property is judged on a walk that has all
+-- regions that the property names.
 --
 -- @module rfsm.explore.independence
 -- @license BSD-3-Clause
@@ -28,26 +30,26 @@ local independence = {}
 
 local NOTHING = {}
 
---- The parts of a subject that a walk has, by their prefixes; false: all of them.
+--- The prefixes of the parts of a subject that a walk has; false: it has all parts.
 ---@alias rfsm_checks.Way table<string, true>|false
 
---- What may join a region to others, of itself and the regions inside of it.
+--- The traits of a region, and of the regions inside of it, that may join it to others.
 ---@class rfsm_checks.Traits
 ---@field events table<any, true> the events from outside to which it reacts
 ---@field is_any boolean it may react to any event
----@field has_timer boolean a timer whose order matters
----@field is_bound boolean it is in each way with the machine around it
+---@field has_timer boolean it has a timer, and the order of timers matters
+---@field is_bound boolean it is in each way that has the machine around it
 
 -- Traits ............................................................................
 
--- Can any event decide whether the transition is taken? A segment behind a connector
--- that has neither events nor a guard (`false`) leaves that to the segments before it.
+-- Can any event decide whether a transition is taken? A segment behind a connector that
+-- has neither events nor a guard (`guard` is false) leaves this to the segments before.
 local function is_any(tr)
   local triggers = match.triggers(tr, NOTHING)
   return triggers == nil or triggers and (rfsm.is_state(tr.src) or tr.guard ~= false)
 end
 
--- Returns the traits of a part, without those of its regions.
+-- Returns the traits of a part, without the traits of its regions.
 local function own_traits(own, part, are_free)
   local traits = { events = {}, is_bound = part.is_bound, has_timer = false,
     is_any = any(rfsm.elements(part.fsm, rfsm.is_trans), is_any) }
@@ -59,9 +61,9 @@ local function own_traits(own, part, are_free)
   return traits
 end
 
--- Adds the traits of a region to those of the region around it.
+-- Adds the traits of a region to the traits of the region around it.
 local function add_inner(traits, inner)
-  for event in order.each(inner.events) do traits.events[event] = true end -- a set
+  for event in order.each(inner.events) do traits.events[event] = true end -- any order
   traits.is_any = traits.is_any or inner.is_any
   traits.has_timer = traits.has_timer or inner.has_timer
   traits.is_bound = traits.is_bound or inner.is_bound
@@ -91,13 +93,14 @@ local function are_joined(a, b)
   if a.has_timer and b.has_timer then return true end
   if a.is_any and (b.is_any or not order.is_empty(b.events)) then return true end
   if b.is_any and not order.is_empty(a.events) then return true end
-  for event in order.each(a.events) do -- any order: is there one?
+  for event in order.each(a.events) do -- any order: one is enough
     if b.events[event] then return true end
   end
   return false
 end
 
--- Returns the groups with one more region, in one with all groups that it is joined to.
+-- Returns the groups after a region is added. The region and all groups to which it is
+-- joined become one group.
 local function with_region(groups, traits, part)
   local group, list = { part }, {}
   for _, other in ipairs(groups) do
@@ -111,14 +114,15 @@ local function with_region(groups, traits, part)
   return list
 end
 
---- What is known of a chart while its walks are planned.
+--- The tables that are filled while the walks of a chart are planned.
 ---@class rfsm_checks.Planning
----@field own rfsm_checks.Subject
+---@field own rfsm_checks.Subject the chart
 ---@field traits table<rfsm_checks.Part, rfsm_checks.Traits>
----@field states table<rfsm_checks.Part, table[]> the states of a part that have
--- regions: `leaf`, the list of `bound` regions, and the `groups` of joined ones
----@field mates table<rfsm_checks.Part, rfsm_checks.Part[]> the group of a region
----@field ways table<string, table<string, true>> by a text of the prefixes
+---@field states table<rfsm_checks.Part, table[]> for each state with regions in a part:
+-- its `leaf`, the list of its `bound` regions, and the `groups` of its joined regions
+---@field mates table<rfsm_checks.Part, rfsm_checks.Part[]> the group to which a region
+-- belongs
+---@field ways table<string, table<string, true>> ways by a text of their prefixes
 
 -- Returns the entry of `states` for the state of a region.
 local function state_of(self, part)
@@ -146,8 +150,8 @@ end
 
 -- Ways ..............................................................................
 
--- Returns lists of ways, each way a list of parts, in one: its first way has the parts
--- of all first ways, and so on. A shorter list repeats its last way.
+-- Merges lists of ways into one list; here a way is a list of parts. The first way has
+-- the parts of all first ways, and so on. A list that is shorter repeats its last way.
 local function side_by_side(lists)
   local result, count = {}, 1
   for _, list in ipairs(lists) do count = max(count, #list) end
@@ -162,15 +166,16 @@ end
 
 local ways_of
 
--- Returns ways each of which has all regions of a group; the regions inside of these
--- are in one way after the other.
+-- Returns ways that each have all regions of a group. Of the regions inside of these
+-- regions, each way has one group.
 local function ways_of_group(self, group)
   local lists = { { group } }
   for _, part in ipairs(group) do lists[#lists + 1] = ways_of(self, part) end
   return side_by_side(lists)
 end
 
--- Returns the ways of the regions of a part: the groups in turn, bound regions always.
+-- Returns the ways of the regions of a part. In each state with regions, all bound
+-- regions are in each way, and the groups take turns.
 function ways_of(self, part)
   local lists = {}
   for _, state in ipairs(self.states[part]) do
@@ -194,8 +199,8 @@ local function add_part(self, way, part)
   end
 end
 
--- Returns the way with some parts, and those that they need; the same table for the
--- same way, and false if it has all parts.
+-- Returns the way that has some parts and all parts that they need; false if it has all
+-- parts of the subject. Equal ways are one table.
 local function way_of(self, parts)
   local way = {}
   add_part(self, way, self.own.parts[1])

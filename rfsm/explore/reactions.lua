@@ -1,9 +1,9 @@
---- Reactions: the events that can have an effect while a leaf is active, and those of
---- these events that may come next.
+--- Reactions: the events that can have an effect while a leaf is active, and the ones
+--- among them that may come next.
 --
--- A sequential AND state forwards the events of an iteration to its regions, also those
--- of the iteration that enters it. So an event to which a region can react counts for
--- the leaf with the region, and for each leaf from which a transition leads to it.
+-- A sequential AND state forwards the events of an iteration to its regions, also in
+-- the iteration that enters the state. So an event to which a region can react counts
+-- for the leaf that has the region, and for each leaf with a transition to that leaf.
 --
 -- @module rfsm.explore.reactions
 -- @license BSD-3-Clause
@@ -18,18 +18,18 @@ local is_conn = rfsm.is_conn
 
 local reactions = {}
 
---- The events that can have an effect in a leaf, as a list, and more about them.
+--- The events that can have an effect in a leaf, as a list with more fields.
 ---@class rfsm_checks.Reactions
----@field [integer] any
----@field set table<any, boolean> the same events as a set
+---@field [integer] any the events
+---@field set table<any, boolean> the events as a set
 ---@field any boolean any other event can have an effect, too
 ---@field has_predicate boolean a predicate may accept any event; `any` is true, too
 ---@field timers string[] time events of states that are active
 ---@field sets any[][] sets of several events that a path through connectors needs
 ---@field is_cut boolean there are more than MANY_SETS of these sets
----@field outside rfsm_checks.Occurrence[]|false events from outside; false: not listed
+---@field outside rfsm_checks.Occurrence[]|false events from outside; false: no list yet
 ---@field own table<any, boolean>|false the set of the events that count for the leaf
--- itself, without those of its regions; false: any event does
+-- itself, without events of its regions; false: all events count
 
 local function add_event(found, event)
   if type(event) == "function" then
@@ -37,7 +37,7 @@ local function add_event(found, event)
   elseif not found.set[event] then
     local maker = match.maker_of(event)
     found.set[event], found[#found + 1] = true, event
-    -- an extension adds its own event to any other one, once an await is complete
+    -- an event that completes an await has the event of the await added to it
     if maker and maker ~= "engine" and maker ~= "timer" then found.any = true end
   end
 end
@@ -66,7 +66,8 @@ local function add_regions(found, leaf)
   end
 end
 
--- Collects the events of the transitions from a node, and of those behind connectors.
+-- Collects the events of the transitions from a node, and of transitions behind their
+-- connectors.
 local function add_reactions(found, fsm, node, seen)
   if seen[node] then return end
   seen[node] = true
@@ -104,8 +105,8 @@ local function add_timers(found, nodes)
   end
 end
 
--- Lists the sets of events that a path needs if it goes on by a segment, given the set
--- that it needed before. A predicate may accept an event of that set.
+-- Lists the sets of events that a path needs after one more segment. `set` is the set
+-- that it needed before. A predicate may accept an event of `set`, so it adds no event.
 local function extend(set, tr)
   local sets, is_free = {}, match.is_any(tr)
   for _, event in ipairs(tr.events or {}) do
@@ -122,7 +123,8 @@ end
 
 local MANY_SETS = 1000 -- most sets of one leaf; others are not tried
 
--- Adds the sets of several events that paths need which go on with a transition.
+-- Adds the sets of several events that are needed by paths through a transition. `set`
+-- is the set of events that the segments before it need.
 local function add_sets(found, tr, set, seen)
   if seen[tr] or found.is_cut then return end
   seen[tr] = true
@@ -177,7 +179,7 @@ local function is_allowed(self, event)
   return not self.alphabet or match.has(self.alphabet, event)
 end
 
--- Lists the events from outside that can have an effect in a leaf, once for each leaf.
+-- Lists the events from outside that can have an effect in a leaf, and keeps the list.
 local function outside_of(self, found)
   if found.outside then return found.outside end
   local list, is_listed = {}, {}
@@ -194,8 +196,8 @@ local function outside_of(self, found)
   return list
 end
 
--- Adds a set of several events, without those that the machine makes itself. A set with
--- an event that cannot come is left out.
+-- Adds a set of several events, without the events that the machine makes itself. A set
+-- is left out if one of its events cannot come.
 local function add_set(self, part, sets, set, timers)
   local kept = {}
   for _, event in ipairs(set) do
@@ -218,7 +220,7 @@ end
 ---@param conf rfsm_checks.Configuration
 ---@return rfsm_checks.Occurrence[] events
 ---@return rfsm_checks.Occurrence[][] sets
----@return boolean is_cut there are more sets than these
+---@return boolean is_cut a path may need sets that are not in the list
 function reactions.that_may_come(self, conf)
   local list, sets, is_cut, is_listed, leaf_of = {}, {}, false, {}, {}
   for i, part in ipairs(self.parts) do

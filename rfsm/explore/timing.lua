@@ -1,18 +1,19 @@
 --- Timing: the order in which timers and the times of properties expire.
 --
--- A state that is active has a clock, if it has an e_after that has not come yet; so
--- has a monitor of a property with a time. The values that all clocks may have when a
--- step ends are a zone. A *group* is a set of deadlines that the next step finds over,
--- with the zone of the moment in which that step begins. All deadlines of a group are
--- equal, since the machine is stepped between any two different ones; with a period
--- they are at most a period apart. The times of properties are deadlines as well.
+-- A clock runs for each active state with an e_after that has not come yet, for each
+-- time of a property that a monitor measures, and for each event that is sent later. A
+-- *zone* is the set of the values that all clocks may have when a step ends. A clock
+-- has deadlines: the times at which its events come or the time of a property ends. A
+-- *group* is a set of deadlines that are over when the next step begins, with the zone
+-- of that moment. All deadlines of a group are equal, since the machine is stepped
+-- between any two different ones. With a period, they are at most a period apart.
 --
--- Each time an event is sent later, a clock for it begins. If timers are free, that
--- clock is free, too: its deadline may be over at any time.
+-- If timers are free, the clocks of events that are sent later are free, too: their
+-- deadlines may be over at any time.
 --
--- A step takes no time. e_at and functions of seconds have no clock: they may come at
--- any time. Zones need no extrapolation: a clock is dropped when its last deadline is
--- over, so a deadline bounds the value of each clock.
+-- A step takes no time. An e_at, or a timer whose seconds come from a function, has no
+-- clock: its event may come at any time. Zones need no extrapolation, since a clock is
+-- dropped when its last deadline is over: so its deadlines bound its value.
 --
 -- @module rfsm.explore.timing
 -- @license BSD-3-Clause
@@ -30,60 +31,61 @@ local timing = {}
 ---@class rfsm_checks.Timing
 ---@field subject rfsm_checks.Subject
 ---@field clocks rfsm_checks.Clock[]
----@field of table<table, rfsm_checks.Clock> by property, and by what is sent later
----@field pending integer most events that wait to be sent
+---@field of table<table, rfsm_checks.Clock> by property, or by event to be sent later
+---@field pending integer how many events may wait to be sent, at most
 ---@field is_timed boolean some clock is not free
----@field unit number nanoseconds of which all times are multiples
----@field period number|false in units
----@field none rfsm_checks.Time without clocks
----@field times table<string, rfsm_checks.Time> by their texts
+---@field unit number nanoseconds; all times are multiples of the unit
+---@field period number|false longest time between two steps, in units; false: not given
+---@field none rfsm_checks.Time the time at which no clock runs
+---@field times table<string, rfsm_checks.Time> the times by their texts
 ---@field fired table<rfsm_checks.Occurrence, boolean> time events that have come
 ---@field is_cut boolean some groups were left out
----@field is_inexact boolean some times have too many digits
+---@field is_inexact boolean some times have too many units to be exact
 local Timing = {}
 Timing.__index = Timing
 
---- A clock of a state, of a property, or of an event that is sent later. One of a state
---- runs once at a time, the others may run several times at once.
+--- A clock of a state, of a property, or of an event that is sent later. The clock of a
+--- state runs once at a time, the other clocks may run several times at once.
 ---@class rfsm_checks.Clock
----@field number integer
----@field state? rfsm.State
----@field judged? rfsm_checks.Judged
----@field later? rfsm_checks.Occurrence
+---@field number integer index in the list of clocks
+---@field state? rfsm.State the state that the clock belongs to
+---@field judged? rfsm_checks.Judged the property that it belongs to
+---@field later? rfsm_checks.Occurrence the event sent later that it belongs to
 ---@field is_free boolean|nil its deadline may be over at any time, or never
----@field deadlines number[] rising, in units
----@field events rfsm_checks.Occurrence[][] for each deadline those that come then
+---@field deadlines number[] in rising order, in units
+---@field events rfsm_checks.Occurrence[][] for each deadline, the events that come then
 
---- Clocks that run, and their values.
+--- The clocks that run when a step has ended, and the zone of their values.
 ---@class rfsm_checks.Time
----@field entries { clock: rfsm_checks.Clock, passed: integer }[] `passed`: deadlines
--- that are over
----@field zone number[]
+---@field entries { clock: rfsm_checks.Clock, passed: integer }[] `passed`: how many
+-- deadlines of the clock are over
+---@field zone number[] the values that these clocks may have, see `rfsm.explore.zones`
 ---@field shape string the entries as a text
----@field text string
----@field groups table<boolean, rfsm_checks.Group[]> by whether events wait
+---@field text string the entries and the zone as a text
+---@field groups table<boolean, rfsm_checks.Group[]> results of `Timing:groups`
 
---- Deadlines that the next step finds over.
+--- A set of deadlines that are over when the next step begins.
 ---@class rfsm_checks.Group
----@field number integer
----@field over integer[] for each entry, how many deadlines
+---@field number integer index in the list of groups
+---@field over integer[] for each entry of the time, how many more deadlines are over
 ---@field is_over boolean at least one deadline is over
----@field is_sure boolean if time goes on no other group can come first
+---@field is_sure boolean if time goes on, no other group can come first
 ---@field ways integer how many groups can come first
----@field events rfsm_checks.Occurrence[]
----@field zone number[] when the step begins
----@field bounds { [1]: integer, [2]: integer, [3]: number }[] that clocks keep then
+---@field events rfsm_checks.Occurrence[] the events of these deadlines, in order
+---@field zone number[] values of the clocks when the step begins
+---@field bounds { [1]: integer, [2]: integer, [3]: number }[] bounds of this group on
+-- the values: { i, j, bound }, see `rfsm.explore.zones`
 
 -- Clocks ............................................................................
 
 local BILLION = 1000000000
-local MOST = 2 ^ 53 -- nanoseconds, 104 days: exact
-local MOST_UNITS = 2 ^ 50 -- so that bounds (twice as large, see zones) are exact, too
+local MOST = 2 ^ 53 -- nanoseconds (104 days), below which numbers are exact
+local MOST_UNITS = 2 ^ 50 -- so that bounds, which are twice as large, are exact, too
 
 local function nanoseconds(seconds) return floor(seconds * BILLION + 0.5) end
 
--- Returns the nanoseconds of a timer; nil if they are not known or too many. The fields
--- are those of `rfsm_timeevent`.
+-- Returns the nanoseconds of a timer; nil if they are unknown or too many. The fields
+-- of `timer.event` are defined in `rfsm_timeevent`.
 local function duration_of(timer)
   local event = timer.event
   if not event.is_relative or event.timeout then return nil end
@@ -156,7 +158,7 @@ local function greatest_divisor(a, b)
   return a
 end
 
--- Finds the greatest unit of which all times are multiples, and counts them in it.
+-- Finds the greatest unit of which all times are multiples, and sets times in units.
 local function set_unit(self)
   for _, clock in ipairs(self.clocks) do
     for _, deadline in ipairs(clock.deadlines) do
@@ -176,7 +178,7 @@ local function set_unit(self)
   self.is_inexact = longest >= MOST_UNITS
 end
 
--- Returns the time of these entries and this zone: always the same table.
+-- Returns the time that has these entries and this zone. Equal times are one table.
 local function find_time(self, entries, zone)
   local texts = {}
   for i, entry in ipairs(entries) do
@@ -210,9 +212,9 @@ end
 
 local MANY_GROUPS = 200
 
--- Returns the bounds, each { i, j, bound }, under which so many deadlines of the clock
--- of entry i are over. With a period, the step is at most a period behind the first
--- one.
+-- Returns the bounds { i, j, bound } under which the next `over` deadlines of entry i
+-- are over when a step begins. With a period, the step begins at most a period after
+-- the first of these deadlines.
 local function bounds_of(self, entry, i, over)
   if entry.clock.is_free then return {} end
   local deadlines, passed = entry.clock.deadlines, entry.passed
@@ -228,7 +230,8 @@ local function bounds_of(self, entry, i, over)
 end
 
 -- Returns the bound under which the next deadline of the entry `one` is not later than
--- that of `other`, if `bound` is zones.at_most; earlier, if it is zones.below.
+-- the next deadline of `other`, or earlier. `bound` is zones.at_most for "not later",
+-- zones.below for "earlier".
 local function order_of(entries, one, other, bound)
   local longer = entries[other].clock.deadlines[entries[other].passed + 1]
     - entries[one].clock.deadlines[entries[one].passed + 1]
@@ -242,7 +245,7 @@ local function bounded(zone, count, bounds)
   return zone
 end
 
--- Adds a group, whose events come in the order of `numbers` of entries.
+-- Adds a group. Its events come in the order of `numbers`, a list of entry numbers.
 local function add_group(self, groups, entries, found, numbers)
   local group = { number = #groups + 1, over = found.over, is_over = false,
     events = {}, zone = found.zone, bounds = found.bounds }
@@ -258,9 +261,9 @@ local function add_group(self, groups, entries, found, numbers)
   groups[#groups + 1] = group
 end
 
--- Adds a group for each order in which the events of some entries, `rest`, can come
--- behind those of the entries `numbers`. They were sent later; events of one time come
--- in the order of sending.
+-- Adds a group for each order in which the events of the entries `rest` can follow the
+-- events of the entries `numbers`. The events of `rest` were sent later. If two of them
+-- come at the same time, they come in the order of sending.
 local function add_orders(self, groups, entries, count, found, numbers, rest)
   if not rest[2] then
     return add_group(self, groups, entries, found, match.joined(numbers, rest))
@@ -283,9 +286,9 @@ local function add_orders(self, groups, entries, count, found, numbers, rest)
   end
 end
 
--- Returns the numbers of entries whose events come in this order, and of those that
--- were sent later and may come in another order. Without a period there is none of
--- these: all events of a group come at one time.
+-- Returns two lists of numbers of entries: entries whose events come in the order of
+-- the list, and entries of sent events, which may come in any order. Without a period
+-- the second list is empty: all events of a group come at one time.
 local function numbers_of(self, entries, over)
   local numbers, sends = {}, {}
   for i, entry in ipairs(entries) do
@@ -297,8 +300,8 @@ local function numbers_of(self, entries, over)
   return numbers, sends
 end
 
--- Returns what is known of a group if so many deadlines of the next clock are over as
--- well; nil if they cannot be.
+-- Returns the unfinished group `found` with one more entry, of which the next `over`
+-- deadlines are over. Returns nil if that is impossible.
 local function extended(self, entries, count, found, over)
   local i = #found.over + 1
   local bounds, is_free = bounds_of(self, entries[i], i, over), entries[i].clock.is_free
@@ -312,7 +315,7 @@ local function extended(self, entries, count, found, over)
     first = found.first or over > 0 and not is_free and i or nil }
 end
 
--- Adds all groups that agree with what was decided about the first entries.
+-- Adds all groups that begin with `found`, which has the first entries of a group.
 local function add_groups(self, groups, entries, count, found)
   local entry = entries[#found.over + 1]
   if #groups >= MANY_GROUPS then
@@ -329,7 +332,7 @@ local function add_groups(self, groups, entries, count, found)
 end
 
 -- Lists the groups. While an event waits, the next step is taken within a period, so
--- one more clock counts from the last step.
+-- one more clock measures the time since the last step.
 local function new_groups(self, time, is_driven)
   local entries, groups, bounds = time.entries, {}, {}
   local zone, count, sources = time.zone, #time.entries, {}
@@ -355,8 +358,8 @@ local function new_groups(self, time, is_driven)
   return groups
 end
 
---- List the groups of deadlines that the next step may find over; the first one is that
---- of none.
+--- List the groups of deadlines that may be over when the next step begins. The first
+--- group has no deadline that is over.
 ---@param time rfsm_checks.Time
 ---@param is_driven boolean an event waits
 ---@return rfsm_checks.Group[]
@@ -390,8 +393,8 @@ local function add_states(self, time, group, entries, sources)
   end
 end
 
--- Adds the clocks of what is to be sent later: of what has not come and was not
--- dropped, and of what the step has sent. Returns how many there are.
+-- Adds the clocks of events that wait to be sent: those that waited before the step and
+-- have neither come nor been dropped, and those of the step. Returns their number.
 local function add_pending(self, time, group, entries, sources)
   local own, before = self.subject, #entries
   for i, entry in ipairs(time.entries) do
@@ -408,7 +411,8 @@ local function add_pending(self, time, group, entries, sources)
   return #entries - before
 end
 
--- Adds the clocks of the monitor: all that were there, or those that `numbers` names.
+-- Adds the clocks of the monitor: all that ran before, or if `numbers` is given, the
+-- clocks with these numbers. A 0 in `numbers` is a new clock.
 local function add_monitor(time, clock, numbers, entries, sources)
   local list = {}
   for i, entry in ipairs(time.entries) do
@@ -420,13 +424,13 @@ local function add_monitor(time, clock, numbers, entries, sources)
   end
 end
 
---- Return the clocks behind the last step of the subject.
----@param time rfsm_checks.Time before it
+--- Return the clocks that run after the last step of the subject.
+---@param time rfsm_checks.Time the clocks before that step
 ---@param group rfsm_checks.Group
 ---@param walk rfsm_checks.Walk
----@param clocks integer[]? of the monitor, see `monitors.look`
+---@param clocks integer[]? numbers of clocks of the monitor, from `monitors.look`
 ---@return rfsm_checks.Time|nil time nil if too many events wait to be sent
----@return integer[] sources for each clock its number before, 0 if it is new
+---@return integer[] sources for each clock its number before the step; 0: a new clock
 function Timing:after(time, group, walk, clocks)
   local entries, sources = {}, {}
   add_states(self, time, group, entries, sources)
@@ -441,8 +445,8 @@ end
 
 -- Times of a run ....................................................................
 
--- Adds the bounds that a step puts on the times between two steps. Returns for each
--- clock the number of the step in which it began.
+-- Adds the bounds that the step with the number `now` sets on the times between steps.
+-- Returns for each clock the number of the step in which it began.
 local function add_bounds(bounds, began, now, step)
   local began_then = {}
   local function of(i) return i == 0 and now or began[i] or now - 1 end
@@ -460,8 +464,8 @@ end
 
 local MILLISECOND = 1000000
 
--- Returns into how many parts a unit is divided, so that so many steps can come one
--- part after the other within a unit: milliseconds, if these are enough.
+-- Returns into how many parts a unit is divided, so that `count` steps fit into a unit,
+-- one part apart. The parts are milliseconds if that is enough.
 local function parts_of(count, unit)
   if unit % MILLISECOND == 0 and unit / MILLISECOND > count then
     return unit / MILLISECOND
@@ -472,7 +476,7 @@ local function parts_of(count, unit)
 end
 
 --- Return the earliest times of the steps of a run, in seconds; nil if there are none.
----@param steps { group: rfsm_checks.Group, sources: integer[] }[] see `Timing:after`
+---@param steps { group: rfsm_checks.Group, sources: integer[] }[] from `Timing:after`
 ---@return number[]?
 function Timing:times_of(steps)
   local at, parts, is_done = {}, parts_of(#steps, self.unit), false

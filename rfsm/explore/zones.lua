@@ -1,9 +1,9 @@
 --- Zones: sets of values of clocks that run at the same speed.
 --
--- A zone of n clocks is a difference bound matrix (Dill 1989): for each pair i, j, with
--- 0 for a clock that is always 0, it has a bound on x_i - x_j. It is a list, row by
--- row, and closed: no bound can be made less by combining others. A bound is a whole
--- number: 2b + 1 means "at most b", 2b "less than b", and infinity no bound.
+-- A zone of n clocks is a difference bound matrix (Dill 1989): for each pair i, j from
+-- 0 to n it has a bound on x_i - x_j, where x_0 is always 0. The matrix is a list, row
+-- by row. It is closed: no bound becomes less if other bounds are combined. A bound is
+-- a number: 2b + 1 means "at most b", 2b means "less than b", and infinity is no bound.
 --
 -- @module rfsm.explore.zones
 -- @license BSD-3-Clause
@@ -27,13 +27,13 @@ local function sum(a, b)
   return a + b - a % 2 - b % 2
 end
 
---- Return the zone of no clock.
+--- Return the zone that has no clocks.
 function zones.new() return { ZERO } end
 
---- Return the zone of all values that the clocks may have later.
+--- Return the zone of all values that the clocks may have as time goes on.
 ---@param zone number[]
 ---@param count integer clocks
----@return number[] zone a new one
+---@return number[] zone a new list
 function zones.up(zone, count)
   local later, size = {}, count + 1
   for at, bound in ipairs(zone) do
@@ -63,7 +63,7 @@ function zones.bounded(zone, count, i, j, bound)
   return closed
 end
 
---- Return the zone of some of the clocks, and of new ones.
+--- Return a zone that keeps some of the clocks, and has new clocks that begin at 0.
 ---@param zone number[]
 ---@param count integer clocks
 ---@param sources integer[] numbers of clocks that stay; 0 for a new one
@@ -81,7 +81,7 @@ end
 
 --- Are all values of the second zone in the first one?
 ---@param zone number[]
----@param other number[] of as many clocks
+---@param other number[] the second zone, with as many clocks
 ---@return boolean
 function zones.includes(zone, other)
   for at = 1, #zone do

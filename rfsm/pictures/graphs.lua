@@ -1,6 +1,8 @@
 --- Levels as graphs for Graphviz, and the positions in the answers of Graphviz.
 --
--- One run of Graphviz lays out many levels, because its start takes the longest.
+-- A *level* is the inside of one composite, a *gate* the place where an arrow crosses
+-- its frame (see `rfsm.pictures.links`). One run of Graphviz lays out many levels,
+-- because the start of Graphviz takes longest.
 --
 -- The file reads in this order: boxes with ports, graphs, answers, public functions.
 --
@@ -16,8 +18,9 @@ local concat, sort, add = table.concat, table.sort, diagram.add
 
 local graphs = {}
 
---- Has Graphviz lay out graphs. Returns them with positions, or nil and a problem.
--- In this file no statement of an answer is broken: `rfsm.pictures.layout` joins lines.
+--- A function that has Graphviz lay out graphs. It returns the graphs with positions as
+-- an answer, or nil and a problem. In the answers that this file reads, each statement
+-- is one line: `rfsm.pictures.layout` has joined broken lines.
 ---@alias rfsm.pictures.Run fun(graphs: string): string?, string?
 
 -- Boxes: composites, with a port for each gate --------------------------------
@@ -25,20 +28,22 @@ local graphs = {}
 local TABLE = '<TABLE BORDER="0" CELLBORDER="0" CELLSPACING="0" CELLPADDING="0">'
 local CELL = '<TD FIXEDSIZE="TRUE" WIDTH="%d" HEIGHT="%d"%s>%s</TD>'
 
--- Returns cells in a row if the direction is TB, else in a column.
+-- Returns a table with cells in a column if the direction is LR, else in a row.
 local function table_of(direction, cells)
   return TABLE .. "<TR>" .. concat(cells, direction == "LR" and "</TR><TR>" or "")
     .. "</TR></TABLE>"
 end
 
--- Returns a cell with its sizes across the arrows of a level, and along them.
+-- Returns a cell. `across` is its size across the arrows of a level, `along` its size
+-- along them.
 local function cell_of(direction, across, along, port, content)
   if direction == "LR" then across, along = along, across end
   return CELL:format(across, along, port and (' PORT="%s"'):format(port) or "",
     content or "")
 end
 
--- Returns a side of a box as cells: one with a port at each gate, empty ones between.
+-- Returns a side of a box as cells: a cell with a port for each gate, and empty cells
+-- between them.
 local function side_text(level, list, length)
   local direction, cells, from = level.direction, {}, 0
   local function add_cell(size, port)
@@ -55,7 +60,7 @@ local function side_text(level, list, length)
   return cell_of(direction, length, 1, nil, table_of(direction, cells))
 end
 
--- The gates at a side, in the order of their positions.
+-- Returns the gates at a side, in the order of their positions.
 local function gates_at(level, is_upper)
   local list = {}
   for _, gate in ipairs(level.gates) do
@@ -82,16 +87,16 @@ end
 
 local POINT = '%s [shape=box, style=invis, label="", width=0.01, height=0.01]'
 
--- Are name and rows of a composite a node in the first rank, beside the gates there? If
--- not, they are the label of the graph.
+-- Is the header of a composite, its name and rows, a node in the first rank beside the
+-- gates there? If not, the header is the label of the graph.
 local function has_header_rank(level)
   local is_upper = false
   for _, gate in ipairs(level.gates) do is_upper = is_upper or gate.is_upper end
   return is_upper and level.direction == "TB" and level.composite.fqn ~= nil
 end
 
--- Adds name and rows of a composite, and its gates: the upper ones in the first rank,
--- the lower ones in the last.
+-- Adds the header of a composite, and its gates: the upper gates in the first rank, the
+-- lower gates in the last.
 local function add_border(lines, level)
   local first, last, composite = {}, {}, level.composite
   local header = composite.fqn and looks.state_label(composite)
@@ -128,7 +133,8 @@ local function add_nodes(lines, level)
   end
 end
 
--- Keeps name and rows above the nodes that no link keeps below another node.
+-- Keeps the header above all nodes: an invisible edge leads from the header to each
+-- node that no link keeps below another node.
 local function add_order(lines, level)
   local is_lower = {}
   for _, link in ipairs(level.links) do
@@ -141,7 +147,8 @@ local function add_order(lines, level)
   end
 end
 
--- Adds the labels of arches. The line at the left of a label leads to the left gate.
+-- Adds the labels of arches. An arch is a label above a composite, with two lines from
+-- the label to gates of the frame: the left line leads to the left gate.
 local function add_arches(lines, level)
   for _, link in ipairs(level.links) do
     local legs = link.arch and link.arch.legs
@@ -166,7 +173,8 @@ end
 
 local COMPASS = { TB = { "s", "n" }, LR = { "e", "w" } }
 
--- Returns an end of an edge. The compass has the line meet a frame at a right angle.
+-- Returns the text of an end of an edge. Its compass point makes the line meet a frame
+-- at a right angle.
 local function end_text(level, finish, is_tail)
   local compass = COMPASS[level.direction][is_tail and 1 or 2]
   if not finish.node then return finish.gate.id .. ":" .. compass end
@@ -191,7 +199,7 @@ local function add_link(lines, level, link)
     has_label and ", label=" .. looks.roomy_label(link.arrow) or ""))
 end
 
-local LARGE = 100 -- links
+local LARGE = 100 -- links in a level
 
 local function graph_of(level)
   local composite = level.composite
@@ -220,7 +228,7 @@ end
 
 -- Answers ---------------------------------------------------------------------
 
--- Returns the position of the last character of a value, given that of the first one.
+-- Returns the position of the last character of the value that begins at `from`.
 local function value_end(text, from)
   local first = text:sub(from, from)
   if first == "<" then return select(2, text:find("%b<>", from)) end
@@ -232,7 +240,8 @@ local function value_end(text, from)
   return position
 end
 
--- Reads attributes. Returns them, and the position behind them.
+-- Reads the attributes that begin at a position. Returns their table, and the position
+-- behind them.
 local function read_attributes(text, position)
   local attributes = {}
   while true do
@@ -253,7 +262,7 @@ end
 
 local numbers_in = graphs.numbers_in
 
---- Return the middle of a node, and its size.
+--- Return the middle of a node and its size, in points.
 function graphs.box_of(attributes)
   local point = numbers_in(attributes.pos)
   return { x = point[1], y = point[2], width = attributes.width * 72,
@@ -314,9 +323,10 @@ local function read_element(level, id, attributes)
 end
 
 --- Call f(id, attributes, cluster) for each element in a graph of an answer; `cluster`
--- is the one that has begun last. Return the position behind the graph.
+-- is the cluster that began last. Return the position behind the graph.
 --
--- Graphviz 16 leaves out a width or height that is the same in the line "node [...]".
+-- Graphviz 16 omits the width or height of a node that equals the one in the statement
+-- "node [...]".
 function graphs.read(text, position, f)
   local cluster, usual = nil, {}
   while true do
@@ -346,7 +356,7 @@ end
 
 -- Public functions ------------------------------------------------------------
 
-local MARGIN = 10 -- points between a frame and what is in it
+local MARGIN = 10 -- points between a frame and the nodes in it
 
 local function place_gate(level, gate)
   local x, y = gate.at[1] + level.x, gate.at[2] + level.y
@@ -387,7 +397,7 @@ function graphs.lay_out(list, run)
   end
 end
 
---- Have Graphviz measure labels; return their boxes, or nil and the problem.
+--- Have Graphviz measure labels. Return their boxes, or nil and a problem.
 function graphs.sizes_of(labels, run)
   local lines = { "digraph {", looks.head("TB"), '  node [shape=plain, style=""]' }
   for i, label in ipairs(labels) do add(lines, 1, ("n%d [%s]"):format(i, label)) end

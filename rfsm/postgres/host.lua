@@ -1,9 +1,10 @@
---- Machines in rows of PostgreSQL: the host that `rfsm.server.functions` has there.
+--- Machines in rows of PostgreSQL: the host through which `rfsm.server.functions` reads
+--- and writes them.
 --
 -- The functions run inside the server (`rfsm.postgres.pllua`), or in a client
--- (`rfsm.postgres`). The row is saved when a function has ended, so a client whose
+-- (`rfsm.postgres`). The row is saved after a function has ended. So a client whose
 -- statements wait in coroutines does not enter a function twice. An error ends the
--- transaction, so it changes nothing.
+-- transaction, so that nothing is changed.
 --
 -- @module rfsm.postgres.host
 -- @license BSD-3-Clause
@@ -11,38 +12,38 @@
 local ipairs = ipairs
 local floor = math.floor
 
---- The row of the machine of a call.
+--- The row of the machine for which a function was called.
 ---@class rfsm.postgres.Row
 ---@field is_read boolean? the row is only read, so it is not locked
----@field list any[]|nil the value of the machine
----@field us number|nil the time in microseconds, if the row was read before the call
+---@field list any[]|nil the column `value`, which is the saved machine
+---@field us number|nil the time in microseconds; given if the row was read before
 ---@field execute function runs a statement, see `rfsm.postgres.Server`
 ---@field change rfsm.postgres.Change|nil what is to be written
 
---- The arguments with which a function has called `write` of the host.
+--- The arguments with which a function has called `write`; they are saved when it ends.
 ---@class rfsm.postgres.Change
 ---@field machine rfsm.server.Machine
----@field due number|nil
----@field emitted string[][]
----@field errors string[]
----@field data string JSON
+---@field due number|nil time in seconds at which the machine has something to do
+---@field emitted string[][] each { name, data }, where data is JSON or ""
+---@field errors string[] texts of errors
+---@field data string JSON for the column `data`
 
---- What the host uses of the server, or of a client.
+--- Functions of the server, or of a client, that the host uses.
 ---@class rfsm.postgres.Server
----@field execute fun(name: string, ...: any): table[] the rows of a statement of `host`
----@field json table `decode`; `list_of` makes a list of the column `value`; `datum`
---- makes an argument of a statement of a JSON text
----@field warn fun(text: string)
----@field refuse fun(text: string): any raises what is wrong with the call, or returns
---- the reply of a newer library
+---@field execute fun(name: string, ...: any): table[] runs a statement, returns rows
+---@field json table `decode`; `list_of` returns the column `value` as a list; `datum`
+--- returns a JSON text as an argument of a statement
+---@field warn fun(text: string) reports an error of a callback
+---@field refuse fun(text: string): any raises the text as an error, or returns the
+--- reply of a newer library
 
 local host = {}
 
---- Functions that need no lock.
+--- Functions that only read the machine, so that its row needs no lock.
 host.READ_ONLY = { rfsm_get = true, rfsm_why = true }
 
---- Statements by their names. Those that write a machine return a row if they did. The
--- casts are for drivers that give all parameters the type text.
+--- Statements by their names. A statement that writes a machine returns a row if it has
+-- written one. The casts are for drivers that give all parameters the type text.
 host.STATEMENTS = {
   read = "SELECT value FROM rfsm.machines WHERE key = $1",
   lock = "SELECT value FROM rfsm.machines WHERE key = $1 FOR UPDATE",
@@ -82,8 +83,8 @@ local function save_effects(server, execute, key, change)
   end
 end
 
--- Writes the row of a machine; returns false if that of a new machine exists. Each move
--- is an update, so that triggers see it. Events that moved nothing are noted here.
+-- Writes the row of a machine; returns false if the machine is new but has a row. Each
+-- move is an UPDATE, so that triggers see it. Events that moved nothing are noted.
 local function save(server, execute, key, change)
   local machine = change.machine
   local is_new, by = machine.leaf == false, nil
@@ -110,9 +111,9 @@ local function in_sql(text)
     :gsub("%(rfsm_create makes one%)$", "(rfsm.create makes one)"))
 end
 
---- Return a function `answer(name, key, args, found)` that calls a function for the
--- machine at a key. If the row was read before, `found` has its `list`, `us` and
--- `execute`. `require`, charts and options are what a library returns.
+--- Return a function `answer(name, key, args, found)` that calls the function `name`
+-- for the machine at a key. If the row was read before, `found` has its `list`, `us`
+-- and `execute`. `require`, `charts` and `options` come from the bundled library.
 ---@param server rfsm.postgres.Server
 function host.new(server, require, charts, options)
   local data_of = require("rfsm.server.charts").data_of

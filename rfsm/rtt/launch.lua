@@ -1,8 +1,8 @@
 --- Machines launched in the components and services of Orocos RTT-Lua.
 --
 -- `service_launch_rfsm` puts a chart into the Lua service of a component,
--- `component_launch_rfsm` into a Lua component of its own. Both are fields of
--- `rfsm.rtt`. They execute a text in the other Lua, which loads
+-- `component_launch_rfsm` into a new Lua component. Both are fields of `rfsm.rtt`. They
+-- execute a program in the Lua of that service or component. The program loads
 -- `rfsm.rtt.component` there.
 --
 -- @submodule rfsm.rtt
@@ -23,7 +23,7 @@ local rtt_launch = {}
 
 -- The text that the other Lua executes ---------------------------------------------
 
--- Returns a value as a text that Lua reads; raises if there is none, as for a function.
+-- Returns a value as Lua source. Raises an error if it has none, such as a function.
 local function to_text(value, path)
   local kind = type(value)
   if kind == "string" then return ("%q"):format(value) end
@@ -42,8 +42,8 @@ local function to_text(value, path)
 end
 
 -- This library's modules are found first, since another rfsm may be installed. The
--- reason of a failure is written into a file, since `exec_str` returns false only.
--- Nothing is done in that Lua after the hook is enabled, since OCL takes no lock.
+-- reason of a failure is written to a file, since `exec_str` only returns false. After
+-- the hook is enabled the program does nothing more in that Lua: OCL takes no lock.
 local PROGRAM = [[
 local launch = %s
 local ok, hook = pcall(function()
@@ -65,7 +65,7 @@ end
 if hook then hook:enable() end
 ]]
 
--- Returns the part of package.path for this library's modules; empty if not known.
+-- Returns the part of package.path for this library's modules; "" if it is not known.
 local function own_template()
   local source = debug and debug.getinfo(1, "S").source
   local folder = source and source:match("^@(.*)rfsm[/\\]rtt[/\\]launch%.lua$")
@@ -76,7 +76,7 @@ end
 
 local NO_REASON = "RTT's log has the reason"
 
--- Launches in the Lua of an operation exec_str; raises the reason of a failure.
+-- Executes PROGRAM through the operation `exec_str`. If it fails, raises the reason.
 local function execute(exec_str, launch)
   local fields, file = to_text(launch, ""), os.tmpname()
   local program = PROGRAM:format(fields, own_template(), ";" .. package.path, file)
@@ -94,13 +94,13 @@ end
 -- The service's Lua gets the globals `fsm`, `trigger`, `setfqn`, `eehook`. With
 -- `eehook` the machine takes a step at each update, otherwise at each `trigger()`.
 --
--- Fields of `options` are those of rfsm.rtt.Launch from `fsmfile` on.
+-- `more` can have the fields of rfsm.rtt.Launch from `fsmfile` on.
 --
 -- @usage
 --    local exec_str = component:provides("Lua"):getOperation("exec_str")
 --    rfsm_rtt.service_launch_rfsm("gripper.lua", exec_str, true)
 --
--- @raise when an argument is wrong or the launch fails; then no port is left
+-- @raise when an argument is wrong or the launch fails; then no port remains
 ---@param file string the chart
 ---@param exec_str fun(code: string): boolean the service's operation
 ---@param eehook? boolean
@@ -149,7 +149,7 @@ function rtt_launch.service_halt_rfsm(target, seconds)
   halt:set(true)
   for _ = 1, (seconds or 1) * 1000 do
     local is_halted = halted:get()
-    sleep(0, millisecond) -- the thread leaves this Lua after the value is set
+    sleep(0, millisecond) -- the value is set just before the thread leaves this Lua
     if is_halted then return true end
   end
   halt:set(false)
@@ -165,7 +165,7 @@ function rtt_launch.service_resume_rfsm(exec_str)
   error("rfsm.rtt.service_resume_rfsm: RTT's log has the reason", 2)
 end
 
--- Returns the deployer: the component that is given, or the peer with a name.
+-- Returns the deployer: the given component, or the peer that has the given name.
 local function find_deployer(wanted)
   local found, peer = true, wanted
   if type(wanted) == "string" then
@@ -182,7 +182,7 @@ local function launch_component(args)
   local name, kind = launch.name, launch.luatype or "OCL::LuaComponent"
   local deployer = find_deployer(launch.deployer or "Deployer")
   launch.deployer = deployer:getName()
-  to_text(launch, "") -- before anything is loaded
+  to_text(launch, "") -- raises an error before anything is loaded
   if not deployer:getOperation("loadComponent")(name, kind) then
     error(("the deployer loads no '%s' of type '%s', %s"):format(name, kind, NO_REASON),
       0)
@@ -200,11 +200,11 @@ local function launch_component(args)
   error(why, 0)
 end
 
---- Launch a machine in a component of its own.
+--- Launch a machine in a new component.
 --
--- The component is loaded and has the machine, with the port `fqn`, and `events_in`
--- unless the chart has a getevents. Set its activity, connect its ports, configure and
--- start it. An event triggers an update, and an update runs the machine.
+-- The component has the machine, the port `fqn`, and `events_in` unless the chart has a
+-- getevents. Set its activity, connect its ports, configure and start it. An event
+-- triggers an update, and an update runs the machine.
 --
 -- @usage
 --    local gripper = rfsm_rtt.component_launch_rfsm {
@@ -213,9 +213,9 @@ end
 --    gripper:configure()
 --    gripper:start()
 --
--- @raise when an argument is wrong or the launch fails; then no component is left
+-- @raise when an argument is wrong or the launch fails; then no component remains
 ---@param args rfsm.rtt.Launch
----@return any component not configured
+---@return any component the new component, which is not configured
 function rtt_launch.component_launch_rfsm(args)
   local ok, result = pcall(launch_component, args)
   if ok then return result end

@@ -1,7 +1,7 @@
--- The whole program of a Lua component of Orocos RTT: name this file in the property
--- `lua_file`. The fields of its launch are the global `rfsm_launch`, which the property
--- `lua_string` may set. Without it the chart is NAME.lua in the current folder, by the
--- name of the component.
+-- The whole program of a Lua component of Orocos RTT. Name this file in the property
+-- `lua_file`. The property `lua_string` may set the global `rfsm_launch`, a table with
+-- the fields of the launch. Without this table the chart is the file NAME.lua in the
+-- current folder, where NAME is the name of the component.
 --
 --   gripper.lua_file = "/usr/local/share/lua/5.1/rfsm/rtt/program.lua"
 --   gripper.lua_string = "rfsm_launch = { fsmfile = 'charts/gripper.lua' }"
@@ -23,6 +23,6 @@ end
 
 rawset(_G, "configureHook", function()
   local ok, why = pcall(launch)
-  if not ok then error(tostring(why), 0) end -- a text: others mute RTT's log
+  if not ok then error(tostring(why), 0) end -- an error that is no text mutes RTT's log
   return true
 end)

@@ -1,8 +1,8 @@
 --- The clock of the machines in a server.
 --
--- A machine that runs does not see the server's clock, but this one. It begins at the
--- time at which the machine was saved, jumps to each time at which a timer or an event
--- was due, and ends at the time of the call.
+-- A running machine does not see the server's clock, but this clock. This clock begins
+-- at the time at which the machine was saved, jumps to each time at which a timer or an
+-- event was due, and ends at the time of the call.
 --
 -- @module rfsm.server.times
 -- @license BSD-3-Clause
@@ -13,8 +13,8 @@ local floor, max = math.floor, math.max
 
 local times = {}
 
--- The server; the time of the call, which is read when it is needed; the time that
--- machines see. A time that was not read yet is false.
+-- `host` is the server, from which the time of a call is read when it is needed. `sec`
+-- and `nsec` are the time that machines see. A time that was not read yet is false.
 local host, call_sec, call_nsec = nil, false, 0
 local sec, nsec = false, 0
 
@@ -52,7 +52,7 @@ function times.advance(seconds)
   sec, nsec = sec + whole + floor(rest / 1e9), rest % 1e9
 end
 
---- Let time pass until a time in one number, which is exact to the microsecond.
+--- Let time pass until `seconds`, a time as one number, exact to the microsecond.
 function times.advance_to(seconds)
   local whole = floor(seconds)
   local rest = floor((seconds - whole) * 1e6 + 0.5) * 1000
@@ -62,7 +62,7 @@ end
 --- Begin a call: the time is read anew.
 function times.begin() call_sec, sec = false, false end
 
---- Make this clock that of all machines, and read the times of calls from a server.
+--- Have all machines use this clock, and read the times of calls from a server.
 function times.open(server)
   host = server
   clock.set_hook(times.get)

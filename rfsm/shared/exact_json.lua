@@ -18,10 +18,10 @@ local jit, math_type = rawget(_G, "jit"), rawget(math, "type")
 
 local exact_json = {}
 
-local EXACT = 2 ^ 53 -- up to which every Lua has the whole numbers
+local EXACT = 2 ^ 53 -- every Lua has all whole numbers up to this one
 local MAX_DEPTH = 100
 
---- Is a value what decoders of JSON return for null?
+--- Is a value the null of a JSON decoder?
 local function is_null(value)
   local kind = type(value)
   if kind == "userdata" then return text_of(value):find("[Nn][Ui][Ll]") ~= nil end
@@ -34,8 +34,9 @@ end
 
 exact_json.is_null = is_null
 
---- Return digits that give back a number, the same on every Lua (5.3 shows 5.0) and in
---- every locale (some have a comma). An infinite number is an error.
+--- Return the digits of a number, enough of them to read it back. They are the same on
+--- every Lua (5.3 prints 5.0) and in every locale (some print a comma). An infinite
+--- number is an error.
 ---@param n number
 ---@return string digits
 function exact_json.digits_of(n)
@@ -78,7 +79,7 @@ local function keys_of(object)
   return keys
 end
 
-if jit then jit.off(keys_of) end -- it runs often: see `rfsm.shared.order`
+if jit then jit.off(keys_of) end -- LuaJIT may compile `next` wrongly
 
 local function encode_object(object, depth)
   local fields = keys_of(object)

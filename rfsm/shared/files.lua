@@ -11,7 +11,7 @@ local files = {}
 function files.read(name)
   local handle, problem = io.open(name, "rb")
   if not handle then return nil, problem end
-  local text, why = handle:read("*a") -- a directory opens, too
+  local text, why = handle:read("*a") -- a directory can be opened, but not read
   handle:close()
   return text, why and name .. ": " .. why
 end
@@ -26,8 +26,8 @@ function files.write(name, text)
   return false, name .. ": " .. (why or why_not)
 end
 
---- Return the content of a file that is found as modules are, by a name with slashes
--- and without its ending (".lua"); nil if it is not found, or is bytecode.
+--- Search `package.path` for a file and return its content. `name` has slashes and no
+-- ending, `ending` is ".lua" by default. Return nil if no file is found, or bytecode.
 function files.find(name, ending)
   for template in package.path:gmatch("[^;]+") do
     local file = template:gsub("%?", name):gsub("%.lua$", ending or ".lua")
@@ -36,7 +36,7 @@ function files.find(name, ending)
   end
 end
 
---- Return random bytes as hexadecimal digits; nil if the system has none.
+--- Return random bytes as hexadecimal digits; nil if there is no /dev/urandom.
 function files.random(count)
   local handle = io.open("/dev/urandom", "rb")
   local bytes = handle and handle:read(count)

@@ -1,7 +1,7 @@
 --- Instruments: a tool replaces fields of machines and their elements, and adds hooks,
 --- for a while.
 --
--- Each function takes a list and appends its changes, which `give_back` takes back.
+-- Each function appends its changes to a list, from which `give_back` undoes them.
 --
 -- @module rfsm.shared.instrument
 -- @license BSD-3-Clause
@@ -13,7 +13,7 @@ local ipairs, rawequal, rawget = ipairs, rawequal, rawget
 
 local instrument = {}
 
---- Replace a field; return the change, with the old value `own` and the `new` one.
+--- Replace a field. Return the change: `own` has the old value, `new` the new one.
 function instrument.put(changes, obj, field, value)
   local done = { obj = obj, field = field, own = rawget(obj, field), new = value }
   changes[#changes + 1] = done
@@ -21,18 +21,18 @@ function instrument.put(changes, obj, field, value)
   return done
 end
 
---- Have a printer of a machine call a function first.
+--- Have a printer of a machine, such as `warn`, call a function first.
 function instrument.listen(changes, fsm, name, note)
   local own = fsm[name]
   instrument.put(changes, fsm, name, function(...)
     note(...)
     if rfsm.is_callable(own) then return own(...) end
-    if own then rawget(_G, "print")(calls.text("\t", ...)) end -- for a printer `true`
+    if own then rawget(_G, "print")(calls.text("\t", ...)) end -- a printer may be true
   end)
 end
 
 --- Add a hook of a kind to a machine: "pre_step" and "post_step" of each iteration,
--- "path", "reset". The hook keeps no list of events.
+-- "path", "reset". The hook must not keep a list of events, see `rfsm.borrows`.
 function instrument.hook(changes, fsm, kind, hook, where)
   rfsm[kind .. "_hook_add"](fsm, rfsm.borrows(hook), where)
   changes[#changes + 1] = { remove = function()
@@ -40,7 +40,8 @@ function instrument.hook(changes, fsm, kind, hook, where)
   end }
 end
 
---- Add a hook of a kind, "entry" or "watch", to a state or to what is watched.
+--- Add a hook of the kind "entry" to a state, or of the kind "watch" to an occurrence
+--- such as "sent" or "failed".
 function instrument.hook_of(changes, fsm, kind, subject, hook)
   rfsm[kind .. "_hook_add"](fsm, subject, hook)
   changes[#changes + 1] = { remove = function()

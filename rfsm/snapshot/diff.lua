@@ -1,9 +1,9 @@
---- What a new version of a chart means for machines of the old one, state by state.
+--- Compare two versions of a chart: what the new one means for machines of the old one.
 --
--- A machine of the old chart is put into each leaf, also of each region, and is saved
--- and restored with the new chart. All fields that are kept have a value, the first one
--- or `true`; all other regions are in their first leaf. The root of the new chart may
--- have the options `rename` and `migrate`, as in Redis.
+-- A machine of the old chart is put into each leaf, also of each region, then it is
+-- saved and restored with the new chart. All fields that are kept have a value: their
+-- first value, or `true`. All other regions are in their first leaf. The root of the
+-- new chart may have the options `rename` and `migrate`, as in `rfsm.redis`.
 --
 -- @module rfsm.snapshot.diff
 -- @license BSD-3-Clause
@@ -77,11 +77,11 @@ local function note_timers(notes, list, others, text)
   end
 end
 
---- What happens to the machines in a leaf.
+--- The result for machines of the old chart that are in one leaf.
 ---@class rfsm.snapshot.Fate
 ---@field leaf string location in the old chart
----@field to string|false location in the new chart; false: it is not moved
----@field notes string[] timers that change; or why it is not moved
+---@field to string|false location in the new chart; false: the machine is not moved
+---@field notes string[] timers that change; or the reasons if the machine is not moved
 
 local function reasons(problem, list, options)
   local reason = problem:match("^rfsm%.snapshot: ([^\n]-):?\n") or problem
@@ -93,8 +93,8 @@ local function reasons(problem, list, options)
   return notes
 end
 
--- Returns the place of the machine or region that was at an old prefix; that of the
--- outermost machine if there is none.
+-- Returns the place of the machine or region that had a prefix in the old chart. If the
+-- new chart has no such region, returns the place of the outermost machine.
 local function place_from(fsm, prefix, rename)
   prefix = migrate.renamed(prefix, rename or {})
   local places = shape.of(fsm).places
@@ -125,10 +125,10 @@ local function fate_of(places, at, leaf, model, options)
   return fate
 end
 
---- Compare two versions of a chart. They are models, which should print nothing. The
--- root of the new one may have `rename` and `migrate`.
+--- Compare two versions of a chart. Both are models, whose callbacks should print
+--- nothing. The root of the new version may have `rename` and `migrate`.
 -- @raise if one of them is no valid chart
----@return string[] difference empty if the structure and what is kept are the same
+---@return string[] difference lines; none if structure and kept fields are equal
 ---@return rfsm.snapshot.Fate[] fates one for each leaf of the old chart and its regions
 function diff.compare(old, new)
   local before, after = new_machine(old), new_machine(new)

@@ -1,4 +1,4 @@
---- Descriptions: the table from which a system is made, checked whole.
+--- Descriptions: the tables from which systems are made, and the checks of the tables.
 --
 -- Functions that check append problems to a list and raise no error. No callback runs.
 --
@@ -23,13 +23,13 @@ local concat, huge = table.concat, math.huge
 
 local description = {}
 
---- What has been read of a description, and its problems.
+--- The parts of a description that have been read, and the problems found.
 ---@class rfsm.system.Draft
 ---@field file? string
----@field lines table<string|integer, integer> of machines by name, of wires by number
+---@field lines table<string|integer, integer> by name of a machine or number of a wire
 ---@field problems string[]
----@field models table<string, rfsm.State>
----@field machines table<string, rfsm.Machine> of the models, for checks; they never run
+---@field models table<string, rfsm.State> charts by the names of machines
+---@field machines table<string, rfsm.Machine> machines for the checks; they never run
 
 local function place_of(draft, key)
   local line = draft.lines[key]
@@ -41,7 +41,7 @@ local function add(draft, key, text, place)
   draft.problems[#draft.problems + 1] = place .. (place ~= "" and ": " or "") .. text
 end
 
--- Lines: read from the text of the file, as a table does not know its own --------
+-- Lines: from the text of the file, since a table does not know its lines --------
 
 local function line_at(text, at)
   return select(2, text:sub(1, at - 1):gsub("\n", "")) + 1
@@ -49,8 +49,7 @@ end
 
 local function blank(text) return (text:gsub("[^\n]", " ")) end
 
--- Notes the lines of wires. They are not known if the text does not have one table for
--- each wire in `list`.
+-- Notes the lines of the wires, if the text has as many tables as `list` has wires.
 local function note_wires(lines, text, at, list)
   local from, wires = text:match("^%s*()(%b{})", at)
   local found = {}
@@ -60,7 +59,7 @@ local function note_wires(lines, text, at, list)
   for i = 1, wires and #found == #list and #list or 0 do lines[i] = found[i] end
 end
 
--- Notes the lines of fields, and reports names that stand twice: Lua keeps the last.
+-- Notes the lines of fields. Reports names that occur twice, as Lua keeps the last one.
 local function note_fields(draft, text, at, fields)
   local lines = draft.lines
   for offset, name in fields:gmatch("()%f[%w_]([%a_][%w_]*)%s*=%f[^=]") do
@@ -73,8 +72,8 @@ local function note_fields(draft, text, at, fields)
   end
 end
 
--- Notes the lines of machines by name, and those of wires by number. The table that has
--- the field `wires` is taken for the description.
+-- Notes the lines of machines by name, and the lines of wires by number. The table that
+-- has the field `wires` is taken for the description.
 local function note_lines(draft, list)
   local text = code.of(draft.file and io and files.read(draft.file) or "")
   for at, whole in text:gmatch("()(%b{})") do
@@ -137,7 +136,7 @@ local function one_of(a, b)
   return function(x) return x == a or x == b end
 end
 
--- Returns description, test, default of each field of a wire.
+-- Returns for each field of a wire: a description, a test, and the default.
 local function fields_of(draft)
   local function is_name(x) return description.is_name(draft.models, x) end
   return {
@@ -207,11 +206,11 @@ local function check_wires(draft, list)
   end
 end
 
---- Read a description; nil and all its problems in one text if it is wrong.
+--- Read a description. If it is wrong, return nil and all its problems as one text.
 ---@param given any
----@param file? string in which it stands
----@return table? parts names, models, wires, file
----@return string? text
+---@param file? string file that has the description
+---@return table? parts the fields names, models, wires and file
+---@return string? text the problems
 function description.read(given, file)
   if type(given) ~= "table" or rfsm.is_fsmobj(given) then
     return nil, "rfsm.system: table of machines expected, " .. opts.got(given)

@@ -5,7 +5,7 @@
 -- machine has a walk (`rfsm.explore.explore`), by which the engine takes a step once
 -- for each configuration and list of events that were read. The outcomes are kept.
 --
--- A product has the fields of a walk that graphs and properties read.
+-- A product also has the fields of a walk that graphs and properties read.
 --
 -- @module rfsm.system.product
 -- @license BSD-3-Clause
@@ -29,28 +29,29 @@ local product = {}
 --- A walk over the configurations of several machines.
 ---@class rfsm.system.Product
 ---@field members rfsm.system.Member[]
----@field wires rfsm.system.Wire[] between them
----@field keys table[] configurations: `numbers` of those of the machines, `queues` of
--- the wires
----@field numbers table<string, integer> configuration by its text
----@field labels string[] configuration -> member and outcome of that move: "2:7"
+---@field wires rfsm.system.Wire[] wires between the members
+---@field keys table[] configurations: `numbers` has the configuration of each machine,
+-- `queues` the queue of each wire
+---@field numbers table<string, integer> number of a configuration by its text
+---@field labels string[] by configuration, the move that first led to it: "2:7" is
+-- outcome 7 of member 2
 ---@field steps integer[] targets of moves; negative: without an event from outside
----@field movers integer[] for each of these moves the number of the member
----@field lost table<rfsm.system.Wire, table> the first move that loses an event
+---@field movers integer[] by index of `steps`, the number of the member that moved
+---@field lost table<rfsm.system.Wire, table> the first move that loses the wire's event
 ---@field carries table<rfsm.system.Wire, true> wires over which an event goes
 ---@field is_partial boolean some steps of a machine were not tried
 local Product = { note_untried = explore.note_untried }
 Product.__index = Product
 
---- A machine of a product: its walk, and more.
+--- A machine of a product: its walk, and fields that the product needs.
 ---@class rfsm.system.Member: rfsm_checks.Walk
 ---@field name string
 ---@field number integer
----@field confs rfsm_checks.Configuration[] of this machine
----@field moves table<integer, table> outcomes by configuration and what was read
----@field wired table<string, boolean> events of its wires; true: come by wires alone
+---@field confs rfsm_checks.Configuration[] configurations of this machine alone
+---@field moves table<integer, table> outcomes by configuration, then by events read
+---@field wired table<string, boolean> events that wires bring; true: only wires do
 ---@field takes table<string, true> events that transitions have taken
----@field outgoing table<string, integer[]> the wires that it puts an event into
+---@field outgoing table<string, integer[]> by event, the numbers of wires that take it
 
 -- Steps of one machine ..............................................................
 
@@ -60,8 +61,9 @@ local function add_configuration(member, number)
   return number
 end
 
--- Returns for each event of a property that came in the last step whether a transition
--- took it. Notes all events that were taken. An event with data stands under its name.
+-- Returns a table: for each event of a property that came in the last step, whether a
+-- transition took it. Also notes all events that were taken, in `member.takes`. Events
+-- with data are noted by their names.
 local function events_of(member)
   local came, own = {}, member.subject
   for _, event in ipairs(own.last_events) do
@@ -73,8 +75,8 @@ local function events_of(member)
   return came
 end
 
--- Returns what the last step of a machine did: the configuration to which it has led,
--- the events from outside, and the events that it has emitted.
+-- Returns the outcome of a machine's last step: the configuration to which the step has
+-- led, the events from outside, and the events that were emitted.
 local function new_outcome(member, try, tgt, outside)
   local own = member.subject
   local outcome = { tgt = tgt, outside = outside,
@@ -87,7 +89,7 @@ local function new_outcome(member, try, tgt, outside)
   return outcome
 end
 
--- Returns a text that tells outcomes apart.
+-- Returns a text that is different for different outcomes.
 local function text_of(outcome)
   local texts = { outcome.tgt, concat(outcome.taken, ","),
     outcome.outside[1] and "outside" or "",
@@ -98,8 +100,8 @@ local function text_of(outcome)
   return concat(texts, " ")
 end
 
--- Adds the outcome of the last step, unless it is there. The step had as many events
--- from wires as `count`.
+-- Adds the outcome of the last step, unless the list has an equal outcome. The first
+-- `count` events of the step came from wires.
 local function add_outcome(member, list, try, key, label, count)
   if not key then
     return member:note_untried("endless", "a step that does not end")
@@ -112,8 +114,8 @@ local function add_outcome(member, list, try, key, label, count)
   if not list[text] then list[text], list[#list + 1] = outcome, outcome end
 end
 
--- Returns the outcomes of the steps of a machine with what it has read, one for each
--- choice that makes a difference.
+-- Returns the outcomes of the steps of a machine with the events that it has read: one
+-- outcome for each choice that makes a difference.
 local function outcomes_of(member, number, read)
   local known, numbers = member.moves[number] or {}, {}
   member.moves[number] = known
@@ -130,14 +132,15 @@ end
 
 -- Moves .............................................................................
 
--- A wire carries one event, so in a queue "d" stands for it with data, "e" without.
+-- All events of a wire have one name. So in a queue the letter "d" stands for an event
+-- with data, the letter "e" for an event without data.
 local function copy(queue) return match.joined({}, queue) end
 
 --- Return a configuration by its number.
 function Product:configuration(number) return self.keys[number] end
 
--- Returns the number of a configuration; a new one is to be looked at later. Properties
--- read its first field: whether all machines were entered.
+-- Returns the number of a configuration. A new one is added, and is expanded later.
+-- Properties read `leaf` in its first item: whether all machines were entered.
 local function find_configuration(self, numbers, queues, from, label)
   local texts = { concat(numbers, ",") }
   for i, queue in ipairs(queues) do texts[i + 1] = concat(queue) end
@@ -153,8 +156,8 @@ local function find_configuration(self, numbers, queues, from, label)
   return number
 end
 
--- Returns the outcomes of a move, the queues after the wires were read, and for each
--- event the wire by which it came.
+-- Returns the outcomes of a move, the queues after the wires were read, and the list of
+-- wires by which the events came.
 local function moves_of(self, member, conf)
   local number, queues, read = conf.numbers[member.number], {}, {}
   if not member.confs[number][1].leaf then
@@ -171,8 +174,8 @@ local function moves_of(self, member, conf)
   return outcomes_of(member, number, read), queues, by
 end
 
--- Returns the queues after the events that a step has emitted were put into them, and
--- for each event and wire whether it was lost.
+-- Returns the queues after the emitted events of a step were put into them, and a list
+-- that has for each event and wire whether the event was lost.
 local function send(self, member, queues, emitted)
   local after, sent = emitted[1] and copy(queues) or queues, {}
   for _, item in ipairs(emitted) do
@@ -185,8 +188,8 @@ local function send(self, member, queues, emitted)
   return after, sent
 end
 
--- Notes a move. One that changes nothing counts only if it took a transition without an
--- event from outside: then the machine goes on for ever.
+-- Notes a move. A move that changes nothing counts only if it took a transition without
+-- an event from outside: then the machine goes on for ever.
 local function add_step(self, from, tgt, member, outcome, label)
   local is_internal = not outcome.outside[1]
   if tgt == from and not (is_internal and outcome.taken[1]) then return end
@@ -198,8 +201,8 @@ local function add_step(self, from, tgt, member, outcome, label)
   self.steps[at], self.movers[at], self.step_labels[at] = step, member.number, label
 end
 
--- Notes what a move shows: wires that carry or lose events, states that it passes, and
--- where it leads if an event of a property came.
+-- Notes which wires carry or lose events in a move, and which states the move passes.
+-- If an event of a property came, notes the target of the move for the property.
 local function note_move(self, move, member, outcome, sent)
   for _, each in ipairs(sent) do
     self.carries[each.wire] = true
@@ -259,8 +262,8 @@ function Product:split(name)
 end
 
 --- Return a function that returns whether "arm: root.moving" is active in a
---- configuration. For the machine of `passed`, if that is given, the moment of a step
---- counts. A product is its own subject, so that properties find this method.
+--- configuration. If `passed` is given, its machine is looked at in a moment within a
+--- step. A product is its own subject, so that properties find this method.
 function Product:view(conf, passed)
   return function(name)
     local member, path = self:split(name)
@@ -279,8 +282,9 @@ end
 
 -- Runs that stay ....................................................................
 
--- Notes which machines are treated fairly if a run stays in the component of a
--- configuration: they have nothing to do there, or a move that stays in the component.
+-- Notes to which machines a run is fair if it stays in the strongly connected component
+-- of a configuration: machines that have nothing to do in the configuration, or a move
+-- that stays in the component.
 local function note_fair(self, number, index_of, is_fair)
   local is_busy = {}
   graph.each_step(self, number, function(tgt, is_internal, at)
@@ -293,7 +297,7 @@ end
 
 --- Return the set of configurations from which moves without events from outside always
 --- lead to one of `goals`, if doos end and each machine moves again and again.
----@param goals table<integer, boolean>
+---@param goals table<integer, boolean> set of configurations
 ---@return table<integer, boolean> set
 function Product:must_reach(goals)
   local set, staying, open = {}, {}, {}
@@ -317,8 +321,8 @@ function Product:must_reach(goals)
   return set
 end
 
--- Returns the moves from a configuration to the nearest one in which a run may stay, by
--- the last call of `must_reach`.
+-- Returns the moves from a configuration to the nearest one in which a run may stay, as
+-- the last call of `must_reach` has found.
 local function way_to_stay(self, start)
   if self.staying[start] then return {} end
   local edges = setmetatable({}, { __index = function(_, number)
@@ -338,15 +342,16 @@ end
 
 --- A move of a witness.
 ---@class rfsm.system.Move
----@field machine string
----@field events string[] from outside
----@field read rfsm.system.Wire[] for each event that was read its wire
----@field sent { wire: rfsm.system.Wire, is_lost: boolean }[]
----@field choices { who: string, answer: boolean, is_doo: boolean }[]
----@field taken string[] paths of transitions
----@field leaf string|false
+---@field machine string name of the machine that moves
+---@field events string[] events from outside
+---@field read rfsm.system.Wire[] for each event that was read, the wire it came from
+---@field sent { wire: rfsm.system.Wire, is_lost: boolean }[] events put into wires
+---@field choices { who: string, answer: boolean, is_doo: boolean }[] tried answers of
+-- callbacks; for a doo, whether it ends
+---@field taken string[] paths of the transitions that were taken
+---@field leaf string|false path of the leaf after the move; false: not entered yet
 
--- Returns a move of a witness.
+-- Returns the move of a witness that leaves the configuration `from` by a label.
 local function move_of(self, from, label)
   local number, index = label:match("^(%d+):(%d+)$")
   local member = self.members[tonumber(number)]
@@ -362,10 +367,10 @@ local function move_of(self, from, label)
   return move
 end
 
---- Return the shortest run to a configuration, and if given a move from there, and the
---- way on to where the run may stay.
+--- Return the shortest run to a configuration. If `label` is given, the run goes on by
+--- that move; if `stays` is given, it then goes on to where it may stay.
 ---@param number integer
----@param label string? of a move from there
+---@param label string? label of a move from the configuration
 ---@param stays integer? target of that move, if a run that stays is shown
 ---@return rfsm.system.Move[] witness
 function Product:witness(number, label, stays)
@@ -379,8 +384,8 @@ end
 
 local EMITS = "events that the %s may emit, which sends does not name"
 
--- Adds a machine. To its subject an event that comes by wires alone is one that has a
--- maker, so that its walk does not have it come from outside.
+-- Adds a machine. In its subject each event that only comes by wires gets a maker, so
+-- that the walk of the machine does not send it from outside.
 local function add_member(self, cell, name, options)
   local member = explore.new(cell.models[name], options)
   local own, maker_of = member.subject, member.subject.maker_of
@@ -409,9 +414,9 @@ end
 
 --- Make the product of some machines of a system, with its first configuration.
 ---@param cell rfsm.System
----@param group_of table<string, string> by machine
----@param group string those of it are in the product
----@param settings table<string, rfsm_checks.Options> of the machines
+---@param group_of table<string, string> the group of each machine
+---@param group string the product has the machines of this group
+---@param settings table<string, rfsm_checks.Options> the options of each machine
 ---@return rfsm.system.Product
 function product.new(cell, group_of, group, settings)
   local self = setmetatable({ members = {}, wires = {}, keys = {}, numbers = {},

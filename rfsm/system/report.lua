@@ -30,20 +30,20 @@ local concat = table.concat
 
 local report = {}
 
---- The options of a machine: those of an exploration that belong to its chart.
+--- The options of one machine: the options of an exploration that belong to one chart.
 report.OF_MACHINE = { "alphabet", "complementary", "dry_run", "exclusive", "flags",
   "run", "same", "sends", "vars" }
 
 local OF_SYSTEM = { "configurations", "depth", "progress", "properties", "seconds" }
 
---- What is known of a system; `tostring` of it is the report as a text.
+--- The results of exploring a system; `tostring` returns them as a text.
 ---@class rfsm.system.Report
 ---@field configurations integer
----@field walks rfsm.system.Product[]
+---@field walks rfsm.system.Product[] one for each group of machines
 ---@field steps integer steps that the engine took
----@field findings rfsm_checks.Finding[] with field `witness`
+---@field findings rfsm_checks.Finding[] the field `witness` is the run to a finding
 ---@field properties { name: string, holds: boolean|nil, vacuous?: string }[]
----@field premises string[]
+---@field premises string[] assumptions under which the results hold
 ---@field bound string? the first bound that was hit
 ---@field untried string[] what was not tried, as texts
 local Report = {}
@@ -64,7 +64,7 @@ local function machines_in(cell, property)
   return names
 end
 
--- Has a product look at the event of a property.
+-- Has a product watch for the event of a property.
 local function watch_event(walk, judged)
   local member, event = walk:split(judged.property.event)
   local own = member.subject
@@ -90,14 +90,15 @@ end
 
 -- Findings ..........................................................................
 
--- Adds a finding with the run to a configuration, `shown.at`, and the moves from there.
+-- Adds a finding whose witness is a run to the configuration `shown.at`, and from there
+-- by the move `shown.label`, see `Product:witness`.
 local function add_run(walk, findings, code, path, text, shown, where)
   local finding = findings:add(code, nil, path, text, nil, where)
   if finding then finding.witness = walk:witness(shown.at, shown.label, shown.tgt) end
 end
 
--- Does a machine wait for an event? It does if it was not entered, or an event can have
--- an effect in one of its leaves which is not an end.
+-- Does a machine wait for an event? It does if it was not entered, or if one of its
+-- leaves is not an end and an event can have an effect there.
 local function is_waiting(member, conf)
   for i, part in ipairs(member.subject.parts) do
     local leaf = conf[i].leaf
@@ -108,7 +109,7 @@ local function is_waiting(member, conf)
   return false
 end
 
--- Adds a finding if nothing happens any more in a configuration, and a machine waits.
+-- Adds a finding if nothing can happen in a configuration, but a machine still waits.
 local function add_deadlock(walk, findings, number)
   local texts, waits = {}, false
   for i, member in ipairs(walk.members) do
@@ -134,7 +135,8 @@ local function takes(member, event)
     or match.has(alphabet.of_all(member.subject.parts[1].fsm).reactions, event)
 end
 
--- Finds that a wire can lose its event, never carries it, or that nobody takes it.
+-- Adds findings about a wire: it can lose its event, it never carries it, or its reader
+-- never takes it.
 local function find_in_wire(walk, wire, findings)
   local place = wire_text(wire)
   local where = wire.location ~= "" and wire.location .. ": " or ""
@@ -180,7 +182,8 @@ end
 
 -- The whole .........................................................................
 
--- Returns a group for each machine: the same if a wire or property joins two of them.
+-- Returns the group of each machine. Machines that a wire or property joins have the
+-- same group.
 local function groups_of(cell, list)
   local group_of = {}
   for _, name in ipairs(cell.names) do group_of[name] = name end

@@ -12,7 +12,7 @@ local concat = table.concat
 
 local sequence = {}
 
---- Return the moves of a witness as lines, one each:
+--- Return the moves of a witness as lines, one line for each move:
 --- "2. arm gets e_go from base, e_x from outside: root.trans[2] -> root.b; sends ..."
 ---@param witness rfsm.system.Move[]
 ---@return string[] lines
@@ -34,7 +34,7 @@ function sequence.lines_of(witness)
   return lines
 end
 
---- Read the moves of a text: each line that begins with a number and a point is one.
+--- Read the moves in a text. Each line that begins with a number and a point is a move.
 ---@param text string
 ---@return { machine: string, events: string[] }[] moves for `cell:move`
 function sequence.read(text)

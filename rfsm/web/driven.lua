@@ -1,9 +1,9 @@
 --- A chart that the page drives, with a clock that the page can stop.
 --
--- A turn is what a command of the page or an expired timer has the machine do. The page
--- may go back to the beginning of each turn. When the file has changed it is loaded
--- again, and the machine is put into the state that was active, if the chart still has
--- that. The output of the chart goes to the log of the page.
+-- A turn is all that the machine does because of one command of the page, or because a
+-- timer has expired. The page can go back to the beginning of each turn. If the file
+-- changes it is loaded again, and the machine is put into the state that was active, if
+-- the chart still has that state. The output of the chart goes to the log of the page.
 --
 -- The file reads in this order: load, turns, commands, timers and the file.
 --
@@ -25,16 +25,16 @@ local rawget, rawset, setmetatable = rawget, rawset, setmetatable
 local type, remove = type, table.remove
 local ceil, huge, max, min = math.ceil, math.huge, math.max, math.min
 
-local LOOK_TIME = 0.5 -- seconds between two looks at the file
-local TICK = 1e-6 -- seconds are rounded up to multiples of it
+local LOOK_TIME = 0.5 -- seconds; so often the file is read, to see whether it changed
+local TICK = 1e-6 -- seconds; times are rounded up to multiples of it
 
 --- A chart and its machine.
 ---@class rfsm.web.Driven
 ---@field file string
 ---@field view rfsm.web.LocalView|false false while the chart has a mistake
----@field problems string[] those of the chart; empty if it runs
----@field generation integer counts the charts that a page has to draw
----@field way rfsm.observe.Rewind|false its place n is the beginning of turn n + 1
+---@field problems string[] problems of the chart; empty if it runs
+---@field generation integer how often a chart was loaded, each time the page draws it
+---@field way rfsm.observe.Rewind|false the way back; turn n + 1 begins at its place n
 ---@field snap table? snapshot of the last machine, while the chart has a mistake
 ---@field time rfsm.clock.Clock seconds since the machine began, as the chart reads them
 ---@field is_live boolean does the clock go on with real time?
@@ -45,13 +45,13 @@ Driven.__index = Driven
 
 -- Load: a chart becomes a machine, or a list of problems ----------------------------
 
--- Adds an entry to the log of the view. Those from before the view is made wait.
+-- Adds an entry to the log of the view. Entries wait in `early` until there is a view.
 local function tell(session, kind, text)
   if session.view then return session.view:note(kind, text) end
   session.early[#session.early + 1] = { kind, text }
 end
 
--- Returns f(session, ...); nil if it fails. Its error and what it prints go to the log.
+-- Returns f(session, ...), or nil if f fails. Errors and printed lines go to the log.
 local function guarded(session, f, ...)
   local real = rawget(_G, "print")
   rawset(_G, "print", function(...) tell(session, "output", calls.text("\t", ...)) end)
@@ -74,7 +74,7 @@ local function init(session, model)
   local fsm, text, problems = rfsm.init(model)
   if not fsm then return fsm, text, problems end
   fsm.gettime = session.gettime
-  if own_warn == nil then fsm.warn = false end -- the view listens to `warn`
+  if own_warn == nil then fsm.warn = false end -- the view listens from now on
   return fsm, text, problems
 end
 
@@ -82,12 +82,12 @@ local function read(file) return files.read(file) or "" end
 
 -- Turns: each is a command of the page, or a timer -----------------------------------
 
--- Has simulated time go on with real time, from its present value.
+-- Has the simulated time advance with real time, beginning with its present value.
 local function start_clock(session)
   session.since = session.real() - session.time:now()
 end
 
--- Begins a new way back: its first place is the present one.
+-- Begins a new way back: its first place is the present state of the machine.
 local function start_way(session)
   local time = session.time
   session.way = rewind.new(session.view.fsm, {
@@ -121,7 +121,8 @@ local function run(session)
   view:note("note", ("not idle after %d steps"):format(Driven.MAX_STEPS))
 end
 
--- Begins with a new machine, in the state of a snapshot if the chart still has it.
+-- Begins with a new machine. If the chart still has the state of the snapshot, the
+-- machine is put into that state; otherwise it runs from the start.
 local function begin(session, fsm, snap)
   session.view = LocalView.new(fsm, function() return session.time:now() end)
   session.view.points = session.points
@@ -151,7 +152,7 @@ end
 
 -- Commands of the page ------------------------------------------------------------
 
---- The commands of a page; each returns nothing, or its problem.
+--- The commands of a page. Each returns nil or a problem, then an answer if it has one.
 Driven.commands = {}
 local commands = Driven.commands
 
@@ -185,7 +186,7 @@ function commands.back(session, message)
   start_clock(session)
 end
 
--- The log goes on, and `back` undoes the reset.
+-- Resets the machine. The log is kept, and the command `back` undoes the reset.
 function commands.reset(session)
   begin_turn(session)
   rfsm.reset(session.view.fsm)
@@ -283,7 +284,7 @@ function Driven:wait()
   return max(0, min(self.look_at - self.real(), time_left(self) or huge))
 end
 
---- Add the clock, the breakpoints, and whether there is a way back to a message.
+--- Add to a message: the clock, the breakpoints, and whether there is a way back.
 function Driven:describe(message)
   message.clock, message.live = self.time:now(), self.is_live
   message.timer = next_timer(self) or false
