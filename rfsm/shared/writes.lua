@@ -197,7 +197,7 @@ function writes.reads_any(text)
     or text:find("%f[%w_]next%s*%(") or text:find("%f[%w_]rawget%s*%(")
 end
 
---- Does a function only read, as far as its text shows? It does if it calls no function,
+--- Does a function only read, as far as its text shows? If so, it calls no functions,
 --- and assigns only to new local variables.
 ---@param callback any
 ---@return boolean
