@@ -13,7 +13,7 @@ local setmetatable, type = setmetatable, type
 
 local subscriber = {}
 
-local BEAT = 1 -- seconds between heartbeats; a host drops a client that is silent for 3 s
+local BEAT = 1 -- seconds between heartbeats; a host drops a client after 3 without one
 
 --- A subscription.
 ---@class rfsm.observe.Subscription
@@ -60,8 +60,8 @@ function subscriber.handle(handlers, target, message)
   return "unreadable message '" .. message.type .. "'"
 end
 
---- Return a client that subscribes to the machines of a host, or nil and the problem. With
--- `has_path`, the messages of the host have the paths that were taken, too.
+--- Return a client that subscribes to the machines of a host, or nil and the problem.
+-- With `has_path`, the messages of the host have the paths that were taken, too.
 function subscriber.connect(host, port, has_path)
   local socket, json = opts.find_package("socket", "dkjson")
   if not socket then return nil, json end

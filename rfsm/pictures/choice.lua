@@ -1,7 +1,7 @@
 --- Choose the better layout of a chart: the layout of levels, or the plain layout.
 --
--- In a layout of levels each composite is laid out by itself, in a plain layout Graphviz
--- lays out the whole chart. Fewer crossings win, then text that is readable on paper,
+-- In a layout of levels each composite is laid out by itself; in a plain layout the
+-- whole chart is laid out at once. Fewer crossings win, then text that is readable on paper,
 -- then shorter lines. The layout of levels never wins if its text is too small to read,
 -- and smaller than the text of the plain layout.
 --
@@ -15,8 +15,8 @@ local choice = {}
 
 local PIECES = 8 -- so many straight pieces replace a curve
 
--- Appends the straight pieces of a line to a list, each with its lower end first. Returns
--- the length of the line.
+-- Appends the straight pieces of a line to a list, each with its lower end first.
+-- Returns the length of the line.
 local function add_pieces(list, line)
   local points, length = line.points, 0
   local x, y = points[1][1], points[1][2]
@@ -48,9 +48,9 @@ local function is_crossing(one, other)
     and side_of(other, one[1], one[2]) * side_of(other, one[3], one[4]) < 0
 end
 
--- Counts the crossings of pieces. Two pieces are compared only if their heights overlap.
+-- Counts the crossings of pieces. Pieces are compared only if their heights overlap.
 local function count_crossings(pieces)
-  sort(pieces, function(a, b) return a[2] < b[2] end) -- the order of equal ones is of no matter
+  sort(pieces, function(a, b) return a[2] < b[2] end) -- any order of equals
   local count = 0
   for i, piece in ipairs(pieces) do
     local j, top = i + 1, piece[4]
@@ -67,7 +67,7 @@ end
 local SHORT, LONG = 523, 770 -- points: width and height of A4 within its margins
 local READABLE = 0.7 -- scale: labels of 10 pt become 7 pt, just readable
 
--- Returns the scale of a picture on paper, at most READABLE: larger scales do not count.
+-- Returns the scale of a picture on paper, at most READABLE: more is of no advantage.
 local function scale_of(layout)
   local width, height = layout.width, layout.height
   return min(READABLE, max(min(SHORT / width, LONG / height),
@@ -86,8 +86,8 @@ end
 
 local MORE, LONGER = 2, 1.25 -- how much better is "much better" below
 
---- Return the better one of two layouts. If there was a former picture, the layout of its
--- kind wins, unless the other layout is much better.
+--- Return the better one of two layouts. If there was a former picture, the layout of
+-- its kind wins, unless the other layout is much better.
 ---@param levels rfsm.pictures.Layout
 ---@param plain rfsm.pictures.Layout
 ---@param kind? "levels"|"plain" the layout of the former picture

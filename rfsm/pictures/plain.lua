@@ -21,8 +21,8 @@ local function frame_of(attributes)
     height = corners[4] - corners[2], x = header[1], y = header[2] }
 end
 
--- Returns all elements that have a position in an answer of Graphviz: frames, boxes, and
--- the lines of edges, each by its identifier.
+-- Returns the elements that have a position in an answer of Graphviz: frames, boxes,
+-- and the lines of edges, each by its identifier.
 local function elements_of(answer)
   local frames, boxes, halves = {}, {}, {}
   graphs.read(answer, 1, function(id, attributes, cluster)
@@ -39,9 +39,9 @@ end
 
 local function turn(line) line.points = lines.moved(line.points, 0, 0, true) end
 
--- Joins the two halves of the line of an arrow. If the second half was drawn from the tip
--- to the label, the first half is turned, too, unless the arrow is a loop around its
--- label.
+-- Joins the two halves of the line of an arrow. If Graphviz drew the second half from
+-- its tip, the first half is backward, too, and is turned, unless the arrow is a loop
+-- around its label.
 local function join(label, box, direction, first, second)
   if label.is_round then
     local from, to = first.points[#first.points], second.points[1]

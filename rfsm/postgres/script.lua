@@ -1,4 +1,4 @@
---- Make SQL from charts and the core: a schema for PostgreSQL, with functions in PL/Lua.
+--- Make SQL from charts and the core: a schema of PostgreSQL with functions in PL/Lua.
 --
 -- The command `rfsm postgres` calls this. The functions are the same as in Redis.
 --
@@ -15,10 +15,10 @@ local concat = table.concat
 local script = {}
 
 -- The text in front of the library. It makes the globals of the library, and begins a
--- function whose body is the library. `pcall` of PL/Lua makes a subtransaction, and catches the error by which
--- a call is cancelled; `lpcall` does neither, so it is the `pcall` of charts. No name
--- of the host, such as `spi`, may be in the scope of charts, or of a text that they
--- load.
+-- function whose body is the library. `pcall` of PL/Lua makes a subtransaction, and
+-- catches the error by which a call is cancelled; `lpcall` does neither, so it is the
+-- `pcall` of charts. No name of the host, such as `spi`, may be in the scope of charts,
+-- or of a text that they load.
 local HEAD = [[
 local globals, sandbox
 do
@@ -103,8 +103,8 @@ end
 -- `rfsm.postgres` needs it.
 function script.tables(options) return schema_of("", options or {}) end
 
---- Return SQL, and a list of warnings. The SQL makes the schema `rfsm` with functions, or
--- gives other charts to this schema. A wrong chart raises an error.
+--- Return SQL, and a list of warnings. The SQL makes the schema `rfsm` with functions,
+-- or gives other charts to this schema. A wrong chart raises an error.
 function script.sql(arguments, options)
   options = options or {}
   local text, warnings = script.library(arguments, options)

@@ -30,8 +30,8 @@ function keys.tag(key)
   return tag
 end
 
---- Return the key of the machine, which is the first key of a call. Other keys are in the
--- call only because a cluster has to know all keys that are written.
+--- Return the key of the machine, which is the first key of a call. Other keys are in
+-- the call only because a cluster has to know all keys that are written.
 function keys.machine(list)
   local key = list[1] or fail("the key of a machine expected, got none")
   if key:find("^rfsm:") or key:find(":log$") or key:find(":history$") then
@@ -62,7 +62,7 @@ keys.log, keys.history = of_machine ":log", of_machine ":history"
 --- Return the channel on which the active leaf of a machine is published.
 function keys.channel(key) return "rfsm:{" .. keys.tag(key) .. "}:" .. key end
 
---- Return the text that stands in the index for a machine in a leaf.
+--- Return the text by which the index lists a machine in a leaf.
 function keys.member(chart, leaf, key) return chart .. "\t" .. leaf .. "\t" .. key end
 
 return keys

@@ -28,7 +28,7 @@ local ROOTS = {
 
 -- The library is called with a function that writes a line to the log, and the globals.
 -- It returns a `require`, the charts, and the options. Redis raises an error if a
--- global is set, or an absent global is read, so modules see locals in place of globals.
+-- global is set, or an absent one is read, so modules see locals in place of globals.
 local HEAD = [[
 local _G, loadfile, print, io, os, debug, package, require
 do
@@ -120,8 +120,8 @@ end
 
 --- Return the text of the library for a server, and a list of warnings.
 -- @raise if a chart has a problem, in one line
----@param arguments string[] see `name_of`; if a name occurs again, the later file is the
---- newer version of the chart
+---@param arguments string[] see `name_of`; if a name occurs again, the later file is
+--- the newer version of the chart
 ---@param server string the name of the server in messages
 ---@param options rfsm.server.Options
 ---@param host? string the module that connects the functions with the server, if the

@@ -17,14 +17,14 @@ local wires = {}
 ---@field from string name of the machine that emits the event
 ---@field event string
 ---@field to string name of the machine that reads the wire
----@field kind "buffer"|"data" a full buffer discards a new event; data keeps only the new
+---@field kind "buffer"|"data" a full buffer loses a new event; data keeps the newest
 ---@field size integer how many events a buffer holds; 1 for data
 ---@field read "all"|"one" how many events a move of the reader takes from the queue
 ---@field location string where it is described, such as "cell.lua:7"
 
---- Return the event that `fsm.emit(name, data)` sends: the name if there is no data, else
---- a copy of `data` with the field `name`. If `data` is no table, it is the field `data`
---- of the event.
+--- Return the event that `fsm.emit(name, data)` sends: the name if there is no data; a
+--- copy of `data` with the field `name` if `data` is a table; otherwise a table with the
+--- fields `name` and `data`.
 function wires.event_of(name, data)
   if data == nil then return name end
   local event = encoding.copy_of(type(data) == "table" and data or { data = data })
@@ -43,7 +43,7 @@ function wires.put(wire, queue, event)
   return not is_full
 end
 
---- Take the events for a machine from the queues of its wires, in the order of the wires.
+--- Take the events for a machine from the queues of its wires, wire by wire.
 ---@param list rfsm.system.Wire[]
 ---@param queues any[][] the queue of each wire in the list
 ---@param to string the machine
