@@ -167,7 +167,7 @@ end
 ---@param def rfsm.Def the composite
 ---@param all rfsm.Def[] nodes among which the path is looked for elsewhere
 ---@param path string that contains the name
----@return string hint as `nearest_name`
+---@return string hint " (did you mean 'root.on'?)"
 function advice.nearest_node(name, def, all, path)
   local elsewhere, names = find_elsewhere(path, all), {}
   if elsewhere then return " (did you mean '" .. elsewhere .. "'?)" end
@@ -185,7 +185,7 @@ function advice.nearest_node(name, def, all, path)
 end
 
 --- Return the hint for a state that does not exist in a machine.
----@return string hint as `nearest_name`
+---@return string hint " (did you mean 'root.on'?)"
 function advice.state_name(fsm, name)
   local names = {}
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
@@ -195,7 +195,7 @@ function advice.state_name(fsm, name)
   return advice.nearest_name(name, names)
 end
 
--- Functions of other libraries, and those that were probably meant.
+-- Names of functions in other libraries, and the functions of rfsm with this purpose.
 local FUNCTIONS = {
   choice = "conn", junction = "conn", fork = "seqand", join = "seqand",
   parallel = "seqand", region = "seqand", orthogonal = "seqand", post = "send_events",

@@ -1,4 +1,4 @@
---- Clocks: the one way in which the library reads them, and a simulated one for tests.
+--- Clocks: how the library reads the time, and a simulated clock for tests.
 --
 -- A clock is a function that returns seconds and nanoseconds, or nanoseconds in one
 -- number. A machine reads the clock in its field `gettime`, or in the same field of a
@@ -20,8 +20,8 @@ local clock = {}
 
 local MONOTONIC, REALTIME = "CLOCK_MONOTONIC", "CLOCK_REALTIME"
 
---- A clock of the library; callbacks and users may call it, too. A simulated one has
--- whole seconds `sec`, and nanoseconds `nsec` below a billion.
+--- A clock of the library; callbacks and users may call it, too. A simulated clock has
+-- whole seconds in `sec`, and nanoseconds below a billion in `nsec`.
 ---@class rfsm.clock.Clock
 ---@field read fun(self: any, is_relative: boolean): boolean, any, number? returns true,
 -- seconds, nanoseconds; or false and an error
@@ -40,8 +40,8 @@ function clock.new(read) return setmetatable({ read = read }, Clock) end
 
 -- The best clock installed -----------------------------------------------------------
 
--- Returns a module, or the global table of its name; an empty table if none.
--- `rtt` and `os` are globals only.
+-- Returns a module, else the global table of its name, else an empty table. `rtt` and
+-- `os` are taken from their globals only.
 local function find_module(name)
   local ok, module = true, rawget(_G, name)
   if name ~= "rtt" and name ~= "os" then ok, module = pcall(require, name) end
@@ -115,8 +115,8 @@ local function check_unit(fsm, number)
     :format(number))
 end
 
--- Finds out how to read a clock, notes that way, and reads the clock. If it returns a
--- single 0, nothing is noted: 0 does not show the unit.
+-- Finds the function above that can read a clock, notes it, and reads the clock. If the
+-- clock returns a single 0, nothing is noted: 0 does not show the unit.
 local function read_first(gettime, is_relative, fsm)
   local is_own, rtt = rawequal(getmetatable(gettime), Clock), find_module("rtt")
   if rawequal(gettime, rtt.getTime) then return best:read(is_relative) end

@@ -177,7 +177,7 @@ end
 
 -- Transactions --------------------------------------------------------------------
 
--- Ends a transaction that has failed. If that fails, too, the connection is lost.
+-- Rolls a failed transaction back. If the rollback fails, too, the connection is lost.
 local function roll_back(self)
   if not self.query then return end
   local ok, rows = pcall(self.query, "ROLLBACK")

@@ -37,14 +37,14 @@ local snapshot = { VERSION = migrate.VERSION }
 ---@field chart string fingerprint of the structure of the chart, and of what it keeps
 ---@field leaf? string FQN of the active leaf; absent: the machine was not entered
 ---@field done? true the leaf is done
----@field queue? any[] waiting events; absent: none or, before the machine was entered,
--- `e_init_fsm` alone
+---@field queue? any[] waiting events; absent: none, or `e_init_fsm` if the machine
+-- was not entered
 ---@field data? table<string, table> the fields that `keep` names, by FQN of the state
 ---@field saved? table<string, any> what `save` returned, by FQN of the state
 ---@field targets? any[] three values for each transition whose target was changed: FQN
 -- of its composite, its position or name in this composite, FQN of the new target
 ---@field ext? table<string, any> data of extensions, by their names
----@field regions? table<string, table> such a table of each region, by its location
+---@field regions? table<string, table> such a table for each region, by location
 ---@field structure? string[] a line for each element of the chart
 
 -- Take -------------------------------------------------------------------------
@@ -128,8 +128,8 @@ local function take_extensions(fsm, snap, path)
   end
 end
 
--- Adds the queue to a snapshot, unless it is empty or, before the machine was entered,
--- holds `e_init_fsm` alone.
+-- Adds the queue to a snapshot, except the default queue: an empty one, or `e_init_fsm`
+-- alone if the machine was not entered.
 local function take_queue(fsm, snap, path)
   local queue = fsm._intq
   local is_default = queue[1] == nil
@@ -137,14 +137,15 @@ local function take_queue(fsm, snap, path)
   if not is_default then snap.queue = pack_queue(queue, path) end
 end
 
--- Returns the path for `pack`. Each machine has one such table, which is reused.
+-- Returns the table `path` of a machine, in which `pack` notes where it is in the data.
+-- Each machine has one such table, which is reused.
 local function path_of(own, prefix)
   local path = own.path
   path.prefix, path.seen = prefix, false
   return path
 end
 
--- Returns the part of a snapshot about a machine or region.
+-- Returns a snapshot of one machine or region, without its regions.
 local function take_part(fsm, prefix, version)
   local leaf, own = fsm._act_leaf, shape.of(fsm)
   local path = path_of(own, prefix)
@@ -466,13 +467,13 @@ function snapshot.encode(snap) return exact_json.encode(snap) end
 --- The options of `put` and `restore`.
 ---@class rfsm.snapshot.Options
 ---@field entries? boolean run the entries of the active states, the outermost first
----@field rename? table<string, string> new FQN of states that moved, by the old one
+---@field rename? table<string, string> new FQNs of moved states, by their old FQNs
 ---@field migrate? fun(snap: table, list: string[]): table|false? changes a snapshot of
 -- another chart, returns a new one, or false to refuse it; `list` has the differences
 ---@field old? rfsm.State|string[] the chart of the snapshot, or its structure
 ---@field trusted? boolean the caller promises that the snapshot is as `take` made it.
 --- This makes `put` faster. If it is not, the machine may be reset, or changed in part.
----@field is_tidy? boolean the caller promises that no target in the machine was changed
+---@field is_tidy? boolean the caller promises that the machine has no changed targets
 
 local is_boolean, is_table = opts.is_a "boolean", opts.is_a "table"
 

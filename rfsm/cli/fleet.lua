@@ -80,7 +80,7 @@ local VERBS = {
   again = { "TAG ID", 2, was_there "again" }, drop = { "TAG ID", 2, was_there "drop" },
 }
 
--- Two verbs a line, so that the help fits a terminal.
+-- Returns the list of verbs, two in a line, so that the help fits a terminal.
 local function help()
   local lines, names = { "Verbs:" }, rfsm.sorted_keys(VERBS)
   for i = 1, #names, 2 do

@@ -54,7 +54,7 @@ local function is_range(range)
   return is_list_of(opts.is_a "string", range)
 end
 
---- Is the option like { tries = { 0, 3 }, on = "boolean", gear = { "low", "high" } }?
+--- Is `vars` right, such as { tries = { 0, 3 }, on = "boolean", gear = { "a", "b" } }?
 ---@return boolean is_right
 ---@return string? problem
 function data.check_vars(vars)
@@ -79,7 +79,7 @@ local function is_inside(range, value)
 end
 
 --- Return the values of the fields that `vars` names, in the order of the names, and a
---- text of the values; or nil, and a text that names data which it does not follow.
+--- text of the values; or nil, and a text of data that the exploration cannot follow.
 ---@param self rfsm_checks.Subject
 ---@return any[]? values
 ---@return string text

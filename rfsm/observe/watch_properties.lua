@@ -139,7 +139,7 @@ local function set_clocks(monitor, numbers, now)
   monitor.clocks = clocks
 end
 
--- Has a monitor look at the iteration that ends.
+-- Has a monitor look at the end of an iteration, or at a state that it only passes.
 local function look_at(own, monitor, look, events)
   local property = monitor.property
   look.came = property.event ~= nil and own.leaf
@@ -245,7 +245,7 @@ end
 -- is reported when nothing can happen before the next event comes. After a report the
 -- property is watched anew.
 --
--- @raise if there is no such property or state
+-- @raise if a property is wrong, or names a state that does not exist
 ---@param fsm rfsm.Machine
 ---@param given? table<any, rfsm_checks.Property> default: the field `properties`
 ---@return rfsm_checks.Watched watched its method `stop` ends the watch

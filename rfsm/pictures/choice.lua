@@ -1,9 +1,9 @@
 --- Choose the better layout of a chart: the layout of levels, or the plain layout.
 --
 -- In a layout of levels each composite is laid out by itself; in a plain layout the
--- whole chart is laid out at once. Fewer crossings win, then text that is readable on paper,
--- then shorter lines. The layout of levels never wins if its text is too small to read,
--- and smaller than the text of the plain layout.
+-- whole chart is laid out at once. Fewer crossings win, then text that is readable on
+-- paper, then shorter lines. The layout of levels never wins if its text is too small
+-- to read, and smaller than the text of the plain layout.
 --
 -- @module rfsm.pictures.choice
 -- @license BSD-3-Clause
@@ -84,7 +84,7 @@ function choice.measure(layout)
   return count_crossings(pieces), length
 end
 
-local MORE, LONGER = 2, 1.25 -- how much better is "much better" below
+local MORE, LONGER = 2, 1.25 -- crossings; factor of length: "much better" below
 
 --- Return the better one of two layouts. If there was a former picture, the layout of
 -- its kind wins, unless the other layout is much better.

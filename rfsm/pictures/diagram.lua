@@ -37,7 +37,7 @@ local diagram = {}
 ---@class rfsm.pictures.Step
 ---@field taken? string[] keys of transitions
 ---@field leaf? string FQN of the active leaf after the step
----@field m? integer number of the region that took the step, which is not drawn then
+---@field m? integer set if the machine of a region took the step, which is not drawn
 ---@field record? integer set in the first line of a recording only; it is not a step
 
 --- How often a run entered each state, by FQN, and took each transition, by key.
@@ -182,7 +182,7 @@ function diagram.kind_of(tab)
   return members(tab)[1] and "composite" or "leaf"
 end
 
---- Is a node, or another table with the `kind` of a node, a state?
+--- Is the `kind` of a node, or of another table, the kind of a state?
 function diagram.is_state(node)
   return node.kind == "leaf" or node.kind == "composite"
 end

@@ -54,7 +54,7 @@ local function join(label, box, direction, first, second)
   return { points = first.points, tip = second.tip, label = { box.x, box.y } }
 end
 
--- Returns the line of an arrow; nil if Graphviz has drawn no part of it.
+-- Returns the line of an arrow; nil if Graphviz has not drawn all of it.
 local function line_of(chart, arrow, boxes, halves)
   local label = arrow.label
   local function half(name) return halves[looks.plain_id(arrow.key .. name)] end

@@ -132,7 +132,7 @@ local function port_of(getevents)
   end }
 end
 
--- Holds the ports that a prefile has listed in the global `extra_in_ports`.
+-- Adds to the launch the ports that its prefile has listed in `extra_in_ports`.
 local function hold_extra_ports(launch)
   local extra = rawget(_G, "extra_in_ports") or {}
   if extra[1] then rfsm_rtt.gen_read_events(unpack(extra)) end -- raises if one is wrong
@@ -173,7 +173,7 @@ end
 
 -- Hooks --------------------------------------------------------------------------
 
--- Enters the machine, with no events of ports: the entry would discard most of them.
+-- Enters the machine without reading ports: the entry would discard most events.
 local function enter(launch, fsm)
   if launch.enter ~= "start" or rfsm.get_sta_mode(fsm) ~= "inactive" then return end
   local getevents = rawget(fsm, "getevents")

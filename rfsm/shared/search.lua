@@ -1,4 +1,4 @@
---- Find the files and modules of a chart beside its file, whatever the directory is.
+--- Find the files and modules of a chart beside its file, from any current directory.
 --
 -- In the code of a chart, `require`, `rfsm.load`, `dofile` and `loadfile` look in the
 -- folder of the chart, then in its parent, then where they always do. The code of a
@@ -23,13 +23,13 @@ local search = {}
 --- A world: what belongs to one chart, such as its folders, stubs and machines.
 ---@class rfsm.shared.World
 ---@field source string the `source` of functions in its file, as debug.getinfo has it
----@field folders string[] that are searched
+---@field folders string[] folders in which files are looked for
 ---@field has_stubs boolean the chart is loaded with stubs
 ---@field insists boolean an absent global is a stub also if the code tests for it
 ---@field is_late boolean the loading took too long
 ---@field names string[] names of the stubs, in the order in which they were needed
 ---@field stubs table<string, table> stubs, by name
----@field models rfsm.State[] of the machines that the code makes
+---@field models rfsm.State[] models of the machines that the code makes
 ---@field places table<integer, string> file and line of each valid model
 ---@field is_made table<rfsm.Machine, true> the machines that the code has made
 ---@field depth integer how many machines are being made now, nested as regions
@@ -77,8 +77,8 @@ local function find(world, name)
   end
 end
 
--- Returns the path of a file. With stubs, the file is also looked for without its
--- folders, which may exist only on a robot.
+-- Returns the path of a file. With stubs, the file is also looked for by its last name
+-- alone, since its folders may exist only on a robot.
 local function find_file(world, name)
   local file = find(world, name)
   if file or not world.has_stubs or exists(name) then return file end
@@ -118,7 +118,7 @@ end
 -- Functions that act on the system --------------------------------------------------
 
 -- Replaces a function of Lua: if the code of a chart with stubs calls it, a stub is
--- called. If the caller is not known (a tail call, `pcall`), it is the latest chart.
+-- called. A caller that is not known (a tail call, `pcall`) counts as the latest chart.
 local function hold_back(owner, key, name)
   local plain = rawget(owner, key)
   rawset(owner, key, plain and function(...)

@@ -38,7 +38,7 @@ end
 -- Returns the name of a stub; "a stub" if it is a copy, which only a chart makes.
 local function name_of(stub) return names[stub] or "a stub" end
 
-local MOST = 9 -- so many elements has a stub as a list, so that `ipairs` ends
+local MOST = 9 -- list elements that a stub has, so that `ipairs` over it ends
 
 function Stub.__index(stub, key)
   if type(key) == "number" and key > MOST then return nil end
@@ -120,7 +120,7 @@ for _, operator in ipairs { "add", "sub", "mul", "div", "mod", "pow", "unm", "le
 end
 Stub.__lt, Stub.__le = no, no
 
--- States: stubs with the substates that transitions name --------------------------
+-- States that replace stubs, with the substates that transitions name --------------
 
 local MARK = " is a stub" -- the end of `doc` in states that replace stubs
 
@@ -138,12 +138,12 @@ end
 local new_state, new_trans, new_conn = without_location(rfsm.state),
   without_location(rfsm.trans), without_location(rfsm.conn)
 
---- Return a state that takes the place of a missing one.
+--- Return a state that replaces the stub of this name.
 function stubs.new_state(name)
   return new_state { doc = name .. MARK }
 end
 
--- Gives a stub a substate; the first one is its initial state.
+-- Adds a substate to a state that replaces a stub. The first substate is initial.
 local function add_substate(state, name)
   state[name] = name == "initial" and new_conn {} or stubs.new_state(name)
   if not state.initial and not state[1] then

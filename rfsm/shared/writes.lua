@@ -65,7 +65,7 @@ function writes.text_of(callback)
   return text:match("%f[%w_]function%f[^%w_].*%f[%w_]end%f[^%w_]") or text
 end
 
---- List the upvalues of a function: `name`, `value`.
+--- List the upvalues of a function, each with its name and value.
 ---@return { name: string, value: any }[]
 function writes.upvalues_of(callback)
   local list, i = {}, 1

@@ -18,11 +18,11 @@ local text_of = rfsm.text_of
 
 local commands = {}
 
---- A command.
+--- A command of the simulator.
 ---@class rfsm.sim.Command
 ---@field name string
 ---@field usage string "step([n])"
----@field brief string one line
+---@field brief string a description in one line
 ---@field text string details and an example, for `help` of this command
 ---@field run fun(sim: rfsm.sim.Session, ...) returns nothing: results would be printed
 ---@field takes_line? boolean in a line of words, the rest of the line is one argument

@@ -23,8 +23,8 @@ local wires = {}
 ---@field location string where it is described, such as "cell.lua:7"
 
 --- Return the event that `fsm.emit(name, data)` sends: the name if there is no data; a
---- copy of `data` with the field `name` if `data` is a table; otherwise a table with the
---- fields `name` and `data`.
+--- copy of `data` with the field `name` if `data` is a table; otherwise a table with
+--- the fields `name` and `data`.
 function wires.event_of(name, data)
   if data == nil then return name end
   local event = encoding.copy_of(type(data) == "table" and data or { data = data })

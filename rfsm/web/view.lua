@@ -19,13 +19,13 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local MAX_LOG = 500 -- so many of the last entries are always kept
 local MAX_SENT = 60 -- entries in a message to a page that has a cursor
-local MAX_TEXT = 2000 -- bytes of a text in the log
+local MAX_TEXT = 2000 -- bytes of the text of an entry in a message
 
 --- The state of a machine as a page shows it.
 ---@class rfsm.web.Now
 ---@field active integer[] numbers of nodes, from the root down
 ---@field leaf string|false FQN of the active leaf
----@field mode string of the leaf
+---@field mode string mode of the leaf
 ---@field queue string[]
 
 --- How much of a view a page knows.
