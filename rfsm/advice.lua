@@ -1,4 +1,4 @@
---- Advice: the field, name or event that was probably meant.
+--- Hints for messages: the field, name or event that was probably meant.
 --
 -- The core loads this file when it needs the first hint. Without it all problems are
 -- reported, without hints, and some warnings are missing. Each function returns a text,
@@ -67,8 +67,8 @@ ALIASES.root = ALIASES.state
 local function plain(word) return (word:lower():gsub("_", "")) end
 
 --- Are two words the same but for case and underscores, for one letter too many or too
---- few, or for two letters in reverse? One letter in place of another makes another
---- word: exit, edit.
+--- few, or for two letters in reverse? A replaced letter makes a different word, as in
+--- exit and edit.
 function advice.is_near(a, b)
   a, b = plain(a), plain(b)
   if #a ~= #b then return edit_distance(a, b) == 1 end
@@ -79,7 +79,7 @@ function advice.is_near(a, b)
   return a == b
 end
 
---- Return the field that was probably meant.
+--- Return the field that was probably meant; "" if there is none, or `key` is right.
 ---@param key string the key in the model
 function advice.field_meant(kind, key)
   for _, field in ipairs(FIELDS[kind]) do
@@ -130,10 +130,10 @@ local function find_nearest(name, names)
 end
 
 --- Return the hint for a name that does not exist.
----@param names any[] those that exist
+---@param names any[] the names that exist
 ---@return string hint " (did you mean 'on'?)", or all of them if they are few
 function advice.nearest_name(name, names)
-  -- `initial` is right where it does not exist yet
+  -- `initial` is a right name also in a composite that has none yet
   local nearest = find_nearest(name, names)
     or name ~= "initial" and find_nearest(name, { "initial" })
   if nearest then return " (did you mean '" .. nearest .. "'?)" end
@@ -142,7 +142,7 @@ function advice.nearest_name(name, names)
   return " (there " .. verb .. " '" .. concat(names, "', '") .. "')"
 end
 
--- Names of other libraries that are no nodes here, and their hints.
+-- Names of nodes in other libraries that rfsm does not have, and hints for them.
 local NO_NODES = {
   final = " (an end is a state with final = true)",
   history = " (did you mean the field history = 'shallow' of the composite?)",
@@ -152,7 +152,7 @@ NO_NODES["[*]"], NO_NODES["end"], NO_NODES.H = NO_NODES.final, NO_NODES.final,
   NO_NODES.history
 NO_NODES["*"] = NO_NODES.any
 
--- Returns the first FQN that ends in a path, of which '/' may divide the parts.
+-- Returns the first FQN that ends in a path. Its parts may also be divided by '/'.
 local function find_elsewhere(path, all)
   local tail, found = "." .. path:gsub("[/\\]+", "."):gsub("^%.+", ""), {}
   for _, other in ipairs(all) do
@@ -165,9 +165,9 @@ end
 
 --- Return the hint for a node that does not exist in a composite.
 ---@param def rfsm.Def the composite
----@param all rfsm.Def[] nodes to look at for the same path elsewhere
----@param path string in which the name stands
----@return string hint as `nearest_name`
+---@param all rfsm.Def[] nodes among which the path is looked for elsewhere
+---@param path string that contains the name
+---@return string hint " (did you mean 'root.on'?)"
 function advice.nearest_node(name, def, all, path)
   local elsewhere, names = find_elsewhere(path, all), {}
   if elsewhere then return " (did you mean '" .. elsewhere .. "'?)" end
@@ -185,7 +185,7 @@ function advice.nearest_node(name, def, all, path)
 end
 
 --- Return the hint for a state that does not exist in a machine.
----@return string hint as `nearest_name`
+---@return string hint " (did you mean 'root.on'?)"
 function advice.state_name(fsm, name)
   local names = {}
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
@@ -195,7 +195,7 @@ function advice.state_name(fsm, name)
   return advice.nearest_name(name, names)
 end
 
--- Functions of other libraries, and those that were probably meant.
+-- Names of functions in other libraries, and the functions of rfsm with this purpose.
 local FUNCTIONS = {
   choice = "conn", junction = "conn", fork = "seqand", join = "seqand",
   parallel = "seqand", region = "seqand", orthogonal = "seqand", post = "send_events",
@@ -220,8 +220,8 @@ end
 
 -- Events ------------------------------------------------------------------------
 
--- The extensions by the words in front of a parenthesis. They stand here, because an
--- extension that is not loaded cannot declare its words.
+-- The extension for each word that may be in front of a parenthesis. The list is needed
+-- because an extension that is not loaded cannot declare its words.
 local MODULE_OF = {
   e_after = "rfsm_timeevent", e_at = "rfsm_timeevent", await = "rfsm_await",
 }
@@ -243,7 +243,7 @@ end
 
 --- Return the hint for an event that looks like a call: the module that knows it.
 ---@param word string the event up to its parenthesis
----@return string? hint " (require \"rfsm_timeevent\")"; nil if that is loaded
+---@return string? hint " (require \"rfsm_timeevent\")"; nil if the module is loaded
 function advice.module_of(word)
   local module = MODULE_OF[word]
   local loaded = (rawget(_G, "package") or {}).loaded or {}
@@ -257,13 +257,13 @@ function advice.module_of(word)
   return ""
 end
 
--- Mistakes: what is allowed, and probably not what was meant ----------------------
+-- Mistakes: models that are valid, but probably not what was meant -----------------
 
 -- Names of tables that other libraries have for states and transitions.
 local LISTS = { states = true, substates = true, transitions = true, children = true }
 
--- Returns the warning of a plain table that looks like a state or transition that
--- somebody forgot to mark.
+-- Returns the warning about a plain table that was probably meant to be a state or a
+-- transition.
 local function unmarked(t, key)
   if rawget(t, "src") ~= nil and rawget(t, "tgt") ~= nil then
     return "a plain table that has 'src' and 'tgt' is ignored (did you mean "
@@ -280,8 +280,8 @@ local function unmarked(t, key)
   return ""
 end
 
--- Returns the warning of a table that means transitions to a state beside this one,
--- such as on = { e_go = "b" }.
+-- Returns the warning about a table in a state that names events and targets, such as
+-- on = { e_go = "b" }, if the first target is a sibling of the state.
 local function unwritten(def, key, value)
   local event = def.kind == "state" and def.parent ~= def
     and (key == "on" or key == "transitions") and rfsm.sorted_keys(value)[1]
@@ -293,7 +293,8 @@ end
 
 local WAITS = { timeout = true, after = true, delay = true }
 
--- Returns the warning of a transition without events, if another field has an event.
+-- Returns the warning about a field that looks like the event of a transition without
+-- `events`.
 local function unnamed(def, key, value)
   local model = def.model
   if model.events or not (model.src and model.tgt) then return "" end
@@ -307,7 +308,7 @@ local function unnamed(def, key, value)
   return ""
 end
 
--- Returns the warning of a field whose name means another one, which is the library's.
+-- Returns the warning about a field whose name is a wrong word for a field of rfsm.
 local function misspelt(def, key, value)
   if def.kind ~= "transition" and not rfsm.is_callable(value) then return "" end
   local meant = def.kind == "transition" and key == "event" and "events"
@@ -320,7 +321,8 @@ local IS_CALLBACK = {
   entry = true, exit = true, doo = true, guard = true, effect = true,
 }
 
--- Returns the warning of a constructor or of a plain table in place of an element.
+-- Returns the warning about a constructor that is not called, or about a plain table
+-- where a state, transition or connector was probably meant.
 local function unmade(def, key, value)
   for _, name in ipairs({ "state", "trans", "conn" }) do
     if rawequal(value, rfsm[name]) then
@@ -332,7 +334,8 @@ local function unmade(def, key, value)
   return text ~= "" and text or unwritten(def, key, value)
 end
 
---- Return the warning of a field that counts as the user's data, and the field to name.
+--- Return the warning about a field that is valid as data of the user, but was probably
+-- meant as more, and the name of the field if the message is to show it.
 ---@param def rfsm.Def the element that has the field
 ---@return string text
 ---@return string? field
@@ -350,9 +353,9 @@ function advice.datum(def, key, value)
   return ""
 end
 
---- Return the hint that states of a leaf are plain tables.
+--- Return the hint that plain tables in a leaf were probably meant to be states.
 ---@param model rfsm.State a state with transitions and without states
----@return string hint " ('a', 'b' are plain tables: rfsm.state{...} makes states)"
+---@return string hint " ('a', 'b' are plain: did you mean rfsm.state{...}?)"
 function advice.plain_states(model)
   local is_plain, names = {}, {}
   for _, tr in pairs(model) do -- any order: sorted below
@@ -374,8 +377,8 @@ function advice.regions(model)
   return is_meant and " (did you mean rfsm.seqand{...}?)" or ""
 end
 
---- Return the warning of an `initial` that may not be enabled: its composite has no
---- entry then.
+--- Return the warning of an `initial` all of whose transitions have events or a guard:
+--- its composite cannot be entered while none of them is enabled.
 function advice.initial(def)
   for _, tr in ipairs(def.otrs) do
     if not (tr.events or tr.guard) then return "" end
@@ -384,8 +387,8 @@ function advice.initial(def)
     .. "while none of them is enabled"):format(def.parent.fqn)
 end
 
---- Return the warning of an event such as e_after(1) that no extension has made its
---- own. An extension that knows the word has warned itself.
+--- Return the warning of an event such as e_after(1) that no loaded extension knows. A
+--- loaded extension warns of its events itself.
 function advice.event(_, event)
   local word = event:match("^([%w_]+)%(.*%)$")
   local hint = word and advice.module_of(word)

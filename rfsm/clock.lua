@@ -1,9 +1,10 @@
---- Clocks: the one way in which the library reads them, and a simulated one for tests.
+--- Clocks: how the library reads the time, and a simulated clock for tests.
 --
 -- A clock is a function that returns seconds and nanoseconds, or nanoseconds in one
--- number. A machine reads its field `gettime`, or that of a machine around it, else the
--- clock of the process: the best one installed, unless the user sets another. e_after
--- needs a clock that is never set (`is_relative`), e_at the time of day.
+-- number. A machine reads the clock in its field `gettime`, or in the same field of a
+-- machine around it, else the clock of the process: the best one installed, unless the
+-- user sets another. e_after needs a clock that is never set (`is_relative`), e_at the
+-- time of day.
 --
 -- @module rfsm.clock
 -- @license BSD-3-Clause
@@ -19,10 +20,11 @@ local clock = {}
 
 local MONOTONIC, REALTIME = "CLOCK_MONOTONIC", "CLOCK_REALTIME"
 
---- A clock of the library; callbacks and users may call it, too. A simulated one has
--- whole seconds `sec`, and nanoseconds `nsec` below a billion.
+--- A clock of the library; callbacks and users may call it, too. A simulated clock has
+-- whole seconds in `sec`, and nanoseconds below a billion in `nsec`.
 ---@class rfsm.clock.Clock
----@field read fun(self: any, is_relative: boolean): boolean, any, number? as pcall does
+---@field read fun(self: any, is_relative: boolean): boolean, any, number? returns true,
+-- seconds, nanoseconds; or false and an error
 local Clock = {}
 Clock.__index = Clock
 
@@ -32,14 +34,14 @@ function Clock:__call(id)
   return sec, nsec
 end
 
---- Return a clock with another method `read`.
+--- Return a clock with `read` as its method.
 ---@return rfsm.clock.Clock
 function clock.new(read) return setmetatable({ read = read }, Clock) end
 
 -- The best clock installed -----------------------------------------------------------
 
--- Returns a module by its name, or by the global that it sets; else an empty table. The
--- Lua of RTT sets the global `rtt`.
+-- Returns a module, else the global table of its name, else an empty table. `rtt` and
+-- `os` are taken from their globals only.
 local function find_module(name)
   local ok, module = true, rawget(_G, name)
   if name ~= "rtt" and name ~= "os" then ok, module = pcall(require, name) end
@@ -47,8 +49,8 @@ local function find_module(name)
   return ok and type(module) == "table" and module or {}
 end
 
--- The best one comes first: a module, and how to read it. The time of RTT is not that
--- of the day.
+-- Modules with a clock, and functions that read it; the best one comes first. The time
+-- of RTT is not the time of day, so RTT is used only if a monotonic time is wanted.
 local INSTALLED = {
   { "rtt", function(rtt, is_monotonic)
     if is_monotonic then return rtt.getTime() end
@@ -56,12 +58,12 @@ local INSTALLED = {
   { "rtp", function(rtp, is_monotonic)
     return rtp.clock.gettime(is_monotonic and MONOTONIC or REALTIME)
   end },
-  { "rtp", function(rtp) return rtp.clock.gettime() end }, -- it knows no ids
+  { "rtp", function(rtp) return rtp.clock.gettime() end }, -- an rtp without ids
   { "posix.time", function(time, is_monotonic)
     local now = time.clock_gettime(time[is_monotonic and MONOTONIC or REALTIME])
     return now.tv_sec, now.tv_nsec
   end },
-  { "posix", function(posix, is_monotonic) -- an old one
+  { "posix", function(posix, is_monotonic) -- old versions
     return posix.clock_gettime(is_monotonic and "monotonic" or "realtime")
   end },
   { "socket", function(socket) return socket.gettime(), 0 end },
@@ -80,7 +82,7 @@ local function find(is_monotonic)
   return function() return false, "no clock is installed" end
 end
 
-local found = {} -- the function that was found, by whether it is monotonic
+local found = {} -- functions that `find` has returned, by its argument
 
 local best = clock.new(function(_, is_relative)
   found[is_relative] = found[is_relative] or find(is_relative)
@@ -89,8 +91,8 @@ end)
 
 -- Read -------------------------------------------------------------------------------
 --
--- Only what the user gave is called in pcall: an error from elsewhere, such as that of
--- a debug hook, is for the caller of `step`.
+-- Only functions of the user are called in pcall. An error from elsewhere, such as that
+-- of a debug hook, is for the caller of `step`.
 
 local function read_plain(gettime) return pcall(gettime) end
 
@@ -100,9 +102,9 @@ end
 
 local function read_own(gettime, is_relative) return gettime:read(is_relative) end
 
-local readers = setmetatable({}, { __mode = "k" }) -- clock -> one of those functions
+local readers = setmetatable({}, { __mode = "k" }) -- clock -> function above
 
--- Warns of a clock that returns one number if that can only be seconds, and no
+-- Warns of a clock that returns one number if the number must be seconds and cannot be
 -- nanoseconds: it is below a million, or at most a day from the time of day.
 local function check_unit(fsm, number)
   local os = find_module("os")
@@ -113,8 +115,8 @@ local function check_unit(fsm, number)
     :format(number))
 end
 
--- Finds out how to read a clock, notes that, and reads it. If the clock returns a
--- single 0, nothing is noted: that does not show the unit.
+-- Finds the function above that can read a clock, notes it, and reads the clock. If the
+-- clock returns a single 0, nothing is noted: 0 does not show the unit.
 local function read_first(gettime, is_relative, fsm)
   local is_own, rtt = rawequal(getmetatable(gettime), Clock), find_module("rtt")
   if rawequal(gettime, rtt.getTime) then return best:read(is_relative) end
@@ -150,11 +152,11 @@ local function inherited(fsm)
 end
 
 --- Read the clock of a machine.
----@param fsm rfsm.Machine|{} {}: that of the process
----@param is_relative boolean as for e_after
----@return number|false time in one number of seconds; false if the clock fails
----@return number|any sec the same exactly; the error in that case
----@return number nsec to be added; it may be more than a second
+---@param fsm rfsm.Machine|{} {}: read the clock of the process
+---@param is_relative boolean true: a clock that is never set; false: the time of day
+---@return number|false time in seconds, in one number; false if the clock fails
+---@return number|any sec the exact seconds; the error if the clock fails
+---@return number nsec nanoseconds to be added to `sec`, perhaps more than a second
 function clock.read(fsm, is_relative)
   local gettime = fsm.gettime or fsm._owner and inherited(fsm) or process
   local ok, sec, nsec = (readers[gettime] or read_first)(gettime, is_relative, fsm)
@@ -165,7 +167,7 @@ function clock.read(fsm, is_relative)
   return read_unusual(ok, sec, nsec)
 end
 
---- Set the clock of the process; nil: the best one installed.
+--- Set the clock of the process; nil sets the best clock that is installed.
 ---@param gettime? fun(id?: string): number, number?
 function clock.set_hook(gettime)
   process = gettime or best
@@ -181,7 +183,7 @@ function clock.from_now()
 end
 
 --- Return the seconds until the next timer of a machine can fire.
----@return number? seconds nil if none is armed, or if the clock fails
+---@return number? seconds nil if no timer is armed, or if the clock fails
 function clock.until_timer(fsm)
   local timeevent = rawget(_G, "package").loaded.rfsm_timeevent
   if not timeevent then return nil end
@@ -193,8 +195,8 @@ end
 
 function Clock:read() return true, self.sec, self.nsec end
 
--- Adds seconds to a simulated clock. If it is none, or the seconds are no finite
--- number, the caller of the method `where` is blamed.
+-- Adds seconds to a simulated clock. If `self` is no such clock, or the seconds are no
+-- finite number, raises an error at the caller of the method `where`.
 local function add(self, where, seconds)
   local is_clock = rawequal(getmetatable(self), Clock)
   if not is_clock or type(seconds) ~= "number" or seconds - seconds ~= 0 then
@@ -211,7 +213,7 @@ end
 ---@param seconds number
 function Clock:advance(seconds) return (add(self, "advance", seconds)) end
 
---- Return the time in one number.
+--- Return the time, as one number of seconds.
 ---@return number seconds
 function Clock:now()
   add(self, "now", 0)
@@ -227,22 +229,22 @@ function Clock:advance_to_timer(fsm)
   rfsm.check_machine(fsm, "rfsm.clock.advance_to_timer")
   local seconds, sec, nsec = clock.until_timer(fsm), self.sec, self.nsec
   if not seconds then return nil end
-  self:advance(max(floor(seconds) - 1, 0)) -- years in one number lack nanoseconds
+  self:advance(max(floor(seconds) - 1, 0)) -- a number of years is not exact
   self:advance(clock.until_timer(fsm))
   if clock.until_timer(fsm) == 0 then return seconds end
   self.sec, self.nsec = sec, nsec
   error("rfsm.clock.advance_to_timer: the machine reads another clock", 2)
 end
 
---- Make a clock for the field `gettime` of machines: exact to the nanosecond, and its
--- time passes by `advance` and `advance_to_timer` alone.
+--- Make a clock for the field `gettime` of machines. It is exact to the nanosecond, and
+-- its time passes only by calls of `advance` and `advance_to_timer`.
 --
 -- @usage
 --    local now = clock.simulated { now = 0 }
 --    fsm.gettime = now
 --    now:advance(2.5)
 --
----@param options? { now: number } seconds, default 0
+---@param options? { now: number } the time at first, in seconds (0)
 ---@return rfsm.clock.Clock
 ---@nodiscard
 function clock.simulated(options)

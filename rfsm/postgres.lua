@@ -1,9 +1,9 @@
 --- A fleet of machines in PostgreSQL: the client, for servers without PL/Lua.
 --
--- The functions that run in Redis, and inside PostgreSQL, run in this process, on the
--- same tables. A call locks the row of its machine, runs the machine and saves it, in
--- one transaction. So clients and functions inside the server may drive a machine in
--- turns.
+-- The same functions as in Redis, and as inside PostgreSQL, run in this process, on the
+-- tables of `rfsm postgres`. A call locks the row of its machine, runs the machine and
+-- saves it, in one transaction. So clients, and functions inside the server, may drive
+-- one machine in turns.
 --
 -- Statements are run by a connection of LuaSQL, or by a function of the user.
 --
@@ -44,7 +44,7 @@ local ASIDE = "UPDATE rfsm.machines SET due = clock_timestamp() + interval '1 mi
 
 -- Charts --------------------------------------------------------------------------
 
---- Charts that run in this process.
+--- Charts loaded in this process, for the machines of any number of connections.
 ---@class rfsm.postgres.Charts
 ---@field answer function calls a function for a machine, see `rfsm.postgres.host`
 
@@ -52,11 +52,12 @@ local NUMBER = { "a whole number", opts.is_whole(1, 1e6), nil }
 local CHART_OPTIONS = { ids = NUMBER, ids_for = NUMBER,
   history = { "boolean", opts.is_a "boolean" } }
 
---- Load charts as `rfsm postgres` does, with the globals that they would have there.
+--- Load charts as `rfsm postgres` does, with the globals that they have in the server.
 -- @raise if a chart has a problem, in one line
----@param arguments string[] files, or NAME=FILE; a later one of a name is newer
----@param options? rfsm.postgres.Options `ids`, `ids_for`; `history`: the tables were
---- made with --history, and events that move nothing are noted there
+---@param arguments string[] files, or NAME=FILE; if a name occurs again, the later file
+--- is the newer version of the chart
+---@param options? rfsm.postgres.Options `ids`, `ids_for`; `history` if the tables were
+--- made with --history: then events that move nothing are noted there, too
 ---@return rfsm.postgres.Charts charts for any number of connections
 ---@return string[] warnings
 function postgres.charts(arguments, options)
@@ -75,7 +76,7 @@ end
 
 -- Connect -------------------------------------------------------------------------
 
--- Returns a function that runs statements in a connection of LuaSQL. That knows no
+-- Returns a function that runs statements in a connection of LuaSQL. LuaSQL knows no
 -- parameters, so the values are put into the text.
 local function of_luasql(connection)
   return function(sql, ...)
@@ -99,22 +100,23 @@ local function of_luasql(connection)
   end
 end
 
---- Runs a statement with parameters $1, $2 ..., each a text or nil.
+--- Runs a statement; `...` has the values of its parameters $1, $2 and so on. Returns
+--- its rows, or nil and the problem.
 ---@alias rfsm.postgres.Query fun(sql: string, ...: string?): table[]?, string?
 
---- A connection to machines.
+--- A connection to the machines in a server.
 ---@class rfsm.postgres.Client : rfsm.server.Client
 ---@field charts rfsm.postgres.Charts
 ---@field open fun(): any, string? see `postgres.connect`
 ---@field query rfsm.postgres.Query|false false: the connection is lost
 ---@field options table `patience`, `sleep`
----@field failure string|false the first error in the transaction of the caller
----@field is_open boolean a transaction of the caller is under way
+---@field failure string|false the first error in a call of `transaction`
+---@field is_open boolean a call of `transaction` is under way
 local Client = { where = "rfsm.postgres" }
 Client.__index = Client
 for name, f in pairs(Base) do Client[name] = f end -- any order: a copy
 
--- Returns the text of an error in one line, without what drivers put in front.
+-- Returns the text of an error in one line, without the prefix that a driver adds.
 local function reason_of(problem)
   local text = rfsm.text_of(problem)
   return text:match("ERROR:%s+([^\n]*)") or text:match("[^\n]+") or text
@@ -152,8 +154,8 @@ local OPTIONS = {
 ---@param charts rfsm.postgres.Charts
 ---@param open fun(): any, string? returns a connection of LuaSQL, or a function
 --- `query(sql, ...)` for another driver; it is called again when the connection is lost
----@param options? table `patience` while no server answers (10 s), `sleep(seconds)`, by
---- default that of luasocket
+---@param options? table `patience`: for how many seconds a call tries to reach a server
+--- (10); `sleep`: a function that waits for some seconds (default: that of luasocket)
 ---@return rfsm.postgres.Client client
 function postgres.connect(charts, open, options)
   local settings, problem = opts.read(OPTIONS, options or {})
@@ -175,14 +177,15 @@ end
 
 -- Transactions --------------------------------------------------------------------
 
--- Ends a transaction that has failed. If that fails, too, the connection is lost.
+-- Rolls a failed transaction back. If the rollback fails, too, the connection is lost.
 local function roll_back(self)
   if not self.query then return end
   local ok, rows = pcall(self.query, "ROLLBACK")
   if not (ok and rows) then self.query = false end
 end
 
--- Calls f(self, ...) in a transaction; returns what pcall does.
+-- Calls f(self, ...) in a transaction; returns true and its result, or false and the
+-- error, as pcall does. An interrupt is raised.
 local function in_transaction(self, f, ...)
   local ok, result = pcall(function(...)
     connect(self)
@@ -207,8 +210,9 @@ local function pause(self)
   return true
 end
 
--- Calls f(self, ...) in a transaction, again while the connection is lost. In a
--- transaction of the caller it is called once, and the caller has to try again.
+-- Calls f(self, ...) in a transaction. If the connection is lost, tries again as long
+-- as `patience` allows. In a call of `transaction`, f is called once, without another
+-- transaction, and the user has to try again.
 local function run(self, f, ...)
   if self.is_open then
     local ok, result = try(f, self, ...)
@@ -223,8 +227,8 @@ local function run(self, f, ...)
   return ok, result
 end
 
---- Call `f(query)` in a transaction: all that it does with machines, and by `query`,
--- happens, or nothing if something fails.
+--- Call `f(query)` in a transaction. If anything fails, all that `f` has done with
+-- machines of this client, and by `query`, is undone.
 ---@param f fun(query: rfsm.postgres.Query)
 ---@return boolean ok
 ---@return string? problem
@@ -275,15 +279,15 @@ end
 
 -- Workers -------------------------------------------------------------------------
 
--- Has a machine that cannot be run wait for a minute, and writes the reason to the log.
+-- Delays a machine that cannot be run by a minute, and writes the reason to the log.
 local function put_aside(self, key, problem)
   query(self, ASIDE, key)
   query(self, host.STATEMENTS.log, key, reason_of(problem))
 end
 
--- Runs machines that are due and that no other worker has locked. A statement that
--- fails ends the transaction of all; then `culprit` has the key of the machine, and the
--- problem.
+-- Runs machines that are due and that no other worker has locked. If a statement fails,
+-- the transaction of all these machines fails, and `culprit` has the key of the machine
+-- that caused this, and the problem.
 local function wake(self, limit, culprit)
   local counts = { woken = 0, failed = 0 }
   for _, row in ipairs(query(self, DUE:format(limit))) do
@@ -301,10 +305,10 @@ local function wake(self, limit, culprit)
   return counts
 end
 
---- Run machines that are due. What cannot be run is put aside for a minute.
+--- Run machines that are due. A machine that cannot be run is put aside for a minute.
 -- @raise if no server answers
----@param limit? integer at most that many (100)
----@return integer count
+---@param limit? integer how many machines are run at most (100)
+---@return integer count machines that were run
 ---@return integer failed machines that were put aside
 function Client:wake(limit)
   limit = limit or 100

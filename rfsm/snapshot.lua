@@ -1,12 +1,13 @@
---- Snapshots: a machine between two steps as a plain table, and back.
+--- Snapshots: save a machine between two steps as a plain table, and restore it.
 --
 -- A snapshot holds the active leaf of the machine, its queue, the data that the chart
 -- names (`keep`, or `save` and `load`, in a state), and the data of extensions. It
 -- consists of texts, numbers, booleans and tables that any encoder takes, such as those
 -- of JSON and MessagePack.
 --
--- The file reads in this order: take, put, public functions. `rfsm.snapshot.shape`
--- describes charts, `rfsm.snapshot.migrate` adapts a snapshot of another chart.
+-- The file reads in this order: take snapshots, put them back, public functions.
+-- `rfsm.snapshot.shape` describes charts, `rfsm.snapshot.migrate` adapts a snapshot of
+-- another chart.
 --
 -- @module rfsm.snapshot
 -- @license BSD-3-Clause
@@ -36,13 +37,14 @@ local snapshot = { VERSION = migrate.VERSION }
 ---@field chart string fingerprint of the structure of the chart, and of what it keeps
 ---@field leaf? string FQN of the active leaf; absent: the machine was not entered
 ---@field done? true the leaf is done
----@field queue? any[] events that wait; absent: none, `e_init_fsm` if there is no leaf
----@field data? table<string, table> what `keep` names, by FQN of the state
+---@field queue? any[] waiting events; absent: none, or `e_init_fsm` if the machine
+-- was not entered
+---@field data? table<string, table> the fields that `keep` names, by FQN of the state
 ---@field saved? table<string, any> what `save` returned, by FQN of the state
 ---@field targets? any[] three values for each transition whose target was changed: FQN
--- of the composite that it is in, its position or name there, FQN of the target
+-- of its composite, its position or name in this composite, FQN of the new target
 ---@field ext? table<string, any> data of extensions, by their names
----@field regions? table<string, table> such a table for each region, by its location
+---@field regions? table<string, table> such a table for each region, by location
 ---@field structure? string[] a line for each element of the chart
 
 -- Take -------------------------------------------------------------------------
@@ -126,7 +128,8 @@ local function take_extensions(fsm, snap, path)
   end
 end
 
--- Notes the queue, unless it is the usual one: empty, or `e_init_fsm` before the entry.
+-- Adds the queue to a snapshot, except the default queue: an empty one, or `e_init_fsm`
+-- alone if the machine was not entered.
 local function take_queue(fsm, snap, path)
   local queue = fsm._intq
   local is_default = queue[1] == nil
@@ -134,20 +137,21 @@ local function take_queue(fsm, snap, path)
   if not is_default then snap.queue = pack_queue(queue, path) end
 end
 
--- Returns the path for `pack`: one table for each machine, which is used again.
+-- Returns the table `path` of a machine, in which `pack` notes where it is in the data.
+-- Each machine has one such table, which is reused.
 local function path_of(own, prefix)
   local path = own.path
   path.prefix, path.seen = prefix, false
   return path
 end
 
--- Returns the part of a snapshot about a machine or region.
+-- Returns a snapshot of one machine or region, without its regions.
 local function take_part(fsm, prefix, version)
   local leaf, own = fsm._act_leaf, shape.of(fsm)
   local path = path_of(own, prefix)
   local part = { version = version, chart = own.chart.name,
     leaf = leaf and leaf._fqn or nil, done = leaf and leaf._mode == "done" or nil,
-    data = nil, ext = nil } -- so that Lua allocates six fields at once
+    data = nil, ext = nil } -- nil: Lua allocates six fields at once
   if not leaf and fsm._mode ~= "inactive" then
     fail("no leaf of the machine is active, but '%s' is", prefix)
   end
@@ -199,14 +203,16 @@ local function unpack_queue(part)
   return queue
 end
 
--- Returns the table that a value in a field of the snapshot stands for; nil for null.
+-- Returns a value of the snapshot unpacked: a table, or nil for null. Anything else is
+-- an error, which names `field` and `name`.
 local function unpack_table(field, name, value)
   local t = unpack(value, 2)
   if t == nil or type(t) == "table" then return t end
   fail("%s: table expected for '%s', got %s", field, text_of(name), type(t))
 end
 
--- Returns the fields by state. A field that the `keep` of its state lacks is an error.
+-- Returns a table of unpacked fields for each state, by FQN. A field that the `keep` of
+-- its state does not name is an error.
 local function unpack_data(own, packed)
   local data, keepers = {}, own.chart.keeper
   for fqn, fields in each(packed) do -- any order: each stands alone
@@ -248,7 +254,7 @@ local function unpack_extensions(fsm, packed, is_migrated)
   return values
 end
 
--- Returns the changed targets, by transition.
+-- Returns the new targets of those transitions whose target was changed.
 local function unpack_targets(fsm, list)
   local targets = {}
   for i = 1, #list, 3 do
@@ -281,7 +287,8 @@ local function set_fields(state, keeper, fields)
   end
 end
 
--- Gives states their data. Fields that the part lacks get their first values.
+-- Gives states their data. A field for which the part has no value gets the value that
+-- it has in the chart.
 local function set_data(part)
   local own = part.own
   for i, keeper in ipairs(own.chart.keepers) do
@@ -301,9 +308,9 @@ end
 ---@field leaf rfsm.State|false
 ---@field mode string
 ---@field queue any[]
----@field data table<string, table> by FQN
----@field values table<string, table> of extensions
----@field how table argument of the hooks of extensions
+---@field data table<string, table> values of kept fields, by FQN of the state
+---@field values table<string, table> data of extensions, by name
+---@field how table argument for the hooks of extensions: what has changed in the chart
 ---@field saved? table<string, { value: any }> results of `save`, by FQN
 ---@field targets? table<rfsm.Transition, table>
 
@@ -321,12 +328,12 @@ end
 
 local function is_never_new() return false end
 
--- The argument `how` of hooks of extensions if the snapshot is of the same chart.
+-- The argument `how` for hooks of extensions if the chart has not changed.
 local UNCHANGED = { entries = false, has_changed = false, is_migrated = false,
   is_new = is_never_new }
 
--- Checks a snapshot; returns a part for the machine and for each region. Hooks of
--- extensions learn by `how` what has changed there.
+-- Checks a snapshot; returns a part for the machine and for each region. The field
+-- `how` of a part says to hooks of extensions what has changed in this machine.
 local function new_parts(fsm, snap, options)
   local parts, how = {}, UNCHANGED
   local moved, changes, is_new = migrate.to(fsm, snap, options)
@@ -353,7 +360,7 @@ local function run_entry(fsm, state)
   end
 end
 
--- Loads the data of a part by functions of the chart and extensions, which may fail.
+-- Loads the data of a part. `load` functions of the chart and of extensions may fail.
 local function load_part(part)
   set_data(part)
   local hooks = rfsm.snapshot_hooks(part.fsm)
@@ -374,16 +381,17 @@ local function can_fail(part)
   return part.own.chart.has_load or rfsm.snapshot_hooks(part.fsm)[1]
 end
 
--- Is a snapshot of the same chart, and has it none of the rare fields?
+-- Is a snapshot of the same chart, without queue, `saved`, targets and regions? And
+-- has the chart no `load` and no regions?
 local function is_usual(own, snap)
   return own.chart.leaves[snap.leaf] and snap.chart == own.chart.name
     and snap.version == migrate.VERSION and not (snap.queue or snap.saved
     or snap.targets or snap.regions) and not (own.chart.has_load or own.places[2])
 end
 
--- Puts a trusted snapshot with only the usual fields, without the checks and tables of
--- `put`, for a host that puts one after another into a machine. Returns false, and has
--- changed nothing, if the snapshot has other fields.
+-- Puts a trusted snapshot without the checks and tables of `put`, if `is_usual` accepts
+-- it; else changes nothing and returns false. This is for speed: a host may put one
+-- snapshot after another into a machine.
 local function put_directly(fsm, snap, is_tidy)
   local own, data, ext = shape.of(fsm), snap.data or NONE, snap.ext or NONE
   local keepers, hooks = own.chart.keepers, rfsm.snapshot_hooks(fsm)
@@ -402,8 +410,8 @@ local function put_directly(fsm, snap, is_tidy)
   return true
 end
 
--- Puts a snapshot into a machine. If a load fails, the machine is put back to where it
--- was. It is reset if that could not be saved, or if `may_reset` is true.
+-- Puts a snapshot into a machine. If a `load` fails, the machine gets its former
+-- configuration back. It is reset if that was not saved, or if `may_reset` is true.
 local function put(fsm, snap, options, may_reset)
   local parts, has_before, before = new_parts(fsm, snap, options), false, nil
   if not may_reset and order.any(parts, can_fail) then
@@ -429,7 +437,8 @@ end
 --
 -- @raise if a step is under way, or something cannot be saved
 ---@param fsm rfsm.Machine
----@param options? { structure: boolean? } add the lines of the chart, for `restore`
+---@param options? { structure: boolean? } true: add the field `structure`, with which
+--- `restore` can list the differences from another chart
 ---@return rfsm.snapshot.Snapshot snap
 ---@nodiscard
 function snapshot.take(fsm, options)
@@ -440,29 +449,31 @@ function snapshot.take(fsm, options)
   return snap
 end
 
---- Return a machine as a plain table, for observers, also at the beginning of an
--- iteration: its events are left out. Nil and the reason if it cannot be saved.
+--- Return a machine as a plain table; nil and the reason if it cannot be saved.
+-- Observers may call this at the beginning of an iteration, too; then the events of the
+-- iteration are not in the queue.
 -- @raise if a debug hook raises an error
 ---@param fsm rfsm.Machine
 ---@return rfsm.snapshot.Snapshot?
 ---@return string? problem
 function snapshot.try_take(fsm) return encoding.attempt(take, fsm) end
 
---- Return a snapshot as JSON: one text for one snapshot, on every Lua.
+--- Return a snapshot as JSON. The text is the same on every Lua.
 ---@param snap rfsm.snapshot.Snapshot
 ---@return string text for any decoder of JSON
 ---@nodiscard
 function snapshot.encode(snap) return exact_json.encode(snap) end
 
---- How a snapshot becomes a machine.
+--- The options of `put` and `restore`.
 ---@class rfsm.snapshot.Options
 ---@field entries? boolean run the entries of the active states, the outermost first
----@field rename? table<string, string> new FQN of states that moved, by the old one
----@field migrate? fun(snap: table, list: string[]): table|false? false refuses
+---@field rename? table<string, string> new FQNs of moved states, by their old FQNs
+---@field migrate? fun(snap: table, list: string[]): table|false? changes a snapshot of
+-- another chart, returns a new one, or false to refuse it; `list` has the differences
 ---@field old? rfsm.State|string[] the chart of the snapshot, or its structure
----@field trusted? boolean the caller promises that the snapshot is as `take` made it:
---- `put` is faster then. Another snapshot may reset the machine, or be put in part.
----@field is_tidy? boolean the caller promises that no target of the machine is changed
+---@field trusted? boolean the caller promises that the snapshot is as `take` made it.
+--- This makes `put` faster. If it is not, the machine may be reset, or changed in part.
+---@field is_tidy? boolean the caller promises that the machine has no changed targets
 
 local is_boolean, is_table = opts.is_a "boolean", opts.is_a "table"
 
@@ -484,7 +495,7 @@ local OPTIONS = {
 }
 
 -- Returns the options of a public function, unchecked if the snapshot is trusted. A
--- number in their place is the second result of a decoder, which comes first.
+-- number counts as no options: in `put(fsm, decode(text))` the decoder returns it.
 local function read_options(options, where)
   if options == nil or type(options) == "number" then return NONE end
   if type(options) ~= "table" or not options.trusted then
@@ -508,8 +519,8 @@ end
 
 --- Move a machine to a snapshot; no callback runs.
 --
--- A wrong snapshot changes nothing. If a `load` fails after others have run, the
--- machine gets its former data back; one that could not be saved is reset.
+-- A wrong snapshot changes nothing. If a `load` fails, the machine gets its former
+-- configuration and data back; it is reset if these could not be saved.
 --
 ---@param fsm rfsm.Machine
 ---@param snap rfsm.snapshot.Snapshot
@@ -549,7 +560,7 @@ function snapshot.restore(model, snap, options)
   return false, problem, list
 end
 
---- Return the data that callbacks may change, as in a snapshot; also within a step.
+--- Return the part of a snapshot that callbacks may change; also within a step.
 -- @raise if something cannot be saved
 ---@param fsm rfsm.Machine
 ---@return { data: table?, saved: table?, targets: any[]? } kept
@@ -571,8 +582,8 @@ function snapshot.put_data(fsm, kept)
   set_data(part)
 end
 
---- Return the structure of a chart as lines, for `restore` of its snapshots elsewhere.
----@param chart rfsm.State|string[] a model, a machine, or such lines
+--- Return the structure of a chart as lines, for the option `old` of `restore`.
+---@param chart rfsm.State|string[] a model, a machine, or its structure
 ---@return string[] lines
 ---@nodiscard
 function snapshot.structure(chart)

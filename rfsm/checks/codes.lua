@@ -1,4 +1,4 @@
---- The codes of findings: severity, meaning, and a remedy.
+--- The codes of findings. Each has a severity, a meaning, and a remedy.
 --
 -- @module rfsm.checks.codes
 -- @license BSD-3-Clause
@@ -11,18 +11,18 @@ local ipairs, type = ipairs, type
 
 local codes = {}
 
---- A code.
+--- A code of findings.
 ---@class rfsm_checks.Code
----@field code string
+---@field code string such as "dead-end"
 ---@field severity "error"|"warning"|"note"
 ---@field meaning string
----@field hint string
+---@field hint string the remedy
 
 --- All codes, in the order in which the manual lists them.
 ---@type rfsm_checks.Code[]
 codes.list = {}
 
---- All codes by their words, such as "dead-end".
+--- All codes, by their field `code`, such as "dead-end".
 ---@type table<string, rfsm_checks.Code>
 codes.of = {}
 
@@ -110,13 +110,13 @@ for severity, code, meaning, hint in TEXT:gmatch("(%l+) (%S+): (.-)\n  (.-)\n") 
   codes.list[#codes.list + 1], codes.of[code] = entry, entry
 end
 
--- Words in the names of leaves, by their meaning.
+-- Words that mean an end or a fault in the name of a leaf.
 local MEANINGS = {
   ["an end"] = { "OK", "FAILED", "FINI", "FATAL", "FINISHED", "FINAL", "END" },
   ["a fault"] = { "FAULT", "ERROR", "FAILURE", "FAILED", "ALARM", "EMERGENCY" },
 }
 
---- Does the name of a leaf mean an end, or a fault?
+--- Does the name of a leaf contain a word that means an end, or a fault?
 ---@param meaning "an end"|"a fault"
 ---@return boolean
 function codes.means(state, meaning)
@@ -126,7 +126,7 @@ function codes.means(state, meaning)
   end)
 end
 
--- Texts of the core's warnings, and their codes; false: the checks report the same in
+-- Parts of the core's warnings, and their codes; false: a check reports the problem in
 -- more detail.
 local WARNINGS = {
   { "no outgoing transitions from node", false },
@@ -145,7 +145,7 @@ local WARNINGS = {
   { "an empty list, any event triggers it", "empty-events" },
 }
 
---- Return the code of a warning of the core; false if a check reports the same.
+--- Return the code of a warning of the core; false if a check reports the same problem.
 function codes.of_warning(text)
   for _, pair in ipairs(WARNINGS) do
     if text:find(pair[1], 1, true) then return pair[2] end
@@ -153,7 +153,7 @@ function codes.of_warning(text)
   return "init"
 end
 
---- Return the hint with the nearest code for one that does not exist; it may be empty.
+--- Return a hint with the code that is nearest to an unknown code; "" if none is near.
 function codes.nearest(code)
   return type(code) == "string"
     and advice.nearest_name(code, rfsm.sorted_keys(codes.of)) or ""
@@ -161,7 +161,7 @@ end
 
 local SEVERITIES = { error = true, warning = true, note = true, off = true }
 
---- Return the problem of a project's settings; nil if there is none.
+--- Return the problem in the severities that a project sets; nil if there is none.
 ---@param settings any code -> "error"|"warning"|"note"|"off"
 ---@return string? problem
 function codes.check_settings(settings)

@@ -11,7 +11,7 @@ local rfsm = require "rfsm"
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
--- Returns the lines of a reply: leaf, mode and outcome in one, then the errors.
+-- Returns the lines of a reply: one with leaf, mode and outcome, then one per error.
 local function lines_of(reply)
   local lines = { reply.leaf .. " " .. reply.mode .. " " .. reply.outcome }
   for _, text in ipairs(reply.errors) do lines[#lines + 1] = "error: " .. text end
@@ -63,7 +63,7 @@ local function was_there(name)
   end
 end
 
--- Of each verb: its arguments, how many of them are needed, and the function, which
+-- For each verb: its arguments, how many of them are needed, and the function, which
 -- returns lines to print, or nil and the problem.
 local VERBS = {
   find = { "CHART STATE [LIMIT [SECONDS]]", 2, function(fleet, name, state, limit, s)
@@ -80,7 +80,7 @@ local VERBS = {
   again = { "TAG ID", 2, was_there "again" }, drop = { "TAG ID", 2, was_there "drop" },
 }
 
--- Two verbs a line, so that the help fits a terminal.
+-- Returns the list of verbs, two in a line, so that the help fits a terminal.
 local function help()
   local lines, names = { "Verbs:" }, rfsm.sorted_keys(VERBS)
   for i = 1, #names, 2 do

@@ -4,8 +4,8 @@
 -- The callbacks in the option `run` are called as in a machine. Each step begins with
 -- the values of its configuration in the fields that the option `vars` names. All other
 -- data that callbacks change are put back, and the verdict is then not known
--- (`rfsm.explore.memory`). The answer of a guard that is called, and an answer that
--- follows from a rule, is a choice whose other side is not tried.
+-- (`rfsm.explore.memory`). If a guard is called, or its answer follows from a rule, the
+-- exploration tries only this answer, and not the opposite.
 --
 -- @module rfsm.explore.data
 -- @license BSD-3-Clause
@@ -28,7 +28,7 @@ local data = {}
 
 -- Options ...........................................................................
 
--- Is it a list of at least one value, all of which a test accepts?
+-- Is an option a list of at least one value, all of which a test accepts?
 local function is_list_of(test, list)
   return type(list) == "table" and list[1] ~= nil and order.all(list, test)
 end
@@ -40,12 +40,12 @@ local function are_callbacks(list) return is_list_of(is_callback, list) end
 --- Is the option a list of functions and names of callbacks?
 data.check_functions = are_callbacks
 
---- Is the option such a list, or a list of such lists?
+--- Is the option a list of functions and names of callbacks, or a list of such lists?
 function data.check_groups(list)
   return are_callbacks(list) or is_list_of(are_callbacks, list)
 end
 
--- Is it { least, most }, a list of texts, or "boolean"?
+-- Is a value the range of a field: { least, most }, a list of texts, or "boolean"?
 local function is_range(range)
   if range == "boolean" then return true end
   if type(range) == "table" and type(range[1]) == "number" then
@@ -54,7 +54,7 @@ local function is_range(range)
   return is_list_of(opts.is_a "string", range)
 end
 
---- Is it like { tries = { 0, 3 }, armed = "boolean", gear = { "slow", "fast" } }?
+--- Is `vars` right, such as { tries = { 0, 3 }, on = "boolean", gear = { "a", "b" } }?
 ---@return boolean is_right
 ---@return string? problem
 function data.check_vars(vars)
@@ -78,8 +78,8 @@ local function is_inside(range, value)
   return type(value) == "number" and value >= range[1] and value <= range[2]
 end
 
---- Return the values of the fields, in the order of their names, and a text of them;
---- nil and a text of data that the exploration does not follow.
+--- Return the values of the fields that `vars` names, in the order of the names, and a
+--- text of the values; or nil, and a text of data that the exploration cannot follow.
 ---@param self rfsm_checks.Subject
 ---@return any[]? values
 ---@return string text
@@ -98,7 +98,7 @@ function data.read(self)
   return values, concat(texts, ",")
 end
 
---- Set the fields that `vars` names.
+--- Set the fields that `vars` names to values as `read` returns them.
 function data.put(self, values)
   for i, place in ipairs(self.var_places) do
     rawset(place.home.of, place.key, values[i])
@@ -112,12 +112,13 @@ function data.put_back(self)
   self.changed = self.changed or text and text .. ", which vars does not name"
 end
 
---- Set the fields to the values with which the chart begins: other subjects of the same
---- model may share their tables.
+--- Set the fields that `vars` names back to the values with which the chart begins:
+--- other subjects of the same model may share the tables.
 function data.rest(self) data.put(self, self.first_values) end
 
--- Lists the names of fields that the callbacks in `run` may read or that `vars` has,
--- and the names of their variables. A key that a callback computes may be any name.
+-- Returns two lists: names of fields that `vars` has or that callbacks in `run` may
+-- read, and names of variables in these callbacks. If a callback computes a key, the
+-- first list has a pattern that matches all names.
 local function names_of_data(self)
   local names, variables, seen = {}, {}, {}
   for _, path in ipairs(self.var_names) do names[path:match("[%w_]+%]?$")] = true end
@@ -131,7 +132,8 @@ local function names_of_data(self)
   return rfsm.sorted_keys(names), rfsm.sorted_keys(variables)
 end
 
--- Counts the callbacks that are not called, and notes those that may write such data.
+-- Counts the callbacks that are not called, except guards, and lists those that may
+-- write fields or variables which called callbacks use.
 local function note_others(self, named)
   local names, variables = names_of_data(self)
   for _, name in ipairs(rfsm.sorted_keys(named)) do
@@ -146,7 +148,7 @@ local function note_others(self, named)
   end
 end
 
---- Return the premises about data.
+--- Return the premises of a verdict that are about data.
 ---@param self rfsm_checks.Subject
 ---@return string[] texts
 function data.premises(self)
@@ -158,8 +160,8 @@ function data.premises(self)
   return texts
 end
 
---- Note the data of a subject; raise an error if a field of `vars` does not exist or
---- begins with a value out of its range.
+--- Find the fields of `vars` in a subject, and note their first values; raise an error
+--- if a field does not exist or its first value is out of range.
 function data.check_first(self)
   self.var_places, self.first_values, self.memory = {}, {}, false
   if not (self.var_names[1] or self.run_list[1]) then return end
@@ -198,7 +200,7 @@ local function found_in(named, list, field)
   return found
 end
 
--- Notes for each guard the rules in which it is: their kinds and groups of guards.
+-- Adds the rules of one kind, such as "exclusive", to each guard that they name.
 local function add_rules(self, kind, list, named)
   for _, items in ipairs(are_callbacks(list) and { list } or list or {}) do
     local group = found_in(named, items, kind)
@@ -213,7 +215,7 @@ local function add_rules(self, kind, list, named)
   end
 end
 
---- Read the options `vars`, `run` and the rules for guards.
+--- Read the options `vars` and `run`, and the options with rules for guards.
 ---@param self rfsm_checks.Subject
 ---@param options rfsm_checks.Options
 ---@param fsm rfsm.Machine
@@ -230,8 +232,9 @@ function data.read_options(self, options, fsm)
   if self.var_names[1] or self.run_list[1] then note_others(self, named) end
 end
 
--- Returns the answer that follows from those of the other guards in a group, or nil: it
--- is false if one of them is true, and true if one must be and all others are false.
+-- Returns the answer of a guard that follows from the answers of other guards in its
+-- group: false if one is true; true if the rule is "complementary" and all are false;
+-- otherwise nil.
 local function find_answer(self, rule, guard)
   local are_false = rule.kind == "complementary"
   for _, other in ipairs(rule.kind ~= "same" and rule.group or {}) do
@@ -243,8 +246,8 @@ local function find_answer(self, rule, guard)
   return are_false or nil
 end
 
--- Returns the answer that a guard gave before in this step or that follows from a
--- rule; nil if there is neither.
+-- Returns the answer that a guard gave before in this step; else the answer that a rule
+-- demands; else nil.
 local function known_answer(self, guard)
   local answer = self.answers[guard]
   for _, rule in ipairs(self.rules[guard]) do
@@ -253,7 +256,7 @@ local function known_answer(self, guard)
   return answer
 end
 
---- Return the function that a subject has in place of a guard.
+--- Return the function that replaces a guard in a subject.
 ---@param self rfsm_checks.Subject
 ---@param path string of its transition
 ---@param guard function
@@ -276,12 +279,12 @@ function data.new_guard(self, path, guard)
   end
 end
 
---- Return the function that a subject has in place of a doo that is called. What a doo
---- does after a yield is not followed: `free` takes its place.
+--- Return the function that replaces a doo of `run` in a subject. It runs the doo up to
+--- its first yield. How the doo goes on is not followed: `free` runs instead.
 ---@param self rfsm_checks.Subject
 ---@param path string of its state
 ---@param doo function
----@param free function in its place from then on
+---@param free function that runs in place of the doo after its first yield
 ---@return function
 function data.new_doo(self, path, doo, free)
   return function(...)

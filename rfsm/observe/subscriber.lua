@@ -13,20 +13,20 @@ local setmetatable, type = setmetatable, type
 
 local subscriber = {}
 
-local BEAT = 1 -- seconds between two heartbeats; a host drops who is silent for 3
+local BEAT = 1 -- seconds between heartbeats; a host drops a client after 3 without one
 
---- A subscription.
+--- A client of a host, to which it subscribes.
 ---@class rfsm.observe.Subscription
 ---@field address string
 ---@field clock fun(): number seconds
----@field is_heard boolean the host has answered to the last subscription
+---@field is_heard boolean has the host answered the last subscription?
 local Client = {}
 Client.__index = Client
 
 --- Send a message to the host.
 function Client:send(message) self.udp:send(self.json.encode(message)) end
 
--- Subscribes or sends a heartbeat, if one is due.
+-- Sends what is due: a subscription, or a heartbeat if the host has answered.
 local function beat(client)
   if client.clock() < client.due then return end
   client:send(client.is_heard and { type = "heartbeat" }
@@ -34,7 +34,7 @@ local function beat(client)
   client.due = client.clock() + BEAT
 end
 
---- Return the next message; nil if none comes within so many seconds.
+--- Return the next message; nil if no message comes within the time.
 function Client:receive(seconds)
   beat(self)
   self.udp:settimeout(seconds)
@@ -60,8 +60,8 @@ function subscriber.handle(handlers, target, message)
   return "unreadable message '" .. message.type .. "'"
 end
 
---- Make a client, which subscribes to a host; if `has_path`, to the paths taken as
--- well. Return nil and the problem if there is one.
+--- Return a client that subscribes to the machines of a host, or nil and the problem.
+-- With `has_path`, the messages of the host have the paths that were taken, too.
 function subscriber.connect(host, port, has_path)
   local socket, json = opts.find_package("socket", "dkjson")
   if not socket then return nil, json end

@@ -1,8 +1,8 @@
---- The properties of an exploration, judged while a machine runs.
+--- Judge the properties of a machine while it runs: those that explorations judge, too.
 --
--- Monitors look at the end of each iteration, and at the states that it passes. Their
--- clocks use the time of the machine: one is started when an iteration is over, and
--- read when an iteration begins, before the timers are.
+-- Monitors look at the end of each iteration, and at the states that it enters and
+-- leaves again. Their clocks use the time of the machine: a clock is started when an
+-- iteration is over, and is read when one begins, before the timers of the machine.
 --
 -- @module rfsm.observe.watch_properties
 -- @license BSD-3-Clause
@@ -27,21 +27,21 @@ local watch_properties = {}
 ---@class rfsm_checks.Monitor
 ---@field name string
 ---@field property rfsm_checks.Property
----@field state string
----@field clocks number[] when each began
+---@field state string of the monitor, see `monitors.look`
+---@field clocks number[] the times at which the clocks were started
 ---@field is_told boolean the last step broke the property, and was reported
 
---- What is kept of a machine that is watched.
+--- A machine that is watched, and the state of the watch.
 ---@class rfsm_checks.Watched
 ---@field fsm rfsm.Machine
 ---@field monitors rfsm_checks.Monitor[]
 ---@field active fun(name: string): boolean
----@field is_timed boolean some property has a time
----@field now number seconds, when the iteration began
----@field leaf rfsm.State|false when the iteration began
----@field forwarded any[] events of the iteration before, which belongs to this step
----@field moments { state: rfsm.State, active: fun(name: string): boolean }[] of this
--- step, when a state was entered through which it may pass
+---@field is_timed boolean does a property have a time limit?
+---@field now number the time at which the iteration began, in seconds
+---@field leaf rfsm.State|false the active leaf when the iteration began
+---@field forwarded any[] events of earlier iterations that belong to this step
+---@field moments { state: rfsm.State, active: fun(name: string): boolean }[] entries of
+-- states that this step may leave again, and what was active at each entry
 ---@field stream rfsm.observe.Stream
 ---@field trace { text: string, at: number|false }[] the latest steps
 local Watched = {}
@@ -49,9 +49,9 @@ Watched.__index = Watched
 
 local NOTHING = {}
 
-local LONG = 10 -- steps that are kept
+local LONG = 10 -- how many steps a report lists at most
 
-local MARGIN = 1e-6 -- seconds; more than the error of a difference of two times
+local MARGIN = 1e-6 -- seconds; larger than the rounding error of a difference of times
 
 local function read_clock(own)
   if not own.is_timed then return 0 end
@@ -82,12 +82,12 @@ local function views_of(fsm)
   end
 end
 
--- Is the machine idle up to the next event, as none waits and no doo goes on?
+-- Is the machine idle until an event comes? No event waits, and no doo goes on.
 local function is_idle(fsm)
   return rfsm.check_events(fsm) == 0 and fsm._act_leaf._mode == "done"
 end
 
--- Do all of these events come from the engine?
+-- Do all events come from the engine itself, as e_done does?
 local function are_internal(events)
   for i = 1, #events do
     if match.maker_of(events[i]) ~= "engine" then return false end
@@ -95,7 +95,7 @@ local function are_internal(events)
   return true
 end
 
--- Notes a step for reports, if an event came or another leaf is active.
+-- Notes a step for reports, if an event came from outside or the leaf has changed.
 local function note_step(own, events)
   local texts, leaf = {}, own.fsm._act_leaf
   if leaf == own.leaf and are_internal(events) then return end
@@ -131,14 +131,15 @@ local function count_expired(own, monitor)
   return expired
 end
 
--- Sets the clocks of a monitor: `numbers` has those that stay, and 0 for a new one.
+-- Sets the clocks of a monitor. `numbers` has the index of each clock that stays, and 0
+-- for each new clock.
 local function set_clocks(monitor, numbers, now)
   local clocks = {}
   for i, number in ipairs(numbers) do clocks[i] = monitor.clocks[number] or now end
   monitor.clocks = clocks
 end
 
--- Has a monitor look at the iteration that ends.
+-- Has a monitor look at the end of an iteration, or at a state that it only passes.
 local function look_at(own, monitor, look, events)
   local property = monitor.property
   look.came = property.event ~= nil and own.leaf
@@ -157,9 +158,9 @@ local function begin_iteration(own, at)
   own.now, own.leaf = read_clock(own), own.fsm._act_leaf or false
 end
 
--- Does the next iteration have these events again, so that both count as one step? It
--- does if no transition was taken, and they are forwarded to regions of the active
--- leaf, or an extension has put some of them back.
+-- Does the next iteration have the events of this one again, so that both count as one
+-- step? It does if no transition was taken, and the events are forwarded to regions of
+-- the active leaf, or an extension has put some events back into the queue.
 local function are_forwarded(fsm)
   return rfsm.is_free(fsm) and (rfsm.regions(fsm._act_leaf)[1] or fsm._intq[1] ~= nil)
 end
@@ -186,7 +187,8 @@ local function end_iteration(own, at, events)
   for _, monitor in ipairs(own.monitors) do look_at(own, monitor, look, events) end
 end
 
--- Returns monitors for the properties that are given.
+-- Returns a monitor for each of the given properties. An error names the function
+-- `where`.
 local function monitors_of(where, given, active)
   local list = properties.list_of(where, given)
   for _, monitor in ipairs(list) do
@@ -203,7 +205,7 @@ local function is_timed(monitor) return monitor.property.seconds ~= nil end
 
 local function sees_passages(monitor) return kinds[monitor.property.kind].passes end
 
--- Notes what is active when a composite is entered through which the step may pass.
+-- Notes which states are active when a step enters a composite that it may leave again.
 local function note_moment(own, state, snapshot)
   local is_inner = rfsm.is_composite(state) and not rfsm.is_root(state)
   if is_inner and location.is_passable(state) then
@@ -211,7 +213,7 @@ local function note_moment(own, state, snapshot)
   end
 end
 
--- Has all monitors begin anew.
+-- Sets all monitors to their first state, without clocks.
 local function begin(own)
   own.trace, own.forwarded, own.moments = {}, {}, {}
   for _, monitor in ipairs(own.monitors) do
@@ -219,11 +221,11 @@ local function begin(own)
   end
 end
 
---- Watch no more: the machine has none of its hooks any longer.
+--- End the watch, and remove its hooks from the machine.
 function Watched:stop() self.stream:stop() end
 
---- Return the seconds until the time of a property is over; nil if none is running. A
--- host that sleeps until the next deadline of a timer may see to this one, too.
+--- Return the seconds until the next time limit of a property; nil if no limit runs. A
+-- host that sleeps until the next timer of the machine may wake up for this limit, too.
 ---@return number? seconds
 function Watched:next_deadline()
   local least
@@ -238,15 +240,15 @@ end
 
 --- Have a machine report to `err` if a property does not hold, with the latest steps.
 --
--- Properties are those of an exploration, but for `from(...).can_reach(...)`; they look
--- at states, and not at flags. What an event has to lead to, and has not, is known when
--- nothing happens before the next event comes. After a report the property is watched
--- from there on.
+-- Properties are those of an exploration, except `from(...).can_reach(...)`. They look
+-- at states, and not at flags. If an event has not led to what it has to lead to, this
+-- is reported when nothing can happen before the next event comes. After a report the
+-- property is watched anew.
 --
--- @raise if there is no such property or state
+-- @raise if a property is wrong, or names a state that does not exist
 ---@param fsm rfsm.Machine
 ---@param given? table<any, rfsm_checks.Property> default: the field `properties`
----@return rfsm_checks.Watched watched its method `stop` ends it
+---@return rfsm_checks.Watched watched its method `stop` ends the watch
 function watch_properties.watch_properties(fsm, given)
   local where = "rfsm_checks.watch_properties"
   rfsm.check_machine(fsm, where)

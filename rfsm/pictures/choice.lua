@@ -1,8 +1,9 @@
---- The better one of two layouts: that of our levels, and a plain one of the whole.
+--- Choose the better layout of a chart: the layout of levels, or the plain layout.
 --
--- Fewer crossings win, then text that is readable on paper, then shorter lines. The
--- layout of levels never wins if its text is too small to read, and smaller than that
--- of the plain one.
+-- In a layout of levels each composite is laid out by itself; in a plain layout the
+-- whole chart is laid out at once. Fewer crossings win, then text that is readable on
+-- paper, then shorter lines. The layout of levels never wins if its text is too small
+-- to read, and smaller than the text of the plain layout.
 --
 -- @module rfsm.pictures.choice
 -- @license BSD-3-Clause
@@ -12,10 +13,10 @@ local max, min, sqrt = math.max, math.min, math.sqrt
 
 local choice = {}
 
-local PIECES = 8 -- straight pieces in place of each curve
+local PIECES = 8 -- so many straight pieces replace a curve
 
--- Appends the pieces of a line to a list, each with its lower end first. Returns the
--- length of the line.
+-- Appends the straight pieces of a line to a list, each with its lower end first.
+-- Returns the length of the line.
 local function add_pieces(list, line)
   local points, length = line.points, 0
   local x, y = points[1][1], points[1][2]
@@ -34,7 +35,7 @@ local function add_pieces(list, line)
   return length
 end
 
--- At which side of a piece is a point? Above 0, below 0, or on it.
+-- On which side of a piece is a point? The sign of the result says it; 0: on the piece.
 local function side_of(piece, x, y)
   return (piece[3] - piece[1]) * (y - piece[2]) - (piece[4] - piece[2]) * (x - piece[1])
 end
@@ -47,9 +48,9 @@ local function is_crossing(one, other)
     and side_of(other, one[1], one[2]) * side_of(other, one[3], one[4]) < 0
 end
 
--- Counts the crossings of pieces; only those at one height are compared.
+-- Counts the crossings of pieces. Pieces are compared only if their heights overlap.
 local function count_crossings(pieces)
-  sort(pieces, function(a, b) return a[2] < b[2] end) -- any order of equal ones will do
+  sort(pieces, function(a, b) return a[2] < b[2] end) -- any order of equals
   local count = 0
   for i, piece in ipairs(pieces) do
     local j, top = i + 1, piece[4]
@@ -63,17 +64,17 @@ local function count_crossings(pieces)
   return count
 end
 
-local SHORT, LONG = 523, 770 -- points, of a page of A4 with margins
-local READABLE = 0.7 -- of the size of labels, 10 pt
+local SHORT, LONG = 523, 770 -- points: width and height of A4 within its margins
+local READABLE = 0.7 -- scale: labels of 10 pt become 7 pt, just readable
 
--- Returns the scale of a picture on paper, at most READABLE: all larger ones are alike.
+-- Returns the scale of a picture on paper, at most READABLE: more is of no advantage.
 local function scale_of(layout)
   local width, height = layout.width, layout.height
   return min(READABLE, max(min(SHORT / width, LONG / height),
     min(LONG / width, SHORT / height)))
 end
 
---- Count the crossings of the arrows in a layout. Returns the length of all, too.
+--- Count the crossings of the arrows in a layout. Return the length of all arrows, too.
 ---@param layout rfsm.pictures.Layout
 ---@return integer count
 ---@return number length in points
@@ -83,13 +84,13 @@ function choice.measure(layout)
   return count_crossings(pieces), length
 end
 
-local MORE, LONGER = 2, 1.25 -- crossings, length: a better layout is that much better
+local MORE, LONGER = 2, 1.25 -- crossings; factor of length: "much better" below
 
---- Return the better one of two layouts: one of levels, and a plain one. If there was a
--- former picture, a layout of its kind wins unless the other one is much better.
+--- Return the better one of two layouts. If there was a former picture, the layout of
+-- its kind wins, unless the other layout is much better.
 ---@param levels rfsm.pictures.Layout
 ---@param plain rfsm.pictures.Layout
----@param kind? "levels"|"plain" what the former picture was
+---@param kind? "levels"|"plain" the layout of the former picture
 ---@return rfsm.pictures.Layout
 function choice.of(levels, plain, kind)
   local own, own_length = choice.measure(levels)

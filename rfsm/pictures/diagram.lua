@@ -1,8 +1,8 @@
 --- The common part of all diagrams: identifiers, labels, the ends of arrows.
 --
 -- `rfsm.plantuml`, `rfsm.dot` and `rfsm.mermaid` draw a `Chart`, each in its language.
--- A chart is made from the full description of a machine, by `rfsm.marsh` or read from
--- elsewhere. The functions `encode` and `save` of the three modules are made here.
+-- A chart is made from a machine, or from a description as `rfsm.marsh` makes it.
+-- The functions `encode` and `save` of the three modules are made here.
 --
 -- @module rfsm.pictures.diagram
 -- @license BSD-3-Clause
@@ -24,20 +24,21 @@ local diagram = {}
 ---@class rfsm.pictures.Options
 ---@field title? string
 ---@field foot? string a note in small letters below a picture
----@field active? string|string[] FQNs of active states; else those of a live machine
+---@field active? string|string[] FQNs of active states; default: those of the machine
 ---@field depth? integer levels of states to draw; deeper states are left out
 ---@field folded? string[] FQNs of composites that are drawn without the nodes in them
 ---@field direction? "TB"|"LR" from top to bottom, or from left to right
 ---@field coverage? rfsm.pictures.Coverage
----@field trace? (string|rfsm.pictures.Step)[] a run; a string is an FQN or a key
+---@field trace? (string|rfsm.pictures.Step)[] steps of a run; a string is the FQN of a
+-- state or the key of a transition
 ---@field like? string a former picture (SVG): the order of its nodes is kept
 
---- A step of a run, in a witness by `rfsm_checks.explore` or a file by `rfsm.record`.
+--- A step of a run: from a witness of `rfsm_checks.explore`, or from a recording.
 ---@class rfsm.pictures.Step
 ---@field taken? string[] keys of transitions
 ---@field leaf? string FQN of the active leaf after the step
----@field m? integer the step is one of the machine of a region, and is not drawn
----@field record? integer set in the first line of a recording, which is no step
+---@field m? integer set if the machine of a region took the step, which is not drawn
+---@field record? integer set in the first line of a recording only; it is not a step
 
 --- How often a run entered each state, by FQN, and took each transition, by key.
 ---@class rfsm.pictures.Coverage
@@ -51,19 +52,19 @@ local diagram = {}
 ---@field id string letters, digits and underscores; no other node has it
 ---@field kind "leaf"|"composite"|"connector"|"initial"
 ---@field parent? rfsm.pictures.Node absent at the root
----@field depth integer of composites around it
+---@field depth integer number of composites around it
 ---@field index? integer position among the nodes of the parent
----@field nodes rfsm.pictures.Node[] those in a composite: `initial` first, or regions
----@field arrows rfsm.pictures.Arrow[] those whose `home` is this composite
+---@field nodes rfsm.pictures.Node[] its regions, or the nodes in it, `initial` first
+---@field arrows rfsm.pictures.Arrow[] arrows whose `home` is this composite
 ---@field rows string[] lines below the name: "entry / f", internal transitions
 ---@field at string file and line of callbacks
 ---@field mode? "active"|"done"
 ---@field mark? "covered"|"missed"|"traced"
 ---@field is_final? true
 ---@field is_region? true
----@field is_on_border? true a connector, used by arrows across the frame around it
+---@field is_on_border? true an arrow leads from or to it across the frame around it
 ---@field is_cut? true a composite that is drawn without the nodes in it
----@field least? string attribute for Graphviz: least width or height of its box
+---@field least? string an attribute for Graphviz: the least width or height of its box
 
 --- A transition.
 ---@class rfsm.pictures.Arrow
@@ -72,7 +73,8 @@ local diagram = {}
 ---@field tgt rfsm.pictures.Node an `initial` only if `src` is in its composite
 ---@field home? rfsm.pictures.Node the innermost composite around both ends
 ---@field at string file and line of guard and effect
----@field parts string[] "e1, e2", "[guard]", "/ effect", "(pn 1)", if there are any
+---@field parts string[] of the label: "e1, e2", "[guard]", "/ effect" and "(pn 1)", as
+-- far as the transition has them
 ---@field mark? "covered"|"missed"|"traced"
 
 --- All that is drawn of a machine.
@@ -80,18 +82,18 @@ local diagram = {}
 ---@field title? string
 ---@field foot? string
 ---@field direction string
----@field kind? "levels"|"plain" of the former picture
+---@field kind? "levels"|"plain" the layout of the former picture, see `like`
 ---@field root rfsm.pictures.Node
 ---@field nodes rfsm.pictures.Node[] all nodes, parents before children
 ---@field by_fqn table<string, rfsm.pictures.Node>
----@field arrows rfsm.pictures.Arrow[] those that begin or end at the root
+---@field arrows rfsm.pictures.Arrow[] arrows that begin or end at the root
 ---@field all rfsm.pictures.Arrow[] all arrows
 ---@field taken table<string, boolean> identifiers that are in use
----@field folded table<string, boolean> FQNs of composites, as in the options
+---@field folded table<string, boolean> FQNs of the composites in the option `folded`
 
 -- Text ------------------------------------------------------------------------
 
---- Return an identifier that nothing else in the chart has: `plain`, or with a number.
+--- Return a new identifier of the chart: `plain`, with a number if that is taken.
 function diagram.new_id(chart, plain)
   local id, count = plain, 1
   while chart.taken[id] do
@@ -102,7 +104,7 @@ function diagram.new_id(chart, plain)
   return id
 end
 
---- Return a text fit for a picture: UTF-8, no control characters but the line feed.
+--- Return a text as UTF-8, in which line feeds are the only control characters.
 function diagram.clean(text)
   if not text:find("[^ -~]") then return text end
   text = marsh.utf8(text):gsub("\r\n?", "\n"):gsub("\t", " ")
@@ -115,8 +117,8 @@ local function length_of(text) return select(2, text:gsub("[^\128-\191]", "")) e
 
 local CHARACTER = "[^\128-\191][\128-\191]*"
 
--- Appends a word to the last line if there is room, else in a new line. A word that is
--- wider than a line is broken.
+-- Appends a word to the last line if `can_join` and there is room, else as a new line.
+-- A word that is wider than a line is broken.
 local function add_word(lines, word, width, can_join)
   local last = lines[#lines]
   if can_join and last and length_of(last) + 1 + length_of(word) <= width then
@@ -147,7 +149,7 @@ local function words_in(line)
   return words
 end
 
--- Appends a line, in several if it is too long.
+-- Appends a line. If it is too long, its words are put into several lines.
 local function add_line(lines, line, width, can_join)
   if length_of(line) <= width then return add_word(lines, line, width, can_join) end
   for i, word in ipairs(words_in(line)) do add_word(lines, word, width, i > 1) end
@@ -167,9 +169,9 @@ function diagram.wrap(texts, width)
   return lines
 end
 
--- Descriptions: what pictures and pages read in them --------------------------
+-- Descriptions, as pictures and pages read them --------------------------------
 
---- Return the nodes in a node of a description, or its regions.
+--- Return the nodes or regions in a node of a description.
 function diagram.members(tab) return tab.regions or tab.subnodes or {} end
 
 local members = diagram.members
@@ -180,15 +182,15 @@ function diagram.kind_of(tab)
   return members(tab)[1] and "composite" or "leaf"
 end
 
---- Is a node, or another table with the `kind` of a node, a state?
+--- Is the `kind` of a node, or of another table, the kind of a state?
 function diagram.is_state(node)
   return node.kind == "leaf" or node.kind == "composite"
 end
 
 local is_state = diagram.is_state
 
---- Call f(tr, key, words) for each transition in a description. `words` are the events
--- of the transition for a reader, `fqn` is that of the description, by default "root".
+--- Call f(tr, key, words) for each transition in a description. `words` are texts of
+-- its events, `fqn` is the FQN of the state described, by default "root".
 function diagram.each_transition(tab, text_of, f, fqn)
   fqn = fqn or "root"
   for i, tr in ipairs(tab.transitions or {}) do
@@ -227,7 +229,7 @@ local MODES = { active = "active", done = "done" }
 
 local function is_closed(chart, fqn, depth) return depth == 0 or chart.folded[fqn] end
 
--- Reads a node, and the nodes in it down to a depth, into the chart.
+-- Adds a node of a description to the chart, and the nodes in it down to a depth.
 local function read_node(chart, tab, parent, fqn, depth)
   local kind, id = diagram.kind_of(tab), fqn:gsub("%W", "_")
   local is_cut = kind == "composite" and is_closed(chart, fqn, depth)
@@ -258,7 +260,7 @@ end
 
 local is_inside = diagram.is_inside
 
--- Returns the node for an FQN, or the drawn one that contains it.
+-- Returns the node with an FQN; if it is not drawn, the innermost drawn node around it.
 local function find_node(chart, fqn)
   while fqn and not chart.by_fqn[fqn] do fqn = fqn:match("^(.*)%.") end
   return chart.by_fqn[fqn]
@@ -306,9 +308,9 @@ local function add_arrow(chart, arrow)
   chart.all[#chart.all + 1] = arrow
 end
 
--- Adds the arrow of a transition, or a row if the transition is internal; nothing if
--- both ends are in a composite that is drawn without its nodes. An arrow to an initial
--- ends at the frame of the composite, unless it begins in the composite.
+-- Adds the arrow of a transition, or a row if the transition is internal. Adds nothing
+-- if both ends are in one composite that is drawn without its nodes. An arrow to an
+-- initial ends at the frame of the composite, unless it begins in the composite.
 local function read_transition(chart, tr, key, words)
   local src, tgt = find_node(chart, tr.src), find_node(chart, tr.tgt)
   if src == tgt and src.fqn ~= tr.src then return end
@@ -322,7 +324,7 @@ local function read_transition(chart, tr, key, words)
     parts = parts, at = at_of(tr) })
 end
 
--- Order: that of a former picture ----------------------------------------------
+-- Order of nodes, as in a former picture ----------------------------------------
 
 local ENTITIES = { amp = "&", lt = "<", gt = ">", quot = '"', ["#45"] = "-",
   ["#39"] = "'" }
@@ -374,7 +376,7 @@ local function find_state(chart, fqn, where)
     advice.nearest_name(fqn, names)), 5)
 end
 
--- Marks the states that an option names in place of those of the machine.
+-- Marks as active the states in the option `active`, and not those of the machine.
 local function mark_active(chart, active, where)
   for _, node in ipairs(chart.nodes) do node.mode = nil end
   for _, fqn in ipairs(type(active) == "table" and active or { active }) do
@@ -383,8 +385,8 @@ local function mark_active(chart, active, where)
   end
 end
 
--- Returns the keys of the transitions that a step took, and the FQN of its leaf if that
--- is another one than before; nil if the step is not drawn.
+-- Returns a list of the keys of the transitions that a step took, and of the FQN of its
+-- leaf if that is not `leaf`, the one before. Returns nil if the step is not drawn.
 local function places_of(step, leaf)
   if type(step) == "string" then return { step } end
   if type(step) ~= "table" or step.m or step.record then return nil end
@@ -394,7 +396,8 @@ local function places_of(step, leaf)
   return places
 end
 
--- Returns for each FQN and key the numbers of the steps that came there: "1, 4".
+-- Returns a table from the FQN of a state or the key of a transition to the numbers of
+-- the steps that entered or took it, such as "1, 4".
 local function steps_of(trace)
   local steps, count, leaf = {}, 0, nil
   for _, step in ipairs(trace or {}) do
@@ -409,7 +412,8 @@ local function steps_of(trace)
   return steps
 end
 
--- Adds to states and arrows how often a run came there, and in which steps of a trace.
+-- Adds a text to states and arrows: how often a run entered the state or took the
+-- transition, and in which steps of a trace.
 local function mark_run(chart, coverage, trace)
   local steps = steps_of(trace)
   local function mark(element, texts, key, counts)
@@ -436,7 +440,7 @@ local function is_a(kind, other)
   return function(x) return not x or type(x) == kind or type(x) == other end
 end
 
--- Description, test, default of each.
+-- For each option: what is expected, as a text; test; default.
 local OPTIONS = {
   title = { "string", is_a("string", "number") }, foot = { "string", is_a "string" },
   depth = { "number", is_a "number" },
@@ -485,23 +489,23 @@ end
 --- Return the label of an arrow.
 function diagram.label_of(arrow) return concat(diagram.wrap(arrow.parts, 28), "\n") end
 
---- Append a line, indented.
+--- Append a line, indented by `depth` levels.
 function diagram.add(lines, depth, text)
   lines[#lines + 1] = ("  "):rep(depth) .. text
 end
 
---- The module of a language. Both functions take an initialised fsm, or a description;
--- options that are a string are the title.
+--- The module for a diagram language. Both functions take an initialised fsm, or a
+-- description. A string in place of the options is the title.
 ---@class rfsm.pictures.Exporter
 ---@field encode fun(fsm: rfsm.Machine, opts?: rfsm.pictures.Options|string): string
 ---@field save fun(fsm: rfsm.Machine, file: string, opts?: rfsm.pictures.Options|string)
 
---- Make the module of a language. `draw(chart)` returns the text, `global` is the name
--- of a global variable for the module, as older programs expect it.
+--- Make the module for a diagram language. `draw(chart)` returns the text of a picture.
+-- The module is also set as the global variable `global`, which older programs expect.
 function diagram.exporter(name, global, draw)
   local exporter = {}
 
-  -- These languages have no notes below a picture: the foot follows the title.
+  -- These languages have no text below a picture, so the foot is put behind the title.
   local function text_of(chart)
     if chart.foot then
       chart.title = ("%s (%s)"):format(chart.title or chart.root.name, chart.foot)

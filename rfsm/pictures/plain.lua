@@ -1,7 +1,7 @@
 --- The plain layout: Graphviz lays out the whole chart as one graph.
 --
--- The graph is that of `rfsm.dot.encode`. A label is a node in it, so that an arrow is
--- two edges, which are joined here.
+-- The graph is the graph that `rfsm.dot.encode` makes. In it the label of an arrow is a
+-- node, so an arrow with a label is two edges. Their lines are joined here.
 --
 -- @module rfsm.pictures.plain
 -- @license BSD-3-Clause
@@ -21,8 +21,8 @@ local function frame_of(attributes)
     height = corners[4] - corners[2], x = header[1], y = header[2] }
 end
 
--- Returns the elements that have a position in an answer: frames and boxes by
--- identifier, lines by id.
+-- Returns the elements that have a position in an answer of Graphviz: frames, boxes,
+-- and the lines of edges, each by its identifier.
 local function elements_of(answer)
   local frames, boxes, halves = {}, {}, {}
   graphs.read(answer, 1, function(id, attributes, cluster)
@@ -39,8 +39,9 @@ end
 
 local function turn(line) line.points = lines.moved(line.points, 0, 0, true) end
 
--- Joins the two halves of the line of an arrow. If the second half begins at the tip,
--- the first half is backward, too, unless the arrow is a loop around its label.
+-- Joins the two halves of the line of an arrow. If Graphviz drew the second half from
+-- its tip, the first half is backward, too, and is turned, unless the arrow is a loop
+-- around its label.
 local function join(label, box, direction, first, second)
   if label.is_round then
     local from, to = first.points[#first.points], second.points[1]
@@ -53,7 +54,7 @@ local function join(label, box, direction, first, second)
   return { points = first.points, tip = second.tip, label = { box.x, box.y } }
 end
 
--- Returns the line of an arrow; nil if Graphviz has drawn no part of it.
+-- Returns the line of an arrow; nil if Graphviz has not drawn all of it.
 local function line_of(chart, arrow, boxes, halves)
   local label = arrow.label
   local function half(name) return halves[looks.plain_id(arrow.key .. name)] end
@@ -64,7 +65,7 @@ local function line_of(chart, arrow, boxes, halves)
   return first and last and box and join(label, box, chart.direction, first, last)
 end
 
---- Return the layout that an answer of Graphviz has; nil if it lacks anything.
+--- Return the layout in an answer of Graphviz; nil if a node or an arrow is missing.
 ---@param chart rfsm.pictures.Chart
 ---@param answer string
 ---@return rfsm.pictures.Layout?

@@ -1,6 +1,6 @@
---- Bundles charts with the core as a schema of PostgreSQL, with functions in PL/Lua.
+--- Make SQL from charts and the core: a schema of PostgreSQL with functions in PL/Lua.
 --
--- The command `rfsm postgres` calls it. The functions are the same as in Redis.
+-- The command `rfsm postgres` calls this. The functions are the same as in Redis.
 --
 -- @module rfsm.postgres.script
 -- @license BSD-3-Clause
@@ -14,11 +14,11 @@ local concat = table.concat
 
 local script = {}
 
--- The text before the library makes its globals; then a function begins, whose body is
--- the library. `pcall` of PL/Lua makes a subtransaction, and catches the error by which
--- a call is cancelled; `lpcall` does neither, so it is the `pcall` of charts. No name
--- of the host, such as `spi`, may be in the scope of charts, or of a text that they
--- load.
+-- The text in front of the library. It makes the globals of the library, and begins a
+-- function whose body is the library. `pcall` of PL/Lua makes a subtransaction, and
+-- catches the error by which a call is cancelled; `lpcall` does neither, so it is the
+-- `pcall` of charts. No name of the host, such as `spi`, may be in the scope of charts,
+-- or of a text that they load.
 local HEAD = [[
 local globals, sandbox
 do
@@ -57,7 +57,7 @@ local self, globals, _ENV = nil, nil, sandbox
 
 local FOOT = "end, globals)\n"
 
--- Returns an id of a text. Two libraries have different ones, most likely.
+-- Returns a hash of a text as its id. Two libraries most likely have different ids.
 local function id_of(text)
   local sum = 0
   for i = 1, #text do sum = (sum * 31 + text:byte(i)) % 16777213 end
@@ -73,19 +73,19 @@ end
 
 --- Options of the schema.
 ---@class rfsm.postgres.Options
----@field history? boolean the table rfsm.history has moves, and events that moved
---- nothing
+---@field history? boolean moves, and events that moved nothing, are noted in the table
+--- rfsm.history
 ---@field notify? boolean a trigger reports each move to those who LISTEN to rfsm
----@field ids? integer as in `rfsm.server.Options`
----@field ids_for? integer likewise
+---@field ids? integer how many ids of events are kept for each machine (16)
+---@field ids_for? integer for how many seconds ids are kept (1000)
 
---- Return the library that runs at a table of PostgreSQL, and a list of warnings, for
--- charts as `rfsm.redis.bundle` takes them. Raises an error as that does.
+--- Return the text of the library for machines in a table of PostgreSQL, and a list of
+-- warnings. Charts are given as to `rfsm.redis.bundle`. A wrong chart raises an error.
 function script.library(arguments, options)
   return library.text(arguments, "PostgreSQL", options)
 end
 
--- Functions in SQL run with the rights of the owner.
+-- Functions in SQL run with the rights of their owner, not of their caller.
 local OWNER = { OWNER =
   "LANGUAGE sql SECURITY DEFINER SET search_path = pg_catalog, pg_temp" }
 
@@ -99,11 +99,12 @@ local function schema_of(functions, options)
     triggers, schema.FOOT }
 end
 
---- Return SQL that makes the schema `rfsm` for `rfsm.postgres`: its tables.
+--- Return SQL that makes the schema `rfsm` with tables and without functions, as
+-- `rfsm.postgres` needs it.
 function script.tables(options) return schema_of("", options or {}) end
 
---- Return SQL that makes the schema `rfsm`, or gives it other charts, and a list of
--- warnings. Raises an error as `library`.
+--- Return SQL, and a list of warnings. The SQL makes the schema `rfsm` with functions,
+-- or gives other charts to this schema. A wrong chart raises an error.
 function script.sql(arguments, options)
   options = options or {}
   local text, warnings = script.library(arguments, options)

@@ -5,7 +5,7 @@
 -- @module rfsm.rtt.component
 -- @license BSD-3-Clause
 
-local rfsm_rtt = require "rfsm.rtt" -- first: it makes a pool safe
+local rfsm_rtt = require "rfsm.rtt" -- first: it adapts Lua to a TLSF pool
 local rfsm = require "rfsm"
 local held_port = require "rfsm.rtt.port"
 local limit = require "rfsm.shared.limit"
@@ -19,13 +19,14 @@ local concat = table.concat
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
--- Functions that stay after the launch hold these, and not all of the module.
+-- Functions that are needed after the launch use these locals, so that the rest of the
+-- module `update` can be collected.
 local add_attributes, ATTRIBUTES = update.add_attributes, update.ATTRIBUTES
 local report = update.report
 
 local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 
---- What a launch has asked for, and what belongs to its machine.
+--- A launch: its settings, and all that was made for its machine.
 ---@class rfsm.rtt.Launched : rfsm.rtt.Launch
 ---@field is_component boolean is it in a component, and not in a service?
 ---@field is_own boolean does the component launch its machine in its configureHook?
@@ -33,13 +34,13 @@ local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 ---@field log fun(level: string, ...) writes to RTT's log
 ---@field rtt table the module of RTT
 ---@field component any the TaskContext
----@field ports table<string, rfsm.rtt.Port> by field of the launch
+---@field ports table<string, rfsm.rtt.Port> ports, by the setting that asks for them
 ---@field extra rfsm.rtt.Port[] the ports in the global `extra_in_ports`
 ---@field variables table<string, any> the values of the attributes, by name
 ---@field attributes string[] names of the attributes that this launch has added
----@field counts table<string, integer> the values of the attributes that count
----@field emit? fun(...) writes events to their port; is the global `emit_event`, too
----@field is_ready boolean are the ports there, and the hooks those of the launch?
+---@field counts table<string, integer> the values of those attributes that are counters
+---@field emit? fun(...) writes events to the port for them; also global `emit_event`
+---@field is_ready boolean do all ports exist, and are the program's hooks wrapped?
 
 local function set_globals(globals)
   for name, value in pairs(globals) do rawset(_G, name, value) end -- any order: a set
@@ -47,7 +48,8 @@ end
 
 -- Ports --------------------------------------------------------------------------
 
--- By field of a launch: class, name by default, global, description, type (string).
+-- By setting of a launch: class of the port, its default name, the name of its global,
+-- its description, its type if that is not string.
 local PORTS = {
   fqn_port = { "OutputPort", "fqn", "fqn", "FQN of the active leaf" },
   ev_outport = { "OutputPort", "events_out", "ev_outport", "events of the machine" },
@@ -67,7 +69,7 @@ local function new_port(launch, field, held)
   real:connect(launch.component:getPeer(launch.timer):getPort("timer_0"))
 end
 
--- Raises if a port that was found has another direction or type than that of a launch.
+-- Raises if a port that was found has not the direction and type that the launch needs.
 local function check_port(held)
   local wanted, found = held.facts, held.real:info()
   if found.porttype == wanted.porttype and found.type == wanted.type then return end
@@ -75,8 +77,8 @@ local function check_port(held)
     :format(held.name, wanted.porttype, wanted.type, found.porttype, found.type), 0)
 end
 
--- Makes a port, unless a component that launches by itself has it, perhaps from the
--- launch before. A name that another port has is an error: RTT would replace that port.
+-- Makes a port, unless the component launches by itself and has the port, perhaps from
+-- its last launch. Otherwise a port of this name is an error: RTT would replace it.
 local function provide_port(launch, field, held)
   if launch.is_own and held:find() then return check_port(held) end
   if held_port.of(held.component, held.name) then
@@ -86,8 +88,8 @@ local function provide_port(launch, field, held)
   new_port(launch, field, held)
 end
 
--- Holds the port that a field of the launch asks for, by true or by a name. With
--- `ports = "configure"` the port is made when the component is configured.
+-- Makes the port that a setting of the launch asks for, by true or by a name. With
+-- `ports = "configure"` the port is made later, when the component is configured.
 local function add_port(launch, field)
   local wanted = launch[field]
   if not wanted then return nil end
@@ -102,7 +104,7 @@ local function add_port(launch, field)
   return held
 end
 
--- Finds the ports of the launch again. With `is_made`, those that are gone are made.
+-- Looks the ports of the launch up again. With `is_made`, missing ports are made.
 local function find_ports(launch, is_made)
   for _, field in ipairs(FIELDS) do
     local held = launch.ports[field]
@@ -118,7 +120,7 @@ end
 
 -- The machine --------------------------------------------------------------------
 
--- Returns an object that is read like a port, and gives the events of a getevents.
+-- Returns an object that is read like a port. Its samples are events of a getevents.
 local function port_of(getevents)
   local list, i = false, 0
   return { read = function()
@@ -130,16 +132,17 @@ local function port_of(getevents)
   end }
 end
 
--- Holds the ports that a prefile has listed in the global `extra_in_ports`.
+-- Adds to the launch the ports that its prefile has listed in `extra_in_ports`.
 local function hold_extra_ports(launch)
   local extra = rawget(_G, "extra_in_ports") or {}
-  if extra[1] then rfsm_rtt.gen_read_events(unpack(extra)) end -- raises for wrong ones
+  if extra[1] then rfsm_rtt.gen_read_events(unpack(extra)) end -- raises if one is wrong
   for i, real in ipairs(extra) do
     launch.extra[i] = held_port.hold(real, real:info())
   end
 end
 
--- Makes the getevents of the machine. The port for events replaces that of the chart.
+-- Makes the getevents of the machine, which reads ports. If the launch has a port for
+-- events, the getevents of the chart is not called.
 local function add_getevents(launch, fsm, getevents)
   if launch.ev_inport == nil and not getevents then
     launch.ev_inport = launch.is_own or not held_port.of(launch.component, "events_in")
@@ -170,7 +173,7 @@ end
 
 -- Hooks --------------------------------------------------------------------------
 
--- Enters the machine, with no events of ports: the entry would discard most of them.
+-- Enters the machine without reading ports: the entry would discard most events.
 local function enter(launch, fsm)
   if launch.enter ~= "start" or rfsm.get_sta_mode(fsm) ~= "inactive" then return end
   local getevents = rawget(fsm, "getevents")
@@ -181,7 +184,7 @@ local function enter(launch, fsm)
   if not ok then report(launch, problem) end
 end
 
--- Logs that time events wait for other events if nothing wakes the component.
+-- Logs a warning if time events are late, since nothing wakes the component for them.
 local function warn_of_timers(launch)
   if launch.timer or launch.component:getOperation("getPeriod")() > 0 then return end
   for _, tr in ipairs(rfsm.elements(launch.fsm, rfsm.is_trans)) do
@@ -242,14 +245,14 @@ local function make_ready(launch)
   launch.is_ready = true
 end
 
--- RTT looks the function up by its name at each update. It ends the process if the
--- function is not there, or if the hook was collected. So the name is one that no chart
--- uses, and the function holds the hook.
+-- The name of the global function that RTT's EEHook calls at each update. RTT ends the
+-- process if there is no such function, or if the hook was collected. So no chart uses
+-- this name, and the function refers to the hook.
 local HOOK = "rfsm.rtt: function of the EEHook"
 
--- Returns a hook for the component's thread, to be enabled when nothing else is left to
--- do in this Lua: OCL takes no lock. The hook has a stack of its own, that of the Lua
--- thread in which it is made. A halt removes it, in the component's thread.
+-- Returns a hook that the component's thread runs. Since OCL takes no lock, it must be
+-- enabled when nothing else is left to do in this Lua. The hook is made in a new Lua
+-- thread, so that it has its own stack. A halt removes it, in the component's thread.
 local function new_hook(launch, trigger)
   local halt, halted = launch.variables.rfsm_halt, launch.variables.rfsm_halted
   local thread = coroutine.create(function() return launch.rtt.EEHook.new(HOOK) end)
@@ -274,8 +277,8 @@ local function run(load, source, name)
   if source then assert(load(source, name))() end
 end
 
--- Has the deployer, a peer, load a component that writes to its port when a time has
--- passed.
+-- Has the deployer, which is a peer, load a timer component: it writes to its port when
+-- a time has passed.
 local function add_timer(launch)
   if not launch.timer then return end
   local target, name = launch.component, launch.deployer or "Deployer"
@@ -300,7 +303,7 @@ local function add_timer(launch)
   timer:start()
 end
 
--- Adds ports to which the machine writes; returns the function that writes the FQN.
+-- Adds the ports for FQN, events and timer; returns the function that writes the FQN.
 local function add_outputs(launch)
   local fqn, out = add_port(launch, "fqn_port"), add_port(launch, "ev_outport")
   add_port(launch, "timer")
@@ -310,7 +313,7 @@ local function add_outputs(launch)
   return write_fqn
 end
 
--- Connects the machine with its ports. The FQNs to be written become Variables now.
+-- Connects the machine with its ports. FQNs are converted to Variables once, here.
 local function connect(launch, fsm, getevents, write_fqn)
   rfsm.post_step_hook_add(fsm, write_fqn)
   local emit = launch.emit
@@ -359,10 +362,10 @@ local function obstacle()
   return "a machine was launched here before, it is the global 'fsm'"
 end
 
--- Gives the program its hooks back, those that it has not defined anew, and forgets the
--- machine: a pool may not have room for two.
+-- Restores the program's hooks, except hooks that it has defined anew since, and drops
+-- the machine: a pool may not have room for two machines.
 local function forget(launch)
-  for name, hook in pairs(launch.hooks) do -- any order: each is a global of its own
+  for name, hook in pairs(launch.hooks) do -- any order: different globals
     if rawget(_G, name) == hook then rawset(_G, name, launch.theirs[name]) end
   end
   if rawequal(rawget(_G, "fsm"), launch.fsm) then rawset(_G, "fsm", nil) end
@@ -371,7 +374,7 @@ local function forget(launch)
   pcall(collectgarbage)
 end
 
--- Takes away what a launch has made: Lua does not collect ports and attributes.
+-- Removes what a launch has made: Lua does not collect ports and attributes.
 local function undo(launch)
   for _, field in ipairs(FIELDS) do
     local held = launch.ports[field]
@@ -387,8 +390,8 @@ local function undo(launch)
   launch:forget()
 end
 
--- Charts rely on rttlib, which makes constructors callable and operations methods, and
--- on utils: both are loaded if they can be had, unless the launch shall do without.
+-- Charts rely on utils, and on rttlib, which makes constructors callable and operations
+-- methods. Both are loaded if they are installed, unless the launch has rttlib = false.
 local function load_libraries(launch)
   if launch.rttlib == false then return end
   pcall(require, "rttlib")
@@ -410,9 +413,9 @@ local function begin(launch)
   launch.undo, launch.finish = undo, update.finish
 end
 
---- Launch a machine in this Lua; return the hook to enable as the last act, if there is
--- one. An error has the name of the chart. Call `launch:finish()` afterwards, when most
--- of this module is garbage.
+--- Launch a machine in this Lua; return its hook, which the caller must enable last, or
+-- nil if it needs no hook. An error has the name of the chart. Call `launch:finish()`
+-- afterwards, when most of this module is garbage.
 ---@param launch rfsm.rtt.Launched
 function component.start(launch)
   launch.where = "launch of '" .. launch.fsmfile .. "': "

@@ -1,5 +1,5 @@
---- The keys of machines in Redis, and those of their timers, streams and index. All
--- keys with the same hash tag are in one slot of a cluster.
+--- The keys of machines in Redis, and the keys of their timers, streams and index.
+-- All keys with the same hash tag are in one slot of a cluster.
 --
 -- @module rfsm.server.keys
 -- @license BSD-3-Clause
@@ -11,7 +11,7 @@ local fail = encoding.fail
 
 local keys = {}
 
---- Return a name or a key for a message.
+--- Return a name or a key as a text for a message, shortened to 80 bytes.
 function keys.shown(text) return (tostring(text):sub(1, 80)) end
 
 local shown = keys.shown
@@ -30,8 +30,8 @@ function keys.tag(key)
   return tag
 end
 
---- Return the key of the machine: the first one of a call. The others are in the call
--- only because a cluster has to know all keys that are written.
+--- Return the key of the machine, which is the first key of a call. Other keys are in
+-- the call only because a cluster has to know all keys that are written.
 function keys.machine(list)
   local key = list[1] or fail("the key of a machine expected, got none")
   if key:find("^rfsm:") or key:find(":log$") or key:find(":history$") then
@@ -45,8 +45,8 @@ local function of_tag(kind)
   return function(key) return "rfsm:" .. kind .. ":{" .. keys.tag(key) .. "}" end
 end
 
---- Return the key of a sorted set or stream that the machines of a hash tag share, from
--- a key with that tag.
+--- Each returns the key of a sorted set or a stream. All machines with the hash tag of
+-- the given key share it.
 keys.due, keys.out, keys.index = of_tag "due", of_tag "out", of_tag "in"
 keys.aside, keys.dead, keys.since = of_tag "aside", of_tag "dead", of_tag "since"
 
@@ -56,13 +56,13 @@ local function of_machine(suffix)
   end
 end
 
---- Return the key of a stream of one machine, from that of the machine.
+--- Each returns the key of a stream of one machine, from the key of the machine.
 keys.log, keys.history = of_machine ":log", of_machine ":history"
 
 --- Return the channel on which the active leaf of a machine is published.
 function keys.channel(key) return "rfsm:{" .. keys.tag(key) .. "}:" .. key end
 
---- Return the member of the index for a machine in a leaf.
+--- Return the text by which the index lists a machine in a leaf.
 function keys.member(chart, leaf, key) return chart .. "\t" .. leaf .. "\t" .. key end
 
 return keys

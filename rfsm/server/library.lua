@@ -1,7 +1,7 @@
---- The library that both database servers run: charts, the core, and the functions of
---- `rfsm.server.functions`, in one text.
+--- Make the library that Redis or PostgreSQL runs: one text with charts, the core, and
+--- the functions of `rfsm.server.functions`.
 --
--- `rfsm.redis` and `rfsm.postgres.script` put it into a text for their server.
+-- `rfsm.redis` and `rfsm.postgres.script` put the library into a text for their server.
 --
 -- @module rfsm.server.library
 -- @license BSD-3-Clause
@@ -19,8 +19,8 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local library = {}
 
--- Modules of each library: the functions, and those that a chart may require or reach
--- as a field of `rfsm`. The modules that they require are added.
+-- Modules of each library: the functions, and modules that a chart may require or reach
+-- as a field of `rfsm`. Modules that these require are added.
 local ROOTS = {
   "rfsm.server.functions", "rfsm_seqand", "rfsm.emem", "rfsm.monitor", "rfsm.preview",
   "rfsm.strict",
@@ -28,7 +28,7 @@ local ROOTS = {
 
 -- The library is called with a function that writes a line to the log, and the globals.
 -- It returns a `require`, the charts, and the options. Redis raises an error if a
--- global is set, or if an absent one is read, so the modules see locals in their place.
+-- global is set, or an absent one is read, so modules see locals in place of globals.
 local HEAD = [[
 local _G, loadfile, print, io, os, debug, package, require
 do
@@ -66,16 +66,17 @@ local FOOT = [[
 return require, charts, { index = %s, history = %s, ids = %s, ids_for = %s }
 ]]
 
--- Appends a module under its name; returns its text, nil if no file of plain Lua is
--- found. For a flat name such as rfsm_await, rfsm.await is taken if there is no file.
+-- Appends a module under its name; returns its text, or nil if no file of plain Lua is
+-- found. If there is no file for a name such as rfsm_await, the file of rfsm.await is
+-- taken.
 local function add_text(parts, name)
   local dotted = name:match("^rfsm_(%a+)$")
   return bundle.add(parts, name)
     or dotted and bundle.add(parts, "rfsm." .. dotted, name)
 end
 
--- Appends a module, and those that it requires. A chart's own are plain Lua. In one
--- of rFSM no comment requires a module, so its text is searched as it is.
+-- Appends a module, and the modules that it requires. In modules of rFSM no comment
+-- contains a `require`, so their text is searched with its comments.
 local function add_module(parts, name, is_there, where, server)
   if is_there[name] then return end
   is_there[name] = true
@@ -89,8 +90,8 @@ local function add_module(parts, name, is_there, where, server)
   end
 end
 
---- Return the name of the chart in a file, and the file, of an argument such as
--- `lamp.lua` or `lamp=old/lamp.lua`.
+--- Return the name of a chart and its file from an argument such as `lamp.lua` or
+-- `lamp=old/lamp.lua`.
 ---@param argument string
 ---@return string name
 ---@return string file
@@ -119,10 +120,12 @@ end
 
 --- Return the text of the library for a server, and a list of warnings.
 -- @raise if a chart has a problem, in one line
----@param arguments string[] see `name_of`; a later version of a name is newer
----@param server string its name in messages
+---@param arguments string[] see `name_of`; if a name occurs again, the later file is
+--- the newer version of the chart
+---@param server string the name of the server in messages
 ---@param options rfsm.server.Options
----@param host? string the module of the host, if the library is to contain it
+---@param host? string the module that connects the functions with the server, if the
+--- library is to contain it
 ---@return string text
 ---@return string[] warnings
 function library.text(arguments, server, options, host)

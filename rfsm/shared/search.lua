@@ -1,10 +1,10 @@
---- Files and modules of a chart: they are found beside its file, from any directory.
+--- Find the files and modules of a chart beside its file, from any current directory.
 --
 -- In the code of a chart, `require`, `rfsm.load`, `dofile` and `loadfile` look in the
 -- folder of the chart, then in its parent, then where they always do. The code of a
--- chart is its file and each file that was found so. If the chart is loaded with stubs,
--- a module or file that is not found becomes a stub, and so do the functions
--- `os.execute`, `os.exit` and `io.popen` for the code of the chart.
+-- chart is its file, and each file that was found in these folders. If the chart is
+-- loaded with stubs, its code gets a stub for a module or file that is not found, and
+-- stubs in place of the functions `os.execute`, `os.exit` and `io.popen`.
 --
 -- @module rfsm.shared.search
 -- @license BSD-3-Clause
@@ -20,31 +20,31 @@ local insert = table.insert
 
 local search = {}
 
---- The folders and stubs of a chart.
+--- A world: what belongs to one chart, such as its folders, stubs and machines.
 ---@class rfsm.shared.World
----@field source string of its file
----@field folders string[] that are searched
+---@field source string the `source` of functions in its file, as debug.getinfo has it
+---@field folders string[] folders in which files are looked for
 ---@field has_stubs boolean the chart is loaded with stubs
----@field insists boolean a global is a stub also where the code asks if it exists
+---@field insists boolean an absent global is a stub also if the code tests for it
 ---@field is_late boolean the loading took too long
----@field names string[] of the stubs, in the order in which they were needed
----@field stubs table<string, table> by name
----@field models rfsm.State[] of the machines that the code makes
----@field places table<integer, string> the lines of these models, if they are valid
+---@field names string[] names of the stubs, in the order in which they were needed
+---@field stubs table<string, table> stubs, by name
+---@field models rfsm.State[] models of the machines that the code makes
+---@field places table<integer, string> file and line of each valid model
 ---@field is_made table<rfsm.Machine, true> the machines that the code has made
----@field depth integer how many machines are being made, each as a region of the other
+---@field depth integer how many machines are being made now, nested as regions
 ---@field is_halted boolean loading was ended at the first step of a machine
----@field number? integer of the machine that is wanted
+---@field number? integer which of the machines is to be loaded
 local current = nil ---@type rfsm.shared.World? of the chart that is being loaded
 local latest = nil ---@type rfsm.shared.World? of the chart that was loaded last
 
 local world_of_source = {} -- worlds, by the sources of their code
-local found = {} -- by module: true for a stub, false for one found beside the chart
-local found_for = nil -- the folder of the chart for which these were found
+local found = {} -- by name of a module: true: a stub; false: a file beside the chart
+local found_for = nil -- the folder of the chart for which modules in `found` were found
 
 -- Stubs -----------------------------------------------------------------------
 
---- Return the stub of a name in a world: the same each time.
+--- Return the stub of a name in a world: the same stub each time.
 function search.stub(world, name)
   if not world.stubs[name] then
     world.names[#world.names + 1] = name
@@ -77,8 +77,8 @@ local function find(world, name)
   end
 end
 
--- Returns the path of a file. With stubs, a file without its folders is found, too,
--- since these may exist on a robot only.
+-- Returns the path of a file. With stubs, the file is also looked for by its last name
+-- alone, since its folders may exist only on a robot.
 local function find_file(world, name)
   local file = find(world, name)
   if file or not world.has_stubs or exists(name) then return file end
@@ -90,8 +90,8 @@ local function adopt(world, file)
   return file
 end
 
--- Returns the world of the code at a level of the stack; if that code belongs to none,
--- or was left by a tail call, the world of the chart that is being loaded.
+-- Returns the world to which the code at a level of the stack belongs. If it belongs to
+-- none, or is not known after a tail call, returns the world that is being loaded.
 local function world_at(level)
   local info = getinfo and getinfo(level + 1, "S")
   return info and world_of_source[info.source] or current
@@ -99,7 +99,7 @@ end
 
 -- Functions that load a file ------------------------------------------------------
 
--- Replaces a function that loads a file by one that looks beside the chart first.
+-- Replaces a function that loads a file: the new one looks beside the chart first.
 local function wrap(owner, key, new_stub)
   local plain = owner[key]
   rawset(owner, key, function(file, ...)
@@ -117,8 +117,8 @@ end
 
 -- Functions that act on the system --------------------------------------------------
 
--- Replaces a function of Lua by one that calls a stub if a chart with stubs calls it.
--- If the caller is in no file (after a tail call, in `pcall`), the latest chart counts.
+-- Replaces a function of Lua: if the code of a chart with stubs calls it, a stub is
+-- called. A caller that is not known (a tail call, `pcall`) counts as the latest chart.
 local function hold_back(owner, key, name)
   local plain = rawget(owner, key)
   rawset(owner, key, plain and function(...)
@@ -141,14 +141,14 @@ local function load_beside(world, name)
   return chunk or error(problem, 0)
 end
 
--- The searcher in front of Lua's own. Modules named rfsm... are this library's.
+-- The searcher before the searchers of Lua. It leaves modules of this library to them.
 local function search_first(name)
   local world = not name:find("^rfsm") and world_at(3)
   return world and load_beside(world, name) or nil
 end
 
--- The searcher behind Lua's own. A chart that calls `pcall(require, ...)` can do
--- without the module, and gets no stub.
+-- The searcher after the searchers of Lua. It returns no stub to a chart that calls
+-- `pcall(require, ...)`, since such a chart can do without the module.
 local function search_last(name)
   local world = world_at(3)
   local loader = world and load_beside(world, name)
@@ -175,7 +175,8 @@ local function install()
   hold_back(io, "popen", "io.popen")
 end
 
--- Forgets stubs, and modules that were found beside a chart in another folder.
+-- Forgets stubs, and modules that were found beside a chart in another folder, so that
+-- `require` looks for them again.
 local function forget(folder)
   for name, is_stub in pairs(found) do -- any order: each stands alone
     if is_stub or found_for ~= folder then
@@ -187,7 +188,8 @@ end
 
 -- Public functions ----------------------------------------------------------------
 
---- Begin to load a chart, whose code has this source; `search.leave` ends that.
+--- Begin to load a chart, and return its world. `search.leave` ends the loading.
+---@param source string the `source` that debug.getinfo has for functions in the file
 function search.enter(file, source, has_stubs)
   install()
   stubs.forget()
@@ -206,7 +208,7 @@ end
 --- End the loading of a chart.
 function search.leave() current = nil end
 
---- Return the chart to which code with this source belongs; nil if there is none.
+--- Return the world of the chart to which code with this source belongs, or nil.
 function search.world_of(source) return world_of_source[source] end
 
 return search

@@ -1,7 +1,7 @@
---- Stubs: inert values in place of missing ones, such as the modules of a robot.
+--- Stubs: values that replace missing modules and globals, such as those of a robot.
 --
--- A stub returns a stub if it is indexed or called. Called with a state, it returns a
--- copy of the state. In a concatenation a stub is its name, such as
+-- A stub returns a stub if it is indexed or called. If it is called with a state, it
+-- returns a copy of the state. In a concatenation a stub is its name, such as
 -- 'rf.findFile("arm.lua")', and in arithmetic it is 0. A loop over a stub ends.
 --
 -- @module rfsm.shared.stubs
@@ -17,12 +17,13 @@ local concat = table.concat
 local stubs = {}
 
 local Stub = {}
--- The names, fields and listeners of stubs, by stub: a stub itself is an empty table.
+-- Name, fields and listener of each stub. The stub itself is an empty table.
 local names = setmetatable({}, { __mode = "k" })
 local fields = setmetatable({}, { __mode = "k" })
 local listeners = setmetatable({}, { __mode = "k" })
 
---- Return a stub. Calls of the stub and its fields call `listener(name, ...)`.
+--- Return a stub. If there is a listener, a call of the stub or of a field in it calls
+--- `listener(name, ...)`.
 function stubs.new(name, listener)
   local stub = setmetatable({}, Stub)
   names[stub], fields[stub], listeners[stub] = name, {}, listener
@@ -34,10 +35,10 @@ function stubs.name_of(value)
   return type(value) == "table" and getmetatable(value) == Stub and names[value] or nil
 end
 
--- Returns the name of a stub, or "a stub" for a copy of one that a chart has made.
+-- Returns the name of a stub; "a stub" if it is a copy, which only a chart makes.
 local function name_of(stub) return names[stub] or "a stub" end
 
-local MOST = 9 -- elements of a stub, so that `ipairs` over them ends
+local MOST = 9 -- list elements that a stub has, so that `ipairs` over it ends
 
 function Stub.__index(stub, key)
   if type(key) == "number" and key > MOST then return nil end
@@ -49,7 +50,7 @@ function Stub.__index(stub, key)
   return known[key]
 end
 
-local LONGEST = 200 -- bytes of a name; a longer one is not made of a call
+local LONGEST = 200 -- bytes: a call whose name would be longer has the name of the stub
 
 -- Returns the first state among the arguments of a call, or nil.
 local function find_state(...)
@@ -59,7 +60,7 @@ local function find_state(...)
   end
 end
 
--- Returns a copy of an element and of those in it.
+-- Returns a copy of a state, transition or connector, and of all elements in it.
 local function copy_of(element)
   local copy = {}
   for key, value in order.each(element) do -- any order: a copy
@@ -86,7 +87,7 @@ function Stub.__call(stub, ...)
   return stubs.new(#name <= LONGEST and name or name_of(stub))
 end
 
-local shown = {} -- names of stubs that were made texts
+local shown = {} -- names of stubs on which tostring was called
 
 function Stub.__tostring(stub)
   shown[name_of(stub)] = true
@@ -95,10 +96,10 @@ end
 
 function Stub.__concat(a, b) return rfsm.text_of(a) .. rfsm.text_of(b) end
 
---- Forget the names that were made texts, since another chart is loaded.
+--- Forget the names of stubs that were converted to texts; for the next chart.
 function stubs.forget() shown = {} end
 
---- Does a text contain the name of a stub that was made a text?
+--- Does a text contain the name of a stub that was converted to a text?
 ---@param text string
 ---@return boolean
 function stubs.is_in(text)
@@ -119,16 +120,16 @@ for _, operator in ipairs { "add", "sub", "mul", "div", "mod", "pow", "unm", "le
 end
 Stub.__lt, Stub.__le = no, no
 
--- States: stubs with the substates that transitions name --------------------------
+-- States that replace stubs, with the substates that transitions name --------------
 
-local MARK = " is a stub" -- ends the field `doc` of stubbed states and of their copies
+local MARK = " is a stub" -- the end of `doc` in states that replace stubs
 
 local function is_stubbed(state)
   local doc = rawget(state, "doc")
   return type(doc) == "string" and doc:sub(-#MARK) == MARK
 end
 
--- Returns a constructor that notes no location: that would be a line of this file.
+-- Returns a constructor that notes no location, since it would be a line of this file.
 local function without_location(constructor)
   local class = getmetatable(constructor {})
   return function(t) return setmetatable(t, class) end
@@ -137,12 +138,12 @@ end
 local new_state, new_trans, new_conn = without_location(rfsm.state),
   without_location(rfsm.trans), without_location(rfsm.conn)
 
---- Return a state that takes the place of a missing one.
+--- Return a state that replaces the stub of this name.
 function stubs.new_state(name)
   return new_state { doc = name .. MARK }
 end
 
--- Gives a stub a substate; the first one is its initial state.
+-- Adds a substate to a state that replaces a stub. The first substate is initial.
 local function add_substate(state, name)
   state[name] = name == "initial" and new_conn {} or stubs.new_state(name)
   if not state.initial and not state[1] then
@@ -150,7 +151,7 @@ local function add_substate(state, name)
   end
 end
 
--- Turns stubs on the path to the source or target of a transition into states.
+-- Replaces stubs on the path of a transition's source or target by states.
 local function complete_path(root, state, path)
   if path:find("^root%.") then state, path = root, path:sub(6) end
   for name in path:gmatch("[^.]+") do
@@ -162,7 +163,7 @@ local function complete_path(root, state, path)
   end
 end
 
---- Turn the stubs that are sources or targets of transitions into states.
+--- Replace the stubs that are sources or targets of transitions by states.
 function stubs.complete(model)
   rfsm.mapfsm(function(tr, state)
     for _, path in ipairs { tr.src, tr.tgt } do

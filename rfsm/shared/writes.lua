@@ -1,8 +1,9 @@
---- Writes: what functions assign to, as their text shows; for checks, and for
---- exploration, which does not call most callbacks.
+--- Find in the text of functions the fields and variables to which they assign; for
+--- checks, and for explorations, which do not call most callbacks.
 --
--- The text of a function is that of its lines, without comments. Functions that it
--- names count, too. An assignment to a computed key, and `rawset`, may write any field.
+-- The text of a function is the text of its lines, without comments. Functions whose
+-- names occur in it are searched, too. An assignment to a computed key, and `rawset`,
+-- may write any field.
 --
 -- @module rfsm.shared.writes
 -- @license BSD-3-Clause
@@ -23,7 +24,7 @@ local writes = {}
 
 -- Texts .............................................................................
 
-local sources = {} -- lists of lines, by the `source` of a function
+local sources = {} -- lists of lines, by the field `source` of debug.getinfo
 
 local function lines_of(source)
   if sources[source] then return sources[source] end
@@ -38,12 +39,12 @@ local function lines_of(source)
   return lines
 end
 
--- How the names of this library's files beside rfsm.lua go on behind "rfsm".
+-- The files of this library beside rfsm.lua: the ends of their names, after "rfsm".
 local BESIDE = { ["_checks.lua"] = true, ["_seqand.lua"] = true,
   ["_timeevent.lua"] = true, ["pp.lua"] = true }
 
--- Is it the source of a file of this library? The name of a chart beside the library
--- may begin with rfsm_, too.
+-- Is a function with this `source` from a file of this library? A chart in the same
+-- folder may have a name that begins with rfsm_, too.
 local function is_own(source)
   local core = getinfo(rfsm.init, "S").source
   local base = core:match("^(@.*rfsm)%.lua$")
@@ -64,7 +65,7 @@ function writes.text_of(callback)
   return text:match("%f[%w_]function%f[^%w_].*%f[%w_]end%f[^%w_]") or text
 end
 
---- List the upvalues of a function: `name`, `value`.
+--- List the upvalues of a function, each with its name and value.
 ---@return { name: string, value: any }[]
 function writes.upvalues_of(callback)
   local list, i = {}, 1
@@ -85,8 +86,8 @@ for name in ([[and break do else elseif end false for function goto if in local 
   OWN_NAMES[name] = true
 end
 
---- List the names of variables in a text, each once: names without a point in front
---- that are not Lua's own.
+--- List the names of variables in a text, each once: names without a point or colon in
+--- front, except words and functions of Lua.
 ---@return string[]
 function writes.names_in(text)
   local list, is_listed = {}, setmetatable({}, { __index = OWN_NAMES })
@@ -98,7 +99,8 @@ function writes.names_in(text)
   return list
 end
 
--- Lists the functions that a text names: upvalues, globals, and fields of such tables.
+-- Lists the functions that a text names: upvalues, globals, and fields of upvalues and
+-- globals.
 local function called_by(text, upvalues)
   local list = {}
   local function add(value)
@@ -115,7 +117,8 @@ end
 
 -- Assignments .......................................................................
 
--- The text behind a name, up to the sign of an assignment: an index, or more names.
+-- Patterns of the text between a name and the sign `=` of its assignment: nothing, an
+-- index, or more names.
 local BEHIND = { "%s*=[^=]", "%s*%b[]%s*=[^=]", "%s*,[%w_.,%s%[%]\"']-=[^=]" }
 
 -- Functions of `table` that change their first argument.
@@ -136,7 +139,7 @@ local function assigns(text, name)
 end
 
 -- Is the value of a variable a table that the function makes, or a table outside of the
--- chart? That does not help if the variable has one of the names asked for.
+-- chart? If `names` contains the variable, the answer is no.
 local function is_apart(text, upvalues, base, names)
   if base:find("[^%w_]") or match.has(names, base) then return false end
   local value = upvalues[base] or rawget(_G, base)
@@ -164,13 +167,13 @@ local function assigns_variable(text, name)
   end)
 end
 
---- Call f(text, callback, upvalues) for a function and those that it names, each once,
---- until the result is true.
+--- Call f(text, callback, upvalues) for a function, and for the functions that its text
+--- names, each once, until a call returns true.
 ---@param callback any
 ---@param f fun(text: string, callback: function, upvalues: table<string, any>): any
----@param seen table<function, true> functions that are left out; gets those that were
--- looked at
----@return boolean is_true the result of a call was true
+---@param seen table<function, true> functions that are left out; those for which `f` is
+-- called are added
+---@return boolean is_true did a call return true?
 function writes.each(callback, f, seen)
   local text = not seen[callback or seen] and writes.text_of(callback)
   if not text then return false end
@@ -194,8 +197,8 @@ function writes.reads_any(text)
     or text:find("%f[%w_]next%s*%(") or text:find("%f[%w_]rawget%s*%(")
 end
 
---- Does a function only read, as far as its text shows? Then it calls nothing, and
---- assigns to local variables alone.
+--- Does a function only read, as far as its text shows? If so, it calls no functions,
+--- and assigns only to new local variables.
 ---@param callback any
 ---@return boolean
 function writes.only_reads(callback)
@@ -210,7 +213,7 @@ end
 
 --- May a function write a field of one of these names?
 ---@param callback any
----@param names string[] may be patterns
+---@param names string[] names, or patterns such as `ANY`
 ---@return boolean
 function writes.may_write(callback, names)
   return writes.each(callback, function(text, _, upvalues)

@@ -18,20 +18,20 @@ local text_of = rfsm.text_of
 
 local commands = {}
 
---- A command.
+--- A command of the simulator.
 ---@class rfsm.sim.Command
 ---@field name string
 ---@field usage string "step([n])"
----@field brief string one line
----@field text string what else there is to know, and an example
----@field run fun(sim: rfsm.sim.Session, ...) returns nothing: the prompt would print it
----@field takes_line? boolean in a line of words, all behind the name is one argument
----@field completes? "now"|"events"|"points" by the Tab key: events, first those of
--- active states; all events; events and states
----@field fsm? rfsm.Machine of a system: the machine that the command is about
+---@field brief string a description in one line
+---@field text string details and an example, for `help` of this command
+---@field run fun(sim: rfsm.sim.Session, ...) returns nothing: results would be printed
+---@field takes_line? boolean in a line of words, the rest of the line is one argument
+---@field completes? "now"|"events"|"points" what the Tab key completes. now: events,
+-- those of active states first; events: all events alike; points: events and states
+---@field fsm? rfsm.Machine the machine that the command is about, if it is in a system
 
 commands.list = {}
--- A topic is a list of commands. `help` shows it as if it were a command itself.
+-- A topic is a list of commands. It has the fields of a command that `help` prints.
 local by_name, topics = {}, {}
 
 local function topic(name)

@@ -14,16 +14,17 @@ local wires = {}
 --- A wire, from one machine to another or to itself.
 ---@class rfsm.system.Wire
 ---@field number integer its position in the description
----@field from string machine
+---@field from string name of the machine that emits the event
 ---@field event string
----@field to string machine
----@field kind "buffer"|"data" a full buffer loses a new event, data the old one
----@field size integer of the buffer; of data 1
+---@field to string name of the machine that reads the wire
+---@field kind "buffer"|"data" a full buffer loses a new event; data keeps the newest
+---@field size integer how many events a buffer holds; 1 for data
 ---@field read "all"|"one" how many events a move of the reader takes from the queue
----@field location string "cell.lua:7"
+---@field location string where it is described, such as "cell.lua:7"
 
---- Return the event that `fsm.emit(name, data)` sends: without data the name; otherwise
---- a table that `rfsm.named` accepts. Data that is no table becomes its field `data`.
+--- Return the event that `fsm.emit(name, data)` sends: the name if there is no data; a
+--- copy of `data` with the field `name` if `data` is a table; otherwise a table with
+--- the fields `name` and `data`.
 function wires.event_of(name, data)
   if data == nil then return name end
   local event = encoding.copy_of(type(data) == "table" and data or { data = data })
@@ -42,12 +43,12 @@ function wires.put(wire, queue, event)
   return not is_full
 end
 
---- Take the events for a machine from the queues of its wires, in their order.
+--- Take the events for a machine from the queues of its wires, wire by wire.
 ---@param list rfsm.system.Wire[]
----@param queues any[][] of these wires
+---@param queues any[][] the queue of each wire in the list
 ---@param to string the machine
 ---@return any[] events
----@return rfsm.system.Wire[] by for each event the wire from which it comes
+---@return rfsm.system.Wire[] by the wire from which each event comes
 function wires.take(list, queues, to)
   local events, by = {}, {}
   for i, wire in ipairs(list) do

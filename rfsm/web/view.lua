@@ -1,9 +1,9 @@
---- A machine as pages show it: its chart once, then the changes.
+--- A view of a machine for web pages: first its chart, then the changes.
 --
 -- Two classes are derived from this one: `rfsm.web.local_view` for a machine in this
--- program, `rfsm.web.remote` for one elsewhere. Their method `now` returns the active
--- states and the queue. The log and the coverage are kept here. A message for a page is
--- made by its cursor, which says what the page knows, and has the changes since.
+-- program, `rfsm.web.remote` for a machine elsewhere. Their method `now` returns the
+-- active states and the queue. The log and the coverage are kept here. Each page has a
+-- cursor, which says what the page knows; a message has the changes since.
 --
 -- @module rfsm.web.view
 -- @license BSD-3-Clause
@@ -17,36 +17,36 @@ local setmetatable, type = setmetatable, type
 local max = math.max
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
-local MAX_LOG = 500 -- entries that are kept, at least
+local MAX_LOG = 500 -- so many of the last entries are always kept
 local MAX_SENT = 60 -- entries in a message to a page that has a cursor
-local MAX_TEXT = 2000 -- bytes of a text in the log
+local MAX_TEXT = 2000 -- bytes of the text of an entry in a message
 
 --- The state of a machine as a page shows it.
 ---@class rfsm.web.Now
 ---@field active integer[] numbers of nodes, from the root down
 ---@field leaf string|false FQN of the active leaf
----@field mode string of the leaf
+---@field mode string mode of the leaf
 ---@field queue string[]
 
 --- How much of a view a page knows.
 ---@class rfsm.web.Cursor
----@field log integer number of the last entry
----@field nodes integer how many of the nodes that were active
----@field edges integer how many of the transitions that were taken
+---@field log integer number of the last entry of the log that the page knows
+---@field nodes integer how many nodes of the list `seen_nodes` the page knows
+---@field edges integer how many transitions of the list `seen_edges` it knows
 ---@field rewrites integer `rewrites` of the view when the page got its last message
 
---- A machine as pages show it.
+--- A view of a machine: its chart, its log, and its coverage.
 ---@class rfsm.web.View
 ---@field description rfsm.marsh.Node
 ---@field outline rfsm.observe.Outline
 ---@field clock fun(): number seconds, for the entries of the log
 ---@field now fun(self: rfsm.web.View): rfsm.web.Now
 ---@field log table[]
----@field turn integer number of the present turn, see `rfsm.web.driven`
+---@field turn integer number of the present turn: all that one command or timer does
 ---@field taken integer[] numbers of the transitions that are shown as taken
----@field revision integer counts the changes
----@field rewrites integer counts how often entries were taken back, see `go_back`
----@field failures table<integer, integer> failed callbacks, by number of the node
+---@field revision integer counts the changes of the view
+---@field rewrites integer counts the calls of `go_back`, which drop entries of the log
+---@field failures table<integer, integer> how many callbacks failed, by node number
 local View = {}
 View.__index = View
 
@@ -76,7 +76,7 @@ end
 --- Note that something has changed.
 function View:touch() self.revision = self.revision + 1 end
 
--- Drops old entries, many at a time: it would cost more to drop one for each new one.
+-- Drops old entries, many at a time: this costs less than to drop one at each call.
 local function trim(view)
   local log = view.log
   if #log >= 2 * MAX_LOG then view.log = { unpack(log, #log - MAX_LOG + 1) } end
@@ -89,14 +89,15 @@ local function mark(list, number)
   end
 end
 
---- Note that states were active.
+--- Note that states were active, by the numbers of their nodes.
 function View:see_nodes(numbers)
   for _, number in ipairs(numbers) do mark(self.seen_nodes, number) end
 end
 
 --- Add an entry to the log, of the kind "step", "lost", "error", "warning", "output" or
--- "note". A step has events, and the active states after it, which are noted as well.
--- Events become texts only when an entry is sent, as most of a fast machine never are.
+-- "note". A step has events, and the states that are active after it, which count for
+-- the coverage. Events become texts only when an entry is sent, since most entries of a
+-- fast machine are never sent.
 function View:note(kind, text, events, active)
   self.count = self.count + 1
   self.log[#self.log + 1] = {
@@ -108,14 +109,15 @@ function View:note(kind, text, events, active)
   self:touch()
 end
 
---- Note that a transition was taken; nil stands for one that was merged later.
+--- Note that a transition was taken, by its number. The number is nil if the transition
+-- was merged into the machine after the view was made; the page does not draw it.
 function View:see_edge(number)
   if self.is_taken_shown then self.taken, self.is_taken_shown = {}, false end
   mark(self.seen_edges, number)
   if #self.taken < MAX_SENT then self.taken[#self.taken + 1] = number end
 end
 
---- Note that a callback of a node has failed.
+--- Note that a callback of the node with a number has failed.
 function View:add_failure(number)
   self.failures[number] = (self.failures[number] or 0) + 1
   self:touch()
@@ -128,10 +130,10 @@ function View:texts_of(events)
   return texts
 end
 
---- Begin a turn: the transitions of the turn before are no longer shown as taken.
+--- Begin a turn. The transitions of the last turn are no longer shown as taken.
 function View:begin_turn(turn) self.turn, self.is_taken_shown = turn, true end
 
---- Go back to the end of a turn: entries of later turns go, the coverage stays.
+--- Go back to the end of a turn: drop the entries of later turns, keep the coverage.
 function View:go_back(turn)
   local kept = {}
   for _, entry in ipairs(self.log) do
@@ -144,8 +146,8 @@ end
 
 -- Messages --------------------------------------------------------------------------
 
---- Return the event in a message, which is a text or the number of an event in the
--- chart; nil and the problem if it is neither.
+--- Return the event in a message from a page: a text, or the number of an event in the
+-- chart. Return nil and the problem if it is neither.
 function View:event_of(message)
   local event = message.event
   if type(event) == "number" then
@@ -188,8 +190,8 @@ local function failure_list(view)
   return list
 end
 
---- Return a message for a page, with the present state and the changes since its
--- cursor, and the cursor of the page after it. A page without a cursor gets all.
+--- Return a message for a page, with the present state and the changes since its last
+-- cursor, and the new cursor of the page. For a page without a cursor all is new.
 function View:state(cursor)
   local message, lists = self:now(), self.outline
   message.is_full = not cursor or cursor.rewrites ~= self.rewrites
