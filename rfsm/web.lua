@@ -250,7 +250,7 @@ local function rest(server, source)
   end
 end
 
---- Answer the requests that have come, and wait at most `timeout` seconds for them.
+--- Answer requests and send changes to the pages, waiting at most `timeout` seconds.
 ---@param timeout? number default 0
 function Server:step(timeout)
   local wait = timeout or 0

@@ -294,7 +294,7 @@ function rehearsal.record_witness(model, steps, sink)
   recorder:stop()
 end
 
---- List the paths of the transitions and leaves of a witness, as `trace` of a picture.
+--- List the paths of the transitions and leaves in a witness: a `trace` for a picture.
 ---@param steps rfsm_checks.WitnessStep[]
 ---@return string[] paths
 function rehearsal.path_of(steps)
