@@ -400,7 +400,7 @@ function rfsm_seqand.new(fields, more)
   return state
 end
 
---- Make a machine for a tool, with fresh machines in place of machines given as regions.
+--- Make a machine for a tool, with fresh machines in place of the given ones.
 --
 -- The given machines stay unused, so a tool can check a model before the program makes
 -- its machine.
