@@ -30,7 +30,7 @@ local step, run = rfsm.step, rfsm.run
 ---@field run? boolean advance a region by `rfsm.run` instead of single steps
 ---@field idle_doo? boolean|"auto" the value that the doo yields (true); "auto": true if
 -- all regions are idle
----@field seqanddbg? boolean|fun(text: string) print the order once and each advance
+---@field seqanddbg? boolean|fun(text: string) print the order once, then each advance
 ---@field entry? function called before the regions are entered
 ---@field exit? function called after the regions were left
 
@@ -94,7 +94,7 @@ end
 ---@field names any[] the names of the regions, in the same order
 ---@field entry? function the entry that the user gave
 ---@field exit? function the exit that the user gave
----@field is_shown boolean their order has been printed
+---@field is_shown boolean the order of the regions has been printed
 ---@field is_forwarded boolean the regions have got the events of this iteration
 ---@field is_restored boolean the entry is called again, because a snapshot was restored
 
@@ -393,17 +393,17 @@ local rfsm_seqand = {}
 ---@param fields rfsm_seqand.Fields
 ---@return rfsm.State state a leaf state, to be mounted any number of times
 function rfsm_seqand.new(fields, more)
-  if fields == rfsm_seqand then fields = more end -- rfsm.seqand:new(fields)
+  if fields == rfsm_seqand then fields = more end -- called as rfsm.seqand:new(fields)
   local state, text = new_state(fields)
   if not state then error("rfsm.seqand: " .. text, 2) end
   rfsm.note_location(state, 2)
   return state
 end
 
---- Make a machine for a tool, with fresh machines in place of the given ones.
+--- Make a machine for a tool; its regions are fresh machines.
 --
--- The given machines stay unused, so a tool can check a model before the program makes
--- its machine.
+-- Machines that a model gives as regions stay unused, so a tool can check a model
+-- before the program makes its machine.
 --
 ---@param model rfsm.State
 ---@return rfsm.Machine? fsm the results are those of `rfsm.init`

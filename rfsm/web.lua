@@ -5,8 +5,8 @@
 -- `rfsm web` calls it. This module needs the packages luasocket and dkjson. Pictures
 -- need Graphviz.
 --
--- The server listens on loopback. It answers requests whose host is an address or its
--- own name, and takes commands only with the token that is in its page.
+-- The server listens on loopback. It answers only requests whose Host header is an
+-- address or the name of the server. Commands need the token that is in the page.
 --
 -- The file reads in this order: messages, commands, pictures, routes, public
 -- functions.
@@ -61,8 +61,8 @@ local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline
 ---@field url string the address of the page, for a browser
 ---@field host string
 ---@field port integer
----@field sources table[] a Served, Driven or Remote for each tab; the list grows when
--- another machine of a port is found
+---@field sources table[] an object of `rfsm.web.served`, `.driven` or `.remote` for
+-- each tab; the list grows when another machine of a port is found
 local Server = {}
 Server.__index = Server
 
@@ -113,7 +113,7 @@ local function decode(server, text)
   return ok and type(message) == "table" and message or nil
 end
 
--- Returns a hint for an event that no transition names.
+-- Returns a hint if a message sends an event that no transition names; otherwise nil.
 local function hint_for(source, message)
   local lists, event, names = source.view.outline, message.event, {}
   if message.command ~= "send" or type(event) ~= "string" or lists.event_of[event] then

@@ -1,9 +1,9 @@
 --- Memory: the data that callbacks of a subject can change, and how it is put back.
 --
 -- The option `run` of an exploration lists callbacks that are really called. The option
--- `vars` lists fields that are a part of configurations. All other data must not
--- change: after a step that has called such a callback, they are compared with their
--- first values. The first difference is reported, and all first values are put back.
+-- `vars` lists fields that are a part of configurations. No other data may change:
+-- after a step that has called a callback in `run`, they are compared with their first
+-- values. The first difference is reported, and all first values are put back.
 --
 -- A *home* is a table with data: an element of the chart, a table in an element, or a
 -- table to which a callback in `run` refers. The fields of the engine are not data. A

@@ -70,9 +70,8 @@ function verdict.active_in(own, passed)
   return active
 end
 
--- Returns three sets of what the steps of a walk have met: the paths of states that
--- were `active`, the nodes `entered` by the transitions that were taken, and those
--- `left`.
+-- Returns a table of three sets: the paths of the states that were `active` in a walk,
+-- and the nodes that the taken transitions have `entered` and `left`.
 local function met_by(walk)
   local met = { active = verdict.active_in(walk.subject, walk.passed), entered = {},
     left = {} }
@@ -323,7 +322,7 @@ local function find_traps(walk, findings, is_first)
       outside, is_small = find_before(walk, numbers, others, #paths)
     end
     local _, name = leaves_of(walk, outside or 1)
-    if outside and not match.has(paths, name) then -- else only data differ
+    if outside and not match.has(paths, name) then -- otherwise only data differ
       local finding = add_run(walk, findings, "trap", states[1], paths[1],
         concat(paths, " and ") .. " lead to each other, and never back to " .. name,
         numbers[1])
@@ -547,7 +546,7 @@ local function find_others(walks, findings)
   end
 end
 
---- Explore a model and judge what was found.
+--- Explore a model, judge its properties, and return the result.
 ---@param model rfsm.State
 ---@param options rfsm_checks.Options
 ---@return rfsm_checks.Exploration

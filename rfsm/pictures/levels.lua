@@ -105,7 +105,7 @@ end
 
 -- Levels that do not fit ------------------------------------------------------
 
-local FEWEST, MANY = 6, 8 -- nodes: levels with fewer are not changed, not divided
+local FEWEST, MANY = 6, 8 -- nodes that a level needs to be changed, to be divided
 local TALLEST, WIDEST = 420, 800 -- points: smaller inner levels are not turned
 local LONGEST = 1000 -- points: shorter levels are readable on A4, and not divided
 local MISFIT = log(1.7)
@@ -148,7 +148,7 @@ local function is_closed(level)
   return not level.gates[1]
 end
 
--- Swaps the upper end of a link and its lower one.
+-- Swaps the upper and the lower end of a link.
 local function swap(link)
   link.upper, link.lower, link.is_turned = link.lower, link.upper, not link.is_turned
 end

@@ -132,7 +132,7 @@ end
 --- Return data as JSON. Keys that are numbers become texts, as do infinity and NaN.
 function charts.json_of(data) return exact_json.encode(encoding.to_json(data)) end
 
---- Return the table that a JSON object stands for. Fields that are null are left out.
+--- Decode a JSON object and return it as a table. Fields that are null are left out.
 ---@param owner string the name of the object in messages
 ---@param text string
 ---@param most integer the greatest length of `text` in bytes

@@ -36,7 +36,7 @@ local fail, now, open, put = encoding.fail, times.now, charts.open, charts.put
 
 local MAX_DATA, MAX_VALUE = 65536, 1048576 -- bytes
 local MAX_STEPS = 1000
-local MAX_DUE, RESTLESS = 200, 20 -- steps in a call; a step that is not idle costs 20
+local MAX_DUE, RESTLESS = 200, 20 -- steps in a call; one that ends busy counts as 20
 local LEAST_PASSED = 0.1 -- seconds; if MAX_DUE steps advance the clock less, it jumps
 local TIME = "(time)" -- the name of a step without an event in the history
 local SAME = 1e-6 -- seconds; closer times are equal, since timers fire 1 ns late
@@ -44,8 +44,8 @@ local MAX_ID, MAX_LATER = 64, 100 -- bytes of an id; waiting events of a machine
 
 --- The functions by which this module uses a server.
 ---@class rfsm.server.Host
----@field time fun(): integer, integer seconds and nanoseconds
----@field read fun(key: string): any[]? the list in the value of a machine
+---@field time fun(): integer, integer returns the time: seconds and nanoseconds
+---@field read fun(key: string): any[]? returns the saved list of a machine
 ---@field pack fun(list: any[]): any returns the value that the server stores for a list
 ---@field write fun(machine: rfsm.server.Machine, due: number?, emitted: string[][],
 --- errors: string[]) writes all arguments, or raises an error and writes nothing
@@ -332,9 +332,9 @@ local function run(machine)
   if step(machine, TIME) then machine.outcome = "taken" end
 end
 
--- Has an event that no transition took changed the snapshot of the machine? As timers
--- have run on, the saved snapshot is loaded at its own time and taken again now, and
--- that one is compared with `snap`.
+-- Has an event that no transition took changed the snapshot of the machine? Timers have
+-- run on since the machine was saved. So the saved snapshot is loaded at its own time
+-- and taken again at the present, and the result is compared with `snap`.
 local function has_changed(machine, snap)
   local list, sec, nsec = machine.list, times.get()
   charts.forget_effects() -- effects of a function `load` are not reported
@@ -537,8 +537,8 @@ end
 -- machine was there.
 function functions.rfsm_remove(keys) return host.remove(key_of(keys)) and 1 or 0 end
 
--- rfsm_why KEY event: returns a line for each transition of the active states, from the
--- outermost one inwards: whether the event would take it, and if not, why.
+-- rfsm_why KEY event: returns lines that report for each transition, from the outermost
+-- state inwards, whether it would be taken on the event, and if not, why.
 function functions.rfsm_why(keys, args)
   if #args ~= 1 then fail("one event expected, got %d", #args) end
   local key, lines = key_of(keys), {}

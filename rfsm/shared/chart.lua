@@ -2,8 +2,8 @@
 --- failure is reported in one line.
 --
 -- Charts written for the original rFSM use the globals `rfsmpp`, `rfsm_ext` and
--- `rfsm_timeevent` without requiring them, because its tools loaded these modules. This
--- module loads them, too, when a chart reads such a global.
+-- `rfsm_timeevent` without requiring them, because the tools of rFSM loaded these
+-- modules. This module does the same.
 --
 -- @module rfsm.shared.chart
 -- @license BSD-3-Clause

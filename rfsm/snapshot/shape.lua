@@ -87,7 +87,7 @@ end
 ---@field names string[] names of the fields that are saved
 ---@field kept table<string, true> the names as a set
 ---@field first table<string, any> the first values of the fields
----@field has_load boolean it has functions `save` and `load`
+---@field has_load boolean the state has functions `save` and `load`
 
 local function keeper_of(state)
   local saves, loads = type(state.save) == "function", type(state.load) == "function"
@@ -114,10 +114,10 @@ end
 ---@field structure string fingerprint of `lines`
 ---@field name string `structure`, with the fingerprint of `fields` if there are any
 ---@field keepers rfsm.snapshot.Keeper[]
----@field keeper table<string, rfsm.snapshot.Keeper> by FQN
----@field has_load boolean a keeper has functions `save` and `load`
+---@field keeper table<string, rfsm.snapshot.Keeper> the keepers by the FQN of the state
+---@field has_load boolean some state has functions `save` and `load`
 ---@field has_regions boolean
----@field leaves table<string, true> FQN of the leaves
+---@field leaves table<string, true> set of the FQNs of leaves
 ---@field nodes table[] `fqn`, `id` and the FQN of the `parent`, parents first
 ---@field transitions table[] `id`, and the FQN of `parent` and of the `target`
 
@@ -182,7 +182,8 @@ local function chart_of(fsm)
   return self
 end
 
---- Return the chart that a snapshot names; nil if it is not known.
+--- Return the description with the name that a snapshot has in `chart`; nil if it is
+--- not known.
 function shape.named(name) return by_name[name] end
 
 -- Machines --------------------------------------------------------------------------
@@ -194,7 +195,7 @@ function shape.named(name) return by_name[name] end
 ---@field chart rfsm.snapshot.Chart
 ---@field places rfsm.Place[] the machine, and its regions at any depth
 ---@field states rfsm.State[] the state of each keeper
----@field nodes table<string, table> by FQN
+---@field nodes table<string, table> states and connectors of the machine by FQN
 ---@field transitions rfsm.Transition[]
 ---@field targets table[] the target that each transition has in the model
 ---@field path rfsm.snapshot.Path a table that `take` uses again each time
@@ -248,9 +249,9 @@ function shape.find_state(fsm, fqn)
   return rfsm.is_state(node) and node or nil
 end
 
---- Read the entry at position `i` of a list of changed targets. Return its transition,
---- target and the id of the transition. The transition is nil if it or the target does
---- not exist in the machine.
+--- Read the entry at position `i` of a list of changed targets. Return the transition,
+--- the target, and the id of the transition. If the machine does not have both, the
+--- transition is nil.
 function shape.target_at(fsm, list, i)
   local state, id = shape.find_state(fsm, list[i]), encoding.unpack(list[i + 1], 2)
   local tr = state and is_scalar(id) and rawget(state, id)

@@ -64,8 +64,8 @@ end
 -- Fakes: stubs that callbacks find in place of `print` and of undefined globals. Each
 -- call of a fake is noted as a text: "motor.start(5)".
 
--- The argument is named by its type if its text would differ from run to run, as the
--- address of a table or function does.
+-- Returns an argument of a call as a text. A table or function that is not a stub is
+-- only named by its type, since its address differs from run to run.
 local function text_of_argument(value)
   local is_plain = type(value) ~= "table" and type(value) ~= "function"
   return stubs.name_of(value) or is_plain and rfsm.text_of(value) or type(value)
@@ -154,7 +154,7 @@ function Rehearsal:answers_of(step)
   return what
 end
 
--- Returns the path by which the subject asks about a name.
+-- Returns the path by which the subject asks about a named transition or state.
 local function find_asker(own, name)
   local who = own.asker_of[name]
   if who then return who end
@@ -203,7 +203,8 @@ local function occurrences_of(own, what)
   return list
 end
 
--- Returns the outcome of a step as a text: the transitions taken by name.
+-- Returns the outcome of a step as a text: the names of the transitions that it took,
+-- and the unexpected questions and calls of fakes.
 local function outcome(own)
   local texts, leaf = {}, own.parts[1].fsm._act_leaf
   for i, number in ipairs(own.taken) do texts[i] = own.transitions[number].name end
@@ -220,9 +221,9 @@ end
 --
 -- `run:step { "e_x", guards = { ["off -e_x-> on"] = false }, ends = { "busy" } }`
 --
----@param what? table events; `guards`: answers by transition; `ends`, `goes_on`: lists
--- of states whose doo ends or goes on; `after`: seconds; `inside`: lists of events of
--- regions, by their paths
+---@param what? table list of events, with fields. `guards`: answers by transition;
+-- `ends`, `goes_on`: lists of states whose doo ends or goes on; `after`: seconds that
+-- pass before the step; `inside`: lists of events for regions, by the paths of regions
 ---@return string text the transitions taken: "off -e_x-> on", or "stays in off". Then
 -- guards and doos that were asked without having an answer, and those that had an
 -- answer without being asked. If callbacks run, the calls of fakes follow behind a

@@ -18,7 +18,7 @@ local concat, remove = table.concat, table.remove
 --- The painter of a server: has another process draw pictures.
 ---@class rfsm.web.Painter
 ---@field jobs rfsm.web.Job[] the last pictures that were asked for, oldest first
----@field pipe file*|false a pipe to the stdin of the process; false if it does not run
+---@field pipe file*|false to the stdin of the process; false if no process runs
 local Painter = {}
 Painter.__index = Painter
 
