@@ -5,8 +5,8 @@
 -- The events of each iteration of the parent machine go to all regions, unless the
 -- state was left in that iteration.
 --
--- Each instance of a model has its regions in the field `substates` of the state. A
--- machine that is given as a region is that region in the first instance.
+-- Each instance of a model has its own regions, in the field `substates` of the state.
+-- If a machine is given as a region, the first instance uses that machine itself.
 --
 -- @module rfsm_seqand
 -- @license BSD-3-Clause
@@ -22,29 +22,32 @@ local step, run = rfsm.step, rfsm.run
 
 -- Model: the fields that the constructor takes -----------------------------------
 
---- Fields of a sequential AND state; each state or machine in it, at a name or at a
--- position, is a region.
+--- Fields of a sequential AND state. Each state or machine among the fields is a
+-- region, whether its key is a name or a position.
 ---@class rfsm_seqand.Fields
 ---@field order? any[] names of the regions to advance first; others follow by name
 ---@field step? number how many steps a region advances in each cycle (1)
----@field run? boolean run each region instead
----@field idle_doo? boolean|"auto" the value that the doo yields (true)
----@field seqanddbg? boolean|fun(text: string) print the order once and each advance
+---@field run? boolean advance a region by `rfsm.run` instead of single steps
+---@field idle_doo? boolean|"auto" the value that the doo yields (true); "auto": true if
+-- all regions are idle
+---@field seqanddbg? boolean|fun(text: string) print the order once, then each advance
 ---@field entry? function called before the regions are entered
 ---@field exit? function called after the regions were left
 
--- The metatable of `substates`, the regions by name: models in a model, machines in an
--- instance. The core does not look into such a table, so it takes none for a child.
+-- The metatable of `substates`, a table of the regions by name: models in a model,
+-- machines in an instance. The core does not look into a table with a metatable, so
+-- regions do not become children of the state.
 local Substates = {}
 
--- The `substates` of states that were given transitions: these belong into a region.
+-- Set of the `substates` of states that were given transitions, for a warning: such
+-- transitions belong into a region.
 local has_transitions = setmetatable({}, { __mode = "k" })
 
 local function has_regions(state)
   return is_state(state) and getmetatable(state.substates) == Substates
 end
 
--- Returns names as "a, b", each between two `quote`.
+-- Returns a list of names as a text, "a, b"; each name is in `quote` if that is given.
 local function list_text(names, quote)
   local texts = {}
   for i, name in ipairs(names) do
@@ -86,16 +89,17 @@ end
 
 -- Run: entry, doo and exit of the state, events ----------------------------------
 
---- The regions of a state in the order in which they are stepped; its field `_regions`.
+--- The field `_regions` of a state: its regions in the order in which they are stepped.
 ---@class rfsm_seqand.Regions
----@field names any[] their names, in that order
----@field entry? function the user's
----@field exit? function the user's
----@field is_shown boolean their order has been printed
+---@field names any[] the names of the regions, in the same order
+---@field entry? function the entry that the user gave
+---@field exit? function the exit that the user gave
+---@field is_shown boolean the order of the regions has been printed
 ---@field is_forwarded boolean the regions have got the events of this iteration
 ---@field is_restored boolean the entry is called again, because a snapshot was restored
 
--- Calls f(region, ...). Its error is raised after the iteration of the parent machine.
+-- Calls f(region, ...) and returns the result. An error is raised later, after the
+-- iteration of the parent machine.
 local function try(fsm, f, region, ...)
   local ok, result = pcall(f, region, ...)
   if ok then return result end
@@ -103,7 +107,8 @@ local function try(fsm, f, region, ...)
   return false
 end
 
--- The printer of machines whose `info` is off; made when it is first needed.
+-- The function that the core puts into machines as `info` if the model switches it off;
+-- made when it is first needed.
 local silent
 
 local function print_line(fsm, state, printer, text)
@@ -114,7 +119,7 @@ local function print_line(fsm, state, printer, text)
   rawget(_G, "print")(text)
 end
 
--- Advances region number i by as much as the fields of the state say.
+-- Advances region number i by the steps that the fields `step` and `run` demand.
 local function advance(fsm, state, i)
   local regions, printer = state._regions, state.seqanddbg or state.andseqdbg
   if printer and not regions.is_shown then
@@ -144,8 +149,8 @@ local function idle_flag(state, are_all_idle)
   return flag == nil or flag
 end
 
--- The doo: it runs only in iterations that take no transition, so that their events
--- are for the regions.
+-- The doo advances all regions. It runs only in iterations that take no transition, and
+-- the events of such an iteration go to the regions.
 local function advance_all(fsm, state)
   while true do
     local regions, are_all_idle = state._regions, true
@@ -156,7 +161,7 @@ local function advance_all(fsm, state)
   end
 end
 
--- The entry: the user's, then each region is advanced as in the doo.
+-- The entry calls the user's entry, then advances each region as the doo does.
 local function enter_all(fsm, state, what)
   local regions, ok, failure = state._regions, true, nil
   if regions.entry then ok, failure = pcall(regions.entry, fsm, state, what) end
@@ -171,22 +176,22 @@ local function leave_and_reset(region)
   if not ok then error(failure, 0) end
 end
 
--- The exit: the regions are left and reset, then the user's.
+-- The exit leaves and resets the regions, then calls the user's exit.
 local function leave_all(fsm, state, what)
   local regions = state._regions
   for i = 1, #regions do try(fsm, leave_and_reset, regions[i]) end
   if regions.exit then regions.exit(fsm, state, what) end
 end
 
--- The exit hook: regions are left also if a tool has replaced the exit of the state.
+-- The exit hook leaves active regions, if a tool has replaced the exit of the state.
 local function leave_active(fsm, state)
   for _, region in ipairs(state._regions) do
     if region._mode ~= "inactive" then try(fsm, leave_and_reset, region) end
   end
 end
 
--- The post step hook: the state that is active now gets the events of the iteration,
--- unless its doo has had them.
+-- The post step hook forwards the events of the iteration to the regions of the state
+-- that is active now, unless its doo has done so.
 local function end_iteration(fsm, events)
   local regions = fsm._act_leaf and fsm._act_leaf._regions
   if not regions then return end
@@ -202,10 +207,11 @@ local function reset(fsm)
   end
 end
 
--- Snapshots hold the regions by themselves: nothing is kept here.
+-- Saves nothing, since the snapshot of a machine contains its regions already.
 local function save() return nil end
 
--- A state whose entry is run again after a restore does not step its regions.
+-- Notes the state whose entry is called again after a restore: that call shall not
+-- advance the regions.
 local function load(fsm, _, how)
   for _, state in ipairs(rfsm.elements(fsm, has_regions)) do
     state._regions.is_restored = how.entries and state == fsm._act_leaf or false
@@ -214,7 +220,7 @@ end
 
 -- Prepare: each instance gets its regions ----------------------------------------
 
--- Fields that tools set on a machine, and that its fresh instance gets.
+-- Fields that tools set on a machine; a fresh machine that takes its place gets them.
 local HANDED_ON = {
   "dbg", "info", "warn", "err", "getevents", "idle_hook", "pre_step_hook",
   "post_step_hook", "gettime",
@@ -224,14 +230,14 @@ local PRINTERS = { "info", "warn", "err" }
 
 local is_apart = false -- is a machine for a tool being made, by `init_apart`?
 
--- Returns a table with the printers for a region whose model has none.
+-- Returns the table from which a region gets the printers that its model lacks.
 local function owner_of_printers(fsm, given)
   if is_apart then return { info = false, warn = false, err = false } end
   return rfsm.is_initialized_root(given) and given or fsm
 end
 
--- Returns a fresh machine for a region; false and its problems if it is not valid.
--- While it is made its model has the printers that it lacks.
+-- Returns a fresh machine for a region; false and its problems if it is not valid. The
+-- model has the missing printers only while the machine is made.
 local function fresh_region(fsm, given)
   local is_machine, lacking = rfsm.is_initialized_root(given), {}
   local model = rfsm.model_of(given)
@@ -250,8 +256,8 @@ local function fresh_region(fsm, given)
   return region, problems
 end
 
--- Returns the machine for a region: the given one if it is a machine that no parent
--- machine has, else a fresh one. Its field `_owner` is the parent machine.
+-- Returns the machine for a region: the given one if it is a machine without a parent
+-- machine, else a fresh one. The field `_owner` of a region is its parent machine.
 local function new_region(fsm, given)
   local region, problems = given, nil
   if is_apart or not rfsm.is_initialized_root(given) or given._owner
@@ -259,13 +265,14 @@ local function new_region(fsm, given)
     region, problems = fresh_region(fsm, given)
   end
   if region then rawset(region, "_owner", fsm) end
-  if region and fsm._emit then rfsm.set_emit(region, fsm._emit) end -- merged
+  if region and fsm._emit then rfsm.set_emit(region, fsm._emit) end -- after fsm_merge
   return region, problems
 end
 
-local in_progress = {} -- `substates` whose regions are being made, to find circles
+local in_progress = {} -- set of `substates` whose regions are being made: finds circles
 
--- Makes the regions of `state`; appends their problems.
+-- Makes the machines for the regions of `state`, and appends their problems. Returns
+-- the new `substates`.
 local function new_substates(fsm, state, problems)
   local given, substates = state.substates, setmetatable({}, Substates)
   if in_progress[given] then
@@ -290,7 +297,7 @@ local function new_substates(fsm, state, problems)
   return substates
 end
 
--- Lists the regions: those in `order`, then the others.
+-- Returns the list of the regions: those in `order` first, then the others.
 local function new_regions(state)
   local names, is_named, regions = {}, {}, {}
   local function add(list)
@@ -351,11 +358,11 @@ local function obstacle(key, value)
   end
 end
 
--- Returns the state; nil and the problem of the fields.
+-- Returns the state for some fields; nil and the problem if a field is wrong.
 local function new_state(fields)
   if type(fields) ~= "table" then return nil, "table expected, got " .. type(fields) end
   local state, regions, first = {}, setmetatable({}, Substates), nil
-  for key, value in pairs(fields) do -- any order: the least text counts
+  for key, value in pairs(fields) do -- any order: the least text is returned
     local text = obstacle(key, value)
     if text and (not first or text < first) then first = text end
     if rfsm.is_trans(value) then
@@ -386,20 +393,20 @@ local rfsm_seqand = {}
 ---@param fields rfsm_seqand.Fields
 ---@return rfsm.State state a leaf state, to be mounted any number of times
 function rfsm_seqand.new(fields, more)
-  if fields == rfsm_seqand then fields = more end -- rfsm.seqand:new(fields)
+  if fields == rfsm_seqand then fields = more end -- called as rfsm.seqand:new(fields)
   local state, text = new_state(fields)
   if not state then error("rfsm.seqand: " .. text, 2) end
   rfsm.note_location(state, 2)
   return state
 end
 
---- Make a machine that leaves the machines given as regions alone; for tools.
+--- Make a machine for a tool; its regions are fresh machines.
 --
--- It runs machines of their models instead, so that a check can be made before the
--- machine is.
+-- Machines that a model gives as regions stay unused, so a tool can check a model
+-- before the program makes its machine.
 --
 ---@param model rfsm.State
----@return rfsm.Machine? fsm as `rfsm.init`
+---@return rfsm.Machine? fsm the results are those of `rfsm.init`
 ---@return string? text
 ---@return string[]? problems
 function rfsm_seqand.init_apart(model)

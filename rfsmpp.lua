@@ -22,7 +22,8 @@ local rfsmpp = { is_plain = false }
 
 local has_ansicolors, ansicolors = pcall(require, "ansicolors")
 
--- Returns the escape sequence of "red bright"; an empty text without ansicolors.
+-- Returns the escape sequence for names such as "red bright"; an empty text if
+-- ansicolors is missing.
 local function escape(names)
   if not has_ansicolors then return "" end
   if ansicolors.noReset then return ansicolors.noReset("%{" .. names .. "}") end
@@ -67,7 +68,8 @@ end
 
 local to_text
 
--- Returns the contents of a table: {"a","b",x=1}. `open` has the tables around it.
+-- Returns the contents of a table as a text: {"a","b",x=1}. `open` is the set of the
+-- tables that contain this table.
 local function table_to_text(t, open)
   local texts, length = {}, 0
   for i, key in ipairs(rfsm.sorted_keys(t)) do
@@ -83,7 +85,8 @@ local function table_to_text(t, open)
   return "{" .. concat(texts, ",") .. "}"
 end
 
--- Returns the text of an argument, or of a value in a table if `open` is given.
+-- Returns a value as a text. If `open` is given, the value is in a table, and a string
+-- is put in quotes; otherwise it is an argument of a record.
 function to_text(value, open)
   if type(value) == "string" and open then
     return '"' .. value:gsub('"', '\\"'):gsub("\n", "\\n") .. '"'
@@ -142,14 +145,14 @@ end
 
 --- Make a `dbg` function for a machine.
 --
--- If it prints in colour is decided when the function is made.
+-- Whether the function prints in colour is decided here, not at each call.
 --
 -- @usage
 --    fsm.dbg = rfsmpp.gen_dbgcolor("arm", { STATE_ENTER = true }, false)
 --
 -- @raise if `ids` is no table or `print_fn` cannot be called
 ---@param name? string name of the machine, in front of each line
----@param ids? table<string, boolean> true: print records with that id, false: do not
+---@param ids? table<string, boolean> by id of a record: true to print it, false to omit
 ---@param defshow? boolean print all records whose id is not in `ids`? default true
 ---@param print_fn? fun(line: string) default print
 ---@return fun(id: string, ...) dbg
@@ -184,21 +187,21 @@ end
 
 local function add_states(lines, parent, depth, is_coloured)
   rfsm.mapfsm(function(state)
-    if state == parent then return end -- a machine is the first of its own states
+    if state == parent then return end -- `mapfsm` passes the machine itself, too
     lines[#lines + 1] = ("    "):rep(depth) .. state_text(state,
       "[" .. rfsm.fsmobj_tochar(state) .. "]", is_coloured)
     add_states(lines, state, depth + 1, is_coloured)
   end, parent, rfsm.is_state, 1)
 end
 
---- Draw the states of a machine as a tree, one a line.
+--- Draw the states of a machine as a tree, one state per line.
 --
 -- Active states are green, the active leaf bright, done ones yellow, inactive ones red.
 -- Without colour the mode follows as a word: `hello[LS] done`.
 --
 -- @raise if `fsm` was not initialised
 ---@param fsm rfsm.Machine
----@param depth? integer how deep the states in the root are indented, default 1
+---@param depth? integer levels by which the states in the root are indented, default 1
 ---@return string tree
 ---@nodiscard
 function rfsmpp.fsm2str(fsm, depth)

@@ -1,13 +1,14 @@
 --- Event memory: the number of times each event occurred while a state was active.
 --
 -- Once this module is loaded, each state of a machine initialised afterwards has a
--- table `emem`: `state.emem[event]` counts the events of all iterations that found the
--- state active, before guards are called. An event that was never received is nil
--- there. The counts are set to 0 when the state is left. `emem = false` switches this
--- off, for a state or, in the root, for the machine.
+-- table `emem`. `state.emem[event]` is the number of times that the event came in an
+-- iteration in which the state was active; it is counted before guards are called. It
+-- is nil for an event that has never come. When the state is left, the counts are set
+-- to 0. The field `emem = false` switches counting off for a state, or, in the root,
+-- for the machine.
 --
--- Of the events that no transition names, a state remembers a thousand at most. When
--- one more comes, it forgets them and begins again.
+-- A state counts at most a thousand events that no transition names. When one more
+-- comes, the counts of these events are removed.
 --
 -- @module rfsm.emem
 -- @license BSD-3-Clause
@@ -23,16 +24,18 @@ local rfsm_emem = {}
 
 --- The field `_emem` of a machine.
 ---@class rfsm.emem.Own
----@field is_blocked table<rfsm.State, boolean> states with a node named `emem` in them
----@field others table<rfsm.State, integer> counted events that no transition names
+---@field is_blocked table<rfsm.State, boolean> states without counts, since a node or
+-- transition in them has the name `emem`
+---@field others table<rfsm.State, integer> how many events that no transition names a
+-- state counts
 ---@field declared table<any, boolean>|false the events that transitions name; false
 -- until they are collected
 
--- The counts do not keep an event that is a table from being collected.
+-- Weak keys: an event that is a table can be collected although it was counted.
 local WEAK = { __mode = "k" }
 
--- So many events that no transition names are counted in a state, because events with
--- data in their names would take ever more memory.
+-- The greatest number of events in a state that are counted though no transition names
+-- them. Without it, events with data in their names would take ever more memory.
 local MOST_OTHERS = 1000
 
 local function clear(_, state)
@@ -46,7 +49,7 @@ local function forget_others(emem, declared)
   end
 end
 
--- Counts an event that has not come before.
+-- Counts an event that has no count in a state yet.
 local function count_new(fsm, state, event)
   local own, emem = fsm._emem, state.emem
   own.declared = own.declared or alphabet.of(fsm).set
@@ -69,7 +72,7 @@ local function count_event(fsm, state, emem, event)
   end
 end
 
--- This runs in every iteration.
+-- Counts the events of an iteration in all active states. Runs in every iteration.
 local function count(fsm)
   local events, state = fsm._curq, fsm._act_leaf and fsm
   local is_blocked = fsm._emem.is_blocked
@@ -88,7 +91,7 @@ local function reset(fsm)
   for _, state in ipairs(rfsm.elements(fsm, has_emem)) do clear(fsm, state) end
 end
 
--- Snapshots hold the counts of each state in which an event was received.
+-- Returns the counts for a snapshot, by the FQN of each state that has counts.
 local function save(fsm)
   local counts = {}
   for _, state in ipairs(rfsm.elements(fsm, has_emem)) do
@@ -105,7 +108,7 @@ local function load(fsm, counts)
     local emem, kept = state.emem or {}, counts and counts[state._fqn] or {}
     if type(kept) ~= "table" then error("table of counts expected", 0) end
     for _, event in ipairs(rfsm.sorted_keys(emem)) do emem[event] = nil end
-    fsm._emem.others[state] = #rfsm.sorted_keys(kept) -- at most
+    fsm._emem.others[state] = #rfsm.sorted_keys(kept) -- an upper bound
     for _, event in ipairs(rfsm.sorted_keys(kept)) do
       if type(kept[event]) ~= "number" then error("number of events expected", 0) end
       emem[event] = kept[event]

@@ -1,7 +1,7 @@
---- History: a composite with `history = "shallow"` or `"deep"` is entered where it was
--- left: at the substate, or the leaf, that was active last. Whenever a leaf is entered,
--- the targets of the transitions into the composite are set. There is no other memory,
--- so that snapshots hold it, and `rfsm.targets` knows where transitions lead.
+--- History: a composite with `history = "shallow"` is entered at the substate that was
+-- active last, one with `history = "deep"` at the leaf. Whenever a leaf is entered, the
+-- transitions into the composites around it get a new target. Only these targets hold
+-- the history, so snapshots save it, and `rfsm.targets` shows where transitions lead.
 --
 -- @module rfsm.history
 -- @license BSD-3-Clause
@@ -18,8 +18,9 @@ local function is_inside(node, composite)
   return rfsm.is_node(node) and node._fqn:sub(1, #fqn) == fqn
 end
 
--- Sets the targets of the transitions into a composite, or into all of them, to a node
--- in it, or to its `initial`. Targets elsewhere, which a program has set, stay.
+-- Sets the targets of the transitions into a composite (nil: into each composite) to a
+-- node in the composite (nil: to its `initial`). A target outside of the composite was
+-- set by the program, and is not changed.
 local function lead_to(fsm, composite, node)
   for _, tr in ipairs(fsm._history) do
     local own = tr._initial._parent
@@ -28,9 +29,10 @@ local function lead_to(fsm, composite, node)
   end
 end
 
--- The entry hook of a leaf: notes where each composite around it is entered next.
+-- The entry hook of a leaf: for each composite around the leaf, sets the node at which
+-- the composite is entered the next time.
 local function remember(fsm, leaf)
-  -- after an end the composite begins anew, as in UML
+  -- as in UML, a composite in which a final state was reached begins anew
   local deep = leaf.final and leaf._parent.initial and leaf._parent or leaf
   local node, way = leaf, deep
   while node ~= fsm do
@@ -55,7 +57,7 @@ local function check(state)
   end, state, rfsm.is_composite, 1)[1] or nil
 end
 
--- Gives a leaf the hook, and notes a transition into a composite with a history.
+-- Adds the entry hook to a leaf; notes a transition into a composite with a history.
 local function note(fsm, obj)
   local composite = rfsm.is_trans(obj) and obj.tgt._id == "initial" and obj.tgt._parent
   if rfsm.is_leaf(obj) then
@@ -70,7 +72,7 @@ rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
   for _, state in ipairs(rfsm.elements(merged or fsm, has_history)) do
     problems[#problems + 1] = check(state)
     if not fsm._history then rfsm.reset_hook_add(fsm, lead_to) end
-    fsm._history = fsm._history or {} -- transitions
+    fsm._history = fsm._history or {} -- the transitions into composites with a history
   end
   local elements = fsm._history and rfsm.elements(merged or fsm) or {}
   for _, obj in ipairs(elements) do note(fsm, obj) end

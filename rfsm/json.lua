@@ -23,7 +23,7 @@ local function find_dkjson() return opts.need("rfsm.json", "dkjson") end
 
 --- Return the full description of a machine, and its active leaf, as JSON.
 --
--- Lists are always arrays, and keys stand in a fixed order.
+-- A list is always an array, even if it is empty. Keys have a fixed order.
 --
 -- @raise when `fsm` was not initialised, or dkjson is missing
 ---@param fsm rfsm.Machine
@@ -39,8 +39,8 @@ function json.encode(fsm)
   }, { indent = true, keyorder = KEY_ORDER })
 end
 
---- Return the values in a text: of JSON, or of JSON lines. A last line that was cut off
--- is left out.
+--- Return the values in a text of JSON or of JSON lines. An incomplete last line is
+-- left out.
 -- @raise if the text is no JSON, or dkjson is missing
 ---@param text string
 ---@return any[] values

@@ -1,8 +1,9 @@
 --- Preview: prepares the states that are likely to be entered next.
 --
 -- Once this module is loaded, a transition may have a function `likely(fsm)`. After
--- each iteration it is called for the transitions of all active states below the root.
--- If it returns a true value, `prepare(fsm)` of the target is called, if there is one.
+-- each iteration this function is called for the transitions of all active states below
+-- the root. If it returns a true value and the target has a function `prepare(fsm)`,
+-- that function is called.
 --
 -- @module rfsm.preview
 -- @license BSD-3-Clause
@@ -14,7 +15,7 @@ local tostring, type = tostring, type
 
 local rfsm_preview = {}
 
--- Calls owner.what(fsm); its error goes to `err`.
+-- Calls owner[what](fsm) and returns the result. An error is reported to `err`.
 local function try(fsm, owner, what)
   local ok, result = pcall(owner[what], fsm)
   if ok then return result end
@@ -22,7 +23,8 @@ local function try(fsm, owner, what)
     owner._fqn or tostring(owner)), result)
 end
 
--- Calls `prepare` of a target; of the composite if its `initial` has none.
+-- Calls `prepare` of a target, or `prepare` of the composite if the target is an
+-- `initial` without the function.
 local function prepare_target(fsm, target)
   if not target.prepare and rfsm.is_conn(target) and target._id == "initial" then
     target = target._parent
@@ -32,7 +34,7 @@ local function prepare_target(fsm, target)
   end
 end
 
--- This runs at the end of every iteration.
+-- Calls `likely` of all transitions from active states. Runs after every iteration.
 local function preview(fsm)
   local state = fsm._actchild
   while state do

@@ -1,11 +1,12 @@
 --- A machine in the browser: a server for one page, which shows it and takes events.
 --
 -- `serve` serves the page of a machine from your program, which calls `server:step` in
--- its loop. `open` serves a chart, which the page drives; `rfsm web` calls it. This
--- needs the packages luasocket and dkjson; pictures need Graphviz.
+-- its loop. `open` makes the machine of a chart, which the page drives; the command
+-- `rfsm web` calls it. This module needs the packages luasocket and dkjson. Pictures
+-- need Graphviz.
 --
--- The server listens on loopback. It answers requests whose host is an address or its
--- own name, and takes commands only with the token that is in its page.
+-- The server listens on loopback. It answers only requests whose Host header is an
+-- address or the name of the server. Commands need the token that is in the page.
 --
 -- The file reads in this order: messages, commands, pictures, routes, public
 -- functions.
@@ -32,7 +33,7 @@ local is_boolean = opts.is_a "boolean"
 
 local function is_title(x) return opts.is_text(x) or type(x) == "table" end
 
--- Description, test, default of each option.
+-- A list for each option: description of valid values, test, default.
 local OPTIONS = {
   allow_send = { "boolean", is_boolean, false },
   allow_why = { "boolean", is_boolean, false },
@@ -45,7 +46,7 @@ local OPTIONS = {
   title = { "text or list of texts", is_title },
 }
 
-local MAX_DRAWN = 2000 -- nodes of a machine that Graphviz draws
+local MAX_DRAWN = 2000 -- nodes; Graphviz does not draw a machine that has more
 local FRAME = 1 / 30 -- seconds between two messages to a page, at least
 local LINGER = 5 -- seconds that a machine is observed after the last page has gone
 
@@ -57,21 +58,23 @@ local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline
 
 --- A server of one page.
 ---@class rfsm.web.Server
----@field url string for the browser
+---@field url string the address of the page, for a browser
 ---@field host string
 ---@field port integer
----@field sources table[] a Served, Driven or Remote for each tab; Remotes add others
+---@field sources table[] an object of `rfsm.web.served`, `.driven` or `.remote` for
+-- each tab; the list grows when another machine of a port is found
 local Server = {}
 Server.__index = Server
 
--- Returns the version of a tab. A page that shows another version fetches the chart and
--- the picture again.
+-- Returns the version of a tab, a text. When it changes, a page fetches the chart and
+-- the picture of the tab again.
 local function version_of(server, tab)
   return ("%s-%d-%d-%d"):format(server.id, tab, #server.sources,
     server.sources[tab].generation)
 end
 
--- Returns the message for a page with a cursor, and the cursor of the page after it.
+-- Returns the next message for a page, and the new cursor of the page. A cursor says
+-- how much the page knows already (see `rfsm.web.view`).
 local function state_message(server, tab, cursor, version)
   local source, message = server.sources[tab], {}
   local view, next_cursor = source.view, { version = version, rewrites = -1 }
@@ -87,7 +90,7 @@ local function state_message(server, tab, cursor, version)
   return ("event: state\ndata: %s\n\n"):format(text), next_cursor
 end
 
--- Does Graphviz draw a machine? It takes too long for a very large one.
+-- Is the machine of a view drawn? Graphviz takes too long for a very large one.
 local function is_drawn(view)
   return view and #view.outline.nodes <= MAX_DRAWN or false
 end
@@ -110,7 +113,7 @@ local function decode(server, text)
   return ok and type(message) == "table" and message or nil
 end
 
--- Returns a hint for an event that no transition names.
+-- Returns a hint if a message sends an event that no transition names; otherwise nil.
 local function hint_for(source, message)
   local lists, event, names = source.view.outline, message.event, {}
   if message.command ~= "send" or type(event) ~= "string" or lists.event_of[event] then
@@ -137,8 +140,8 @@ end
 
 -- Pictures ------------------------------------------------------------------------
 
--- Answers with the picture of a machine. The request has the numbers of the composites
--- that are drawn folded. While the picture is made the page asks again.
+-- Answers with the picture of a machine. The request lists the numbers of the
+-- composites that are drawn folded. The page repeats it until the picture is ready.
 local function picture_reply(server, request, tab)
   local source, numbers = server.sources[tab],
     request.query:match("folded=([%d,]*)") or ""
@@ -174,15 +177,15 @@ local ROUTES = {
   ["/command"] = { POST = command_reply },
 }
 
--- Does the request name the server by an address or its own name? The page of another
--- server, whose name was pointed at this address (DNS rebinding), uses the other name.
+-- Is the host of the request an address, or the name of this server? Any other name may
+-- be that of a foreign server whose name was pointed at this address (DNS rebinding).
 local function is_for(server, host)
   local name = (host or ""):gsub(":%d+$", "")
   return name == "localhost" or name == server.name or name:find("^[%d.]+$") ~= nil
     or name:find("^%[[%x:]+%]$") ~= nil
 end
 
--- Does the page of another server ask? That may only have a link to our page.
+-- Does a page of another server send the request? Such a page may only link to "/".
 local function is_foreign(request)
   local site = request.headers["sec-fetch-site"]
   return request.path ~= "/" and (site == "cross-site" or site == "same-site")
@@ -199,7 +202,7 @@ local function handle(server, request)
   return answer and answer(server, request, tab) or { status = 405 }
 end
 
--- Answers a request. An error does not end the server, an interrupt (Control-C) does.
+-- Answers a request. An interrupt (Control-C) ends the server; an error does not.
 local function handle_safely(server, request)
   local ok, reply = calls.try(handle, server, request)
   if ok then return reply end
@@ -208,8 +211,8 @@ end
 
 -- Public functions ------------------------------------------------------------------
 
--- Sends what has changed to each page that has taken its last message, at most once a
--- frame. Pages with the same cursor get the same text, which is made once.
+-- Sends the changes to each page that has received its last message, at most once in
+-- FRAME seconds. Pages with the same cursor get the same text, which is made once.
 local function send_changes(server)
   local messages, now = {}, server.gettime()
   server.is_late = false
@@ -247,7 +250,7 @@ local function rest(server, source)
   end
 end
 
---- Serve what is ready, and wait at most `timeout` seconds for it.
+--- Answer requests and send changes to the pages, waiting at most `timeout` seconds.
 ---@param timeout? number default 0
 function Server:step(timeout)
   local wait = timeout or 0
@@ -267,7 +270,7 @@ function Server:run()
   while true do self:step(huge) end
 end
 
---- Close the port. It may be called again.
+--- Close the port. A second call does nothing.
 function Server:close()
   self.http:close()
   self.painter:close()
@@ -276,7 +279,7 @@ function Server:close()
   end
 end
 
--- Returns the options and the packages; nil and a problem.
+-- Returns the options with their defaults and the packages; or nil and a problem.
 local function prepare(options)
   local settings, problem = opts.read(OPTIONS, options or {})
   if not settings then return nil, problem end
@@ -286,7 +289,7 @@ local function prepare(options)
   return settings
 end
 
--- Opens the port and reads the page; nil and a problem.
+-- Opens the port and reads the page. Returns the server, or nil and a problem.
 local function open_server(sources, settings)
   local page, token = files.find("rfsm/web/page", ".html"), files.random(16)
   if not page then return nil, "rfsm/web/page.html is not beside the modules" end
@@ -309,19 +312,20 @@ local function open_server(sources, settings)
   return server
 end
 
---- How a page is served.
+--- Options of `serve`, `open` and `attach`.
 ---@class rfsm.web.Options
 ---@field allow_send? boolean with `serve`: may pages send events? default false
 ---@field allow_why? boolean with `serve`: may pages ask why an event did nothing, which
 -- calls guards? default false
----@field machine? integer with `attach`: only this number of the port, default all
+---@field machine? integer with `attach`: show only the machine with this number;
+-- default: all machines of the port
 ---@field history? boolean with `serve`: observe the machine while no page is open, too?
 -- default false
 ---@field host? string address to listen on, default 127.0.0.1
----@field port? integer default 8044; 0: one that is free
----@field stub? boolean with `open`: modules and globals that are not here do nothing
----@field title? string|string[] of the page, or of each machine
----@field clock? fun(): number seconds, in place of that of luasocket
+---@field port? integer default 8044; 0: any free port
+---@field stub? boolean with `open`: replace missing modules and globals by stubs
+---@field title? string|string[] title of the page, or a list with a title per machine
+---@field clock? fun(): number returns seconds; default the clock of luasocket
 
 --- Serve the page of a machine that your program drives.
 --
@@ -333,7 +337,7 @@ end
 --    end
 --
 -- @raise when an option is wrong, a package is missing or the port cannot be opened
----@param fsm rfsm.Machine|rfsm.Machine[] a list has a tab for each
+---@param fsm rfsm.Machine|rfsm.Machine[] one machine, or a list (one tab for each)
 ---@param options? rfsm.web.Options
 ---@return rfsm.web.Server server
 function web.serve(fsm, options)
@@ -354,7 +358,7 @@ function web.serve(fsm, options)
   return server
 end
 
---- Serve the page of a chart, which the page drives.
+--- Make the machine of a chart, and serve a page that drives it.
 ---@param file string
 ---@param options? rfsm.web.Options
 ---@return rfsm.web.Server? server nil if there is a problem
@@ -367,7 +371,7 @@ function web.open(file, options)
   return open_server({ session }, settings)
 end
 
---- Serve the page of a machine that runs elsewhere and answers by `rfsm.proto`.
+--- Serve the page of machines in another program, which answers by `rfsm.proto`.
 ---@param host string
 ---@param port integer
 ---@param options? rfsm.web.Options

@@ -1,4 +1,4 @@
---- `rfsm snapshot diff OLD NEW`: what a new version of a chart means for machines.
+--- `rfsm snapshot diff OLD NEW`: reports what a new chart means for saved machines.
 --
 -- @module rfsm.cli.snapshot
 -- @license BSD-3-Clause
@@ -16,7 +16,8 @@ function command.add_arguments(parser)
   parser:argument("new", "Lua file of the new version"):argname("NEW")
 end
 
---- Print the report on two chart files; return whether all machines move.
+--- Print the report on two chart files; return whether all saved machines can move to
+-- the new chart.
 function command.compare(old, new)
   require "rfsm_timeevent"
   require "rfsm.await"

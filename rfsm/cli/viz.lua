@@ -9,7 +9,8 @@ local files = require "rfsm.shared.files"
 
 local concat = table.concat
 
--- Formats: those that Graphviz makes of a graph, and those of the exporters.
+-- All formats of an output: three are made by Graphviz, the others are texts that an
+-- exporter makes.
 local FORMATS, BY_ENDING = { "svg", "png", "pdf" }, { gv = "dot" }
 local IS_TEXT = { svg = false, png = false, pdf = false }
 for _, exporter in ipairs(exporters.list) do
@@ -56,7 +57,7 @@ local function read_coverage(file)
   common.fail(file .. ": an object with \"states\" and \"transitions\" expected")
 end
 
--- Returns the steps of a run: a list of them, or one a line.
+-- Returns the steps of a run. The file has a JSON list of steps, or one step per line.
 local function read_trace(file)
   local values = read_values(file)
   return values[2] == nil and type(values[1]) == "table" and values[1][1] and values[1]

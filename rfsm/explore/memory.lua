@@ -1,10 +1,13 @@
 --- Memory: the data that callbacks of a subject can change, and how it is put back.
 --
+-- The option `run` of an exploration lists callbacks that are really called. The option
+-- `vars` lists fields that are a part of configurations. No other data may change:
+-- after a step that has called a callback in `run`, they are compared with their first
+-- values. The first difference is reported, and all first values are put back.
+--
 -- A *home* is a table with data: an element of the chart, a table in an element, or a
--- table that a callback in `run` names. The fields of the engine are not data. A *cell*
--- is an upvalue or a global that such a callback names. When a step has called one of
--- these callbacks, each datum that `vars` does not name is compared with its first
--- value. The first datum that differs is reported, and all of them are put back.
+-- table to which a callback in `run` refers. The fields of the engine are not data. A
+-- *cell* is an upvalue or a global variable that a callback in `run` names.
 --
 -- @module rfsm.explore.memory
 -- @license BSD-3-Clause
@@ -25,29 +28,29 @@ local getupvalue = (rawget(_G, "debug") or {}).getupvalue
 
 local memory = {}
 
---- What callbacks can change.
+--- The data that callbacks can change, with their first values.
 ---@class rfsm_checks.Memory
 ---@field homes rfsm_checks.Home[]
 ---@field cells { name: string, read: fun(): any, write: fun(x: any), value: any }[]
--- `value`: the first one
+-- `value`: the first value
 ---@field places table<string, { home: rfsm_checks.Home, key: any }> fields of the
 -- chart, by path
----@field seen table<any, true> tables and names of globals that were looked at
+---@field seen table<any, true> tables and names of globals that were added or skipped
 ---@field most integer the greatest number of homes
----@field is_cut boolean there are more tables than that
----@field is_blind boolean the text of a callback is not known
+---@field is_cut boolean there are more tables than `most`, and not all are homes
+---@field is_blind boolean the source text of some callback is not known
 local Memory = {}
 Memory.__index = Memory
 
 --- A table whose fields are compared with their first values.
 ---@class rfsm_checks.Home
----@field of table
----@field name string its path: "on", "trans[2]"; empty for the machine
+---@field of table the table
+---@field name string path of the table: "on", "trans[2]"; empty for the machine
 ---@field kept table<any, any> the first values, by key
----@field count integer how many there are
+---@field count integer the number of first values
 ---@field followed table<any, true> keys that `vars` names
 
-local MANY = 1000 -- most homes outside of the chart
+local MANY = 1000 -- greatest number of homes that are not in the chart
 
 -- Homes .............................................................................
 
@@ -60,8 +63,8 @@ local function path_to(name, key)
   return name == "" and key or name .. "." .. key
 end
 
--- Adds a table and the tables in it as homes. With `has_places`, `vars` may name their
--- fields.
+-- Adds a table and the tables in it as homes. With `has_places`, the option `vars` may
+-- name the fields of these tables.
 local function add_home(self, of, name, has_places)
   self.seen[of], self.is_cut = true, #self.homes == self.most
   if self.is_cut then return end
@@ -88,7 +91,7 @@ end
 local LIBRARIES = { "_G", "bit", "bit32", "coroutine", "debug", "ffi", "io", "jit",
   "math", "os", "package", "string", "table", "utf8" }
 
--- Marks the tables of Lua and of this library as seen, so that they become no homes.
+-- Marks the tables of Lua and of this library as seen, so that they are not made homes.
 local function skip_libraries(self)
   local loaded = package and package.loaded or {}
   for _, name in ipairs(LIBRARIES) do self.seen[loaded[name] or name] = true end
@@ -106,7 +109,7 @@ local function add_cell(self, name, read, write)
   end
 end
 
--- Adds the upvalues and globals that a function names.
+-- Adds a cell for each upvalue and global that a function names.
 local function add_cells(self, text, callback)
   for i, upvalue in ipairs(writes.upvalues_of(callback)) do
     add_cell(self, upvalue.name, function()
@@ -129,10 +132,11 @@ local function is_same(a, b)
   return rawequal(a, b) or a ~= a and b ~= b -- NaN
 end
 
--- May a datum of a home have changed, been added or have gone?
+-- May a datum of a home have changed, been added or been removed? True also for NaN and
+-- if a field in `vars` was removed; `restore` compares exactly.
 local function has_changed(home)
   local kept, followed, count = home.kept, home.followed, 0
-  for key, value in next, home.of do -- any order: is there one?
+  for key, value in next, home.of do -- any order: one change is enough
     local first = kept[key]
     if first ~= nil then count = count + 1 end
     if not (rawequal(first, value) or followed[key])
@@ -143,14 +147,14 @@ local function has_changed(home)
   return count < home.count
 end
 
-if jit then jit.off(has_changed) end -- it runs often: see `rfsm.shared.order`
+if jit then jit.off(has_changed) end -- LuaJIT may compile its loop over `next` wrongly
 
--- Puts back the data of a home. Returns the first field, in the order of keys, that had
--- another value, as a text; nil if `vars` names all of these fields.
+-- Puts back the data of a home that `vars` does not name. Returns a text that names the
+-- first field, in the order of keys, that had changed; nil if no such field had.
 local function restore(home)
   local keys, changed = {}, nil
   for key in order.each(home.kept) do keys[key] = true end -- any order: sorted below
-  for key, value in order.each(home.of) do -- likewise
+  for key, value in order.each(home.of) do -- any order: sorted below
     keys[key] = keys[key] or is_datum(key, value) or nil
   end
   for _, key in ipairs(rfsm.sorted_keys(keys)) do
@@ -164,7 +168,7 @@ local function restore(home)
 end
 
 --- Put back the data that `vars` does not name.
----@return string? text the name of the first datum that had changed, if one had
+---@return string? text the name of the first datum that had changed; nil if none had
 function Memory:put_back()
   local text
   for _, home in ipairs(self.homes) do
@@ -180,7 +184,8 @@ function Memory:put_back()
   return text
 end
 
---- Return the data that were not looked at, as a text for premises, or nil.
+--- Return a text for the premises that names data that were not looked at; nil if all
+--- data were looked at.
 ---@return string?
 function Memory:premise()
   if self.is_blind then return "upvalues and globals not looked at" end
@@ -189,9 +194,9 @@ end
 
 -- Public functions ..................................................................
 
---- Return the place of a field by its path; raise an error if there is none.
+--- Return the place of a field by its path; raise an error if there is no such field.
 ---@param path string "tries", "on.n", "par.left.n"
----@param names table<string, rfsm.State> the states
+---@param names table<string, rfsm.State> the states by path
 ---@return { home: rfsm_checks.Home, key: any }
 function Memory:place_of(path, names)
   if self.places[path] then return self.places[path] end
@@ -203,7 +208,7 @@ function Memory:place_of(path, names)
     advice.nearest_name(path, rfsm.sorted_keys(self.places))), 0)
 end
 
---- Note the data that the called callbacks of a subject can change.
+--- Collect the data that the callbacks in `run` of a subject can change.
 ---@param self rfsm_checks.Subject
 ---@return rfsm_checks.Memory
 function memory.of(self)

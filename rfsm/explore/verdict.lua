@@ -26,41 +26,41 @@ local any = order.any
 
 local verdict = {}
 
---- What an exploration has found; `tostring` of it is the report.
+--- The result of an exploration. `tostring(result)` is the report.
 ---@class rfsm_checks.Exploration
----@field configurations integer
----@field steps integer that were run
----@field transitions integer how many the chart has
----@field taken integer how many of them some step takes
+---@field configurations integer number of configurations that were found
+---@field steps integer number of steps that were run
+---@field transitions integer number of transitions of the chart
+---@field taken integer number of transitions that at least one step takes
 ---@field bound? "configurations"|"depth"|"seconds"|"choices"|"sets"|"targets"|"values"
 -- |"pending"
 ---@field untried string[] what was not tried, as texts; empty without a bound
----@field premises string "one event a step; guards and timers free"
----@field findings rfsm_checks.Finding[] with field `witness`
+---@field premises string the assumptions: "one event a step; guards and timers free"
+---@field findings rfsm_checks.Finding[] those about runs have a field `witness`
 ---@field properties rfsm_checks.Verdict[]
 local Exploration = {}
 Exploration.__index = Exploration
 
---- What is known of a property.
+--- The verdict on a property.
 ---@class rfsm_checks.Verdict
 ---@field name string
 ---@field holds boolean|nil nil: not known
----@field vacuous? string it holds because of this reason alone
+---@field vacuous? string the reason, if the property holds only trivially
 ---@field witness? rfsm_checks.WitnessStep[] the run that shows that it does not hold
----@field premises string
----@field reason string if everything was tried, why it is still not known; else empty
+---@field premises string the assumptions of the exploration
+---@field reason string why `holds` is nil although everything was tried; else empty
 
 -- Findings ........................................................................
 
---- Return the set of the paths of states that are active in a configuration of a
---- subject or within a step.
+--- Return the set of the paths of the states that are active in some configuration of a
+--- subject, or at a moment within a step.
 ---@param own rfsm_checks.Subject
----@param passed rfsm_checks.Passed[]
+---@param passed rfsm_checks.Passed[] the moments within steps
 ---@return table<string, true> active
 function verdict.active_in(own, passed)
   local active = {}
   for _, each in ipairs(passed) do
-    for path in order.each(each.moment.active) do active[path] = true end -- a set
+    for path in order.each(each.moment.active) do active[path] = true end -- any order
   end
   for _, part in ipairs(own.parts) do
     for _, leaf in ipairs(subject.leaves(part.positions)) do
@@ -70,9 +70,8 @@ function verdict.active_in(own, passed)
   return active
 end
 
--- Returns three sets of what the steps of a walk have met: the paths of states that
--- were `active`, the nodes `entered` by the transitions that were taken, and those
--- `left`.
+-- Returns a table of three sets: the paths of the states that were `active` in a walk,
+-- and the nodes that the taken transitions have `entered` and `left`.
 local function met_by(walk)
   local met = { active = verdict.active_in(walk.subject, walk.passed), entered = {},
     left = {} }
@@ -96,14 +95,15 @@ local function timer_text(walk, entry)
   return names[1] and " (" .. concat(names, " and ") .. " never comes)" or ""
 end
 
--- Returns the node that a transition enters: the composite whose `initial` is its
--- target.
+-- Returns the node that a transition enters: its target, or the composite if the target
+-- is the `initial` of a composite.
 local function entered_by(tr)
   local tgt = tr.tgt
   return rfsm.is_conn(tgt) and tgt._id == "initial" and tgt._parent or tgt
 end
 
--- Returns the first `timer_text` of the transitions into a state that is not empty.
+-- Calls `timer_text` for each transition into a state, and returns the first text that
+-- is not empty.
 local function timers_text(walk, state)
   for _, entry in ipairs(walk.subject.transitions) do
     local text = entered_by(entry.tr) == state and timer_text(walk, entry) or ""
@@ -124,8 +124,8 @@ local function find_unreachable(walk, findings, met)
   end
 end
 
--- Finds connectors that no step passes, though a transition leads there from a state
--- that is reached. Returns the set of these connectors.
+-- Finds connectors that no step passes, although a state that is active in some
+-- configuration has a transition to them. Returns the set of these connectors.
 local function find_closed(walk, findings, met)
   local is_closed = {}
   for _, entry in ipairs(walk.subject.transitions) do
@@ -141,8 +141,8 @@ local function find_closed(walk, findings, met)
   return is_closed
 end
 
--- Finds transitions that no step takes. Both ends must be reached: for other
--- transitions there is a finding about an end, which is the reason.
+-- Finds transitions that no step takes although steps reach their source and target. If
+-- one of the two is not reached, another finding reports that, and it is the reason.
 local function find_untaken(walk, findings, met, is_closed)
   local function is_told(entry)
     local src, tgt = entry.tr.src, entered_by(entry.tr)
@@ -159,8 +159,8 @@ local function find_untaken(walk, findings, met, is_closed)
   end
 end
 
--- Returns the leaves of a configuration and their paths as a text; the third result is
--- whether all of them are final.
+-- Returns the leaves of a configuration, their paths as a text, and whether all leaves
+-- are final (a leaf with regions is counted as final).
 local function leaves_of(walk, number)
   local leaves, paths, are_final = subject.leaves(walk:configuration(number)), {}, true
   for i, leaf in ipairs(leaves) do
@@ -171,7 +171,8 @@ local function leaves_of(walk, number)
   return leaves, concat(paths, ", "), are_final
 end
 
--- Appends a finding with the run to a configuration, and the step from there, if given.
+-- Appends a finding. Its witness is the run to configuration `number`, followed by the
+-- step with the label `label` if one is given.
 local function add_run(walk, findings, code, state, path, text, number, label)
   local finding = findings:add(code, state, path, text)
   if finding then finding.witness = walk:witness(number, label) end
@@ -199,8 +200,8 @@ local function add_dead_end(walk, findings, number)
   end
 end
 
--- Finds configurations in which nothing happens any more, one for each set of leaves.
--- All walks must have one with that leaf, or something happens in another region.
+-- Finds dead ends: configurations in which nothing happens any more. All walks must
+-- have one with the same leaf of the machine, or a region in another walk still moves.
 local function find_dead_ends(walks, findings)
   local are_stuck = {}
   for i, walk in ipairs(walks) do
@@ -216,7 +217,8 @@ local function find_dead_ends(walks, findings)
   end
 end
 
--- Finds a configuration from which `run` never ends: an event waits after each step.
+-- Finds a configuration from which `run` never ends, since an event is pending after
+-- each step.
 local function find_endless(walk, findings)
   local is_idle, are_idle, step = {}, true, walk.endless
   for number = 1, #walk.keys do
@@ -239,8 +241,8 @@ local function find_endless(walk, findings)
   end
 end
 
--- Returns the paths of the leaves of some configurations, each set of leaves once;
--- whether the machine has ended in one of them; and the last leaf of each set.
+-- Returns three results for some configurations: the paths of their leaves, each set of
+-- leaves once; whether the machine has ended in one of them; the last leaf of each set.
 local function leaves_of_all(walk, numbers)
   local paths, states, is_listed, has_end = {}, {}, {}, false
   for _, number in ipairs(numbers) do
@@ -254,8 +256,8 @@ local function leaves_of_all(walk, numbers)
   return paths, has_end, states
 end
 
--- Does a configuration wait for an event from outside? It does not if an event that was
--- sent comes, a timer runs, or a step without events leads elsewhere.
+-- Does a configuration wait for an event from outside? It does not if a sent event is
+-- pending, a timer runs, or a step without events leads to another configuration.
 local function is_waiting(walk, number)
   local conf = walk:configuration(number)
   local goes_on = subject.is_driven(conf)
@@ -280,8 +282,9 @@ local function find_waiting(walk, numbers, set)
   end
 end
 
--- Returns a configuration in which the machine waited before it came to `numbers`,
--- and whether it is on a cycle of at least so many states.
+-- Returns a configuration in which the machine waited before it came to `numbers`, and
+-- whether that configuration is on a cycle with at least `least` sets of leaves. The
+-- components in `others` are searched.
 local function find_before(walk, numbers, others, least)
   local set, first = {}, nil
   for _, number in ipairs(numbers) do set[number] = true end
@@ -295,8 +298,8 @@ local function find_before(walk, numbers, others, least)
   return first, false
 end
 
--- Does the machine itself stay in one leaf in all of these configurations? If it does
--- not, the first walk has the same trap.
+-- Has the machine itself (without its regions) the same leaf in all of these
+-- configurations? If not, this trap is found on the first walk, too.
 local function is_in_one_leaf(walk, numbers)
   local leaf = own_leaf(walk, numbers[1])
   return not any(numbers, function(number) return own_leaf(walk, number) ~= leaf end)
@@ -304,10 +307,10 @@ end
 
 local function is_fault(state) return codes.means(state, "a fault") end
 
--- Finds configurations that lead to each other and nowhere else, if the machine waited
--- for an event before it came there. This may have been its setup, so the finding is a
--- note, unless there is a cycle of as many states elsewhere, or the name of one of the
--- states means a fault.
+-- Finds traps: configurations that lead to each other and nowhere else, if the machine
+-- waited for an event before it came there. The part before the trap may have been a
+-- setup, so the finding is a note. It is a warning if that part has a cycle with at
+-- least as many states, or if the name of a state in the trap means a fault.
 local function find_traps(walk, findings, is_first)
   local bottoms, others = graph.components(walk)
   local function waits_in(component) return find_waiting(walk, component) end
@@ -319,7 +322,7 @@ local function find_traps(walk, findings, is_first)
       outside, is_small = find_before(walk, numbers, others, #paths)
     end
     local _, name = leaves_of(walk, outside or 1)
-    if outside and not match.has(paths, name) then -- the same leaf with other data
+    if outside and not match.has(paths, name) then -- otherwise only data differ
       local finding = add_run(walk, findings, "trap", states[1], paths[1],
         concat(paths, " and ") .. " lead to each other, and never back to " .. name,
         numbers[1])
@@ -332,14 +335,15 @@ end
 
 local NUMBERS = { "one event", "two events", "three events" }
 
--- Returns a text for what is free, as all answers are tried: "guards and doos".
+-- Returns the names of the set `free` as a text: "guards and doos". All answers of free
+-- callbacks are tried.
 local function free_text(free)
   local names = rfsm.sorted_keys(free)
   local last = remove(names)
   return names[1] and concat(names, ", ") .. " and " .. last or last
 end
 
--- Appends the premises about time.
+-- Appends the texts of the premises about time, if a walk has timers.
 local function add_times(texts, walks, period)
   local function is_timed(walk) return walk.timing and walk.timing.is_timed end
   if not any(walks, is_timed) then return end
@@ -348,11 +352,11 @@ local function add_times(texts, walks, period)
   texts[#texts + 1] = "steps take no time"
 end
 
--- Returns the premises of walks: "one event a step; guards and timers free".
+-- Returns the premises of walks as a text: "one event a step; guards and timers free".
 local function premises_of(walks, options)
   local walk, free = walks[1], {}
   for _, each in ipairs(walks) do
-    for name in order.each(each.subject.free) do free[name] = true end -- a set
+    for name in order.each(each.subject.free) do free[name] = true end -- any order
   end
   local texts = { (NUMBERS[walk.together] or walk.together .. " events") .. " a step" }
   if options.alphabet then texts[#texts + 1] = "no event outside of the alphabet" end
@@ -365,21 +369,23 @@ local function premises_of(walks, options)
   return concat(texts, "; ")
 end
 
--- Notes in a result what a walk has not tried.
+-- Adds to a result the texts of what a walk has not tried, and the bound that it hit.
 local function note_bound(result, walk)
   for _, text in ipairs(walk.untried) do
     explore.note_untried(result, walk.bound, text)
   end
 end
 
--- Returns why a property is not known though everything was tried; else the empty text.
+-- Returns the reason why the verdict on a property is open although everything was
+-- tried; the empty text if it is not open.
 local function reason_of(walk, judged)
   if not judged.is_open then return "" end
   return walk.subject.free["sends with a delay"] and ", sends with a delay are free"
     or ", it depends on when timers expire"
 end
 
--- Judges a property on its walk. Returns the verdict; a violation is also a finding.
+-- Judges a property on its walk and returns the verdict. If the property is violated,
+-- also adds a finding to `result`.
 local function judge(result, judged, options)
   local walk = judged.walk
   properties.judge(walk, judged)
@@ -399,7 +405,7 @@ end
 
 -- Text ............................................................................
 
---- Return the choices of a step: " (root.trans[2] false, root.b ends)".
+--- Return the choices of a step as a text: " (root.trans[2] false, root.b ends)".
 function verdict.choices_text(step)
   local texts = {}
   for i, choice in ipairs(step.choices) do
@@ -447,9 +453,9 @@ local function add_finding_lines(lines, finding)
   end
 end
 
---- Return what an exploration has done in lines: its numbers, what was not tried, and
---- the properties that hold or are not known.
----@param has_numbers boolean? false: no numbers, unless something was not tried
+--- Return a summary of an exploration as lines: how many configurations and steps there
+--- are, what was not tried, and the properties that hold or are not known.
+---@param has_numbers boolean? false: without the numbers, unless a bound was hit
 ---@return string[] lines
 function Exploration:summary(has_numbers)
   local lines = {}
@@ -474,7 +480,7 @@ end
 
 -- Public functions ................................................................
 
--- Returns the properties of the options, and those in the root of the model.
+-- Returns the properties in the root of the model, and those in the options.
 local function properties_of(model, options)
   local given = {}
   for _, source in ipairs { model.properties or {}, options.properties or {} } do
@@ -487,7 +493,7 @@ local function properties_of(model, options)
   return given
 end
 
--- Counts the transitions that some walk takes.
+-- Counts the transitions that at least one walk takes.
 local function count_taken(walks)
   local is_taken, count = {}, 0
   for _, walk in ipairs(walks) do
@@ -499,8 +505,8 @@ local function count_taken(walks)
   return count
 end
 
--- Returns a table of the walks over a model by way, in which a walk is taken when it is
--- first read; and the list of the walks for `ways`, which findings are about.
+-- Returns a table of walks by way (the set of regions that a walk includes), and the
+-- list of the walks for `ways`. The table makes a walk when its way is first read.
 local function walks_in(model, options, ways, list)
   local by_way, walks = {}, {}
   setmetatable(by_way, { __index = function(_, way)
@@ -513,7 +519,7 @@ local function walks_in(model, options, ways, list)
   return by_way, walks
 end
 
--- Returns the result without findings.
+-- Returns a result with the numbers, the bounds and the premises, but no findings.
 local function new_result(own, walks, options)
   local result = setmetatable({ configurations = 0, steps = 0,
     transitions = #own.transitions, taken = count_taken(walks), bound = nil,
@@ -527,7 +533,7 @@ local function new_result(own, walks, options)
   return result
 end
 
--- Finds all but violated properties and dead ends.
+-- Appends all findings except violated properties and dead ends.
 local function find_others(walks, findings)
   find_endless(walks[1], findings)
   for i, walk in ipairs(walks) do
@@ -540,7 +546,7 @@ local function find_others(walks, findings)
   end
 end
 
---- Explore a model and judge what was found.
+--- Explore a model, judge its properties, and return the result.
 ---@param model rfsm.State
 ---@param options rfsm_checks.Options
 ---@return rfsm_checks.Exploration
@@ -550,7 +556,7 @@ function verdict.of(model, options)
   local ways = independence.ways(own, list, options)
   local by_way, walks = walks_in(model, options, ways, list)
   local has_endless = any(walks, function(walk) return walk.endless end)
-  if walks[2] and has_endless then -- no region goes on behind a step without an end
+  if walks[2] and has_endless then -- a step that never ends stops the other regions
     options.multiply = true
     return verdict.of(model, options)
   end

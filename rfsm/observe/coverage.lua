@@ -15,11 +15,13 @@ local concat = table.concat
 
 local coverage = {}
 
---- The counts of a run, by the paths of elements. `tostring` makes a report of them.
+--- The counts of a run, by the paths of elements. `tostring(record)` is a report.
 ---@class rfsm_checks.Coverage
----@field states table<string, integer> how often a state was entered
----@field transitions table<string, integer> how often one was taken: "root.trans[2]"
----@field guards table<string, table<"true"|"false"|"failed", integer>> by transition
+---@field states table<string, integer> how often a state was entered, by its path
+---@field transitions table<string, integer> how often a transition was taken, by its
+-- path: "root.trans[2]"
+---@field guards table<string, table<"true"|"false"|"failed", integer>> how often the
+-- guard of a transition had an outcome, by the path of the transition
 local Coverage = {}
 Coverage.__index = Coverage
 
@@ -29,7 +31,8 @@ local OUTCOMES = { "true", "false" }
 
 local function add(t, key) t[key] = t[key] + 1 end
 
--- Adds counts of 0 for the states, transitions and guards of a machine that have none.
+-- Adds counts of 0 for those states, transitions and guards of a machine that have no
+-- counts yet.
 local function add_elements(own, paths, at)
   for _, element in ipairs(rfsm.elements(at.machine)) do
     local path, is_trans = location.path(element, at.prefix), rfsm.is_trans(element)
@@ -42,7 +45,7 @@ local function add_elements(own, paths, at)
   end
 end
 
--- Returns a listener for a stream, which counts.
+-- Returns a listener for `rfsm.observe.stream` that counts in `own`.
 local function new_counter(own, fsm)
   local counter, paths = {}, {}
   function counter.merged()
@@ -53,7 +56,8 @@ local function new_counter(own, fsm)
   function counter.taken(_, path)
     for _, tr in ipairs(path) do add(own.transitions, paths[tr]) end
   end
-  -- A call counts as failed until it returns: an error is not caught here.
+  -- The call is counted as failed before, and as its answer after it has returned,
+  -- since an error is not caught here.
   function counter.guard(_, tr, guard, events)
     local counts = own.guards[paths[tr]]
     counts.failed = counts.failed + 1
@@ -67,7 +71,7 @@ end
 
 -- Report ............................................................................
 
--- Appends a line for each count of 0; returns a text such as "states 3 of 4".
+-- Appends a line for each element with a count of 0; returns a text: "states 3 of 4".
 local function add_missing(lines, kind, counts)
   local keys, seen = rfsm.sorted_keys(counts), 0
   for _, key in ipairs(keys) do

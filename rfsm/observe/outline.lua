@@ -1,6 +1,7 @@
 --- The outline of a chart: its nodes, edges and events in lists, numbered from 0 on.
 --
--- It is made of a description by `rfsm.marsh`, in this or in another program.
+-- It is made from a description that `rfsm.marsh` has written, in this program or in
+-- another one.
 --
 -- @module rfsm.observe.outline
 -- @license BSD-3-Clause
@@ -19,12 +20,12 @@ local outline = {}
 ---@class rfsm.observe.Outline
 ---@field nodes table[] { name, fqn, kind, parent?, is_region? }; parents come first
 ---@field edges table[] { key, src, tgt, label, events, is_internal? }
----@field events table[] { text, words, is_own }; the machine sends its own ones itself
----@field values any[] the values of `events`
----@field number_of table<any, integer> by FQN of a node
----@field edge_of table<string, integer> by key of a transition
----@field event_of table<any, integer> by event
----@field event_text fun(event: any): string
+---@field events table[] { text, words, is_own }; `is_own`: the machine itself sends it
+---@field values any[] the events themselves, in the order of `events`
+---@field number_of table<any, integer> number of a node, by its FQN
+---@field edge_of table<string, integer> number of an edge, by the key of the transition
+---@field event_of table<any, integer> number of an event, by the event
+---@field event_text fun(event: any): string returns an event as a text
 ---@field from table<integer, table[]> the edges that begin at a node, by its number
 
 local function add_node(list, tab, fqn, parent, is_region)
@@ -39,7 +40,7 @@ local function add_node(list, tab, fqn, parent, is_region)
   end
 end
 
--- Returns the number of an event, after adding the event if it is not in the list.
+-- Returns the number of an event. Adds the event to the list if it is not there yet.
 local function number_of(list, event, words)
   if not list.event_of[event] then
     list.event_of[event] = #list.values
@@ -71,7 +72,7 @@ local function add_edge(list, tr, key, words)
   table.insert(list.from[edge.src], edge)
 end
 
---- Make the outline of a description.
+--- Return the outline of a description.
 function outline.read(description)
   local list = {
     nodes = {}, edges = {}, events = {}, values = {}, number_of = {}, edge_of = {},
@@ -84,7 +85,8 @@ function outline.read(description)
   return list
 end
 
--- Adds the events of the edges from a node, and of the edges behind connectors.
+-- Adds the events of the edges from a node. If an edge leads to a connector, the edges
+-- from the connector are included.
 local function add_possible(list, found, node, is_seen)
   local is_from_state = diagram.is_state(list.nodes[node + 1])
   is_seen[node] = true
@@ -99,7 +101,8 @@ local function add_possible(list, found, node, is_seen)
 end
 
 --- List the numbers of the events that transitions from the active nodes name, also
--- behind connectors; return as well whether one takes any event. No guard is called.
+-- behind connectors. The second result is whether one of the transitions takes any
+-- event. No guard is called.
 function outline.possible(list, active)
   local found, is_seen, numbers = { set = {}, any = false }, {}, {}
   for _, node in ipairs(active) do add_possible(list, found, node, is_seen) end

@@ -18,9 +18,9 @@ local levels = {}
 
 -- Loops: arrows from a state to itself, beside it -----------------------------
 
-local DEPTH, LEAST = 22, 18 -- points: of a loop, and between two of them
+local DEPTH, LEAST = 22, 18 -- points: extent of a loop, least distance of two loops
 
--- Returns the length that a loop takes at the side of its node.
+-- Returns the length that a loop and its label take along the side of a node.
 local function step_of(link)
   local box = link.arrow.label_box
   return max(LEAST, link.level.direction == "TB" and box.height + 4 or box.width + 10)
@@ -37,7 +37,8 @@ local function add_loop(link)
     .. looks.number_text(max(is_down and 0.4 or 0.75, room.length / 72))
 end
 
--- Gives arrows and levels the size of their labels as `label_box`.
+-- Sets the field `label_box` of arrows or levels to the size of their label. Returns a
+-- problem if there is one.
 local function measure_labels(owners, run)
   local labels = {}
   for i, owner in ipairs(owners) do
@@ -104,9 +105,9 @@ end
 
 -- Levels that do not fit ------------------------------------------------------
 
-local FEWEST, MANY = 6, 8 -- nodes: smaller levels are not turned, not folded
+local FEWEST, MANY = 6, 8 -- nodes that a level needs to be changed, to be divided
 local TALLEST, WIDEST = 420, 800 -- points: smaller inner levels are not turned
-local LONGEST = 1000 -- points: shorter levels are readable on A4, and not folded
+local LONGEST = 1000 -- points: shorter levels are readable on A4, and not divided
 local MISFIT = log(1.7)
 
 -- Returns the size of a level along its arrows.
@@ -114,7 +115,7 @@ local function length_of(level)
   return level.direction == "TB" and level.height or level.width
 end
 
--- Is a level longer along its arrows than across? If not, nodes are side by side.
+-- Is a level longer along its arrows than across? If not, many nodes are side by side.
 local function is_long(level)
   return length_of(level) == max(level.width, level.height)
 end
@@ -138,8 +139,8 @@ local function divide(list, run)
   end
 end
 
--- Does no arrow cross the frame of a level, or of a composite in it, and is no arrow a
--- loop?
+-- Returns true if no arrow crosses the frame of a level or of a composite in it, and no
+-- arrow in the level is a loop.
 local function is_closed(level)
   for _, node in ipairs(level.composite.nodes) do
     if node.loops or node.level and node.level.gates[1] then return false end
@@ -147,13 +148,13 @@ local function is_closed(level)
   return not level.gates[1]
 end
 
--- Swaps the upper end of a link and its lower one.
+-- Swaps the upper and the lower end of a link.
 local function swap(link)
   link.upper, link.lower, link.is_turned = link.lower, link.upper, not link.is_turned
 end
 
--- Returns the leaves that are linked to one other node only, by that node: of each leaf
--- its links.
+-- Returns a table by hub. A hub is the only node to which some leaves are linked; its
+-- value is a list with the links of each of these leaves.
 local function rays_of(level)
   local hub_of, links_of, rays = {}, {}, {}
   for _, link in ipairs(level.links) do
@@ -174,12 +175,12 @@ local function rays_of(level)
   return rays
 end
 
-local FEW = 4 -- leaves around a node: so many stay at one side of it
+local FEW = 4 -- leaves of a hub: if there are no more, all stay at the same side of it
 
 local BESIDE = 0.12 -- inches between arrows at a hub
 
--- Puts every second leaf around a node before it, and makes that node as high as the
--- arrows at each side of it need.
+-- Puts every second leaf of a hub before the hub, by turning its links, and makes the
+-- hub as high as the arrows at each side of it need.
 local function spread(level)
   local rays = rays_of(level)
   for _, hub in ipairs(level.composite.nodes) do
@@ -203,10 +204,10 @@ end
 
 local function is_misfit(level)
   return #level.boxes >= FEWEST and columns.misfit(level) >= MISFIT
-    and not level.composite.nodes[1].is_region -- then all are
+    and not level.composite.nodes[1].is_region -- all nodes are regions, or none is
 end
 
--- Returns how a level is changed: "turn" or "divide"; nil if it stays.
+-- Returns how a level is changed: "turn" or "divide"; nil if it stays as it is.
 local function change_of(chart, level)
   if not is_misfit(level) then return nil end
   if is_long(level) then
@@ -230,7 +231,8 @@ end
 
 -- Layout ----------------------------------------------------------------------
 
--- Makes the regions in a composite equally high, or equally wide if they are LR.
+-- Makes the regions in a composite equally high, or equally wide if their arrows lead
+-- from left to right.
 local function align_regions(composite)
   local height, width, regions = 0, 0, {}
   for _, node in ipairs(composite.nodes) do
@@ -249,8 +251,8 @@ local function align_regions(composite)
   end
 end
 
--- Returns lists of levels. Those in the first list have no levels in them, those in the
--- second only levels of the first, and so on.
+-- Returns lists of levels. A level in the first list contains no other level; a level
+-- in the second list contains only levels of the first list, and so on.
 local function levels_by_height(chart)
   local list = {}
   local function visit(composite)

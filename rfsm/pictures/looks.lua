@@ -33,7 +33,7 @@ end
 
 local CODES = { ["&"] = "&amp;", ["<"] = "&lt;", [">"] = "&gt;", ['"'] = "&quot;" }
 
---- Return a quoted string. Graphviz reads "&amp;" in it as HTML does.
+--- Return a text as a quoted string for Graphviz, which reads "&amp;" in it as "&".
 function looks.quoted(text)
   if not text:find('[&\\"\n]') then return '"' .. text .. '"' end
   return '"' .. text:gsub("&", "&amp;"):gsub('[\\"]', "\\%0"):gsub("\n", "\\n") .. '"'
@@ -41,13 +41,15 @@ end
 
 local quoted = looks.quoted
 
---- Return the attribute `id`, in an SVG, for an FQN or a key: a line feed is "\n".
+--- Return the attribute `id` that an element gets in an SVG. The text is the FQN of a
+-- node or the key of a transition; a line feed in it becomes "\n".
 function looks.id_of(text)
   if not text:find("[^%w_%.%[%]/ ]") then return 'id="' .. text .. '"' end
   return "id=" .. quoted(diagram.clean(text))
 end
 
---- Return the value of this attribute as an answer of Graphviz has it, without quotes.
+--- Return the value of the attribute `id` of an element as Graphviz prints it: without
+-- quotes.
 function looks.plain_id(text) return looks.id_of(text):sub(5, -2) end
 
 local function lines_of(text, width)
@@ -67,7 +69,8 @@ local function table_of(rows, attributes)
     attributes or "", rows)
 end
 
--- A cell draws the line, because Graphviz leaves out some <HR/> in a PNG.
+-- The line below the name of a state. It is a cell, because Graphviz leaves out some
+-- <HR/> in a PNG.
 local RULE = '<TR><TD CELLPADDING="0" HEIGHT="1" BGCOLOR="#555555"></TD></TR>'
 
 --- Return the label of a state: its name above its rows. A mark behind the name means
@@ -101,7 +104,8 @@ local CONNECTOR = 'shape=plain, style="", label=<<TABLE BORDER="0" CELLBORDER="0
   .. 'CELLSPACING="0" CELLPADDING="0"><TR><TD PORT="p" BORDER="1" STYLE="ROUNDED" '
   .. 'FIXEDSIZE="TRUE" WIDTH="10" HEIGHT="10" BGCOLOR="%s"></TD><TD>'
   .. '<FONT POINT-SIZE="9">&#160;%s</FONT></TD></TR></TABLE>>'
--- Looks of active and of marked elements. Nobody needs to tell red from green.
+-- Looks of active and of marked elements. No two of them differ only in red and green,
+-- for colour-blind readers.
 local LOOKS = {
   plain = ', color="#555555", penwidth=1', active = ', color="#0072B2", penwidth=2',
   missed = ', color="#D55E00", fontcolor="#D55E00"', covered = "",
@@ -120,7 +124,7 @@ local function look_of(element, kind)
     tooltip_of(element))
 end
 
---- Return the attributes of a node that is no composite.
+--- Return the attributes of a node that is not a composite.
 function looks.leaf_text(node)
   if node.kind == "initial" then return INITIAL .. ', class="initial"' end
   if node.kind == "connector" then
@@ -141,8 +145,9 @@ function looks.frame_text(node)
     node.depth % 2 == 0 and "white" or "#F4F6F8", LOOKS.plain, look_of(node, "state"))
 end
 
---- Add a node, and those in it. A composite is a cluster; a column has no frame.
--- `position_of(node)` returns attributes, `add_labels(lines, depth, node)` adds lines.
+--- Append the lines of a node and of the nodes in it. A composite is a cluster; a
+-- column has no frame. `position_of(node)` returns further attributes of a node, and
+-- `add_labels(lines, depth, node)` appends further lines in a composite.
 function looks.add_node(lines, depth, node, position_of, add_labels)
   local function add_members(inner)
     for _, subnode in ipairs(node.nodes) do
@@ -168,8 +173,9 @@ function looks.arrow_text(arrow) return look_of(arrow, "transition") end
 
 local FOOT = '<TD PORT="%s" WIDTH="1" HEIGHT="1"></TD>'
 
--- Returns the attributes of a label that is a node. `feet` lists its parts: "text", and
--- names of ports, tiny cells where lines end. `sides` of the label are drawn.
+-- Returns the attributes of a label that is a separate node for Graphviz. `feet` lists
+-- its cells: "text", and the names of ports, which are tiny cells where lines end.
+-- `sides` are the sides of the text cell that are drawn.
 local function label_node(arrow, direction, feet, sides)
   local cells = {}
   local text = ('<TD CELLPADDING="4"%s>%s</TD>'):format(sides
@@ -183,18 +189,21 @@ local function label_node(arrow, direction, feet, sides)
     "<TR>" .. row .. "</TR>", ' CELLPADDING="0"'), look_of(arrow, "transition"))
 end
 
---- Return the attributes of a label that a line runs around, with a foot at each end.
+--- Return the attributes of the label between the two legs of an arch; each leg ends at
+-- a port, "l" or "r".
 function looks.arch_text(arrow, direction)
   return label_node(arrow, direction, { "l", "text", "r" })
 end
 
---- Return the attributes of a label whose sides are the far end of a loop.
+--- Return the attributes of a label at the far end of a loop: three of its sides are
+-- drawn, as a part of the loop.
 function looks.hung_label(arrow, direction)
   return label_node(arrow, direction, { "l", "text", "r" },
     direction == "TB" and "LBR" or "TRB")
 end
 
---- Return the attributes of a label of which one side is a part of its line.
+--- Return the attributes of a label beside a line: one side is drawn, as a part of the
+-- line.
 function looks.line_label(arrow, direction)
   if direction == "TB" then
     return label_node(arrow, direction, { "l", "text" }, "L")

@@ -1,5 +1,5 @@
---- The charts of a library: one machine of each version, into which each call puts a
---- snapshot.
+--- The charts of a library. Each version of a chart has one machine, into which each
+--- call puts the snapshot of a saved machine.
 --
 -- @module rfsm.server.charts
 -- @license BSD-3-Clause
@@ -33,14 +33,14 @@ local decode
 ---@field name string
 ---@field make fun(): rfsm.State
 ---@field fsm rfsm.Machine|nil its machine, made at the first call
----@field blank rfsm.snapshot.Snapshot that of a new machine
+---@field blank rfsm.snapshot.Snapshot the snapshot of a new machine
 ---@field options rfsm.snapshot.Options for snapshots that are put into the machine
----@field fields rfsm.server.Field[] first values, which each call begins with
+---@field fields rfsm.server.Field[] the first values of fields; each call restores them
 ---@field regions rfsm.Machine[] the regions of the machine
----@field events table<string, any> the events that transitions have, by their texts
+---@field events table<string, any> the events that transitions name, by their texts
 ---@field named table<string, true> names of events with data
----@field takes_all boolean any event may be sent: a transition has no list of events,
---- or a predicate of which no name is known
+---@field takes_all boolean any event may be sent, since a transition has no list of
+--- events, or has a predicate for which no event name is known
 
 local function note_events(chart, fsm)
   local known = alphabet.of_all(fsm)
@@ -57,8 +57,8 @@ local function note_events(chart, fsm)
   end
 end
 
--- What callbacks have emitted in this call, each as { name, data } (texts), and the
--- errors that the machine has printed.
+-- `emitted`: what callbacks have emitted in this call, each as { name, data } (texts).
+-- `printed`: the errors that the machine has printed in this call.
 local emitted, printed = {}, {}
 
 local function emit(what, data)
@@ -69,15 +69,16 @@ local function collect_print(...)
   printed[#printed + 1] = calls.text(" ", ...)
 end
 
--- The machine of a chart runs one saved machine after the other. Callbacks may have
--- changed fields that the chart does not keep. `clean` undoes that before each call: it
--- removes fields that were added, which are noted then, and compares all others.
+-- The machine of a chart runs one saved machine after the other. A callback may change
+-- fields that snapshots do not save. `clean` undoes such changes before each call: it
+-- removes the fields in `added`, and gives all others their first values.
 
--- `added` has elements and their new fields in turns: { element, key, ... }. `known_of`
--- has the set of fields that an element had at first.
+-- `added` lists elements and their new fields in turns: { element, key, ... }.
+-- `known_of` has for each element the set of the fields that it had at first.
 local added, known_of = {}, setmetatable({}, { __mode = "k" })
 
--- Changes a metatable so that fields added to its elements are noted.
+-- Changes the metatable of elements so that new fields of an element are put in
+-- `added`.
 local function watch(class)
   if rawget(class, "is_watched") then return end
   local set = class.__newindex or rawset
@@ -91,8 +92,8 @@ local function watch(class)
   end
 end
 
---- The first value of a field of an element. Of a plain table it is a copy, since
--- callbacks may change the table that the element has.
+--- The first value of a field of an element. If the value is a plain table, a copy is
+-- stored, since callbacks may change the table in the element.
 ---@class rfsm.server.Field
 ---@field obj table
 ---@field key any
@@ -112,7 +113,7 @@ local function note_fields(fields, obj)
   watch(getmetatable(obj))
 end
 
--- Gives all elements their first fields back. This runs in each call.
+-- Gives the fields of all elements their first values back. This runs in each call.
 local function clean(chart)
   for i = #added, 2, -2 do
     rawset(added[i - 1], added[i], nil)
@@ -131,10 +132,10 @@ end
 --- Return data as JSON. Keys that are numbers become texts, as do infinity and NaN.
 function charts.json_of(data) return exact_json.encode(encoding.to_json(data)) end
 
---- Return the table that a JSON object stands for. Fields that are null are left out.
+--- Decode a JSON object and return it as a table. Fields that are null are left out.
 ---@param owner string the name of the object in messages
 ---@param text string
----@param most integer bytes
+---@param most integer the greatest length of `text` in bytes
 function charts.read_json(owner, text, most)
   if #text > most then
     fail("%s: at most %d bytes expected, got %d", owner, most, #text)
@@ -149,7 +150,7 @@ function charts.read_json(owner, text, most)
   return encoding.unpack(encoding.pack(data, about, 0), 0)
 end
 
---- Return as JSON the data that a snapshot keeps, by the locations of states.
+--- Return the data in a snapshot as a JSON object, by the paths of states.
 function charts.data_of(snap)
   local data = {}
   local function add(part, prefix)
@@ -239,12 +240,12 @@ charts.note = collect_print
 --- Return what callbacks have emitted in this call, and its errors.
 function charts.effects() return emitted, printed end
 
---- Forget both, so that a call begins with empty lists.
+--- Forget emitted texts and errors, so that a call begins with empty lists.
 function charts.forget_effects() emitted, printed = {}, {} end
 
 -- Events ----------------------------------------------------------------------------
 
--- Returns the events that a chart knows as a client writes them.
+-- Returns the events that a chart knows as the texts that a client sends.
 local function known_events(chart)
   local texts = rfsm.sorted_keys(chart.events)
   for _, name in ipairs(rfsm.sorted_keys(chart.named)) do
@@ -284,7 +285,7 @@ local function plain_event(chart, number, text)
   return text
 end
 
---- Return the events of texts: a JSON object is an event with data.
+--- Return the events that a list of texts means. A JSON object is an event with data.
 function charts.events(chart, texts)
   local events = {}
   for i, text in ipairs(texts) do

@@ -1,16 +1,17 @@
---- The functions that run inside a server. Each restores a machine, runs it and saves
--- it, in one atomic call.
+--- The functions that run inside a database server (Redis, PostgreSQL). Each restores a
+-- machine, runs it and saves it, in one atomic call.
 --
 -- `rfsm.server.library` bundles this module with the core and the charts. The module
--- knows no server: a host reads and writes the machine. An error changes nothing, since
--- all that may fail comes before the host writes.
+-- does not depend on a server: a host object reads and writes machines. If an error
+-- occurs nothing is changed, since everything that may fail comes before the write.
 --
--- The value of a machine is a list. Its first item is "rfsm", for others see "Load".
+-- A machine is saved under its key as a list. The first item is "rfsm"; the section
+-- "Load" below describes the others.
 --
--- In a call the timers and waiting events that are due run first, in their order, each
--- at its own time. Then the events of the call are sent.
+-- A call first runs the timers and waiting events that are due, in order, each at its
+-- own time. Then it sends its own events.
 --
--- The file reads in the order of a call: arguments, load, move, save, functions.
+-- The sections follow the order of a call: arguments, load, move, save, functions.
 --
 -- @module rfsm.server.functions
 -- @license BSD-3-Clause
@@ -35,35 +36,35 @@ local fail, now, open, put = encoding.fail, times.now, charts.open, charts.put
 
 local MAX_DATA, MAX_VALUE = 65536, 1048576 -- bytes
 local MAX_STEPS = 1000
-local MAX_DUE, RESTLESS = 200, 20 -- steps of a call; one that ends busy counts as 20
-local LEAST_PASSED = 0.1 -- seconds; if MAX_DUE steps take less, the rest is skipped
-local TIME = "(time)" -- stands in the history for the event, if there was none
-local SAME = 1e-6 -- seconds: a timer fires a nanosecond after its time
-local MAX_ID, MAX_LATER = 64, 100 -- bytes of an id; events of a machine that wait
+local MAX_DUE, RESTLESS = 200, 20 -- steps in a call; one that ends busy counts as 20
+local LEAST_PASSED = 0.1 -- seconds; if MAX_DUE steps advance the clock less, it jumps
+local TIME = "(time)" -- the name of a step without an event in the history
+local SAME = 1e-6 -- seconds; closer times are equal, since timers fire 1 ns late
+local MAX_ID, MAX_LATER = 64, 100 -- bytes of an id; waiting events of a machine
 
---- What the functions use of a server.
+--- The functions by which this module uses a server.
 ---@class rfsm.server.Host
----@field time fun(): integer, integer seconds and nanoseconds
----@field read fun(key: string): any[]? the list in the value of a machine
----@field pack fun(list: any[]): any the value of a list
+---@field time fun(): integer, integer returns the time: seconds and nanoseconds
+---@field read fun(key: string): any[]? returns the saved list of a machine
+---@field pack fun(list: any[]): any returns the value that the server stores for a list
 ---@field write fun(machine: rfsm.server.Machine, due: number?, emitted: string[][],
---- errors: string[]) writes all of it, or raises an error and writes nothing
----@field remove fun(key: string): boolean removes a machine, returns if it was there
----@field decode fun(text: string): any of JSON
----@field refuse fun(name: string, reason: string): any the reply of a call that fails
+--- errors: string[]) writes all arguments, or raises an error and writes nothing
+---@field remove fun(key: string): boolean removes a machine; returns whether it existed
+---@field decode fun(text: string): any decodes JSON
+---@field refuse fun(name: string, reason: string): any returns the reply of an error
 ---@field add? fun(functions: table, options: rfsm.server.Options) adds functions that
 --- only this server has
 
---- What a library is made with.
+--- The options with which a library is made.
 ---@class rfsm.server.Options
----@field index? boolean machines are found by their state
----@field history? integer|boolean the moves of each machine are noted, and the events
---- that moved nothing; a number: so many are kept
----@field ids? integer so many ids of events are kept for each machine (16)
----@field ids_for? integer ids are kept for so many seconds, at most `ids` (1000)
+---@field index? boolean keep an index by which machines are found by their state
+---@field history? integer|boolean keep the moves of each machine, and the events that
+--- moved nothing; a number: keep at most so many of them
+---@field ids? integer how many ids of events are kept for each machine (16)
+---@field ids_for? integer seconds for which ids are kept; then `ids` is 1000 by default
 
--- The host, the versions of each chart by its name, the newest last, and the options.
--- One library runs in a server, so these are locals of the module.
+-- `versions` has for each name of a chart the list of its versions, the newest last.
+-- These are locals of the module because only one library runs in a server.
 local host, versions, options
 
 -- Arguments ----------------------------------------------------------------------
@@ -75,7 +76,7 @@ local function versions_of(name)
     advice.nearest_name(shown(name), rfsm.sorted_keys(versions)))
 end
 
--- Takes `ID id` away from the end of arguments; returns the id, nil if there is none.
+-- Removes `ID id` from the end of the arguments. Returns the id; nil if it is missing.
 local function take_id(args)
   if args[#args - 1] ~= "ID" then return nil end
   local id = remove(args)
@@ -86,7 +87,8 @@ local function take_id(args)
   return id
 end
 
--- Returns the time of a text: "12.5" are seconds of the clock, "+12.5" from now on.
+-- Returns the time that a text means: "12.5" is a time of the clock in seconds, "+12.5"
+-- is 12.5 seconds from now.
 local function time_of(text)
   local offset, number = text:match("^(%+?)(%d+%.?%d*)$")
   if not number then fail("seconds, or +seconds expected, got '%s'", shown(text)) end
@@ -95,11 +97,12 @@ end
 
 -- Load: the value of a key becomes a machine ----------------------------------------
 
--- Positions in the value of a machine. NAME: its chart. SNAP, SEC, NSEC: the snapshot,
--- and its time if that matters. DUE: when the machine is to be woken. IDS: the ids of
--- the latest events, the oldest first, with `ids_for` each in front of its time. LATER:
--- the events that wait, in the order in which they will be sent, each { time, id,
--- event, ... }. HELD: when a machine was held, or has kept an event since then.
+-- Positions in the list of a machine. NAME: the name of its chart. SNAP, SEC, NSEC: the
+-- snapshot, and the time of the snapshot if timers need it. DUE: when the machine is to
+-- be woken. IDS: the ids of the latest events, the oldest first; with `ids_for` each is
+-- followed by its time. LATER: the waiting events in the order in which they will be
+-- sent, each { time, id, event, ... }. HELD: the time at which the machine was held, or
+-- at which it last kept an event while it was held.
 local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD = 2, 3, 4, 5, 6, 7, 8, 9
 
 --- A machine that a call works on.
@@ -107,18 +110,18 @@ local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD = 2, 3, 4, 5, 6, 7, 8, 9
 ---@field key string
 ---@field chart rfsm.server.Chart
 ---@field fsm rfsm.Machine
----@field list any[] the value of the key, which is changed to the new one
+---@field list any[] the saved list, which the call changes to the list to be saved
 ---@field leaf string|false|nil FQN of the saved leaf, by its name in the version that
 --- saved it; false: the machine is new
 ---@field at string FQN of the active leaf; "": the machine was not entered
----@field mode string of that leaf
----@field was_due number|false|nil when it was due, as saved
+---@field mode string mode of the active leaf
+---@field was_due number|false|nil the DUE of the saved list
 ---@field value any the new list as the host has packed it
----@field moves { by: string, from: string, to: string }[] of this call
----@field is_idle boolean after the last step
+---@field moves { by: string, from: string, to: string }[] the moves of this call
+---@field is_idle boolean was the machine idle after its last step?
 ---@field outcome string|false what became of the events: "taken", "kept" or "dropped";
---- false: no transition took them, so they were either kept or dropped
----@field has_run boolean something was due, and has run in this call
+--- false: no transition took them, and it is not yet known if they were kept or dropped
+---@field has_run boolean did due timers or events run in this call?
 
 local NONE = {}
 
@@ -134,8 +137,9 @@ local function read(key)
     or fail("no machine is at '%s' (rfsm_create makes one)", shown(key))
 end
 
--- Puts a snapshot into the newest version of its chart. If it cannot move there, it is
--- put into the version of which it was taken. Returns the version, and what `put` does.
+-- Puts a snapshot into the newest version of its chart. If it does not fit there, it is
+-- put into the version from which it was taken. Returns the version that was used, and
+-- the results of `put`.
 local function place(list, snap)
   local newest, own = open(list[#list]), nil
   if snap.chart ~= newest.blank.chart then
@@ -159,14 +163,14 @@ end
 
 -- Move: what is due, then what was sent -----------------------------------------------
 
--- Returns the position of the events with an id among those that wait, or nil.
+-- Returns the position of the events with an id in the list of waiting events, or nil.
 local function find_later(list, id)
   for i, entry in ipairs(list[LATER] or NONE) do
     if entry[2] == id then return i end
   end
 end
 
--- Was an event with this id applied, or does it wait?
+-- Was an event with this id sent before, or does such an event wait?
 local function has_id(list, id)
   for _, known in ipairs(list[IDS] or NONE) do
     if known == id then return true end
@@ -174,7 +178,7 @@ local function has_id(list, id)
   return find_later(list, id) ~= nil
 end
 
--- Forgets the oldest id of a list, and its time; returns how many are left.
+-- Removes the oldest id and its time from a list of `count` ids; returns the new count.
 local function drop_id(ids, count)
   remove(ids, 1)
   if type(ids[1]) == "number" then remove(ids, 1) end
@@ -195,8 +199,8 @@ local function add_id(machine, id)
   end
 end
 
--- Steps a machine, and notes its move; `by` names the events for the history. Returns
--- whether a path was taken.
+-- Steps a machine, and notes its move. `by` is the name of the events in the history.
+-- Returns whether a path was taken.
 local function step(machine, by)
   local is_idle, is_taken = charts.step(machine.chart, MAX_STEPS)
   local leaf = machine.fsm._act_leaf
@@ -213,7 +217,7 @@ local function send(machine, events)
   for _, event in ipairs(events) do rfsm.send_events(machine.fsm, event) end
 end
 
--- Adds events to those that wait, behind others of the same time.
+-- Inserts events into the list of waiting events, behind others of the same time.
 local function add_later(machine, time, id, texts)
   local later = machine.list[LATER] or {}
   local at = #later + 1
@@ -223,8 +227,8 @@ local function add_later(machine, time, id, texts)
   machine.list[LATER] = later
 end
 
--- If the clock has gone back, the events of a held machine that were due stay due:
--- their times are lowered to the present, so that later events come behind them.
+-- Keeps the due events of a held machine due if the clock has gone back: lowers their
+-- times to the present, so that later events come behind them.
 local function keep_due(list)
   for _, entry in ipairs(list[LATER] or NONE) do
     if entry[1] <= list[HELD] then entry[1] = min(entry[1], now()) end
@@ -232,8 +236,8 @@ local function keep_due(list)
   list[HELD] = now()
 end
 
--- Sends events whose time has come, and returns their texts. Events that the chart does
--- not know any more are reported as an error.
+-- Sends waiting events whose time has come, and returns their texts. Events that the
+-- chart no longer knows are reported as an error.
 local function send_entry(machine, entry)
   local texts = { select(3, unpack(entry)) }
   local ok, events = pcall(charts.events, machine.chart, texts)
@@ -246,8 +250,9 @@ local function send_entry(machine, entry)
   return concat(texts, " ")
 end
 
--- Lets time pass until a timer is due, or events that wait, which are sent then.
--- Returns what the history calls the step that has to follow; nil if nothing is due.
+-- Advances the clock of a machine to its next timer or waiting events, if they are due
+-- now, and sends these events. Returns the name in the history for the step that has to
+-- follow, or nil if nothing is due.
 local function advance_to_due(machine)
   local later, seen = machine.list[LATER] or NONE, times.seen()
   local left, entry = timeevent.next_deadline(machine.fsm) or huge, later[1]
@@ -261,8 +266,8 @@ local function advance_to_due(machine)
   return TIME
 end
 
--- Returns a time (nil or false: never), or that of the first waiting events if that is
--- earlier.
+-- Returns the earlier one of a time (nil or false: never) and the time of the first
+-- waiting events.
 local function earliest(time, list)
   local first = (list[LATER] or NONE)[1]
   return first and min(time or huge, first[1]) or time
@@ -273,10 +278,10 @@ local function was_restless(list)
   return list[DUE] and list[DUE] <= times.seen()
 end
 
--- Runs what is due as if a worker had been punctual: each timer and event at its time,
--- until the machine is idle. Then its clock shows the present. Returns false if that
--- takes too many steps: then the clock shows the time that was reached, and the machine
--- is due at once. If timers are too fast to catch up, the clock jumps to the present.
+-- Runs the due timers and events, each at its own time, until the machine is idle. Then
+-- the clock of the machine shows the present. Returns false if that takes too many
+-- steps: the clock shows the time that was reached, and the machine is due at once.
+-- If timers are too fast to catch up with, the clock jumps to the present.
 local function run_due(machine)
   local budget, begun = MAX_DUE, times.seen()
   local by = was_restless(machine.list) and TIME or advance_to_due(machine)
@@ -290,8 +295,8 @@ local function run_due(machine)
   return budget > 0
 end
 
--- Runs what is due until the machine's clock shows the present. Returns false if it
--- does not, because the machine is held, or too much was due.
+-- Runs the due timers and events until the clock of the machine shows the present.
+-- Returns false if the clock does not, because the machine is held or too much was due.
 local function catch_up(machine)
   local list = machine.list
   if list[HELD] then return false end
@@ -301,8 +306,8 @@ local function catch_up(machine)
   return true
 end
 
--- Runs what is due, then sends events, all in one step. They wait if the machine is
--- held, or too much was due.
+-- Runs the due timers and events, then sends the events in `texts`, all in one step. If
+-- the machine is held, or too much was due, the events in `texts` wait.
 local function move(machine, texts, id)
   local events, list = charts.events(machine.chart, texts), machine.list
   if not catch_up(machine) then
@@ -318,7 +323,8 @@ local function move(machine, texts, id)
   machine.outcome = step(machine, concat(texts, " ")) and "taken" or false
 end
 
--- Runs what is due. If nothing was, or the machine is not idle, steps it once more.
+-- Runs the due timers and events. If none were due, or if the machine is not idle then,
+-- steps it once more.
 local function run(machine)
   local is_present = catch_up(machine)
   machine.outcome = machine.outcome or "kept"
@@ -326,11 +332,12 @@ local function run(machine)
   if step(machine, TIME) then machine.outcome = "taken" end
 end
 
--- Has an event that no transition took changed what the machine keeps? As timers run
--- on, the machine goes back to where it was before the event, until now.
+-- Has an event that no transition took changed the snapshot of the machine? Timers have
+-- run on since the machine was saved. So the saved snapshot is loaded at its own time
+-- and taken again at the present, and the result is compared with `snap`.
 local function has_changed(machine, snap)
   local list, sec, nsec = machine.list, times.get()
-  charts.forget_effects() -- those of a function `load` do not count
+  charts.forget_effects() -- effects of a function `load` are not reported
   times.set(list[SEC], list[NSEC])
   local ok = put(machine.chart, list[SNAP])
   times.set(sec, nsec)
@@ -346,8 +353,8 @@ local function due_of(machine, snap)
   return earliest(left and times.seen() + left or nil, machine.list)
 end
 
--- Packs the list of a machine. A position without a value is false, or nil if it is
--- behind all values.
+-- Packs the list of a machine. Empty positions are false; those behind the last value
+-- are nil.
 local function pack_machine(machine, due)
   local list = machine.list
   list[SEC], list[NSEC], list[DUE] = false, false, due
@@ -364,8 +371,8 @@ local function pack_machine(machine, due)
   end
 end
 
--- Has the host write all changes, and returns the reply: leaf, mode, errors, outcome.
--- The id of events that were dropped is not kept, so that they may be sent again.
+-- Calls the host to write all changes, and returns the reply: leaf, mode, errors,
+-- outcome. The id of dropped events is not kept, so that they may be sent again.
 local function save(machine, id)
   local chart, list, leaf = machine.chart, machine.list, machine.fsm._act_leaf
   local snap = snapshot.take(machine.fsm)
@@ -401,7 +408,7 @@ local function set_data(fsm, text)
   end
 end
 
--- Returns a reply with leaf and mode of a saved machine, and further items.
+-- Returns a reply: leaf and mode of a saved machine, and the further arguments.
 local function reply_of(list, ...)
   local snap = list[SNAP]
   return { snap.leaf or "", snap.leaf and (snap.done and "done" or "active")
@@ -436,7 +443,7 @@ function functions.rfsm_send(keys, args)
   return save(machine, machine.outcome ~= "kept" and id)
 end
 
--- rfsm_send_at KEY time event... ID id: sends events when a time has come.
+-- rfsm_send_at KEY time event... ID id: keeps events, and sends them at a time.
 function functions.rfsm_send_at(keys, args)
   local key, id = key_of(keys), take_id(args)
   local text = remove(args, 1)
@@ -451,7 +458,8 @@ function functions.rfsm_send_at(keys, args)
   return save(machine)
 end
 
--- rfsm_cancel KEY id: removes events of rfsm_send_at that wait; returns 1 if they did.
+-- rfsm_cancel KEY id: removes waiting events of rfsm_send_at. Returns 1, or 0 if no
+-- events with this id wait.
 function functions.rfsm_cancel(keys, args)
   local key = key_of(keys)
   local list = read(key)
@@ -464,7 +472,7 @@ function functions.rfsm_cancel(keys, args)
   return at and 1 or 0
 end
 
--- rfsm_tick KEY: runs a machine that is due. Replies false if there is no machine.
+-- rfsm_tick KEY: runs a machine that is due. Returns false if there is no machine.
 function functions.rfsm_tick(keys)
   local key = key_of(keys)
   local list = host.read(key)
@@ -474,7 +482,7 @@ function functions.rfsm_tick(keys)
   return save(machine)
 end
 
--- rfsm_get KEY: names and values.
+-- rfsm_get KEY: returns a list of names and values in turns.
 function functions.rfsm_get(keys)
   local list = read(key_of(keys))
   local snap, names, queue = list[SNAP], {}, {}
@@ -490,9 +498,9 @@ function functions.rfsm_get(keys)
     "held", list[HELD] and "yes" or "" }
 end
 
--- The verbs of an operator.
+-- Functions for an operator: hold, release, force, remove, why.
 
--- rfsm_hold KEY: from now on the events and timers of a machine wait.
+-- rfsm_hold KEY: holds a machine: from now on its events and timers wait.
 function functions.rfsm_hold(keys)
   local key = key_of(keys)
   local list = read(key)
@@ -503,7 +511,7 @@ function functions.rfsm_hold(keys)
   return save(machine)
 end
 
--- rfsm_release KEY: ends that; what has come due meanwhile runs, in order.
+-- rfsm_release KEY: ends the hold. Events and timers that are due now run, in order.
 function functions.rfsm_release(keys)
   local key = key_of(keys)
   local list = read(key)
@@ -515,7 +523,7 @@ function functions.rfsm_release(keys)
   return save(machine)
 end
 
--- rfsm_force KEY state: puts a machine into a leaf. No callback is called for that.
+-- rfsm_force KEY state: puts a machine into a leaf without calling entries and exits.
 function functions.rfsm_force(keys, args)
   local key = key_of(keys)
   local machine = load_machine(key, read(key))
@@ -529,8 +537,8 @@ end
 -- machine was there.
 function functions.rfsm_remove(keys) return host.remove(key_of(keys)) and 1 or 0 end
 
--- rfsm_why KEY event: returns lines that say for each transition, from the outermost
--- state inwards, whether the event would have it taken, and if not, why.
+-- rfsm_why KEY event: returns lines that report for each transition, from the outermost
+-- state inwards, whether it would be taken on the event, and if not, why.
 function functions.rfsm_why(keys, args)
   if #args ~= 1 then fail("one event expected, got %d", #args) end
   local key, lines = key_of(keys), {}
@@ -541,8 +549,9 @@ function functions.rfsm_why(keys, args)
   return lines
 end
 
---- Return the functions by name, each of which takes keys and arguments. Of charts with
--- one name in the list of { name =, make = }, the last is the newest.
+--- Return the functions by name. Each takes a list of keys and a list of arguments.
+-- Charts in `list` ({ name =, make = }) that have the same name are versions of one
+-- chart, the newest last.
 ---@param server rfsm.server.Host
 ---@param settings? rfsm.server.Options
 return function(server, list, settings)

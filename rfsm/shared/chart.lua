@@ -1,8 +1,9 @@
---- Chart files for the tools: loaded with warnings of undefined globals; a failure is
---- one line.
+--- Loads chart files for the tools. Undefined globals are reported as warnings, and a
+--- failure is reported in one line.
 --
--- Charts written for rFSM use the globals `rfsmpp`, `rfsm_ext` and `rfsm_timeevent`
--- without requiring them, because the tools of rFSM loaded them. So do these tools.
+-- Charts written for the original rFSM use the globals `rfsmpp`, `rfsm_ext` and
+-- `rfsm_timeevent` without requiring them, because the tools of rFSM loaded these
+-- modules. This module does the same.
 --
 -- @module rfsm.shared.chart
 -- @license BSD-3-Clause
@@ -27,8 +28,8 @@ local chart = {}
 --- Return the name of a chart's file in messages; `-` is stdin.
 function chart.name_of(file) return file == "-" and "stdin" or file end
 
---- Return a problem with its file in front, unless it begins with a location. A kind
--- such as "warning: " comes behind the location.
+--- Return the text of a problem with its file in front, unless it begins with a
+-- location. A `kind` such as "warning: " is put behind the location.
 function chart.line(file, text, kind)
   local name = chart.name_of(file)
   local place, rest = text:match("^(%S+:%d+: )(.*)$")
@@ -42,13 +43,14 @@ end
 
 local NO_ERROR = "<no error object>" -- which Lua 5.5 has in place of the error nil
 
---- Return the first line of a failure; a traceback or a list of paths may follow it.
+--- Return the first line of a failure, without a traceback or list of paths behind it.
 function chart.first_line(failure)
   local text = rfsm.text_of(failure)
   return ((text:match("[^\n]+") or text):gsub(":%s*$", ""))
 end
 
--- Returns the hint for the call of a function that the library does not have.
+-- Returns a hint if an error text is about the call of a function that the library does
+-- not have; otherwise the empty text.
 local function hint_for(text)
   local name = text:match("call a nil value %(field '(.-)'%)$")
     or text:match("call field '(.-)' %(a nil value%)$")
@@ -56,8 +58,8 @@ local function hint_for(text)
   return require("rfsm.advice").function_meant(name)
 end
 
---- Return why a chart cannot be used, in one line with its file. The problems of a
--- system are a line each.
+--- Return the reason why a chart cannot be used, in one line with its file; for a
+-- system (`rfsm.system`) one line for each problem.
 function chart.reason(file, failure)
   local list = rfsm.text_of(failure):match("^rfsm%.system: the system has [^\n]*\n(.*)")
   if list then return (("\n" .. list):gsub("\n  ", "\n"):sub(2)) end
@@ -80,7 +82,8 @@ local QUESTIONS = {
   "NAME%s+and%f[%W]", "NAME%s+or%f[%W]", "NAME%s+then%f[%W]",
 }
 
--- Does a line of a file test if a global exists? Such a global may be the host's.
+-- Does a line of a file test if a global exists? The program that loads the chart later
+-- may define such a global.
 local function is_asked(file, line, name)
   local handle, number = io.open(file), 0
   for text in handle and handle:lines() or function() end do
@@ -119,8 +122,8 @@ local function stub_for(world, name, reader)
   return is_wanted and search.stub(world, name) or nil
 end
 
--- Returns the `__index` of _G, for globals that code of the chart reads and that do not
--- exist. A name such as e_go is an event whose quotes were forgotten: it gets no stub.
+-- Returns a function for `__index` of _G, called if the chart reads an undefined
+-- global. A name such as e_go is an event whose quotes were forgotten: it gets no stub.
 local function new_index(world, warnings)
   local is_known = {}
   local function note(name, reader)
@@ -140,7 +143,7 @@ local function new_index(world, warnings)
   end
 end
 
-local stub_class = nil -- the metatable of _G while there are stubs
+local stub_class = nil -- the metatable that _G has as long as stubs are in use
 
 -- Calls f(...) while undefined globals are noted. With stubs the metatable of _G stays,
 -- since callbacks read stubs later. Returns the results of pcall.
@@ -155,7 +158,7 @@ local function with_notes(world, warnings, f, ...)
     stub_class = class
     return ok, model
   end
-  class.__index = class.__index ~= index and class.__index or nil -- a chart's own
+  class.__index = class.__index ~= index and class.__index or nil -- set by the chart
   if getmetatable(_G) == class and not next(class) then setmetatable(_G, nil) end
   return ok, model
 end
@@ -164,7 +167,8 @@ end
 
 local function refuse_exit() error("os.exit is called while the chart is loaded", 2) end
 
--- Returns load(file). The file may not end the program, and is ended if it takes long.
+-- Returns load(file). A call of `os.exit` by the file raises an error, and the loading
+-- is stopped if it takes too long.
 local function within_bounds(world, load, file)
   local exit = os.exit
   if not world.has_stubs then rawset(os, "exit", refuse_exit) end
@@ -177,14 +181,14 @@ end
 
 -- Programs: files that make machines, and return no state --------------------------
 
-local HALT = {} -- the error that ends the loading of a program
+local HALT = {} -- the error value by which the loading of a program is stopped
 
 local function halt(world)
   world.is_halted = true
   error(HALT, 0)
 end
 
--- Returns init(model), which prints nothing: the tool reports problems once, later.
+-- Returns init(model), but prints nothing, since the tool reports the problems later.
 local function init_silently(init, model)
   if not rfsm.is_state(model) then return init(model) end
   return calls.silently(init, model)
@@ -192,8 +196,8 @@ end
 
 local NO_STATE = "no valid rfsm in" -- in the failure of `rfsm.load`
 
--- Makes a machine and notes its model, unless it is a region (`depth` above 0). A model
--- that has problems ends the loading.
+-- Makes a machine, and notes its model unless the machine is a region (`depth` above
+-- 0). If the model has problems, the loading is stopped.
 local function note_machine(world, depth, init, model)
   world.depth = depth + 1
   local ok, fsm, text, problems = pcall(init_silently, init, model)
@@ -209,8 +213,8 @@ local function note_machine(world, depth, init, model)
 end
 
 -- Loads a file, and notes the machines that it makes. The first step of one of them
--- ends the loading. A module may keep the functions that replace `rfsm.init` and others
--- meanwhile, so these ask `is_loading`.
+-- stops the loading. `rfsm.init`, `step` and `run` are replaced meanwhile. As a module
+-- may keep a replacement, replacements test `is_loading`.
 local function noting_machines(world, load, file)
   local init, plain = rfsm.init, { step = rfsm.step, run = rfsm.run }
   local is_loading = true
@@ -226,7 +230,7 @@ local function noting_machines(world, load, file)
   end
   local ok, model = pcall(within_bounds, world, load, file)
   is_loading = false
-  for name, f in order.each(plain) do rawset(rfsm, name, f) end -- likewise
+  for name, f in order.each(plain) do rawset(rfsm, name, f) end -- any order
   rawset(rfsm, "init", init)
   return ok and model or error(model, 0)
 end
@@ -238,13 +242,14 @@ local function places_of(world)
   return concat(texts, ", ")
 end
 
--- Returns the model of a machine that a program makes, in place of its failure.
+-- Returns the results of loading. If the file is a program that made machines and
+-- returned no state, or if a number is given, the model of a machine is returned.
 local function chosen_model(file, world, ok, model)
   local is_program = world.models[1] and not ok
     and (world.is_halted or rfsm.text_of(model):find(NO_STATE, 1, true))
   local number = world.number or 1
   if not (is_program or ok and world.number) then
-    world.models = {} -- the machines are regions of the chart
+    world.models = {} -- the file returned a chart, whose regions are these machines
     return ok, model
   end
   if world.models[number] then return true, world.models[number] end
@@ -257,8 +262,8 @@ local function load_stdin() -- without a first line for the shell (#!)
   return rfsm.load_str(text, "=stdin")
 end
 
--- Loads the model in a file once. With `insists`, a global is a stub also where the
--- code tests if it exists.
+-- Tries to load the model in a file. With `insists`, an undefined global is a stub even
+-- where the code tests if it exists.
 local function try_load(file, has_stubs, number, load, insists)
   local warnings, source = {}, file == "-" and "=stdin" or "@" .. file
   local world = search.enter(file, source, has_stubs)
@@ -270,20 +275,21 @@ local function try_load(file, has_stubs, number, load, insists)
   return ok, model, warnings, world
 end
 
---- Load the model in a file; `-` is stdin. With stubs, modules and globals that do not
--- exist are stubs.
+--- Load the model in a file; `-` is stdin. With `has_stubs`, modules and globals that
+-- do not exist are replaced by stubs.
 --
--- A chart that reads the global `rfsm_timeevent` switches time events on. For a program
--- that returns no state, the model is that of the first machine that it makes, or of
--- machine `number`.
+-- A chart that reads the global `rfsm_timeevent` switches time events on. If the file
+-- is a program that returns no state, the model of the first machine that it makes is
+-- returned, or the model of machine `number`.
 --
 ---@param load? fun(file: string): any in place of `rfsm.load`
 ---@return any model a state, or what `load` returns; nil if there is none
----@return string[]|string warnings a line for each undefined global; or the problem
----@return rfsm.shared.World world `names` are those of the stubs
+---@return string[]|string warnings a line for each undefined global; the problem if
+-- `model` is nil
+---@return rfsm.shared.World world its field `names` lists the stubs
 function chart.load(file, has_stubs, number, load)
   load = load or load_file
-  find_given("rfsmpp") -- callbacks may use both; the modules change no machines
+  find_given("rfsmpp") -- callbacks may use both modules, which change no machines
   find_given("rfsm_ext")
   local ok, model, warnings, world = try_load(file, has_stubs, number, load)
   if not (ok or world.is_late) and has_stubs and file ~= "-" then
@@ -295,8 +301,8 @@ function chart.load(file, has_stubs, number, load)
   return nil, chart.reason(file, model), world
 end
 
---- Return the lines that name the stubs of a chart, and the machines of a program that
--- makes several.
+--- Return lines for the user: the names of the stubs of a chart, and the machines of a
+-- program that makes several.
 ---@return string[] lines
 function chart.lines_of(file, world)
   local lines, models = {}, world.models
@@ -310,9 +316,10 @@ function chart.lines_of(file, world)
   return lines
 end
 
---- Make the machine of the chart in a file by a function such as `rfsm.init`. Return it
--- and the model, or false and the problems, a line each. `warn` is called with a line
--- for each undefined global, and for the stubs. `load` is that of `chart.load`.
+--- Make the machine of the chart in a file by `init`, a function such as `rfsm.init`.
+-- Return the machine and the model, or false and a list of problems. `warn` is called
+-- with a line for each undefined global, and for the stubs. `load` is passed on to
+-- `chart.load`.
 function chart.open(file, init, warn, has_stubs, load)
   local model, warnings, world = chart.load(file, has_stubs, nil, load)
   if not model then return false, { warnings } end

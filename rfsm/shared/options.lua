@@ -1,4 +1,5 @@
---- Options: tests and defaults of what functions are given; packages that modules need.
+--- Options of functions: tests of their values, and defaults. Also loads the packages
+-- that modules need.
 --
 -- @module rfsm.shared.options
 -- @license BSD-3-Clause
@@ -13,7 +14,7 @@ local concat = table.concat
 
 local options = {}
 
---- Return a test for values of a type.
+--- Return a function that tests if a value has a type.
 function options.is_a(kind)
   return function(x) return type(x) == kind end
 end
@@ -21,7 +22,7 @@ end
 --- Is the value a text that is not empty?
 function options.is_text(x) return type(x) == "string" and x ~= "" end
 
---- Return a test for whole numbers within bounds.
+--- Return a function that tests if a value is a whole number from `least` to `most`.
 function options.is_whole(least, most)
   return function(x)
     return type(x) == "number" and x >= least and x <= most and x == floor(x)
@@ -34,9 +35,9 @@ function options.is_seconds(x) return type(x) == "number" and x >= 0 and x < hug
 --- Return the end of a message: "got string 'x'", "got 7".
 function options.got(value) return (rfsm.got(value):gsub("^got number ", "got ")) end
 
---- Return the options with their defaults; nil and the problem if one is wrong. `known`
--- has for each option a list: description, test, default. A test returns whether a
--- value is right, and may return the problem.
+--- Return the given options, with defaults for the others; nil and the problem if an
+-- option is wrong. `known` has a list for each option: description, test, default. A
+-- test returns whether a value is right, and may return the problem.
 function options.read(known, given)
   if type(given) ~= "table" then
     return nil, "table of options expected, " .. options.got(given)
@@ -63,8 +64,8 @@ function options.read(known, given)
   return settings
 end
 
---- Load one or two modules of packages and return them; nil and the problem if one is
--- missing.
+--- Load the modules of one or two packages, and return them; nil and the problem if a
+-- package is missing.
 function options.find_package(name, other)
   local ok, module = pcall(require, name)
   if not ok or type(module) ~= "table" then
@@ -78,7 +79,7 @@ function options.find_package(name, other)
   return module, second
 end
 
---- Load a module that the extension `where` needs; raises an error if it is missing.
+--- Load a module that the extension `where` needs; raise an error if it is missing.
 function options.need(where, name)
   local module, problem = options.find_package(name)
   return module or error(where .. ": " .. problem, 0)

@@ -1,5 +1,5 @@
---- What snapshots know of a chart: its structure as lines, the states that keep
--- something, and the first values of the fields that they keep.
+--- The description of a chart that snapshots use: its structure as lines of text, the
+-- states with kept data, and the first values of the kept fields.
 --
 -- @module rfsm.snapshot.shape
 -- @license BSD-3-Clause
@@ -31,7 +31,7 @@ local function line_of(obj)
     obj.pn and " pn " .. text_of(obj.pn) or "")
 end
 
---- Does a line of a transition name an event?
+--- Does the line that describes a transition name an event?
 function shape.has_event(line, event)
   local events = line:match(" on (.*)$")
   if not events then return false end
@@ -51,7 +51,7 @@ local function fingerprint_of(lines)
   return ("%05x%06x"):format(floor(hash / 16777216), hash % 16777216)
 end
 
--- Keepers: the states that keep something -------------------------------------------
+-- Keepers: the states with data that snapshots save ---------------------------------
 
 local RESERVED = {
   entry = true, exit = true, doo = true, keep = true, save = true, load = true,
@@ -59,7 +59,8 @@ local RESERVED = {
   pre_step_hook = true, post_step_hook = true,
 }
 
--- Returns the names in the `keep` of a state; none if a substate has the name `keep`.
+-- Returns the list of names in the field `keep` of a state; an empty list if `keep` is
+-- a substate.
 local function kept_names(state)
   local names = state.keep
   if names == nil or rfsm.is_node(names) then return {} end
@@ -80,13 +81,13 @@ local function kept_names(state)
   return list
 end
 
---- A state that keeps something.
+--- A state with data that snapshots save.
 ---@class rfsm.snapshot.Keeper
 ---@field fqn string
----@field names string[] of the fields
+---@field names string[] names of the fields that are saved
 ---@field kept table<string, true> the names as a set
----@field first table<string, any> their first values
----@field has_load boolean it has functions `save` and `load`
+---@field first table<string, any> the first values of the fields
+---@field has_load boolean the state has functions `save` and `load`
 
 local function keeper_of(state)
   local saves, loads = type(state.save) == "function", type(state.load) == "function"
@@ -106,25 +107,26 @@ end
 
 -- Charts: what is known of a structure ----------------------------------------------
 
---- What is known of the structure that machines share.
+--- The description of a structure that several machines may share.
 ---@class rfsm.snapshot.Chart
----@field lines string[] of states, connectors and transitions
----@field fields string[] lines of what is kept, and of regions
+---@field lines string[] a line for each state, connector and transition
+---@field fields string[] a line for each kept field, `save` and region
 ---@field structure string fingerprint of `lines`
----@field name string that, and the fingerprint of `fields` if there are some
+---@field name string `structure`, with the fingerprint of `fields` if there are any
 ---@field keepers rfsm.snapshot.Keeper[]
----@field keeper table<string, rfsm.snapshot.Keeper> by FQN
----@field has_load boolean a keeper has functions `save` and `load`
+---@field keeper table<string, rfsm.snapshot.Keeper> the keepers by the FQN of the state
+---@field has_load boolean some state has functions `save` and `load`
 ---@field has_regions boolean
----@field leaves table<string, true> FQN of the leaves
+---@field leaves table<string, true> set of the FQNs of leaves
 ---@field nodes table[] `fqn`, `id` and the FQN of the `parent`, parents first
 ---@field transitions table[] `id`, and the FQN of `parent` and of the `target`
 
--- The charts of structures that are in use, by structure and by name.
+-- The descriptions of structures that are in use, by structure (see
+-- `rfsm.structure_of`) and by name.
 local charts = setmetatable({}, { __mode = "k" })
 local by_name = setmetatable({}, { __mode = "v" })
 
--- The latest charts are kept even if no machine uses them.
+-- The latest descriptions are kept even if no machine uses them.
 local count, MAX_LATEST = 0, 64
 shape.latest = {}
 
@@ -180,24 +182,26 @@ local function chart_of(fsm)
   return self
 end
 
---- Return the chart that a snapshot names; nil if it is not known.
+--- Return the description with the name that a snapshot has in `chart`; nil if it is
+--- not known.
 function shape.named(name) return by_name[name] end
 
 -- Machines --------------------------------------------------------------------------
 
---- What is known of a machine. The machine has it in the field `_kept`, until its
---- structure changes.
+--- The field `_kept` of a machine: data for its snapshots, valid until the structure of
+--- the machine changes.
 ---@class rfsm.snapshot.Own
----@field key table the structure, see `rfsm.structure_of`
+---@field key table the structure for which the data are valid, see `rfsm.structure_of`
 ---@field chart rfsm.snapshot.Chart
 ---@field places rfsm.Place[] the machine, and its regions at any depth
 ---@field states rfsm.State[] the state of each keeper
----@field nodes table<string, table> by FQN
+---@field nodes table<string, table> states and connectors of the machine by FQN
 ---@field transitions rfsm.Transition[]
 ---@field targets table[] the target that each transition has in the model
----@field path rfsm.snapshot.Path that `take` uses
+---@field path rfsm.snapshot.Path a table that `take` uses again each time
 
---- Return the `rfsm.snapshot.Own` of a machine, a new one if its structure changed.
+--- Return the `rfsm.snapshot.Own` of a machine; make a new one if the structure
+-- changed.
 function shape.of(fsm)
   local own, key = fsm._kept, rfsm.structure_of(fsm)
   if own and own.key == key then return own end
@@ -215,7 +219,7 @@ function shape.of(fsm)
   return own
 end
 
---- Append the lines of the chart of the machine at a prefix.
+--- Append the lines of `chart` to a list, with the prefix of a region in front.
 function shape.append(list, prefix, chart)
   local head = prefix == "root" and "" or prefix .. ": "
   for _, line in ipairs(chart.lines) do list[#list + 1] = head .. line end
@@ -231,8 +235,8 @@ function shape.lines_of(fsm)
   return list
 end
 
---- Return the structure of a model or machine as lines; none if the model is wrong. A
--- list of lines is returned as it is.
+--- Return the structure of a model or machine as lines; an empty list if the model has
+-- problems. If the argument is a list of lines already, it is returned.
 function shape.structure(model)
   if not rfsm.is_state(model) then return model end
   local fsm = rfsm.is_initialized_root(model) and model or calls.init_apart(model)
@@ -245,8 +249,9 @@ function shape.find_state(fsm, fqn)
   return rfsm.is_state(node) and node or nil
 end
 
---- Return a transition, its target, and its name from a list of changed targets, where
---- they begin at a position. The transition is nil if one of the two does not exist.
+--- Read the entry at position `i` of a list of changed targets. Return the transition,
+--- the target, and the id of the transition. If the machine does not have both, the
+--- transition is nil.
 function shape.target_at(fsm, list, i)
   local state, id = shape.find_state(fsm, list[i]), encoding.unpack(list[i + 1], 2)
   local tr = state and is_scalar(id) and rawget(state, id)

@@ -1,8 +1,8 @@
---- Rehearsal: a chart run step by step without its callbacks, for tests and witnesses.
+--- Rehearsal: runs a chart step by step without its callbacks, for tests and witnesses.
 --
--- The argument of a step has answers for guards, and the doos that end. The result
--- names a guard or doo that was asked and has no answer there. Time advances only in a
--- step that says so.
+-- The argument of a step has the answers of guards, and names the doos that end. If a
+-- guard or doo without an answer was asked, the result names it. Time advances only by
+-- the seconds in the argument of a step.
 --
 -- @module rfsm.tests.rehearsal
 -- @license BSD-3-Clause
@@ -24,14 +24,14 @@ local concat = table.concat
 
 local rehearsal = {}
 
---- A chart that is rehearsed.
+--- A chart in rehearsal.
 ---@class rfsm_checks.Rehearsal
 ---@field subject rfsm_checks.Subject
 local Rehearsal = {}
 Rehearsal.__index = Rehearsal
 
--- Returns the answer that the step has for a guard or doo, in place of
--- `Subject:choose`. Without an answer a guard is true and a doo goes on.
+-- Replaces `Subject:choose`: returns the answer for a guard or doo in the argument of
+-- the step. Without an answer there, a guard is true and a doo goes on.
 local function answer(own, who, is_doo)
   local said = own.said[who]
   if said == nil and not own.is_asked[who] then
@@ -42,8 +42,8 @@ local function answer(own, who, is_doo)
   return said
 end
 
--- Fills the tables from the names of transitions and states to the paths by which the
--- subject asks about their guards and doos, and back.
+-- Fills two tables: `asker_of` leads from the name of a transition or state to the path
+-- by which the subject asks about its guard or doo, `name_of` leads from path to name.
 local function add_names(own)
   own.asker_of, own.name_of = {}, {}
   location.add_names(own.transitions)
@@ -61,10 +61,11 @@ local function add_names(own)
   end
 end
 
--- Fakes: stubs that callbacks find in place of `print`, and of globals that are not
--- there. A call is noted: "motor.start(5)".
+-- Fakes: stubs that callbacks find in place of `print` and of undefined globals. Each
+-- call of a fake is noted as a text: "motor.start(5)".
 
--- Tables and functions have no text that is the same in each run.
+-- Returns an argument of a call as a text. A table or function that is not a stub is
+-- only named by its type, since its address differs from run to run.
 local function text_of_argument(value)
   local is_plain = type(value) ~= "table" and type(value) ~= "function"
   return stubs.name_of(value) or is_plain and rfsm.text_of(value) or type(value)
@@ -78,7 +79,7 @@ local function new_fake(own, name)
   end)
 end
 
--- Calls f(...) with fakes as globals.
+-- Calls f(...) while fakes take the place of globals.
 local function with_fakes(own, f, ...)
   local real, fakes, class = {}, own.fakes, nil
   for name, fake in pairs(fakes) do -- any order: each stands alone
@@ -113,12 +114,12 @@ local function load(file, settings)
 end
 
 --- Begin the rehearsal of a chart.
--- @raise if it is not valid, or an option is wrong
+-- @raise if the chart is not valid, or an option is wrong
 ---@param what string|rfsm.State a file or a model
 ---@param options? { callbacks: boolean?, fakes: table<string, any>?, stub: boolean?,
--- machine: integer? } `callbacks`: run entries, exits and effects, with `fakes` as
--- globals. By default `print` and globals that are not there are fakes, whose calls are
--- noted. `stub`, `machine`: open the file as `rfsm check` does with these
+-- machine: integer? } `callbacks`: run entries, exits and effects, with the values in
+-- `fakes` as globals. `print` and undefined globals are fakes by default; their calls
+-- are noted. `stub`, `machine`: as the options of `rfsm check` with these names
 ---@return rfsm_checks.Rehearsal
 function rehearsal.rehearsal(what, options)
   local settings, problem = opts.read(KNOWN, options or {})
@@ -137,7 +138,7 @@ function rehearsal.rehearsal(what, options)
   return setmetatable({ subject = own }, Rehearsal)
 end
 
---- Return the answers in a step of a witness, as `Rehearsal:step` takes them.
+--- Return the answers in a step of a witness as an argument for `Rehearsal:step`.
 ---@param step rfsm_checks.WitnessStep
 ---@return { guards: table, ends: string[], goes_on: string[] } what
 function Rehearsal:answers_of(step)
@@ -153,7 +154,7 @@ function Rehearsal:answers_of(step)
   return what
 end
 
--- Returns the path by which the subject asks about a name.
+-- Returns the path by which the subject asks about a named transition or state.
 local function find_asker(own, name)
   local who = own.asker_of[name]
   if who then return who end
@@ -162,7 +163,7 @@ local function find_asker(own, name)
       rfsm.sorted_keys(own.asker_of))), 4)
 end
 
--- Notes the answers for guards and doos in the next step.
+-- Stores the answers of guards and doos for the next step.
 local function tell(own, what)
   own.said, own.is_asked, own.unmentioned = {}, {}, {}
   for _, name in ipairs(rfsm.sorted_keys(what.guards or {})) do
@@ -175,7 +176,8 @@ local function tell(own, what)
   for _, part in ipairs(own.parts) do part.rounds = 0 end
 end
 
--- Lists the guards and doos that were asked and had no answer, and the reverse.
+-- Lists the guards and doos that were asked without having an answer, and those that
+-- had an answer without being asked.
 local function surprises(own)
   local list = {}
   for _, who in ipairs(own.unmentioned) do
@@ -189,7 +191,7 @@ local function surprises(own)
   return list
 end
 
--- Lists the occurrences of events in a step.
+-- Lists the events in the argument of a step, each as an occurrence for the subject.
 local function occurrences_of(own, what)
   local list, inside = {}, what.inside or {}
   for i = 1, #what do list[i] = own:occurrence(own.parts[1], what[i]) end
@@ -201,7 +203,8 @@ local function occurrences_of(own, what)
   return list
 end
 
--- Returns the outcome of a step as a text: the transitions taken by name.
+-- Returns the outcome of a step as a text: the names of the transitions that it took,
+-- and the unexpected questions and calls of fakes.
 local function outcome(own)
   local texts, leaf = {}, own.parts[1].fsm._act_leaf
   for i, number in ipairs(own.taken) do texts[i] = own.transitions[number].name end
@@ -214,16 +217,17 @@ local function outcome(own)
   return concat(texts, ", ") .. called
 end
 
---- Take a step with the events given, and with what guards and doos decide in it.
+--- Take a step with some events, and with answers of guards and doos.
 --
 -- `run:step { "e_x", guards = { ["off -e_x-> on"] = false }, ends = { "busy" } }`
 --
----@param what? table events; `guards`: answers by transition; `ends`, `goes_on`: lists
--- of states whose doo ends or goes on; `after`: seconds; `inside`: lists of events of
--- regions, by their paths
----@return string text "off -e_x-> on": transitions taken; "stays in off": none. What
--- was asked and not mentioned follows, and what was mentioned and not asked. If
--- callbacks run, they follow behind a colon, in order
+---@param what? table list of events, with fields. `guards`: answers by transition;
+-- `ends`, `goes_on`: lists of states whose doo ends or goes on; `after`: seconds that
+-- pass before the step; `inside`: lists of events for regions, by the paths of regions
+---@return string text the transitions taken: "off -e_x-> on", or "stays in off". Then
+-- guards and doos that were asked without having an answer, and those that had an
+-- answer without being asked. If callbacks run, the calls of fakes follow behind a
+-- colon
 function Rehearsal:step(what)
   what = what or {}
   local own = self.subject
@@ -238,8 +242,9 @@ function Rehearsal:step(what)
   return outcome(own)
 end
 
--- Sends an event that a callback has sent in a step. The next step sees the event, as
--- in a machine, but not if a region takes several steps in one.
+-- Sends an event that a callback has sent in a step, so that the next step sees it.
+-- This is right only for a part that advances once in a step; for others it is an
+-- error.
 local function send_after(part, event)
   if not part.is_single then
     error(("rfsm_checks.record_witness: a callback in %s sends '%s' while the region "
@@ -249,7 +254,7 @@ local function send_after(part, event)
   rfsm.send_events(part.fsm, event)
 end
 
--- Takes the step of a witness again. Guards and doos get its choices in order.
+-- Takes a step of a witness again: guards and doos answer as in the witness, in order.
 function Rehearsal:repeat_step(step)
   local own, events, choices = self.subject, {}, {}
   for i = 1, #step.values do
@@ -290,7 +295,7 @@ function rehearsal.record_witness(model, steps, sink)
   recorder:stop()
 end
 
---- List the transitions and leaves of a witness by path: the `trace` of a picture.
+--- List the paths of the transitions and leaves in a witness: a `trace` for a picture.
 ---@param steps rfsm_checks.WitnessStep[]
 ---@return string[] paths
 function rehearsal.path_of(steps)

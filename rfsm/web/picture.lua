@@ -2,7 +2,7 @@
 --
 -- The process is started when a page asks for the first picture, and ends with the
 -- server. It reads names of files from its stdin. Each file is a Lua program that
--- returns a request, and the process writes the picture to a file beside it.
+-- returns a request. The process writes the picture to a file beside that file.
 --
 -- @module rfsm.web.picture
 -- @license BSD-3-Clause
@@ -15,10 +15,10 @@ local pcall, rawget, require, setmetatable = pcall, rawget, require, setmetatabl
 local tostring, type = tostring, type
 local concat, remove = table.concat, table.remove
 
---- What draws the pictures of a server.
+--- The painter of a server: has another process draw pictures.
 ---@class rfsm.web.Painter
 ---@field jobs rfsm.web.Job[] the last pictures that were asked for, oldest first
----@field pipe file*|false to the stdin of the process
+---@field pipe file*|false to the stdin of the process; false if no process runs
 local Painter = {}
 Painter.__index = Painter
 
@@ -26,17 +26,18 @@ Painter.__index = Painter
 ---@class rfsm.web.Job
 ---@field key string
 ---@field request { graph: rfsm.marsh.Node, folded: string[], machine: integer }
----@field input string name of a file
----@field svg string|false|nil false if there is none, nil while it is drawn
+---@field input string name of the file with the request
+---@field svg string|false|nil the picture; false if it failed, nil while it is drawn
 
 -- Requests: a description as a Lua program ------------------------------------
 
--- Adds the Lua text of a value of a description. Events become 1: pictures have words.
+-- Appends a value of a description as Lua text. An event is replaced by 1, since
+-- pictures show only the texts of events.
 local function add_value(texts, value, key)
   local kind = type(value)
   if kind == "table" and key ~= "events" then
     texts[#texts + 1] = "{"
-    for name, inner in pairs(value) do -- any order: it is a table again
+    for name, inner in pairs(value) do -- any order: the fields of a constructor
       texts[#texts + 1] = (type(name) == "number" and "[%d]=" or "[%q]="):format(name)
       add_value(texts, inner, name)
       texts[#texts + 1] = ","
@@ -59,11 +60,12 @@ end
 
 -- The process -----------------------------------------------------------------
 
-local CPU_SECONDS = 60 -- at most: for a run of Graphviz, and for this process
+local CPU_SECONDS = 60 -- limit for each run of Graphviz, and for the process itself
 
 local INTERPRETERS = "lua5.4 lua5.3 luajit lua lua5.2 lua5.1"
 
--- Returns the command that runs this program if it is an interpreter of Lua.
+-- Returns the name of the Lua interpreter that runs this program; nil if another
+-- program runs it.
 local function own_interpreter()
   local arguments = rawget(_G, "arg")
   local i = 0
@@ -98,8 +100,8 @@ local function close_inherited()
   end
 end
 
---- Draw a request; nil if Graphviz is missing or fails. `like` is the former picture of
--- the machine, `run(text, format)` takes the place of the program Graphviz.
+--- Draw a request; return the SVG, or nil if Graphviz is missing or fails. `like` is
+-- the former picture of the machine. `run(text, format)`, if given, replaces Graphviz.
 function Painter.draw(request, like, run)
   run = run or dot.render
   local options = { folded = request.folded, like = like }
@@ -109,10 +111,10 @@ function Painter.draw(request, like, run)
   return run(graph or dot.encode(request.graph, options), "svg")
 end
 
---- Draw what comes from stdin, until that ends.
+--- Read the names of files with requests from stdin, and draw each, until stdin ends.
 function Painter.serve()
   close_inherited()
-  local last = {} -- pictures, by number of the machine
+  local last = {} -- the last picture of each machine, by its number
   for name in io.lines() do
     local request = files.read(name)
     request = request and (rawget(_G, "loadstring") or rawget(_G, "load"))(request)()
@@ -127,10 +129,10 @@ end
 
 -- The server ------------------------------------------------------------------
 
---- Make what draws the pictures of a server.
+--- Make a painter.
 function Painter.new() return setmetatable({ jobs = {}, pipe = false }, Painter) end
 
--- Gives a job to the process, which is started anew if it has ended.
+-- Sends a job to the process, which is started if it does not run.
 function Painter:start(job)
   job.input = os.tmpname()
   if not files.write(job.input, text_of(job.request)) then job.svg = false end
@@ -149,7 +151,7 @@ local function drop(job)
   os.remove(job.input .. ".svg")
 end
 
--- Looks whether a job is done.
+-- Reads the picture of a job if the process has written it.
 local function look_at(job)
   local svg = files.read(job.input .. ".svg")
   if not svg then return end
@@ -157,10 +159,10 @@ local function look_at(job)
   drop(job)
 end
 
-local MOST = 8 -- pictures that are kept
+local MOST = 8 -- greatest number of pictures that are kept
 
---- Return a picture; false if there is none, nil while it is drawn. If nobody has asked
--- for `key` before, `request()` returns the request.
+--- Return the picture with a key; false if it failed, nil while it is drawn. If the key
+-- is new, `request()` is called for the request, and the picture is begun.
 ---@param key string
 ---@param request fun(): table
 ---@return string|false|nil svg
@@ -178,7 +180,7 @@ function Painter:ask(key, request)
   return job.svg
 end
 
---- End the process, and remove files.
+--- End the process, and remove the files of all jobs.
 function Painter:close()
   for _, job in ipairs(self.jobs) do drop(job) end
   if self.pipe then self.pipe:close() end

@@ -1,4 +1,5 @@
---- The view of a machine that runs elsewhere, as `rfsm.proto` describes it.
+--- The view of a machine in another program, made from the messages of its
+-- `rfsm.proto`.
 --
 -- @module rfsm.web.remote
 -- @license BSD-3-Clause
@@ -10,14 +11,14 @@ local subscriber = require "rfsm.observe.subscriber"
 local ipairs, setmetatable, type = ipairs, setmetatable, type
 
 local MARKS = { leaf = "[LS]", composite = "[CS]" } -- of states in a path
-local MAX_MESSAGES = 100 -- messages that are read at a time
-local MAX_MACHINES = 100 -- machines of a port that are shown
-local WAIT = 0.02 -- seconds until the socket is looked at again
+local MAX_MESSAGES = 100 -- greatest number of messages that one poll reads
+local MAX_MACHINES = 100 -- greatest number of machines of a port that are shown
+local WAIT = 0.02 -- seconds between two polls of the socket
 
---- The machine as it was last described.
+--- The machine as the last message describes it.
 ---@class rfsm.web.RemoteView : rfsm.web.View
----@field leaf string|false
----@field mode string
+---@field leaf string|false FQN of the active leaf; false: none is active
+---@field mode string mode of the leaf
 local RemoteView = setmetatable({}, { __index = View })
 RemoteView.__index = RemoteView
 
@@ -38,7 +39,8 @@ end
 
 local function mark_of(node) return node.fqn .. (MARKS[node.kind] or "[c]") end
 
--- Returns the numbers of the transitions by their ends in a path: "a[LS]->b[LS]".
+-- Returns a table from the ends of a transition, written as in the path of a message
+-- ("a[LS]->b[LS]"), to the number of the transition.
 local function edges_by_ends(view)
   local by_ends, nodes = {}, view.outline.nodes
   for number, edge in ipairs(view.outline.edges) do
@@ -50,7 +52,7 @@ local function edges_by_ends(view)
   return by_ends
 end
 
--- Notes the transitions on a path; returns the path as a text for a person.
+-- Notes that the transitions on a path were taken; returns the path as a text to show.
 local function take_path(view, path)
   view.by_ends = view.by_ends or edges_by_ends(view)
   local before
@@ -74,13 +76,14 @@ local function take_state(view, message)
   view:touch()
 end
 
---- A machine elsewhere. The machines of a port share a client; the first one reads it.
+--- A machine in another program. The machines of a port share a client; only the first
+--- machine of a port reads from the client.
 ---@class rfsm.web.Remote
----@field number integer at that port
+---@field number integer number of the machine at the port
 ---@field view rfsm.web.RemoteView|false false before the machine is described
----@field problems string[]
----@field all rfsm.web.Remote[] those of the port
----@field is_only boolean? of the first one: are others of the port not shown?
+---@field problems string[] shown in place of the machine
+---@field all rfsm.web.Remote[] the machines of the port
+---@field is_only boolean? in the first machine: are the others of the port not shown?
 local Remote = { commands = {} }
 Remote.__index = Remote
 
@@ -123,7 +126,8 @@ local function add_remote(all, client, clock_of_page, number)
   return all[#all]
 end
 
--- Returns the machine that a message is about: a new one if it is the first.
+-- Returns the machine that sent a message; a new one if the message is its first; nil
+-- if the machine is not shown.
 local function remote_of(first, message)
   local number = message.fsm
   if number == nil or first.number == number then return first end
@@ -141,7 +145,7 @@ local function take(first, message)
   if problem then refuse(remote, problem) end
 end
 
---- Read the messages that have come, of all machines of the port.
+--- Read the messages that have come from all machines of the port.
 function Remote:poll()
   if self ~= self.all[1] then return end
   for _ = 1, MAX_MESSAGES do
@@ -161,8 +165,9 @@ function Remote.wait() return WAIT end
 
 function Remote:describe(message) message.clock = self.clock() end
 
---- Return the list of the machines of a port, or of only the one with a number; nil and
--- the problem if that fails. The list grows when another machine answers.
+--- Return the list of the machines of a port, or a list of only the machine with a
+-- given number; nil and the problem if the port cannot be reached. The list grows when
+-- another machine answers.
 function Remote.open(host, port, number)
   local client, problem = subscriber.connect(host, port, true)
   if not client then return nil, problem end
