@@ -125,6 +125,11 @@ for _, language in ipairs(LANGUAGES) do
   local exporter = require(language)
 
   describe(language, function()
+    it("has no control character from a title or foot", function()
+      local options = { title = "a\1b", foot = "c\127d" }
+      assert.is_nil(exporter.encode(lamp(), options):find("[%z\1-\9\11-\31\127]"))
+    end)
+
     it("writes the same text each time, whatever the events", function()
       local function machine()
         return helper.init(state {

@@ -508,7 +508,8 @@ function diagram.exporter(name, global, draw)
   -- These languages have no text below a picture, so the foot is put behind the title.
   local function text_of(chart)
     if chart.foot then
-      chart.title = ("%s (%s)"):format(chart.title or chart.root.name, chart.foot)
+      chart.title = ("%s (%s)"):format(chart.title or chart.root.name,
+        clean(chart.foot))
     end
     return (draw(chart))
   end
