@@ -1141,8 +1141,8 @@ interpret(is_current)
 -- Machine: an instance of a plan ------------------------------------------------
 --
 -- A machine is a tree of plain tables. Raw fields are the children by name, transitions
--- by position or name, callbacks, `_parent`, `_otrs`, `_mode` and the user's data. The
--- fields `_fqn`, `_id`, `events` and `pn` are inherited from the definition.
+-- by position or name, callbacks, `_parent`, `_otrs`, `_mode` and the user's data. Each
+-- element inherits `_fqn`, `_id`, `events` and `pn` from its definition in the plan.
 --
 -- The configuration is kept only in these fields: `_mode` of each state, `_actchild` of
 -- each active composite, and `_act_leaf` of the machine.

@@ -236,8 +236,8 @@ local function owner_of_printers(fsm, given)
   return rfsm.is_initialized_root(given) and given or fsm
 end
 
--- Returns a fresh machine for a region; false and its problems if it is not valid. The
--- model has the missing printers only while the machine is made.
+-- Returns a fresh machine for a region; false and its problems if it is not valid. If
+-- the model lacks `info`, `warn` or `err`, it gets them only while the machine is made.
 local function fresh_region(fsm, given)
   local is_machine, lacking = rfsm.is_initialized_root(given), {}
   local model = rfsm.model_of(given)

@@ -253,7 +253,7 @@ local function write_ask(text, core, def, k, may)
   add(text, "end\nend\nend", places)
 end
 
--- Returns the text of a search among candidates; false if it is too long.
+-- Returns the text of a function that asks each candidate; false if it is too long.
 local function write_find(core, list)
   local text = new_text()
   add(text, FIND, {})

@@ -143,7 +143,8 @@ local function foreign_field(state, loaded)
   end
 end
 
--- Finds fields of other libraries, and a text in the field `final`.
+-- Finds a field that is meant for another library, or for an extension that is not
+-- loaded. Also finds a text in the field `final`.
 local function check_fields(state, add)
   local field, remedy = foreign_field(state, rawget(_G, "package").loaded)
   if field then

@@ -28,7 +28,8 @@ local getupvalue = (rawget(_G, "debug") or {}).getupvalue
 
 local memory = {}
 
---- The data that callbacks can change, with their first values.
+--- The data that callbacks can change, with their first values: the homes are tables,
+--- the cells are upvalues and globals.
 ---@class rfsm_checks.Memory
 ---@field homes rfsm_checks.Home[]
 ---@field cells { name: string, read: fun(): any, write: fun(x: any), value: any }[]
@@ -208,7 +209,7 @@ function Memory:place_of(path, names)
     advice.nearest_name(path, rfsm.sorted_keys(self.places))), 0)
 end
 
---- Collect the data that the callbacks in `run` of a subject can change.
+--- Collect the data that the callbacks listed in the option `run` can change.
 ---@param self rfsm_checks.Subject
 ---@return rfsm_checks.Memory
 function memory.of(self)

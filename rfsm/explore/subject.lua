@@ -312,7 +312,7 @@ end
 
 local SILENT = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook", "dbg" }
 
--- Can a step of the subject advance this machine not more than once?
+-- Does each step of the subject advance this machine at most once?
 local function is_single(part)
   if not part.owner then return true end
   local steps = part.leaf.step or 1

@@ -81,7 +81,8 @@ local function add_due(machine, due)
   end
 end
 
--- Adds entries to the stream of the hash tag, and errors to the log of the machine.
+-- Adds emitted events to the stream that all machines with the same hash tag share, and
+-- errors to the log of the machine.
 local function add_streams(machine, emitted, errors)
   for i = 1, #emitted do
     add_write("stream", "XADD", keys_of.out(machine.key), "*", "machine", machine.key,

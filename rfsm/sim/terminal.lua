@@ -130,10 +130,10 @@ function terminal.is_terminal(descriptor)
   return result == true or result == 0
 end
 
--- Reads a line key by key, so that Control-C is noticed at once. Meanwhile the debug
--- hook raises no error (`is_busy`), which would interrupt readline in the middle of its
--- work. After Control-C the handler of the line stays until the next line replaces it,
--- because removing it then makes lua-readline 3.2 write to a closed stream.
+-- Reads a line key by key, so that Control-C is noticed at once. Meanwhile `is_busy` is
+-- true, so that the debug hook does not interrupt readline by an error. After Control-C
+-- the handler of this line is not removed, because lua-readline 3.2 would then write to
+-- a closed stream. The handler of the next line replaces it.
 local function read_keys(readline, prompt)
   local line, is_done = nil, false
   readline.handler_install(prompt, function(text)

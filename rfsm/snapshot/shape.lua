@@ -31,7 +31,7 @@ local function line_of(obj)
     obj.pn and " pn " .. text_of(obj.pn) or "")
 end
 
---- Does the line that describes a transition name an event?
+--- Does `line` describe a transition that has `event`, a text, among its events?
 function shape.has_event(line, event)
   local events = line:match(" on (.*)$")
   if not events then return false end

@@ -151,7 +151,7 @@ local function told_of(walk, own, edge, waits)
   return what
 end
 
--- May an event that no transition names trigger a transition that is tried in `leaf`?
+-- May an event with an unknown name trigger a transition that is tried in `leaf`?
 local function takes_any(part, leaf)
   for _, node in ipairs(leaf and location.line(part.fsm, leaf) or {}) do
     for _, tr in ipairs(node._otrs) do
