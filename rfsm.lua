@@ -258,10 +258,10 @@ local is_callable, text_of = rfsm.is_callable, rfsm.text_of
 local event_names = setmetatable({}, { __mode = "k" })
 local predicates = setmetatable({}, { __mode = "v" })
 
---- Return a predicate for `events`: it accepts each table with this `name` as a field.
+--- Return a predicate for `events` that accepts tables whose field `name` is `name`.
 --
 -- Such events carry data: `rfsm.send_events(fsm, { name = "e_paid", amount = 12 })`.
--- Equal names give the same predicate. `rfsm.event_name` returns the name of it.
+-- Equal names give the same predicate; `rfsm.event_name` returns a predicate's name.
 --
 ---@param name string
 ---@return fun(event: any): boolean predicate
@@ -383,7 +383,7 @@ end
 --
 -- @raise when `file` is no text, or the file cannot be read, fails or returns no state
 ---@param file string
----@param accepts? fun(value: any): boolean true for other values that are allowed
+---@param accepts? fun(value: any): boolean true for allowed results that are no states
 ---@return rfsm.Model model
 ---@nodiscard
 function rfsm.load(file, accepts)
@@ -431,21 +431,21 @@ local function find_module(name)
   end
 end
 
--- Returns the hint of rfsm/advice.lua on a topic, or "" if this file is missing.
 local advice
 
+-- Returns the hint of rfsm/advice.lua on a topic, or "" if this file is missing.
 local function advise(topic, ...)
   if advice == nil then advice = find_module("rfsm.advice") or false end
   if not advice then return "" end
   return advice[topic](...)
 end
 
---- The working data of one call of `init` or `fsm_merge`, which makes a plan.
+--- The working data with which one call of `init` or `fsm_merge` makes a plan.
 ---@class rfsm.Build
 ---@field plan rfsm.Plan the result: the structure of the machine
 ---@field problems { file?: string, line: string }[]
 ---@field warnings { file?: string, line: string }[]
----@field created { line: string }[] a message for each undeclared `initial`
+---@field created { line: string }[] a message for each `initial` that was created
 ---@field mounts table<table, rfsm.Def[]> node of the model -> its definitions
 ---@field fsm rfsm.Machine? the machine that `fsm_merge` extends; nil in `init`
 
@@ -465,7 +465,7 @@ end
 ---@field fqn string the fully qualified name (nodes only)
 ---@field is_leaf boolean true for a state that contains no nodes
 ---@field otrs rfsm.Def[] the outgoing transitions, in search order (nodes only)
----@field src rfsm.Def the source (transitions only; so are `tgt`, `events` and `pn`)
+---@field src rfsm.Def the source; only transitions have `src`, `tgt`, `events`, `pn`
 
 -- Returns the name of an element for messages: an FQN, or root.trans[2] (a -> b). If
 -- `field` is given, the name includes it: root.trans[2].events (a -> b).
@@ -821,8 +821,8 @@ do
     return def or root.members.root and find_below(root, name, all), reason
   end
 
-  -- Returns the node for a reference by a table of the model, not by name. If the model
-  -- uses this table in several places, returns the node nearest to `composite`.
+  -- Returns the node for `ref`, which is a table of the model and not a name. If the
+  -- model uses this table in several places, returns the node nearest to `composite`.
   local function find_mounted(build, composite, ref)
     local nearest, most, is_tie = nil, -1, false
     if build.fsm and is_node_of(build.fsm, ref) then
@@ -946,8 +946,8 @@ end
 ---@field model rfsm.State the model from which it was made
 ---@field nodes rfsm.Def[] parents before children, the root first
 ---@field transitions rfsm.Def[]
----@field trail table|false result of `make_trail`; false if one machine owns the plan
----@field variant rfsm.Plan|false the latest plan that preproc functions made from it
+---@field trail table|false all values in the model; false if one machine owns the plan
+---@field variant rfsm.Plan|false the latest copy with changes by preproc functions
 ---@field order rfsm.Def[]? all definitions in the order of `mapfsm`, made on demand
 
 local compile, compile_transition, line_to
@@ -1015,7 +1015,7 @@ do
       if nodes[i].otrs[2] then sort(nodes[i].otrs, tried_before) end
     end
     nodes[1].plan = plan
-    -- The path of the first entry begins here; a root without states needs no more.
+    -- The path of the first entry begins here, and for a root without states ends here.
     nodes[1].entrance = { from = nodes[1], segments = NONE, entered = nodes[1] }
     return plan
   end
@@ -1212,7 +1212,7 @@ local function own_fields()
     --   _given      events that getevents has returned and that are in no list yet
     --   _outcome    counted | idle | free (events enabled no path, no step is counted)
     --               | refused (the entry or a step hook failed)
-    --   _is_usual   true if `iterate` may be quick: no interrupt, error or reset before
+    --   _is_usual   false after an interrupt, error or reset: `iterate` is not quick
     --   _is_lent    true if a callback may have kept the list of current events
     --   _is_cut     true if an error ended the iteration; the next step completes it
     --   _is_hooked  true once a step hook, path hook or getevents was set
@@ -1245,7 +1245,7 @@ function Machine.__newindex(fsm, key, value)
   rawset(fsm, key, value)
 end
 
--- Returns the value, but for a plain table a new table, which `clone_data` fills later.
+-- Returns the value, or in place of a plain table a new one, to be filled later.
 local function copy_of(copies, value, pending)
   if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
   if not copies[value] then
@@ -1261,7 +1261,7 @@ local function clone_data(copies, value)
   while pending[1] do
     local source = pending[#pending]
     pending[#pending] = nil
-    for k, v in pairs(source) do -- any order: each pair stands alone
+    for k, v in pairs(source) do -- any order: independent entries
       copies[source][copy_of(copies, k, pending)] = copy_of(copies, v, pending)
     end
   end
@@ -1420,7 +1420,7 @@ function rfsm.is_interrupt(failure)
 end
 
 -- Calls the hooks of a list, such as `_reset_hooks`, from number `at` on. Their errors
--- are kept. It is recursive, as LuaJIT would not compile a host's loop around a loop.
+-- are kept. It recurses, because LuaJIT would not compile a host's loop around a loop.
 local function tell_from(at, fsm, hooks, ...)
   local ok, failure = pcall(hooks[at], fsm, ...)
   if not ok then keep_failure(fsm, failure) end
@@ -1497,8 +1497,8 @@ local function give_up(fsm, failure)
   error(failure, 0)
 end
 
--- Calls getevents. Returns its list, which may contain nils, or nil and an error. The
--- list is kept in `_given` until it is appended, so that no interrupt loses it.
+-- Calls getevents. Returns its list of events and nils; on failure nil and an error.
+-- The list is kept in `_given` until it is appended, so that no interrupt loses it.
 local function ask_getevents(fsm)
   local getevents = fsm.getevents
   if fsm._given then return fsm._given end
@@ -1525,7 +1525,7 @@ local function append_getevents(fsm, list)
   fsm._given = false
 end
 
--- Calls the step hooks after number `_hook`, which was begun last.
+-- Calls the step hooks, but not again those up to `_hook`, the number begun last.
 local function run_hooks(fsm, hooks, slot)
   for i = fsm._hook + 1, #hooks do
     local hook = hooks[i]
@@ -1542,8 +1542,8 @@ local function run_hooks(fsm, hooks, slot)
   end
 end
 
--- Calls getevents, unless it was called before an interrupt, then the pre step hooks.
--- The pending events have become the current events already.
+-- Calls getevents (not again after an interrupt) and then the pre step hooks. The
+-- pending events have become the current events already.
 local function ask_hooks(fsm)
   if fsm._hook < 0 or fsm._given then
     fsm._hook = 0
@@ -1613,8 +1613,8 @@ local function matches(def, events)
   return false
 end
 
--- Returns a definition with `tgt`, which a program has set in a transition, as target.
--- It is made once for each target. Returns nil if `tgt` is no node of the machine.
+-- Returns a copy of `def` for a transition whose target a program has changed to `tgt`.
+-- Each copy is made once. Returns nil if `tgt` is no node of the machine.
 local function retarget(fsm, def, tgt)
   local node = is_node(tgt) and getmetatable(tgt)["_%def"]
   if rawequal(tgt, fsm) then node = fsm._plan.nodes[1] end
@@ -2165,8 +2165,8 @@ do
 
   local OFTEN = 3 -- a path or list that is used more often is compiled
 
-  -- Has rfsm/fast.lua make a function for `at`, a path or a list of candidates. The
-  -- function is kept in one of these fields, which is false if none can be made:
+  -- Has rfsm/fast.lua make a function for `at`, a path or a list of candidates. It is
+  -- kept in one of these fields. The field is false if no function can be made.
   --
   --   path.run, path.run_hooked   f(fsm, is_chosen) takes the path. If no search has
   --                               chosen the path, and a guard or a changed target
@@ -2259,7 +2259,7 @@ end
 local run_doo
 
 do
-  -- The coroutine is dropped last. After an interrupt the next step repeats all this.
+  -- Drops the coroutine last. After an interrupt the next step drops it in `end_doo`.
   local function fail_doo(fsm, leaf, failure)
     report_callback(fsm, "doo", leaf, nil, failure)
     leaf._doo_co = nil
@@ -2285,8 +2285,8 @@ do
     leaf._doo_co = nil
   end
 
-  -- Makes the coroutine of a leaf's doo. Returns nil if the leaf has no doo, which
-  -- completes it, or if this Lua has no coroutines, which makes the doo fail.
+  -- Makes the coroutine of a leaf's doo and returns it. A leaf without doo is completed
+  -- at once; in a Lua without coroutines the doo fails. Both return nil.
   local function start_doo(fsm, leaf)
     local doo = leaf.doo
     if not doo then return complete(fsm, leaf) end
@@ -2432,8 +2432,8 @@ do
     return path_of(leaf["_%def"], def, fsm._ways).run
   end
 
-  -- Makes one iteration. Returns two booleans: the iteration counts as a step; the
-  -- machine is idle. Returns nil if the machine cannot be entered. `after_free` is true
+  -- Makes one iteration. Returns whether it counts as a step and whether the machine is
+  -- idle, or only nil if the machine cannot be entered. `after_free` is true
   -- if the last iteration did not count. The two lists of events are swapped. If an
   -- interrupt cuts the swap short, `take_queue` repairs it in the next iteration.
   function iterate(fsm, after_free) -- luacheck: ignore 561 (a call would cost)
@@ -2749,9 +2749,9 @@ end
 ---@type (fun(fsm: rfsm.Machine, merged?: table): string[]?)[]
 rfsm.preproc = {}
 
---- Functions `f(event)` of extensions that raise events. If `event` is raised by its
--- extension, f returns the extension's name. A second result is optional: the FQN of
--- the state that must be active for the event.
+--- Functions `f(event)`, one from each extension that raises events. `f` returns the
+-- name of its extension if the extension raises `event`, otherwise nil. An optional
+-- second result is the FQN of the state that must be active for the event.
 ---@type (fun(event: string): string?, string?)[]
 rfsm.makers = {}
 
@@ -2823,8 +2823,8 @@ do
     return fits(fsm, plan) and plan or nil
   end
 
-  -- Returns a new plan with the definitions of `plan`, which no other machine uses, and
-  -- drops their compiled fields.
+  -- Returns a new plan that takes over the definitions of `plan`, and drops what was
+  -- compiled in them. No other machine uses `plan`.
   local function renewed(plan)
     local variant = new_plan(plan.model, plan.warnings, plan.created)
     variant.nodes, variant.transitions = plan.nodes, plan.transitions
@@ -3005,7 +3005,7 @@ end
 
 --- Raise an error if a step is under way, for extensions.
 --
--- It blames the caller's caller. A step that an error has cut short is finished first.
+-- The error blames the caller's caller. A step that was cut short is finished first.
 --
 ---@param fsm rfsm.Machine
 ---@param where string the public function
@@ -3324,7 +3324,7 @@ function rfsm.prepare(fsm)
   end
 end
 
--- Tools: they look at a machine or move it; no part of a run ......................
+-- Tools: functions that inspect or move a machine. No iteration calls them .........
 
 --- Call `f(fsm, state)` for each state from `from` up or down to `to`, both included.
 -- @raise when neither is an ancestor of the other
@@ -3467,7 +3467,7 @@ end
 -- Hooks: a list is replaced, never changed, so that a loop over it is not disturbed ...
 
 do
-  -- Hooks that are called in an iteration: machines with one use `iterate_hooked`.
+  -- Hooks called in an iteration. Machines with such a hook use `iterate_hooked`.
   local IN_STEP = { _pre_hooks = true, _post_hooks = true, _path_hooks = true,
     _entry_hooks = true, _exit_hooks = true }
 
@@ -3595,7 +3595,7 @@ do
   rfsm.post_step_hook_rm = hook_remover("rfsm.post_step_hook_rm", "_post_hooks",
     "post_step_hook")
 
-  --- For post step hooks: will `step` iterate again, since no transition was enabled?
+  --- For post step hooks: will `step` iterate again, because no transition was enabled?
   ---@param fsm rfsm.Machine
   ---@return boolean
   function rfsm.is_free(fsm)
@@ -3707,8 +3707,8 @@ function rfsm.waiting(fsm) return collect(fsm._waiting_hooks, fsm) end
 
 --- Have snapshots of a machine include data of an extension, under `name`.
 --
--- `save(fsm)` returns plain data, or nil if there is none. `load(fsm, data, how)`
--- restores the data (also nil), and raises an error if the data is not valid.
+-- `save(fsm)` returns plain data, or nil. `load(fsm, data, how)` restores the result of
+-- `save` or raises an error; the table `how` describes changes of the chart since then.
 -- `is_explored` is true if transitions depend on the data: explorations keep it, too.
 --
 ---@param fsm rfsm.Machine
@@ -3777,7 +3777,7 @@ do
     end
   end
 
-  -- Adds `obj` to a plan for the machine, as a member of `parent`.
+  -- Adds `obj` to the machine's new plan, as a member of `parent`. Returns the build.
   local function build_merge(fsm, plan, parent, obj, id)
     local build, first = new_build(plan), #plan.transitions + 1
     build.fsm = fsm

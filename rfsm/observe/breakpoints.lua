@@ -1,7 +1,7 @@
 --- Breakpoints and watched expressions.
 --
--- They belong to `sim`, which is a session of the simulator or a view of the page. It
--- has the machine `fsm` and the list `points`. Only a session has expressions, which
+-- They are in the list `sim.points`, for the machine `sim.fsm`. `sim` is a session of
+-- the simulator or a view of a web page. Only a session has watched expressions, which
 -- its function `value_of(text)` evaluates.
 --
 -- @module rfsm.observe.breakpoints
@@ -26,13 +26,13 @@ local breakpoints = {}
 ---@field condition? string text of the expression after `if`
 ---@field holds? fun(): any the condition, compiled
 
--- Is an end of a transition this node, or the initial connector of this composite?
+-- Is an end of a transition `node` itself, or the initial connector in `node`?
 local function is_at(tr_end, node)
   return node and (tr_end == node or tr_end == node.initial)
 end
 
 -- Returns a breakpoint at the transitions of a machine and its regions for which
--- `is_meant(tr)` is true; nil if there are none. Its name is that of the first one.
+-- `is_meant(tr)` is true, named after the first of them; nil if there are none.
 local function at_transitions(fsm, is_meant)
   local point
   for _, at in ipairs(rfsm.machines(fsm)) do
@@ -90,8 +90,8 @@ function breakpoints.add(sim, what)
   return #sim.points
 end
 
---- Call f(i, point) for each breakpoint in a list that has this `kind` and waits for
--- `value`: the name of a state entered, a transition taken, or an event received.
+--- Call f(i, point) for each breakpoint of this `kind` in a list that `value` hits.
+-- `value` is the name of a state entered, a transition taken, or an event received.
 function breakpoints.each_reached(list, kind, value, f)
   for i, point in ipairs(list) do
     if point.kind == kind and (rawequal(point.value, value)

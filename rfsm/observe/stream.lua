@@ -16,7 +16,7 @@
 --    reset(at)                            the machine was reset
 --    merged(at, element)                  `fsm_merge` has added an element
 --
--- The regions of the machine are followed, too, and elements that are merged later.
+-- Regions of the machine and elements that are merged later are followed, too.
 --
 -- @module rfsm.observe.stream
 -- @license BSD-3-Clause
@@ -97,7 +97,7 @@ local function attach(own, at)
   end
 end
 
--- Adds hooks to the machine and its regions, unless they have them.
+-- Adds hooks to the machine and its regions, but only once to each.
 function join(own)
   own.machines = rfsm.machines(own.fsm)
   for _, at in ipairs(own.machines) do

@@ -12,7 +12,7 @@ local text_of = rfsm.text_of
 
 local values = {}
 
-local MAX_SHOWN, MAX_DEPTH = 20, 3 -- entries of a table; nested tables
+local MAX_SHOWN, MAX_DEPTH = 20, 3 -- table entries; levels of tables
 
 local show
 

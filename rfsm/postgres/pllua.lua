@@ -45,8 +45,8 @@ return function(host, spi, pgtype, id)
   local server = { execute = executor(spi, host.STATEMENTS), json = json,
     warn = spi.warning }
 
-  -- A call fails if a newer library was loaded after the call began and its machine has
-  -- moved to the newer library. Then the newer library repeats the call.
+  -- Raises `text` as the error of a call. But if a newer library was loaded during the
+  -- call, the machine may have moved to it: then the newer library repeats the call.
   function server.refuse(text)
     if server.execute("newest")[1].library == "library " .. id then
       return spi.error("raise_exception", text)

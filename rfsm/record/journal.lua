@@ -1,9 +1,9 @@
---- Files of recordings. A file has runs: a header, then a JSON line for each record.
+--- Files of recordings. Each run in a file is a header and a JSON line for each record.
 --
 -- A line omits the fields that follow from the lines before: queued events, a leaf that
 -- has not changed, the completion of a leaf. This makes the file a third as long. Each
--- line has a number `n`, and the end of a run repeats the last one, so that a missing
--- line is noticed. The last line of a run may be incomplete.
+-- line has a number `n`, and the line that ends a run has the last number, so that a
+-- missing line is noticed. The last line of a run may be incomplete.
 --
 -- @module rfsm.record.journal
 -- @license BSD-3-Clause
@@ -25,7 +25,7 @@ local journal = { VERSION = 1 }
 
 local NONE, SHORT = {}, { events = true, leaf = true, done = true, sent = true }
 
--- Returns the events that a machine sends itself: the e_done of a leaf that is done.
+-- Returns the events that a record usually has in `sent`: the e_done of a done leaf.
 local function usual(leaf, is_done)
   return is_done and leaf and { "e_done@" .. leaf } or nil
 end

@@ -1,6 +1,6 @@
---- Methods of a client for one machine, the same for both servers. Each method calls a
--- function of `rfsm.server.functions`. Events are sent with an id, so that they are
--- applied only once if a client sends them again.
+--- Methods of the clients of both servers, Redis and PostgreSQL. Each method calls a
+-- function of `rfsm.server.functions` for a machine. Events are sent with an id, so
+-- that they are applied only once if a client sends them again.
 --
 -- @submodule rfsm.fleet
 -- @license BSD-3-Clause
@@ -55,7 +55,7 @@ end
 --- Make a machine of a chart in the library.
 ---@param id any the id of the new machine
 ---@param chart string the name of the chart
----@param data? table values for the fields that the root of the chart keeps
+---@param data? table values of fields that the root of the chart lists in `keep`
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
 function Client:create(id, chart, data)
@@ -97,9 +97,9 @@ end
 
 --- Send events to a machine after a delay. They are applied when a worker wakes it.
 ---@param id any
----@param seconds number from now on
+---@param seconds number the delay
 ---@param ... any events
----@return string? ticket for `cancel`
+---@return string? ticket the argument with which `cancel` finds these events
 ---@return string? problem
 function Client:send_after(id, seconds, ...)
   if not opts.is_seconds(seconds) then
@@ -114,7 +114,7 @@ end
 --- Cancel events of `send_after` that have not been applied yet.
 ---@param id any
 ---@param ticket string
----@return boolean? was_there true if there were such events
+---@return boolean? was_there true if there were events to cancel
 ---@return string? problem
 function Client:cancel(id, ticket)
   local count, problem = self:ask("rfsm_cancel", id, ticket)

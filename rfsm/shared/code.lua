@@ -1,7 +1,6 @@
 --- Replaces comments and strings in a Lua text by blanks, so that only code is left.
 --
--- The library has no other scanner of Lua. `rfsm.checks.source` parses callbacks with
--- luacheck, if it is installed.
+-- Only `rfsm.checks.source` needs more: it parses callbacks, with luacheck.
 --
 -- @module rfsm.shared.code
 -- @license BSD-3-Clause

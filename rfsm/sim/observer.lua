@@ -54,8 +54,8 @@ function Observer:check_conditions()
   if problem then error(problem, 0) end
 end
 
--- Records in `is_used` the events that may have triggered a transition. If the
--- transition names events, also appends their texts to the list `by`.
+-- Records in `is_used` the events that may have triggered a transition. Also appends
+-- their texts to the list `by`, unless the transition names no events.
 function Observer:note_used(tr, events, by)
   for i = 1, #events do
     local event = events[i]

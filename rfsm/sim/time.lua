@@ -19,9 +19,9 @@ local time = {}
 --- A simulated clock: the real time at which it began, and the time passed since.
 ---@class rfsm.sim.Time
 ---@field passed rfsm.clock.Clock the time that has passed
----@field starts table<boolean, { sec: number, nsec: number }> the real time at the
--- beginning: at key true for e_after, at key false the time of day for e_at
----@field changes table[] the field `gettime` of the machine, to be restored
+---@field starts table<boolean, { sec: number, nsec: number }> the real clock at the
+-- beginning: `starts[true]` for e_after, `starts[false]`, the time of day, for e_at
+---@field changes table[] the replaced fields `gettime` of machines, to be restored
 
 --- Have the timers of a machine read the simulated clock, if a session has one.
 function time.install(sim, fsm)
