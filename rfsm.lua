@@ -241,7 +241,7 @@ function rfsm.is_callable(value)
   return type(class) == "table" and rawget(class, "__call") ~= nil
 end
 
---- Return any value as text, never an error; numbers look the same on every Lua.
+--- Return any value as text, without errors. Numbers look the same on every Lua.
 ---@param value any
 ---@return string
 function rfsm.text_of(value)
@@ -400,7 +400,7 @@ function rfsm.load(file, accepts)
     accepts)
 end
 
---- Load a model from a text of Lua that returns it.
+--- Load a model from a Lua source text that returns it.
 -- @raise when the text does not compile, fails or returns no state
 ---@param text string Lua source
 ---@param chunkname? string name of the text in error messages
@@ -418,8 +418,8 @@ end
 
 -- Check: every mistake in the model, each with its location --------------------
 --
--- A check never raises an error. It appends to the `problems` of the build, which make
--- `init` fail, or to its `warnings`. `init` sorts both lists by location.
+-- A check never raises an error. It appends to one of two lists of the `rfsm.Build`:
+-- `problems`, which make `init` fail, or `warnings`. `init` sorts both by location.
 
 -- Returns a module; nil if it is not installed.
 local function find_module(name)
@@ -548,7 +548,7 @@ local function is_node_of(fsm, value, kind)
     and rawequal(fsm._nodes[def.index], value)
 end
 
--- Records `def` as a definition of its model: a model table may be used several times.
+-- Adds `def` to the definitions made from its model, a table that may be used often.
 local function note_mount(build, def)
   local mounts = build.mounts[def.model] or {}
   mounts[#mounts + 1], build.mounts[def.model] = def, mounts
@@ -1080,7 +1080,7 @@ local function copy_plan(plan)
   return copy
 end
 
--- Calls f(t) for each table of the model that a plan was made of.
+-- Calls f(t) for each table of a plan's model: elements, their bases, lists of events.
 local function each_table(plan, f)
   local function visit(model)
     f(model)
@@ -1309,7 +1309,7 @@ local function list_otrs(fsm, plan)
   local transitions, nodes = fsm._transitions, fsm._nodes
   for i = 1, #plan.nodes do
     local otrs = plan.nodes[i].otrs
-    local list = { otrs[1] and transitions[otrs[1].index] } -- most have one
+    local list = { otrs[1] and transitions[otrs[1].index] } -- most nodes have one
     for j = 2, #otrs do list[j] = transitions[otrs[j].index] end
     nodes[i]._otrs = list
   end
@@ -1327,7 +1327,7 @@ local function use_plan(fsm, plan)
   list_otrs(fsm, plan)
 end
 
--- Report: what a machine says to its printers, and errors that are kept -----------
+-- Report: messages to the printers of a machine, and errors that are kept ----------
 
 local DEFAULT_PRINTER, printer_of
 
@@ -1946,7 +1946,7 @@ do
   end
 
   function RECORDS.exits(def)
-    local outermost = line_to(def.src)[def.lca.depth + 2] or def.src -- the root
+    local outermost = line_to(def.src)[def.lca.depth + 2] or def.src -- for the root
     return "TRANS_EXIT", "exiting all up to (including):", outermost.fqn, ", lca:",
       def.lca.fqn
   end
@@ -2067,7 +2067,7 @@ do
     add_action(list, recorders.entry, state)
   end
 
-  local shapes = {} -- a tree of all lists of actions; each level has the next action
+  local shapes = {} -- a tree of all lists of actions, with one action per level
 
   -- Returns an equal list of actions. All paths with the same actions share this list.
   local function shared(actions)
@@ -2098,7 +2098,7 @@ do
       from = def.tgt.parent
     end
     path.args = list.args
-    path.actions = shared(list.actions) -- last: both lists are complete now
+    path.actions = shared(list.actions) -- set last: it marks completion
   end
 end
 
@@ -2436,7 +2436,7 @@ do
   -- idle, or only nil if the machine cannot be entered. `after_free` is true
   -- if the last iteration did not count. The two lists of events are swapped. If an
   -- interrupt cuts the swap short, `take_queue` repairs it in the next iteration.
-  function iterate(fsm, after_free) -- luacheck: ignore 561 (a call would cost)
+  function iterate(fsm, after_free) -- luacheck: ignore 561 (a call costs time)
     local leaf = fsm._act_leaf
     if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
       return go_on(fsm, after_free)
@@ -2509,7 +2509,7 @@ end
 function rfsm.check_machine(fsm, where, level)
   if machines[fsm] then return end
   if rawequal(getmetatable(fsm), Machine) and rawget(fsm, "_initialized") then
-    if not fsm._preparing then adopt_copy(fsm) end -- else `init` is not over
+    if not fsm._preparing then adopt_copy(fsm) end -- otherwise `init` is running
     return
   end
   local hint = is_state(fsm) and (rawget(fsm, "_initialized")
@@ -2662,7 +2662,7 @@ do
   end
 end
 
--- Makes a machine of a plan. Default printers replace those that cannot be called.
+-- Makes a machine of a plan. A printer that cannot be called is replaced by a default.
 local function new_machine(plan)
   local fsm = own_fields()
   fsm["_%def"], fsm._plan, fsm._parent, fsm._nodes = plan.nodes[1], plan, fsm, { fsm }
@@ -3063,7 +3063,7 @@ end
 function rfsm.step(fsm, n)
   if not machines[fsm] then check_machine(fsm, "rfsm.step") end
   if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.step", 3) end
-  if n ~= nil then return (step_often(fsm, n)) end -- no tail call: error levels
+  if n ~= nil then return (step_often(fsm, n)) end -- a tail call shifts error levels
   local ok, counted, idle = pcall(iterate, fsm)
   if ok and counted then return idle end -- no loop: LuaJIT makes one trace of it
   if ok and counted == false then ok, counted, idle = pcall(iterate, fsm, true) end
@@ -3215,7 +3215,7 @@ do
     if is_root and obj._preparing then return planned_elements(obj, pred) end
     local list = not is_root and (not pred or pred(obj)) and { obj } or {}
     if rfsm.is_trans(obj) then return list end
-    return append(list, rfsm.mapfsm(itself, obj, pred)) -- lists a root, too
+    return append(list, rfsm.mapfsm(itself, obj, pred)) -- `mapfsm` lists a root
   end
 end
 
@@ -3291,7 +3291,7 @@ do
 
   --- Is a state of the machine, or of one of its regions, active?
   ---@param fsm rfsm.Machine
-  ---@param state rfsm.State|string a name begins with the `prefix` of `rfsm.machines`
+  ---@param state rfsm.State|string a state, or a name such as "root.par.left.a"
   ---@return boolean
   function rfsm.is_in(fsm, state)
     check_machine(fsm, "rfsm.is_in")
@@ -3472,7 +3472,7 @@ do
     _entry_hooks = true, _exit_hooks = true }
 
   -- Hooks placed in "front" add or record events. They are called before hooks placed
-  -- "before", which may remove events. `front` of a list is the number of front hooks.
+  -- "before", which may remove events. A list has the number of front hooks in `front`.
   local PLACES = { front = true, before = true, after = true }
 
   -- Adds a hook to the list in a field of `owner`.
@@ -3873,7 +3873,7 @@ do
     local build = build_merge(fsm, plan, parent_def, obj, id)
     local moved = move_targets(build, parent_def, first_transition)
     if rfsm.is_trans(obj) and not plan.transitions[first_transition] then
-      append(build.problems, build.warnings) -- in a leaf, with a wrong end
+      append(build.problems, build.warnings) -- in a leaf a wrong end is a warning
     end
     local problems = lines_of(build.problems)
     if problems[1] then return refuse(fsm, summary("rfsm.fsm_merge", problems)) end
@@ -3923,7 +3923,7 @@ end
 local function register(package)
   local searchers = package.searchers or package.loaders
   if searchers and loadfile and not searchers.rfsm then
-    searchers.rfsm = find_old_name -- marks it as installed
+    searchers.rfsm = find_old_name -- marks the searcher as installed
     searchers[#searchers + 1] = find_old_name
   end
   if package.loaded and not package.loaded.rfsm then package.loaded.rfsm = rfsm end

@@ -6,7 +6,7 @@
 
 local form, path, kind, name, has_stubs = ...
 local version = _VERSION:match("[%d.]+$")
-local execute, loadfile = os.execute, loadfile -- before charts get stubs for these
+local execute, loadfile = os.execute, loadfile -- charts may get stubs for them later
 
 package.path = path
 
@@ -80,7 +80,7 @@ local function load_as_tools()
   return model or fail(problem)
 end
 
--- Returns the model as `rfsm.rtt` loads it at a launch, or, if this fails, as tools do.
+-- Loads the model as `rfsm.rtt` does at a launch. If this fails, loads it as tools do.
 local function load_model()
   if has_stubs then return load_as_tools() end
   local limit = require "rfsm.shared.limit"

@@ -21,7 +21,7 @@ local text_of = rfsm.text_of
 local Observer = {}
 Observer.__index = Observer
 
--- Could this event have triggered the transition? If a predicate decides, assumes yes.
+-- May this event have triggered the transition? Returns true if a predicate decides.
 local function takes(tr, event)
   if match.is_any(tr) then return match.begins_on_any(tr) end
   return match.triggers(tr, event) ~= false
@@ -136,7 +136,7 @@ end
 
 local observer = {}
 
---- Return an observer of the machine of a session and its regions.
+--- Return an observer of a session's machine and its regions.
 function observer.new(sim)
   local self = setmetatable({ sim = sim, is_on = false }, Observer)
   local listener = {}

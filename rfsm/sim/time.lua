@@ -67,7 +67,7 @@ function time.show(sim)
   print("clock:  " .. (now and time.text(now.passed:now()) or "real time"))
 end
 
-local MAX_STEPS = 1000 -- limit for one advance, as a doo may never be idle
+local MAX_STEPS = 1000 -- limit for one advance, because a doo may never be idle
 
 --- Let simulated seconds pass; advance the machine at each timer, and at the end.
 function time.pass(sim, seconds)
