@@ -241,7 +241,7 @@ function rfsm.is_callable(value)
   return type(class) == "table" and rawget(class, "__call") ~= nil
 end
 
---- Return any value as text, without errors. Numbers look the same on every Lua.
+--- Return any value as text; never raise an error. Numbers look the same on every Lua.
 ---@param value any
 ---@return string
 function rfsm.text_of(value)
@@ -548,7 +548,7 @@ local function is_node_of(fsm, value, kind)
     and rawequal(fsm._nodes[def.index], value)
 end
 
--- Adds `def` to the definitions made from its model, a table that may be used often.
+-- Adds `def` to the definitions of its model, because a model may be used repeatedly.
 local function note_mount(build, def)
   local mounts = build.mounts[def.model] or {}
   mounts[#mounts + 1], build.mounts[def.model] = def, mounts
@@ -586,7 +586,7 @@ do
   end
 
   -- Returns the events of a transition as a new list, or false if it has none. A model
-  -- has one string, or a list without holes; NaN is the only value that is no event.
+  -- has one string, or a list without holes. Any value except NaN may be an event.
   local function check_events(build, def, events)
     if not events then return false end
     if type(events) == "string" then events = { events } end
@@ -963,8 +963,8 @@ do
     return key_before(a.id, b.id)
   end
 
-  -- The metatables of protos, by kind. They add the methods of the class. `tr.events`
-  -- is a new list at each access, because machines share the list of the definition.
+  -- Metatables for the `proto` of a definition, by kind. They add methods of the class.
+  -- `tr.events` is a new list at each access, because machines share the definition's.
   local INHERITED = {
     state = { __index = State }, connector = { __index = Connector }, transition = {},
   }
@@ -1489,8 +1489,8 @@ local function put_back(fsm)
   fsm._curq = {}
 end
 
--- Ends an iteration early, because a step hook or getevents has failed. Before the
--- search the current events become pending again; after it they are dropped.
+-- Ends an iteration early, because a step hook or getevents has failed. The
+-- current events become pending again before the search, but are dropped after it.
 local function give_up(fsm, failure)
   if fsm._phase ~= "gather" then fsm._curq = {} end
   put_back(fsm)
@@ -1525,7 +1525,7 @@ local function append_getevents(fsm, list)
   fsm._given = false
 end
 
--- Calls the step hooks, but not again those up to `_hook`, the number begun last.
+-- Calls the step hooks whose number is above `_hook`, the number of the last one begun.
 local function run_hooks(fsm, hooks, slot)
   for i = fsm._hook + 1, #hooks do
     local hook = hooks[i]
@@ -1716,7 +1716,7 @@ end
 local choice_of, choose, list_choices
 
 do
-  -- Returns the first enabled transition of the states from the root to the leaf.
+  -- Returns the first enabled transition, in the states from the root down to the leaf.
   local function choose_by_node(fsm, leaf, events)
     local traces = is_traced(fsm)
     if traces then
@@ -1824,7 +1824,7 @@ local function warn_of_lost_events(fsm, path, events)
     .. "them: " .. list_text(lost))
 end
 
--- Returns the path of the first entry, which begins at the root's `initial`, or nil.
+-- Returns the first entry's path, from the root's `initial`; nil if none is enabled.
 local function find_entry(fsm, events)
   local root = fsm._plan.nodes[1]
   fsm._search = fsm._search + 1
@@ -2165,8 +2165,8 @@ do
 
   local OFTEN = 3 -- a path or list that is used more often is compiled
 
-  -- Has rfsm/fast.lua make a function for `at`, a path or a list of candidates. It is
-  -- kept in one of these fields. The field is false if no function can be made.
+  -- Has rfsm/fast.lua make a function for `at`, a path or a list of candidates. The
+  -- function, or false if none can be made, is kept in one of these fields:
   --
   --   path.run, path.run_hooked   f(fsm, is_chosen) takes the path. If no search has
   --                               chosen the path, and a guard or a changed target
@@ -2286,7 +2286,7 @@ do
   end
 
   -- Makes the coroutine of a leaf's doo and returns it. A leaf without doo is completed
-  -- at once; in a Lua without coroutines the doo fails. Both return nil.
+  -- at once; in a Lua without coroutines the doo fails. The result is nil then.
   local function start_doo(fsm, leaf)
     local doo = leaf.doo
     if not doo then return complete(fsm, leaf) end
@@ -2433,9 +2433,9 @@ do
   end
 
   -- Makes one iteration. Returns whether it counts as a step and whether the machine is
-  -- idle, or only nil if the machine cannot be entered. `after_free` is true
-  -- if the last iteration did not count. The two lists of events are swapped. If an
-  -- interrupt cuts the swap short, `take_queue` repairs it in the next iteration.
+  -- idle, or only nil if the machine cannot be entered. `after_free` is true if the
+  -- last iteration did not count. The two lists of events are swapped. If an interrupt
+  -- cuts the swap short, `take_queue` repairs it in the next iteration.
   function iterate(fsm, after_free) -- luacheck: ignore 561 (a call costs time)
     local leaf = fsm._act_leaf
     if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
@@ -2817,7 +2817,7 @@ do
     return true
   end
 
-  -- Returns the latest variant or the plan itself, if it fits the machine; else nil.
+  -- Returns a plan that fits the machine: the latest variant or `plan`. Otherwise nil.
   local function find_plan(fsm, plan)
     if plan.variant and fits(fsm, plan.variant) then return plan.variant end
     return fits(fsm, plan) and plan or nil

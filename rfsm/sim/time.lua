@@ -20,7 +20,7 @@ local time = {}
 ---@class rfsm.sim.Time
 ---@field passed rfsm.clock.Clock the time that has passed
 ---@field starts table<boolean, { sec: number, nsec: number }> the real clock at the
--- beginning: `starts[true]` for e_after, `starts[false]`, the time of day, for e_at
+-- beginning: `starts[true]` for e_after; `starts[false]` (time of day) for e_at
 ---@field changes table[] the replaced fields `gettime` of machines, to be restored
 
 --- Have the timers of a machine read the simulated clock, if a session has one.
