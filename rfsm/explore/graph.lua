@@ -134,8 +134,8 @@ function graph.must_reach(walk, goals)
   end)
 end
 
--- Tarjan's search for strongly connected components has two stacks: the configurations
--- that are being visited, and for each of them the position of its next step.
+-- Begins a visit in Tarjan's search for strongly connected components. The stack
+-- `visits` has the configurations being visited, `at` the position of their next steps.
 local function visit(walk, search, number)
   local depth = #search.visits + 1
   search.count = search.count + 1

@@ -59,8 +59,8 @@ local function matches(search, tr)
   end)
 end
 
--- Returns the node to which a transition leads, even if a program has changed its
--- target; nil if the target cannot be entered.
+-- Returns the node to which a transition leads; nil if its target cannot be entered.
+-- A program may have changed the target.
 local function target_of(tr)
   local tgt = tr.tgt
   if rawequal(tr.src, tgt) and rfsm.target_of(tr) == "internal" then return tgt end
@@ -73,7 +73,7 @@ local function name_of(tgt) return rfsm.is_node(tgt) and tgt._fqn or text_of(tgt
 local ask_connector
 
 -- Returns the verdict on a transition and the reason in words. If the path ends at a
--- connector, also returns its FQN and the answers of its transitions.
+-- connector, also returns the FQN of the connector and the answers of its transitions.
 local function judge(search, tr)
   if not matches(search, tr) then
     local wanted = concat(texts_of(tr.events or {}), ", ")
@@ -200,7 +200,7 @@ function why.why(fsm, ...)
   return result, concat(lines, "\n")
 end
 
--- An event that no transition names.
+-- This table represents every event that is in no transition.
 local OTHER = setmetatable({}, { __tostring = function() return "any other event" end })
 
 -- Appends the events on which the machine, or a region of its leaf, takes a transition.
@@ -223,10 +223,10 @@ end
 
 --- List the events that would make the machine take a transition now.
 --
--- Each event that a transition names is tried alone, in the order of the tree.
+-- Each event of a transition is tried alone, in the order of the tree.
 --
 ---@param fsm rfsm.Machine
----@return any[] events the field `any` is true if any other event would do so, too
+---@return any[] events the field `any` is true if any other event has this effect, too
 ---@return string text the events as text, one in a line
 function why.enabled(fsm)
   rfsm.check_machine(fsm, "rfsm_checks.enabled")

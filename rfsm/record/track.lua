@@ -73,7 +73,7 @@ end
 
 -- Changes of data that the chart keeps, and of targets -------------------------------
 
---- Return the kept fields and targets of a machine with values, for `may_have_changed`.
+--- Return the kept fields and targets of a machine and their values.
 function track.observe_data(fsm)
   local observed = { has_save = false }
   local function add(obj, field, is_data)

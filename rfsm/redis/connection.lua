@@ -29,7 +29,7 @@ local function unescaped(text)
   end))
 end
 
---- Return the parts of a URL such as rediss://user:password@host:6380/1, or nil.
+--- Return the parts of a URL like rediss://user:password@host:6380/1; nil if wrong.
 function connection.parse(url)
   local scheme, rest = url:match("^(rediss?)://(.*)$")
   local user, password, place = (rest or ""):match("^([^:@/]*):([^@/]*)@(.*)$")

@@ -104,7 +104,7 @@ end
 
 -- Pack --------------------------------------------------------------------------
 
--- Does JSON with 14 digits keep a number as it is, also as an integer or a float?
+-- Does JSON with 14 digits keep the value of a number, and its type (integer, float)?
 local function is_safe(n)
   if n - n ~= 0 then return false end -- not finite
   local is_whole = floor(n) == n
@@ -161,8 +161,8 @@ local function as_table(packed, path, depth)
   return is_plain(packed) and packed or to_pairs(packed, path, depth)
 end
 
--- Raises an error for a table that is too deep, has a metatable, or was packed before:
--- unpacking would make two tables of it.
+-- Raises an error for a table that is too deep, has a metatable, or was packed before.
+-- If a table were packed twice, unpacking would make two tables of it.
 local function check_table(t, path, depth)
   path.seen = path.seen or {}
   if getmetatable(t) ~= nil then

@@ -178,7 +178,7 @@ end
 local renamed_text = migrate.renamed
 
 -- Returns a copy of a value with new names in keys and values. Only `depth` levels of
--- tables are changed; what is deeper stays as it is.
+-- tables are changed; deeper values stay as they are.
 local function renamed(value, rename, depth)
   if depth == 0 then return value end
   if type(value) == "string" then return renamed_text(value, rename) end
@@ -190,7 +190,7 @@ local function renamed(value, rename, depth)
   return copy
 end
 
--- For each field of a snapshot that has names of states: the depth for `renamed`.
+-- The fields of a snapshot that have names of states, with the depth for `renamed`.
 local NAMED = { leaf = 1, queue = 2, targets = 2, ext = 20, data = 1, saved = 1 }
 
 local function rename_part(part, rename)
@@ -201,8 +201,8 @@ local function rename_part(part, rename)
   return copy
 end
 
--- Returns the new names of the states of a region, as a table of old and new FQNs that
--- begin with root, and the new prefix of the region.
+-- Returns two results for a region: a table old -> new FQN of its renamed states, where
+-- each FQN begins with root, and the new prefix of the region.
 local function inside(rename, prefix)
   local inner, new_prefix = {}, renamed_text(prefix, rename)
   for old, new in each(rename) do -- any order: each stands alone
@@ -245,9 +245,8 @@ function migrate.difference(old, new)
   return list
 end
 
--- Returns the structure of a snapshot's chart as lines. Each part has the name of its
--- chart; a part without a name has the present chart. Returns nil if one of the names
--- is not known.
+-- Returns the structure of a snapshot's chart as lines. A part that does not name its
+-- chart has the present chart. Returns nil if a named chart is not known.
 local function known_lines(fsm, snap)
   local lines = {}
   for _, at in ipairs(shape.of(fsm).places) do
@@ -302,8 +301,8 @@ local function each_part(snap, f)
 end
 
 -- Unpacks the data of states, so that `migrate` gets the values as callbacks see them.
--- Fields saved as nil become absent. They are returned in a list of { prefix, FQN, name
--- }.
+-- Fields saved as nil become absent. Returns a list of these fields, each as a list
+-- { prefix, FQN, name }.
 local function unpack_kept(snap)
   local nils = {}
   each_part(snap, function(part, prefix)
