@@ -24,7 +24,8 @@ local function leaf_meant(name, leaves)
   return ""
 end
 
--- Finds events e_done@F where F is no leaf. `rfsm.init` warns of e_done only.
+-- Finds events e_done@F where F is no leaf. `rfsm.init` warns only if the event is
+-- written as e_done, without @F.
 local function check_e_done(tr, leaves, add)
   for _, event in ipairs(tr.events or {}) do
     local fqn = type(event) == "string" and event:match("^e_done@(.*)$")

@@ -25,7 +25,7 @@ local why = {}
 ---@class rfsm_checks.Answer
 ---@field verdict "fires"|"lost"|"enabled"|"event"|"guard"|"failed"|"closed"
 ---@field reason string the verdict in words
----@field place string "root.trans[2] (off -> on)"
+---@field place string path and ends of the transition: "root.trans[2] (off -> on)"
 ---@field file string "chart.lua:7: "; empty if it is not known
 ---@field src string FQN of the source
 ---@field tgt string FQN of the target
@@ -34,7 +34,7 @@ local why = {}
 ---@field ways? rfsm_checks.Answer[] if "closed": the answers of the transitions from
 -- the connector, unless an earlier answer has them
 
---- The answers of a machine: of each transition that the engine may try.
+--- The answers for all transitions of a machine that the engine may try.
 ---@class rfsm_checks.Why
 ---@field events string[] the events, as texts
 ---@field leaf string|false FQN of the active leaf; false before the first entry

@@ -239,8 +239,8 @@ local function read(client)
   return command(client, "READ")
 end
 
--- Sends calls to one node in one text. Returns the replies by the numbers of the calls.
--- A call without a reply has none in the table.
+-- Sends calls to one node in one text. Returns a table number of a call -> its reply. A
+-- call that got no reply is not in the table.
 local function ask_at_once(self, address, calls)
   local found, client = pcall(node, self, address)
   local texts, replies = {}, {}

@@ -362,8 +362,8 @@ local function call_migrate(fsm, snap, list, options)
   return moved
 end
 
--- Returns the gravest change between a snapshot and the charts of a machine and its
--- regions ("structure", "kept" or nil), and the change of each machine, by prefix.
+-- Compares a snapshot with the charts of a machine and its regions. Returns the gravest
+-- change ("structure", "kept" or nil), and a table prefix -> change.
 local function changes(fsm, snap)
   local most, by_prefix, count = nil, {}, 0
   for _ in each(snap.regions or NONE) do count = count + 1 end -- any order: counted

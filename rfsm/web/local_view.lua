@@ -246,7 +246,7 @@ function LocalView:inspect(number)
   return about
 end
 
---- Answer the command `inspect` of a page. Return nil and the answer, or a problem.
+--- Answer the command `inspect` of a page. Return a problem or nil, and the answer.
 function LocalView.answer_inspect(source, message)
   local about = source.view:inspect(message.node)
   return not about and "node: number of a state expected" or nil, about
