@@ -210,12 +210,12 @@ function review.noting_extensions(f, ...)
       return kept[name][1]
     end
   end
-  for name in pairs(kept) do -- any order: each stands alone
+  for name in pairs(kept) do -- any order: each is independent
     loaded[name] = nil
     rawset(_G, name, nil)
   end
   local results = { pcall(f, ...) }
-  for name, values in pairs(kept) do -- any order: each stands alone
+  for name, values in pairs(kept) do -- any order: each is independent
     loaded[name], preload[name] = values[1], nil
     rawset(_G, name, values[2])
   end

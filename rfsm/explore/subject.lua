@@ -722,7 +722,7 @@ local function check_alphabet(self, alphabet)
   end
 end
 
---- List those events of transitions that are texts.
+--- List all texts that are events of transitions.
 ---@return string[] names
 function Subject:named_texts()
   local list = {}

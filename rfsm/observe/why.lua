@@ -1,6 +1,6 @@
 --- Why: explains for each transition if events would make the machine take it.
 --
--- Guards and predicates are called, as the engine does when it searches a transition.
+-- Guards and predicates are called, as when the engine searches for a transition.
 -- No other callback is called, and the machine does not change.
 --
 -- @module rfsm.observe.why

@@ -177,7 +177,7 @@ function track.attach(fsm, listener, session)
     track.wrap(own)
     tracks[i], of[at.machine] = own, own
   end
-  -- A machine that is merged in later has no track, and a transition no number.
+  -- A machine that is merged in later has no track. A new transition has no number.
   function heard.guard(at, tr, guard, events)
     local own = of[at.machine]
     local number = own and own.number_of[tr]

@@ -121,7 +121,7 @@ local function drop(self, address)
   local client = self.nodes[address]
   if client then pcall(client.network.socket.close, client.network.socket) end
   self.nodes[address] = nil
-  for tag, place in order.each(self.node_of) do -- any order: each stands alone
+  for tag, place in order.each(self.node_of) do -- any order: each is independent
     if place == address then self.node_of[tag] = nil end
   end
 end
@@ -275,7 +275,7 @@ function Connection:call_all(tags, calls)
     by_address[address] = group
     group.calls[#group.calls + 1], group.numbers[#group.numbers + 1] = calls[i], i
   end
-  for address, group in order.each(by_address) do -- any order: each stands alone
+  for address, group in order.each(by_address) do -- any order: each is independent
     for i, reply in order.each(ask_at_once(self, address, group.calls)) do -- any order
       replies[group.numbers[i]] = reply
     end

@@ -21,7 +21,7 @@ end
 --- An object that holds a port, and is read and written like a port.
 ---@class rfsm.rtt.Port
 ---@field name string name of the port
----@field component any|false the component of the port; false if the port is not looked up
+---@field component any|false its component; false if the port is not looked up
 ---@field facts table<string, any> the information of the port that was held first
 ---@field real any|false the port; false while there is no such port
 ---@field was_found boolean has the component ever had the port?

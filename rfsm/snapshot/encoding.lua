@@ -180,7 +180,7 @@ end
 local function pack_table(t, path, depth)
   check_table(t, path, depth)
   local copy = {}
-  for key, inner in each(t) do -- any order: each stands alone
+  for key, inner in each(t) do -- any order: each is independent
     path[depth + 1] = key
     copy[key] = pack(inner, path, depth + 1)
   end
@@ -260,7 +260,7 @@ local function unpack_table(packed, depth)
     return NIL
   end
   local t = {}
-  for key, value in each(packed) do -- any order: each stands alone
+  for key, value in each(packed) do -- any order: each is independent
     if not is_scalar(key) then fail("a text as key expected, got %s", type(key)) end
     t[key] = unpack(value, depth + 1)
   end

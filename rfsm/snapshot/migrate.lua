@@ -65,7 +65,7 @@ local function check_shape(snap)
   if not snap.chart then fail("chart: string expected, got nil") end
   check_fields(snap, WHOLE, "")
   snap.regions = snap.regions and copy_fields(snap.regions)
-  for prefix, part in each(snap.regions or NONE) do -- any order: each stands alone
+  for prefix, part in each(snap.regions or NONE) do -- any order: each is independent
     if type(part) ~= "table" then
       fail("regions: table expected for '%s', got %s", text_of(prefix), type(part))
     end
@@ -184,7 +184,7 @@ local function renamed(value, rename, depth)
   if type(value) == "string" then return renamed_text(value, rename) end
   if type(value) ~= "table" then return value end
   local copy = {}
-  for key, inner in each(value) do -- any order: each stands alone
+  for key, inner in each(value) do -- any order: each is independent
     copy[renamed(key, rename, 1)] = renamed(inner, rename, depth - 1)
   end
   return copy
@@ -195,7 +195,7 @@ local NAMED = { leaf = 1, queue = 2, targets = 2, ext = 20, data = 1, saved = 1 
 
 local function rename_part(part, rename)
   local copy = {}
-  for field, value in each(part) do -- any order: each stands alone
+  for field, value in each(part) do -- any order: each is independent
     copy[field] = renamed(value, rename, NAMED[field] or 0)
   end
   return copy
@@ -205,7 +205,7 @@ end
 -- each FQN begins with root, and the new prefix of the region.
 local function inside(rename, prefix)
   local inner, new_prefix = {}, renamed_text(prefix, rename)
-  for old, new in each(rename) do -- any order: each stands alone
+  for old, new in each(rename) do -- any order: each is independent
     if old:sub(1, #prefix + 1) == prefix .. "."
       and new:sub(1, #new_prefix + 1) == new_prefix .. "." then
       inner["root" .. old:sub(#prefix + 1)] = "root" .. new:sub(#new_prefix + 1)
@@ -217,7 +217,7 @@ end
 local function rename_states(snap, rename)
   local copy = rename_part(snap, rename)
   copy.regions = snap.regions and {}
-  for prefix, part in each(snap.regions or NONE) do -- any order: each stands alone
+  for prefix, part in each(snap.regions or NONE) do -- any order: each is independent
     local inner, new_prefix = inside(rename, prefix)
     copy.regions[new_prefix] = rename_part(part, inner)
   end
@@ -306,7 +306,7 @@ end
 local function unpack_kept(snap)
   local nils = {}
   each_part(snap, function(part, prefix)
-    for fqn, packed in each(part.data or NONE) do -- any order: each stands alone
+    for fqn, packed in each(part.data or NONE) do -- any order: each is independent
       local fields = encoding.unpack(packed, 2)
       part.data[fqn] = fields
       for name, value in each(type(fields) == "table" and fields or NONE) do
@@ -323,7 +323,7 @@ local function unpack_kept(snap)
 end
 
 local function pack_all(values, owner)
-  for fqn, value in each(values or NONE) do -- any order: each stands alone
+  for fqn, value in each(values or NONE) do -- any order: each is independent
     values[fqn] = encoding.pack(value, { owner = owner .. text_of(fqn):sub(5),
       seen = false }, 0)
   end
