@@ -7,8 +7,8 @@
 -- is a list of records. In a file each record is a line of JSON. Only the reading of a
 -- file needs the package dkjson.
 --
--- An iteration that an interrupt has cut short is in no record. The next record has a
--- snapshot. So has a record before which the machine was reset or moved.
+-- An iteration that an interrupt has cut short is in no record. After such an
+-- iteration, a reset or a move of the machine, the next record has a snapshot.
 --
 -- @module rfsm.record
 -- @license BSD-3-Clause
@@ -255,16 +255,16 @@ function listener.reset(recorder, track) -- between two iterations, or by a call
   if track.rec then track.rec.reset = true end
 end
 
--- Notes interrupts, after which the state of the machine does not follow from the
--- records. A failure is an interrupt if a state that runs regions fails, or a guard
--- whose failure `listener.guard` has not seen. Nothing else makes these fail.
+-- Notes an interrupt, since the state after it does not follow from the records. A
+-- failure is an interrupt if a state that runs regions has failed, or a guard whose
+-- failure `listener.guard` has not seen. Only an interrupt makes these fail.
 function listener.failed(recorder, track, element, name)
   local is_own = name == "guard" and not rawequal(element, track.failing)
   if is_own or select(2, rfsm.regions(element)) then recorder.is_moved = true end
   track.failing = nil
 end
 
---- Stop recording until `go_on` is called. The machine gets its functions back.
+--- Stop recording until `go_on` is called. Put back the functions that were replaced.
 function Recorder:pause()
   tracks.detach(self.tracks)
   self.tracks = {}
@@ -322,8 +322,8 @@ function record.record(fsm, sink)
   return recorder
 end
 
--- Returns the records of a recording, or of a file with this name. Returns nil and the
--- problem if they are not valid.
+-- Returns the records of a recording, which is a list or the name of a file. If the
+-- records are not valid, returns nil and the problem.
 local function records_of(recording)
   if type(recording) == "string" then recording = record.read(recording) end
   local header = type(recording) == "table" and recording[1]
@@ -370,7 +370,7 @@ end
 ---@return rfsm.Machine|false fsm with its own clock; false if the replay has failed or
 -- differs from the recording
 ---@return string? problem the step and the difference
----@return integer? step number of the last step that was the same
+---@return integer? step number of the last step that agrees with the recording
 function record.replay(model, recording, options)
   if not rfsm.is_state(model) then
     error("rfsm.record.replay: state expected, got " .. type(model), 2)

@@ -24,7 +24,8 @@ local function leaf_meant(name, leaves)
   return ""
 end
 
--- Finds events e_done@F where F is no leaf. `init` warns if F is the source itself.
+-- Finds events e_done@F where F is no leaf. `rfsm.init` warns only if the event is
+-- written as e_done, without @F.
 local function check_e_done(tr, leaves, add)
   for _, event in ipairs(tr.events or {}) do
     local fqn = type(event) == "string" and event:match("^e_done@(.*)$")
@@ -62,8 +63,8 @@ local function oddness_of_name(event)
   end
 end
 
--- Returns a text if a plain table is used as an event as if it were a list or had a
--- name. Such an event is equal to this table only.
+-- Returns a text if an event is a plain table with a list of names, or with a name. The
+-- author may expect events with these names, but only the same table is equal to it.
 local function oddness_of_table(event)
   if type(event[1]) == "string" then
     return "a list that holds '" .. event[1] .. "' is one event"

@@ -47,7 +47,7 @@ function check.add_arguments(command)
     :argname("FILE")
 end
 
--- Writes the lines that only one of two texts has to stderr, with - (old) or + (new).
+-- Writes to stderr the lines that are in only one text: - in the old one, + in the new.
 local function report_difference(old, new)
   local function lines_of(text)
     local list, set = {}, {}
@@ -87,8 +87,8 @@ local function write_tests(options, parser)
   if old_text then report_difference(old_text, text) end
 end
 
--- Returns the reason why a chart cannot be checked, with the name of the file in front:
--- the chart, or the file of its declarations, which `failure` begins with already.
+-- Returns the reason why a chart cannot be checked. It begins with the name of the file
+-- of declarations if `failure` does so, or else with the name of the chart.
 local function reason(file, failure)
   local text = chart.first_line(failure)
   local name = require("rfsm.cli.review").properties_of(file)

@@ -167,7 +167,7 @@ common.CHART_NAMES = "The name of a chart is that of its file; NAME=FILE gives a
 common.is_size = opts.is_whole(1, 1e6) -- for the length of a list that a server keeps
 
 -- Adds the arguments for a library of charts: the files, and how many ids of events it
--- keeps for how long.
+-- keeps, and for how long.
 function common.add_charts(command)
   command:argument("files", "Lua files that return a chart"):args("*")
     :argname("[NAME=]FILE"):convert(with_slashes)
@@ -206,7 +206,7 @@ function common.write(file, text)
 end
 
 -- Calls encode(fsm, title, foot) for the chart in each file, and returns the list of
--- texts. Nothing is written before all charts are encoded. The foot names the stubs.
+-- texts. Nothing is written before all charts are encoded. `foot` names the stubs.
 function common.encode_all(options, encode)
   local texts = {}
   for i, file in ipairs(options.files) do

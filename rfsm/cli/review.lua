@@ -134,9 +134,9 @@ local function write_witnesses(model, findings, name)
   end
 end
 
--- Returns "7: " if line 7 is the first line of a text that contains the name which the
--- problem has in quotes (or the option with which the problem begins). Returns an empty
--- text if no line contains it.
+-- Returns "7: " if line 7 of a text is the first line that contains a certain word: the
+-- first name in quotes in the problem, or else the word with which the problem begins.
+-- Returns an empty text if no line contains it.
 local function line_with(text, problem)
   local wanted, number = problem:match("'(.-)'") or problem:match("^(%w+)") or "", 0
   for line in (text .. "\n"):gmatch("(.-)\n") do
@@ -155,8 +155,8 @@ local function refuse(name, failure)
   error(name .. ":" .. (line_with(text, problem):gsub("^$", " ")) .. problem, 0)
 end
 
--- Calls explore(model, own). `own` has the declarations; options of the command replace
--- their bounds. `most` is the default for the configurations.
+-- Calls explore(model, own). `own` is the table of declarations; options of the command
+-- replace its bounds. By default at most `most` configurations are explored.
 local function run_explore(file, model, own, options, explore, most)
   for _, name in ipairs { "together", "seconds", "configurations" } do
     if options[name] ~= nil then own[name] = options[name] end
@@ -210,12 +210,12 @@ function review.noting_extensions(f, ...)
       return kept[name][1]
     end
   end
-  for name in pairs(kept) do -- any order: each stands alone
+  for name in pairs(kept) do -- any order: each is independent
     loaded[name] = nil
     rawset(_G, name, nil)
   end
   local results = { pcall(f, ...) }
-  for name, values in pairs(kept) do -- any order: each stands alone
+  for name, values in pairs(kept) do -- any order: each is independent
     loaded[name], preload[name] = values[1], nil
     rawset(_G, name, values[2])
   end

@@ -81,8 +81,8 @@ function graph.can_reach(walk, goals, is_internal, within)
 end
 
 -- Does a step lead into the set, whatever the clocks of the configuration show? It does
--- if a step depends on no deadline, or if there is a step for each group of deadlines
--- that may be over first.
+-- if a step into the set depends on no deadline, or if each group of deadlines that may
+-- be over first has a step into the set.
 local function leads_surely(walk, number, set)
   local ways, is_counted, is_sure = 0, {}, false
   graph.each_step(walk, number, function(tgt, _, at)
@@ -134,8 +134,8 @@ function graph.must_reach(walk, goals)
   end)
 end
 
--- Tarjan's search for strongly connected components has two stacks: the configurations
--- that are being visited, and for each of them the position of its next step.
+-- Begins a visit in Tarjan's search for strongly connected components. The stack
+-- `visits` has the configurations being visited, `at` the position of their next steps.
 local function visit(walk, search, number)
   local depth = #search.visits + 1
   search.count = search.count + 1
@@ -144,7 +144,7 @@ local function visit(walk, search, number)
   search.visits[depth], search.at[depth] = number, walk.first[number] or 1
 end
 
--- Makes a component of the open configurations down to `root`, the first one visited.
+-- Takes configurations from the stack `open`, down to `root`, and makes a component.
 local function take_component(search, root)
   local component, index = {}, #search.components + 1
   repeat

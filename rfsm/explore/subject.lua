@@ -62,13 +62,14 @@ local subject = {}
 ---@field dropped table<rfsm_checks.Occurrence, boolean> events of `later` that a reset
 -- or a `cancel` has dropped in the last step
 ---@field late_senders string[] callbacks that may send more events later
----@field cancellers string[] callbacks that may cancel events that were sent later
+---@field cancellers string[] callbacks that may cancel events that are to be sent later
 ---@field called string[] names of the callbacks that the last step called, the events
 -- that they sent, and their failures, as texts
 ---@field time rfsm.clock.Clock the clock of the machines
----@field answers table<function, any> of predicates and guards with rules, in this step
+---@field answers table<function, any> predicate, or guard with a rule -> its answers in
+-- this step
 ---@field leaves_out boolean steps do not advance regions in which nothing would happen
----@field trimmed rfsm.State|false the state from whose list of regions some are removed
+---@field trimmed rfsm.State|false the state whose quiet regions are removed for now
 ---@field notes_events boolean `last_events` gets the events of all iterations of a step
 ---@field choices boolean[] the choices of the last step, in the order of the questions
 ---@field askers string[] for each choice the path of the transition or leaf
@@ -84,10 +85,10 @@ Subject.__index = Subject
 ---@field fsm rfsm.Machine
 ---@field prefix string "root", or the name of the region: "root.arms.left"
 ---@field owner rfsm_checks.Part|false the part of the parent machine
----@field kept rfsm_checks.Kept|false the places of data of extensions; false: none
+---@field kept rfsm_checks.Kept|false where its kept data is; false if there is none
 ---@field may_keep boolean an extension may keep events in its data
 ---@field leaf rfsm.State|false the state of the parent machine that runs the region
----@field is_bound boolean one of its callbacks is really called, or a guard has a rule
+---@field is_bound boolean a step may call one of its callbacks, or a guard has a rule
 ---@field known table<rfsm.State|false, rfsm_checks.Leaf> what is known of each
 -- leaf; the key `false` is for a part that was not entered
 ---@field positions rfsm_checks.Position[] all positions found so far, by their `id`
@@ -95,8 +96,8 @@ Subject.__index = Subject
 ---@field position rfsm_checks.Position the position in which the step began
 ---@field rounds integer how many iterations it has made in this step
 ---@field inner rfsm_checks.Part[] its regions, in the order of the tree
----@field is_single boolean a step of the subject advances it once at most. Such a step
--- cannot enter and leave again any state but a composite.
+---@field is_single boolean a step of the subject advances it at most once. In such a
+-- step, only composites can be entered and left again.
 ---@field is_quiet boolean the step leaves it out, since nothing would happen in it
 
 --- An event that comes to a part of a subject in a step.
@@ -119,14 +120,14 @@ Subject.__index = Subject
 ---@field path string path of the leaf
 ---@field paths string[] paths of the leaf and of the states around it
 ---@field reactions rfsm_checks.Reactions|false false until they are asked for
----@field positions table<string, rfsm_checks.Position> by a text of mode, events, data
+---@field positions table<string, rfsm_checks.Position> text of mode, events, data -> it
 
 --- The state of one part: its leaf, the mode, waiting events, data of extensions.
 ---@class rfsm_checks.Position
 ---@field id integer its number among the positions of the part
 ---@field leaf rfsm.State|false
 ---@field known rfsm_checks.Leaf what is known of the leaf
----@field mode string of the leaf: "active", "done"; "inactive" without a leaf
+---@field mode string mode of the leaf: "active" or "done"; "inactive" without a leaf
 ---@field waiting any[] the events in the queue
 ---@field kept any[]|false data of extensions, and changed targets
 
@@ -138,8 +139,8 @@ local NOTHING = {}
 
 -- The machines ....................................................................
 
--- Returns the next choice of the step, true by default. `known` is given if only this
--- answer is possible. Then the opposite answer is not tried.
+-- Returns the next choice of the step, true by default. If `known` is given, it is the
+-- only possible answer, and the opposite answer is not tried.
 function Subject:choose(who, is_doo, known)
   local n = self.asked + 1
   self.asked = n
@@ -171,8 +172,8 @@ function Subject:number_of_event(event)
   return number
 end
 
---- Return who makes an event, as `match.maker_of` does: nil for an event from outside.
---- An e_done@F is such an event, too, if F is the FQN of no leaf.
+--- Return the maker of an event, as `match.maker_of` does; nil if the event comes from
+--- outside. An event e_done@F comes from outside, too, if no leaf has the FQN F.
 function Subject:maker_of(event)
   local maker, fqn = match.maker_of(event)
   if maker == "engine" and event ~= "e_init_fsm" and not self.done[event] then
@@ -475,9 +476,8 @@ local function is_quiet(self, part, position, leaf, events)
     or position.mode == "done" and is_deaf(self, part, position, events)
 end
 
--- Marks the regions in which nothing would happen as quiet, so that the engine does not
--- advance them: no doo goes on, and no event has an effect. If the step may leave the
--- active leaf, no region is quiet.
+-- Marks regions as quiet if a step would change nothing in them. The engine does not
+-- advance quiet regions. If the step may leave the active leaf, no region is quiet.
 local function leave_out_quiet(self, conf, events)
   local leaf = self.leaves_out and conf[1].leaf
   local _, own = rfsm.regions(leaf)
@@ -652,8 +652,8 @@ end
 --- Does an event wait in the queue of the machine itself, so that `rfsm.run` goes on?
 function subject.is_driven(conf) return conf[1].waiting[1] ~= nil end
 
---- May a step without events from outside change something? It may if the machine was
---- not entered, if the doo of its leaf goes on, or if an event waits.
+--- Is the machine busy? It is if it was not entered, if the doo of its leaf goes on, or
+--- if an event waits. Then a step without events from outside may change something.
 function subject.is_busy(conf)
   return not conf[1].leaf or conf[1].mode ~= "done" or subject.is_driven(conf)
 end
@@ -697,9 +697,9 @@ local function free_predicates(self, fsm)
   end
 end
 
--- Makes a silent machine of a model, with choices in place of predicates. A preproc
--- function puts them there, before the engine indexes the events. It is removed by its
--- position, since an extension that is loaded meanwhile may append its own function.
+-- Makes a silent machine of a model. A preproc function replaces its predicates before
+-- the engine indexes the events. The function is then removed by its position, since an
+-- extension that is loaded meanwhile may append its own function.
 local function new_machine(self, model)
   local init = rfsm.is_initialized_root(model) and rfsm.init or static.init
   local preproc, at = rfsm.preproc, #rfsm.preproc + 1
@@ -710,8 +710,8 @@ local function new_machine(self, model)
   return fsm or error("the model has problems\n  " .. concat(problems, "\n  "), 0)
 end
 
--- Raises an error for events in the alphabet that no transition names. A chart with
--- predicates may have any events there, since a predicate may accept them.
+-- Raises an error if the alphabet has an event that is in no transition. If the chart
+-- has predicates, any event is allowed, since a predicate may accept it.
 local function check_alphabet(self, alphabet)
   for _, event in ipairs(self.free.predicates and {} or alphabet or {}) do
     if not self.event_numbers[event] then
@@ -722,7 +722,7 @@ local function check_alphabet(self, alphabet)
   end
 end
 
---- List the events that transitions name, if they are texts.
+--- List all texts that are events of transitions.
 ---@return string[] names
 function Subject:named_texts()
   local list = {}
@@ -743,8 +743,8 @@ local function leave_out(entry)
   end
 end
 
--- Adds machines as parts, each before its regions: all, or those in `way` if it is
--- given.
+-- Adds machines as parts, each before its regions. If `way` is given, it has the
+-- prefixes of the machines to add. By default all are added.
 local function add_parts(self, fsm, way)
   local part_of = { [false] = false }
   for _, entry in ipairs(rfsm.machines(fsm)) do

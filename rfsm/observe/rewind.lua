@@ -1,8 +1,8 @@
 --- Rewind: snapshots of a machine are noted during its run, and it can return to them.
 --
--- A *place* is the machine as it was between two advances. A return calls no callback
--- and no guard. It does not restore data outside of `keep`, and a doo begins anew. If
--- the places take too many bytes, the oldest ones are forgotten.
+-- A *place* is the machine as it was between two advances. Returning to a place
+-- calls no callback and no guard. Data outside of `keep` is not restored, and a doo
+-- begins anew. If the places take too many bytes, the oldest ones are forgotten.
 --
 -- @module rfsm.observe.rewind
 -- @license BSD-3-Clause
@@ -130,7 +130,7 @@ end
 
 --- How places are kept.
 ---@class rfsm.observe.RewindOptions
----@field bytes? integer the most bytes of all places (32 MiB); the present one is kept
+---@field bytes? integer limit of all places (32 MiB); the present one is always kept
 ---@field about? fun(): any called for each place; its result is kept with the place
 ---@field prepare? fun(about: any) called with the result of `about` before `go` puts
 -- the machine into the place, for example to set a clock

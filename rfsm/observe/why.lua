@@ -1,6 +1,6 @@
 --- Why: explains for each transition if events would make the machine take it.
 --
--- Guards and predicates are called, as the engine does when it searches a transition.
+-- Guards and predicates are called, as when the engine searches for a transition.
 -- No other callback is called, and the machine does not change.
 --
 -- @module rfsm.observe.why
@@ -25,7 +25,7 @@ local why = {}
 ---@class rfsm_checks.Answer
 ---@field verdict "fires"|"lost"|"enabled"|"event"|"guard"|"failed"|"closed"
 ---@field reason string the verdict in words
----@field place string "root.trans[2] (off -> on)"
+---@field place string path and ends of the transition: "root.trans[2] (off -> on)"
 ---@field file string "chart.lua:7: "; empty if it is not known
 ---@field src string FQN of the source
 ---@field tgt string FQN of the target
@@ -34,7 +34,7 @@ local why = {}
 ---@field ways? rfsm_checks.Answer[] if "closed": the answers of the transitions from
 -- the connector, unless an earlier answer has them
 
---- The answers of a machine: of each transition that the engine may try.
+--- The answers for all transitions of a machine that the engine may try.
 ---@class rfsm_checks.Why
 ---@field events string[] the events, as texts
 ---@field leaf string|false FQN of the active leaf; false before the first entry
@@ -59,8 +59,8 @@ local function matches(search, tr)
   end)
 end
 
--- Returns the node to which a transition leads, even if a program has changed its
--- target; nil if the target cannot be entered.
+-- Returns the node to which a transition leads; nil if its target cannot be entered.
+-- A program may have changed the target.
 local function target_of(tr)
   local tgt = tr.tgt
   if rawequal(tr.src, tgt) and rfsm.target_of(tr) == "internal" then return tgt end
@@ -73,7 +73,7 @@ local function name_of(tgt) return rfsm.is_node(tgt) and tgt._fqn or text_of(tgt
 local ask_connector
 
 -- Returns the verdict on a transition and the reason in words. If the path ends at a
--- connector, also returns its FQN and the answers of its transitions.
+-- connector, also returns the FQN of the connector and the answers of its transitions.
 local function judge(search, tr)
   if not matches(search, tr) then
     local wanted = concat(texts_of(tr.events or {}), ", ")
@@ -200,7 +200,7 @@ function why.why(fsm, ...)
   return result, concat(lines, "\n")
 end
 
--- An event that no transition names.
+-- This table represents every event that is in no transition.
 local OTHER = setmetatable({}, { __tostring = function() return "any other event" end })
 
 -- Appends the events on which the machine, or a region of its leaf, takes a transition.
@@ -223,10 +223,10 @@ end
 
 --- List the events that would make the machine take a transition now.
 --
--- Each event that a transition names is tried alone, in the order of the tree.
+-- Each event of a transition is tried alone, in the order of the tree.
 --
 ---@param fsm rfsm.Machine
----@return any[] events the field `any` is true if any other event would do so, too
+---@return any[] events the field `any` is true if any other event has this effect, too
 ---@return string text the events as text, one in a line
 function why.enabled(fsm)
   rfsm.check_machine(fsm, "rfsm_checks.enabled")

@@ -37,8 +37,8 @@ local function size_of(box, direction)
   return box.height, box.width
 end
 
--- In points: about the width of a channel, about the height of the lines above and
--- below columns, and the distance between lines.
+-- Lengths in points: about the width of the channel between two columns, about the
+-- height of the lines above and below columns, and the distance between lines.
 local CHANNEL, TRACKS, PITCH = 40, 60, 8
 
 -- Returns a list with the number of the column of each node. The nodes are divided

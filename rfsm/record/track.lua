@@ -73,7 +73,7 @@ end
 
 -- Changes of data that the chart keeps, and of targets -------------------------------
 
---- Return the kept fields and targets of a machine with values, for `may_have_changed`.
+--- Return the kept fields and targets of a machine and their values.
 function track.observe_data(fsm)
   local observed = { has_save = false }
   local function add(obj, field, is_data)
@@ -177,7 +177,7 @@ function track.attach(fsm, listener, session)
     track.wrap(own)
     tracks[i], of[at.machine] = own, own
   end
-  -- A machine that is merged in later has no track, and a transition no number.
+  -- A machine that is merged in later has no track. A new transition has no number.
   function heard.guard(at, tr, guard, events)
     local own = of[at.machine]
     local number = own and own.number_of[tr]

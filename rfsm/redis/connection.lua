@@ -29,7 +29,7 @@ local function unescaped(text)
   end))
 end
 
---- Return the parts of a URL such as rediss://user:password@host:6380/1, or nil.
+--- Return the parts of a URL like rediss://user:password@host:6380/1; nil if wrong.
 function connection.parse(url)
   local scheme, rest = url:match("^(rediss?)://(.*)$")
   local user, password, place = (rest or ""):match("^([^:@/]*):([^@/]*)@(.*)$")
@@ -121,7 +121,7 @@ local function drop(self, address)
   local client = self.nodes[address]
   if client then pcall(client.network.socket.close, client.network.socket) end
   self.nodes[address] = nil
-  for tag, place in order.each(self.node_of) do -- any order: each stands alone
+  for tag, place in order.each(self.node_of) do -- any order: each is independent
     if place == address then self.node_of[tag] = nil end
   end
 end
@@ -239,8 +239,8 @@ local function read(client)
   return command(client, "READ")
 end
 
--- Sends calls to one node in one text. Returns the replies by the numbers of the calls.
--- A call without a reply has none in the table.
+-- Sends calls to one node in one text. Returns a table number of a call -> its reply. A
+-- call that got no reply is not in the table.
 local function ask_at_once(self, address, calls)
   local found, client = pcall(node, self, address)
   local texts, replies = {}, {}
@@ -275,7 +275,7 @@ function Connection:call_all(tags, calls)
     by_address[address] = group
     group.calls[#group.calls + 1], group.numbers[#group.numbers + 1] = calls[i], i
   end
-  for address, group in order.each(by_address) do -- any order: each stands alone
+  for address, group in order.each(by_address) do -- any order: each is independent
     for i, reply in order.each(ask_at_once(self, address, group.calls)) do -- any order
       replies[group.numbers[i]] = reply
     end

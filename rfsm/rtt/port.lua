@@ -1,8 +1,8 @@
 --- A port of RTT that is found again by its name.
 --
 -- `rttlib.tc_cleanup` deletes the ports of a component. If Lua code uses a deleted
--- port, the process ends. So the ports of a launch, and the hook that writes the FQN,
--- look their port up by name.
+-- port, the process ends. So a launch holds each port in an object of this module. The
+-- object looks the port up by name.
 --
 -- @module rfsm.rtt.port
 -- @license BSD-3-Clause
@@ -21,7 +21,7 @@ end
 --- An object that holds a port, and is read and written like a port.
 ---@class rfsm.rtt.Port
 ---@field name string name of the port
----@field component any|false the component of the port; false: it is not looked up
+---@field component any|false its component; false if the port is not looked up
 ---@field facts table<string, any> the information of the port that was held first
 ---@field real any|false the port; false while there is no such port
 ---@field was_found boolean has the component ever had the port?
@@ -63,9 +63,9 @@ function port.reserve(component, facts)
     real = false, was_found = true, last = nil, samples = {} }, Port)
 end
 
---- Make an object that holds `real`: a port of the component of this Lua, or an object
--- that is read and written like a port. `facts` is its information. If `real` is a
--- held port already, it is returned unchanged.
+--- Make an object that holds `real`: a port of the component that runs this Lua, or an
+-- object that is read and written like a port. `facts` is the information of the port.
+-- If `real` is an object of this module already, it is returned unchanged.
 function port.hold(real, facts)
   if getmetatable(real) == Port then return real end
   local rtt = package.loaded.rtt

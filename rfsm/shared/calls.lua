@@ -43,8 +43,7 @@ end
 
 local PRINTERS = { "dbg", "info", "warn", "err" }
 
---- Return make(model), such as rfsm.init(model); the model's printers are off
--- meanwhile.
+--- Return make(model), such as rfsm.init(model), with the model's printers off.
 ---@param warn? function|false a printer for warnings; default: they are not printed
 function calls.silently(make, model, warn)
   local own = {}

@@ -8,8 +8,8 @@ local debug, jit = rawget(_G, "debug"), rawget(_G, "jit")
 
 local limit = { SECONDS = 5 } -- the longest time that the loading of a chart may take
 
--- Returns "file:line: " of the innermost function on the stack that has a line, and
--- whose source `is_known` accepts, if that is given.
+-- Returns "file:line: " of the innermost function on the stack that has a line. If
+-- `is_known` is given, it also has to accept the source of the function.
 local function location(is_known)
   local level, info = 3, debug.getinfo(3, "Sl")
   while info and (info.currentline < 1 or is_known and not is_known(info.source)) do

@@ -3,11 +3,11 @@
 -- `rfsm.sorted_keys` returns the keys of a table in order. `order.each` is for loops in
 -- which the order does not matter.
 --
--- LuaJIT 2.1.0-beta3 may compile `next` wrongly: a traversal inside of another skips
--- keys, and where the two results have to change places a pointer loses its upper half,
--- which crashes the process. LuaJIT compiles no loop over `order.each`, and no loop
--- around such a loop. So loops that run often use `order.each`. On other Luas it is the
--- same as a loop with `next`.
+-- LuaJIT 2.1.0-beta3 may compile `next` wrongly. A traversal inside another one skips
+-- keys. If the machine code swaps the two results, a pointer loses its upper half, and
+-- the process crashes. LuaJIT compiles no loop over `order.each`, and no loop around
+-- such a loop, so loops that run often use `order.each`. In other Luas, `order.each` is
+-- the same as a loop with `next`.
 --
 -- @module rfsm.shared.order
 -- @license BSD-3-Clause

@@ -104,7 +104,7 @@ end
 
 -- Pack --------------------------------------------------------------------------
 
--- Does JSON with 14 digits keep a number as it is, also as an integer or a float?
+-- Does JSON with 14 digits keep the value of a number, and its type (integer, float)?
 local function is_safe(n)
   if n - n ~= 0 then return false end -- not finite
   local is_whole = floor(n) == n
@@ -161,8 +161,8 @@ local function as_table(packed, path, depth)
   return is_plain(packed) and packed or to_pairs(packed, path, depth)
 end
 
--- Raises an error for a table that is too deep, has a metatable, or was packed before:
--- unpacking would make two tables of it.
+-- Raises an error for a table that is too deep, has a metatable, or was packed before.
+-- If a table were packed twice, unpacking would make two tables of it.
 local function check_table(t, path, depth)
   path.seen = path.seen or {}
   if getmetatable(t) ~= nil then
@@ -180,7 +180,7 @@ end
 local function pack_table(t, path, depth)
   check_table(t, path, depth)
   local copy = {}
-  for key, inner in each(t) do -- any order: each stands alone
+  for key, inner in each(t) do -- any order: each is independent
     path[depth + 1] = key
     copy[key] = pack(inner, path, depth + 1)
   end
@@ -260,7 +260,7 @@ local function unpack_table(packed, depth)
     return NIL
   end
   local t = {}
-  for key, value in each(packed) do -- any order: each stands alone
+  for key, value in each(packed) do -- any order: each is independent
     if not is_scalar(key) then fail("a text as key expected, got %s", type(key)) end
     t[key] = unpack(value, depth + 1)
   end

@@ -65,7 +65,7 @@ local function check_shape(snap)
   if not snap.chart then fail("chart: string expected, got nil") end
   check_fields(snap, WHOLE, "")
   snap.regions = snap.regions and copy_fields(snap.regions)
-  for prefix, part in each(snap.regions or NONE) do -- any order: each stands alone
+  for prefix, part in each(snap.regions or NONE) do -- any order: each is independent
     if type(part) ~= "table" then
       fail("regions: table expected for '%s', got %s", text_of(prefix), type(part))
     end
@@ -178,34 +178,34 @@ end
 local renamed_text = migrate.renamed
 
 -- Returns a copy of a value with new names in keys and values. Only `depth` levels of
--- tables are changed; what is deeper stays as it is.
+-- tables are changed; deeper values stay as they are.
 local function renamed(value, rename, depth)
   if depth == 0 then return value end
   if type(value) == "string" then return renamed_text(value, rename) end
   if type(value) ~= "table" then return value end
   local copy = {}
-  for key, inner in each(value) do -- any order: each stands alone
+  for key, inner in each(value) do -- any order: each is independent
     copy[renamed(key, rename, 1)] = renamed(inner, rename, depth - 1)
   end
   return copy
 end
 
--- For each field of a snapshot that has names of states: the depth for `renamed`.
+-- The fields of a snapshot that have names of states, with the depth for `renamed`.
 local NAMED = { leaf = 1, queue = 2, targets = 2, ext = 20, data = 1, saved = 1 }
 
 local function rename_part(part, rename)
   local copy = {}
-  for field, value in each(part) do -- any order: each stands alone
+  for field, value in each(part) do -- any order: each is independent
     copy[field] = renamed(value, rename, NAMED[field] or 0)
   end
   return copy
 end
 
--- Returns the new names of the states of a region, as a table of old and new FQNs that
--- begin with root, and the new prefix of the region.
+-- Returns two results for a region: a table old -> new FQN of its renamed states, where
+-- each FQN begins with root, and the new prefix of the region.
 local function inside(rename, prefix)
   local inner, new_prefix = {}, renamed_text(prefix, rename)
-  for old, new in each(rename) do -- any order: each stands alone
+  for old, new in each(rename) do -- any order: each is independent
     if old:sub(1, #prefix + 1) == prefix .. "."
       and new:sub(1, #new_prefix + 1) == new_prefix .. "." then
       inner["root" .. old:sub(#prefix + 1)] = "root" .. new:sub(#new_prefix + 1)
@@ -217,7 +217,7 @@ end
 local function rename_states(snap, rename)
   local copy = rename_part(snap, rename)
   copy.regions = snap.regions and {}
-  for prefix, part in each(snap.regions or NONE) do -- any order: each stands alone
+  for prefix, part in each(snap.regions or NONE) do -- any order: each is independent
     local inner, new_prefix = inside(rename, prefix)
     copy.regions[new_prefix] = rename_part(part, inner)
   end
@@ -245,9 +245,8 @@ function migrate.difference(old, new)
   return list
 end
 
--- Returns the structure of a snapshot's chart as lines. Each part has the name of its
--- chart; a part without a name has the present chart. Returns nil if one of the names
--- is not known.
+-- Returns the structure of a snapshot's chart as lines. A part that does not name its
+-- chart has the present chart. Returns nil if a named chart is not known.
 local function known_lines(fsm, snap)
   local lines = {}
   for _, at in ipairs(shape.of(fsm).places) do
@@ -302,12 +301,12 @@ local function each_part(snap, f)
 end
 
 -- Unpacks the data of states, so that `migrate` gets the values as callbacks see them.
--- Fields saved as nil become absent. They are returned in a list of { prefix, FQN, name
--- }.
+-- Fields saved as nil become absent. Returns a list of these fields, each as a list
+-- { prefix, FQN, name }.
 local function unpack_kept(snap)
   local nils = {}
   each_part(snap, function(part, prefix)
-    for fqn, packed in each(part.data or NONE) do -- any order: each stands alone
+    for fqn, packed in each(part.data or NONE) do -- any order: each is independent
       local fields = encoding.unpack(packed, 2)
       part.data[fqn] = fields
       for name, value in each(type(fields) == "table" and fields or NONE) do
@@ -324,7 +323,7 @@ local function unpack_kept(snap)
 end
 
 local function pack_all(values, owner)
-  for fqn, value in each(values or NONE) do -- any order: each stands alone
+  for fqn, value in each(values or NONE) do -- any order: each is independent
     values[fqn] = encoding.pack(value, { owner = owner .. text_of(fqn):sub(5),
       seen = false }, 0)
   end
@@ -363,8 +362,8 @@ local function call_migrate(fsm, snap, list, options)
   return moved
 end
 
--- Returns the gravest change between a snapshot and the charts of a machine and its
--- regions ("structure", "kept" or nil), and the change of each machine, by prefix.
+-- Compares a snapshot with the charts of a machine and its regions. Returns the gravest
+-- change ("structure", "kept" or nil), and a table prefix -> change.
 local function changes(fsm, snap)
   local most, by_prefix, count = nil, {}, 0
   for _ in each(snap.regions or NONE) do count = count + 1 end -- any order: counted

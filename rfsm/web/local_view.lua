@@ -41,7 +41,7 @@ local MAX_LOST = 20 -- how many events without an effect are noted, at most
 ---@field entered table<integer, integer> number of a state -> how often it was entered
 -- while the machine was observed
 ---@field stream rfsm.observe.Stream|false false while the machine is not observed
----@field changes table[] hooks and printers that `close` takes back
+---@field changes table[] hooks and printers that `close` removes from the machine
 ---@field points rfsm.observe.Breakpoint[] breakpoints
 ---@field hit string|false name of the last breakpoint reached; the caller resets it
 local LocalView = setmetatable({}, { __index = View })
@@ -246,14 +246,14 @@ function LocalView:inspect(number)
   return about
 end
 
---- Answer the command `inspect` of a page. Return nil and the answer, or a problem.
+--- Answer the command `inspect` of a page. Return a problem or nil, and the answer.
 function LocalView.answer_inspect(source, message)
   local about = source.view:inspect(message.node)
   return not about and "node: number of a state expected" or nil, about
 end
 
 --- Make a view of a machine. It does not observe the machine yet. `clock` is a function
--- that returns seconds, the times of entries in the log.
+-- that returns the time of an entry in the log, in seconds.
 function LocalView.new(fsm, clock)
   local view = View.create(LocalView, marsh.model2tab(fsm, true), clock)
   view.fsm, view.machines, view.numbers, view.node_of = fsm, rfsm.machines(fsm), {}, {}
