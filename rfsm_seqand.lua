@@ -39,8 +39,8 @@ local step, run = rfsm.step, rfsm.run
 -- regions do not become children of the state.
 local Substates = {}
 
--- Set of the `substates` of states that were given transitions, for a warning: such
--- transitions belong into a region.
+-- The `substates` of states that contain transitions, for a warning: transitions belong
+-- into a region.
 local has_transitions = setmetatable({}, { __mode = "k" })
 
 local function has_regions(state)
@@ -156,7 +156,7 @@ local function advance_all(fsm, state)
     local regions, are_all_idle = state._regions, true
     forward(fsm, regions, fsm._curq)
     for i = 1, #regions do are_all_idle = advance(fsm, state, i) and are_all_idle end
-    -- a copy of the machine shares this coroutine
+    -- `yield` returns the next machine: copies of a machine share this coroutine
     fsm, state = rfsm.yield(idle_flag(state, are_all_idle))
   end
 end
@@ -228,9 +228,9 @@ local HANDED_ON = {
 
 local PRINTERS = { "info", "warn", "err" }
 
-local is_apart = false -- is a machine for a tool being made, by `init_apart`?
+local is_apart = false -- true while `init_apart` makes a machine for a tool
 
--- Returns the table from which a region gets the printers that its model lacks.
+-- Returns the table from which a region gets those of `PRINTERS` that its model lacks.
 local function owner_of_printers(fsm, given)
   if is_apart then return { info = false, warn = false, err = false } end
   return rfsm.is_initialized_root(given) and given or fsm
@@ -269,7 +269,7 @@ local function new_region(fsm, given)
   return region, problems
 end
 
-local in_progress = {} -- set of `substates` whose regions are being made: finds circles
+local in_progress = {} -- set of `substates` being made, to find a state in itself
 
 -- Makes the machines for the regions of `state`, and appends their problems. Returns
 -- the new `substates`.
@@ -358,7 +358,7 @@ local function obstacle(key, value)
   end
 end
 
--- Returns the state for some fields; nil and the problem if a field is wrong.
+-- Returns a state with the given fields; if a field is wrong, nil and the problem.
 local function new_state(fields)
   if type(fields) ~= "table" then return nil, "table expected, got " .. type(fields) end
   local state, regions, first = {}, setmetatable({}, Substates), nil

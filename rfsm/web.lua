@@ -141,7 +141,7 @@ end
 -- Pictures ------------------------------------------------------------------------
 
 -- Answers with the picture of a machine. The request lists the numbers of the
--- composites that are drawn folded. The page repeats it until the picture is ready.
+-- composites that are drawn folded. The page asks again until the picture is ready.
 local function picture_reply(server, request, tab)
   local source, numbers = server.sources[tab],
     request.query:match("folded=([%d,]*)") or ""
@@ -178,7 +178,7 @@ local ROUTES = {
 }
 
 -- Is the host of the request an address, or the name of this server? Any other name may
--- be that of a foreign server whose name was pointed at this address (DNS rebinding).
+-- belong to a hostile page whose owner pointed it at this address (DNS rebinding).
 local function is_for(server, host)
   local name = (host or ""):gsub(":%d+$", "")
   return name == "localhost" or name == server.name or name:find("^[%d.]+$") ~= nil
@@ -243,7 +243,7 @@ local function send_changes(server)
   end)
 end
 
--- Stops observing the machine of a program if no page has read for a while.
+-- Stops observing the machine of a program if no page has read for LINGER seconds.
 local function rest(server, source)
   if source.observe and server.http.clock() > source.seen_at + LINGER then
     source:observe(false)
@@ -279,7 +279,7 @@ function Server:close()
   end
 end
 
--- Returns the options with their defaults and the packages; or nil and a problem.
+-- Returns the options with defaults and the packages; if that fails, nil and a problem.
 local function prepare(options)
   local settings, problem = opts.read(OPTIONS, options or {})
   if not settings then return nil, problem end

@@ -36,7 +36,7 @@ local fail, now, open, put = encoding.fail, times.now, charts.open, charts.put
 
 local MAX_DATA, MAX_VALUE = 65536, 1048576 -- bytes
 local MAX_STEPS = 1000
-local MAX_DUE, RESTLESS = 200, 20 -- steps in a call; one that ends busy counts as 20
+local MAX_DUE, RESTLESS = 200, 20 -- steps in a call; if not idle after one, it counts 20
 local LEAST_PASSED = 0.1 -- seconds; if MAX_DUE steps advance the clock less, it jumps
 local TIME = "(time)" -- the name of a step without an event in the history
 local SAME = 1e-6 -- seconds; closer times are equal, since timers fire 1 ns late
@@ -115,7 +115,7 @@ local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD = 2, 3, 4, 5, 6, 7, 8, 9
 --- saved it; false: the machine is new
 ---@field at string FQN of the active leaf; "": the machine was not entered
 ---@field mode string mode of the active leaf
----@field was_due number|false|nil the DUE of the saved list
+---@field was_due number|false|nil the item DUE of the saved list
 ---@field value any the new list as the host has packed it
 ---@field moves { by: string, from: string, to: string }[] the moves of this call
 ---@field is_idle boolean was the machine idle after its last step?
@@ -161,9 +161,9 @@ local function load_machine(key, list)
   return new_machine(key, chart, list, list[SNAP].leaf)
 end
 
--- Move: what is due, then what was sent -----------------------------------------------
+-- Move: first run what is due, then send new events ------------------------------------
 
--- Returns the position of the events with an id in the list of waiting events, or nil.
+-- Returns the position of an id in the list of waiting events; nil if it is not there.
 local function find_later(list, id)
   for i, entry in ipairs(list[LATER] or NONE) do
     if entry[2] == id then return i end
@@ -266,8 +266,8 @@ local function advance_to_due(machine)
   return TIME
 end
 
--- Returns the earlier one of a time (nil or false: never) and the time of the first
--- waiting events.
+-- Returns `time` (nil or false: never), or the time of the first waiting events if that
+-- is earlier.
 local function earliest(time, list)
   local first = (list[LATER] or NONE)[1]
   return first and min(time or huge, first[1]) or time
@@ -323,8 +323,8 @@ local function move(machine, texts, id)
   machine.outcome = step(machine, concat(texts, " ")) and "taken" or false
 end
 
--- Runs the due timers and events. If none were due, or if the machine is not idle then,
--- steps it once more.
+-- Runs the due timers and events. If none were due, or if the machine is not idle after
+-- them, steps it once more.
 local function run(machine)
   local is_present = catch_up(machine)
   machine.outcome = machine.outcome or "kept"
@@ -346,7 +346,7 @@ end
 
 -- Save: first all that may fail, then the writes -----------------------------------
 
--- Returns when a machine is to be woken; nil if only an event can move it.
+-- Returns the time at which to wake a machine; nil if only an event can move it.
 local function due_of(machine, snap)
   if not machine.is_idle and machine.fsm._act_leaf then return times.seen() end
   local left = (snap.ext or snap.regions) and timeevent.next_deadline(machine.fsm)
@@ -482,7 +482,7 @@ function functions.rfsm_tick(keys)
   return save(machine)
 end
 
--- rfsm_get KEY: returns a list of names and values in turns.
+-- rfsm_get KEY: returns a list in which each name is followed by its value.
 function functions.rfsm_get(keys)
   local list = read(key_of(keys))
   local snap, names, queue = list[SNAP], {}, {}
