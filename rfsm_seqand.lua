@@ -220,7 +220,7 @@ end
 
 -- Prepare: each instance gets its regions ----------------------------------------
 
--- Fields that tools set on a machine; a fresh machine that takes its place gets them.
+-- Fields that tools set on a machine. If a fresh machine takes its place, it gets them.
 local HANDED_ON = {
   "dbg", "info", "warn", "err", "getevents", "idle_hook", "pre_step_hook",
   "post_step_hook", "gettime",

@@ -1,15 +1,14 @@
 --- A machine in the browser: a server for one page, which shows it and takes events.
 --
 -- `serve` serves the page of a machine from your program, which calls `server:step` in
--- its loop. `open` makes the machine of a chart, which the page drives; the command
--- `rfsm web` calls it. This module needs the packages luasocket and dkjson. Pictures
--- need Graphviz.
+-- its loop. `open` makes the machine of a chart, and the page drives this machine; the
+-- command `rfsm web` calls `open`. This module needs the packages luasocket and dkjson.
+-- Pictures need Graphviz.
 --
 -- The server listens on loopback. It answers only requests whose Host header is an
 -- address or the name of the server. Commands need the token that is in the page.
 --
--- The file reads in this order: messages, commands, pictures, routes, public
--- functions.
+-- The sections of this file: messages, commands, pictures, routes, public functions.
 --
 -- @module rfsm.web
 -- @license BSD-3-Clause
@@ -315,8 +314,8 @@ end
 --- Options of `serve`, `open` and `attach`.
 ---@class rfsm.web.Options
 ---@field allow_send? boolean with `serve`: may pages send events? default false
----@field allow_why? boolean with `serve`: may pages ask why an event did nothing, which
--- calls guards? default false
+---@field allow_why? boolean with `serve`: may pages ask why an event did nothing? The
+-- answer calls guards. Default false
 ---@field machine? integer with `attach`: show only the machine with this number;
 -- default: all machines of the port
 ---@field history? boolean with `serve`: observe the machine while no page is open, too?

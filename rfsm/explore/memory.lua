@@ -87,7 +87,7 @@ local function add_home(self, of, name, has_places)
   end
 end
 
--- Cells: upvalues and global variables ................................................
+-- Cells: upvalues and global variables ..............................................
 
 local LIBRARIES = { "_G", "bit", "bit32", "coroutine", "debug", "ffi", "io", "jit",
   "math", "os", "package", "string", "table", "utf8" }

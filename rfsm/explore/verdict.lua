@@ -142,7 +142,7 @@ local function find_closed(walk, findings, met)
 end
 
 -- Finds transitions that no step takes although steps reach their source and target. If
--- one of the two is not reached, another finding reports that, and it is the reason.
+-- no step reaches one of the two, another finding reports this.
 local function find_untaken(walk, findings, met, is_closed)
   local function is_told(entry)
     local src, tgt = entry.tr.src, entered_by(entry.tr)
@@ -200,7 +200,7 @@ local function add_dead_end(walk, findings, number)
   end
 end
 
--- Finds dead ends: configurations in which nothing happens any more. If one of the walks
+-- Finds dead ends: configurations in which nothing happens any more. If some walk
 -- has no dead end with the same leaf of the machine, a region still moves in that walk.
 local function find_dead_ends(walks, findings)
   local are_stuck = {}
@@ -299,7 +299,7 @@ local function find_before(walk, numbers, others, least)
 end
 
 -- Has the machine itself (without its regions) the same leaf in all of these
--- configurations? If not, they are reported for the first walk, where they occur, too.
+-- configurations? If not, the first walk has the same trap, which is reported there.
 local function is_in_one_leaf(walk, numbers)
   local leaf = own_leaf(walk, numbers[1])
   return not any(numbers, function(number) return own_leaf(walk, number) ~= leaf end)
@@ -310,7 +310,7 @@ local function is_fault(state) return codes.means(state, "a fault") end
 -- Finds traps: configurations that lead to each other and nowhere else, if the machine
 -- waited for an event before it came there. The part before the trap may have been a
 -- setup, so the finding is a note. It is a warning if the part before has a cycle with
--- at least as many states as the trap, or if a state in the trap is named like a fault.
+-- at least as many states as the trap, or if a name in the trap means a fault.
 local function find_traps(walk, findings, is_first)
   local bottoms, others = graph.components(walk)
   local function waits_in(component) return find_waiting(walk, component) end
@@ -556,7 +556,7 @@ function verdict.of(model, options)
   local ways = independence.ways(own, list, options)
   local by_way, walks = walks_in(model, options, ways, list)
   local has_endless = any(walks, function(walk) return walk.endless end)
-  if walks[2] and has_endless then -- an endless step stops all regions: walk them together
+  if walks[2] and has_endless then -- an endless step stops all regions; walk them as one
     options.multiply = true
     return verdict.of(model, options)
   end

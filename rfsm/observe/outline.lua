@@ -1,7 +1,7 @@
 --- The outline of a chart: its nodes, edges and events in lists, numbered from 0 on.
 --
--- It is made from a description that `rfsm.marsh` has written, in this program or in
--- another one.
+-- The outline is made from a description that `rfsm.marsh` has written, in this or in
+-- another program.
 --
 -- @module rfsm.observe.outline
 -- @license BSD-3-Clause

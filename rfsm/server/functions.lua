@@ -36,7 +36,7 @@ local fail, now, open, put = encoding.fail, times.now, charts.open, charts.put
 
 local MAX_DATA, MAX_VALUE = 65536, 1048576 -- bytes
 local MAX_STEPS = 1000
-local MAX_DUE, RESTLESS = 200, 20 -- steps in a call; if not idle after one, it counts 20
+local MAX_DUE, RESTLESS = 200, 20 -- steps in a call; a step counts 20 if not idle then
 local LEAST_PASSED = 0.1 -- seconds; if MAX_DUE steps advance the clock less, it jumps
 local TIME = "(time)" -- the name of a step without an event in the history
 local SAME = 1e-6 -- seconds; closer times are equal, since timers fire 1 ns late
@@ -161,9 +161,9 @@ local function load_machine(key, list)
   return new_machine(key, chart, list, list[SNAP].leaf)
 end
 
--- Move: first run what is due, then send new events ------------------------------------
+-- Move: first run what is due, then send new events ---------------------------------
 
--- Returns the position of an id in the list of waiting events; nil if it is not there.
+-- Returns the position of an id in the list of waiting events; nil if it is missing.
 local function find_later(list, id)
   for i, entry in ipairs(list[LATER] or NONE) do
     if entry[2] == id then return i end
@@ -227,8 +227,8 @@ local function add_later(machine, time, id, texts)
   machine.list[LATER] = later
 end
 
--- Keeps the due events of a held machine due if the clock has gone back: lowers their
--- times to the present, so that later events come behind them.
+-- If the clock has gone back, lowers the times of the due events of a held machine to
+-- the present. So these events stay due, and later events come behind them.
 local function keep_due(list)
   for _, entry in ipairs(list[LATER] or NONE) do
     if entry[1] <= list[HELD] then entry[1] = min(entry[1], now()) end
@@ -279,9 +279,9 @@ local function was_restless(list)
 end
 
 -- Runs the due timers and events, each at its own time, until the machine is idle. Then
--- the clock of the machine shows the present. Returns false if that takes too many
--- steps: the clock shows the time that was reached, and the machine is due at once.
--- If timers are too fast to catch up with, the clock jumps to the present.
+-- the clock of the machine shows the present. Returns false if this takes too many
+-- steps: the clock shows the time that was reached, and the machine is due at once. If
+-- the clock has advanced less than LEAST_PASSED, it jumps to the present.
 local function run_due(machine)
   local budget, begun = MAX_DUE, times.seen()
   local by = was_restless(machine.list) and TIME or advance_to_due(machine)
@@ -296,7 +296,7 @@ local function run_due(machine)
 end
 
 -- Runs the due timers and events until the clock of the machine shows the present.
--- Returns false if the clock does not, because the machine is held or too much was due.
+-- Returns false if the machine is held, or if too much was due for one call.
 local function catch_up(machine)
   local list = machine.list
   if list[HELD] then return false end
@@ -332,9 +332,9 @@ local function run(machine)
   if step(machine, TIME) then machine.outcome = "taken" end
 end
 
--- Has an event that no transition took changed the snapshot of the machine? Timers have
--- run on since the machine was saved. So the saved snapshot is loaded at its own time
--- and taken again at the present, and the result is compared with `snap`.
+-- Did an event change the snapshot of a machine, although no transition took it? Timers
+-- have run on since the machine was saved. So the saved snapshot is loaded at its time,
+-- taken again at the present, and compared with `snap`.
 local function has_changed(machine, snap)
   local list, sec, nsec = machine.list, times.get()
   charts.forget_effects() -- effects of a function `load` are not reported

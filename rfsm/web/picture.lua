@@ -161,7 +161,7 @@ end
 local MOST = 8 -- greatest number of pictures that are kept
 
 --- Return the picture with a key; false if it failed, nil while it is drawn. If the key
--- is new, `request()` is called for the request, and the picture is begun.
+-- is new, `request()` is called, and the process begins to draw the returned request.
 ---@param key string
 ---@param request fun(): table
 ---@return string|false|nil svg

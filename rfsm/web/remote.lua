@@ -10,7 +10,7 @@ local subscriber = require "rfsm.observe.subscriber"
 
 local ipairs, setmetatable, type = ipairs, setmetatable, type
 
-local MARKS = { leaf = "[LS]", composite = "[CS]" } -- behind a state in the path of a message
+local MARKS = { leaf = "[LS]", composite = "[CS]" } -- in the path of a message
 local MAX_MESSAGES = 100 -- greatest number of messages that one poll reads
 local MAX_MACHINES = 100 -- greatest number of machines of a port that are shown
 local WAIT = 0.02 -- seconds between two polls of the socket
@@ -165,9 +165,9 @@ function Remote.wait() return WAIT end
 
 function Remote:describe(message) message.clock = self.clock() end
 
---- Return the list of the machines of a port, or a list of only the machine with a
--- given number; nil and the problem if the port cannot be reached. The list grows when
--- another machine answers.
+--- Return a list of the machines of a port, or only of the machine with a given number.
+-- The list grows when another machine answers. If the port cannot be reached, return
+-- nil and the problem.
 function Remote.open(host, port, number)
   local client, problem = subscriber.connect(host, port, true)
   if not client then return nil, problem end
