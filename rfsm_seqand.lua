@@ -91,7 +91,7 @@ end
 
 --- The field `_regions` of a state: its regions in the order in which they are stepped.
 ---@class rfsm_seqand.Regions
----@field names any[] the names of the regions, in the same order
+---@field names any[] the names of the regions, in the order of this list
 ---@field entry? function the entry that the user gave
 ---@field exit? function the exit that the user gave
 ---@field is_shown boolean the order of the regions has been printed
@@ -265,7 +265,7 @@ local function new_region(fsm, given)
     region, problems = fresh_region(fsm, given)
   end
   if region then rawset(region, "_owner", fsm) end
-  if region and fsm._emit then rfsm.set_emit(region, fsm._emit) end -- after fsm_merge
+  if region and fsm._emit then rfsm.set_emit(region, fsm._emit) end -- merged in later
   return region, problems
 end
 

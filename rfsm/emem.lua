@@ -107,7 +107,7 @@ local function load(fsm, counts)
     local emem, kept = state.emem or {}, counts and counts[state._fqn] or {}
     if type(kept) ~= "table" then error("table of counts expected", 0) end
     for _, event in ipairs(rfsm.sorted_keys(emem)) do emem[event] = nil end
-    fsm._emem.others[state] = #rfsm.sorted_keys(kept) -- or less: some may be declared
+    fsm._emem.others[state] = #rfsm.sorted_keys(kept) -- or fewer: some are declared
     for _, event in ipairs(rfsm.sorted_keys(kept)) do
       if type(kept[event]) ~= "number" then error("number of events expected", 0) end
       emem[event] = kept[event]

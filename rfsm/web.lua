@@ -46,7 +46,7 @@ local OPTIONS = {
 }
 
 local MAX_DRAWN = 2000 -- nodes; Graphviz does not draw a machine that has more
-local FRAME = 1 / 30 -- seconds between two messages to a page, at least
+local FRAME = 1 / 30 -- least number of seconds between two messages to a page
 local LINGER = 5 -- seconds that a machine is observed after the last page has gone
 
 local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline'; "

@@ -45,11 +45,11 @@ Memory.__index = Memory
 
 --- A table whose fields are compared with their first values.
 ---@class rfsm_checks.Home
----@field of table the table
+---@field of table the table itself
 ---@field name string path of the table: "on", "trans[2]"; empty for the machine
 ---@field kept table<any, any> the first values, by key
 ---@field count integer the number of first values
----@field followed table<any, true> keys that `vars` names
+---@field followed table<any, true> keys of the fields that the option `vars` names
 
 local MANY = 1000 -- greatest number of homes (tables with data) outside of the chart
 

@@ -34,17 +34,17 @@ local verdict = {}
 ---@field taken integer number of transitions that at least one step takes
 ---@field bound? "configurations"|"depth"|"seconds"|"choices"|"sets"|"targets"|"values"
 -- |"pending" a limit that the exploration reached
----@field untried string[] what was not tried, as texts; empty without a bound
+---@field untried string[] texts about parts that were not tried; empty without a bound
 ---@field premises string the assumptions: "one event a step; guards and timers free"
 ---@field findings rfsm_checks.Finding[] a finding about a run has a field `witness`
----@field properties rfsm_checks.Verdict[]
+---@field properties rfsm_checks.Verdict[] the verdict on each property
 local Exploration = {}
 Exploration.__index = Exploration
 
 --- The verdict on a property.
 ---@class rfsm_checks.Verdict
 ---@field name string
----@field holds boolean|nil nil: not known
+---@field holds boolean|nil nil if the exploration cannot decide it
 ---@field vacuous? string the reason, if the property holds only trivially
 ---@field witness? rfsm_checks.WitnessStep[] the run that shows that it does not hold
 ---@field premises string the assumptions of the exploration
@@ -556,7 +556,7 @@ function verdict.of(model, options)
   local ways = independence.ways(own, list, options)
   local by_way, walks = walks_in(model, options, ways, list)
   local has_endless = any(walks, function(walk) return walk.endless end)
-  if walks[2] and has_endless then -- an endless step stops all regions; walk them as one
+  if walks[2] and has_endless then -- an endless step stops all regions: use one walk
     options.multiply = true
     return verdict.of(model, options)
   end

@@ -106,7 +106,7 @@ end
 -- Levels that do not fit ------------------------------------------------------
 
 local FEWEST, MANY = 6, 8 -- least numbers of nodes to change a level, to divide it
-local TALLEST, WIDEST = 420, 800 -- points: smaller inner levels are not turned
+local TALLEST, WIDEST = 420, 800 -- points: smaller inner levels keep their direction
 local LONGEST = 1000 -- points: shorter levels are readable on A4, and not divided
 local MISFIT = log(1.7)
 

@@ -34,11 +34,13 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local concat, insert, remove = table.concat, table.insert, table.remove
 local fail, now, open, put = encoding.fail, times.now, charts.open, charts.put
 
-local MAX_DATA, MAX_VALUE = 65536, 1048576 -- bytes
+local MAX_DATA, MAX_VALUE = 65536, 1048576 -- bytes: first data, a packed machine
 local MAX_STEPS = 1000
-local MAX_DUE, RESTLESS = 200, 20 -- steps in a call; a step counts 20 if not idle then
+-- The greatest number of steps for due timers and events in a call. If the machine is
+-- not idle after a step, this step counts as RESTLESS steps.
+local MAX_DUE, RESTLESS = 200, 20
 local LEAST_PASSED = 0.1 -- seconds; if MAX_DUE steps advance the clock less, it jumps
-local TIME = "(time)" -- the name of a step without an event in the history
+local TIME = "(time)" -- in the history: the name of a step without an event
 local SAME = 1e-6 -- seconds; closer times are equal, since timers fire 1 ns late
 local MAX_ID, MAX_LATER = 64, 100 -- bytes of an id; waiting events of a machine
 
