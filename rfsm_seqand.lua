@@ -39,8 +39,8 @@ local step, run = rfsm.step, rfsm.run
 -- regions do not become children of the state.
 local Substates = {}
 
--- Set of the `substates` of states that were given transitions, for a warning: such
--- transitions belong into a region.
+-- The `substates` of states that contain transitions, for a warning: transitions belong
+-- into a region.
 local has_transitions = setmetatable({}, { __mode = "k" })
 
 local function has_regions(state)
@@ -91,7 +91,7 @@ end
 
 --- The field `_regions` of a state: its regions in the order in which they are stepped.
 ---@class rfsm_seqand.Regions
----@field names any[] the names of the regions, in the same order
+---@field names any[] the names of the regions, in the order of this list
 ---@field entry? function the entry that the user gave
 ---@field exit? function the exit that the user gave
 ---@field is_shown boolean the order of the regions has been printed
@@ -156,7 +156,7 @@ local function advance_all(fsm, state)
     local regions, are_all_idle = state._regions, true
     forward(fsm, regions, fsm._curq)
     for i = 1, #regions do are_all_idle = advance(fsm, state, i) and are_all_idle end
-    -- a copy of the machine shares this coroutine
+    -- `yield` returns the next machine: copies of a machine share this coroutine
     fsm, state = rfsm.yield(idle_flag(state, are_all_idle))
   end
 end
@@ -220,7 +220,7 @@ end
 
 -- Prepare: each instance gets its regions ----------------------------------------
 
--- Fields that tools set on a machine; a fresh machine that takes its place gets them.
+-- Fields that tools set on a machine. If a fresh machine takes its place, it gets them.
 local HANDED_ON = {
   "dbg", "info", "warn", "err", "getevents", "idle_hook", "pre_step_hook",
   "post_step_hook", "gettime",
@@ -228,9 +228,9 @@ local HANDED_ON = {
 
 local PRINTERS = { "info", "warn", "err" }
 
-local is_apart = false -- is a machine for a tool being made, by `init_apart`?
+local is_apart = false -- true while `init_apart` makes a machine for a tool
 
--- Returns the table from which a region gets the printers that its model lacks.
+-- Returns the table from which a region gets those of `PRINTERS` that its model lacks.
 local function owner_of_printers(fsm, given)
   if is_apart then return { info = false, warn = false, err = false } end
   return rfsm.is_initialized_root(given) and given or fsm
@@ -265,11 +265,11 @@ local function new_region(fsm, given)
     region, problems = fresh_region(fsm, given)
   end
   if region then rawset(region, "_owner", fsm) end
-  if region and fsm._emit then rfsm.set_emit(region, fsm._emit) end -- after fsm_merge
+  if region and fsm._emit then rfsm.set_emit(region, fsm._emit) end -- merged in later
   return region, problems
 end
 
-local in_progress = {} -- set of `substates` whose regions are being made: finds circles
+local in_progress = {} -- set of `substates` being made, to find a state in itself
 
 -- Makes the machines for the regions of `state`, and appends their problems. Returns
 -- the new `substates`.
@@ -358,7 +358,7 @@ local function obstacle(key, value)
   end
 end
 
--- Returns the state for some fields; nil and the problem if a field is wrong.
+-- Returns a state with the given fields; if a field is wrong, nil and the problem.
 local function new_state(fields)
   if type(fields) ~= "table" then return nil, "table expected, got " .. type(fields) end
   local state, regions, first = {}, setmetatable({}, Substates), nil

@@ -119,7 +119,7 @@ end
 --
 ---@param name? string name of the machine
 ---@param id string id of the record
----@param ... any its arguments, tables with their contents
+---@param ... any arguments of the record; the line shows the contents of tables
 ---@return string line
 function rfsmpp.dbgcolorize(name, id, ...)
   local is_coloured = is_colour_wanted()

@@ -26,16 +26,15 @@ local rfsm_emem = {}
 ---@class rfsm.emem.Own
 ---@field is_blocked table<rfsm.State, boolean> states without counts, since a node or
 -- transition in them has the name `emem`
----@field others table<rfsm.State, integer> how many events that no transition names a
--- state counts
+---@field others table<rfsm.State, integer> number of counted events not in `declared`
 ---@field declared table<any, boolean>|false the events that transitions name; false
 -- until they are collected
 
 -- Weak keys: an event that is a table can be collected although it was counted.
 local WEAK = { __mode = "k" }
 
--- The greatest number of events in a state that are counted though no transition names
--- them. Without it, events with data in their names would take ever more memory.
+-- The greatest number of events that a state counts though no transition names them.
+-- Without this limit, events with data in their names would take ever more memory.
 local MOST_OTHERS = 1000
 
 local function clear(_, state)
@@ -108,7 +107,7 @@ local function load(fsm, counts)
     local emem, kept = state.emem or {}, counts and counts[state._fqn] or {}
     if type(kept) ~= "table" then error("table of counts expected", 0) end
     for _, event in ipairs(rfsm.sorted_keys(emem)) do emem[event] = nil end
-    fsm._emem.others[state] = #rfsm.sorted_keys(kept) -- an upper bound
+    fsm._emem.others[state] = #rfsm.sorted_keys(kept) -- or fewer: some are declared
     for _, event in ipairs(rfsm.sorted_keys(kept)) do
       if type(kept[event]) ~= "number" then error("number of events expected", 0) end
       emem[event] = kept[event]

@@ -1,6 +1,6 @@
 --- A machine as JSON.
 --
--- Needs the package `dkjson`.
+-- This module needs the package `dkjson`.
 --
 -- @module rfsm.json
 -- @license BSD-3-Clause

@@ -2,8 +2,8 @@
 --
 -- Once this module is loaded, a transition may have a function `likely(fsm)`. After
 -- each iteration this function is called for the transitions of all active states below
--- the root. If it returns a true value and the target has a function `prepare(fsm)`,
--- that function is called.
+-- the root. If `likely` returns a true value and the target of the transition has a
+-- function `prepare(fsm)`, `prepare` is called.
 --
 -- @module rfsm.preview
 -- @license BSD-3-Clause
@@ -23,8 +23,8 @@ local function try(fsm, owner, what)
     owner._fqn or tostring(owner)), result)
 end
 
--- Calls `prepare` of a target, or `prepare` of the composite if the target is an
--- `initial` without the function.
+-- Calls `prepare` of a target, or `prepare` of its parent if the target is an `initial`
+-- connector without this function.
 local function prepare_target(fsm, target)
   if not target.prepare and rfsm.is_conn(target) and target._id == "initial" then
     target = target._parent

@@ -1,15 +1,14 @@
 --- A machine in the browser: a server for one page, which shows it and takes events.
 --
 -- `serve` serves the page of a machine from your program, which calls `server:step` in
--- its loop. `open` makes the machine of a chart, which the page drives; the command
--- `rfsm web` calls it. This module needs the packages luasocket and dkjson. Pictures
--- need Graphviz.
+-- its loop. `open` makes the machine of a chart, and the page drives this machine; the
+-- command `rfsm web` calls `open`. This module needs the packages luasocket and dkjson.
+-- Pictures need Graphviz.
 --
 -- The server listens on loopback. It answers only requests whose Host header is an
 -- address or the name of the server. Commands need the token that is in the page.
 --
--- The file reads in this order: messages, commands, pictures, routes, public
--- functions.
+-- The sections of this file: messages, commands, pictures, routes, public functions.
 --
 -- @module rfsm.web
 -- @license BSD-3-Clause
@@ -47,7 +46,7 @@ local OPTIONS = {
 }
 
 local MAX_DRAWN = 2000 -- nodes; Graphviz does not draw a machine that has more
-local FRAME = 1 / 30 -- seconds between two messages to a page, at least
+local FRAME = 1 / 30 -- least number of seconds between two messages to a page
 local LINGER = 5 -- seconds that a machine is observed after the last page has gone
 
 local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline'; "
@@ -141,7 +140,7 @@ end
 -- Pictures ------------------------------------------------------------------------
 
 -- Answers with the picture of a machine. The request lists the numbers of the
--- composites that are drawn folded. The page repeats it until the picture is ready.
+-- composites that are drawn folded. The page asks again until the picture is ready.
 local function picture_reply(server, request, tab)
   local source, numbers = server.sources[tab],
     request.query:match("folded=([%d,]*)") or ""
@@ -178,7 +177,7 @@ local ROUTES = {
 }
 
 -- Is the host of the request an address, or the name of this server? Any other name may
--- be that of a foreign server whose name was pointed at this address (DNS rebinding).
+-- belong to a hostile page whose owner pointed it at this address (DNS rebinding).
 local function is_for(server, host)
   local name = (host or ""):gsub(":%d+$", "")
   return name == "localhost" or name == server.name or name:find("^[%d.]+$") ~= nil
@@ -243,7 +242,7 @@ local function send_changes(server)
   end)
 end
 
--- Stops observing the machine of a program if no page has read for a while.
+-- Stops observing the machine of a program if no page has read for LINGER seconds.
 local function rest(server, source)
   if source.observe and server.http.clock() > source.seen_at + LINGER then
     source:observe(false)
@@ -279,7 +278,7 @@ function Server:close()
   end
 end
 
--- Returns the options with their defaults and the packages; or nil and a problem.
+-- Returns the options with defaults and the packages; if that fails, nil and a problem.
 local function prepare(options)
   local settings, problem = opts.read(OPTIONS, options or {})
   if not settings then return nil, problem end
@@ -315,8 +314,8 @@ end
 --- Options of `serve`, `open` and `attach`.
 ---@class rfsm.web.Options
 ---@field allow_send? boolean with `serve`: may pages send events? default false
----@field allow_why? boolean with `serve`: may pages ask why an event did nothing, which
--- calls guards? default false
+---@field allow_why? boolean with `serve`: may pages ask why an event did nothing? The
+-- answer calls guards. Default false
 ---@field machine? integer with `attach`: show only the machine with this number;
 -- default: all machines of the port
 ---@field history? boolean with `serve`: observe the machine while no page is open, too?

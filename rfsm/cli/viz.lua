@@ -94,7 +94,7 @@ function viz.run(options, parser)
     return exporter.encode(fsm, looks)
   end))
   if not IS_TEXT[format] then
-    -- Graphviz may fail to lay out a chart, and yet draw its text by `encode`
+    -- if Graphviz cannot lay out a chart, it may still draw the text of `encode`
     local graph = exporter.layout(machine, looks) or text
     text = common.try(exporter.render(graph, format))
   end

@@ -2,8 +2,8 @@
 --
 -- The option `run` of an exploration lists callbacks that are really called. The option
 -- `vars` lists fields that are a part of configurations. No other data may change:
--- after a step that has called a callback in `run`, they are compared with their first
--- values. The first difference is reported, and all first values are put back.
+-- after a step that has called a callback in `run`, the others are compared with their
+-- first values. The first difference is reported, and all first values are put back.
 --
 -- A *home* is a table with data: an element of the chart, a table in an element, or a
 -- table to which a callback in `run` refers. The fields of the engine are not data. A
@@ -45,15 +45,15 @@ Memory.__index = Memory
 
 --- A table whose fields are compared with their first values.
 ---@class rfsm_checks.Home
----@field of table the table
+---@field of table the table itself
 ---@field name string path of the table: "on", "trans[2]"; empty for the machine
 ---@field kept table<any, any> the first values, by key
 ---@field count integer the number of first values
----@field followed table<any, true> keys that `vars` names
+---@field followed table<any, true> keys of the fields that the option `vars` names
 
-local MANY = 1000 -- greatest number of homes that are not in the chart
+local MANY = 1000 -- greatest number of homes (tables with data) outside of the chart
 
--- Homes .............................................................................
+-- Homes: tables with data ...........................................................
 
 local function is_datum(key, value)
   return not rfsm.is_meta(key) and not rfsm.is_fsmobj(value)
@@ -64,8 +64,8 @@ local function path_to(name, key)
   return name == "" and key or name .. "." .. key
 end
 
--- Adds a table and the tables in it as homes. With `has_places`, the option `vars` may
--- name the fields of these tables.
+-- Adds a table and the tables in it to `homes`, whose fields are compared. With
+-- `has_places`, the option `vars` may name the fields of these tables.
 local function add_home(self, of, name, has_places)
   self.seen[of], self.is_cut = true, #self.homes == self.most
   if self.is_cut then return end
@@ -87,12 +87,12 @@ local function add_home(self, of, name, has_places)
   end
 end
 
--- Cells .............................................................................
+-- Cells: upvalues and global variables ..............................................
 
 local LIBRARIES = { "_G", "bit", "bit32", "coroutine", "debug", "ffi", "io", "jit",
   "math", "os", "package", "string", "table", "utf8" }
 
--- Marks the tables of Lua and of this library as seen, so that they are not made homes.
+-- Marks the tables of Lua and of this library as seen, so that they are not compared.
 local function skip_libraries(self)
   local loaded = package and package.loaded or {}
   for _, name in ipairs(LIBRARIES) do self.seen[loaded[name] or name] = true end
@@ -133,8 +133,8 @@ local function is_same(a, b)
   return rawequal(a, b) or a ~= a and b ~= b -- NaN
 end
 
--- May a datum of a home have changed, been added or been removed? True also for NaN and
--- if a field in `vars` was removed; `restore` compares exactly.
+-- May the fields of a table have changed? The answer may be true without a change, if a
+-- value is NaN or a field in `vars` was removed; `restore` compares exactly.
 local function has_changed(home)
   local kept, followed, count = home.kept, home.followed, 0
   for key, value in next, home.of do -- any order: one change is enough

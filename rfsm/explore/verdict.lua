@@ -33,18 +33,18 @@ local verdict = {}
 ---@field transitions integer number of transitions of the chart
 ---@field taken integer number of transitions that at least one step takes
 ---@field bound? "configurations"|"depth"|"seconds"|"choices"|"sets"|"targets"|"values"
--- |"pending"
----@field untried string[] what was not tried, as texts; empty without a bound
+-- |"pending" a limit that the exploration reached
+---@field untried string[] texts about parts that were not tried; empty without a bound
 ---@field premises string the assumptions: "one event a step; guards and timers free"
----@field findings rfsm_checks.Finding[] those about runs have a field `witness`
----@field properties rfsm_checks.Verdict[]
+---@field findings rfsm_checks.Finding[] a finding about a run has a field `witness`
+---@field properties rfsm_checks.Verdict[] the verdict on each property
 local Exploration = {}
 Exploration.__index = Exploration
 
 --- The verdict on a property.
 ---@class rfsm_checks.Verdict
 ---@field name string
----@field holds boolean|nil nil: not known
+---@field holds boolean|nil nil if the exploration cannot decide it
 ---@field vacuous? string the reason, if the property holds only trivially
 ---@field witness? rfsm_checks.WitnessStep[] the run that shows that it does not hold
 ---@field premises string the assumptions of the exploration
@@ -52,10 +52,10 @@ Exploration.__index = Exploration
 
 -- Findings ........................................................................
 
---- Return the set of the paths of the states that are active in some configuration of a
---- subject, or at a moment within a step.
+--- Return the set of the paths of the states that are active in some configuration, and
+--- of the states that some step enters and leaves again.
 ---@param own rfsm_checks.Subject
----@param passed rfsm_checks.Passed[] the moments within steps
+---@param passed rfsm_checks.Passed[] the states that a step enters and leaves again
 ---@return table<string, true> active
 function verdict.active_in(own, passed)
   local active = {}
@@ -95,8 +95,8 @@ local function timer_text(walk, entry)
   return names[1] and " (" .. concat(names, " and ") .. " never comes)" or ""
 end
 
--- Returns the node that a transition enters: its target, or the composite if the target
--- is the `initial` of a composite.
+-- Returns the node that a transition enters: its target, or the parent of the target if
+-- the target is an `initial` connector.
 local function entered_by(tr)
   local tgt = tr.tgt
   return rfsm.is_conn(tgt) and tgt._id == "initial" and tgt._parent or tgt
@@ -142,7 +142,7 @@ local function find_closed(walk, findings, met)
 end
 
 -- Finds transitions that no step takes although steps reach their source and target. If
--- one of the two is not reached, another finding reports that, and it is the reason.
+-- no step reaches one of the two, another finding reports this.
 local function find_untaken(walk, findings, met, is_closed)
   local function is_told(entry)
     local src, tgt = entry.tr.src, entered_by(entry.tr)
@@ -200,8 +200,8 @@ local function add_dead_end(walk, findings, number)
   end
 end
 
--- Finds dead ends: configurations in which nothing happens any more. All walks must
--- have one with the same leaf of the machine, or a region in another walk still moves.
+-- Finds dead ends: configurations in which nothing happens any more. If some walk
+-- has no dead end with the same leaf of the machine, a region still moves in that walk.
 local function find_dead_ends(walks, findings)
   local are_stuck = {}
   for i, walk in ipairs(walks) do
@@ -282,9 +282,9 @@ local function find_waiting(walk, numbers, set)
   end
 end
 
--- Returns a configuration in which the machine waited before it came to `numbers`, and
--- whether that configuration is on a cycle with at least `least` sets of leaves. The
--- components in `others` are searched.
+-- Searches the components in `others` for a configuration in which the machine waits,
+-- and from which it can reach the configurations `numbers`. Returns this configuration,
+-- and whether it is on a cycle with at least `least` sets of leaves.
 local function find_before(walk, numbers, others, least)
   local set, first = {}, nil
   for _, number in ipairs(numbers) do set[number] = true end
@@ -299,7 +299,7 @@ local function find_before(walk, numbers, others, least)
 end
 
 -- Has the machine itself (without its regions) the same leaf in all of these
--- configurations? If not, this trap is found on the first walk, too.
+-- configurations? If not, the first walk has the same trap, which is reported there.
 local function is_in_one_leaf(walk, numbers)
   local leaf = own_leaf(walk, numbers[1])
   return not any(numbers, function(number) return own_leaf(walk, number) ~= leaf end)
@@ -309,8 +309,8 @@ local function is_fault(state) return codes.means(state, "a fault") end
 
 -- Finds traps: configurations that lead to each other and nowhere else, if the machine
 -- waited for an event before it came there. The part before the trap may have been a
--- setup, so the finding is a note. It is a warning if that part has a cycle with at
--- least as many states, or if the name of a state in the trap means a fault.
+-- setup, so the finding is a note. It is a warning if the part before has a cycle with
+-- at least as many states as the trap, or if a name in the trap means a fault.
 local function find_traps(walk, findings, is_first)
   local bottoms, others = graph.components(walk)
   local function waits_in(component) return find_waiting(walk, component) end
@@ -556,7 +556,7 @@ function verdict.of(model, options)
   local ways = independence.ways(own, list, options)
   local by_way, walks = walks_in(model, options, ways, list)
   local has_endless = any(walks, function(walk) return walk.endless end)
-  if walks[2] and has_endless then -- a step that never ends stops the other regions
+  if walks[2] and has_endless then -- an endless step stops all regions: use one walk
     options.multiply = true
     return verdict.of(model, options)
   end

@@ -56,8 +56,8 @@ local function new_counter(own, fsm)
   function counter.taken(_, path)
     for _, tr in ipairs(path) do add(own.transitions, paths[tr]) end
   end
-  -- The call is counted as failed before, and as its answer after it has returned,
-  -- since an error is not caught here.
+  -- Counts the call as failed until it returns, since an error is not caught here; then
+  -- counts its answer instead.
   function counter.guard(_, tr, guard, events)
     local counts = own.guards[paths[tr]]
     counts.failed = counts.failed + 1
@@ -104,7 +104,6 @@ end
 
 -- Public functions ..................................................................
 
--- Returns a copy of the counts of an earlier run.
 local function copy_of(counts)
   local copy = {}
   for key, value in order.each(counts) do -- any order: a copy

@@ -1,7 +1,7 @@
 --- The outline of a chart: its nodes, edges and events in lists, numbered from 0 on.
 --
--- It is made from a description that `rfsm.marsh` has written, in this program or in
--- another one.
+-- The outline is made from a description that `rfsm.marsh` has written, in this or in
+-- another program.
 --
 -- @module rfsm.observe.outline
 -- @license BSD-3-Clause
@@ -100,9 +100,9 @@ local function add_possible(list, found, node, is_seen)
   end
 end
 
---- List the numbers of the events that transitions from the active nodes name, also
--- behind connectors. The second result is whether one of the transitions takes any
--- event. No guard is called.
+--- List the numbers of the events of all transitions from active nodes, and from the
+-- connectors that these transitions lead to. The second result is true if one of the
+-- transitions takes any event. No guard is called.
 function outline.possible(list, active)
   local found, is_seen, numbers = { set = {}, any = false }, {}, {}
   for _, node in ipairs(active) do add_possible(list, found, node, is_seen) end

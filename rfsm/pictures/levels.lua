@@ -1,8 +1,8 @@
 --- The layout of a chart: level by level, the innermost ones first.
 --
 -- Graphviz lays out each level. A chain that is too long is put into columns. A level
--- with too many nodes beside each other is laid out again, from left to right, with
--- leaves at both sides of a hub. Loops at states are drawn here.
+-- with too many nodes beside each other is laid out again, from left to right. Leaves
+-- linked to one node only are put at both sides of it. Loops at states are drawn here.
 --
 -- @module rfsm.pictures.levels
 -- @license BSD-3-Clause
@@ -105,8 +105,8 @@ end
 
 -- Levels that do not fit ------------------------------------------------------
 
-local FEWEST, MANY = 6, 8 -- nodes that a level needs to be changed, to be divided
-local TALLEST, WIDEST = 420, 800 -- points: smaller inner levels are not turned
+local FEWEST, MANY = 6, 8 -- least numbers of nodes to change a level, to divide it
+local TALLEST, WIDEST = 420, 800 -- points: smaller inner levels keep their direction
 local LONGEST = 1000 -- points: shorter levels are readable on A4, and not divided
 local MISFIT = log(1.7)
 
@@ -148,7 +148,6 @@ local function is_closed(level)
   return not level.gates[1]
 end
 
--- Swaps the upper and the lower end of a link.
 local function swap(link)
   link.upper, link.lower, link.is_turned = link.lower, link.upper, not link.is_turned
 end

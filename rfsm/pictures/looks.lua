@@ -24,7 +24,7 @@ function looks.head(direction) return (HEAD:gsub("DIRECTION", direction)) end
 
 -- Text ------------------------------------------------------------------------
 
---- Return a number with two digits at most, the same text on each Lua: `%.2f` alone
+--- Return a number with at most two decimals, the same text on each Lua: `%.2f` alone
 -- rounds 0.125 up on LuaJIT, down on the others.
 function looks.number_text(number)
   local text = ("%.2f"):format(floor(number * 100 + 0.5) / 100):gsub("%.?0+$", "")
@@ -73,8 +73,8 @@ end
 -- <HR/> in a PNG.
 local RULE = '<TR><TD CELLPADDING="0" HEIGHT="1" BGCOLOR="#555555"></TD></TR>'
 
---- Return the label of a state: its name above its rows. A mark behind the name means
--- that the state has callbacks, but no rows.
+--- Return the label of a state: its name, and rows such as "entry / f" below it. If a
+-- state has callbacks but no rows, a mark follows its name.
 function looks.state_label(node)
   local has_mark = node.at ~= "" and not node.rows[1]
   local name = lines_of(node.name .. (has_mark and " •" or "")

@@ -19,7 +19,7 @@ local copy_of, fail, is_meta, text_of = encoding.copy_of, encoding.fail, rfsm.is
   rfsm.text_of
 local took_path = rfsm.took_path
 
-local MAX_EVENT, MAX_NAMED = 256, 8192 -- bytes of an event: without data, with it
+local MAX_EVENT, MAX_NAMED = 256, 8192 -- bytes of an event: without data, with data
 
 local charts = {}
 
@@ -71,7 +71,7 @@ end
 
 -- The machine of a chart runs one saved machine after the other. A callback may change
 -- fields that snapshots do not save. `clean` undoes such changes before each call: it
--- removes the fields in `added`, and gives all others their first values.
+-- removes the fields in `added`, and gives the other fields their first values.
 
 -- `added` lists elements and their new fields in turns: { element, key, ... }.
 -- `known_of` has for each element the set of the fields that it had at first.
@@ -245,7 +245,7 @@ function charts.forget_effects() emitted, printed = {}, {} end
 
 -- Events ----------------------------------------------------------------------------
 
--- Returns the events that a chart knows as the texts that a client sends.
+-- Returns the events that a chart knows, written as a client sends them.
 local function known_events(chart)
   local texts = rfsm.sorted_keys(chart.events)
   for _, name in ipairs(rfsm.sorted_keys(chart.named)) do

@@ -34,11 +34,13 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local concat, insert, remove = table.concat, table.insert, table.remove
 local fail, now, open, put = encoding.fail, times.now, charts.open, charts.put
 
-local MAX_DATA, MAX_VALUE = 65536, 1048576 -- bytes
+local MAX_DATA, MAX_VALUE = 65536, 1048576 -- bytes: first data, a packed machine
 local MAX_STEPS = 1000
-local MAX_DUE, RESTLESS = 200, 20 -- steps in a call; one that ends busy counts as 20
+-- The greatest number of steps for due timers and events in a call. If the machine is
+-- not idle after a step, this step counts as RESTLESS steps.
+local MAX_DUE, RESTLESS = 200, 20
 local LEAST_PASSED = 0.1 -- seconds; if MAX_DUE steps advance the clock less, it jumps
-local TIME = "(time)" -- the name of a step without an event in the history
+local TIME = "(time)" -- in the history: the name of a step without an event
 local SAME = 1e-6 -- seconds; closer times are equal, since timers fire 1 ns late
 local MAX_ID, MAX_LATER = 64, 100 -- bytes of an id; waiting events of a machine
 
@@ -115,7 +117,7 @@ local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD = 2, 3, 4, 5, 6, 7, 8, 9
 --- saved it; false: the machine is new
 ---@field at string FQN of the active leaf; "": the machine was not entered
 ---@field mode string mode of the active leaf
----@field was_due number|false|nil the DUE of the saved list
+---@field was_due number|false|nil the item DUE of the saved list
 ---@field value any the new list as the host has packed it
 ---@field moves { by: string, from: string, to: string }[] the moves of this call
 ---@field is_idle boolean was the machine idle after its last step?
@@ -161,9 +163,9 @@ local function load_machine(key, list)
   return new_machine(key, chart, list, list[SNAP].leaf)
 end
 
--- Move: what is due, then what was sent -----------------------------------------------
+-- Move: first run what is due, then send new events ---------------------------------
 
--- Returns the position of the events with an id in the list of waiting events, or nil.
+-- Returns the position of an id in the list of waiting events; nil if it is missing.
 local function find_later(list, id)
   for i, entry in ipairs(list[LATER] or NONE) do
     if entry[2] == id then return i end
@@ -227,8 +229,8 @@ local function add_later(machine, time, id, texts)
   machine.list[LATER] = later
 end
 
--- Keeps the due events of a held machine due if the clock has gone back: lowers their
--- times to the present, so that later events come behind them.
+-- If the clock has gone back, lowers the times of the due events of a held machine to
+-- the present. So these events stay due, and later events come behind them.
 local function keep_due(list)
   for _, entry in ipairs(list[LATER] or NONE) do
     if entry[1] <= list[HELD] then entry[1] = min(entry[1], now()) end
@@ -266,8 +268,8 @@ local function advance_to_due(machine)
   return TIME
 end
 
--- Returns the earlier one of a time (nil or false: never) and the time of the first
--- waiting events.
+-- Returns `time` (nil or false: never), or the time of the first waiting events if that
+-- is earlier.
 local function earliest(time, list)
   local first = (list[LATER] or NONE)[1]
   return first and min(time or huge, first[1]) or time
@@ -279,9 +281,9 @@ local function was_restless(list)
 end
 
 -- Runs the due timers and events, each at its own time, until the machine is idle. Then
--- the clock of the machine shows the present. Returns false if that takes too many
--- steps: the clock shows the time that was reached, and the machine is due at once.
--- If timers are too fast to catch up with, the clock jumps to the present.
+-- the clock of the machine shows the present. Returns false if this takes too many
+-- steps: the clock shows the time that was reached, and the machine is due at once. If
+-- the clock has advanced less than LEAST_PASSED, it jumps to the present.
 local function run_due(machine)
   local budget, begun = MAX_DUE, times.seen()
   local by = was_restless(machine.list) and TIME or advance_to_due(machine)
@@ -296,7 +298,7 @@ local function run_due(machine)
 end
 
 -- Runs the due timers and events until the clock of the machine shows the present.
--- Returns false if the clock does not, because the machine is held or too much was due.
+-- Returns false if the machine is held, or if too much was due for one call.
 local function catch_up(machine)
   local list = machine.list
   if list[HELD] then return false end
@@ -323,8 +325,8 @@ local function move(machine, texts, id)
   machine.outcome = step(machine, concat(texts, " ")) and "taken" or false
 end
 
--- Runs the due timers and events. If none were due, or if the machine is not idle then,
--- steps it once more.
+-- Runs the due timers and events. If none were due, or if the machine is not idle after
+-- them, steps it once more.
 local function run(machine)
   local is_present = catch_up(machine)
   machine.outcome = machine.outcome or "kept"
@@ -332,9 +334,9 @@ local function run(machine)
   if step(machine, TIME) then machine.outcome = "taken" end
 end
 
--- Has an event that no transition took changed the snapshot of the machine? Timers have
--- run on since the machine was saved. So the saved snapshot is loaded at its own time
--- and taken again at the present, and the result is compared with `snap`.
+-- Did an event change the snapshot of a machine, although no transition took it? Timers
+-- have run on since the machine was saved. So the saved snapshot is loaded at its time,
+-- taken again at the present, and compared with `snap`.
 local function has_changed(machine, snap)
   local list, sec, nsec = machine.list, times.get()
   charts.forget_effects() -- effects of a function `load` are not reported
@@ -346,7 +348,7 @@ end
 
 -- Save: first all that may fail, then the writes -----------------------------------
 
--- Returns when a machine is to be woken; nil if only an event can move it.
+-- Returns the time at which to wake a machine; nil if only an event can move it.
 local function due_of(machine, snap)
   if not machine.is_idle and machine.fsm._act_leaf then return times.seen() end
   local left = (snap.ext or snap.regions) and timeevent.next_deadline(machine.fsm)
@@ -482,7 +484,7 @@ function functions.rfsm_tick(keys)
   return save(machine)
 end
 
--- rfsm_get KEY: returns a list of names and values in turns.
+-- rfsm_get KEY: returns a list in which each name is followed by its value.
 function functions.rfsm_get(keys)
   local list = read(key_of(keys))
   local snap, names, queue = list[SNAP], {}, {}

@@ -41,7 +41,7 @@ function chart.line(file, text, kind)
   return place .. (kind or "") .. rest
 end
 
-local NO_ERROR = "<no error object>" -- which Lua 5.5 has in place of the error nil
+local NO_ERROR = "<no error object>" -- what `pcall` returns for error(nil) in Lua 5.5
 
 --- Return the first line of a failure, without a traceback or list of paths behind it.
 function chart.first_line(failure)
@@ -105,7 +105,7 @@ local function find_given(name)
   return ok and module or nil
 end
 
--- Globals: those that do not exist ----------------------------------------------
+-- Globals: warnings and stubs for undefined ones -------------------------------------
 
 -- Returns the warning about an undefined global; nil if the code tests if it exists.
 local function warning_of(name, reader)
@@ -194,7 +194,7 @@ local function init_silently(init, model)
   return calls.silently(init, model)
 end
 
-local NO_STATE = "no valid rfsm in" -- in the failure of `rfsm.load`
+local NO_STATE = "no valid rfsm in" -- text in an error of `rfsm.load`
 
 -- Makes a machine, and notes its model unless the machine is a region (`depth` above
 -- 0). If the model has problems, the loading is stopped.
@@ -289,7 +289,7 @@ end
 ---@return rfsm.shared.World world its field `names` lists the stubs
 function chart.load(file, has_stubs, number, load)
   load = load or load_file
-  find_given("rfsmpp") -- callbacks may use both modules, which change no machines
+  find_given("rfsmpp") -- callbacks may use both modules; loading them is harmless
   find_given("rfsm_ext")
   local ok, model, warnings, world = try_load(file, has_stubs, number, load)
   if not (ok or world.is_late) and has_stubs and file ~= "-" then

@@ -35,9 +35,9 @@ function options.is_seconds(x) return type(x) == "number" and x >= 0 and x < hug
 --- Return the end of a message: "got string 'x'", "got 7".
 function options.got(value) return (rfsm.got(value):gsub("^got number ", "got ")) end
 
---- Return the given options, with defaults for the others; nil and the problem if an
--- option is wrong. `known` has a list for each option: description, test, default. A
--- test returns whether a value is right, and may return the problem.
+--- Return the given options with defaults for the others. If an option is wrong, return
+-- nil and the problem. `known` has a list for each option: description, test, default.
+-- A test returns whether a value is right; a second result is the problem.
 function options.read(known, given)
   if type(given) ~= "table" then
     return nil, "table of options expected, " .. options.got(given)
@@ -64,8 +64,8 @@ function options.read(known, given)
   return settings
 end
 
---- Load the modules of one or two packages, and return them; nil and the problem if a
--- package is missing.
+--- Load the modules of one or two packages, and return them. If a package is missing,
+-- return nil and the problem.
 function options.find_package(name, other)
   local ok, module = pcall(require, name)
   if not ok or type(module) ~= "table" then

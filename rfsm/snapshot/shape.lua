@@ -118,11 +118,10 @@ end
 ---@field has_load boolean some state has functions `save` and `load`
 ---@field has_regions boolean
 ---@field leaves table<string, true> set of the FQNs of leaves
----@field nodes table[] `fqn`, `id` and the FQN of the `parent`, parents first
----@field transitions table[] `id`, and the FQN of `parent` and of the `target`
+---@field nodes table[] { fqn, id, parent }; `parent` is an FQN; parents come first
+---@field transitions table[] { id, parent, target }; `parent` and `target` are FQNs
 
--- The descriptions of structures that are in use, by structure (see
--- `rfsm.structure_of`) and by name.
+-- The descriptions in use: by the table that `rfsm.structure_of` returns, and by name.
 local charts = setmetatable({}, { __mode = "k" })
 local by_name = setmetatable({}, { __mode = "v" })
 
@@ -182,8 +181,7 @@ local function chart_of(fsm)
   return self
 end
 
---- Return the description with the name that a snapshot has in `chart`; nil if it is
---- not known.
+--- Return the description with a name (the field `chart` of a snapshot), or nil.
 function shape.named(name) return by_name[name] end
 
 -- Machines --------------------------------------------------------------------------
@@ -191,14 +189,14 @@ function shape.named(name) return by_name[name] end
 --- The field `_kept` of a machine: data for its snapshots, valid until the structure of
 --- the machine changes.
 ---@class rfsm.snapshot.Own
----@field key table the structure for which the data are valid, see `rfsm.structure_of`
+---@field key table the data are valid as long as `rfsm.structure_of` returns this table
 ---@field chart rfsm.snapshot.Chart
 ---@field places rfsm.Place[] the machine, and its regions at any depth
 ---@field states rfsm.State[] the state of each keeper
 ---@field nodes table<string, table> states and connectors of the machine by FQN
 ---@field transitions rfsm.Transition[]
 ---@field targets table[] the target that each transition has in the model
----@field path rfsm.snapshot.Path a table that `take` uses again each time
+---@field path rfsm.snapshot.Path a table that each call of `take` reuses
 
 --- Return the `rfsm.snapshot.Own` of a machine; make a new one if the structure
 -- changed.

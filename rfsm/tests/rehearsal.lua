@@ -30,8 +30,8 @@ local rehearsal = {}
 local Rehearsal = {}
 Rehearsal.__index = Rehearsal
 
--- Replaces `Subject:choose`: returns the answer for a guard or doo in the argument of
--- the step. Without an answer there, a guard is true and a doo goes on.
+-- Replaces `Subject:choose`: returns the answer that the argument of the step has for a
+-- guard or doo. If it has none, a guard is true and a doo goes on.
 local function answer(own, who, is_doo)
   local said = own.said[who]
   if said == nil and not own.is_asked[who] then

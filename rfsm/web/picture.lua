@@ -18,7 +18,7 @@ local concat, remove = table.concat, table.remove
 --- The painter of a server: has another process draw pictures.
 ---@class rfsm.web.Painter
 ---@field jobs rfsm.web.Job[] the last pictures that were asked for, oldest first
----@field pipe file*|false to the stdin of the process; false if no process runs
+---@field pipe file*|false leads to the stdin of the process; false if no process runs
 local Painter = {}
 Painter.__index = Painter
 
@@ -114,7 +114,7 @@ end
 --- Read the names of files with requests from stdin, and draw each, until stdin ends.
 function Painter.serve()
   close_inherited()
-  local last = {} -- the last picture of each machine, by its number
+  local last = {} -- the last picture of each machine, by number of the machine
   for name in io.lines() do
     local request = files.read(name)
     request = request and (rawget(_G, "loadstring") or rawget(_G, "load"))(request)()
@@ -145,7 +145,6 @@ function Painter:start(job)
   job.svg = false
 end
 
--- Removes the files of a job.
 local function drop(job)
   os.remove(job.input)
   os.remove(job.input .. ".svg")
@@ -162,7 +161,7 @@ end
 local MOST = 8 -- greatest number of pictures that are kept
 
 --- Return the picture with a key; false if it failed, nil while it is drawn. If the key
--- is new, `request()` is called for the request, and the picture is begun.
+-- is new, `request()` is called, and the process begins to draw the returned request.
 ---@param key string
 ---@param request fun(): table
 ---@return string|false|nil svg

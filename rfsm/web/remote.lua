@@ -1,5 +1,5 @@
---- The view of a machine in another program, made from the messages of its
--- `rfsm.proto`.
+--- The view of a machine in another program, made from the messages that `rfsm.proto`
+-- in that program sends.
 --
 -- @module rfsm.web.remote
 -- @license BSD-3-Clause
@@ -10,7 +10,7 @@ local subscriber = require "rfsm.observe.subscriber"
 
 local ipairs, setmetatable, type = ipairs, setmetatable, type
 
-local MARKS = { leaf = "[LS]", composite = "[CS]" } -- of states in a path
+local MARKS = { leaf = "[LS]", composite = "[CS]" } -- in the path of a message
 local MAX_MESSAGES = 100 -- greatest number of messages that one poll reads
 local MAX_MACHINES = 100 -- greatest number of machines of a port that are shown
 local WAIT = 0.02 -- seconds between two polls of the socket
@@ -81,9 +81,9 @@ end
 ---@class rfsm.web.Remote
 ---@field number integer number of the machine at the port
 ---@field view rfsm.web.RemoteView|false false before the machine is described
----@field problems string[] shown in place of the machine
+---@field problems string[] texts that the page shows in place of the machine
 ---@field all rfsm.web.Remote[] the machines of the port
----@field is_only boolean? in the first machine: are the others of the port not shown?
+---@field is_only boolean? true in the first machine if it alone is shown
 local Remote = { commands = {} }
 Remote.__index = Remote
 
@@ -165,9 +165,9 @@ function Remote.wait() return WAIT end
 
 function Remote:describe(message) message.clock = self.clock() end
 
---- Return the list of the machines of a port, or a list of only the machine with a
--- given number; nil and the problem if the port cannot be reached. The list grows when
--- another machine answers.
+--- Return a list of the machines of a port, or only of the machine with a given number.
+-- The list grows when another machine answers. If the port cannot be reached, return
+-- nil and the problem.
 function Remote.open(host, port, number)
   local client, problem = subscriber.connect(host, port, true)
   if not client then return nil, problem end
