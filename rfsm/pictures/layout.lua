@@ -26,11 +26,11 @@ local layout = {}
 ---@field width number
 ---@field height number
 ---@field places table<rfsm.pictures.Node, rfsm.pictures.Place>
----@field lines { points: number[][], tip: number[], label?: number[] }[] of arrows
+---@field lines { points: number[][], tip: number[], label?: number[] }[] the arrows
 
---- The place of a node: its middle. A composite has its header's middle, and a frame.
+--- The place of a node. A composite has a frame; its `x` and `y` are in its header.
 ---@class rfsm.pictures.Place
----@field x number
+---@field x number the middle of the node
 ---@field y number
 ---@field left? number left edge of the frame; absent if the node is no composite
 ---@field bottom? number
@@ -153,7 +153,7 @@ end
 
 local MOST = 1000 -- nodes; Graphviz needs about a second to lay out so many
 
---- Return the graph of a chart, with positions; nil and the problem if there is one.
+--- Return the graph of a chart, with positions; nil and the problem if that fails.
 -- `graph` is the result of `rfsm.dot.encode`, which the plain layout needs. `run(text)`
 -- has Graphviz lay out a graph.
 function layout.draw(chart, graph, run)

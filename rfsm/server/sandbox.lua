@@ -69,7 +69,7 @@ end
 local OPENS = { ["function"] = true, ["if"] = true, ["do"] = true, ["repeat"] = true }
 local LEAVES = { ["break"] = true, ["return"] = true, error = true, yield = true }
 
--- Is the loop whose block begins at a position without a statement that leaves it?
+-- Does nothing leave the loop whose block begins at the position `at`?
 local function is_endless(code, at)
   local depth = 0
   for word, behind in code:sub(at):gmatch("([%a_][%w_]*)()") do
@@ -100,7 +100,7 @@ end
 
 -- Loading -----------------------------------------------------------------------------
 
--- Joins the pieces of a text that a function returns one by one, as for Lua's `load`.
+-- Joins the pieces of a text that a function returns one by one, as Lua's `load` does.
 local function text_from(pieces)
   local texts = {}
   for piece in pieces do

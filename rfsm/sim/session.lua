@@ -118,7 +118,7 @@ function Session:draw(file)
 end
 
 -- Advances by n steps. Stops earlier at a breakpoint, if the machine is idle, or if it
--- cannot be entered. Returns true if it is idle; a machine with an idle hook never is.
+-- cannot be entered. Returns true if the machine is idle and has no idle hook.
 local function advance(sim, n)
   local fsm, observed = sim.fsm, sim.observer
   if not sim.points[1] then return rfsm.step(fsm, n) and not fsm.idle_hook end
@@ -140,7 +140,7 @@ function Session:print_hits()
   end
 end
 
---- Advance by n steps, or until the machine is idle. Show the result, even of an error.
+--- Advance by n steps, or until the machine is idle. Show the state, also on an error.
 function Session:advance(n)
   local observed = self.observer
   observed:begin(self.follows and not self.level)
