@@ -7,8 +7,8 @@
 --
 -- The entry of a state notes the time once for all its timers. Most iterations only
 -- compare the clock with one number, a time before which no timer expires. The number
--- is -huge during an entry, and only the end of a search for expired timers raises it,
--- so that after an interrupt the next iteration searches all timers.
+-- is -huge during an entry. If an interrupt ends the entry, the number stays -huge, so
+-- that the next iteration searches all timers.
 --
 -- `send_after` sends an event later, whatever state is active then.
 --
@@ -26,8 +26,8 @@ local is_callable, report, text_of = rfsm.is_callable, rfsm.report, rfsm.text_of
 
 local rfsm_timeevent = {}
 
--- Makes the clock that is used if rfsm/clock.lua is missing. It calls the clock of the
--- machine or process, without a clock id. If neither has a clock, it reads os.time.
+-- Makes the clock that is used if rfsm/clock.lua is missing. It calls `gettime` of the
+-- machine, or the hook of the process, without a clock id; without both, os.time.
 local function new_clock()
   local function read_day() return rawget(_G, "os").time(), 0 end
   local hook = read_day

@@ -89,7 +89,7 @@ end
 
 -- Calls: keys and replies ---------------------------------------------------------
 
---- Return the key of a machine in Redis. An id with a hash tag in braces is the key.
+--- Return a machine's key in Redis. An id with a hash tag in braces is already a key.
 ---@param id any
 ---@return string key
 ---@return string tag
@@ -238,8 +238,8 @@ local function bury(work, raw, deliveries, problem)
   ask_stream(work, "XACK", work.group, raw[1])
 end
 
--- Calls f with an entry. If f raises an error, the entry stays pending; after the last
--- try it moves to the dead entries; without a call, if a worker died in each try.
+-- Calls f with an entry. If f raises an error, the entry stays pending. After the last
+-- try, or if a worker died in each try, the entry moves to the dead entries.
 local function handle(work, f, raw, deliveries)
   local tries, ok, problem = work.options.tries, false, "no worker has finished it"
   if deliveries <= tries then ok, problem = pcall(f, entry_of(work, raw)) end
@@ -426,9 +426,9 @@ end
 local function label(text) return (text:gsub('[\\"\n]', { ["\\"] = "\\\\",
   ['"'] = '\\"', ["\n"] = "\\n" })) end
 
---- Return counts in the text format of Prometheus: of machines by chart and state (with
--- a library made with `--index`), of machines with a timer, of machines put aside, of
--- machines overdue for a minute, of entries in the streams, and of dead entries.
+--- Return statistics of the fleet in the text format of Prometheus. They count stream
+-- entries, dead entries, and machines: with a timer, put aside, overdue for a minute,
+-- and in each state of each chart (if the library was made with `--index`).
 ---@return string text
 function Fleet:stats()
   local states, sums = {}, { 0, 0, 0, 0, 0 }

@@ -94,7 +94,7 @@ end
 
 -- Commands --------------------------------------------------------------------------
 
--- Returns a command. `run` is by default the function of a session's command.
+-- Returns a command. `run` defaults to the function of the chart command of this name.
 local function command(usage, brief, run, fsm)
   local name = usage:match("^[%w_]+")
   return { name = name, usage = usage, brief = brief, fsm = fsm,

@@ -211,7 +211,7 @@ local function call_apart(callback, fsm, ...)
   return sent, ok, failure
 end
 
--- How error messages of Lua itself begin. The rest differs from one Lua to another.
+-- How error messages of Lua itself begin. The rest of a message depends on the Lua.
 local OWN_WORDS = { "^attempt to ", "^bad argument ", "stack overflow",
   "^number .* has no integer", "^invalid " }
 

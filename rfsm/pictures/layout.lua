@@ -26,11 +26,11 @@ local layout = {}
 ---@field width number
 ---@field height number
 ---@field places table<rfsm.pictures.Node, rfsm.pictures.Place>
----@field lines { points: number[][], tip: number[], label?: number[] }[] the arrows
+---@field lines { points: number[][], tip: number[], label?: number[] }[] one per arrow
 
---- The place of a node. A composite has a frame; its `x` and `y` are in its header.
+--- The place of a node. Only a composite has a frame.
 ---@class rfsm.pictures.Place
----@field x number the middle of the node
+---@field x number the middle of the node, or of the header of a composite
 ---@field y number
 ---@field left? number left edge of the frame; absent if the node is no composite
 ---@field bottom? number

@@ -69,7 +69,7 @@ end
 local OPENS = { ["function"] = true, ["if"] = true, ["do"] = true, ["repeat"] = true }
 local LEAVES = { ["break"] = true, ["return"] = true, error = true, yield = true }
 
--- Does nothing leave the loop whose block begins at the position `at`?
+-- Returns true if no statement leaves the loop whose block begins at position `at`.
 local function is_endless(code, at)
   local depth = 0
   for word, behind in code:sub(at):gmatch("([%a_][%w_]*)()") do

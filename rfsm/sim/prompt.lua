@@ -223,7 +223,7 @@ local function evaluate(sim, text)
   return "", problem
 end
 
--- Returns the line. An empty line stands for the last line if that was a command.
+-- Returns the line; for an empty line the last line, if the last line was a command.
 local function repeated(sim, line)
   if not line:find("%S") then return sim.last_line or line end
   sim.last_line = sim.commands.find(line:match("^%s*([%w_]*)")) and line

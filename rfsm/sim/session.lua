@@ -140,7 +140,7 @@ function Session:print_hits()
   end
 end
 
---- Advance by n steps, or until the machine is idle. Show the state, also on an error.
+--- Advance by n steps, or until the machine is idle. Show the state even after errors.
 function Session:advance(n)
   local observed = self.observer
   observed:begin(self.follows and not self.level)

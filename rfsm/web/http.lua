@@ -289,7 +289,7 @@ function Server:close()
 end
 
 --- Open a port, or any free port if `port` is 0. Return the server; nil and the problem
--- if that fails. `clock()` returns seconds, by which time is limited.
+-- if that fails. `clock()` returns the seconds for the limits of time.
 ---@param handle fun(request: rfsm.web.Request): rfsm.web.Reply
 function http.listen(host, port, handle, clock)
   local listening, problem = socket.bind(host, port, 128)
