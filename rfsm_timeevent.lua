@@ -340,7 +340,7 @@ local function read_or_raise(fsm, is_relative)
   error("rfsm_timeevent: the clock failed: " .. text_of(sec), 0)
 end
 
--- Snapshots: timers are kept with the time that is left, by their names ------------
+-- Snapshots: keep the time left until an e_after, and the deadline of an e_at ------
 
 local MAX_EXACT = 1000000 -- seconds; a float below this is exact to the nanosecond
 

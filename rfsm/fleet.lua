@@ -217,8 +217,8 @@ local function ask_stream(work, name, ...)
   return work.fleet:call(work.tag, name, work.stream, ...)
 end
 
--- Returns the argument for the callback of `Fleet:work`. Its id is unique among all
--- groups and streams, so that the callback may send an event with this id.
+-- Returns the entry that the callback of `Fleet:work` gets. The entry's id is unique
+-- among all groups and streams, so that the callback may send an event with this id.
 local function entry_of(work, raw)
   local entry = fields_of(raw[2])
   entry.id = concat({ work.group, work.tag, raw[1] }, ":")
@@ -293,7 +293,7 @@ local function next_id(id)
   return (id:gsub("%d+$", function(digits) return ("%.0f"):format(digits + 1) end))
 end
 
--- Removes the entries that all groups have finished from the stream.
+-- Removes from the stream the entries that all groups have finished.
 local function trim(work)
   local least = nil
   for _, info in ipairs(work.fleet:call(work.tag, "XINFO", "GROUPS", work.stream)) do

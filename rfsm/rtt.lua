@@ -301,7 +301,7 @@ end
 --- Launch a machine in the component of this Lua, in its configureHook.
 --
 -- The component gets ports, attributes, and hooks that run the machine. A later call
--- launches a new machine of the chart as it is then. Existing ports stay connected.
+-- loads the chart again and launches a new machine. Existing ports stay connected.
 --
 -- @usage
 --    function configureHook()

@@ -32,8 +32,8 @@ local static = {}
 ---@field witness? rfsm_checks.WitnessStep[] the run by which an exploration found it
 ---@field run? rfsm_checks.WitnessStep[] the run that confirmed a static finding
 
---- A check: calls `add` for each finding about a machine. `reached` is the set of the
---- nodes that some path of transitions leads to.
+--- A check is a function that calls `add` for each finding about a machine. `reached`
+--- is the set of nodes to which a path of transitions leads.
 ---@alias rfsm_checks.Add fun(code: string, obj: table, text: string, severity?: any)
 ---@alias rfsm_checks.Check fun(fsm: rfsm.Machine, add: rfsm_checks.Add, reached: table)
 
@@ -117,7 +117,7 @@ function Findings:join(others)
   for note in pairs(others.silenced) do self.silenced[note] = true end -- any order
 end
 
---- Append a finding for each entry in a field `checks` that has silenced nothing.
+--- Append a finding for each useless entry of a field `checks`: it silenced nothing.
 function Findings:add_idle_silences(fsm)
   for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, obj in ipairs(rfsm.elements(entry.machine)) do

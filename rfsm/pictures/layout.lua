@@ -37,7 +37,7 @@ local layout = {}
 ---@field width? number
 ---@field height? number
 
--- Levels: from positions in a level to those in the picture --------------------
+-- Levels: positions in a level become positions in the picture -----------------
 
 -- Places a composite, whose lower left corner is given, and all nodes in it.
 local function move(places, composite, left, bottom)
@@ -57,7 +57,7 @@ local function move(places, composite, left, bottom)
   end
 end
 
--- Joins the lines of an arrow's links to one line.
+-- Joins the links of an arrow, its parts in single levels, to one line.
 local function line_of(arrow, direction)
   local line, tip, label, axis = {}, nil, nil, direction == "TB" and 1 or 2
   for _, link in ipairs(arrow.links) do

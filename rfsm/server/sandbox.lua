@@ -49,7 +49,7 @@ local function is_key(code, from, behind)
   return before == "." or before == ":" or code:find("^%s*=[^=]", behind)
 end
 
--- Returns position and name of the first library in a text that the server lacks.
+-- Returns position and name of the first library that a text uses and a server lacks.
 local function find_missing(code, server)
   local first, found = nil, nil
   for _, name in ipairs(MISSING[server]) do
@@ -176,8 +176,8 @@ function sandbox.load(text, file, server)
   return nil, ("%s: a state expected, got %s"):format(file, type(model))
 end
 
---- Run the text of a library in this process, and return its results. Its globals are
--- those of the server and the fields of `here`. `log` is called with each printed line.
+--- Run the text of a library in this process, and return its results. The globals are
+-- the server's and the fields of `here`. `log` is called with each printed line.
 function sandbox.run(text, here, server, log)
   local globals = new_globals(server)
   globals.rfsm, globals.rfsm_timeevent, globals.bit, globals.struct = nil, nil, nil, nil
