@@ -165,7 +165,7 @@ local function call_tags(self, name, keys, ...)
   return self.connection:call_all(tags, calls)
 end
 
---- Run the machines that are due. A machine that cannot run is put aside for a minute.
+--- Run the machines whose timers are due. A failed machine is put aside for a minute.
 ---@param limit? integer greatest number of machines for each hash tag (100)
 ---@return integer count machines that ran
 ---@return integer failed machines that were put aside

@@ -225,8 +225,8 @@ local function text_of_failure(failure)
   return ": " .. text
 end
 
--- Returns a function that calls the callback, and notes in `self.called` its name, the
--- events that it sends, and its failure.
+-- Returns a function that calls the callback, and appends to `self.called` the name of
+-- the callback, the events that it sends, and its failure.
 local function new_call(self, name, callback)
   return function(...)
     local called = self.called

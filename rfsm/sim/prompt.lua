@@ -108,7 +108,7 @@ local function explain(sim, problem)
   return name and problem_of_missing(sim, name, {}) or problem
 end
 
--- Calls a chunk. Returns true, or false and the problem in one line.
+-- Calls a chunk. Returns true; if it fails, returns false and the problem in one line.
 local function call(sim, chunk)
   local release = sim:guard_doos()
   terminal.settle()
