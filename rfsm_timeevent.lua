@@ -7,8 +7,8 @@
 --
 -- The entry of a state notes the time once for all its timers. Most iterations only
 -- compare the clock with one number, a time before which no timer expires. The number
--- is -huge during an entry, and only the end of a search for expired timers raises it,
--- so that after an interrupt the next iteration searches all timers.
+-- is -huge during an entry. If an interrupt ends the entry, the number stays -huge, so
+-- that the next iteration searches all timers.
 --
 -- `send_after` sends an event later, whatever state is active then.
 --
@@ -26,8 +26,8 @@ local is_callable, report, text_of = rfsm.is_callable, rfsm.report, rfsm.text_of
 
 local rfsm_timeevent = {}
 
--- Makes a clock in place of rfsm/clock.lua if that file is missing. It reads os.time,
--- or calls the clock of the machine or process, without a clock id.
+-- Makes the clock that is used if rfsm/clock.lua is missing. It calls `gettime` of the
+-- machine, or the hook of the process, without a clock id; without both, os.time.
 local function new_clock()
   local function read_day() return rawget(_G, "os").time(), 0 end
   local hook = read_day
@@ -58,7 +58,7 @@ local function normalise(sec, nsec)
 end
 
 -- Returns the whole seconds and nanoseconds of a text such as "0.25" or "1e-3"; nil if
--- the text is no number. Digits such as "0.25" are split as text, so no float rounds.
+-- the text is no number. Digits such as "0.25" are split as text to avoid rounding.
 local function from_text(text)
   local whole, fraction = text:match("^%s*(%d*)%.?(%d*)%s*$")
   if not whole then
@@ -87,7 +87,7 @@ local function new_event(kind, name, sec, nsec)
     nsec = nsec }, Timeevent)
 end
 
--- Makes an event for `e_after` or `e_at`. An error about `x` blames their caller.
+-- Makes an event. A wrong `x` raises an error in the caller of `e_after` or `e_at`.
 local function new_object(kind, x, id)
   if is_callable(x) then
     local shown = id == nil and "function" or text_of(id)
@@ -120,9 +120,9 @@ end
 
 -- Run: arm, raise ------------------------------------------------------------------
 
---- The field `_timeevent` of a machine. In its field `[true]` is the time, in seconds,
--- before which no e_after expires and no send is due; in `[false]` is the time before
--- which no e_at expires. A time is huge if nothing is armed.
+--- The field `_timeevent` of a machine. Before the time `[true]`, in seconds, no timer
+-- of an e_after expires and no event of `send_after` is sent. Before the time `[false]`
+-- no timer of an e_at expires. A time is huge if nothing is armed.
 ---@class rfsm_timeevent.Own
 ---@field has_timers boolean a state of the machine has timers
 ---@field has_at boolean a timer of the machine is an e_at
@@ -148,7 +148,7 @@ end
 ---@field left number nanoseconds until the deadline, at the latest search
 ---@field rank integer position of the timer in the list of the latest search
 
-local MARGIN = 0.001 -- seconds; greater than the rounding error of a time in one number
+local MARGIN = 0.001 -- seconds; above the rounding error of a time stored as a float
 
 local function report_clock(fsm, reason)
   report(fsm, "err", "TIMEEVENT", "the clock failed: ", reason)
@@ -262,8 +262,8 @@ local function time_left(sec, nsec, now, now_nsec)
   return floor((sec - now) * 1e9 + (nsec - now_nsec) + 0.5)
 end
 
--- Lists the expired timers of one kind, e_after or e_at, the earliest first. Arms those
--- without a known deadline. Also returns the nanoseconds until the next timer expires.
+-- Lists the expired timers of one kind, e_after or e_at, the earliest first. A timer
+-- without a known deadline is armed. Also returns the nanoseconds to the next expiry.
 local function find_expired(fsm, is_relative, now, now_nsec)
   local list, count, least = list_timers(fsm), 0, huge
   for rank = 1, #list do
@@ -285,7 +285,7 @@ local function find_expired(fsm, is_relative, now, now_nsec)
   return list, least
 end
 
--- Returns the next event to send, and the nanoseconds until then; nil and huge if none.
+-- Returns the next send and the nanoseconds until its time; nil and huge if none waits.
 local function next_send(fsm, sec, nsec)
   local sends = fsm._timeevent.sends
   local send = sends[#sends]
@@ -319,8 +319,8 @@ local function raise_expired(fsm, is_relative, time, sec, nsec)
   fsm._timeevent[is_relative] = time + least * 1e-9 - MARGIN
 end
 
--- Raises the time events of an iteration. It runs in each one, so the literal 1e300 in
--- place of `huge` saves the access to an upvalue.
+-- Raises the time events of an iteration. Every iteration calls this function, so it
+-- compares with the literal 1e300, which is faster than the upvalue `huge`.
 local function check_timers(fsm)
   local own = fsm._timeevent
   local soon, soon_at = own[true], own[false]
@@ -340,9 +340,9 @@ local function read_or_raise(fsm, is_relative)
   error("rfsm_timeevent: the clock failed: " .. text_of(sec), 0)
 end
 
--- Snapshots: timers are kept with the time that is left, by their names ------------
+-- Snapshots: keep the time left until an e_after, and the deadline of an e_at ------
 
-local MAX_EXACT = 1000000 -- seconds; one number below this is exact to the nanosecond
+local MAX_EXACT = 1000000 -- seconds; a float below this is exact to the nanosecond
 
 local function kept_time(sec, nsec)
   sec, nsec = normalise(sec, nsec)
@@ -366,7 +366,7 @@ local function save(fsm)
   return left
 end
 
--- Returns the seconds and nanoseconds of a time in a snapshot. The snapshot has one
+-- Returns the seconds and nanoseconds of a time in a snapshot. There the time is a
 -- number of seconds, or a list of seconds and nanoseconds.
 local function loaded_time(left, what)
   local sec, nsec = left, 0
@@ -444,7 +444,7 @@ end
 
 -- Inserts a send into the list, which is sorted by time, the latest first. Of sends
 -- with the same time the one added first comes last, so it is sent first. `own[true]`
--- is set before, so that `check_timers` finds the send even after an interrupt.
+-- is set before the insertion, so that an interrupt cannot hide the send.
 local function add_send(fsm, event, id, sec, nsec)
   local own = fsm._timeevent
   local sends, from, to = own.sends, 1, #own.sends
@@ -507,8 +507,8 @@ local function prepare_timers(fsm, state)
 end
 
 -- Returns the name of an event in the state `fqn`: "e_after(3)@root.a", with a number
--- if the name is taken. Also returns true if `timers` has a timer of this name that
--- always expires at the same time, which the event can share.
+-- if the name is taken. Also returns true if the event can share a timer of this name
+-- in `timers`, because both always expire at the same time.
 local function find_name(timers, event, fqn)
   local name, count = event.name .. "@" .. fqn, 1
   for _, timer in ipairs(timers) do

@@ -33,7 +33,7 @@ local fleet = {}
 --- A connection to a fleet.
 ---@class rfsm.fleet.Fleet : rfsm.server.Client
 ---@field name string the keys of the machines begin with this name
----@field tags integer number of hash tags; the machines are spread over them
+---@field tags integer number of hash tags, the parts of keys that choose the node
 ---@field connection rfsm.redis.Connection
 local Fleet = { where = "rfsm.fleet" }
 Fleet.__index = Fleet
@@ -56,7 +56,7 @@ local OPTIONS = {
 --
 -- @raise if there is no server
 ---@param url? string|string[] redis[s]://[USER:PASSWORD@]HOST[:PORT][/DB], default
---- redis://127.0.0.1:6379; in a list, the others are tried if the first is lost
+--- redis://127.0.0.1:6379; in a list, a later URL is tried if the earlier ones fail
 ---@param options? table `name` ("machine"), `tags` (64), `timeout`: seconds for a call
 --- (5), `patience`: seconds while no server answers (10), `tls`: parameters of luasec
 ---@return rfsm.fleet.Fleet fleet
@@ -89,7 +89,7 @@ end
 
 -- Calls: keys and replies ---------------------------------------------------------
 
---- Return the key of a machine in Redis. An id with a hash tag in braces is a key.
+--- Return a machine's key in Redis. An id with a hash tag in braces is already a key.
 ---@param id any
 ---@return string key
 ---@return string tag
@@ -141,7 +141,7 @@ function Fleet:history(id, count)
 end
 
 --- Call `f(leaf)` each time the active leaf of a machine changes, until `f` returns
--- true. Only then does the function return.
+-- true. The method returns only then.
 ---@param id any
 ---@param f fun(leaf: string): boolean?
 function Fleet:watch(id, f)
@@ -165,9 +165,9 @@ local function call_tags(self, name, keys, ...)
   return self.connection:call_all(tags, calls)
 end
 
---- Run the machines that are due. A machine that cannot run is put aside for a minute.
+--- Run the machines whose timers are due. A failed machine is put aside for a minute.
 ---@param limit? integer greatest number of machines for each hash tag (100)
----@return integer count
+---@return integer count machines that ran
 ---@return integer failed machines that were put aside
 function Fleet:wake(limit)
   local count, failed = 0, 0
@@ -217,8 +217,8 @@ local function ask_stream(work, name, ...)
   return work.fleet:call(work.tag, name, work.stream, ...)
 end
 
--- Returns the entry that `f` gets. Its id is unique among all groups and streams, so
--- that `f` may send an event with this id.
+-- Returns the entry that the callback of `Fleet:work` gets. The entry's id is unique
+-- among all groups and streams, so that the callback may send an event with this id.
 local function entry_of(work, raw)
   local entry = fields_of(raw[2])
   entry.id = concat({ work.group, work.tag, raw[1] }, ":")
@@ -238,8 +238,8 @@ local function bury(work, raw, deliveries, problem)
   ask_stream(work, "XACK", work.group, raw[1])
 end
 
--- Calls f with an entry. If f raises an error, the entry stays pending, or is buried
--- after the last try. If a worker died in each try, the entry is buried without a call.
+-- Calls f with an entry. If f raises an error, the entry stays pending. After the last
+-- try, or if a worker died in each try, the entry moves to the dead entries.
 local function handle(work, f, raw, deliveries)
   local tries, ok, problem = work.options.tries, false, "no worker has finished it"
   if deliveries <= tries then ok, problem = pcall(f, entry_of(work, raw)) end
@@ -257,7 +257,7 @@ end
 local function make_group(work)
   local ok, reply = pcall(work.fleet.call, work.fleet, work.tag, "XGROUP", "CREATE",
     work.stream, work.group, "0", "MKSTREAM")
-  if not ok and not reply:find("^BUSYGROUP") then error(reply, 0) end -- another's
+  if not ok and not reply:find("^BUSYGROUP") then error(reply, 0) end -- it exists
 end
 
 -- Lists the entries that workers of the group got at least `idle` milliseconds ago, and
@@ -293,7 +293,7 @@ local function next_id(id)
   return (id:gsub("%d+$", function(digits) return ("%.0f"):format(digits + 1) end))
 end
 
--- Removes those entries from the stream that all groups have finished.
+-- Removes from the stream the entries that all groups have finished.
 local function trim(work)
   local least = nil
   for _, info in ipairs(work.fleet:call(work.tag, "XINFO", "GROUPS", work.stream)) do
@@ -426,9 +426,9 @@ end
 local function label(text) return (text:gsub('[\\"\n]', { ["\\"] = "\\\\",
   ['"'] = '\\"', ["\n"] = "\\n" })) end
 
---- Return the numbers of the fleet in the text format of Prometheus: machines by chart
--- and state (if the library was made with `--index`), with a timer, put aside, and
--- overdue for a minute; entries in the streams, and dead entries.
+--- Return statistics of the fleet in the text format of Prometheus. They count stream
+-- entries, dead entries, and machines: with a timer, put aside, overdue for a minute,
+-- and in each state of each chart (if the library was made with `--index`).
 ---@return string text
 function Fleet:stats()
   local states, sums = {}, { 0, 0, 0, 0, 0 }

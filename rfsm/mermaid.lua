@@ -1,7 +1,7 @@
 --- A machine as a Mermaid state diagram, which GitHub and other web pages draw.
 --
--- The root has no frame, because Mermaid draws shallow diagrams better. Arrows that
--- begin or end at the root have a box with the root's name there.
+-- The root has no frame, because Mermaid draws shallow diagrams better. An arrow from
+-- or to the root begins or ends at a box with the root's name.
 --
 -- @module rfsm.mermaid
 -- @license BSD-3-Clause

@@ -11,7 +11,7 @@ local text_of = rfsm.text_of
 
 local monitor = {}
 
---- The fields for `gen_monitor_state`. All others become fields of the state.
+--- The fields for `gen_monitor_state`. All other fields become fields of the state.
 ---@class rfsm.monitor.Monitor
 ---@field montab table<any, fun(fsm: rfsm.Machine, state: rfsm.State): any> conditions,
 -- by the event that is sent if the condition returns a true value

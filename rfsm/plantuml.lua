@@ -8,7 +8,7 @@ local diagram = require "rfsm.pictures.diagram"
 local ipairs = ipairs
 local concat, add = table.concat, diagram.add
 
--- Text: what PlantUML would take for a command becomes <U+0022> ------------------
+-- Text: a character that PlantUML may interpret becomes a code such as <U+0022> ---
 
 local function code(character) return ("<U+%04X>"):format(character:byte()) end
 

@@ -41,7 +41,7 @@ if rawget(_G, "tlsf") then rfsm.save_memory() end
 ---@field service_resume_rfsm fun(exec_str: function)
 local rfsm_rtt = {}
 
--- Types: how values of Lua and samples of RTT become each other -----------------
+-- Types: conversion between values of Lua and samples of RTT --------------------
 
 local LUA_TYPES = { bool = "boolean", char = "string", string = "string" }
 for name in ("double float int uint long int8 uint8 int16 uint16 int32 uint32 int64 "
@@ -61,9 +61,9 @@ local function info_of(port)
   return ok and type(info) == "table" and info or {}
 end
 
--- Returns a Variable that holds each sample of a port in turn; nil if the port is not
--- one of RTT, or if no type of Lua matches its type. Also returns a second Variable if
--- RTT-Lua converts the type only from and to a Variable of type double.
+-- Returns a Variable for the samples of a port; nil if RTT is not loaded, or if no type
+-- of Lua matches the port's type. Also returns a second Variable, of type double, if
+-- RTT-Lua converts the port's type only from and to such a Variable.
 local function new_variables(port)
   local kind, rtt = info_of(port).type, package.loaded.rtt
   if not (LUA_TYPES[kind] and rtt) then return nil end
@@ -126,13 +126,13 @@ local function new_trigger()
   return is_lua_component and own:getOperation("trigger") or function() end
 end
 
--- The greatest number of samples that a call reads from each port, if none is given.
--- The samples of a long burst might not fit in a pool.
+-- The default limit of samples that one call reads from each port. Without a limit the
+-- samples of a long burst might not fit in a TLSF pool.
 local MOST = 64
 
 -- Makes a `getevents` that reads ports. Errors about wrong ports blame the caller of
 -- the public function. If a read raises an error, the events read before are kept for
--- the next call. If samples are left, an update is triggered, since they trigger none.
+-- the next call. Samples that are left trigger no update, so the call triggers one.
 local function gen_reader(where, kind, ...)
   local bound, readers, is_taken = (...), {}, false
   local has_bound = type(bound) == "number" and bound >= 1
@@ -293,7 +293,7 @@ local NOT_NEEDED = { "rtt.component", "rtt.update", "rtt.settings", "shared.opti
   "shared.limit", "shared.calls", "advice" }
 
 --- Forget the modules that a launch has loaded, so that they become garbage. A launch
--- also begins with this: Lua 5.1 never loads a module again if loading it once failed.
+-- also calls this first: Lua 5.1 never loads a module again if loading it once failed.
 function rfsm_rtt.forget_modules()
   for _, name in ipairs(NOT_NEEDED) do package.loaded["rfsm." .. name] = nil end
 end
@@ -301,7 +301,7 @@ end
 --- Launch a machine in the component of this Lua, in its configureHook.
 --
 -- The component gets ports, attributes, and hooks that run the machine. A later call
--- launches a new machine of the chart as it is then. Existing ports stay connected.
+-- loads the chart again and launches a new machine. Existing ports stay connected.
 --
 -- @usage
 --    function configureHook()

@@ -133,7 +133,7 @@ end
 
 --- Step until nothing is left to do.
 ---@param most? integer greatest number of steps; default: no limit
----@return boolean idle false if so many steps did not suffice
+---@return boolean idle false if something is left to do after `most` steps
 function System:run(most)
   check(most == nil or is_number(most), "run", "number of steps", most)
   for _ = 1, most or huge do
@@ -150,7 +150,6 @@ end
 --- Reset the machines and empty the wires.
 --
 -- After that no machine is entered, and no event waits.
---
 function System:reset()
   for _, name in ipairs(self.names) do rfsm.reset(self.machines[name]) end
   empty_wires(self)

@@ -38,7 +38,7 @@ local function is_enabled_by(tr, event)
   return match.is_any(tr) or type(event) ~= "function" and match.triggers(tr, event)
 end
 
--- The set of all connectors: the path to a connector may have passed any other one.
+-- A path from a connector may have passed any connector before, so all count as seen.
 local ALL = setmetatable({}, { __index = function() return true end })
 
 -- Returns the first transition in a list that comes before `tr` and is always taken on
@@ -53,8 +53,8 @@ local function find_shadow(list, tr, event)
   end
 end
 
--- Lists the transitions that are taken in place of `tr` on its events; nil if `tr` is
--- taken on one of them.
+-- Lists the transitions that are taken in place of `tr` on its events; nil if `tr` may
+-- be taken on one of these events.
 local function find_shadows(fsm, tr)
   local list, is_listed = {}, {}
   local tried = is_conn(tr.src) and tr.src._otrs or location.transitions(fsm, tr.src)
@@ -77,9 +77,9 @@ local function check_shadows(fsm, tr, add)
   return true
 end
 
--- Is `other` taken in place of `tr` only because it comes first? A transition with a
--- guard before a transition without a guard is meant as if and else, and no clash,
--- except at a connector, where the engine warns of such pairs.
+-- Is `other` taken in place of `tr` only because it comes first? A guarded transition
+-- before one without a guard is meant as if and else, so it is no clash. At a connector
+-- it is a clash nevertheless, because the engine warns of such pairs there.
 local function may_clash(tr, other)
   return (other.pn or 0) == (tr.pn or 0)
     and (tr.guard or not other.guard or is_conn(tr.src))

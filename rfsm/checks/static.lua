@@ -30,10 +30,10 @@ local static = {}
 ---@field text string one sentence
 ---@field hint string a remedy
 ---@field witness? rfsm_checks.WitnessStep[] the run by which an exploration found it
----@field run? rfsm_checks.WitnessStep[] for a static finding, a run that shows it, too
+---@field run? rfsm_checks.WitnessStep[] the run that confirmed a static finding
 
---- A check: calls `add` for each finding about a machine. `reached` is the set of the
---- nodes that some path of transitions leads to.
+--- A check is a function that calls `add` for each finding about a machine. `reached`
+--- is the set of nodes to which a path of transitions leads.
 ---@alias rfsm_checks.Add fun(code: string, obj: table, text: string, severity?: any)
 ---@alias rfsm_checks.Check fun(fsm: rfsm.Machine, add: rfsm_checks.Add, reached: table)
 
@@ -42,7 +42,7 @@ local CHECKS = {
   "rfsm.checks.event_names",
 }
 
---- The checks for a chart that is loaded from a file. The last one reads its text.
+--- The checks for a chart from a file. The last check reads the text of the file.
 static.OF_FILES = { CHECKS[1], CHECKS[2], CHECKS[3], CHECKS[4], "rfsm.checks.source" }
 
 -- Findings, except those that an element expects ......................................
@@ -117,7 +117,7 @@ function Findings:join(others)
   for note in pairs(others.silenced) do self.silenced[note] = true end -- any order
 end
 
---- Append a finding for each entry in a field `checks` that has silenced nothing.
+--- Append a finding for each useless entry of a field `checks`: it silenced nothing.
 function Findings:add_idle_silences(fsm)
   for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, obj in ipairs(rfsm.elements(entry.machine)) do
@@ -176,7 +176,7 @@ function static.init(model, warn)
   return calls.silently(calls.init_apart, model, warn)
 end
 
--- Returns the elements of a machine by the locations that warnings about them have.
+-- Returns a table of a machine's elements. Its keys are the locations in warnings.
 local function elements_by_place(fsm)
   local found = {}
   for _, obj in ipairs(fsm and rfsm.elements(fsm) or {}) do
@@ -246,7 +246,7 @@ function static.collect(model, checks)
   return findings, fsm
 end
 
---- Give findings the severity that a project has set, and drop those that are off.
+--- Give findings the severity that a project has set. Drop findings set to "off".
 ---@param findings rfsm_checks.Finding[]
 ---@return rfsm_checks.Finding[] kept
 function static.apply(findings, settings)

@@ -20,8 +20,7 @@ local concat = table.concat
 
 local side_by_side = {}
 
---- A system and its prompt. It has those fields and methods of `rfsm.sim.Session` that
---- the prompt uses.
+--- A system and its prompt, with the fields of `rfsm.sim.Session` that the prompt uses.
 ---@class rfsm.cli.Side
 ---@field cell rfsm.System
 ---@field fsm rfsm.Machine the first machine of the system
@@ -95,7 +94,7 @@ end
 
 -- Commands --------------------------------------------------------------------------
 
--- Returns a command. Without `run` it runs the command of the same name for charts.
+-- Returns a command. `run` defaults to the function of the chart command of this name.
 local function command(usage, brief, run, fsm)
   local name = usage:match("^[%w_]+")
   return { name = name, usage = usage, brief = brief, fsm = fsm,

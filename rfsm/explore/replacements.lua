@@ -92,7 +92,7 @@ local function check_later(where, item)
 end
 
 --- Is the option a table of lists of events: { ["entry root.a"] = { "e_x" } }?
---- { "e_x", after = 2 } sends the event later, and { cancel = "e_x" } cancels that.
+--- { "e_x", after = 2 } sends the event later, { cancel = "e_x" } drops this event.
 --- { emit = "e_x" } calls `fsm.emit`; { emit = "e_x", data = true } also passes data.
 ---@return boolean is_right
 ---@return string? problem
@@ -173,7 +173,7 @@ local function may_emit(callback)
 end
 
 --- List the events that a machine and its regions emit, as the text of their callbacks
---- shows; nil if they may emit others.
+--- shows; nil if they may emit events that the text does not show.
 ---@return string[]?
 function replacements.emitted_by(fsm)
   local emitted, is_certain, seen = {}, true, {}
@@ -211,7 +211,7 @@ local function call_apart(callback, fsm, ...)
   return sent, ok, failure
 end
 
--- How error messages of Lua itself begin. The rest differs from one Lua to another.
+-- How error messages of Lua itself begin. The rest of a message depends on the Lua.
 local OWN_WORDS = { "^attempt to ", "^bad argument ", "stack overflow",
   "^number .* has no integer", "^invalid " }
 
@@ -225,8 +225,8 @@ local function text_of_failure(failure)
   return ": " .. text
 end
 
--- Returns a function that calls the callback, and notes in `self.called` its name, the
--- events that it sends, and its failure.
+-- Returns a function that calls the callback, and appends to `self.called` the name of
+-- the callback, the events that it sends, and its failure.
 local function new_call(self, name, callback)
   return function(...)
     local called = self.called
@@ -256,7 +256,7 @@ function replacements.dry_run(fsm)
   return sent
 end
 
---- Drop the delayed events that a part has sent: all, or only those equal to `event`.
+--- Drop the delayed events of a machine or region; with `event`, only equal events.
 function replacements.drop_later(self, part, event)
   local function is_dropped(later)
     return later.part == part and (event == nil or rawequal(later.event, event))
@@ -287,8 +287,8 @@ local function new_send(self, part, item)
   end
 end
 
--- Returns a function that calls the callback `run`, unless it is nil or false, sets
--- flags and sends events; nil if there is nothing to do.
+-- Returns a function that calls `run`, if it is a callback, then sets the flags, then
+-- sends the events. Returns nil if there is nothing to do.
 local function new_replacement(self, part, run, flags, events)
   if not (flags[1] or events[1] ~= nil or run) then return nil end
   if run then part.is_bound = true end

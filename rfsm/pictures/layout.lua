@@ -26,18 +26,18 @@ local layout = {}
 ---@field width number
 ---@field height number
 ---@field places table<rfsm.pictures.Node, rfsm.pictures.Place>
----@field lines { points: number[][], tip: number[], label?: number[] }[] of arrows
+---@field lines { points: number[][], tip: number[], label?: number[] }[] one per arrow
 
---- The place of a node: its middle. A composite has its header's middle, and a frame.
+--- The place of a node. Only a composite has a frame.
 ---@class rfsm.pictures.Place
----@field x number
+---@field x number the middle of the node, or of the header of a composite
 ---@field y number
 ---@field left? number left edge of the frame; absent if the node is no composite
 ---@field bottom? number
 ---@field width? number
 ---@field height? number
 
--- Levels: from positions in a level to those in the picture --------------------
+-- Levels: positions in a level become positions in the picture -----------------
 
 -- Places a composite, whose lower left corner is given, and all nodes in it.
 local function move(places, composite, left, bottom)
@@ -57,7 +57,7 @@ local function move(places, composite, left, bottom)
   end
 end
 
--- Joins the lines of an arrow's links to one line.
+-- Joins the links of an arrow, its parts in single levels, to one line.
 local function line_of(arrow, direction)
   local line, tip, label, axis = {}, nil, nil, direction == "TB" and 1 or 2
   for _, link in ipairs(arrow.links) do
@@ -153,7 +153,7 @@ end
 
 local MOST = 1000 -- nodes; Graphviz needs about a second to lay out so many
 
---- Return the graph of a chart, with positions; nil and the problem if there is one.
+--- Return the graph of a chart, with positions; nil and the problem if that fails.
 -- `graph` is the result of `rfsm.dot.encode`, which the plain layout needs. `run(text)`
 -- has Graphviz lay out a graph.
 function layout.draw(chart, graph, run)

@@ -49,7 +49,7 @@ local function is_key(code, from, behind)
   return before == "." or before == ":" or code:find("^%s*=[^=]", behind)
 end
 
--- Returns position and name of the first library in a text that the server lacks.
+-- Returns position and name of the first library that a text uses and a server lacks.
 local function find_missing(code, server)
   local first, found = nil, nil
   for _, name in ipairs(MISSING[server]) do
@@ -69,7 +69,7 @@ end
 local OPENS = { ["function"] = true, ["if"] = true, ["do"] = true, ["repeat"] = true }
 local LEAVES = { ["break"] = true, ["return"] = true, error = true, yield = true }
 
--- Is the loop whose block begins at a position without a statement that leaves it?
+-- Returns true if no statement leaves the loop whose block begins at position `at`.
 local function is_endless(code, at)
   local depth = 0
   for word, behind in code:sub(at):gmatch("([%a_][%w_]*)()") do
@@ -100,7 +100,7 @@ end
 
 -- Loading -----------------------------------------------------------------------------
 
--- Joins the pieces of a text that a function returns one by one, as for Lua's `load`.
+-- Joins the pieces of a text that a function returns one by one, as Lua's `load` does.
 local function text_from(pieces)
   local texts = {}
   for piece in pieces do
@@ -176,8 +176,8 @@ function sandbox.load(text, file, server)
   return nil, ("%s: a state expected, got %s"):format(file, type(model))
 end
 
---- Run the text of a library in this process, and return its results. Its globals are
--- those of the server and the fields of `here`. `log` is called with each printed line.
+--- Run the text of a library in this process, and return its results. The globals are
+-- the server's and the fields of `here`. `log` is called with each printed line.
 function sandbox.run(text, here, server, log)
   local globals = new_globals(server)
   globals.rfsm, globals.rfsm_timeevent, globals.bit, globals.struct = nil, nil, nil, nil

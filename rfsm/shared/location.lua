@@ -12,7 +12,7 @@ local text_of = rfsm.text_of
 
 local location = {}
 
---- Split a location, or a text that begins with a location, in front of "root".
+--- Split a text that begins with a location into the file and the rest.
 ---@param text string "chart.lua:7: root.trans[2]"
 ---@return string file "chart.lua:7: "; empty if it is not known
 ---@return string rest "root.trans[2]"
@@ -43,7 +43,7 @@ function location.line(fsm, node)
 end
 
 --- List the nodes whose transitions are tried while a leaf is active, in order. If
---- `leaf` is false, the machine was not entered, and the node is its initial connector.
+--- `leaf` is false, the machine was not entered: its initial connector is tried.
 function location.tried(fsm, leaf)
   if leaf then return location.line(fsm, leaf) end
   return { rfsm.is_composite(fsm) and fsm.initial or nil }

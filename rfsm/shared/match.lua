@@ -52,7 +52,7 @@ function match.begins_on_any(tr)
   return match.is_any(tr) and not rfsm.is_conn(tr.src)
 end
 
---- Does the transition name the event? A predicate names none.
+--- Does the transition name the event? Predicates are not called.
 function match.names(tr, event) return match.has(tr.events or {}, event) end
 
 --- Does an event trigger the transition? Predicates are not called.

@@ -30,8 +30,8 @@ local function load_in(env, text, chunkname)
   return calls.load(" " .. text, chunkname, env)
 end
 
--- Compiles an expression to a chunk that passes its values to the chunk's argument. The
--- simpler chunk `return f()` makes a tail call, after which an error has no line.
+-- Compiles an expression to a chunk f(print) that calls `print` with the expression's
+-- values. In the simpler chunk `return g()` a tail call hides the line of an error.
 local function compile_expression(env, text, chunkname)
   local chunk, problem = load_in(env, "return " .. text, chunkname)
   return chunk and load_in(env, "(...)(" .. text .. "\n)", chunkname) or chunk, problem
@@ -108,7 +108,7 @@ local function explain(sim, problem)
   return name and problem_of_missing(sim, name, {}) or problem
 end
 
--- Calls a chunk. Returns true, or false and the problem in one line.
+-- Calls a chunk. Returns true; if it fails, returns false and the problem in one line.
 local function call(sim, chunk)
   local release = sim:guard_doos()
   terminal.settle()
@@ -119,7 +119,8 @@ local function call(sim, chunk)
   return false, explain(sim, problem)
 end
 
---- Run a text; return true, or false, the problem, and whether the text is incomplete.
+--- Run a text. Return true if it ran. Otherwise return false, the problem, and whether
+--- the text is only incomplete.
 function prompt.evaluate(sim, text, chunkname)
   sim.missing = {}
   -- Certainly words, not Lua? Lua would take `view /tmp/x.svg` for a division.
@@ -136,7 +137,7 @@ function prompt.evaluate(sim, text, chunkname)
   return false, first_line(problem), is_incomplete(problem)
 end
 
---- Make the environment of typed code. A name is a command or a global of the chart.
+--- Make the environment of typed code: the commands, and the globals of the chart.
 function prompt.install(sim)
   local env = { fsm = sim.fsm, rfsm = rfsm, cell = sim.cell }
   for _, command in ipairs(sim.commands.list) do
@@ -222,7 +223,7 @@ local function evaluate(sim, text)
   return "", problem
 end
 
--- Returns the line; if the line is empty, the last line, if that was a command.
+-- Returns the line; for an empty line the last line, if the last line was a command.
 local function repeated(sim, line)
   if not line:find("%S") then return sim.last_line or line end
   sim.last_line = sim.commands.find(line:match("^%s*([%w_]*)")) and line

@@ -52,9 +52,9 @@ local complain, text_of = terminal.complain, rfsm.text_of
 ---@field missing string[] globals that the current line reads and that do not exist
 ---@field last_line? string|false the last line typed, if it was a command
 ---@field commands { list: rfsm.sim.Command[], find: fun(name): rfsm.sim.Command? }
----@field cell? rfsm.System in place of a chart: the system whose machines are stepped
----@field replay? fun(sim: rfsm.sim.Session, file: string): integer, string? if the
--- session has a system: takes the moves that a file lists
+---@field cell? rfsm.System the system, if the session has a system and no chart
+---@field replay? fun(sim: rfsm.sim.Session, file: string): integer, string? takes
+-- the moves that a file lists; only a session of a system has this field
 ---@field is_over boolean does the session end after this line?
 local Session = {}
 Session.__index = Session
@@ -118,7 +118,7 @@ function Session:draw(file)
 end
 
 -- Advances by n steps. Stops earlier at a breakpoint, if the machine is idle, or if it
--- cannot be entered. Returns true if it is idle; a machine with an idle hook never is.
+-- cannot be entered. Returns true if the machine is idle and has no idle hook.
 local function advance(sim, n)
   local fsm, observed = sim.fsm, sim.observer
   if not sim.points[1] then return rfsm.step(fsm, n) and not fsm.idle_hook end
@@ -140,7 +140,7 @@ function Session:print_hits()
   end
 end
 
---- Advance by n steps, or until the machine is idle. Show the result, even of an error.
+--- Advance by n steps, or until the machine is idle. Show the state even after errors.
 function Session:advance(n)
   local observed = self.observer
   observed:begin(self.follows and not self.level)

@@ -30,7 +30,7 @@ end
 -- each Control-C, and a debug hook raises an error for it, also in a doo.
 
 local PERIOD = 10000 -- VM instructions between two checks for Control-C
-local counter -- the counter, made with luaposix or luv, once interrupts are caught
+local counter -- a table made with luaposix or luv; nil until interrupts are caught
 local count, seen = 0, 0 -- how many Control-Cs were typed, and how many were noticed
 local is_busy = false -- true while C code calls Lua: the hook must not raise an error
 
@@ -94,7 +94,7 @@ end
 function poll()
   if is_busy or not terminal.is_interrupted() then return end
   print() -- ends the line in which the terminal has shown ^C
-  error("interrupted!", 2) -- by this text the core knows an interrupt
+  error("interrupted!", 2) -- the core knows an interrupt by this text
 end
 
 --- Have each Control-C raise an error in the code that runs then.
@@ -154,7 +154,7 @@ end
 
 local HISTORY = (os.getenv("HOME") or ".") .. "/.rfsm_sim_history"
 
--- Adds a line to the history, and to its file, at once: the simulator may be killed.
+-- Adds a line to the history. Writes it at once, because the simulator may be killed.
 local function keep_line(readline, line)
   readline.add_history(line)
   local file = io.open(HISTORY, "a")

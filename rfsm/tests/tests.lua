@@ -3,8 +3,8 @@
 --
 -- The steps come from an exploration with two events in a step. A run goes on to the
 -- nearest step that shows something new. If the run is long and this step is as near
--- from the start, a new run begins. After the first visit of a leaf the run has steps
--- that the leaf ignores: without an event, with an event that no transition names, and
+-- from the start, a new run begins. At the first visit of a leaf, steps are added that
+-- the leaf ignores: one without an event, one with an event of no transition, and one
 -- with an event to which only other leaves react.
 --
 -- @module rfsm.tests.tests
@@ -34,15 +34,15 @@ local tests = {}
 ---@field steps integer number of steps in all runs
 ---@field taken integer number of transitions that the exploration has taken
 ---@field transitions integer number of transitions of the chart
----@field skipped integer number of planned runs that a rehearsal could not repeat
+---@field skipped integer planned runs whose repetition gave another result
 ---@field modules table<string, true> names of extensions whose events the chart names
 
---- A step of a rehearsal, and its result.
+--- A step of a test run, and its result.
 ---@class rfsm_checks.TestStep
 ---@field what table the argument of `Rehearsal:step`
 ---@field result string
 
--- Returns the transition of the same node that is tried next; nil if `tr` is the last.
+-- Returns the transition that is tried after `tr` at the same node; nil if none is.
 local function next_of(tr)
   for i, other in ipairs(tr.src._otrs) do
     if other == tr then return tr.src._otrs[i + 1] end
@@ -188,8 +188,8 @@ local function is_as_explored(walk, own, edge)
     and step.leaf == rfsm.get_actleaf_fqn(own.subject.parts[1].fsm)
 end
 
--- Rehearses a planned run. With `waits` time passes in place of timer events. Returns
--- the steps; nil if the rehearsal departs from the plan. `is_seen` gets visited leaves.
+-- Takes a planned run on a machine. Returns the steps; nil if the machine departs from
+-- the plan. With `waits` time passes in place of timer events. Sets `is_seen[leaf]`.
 local function rehearse(walk, model, run, waits, is_seen, options)
   local steps = {}
   local own = rehearsal.rehearsal(model, { callbacks = options.callbacks })
@@ -328,7 +328,7 @@ local function add_step(lines, step)
   lines[#lines + 1] = line
 end
 
--- Names a run by the leaves that it reaches. A long name leaves out some in the middle.
+-- Names a run by the leaves that it reaches; a long name lacks leaves in the middle.
 local function name_of(run)
   local names, last = {}, nil
   for _, step in ipairs(run.steps) do

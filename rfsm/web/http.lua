@@ -66,7 +66,8 @@ local function body_length(headers)
   return length
 end
 
--- Returns the request in a text; nil if it is incomplete, nil and a status if wrong.
+-- Returns the request in a text. Returns nil alone if the request is incomplete, and
+-- nil and the HTTP status of the reply if the request is wrong.
 local function parse_request(text)
   local stop, body_start = text:find("\r\n\r\n", 1, true)
   if not stop then return nil, #text > MAX_HEAD and 431 or nil end
@@ -93,7 +94,7 @@ end
 ---@field type? string default "text/plain"
 ---@field body? string the body, or the first message of a stream
 ---@field policy? string the header field Content-Security-Policy
----@field stream? any the subject of a stream: messages about it follow the first one
+---@field stream? any the subject of further messages; nil: the connection is closed
 
 local REASONS = {
   [200] = "OK", [202] = "Accepted", [204] = "No Content", [400] = "Bad Request",
@@ -288,7 +289,7 @@ function Server:close()
 end
 
 --- Open a port, or any free port if `port` is 0. Return the server; nil and the problem
--- if that fails. `clock` measures the limits of time.
+-- if that fails. `clock()` returns the seconds for the limits of time.
 ---@param handle fun(request: rfsm.web.Request): rfsm.web.Reply
 function http.listen(host, port, handle, clock)
   local listening, problem = socket.bind(host, port, 128)
