@@ -47,8 +47,8 @@ local OPTIONS = {
   read_timeout = { "finite number of seconds, not below 0", is_seconds, 0 },
 }
 
--- Returns a socket bound to host and port; nil and the problem if that fails. A name
--- means its IPv4 address, so that "localhost" is the same everywhere.
+-- Returns a socket bound to host and port. If this fails, returns nil and the problem.
+-- A name means its IPv4 address, so that "localhost" is the same everywhere.
 local function bind(socket, host, port)
   local is_v6 = host:find(":", 1, true) and socket.udp6
   local udp, problem = (is_v6 or socket.udp4 or socket.udp)()
@@ -87,7 +87,7 @@ local function open_server(server)
     server.clock or socket.gettime
   server.udp, server.json, server.now, server.is_closed = udp, json, 0, false
   server.subscribers = {} -- in the order in which they came
-  -- number of a machine -> its feed (see `attach`), which only the machine's hooks hold
+  -- number of a machine -> its feed (see `attach`), kept alive by the machine's hooks
   server.feeds, server.count = setmetatable({}, { __mode = "v" }), 0
   return setmetatable(server, Server)
 end
@@ -380,7 +380,7 @@ local servers = setmetatable({}, { __mode = "k" }) -- all servers that are still
 --- The options of `install`.
 ---@class rfsm.proto.Options
 ---@field host? string name or address to listen on, default "localhost"
----@field port? integer default 44044; 0 for any that is free
+---@field port? integer default 44044; 0: any free port
 ---@field read_timeout? number seconds that an iteration waits for a datagram, default 0
 ---@field allow_send? boolean may messages send events? default false
 ---@field fsm? rfsm.Machine the machine that answers; nil: all that are made from now on

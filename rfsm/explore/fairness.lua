@@ -20,8 +20,8 @@ local ipairs = ipairs
 
 local fairness = {}
 
--- Returns what is pending in a configuration, as a table: name of a doo or timer -> its
--- state, name of an event that is sent later -> its clock.
+-- Returns a table of what is pending in a configuration: name of a doo or timer -> its
+-- state, name of an event to be sent later -> the clock of the event.
 local function pending_in(conf)
   local pending = {}
   for _, position in ipairs(conf) do

@@ -32,7 +32,7 @@ local function set_time(sim, place)
   now.sec, now.nsec = place.sec, place.nsec
 end
 
---- Begin a history. A recording goes on in the same file, where a new run begins.
+--- Begin a history. If a recording is on, a new run begins in its file.
 function history.start(sim)
   sim.came = {}
   sim.history = rewind.new(sim.fsm, { bytes = history.BYTES,
