@@ -128,8 +128,8 @@ local function split(text, fqn)
   return names
 end
 
--- Returns the names in "await(e_a, e_b)" at a source. Returns nil for any other event,
--- and false and the reason for a malformed await.
+-- Returns the names in "await(e_a, e_b)"; `fqn` is the transition's source. Returns nil
+-- for any other event; for a malformed await it returns false and the reason.
 local function parse(event, fqn)
   local text = type(event) == "string" and hide_source(event, fqn)
   local inside = text and text:match("^await%s*%((.*)$")

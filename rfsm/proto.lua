@@ -117,7 +117,7 @@ local function error_text(server, text)
     server.json.quotestring(text))
 end
 
--- Returns a message about a machine, or an error message if it is too long to be sent.
+-- Returns a message about a machine, or an error message in place of a too long one.
 local function message_text(feed, kind, body)
   local text = ('{"type":"rfsm_%s","version":%d,"fsm":%d,"cnt":%d,%s}'):format(kind,
     VERSION, feed.number, feed.cnt, body)
@@ -260,7 +260,7 @@ local function read_first(server)
 end
 
 -- Handles at most `max_reads` datagrams; `data` is the first one. Returns true if no
--- more wait. A read may return the error of an earlier send, which is skipped.
+-- more wait. If a read returns the error of an earlier send, the error is ignored.
 local function read_all(server, data, ip, port)
   for i = 1, server.max_reads do
     if data then
@@ -329,7 +329,7 @@ end
 
 -- Hooks of a machine -----------------------------------------------------------
 
--- Has a machine answer at a port. The feed is the record of the port about the machine.
+-- Has a machine answer at a port. The feed holds the port's data about the machine.
 -- A machine gets its number with the first step, so a machine that never runs has none.
 local function attach(fsm, server)
   local feed = { server = server, fsm = fsm, number = 0, cnt = 0, graph = false,

@@ -38,7 +38,7 @@ local explore = {}
 --- Options of an exploration.
 ---@class rfsm_checks.Options
 ---@field together? integer most events of one step (1; 2 if a property is an `after`)
----@field alphabet? any[] the events from outside; default: all that transitions name
+---@field alphabet? any[] events from outside; default: all events that transitions name
 ---@field sends? table<string, any[]> what callbacks send: ["entry root.a"] = { "e_x" };
 -- { "e_x", after = 2 } is sent 2 s later, { cancel = "e_x" } cancels such an event
 ---@field pending? integer most events that wait to be sent later (4)
@@ -123,7 +123,7 @@ function Walk:configuration(number)
   return conf
 end
 
--- Returns the key of a configuration: the number of its context, and the subject's key.
+-- Puts the number of the context (monitor state and time) before the subject's key.
 local function in_context(walk, key, state, time)
   if not (walk.monitor or walk.timing) then return key end
   local text = state .. (time and "@" .. time.text or "")

@@ -163,8 +163,8 @@ function properties.precedes(first, second)
     goal = checked("precedes", "goal", second) })
 end
 
---- Declare that from the first entry on the first condition holds until the second one
---- does, and that the second one holds eventually.
+--- Declare that, from the first entry on, the first condition holds until the second
+--- one holds, and that the second one holds eventually.
 ---@param first any
 ---@param second any
 ---@return rfsm_checks.Property
@@ -265,7 +265,7 @@ local function set_of(walk, condition, field)
   return set
 end
 
--- Notes the first configuration that is in one set and not in another as a violation.
+-- Notes a violation in the first configuration that is in `set` but not in `others`.
 local function find_first(walk, judged, set, others)
   for number = 2, #walk.keys do
     if set[number] and not others[number] then

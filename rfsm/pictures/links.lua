@@ -23,9 +23,9 @@ local links = {}
 ---@field composite rfsm.pictures.Node
 ---@field direction "TB"|"LR"
 ---@field gates rfsm.pictures.Gate[]
----@field gate_of table<string, rfsm.pictures.Gate> by key of the arrow
+---@field gate_of table<string, rfsm.pictures.Gate> key of an arrow -> its gate
 ---@field links rfsm.pictures.Link[]
----@field link_of table<string, rfsm.pictures.Link> by key of the arrow
+---@field link_of table<string, rfsm.pictures.Link> key of an arrow -> its link
 ---@field boxes rfsm.pictures.Box[] the boxes of the nodes
 ---@field arches rfsm.pictures.Box[] id of a `Link.arch` -> the box of its label
 ---@field width number

@@ -1,5 +1,5 @@
---- Stores machines in the keys of Redis: the host of `rfsm.server.functions`, and the
--- functions for many machines.
+--- Stores machines in the keys of Redis: the host object of `rfsm.server.functions`,
+-- and the functions for many machines.
 --
 -- `rfsm.redis` bundles this module. A call that fails changes nothing, since all checks
 -- come before the first write, also those of the user's rights and of the types of the
@@ -54,7 +54,7 @@ end
 function store.pack(list) return cmsgpack.pack(list) end
 
 -- `writes`: the commands that store a machine, each { name, key, ... }. `asked`: key ->
--- command that was checked, since a call for many machines checks a shared key once.
+-- command whose check is done. Machines share keys; a call checks each key only once.
 local writes, asked = {}, {}
 
 -- Adds a command. Only the first one may fail, since earlier commands are not undone.
@@ -315,7 +315,7 @@ function more.rfsm_history(keys, args)
   return reply
 end
 
---- Add the functions for many machines. Each call checks types and rights anew.
+--- Add the functions for many machines to `all`. A call checks types and rights anew.
 function store.add(all, settings)
   tick_machine, options = all.rfsm_tick, settings
   for name, f in pairs(more) do all[name] = f end -- any order: a copy
@@ -332,7 +332,7 @@ function store.refuse(name, reason)
   return redis.error_reply("ERR " .. name .. ": " .. reason)
 end
 
---- Return the host. The arguments are `redis`, `cjson` and `cmsgpack` of Redis.
+--- Return the host object. The arguments are `redis`, `cjson`, `cmsgpack` of Redis.
 return function(server, cjson, pack)
   redis, call, cmsgpack = server, server.call, pack
   function store.decode(text) return cjson.decode(text) end

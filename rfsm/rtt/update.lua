@@ -257,8 +257,8 @@ local function new_update(launch, fsm, again)
 end
 
 -- Returns a function that advances the machine, and always returns true. The update
--- after a failure finishes the step that was cut short, and the one after that reads
--- the new events. So another update is triggered when failures begin and when they end.
+-- after a failure finishes the step that was cut short; the next update reads the new
+-- events. So another update is triggered when failures begin and when they end.
 function update.new_trigger(launch, fsm)
   -- triggers the next update of a component, which otherwise waits for an event
   local again = launch.is_component and launch.component:getOperation("trigger")

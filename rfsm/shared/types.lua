@@ -30,7 +30,7 @@
 ---@class rfsm.Edge
 ---@field src string|rfsm.State|rfsm.Connector source; after init always a node
 ---@field tgt string|rfsm.State|rfsm.Connector target; after init always a node
----@field events? false|any[]|string one of them triggers; none: any event does
+---@field events? false|any[]|string each one triggers it; none: any event does
 ---@field guard? false|fun(tr: rfsm.Transition, events: any[]): boolean?
 -- the transition is not enabled if the guard returns false
 ---@field effect? false|fun(m: rfsm.Machine, tr: rfsm.Transition, s: string, e: any[])

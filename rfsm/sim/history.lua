@@ -50,7 +50,7 @@ function history.mark(sim)
   if sim.recorder then sim.recorder:go_on() end
 end
 
---- Pause a recording until the next advance, so that the machine has its own guards.
+--- Pause a recording until the next advance. The machine gets its own guards back.
 function history.pause(sim)
   if sim.recorder then sim.recorder:pause() end
 end

@@ -32,7 +32,7 @@ end
 
 function COMMANDS.why(served) return nil, served.view:why() end
 
---- Start, or stop, to observe the machine. With `history` it is observed all the time.
+--- Observe the machine, or stop to. With the option `history` it is always observed.
 function Served:observe(is_wanted)
   self.view:observe(is_wanted or self.has_history)
 end
