@@ -41,8 +41,8 @@ source.is_there = luacheck and parser and decoder and getinfo ~= nil
 
 --- A file that was read.
 ---@class rfsm_checks.File
----@field functions table<integer, table|false> line where functions begin
--- -> the only function that begins there; false: there are several
+---@field functions table<integer, table|false> first line -> the function
+-- that begins there; false: several functions begin there
 ---@field undefined { name: string, line: integer }[] globals that the file reads
 ---@field tested table<string, true> names whose existence is tested
 ---@field lost table<integer, table[]> line of a table -> keys that the table has twice

@@ -123,7 +123,7 @@ function Walk:configuration(number)
   return conf
 end
 
--- Puts the number of the context (monitor state and time) before the subject's key.
+-- Returns the number of the context (monitor state and time) and the subject's key.
 local function in_context(walk, key, state, time)
   if not (walk.monitor or walk.timing) then return key end
   local text = state .. (time and "@" .. time.text or "")
