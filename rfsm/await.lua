@@ -177,7 +177,7 @@ end
 -- Adds an await for `names` to the source of `tr`, and returns the name of its event.
 local function expand(fsm, tr, names)
   local src = tr.src
-  for i = 1, #names do -- `e_done` means the source's own, as in other events
+  for i = 1, #names do -- here `e_done` is the event of the source's doo
     if names[i] == "e_done" then
       names[i] = "e_done@" .. src._fqn
       if not rfsm.is_leaf(src) then warn_never(fsm, tr, "e_done", "leaf state") end

@@ -294,7 +294,7 @@ local function drop_silent(server)
 end
 
 -- Reads the port. Returns the problem if the clock failed. No subscriber is dropped
--- while datagrams wait, since they may be heartbeats.
+-- while datagrams wait, since the datagrams may be heartbeats.
 local function receive(server)
   local data, ip, port = read_first(server)
   if not data and not server.subscribers[1] then return nil end

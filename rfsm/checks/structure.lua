@@ -193,15 +193,15 @@ end
 
 local ANY = setmetatable({}, { __tostring = function() return "any event" end })
 
--- Returns the events that can take a path through `tr` if the path has come to the
--- source of `tr` on `event`, which may be ANY.
+-- Returns the events on which a path can continue through `tr`, if it has come to the
+-- source of `tr` on `event`. The event may be ANY.
 local function passing(tr, event)
   if match.triggers(tr, event) then return { event } end
   return event == ANY and tr.events or {}
 end
 
--- Follows the paths that come to the source of `tr` on `event`. Notes on which events
--- they reach each connector after `tr`. Predicates are left out.
+-- Follows the paths that come to the source of `tr` on `event`, and adds to `arrivals`
+-- the events on which they reach each connector after it. Predicates are left out.
 local function arrive(arrivals, tr, event)
   for _, own in ipairs(is_conn(tr.tgt) and passing(tr, event) or {}) do
     local list = arrivals[tr.tgt] or {}

@@ -1,4 +1,4 @@
---- The history of a simulation: the places where advances ended, and recordings.
+--- The history of a simulation: the machine after each advance, and recordings.
 --
 -- @module rfsm.sim.history
 -- @license BSD-3-Clause
@@ -17,7 +17,7 @@ local print = print
 local concat = table.concat
 local text_of = rfsm.text_of
 
-local history = { BYTES = nil } -- most bytes of all places; nil: the default of rewind
+local history = { BYTES = nil } -- most bytes of a history; nil: the default of rewind
 
 local START = { sec = 0, nsec = 0 } -- the time if there is no simulated clock
 
@@ -70,7 +70,7 @@ local function go(sim, number)
   sim.came = place.about.came
 end
 
---- Put the machine back into the place where advance n ended.
+--- Put the machine back to the end of advance n.
 function history.go_to(sim, n)
   local way = sim.history
   if type(n) ~= "number" or n < way.first or n > way.last or n % 1 ~= 0 then

@@ -32,7 +32,7 @@ end
 
 function COMMANDS.why(served) return nil, served.view:why() end
 
---- Observe the machine, or stop to. With the option `history` it is always observed.
+--- Start or stop observing the machine. With `history` it is always observed.
 function Served:observe(is_wanted)
   self.view:observe(is_wanted or self.has_history)
 end
