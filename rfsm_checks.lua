@@ -3,7 +3,7 @@
 -- `rfsm_checks.check` looks at the structure of a model. `rfsm_checks.watch` has a
 -- machine warn of each event that no transition names. So does `checkevents = true` in
 -- the root of its model. `rfsm_checks.watch_all` and `require "rfsm.checkevents"` have
--- all machines warn that are initialised afterwards.
+-- all machines that are initialised afterwards warn.
 --
 -- @module rfsm_checks
 -- @license BSD-3-Clause
@@ -41,7 +41,7 @@ local rfsm_checks = {}
 --- The events that a machine knows, in its field `_checks`.
 ---@class rfsm_checks.Known
 ---@field events table<any, boolean> empty until the first event comes
----@field predicates function[]|false predicates among them; false: not collected yet
+---@field predicates function[]|false the predicates; false: not collected yet
 
 local function add_events(known, events)
   for _, event in ipairs(events) do
@@ -191,7 +191,7 @@ end
 -- `checkevents = false` in the root of a model excludes its machines. Requiring
 -- `rfsm.checkevents` or `rfsm_checkevents` calls this function.
 --
----@return table rfsm_checks this module, as the result of `require` of these names
+---@return table rfsm_checks this module; `require` of these names returns it, too
 function rfsm_checks.watch_all()
   watches_all = true
   set_global("rfsm_checkevents")

@@ -128,8 +128,8 @@ local function split(text, fqn)
   return names
 end
 
--- Returns the names in "await(e_a, e_b)" at a source. Returns nil for any other event,
--- and false and the reason for a malformed await.
+-- Returns the names in "await(e_a, e_b)"; `fqn` is the transition's source. Returns nil
+-- for any other event; for a malformed await it returns false and the reason.
 local function parse(event, fqn)
   local text = type(event) == "string" and hide_source(event, fqn)
   local inside = text and text:match("^await%s*%((.*)$")
@@ -177,7 +177,7 @@ end
 -- Adds an await for `names` to the source of `tr`, and returns the name of its event.
 local function expand(fsm, tr, names)
   local src = tr.src
-  for i = 1, #names do -- `e_done` is that of the source, as in other events
+  for i = 1, #names do -- here `e_done` is the event of the source's doo
     if names[i] == "e_done" then
       names[i] = "e_done@" .. src._fqn
       if not rfsm.is_leaf(src) then warn_never(fsm, tr, "e_done", "leaf state") end

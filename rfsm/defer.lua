@@ -122,8 +122,8 @@ local function problem_of(defer)
   end
 end
 
--- Prepares a state with a list `defer`, or returns the problem of the list. It is read
--- from the model, since the machine has copies of events that are tables.
+-- Prepares a state with a list `defer`, or returns the problem of the list. The list is
+-- read from the model, since the machine has copies of events that are tables.
 local function prepare_state(fsm, state)
   local defer = rfsm.model_of(state).defer
   local problem = problem_of(defer)

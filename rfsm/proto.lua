@@ -47,8 +47,8 @@ local OPTIONS = {
   read_timeout = { "finite number of seconds, not below 0", is_seconds, 0 },
 }
 
--- Returns a socket bound to host and port; nil and the problem if that fails. A name
--- means its IPv4 address, so that "localhost" is the same everywhere.
+-- Returns a socket bound to host and port. If this fails, returns nil and the problem.
+-- A name means its IPv4 address, so that "localhost" is the same everywhere.
 local function bind(socket, host, port)
   local is_v6 = host:find(":", 1, true) and socket.udp6
   local udp, problem = (is_v6 or socket.udp4 or socket.udp)()
@@ -87,7 +87,7 @@ local function open_server(server)
     server.clock or socket.gettime
   server.udp, server.json, server.now, server.is_closed = udp, json, 0, false
   server.subscribers = {} -- in the order in which they came
-  -- number of a machine -> its feed (see `attach`), which only the machine's hooks hold
+  -- number of a machine -> its feed (see `attach`), kept alive by the machine's hooks
   server.feeds, server.count = setmetatable({}, { __mode = "v" }), 0
   return setmetatable(server, Server)
 end
@@ -117,7 +117,7 @@ local function error_text(server, text)
     server.json.quotestring(text))
 end
 
--- Returns a message about a machine, or an error message if it is too long to be sent.
+-- Returns a message about a machine, or an error message in place of a too long one.
 local function message_text(feed, kind, body)
   local text = ('{"type":"rfsm_%s","version":%d,"fsm":%d,"cnt":%d,%s}'):format(kind,
     VERSION, feed.number, feed.cnt, body)
@@ -260,7 +260,7 @@ local function read_first(server)
 end
 
 -- Handles at most `max_reads` datagrams; `data` is the first one. Returns true if no
--- more wait. A read may return the error of an earlier send, which is skipped.
+-- more wait. If a read returns the error of an earlier send, the error is ignored.
 local function read_all(server, data, ip, port)
   for i = 1, server.max_reads do
     if data then
@@ -294,7 +294,7 @@ local function drop_silent(server)
 end
 
 -- Reads the port. Returns the problem if the clock failed. No subscriber is dropped
--- while datagrams wait, since they may be heartbeats.
+-- while datagrams wait, since the datagrams may be heartbeats.
 local function receive(server)
   local data, ip, port = read_first(server)
   if not data and not server.subscribers[1] then return nil end
@@ -329,7 +329,7 @@ end
 
 -- Hooks of a machine -----------------------------------------------------------
 
--- Has a machine answer at a port. The feed is the record of the port about the machine.
+-- Has a machine answer at a port. The feed holds the port's data about the machine.
 -- A machine gets its number with the first step, so a machine that never runs has none.
 local function attach(fsm, server)
   local feed = { server = server, fsm = fsm, number = 0, cnt = 0, graph = false,
@@ -380,7 +380,7 @@ local servers = setmetatable({}, { __mode = "k" }) -- all servers that are still
 --- The options of `install`.
 ---@class rfsm.proto.Options
 ---@field host? string name or address to listen on, default "localhost"
----@field port? integer default 44044; 0 for any that is free
+---@field port? integer default 44044; 0: any free port
 ---@field read_timeout? number seconds that an iteration waits for a datagram, default 0
 ---@field allow_send? boolean may messages send events? default false
 ---@field fsm? rfsm.Machine the machine that answers; nil: all that are made from now on

@@ -117,7 +117,7 @@ local function check_early(fsm, at, event)
     :format(at, name))
 end
 
--- Returns the alphabet of a machine, the events that it knows; made anew after a merge.
+-- Returns the alphabet of a machine: the events that it knows. A merge renews it.
 local function alphabet_of(fsm)
   local notes, structure = fsm._strict, rfsm.structure_of(fsm)
   if notes.structure ~= structure then
@@ -315,8 +315,8 @@ local function waiting_for(fsm, event)
   end
 end
 
--- The post step hook: warns of each discarded event for which a state that is active
--- now has a transition. It came together with the event that was taken.
+-- The post step hook: warns if an event was discarded because it came together with the
+-- event of the path, and a state that is active now has a transition for it.
 local function check_lost(fsm, events)
   local path = fsm._strict.path
   fsm._strict.path = false
@@ -333,7 +333,7 @@ local function check_lost(fsm, events)
 end
 
 -- The pre step hook: checks the elements of the machine, and warns of events that come
--- too early. For events from getevents no line of a sender is known.
+-- too early. For an event from `getevents` the sender's line is not known.
 local function check_machine(fsm, events)
   check_end(fsm, events)
   local count = fsm._strict.count or 0

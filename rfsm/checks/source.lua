@@ -41,7 +41,8 @@ source.is_there = luacheck and parser and decoder and getinfo ~= nil
 
 --- A file that was read.
 ---@class rfsm_checks.File
----@field functions table<integer, table|false> first line -> function; false: several
+---@field functions table<integer, table|false> first line -> the function
+-- that begins there; false: several functions begin there
 ---@field undefined { name: string, line: integer }[] globals that the file reads
 ---@field tested table<string, true> names whose existence is tested
 ---@field lost table<integer, table[]> line of a table -> keys that the table has twice
@@ -226,7 +227,7 @@ local function text_of_call(call)
 end
 
 -- Finds mistakes in the tables that were given to constructors: keys that a table has
--- twice, and calls in place of callbacks that have returned nil.
+-- twice, and calls that return nil and stand in place of a callback (`entry = f()`).
 local function check_tables(files, fsm, add)
   for _, place in ipairs(places_of(fsm)) do
     local file = files[place.file]

@@ -111,7 +111,7 @@ local function check_callbacks(obj, add)
   end
 end
 
--- The names of fields that are true or false: in each state, and in the root only.
+-- Names of boolean fields: FLAGS in every state, ROOT_FLAGS only in the root.
 local FLAGS = { "final" }
 local ROOT_FLAGS = { "dbg", "err", "info", "strict", "warn" }
 
@@ -193,15 +193,15 @@ end
 
 local ANY = setmetatable({}, { __tostring = function() return "any event" end })
 
--- Lists the events on which a path that has come on `event` goes on through `tr`; the
--- event may be ANY.
+-- Returns the events on which a path can continue through `tr`, if it has come to the
+-- source of `tr` on `event`. The event may be ANY.
 local function passing(tr, event)
   if match.triggers(tr, event) then return { event } end
   return event == ANY and tr.events or {}
 end
 
--- A path has come to the source of `tr` on `event`: notes for the connectors behind
--- `tr` on which events it reaches them. Predicates are left out.
+-- Follows the paths that come to the source of `tr` on `event`, and adds to `arrivals`
+-- the events on which they reach each connector after it. Predicates are left out.
 local function arrive(arrivals, tr, event)
   for _, own in ipairs(is_conn(tr.tgt) and passing(tr, event) or {}) do
     local list = arrivals[tr.tgt] or {}
@@ -249,8 +249,8 @@ end
 
 -- Cycles ..........................................................................
 
--- Returns the FQNs of the connectors on a way from `node` back to `start`, without that
--- of `start`; nil if there is no such way.
+-- Returns the FQNs of the connectors from `node` to the last one before `start`, on a
+-- path of connectors that leads back to `start`; nil if there is no such path.
 local function find_cycle(start, node, seen)
   if seen[node] then return nil end
   seen[node] = true

@@ -38,13 +38,13 @@ local explore = {}
 --- Options of an exploration.
 ---@class rfsm_checks.Options
 ---@field together? integer most events of one step (1; 2 if a property is an `after`)
----@field alphabet? any[] the events from outside; default: all that transitions name
+---@field alphabet? any[] events from outside; default: all events that transitions name
 ---@field sends? table<string, any[]> what callbacks send: ["entry root.a"] = { "e_x" };
 -- { "e_x", after = 2 } is sent 2 s later, { cancel = "e_x" } cancels such an event
 ---@field pending? integer most events that wait to be sent later (4)
 ---@field dry_run? boolean call entries, exits and effects once, to note what they send
----@field flags? table<string, { on?: string[], off?: string[] }> by the name of a flag,
--- the callbacks that set it and those that clear it
+---@field flags? table<string, { on?: string[], off?: string[] }> name of a flag -> the
+-- callbacks that set it (`on`) and the callbacks that clear it (`off`)
 ---@field vars? table<string, any> fields that callbacks in `run` read and set
 ---@field run? (function|string)[] callbacks that are called: "effect root.trans[2]"
 ---@field exclusive? any[] guards, or lists of guards: in a step at most one is true
@@ -64,7 +64,7 @@ local explore = {}
 ---@field subject rfsm_checks.Subject
 ---@field model rfsm.State
 ---@field options rfsm_checks.Options
----@field way rfsm_checks.Way the parts of the machine that the walk has; false: all
+---@field way rfsm_checks.Way the parts of the machine that are explored; false: all
 ---@field keys string[] of the configurations; in the first one no state is active
 ---@field numbers table<string, integer> key -> configuration
 ---@field from integer[] configuration -> the one from which it was first reached
@@ -84,12 +84,12 @@ local explore = {}
 ---@field count integer how many steps were run
 ---@field wanted any[] events that properties look at
 ---@field monitor rfsm_checks.Judged|false the property whose monitor sees each step
----@field contexts table[] by the number in a key, `state` of the monitor and `time`;
--- empty if the walk has neither a monitor nor clocks
+---@field contexts table[] number in a key -> state of the monitor and times of clocks,
+-- { state =, time = }; empty if the walk has neither a monitor nor clocks
 ---@field context_ids table<string, integer> text of a context -> its number in a key
 ---@field kin table<string, integer[]> configurations that differ only in their times
 ---@field unsure table<integer, rfsm_checks.Group> position of a step in `steps` -> the
--- deadlines that it needs to be over first, if other deadlines may be over first, too
+-- group of deadlines that are over before the step, if another group may be over first
 ---@field cut table<integer, boolean> configurations with a step whose target is not
 -- explored, since more than `pending` events wait to be sent later
 ---@field try rfsm_checks.Try the step that is taken now
@@ -103,7 +103,7 @@ Walk.__index = Walk
 ---@field moment rfsm_checks.Moment
 ---@field from integer the configuration in which the step begins
 ---@field tgt integer the configuration in which it ends
----@field label string of the step
+---@field label string label of the step
 
 -- Configurations and labels of steps ................................................
 
@@ -123,7 +123,7 @@ function Walk:configuration(number)
   return conf
 end
 
--- Returns the key of a configuration: the number of its context, and the subject's key.
+-- Returns the number of the context (monitor state and time) and the subject's key.
 local function in_context(walk, key, state, time)
   if not (walk.monitor or walk.timing) then return key end
   local text = state .. (time and "@" .. time.text or "")
@@ -241,8 +241,8 @@ end
 ---@field f fun(walk: rfsm_checks.Walk, try: rfsm_checks.Try, key: string|nil,
 -- label: fun()) called after the step; `key` is nil if the step never ends
 
--- Returns the key of the configuration to which the last step has led, nil if that is
--- not explored; and for each clock of the configuration its number before the step.
+-- Returns two results: the key of the configuration to which the last step has led (nil
+-- if it is not explored), and for each clock there the number that it had before.
 local function key_after(walk, try, label)
   local context, key, problem = try.conf.context, walk.subject:read()
   local state, time, clocks, sources = false, false, nil, nil
@@ -460,11 +460,11 @@ local function note_gaps(walk)
     "events that the %s may cancel")
 end
 
---- Return the options of the given names; missing options get their defaults. If an
---- option is wrong or has another name, return nil and the problem.
+--- Return the options of the given names; missing options get their defaults. If the
+--- value of an option is wrong or its name is not known, return nil and the problem.
 ---@param options table
 ---@param names string[]
----@param more? table<string, any[]> options that only the caller has
+---@param more? table<string, any[]> further options, described as in `KNOWN`
 function explore.settings(options, names, more)
   local known = more or {}
   for _, name in ipairs(names) do known[name] = KNOWN[name] end
@@ -524,7 +524,7 @@ end
 ---@field events string[] all events that came, as texts
 ---@field values any[] the events that are sent to the machine itself
 ---@field inside { prefix: string, event: any }[] time events that are sent to regions
----@field sent { prefix: string, event: any }[] events that callbacks send, by `sends`
+---@field sent { prefix: string, event: any }[] as the option `sends` says
 ---@field at? number seconds since the first step, if timers come in order
 ---@field choices { who: string, answer: boolean, is_doo: boolean }[] the answers of
 -- guards and predicates and the ends of doos, in the order in which they were asked
@@ -539,7 +539,7 @@ local function text_of_event(occurrence)
   return part.owner and text .. " in " .. part.prefix or text
 end
 
---- Note in the step of a witness what the subject did in its last step.
+--- Copy the outcome of the subject's last step into the step of a witness.
 function explore.note_outcome(own, step)
   step.choices = {}
   for i = 1, own.asked do
@@ -550,7 +550,7 @@ function explore.note_outcome(own, step)
   step.sent = match.joined({}, own.sent)
 end
 
--- Returns the step of a witness with its events. `values` and `inside` have no time
+-- Returns a step of a witness with its events. `values` and `inside` leave out the time
 -- events whose order is known: a replay advances the clock to the time `at` instead.
 local function new_step(events)
   local step = { events = {}, values = {}, inside = {} }
@@ -617,12 +617,11 @@ function explore.way_to(walk, number, label)
   return way
 end
 
---- Return the shortest run to a configuration, then the step from there that has the
---- given label, or the steps of a cycle.
+--- Return the shortest run to a configuration, then a further step, or a cycle.
 ---@param number integer the configuration
----@param label? string
+---@param label? string label of the further step
 ---@param cycle? rfsm_checks.Edge[]
----@return rfsm_checks.WitnessStep[] witness `again`: position at which the cycle begins
+---@return rfsm_checks.WitnessStep[] witness its field `again`: where the cycle begins
 function Walk:witness(number, label, cycle)
   local way, steps = explore.way_to(self, number, label), {}
   steps.again = cycle and #way + 1

@@ -20,8 +20,8 @@ local ipairs = ipairs
 
 local fairness = {}
 
--- Returns what is pending in a configuration, as a table: name of a doo or timer -> its
--- state, name of an event that is sent later -> its clock.
+-- Returns a table of what is pending in a configuration: name of a doo or timer -> its
+-- state, name of an event to be sent later -> the clock of the event.
 local function pending_in(conf)
   local pending = {}
   for _, position in ipairs(conf) do
@@ -93,7 +93,7 @@ local function find_rest(walk, numbers)
 end
 
 -- Returns the steps between configurations if a fair run may take them again and again:
--- each doo or timer that is pending in all configurations is entered anew by some step.
+-- if a doo or timer is pending in all of them, some step enters its state anew.
 local function find_fair(walk, numbers)
   local edges, has_edge = edges_between(walk, numbers), false
   local common = pending_in(walk:configuration(numbers[1]))

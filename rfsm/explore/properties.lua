@@ -31,7 +31,7 @@ local properties = {}
 ---@field goal? any the second condition, such as the one to be reached
 ---@field seconds? number the time limit or time span
 ---@field count? integer how many events at most, or at least
----@field within? fun(seconds: number): rfsm_checks.Property of `after(...).reach(...)`
+---@field within? fun(seconds: number): rfsm_checks.Property for `after(...).reach(...)`
 local Property = {}
 
 -- Part of a property -> function that returns the problem of a value, or nil.
@@ -96,11 +96,12 @@ local function ending(where, kind, parts, last)
   end
 end
 
--- Returns the first half of a property: a table of functions that take its last part.
+-- Returns a table of functions. Each takes the last part of a property and returns the
+-- property: `from(c)` returns such a table, and `from(c).stays(2)` is the property.
 -- `endings`: name of a function -> kind of the property, and name of its last part.
 local function first_half(where, parts, endings)
   local functions = {}
-  for name, rest in order.each(endings) do -- any order: each stands alone
+  for name, rest in order.each(endings) do -- any order: they are independent
     functions[name] = ending(where .. "." .. name, rest[1], parts, rest[2])
   end
   return setmetatable(functions, { __index = function(_, name)
@@ -162,8 +163,8 @@ function properties.precedes(first, second)
     goal = checked("precedes", "goal", second) })
 end
 
---- Declare that from the first entry on the first condition holds until the second one
---- does, and that the second one holds eventually.
+--- Declare that, from the first entry on, the first condition holds until the second
+--- one holds, and that the second one holds eventually.
 ---@param first any
 ---@param second any
 ---@return rfsm_checks.Property
@@ -221,13 +222,13 @@ end
 ---@field property rfsm_checks.Property
 ---@field holds boolean|nil nil: not known, since something was not tried
 ---@field vacuous? string the reason why nothing tests the property
----@field way rfsm_checks.Way the parts of the machine that its walk has
+---@field way rfsm_checks.Way the parts of the machine that its walk explores
 ---@field walk rfsm_checks.Walk the walk on which it is judged
 ---@field is_open? boolean the verdict is not known, though everything was tried
 ---@field at? integer the configuration that violates the property
 ---@field label? string label of the step from `at`, if a step violates the property
----@field tgt? integer of an `after`: the configuration to which this step leads
----@field owed? table<integer, table> of an `after`: configuration -> the first step
+---@field tgt? integer for an `after`: the configuration to which this step leads
+---@field owed? table<integer, table> for an `after`: configuration -> the first step
 -- that has the event and leads to it
 
 --- List properties with their names, sorted.
@@ -248,9 +249,9 @@ function properties.list_of(where, given)
   return list
 end
 
--- Returns the set of configurations in which a condition holds. With `field`, if it
--- holds in a state that a step enters and leaves again, the set also has the
--- configuration in which the step begins ("from") or ends ("tgt").
+-- Returns the set of configurations in which a condition holds. If `field` is "from" or
+-- "tgt", steps count that enter and leave a state in which the condition holds: the set
+-- also has the configuration in which such a step begins ("from") or ends ("tgt").
 local function set_of(walk, condition, field)
   local set = {}
   for number = 2, #walk.keys do
@@ -264,7 +265,7 @@ local function set_of(walk, condition, field)
   return set
 end
 
--- Notes the first configuration that is in one set and not in another as a violation.
+-- Notes a violation in the first configuration that is in `set` but not in `others`.
 local function find_first(walk, judged, set, others)
   for number = 2, #walk.keys do
     if set[number] and not others[number] then
@@ -372,8 +373,7 @@ function properties.is_taken(own, event)
   return false
 end
 
--- Has a walk note the configurations to which the steps lead that have the event of an
--- `after` property.
+-- Has a walk note the targets of all steps that have the event of an `after` property.
 local function watch_steps(walk, afters)
   local own = walk.subject
   function walk.look(_, from, tgt, _, label)
@@ -440,8 +440,8 @@ function properties.monitor(walk, judged)
   if judged.property.event ~= nil then want_event(walk, judged) end
 end
 
--- Judges a property whose monitor has looked at each step of the walk. The monitor
--- itself notes a violation. Here it is judged whether a condition holds eventually.
+-- Judges a property whose monitor has looked at each step of the walk. The monitor has
+-- noted violations already. If a condition must hold eventually, it is judged here.
 local function judge_monitored(walk, judged)
   if judged.property.event ~= nil and not judged.has_come then
     judged.vacuous = rfsm.text_of(judged.property.event) .. " never comes"

@@ -24,11 +24,11 @@ local function add_straight(line, point)
   line[#line + 1] = point
 end
 
-local NEAR = 3 -- points: the most that a port of a box is away from its gate
+local NEAR = 3 -- points: the greatest distance of a port of a box from its gate
 
---- Append the line `more` to a line, which may be empty. If `axis` is given, the axis
--- across the arrows (1: x, 2: y), and `more` begins near the end of the line on that
--- axis, the start of `more` is moved to that end, so that a gate makes no bend.
+--- Append the line `more` to a line, which may be empty. `axis` (1: x, 2: y) is the
+-- axis across the arrows. If it is given, and `more` begins near the end of the line on
+-- this axis, the start of `more` is moved to that end, so that a gate makes no bend.
 function lines.join(line, more, axis)
   local last = line[#line]
   local shift = axis and last and last[axis] - more[1][axis] or 0
@@ -61,7 +61,7 @@ function lines.rounded(points)
   return line
 end
 
---- Return a line around a label: to the coordinate `far` behind it, and back.
+--- Return a line around a label: it turns back beyond the label, at coordinate `far`.
 function lines.around(from, to, far, direction)
   if direction == "TB" then
     return lines.rounded { from, { from[1], far }, { to[1], far }, to }
@@ -100,7 +100,7 @@ function lines.inside(line, frame)
   return result
 end
 
---- Return a line that is moved by x and y, and reversed if it is turned.
+--- Return a line moved by x and y; if `is_turned`, its points are in reverse order.
 function lines.moved(line, x, y, is_turned)
   local moved = {}
   for i, point in ipairs(line) do

@@ -23,11 +23,11 @@ local links = {}
 ---@field composite rfsm.pictures.Node
 ---@field direction "TB"|"LR"
 ---@field gates rfsm.pictures.Gate[]
----@field gate_of table<string, rfsm.pictures.Gate> by key of the arrow
+---@field gate_of table<string, rfsm.pictures.Gate> key of an arrow -> its gate
 ---@field links rfsm.pictures.Link[]
----@field link_of table<string, rfsm.pictures.Link> by key of the arrow
+---@field link_of table<string, rfsm.pictures.Link> key of an arrow -> its link
 ---@field boxes rfsm.pictures.Box[] the boxes of the nodes
----@field arches rfsm.pictures.Box[] id of an arch -> the box of its label
+---@field arches rfsm.pictures.Box[] id of a `Link.arch` -> the box of its label
 ---@field width number
 ---@field height number
 ---@field is_spread? boolean leaves are at both sides of a hub
@@ -44,7 +44,7 @@ local links = {}
 ---@class rfsm.pictures.Gate
 ---@field id string
 ---@field is_upper boolean
----@field twin? rfsm.pictures.Gate the gate of the other line of an arch
+---@field twin? rfsm.pictures.Gate the second gate of an arrow that has a `Link.arch`
 ---@field x number
 ---@field y number
 ---@field offset number distance from the corner where its side of the frame begins
@@ -59,11 +59,11 @@ local links = {}
 ---@field id integer
 ---@field level rfsm.pictures.Level
 ---@field arrow rfsm.pictures.Arrow
----@field upper? rfsm.pictures.End absent in a leg of an arch
+---@field upper? rfsm.pictures.End nil for a leg of `arch`, which begins at the label
 ---@field lower rfsm.pictures.End
 ---@field is_turned boolean the arrow leads from the lower end to the upper one
 ---@field is_home? boolean this link is in the home of the arrow, and has the label
----@field is_loop? boolean
+---@field is_loop? boolean both ends are at the box of one node
 ---@field has_head? boolean this link has the arrowhead
 ---@field arch? { id: integer, legs: rfsm.pictures.Link[] } a label above a composite,
 -- and the two links from the label to the frame of the composite

@@ -28,7 +28,7 @@ end
 --- A remote machine, as far as it is known from messages.
 ---@class rfsm.proto.Follower
 ---@field graph table? the description of the machine, once it was received
----@field leaf string|false|nil FQN of the active leaf; false: not active
+---@field leaf string|false|nil FQN of the active leaf; nil or false: none is known
 ---@field log string[] the last lines of the log
 ---@field count integer number of all lines so far, also of those that were removed
 

@@ -25,7 +25,7 @@ local list_text, leaf_text, same = tracks.list_text, tracks.leaf_text, tracks.sa
 ---@field at integer how many records have been replayed
 ---@field last integer how many records are to be replayed
 ---@field is_dry boolean the functions of the chart are not called
----@field fsm rfsm.Machine|nil nil if the snapshot of the header cannot be put into it
+---@field fsm rfsm.Machine|nil nil if `init` or the load of the first snapshot failed
 ---@field problem string|nil why there is no machine, or how it departs from the records
 ---@field snap rfsm.snapshot.Snapshot|nil the machine at the end; nil after a problem
 ---@field unsaved string|nil why the machine cannot be saved at the end
@@ -41,8 +41,8 @@ local function depart(session, form, ...)
     or ("step %d: "):format(session.at + 1) .. form:format(...)
 end
 
--- Fills a list with packed events, which are unpacked. If one of them cannot be
--- replayed, the replay departs from the recording.
+-- Replaces the items of a list by recorded events, which are unpacked. If an event
+-- cannot be replayed, the replay departs from the recording.
 local function fill(session, list, events)
   for i = #list, 1, -1 do list[i] = nil end
   for i = 1, events and #events or 0 do
@@ -56,7 +56,7 @@ local function fill(session, list, events)
 end
 
 -- Returns true and the next recorded reading of the clock, or false and the recorded
--- error. The last reading is repeated.
+-- error. When no readings are left, the last one is returned again.
 local function read_again(session)
   local now = remove(session.readings or {}, 1) or session.latest or { 0, 0 }
   if type(now[1]) == "string" then return false, now[1] end
@@ -198,8 +198,8 @@ function listener.guard(session, track, number, guard, tr, events)
   return answer
 end
 
--- Returns a doo that ends when the recorded doo ended or failed. Its e_done is among
--- the recorded events.
+-- Returns a doo that ends when the recorded doo ended or failed. The event e_done is
+-- one of the recorded events.
 local function doo_again(track)
   return function(_, state)
     while true do

@@ -1,5 +1,5 @@
---- Stores machines in the keys of Redis: the host of `rfsm.server.functions`, and the
--- functions for many machines.
+--- Stores machines in the keys of Redis: the host object of `rfsm.server.functions`,
+-- and the functions for many machines.
 --
 -- `rfsm.redis` bundles this module. A call that fails changes nothing, since all checks
 -- come before the first write, also those of the user's rights and of the types of the
@@ -54,7 +54,7 @@ end
 function store.pack(list) return cmsgpack.pack(list) end
 
 -- `writes`: the commands that store a machine, each { name, key, ... }. `asked`: key ->
--- command that was checked, since a call for many machines checks a shared key once.
+-- command whose check is done. Machines share keys; a call checks each key only once.
 local writes, asked = {}, {}
 
 -- Adds a command. Only the first one may fail, since earlier commands are not undone.
@@ -152,8 +152,8 @@ function store.write(machine, due, emitted, errors)
   for i = 2, #writes do call(unpack(writes[i])) end
 end
 
---- Remove a machine with its timers, its member of the index and its streams; return
--- whether it was there.
+--- Remove a machine with its timers, its member of the index and its streams. Return
+-- whether the machine existed.
 function store.remove(key)
   if call("DEL", key) == 0 then return false end
   call("ZREM", keys_of.due(key), key)
@@ -179,8 +179,8 @@ local function whole_of(text, default, most)
   return number
 end
 
--- Runs a machine that is due, and removes it from the machines that were put aside if
--- it may be one of them. If it does not exist, its key is removed from the due ones.
+-- Runs a machine that is due. If `may_be_aside`, the machine is no longer put aside. If
+-- the machine does not exist, its key is removed from the keys of due machines.
 local function tick(key, may_be_aside)
   local reply = tick_machine({ key })
   if not reply then call("ZREM", keys_of.due(key), key) end
@@ -205,8 +205,8 @@ local function is_elsewhere(problem)
   return reason_of(problem):find("non local key", 1, true) ~= nil
 end
 
--- rfsm_wake KEY [limit]: runs the due machines that share the hash tag of the key;
--- returns how many ran, and how many failed.
+-- rfsm_wake KEY [limit]: runs the due machines whose keys have the {hash tag} of
+-- KEY; returns how many ran, and how many failed.
 function more.rfsm_wake(keys, args)
   local due, limit = keys_of.due(keys[1]), whole_of(args[1], 100, 10000)
   local list = call("ZRANGEBYSCORE", due, "-inf", score(now()), "LIMIT", 0, limit)
@@ -224,8 +224,8 @@ function more.rfsm_wake(keys, args)
   return { count, failed }
 end
 
--- rfsm_due KEY [limit [seconds]]: returns the keys of the machines that share the hash
--- tag of the key and are due now, or at a time in seconds.
+-- rfsm_due KEY [limit [seconds]]: returns the keys of machines that are due now, or
+-- at a time in seconds, and that have the {hash tag} of KEY.
 function more.rfsm_due(keys, args)
   local limit, at = tonumber(args[1] or 100), tonumber(args[2] or now())
   if not limit or not at then fail("a number expected") end
@@ -265,8 +265,8 @@ local function keys_with(index, head, limit, time)
 end
 
 -- rfsm_find KEY chart state [limit [seconds]]: returns the keys of the machines that
--- share the hash tag of the key, and whose active leaf is the state or inside of it,
--- for at least so many seconds.
+-- have the {hash tag} of KEY, and whose active leaf is the state or inside of it. With
+-- `seconds`, only machines that have been in this leaf for so long.
 function more.rfsm_find(keys, args)
   if not options.index then fail("the library was made without --index") end
   local index, limit = keys_of.index(keys[1]), whole_of(args[3], 100, 100000)
@@ -280,9 +280,9 @@ function more.rfsm_find(keys, args)
   return found
 end
 
--- rfsm_stats KEY: returns six results for the machines that share the hash tag of the
--- key: a list of chart, state, number, chart ...; how many have a deadline; how many
--- were put aside; entries of the stream; how many are overdue; dead entries.
+-- rfsm_stats KEY: returns six results for the machines with the {hash tag} of KEY: a
+-- list (chart, state, number of machines, chart ...), and five numbers: machines with a
+-- deadline, machines put aside, events in the stream, overdue machines, dead events.
 function more.rfsm_stats(keys)
   local key, reply = keys[1], {}
   local index, due = keys_of.index(key), keys_of.due(key)
@@ -315,11 +315,11 @@ function more.rfsm_history(keys, args)
   return reply
 end
 
---- Add the functions for many machines. Each call checks types and rights anew.
+--- Add the functions for many machines to `all`. A call checks types and rights anew.
 function store.add(all, settings)
   tick_machine, options = all.rfsm_tick, settings
   for name, f in pairs(more) do all[name] = f end -- any order: a copy
-  for name, f in pairs(all) do -- any order: each stands alone
+  for name, f in pairs(all) do -- any order: they are independent
     all[name] = function(keys, args)
       asked = {}
       return f(keys, args)
@@ -332,7 +332,7 @@ function store.refuse(name, reason)
   return redis.error_reply("ERR " .. name .. ": " .. reason)
 end
 
---- Return the host. The arguments are `redis`, `cjson` and `cmsgpack` of Redis.
+--- Return the host object. The arguments are `redis`, `cjson`, `cmsgpack` of Redis.
 return function(server, cjson, pack)
   redis, call, cmsgpack = server, server.call, pack
   function store.decode(text) return cjson.decode(text) end

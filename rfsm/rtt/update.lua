@@ -14,7 +14,7 @@ local pcall, rawget, require, select = pcall, rawget, require, select
 local setmetatable, type = setmetatable, type
 local huge, remove = math.huge, table.remove
 local newproxy = rawget(_G, "newproxy")
-local text_of = calls.text -- the launched functions hold this, not the module
+local text_of = calls.text -- so that launched functions do not hold the module
 
 local update = {}
 
@@ -32,8 +32,8 @@ local function make_room(problem)
   end
 end
 
--- Returns the KiB in use, the most KiB that ever were in use, and the size of the TLSF
--- pool. The figures of a pool include its overhead. Without one: 0 and infinity.
+-- Returns the KiB in use, the most KiB that were ever in use, and the size of the TLSF
+-- pool, all with the pool's overhead. Without a pool the last two are 0 and infinity.
 local function usage()
   local tlsf = rawget(_G, "tlsf")
   if not (tlsf and tlsf.stats) then return collectgarbage("count"), 0, huge end
@@ -88,10 +88,10 @@ function update.new_meter(launch)
   end
 end
 
---- Undo a launch that has failed, and raise the reason. If that is a lack of memory,
--- the message also has the stage of the launch and the memory in use.
+--- Undo a launch that has failed, and raise the reason. If memory was short, the
+-- message also has the stage of the launch and the memory in use.
 function update.fail(launch, problem)
-  collect() -- or undoing fails, too
+  collect() -- otherwise undoing would fail, too
   launch:undo()
   local text, memory = rfsm.text_of(problem), memory_text()
   if text:find("not enough memory", 1, true) then
@@ -118,7 +118,7 @@ end
 
 -- Attributes ---------------------------------------------------------------------
 
---- Name of an attribute -> its type: for each launch, and further ones for a service.
+--- Name of an attribute -> its type. OF_SERVICE: attributes that only a service adds.
 update.ATTRIBUTES = {
   rfsm_errors = "uint", rfsm_overruns = "uint", rfsm_failures = "uint",
   rfsm_live = "double", rfsm_peak = "double",
@@ -257,8 +257,8 @@ local function new_update(launch, fsm, again)
 end
 
 -- Returns a function that advances the machine, and always returns true. The update
--- after a failure finishes the step that was cut short, and the one after that reads
--- the new events. So another update is triggered when failures begin and when they end.
+-- after a failure finishes the step that was cut short; the next update reads the new
+-- events. So another update is triggered when failures begin and when they end.
 function update.new_trigger(launch, fsm)
   -- triggers the next update of a component, which otherwise waits for an event
   local again = launch.is_component and launch.component:getOperation("trigger")

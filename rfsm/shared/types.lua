@@ -28,9 +28,9 @@
 
 --- An edge from one state or connector to another, as the user writes it.
 ---@class rfsm.Edge
----@field src string|rfsm.State|rfsm.Connector source; a node after init
----@field tgt string|rfsm.State|rfsm.Connector target; a node after init
----@field events? false|any[]|string one of them triggers; none: any event does
+---@field src string|rfsm.State|rfsm.Connector source; after init always a node
+---@field tgt string|rfsm.State|rfsm.Connector target; after init always a node
+---@field events? false|any[]|string each one triggers it; none: any event does
 ---@field guard? false|fun(tr: rfsm.Transition, events: any[]): boolean?
 -- the transition is not enabled if the guard returns false
 ---@field effect? false|fun(m: rfsm.Machine, tr: rfsm.Transition, s: string, e: any[])

@@ -1,4 +1,4 @@
---- The history of a simulation: the places where advances ended, and recordings.
+--- The history of a simulation: the machine after each advance, and recordings.
 --
 -- @module rfsm.sim.history
 -- @license BSD-3-Clause
@@ -17,7 +17,7 @@ local print = print
 local concat = table.concat
 local text_of = rfsm.text_of
 
-local history = { BYTES = nil } -- most bytes of all places; nil: the default of rewind
+local history = { BYTES = nil } -- most bytes of a history; nil: the default of rewind
 
 local START = { sec = 0, nsec = 0 } -- the time if there is no simulated clock
 
@@ -32,7 +32,7 @@ local function set_time(sim, place)
   now.sec, now.nsec = place.sec, place.nsec
 end
 
---- Begin a history. A recording goes on in the same file, where a new run begins.
+--- Begin a history. If a recording is on, a new run begins in its file.
 function history.start(sim)
   sim.came = {}
   sim.history = rewind.new(sim.fsm, { bytes = history.BYTES,
@@ -50,7 +50,7 @@ function history.mark(sim)
   if sim.recorder then sim.recorder:go_on() end
 end
 
---- Pause a recording until the next advance, so that the machine has its own guards.
+--- Pause a recording until the next advance. The machine gets its own guards back.
 function history.pause(sim)
   if sim.recorder then sim.recorder:pause() end
 end
@@ -70,7 +70,7 @@ local function go(sim, number)
   sim.came = place.about.came
 end
 
---- Put the machine back into the place where advance n ended.
+--- Put the machine back to the end of advance n.
 function history.go_to(sim, n)
   local way = sim.history
   if type(n) ~= "number" or n < way.first or n > way.last or n % 1 ~= 0 then

@@ -12,12 +12,12 @@ local setmetatable, huge = setmetatable, math.huge
 --- A machine that a program drives.
 ---@class rfsm.web.Served
 ---@field view rfsm.web.LocalView
----@field title string of the tab
+---@field title string the title of the tab
 ---@field problems string[] always empty, since the machine runs
 ---@field generation integer always 1, since the chart stays the same
 ---@field commands table<string, function> type of a page's message -> its function
 ---@field has_history boolean is the machine observed also while no page is open?
----@field seen_at number the time at which a page has read it last
+---@field seen_at number the time at which a page last read the machine
 local Served = {}
 Served.__index = Served
 
@@ -32,7 +32,7 @@ end
 
 function COMMANDS.why(served) return nil, served.view:why() end
 
---- Start, or stop, to observe the machine. With `history` it is observed all the time.
+--- Start or stop observing the machine. With `history` it is always observed.
 function Served:observe(is_wanted)
   self.view:observe(is_wanted or self.has_history)
 end
