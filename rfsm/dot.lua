@@ -107,8 +107,8 @@ local function add_edge(lines, arrow, half, upper, lower, dir)
     dir ~= "forward" and ", dir=" .. dir or ""))
 end
 
--- Adds the edge of an arrow; if the arrow has a label, an edge to the label and one
--- from it. The label of a loop is below both ends of the loop, and is its bottom.
+-- Adds one edge for an arrow without a label, else two: to the label and from it.
+-- The label of a loop is below both ends of the loop, and is its bottom.
 local function add_arrow(lines, arrow)
   local src, tgt, label = arrow.src, arrow.tgt, arrow.label
   local is_back, is_round = leads_back(arrow), is_loop(arrow)

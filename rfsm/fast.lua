@@ -106,7 +106,7 @@ end]]
 -- The root has a metatable, which `rawset` does not ask about the absent field.
 local LINK, LINK_TO_ROOT = "$a._actchild = $b", 'rawset($a, "_actchild", $b)'
 
--- Appends a block. `text.at` counts states left or entered; s0, s1 have them in turn.
+-- Appends a block. `text.at` counts states left or entered; they alternate in s0, s1.
 local function write(text, block, more)
   local places = text.places
   places.a, places.b = "s" .. text.at % 2, "s" .. (text.at + 1) % 2
@@ -179,8 +179,8 @@ end
 
 -- Searches ----------------------------------------------------------------------------
 --
--- Candidates are asked in turn on level 0, ways out of a connector on the next level.
--- On level $k, w$k is the way that was found, x$k the list of ways if they conflict.
+-- Level 0 asks the candidates one by one. Each further level asks the ways out of a
+-- connector. On level $k, w$k is the way found, x$k is the list of ways in conflict.
 
 local FIND = [[
 return function(fsm, list, events)
@@ -222,7 +222,7 @@ local CHOSEN = [[
 if def then return def end
 if fsm._plan ~= plan then return nil end]]
 
--- Returns the condition to ask a connector's way out; `first` is its first way out.
+-- Returns the condition for asking a connector's `way`; `first` is its first way out.
 local function condition(way, first)
   local may = way.events and "matches(d$n, events)" or "true"
   if (way.pn or 0) == (first.pn or 0) then return may end

@@ -26,7 +26,7 @@ local marsh = {}
 ---@class rfsm.marsh.Transition
 ---@field type "transition"
 ---@field src string FQN of the source
----@field tgt string FQN of the target; of its `initial` if the target is a composite
+---@field tgt string FQN of the target, or of the `initial` of a composite target
 ---@field pn? number priority number of the transition
 ---@field events any[] empty if any event triggers it
 ---@field internal? true no state is left or entered, `src` and `tgt` are the same
@@ -50,7 +50,7 @@ local marsh = {}
 ---@field at? string where each callback begins: "entry chart.lua:7"
 ---@field doc? string the field `doc` of the state in the model
 ---@field final? true the model has `final` in this state
----@field history? "shallow"|"deep" how transitions enter the composite, if any does so
+---@field history? "shallow"|"deep" given if transitions enter the composite by history
 ---@field mode? "active"|"done" mode in a live machine; absent if the state is inactive
 ---@field regions? rfsm.marsh.Node[] the regions of a sequential AND state; their FQNs
 -- begin with the FQN of the state and the name of the region: "root.arms.left.open"
@@ -63,12 +63,12 @@ local function append(lists, key, value)
   list[#list + 1] = value
 end
 
--- Returns the target of a transition in the model: history may change it in a machine.
+-- Returns the target that a transition has in the model; history may change `tr.tgt`.
 local function target_of(tr) return rfsm.targets(tr)[1] end
 
--- Notes a transition in `links`, from one child to another of the innermost composite
--- around both its ends. Each child of a deeper composite that the transition enters is
--- noted in `entries`, by that composite.
+-- Notes a transition in `links`, as an edge between two children of the innermost
+-- composite around source and target. For each composite further in that the transition
+-- enters, notes in `entries` the child that is entered.
 local function note_links(tr, links, entries)
   local around, child, tgt = {}, target_of(tr), target_of(tr)
   while not rfsm.is_root(child) do
@@ -98,10 +98,10 @@ local function members_of(fsm)
   return transitions, nodes, names, links, entries
 end
 
--- Returns a function that lists the nodes of a composite, or returns nil for a leaf.
--- The list is breadth first from `initial`, then from nodes that are entered from
--- outside, then from the other nodes by name. Also returns the transitions in each
--- composite, and the names of transitions.
+-- Returns a function that lists the nodes of a composite (nil for a leaf), then two
+-- tables: the transitions by composite, and the names of transitions. A list of nodes
+-- has a breadth-first walk from `initial`, then walks from nodes that are entered from
+-- outside, then from the other nodes by name.
 local function new_walk(fsm)
   local transitions, nodes_in, names, links, entries = members_of(fsm)
   return function(composite)
@@ -160,7 +160,7 @@ end
 
 local IS_FIELD = { entry = true, exit = true, doo = true, guard = true, effect = true }
 -- Returns the name of a function from the line in which it begins, or nil. If several
--- functions begin in that line, the first one makes the others by a call: "move(5)".
+-- functions begin there, the first is taken to return this one: its call is "move(5)".
 local function name_in_line(f, line, count)
   local name, parameters = line:match("function%s+([%a_][%w_.:]*)%s*(%b())")
   if name and count > 1 then return name .. arguments_of(f, parameters) end
@@ -170,8 +170,8 @@ end
 
 local LONGEST = 40 -- bytes of a body
 
--- Returns the body of a function that a line assigns to a field, if the line does so
--- once. The text before the first "end" must compile, else this "end" is inside of it.
+-- Returns the body of the function that a line assigns to a field; nil if the line has
+-- two of them, or if the text before the first "end" is not the whole body.
 local function body_in_field(line, field)
   local head = "%f[%w_]" .. field .. "%s*=%s*function%s*%b()%s*"
   local body = line:match(head .. "(.-)%f[%w_]end%f[^%w_]")
@@ -413,7 +413,7 @@ end
 
 local machine_table
 
--- Adds the part of a state that only a full description has.
+-- Adds the fields of a state that only a full description has.
 local function add_details(writer, tab, state)
   local regions, mode = writer.regions_of[state], rfsm.get_sta_mode(state)
   add_texts(writer, tab, callbacks_of(state, regions), PROGRAMS)
@@ -454,8 +454,8 @@ local function histories_of(fsm)
   return composites
 end
 
--- Returns the table of a machine or region with an id. `texts` has the functions of the
--- writer that make texts; it is empty if the description is not full.
+-- Returns the table of a machine or region, with this `id`. `texts` has the fields of a
+-- writer that a full description needs; it is empty if the description is not full.
 function machine_table(fsm, id, prefix, texts)
   local walk, transitions, names = new_walk(fsm)
   local tab = node_table({ walk = walk, transitions = transitions, names = names,
@@ -512,8 +512,8 @@ local CHARACTERS = { "^[\194-\223][\128-\191]", "^\224[\160-\191][\128-\191]",
   "^[\241-\243][\128-\191][\128-\191][\128-\191]",
   "^\244[\128-\143][\128-\191][\128-\191]" }
 
--- Keeps the character with which the bytes begin, if they begin with a whole one. Each
--- other byte becomes U+FFFD.
+-- Keeps the UTF-8 character at the start of the bytes, if it is complete. Each other
+-- byte becomes U+FFFD.
 local function mend(bytes)
   for _, character in ipairs(CHARACTERS) do
     local _, last = bytes:find(character)

@@ -167,7 +167,7 @@ local function called_in(pair)
   return name ~= "" and name or nil
 end
 
---- Note which keys occur twice in a table node, and which callbacks are calls.
+--- Note keys that occur twice in a table node, and callbacks whose value is a call.
 ---@param file { lost: table, called: table } lists of { name = key, ... } by line
 function bodies.note_table(file, node)
   local seen = {}

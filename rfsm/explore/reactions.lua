@@ -84,8 +84,8 @@ local function add_reactions(found, fsm, node, seen)
   add_reactions_of(found, fsm, node)
 end
 
--- Adds the events of the leaf's regions to the set, but not to the list: the regions
--- list the events that can have an effect in their own leaves.
+-- Adds the events of the leaf's regions to `found.set`, but not to the list `found`:
+-- each region lists the events of its own leaf.
 local function add_own_regions(found, leaf)
   local count = #found
   found.own = not found.any and {}

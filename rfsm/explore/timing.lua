@@ -31,7 +31,7 @@ local timing = {}
 ---@class rfsm_checks.Timing
 ---@field subject rfsm_checks.Subject
 ---@field clocks rfsm_checks.Clock[]
----@field of table<table, rfsm_checks.Clock> by property, or by event to be sent later
+---@field of table<table, rfsm_checks.Clock> clock of a property or delayed event
 ---@field pending integer how many events may wait to be sent, at most
 ---@field is_timed boolean some clock is not free
 ---@field unit number nanoseconds; all times are multiples of the unit
@@ -48,9 +48,9 @@ Timing.__index = Timing
 --- state runs once at a time, the other clocks may run several times at once.
 ---@class rfsm_checks.Clock
 ---@field number integer index in the list of clocks
----@field state? rfsm.State the state that the clock belongs to
----@field judged? rfsm_checks.Judged the property that it belongs to
----@field later? rfsm_checks.Occurrence the event sent later that it belongs to
+---@field state? rfsm.State the state whose timers this clock measures
+---@field judged? rfsm_checks.Judged the property whose time this clock measures
+---@field later? rfsm_checks.Occurrence the event whose delay this clock measures
 ---@field is_free boolean|nil its deadline may be over at any time, or never
 ---@field deadlines number[] in rising order, in units
 ---@field events rfsm_checks.Occurrence[][] for each deadline, the events that come then
@@ -229,9 +229,8 @@ local function bounds_of(self, entry, i, over)
   return bounds
 end
 
--- Returns the bound under which the next deadline of the entry `one` is not later than
--- the next deadline of `other`, or earlier. `bound` is zones.at_most for "not later",
--- zones.below for "earlier".
+-- Returns the bound under which the next deadline of entry `one` is earlier (`bound` is
+-- zones.below) or not later (zones.at_most) than the next deadline of entry `other`.
 local function order_of(entries, one, other, bound)
   local longer = entries[other].clock.deadlines[entries[other].passed + 1]
     - entries[one].clock.deadlines[entries[one].passed + 1]
@@ -245,7 +244,8 @@ local function bounded(zone, count, bounds)
   return zone
 end
 
--- Adds a group. Its events come in the order of `numbers`, a list of entry numbers.
+-- Adds the group `found`. Its events come in the order of `numbers`, which are numbers
+-- of entries.
 local function add_group(self, groups, entries, found, numbers)
   local group = { number = #groups + 1, over = found.over, is_over = false,
     events = {}, zone = found.zone, bounds = found.bounds }
@@ -393,8 +393,8 @@ local function add_states(self, time, group, entries, sources)
   end
 end
 
--- Adds the clocks of events that wait to be sent: those that waited before the step and
--- have neither come nor been dropped, and those of the step. Returns their number.
+-- Adds the clocks of events that wait to be sent: events from before the step that have
+-- neither come nor been dropped, then events from the step. Returns their number.
 local function add_pending(self, time, group, entries, sources)
   local own, before = self.subject, #entries
   for i, entry in ipairs(time.entries) do

@@ -28,7 +28,7 @@ local graphs = {}
 local TABLE = '<TABLE BORDER="0" CELLBORDER="0" CELLSPACING="0" CELLPADDING="0">'
 local CELL = '<TD FIXEDSIZE="TRUE" WIDTH="%d" HEIGHT="%d"%s>%s</TD>'
 
--- Returns a table with cells in a column if the direction is LR, else in a row.
+-- Returns an HTML table. Its cells are a column if the direction is LR, else a row.
 local function table_of(direction, cells)
   return TABLE .. "<TR>" .. concat(cells, direction == "LR" and "</TR><TR>" or "")
     .. "</TR></TABLE>"
@@ -87,8 +87,8 @@ end
 
 local POINT = '%s [shape=box, style=invis, label="", width=0.01, height=0.01]'
 
--- Is the header of a composite, its name and rows, a node in the first rank beside the
--- gates there? If not, the header is the label of the graph.
+-- Is the header of a composite (its name and rows) a node in the first rank, beside the
+-- upper gates? If not, the header is the label of the graph.
 local function has_header_rank(level)
   local is_upper = false
   for _, gate in ipairs(level.gates) do is_upper = is_upper or gate.is_upper end

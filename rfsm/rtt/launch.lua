@@ -23,7 +23,7 @@ local rtt_launch = {}
 
 -- The text that the other Lua executes ---------------------------------------------
 
--- Returns a value as Lua source. Raises an error if it has none, such as a function.
+-- Returns a value as Lua source. Raises an error for functions, userdata, NaN.
 local function to_text(value, path)
   local kind = type(value)
   if kind == "string" then return ("%q"):format(value) end

@@ -1,6 +1,6 @@
 --- Descriptions: the tables from which systems are made, and the checks of the tables.
 --
--- Functions that check append problems to a list and raise no error. No callback runs.
+-- The checks append problems to a list and raise no error. No callback runs.
 --
 -- @module rfsm.system.description
 -- @license BSD-3-Clause
@@ -26,7 +26,7 @@ local description = {}
 --- The parts of a description that have been read, and the problems found.
 ---@class rfsm.system.Draft
 ---@field file? string
----@field lines table<string|integer, integer> by name of a machine or number of a wire
+---@field lines table<string|integer, integer> line of each machine name and wire number
 ---@field problems string[]
 ---@field models table<string, rfsm.State> charts by the names of machines
 ---@field machines table<string, rfsm.Machine> machines for the checks; they never run

@@ -49,7 +49,7 @@ Product.__index = Product
 ---@field number integer
 ---@field confs rfsm_checks.Configuration[] configurations of this machine alone
 ---@field moves table<integer, table> outcomes by configuration, then by events read
----@field wired table<string, boolean> events that wires bring; true: only wires do
+---@field wired table<string, boolean> events of wires; true: they come only by wires
 ---@field takes table<string, true> events that transitions have taken
 ---@field outgoing table<string, integer[]> by event, the numbers of wires that take it
 
@@ -139,8 +139,8 @@ local function copy(queue) return match.joined({}, queue) end
 --- Return a configuration by its number.
 function Product:configuration(number) return self.keys[number] end
 
--- Returns the number of a configuration. A new one is added, and is expanded later.
--- Properties read `leaf` in its first item: whether all machines were entered.
+-- Returns the number of a configuration. A new one is added, and is expanded later. Its
+-- first item has `leaf`, for properties: it is true if all machines were entered.
 local function find_configuration(self, numbers, queues, from, label)
   local texts = { concat(numbers, ",") }
   for i, queue in ipairs(queues) do texts[i + 1] = concat(queue) end
@@ -282,9 +282,9 @@ end
 
 -- Runs that stay ....................................................................
 
--- Notes to which machines a run is fair if it stays in the strongly connected component
--- of a configuration: machines that have nothing to do in the configuration, or a move
--- that stays in the component.
+-- Notes in `is_fair` which machines a run does not neglect if it stays in the strongly
+-- connected component of a configuration: a machine has nothing to do in the
+-- configuration, or it has a move that stays in the component.
 local function note_fair(self, number, index_of, is_fair)
   local is_busy = {}
   graph.each_step(self, number, function(tgt, is_internal, at)
@@ -351,7 +351,7 @@ end
 ---@field taken string[] paths of the transitions that were taken
 ---@field leaf string|false path of the leaf after the move; false: not entered yet
 
--- Returns the move of a witness that leaves the configuration `from` by a label.
+-- Returns the move with this label from the configuration `from`, as a witness has it.
 local function move_of(self, from, label)
   local number, index = label:match("^(%d+):(%d+)$")
   local member = self.members[tonumber(number)]
@@ -367,8 +367,8 @@ local function move_of(self, from, label)
   return move
 end
 
---- Return the shortest run to a configuration. If `label` is given, the run goes on by
---- that move; if `stays` is given, it then goes on to where it may stay.
+--- Return the shortest run to a configuration, then the move `label` if it is given. If
+--- `stays` is given, the run goes on to a configuration in which it may stay for ever.
 ---@param number integer
 ---@param label string? label of a move from the configuration
 ---@param stays integer? target of that move, if a run that stays is shown

@@ -25,7 +25,7 @@ local rawget, rawset, setmetatable = rawget, rawset, setmetatable
 local type, remove = type, table.remove
 local ceil, huge, max, min = math.ceil, math.huge, math.max, math.min
 
-local LOOK_TIME = 0.5 -- seconds; so often the file is read, to see whether it changed
+local LOOK_TIME = 0.5 -- seconds between two looks whether the file has changed
 local TICK = 1e-6 -- seconds; times are rounded up to multiples of it
 
 --- A chart and its machine.
@@ -33,7 +33,7 @@ local TICK = 1e-6 -- seconds; times are rounded up to multiples of it
 ---@field file string
 ---@field view rfsm.web.LocalView|false false while the chart has a mistake
 ---@field problems string[] problems of the chart; empty if it runs
----@field generation integer how often a chart was loaded, each time the page draws it
+---@field generation integer how often the chart was loaded; the page draws it anew then
 ---@field way rfsm.observe.Rewind|false the way back; turn n + 1 begins at its place n
 ---@field snap table? snapshot of the last machine, while the chart has a mistake
 ---@field time rfsm.clock.Clock seconds since the machine began, as the chart reads them
@@ -82,7 +82,7 @@ local function read(file) return files.read(file) or "" end
 
 -- Turns: each is a command of the page, or a timer -----------------------------------
 
--- Has the simulated time advance with real time, beginning with its present value.
+-- Makes the simulated time advance with real time, from its present value on.
 local function start_clock(session)
   session.since = session.real() - session.time:now()
 end
@@ -152,7 +152,7 @@ end
 
 -- Commands of the page ------------------------------------------------------------
 
---- The commands of a page. Each returns nil or a problem, then an answer if it has one.
+--- The commands of a page. Each returns a problem or nil, then perhaps an answer.
 Driven.commands = {}
 local commands = Driven.commands
 
@@ -210,8 +210,8 @@ local function next_timer(session)
   return session.view and clock.until_timer(session.view.fsm) or nil
 end
 
--- Has the time pass, up to a breakpoint. The machine runs when a timer expires, and at
--- the end.
+-- Lets simulated time pass, but stops at a breakpoint. The machine runs when a timer
+-- expires, and at the end.
 local function pass(session, seconds)
   begin_turn(session)
   for _ = 1, Driven.MAX_STEPS do
@@ -260,7 +260,7 @@ end
 
 -- Timers and the file ----------------------------------------------------------------
 
--- Returns the seconds of real time until the next timer expires; nil or false for none.
+-- Returns the seconds of real time until a timer expires; nil or false if none runs.
 local function time_left(session)
   local seconds = session.is_live and next_timer(session)
   local since = session.real() - session.since
