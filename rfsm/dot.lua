@@ -122,7 +122,7 @@ local function add_arrow(lines, arrow)
   add_half("/tgt", label, tgt, is_back or is_round)
 end
 
-local LARGE = 500 -- nodes
+local LARGE = 500 -- nodes; a chart with more is laid out with less effort
 
 local function draw(chart)
   local root = chart.root

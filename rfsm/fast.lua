@@ -38,7 +38,7 @@ end
 -- Appends the lines of a block. `places` has the texts that replace the block's $words.
 local function add(text, block, places)
   for line in block:gmatch("[^\n]+") do
-    local filled = line:gsub("$(%l+)", places):gsub("$(%l+)", places) -- nested, too
+    local filled = line:gsub("$(%l+)", places):gsub("$(%l+)", places) -- nested $words
     if filled ~= "" then text.lines[#text.lines + 1] = for_jit(filled) end
   end
 end

@@ -168,7 +168,7 @@ local function name_in_line(f, line, count)
   return name and not IS_FIELD[name] and name or nil
 end
 
-local LONGEST = 40 -- bytes of a body
+local LONGEST = 40 -- most bytes of a body that is shown
 
 -- Returns the body of the function that a line assigns to a field; nil if the line has
 -- two of them, or if the text before the first "end" is not the whole body.
@@ -194,7 +194,7 @@ local function body_of(info, lines, count, field)
   return #body <= LONGEST and body ~= "" and not body:find("^%-%-") and body or nil
 end
 
-local LONGEST_COMMENT = 60 -- bytes
+local LONGEST_COMMENT = 60 -- most bytes of a comment that is shown
 
 -- Returns the comment after the head of a function, or else in the line above the head.
 local function comment_of(info, lines)
@@ -211,7 +211,7 @@ for word in ("and do else elseif end for function if in local not or repeat retu
   IS_KEYWORD[word] = true
 end
 
--- Calls f(call) for each call in a body, but not for calls in its arguments.
+-- Calls f(call) for each call in a body, but not for calls in arguments of a call.
 local function each_call(body, f)
   local position = 1
   while true do
@@ -249,7 +249,7 @@ local function text_in_source(f, info, lines, field)
     or comment_of(info, lines) or count == 1 and calls_of(info, lines) or nil
 end
 
--- Returns the text of a value; nil if the text has an address, which no two runs share.
+-- Returns the text of a value; nil if it has an address, which differs in each run.
 local function text_without_address(value)
   local kind = type(value)
   if kind == "string" then return value end

@@ -12,8 +12,8 @@ local ipairs, rawget, type = ipairs, rawget, type
 
 local bodies = {}
 
---- Call f(node) for a node and the nodes in it. The nodes in a node are left out if
---- f(node) returns false.
+--- Call f(node) for a node and the nodes in it. If f(node) returns false, the nodes
+--- in that node are left out.
 function bodies.walk(node, f)
   if type(node) ~= "table" or node.tag and f(node) == false then return end
   for _, child in ipairs(node) do bodies.walk(child, f) end

@@ -32,12 +32,12 @@ local timing = {}
 ---@field subject rfsm_checks.Subject
 ---@field clocks rfsm_checks.Clock[]
 ---@field of table<table, rfsm_checks.Clock> clock of a property or delayed event
----@field pending integer how many events may wait to be sent, at most
----@field is_timed boolean some clock is not free
----@field unit number nanoseconds; all times are multiples of the unit
+---@field pending integer most events that may wait to be sent
+---@field is_timed boolean at least one clock is not free
+---@field unit number all times are multiples of this number of nanoseconds
 ---@field period number|false longest time between two steps, in units; false: not given
----@field none rfsm_checks.Time the time at which no clock runs
----@field times table<string, rfsm_checks.Time> the times by their texts
+---@field none rfsm_checks.Time the value for moments at which no clock runs
+---@field times table<string, rfsm_checks.Time> the times by their field `text`
 ---@field fired table<rfsm_checks.Occurrence, boolean> time events that have come
 ---@field is_cut boolean some groups were left out
 ---@field is_inexact boolean some times have too many units to be exact

@@ -199,7 +199,7 @@ local function add_link(lines, level, link)
     has_label and ", label=" .. looks.roomy_label(link.arrow) or ""))
 end
 
-local LARGE = 100 -- links in a level
+local LARGE = 100 -- links; a level with more is laid out with less effort
 
 local function graph_of(level)
   local composite = level.composite

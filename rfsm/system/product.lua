@@ -1,9 +1,9 @@
 --- Products: the configurations that the machines of a system reach together.
 --
--- In a move a machine reads its wires and takes one step with the events that it has
--- read and at most one event from outside. Any machine may move at any time. Each
--- machine has a walk (`rfsm.explore.explore`), by which the engine takes a step once
--- for each configuration and list of events that were read. The outcomes are kept.
+-- In a move, a machine reads its wires. Then it takes one step with the events that it
+-- has read and at most one event from outside. Any machine may move at any time. Each
+-- machine has a walk (`rfsm.explore.explore`), which takes equal steps only once: the
+-- outcomes are kept by the configuration of the machine and the list of events read.
 --
 -- A product also has the fields of a walk that graphs and properties read.
 --
@@ -31,7 +31,7 @@ local product = {}
 ---@field members rfsm.system.Member[]
 ---@field wires rfsm.system.Wire[] wires between the members
 ---@field keys table[] configurations: `numbers` has the configuration of each machine,
--- `queues` the queue of each wire
+-- `queues` has the queue of each wire
 ---@field numbers table<string, integer> number of a configuration by its text
 ---@field labels string[] by configuration, the move that first led to it: "2:7" is
 -- outcome 7 of member 2
@@ -51,7 +51,7 @@ Product.__index = Product
 ---@field moves table<integer, table> outcomes by configuration, then by events read
 ---@field wired table<string, boolean> events of wires; true: they come only by wires
 ---@field takes table<string, true> events that transitions have taken
----@field outgoing table<string, integer[]> by event, the numbers of wires that take it
+---@field outgoing table<string, integer[]> by event, numbers of the wires that carry it
 
 -- Steps of one machine ..............................................................
 
@@ -132,8 +132,8 @@ end
 
 -- Moves .............................................................................
 
--- All events of a wire have one name. So in a queue the letter "d" stands for an event
--- with data, the letter "e" for an event without data.
+-- All events of a wire have one name. So a queue is a list of letters: "d" is an event
+-- with data, "e" is an event without data.
 local function copy(queue) return match.joined({}, queue) end
 
 --- Return a configuration by its number.
@@ -262,7 +262,7 @@ function Product:split(name)
 end
 
 --- Return a function that returns whether "arm: root.moving" is active in a
---- configuration. If `passed` is given, its machine is looked at in a moment within a
+--- configuration. If `passed` is given, its machine is judged at a moment within a
 --- step. A product is its own subject, so that properties find this method.
 function Product:view(conf, passed)
   return function(name)

@@ -34,13 +34,13 @@ local TICK = 1e-6 -- seconds; times are rounded up to multiples of it
 ---@field view rfsm.web.LocalView|false false while the chart has a mistake
 ---@field problems string[] problems of the chart; empty if it runs
 ---@field generation integer how often the chart was loaded; the page draws it anew then
----@field way rfsm.observe.Rewind|false the way back; turn n + 1 begins at its place n
+---@field way rfsm.observe.Rewind|false the earlier places; turn n + 1 begins at place n
 ---@field snap table? snapshot of the last machine, while the chart has a mistake
 ---@field time rfsm.clock.Clock seconds since the machine began, as the chart reads them
----@field is_live boolean does the clock go on with real time?
+---@field is_live boolean the clock goes on with real time
 ---@field points rfsm.observe.Breakpoint[] breakpoints
 ---@field stopped string|false the breakpoint at which the last run has ended
-local Driven = { MAX_STEPS = 1000 } -- steps of one run, at most
+local Driven = { MAX_STEPS = 1000 } -- most steps of one run
 Driven.__index = Driven
 
 -- Load: a chart becomes a machine, or a list of problems ----------------------------
