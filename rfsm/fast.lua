@@ -46,7 +46,7 @@ end
 -- Paths -------------------------------------------------------------------------------
 --
 -- $a is the state that the path has come to, $b the next state, $at the position of the
--- action, $k the number of the segment. If a guard or target is set later, CHECK fails.
+-- action, $k the number of the segment. CHECK fails if a guard or target has changed.
 
 local HEAD = [[
 return function(fsm, is_chosen)

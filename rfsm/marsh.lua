@@ -179,7 +179,7 @@ local function body_in_field(line, field)
   return is_only and compile and compile(body) and body or nil
 end
 
--- Returns the body of a function if it is one line: the line of the head or the next.
+-- Returns the body of a function of one line, or of three lines with the body between.
 local function body_of(info, lines, count, field)
   local first, last = info.linedefined, info.lastlinedefined
   local body
@@ -196,7 +196,7 @@ end
 
 local LONGEST_COMMENT = 60 -- most bytes of a comment that is shown
 
--- Returns the comment after the head of a function, or else in the line above the head.
+-- Returns the comment behind a function's parameters, or else in the line above them.
 local function comment_of(info, lines)
   local line, before = lines[info.linedefined], lines[info.linedefined - 1] or ""
   local text = line:match("function%s*%b()%s*%-%-+%s*(.-)%s*$")

@@ -464,8 +464,8 @@ end
 
 local MILLISECOND = 1000000
 
--- Returns into how many parts a unit is divided, so that `count` steps fit into a unit,
--- one part apart. The parts are milliseconds if that is enough.
+-- Returns a number of parts of a unit, so that `count` steps that are one part apart fit
+-- into a unit. The parts are milliseconds if `count` of them fit.
 local function parts_of(count, unit)
   if unit % MILLISECOND == 0 and unit / MILLISECOND > count then
     return unit / MILLISECOND

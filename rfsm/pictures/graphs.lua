@@ -1,8 +1,8 @@
 --- Levels as graphs for Graphviz, and the positions in the answers of Graphviz.
 --
--- A *level* is the inside of one composite, a *gate* the place where an arrow crosses
--- its frame (see `rfsm.pictures.links`). One run of Graphviz lays out many levels,
--- because the start of Graphviz takes longest.
+-- A *level* is the inside of one composite. A *gate* is the place where an arrow crosses
+-- the frame of a composite (see `rfsm.pictures.links`). One run of Graphviz lays out
+-- many levels, because its start takes longest.
 --
 -- The file reads in this order: boxes with ports, graphs, answers, public functions.
 --
@@ -34,8 +34,8 @@ local function table_of(direction, cells)
     .. "</TR></TABLE>"
 end
 
--- Returns a cell. `across` is its size across the arrows of a level, `along` its size
--- along them.
+-- Returns a cell. `across` is its size across the arrows of a level; `along` is its
+-- size along the arrows.
 local function cell_of(direction, across, along, port, content)
   if direction == "LR" then across, along = along, across end
   return CELL:format(across, along, port and (' PORT="%s"'):format(port) or "",

@@ -21,7 +21,7 @@ function instrument.put(changes, obj, field, value)
   return done
 end
 
---- Have a printer of a machine, such as `warn`, call a function first.
+--- Have a printer of a machine, such as `warn`, call `note` before it prints.
 function instrument.listen(changes, fsm, name, note)
   local own = fsm[name]
   instrument.put(changes, fsm, name, function(...)

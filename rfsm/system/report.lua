@@ -30,7 +30,7 @@ local concat = table.concat
 
 local report = {}
 
---- The options of one machine: the options of an exploration that belong to one chart.
+--- The options of an exploration that each machine of a system has for itself.
 report.OF_MACHINE = { "alphabet", "complementary", "dry_run", "exclusive", "flags",
   "run", "same", "sends", "vars" }
 
@@ -42,7 +42,7 @@ local OF_SYSTEM = { "configurations", "depth", "progress", "properties", "second
 ---@field walks rfsm.system.Product[] one for each group of machines
 ---@field steps integer steps that the engine took
 ---@field findings rfsm_checks.Finding[] the field `witness` is the run to a finding
----@field properties { name: string, holds: boolean|nil, vacuous?: string }[]
+---@field properties { name: string, holds: boolean|nil, vacuous?: string }[] verdicts
 ---@field premises string[] assumptions under which the results hold
 ---@field bound string? the first bound that was hit
 ---@field untried string[] what was not tried, as texts

@@ -1,4 +1,4 @@
---- A chart that the page drives, with a clock that the page can stop.
+--- A chart that a web page drives, with a clock that the page can stop.
 --
 -- A turn is all that the machine does because of one command of the page, or because a
 -- timer has expired. The page can go back to the beginning of each turn. If the file
@@ -87,7 +87,7 @@ local function start_clock(session)
   session.since = session.real() - session.time:now()
 end
 
--- Begins a new way back: its first place is the present state of the machine.
+-- Begins a new list of places to return to. The first one is the present state.
 local function start_way(session)
   local time = session.time
   session.way = rewind.new(session.view.fsm, {
@@ -235,7 +235,7 @@ function commands.wait(session, message)
   pass(session, seconds)
 end
 
--- Sets or removes a breakpoint: a state, an event, or a transition "off -> on".
+-- Sets a breakpoint or removes it, at a state, an event, or a transition "off -> on".
 function commands.breakpoint(session, message)
   local list = session.points
   if type(message.at) ~= "string" then
