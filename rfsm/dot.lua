@@ -130,7 +130,7 @@ local function draw(chart)
   root.name = chart.title or root.name
   local lines = { "digraph " .. looks.quoted(root.name) .. " {",
     looks.head(chart.direction) }
-  -- with this Graphviz takes seconds, not a minute; the picture is hardly wider
+  -- so Graphviz takes seconds and not a minute, and the picture is hardly wider
   if #chart.nodes > LARGE then add(lines, 1, "graph [nslimit=1]") end
   looks.add_node(lines, 1, root, nil, add_labels)
   add_labels(lines, 1, chart)

@@ -1,7 +1,7 @@
 --- Fast: paths and searches as generated functions without loops.
 --
 -- The core also runs without this file: then `perform` does the actions in the list of
--- a path one by one. Here the list becomes one function. It notes positions, too, so
+-- a path one by one. Here the list becomes one function, which also notes positions, so
 -- that the core can go on behind each callback if the path is cut short, or if a
 -- callback switches dbg on. Actions that only trace are left out. The candidates of a
 -- search become one function, too.
@@ -15,7 +15,7 @@
 local ipairs, pairs = ipairs, pairs
 local concat = table.concat
 local jit, unpack = rawget(_G, "jit"), rawget(table, "unpack") or rawget(_G, "unpack")
-local MAX_VALUES = 50 -- bound to one function; Lua 5.1 allows 60 upvalues
+local MAX_VALUES = 50 -- most values of a function; Lua 5.1 allows 60 upvalues
 
 -- Returns an empty text. Its function gets `values` in the parameters `names`.
 local function new_text() return { lines = {}, names = {}, values = {} } end

@@ -128,7 +128,7 @@ local function problem_of_drive(name, first, field, fsm)
   end
 end
 
--- Returns the mistake in a call in a callback, which gets the machine as `fsm`.
+-- Returns the mistake in a call in a callback that has a machine parameter named `fsm`.
 local function problem_of_call(node, field, fsm)
   local name, library = bodies.called_name(node)
   if YIELDS[library or ""] and name == "yield" and field ~= "doo" then

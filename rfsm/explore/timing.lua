@@ -67,7 +67,7 @@ Timing.__index = Timing
 --- A set of deadlines that are over when the next step begins.
 ---@class rfsm_checks.Group
 ---@field number integer index in the list of groups
----@field over integer[] for each entry of the time, how many more deadlines are over
+---@field over integer[] for each entry of a Time, how many more deadlines are over
 ---@field is_over boolean at least one deadline is over
 ---@field is_sure boolean if time goes on, no other group can come first
 ---@field ways integer how many groups can come first
@@ -93,7 +93,7 @@ local function duration_of(timer)
   return duration < MOST and duration or nil
 end
 
--- Adds a clock, with deadlines in nanoseconds.
+-- Adds a clock to the list and returns it. Its deadlines are in nanoseconds.
 local function add_clock(self, clock)
   clock.number = #self.clocks + 1
   self.clocks[clock.number] = clock
@@ -178,7 +178,7 @@ local function set_unit(self)
   self.is_inexact = longest >= MOST_UNITS
 end
 
--- Returns the time that has these entries and this zone. Equal times are one table.
+-- Returns the rfsm_checks.Time of entries and a zone. For equal ones it is one table.
 local function find_time(self, entries, zone)
   local texts = {}
   for i, entry in ipairs(entries) do
@@ -464,8 +464,8 @@ end
 
 local MILLISECOND = 1000000
 
--- Returns a number of parts of a unit, so that `count` steps that are one part apart fit
--- into a unit. The parts are milliseconds if `count` of them fit.
+-- Returns into how many parts a unit is divided, so that `count` steps which are one part
+-- apart fit into a unit. The parts are milliseconds if these are small enough.
 local function parts_of(count, unit)
   if unit % MILLISECOND == 0 and unit / MILLISECOND > count then
     return unit / MILLISECOND

@@ -1,6 +1,6 @@
 --- Levels as graphs for Graphviz, and the positions in the answers of Graphviz.
 --
--- A *level* is the inside of one composite. A *gate* is the place where an arrow crosses
+-- A *level* is the inside of one composite. A *gate* is a place where an arrow crosses
 -- the frame of a composite (see `rfsm.pictures.links`). One run of Graphviz lays out
 -- many levels, because its start takes longest.
 --

@@ -83,8 +83,8 @@ local function save_effects(server, execute, key, change)
   end
 end
 
--- Writes the row of a machine. Returns false if a new machine's key is taken.
--- Each move is an UPDATE, so that triggers see it. Events that moved nothing are noted.
+-- Writes the row of a machine. Returns false if a new machine's key is taken. Each
+-- move is an UPDATE, so that triggers see it. Events that moved nothing are noted.
 local function save(server, execute, key, change)
   local machine = change.machine
   local is_new, by = machine.leaf == false, nil

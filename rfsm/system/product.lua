@@ -156,8 +156,8 @@ local function find_configuration(self, numbers, queues, from, label)
   return number
 end
 
--- Returns the outcomes of a move, the queues after the wires were read, and for each event
--- that was read the wire by which it came.
+-- Returns the outcomes of a move, the queues after the wires were read, and for each
+-- event that was read the wire by which it came.
 local function moves_of(self, member, conf)
   local number, queues, read = conf.numbers[member.number], {}, {}
   if not member.confs[number][1].leaf then

@@ -296,7 +296,7 @@ function Driven:describe(message)
   message.can_back = place.snap ~= nil
 end
 
---- Open a chart, also one with mistakes. `real()` returns the real time in seconds.
+--- Open a chart, even if it has mistakes. `real()` returns the real time in seconds.
 function Driven.open(file, real, has_stubs)
   local session = setmetatable({
     file = file, title = file:match("[^/]+$"), real = real, view = false, problems = {},
