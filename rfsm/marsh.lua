@@ -67,8 +67,8 @@ end
 local function target_of(tr) return rfsm.targets(tr)[1] end
 
 -- Notes a transition in `links`, as an edge between two children of the innermost
--- composite around source and target. For each composite further in that the transition
--- enters, notes in `entries` the child that is entered.
+-- composite around source and target. Below these children, notes in `entries` which
+-- child of each composite the transition enters.
 local function note_links(tr, links, entries)
   local around, child, tgt = {}, target_of(tr), target_of(tr)
   while not rfsm.is_root(child) do

@@ -37,7 +37,7 @@ local function add_event(found, event)
   elseif not found.set[event] then
     local maker = match.maker_of(event)
     found.set[event], found[#found + 1] = true, event
-    -- an event that completes an await has the event of the await added to it
+    -- such as "await(e_a, e_b)", which comes with the event that completes it
     if maker and maker ~= "engine" and maker ~= "timer" then found.any = true end
   end
 end

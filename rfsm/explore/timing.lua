@@ -464,8 +464,8 @@ end
 
 local MILLISECOND = 1000000
 
--- Returns into how many parts a unit is divided, so that `count` steps which are one part
--- apart fit into a unit. The parts are milliseconds if these are small enough.
+-- Returns the number of parts into which a unit is divided, so that `count` steps fit
+-- into a unit one part apart. The parts are milliseconds if these are small enough.
 local function parts_of(count, unit)
   if unit % MILLISECOND == 0 and unit / MILLISECOND > count then
     return unit / MILLISECOND

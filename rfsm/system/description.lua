@@ -59,7 +59,7 @@ local function note_wires(lines, text, at, list)
   for i = 1, wires and #found == #list and #list or 0 do lines[i] = found[i] end
 end
 
--- Notes the lines of fields. Reports names that occur twice, as Lua keeps the last one.
+-- Notes the lines of fields. Reports names that occur twice: Lua keeps only the last.
 local function note_fields(draft, text, at, fields)
   local lines = draft.lines
   for offset, name in fields:gmatch("()%f[%w_]([%a_][%w_]*)%s*=%f[^=]") do
@@ -136,7 +136,7 @@ local function one_of(a, b)
   return function(x) return x == a or x == b end
 end
 
--- Returns for each field of a wire: a description, a test, and the default.
+-- Returns a table: for each field of a wire a description, a test, and the default.
 local function fields_of(draft)
   local function is_name(x) return description.is_name(draft.models, x) end
   return {

@@ -284,7 +284,7 @@ function Driven:wait()
   return max(0, min(self.look_at - self.real(), time_left(self) or huge))
 end
 
---- Add to a message: the clock, the breakpoints, and whether there is a way back.
+--- Add to a message: the clock, the breakpoints, and whether the page can go back.
 function Driven:describe(message)
   message.clock, message.live = self.time:now(), self.is_live
   message.timer = next_timer(self) or false
