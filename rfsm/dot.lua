@@ -107,8 +107,8 @@ local function add_edge(lines, arrow, half, upper, lower, dir)
     dir ~= "forward" and ", dir=" .. dir or ""))
 end
 
--- Adds the edge of an arrow; if the arrow has a label, an edge to the label and one
--- from it. The label of a loop is below both ends of the loop, and is its bottom.
+-- Adds one edge for an arrow without a label, else two: to the label and from it.
+-- The label of a loop is below both ends of the loop, and is its bottom.
 local function add_arrow(lines, arrow)
   local src, tgt, label = arrow.src, arrow.tgt, arrow.label
   local is_back, is_round = leads_back(arrow), is_loop(arrow)
@@ -122,7 +122,7 @@ local function add_arrow(lines, arrow)
   add_half("/tgt", label, tgt, is_back or is_round)
 end
 
-local LARGE = 500 -- nodes
+local LARGE = 500 -- nodes; a chart with more is laid out with less effort
 
 local function draw(chart)
   local root = chart.root
@@ -130,7 +130,7 @@ local function draw(chart)
   root.name = chart.title or root.name
   local lines = { "digraph " .. looks.quoted(root.name) .. " {",
     looks.head(chart.direction) }
-  -- with this Graphviz takes seconds, not a minute; the picture is hardly wider
+  -- so Graphviz takes seconds and not a minute, and the picture is hardly wider
   if #chart.nodes > LARGE then add(lines, 1, "graph [nslimit=1]") end
   looks.add_node(lines, 1, root, nil, add_labels)
   add_labels(lines, 1, chart)

@@ -1,7 +1,7 @@
 --- Fast: paths and searches as generated functions without loops.
 --
 -- The core also runs without this file: then `perform` does the actions in the list of
--- a path one by one. Here the list becomes one function. It notes positions, too, so
+-- a path one by one. Here the list becomes one function, which also notes positions, so
 -- that the core can go on behind each callback if the path is cut short, or if a
 -- callback switches dbg on. Actions that only trace are left out. The candidates of a
 -- search become one function, too.
@@ -15,7 +15,7 @@
 local ipairs, pairs = ipairs, pairs
 local concat = table.concat
 local jit, unpack = rawget(_G, "jit"), rawget(table, "unpack") or rawget(_G, "unpack")
-local MAX_VALUES = 50 -- bound to one function; Lua 5.1 allows 60 upvalues
+local MAX_VALUES = 50 -- most values of a function; Lua 5.1 allows 60 upvalues
 
 -- Returns an empty text. Its function gets `values` in the parameters `names`.
 local function new_text() return { lines = {}, names = {}, values = {} } end
@@ -38,7 +38,7 @@ end
 -- Appends the lines of a block. `places` has the texts that replace the block's $words.
 local function add(text, block, places)
   for line in block:gmatch("[^\n]+") do
-    local filled = line:gsub("$(%l+)", places):gsub("$(%l+)", places) -- nested, too
+    local filled = line:gsub("$(%l+)", places):gsub("$(%l+)", places) -- nested $words
     if filled ~= "" then text.lines[#text.lines + 1] = for_jit(filled) end
   end
 end
@@ -46,7 +46,7 @@ end
 -- Paths -------------------------------------------------------------------------------
 --
 -- $a is the state that the path has come to, $b the next state, $at the position of the
--- action, $k the number of the segment. If a guard or target is set later, CHECK fails.
+-- action, $k the number of the segment. CHECK fails if a guard or target has changed.
 
 local HEAD = [[
 return function(fsm, is_chosen)
@@ -106,7 +106,7 @@ end]]
 -- The root has a metatable, which `rawset` does not ask about the absent field.
 local LINK, LINK_TO_ROOT = "$a._actchild = $b", 'rawset($a, "_actchild", $b)'
 
--- Appends a block. `text.at` counts states left or entered; s0, s1 have them in turn.
+-- Appends a block. `text.at` counts states left or entered; they alternate in s0, s1.
 local function write(text, block, more)
   local places = text.places
   places.a, places.b = "s" .. text.at % 2, "s" .. (text.at + 1) % 2
@@ -179,8 +179,8 @@ end
 
 -- Searches ----------------------------------------------------------------------------
 --
--- Candidates are asked in turn on level 0, ways out of a connector on the next level.
--- On level $k, w$k is the way that was found, x$k the list of ways if they conflict.
+-- Level 0 asks the candidates one by one. Each further level asks the ways out of a
+-- connector. On level $k, w$k is the way found, x$k is the list of ways in conflict.
 
 local FIND = [[
 return function(fsm, list, events)
@@ -222,7 +222,7 @@ local CHOSEN = [[
 if def then return def end
 if fsm._plan ~= plan then return nil end]]
 
--- Returns the condition to ask a connector's way out; `first` is its first way out.
+-- Returns the condition for asking a connector's `way`; `first` is its first way out.
 local function condition(way, first)
   local may = way.events and "matches(d$n, events)" or "true"
   if (way.pn or 0) == (first.pn or 0) then return may end

@@ -26,7 +26,7 @@ local marsh = {}
 ---@class rfsm.marsh.Transition
 ---@field type "transition"
 ---@field src string FQN of the source
----@field tgt string FQN of the target; of its `initial` if the target is a composite
+---@field tgt string FQN of the target, or of the `initial` of a composite target
 ---@field pn? number priority number of the transition
 ---@field events any[] empty if any event triggers it
 ---@field internal? true no state is left or entered, `src` and `tgt` are the same
@@ -50,7 +50,7 @@ local marsh = {}
 ---@field at? string where each callback begins: "entry chart.lua:7"
 ---@field doc? string the field `doc` of the state in the model
 ---@field final? true the model has `final` in this state
----@field history? "shallow"|"deep" how transitions enter the composite, if any does so
+---@field history? "shallow"|"deep" given if transitions enter the composite by history
 ---@field mode? "active"|"done" mode in a live machine; absent if the state is inactive
 ---@field regions? rfsm.marsh.Node[] the regions of a sequential AND state; their FQNs
 -- begin with the FQN of the state and the name of the region: "root.arms.left.open"
@@ -63,12 +63,12 @@ local function append(lists, key, value)
   list[#list + 1] = value
 end
 
--- Returns the target of a transition in the model: history may change it in a machine.
+-- Returns the target that a transition has in the model; history may change `tr.tgt`.
 local function target_of(tr) return rfsm.targets(tr)[1] end
 
--- Notes a transition in `links`, from one child to another of the innermost composite
--- around both its ends. Each child of a deeper composite that the transition enters is
--- noted in `entries`, by that composite.
+-- Notes a transition in `links`, as an edge between two children of the innermost
+-- composite around source and target. Below these children, notes in `entries` which
+-- child of each composite the transition enters.
 local function note_links(tr, links, entries)
   local around, child, tgt = {}, target_of(tr), target_of(tr)
   while not rfsm.is_root(child) do
@@ -98,10 +98,10 @@ local function members_of(fsm)
   return transitions, nodes, names, links, entries
 end
 
--- Returns a function that lists the nodes of a composite, or returns nil for a leaf.
--- The list is breadth first from `initial`, then from nodes that are entered from
--- outside, then from the other nodes by name. Also returns the transitions in each
--- composite, and the names of transitions.
+-- Returns a function that lists the nodes of a composite (nil for a leaf), then two
+-- tables: the transitions by composite, and the names of transitions. A list of nodes
+-- has a breadth-first walk from `initial`, then walks from nodes that are entered from
+-- outside, then from the other nodes by name.
 local function new_walk(fsm)
   local transitions, nodes_in, names, links, entries = members_of(fsm)
   return function(composite)
@@ -160,7 +160,7 @@ end
 
 local IS_FIELD = { entry = true, exit = true, doo = true, guard = true, effect = true }
 -- Returns the name of a function from the line in which it begins, or nil. If several
--- functions begin in that line, the first one makes the others by a call: "move(5)".
+-- functions begin there, the first is taken to return this one: its call is "move(5)".
 local function name_in_line(f, line, count)
   local name, parameters = line:match("function%s+([%a_][%w_.:]*)%s*(%b())")
   if name and count > 1 then return name .. arguments_of(f, parameters) end
@@ -168,10 +168,10 @@ local function name_in_line(f, line, count)
   return name and not IS_FIELD[name] and name or nil
 end
 
-local LONGEST = 40 -- bytes of a body
+local LONGEST = 40 -- most bytes of a body that is shown
 
--- Returns the body of a function that a line assigns to a field, if the line does so
--- once. The text before the first "end" must compile, else this "end" is inside of it.
+-- Returns the body of the function that a line assigns to a field; nil if the line has
+-- two of them, or if the text before the first "end" is not the whole body.
 local function body_in_field(line, field)
   local head = "%f[%w_]" .. field .. "%s*=%s*function%s*%b()%s*"
   local body = line:match(head .. "(.-)%f[%w_]end%f[^%w_]")
@@ -179,7 +179,7 @@ local function body_in_field(line, field)
   return is_only and compile and compile(body) and body or nil
 end
 
--- Returns the body of a function if it is one line: the line of the head or the next.
+-- Returns the body of a function of one line, or of three lines with the body between.
 local function body_of(info, lines, count, field)
   local first, last = info.linedefined, info.lastlinedefined
   local body
@@ -194,9 +194,9 @@ local function body_of(info, lines, count, field)
   return #body <= LONGEST and body ~= "" and not body:find("^%-%-") and body or nil
 end
 
-local LONGEST_COMMENT = 60 -- bytes
+local LONGEST_COMMENT = 60 -- most bytes of a comment that is shown
 
--- Returns the comment after the head of a function, or else in the line above the head.
+-- Returns the comment behind a function's parameters, or else in the line above them.
 local function comment_of(info, lines)
   local line, before = lines[info.linedefined], lines[info.linedefined - 1] or ""
   local text = line:match("function%s*%b()%s*%-%-+%s*(.-)%s*$")
@@ -211,7 +211,7 @@ for word in ("and do else elseif end for function if in local not or repeat retu
   IS_KEYWORD[word] = true
 end
 
--- Calls f(call) for each call in a body, but not for calls in its arguments.
+-- Calls f(call) for each call in a body, but not for calls in arguments of a call.
 local function each_call(body, f)
   local position = 1
   while true do
@@ -249,7 +249,7 @@ local function text_in_source(f, info, lines, field)
     or comment_of(info, lines) or count == 1 and calls_of(info, lines) or nil
 end
 
--- Returns the text of a value; nil if the text has an address, which no two runs share.
+-- Returns the text of a value; nil if it has an address, which differs in each run.
 local function text_without_address(value)
   local kind = type(value)
   if kind == "string" then return value end
@@ -413,7 +413,7 @@ end
 
 local machine_table
 
--- Adds the part of a state that only a full description has.
+-- Adds the fields of a state that only a full description has.
 local function add_details(writer, tab, state)
   local regions, mode = writer.regions_of[state], rfsm.get_sta_mode(state)
   add_texts(writer, tab, callbacks_of(state, regions), PROGRAMS)
@@ -454,8 +454,8 @@ local function histories_of(fsm)
   return composites
 end
 
--- Returns the table of a machine or region with an id. `texts` has the functions of the
--- writer that make texts; it is empty if the description is not full.
+-- Returns the table of a machine or region, with this `id`. `texts` has the fields of a
+-- writer that a full description needs; it is empty if the description is not full.
 function machine_table(fsm, id, prefix, texts)
   local walk, transitions, names = new_walk(fsm)
   local tab = node_table({ walk = walk, transitions = transitions, names = names,
@@ -512,8 +512,8 @@ local CHARACTERS = { "^[\194-\223][\128-\191]", "^\224[\160-\191][\128-\191]",
   "^[\241-\243][\128-\191][\128-\191][\128-\191]",
   "^\244[\128-\143][\128-\191][\128-\191]" }
 
--- Keeps the character with which the bytes begin, if they begin with a whole one. Each
--- other byte becomes U+FFFD.
+-- Keeps the UTF-8 character at the start of the bytes, if it is complete. Each other
+-- byte becomes U+FFFD.
 local function mend(bytes)
   for _, character in ipairs(CHARACTERS) do
     local _, last = bytes:find(character)

@@ -12,8 +12,8 @@ local ipairs, rawget, type = ipairs, rawget, type
 
 local bodies = {}
 
---- Call f(node) for a node and the nodes in it. The nodes in a node are left out if
---- f(node) returns false.
+--- Call f(node) for a node and the nodes in it. If f(node) returns false, the nodes
+--- in that node are left out.
 function bodies.walk(node, f)
   if type(node) ~= "table" or node.tag and f(node) == false then return end
   for _, child in ipairs(node) do bodies.walk(child, f) end
@@ -128,7 +128,7 @@ local function problem_of_drive(name, first, field, fsm)
   end
 end
 
--- Returns the mistake in a call in a callback, which gets the machine as `fsm`.
+-- Returns the mistake in a call in a callback that has a machine parameter named `fsm`.
 local function problem_of_call(node, field, fsm)
   local name, library = bodies.called_name(node)
   if YIELDS[library or ""] and name == "yield" and field ~= "doo" then
@@ -167,7 +167,7 @@ local function called_in(pair)
   return name ~= "" and name or nil
 end
 
---- Note which keys occur twice in a table node, and which callbacks are calls.
+--- Note keys that occur twice in a table node, and callbacks whose value is a call.
 ---@param file { lost: table, called: table } lists of { name = key, ... } by line
 function bodies.note_table(file, node)
   local seen = {}

@@ -30,8 +30,8 @@ local EXTRAS = { "rfsmpp", "rfsm.record", "rfsm.proto" }
 local CODE, DATA = 1.29, 1.12
 local FACTORS = { library = CODE, modules = CODE, module = CODE, chart = DATA }
 
--- KiB by form. The first number is a Lua with RTT 2.10 and rttlib, the second one what
--- a launch leaves in that Lua.
+-- KiB by form: first the memory of a Lua with RTT 2.10 and rttlib, then the memory that
+-- a launch adds for good.
 local BASE = {
   source = { heap = 155 + 40, pool = 210 + 52 },
   stripped = { heap = 155 + 32, pool = 210 + 39 },

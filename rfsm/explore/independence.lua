@@ -42,8 +42,8 @@ local NOTHING = {}
 
 -- Traits ............................................................................
 
--- Can any event decide whether a transition is taken? A segment behind a connector that
--- has neither events nor a guard (`guard` is false) leaves this to the segments before.
+-- Can any event decide whether a transition is taken? A transition from a connector
+-- without events and guard (`guard` is false) leaves this to the segments before it.
 local function is_any(tr)
   local triggers = match.triggers(tr, NOTHING)
   return triggers == nil or triggers and (rfsm.is_state(tr.src) or tr.guard ~= false)
@@ -70,7 +70,7 @@ local function add_inner(traits, inner)
 end
 
 -- Returns the traits of each part. A region inside of a region is bound if it has
--- timers, whether others have some or not.
+-- timers, even if no other part has timers.
 local function traits_of(own, is_timed, are_free)
   local traits = {}
   for _, part in ipairs(own.parts) do
@@ -124,7 +124,7 @@ end
 -- belongs
 ---@field ways table<string, table<string, true>> ways by a text of their prefixes
 
--- Returns the entry of `states` for the state of a region.
+-- Returns the entry of `states` for the state of a region. A missing entry is added.
 local function state_of(self, part)
   local states = self.states[part.owner]
   for _, state in ipairs(states) do

@@ -37,7 +37,7 @@ local function add_event(found, event)
   elseif not found.set[event] then
     local maker = match.maker_of(event)
     found.set[event], found[#found + 1] = true, event
-    -- an event that completes an await has the event of the await added to it
+    -- such as "await(e_a, e_b)", which comes with the event that completes it
     if maker and maker ~= "engine" and maker ~= "timer" then found.any = true end
   end
 end
@@ -84,8 +84,8 @@ local function add_reactions(found, fsm, node, seen)
   add_reactions_of(found, fsm, node)
 end
 
--- Adds the events of the leaf's regions to the set, but not to the list: the regions
--- list the events that can have an effect in their own leaves.
+-- Adds the events of the leaf's regions to `found.set`, but not to the list `found`:
+-- each region lists the events of its own leaf.
 local function add_own_regions(found, leaf)
   local count = #found
   found.own = not found.any and {}

@@ -31,13 +31,13 @@ local timing = {}
 ---@class rfsm_checks.Timing
 ---@field subject rfsm_checks.Subject
 ---@field clocks rfsm_checks.Clock[]
----@field of table<table, rfsm_checks.Clock> by property, or by event to be sent later
----@field pending integer how many events may wait to be sent, at most
----@field is_timed boolean some clock is not free
----@field unit number nanoseconds; all times are multiples of the unit
+---@field of table<table, rfsm_checks.Clock> clock of a property or delayed event
+---@field pending integer most events that may wait to be sent
+---@field is_timed boolean at least one clock is not free
+---@field unit number all times are multiples of this number of nanoseconds
 ---@field period number|false longest time between two steps, in units; false: not given
----@field none rfsm_checks.Time the time at which no clock runs
----@field times table<string, rfsm_checks.Time> the times by their texts
+---@field none rfsm_checks.Time the value for moments at which no clock runs
+---@field times table<string, rfsm_checks.Time> the times by their field `text`
 ---@field fired table<rfsm_checks.Occurrence, boolean> time events that have come
 ---@field is_cut boolean some groups were left out
 ---@field is_inexact boolean some times have too many units to be exact
@@ -48,9 +48,9 @@ Timing.__index = Timing
 --- state runs once at a time, the other clocks may run several times at once.
 ---@class rfsm_checks.Clock
 ---@field number integer index in the list of clocks
----@field state? rfsm.State the state that the clock belongs to
----@field judged? rfsm_checks.Judged the property that it belongs to
----@field later? rfsm_checks.Occurrence the event sent later that it belongs to
+---@field state? rfsm.State the state whose timers this clock measures
+---@field judged? rfsm_checks.Judged the property whose time this clock measures
+---@field later? rfsm_checks.Occurrence the event whose delay this clock measures
 ---@field is_free boolean|nil its deadline may be over at any time, or never
 ---@field deadlines number[] in rising order, in units
 ---@field events rfsm_checks.Occurrence[][] for each deadline, the events that come then
@@ -67,7 +67,7 @@ Timing.__index = Timing
 --- A set of deadlines that are over when the next step begins.
 ---@class rfsm_checks.Group
 ---@field number integer index in the list of groups
----@field over integer[] for each entry of the time, how many more deadlines are over
+---@field over integer[] for each entry of a Time, how many more deadlines are over
 ---@field is_over boolean at least one deadline is over
 ---@field is_sure boolean if time goes on, no other group can come first
 ---@field ways integer how many groups can come first
@@ -93,7 +93,7 @@ local function duration_of(timer)
   return duration < MOST and duration or nil
 end
 
--- Adds a clock, with deadlines in nanoseconds.
+-- Adds a clock to the list and returns it. Its deadlines are in nanoseconds.
 local function add_clock(self, clock)
   clock.number = #self.clocks + 1
   self.clocks[clock.number] = clock
@@ -178,7 +178,7 @@ local function set_unit(self)
   self.is_inexact = longest >= MOST_UNITS
 end
 
--- Returns the time that has these entries and this zone. Equal times are one table.
+-- Returns the rfsm_checks.Time of entries and a zone. For equal ones it is one table.
 local function find_time(self, entries, zone)
   local texts = {}
   for i, entry in ipairs(entries) do
@@ -229,9 +229,8 @@ local function bounds_of(self, entry, i, over)
   return bounds
 end
 
--- Returns the bound under which the next deadline of the entry `one` is not later than
--- the next deadline of `other`, or earlier. `bound` is zones.at_most for "not later",
--- zones.below for "earlier".
+-- Returns the bound under which the next deadline of entry `one` is earlier (`bound` is
+-- zones.below) or not later (zones.at_most) than the next deadline of entry `other`.
 local function order_of(entries, one, other, bound)
   local longer = entries[other].clock.deadlines[entries[other].passed + 1]
     - entries[one].clock.deadlines[entries[one].passed + 1]
@@ -245,7 +244,8 @@ local function bounded(zone, count, bounds)
   return zone
 end
 
--- Adds a group. Its events come in the order of `numbers`, a list of entry numbers.
+-- Adds the group `found`. Its events come in the order of `numbers`, which are numbers
+-- of entries.
 local function add_group(self, groups, entries, found, numbers)
   local group = { number = #groups + 1, over = found.over, is_over = false,
     events = {}, zone = found.zone, bounds = found.bounds }
@@ -393,8 +393,8 @@ local function add_states(self, time, group, entries, sources)
   end
 end
 
--- Adds the clocks of events that wait to be sent: those that waited before the step and
--- have neither come nor been dropped, and those of the step. Returns their number.
+-- Adds the clocks of events that wait to be sent: events from before the step that have
+-- neither come nor been dropped, then events from the step. Returns their number.
 local function add_pending(self, time, group, entries, sources)
   local own, before = self.subject, #entries
   for i, entry in ipairs(time.entries) do
@@ -464,8 +464,8 @@ end
 
 local MILLISECOND = 1000000
 
--- Returns into how many parts a unit is divided, so that `count` steps fit into a unit,
--- one part apart. The parts are milliseconds if that is enough.
+-- Returns the number of parts into which a unit is divided, so that `count` steps fit
+-- into a unit one part apart. The parts are milliseconds if these are small enough.
 local function parts_of(count, unit)
   if unit % MILLISECOND == 0 and unit / MILLISECOND > count then
     return unit / MILLISECOND

@@ -81,7 +81,7 @@ end
 
 --- Are all values of the second zone in the first one?
 ---@param zone number[]
----@param other number[] the second zone, with as many clocks
+---@param other number[] the second zone, which has the same number of clocks
 ---@return boolean
 function zones.includes(zone, other)
   for at = 1, #zone do

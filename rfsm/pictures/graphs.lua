@@ -1,8 +1,8 @@
 --- Levels as graphs for Graphviz, and the positions in the answers of Graphviz.
 --
--- A *level* is the inside of one composite, a *gate* the place where an arrow crosses
--- its frame (see `rfsm.pictures.links`). One run of Graphviz lays out many levels,
--- because the start of Graphviz takes longest.
+-- A *level* is the inside of one composite. A *gate* is a place where an arrow crosses
+-- the frame of a composite (see `rfsm.pictures.links`). One run of Graphviz lays out
+-- many levels, because its start takes longest.
 --
 -- The file reads in this order: boxes with ports, graphs, answers, public functions.
 --
@@ -28,14 +28,14 @@ local graphs = {}
 local TABLE = '<TABLE BORDER="0" CELLBORDER="0" CELLSPACING="0" CELLPADDING="0">'
 local CELL = '<TD FIXEDSIZE="TRUE" WIDTH="%d" HEIGHT="%d"%s>%s</TD>'
 
--- Returns a table with cells in a column if the direction is LR, else in a row.
+-- Returns an HTML table. Its cells are a column if the direction is LR, else a row.
 local function table_of(direction, cells)
   return TABLE .. "<TR>" .. concat(cells, direction == "LR" and "</TR><TR>" or "")
     .. "</TR></TABLE>"
 end
 
--- Returns a cell. `across` is its size across the arrows of a level, `along` its size
--- along them.
+-- Returns a cell. `across` is its size across the arrows of a level; `along` is its
+-- size along the arrows.
 local function cell_of(direction, across, along, port, content)
   if direction == "LR" then across, along = along, across end
   return CELL:format(across, along, port and (' PORT="%s"'):format(port) or "",
@@ -87,8 +87,8 @@ end
 
 local POINT = '%s [shape=box, style=invis, label="", width=0.01, height=0.01]'
 
--- Is the header of a composite, its name and rows, a node in the first rank beside the
--- gates there? If not, the header is the label of the graph.
+-- Is the header of a composite (its name and rows) a node in the first rank, beside the
+-- upper gates? If not, the header is the label of the graph.
 local function has_header_rank(level)
   local is_upper = false
   for _, gate in ipairs(level.gates) do is_upper = is_upper or gate.is_upper end
@@ -199,7 +199,7 @@ local function add_link(lines, level, link)
     has_label and ", label=" .. looks.roomy_label(link.arrow) or ""))
 end
 
-local LARGE = 100 -- links in a level
+local LARGE = 100 -- links; a level with more is laid out with less effort
 
 local function graph_of(level)
   local composite = level.composite

@@ -83,7 +83,7 @@ local function save_effects(server, execute, key, change)
   end
 end
 
--- Writes the row of a machine; returns false if the machine is new but has a row. Each
+-- Writes the row of a machine. Returns false if a new machine's key is taken. Each
 -- move is an UPDATE, so that triggers see it. Events that moved nothing are noted.
 local function save(server, execute, key, change)
   local machine = change.machine

@@ -23,7 +23,7 @@ local rtt_launch = {}
 
 -- The text that the other Lua executes ---------------------------------------------
 
--- Returns a value as Lua source. Raises an error if it has none, such as a function.
+-- Returns a value as Lua source. Raises an error for functions, userdata, NaN.
 local function to_text(value, path)
   local kind = type(value)
   if kind == "string" then return ("%q"):format(value) end
@@ -42,8 +42,8 @@ local function to_text(value, path)
 end
 
 -- This library's modules are found first, since another rfsm may be installed. The
--- reason of a failure is written to a file, since `exec_str` only returns false. After
--- the hook is enabled the program does nothing more in that Lua: OCL takes no lock.
+-- reason of a failure is written to a file, since `exec_str` only returns false. The
+-- hook is enabled last: OCL takes no lock, so the hook may run from then on.
 local PROGRAM = [[
 local launch = %s
 local ok, hook = pcall(function()
@@ -149,7 +149,7 @@ function rtt_launch.service_halt_rfsm(target, seconds)
   halt:set(true)
   for _ = 1, (seconds or 1) * 1000 do
     local is_halted = halted:get()
-    sleep(0, millisecond) -- the value is set just before the thread leaves this Lua
+    sleep(0, millisecond) -- the thread sets the value before it leaves this Lua
     if is_halted then return true end
   end
   halt:set(false)

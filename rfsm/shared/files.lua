@@ -1,4 +1,4 @@
---- Files: read and written whole.
+--- Functions that read or write a whole file.
 --
 -- @module rfsm.shared.files
 -- @license BSD-3-Clause
@@ -26,8 +26,8 @@ function files.write(name, text)
   return false, name .. ": " .. (why or why_not)
 end
 
---- Search `package.path` for a file and return its content. `name` has slashes and no
--- ending, `ending` is ".lua" by default. Return nil if no file is found, or bytecode.
+--- Search `package.path` for a file that is not bytecode; return its text or nil.
+-- `name` has slashes and no ending; `ending` is ".lua" by default.
 function files.find(name, ending)
   for template in package.path:gmatch("[^;]+") do
     local file = template:gsub("%?", name):gsub("%.lua$", ending or ".lua")

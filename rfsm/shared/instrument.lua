@@ -21,7 +21,7 @@ function instrument.put(changes, obj, field, value)
   return done
 end
 
---- Have a printer of a machine, such as `warn`, call a function first.
+--- Have a printer of a machine, such as `warn`, call `note` before it prints.
 function instrument.listen(changes, fsm, name, note)
   local own = fsm[name]
   instrument.put(changes, fsm, name, function(...)
@@ -31,8 +31,8 @@ function instrument.listen(changes, fsm, name, note)
   end)
 end
 
---- Add a hook of a kind to a machine: "pre_step" and "post_step" of each iteration,
--- "path", "reset". The hook must not keep a list of events, see `rfsm.borrows`.
+--- Add a hook to a machine. `kind` is "pre_step" or "post_step" (of each iteration),
+-- "path" or "reset". The hook must not keep the list of events: the machine reuses it.
 function instrument.hook(changes, fsm, kind, hook, where)
   rfsm[kind .. "_hook_add"](fsm, rfsm.borrows(hook), where)
   changes[#changes + 1] = { remove = function()

@@ -1,9 +1,9 @@
 --- Compare two versions of a chart: what the new one means for machines of the old one.
 --
--- A machine of the old chart is put into each leaf, also of each region, then it is
--- saved and restored with the new chart. All fields that are kept have a value: their
--- first value, or `true`. All other regions are in their first leaf. The root of the
--- new chart may have the options `rename` and `migrate`, as in `rfsm.redis`.
+-- For each leaf of the old chart and of its regions, a machine is put into the leaf,
+-- saved, and restored with the new chart. All kept fields have a value: their first
+-- value, or `true`. All other regions are in their first leaf. The root of the new
+-- chart may have the options `rename` and `migrate`, as in `rfsm.redis`.
 --
 -- @module rfsm.snapshot.diff
 -- @license BSD-3-Clause
@@ -70,7 +70,7 @@ local function timers_of(fsm, leaf)
   return list
 end
 
--- Notes the timers in a list that another list lacks.
+-- Notes each timer of `list` that is not in `others`.
 local function note_timers(notes, list, others, text)
   for _, name in ipairs(list) do
     if not match.has(others, name) then notes[#notes + 1] = "timer " .. name .. text end
@@ -81,7 +81,7 @@ end
 ---@class rfsm.snapshot.Fate
 ---@field leaf string location in the old chart
 ---@field to string|false location in the new chart; false: the machine is not moved
----@field notes string[] timers that change; or the reasons if the machine is not moved
+---@field notes string[] changed timers, or why the machine is not moved
 
 local function reasons(problem, list, options)
   local reason = problem:match("^rfsm%.snapshot: ([^\n]-):?\n") or problem

@@ -1,6 +1,6 @@
 --- Descriptions: the tables from which systems are made, and the checks of the tables.
 --
--- Functions that check append problems to a list and raise no error. No callback runs.
+-- The checks append problems to a list and raise no error. No callback runs.
 --
 -- @module rfsm.system.description
 -- @license BSD-3-Clause
@@ -26,7 +26,7 @@ local description = {}
 --- The parts of a description that have been read, and the problems found.
 ---@class rfsm.system.Draft
 ---@field file? string
----@field lines table<string|integer, integer> by name of a machine or number of a wire
+---@field lines table<string|integer, integer> line of each machine name and wire number
 ---@field problems string[]
 ---@field models table<string, rfsm.State> charts by the names of machines
 ---@field machines table<string, rfsm.Machine> machines for the checks; they never run
@@ -59,7 +59,7 @@ local function note_wires(lines, text, at, list)
   for i = 1, wires and #found == #list and #list or 0 do lines[i] = found[i] end
 end
 
--- Notes the lines of fields. Reports names that occur twice, as Lua keeps the last one.
+-- Notes the lines of fields. Reports names that occur twice: Lua keeps only the last.
 local function note_fields(draft, text, at, fields)
   local lines = draft.lines
   for offset, name in fields:gmatch("()%f[%w_]([%a_][%w_]*)%s*=%f[^=]") do
@@ -136,7 +136,7 @@ local function one_of(a, b)
   return function(x) return x == a or x == b end
 end
 
--- Returns for each field of a wire: a description, a test, and the default.
+-- Returns a table: for each field of a wire a description, a test, and the default.
 local function fields_of(draft)
   local function is_name(x) return description.is_name(draft.models, x) end
   return {

@@ -1,9 +1,9 @@
 --- Products: the configurations that the machines of a system reach together.
 --
--- In a move a machine reads its wires and takes one step with the events that it has
--- read and at most one event from outside. Any machine may move at any time. Each
--- machine has a walk (`rfsm.explore.explore`), by which the engine takes a step once
--- for each configuration and list of events that were read. The outcomes are kept.
+-- In a move, a machine reads its wires. Then it takes one step with the events that it
+-- has read and at most one event from outside. Any machine may move at any time. Each
+-- machine has a walk (`rfsm.explore.explore`), which takes equal steps only once: the
+-- outcomes are kept by the configuration of the machine and the list of events read.
 --
 -- A product also has the fields of a walk that graphs and properties read.
 --
@@ -31,7 +31,7 @@ local product = {}
 ---@field members rfsm.system.Member[]
 ---@field wires rfsm.system.Wire[] wires between the members
 ---@field keys table[] configurations: `numbers` has the configuration of each machine,
--- `queues` the queue of each wire
+-- `queues` has the queue of each wire
 ---@field numbers table<string, integer> number of a configuration by its text
 ---@field labels string[] by configuration, the move that first led to it: "2:7" is
 -- outcome 7 of member 2
@@ -49,9 +49,9 @@ Product.__index = Product
 ---@field number integer
 ---@field confs rfsm_checks.Configuration[] configurations of this machine alone
 ---@field moves table<integer, table> outcomes by configuration, then by events read
----@field wired table<string, boolean> events that wires bring; true: only wires do
+---@field wired table<string, boolean> events of wires; true: they come only by wires
 ---@field takes table<string, true> events that transitions have taken
----@field outgoing table<string, integer[]> by event, the numbers of wires that take it
+---@field outgoing table<string, integer[]> by event, numbers of the wires that carry it
 
 -- Steps of one machine ..............................................................
 
@@ -132,15 +132,15 @@ end
 
 -- Moves .............................................................................
 
--- All events of a wire have one name. So in a queue the letter "d" stands for an event
--- with data, the letter "e" for an event without data.
+-- All events of a wire have one name. So a queue is a list of letters: "d" is an event
+-- with data, "e" is an event without data.
 local function copy(queue) return match.joined({}, queue) end
 
 --- Return a configuration by its number.
 function Product:configuration(number) return self.keys[number] end
 
--- Returns the number of a configuration. A new one is added, and is expanded later.
--- Properties read `leaf` in its first item: whether all machines were entered.
+-- Returns the number of a configuration. A new one is added, and is expanded later. Its
+-- first item has `leaf`, for properties: it is true if all machines were entered.
 local function find_configuration(self, numbers, queues, from, label)
   local texts = { concat(numbers, ",") }
   for i, queue in ipairs(queues) do texts[i + 1] = concat(queue) end
@@ -156,8 +156,8 @@ local function find_configuration(self, numbers, queues, from, label)
   return number
 end
 
--- Returns the outcomes of a move, the queues after the wires were read, and the list of
--- wires by which the events came.
+-- Returns the outcomes of a move, the queues after the wires were read, and for each
+-- event that was read the wire by which it came.
 local function moves_of(self, member, conf)
   local number, queues, read = conf.numbers[member.number], {}, {}
   if not member.confs[number][1].leaf then
@@ -262,7 +262,7 @@ function Product:split(name)
 end
 
 --- Return a function that returns whether "arm: root.moving" is active in a
---- configuration. If `passed` is given, its machine is looked at in a moment within a
+--- configuration. If `passed` is given, its machine is judged at a moment within a
 --- step. A product is its own subject, so that properties find this method.
 function Product:view(conf, passed)
   return function(name)
@@ -282,9 +282,9 @@ end
 
 -- Runs that stay ....................................................................
 
--- Notes to which machines a run is fair if it stays in the strongly connected component
--- of a configuration: machines that have nothing to do in the configuration, or a move
--- that stays in the component.
+-- Notes in `is_fair` which machines a run does not neglect if it stays in the strongly
+-- connected component of a configuration: a machine has nothing to do in the
+-- configuration, or it has a move that stays in the component.
 local function note_fair(self, number, index_of, is_fair)
   local is_busy = {}
   graph.each_step(self, number, function(tgt, is_internal, at)
@@ -351,7 +351,7 @@ end
 ---@field taken string[] paths of the transitions that were taken
 ---@field leaf string|false path of the leaf after the move; false: not entered yet
 
--- Returns the move of a witness that leaves the configuration `from` by a label.
+-- Returns the move with this label from the configuration `from`, as a witness has it.
 local function move_of(self, from, label)
   local number, index = label:match("^(%d+):(%d+)$")
   local member = self.members[tonumber(number)]
@@ -367,8 +367,8 @@ local function move_of(self, from, label)
   return move
 end
 
---- Return the shortest run to a configuration. If `label` is given, the run goes on by
---- that move; if `stays` is given, it then goes on to where it may stay.
+--- Return the shortest run to a configuration, then the move `label` if it is given. If
+--- `stays` is given, the run goes on to a configuration in which it may stay for ever.
 ---@param number integer
 ---@param label string? label of a move from the configuration
 ---@param stays integer? target of that move, if a run that stays is shown

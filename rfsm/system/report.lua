@@ -1,6 +1,6 @@
 --- Reports: what the products of a system show, and which properties hold.
 --
--- Groups of machines that neither a wire nor a property joins are explored one by one.
+-- Machines that a wire or property joins are a group. Groups are explored one by one.
 --
 -- @module rfsm.system.report
 -- @license BSD-3-Clause
@@ -30,7 +30,7 @@ local concat = table.concat
 
 local report = {}
 
---- The options of one machine: the options of an exploration that belong to one chart.
+--- The options of an exploration that each machine of a system has for itself.
 report.OF_MACHINE = { "alphabet", "complementary", "dry_run", "exclusive", "flags",
   "run", "same", "sends", "vars" }
 
@@ -42,7 +42,7 @@ local OF_SYSTEM = { "configurations", "depth", "progress", "properties", "second
 ---@field walks rfsm.system.Product[] one for each group of machines
 ---@field steps integer steps that the engine took
 ---@field findings rfsm_checks.Finding[] the field `witness` is the run to a finding
----@field properties { name: string, holds: boolean|nil, vacuous?: string }[]
+---@field properties { name: string, holds: boolean|nil, vacuous?: string }[] verdicts
 ---@field premises string[] assumptions under which the results hold
 ---@field bound string? the first bound that was hit
 ---@field untried string[] what was not tried, as texts
@@ -51,7 +51,7 @@ Report.__index = Report
 
 -- Properties ........................................................................
 
--- Lists the machines that a property names; a function may ask for any of them.
+-- Lists the machines that a property names; all machines if it has a function.
 local function machines_in(cell, property)
   local names = {}
   for _, field in ipairs { "what", "goal", "event" } do
@@ -64,7 +64,7 @@ local function machines_in(cell, property)
   return names
 end
 
--- Has a product watch for the event of a property.
+-- Makes a product watch for the event of a property.
 local function watch_event(walk, judged)
   local member, event = walk:split(judged.property.event)
   local own = member.subject
@@ -78,7 +78,7 @@ local function watch_event(walk, judged)
   walk.afters[#walk.afters + 1], judged.owed = judged, {}
 end
 
--- Has a product judge a property. Raises an error if it cannot.
+-- Makes a product judge a property. Raises an error if a product cannot judge its kind.
 local function watch(walk, judged)
   if not monitors.kinds[judged.property.kind].judge then
     error(("property '%s': it is not judged for a system, expected: never, always, "
@@ -90,8 +90,8 @@ end
 
 -- Findings ..........................................................................
 
--- Adds a finding whose witness is a run to the configuration `shown.at`, and from there
--- by the move `shown.label`, see `Product:witness`.
+-- Adds a finding. Its witness is the run to the configuration `shown.at`, then the move
+-- `shown.label` if there is one, then a run that stays if there is a `shown.tgt`.
 local function add_run(walk, findings, code, path, text, shown, where)
   local finding = findings:add(code, nil, path, text, nil, where)
   if finding then finding.witness = walk:witness(shown.at, shown.label, shown.tgt) end
@@ -135,8 +135,7 @@ local function takes(member, event)
     or match.has(alphabet.of_all(member.subject.parts[1].fsm).reactions, event)
 end
 
--- Adds findings about a wire: it can lose its event, it never carries it, or its reader
--- never takes it.
+-- Adds findings about a wire whose event can be lost, is never sent, or is never taken.
 local function find_in_wire(walk, wire, findings)
   local place = wire_text(wire)
   local where = wire.location ~= "" and wire.location .. ": " or ""
@@ -319,7 +318,7 @@ local function property_line(judged)
 end
 
 --- Return the lines of a report without its findings.
----@param has_numbers boolean?
+---@param has_numbers boolean? begin with the numbers of configurations and steps
 ---@return string[] lines
 function Report:summary(has_numbers)
   local lines = {}

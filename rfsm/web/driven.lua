@@ -1,4 +1,4 @@
---- A chart that the page drives, with a clock that the page can stop.
+--- A chart that a web page drives, with a clock that the page can stop.
 --
 -- A turn is all that the machine does because of one command of the page, or because a
 -- timer has expired. The page can go back to the beginning of each turn. If the file
@@ -25,7 +25,7 @@ local rawget, rawset, setmetatable = rawget, rawset, setmetatable
 local type, remove = type, table.remove
 local ceil, huge, max, min = math.ceil, math.huge, math.max, math.min
 
-local LOOK_TIME = 0.5 -- seconds; so often the file is read, to see whether it changed
+local LOOK_TIME = 0.5 -- seconds between two looks whether the file has changed
 local TICK = 1e-6 -- seconds; times are rounded up to multiples of it
 
 --- A chart and its machine.
@@ -33,14 +33,14 @@ local TICK = 1e-6 -- seconds; times are rounded up to multiples of it
 ---@field file string
 ---@field view rfsm.web.LocalView|false false while the chart has a mistake
 ---@field problems string[] problems of the chart; empty if it runs
----@field generation integer how often a chart was loaded, each time the page draws it
----@field way rfsm.observe.Rewind|false the way back; turn n + 1 begins at its place n
+---@field generation integer how often the chart was loaded; the page draws it anew then
+---@field way rfsm.observe.Rewind|false the earlier places; turn n + 1 begins at place n
 ---@field snap table? snapshot of the last machine, while the chart has a mistake
 ---@field time rfsm.clock.Clock seconds since the machine began, as the chart reads them
----@field is_live boolean does the clock go on with real time?
+---@field is_live boolean the clock goes on with real time
 ---@field points rfsm.observe.Breakpoint[] breakpoints
 ---@field stopped string|false the breakpoint at which the last run has ended
-local Driven = { MAX_STEPS = 1000 } -- steps of one run, at most
+local Driven = { MAX_STEPS = 1000 } -- most steps of one run
 Driven.__index = Driven
 
 -- Load: a chart becomes a machine, or a list of problems ----------------------------
@@ -82,12 +82,12 @@ local function read(file) return files.read(file) or "" end
 
 -- Turns: each is a command of the page, or a timer -----------------------------------
 
--- Has the simulated time advance with real time, beginning with its present value.
+-- Makes the simulated time advance with real time, from its present value on.
 local function start_clock(session)
   session.since = session.real() - session.time:now()
 end
 
--- Begins a new way back: its first place is the present state of the machine.
+-- Begins a new list of places to return to. The first one is the present state.
 local function start_way(session)
   local time = session.time
   session.way = rewind.new(session.view.fsm, {
@@ -152,7 +152,7 @@ end
 
 -- Commands of the page ------------------------------------------------------------
 
---- The commands of a page. Each returns nil or a problem, then an answer if it has one.
+--- The commands of a page. Each returns a problem or nil, then perhaps an answer.
 Driven.commands = {}
 local commands = Driven.commands
 
@@ -210,8 +210,8 @@ local function next_timer(session)
   return session.view and clock.until_timer(session.view.fsm) or nil
 end
 
--- Has the time pass, up to a breakpoint. The machine runs when a timer expires, and at
--- the end.
+-- Lets simulated time pass, but stops at a breakpoint. The machine runs when a timer
+-- expires, and at the end.
 local function pass(session, seconds)
   begin_turn(session)
   for _ = 1, Driven.MAX_STEPS do
@@ -235,7 +235,7 @@ function commands.wait(session, message)
   pass(session, seconds)
 end
 
--- Sets or removes a breakpoint: a state, an event, or a transition "off -> on".
+-- Sets a breakpoint or removes it, at a state, an event, or a transition "off -> on".
 function commands.breakpoint(session, message)
   local list = session.points
   if type(message.at) ~= "string" then
@@ -260,7 +260,7 @@ end
 
 -- Timers and the file ----------------------------------------------------------------
 
--- Returns the seconds of real time until the next timer expires; nil or false for none.
+-- Returns the seconds of real time until a timer expires; nil or false if none runs.
 local function time_left(session)
   local seconds = session.is_live and next_timer(session)
   local since = session.real() - session.since
@@ -284,7 +284,7 @@ function Driven:wait()
   return max(0, min(self.look_at - self.real(), time_left(self) or huge))
 end
 
---- Add to a message: the clock, the breakpoints, and whether there is a way back.
+--- Add to a message: the clock, the breakpoints, and whether the page can go back.
 function Driven:describe(message)
   message.clock, message.live = self.time:now(), self.is_live
   message.timer = next_timer(self) or false
@@ -296,7 +296,7 @@ function Driven:describe(message)
   message.can_back = place.snap ~= nil
 end
 
---- Open a chart, also one with mistakes. `real()` returns the real time in seconds.
+--- Open a chart, even if it has mistakes. `real()` returns the real time in seconds.
 function Driven.open(file, real, has_stubs)
   local session = setmetatable({
     file = file, title = file:match("[^/]+$"), real = real, view = false, problems = {},
