@@ -1,9 +1,9 @@
 --- A fleet of machines in PostgreSQL: the client, for servers without PL/Lua.
 --
--- The same functions as in Redis, and as inside PostgreSQL, run in this process, on the
+-- This process runs the functions that Redis and PL/Lua run in the server, on the
 -- tables of `rfsm postgres`. A call locks the row of its machine, runs the machine and
--- saves it, in one transaction. So clients, and functions inside the server, may drive
--- one machine in turns.
+-- saves it, in one transaction. So several clients, and functions in the server, may
+-- drive the same machine.
 --
 -- Statements are run by a connection of LuaSQL, or by a function of the user.
 --
@@ -107,9 +107,9 @@ end
 --- A connection to the machines in a server.
 ---@class rfsm.postgres.Client : rfsm.server.Client
 ---@field charts rfsm.postgres.Charts
----@field open fun(): any, string? see `postgres.connect`
+---@field open fun(): any, string? opens a connection, the argument of `connect`
 ---@field query rfsm.postgres.Query|false false: the connection is lost
----@field options table `patience`, `sleep`
+---@field options table `patience` and `sleep`, the options of `connect`
 ---@field failure string|false the first error in a call of `transaction`
 ---@field is_open boolean a call of `transaction` is under way
 local Client = { where = "rfsm.postgres" }

@@ -80,7 +80,7 @@ end
 ---@field ids_for? integer for how many seconds ids are kept (1000)
 
 --- Return the text of the library for machines in a table of PostgreSQL, and a list of
--- warnings. Charts are given as to `rfsm.redis.bundle`. A wrong chart raises an error.
+-- warnings. `arguments` are chart files, or NAME=FILE. A wrong chart raises an error.
 function script.library(arguments, options)
   return library.text(arguments, "PostgreSQL", options)
 end
