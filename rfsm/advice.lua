@@ -165,8 +165,8 @@ end
 
 --- Return the hint for a node that does not exist in a composite.
 ---@param def rfsm.Def the composite
----@param all rfsm.Def[] nodes among which the path is looked for elsewhere
----@param path string that contains the name
+---@param all rfsm.Def[] the nodes of the machine, one of which may be meant
+---@param path string the path in the model, which contains `name`
 ---@return string hint " (did you mean 'root.on'?)"
 function advice.nearest_node(name, def, all, path)
   local elsewhere, names = find_elsewhere(path, all), {}

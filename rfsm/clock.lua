@@ -58,7 +58,7 @@ local INSTALLED = {
   { "rtp", function(rtp, is_monotonic)
     return rtp.clock.gettime(is_monotonic and MONOTONIC or REALTIME)
   end },
-  { "rtp", function(rtp) return rtp.clock.gettime() end }, -- an rtp without ids
+  { "rtp", function(rtp) return rtp.clock.gettime() end }, -- an rtp without clock ids
   { "posix.time", function(time, is_monotonic)
     local now = time.clock_gettime(time[is_monotonic and MONOTONIC or REALTIME])
     return now.tv_sec, now.tv_nsec

@@ -46,7 +46,7 @@ local ASIDE = "UPDATE rfsm.machines SET due = clock_timestamp() + interval '1 mi
 
 --- Charts loaded in this process, for the machines of any number of connections.
 ---@class rfsm.postgres.Charts
----@field answer function calls a function for a machine, see `rfsm.postgres.host`
+---@field answer function calls a function such as "rfsm_tick" for a machine
 
 local NUMBER = { "a whole number", opts.is_whole(1, 1e6), nil }
 local CHART_OPTIONS = { ids = NUMBER, ids_for = NUMBER,
@@ -57,7 +57,7 @@ local CHART_OPTIONS = { ids = NUMBER, ids_for = NUMBER,
 ---@param arguments string[] files, or NAME=FILE; if a name occurs again, the later file
 --- is the newer version of the chart
 ---@param options? rfsm.postgres.Options `ids`, `ids_for`; `history` if the tables were
---- made with --history: then events that move nothing are noted there, too
+--- made with --history: then events without a move are noted in the history, too
 ---@return rfsm.postgres.Charts charts for any number of connections
 ---@return string[] warnings
 function postgres.charts(arguments, options)

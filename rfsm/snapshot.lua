@@ -151,7 +151,7 @@ local function take_part(fsm, prefix, version)
   local path = path_of(own, prefix)
   local part = { version = version, chart = own.chart.name,
     leaf = leaf and leaf._fqn or nil, done = leaf and leaf._mode == "done" or nil,
-    data = nil, ext = nil } -- nil: Lua allocates six fields at once
+    data = nil, ext = nil } -- with the nils, Lua allocates six fields at once
   if not leaf and fsm._mode ~= "inactive" then
     fail("no leaf of the machine is active, but '%s' is", prefix)
   end
@@ -332,8 +332,8 @@ local function is_never_new() return false end
 local UNCHANGED = { entries = false, has_changed = false, is_migrated = false,
   is_new = is_never_new }
 
--- Checks a snapshot; returns a part for the machine and for each region. The field
--- `how` of a part says to hooks of extensions what has changed in this machine.
+-- Checks a snapshot; returns a list with a part for the machine and one for each region.
+-- The field `how` of a part shows the hooks of extensions what has changed.
 local function new_parts(fsm, snap, options)
   local parts, how = {}, UNCHANGED
   local moved, changes, is_new = migrate.to(fsm, snap, options)
@@ -360,7 +360,7 @@ local function run_entry(fsm, state)
   end
 end
 
--- Loads the data of a part. `load` functions of the chart and of extensions may fail.
+-- Loads the data of one machine. `load` functions of charts and extensions may fail.
 local function load_part(part)
   set_data(part)
   local hooks = rfsm.snapshot_hooks(part.fsm)
@@ -560,7 +560,7 @@ function snapshot.restore(model, snap, options)
   return false, problem, list
 end
 
---- Return the part of a snapshot that callbacks may change. A step may be under way.
+--- Return, even during a step, the part of a snapshot that callbacks may change.
 -- @raise if something cannot be saved
 ---@param fsm rfsm.Machine
 ---@return { data: table?, saved: table?, targets: any[]? } kept

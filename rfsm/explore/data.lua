@@ -98,14 +98,14 @@ function data.read(self)
   return values, concat(texts, ",")
 end
 
---- Set the fields that `vars` names to values as `read` returns them.
+--- Set the fields that `vars` names to a list of values that `read` has returned.
 function data.put(self, values)
   for i, place in ipairs(self.var_places) do
     rawset(place.home.of, place.key, values[i])
   end
 end
 
---- Put back the data that the callbacks of a step have changed, except `vars`.
+--- Restore the data that callbacks of a step have changed, except fields in `vars`.
 function data.put_back(self)
   local text = self.memory:put_back()
   self.is_touched = false

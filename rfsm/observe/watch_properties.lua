@@ -241,9 +241,9 @@ end
 --- Have a machine report to `err` if a property does not hold, with the latest steps.
 --
 -- The properties are as in an exploration, except that `from(...).can_reach(...)` and
--- flags are not possible. An event that has not led to the required state is reported
--- when nothing more can happen before the next event. After a report the property is
--- watched anew.
+-- flags are not possible. If an event has to lead to a condition and has not, this is
+-- reported when nothing more can happen before the next event. After a report the
+-- property is watched anew.
 --
 -- @raise if a property is wrong, or names a state that does not exist
 ---@param fsm rfsm.Machine

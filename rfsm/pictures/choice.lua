@@ -84,7 +84,7 @@ function choice.measure(layout)
   return count_crossings(pieces), length
 end
 
-local MORE, LONGER = 2, 1.25 -- crossings; factor of length: "much better" below
+local MORE, LONGER = 2, 1.25 -- "much better" below: crossings, factor of length
 
 --- Return the better one of two layouts. If there was a former picture, the layout of
 -- its kind wins, unless the other layout is much better.

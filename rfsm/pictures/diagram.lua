@@ -440,7 +440,7 @@ local function is_a(kind, other)
   return function(x) return not x or type(x) == kind or type(x) == other end
 end
 
--- For each option: what is expected, as a text; test; default.
+-- For each option: a text of what is expected, the test of a value, and the default.
 local OPTIONS = {
   title = { "string", is_a("string", "number") }, foot = { "string", is_a "string" },
   depth = { "number", is_a "number" },

@@ -75,7 +75,7 @@ end
 ---@class rfsm.postgres.Options
 ---@field history? boolean moves, and events that moved nothing, are noted in the table
 --- rfsm.history
----@field notify? boolean a trigger reports each move to those who LISTEN to rfsm
+---@field notify? boolean a trigger reports each move to sessions that LISTEN to rfsm
 ---@field ids? integer how many ids of events are kept for each machine (16)
 ---@field ids_for? integer for how many seconds ids are kept (1000)
 

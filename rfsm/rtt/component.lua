@@ -246,12 +246,12 @@ local function make_ready(launch)
 end
 
 -- The name of the global function that RTT's EEHook calls at each update. RTT ends the
--- process if there is no such function, or if the hook was collected. So no chart uses
--- this name, and the function refers to the hook.
+-- process if there is no such function, or if the hook was collected. So the name is
+-- one that charts do not use, and the function refers to the hook.
 local HOOK = "rfsm.rtt: function of the EEHook"
 
--- Returns a hook that the component's thread runs. Since OCL takes no lock, it must be
--- enabled when nothing else is left to do in this Lua. The hook is made in a new Lua
+-- Returns a hook that the component's thread runs. Since OCL takes no lock, the hook
+-- must be enabled when nothing else is left to do in this Lua. It is made in a new Lua
 -- thread, so that it has its own stack. A halt removes it, in the component's thread.
 local function new_hook(launch, trigger)
   local halt, halted = launch.variables.rfsm_halt, launch.variables.rfsm_halted
@@ -362,8 +362,8 @@ local function obstacle()
   return "a machine was launched here before, it is the global 'fsm'"
 end
 
--- Restores the program's hooks, except hooks that it has defined anew since, and drops
--- the machine: a pool may not have room for two machines.
+-- Restores the program's hooks, except hooks that the program has redefined since, and
+-- drops the machine, since a pool may not have room for two machines.
 local function forget(launch)
   for name, hook in pairs(launch.hooks) do -- any order: different globals
     if rawget(_G, name) == hook then rawset(_G, name, launch.theirs[name]) end

@@ -96,7 +96,7 @@ end
 
 function Stub.__concat(a, b) return rfsm.text_of(a) .. rfsm.text_of(b) end
 
---- Forget the names of stubs that were converted to texts; for the next chart.
+--- Forget which stubs were converted to texts, before another chart is loaded.
 function stubs.forget() shown = {} end
 
 --- Does a text contain the name of a stub that was converted to a text?

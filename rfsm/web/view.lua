@@ -3,7 +3,7 @@
 -- Two classes are derived from this one: `rfsm.web.local_view` for a machine in this
 -- program, `rfsm.web.remote` for a machine elsewhere. Their method `now` returns the
 -- active states and the queue. The log and the coverage are kept here. Each page has a
--- cursor, which says what the page knows; a message has the changes since.
+-- cursor, which says what the page knows; a message to the page has only later changes.
 --
 -- @module rfsm.web.view
 -- @license BSD-3-Clause
