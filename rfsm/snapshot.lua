@@ -332,8 +332,8 @@ local function is_never_new() return false end
 local UNCHANGED = { entries = false, has_changed = false, is_migrated = false,
   is_new = is_never_new }
 
--- Checks a snapshot; returns a list with a part for the machine and one for each region.
--- The field `how` of a part shows the hooks of extensions what has changed.
+-- Checks a snapshot; returns a list of parts: of the machine and of each region. The
+-- field `how` of a part shows the hooks of extensions what has changed.
 local function new_parts(fsm, snap, options)
   local parts, how = {}, UNCHANGED
   local moved, changes, is_new = migrate.to(fsm, snap, options)

@@ -141,8 +141,8 @@ local function hold_extra_ports(launch)
   end
 end
 
--- Makes the getevents of the machine, which reads ports. If the launch has a port for
--- events, the getevents of the chart is not called.
+-- Sets the function `getevents` of the machine, which reads ports. If the launch has a
+-- port for events, the function `getevents` of the chart is not called.
 local function add_getevents(launch, fsm, getevents)
   if launch.ev_inport == nil and not getevents then
     launch.ev_inport = launch.is_own or not held_port.of(launch.component, "events_in")

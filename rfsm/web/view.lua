@@ -179,7 +179,7 @@ local function entries_after(view, last, most)
   return entries
 end
 
--- Returns failures as a list { node, count, node, count, ... }.
+-- Returns the counts of failed callbacks as a list { node, count, node, count, ... }.
 local function failure_list(view)
   local list = {}
   for number = 0, #view.outline.nodes - 1 do
