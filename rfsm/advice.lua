@@ -1,7 +1,7 @@
 --- Hints for messages: the field, name or event that was probably meant.
 --
--- The core loads this file when it needs the first hint. Without it all problems are
--- reported, without hints, and some warnings are missing. Each function returns a text,
+-- The core loads this file when it needs the first hint. Without the file, problems are
+-- reported without hints, and some warnings are missing. Each function returns a text,
 -- which is empty if there is no hint.
 --
 -- @module rfsm.advice
@@ -152,7 +152,7 @@ NO_NODES["[*]"], NO_NODES["end"], NO_NODES.H = NO_NODES.final, NO_NODES.final,
   NO_NODES.history
 NO_NODES["*"] = NO_NODES.any
 
--- Returns the first FQN that ends in a path. Its parts may also be divided by '/'.
+-- Returns the first FQN that ends in a path. The path may have '/' in place of '.'.
 local function find_elsewhere(path, all)
   local tail, found = "." .. path:gsub("[/\\]+", "."):gsub("^%.+", ""), {}
   for _, other in ipairs(all) do
@@ -165,8 +165,8 @@ end
 
 --- Return the hint for a node that does not exist in a composite.
 ---@param def rfsm.Def the composite
----@param all rfsm.Def[] nodes among which the path is looked for elsewhere
----@param path string that contains the name
+---@param all rfsm.Def[] the nodes of the machine, one of which may be meant
+---@param path string the path in the model, which contains `name`
 ---@return string hint " (did you mean 'root.on'?)"
 function advice.nearest_node(name, def, all, path)
   local elsewhere, names = find_elsewhere(path, all), {}
@@ -220,8 +220,8 @@ end
 
 -- Events ------------------------------------------------------------------------
 
--- The extension for each word that may be in front of a parenthesis. The list is needed
--- because an extension that is not loaded cannot declare its words.
+-- The extensions that know events such as e_after(1), by the word in front of "(". The
+-- list is needed because an extension that is not loaded cannot declare its events.
 local MODULE_OF = {
   e_after = "rfsm_timeevent", e_at = "rfsm_timeevent", await = "rfsm_await",
 }
@@ -334,8 +334,8 @@ local function unmade(def, key, value)
   return text ~= "" and text or unwritten(def, key, value)
 end
 
---- Return the warning about a field that is valid as data of the user, but was probably
--- meant as more, and the name of the field if the message is to show it.
+--- Return the warning about a field that is valid as user data, but was probably meant
+-- as a field of rfsm or an element. Return the field's name, too, if messages show it.
 ---@param def rfsm.Def the element that has the field
 ---@return string text
 ---@return string? field

@@ -1,10 +1,10 @@
 --- Clocks: how the library reads the time, and a simulated clock for tests.
 --
 -- A clock is a function that returns seconds and nanoseconds, or nanoseconds in one
--- number. A machine reads the clock in its field `gettime`, or in the same field of a
--- machine around it, else the clock of the process: the best one installed, unless the
--- user sets another. e_after needs a clock that is never set (`is_relative`), e_at the
--- time of day.
+-- number. A machine reads the clock in its field `gettime` or in this field of a parent
+-- machine. If there is none, it reads the clock of the process, by default the best
+-- clock installed. e_after needs a clock that is never set (`is_relative`); e_at needs
+-- the time of day.
 --
 -- @module rfsm.clock
 -- @license BSD-3-Clause
@@ -58,7 +58,7 @@ local INSTALLED = {
   { "rtp", function(rtp, is_monotonic)
     return rtp.clock.gettime(is_monotonic and MONOTONIC or REALTIME)
   end },
-  { "rtp", function(rtp) return rtp.clock.gettime() end }, -- an rtp without ids
+  { "rtp", function(rtp) return rtp.clock.gettime() end }, -- an rtp without clock ids
   { "posix.time", function(time, is_monotonic)
     local now = time.clock_gettime(time[is_monotonic and MONOTONIC or REALTIME])
     return now.tv_sec, now.tv_nsec
@@ -91,8 +91,8 @@ end)
 
 -- Read -------------------------------------------------------------------------------
 --
--- Only functions of the user are called in pcall. An error from elsewhere, such as that
--- of a debug hook, is for the caller of `step`.
+-- Only functions of the user are called in pcall. An error from elsewhere, such as from
+-- a debug hook, reaches the caller of `step`.
 
 local function read_plain(gettime) return pcall(gettime) end
 
@@ -102,7 +102,7 @@ end
 
 local function read_own(gettime, is_relative) return gettime:read(is_relative) end
 
-local readers = setmetatable({}, { __mode = "k" }) -- clock -> function above
+local readers = setmetatable({}, { __mode = "k" }) -- for each clock, a function above
 
 -- Warns of a clock that returns one number if the number must be seconds and cannot be
 -- nanoseconds: it is below a million, or at most a day from the time of day.
@@ -174,7 +174,7 @@ function clock.set_hook(gettime)
   found[true], found[false] = nil, nil
 end
 
---- Return a clock of seconds that begins now.
+--- Return a function that returns how many seconds have passed since this call.
 ---@return fun(): number
 function clock.from_now()
   local nobody = { warn = false }
@@ -229,7 +229,7 @@ function Clock:advance_to_timer(fsm)
   rfsm.check_machine(fsm, "rfsm.clock.advance_to_timer")
   local seconds, sec, nsec = clock.until_timer(fsm), self.sec, self.nsec
   if not seconds then return nil end
-  self:advance(max(floor(seconds) - 1, 0)) -- a number of years is not exact
+  self:advance(max(floor(seconds) - 1, 0)) -- a float of many years is not exact
   self:advance(clock.until_timer(fsm))
   if clock.until_timer(fsm) == 0 then return seconds end
   self.sec, self.nsec = sec, nsec

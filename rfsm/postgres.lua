@@ -1,9 +1,9 @@
 --- A fleet of machines in PostgreSQL: the client, for servers without PL/Lua.
 --
--- The same functions as in Redis, and as inside PostgreSQL, run in this process, on the
+-- This process runs the functions that Redis and PL/Lua run in the server, on the
 -- tables of `rfsm postgres`. A call locks the row of its machine, runs the machine and
--- saves it, in one transaction. So clients, and functions inside the server, may drive
--- one machine in turns.
+-- saves it, in one transaction. So several clients, and functions in the server, may
+-- drive the same machine.
 --
 -- Statements are run by a connection of LuaSQL, or by a function of the user.
 --
@@ -46,7 +46,7 @@ local ASIDE = "UPDATE rfsm.machines SET due = clock_timestamp() + interval '1 mi
 
 --- Charts loaded in this process, for the machines of any number of connections.
 ---@class rfsm.postgres.Charts
----@field answer function calls a function for a machine, see `rfsm.postgres.host`
+---@field answer function calls a function such as "rfsm_tick" for a machine
 
 local NUMBER = { "a whole number", opts.is_whole(1, 1e6), nil }
 local CHART_OPTIONS = { ids = NUMBER, ids_for = NUMBER,
@@ -57,7 +57,7 @@ local CHART_OPTIONS = { ids = NUMBER, ids_for = NUMBER,
 ---@param arguments string[] files, or NAME=FILE; if a name occurs again, the later file
 --- is the newer version of the chart
 ---@param options? rfsm.postgres.Options `ids`, `ids_for`; `history` if the tables were
---- made with --history: then events that move nothing are noted there, too
+--- made with --history: then events without a move are noted in the history, too
 ---@return rfsm.postgres.Charts charts for any number of connections
 ---@return string[] warnings
 function postgres.charts(arguments, options)
@@ -107,9 +107,9 @@ end
 --- A connection to the machines in a server.
 ---@class rfsm.postgres.Client : rfsm.server.Client
 ---@field charts rfsm.postgres.Charts
----@field open fun(): any, string? see `postgres.connect`
+---@field open fun(): any, string? opens a connection, the argument of `connect`
 ---@field query rfsm.postgres.Query|false false: the connection is lost
----@field options table `patience`, `sleep`
+---@field options table `patience` and `sleep`, the options of `connect`
 ---@field failure string|false the first error in a call of `transaction`
 ---@field is_open boolean a call of `transaction` is under way
 local Client = { where = "rfsm.postgres" }

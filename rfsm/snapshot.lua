@@ -1,9 +1,9 @@
 --- Snapshots: save a machine between two steps as a plain table, and restore it.
 --
--- A snapshot holds the active leaf of the machine, its queue, the data that the chart
--- names (`keep`, or `save` and `load`, in a state), and the data of extensions. It
--- consists of texts, numbers, booleans and tables that any encoder takes, such as those
--- of JSON and MessagePack.
+-- A snapshot holds the active leaf of the machine, its queue, the fields that states
+-- list in `keep`, the results of their `save` functions, and the data of extensions. It
+-- consists of texts, numbers, booleans and tables, which encoders of JSON, MessagePack
+-- and other formats accept.
 --
 -- The file reads in this order: take snapshots, put them back, public functions.
 -- `rfsm.snapshot.shape` describes charts, `rfsm.snapshot.migrate` adapts a snapshot of
@@ -33,8 +33,8 @@ local snapshot = { VERSION = migrate.VERSION }
 
 --- A machine between two steps. An absent field is empty or false.
 ---@class rfsm.snapshot.Snapshot
----@field version integer of the format, 2
----@field chart string fingerprint of the structure of the chart, and of what it keeps
+---@field version integer version of the format: 2
+---@field chart string fingerprint of the chart: its structure, and the data it keeps
 ---@field leaf? string FQN of the active leaf; absent: the machine was not entered
 ---@field done? true the leaf is done
 ---@field queue? any[] waiting events; absent: none, or `e_init_fsm` if the machine
@@ -44,7 +44,7 @@ local snapshot = { VERSION = migrate.VERSION }
 ---@field targets? any[] three values for each transition whose target was changed: FQN
 -- of its composite, its position or name in this composite, FQN of the new target
 ---@field ext? table<string, any> data of extensions, by their names
----@field regions? table<string, table> such a table for each region, by location
+---@field regions? table<string, table> a snapshot of each region, by location
 ---@field structure? string[] a line for each element of the chart
 
 -- Take -------------------------------------------------------------------------
@@ -151,7 +151,7 @@ local function take_part(fsm, prefix, version)
   local path = path_of(own, prefix)
   local part = { version = version, chart = own.chart.name,
     leaf = leaf and leaf._fqn or nil, done = leaf and leaf._mode == "done" or nil,
-    data = nil, ext = nil } -- nil: Lua allocates six fields at once
+    data = nil, ext = nil } -- with the nils, Lua allocates six fields at once
   if not leaf and fsm._mode ~= "inactive" then
     fail("no leaf of the machine is active, but '%s' is", prefix)
   end
@@ -287,8 +287,8 @@ local function set_fields(state, keeper, fields)
   end
 end
 
--- Gives states their data. A field for which the part has no value gets the value that
--- it has in the chart.
+-- Gives the states of a machine their data in a snapshot. A kept field for which there
+-- is no value in the snapshot gets the value that it has in the chart.
 local function set_data(part)
   local own = part.own
   for i, keeper in ipairs(own.chart.keepers) do
@@ -332,8 +332,8 @@ local function is_never_new() return false end
 local UNCHANGED = { entries = false, has_changed = false, is_migrated = false,
   is_new = is_never_new }
 
--- Checks a snapshot; returns a part for the machine and for each region. The field
--- `how` of a part says to hooks of extensions what has changed in this machine.
+-- Checks a snapshot; returns a list of parts: of the machine and of each region. The
+-- field `how` of a part shows the hooks of extensions what has changed.
 local function new_parts(fsm, snap, options)
   local parts, how = {}, UNCHANGED
   local moved, changes, is_new = migrate.to(fsm, snap, options)
@@ -360,7 +360,7 @@ local function run_entry(fsm, state)
   end
 end
 
--- Loads the data of a part. `load` functions of the chart and of extensions may fail.
+-- Loads the data of one machine. `load` functions of charts and extensions may fail.
 local function load_part(part)
   set_data(part)
   local hooks = rfsm.snapshot_hooks(part.fsm)
@@ -381,8 +381,8 @@ local function can_fail(part)
   return part.own.chart.has_load or rfsm.snapshot_hooks(part.fsm)[1]
 end
 
--- Is a snapshot of the same chart, without queue, `saved`, targets and regions? And
--- has the chart no `load` and no regions?
+-- Is `put_directly` possible? The snapshot must be of this chart, without queue,
+-- `saved`, targets and regions, and the chart must have no `load` and no regions.
 local function is_usual(own, snap)
   return own.chart.leaves[snap.leaf] and snap.chart == own.chart.name
     and snap.version == migrate.VERSION and not (snap.queue or snap.saved
@@ -410,8 +410,8 @@ local function put_directly(fsm, snap, is_tidy)
   return true
 end
 
--- Puts a snapshot into a machine. If a `load` fails, the machine gets its former
--- configuration back. It is reset if that was not saved, or if `may_reset` is true.
+-- Puts a snapshot into a machine. If a `load` fails, the former configuration is put
+-- back; if it cannot be saved, or with `may_reset`, the machine is reset instead.
 local function put(fsm, snap, options, may_reset)
   local parts, has_before, before = new_parts(fsm, snap, options), false, nil
   if not may_reset and order.any(parts, can_fail) then
@@ -468,11 +468,11 @@ function snapshot.encode(snap) return exact_json.encode(snap) end
 ---@class rfsm.snapshot.Options
 ---@field entries? boolean run the entries of the active states, the outermost first
 ---@field rename? table<string, string> new FQNs of moved states, by their old FQNs
----@field migrate? fun(snap: table, list: string[]): table|false? changes a snapshot of
--- another chart, returns a new one, or false to refuse it; `list` has the differences
+---@field migrate? fun(snap: table, list: string[]): table|false? adapts a snapshot of
+-- another chart or returns a new one; false refuses it. `list` has the differences
 ---@field old? rfsm.State|string[] the chart of the snapshot, or its structure
 ---@field trusted? boolean the caller promises that the snapshot is as `take` made it.
---- This makes `put` faster. If it is not, the machine may be reset, or changed in part.
+--- This makes `put` faster. A wrong snapshot may then reset or partly change a machine.
 ---@field is_tidy? boolean the caller promises that the machine has no changed targets
 
 local is_boolean, is_table = opts.is_a "boolean", opts.is_a "table"
@@ -495,7 +495,7 @@ local OPTIONS = {
 }
 
 -- Returns the options of a public function, unchecked if the snapshot is trusted. A
--- number counts as no options: in `put(fsm, decode(text))` the decoder returns it.
+-- number counts as no options: in put(fsm, decode(text)), a decoder may return it, too.
 local function read_options(options, where)
   if options == nil or type(options) == "number" then return NONE end
   if type(options) ~= "table" or not options.trusted then
@@ -560,7 +560,7 @@ function snapshot.restore(model, snap, options)
   return false, problem, list
 end
 
---- Return the part of a snapshot that callbacks may change; also within a step.
+--- Return, even during a step, the part of a snapshot that callbacks may change.
 -- @raise if something cannot be saved
 ---@param fsm rfsm.Machine
 ---@return { data: table?, saved: table?, targets: any[]? } kept

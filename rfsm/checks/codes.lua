@@ -1,4 +1,4 @@
---- The codes of findings. Each has a severity, a meaning, and a remedy.
+--- The codes of the findings of checks: each has a severity, a meaning and a remedy.
 --
 -- @module rfsm.checks.codes
 -- @license BSD-3-Clause

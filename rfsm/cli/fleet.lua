@@ -1,4 +1,4 @@
---- `rfsm fleet URL VERB ...`: what an operator does with machines in Redis.
+--- `rfsm fleet URL VERB ...`: look after machines in Redis.
 --
 -- @module rfsm.cli.fleet
 -- @license BSD-3-Clause

@@ -1,4 +1,4 @@
---- `rfsm watch`: print a machine that runs elsewhere, as it changes.
+--- `rfsm watch`: print the changes of a machine in another process.
 --
 -- @module rfsm.cli.watch
 -- @license BSD-3-Clause

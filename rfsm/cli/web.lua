@@ -1,4 +1,4 @@
---- `rfsm web`: show a chart, or a machine elsewhere, in the browser.
+--- `rfsm web`: show a chart, or a machine of another process, in the browser.
 --
 -- @module rfsm.cli.web
 -- @license BSD-3-Clause

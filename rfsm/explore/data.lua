@@ -79,7 +79,7 @@ local function is_inside(range, value)
 end
 
 --- Return the values of the fields that `vars` names, in the order of the names, and a
---- text of the values; or nil, and a text of data that the exploration cannot follow.
+--- text of the values. If the data cannot be followed, return nil and a text about it.
 ---@param self rfsm_checks.Subject
 ---@return any[]? values
 ---@return string text
@@ -98,14 +98,14 @@ function data.read(self)
   return values, concat(texts, ",")
 end
 
---- Set the fields that `vars` names to values as `read` returns them.
+--- Set the fields that `vars` names to a list of values that `read` has returned.
 function data.put(self, values)
   for i, place in ipairs(self.var_places) do
     rawset(place.home.of, place.key, values[i])
   end
 end
 
---- Put back the data that the callbacks of a step have changed, except `vars`.
+--- Restore the data that callbacks of a step have changed, except fields in `vars`.
 function data.put_back(self)
   local text = self.memory:put_back()
   self.is_touched = false
@@ -132,8 +132,8 @@ local function names_of_data(self)
   return rfsm.sorted_keys(names), rfsm.sorted_keys(variables)
 end
 
--- Counts the callbacks that are not called, except guards, and lists those that may
--- write fields or variables which called callbacks use.
+-- Counts the callbacks that are not called, without the guards. Lists all callbacks and
+-- guards that are not called and may write fields or variables that called ones use.
 local function note_others(self, named)
   local names, variables = names_of_data(self)
   for _, name in ipairs(rfsm.sorted_keys(named)) do

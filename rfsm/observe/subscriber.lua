@@ -15,7 +15,7 @@ local subscriber = {}
 
 local BEAT = 1 -- seconds between heartbeats; a host drops a client after 3 without one
 
---- A client of a host, to which it subscribes.
+--- A client that subscribes to the machines of a host.
 ---@class rfsm.observe.Subscription
 ---@field address string
 ---@field clock fun(): number seconds

@@ -1,4 +1,4 @@
---- Judge the properties of a machine while it runs: those that explorations judge, too.
+--- Judge properties of a running machine. Explorations judge the same properties.
 --
 -- Monitors look at the end of each iteration, and at the states that it enters and
 -- leaves again. Their clocks use the time of the machine: a clock is started when an
@@ -27,7 +27,7 @@ local watch_properties = {}
 ---@class rfsm_checks.Monitor
 ---@field name string
 ---@field property rfsm_checks.Property
----@field state string of the monitor, see `monitors.look`
+---@field state string of the monitor: a word such as "first", for `monitors.look`
 ---@field clocks number[] the times at which the clocks were started
 ---@field is_told boolean the last step broke the property, and was reported
 
@@ -35,7 +35,7 @@ local watch_properties = {}
 ---@class rfsm_checks.Watched
 ---@field fsm rfsm.Machine
 ---@field monitors rfsm_checks.Monitor[]
----@field active fun(name: string): boolean
+---@field active fun(name: string): boolean is the state with this path active?
 ---@field is_timed boolean does a property have a time limit?
 ---@field now number the time at which the iteration began, in seconds
 ---@field leaf rfsm.State|false the active leaf when the iteration began
@@ -139,7 +139,7 @@ local function set_clocks(monitor, numbers, now)
   monitor.clocks = clocks
 end
 
--- Has a monitor look at the end of an iteration, or at a state that it only passes.
+-- Makes a monitor look at the end of a step, or at a state that the step only passes.
 local function look_at(own, monitor, look, events)
   local property = monitor.property
   look.came = property.event ~= nil and own.leaf
@@ -240,9 +240,9 @@ end
 
 --- Have a machine report to `err` if a property does not hold, with the latest steps.
 --
--- Properties are those of an exploration, except `from(...).can_reach(...)`. They look
--- at states, and not at flags. If an event has not led to what it has to lead to, this
--- is reported when nothing can happen before the next event comes. After a report the
+-- The properties are as in an exploration, except that `from(...).can_reach(...)` and
+-- flags are not possible. If an event has to lead to a condition and has not, this is
+-- reported when nothing more can happen before the next event. After a report the
 -- property is watched anew.
 --
 -- @raise if a property is wrong, or names a state that does not exist

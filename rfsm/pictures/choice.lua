@@ -13,7 +13,7 @@ local max, min, sqrt = math.max, math.min, math.sqrt
 
 local choice = {}
 
-local PIECES = 8 -- so many straight pieces replace a curve
+local PIECES = 8 -- how many straight pieces replace a curve
 
 -- Appends the straight pieces of a line to a list, each with its lower end first.
 -- Returns the length of the line.
@@ -35,7 +35,7 @@ local function add_pieces(list, line)
   return length
 end
 
--- On which side of a piece is a point? The sign of the result says it; 0: on the piece.
+-- Returns a number whose sign is the side of a piece on which a point is; 0: on it.
 local function side_of(piece, x, y)
   return (piece[3] - piece[1]) * (y - piece[2]) - (piece[4] - piece[2]) * (x - piece[1])
 end
@@ -84,7 +84,7 @@ function choice.measure(layout)
   return count_crossings(pieces), length
 end
 
-local MORE, LONGER = 2, 1.25 -- crossings; factor of length: "much better" below
+local MORE, LONGER = 2, 1.25 -- "much better" below: crossings, factor of length
 
 --- Return the better one of two layouts. If there was a former picture, the layout of
 -- its kind wins, unless the other layout is much better.

@@ -37,7 +37,7 @@ local diagram = {}
 ---@class rfsm.pictures.Step
 ---@field taken? string[] keys of transitions
 ---@field leaf? string FQN of the active leaf after the step
----@field m? integer set if the machine of a region took the step, which is not drawn
+---@field m? integer set if a region took the step; such a step is not drawn
 ---@field record? integer set in the first line of a recording only; it is not a step
 
 --- How often a run entered each state, by FQN, and took each transition, by key.
@@ -82,7 +82,7 @@ local diagram = {}
 ---@field title? string
 ---@field foot? string
 ---@field direction string
----@field kind? "levels"|"plain" the layout of the former picture, see `like`
+---@field kind? "levels"|"plain" the layout of the former picture in the option `like`
 ---@field root rfsm.pictures.Node
 ---@field nodes rfsm.pictures.Node[] all nodes, parents before children
 ---@field by_fqn table<string, rfsm.pictures.Node>
@@ -93,7 +93,7 @@ local diagram = {}
 
 -- Text ------------------------------------------------------------------------
 
---- Return a new identifier of the chart: `plain`, with a number if that is taken.
+--- Return a new identifier in the chart: `plain`, with a number if `plain` is in use.
 function diagram.new_id(chart, plain)
   local id, count = plain, 1
   while chart.taken[id] do
@@ -182,7 +182,7 @@ function diagram.kind_of(tab)
   return members(tab)[1] and "composite" or "leaf"
 end
 
---- Is the `kind` of a node, or of another table, the kind of a state?
+--- Is a node a state? Any table that has the field `kind` of a node is accepted.
 function diagram.is_state(node)
   return node.kind == "leaf" or node.kind == "composite"
 end
@@ -308,9 +308,9 @@ local function add_arrow(chart, arrow)
   chart.all[#chart.all + 1] = arrow
 end
 
--- Adds the arrow of a transition, or a row if the transition is internal. Adds nothing
--- if both ends are in one composite that is drawn without its nodes. An arrow to an
--- initial ends at the frame of the composite, unless it begins in the composite.
+-- Adds an arrow for a transition; an internal transition is a row in the box of its
+-- state. Adds nothing if both ends are in one composite drawn without its nodes. If an
+-- arrow leads from outside of a composite to its initial, it ends at the frame.
 local function read_transition(chart, tr, key, words)
   local src, tgt = find_node(chart, tr.src), find_node(chart, tr.tgt)
   if src == tgt and src.fqn ~= tr.src then return end
@@ -376,7 +376,7 @@ local function find_state(chart, fqn, where)
     advice.nearest_name(fqn, names)), 5)
 end
 
--- Marks as active the states in the option `active`, and not those of the machine.
+-- Marks the states in the option `active` as active, in place of the current ones.
 local function mark_active(chart, active, where)
   for _, node in ipairs(chart.nodes) do node.mode = nil end
   for _, fqn in ipairs(type(active) == "table" and active or { active }) do
@@ -385,8 +385,8 @@ local function mark_active(chart, active, where)
   end
 end
 
--- Returns a list of the keys of the transitions that a step took, and of the FQN of its
--- leaf if that is not `leaf`, the one before. Returns nil if the step is not drawn.
+-- Returns a list: keys of the transitions that a step took, then the FQN of its leaf if
+-- the leaf before the step, `leaf`, is another. Returns nil if the step is not drawn.
 local function places_of(step, leaf)
   if type(step) == "string" then return { step } end
   if type(step) ~= "table" or step.m or step.record then return nil end
@@ -440,7 +440,7 @@ local function is_a(kind, other)
   return function(x) return not x or type(x) == kind or type(x) == other end
 end
 
--- For each option: what is expected, as a text; test; default.
+-- For each option: a text of what is expected, the test of a value, and the default.
 local OPTIONS = {
   title = { "string", is_a("string", "number") }, foot = { "string", is_a "string" },
   depth = { "number", is_a "number" },

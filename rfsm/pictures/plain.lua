@@ -1,7 +1,7 @@
 --- The plain layout: Graphviz lays out the whole chart as one graph.
 --
--- The graph is the graph that `rfsm.dot.encode` makes. In it the label of an arrow is a
--- node, so an arrow with a label is two edges. Their lines are joined here.
+-- `rfsm.dot.encode` makes the graph. In this graph the label of an arrow is a node, so
+-- an arrow with a label is two edges. The lines of the two edges are joined here.
 --
 -- @module rfsm.pictures.plain
 -- @license BSD-3-Clause
@@ -21,8 +21,8 @@ local function frame_of(attributes)
     height = corners[4] - corners[2], x = header[1], y = header[2] }
 end
 
--- Returns the elements that have a position in an answer of Graphviz: frames, boxes,
--- and the lines of edges, each by its identifier.
+-- Reads an answer of Graphviz. Returns three tables, by identifier: the frames of
+-- composites, the boxes of nodes and labels, and the lines of edges.
 local function elements_of(answer)
   local frames, boxes, halves = {}, {}, {}
   graphs.read(answer, 1, function(id, attributes, cluster)

@@ -75,12 +75,12 @@ end
 ---@class rfsm.postgres.Options
 ---@field history? boolean moves, and events that moved nothing, are noted in the table
 --- rfsm.history
----@field notify? boolean a trigger reports each move to those who LISTEN to rfsm
+---@field notify? boolean a trigger reports each move to sessions that LISTEN to rfsm
 ---@field ids? integer how many ids of events are kept for each machine (16)
 ---@field ids_for? integer for how many seconds ids are kept (1000)
 
 --- Return the text of the library for machines in a table of PostgreSQL, and a list of
--- warnings. Charts are given as to `rfsm.redis.bundle`. A wrong chart raises an error.
+-- warnings. `arguments` are chart files, or NAME=FILE. A wrong chart raises an error.
 function script.library(arguments, options)
   return library.text(arguments, "PostgreSQL", options)
 end

@@ -1,5 +1,4 @@
 --- A machine in a component of Orocos RTT: its ports, its hooks, its launch.
---
 -- A launch loads this module in the Lua of the component, or of its service.
 --
 -- @module rfsm.rtt.component
@@ -39,7 +38,7 @@ local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 ---@field variables table<string, any> the values of the attributes, by name
 ---@field attributes string[] names of the attributes that this launch has added
 ---@field counts table<string, integer> the values of those attributes that are counters
----@field emit? fun(...) writes events to the port for them; also global `emit_event`
+---@field emit? fun(...) writes events to the event port; also global `emit_event`
 ---@field is_ready boolean do all ports exist, and are the program's hooks wrapped?
 
 local function set_globals(globals)
@@ -48,8 +47,8 @@ end
 
 -- Ports --------------------------------------------------------------------------
 
--- By setting of a launch: class of the port, its default name, the name of its global,
--- its description, its type if that is not string.
+-- For each setting of a launch that asks for a port: the class of the port, its default
+-- name, the name of its global variable, its description, and its type if not string.
 local PORTS = {
   fqn_port = { "OutputPort", "fqn", "fqn", "FQN of the active leaf" },
   ev_outport = { "OutputPort", "events_out", "ev_outport", "events of the machine" },
@@ -77,8 +76,9 @@ local function check_port(held)
     :format(held.name, wanted.porttype, wanted.type, found.porttype, found.type), 0)
 end
 
--- Makes a port, unless the component launches by itself and has the port, perhaps from
--- its last launch. Otherwise a port of this name is an error: RTT would replace it.
+-- Makes a port. A component that launches by itself keeps a port that it already has,
+-- such as from its last launch. In other launches this is an error: RTT would replace
+-- the port.
 local function provide_port(launch, field, held)
   if launch.is_own and held:find() then return check_port(held) end
   if held_port.of(held.component, held.name) then
@@ -120,7 +120,7 @@ end
 
 -- The machine --------------------------------------------------------------------
 
--- Returns an object that is read like a port. Its samples are events of a getevents.
+-- Returns an object that is read like a port. Its samples are events from `getevents`.
 local function port_of(getevents)
   local list, i = false, 0
   return { read = function()
@@ -141,8 +141,8 @@ local function hold_extra_ports(launch)
   end
 end
 
--- Makes the getevents of the machine, which reads ports. If the launch has a port for
--- events, the getevents of the chart is not called.
+-- Sets the function `getevents` of the machine, which reads ports. If the launch has a
+-- port for events, the function `getevents` of the chart is not called.
 local function add_getevents(launch, fsm, getevents)
   if launch.ev_inport == nil and not getevents then
     launch.ev_inport = launch.is_own or not held_port.of(launch.component, "events_in")
@@ -246,12 +246,12 @@ local function make_ready(launch)
 end
 
 -- The name of the global function that RTT's EEHook calls at each update. RTT ends the
--- process if there is no such function, or if the hook was collected. So no chart uses
--- this name, and the function refers to the hook.
+-- process if there is no such function, or if the hook was collected. So the name is
+-- one that charts do not use, and the function refers to the hook.
 local HOOK = "rfsm.rtt: function of the EEHook"
 
--- Returns a hook that the component's thread runs. Since OCL takes no lock, it must be
--- enabled when nothing else is left to do in this Lua. The hook is made in a new Lua
+-- Returns a hook that the component's thread runs. Since OCL takes no lock, the hook
+-- must be enabled when nothing else is left to do in this Lua. It is made in a new Lua
 -- thread, so that it has its own stack. A halt removes it, in the component's thread.
 local function new_hook(launch, trigger)
   local halt, halted = launch.variables.rfsm_halt, launch.variables.rfsm_halted
@@ -277,8 +277,8 @@ local function run(load, source, name)
   if source then assert(load(source, name))() end
 end
 
--- Has the deployer, which is a peer, load a timer component: it writes to its port when
--- a time has passed.
+-- Makes the deployer, which must be a peer, load a timer component. The timer component
+-- writes to its port when a time has passed.
 local function add_timer(launch)
   if not launch.timer then return end
   local target, name = launch.component, launch.deployer or "Deployer"
@@ -362,8 +362,8 @@ local function obstacle()
   return "a machine was launched here before, it is the global 'fsm'"
 end
 
--- Restores the program's hooks, except hooks that it has defined anew since, and drops
--- the machine: a pool may not have room for two machines.
+-- Restores the program's hooks, except hooks that the program has redefined since, and
+-- drops the machine, since a pool may not have room for two machines.
 local function forget(launch)
   for name, hook in pairs(launch.hooks) do -- any order: different globals
     if rawget(_G, name) == hook then rawset(_G, name, launch.theirs[name]) end

@@ -62,7 +62,7 @@ keys.log, keys.history = of_machine ":log", of_machine ":history"
 --- Return the channel on which the active leaf of a machine is published.
 function keys.channel(key) return "rfsm:{" .. keys.tag(key) .. "}:" .. key end
 
---- Return the text by which the index lists a machine in a leaf.
+--- Return an entry of the index: the chart, its active leaf, the key of the machine.
 function keys.member(chart, leaf, key) return chart .. "\t" .. leaf .. "\t" .. key end
 
 return keys

@@ -39,7 +39,7 @@ local current = nil ---@type rfsm.shared.World? of the chart that is being loade
 local latest = nil ---@type rfsm.shared.World? of the chart that was loaded last
 
 local world_of_source = {} -- worlds, by the sources of their code
-local found = {} -- by name of a module: true: a stub; false: a file beside the chart
+local found = {} -- module -> true if it is a stub, false if a file beside the chart
 local found_for = nil -- the folder of the chart for which modules in `found` were found
 
 -- Stubs -----------------------------------------------------------------------

@@ -35,7 +35,7 @@ function stubs.name_of(value)
   return type(value) == "table" and getmetatable(value) == Stub and names[value] or nil
 end
 
--- Returns the name of a stub; "a stub" if it is a copy, which only a chart makes.
+-- Returns the name of a stub; "a stub" for a copy of a stub that the chart has made.
 local function name_of(stub) return names[stub] or "a stub" end
 
 local MOST = 9 -- list elements that a stub has, so that `ipairs` over it ends
@@ -50,7 +50,7 @@ function Stub.__index(stub, key)
   return known[key]
 end
 
-local LONGEST = 200 -- bytes: a call whose name would be longer has the name of the stub
+local LONGEST = 200 -- bytes; a call with a longer name returns a stub of the old name
 
 -- Returns the first state among the arguments of a call, or nil.
 local function find_state(...)
@@ -96,14 +96,14 @@ end
 
 function Stub.__concat(a, b) return rfsm.text_of(a) .. rfsm.text_of(b) end
 
---- Forget the names of stubs that were converted to texts; for the next chart.
+--- Forget which stubs were converted to texts, before another chart is loaded.
 function stubs.forget() shown = {} end
 
 --- Does a text contain the name of a stub that was converted to a text?
 ---@param text string
 ---@return boolean
 function stubs.is_in(text)
-  for name in order.each(shown) do -- any order: is there one?
+  for name in order.each(shown) do -- any order: one decides
     local from, to = text:find(name, 1, true)
     local is_word = from and not text:sub(from - 1, from - 1):find("[%w_]")
     if is_word and not text:find("^[%w_]", to + 1) then return true end

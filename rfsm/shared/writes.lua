@@ -52,8 +52,8 @@ local function is_own(source)
   return source == core or rest:sub(1, 1) == "/" or BESIDE[rest] == true
 end
 
---- Return the text of a function of the chart; nil for other functions, and without the
---- library `debug`.
+--- Return the text of a function of the chart; nil if the function is of C or of this
+--- library, or if there is no library `debug`.
 ---@param callback any
 ---@return string?
 function writes.text_of(callback)

@@ -25,7 +25,7 @@ local commands = {}
 ---@field brief string a description in one line
 ---@field text string details and an example, for `help` of this command
 ---@field run fun(sim: rfsm.sim.Session, ...) returns nothing: results would be printed
----@field takes_line? boolean in a line of words, the rest of the line is one argument
+---@field takes_line? boolean all words typed after the command are one argument
 ---@field completes? "now"|"events"|"points" what the Tab key completes. now: events,
 -- those of active states first; events: all events alike; points: events and states
 ---@field fsm? rfsm.Machine the machine that the command is about, if it is in a system

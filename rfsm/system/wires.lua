@@ -19,7 +19,7 @@ local wires = {}
 ---@field to string name of the machine that reads the wire
 ---@field kind "buffer"|"data" a full buffer loses a new event; data keeps the newest
 ---@field size integer how many events a buffer holds; 1 for data
----@field read "all"|"one" how many events a move of the reader takes from the queue
+---@field read "all"|"one" how many events the reader takes from the queue at once
 ---@field location string where it is described, such as "cell.lua:7"
 
 --- Return the event that `fsm.emit(name, data)` sends: the name if there is no data; a
@@ -32,7 +32,7 @@ function wires.event_of(name, data)
   return event
 end
 
---- Put an event into the queue of a wire; return whether it found room.
+--- Put an event into the queue of a wire, unless this buffer is full.
 ---@param wire rfsm.system.Wire
 ---@param queue any[]
 ---@param event any

@@ -3,7 +3,7 @@
 -- Two classes are derived from this one: `rfsm.web.local_view` for a machine in this
 -- program, `rfsm.web.remote` for a machine elsewhere. Their method `now` returns the
 -- active states and the queue. The log and the coverage are kept here. Each page has a
--- cursor, which says what the page knows; a message has the changes since.
+-- cursor, which says what the page knows; a message to the page has only later changes.
 --
 -- @module rfsm.web.view
 -- @license BSD-3-Clause
@@ -17,7 +17,7 @@ local setmetatable, type = setmetatable, type
 local max = math.max
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
-local MAX_LOG = 500 -- so many of the last entries are always kept
+local MAX_LOG = 500 -- how many entries, the newest ones, are always kept
 local MAX_SENT = 60 -- entries in a message to a page that has a cursor
 local MAX_TEXT = 2000 -- bytes of the text of an entry in a message
 
@@ -117,7 +117,7 @@ function View:see_edge(number)
   if #self.taken < MAX_SENT then self.taken[#self.taken + 1] = number end
 end
 
---- Note that a callback of the node with a number has failed.
+--- Note that a callback has failed, by the number of its node.
 function View:add_failure(number)
   self.failures[number] = (self.failures[number] or 0) + 1
   self:touch()
@@ -130,7 +130,7 @@ function View:texts_of(events)
   return texts
 end
 
---- Begin a turn. The transitions of the last turn are no longer shown as taken.
+--- Begin a turn. Its first transition replaces those that are shown as taken.
 function View:begin_turn(turn) self.turn, self.is_taken_shown = turn, true end
 
 --- Go back to the end of a turn: drop the entries of later turns, keep the coverage.
@@ -179,7 +179,7 @@ local function entries_after(view, last, most)
   return entries
 end
 
--- Returns failures as a list { node, count, node, count, ... }.
+-- Returns the counts of failed callbacks as a list { node, count, node, count, ... }.
 local function failure_list(view)
   local list = {}
   for number = 0, #view.outline.nodes - 1 do
