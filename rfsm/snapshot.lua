@@ -479,7 +479,7 @@ local is_boolean, is_table = opts.is_a "boolean", opts.is_a "table"
 
 local function is_renaming(x)
   if not is_table(x) then return false end
-  for old, new in each(x) do -- any order: all of them
+  for old, new in each(x) do -- any order: all are checked
     if type(old) ~= "string" or type(new) ~= "string" then return false end
   end
   return true

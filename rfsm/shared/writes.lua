@@ -197,7 +197,7 @@ function writes.reads_any(text)
     or text:find("%f[%w_]next%s*%(") or text:find("%f[%w_]rawget%s*%(")
 end
 
---- Does a function only read, as far as its text shows? If so, it calls no functions,
+--- Does the text of a function show that it only reads? Such a function calls no other,
 --- and assigns only to new local variables.
 ---@param callback any
 ---@return boolean

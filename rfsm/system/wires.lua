@@ -32,7 +32,7 @@ function wires.event_of(name, data)
   return event
 end
 
---- Put an event into the queue of a wire, unless this buffer is full.
+--- Put an event into the queue of a wire, unless the wire is a full buffer.
 ---@param wire rfsm.system.Wire
 ---@param queue any[]
 ---@param event any
