@@ -1,4 +1,4 @@
---- Functions that read or write a whole file.
+--- Files: functions that read or write a whole file.
 --
 -- @module rfsm.shared.files
 -- @license BSD-3-Clause
