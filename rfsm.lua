@@ -3635,7 +3635,6 @@ do
   ---@type fun(fsm: rfsm.Machine, hook: function): boolean
   rfsm.path_hook_rm = hook_remover("rfsm.path_hook_rm", "_path_hooks")
 
-  ---@alias rfsm.Watched "sent"|"failed"|"resumed"|"ended"|"merged"
   local WATCHED = { sent = true, failed = true, resumed = true, ended = true,
     merged = true }
 

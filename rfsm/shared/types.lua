@@ -63,3 +63,6 @@
 ---@class rfsm.ConnectorConstructor
 ---@field new fun(self: any, t: table): rfsm.Connector
 ---@overload fun(t: table): rfsm.Connector
+
+--- An occasion on which a watch hook is called, see `rfsm.watch_hook_add`.
+---@alias rfsm.Watched "sent"|"failed"|"resumed"|"ended"|"merged"
