@@ -140,6 +140,7 @@ site:                   ## out/: those pages and the playground, for file: or an
 # lamp.lua is the chart of the README
 gallery:                ### doc/gallery/: pictures of the README, the examples and larger charts
 	@set -e; trap 'rm -f lamp.lua' EXIT; \
+	export FONTCONFIG_FILE=$(CURDIR)/tools/fonts.conf; \
 	sed -n '/^-- lamp.lua/,/^```$$/p' README.md | sed '$$d' > lamp.lua; \
 	for f in lamp.lua $(EXAMPLES) doc/gallery/*.lua; do \
 	  $(LUA) tools/rfsm viz $$f -o doc/gallery/$$(basename $$f .lua).svg; \

@@ -13,6 +13,7 @@
 # share of what is the same on all interpreters they have: see spec/support/share.lua.
 set -u
 cd "$(dirname "$0")/.." || exit 1
+export FONTCONFIG_FILE="$PWD/tools/fonts.conf"
 
 busted=${BUSTED:-busted} limit=${LIMIT:-300}
 command -v timeout >/dev/null && timeout="timeout -k 5 $limit" || timeout=
