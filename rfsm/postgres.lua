@@ -305,7 +305,7 @@ local function wake(self, limit, culprit)
   return counts
 end
 
---- Run machines that are due. A machine that cannot be run is put aside for a minute.
+--- Run the machines whose timers are due. A failed one is put aside for a minute.
 -- @raise if no server answers
 ---@param limit? integer how many machines are run at most (100)
 ---@return integer count machines that were run

@@ -517,7 +517,7 @@ local function try_put(fsm, snap, options, may_reset)
     type(failure) == "table" and failure.difference or nil
 end
 
---- Move a machine to a snapshot; no callback runs.
+--- Move a machine to a snapshot; no callback of the chart runs.
 --
 -- A wrong snapshot changes nothing. If a `load` fails, the machine gets its former
 -- configuration and data back; it is reset if these could not be saved.
@@ -533,7 +533,7 @@ function snapshot.put(fsm, snap, options)
   return try_put(fsm, snap, read_options(options, "rfsm.snapshot.put"), false)
 end
 
---- Make a machine from a snapshot; no callback runs.
+--- Make a machine from a snapshot; no callback of the chart runs.
 --
 -- @usage
 --    local fsm = assert(snapshot.restore(rfsm.load("lamp.lua"), json.decode(text)))

@@ -420,7 +420,9 @@ describe("doc/gallery", function()
   local list = gallery()
 
   it("has the pictures of its charts, drawn anew", function()
-    if not is_of_gallery() then return pending("not the Graphviz, or the fonts, of make test") end
+    if not is_of_gallery() then
+      return pending("not the Graphviz, or the fonts, of make test")
+    end
     local own = {}
     for i, job in ipairs(list) do own[#own + 1] = share.has(i) and job or nil end
     local svgs = pictures.svgs_of(pictures.layouts_of(own))

@@ -534,6 +534,7 @@ describe("rfsm-check", function()
       .. "the chart without it)\n"
     fails("rfsm viz " .. name, "rfsm viz: " .. problem)
     fails("rfsm size " .. name, "rfsm size: " .. problem)
+    fails("rfsm sim -e 'step()' " .. name, "rfsm sim: " .. problem)
     check("rfsm check " .. name, problem, "", 1)
     fails("rfsm snapshot diff " .. name .. " " .. name, "rfsm snapshot: " .. name
       .. ":1: module 'armlib' not found\n")

@@ -184,7 +184,11 @@ end
 
 --- Open a chart or a system for the simulator; nil and the problems if it is wrong.
 function side_by_side.open(file, follows, has_stubs)
-  return session.open(file, follows, has_stubs, system.load, new_side)
+  local sim, problems = session.open(file, follows, has_stubs, system.load, new_side)
+  for i, problem in ipairs(problems or {}) do
+    problems[i] = common.with_hint(problem, has_stubs)
+  end
+  return sim, problems
 end
 
 return side_by_side
