@@ -161,6 +161,11 @@ local COMPLAINTS = {
   ["bye()"] = "nothing is named bye (did you mean 'quit'?)\n",
   ["q"] = "nothing is named q (did you mean 'quit'?)\n",
   ["xyz"] = "nothing is named xyz, help() lists the commands\n",
+  ["xyz e_restart"] = "nothing is named xyz, help() lists the commands\n",
+  ["send e_restart"] = "nothing is named send (did you mean 'se'?)\n",
+  ["undo 2"] = "nothing is named undo (did you mean 'back'?)\n",
+  ["stpe 3"] = "nothing is named stpe (did you mean 'step'?)\n",
+  ["rfsm step"] = "^stdin:%d+: [^\n]*near '=?'?step'?\n$",
   ["e_restart"] = "e_restart is an event: 'ser e_restart' sends it and runs\n",
   ["help nothing"] = "help: no command is named nothing, help() lists them\n",
   ["breakpoint nowhere"] = "breakpoint: state, event or transition (off -> on) "

@@ -78,13 +78,15 @@ local function call_of(sim, text)
   return function() sim.env[name](unpack(arguments)) end
 end
 
--- Commands that end other programs; `quit` ends the simulator.
-local LEAVE = { bye = true, exit = true, q = true }
+-- Words of other programs for commands of the simulator.
+local OTHERS = { bye = "quit", exit = "quit", q = "quit", send = "se", undo = "back" }
 
 -- Returns the complaint about a name that does not exist.
 local function problem_of_missing(sim, name, list)
   for _, command in ipairs(sim.commands.list) do list[#list + 1] = command.name end
-  local hint = LEAVE[name] and " (did you mean 'quit'?)" or names.hint(name, list)
+  local other = OTHERS[name] and sim.commands.find(OTHERS[name])
+  local hint = other and (" (did you mean '%s'?)"):format(other.name)
+    or names.hint(name, list)
   if hint == "" then hint = ", help() lists the commands" end
   return "nothing is named " .. name .. hint
 end
@@ -97,6 +99,13 @@ local function problem_of_name(sim, text)
     return ("%s is an event: 'ser %s' sends it and runs"):format(name, name)
   end
   return problem_of_missing(sim, name, names.events(sim.fsm))
+end
+
+-- Returns a complaint if a line, which is no Lua, is an unknown name and words.
+local function problem_of_words(sim, text)
+  local name = text:match("^%s*([%a_][%w_]*)%s+[%w_]")
+  if not name or sim.env[name] ~= nil or not load("local " .. name) then return nil end
+  return problem_of_missing(sim, name, {})
 end
 
 -- Evaluate --------------------------------------------------------------------------
@@ -134,7 +143,8 @@ function prompt.evaluate(sim, text, chunkname)
     chunk = chunk or not is_incomplete(problem) and call_of(sim, text)
   end
   if chunk then return call(sim, chunk) end
-  return false, first_line(problem), is_incomplete(problem)
+  if is_incomplete(problem) then return false, first_line(problem), true end
+  return false, problem_of_words(sim, text) or first_line(problem), false
 end
 
 --- Make the environment of typed code: the commands, and the globals of the chart.
