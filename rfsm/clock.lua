@@ -3,8 +3,8 @@
 -- A clock is a function that returns seconds and nanoseconds, or nanoseconds in one
 -- number. A machine reads the clock in its field `gettime` or in this field of a parent
 -- machine. If there is none, it reads the clock of the process, by default the best
--- clock installed. e_after needs a clock that is never set (`is_relative`); e_at needs
--- the time of day.
+-- clock installed. e_after needs a monotonic clock (`is_relative`); e_at needs the time
+-- of day.
 --
 -- @module rfsm.clock
 -- @license BSD-3-Clause
@@ -153,7 +153,7 @@ end
 
 --- Read the clock of a machine.
 ---@param fsm rfsm.Machine|{} {}: read the clock of the process
----@param is_relative boolean true: a clock that is never set; false: the time of day
+---@param is_relative boolean true: a monotonic clock; false: the time of day
 ---@return number|false time in seconds, in one number; false if the clock fails
 ---@return number|any sec the exact seconds; the error if the clock fails
 ---@return number nsec nanoseconds to be added to `sec`, perhaps more than a second

@@ -211,7 +211,7 @@ end
 -- Public functions ------------------------------------------------------------------
 
 -- Sends the changes to each page that has received its last message, at most once in
--- FRAME seconds. Pages with the same cursor get the same text, which is made once.
+-- FRAME seconds. Pages that know the same have the same cursor, and get one text.
 local function send_changes(server)
   local messages, now = {}, server.gettime()
   server.is_late = false

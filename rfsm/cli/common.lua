@@ -206,7 +206,8 @@ function common.write(file, text)
 end
 
 -- Calls encode(fsm, title, foot) for the chart in each file, and returns the list of
--- texts. Nothing is written before all charts are encoded. `foot` names the stubs.
+-- texts. So nothing is written before all charts are encoded. `foot` is a line that
+-- names the stubs; nil without stubs.
 function common.encode_all(options, encode)
   local texts = {}
   for i, file in ipairs(options.files) do

@@ -70,8 +70,9 @@ local function fail(problem)
   os.exit(0)
 end
 
--- Returns the model as tools load it, also from a chart with stubs or from a program.
--- Modules for tools and for warnings of init are loaded first, so they do not count.
+-- Returns the model as tools load it: the file may be a program that makes machines,
+-- and stubs may replace missing modules. Modules that only tools load, or `init` for
+-- its warnings, are loaded first, so they are not measured.
 local function load_as_tools()
   local chart = require "rfsm.shared.chart"
   for _, tool in ipairs { "rfsm.advice", "rfsmpp", "rfsm.monitor" } do require(tool) end
@@ -91,7 +92,7 @@ local function load_model()
 end
 
 -- Makes the machine and prints the number of its states and transitions. Returns the
--- KiB that the model, the machine and the modules take.
+-- KiB that the model, the machine and the modules of the chart take.
 local function make_machine()
   local model = load_model()
   model.err, model.warn, model.info, model.dbg = false, false, false, false

@@ -25,7 +25,8 @@ function redis.add_arguments(command)
     :argname("URL")
 end
 
--- Reports on each chart that has two versions. Returns whether all machines can move.
+-- Reports on each chart that has two versions. Returns whether all saved machines can
+-- move to the next version.
 local function compare(files)
   local latest, is_safe, count = {}, true, 0
   for _, argument in ipairs(files) do

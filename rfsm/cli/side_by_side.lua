@@ -94,7 +94,8 @@ end
 
 -- Commands --------------------------------------------------------------------------
 
--- Returns a command. `run` defaults to the function of the chart command of this name.
+-- Returns a command. Without `run` it has the function of the command for a chart that
+-- has the same name.
 local function command(usage, brief, run, fsm)
   local name = usage:match("^[%w_]+")
   return { name = name, usage = usage, brief = brief, fsm = fsm,

@@ -26,7 +26,7 @@ local breakpoints = {}
 ---@field condition? string text of the expression after `if`
 ---@field holds? fun(): any the condition, compiled
 
--- Is an end of a transition `node` itself, or the initial connector in `node`?
+-- Is the source or target of a transition `node` itself, or its initial connector?
 local function is_at(tr_end, node)
   return node and (tr_end == node or tr_end == node.initial)
 end
@@ -90,8 +90,8 @@ function breakpoints.add(sim, what)
   return #sim.points
 end
 
---- Call f(i, point) for each breakpoint of this `kind` in a list that `value` hits.
--- `value` is the name of a state entered, a transition taken, or an event received.
+--- Call f(i, point) for each breakpoint in `list` that has this `kind` and is hit by
+-- `value`: the name of a state entered, a transition taken, or an event received.
 function breakpoints.each_reached(list, kind, value, f)
   for i, point in ipairs(list) do
     if point.kind == kind and (rawequal(point.value, value)

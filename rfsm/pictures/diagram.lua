@@ -189,8 +189,8 @@ end
 
 local is_state = diagram.is_state
 
---- Call f(tr, key, words) for each transition in a description. `words` are texts of
--- its events, `fqn` is the FQN of the state described, by default "root".
+--- Call f(tr, key, words) for each transition in a description; `words` are the texts
+-- of its events. `fqn` is the FQN of the described state, by default "root".
 function diagram.each_transition(tab, text_of, f, fqn)
   fqn = fqn or "root"
   for i, tr in ipairs(tab.transitions or {}) do

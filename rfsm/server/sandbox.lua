@@ -43,7 +43,8 @@ for _, list in pairs(MISSING) do -- any order: the lists are independent
   end
 end
 
--- Is the name between two positions not a global, but a field or a key of a table?
+-- Is the name between two positions a field or a key of a table, so that it is not a
+-- global?
 local function is_key(code, from, behind)
   local before = code:sub(1, from - 1):match("(%S)%s*$")
   return before == "." or before == ":" or code:find("^%s*=[^=]", behind)

@@ -1,5 +1,8 @@
 --- The history of a simulation: the machine after each advance, and recordings.
 --
+-- An *advance* is all that one command does to the machine, such as `step` or `run`. In
+-- a replay each step of the recording is one.
+--
 -- @module rfsm.sim.history
 -- @license BSD-3-Clause
 
@@ -142,7 +145,7 @@ end
 
 -- Show ----------------------------------------------------------------------------
 
---- Print the last advances, at most `last` of them.
+--- Print a line for each of the last advances, at most `last` lines.
 function history.show(sim, last)
   local way = sim.history
   local problem = way:note().problem

@@ -1,7 +1,8 @@
 --- Plain data: values in a form that each encoder can write, and each Lua reads back.
 --
--- Texts, booleans, most numbers, lists, and tables with texts as keys are plain data
--- already. Other values become a list whose first item begins with %:
+-- A value is *packed* as plain data, and unpacked. Texts, booleans, most numbers,
+-- lists, and tables with texts as keys are plain data already. Any other value becomes
+-- a list whose first item begins with %:
 --
 --    { "%n", digits }            a number that JSON would change
 --    { "%t", key, value, ... }   a table that is not plain data
@@ -59,8 +60,9 @@ end
 
 --- The keys that lead to a value. Messages show them.
 ---@class rfsm.snapshot.Path
----@field owner string|false name of the owner of the value; false if a state has it
----@field keeper rfsm.snapshot.Keeper|false the state that has the value
+---@field owner string|false where the keys begin, as a text: "queue", "save of root.a";
+-- false: at the state of `keeper`
+---@field keeper rfsm.snapshot.Keeper|false unused if `owner` is a text
 ---@field prefix string location of the machine: "root", "root.arms.left"
 ---@field seen table<table, true>|false tables that were packed already
 ---@field [integer] any the keys, the outermost first

@@ -91,7 +91,8 @@ end
 -- Findings ..........................................................................
 
 -- Adds a finding. Its witness is the run to the configuration `shown.at`, then the move
--- `shown.label` if there is one, then a run that stays if there is a `shown.tgt`.
+-- `shown.label` if there is one, then, if there is a `shown.tgt`, a run to where the
+-- system may stay for ever.
 local function add_run(walk, findings, code, path, text, shown, where)
   local finding = findings:add(code, nil, path, text, nil, where)
   if finding then finding.witness = walk:witness(shown.at, shown.label, shown.tgt) end

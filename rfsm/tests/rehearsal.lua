@@ -2,7 +2,8 @@
 --
 -- The argument of a step has the answers of guards, and names the doos that end. If a
 -- guard or doo without an answer was asked, the result names it. Time advances only by
--- the seconds in the argument of a step.
+-- the seconds in the argument of a step. The machine, with its callbacks replaced, and
+-- its regions are the parts of a subject (`rfsm.explore.subject`).
 --
 -- @module rfsm.tests.rehearsal
 -- @license BSD-3-Clause
@@ -31,7 +32,7 @@ local Rehearsal = {}
 Rehearsal.__index = Rehearsal
 
 -- Replaces `Subject:choose`: returns the answer that the argument of the step has for a
--- guard or doo. If it has none, a guard is true and a doo goes on.
+-- guard or doo; `who` is its path. Without an answer a guard is true, a doo goes on.
 local function answer(own, who, is_doo)
   local said = own.said[who]
   if said == nil and not own.is_asked[who] then
@@ -43,7 +44,7 @@ local function answer(own, who, is_doo)
 end
 
 -- Fills two tables: `asker_of` leads from the name of a transition or state to the path
--- by which the subject asks about its guard or doo, `name_of` leads from path to name.
+-- (`who` in `answer`) of its guard or doo, `name_of` leads from path to name.
 local function add_names(own)
   own.asker_of, own.name_of = {}, {}
   location.add_names(own.transitions)
@@ -154,7 +155,7 @@ function Rehearsal:answers_of(step)
   return what
 end
 
--- Returns the path by which the subject asks about a named transition or state.
+-- Returns the path of the guard or doo of the transition or state with this name.
 local function find_asker(own, name)
   local who = own.asker_of[name]
   if who then return who end
@@ -242,9 +243,9 @@ function Rehearsal:step(what)
   return outcome(own)
 end
 
--- Sends an event that a callback has sent in a step, so that the next step sees it.
--- This is right only for a part that advances once in a step; for others it is an
--- error.
+-- Sends an event that a callback has sent in a step to a part, so that the next step of
+-- the part sees it. If the part takes several steps in one of the machine, this raises
+-- an error, since the event would come too late.
 local function send_after(part, event)
   if not part.is_single then
     error(("rfsm_checks.record_witness: a callback in %s sends '%s' while the region "

@@ -33,7 +33,7 @@ local TICK = 1e-6 -- seconds; times are rounded up to multiples of it
 ---@field file string
 ---@field view rfsm.web.LocalView|false false while the chart has a mistake
 ---@field problems string[] problems of the chart; empty if it runs
----@field generation integer how often the chart was loaded; the page draws it anew then
+---@field generation integer how often the chart was loaded; a page draws each one anew
 ---@field way rfsm.observe.Rewind|false the earlier places; turn n + 1 begins at place n
 ---@field snap table? snapshot of the last machine, while the chart has a mistake
 ---@field time rfsm.clock.Clock seconds since the machine began, as the chart reads them

@@ -94,7 +94,8 @@ end
 ---@field type? string default "text/plain"
 ---@field body? string the body, or the first message of a stream
 ---@field policy? string the header field Content-Security-Policy
----@field stream? any the subject of further messages; nil: the connection is closed
+---@field stream? any what later messages are about, such as a tab; nil: none come, and
+-- the connection is closed
 
 local REASONS = {
   [200] = "OK", [202] = "Accepted", [204] = "No Content", [400] = "Bad Request",
@@ -127,7 +128,7 @@ end
 ---@field sent integer bytes of `pending` that the client has taken
 ---@field since number the time when the phase began; in a stream, the latest time when
 -- the client took bytes or a message was begun
----@field stream? any the subject of a stream
+---@field stream? any the field `stream` of its reply
 
 local function new_connection(client, now)
   client:settimeout(0)

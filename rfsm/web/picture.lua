@@ -101,7 +101,8 @@ local function close_inherited()
 end
 
 --- Draw a request; return the SVG, or nil if Graphviz is missing or fails. `like` is
--- the former picture of the machine. `run(text, format)`, if given, replaces Graphviz.
+-- the former picture of the machine, whose order of nodes is kept. `run(text, format)`,
+-- if given, replaces Graphviz.
 function Painter.draw(request, like, run)
   run = run or dot.render
   local options = { folded = request.folded, like = like }

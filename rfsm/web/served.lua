@@ -15,7 +15,7 @@ local setmetatable, huge = setmetatable, math.huge
 ---@field title string the title of the tab
 ---@field problems string[] always empty, since the machine runs
 ---@field generation integer always 1, since the chart stays the same
----@field commands table<string, function> type of a page's message -> its function
+---@field commands table<string, function> name of a page's command -> its function
 ---@field has_history boolean is the machine observed also while no page is open?
 ---@field seen_at number the time at which a page last read the machine
 local Served = {}
