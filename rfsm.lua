@@ -1205,14 +1205,14 @@ local function own_fields()
     ["_%def"] = false, _plan = false, _nodes = false, _transitions = {},
     -- the iteration, see "Run":
     --   _path       the path being taken, or the last one since `took_path` was called
-    --   _ways       notes about connectors, see `note_of`
+    --   _ways       connector -> what the last search found there, see `note_of`
     --   _search     number of the current search
     --   _at         number of the action (or part of a doo cycle) that was begun last
     --   _hook       number of the step hook begun last; -1: getevents is not called yet
     --   _given      events that getevents has returned and that are in no list yet
-    --   _outcome    counted | idle | free (events enabled no path, no step is counted)
-    --               | refused (the entry or a step hook failed)
-    --   _is_usual   false after an interrupt, error or reset: `iterate` is not quick
+    --   _outcome    of the last iteration: counted (as a step) | idle | free (events
+    --               enabled no path: not counted) | refused (entry or step hook failed)
+    --   _is_usual   false after an interrupt, error or reset: `iterate` calls `go_on`
     --   _is_lent    true if a callback may have kept the list of current events
     --   _is_cut     true if an error ended the iteration; the next step completes it
     --   _is_hooked  true once a step hook, path hook or getevents was set
@@ -2540,7 +2540,8 @@ local function natural(text)
   return (text:gsub("%d+", function(n) return ("0"):rep(12 - #n) .. n end))
 end
 
--- Turns a list of { file, line } into texts "file: location: text", sorted by location.
+-- Puts the `file` of each item in front of its `line`, which is "location: text".
+-- Returns these texts, sorted by location.
 local function lines_of(list)
   local keys, lines = {}, {}
   for i = 1, #list do
@@ -2823,8 +2824,8 @@ do
     return fits(fsm, plan) and plan or nil
   end
 
-  -- Returns a new plan that takes over the definitions of `plan`, and drops what was
-  -- compiled in them. No other machine uses `plan`.
+  -- Returns a new plan with the same definitions, and drops what was compiled in them.
+  -- Only one machine may have `plan`.
   local function renewed(plan)
     local variant = new_plan(plan.model, plan.warnings, plan.created)
     variant.nodes, variant.transitions = plan.nodes, plan.transitions

@@ -1,9 +1,9 @@
 --- A fleet of machines in PostgreSQL: the client, for servers without PL/Lua.
 --
--- This process runs the functions that Redis and PL/Lua run in the server, on the
--- tables of `rfsm postgres`. A call locks the row of its machine, runs the machine and
--- saves it, in one transaction. So several clients, and functions in the server, may
--- drive the same machine.
+-- This process runs the functions that Redis and PL/Lua run in the server. It uses the
+-- tables that the command `rfsm postgres` makes. A call locks the row of its machine,
+-- runs the machine and saves it, in one transaction. So several clients, and functions
+-- in the server, may drive the same machine.
 --
 -- Statements are run by a connection of LuaSQL, or by a function of the user.
 --
@@ -53,7 +53,7 @@ local CHART_OPTIONS = { ids = NUMBER, ids_for = NUMBER,
   history = { "boolean", opts.is_a "boolean" } }
 
 --- Load charts as `rfsm postgres` does, with the globals that they have in the server.
--- @raise if a chart has a problem, in one line
+-- @raise if a chart has a problem; its text is one line
 ---@param arguments string[] files, or NAME=FILE; if a name occurs again, the later file
 --- is the newer version of the chart
 ---@param options? rfsm.postgres.Options `ids`, `ids_for`; `history` if the tables were
@@ -142,7 +142,9 @@ local OPTIONS = {
   sleep = { "function", opts.is_a "function" },
 }
 
---- Connect to a server with the tables of `rfsm postgres`, or `rfsm postgres --client`.
+--- Connect to a server that has the tables of the command `rfsm postgres`.
+--
+-- Those of `rfsm postgres --client` are enough.
 --
 -- @usage
 --    local charts = postgres.charts { "order.lua" }

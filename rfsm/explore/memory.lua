@@ -2,8 +2,9 @@
 --
 -- The option `run` of an exploration lists callbacks that are really called. The option
 -- `vars` lists fields that are a part of configurations. No other data may change:
--- after a step that has called a callback in `run`, the others are compared with their
--- first values. The first difference is reported, and all first values are put back.
+-- after a step that has called a callback in `run`, they are compared with their first
+-- values, those before the exploration. The first difference is reported, and all first
+-- values are put back.
 --
 -- A *home* is a table with data: an element of the chart, a table in an element, or a
 -- table to which a callback in `run` refers. The fields of the engine are not data. A
@@ -43,7 +44,7 @@ local memory = {}
 local Memory = {}
 Memory.__index = Memory
 
---- A table whose fields are compared with their first values.
+--- A table with data, and its first values, those before the exploration.
 ---@class rfsm_checks.Home
 ---@field of table the table itself
 ---@field name string path of the table: "on", "trans[2]"; empty for the machine

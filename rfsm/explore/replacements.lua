@@ -304,8 +304,8 @@ local function new_replacement(self, part, run, flags, events)
   end
 end
 
---- Return the replacement of a callback, and note the callback's name. The options may
---- list flags and events for it even if the chart has no such callback.
+--- Return the replacement of a callback, and note the callback's name. If the chart has
+--- no such callback, the options may still name flags for it to set, or events to send.
 ---@param self rfsm_checks.Subject
 ---@param what "entry"|"exit"|"effect"
 ---@param path string

@@ -684,7 +684,7 @@ local function new_predicate(self, tr)
   return predicate
 end
 
--- Replaces the predicates of transitions by functions that ask for a choice.
+-- Replaces the predicates of transitions by functions that answer with a choice.
 local function free_predicates(self, fsm)
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     for i, event in ipairs(tr.events) do

@@ -55,7 +55,7 @@ local STRING = { "string", options.is_a "string" }
 local FILE, NAME = { "file name", is_file }, { "name", is_anything }
 local COUNT = { "whole number, at least 1", options.is_whole(1, huge) }
 
--- Adds the fields of every launch to a table for `options.read`.
+-- Adds the settings of every launch to a table for `options.read`.
 local function with_common(fields)
   fields.env = { "table of globals by name", is_env, {} }
   fields.fqn_port = { "string", options.is_a "string", "fqn" }
@@ -74,8 +74,8 @@ local function with_own(fields)
   return with_common(fields)
 end
 
--- The fields by kind of launch: in a service, in a new component, or in the component
--- whose Lua makes the launch (`own`).
+-- The settings that each kind of launch accepts: of a machine in a service, in a new
+-- component, or in the component that calls `rfsm.rtt.launch` (`own`).
 local FIELDS = {
   service = with_common {
     exec_str = { "operation exec_str", is_anything }, eehook = BOOLEAN,

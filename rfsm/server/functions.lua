@@ -34,12 +34,13 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local concat, insert, remove = table.concat, table.insert, table.remove
 local fail, now, open, put = encoding.fail, times.now, charts.open, charts.put
 
-local MAX_DATA, MAX_VALUE = 65536, 1048576 -- bytes: first data, a packed machine
+local MAX_DATA, MAX_VALUE = 65536, 1048576 -- bytes: data of a new machine, a saved one
 local MAX_STEPS = 1000
 -- The greatest number of steps for due timers and events in a call. If the machine is
 -- not idle after a step, this step counts as RESTLESS steps.
 local MAX_DUE, RESTLESS = 200, 20
-local LEAST_PASSED = 0.1 -- seconds; if MAX_DUE steps advance the clock less, it jumps
+-- Seconds. If MAX_DUE steps advance the clock less, it jumps to the present.
+local LEAST_PASSED = 0.1
 local TIME = "(time)" -- in the history: the name of a step without an event
 local SAME = 1e-6 -- seconds; closer times are equal, since timers fire 1 ns late
 local MAX_ID, MAX_LATER = 64, 100 -- bytes of an id; waiting events of a machine
@@ -112,13 +113,13 @@ local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD = 2, 3, 4, 5, 6, 7, 8, 9
 ---@field key string
 ---@field chart rfsm.server.Chart
 ---@field fsm rfsm.Machine
----@field list any[] the saved list, which the call changes to the list to be saved
----@field leaf string|false|nil FQN of the saved leaf, by its name in the version that
---- saved it; false: the machine is new
+---@field list any[] the list under its key; the call changes it, and then saves it
+---@field leaf string|false|nil FQN of the active leaf before the call, in the version
+--- of the chart that saved it; nil: it was not entered; false: the machine is new
 ---@field at string FQN of the active leaf; "": the machine was not entered
 ---@field mode string mode of the active leaf
----@field was_due number|false|nil the item DUE of the saved list
----@field value any the new list as the host has packed it
+---@field was_due number|false|nil the item DUE of `list` before the call
+---@field value any `list` after the call, packed by the host
 ---@field moves { by: string, from: string, to: string }[] the moves of this call
 ---@field is_idle boolean was the machine idle after its last step?
 ---@field outcome string|false what became of the events: "taken", "kept" or "dropped";

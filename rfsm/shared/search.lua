@@ -20,7 +20,7 @@ local insert = table.insert
 
 local search = {}
 
---- A world: what belongs to one chart, such as its folders, stubs and machines.
+--- A world: what belongs to one loaded chart, such as its folders, stubs and machines.
 ---@class rfsm.shared.World
 ---@field source string the `source` of functions in its file, as debug.getinfo has it
 ---@field folders string[] folders in which files are looked for
@@ -44,7 +44,7 @@ local found_for = nil -- the folder of the chart for which modules in `found` we
 
 -- Stubs -----------------------------------------------------------------------
 
---- Return the stub of a name in a world: the same stub each time.
+--- Return the stub of a name in the world of a chart, the same stub at each call.
 function search.stub(world, name)
   if not world.stubs[name] then
     world.names[#world.names + 1] = name
@@ -77,8 +77,8 @@ local function find(world, name)
   end
 end
 
--- Returns the path of a file. With stubs, the file is also looked for by its last name
--- alone, since its folders may exist only on a robot.
+-- Returns the path of a file. With stubs, the file is also looked for without its
+-- folders, since these may exist only on a robot.
 local function find_file(world, name)
   local file = find(world, name)
   if file or not world.has_stubs or exists(name) then return file end
@@ -118,7 +118,7 @@ end
 -- Functions that act on the system --------------------------------------------------
 
 -- Replaces a function of Lua: if the code of a chart with stubs calls it, a stub is
--- called. A caller that is not known (a tail call, `pcall`) counts as the latest chart.
+-- called. A caller that is not known (tail call, `pcall`) is taken for the last chart.
 local function hold_back(owner, key, name)
   local plain = rawget(owner, key)
   rawset(owner, key, plain and function(...)

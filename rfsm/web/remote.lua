@@ -10,7 +10,8 @@ local subscriber = require "rfsm.observe.subscriber"
 
 local ipairs, setmetatable, type = ipairs, setmetatable, type
 
-local MARKS = { leaf = "[LS]", composite = "[CS]" } -- in the path of a message
+-- Behind the FQN of a node in the path that a message names: "root.a[LS]->root.b[LS]".
+local MARKS = { leaf = "[LS]", composite = "[CS]" }
 local MAX_MESSAGES = 100 -- greatest number of messages that one poll reads
 local MAX_MACHINES = 100 -- greatest number of machines of a port that are shown
 local WAIT = 0.02 -- seconds between two polls of the socket
@@ -39,8 +40,8 @@ end
 
 local function mark_of(node) return node.fqn .. (MARKS[node.kind] or "[c]") end
 
--- Returns a table from the ends of a transition, written as in the path of a message
--- ("a[LS]->b[LS]"), to the number of the transition.
+-- Returns the numbers of the transitions, by their ends as messages write them:
+-- "root.a[LS]->root.b[LS]".
 local function edges_by_ends(view)
   local by_ends, nodes = {}, view.outline.nodes
   for number, edge in ipairs(view.outline.edges) do
