@@ -63,11 +63,20 @@ describe("the usage of rfsm", function()
     assert.is_true(select(2, (run ""):gsub("\n", "")) <= 24)
   end)
 
-  it("is printed without a command", function()
+  it("is printed without a command, with a sentence about each", function()
     local out, err, status = run ""
-    assert.matches("\n   size +Print the memory", out)
+    for name in pairs(USAGES) do -- any order: each stands alone
+      assert.matches("\n   " .. name .. " +%u[^\n]*%.\n", out)
+    end
     assert.same({ "", 0 }, { err, status })
     assert.equal(out, (run "help"))
+  end)
+
+  it("has text behind the options", function()
+    for name in pairs(USAGES) do -- any order: each stands alone
+      local last = run("help " .. name):match(".*\n\n(.-)%s*$")
+      assert.matches(name == "fleet" and "^Verbs:\n" or "^%S+ .*%.$", last)
+    end
   end)
 
   it("names argparse if that is missing", function()

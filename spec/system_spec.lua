@@ -670,6 +670,11 @@ return require("rfsm.system") { a = rfsm.state { info = false, warn = false,
     _, err, status = commands.run("sim --replay none examples/systems/stop/cell.lua")
     assert.matches("none: No such file", err)
     assert.equal(1, status)
+    local file = helper.file_with "\n"
+    _, err, status = commands.run("sim -q --replay " .. file
+      .. " examples/systems/stop/cell.lua")
+    assert.same({ "rfsm sim: " .. file .. ": no line is a move\n", 1 }, { err, status })
+    helper.remove_files()
     local out = said("protocol/cell", "sender", "reset", "back")
     assert.matches("sender          <none>\nreceiver        <none>\n"
       .. "sender          root.sending\nwires%[1%] .*\n$", out)
