@@ -367,6 +367,36 @@ true
 at root.b(done)
    2                                  root.b(done)
 ]=] },
+    { does = "lists an event once that came twice, and to each region",
+      chart = ring([[
+  both = rfsm.seqand {
+    left = rfsm.state { x = rfsm.state {}, rfsm.trans { src = "initial", tgt = "x" } },
+    right = rfsm.state { x = rfsm.state {}, rfsm.trans { src = "initial", tgt = "x" } },
+  },
+  rfsm.trans { src = "a", tgt = "both", events = { "e_both" } }, ]]), input = [=[
+run
+ser e_both
+follow true
+ser e_x e_go e_x
+history 1
+]=], output = [=[
+at root.a(done)
+at root.both(active)
+! no transition names the event 'e_x' (there are 'e_both', 'e_go')
+! no transition names the event 'e_x' (there are 'e_both', 'e_go')
+discarded: e_x, e_go ('why e_x' explains)
+* root
+    a
+    b
+  * both
+    * left
+      * x (done)
+    * right
+      * x (done)
+    c
+at root.both(active)
+   3  e_x, e_go                       root.both(active)
+]=] },
     { does = "follows a chart that is loaded again", chart = ring(), other = ring(),
       follows = true, input = [=[
 run
