@@ -273,6 +273,20 @@ at root.a(done)
    7  e_after(9)@root.b               root.a(done)
    8  e_done@root.a                   root.a(done)
 ]=] },
+    { does = "has the errors of callbacks again in a replay", chart = ring(
+        "d = rfsm.state { entry = function() error('no', 0) end }, rfsm.trans { "
+        .. "src = 'a', tgt = 'd', events = 'e_d' }, "), input = [=[
+record_here()
+run
+ser e_d
+record(false)
+replay_it()
+]=], output = [=[
+at root.a(done)
+! ENTRY	error executing entry of root.d: 	no
+at root.d(done)
+! ENTRY	error executing entry of root.d: 	no
+]=] },
     { does = "has no events of the host in dry mode", chart = ring(
         "getevents = function() return { 'e_go' } end, "), input = [=[
 dry(true)
@@ -524,7 +538,7 @@ back
 at root.a(done)
    1                                  root.a(done)
 REASON
-! goto: REASON
+! back: REASON
 ! forward: nothing was undone
 ! goto: REASON
 ! goto: REASON
