@@ -92,7 +92,7 @@ torture:                ### the claims (or CLAIM) on N random charts each, from 
 	@$(LUA) spec/support/torture.lua $(N) $(SEED) $(CLAIM)
 
 mutants: N = 100
-mutants: LUA = $(firstword $(shell command -v luajit lua5.4))
+mutants: LUA = $(shell command -v luajit || command -v lua5.4)
 mutants:                ### change ROOM's files N times from SEED: do its specs notice?
 	@$(LUA) tools/mutants.lua "$(ROOM)" $(N) $(SEED)
 

@@ -63,11 +63,20 @@ describe("the usage of rfsm", function()
     assert.is_true(select(2, (run ""):gsub("\n", "")) <= 24)
   end)
 
-  it("is printed without a command", function()
+  it("is printed without a command, with a sentence about each", function()
     local out, err, status = run ""
-    assert.matches("\n   size +Print the memory", out)
+    for name in pairs(USAGES) do -- any order: each stands alone
+      assert.matches("\n   " .. name .. " +%u[^\n]*%.\n", out)
+    end
     assert.same({ "", 0 }, { err, status })
     assert.equal(out, (run "help"))
+  end)
+
+  it("has text behind the options", function()
+    for name in pairs(USAGES) do -- any order: each stands alone
+      local last = run("help " .. name):match(".*\n\n(.-)%s*$")
+      assert.matches(name == "fleet" and "^Verbs:\n" or "^%S+ .*%.$", last)
+    end
   end)
 
   it("names argparse if that is missing", function()
@@ -282,6 +291,8 @@ describe("rfsm redis", function()
     local function fail() error("no server\nhere", 0) end
     assert.same({ "", "rfsm redis: no server\n", 1 }, { run("redis --stats x",
       { ["rfsm.fleet"] = { connect = fail } }) })
+    assert.same({ "", "rfsm redis: no server\n", 1 }, { run("redis --stats x",
+      { ["rfsm.fleet"] = { connect = function() return { stats = fail } end } }) })
     assert.same({ "", "rfsm redis: no server\n", 1 }, { run("redis a",
       { ["rfsm.redis"] = { bundle = fail } }) })
   end)
@@ -299,6 +310,93 @@ describe("rfsm redis", function()
     assert.same({ { "1", "3" }, { "3", "4" }, { "1", "3" }, { "3", "4" } }, compared)
     assert.same({ "", "rfsm redis: --diff: two versions of a chart expected\n", 2 },
       { run("redis --diff a=1 b=2", all) })
+  end)
+end)
+
+describe("rfsm fleet", function()
+  local REPLY = { leaf = "root.a", mode = "done", outcome = "failed",
+    errors = { "no arm", "no leg" } }
+  local REPLIED = "root.a done failed\nerror: no arm\nerror: no leg\n"
+
+  for command, case in pairs { -- any order: each stands alone
+    ["find door root.a 5 60"] = { called = { "door", "root.a", 5, "60" },
+      result = { "m:{0}:1", "m:{0}:2" }, out = "m:{0}:1\nm:{0}:2\n" },
+    ["get k"] = { called = { "k" }, result = { leaf = "root.a", data = { n = 1 },
+      is_held = false }, out = 'data: {"n":1}\nis_held: false\nleaf: root.a\n' },
+    ["history k 2"] = { called = { "k", "2" }, result = { { time = 1.5, event = "e_x",
+      from = "root.a", to = "root.b" } }, out = "1.500 e_x: root.a -> root.b\n" },
+    ["why k e_x"] = { called = { "k", "e_x" }, result = { "one", "two" },
+      out = "one\ntwo\n" },
+    ["send k e_x"] = { called = { "k", "e_x" }, result = REPLY, out = REPLIED },
+    ["hold k"] = { called = { "k" }, result = REPLY, out = REPLIED },
+    ["release k"] = { called = { "k" }, result = REPLY, out = REPLIED },
+    ["force k root.a"] = { called = { "k", "root.a" }, result = REPLY, out = REPLIED },
+    ["remove k"] = { called = { "k" }, result = true, out = "" },
+    ["dead 9"] = { called = { "9" }, result = { { tag = 0, id = "1-0", machine = "k",
+      what = "done", data = "{}", deliveries = 3, error = "no stock" } },
+      out = "0 1-0 k done {} x3 no stock\n" },
+    ["again 0 1-0"] = { called = { "0", "1-0" }, result = true, out = "" },
+    ["drop 0 1-0"] = { called = { "0", "1-0" }, result = true, out = "" },
+  } do
+    local verb = command:match "%l+"
+
+    -- Runs the command with a client that does this.
+    local function with_client(act)
+      local calls, client = {}, {}
+      client[verb] = function(_, ...)
+        calls[2] = { ... }
+        return act()
+      end
+      local out, err, status = run("fleet --tags 2 redis://x " .. command,
+        { ["rfsm.fleet"] = { connect = noting(calls, client) } })
+      assert.same({ { "redis://x", { tags = 2 } }, case.called }, calls)
+      return { out, err, status }
+    end
+
+    it("prints the result of " .. command, function()
+      assert.same({ case.out, "", 0 },
+        with_client(function() return helper.copy_of(case.result) end))
+    end)
+
+    it("says in a line why it cannot " .. command, function()
+      local function fail() error("no server\nhere", 0) end
+      local function refuse() return nil, "no server" end
+      for _, act in ipairs { fail, verb ~= "dead" and refuse or nil } do
+        assert.same({ "", "rfsm fleet: no server\n", 1 }, with_client(act))
+      end
+    end)
+
+    if case.result == true then
+      it("says that there is nothing to " .. verb, function()
+        assert.same({ "", "rfsm fleet: it is not there\n", 1 },
+          with_client(function() return false end))
+      end)
+    end
+  end
+
+  for command, needed in pairs { -- any order: each stands alone
+    ["find door"] = "find CHART STATE [LIMIT [SECONDS]]", ["get"] = "get KEY",
+    ["history"] = "history KEY [COUNT]", ["why k"] = "why KEY EVENT",
+    ["send k"] = "send KEY EVENT", ["hold"] = "hold KEY", ["release"] = "release KEY",
+    ["force k"] = "force KEY STATE", ["remove"] = "remove KEY",
+    ["again 0"] = "again TAG ID", ["drop 0"] = "drop TAG ID",
+  } do
+    it("needs more than " .. command, function()
+      local out, err, status = run("fleet redis://x " .. command)
+      assert.same({ "", "Error: " .. needed .. " expected", 2 },
+        { out, last_line(err), status })
+    end)
+  end
+
+  it("lists the verbs with their arguments, two in a line", function()
+    assert.equal([=[
+   again TAG ID                         dead [LIMIT]
+   drop TAG ID                          find CHART STATE [LIMIT [SECONDS]]
+   force KEY STATE                      get KEY
+   history KEY [COUNT]                  hold KEY
+   release KEY                          remove KEY
+   send KEY EVENT                       why KEY EVENT
+]=], run("help fleet"):match("Verbs:\n(.*)"))
   end)
 end)
 

@@ -273,6 +273,20 @@ at root.a(done)
    7  e_after(9)@root.b               root.a(done)
    8  e_done@root.a                   root.a(done)
 ]=] },
+    { does = "has the errors of callbacks again in a replay", chart = ring(
+        "d = rfsm.state { entry = function() error('no', 0) end }, rfsm.trans { "
+        .. "src = 'a', tgt = 'd', events = 'e_d' }, "), input = [=[
+record_here()
+run
+ser e_d
+record(false)
+replay_it()
+]=], output = [=[
+at root.a(done)
+! ENTRY	error executing entry of root.d: 	no
+at root.d(done)
+! ENTRY	error executing entry of root.d: 	no
+]=] },
     { does = "has no events of the host in dry mode", chart = ring(
         "getevents = function() return { 'e_go' } end, "), input = [=[
 dry(true)
@@ -366,6 +380,36 @@ true
     c
 at root.b(done)
    2                                  root.b(done)
+]=] },
+    { does = "lists an event once that came twice, and to each region",
+      chart = ring([[
+  both = rfsm.seqand {
+    left = rfsm.state { x = rfsm.state {}, rfsm.trans { src = "initial", tgt = "x" } },
+    right = rfsm.state { x = rfsm.state {}, rfsm.trans { src = "initial", tgt = "x" } },
+  },
+  rfsm.trans { src = "a", tgt = "both", events = { "e_both" } }, ]]), input = [=[
+run
+ser e_both
+follow true
+ser e_x e_go e_x
+history 1
+]=], output = [=[
+at root.a(done)
+at root.both(active)
+! no transition names the event 'e_x' (there are 'e_both', 'e_go')
+! no transition names the event 'e_x' (there are 'e_both', 'e_go')
+discarded: e_x, e_go ('why e_x' explains)
+* root
+    a
+    b
+  * both
+    * left
+      * x (done)
+    * right
+      * x (done)
+    c
+at root.both(active)
+   3  e_x, e_go                       root.both(active)
 ]=] },
     { does = "follows a chart that is loaded again", chart = ring(), other = ring(),
       follows = true, input = [=[
@@ -494,7 +538,7 @@ back
 at root.a(done)
    1                                  root.a(done)
 REASON
-! goto: REASON
+! back: REASON
 ! forward: nothing was undone
 ! goto: REASON
 ! goto: REASON

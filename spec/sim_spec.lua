@@ -695,6 +695,14 @@ describe("a picture", function()
     assert.matches("</svg>", text)
   end)
 
+  it("in the format of Graphviz needs no Graphviz", function()
+    local file = file_with("") .. ".DOT"
+    sim("-q " .. HELLO, "view " .. file .. "\n")
+    local text = content(file)
+    os.remove(file)
+    assert.equal(require("rfsm.dot").encode(helper.init(rfsm.load(HELLO))), text)
+  end)
+
   it("is kept up to date, in the format of its ending", function()
     local file = file_with("") .. ".dot"
     local out = sim("-q " .. HELLO, (("view F\nos.remove('F')\nstep\n"
@@ -770,6 +778,12 @@ describe("a recording", function()
       .. " -e showfqn " .. chart())
     assert.matches("^rfsm sim: %S+: the last line was cut off\n$", complaints)
     assert.matches("active: root.b%(done%)\n$", out)
+  end)
+
+  it("is no help to a chart whose data cannot be saved", function()
+    local name = recorded(chart(), "run\n")
+    assert.same({ "", "rfsm sim: root.x: a function cannot be saved\n", 1 },
+      { sim("-q -r " .. name .. " " .. chart("keep = { 'x' }, x = print,")) })
   end)
 
   it("that is none is refused", function()

@@ -402,6 +402,21 @@ describe("the way back", function()
     assert.same({ 2, "1 root.m.b", "2 root.m.b" }, { now, shown[3], shown[4] })
   end)
 
+  it("stays if its caller cannot go to a place, which is prepared for the present one",
+  function()
+    local prepared = {}
+    local way, fsm
+    way, fsm = new_way { about = function() return leaf(fsm) end,
+      prepare = function(about)
+        prepared[#prepared + 1] = about
+        return about == "root.a" and "not there" or nil
+      end }
+    go_on(way, fsm, "e_b")
+    assert.same({ false, "not there" }, { way:go(0) })
+    assert.same({ 1, "root.m.b" }, { way.at, leaf(fsm) })
+    assert.same({ "root.a", "root.m.b" }, prepared)
+  end)
+
   it("finishes a step that was interrupted", function()
     local way, fsm = new_way()
     fsm.m.entry = function() error("interrupted!", 0) end

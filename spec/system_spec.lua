@@ -652,6 +652,34 @@ return require("rfsm.system") { a = chart(1), b = chart(print) }]])
     helper.remove_files()
   end)
 
+  it("goes back with all machines and wires, or with none", function()
+    -- each: a --e--> b --e_x--> a; a wire leads from the first machine to the second
+    local file = helper.file_with([[
+local rfsm = require "rfsm"
+local function chart()
+  return rfsm.state { info = false, warn = false, a = rfsm.state {}, b = rfsm.state {},
+    rfsm.trans { src = "initial", tgt = "a" },
+    rfsm.trans { src = "a", tgt = "b", events = { "e" },
+      effect = function(fsm) fsm.emit "e_x" end },
+    rfsm.trans { src = "b", tgt = "a", events = { "e_x" } } }
+end
+return require("rfsm.system") { k = chart(), l = chart(), m = chart(),
+  wires = { { from = "k", event = "e_x", to = "l" } } }]])
+    local out, err, status = commands.run("sim -q -e step -e 'k e' -e 'l e' "
+      .. "-e 'rfsm.fsm_merge(cell.machines.m, cell.machines.m, rfsm.state {}, [[new]])'"
+      .. " -e print(pcall(back,2)) -e show -e back " .. file)
+    assert.equal([[
+false	back: rfsm.snapshot: the snapshot is of another chart:
+  new: state root.new
+k               root.b
+l               root.b
+m               root.a
+]], out:match("(false.*)$"))
+    assert.same({ "rfsm sim: back: rfsm.snapshot: the snapshot is of another chart\n",
+      1 }, { err, status })
+    helper.remove_files()
+  end)
+
   it("stops a run that has no end", function()
     local file = helper.file_with([[
 local rfsm = require "rfsm"
@@ -670,6 +698,11 @@ return require("rfsm.system") { a = rfsm.state { info = false, warn = false,
     _, err, status = commands.run("sim --replay none examples/systems/stop/cell.lua")
     assert.matches("none: No such file", err)
     assert.equal(1, status)
+    local file = helper.file_with "\n"
+    _, err, status = commands.run("sim -q --replay " .. file
+      .. " examples/systems/stop/cell.lua")
+    assert.same({ "rfsm sim: " .. file .. ": no line is a move\n", 1 }, { err, status })
+    helper.remove_files()
     local out = said("protocol/cell", "sender", "reset", "back")
     assert.matches("sender          <none>\nreceiver        <none>\n"
       .. "sender          root.sending\nwires%[1%] .*\n$", out)

@@ -432,6 +432,8 @@ describe("rfsm-check", function()
     assert.matches("\n   1  e_init_fsm +root.a%(done%)\n   2  e_done@root.a, e_go +"
       .. "root.b%(done%)\nactive: root.a%(done%)\n", (run("rfsm-sim -q --dry --replay '"
       .. folder .. "/run' '" .. folder .. "/chart.lua' -e 'history()' -e 'goto(1)'")))
+    local never = "return { properties = {\n  require('rfsm_checks').never("
+      .. "function(is) %s end) } }"
     for text, problem in pairs { -- any order: each stands alone
       ["return 7"] = "FILE_properties.lua: table with the field 'properties' "
         .. "expected, got number\n",
@@ -447,6 +449,8 @@ describe("rfsm-check", function()
       ["return {\n  vras = {} }"] = "FILE_properties.lua:2: unknown option 'vras' (did "
         .. "you mean 'vars'?), expected: ",
       ["return { properties = 7,"] = "FILE_properties.lua:1: ",
+      [never:format "return is.lit.x"] = "FILE_properties.lua:2: attempt to index ",
+      [never:format "error {}"] = "FILE.lua: failed with a table\n",
     } do
       local file = write_file("chart_properties.lua", text)
       local out, _, status = run("rfsm check -x '" .. folder .. "/chart.lua'")

@@ -104,11 +104,16 @@ function command.add_arguments(parser)
   common.add_number(parser, "--tags", "hash tags of the machines (64)")
 end
 
+--- Return the result of f(...), which asks a server. If it fails, or returns nil or
+-- false and the problem, end the program with the reason in one line.
+function command.ask(f, ...)
+  local ok, result, problem = pcall(f, ...)
+  return common.try(ok and result, ok and problem or chart.first_line(result))
+end
+
 --- Return the client of a fleet, or end the program if there is no server.
 function command.connect(url, options)
-  local connected, fleet = pcall(require("rfsm.fleet").connect, url, options)
-  if not connected then common.fail(chart.first_line(fleet)) end
-  return fleet
+  return command.ask(require("rfsm.fleet").connect, url, options)
 end
 
 function command.run(options, parser)
@@ -117,7 +122,7 @@ function command.run(options, parser)
     parser:error(options.verb .. " " .. verb[1] .. " expected")
   end
   local fleet = command.connect(options.url, { tags = options.tags })
-  for _, line in ipairs(common.try(verb[3](fleet, unpack(list)))) do
+  for _, line in ipairs(command.ask(verb[3], fleet, unpack(list))) do
     common.write("-", line .. "\n")
   end
 end

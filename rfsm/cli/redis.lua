@@ -4,7 +4,7 @@
 -- @license BSD-3-Clause
 
 local common = require "rfsm.cli.common"
-local connect = require("rfsm.cli.fleet").connect
+local ask, connect = require("rfsm.cli.fleet").ask, require("rfsm.cli.fleet").connect
 
 local redis = {
   summary = "Bundle charts as a library of Redis functions.",
@@ -44,7 +44,8 @@ end
 
 function redis.run(options, parser)
   if options.stats then
-    common.write("-", connect(options.stats):stats())
+    local fleet = connect(options.stats)
+    common.write("-", ask(fleet.stats, fleet))
     return
   end
   if options.diff then return compare(options.files) and 0 or 1 end

@@ -160,20 +160,22 @@ local function place_of(cell)
   return place
 end
 
+-- Puts the wires and all machines but the first into a place. Returns the problem if a
+-- machine cannot be put there.
 local function put_in_place(cell, place)
-  if place.problem then error("back: " .. place.problem, 0) end
+  if place.problem then return place.problem end
   local queued = encoding.copy_of { queues = place.queues, lost = place.lost }
   cell.queues, cell.lost = queued.queues, queued.lost
   for i = 2, #cell.names do
-    local ok, problem = snapshot.put(cell.machines[cell.names[i]], place.snaps[i])
-    if not ok then error("back: " .. problem, 0) end
+    local _, problem = snapshot.put(cell.machines[cell.names[i]], place.snaps[i])
+    if problem then return problem end
   end
 end
 
 local function new_history(cell)
   return rewind.new(cell.machines[cell.names[1]], {
     about = function() return place_of(cell) end,
-    prepare = function(place) put_in_place(cell, place) end,
+    prepare = function(place) return put_in_place(cell, place) end,
   })
 end
 

@@ -102,8 +102,8 @@ function Rewind:go(number)
   if not place or place.problem then
     return false, place and place.problem or "there is no such place"
   end
-  self.settings.prepare(place.about)
-  local ok, problem, difference = snapshot.put(self.fsm, place.snap)
+  local ok, problem, difference = false, self.settings.prepare(place.about), nil
+  if not problem then ok, problem, difference = snapshot.put(self.fsm, place.snap) end
   if ok then
     self.at = number
     return place
@@ -132,8 +132,9 @@ end
 ---@class rfsm.observe.RewindOptions
 ---@field bytes? integer limit of all places (32 MiB); the present one is always kept
 ---@field about? fun(): any called for each place; its result is kept with the place
----@field prepare? fun(about: any) called with the result of `about` before `go` puts
--- the machine into the place, for example to set a clock
+---@field prepare? fun(about: any): string? called with the result of `about` before
+-- `go` puts the machine into the place, for example to set a clock; returns a problem
+-- if the machine must stay where it is, and is called again for the present place then
 
 --- Begin to note the places of a machine.
 --

@@ -16,7 +16,7 @@ local tracks = require "rfsm.record.track"
 
 local error, io, ipairs, type = error, io, ipairs, type
 local max, min = math.max, math.min
-local print = print
+local print, select = print, select
 local concat = table.concat
 local text_of = rfsm.text_of
 
@@ -67,9 +67,9 @@ end
 
 -- Go to ---------------------------------------------------------------------------
 
-local function go(sim, number)
+local function go(sim, name, number)
   local place, problem = sim.history:go(number)
-  if not place then error("goto: " .. text_of(problem), 0) end
+  if not place then error(name .. ": " .. text_of(problem), 0) end
   sim.came = place.about.came
 end
 
@@ -80,7 +80,7 @@ function history.go_to(sim, n)
     error(("goto: number of an advance from %d to %d expected, got %s"):format(
       way.first, way.last, text_of(n)), 0)
   end
-  go(sim, n)
+  go(sim, "goto", n)
 end
 
 local function check_count(name, n)
@@ -94,7 +94,7 @@ function history.back(sim, n)
   local way = sim.history
   check_count("back", n)
   if way.at == way.first then error("back: nothing was done", 0) end
-  go(sim, max(way.at - n, way.first))
+  go(sim, "back", max(way.at - n, way.first))
 end
 
 --- Do n advances again that `back` has undone.
@@ -102,7 +102,7 @@ function history.forward(sim, n)
   local way = sim.history
   check_count("forward", n)
   if way.at == way.last then error("forward: nothing was undone", 0) end
-  go(sim, min(way.at + n, way.last))
+  go(sim, "forward", min(way.at + n, way.last))
 end
 
 -- Recordings ----------------------------------------------------------------------
@@ -134,8 +134,9 @@ function history.replay(sim, name)
         history.note_events(sim, rec.events or {})
         history.note_events(sim, rec.added or {})
       end
-      local is_put, problem = snapshot.put(sim.fsm, snapshot.take(fsm))
-      if not is_put then error(problem, 0) end
+      local snap, problem = snapshot.try_take(fsm)
+      if snap then problem = select(2, snapshot.put(sim.fsm, snap)) end
+      if problem then error(problem, 0) end
     end })
   model.info, model.warn = info, warn
   if not ok then error(session, 0) end

@@ -32,7 +32,8 @@ Driver.__index = Driver
 
 --- Are both programs here?
 function webdriver.is_there()
-  local ok = os.execute("command -v chromedriver chromium >/dev/null 2>&1")
+  local ok = os.execute("{ command -v chromedriver && command -v chromium; } "
+    .. ">/dev/null 2>&1")
   return ok == true or ok == 0
 end
 
