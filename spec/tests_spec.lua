@@ -239,6 +239,22 @@ describe("the spec of a chart", function()
     assert.is_nil(text:find("stays in a", 1, true))
   end)
 
+  it("shows which of two enabled transitions is taken, also if it names no event",
+    function()
+    local text = tests.busted("lamp.lua", state { warn = false, info = false,
+      a = state {}, b = state {}, c = state {}, trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", guard = function() end, pn = 1 },
+      trans { src = "a", tgt = "c", events = { "e_x" } },
+      trans { src = "b", tgt = "a", events = { "e_back" } } })
+    for _, step in ipairs {
+      '("a --> b", run:step { guards = { ["a --> b"] = true } })',
+      '("a --> b", run:step { "e_x", guards = { ["a --> b"] = true } })',
+      '("a -e_x-> c", run:step { "e_x", guards = { ["a --> b"] = false } })',
+    } do
+      assert.is_truthy(text:find(step, 1, true), step)
+    end
+  end)
+
   it("has steps of events, time, guards and doos, and such that change nothing",
     function()
     local text, result = tests.busted("lamp.lua", rfsm.load_str(LAMP), {},

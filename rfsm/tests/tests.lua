@@ -153,12 +153,9 @@ end
 
 -- May an event with an unknown name trigger a transition that is tried in `leaf`?
 local function takes_any(part, leaf)
-  for _, node in ipairs(leaf and location.line(part.fsm, leaf) or {}) do
-    for _, tr in ipairs(node._otrs) do
-      if match.triggers(tr, "e_unknown") ~= false then return true end
-    end
-  end
-  return false
+  return order.any(location.transitions(part.fsm, leaf), function(tr)
+    return match.triggers(tr, "e_unknown") ~= false
+  end)
 end
 
 -- Lists steps that a leaf ignores: without an event, with an event that no transition
