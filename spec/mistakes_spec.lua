@@ -288,6 +288,16 @@ return rfsm.state { states = { a = rfsm.state {} },
   c = rfsm.state, d = rfsm.conn,
 --W 1: root.c: rfsm.state is not called (rfsm.state{...})
 --W 1: root.d: rfsm.conn is not called (rfsm.conn{...})
+  c = rfsm.state { on = { e_x = "b", e_y = "a" } },
+--W 6: root.c.on: a state has no field 'on' (beside it: rfsm.trans{ src = 'c', tgt =
+    'b', events = { 'e_x' } })
+  c = rfsm.state { transitions = { [7] = "a" } },
+--W 6: root.c.transitions: a state has no field 'transitions' (beside it: rfsm.trans{
+    src = 'c', tgt = 'a', events = { '7' } })
+  c = rfsm.state { on = { e_x = "none" }, transitions = { { "b" } }, mine = { "b" } },
+-->
+  on = { e_x = "b" },
+-->
   c = rfsm.conn { entry = function() end }, rfsm.trans { src = "a", tgt = "c" },
   rfsm.trans { src = "c", tgt = "b" },
 --W 6: root.c.entry: a connector has no entry, this one is ignored

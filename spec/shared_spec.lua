@@ -10,12 +10,14 @@ local chart = require "rfsm.shared.chart"
 local code = require "rfsm.shared.code"
 local files = require "rfsm.shared.files"
 local helper = require "spec.helper"
+local exact_json = require "rfsm.shared.exact_json"
 local options = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 local instrument = require "rfsm.shared.instrument"
 local match = require "rfsm.shared.match"
 local writes = require "rfsm.shared.writes"
 local location = require "rfsm.shared.location"
+local stubs = require "rfsm.shared.stubs"
 
 local state, trans = rfsm.state, rfsm.trans
 
@@ -107,6 +109,103 @@ describe("a file", function()
     local one, other = files.random(4), files.random(4)
     assert.matches("^" .. ("%x"):rep(8) .. "$", one)
     assert.not_equal(one, other)
+  end)
+end)
+
+describe("the text of a value in JSON", function()
+  local function null_as(text)
+    return setmetatable({}, { __tojson = function() return text end })
+  end
+
+  local function nested(depth)
+    local t = {}
+    for _ = 2, depth do t = { t } end
+    return t
+  end
+
+  for _, case in ipairs {
+    { { "a", 7, false, { "b" } }, '["a",7,false,["b"]]' },
+    { { b = 1, a = "x", c = {} }, '{"a":"x","b":1,"c":{}}' },
+    { { 1, a = 2 }, '{"1":1,"a":2}' }, { { [2] = "b" }, '{"2":"b"}' },
+    { { [0] = 1 }, '{"0":1}' }, { { 1, 2, [0] = 1 }, '{"0":1,"1":1,"2":2}' },
+    { '"\\\n\t\r\1', [["\"\\\n\t\u000d\u0001"]] },
+    { 5.0, "5" }, { 0.1, "0.1" }, { -2 ^ 53, "-9007199254740992" },
+    { 1 / 3, "0.3333333333333333" }, { 1e300, "1e+300" },
+    { { null_as("null") }, "[null]" }, { null_as("nil"), "{}" },
+    { setmetatable({}, {}), "{}" },
+    { setmetatable({}, { __tojson = "null" }), "{}" },
+    { setmetatable({}, { __tojson = error }), "{}" },
+    { nested(100), ("["):rep(99) .. "{}" .. ("]"):rep(99) },
+  } do
+    it("is the same on every Lua: " .. case[2]:sub(1, 30), function()
+      assert.equal(case[2], exact_json.encode(case[1]))
+    end)
+  end
+
+  for problem, value in pairs { -- any order: each stands alone
+    ["the number inf has no JSON"] = 1 / 0, ["a function has no JSON"] = { print },
+    ["a userdata has no JSON"] = io.stdout,
+    ["a text or number as key expected, got boolean"] = { [true] = 1 },
+    ["at most 100 tables inside each other expected"] = nested(101),
+  } do
+    it("is refused: " .. problem, function()
+      assert.same({ false, problem }, { pcall(exact_json.encode, value) })
+    end)
+  end
+
+  it("may have a number that some Lua cannot hold", function()
+    for text, digits in pairs { -- any order: each stands alone
+      ['{"a":9007199254740991}'] = false, ["[-9007199254740991,1.5e300]"] = false,
+      ["[1,9007199254740992]"] = "9007199254740992",
+      ["-9007199254740992"] = "-9007199254740992", ["[1e999]"] = "1e999",
+      ['{"9007199254740992":"a\\"9007199254740992"}'] = false,
+    } do
+      assert.equal(digits or nil, (exact_json.find_inexact(text)))
+    end
+  end)
+end)
+
+describe("the name of a stub", function()
+  it("is found as a word of a text, after the stub was made a text", function()
+    local arm = stubs.new("arm")
+    assert.is_false(stubs.is_in("arm"))
+    for _, stub in ipairs { arm, arm.find("a-b.lua"), arm._x } do
+      assert.equal(stubs.name_of(stub), tostring(stub))
+    end
+    finally(stubs.forget)
+    for text, is_in in pairs { -- any order: each stands alone
+      arm = true, ["no arm: x"] = true, ["alarm"] = false, ["arm_2"] = false,
+      ["the alarm of arm"] = true, ["_arm, arms"] = false,
+    } do
+      assert.equal(is_in, stubs.is_in(text))
+    end
+    stubs.forget()
+    assert.is_false(stubs.is_in("arm"))
+    assert.equal('arm.find("a-b.lua")', tostring(arm.find("a-b.lua")))
+    assert.is_true(stubs.is_in('no file arm.find("a-b.lua")'))
+    assert.is_false(stubs.is_in('no file arm.find("ab.lua")'))
+  end)
+end)
+
+describe("the name of a transition", function()
+  it("has its events in order, and composites in place of their `initial`", function()
+    local fsm = assert(rfsm.init(state { info = false, warn = false, k = rfsm.conn {},
+      a = state { x = state {}, trans { src = "initial", tgt = "x" } },
+      trans { src = "initial", tgt = "k" },
+      trans { src = "k", tgt = "a" },
+      trans { src = "a", tgt = "k", pn = 2,
+        events = { "e_y", 7, "e_x@root.a", "e_z@root", "root.a" } },
+      trans { src = "a", tgt = "internal", events = { print }, pn = 1 },
+      trans { src = "a", tgt = "internal", events = { type } } }))
+    local entries, names = {}, {}
+    for i, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+      entries[i] = { tr = tr, prefix = "root" }
+    end
+    location.add_names(entries)
+    for i, entry in ipairs(entries) do names[i] = entry.name end
+    assert.same({ "initial --> k", "k --> a",
+      "a -7, e_x, e_y, e_z@root, root.a-> k", "a -a predicate-> internal",
+      "a -a predicate-> internal #2", "a.initial --> a.x" }, names)
   end)
 end)
 
@@ -354,6 +453,20 @@ describe("a message about a chart", function()
       assert.equal(reason, chart.reason("a.lua", failure))
     end)
   end
+
+  it("has the function that was probably meant, with the words of each Lua", function()
+    for name, hint in pairs { -- any order: each stands alone
+      stpe = " (did you mean rfsm.step?)", step = "", motor9 = "",
+    } do
+      for _, form in ipairs {
+        "a.lua:1: attempt to call a nil value (field '%s')",
+        "a.lua:1: attempt to call field '%s' (a nil value)",
+      } do
+        local text = form:format(name)
+        assert.equal(text .. hint, chart.reason("a.lua", text))
+      end
+    end
+  end)
 
   it("has the type of a failure that is no text", function()
     assert.equal("a.lua: failed with a table", chart.reason("a.lua", {}))

@@ -414,9 +414,11 @@ describe("loading a chart", function()
 
   it("has an end", function()
     limit.SECONDS = 0.05
-    local _, problem = open { ["chart.lua"] = "\nwhile true do end" }
-    assert.equal("chart.lua:2: loading takes more than 0.05 s, is there a loop without "
-      .. "end?", problem)
+    for line, text in ipairs { "while true do end", "\nwhile true do end" } do
+      local _, problem = open { ["chart.lua"] = text }
+      assert.equal(("chart.lua:%d: loading takes more than 0.05 s, is there a loop "
+        .. "without end?"):format(line), problem)
+    end
   end)
 
   -- Calls f(a, b, c) while each `os.execute` takes a second, and the processor rests.

@@ -13,6 +13,7 @@ require "rfsm.await"
 
 local load_text = rawget(_G, "loadstring") or rawget(_G, "load")
 local state, trans = rfsm.state, rfsm.trans
+local PRINT = rawget(_G, "print") -- before a rehearsal replaces it
 
 -- Loads a chart silently; machines inside of it print when they are made.
 local function load_chart(file)
@@ -238,6 +239,22 @@ describe("the spec of a chart", function()
     assert.is_nil(text:find("stays in a", 1, true))
   end)
 
+  it("shows which of two enabled transitions is taken, also if it names no event",
+    function()
+    local text = tests.busted("lamp.lua", state { warn = false, info = false,
+      a = state {}, b = state {}, c = state {}, trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", guard = function() end, pn = 1 },
+      trans { src = "a", tgt = "c", events = { "e_x" } },
+      trans { src = "b", tgt = "a", events = { "e_back" } } })
+    for _, step in ipairs {
+      '("a --> b", run:step { guards = { ["a --> b"] = true } })',
+      '("a --> b", run:step { "e_x", guards = { ["a --> b"] = true } })',
+      '("a -e_x-> c", run:step { "e_x", guards = { ["a --> b"] = false } })',
+    } do
+      assert.is_truthy(text:find(step, 1, true), step)
+    end
+  end)
+
   it("has steps of events, time, guards and doos, and such that change nothing",
     function()
     local text, result = tests.busted("lamp.lua", rfsm.load_str(LAMP), {},
@@ -248,10 +265,53 @@ describe("the spec of a chart", function()
   end)
 end)
 
+describe("the name of a run", function()
+  -- Returns the name of a run from the first to the last of these leaves.
+  local function name_of(leaves, loop)
+    local model = state { warn = false, info = false, loop,
+      trans { src = "initial", tgt = leaves[1] } }
+    for i, name in ipairs(leaves) do
+      model[name] = state {}
+      if i > 1 then
+        model[#model + 1] = trans { src = leaves[i - 1], tgt = name,
+          events = { "e_" .. i } }
+      end
+    end
+    return tests.busted("chain.lua", model):match('it%("goes to (.-)", function')
+  end
+
+  local LONG = ("m"):rep(60)
+  for _, case in ipairs {
+    { leaves = { "a" }, name = "a" },
+    { leaves = { "a", ("m"):rep(52), "z" } },
+    { leaves = { "a", ("m"):rep(53), "z" }, name = "a ... z" },
+    { leaves = { "a", "b", "c", ("m"):rep(40), ("n"):rep(9), "z" },
+      name = "a, b, c, " .. ("m"):rep(40) .. " ... z" },
+    { leaves = { "a", "b", LONG, "y", "z" }, name = "a, b ... z" },
+    { leaves = { LONG, "z" } },
+    { leaves = { LONG, "b", "z" }, name = LONG .. " ... z" },
+  } do
+    local expected = case.name or table.concat(case.leaves, ", ")
+    it("is that of its leaves: " .. expected:gsub("m+", "m.."), function()
+      assert.equal(expected, name_of(case.leaves))
+    end)
+  end
+
+  it("has a leaf once that is not left", function()
+    assert.equal("a, b", name_of({ "a", "b" },
+      trans { src = "a", tgt = "internal", events = { "e_x" } }))
+    assert.equal("a, b", name_of({ "a", "b" },
+      trans { src = "a", tgt = "a", events = { "e_x" } }))
+  end)
+end)
+
 describe("tests that run callbacks", function()
   it("hold the order of callbacks and what they print", function()
     local file = "examples/on_off.lua"
     local text = tests.busted(file, load_chart(file), { callbacks = true })
+    assert.matches("in 7 steps%.\n%-%-\n%-%- Entries, exits and effects run, in the "
+      .. "order that is behind the colon%.\n%-%- The field `fakes` of OPTIONS has what "
+      .. "they find as globals%.\n%-%- `guards` has", text)
     assert.matches("local OPTIONS = { callbacks = true }\n", text)
     assert.matches('it%("goes to off, on, off", function', text)
     assert.matches('assert.equal%("off %-e_push%-> on: entry on, print%(bright%)", '
@@ -341,8 +401,24 @@ describe("a rehearsal", function()
       run:step { "e_x", guards = { ["b -e_after(2)-> a"] = false } })
   end)
 
+  it("has one answer for a guard or doo of which a witness has several", function()
+    local run, guard = rfsm_checks.rehearsal(busy()), "b -e_after(2)-> a"
+    for _, case in ipairs {
+      { true, true, answer = true }, { true, false, answer = false },
+      { false, true, answer = false },
+    } do
+      local choices = {}
+      for i, answer in ipairs(case) do
+        choices[i] = { who = "root.trans[3]", answer = answer }
+      end
+      assert.same({ guards = { [guard] = case.answer }, ends = {}, goes_on = {} },
+        run:answers_of { choices = choices })
+    end
+    assert.same({ guards = {}, ends = { "a" }, goes_on = {} }, run:answers_of {
+      choices = { { who = "root.a", is_doo = true, answer = true } } })
+  end)
+
   it("runs callbacks against fakes, and holds their order, if it shall", function()
-    local kept = rawget(_G, "print")
     local model = rfsm.load_str [[
       local rfsm = require "rfsm"
       local state, trans = rfsm.state, rfsm.trans
@@ -364,7 +440,7 @@ describe("a rehearsal", function()
       .. "crane.left.start(crane.left, effect), entry b, sends e_sent, fails: broken",
       run:step { "e_x", guards = { ["a -e_x-> b"] = true } })
     assert.equal("stays in b", run:step { goes_on = { "b" } })
-    assert.equal(kept, rawget(_G, "print"))
+    assert.equal(PRINT, rawget(_G, "print"))
     assert.is_nil(rawget(_G, "crane"))
     local seen = {}
     run = rfsm_checks.rehearsal(model, { callbacks = true, fakes = {

@@ -67,8 +67,8 @@ local ROOMS = {
     "rfsm/cli/side_by_side.lua" }, specs = { "system", "system_check" } },
   { name = "pp", files = { "rfsmpp.lua" }, specs = { "pp" } },
   { name = "shared", files = { "rfsm/advice.lua", "rfsm/shared/*.lua" },
-    specs = { "shared", "reactions", "stub", "mistakes", "checks", "stream", "data",
-      "record", "verdict", "tools" } },
+    specs = { "shared", "reactions", "stub", "mistakes", "first_hour", "checks",
+      "stream", "data", "tests", "record", "verdict", "tools" } },
 }
 
 local function fail(message)

@@ -40,7 +40,7 @@ local OPENINGS = { "%-%-", "%[=*%[", "[\"']" }
 function code.of(text, has_strings)
   local parts, at, next_ones = {}, 1, {}
   while true do
-    local from, is_comment = #text + 1, false
+    local from, is_comment = #text + 1
     for i, opening in ipairs(OPENINGS) do
       if (next_ones[i] or 0) < at then next_ones[i] = text:find(opening, at) or huge end
       if next_ones[i] < from then from, is_comment = next_ones[i], i == 1 end

@@ -104,9 +104,8 @@ function stubs.forget() shown = {} end
 ---@return boolean
 function stubs.is_in(text)
   for name in order.each(shown) do -- any order: one decides
-    local from, to = text:find(name, 1, true)
-    local is_word = from and not text:sub(from - 1, from - 1):find("[%w_]")
-    if is_word and not text:find("^[%w_]", to + 1) then return true end
+    local word = "[^%w_]" .. name:gsub("%p", "%%%0") .. "[^%w_]"
+    if (" " .. text .. " "):find(word) then return true end
   end
   return false
 end

@@ -153,12 +153,9 @@ end
 
 -- May an event with an unknown name trigger a transition that is tried in `leaf`?
 local function takes_any(part, leaf)
-  for _, node in ipairs(leaf and location.line(part.fsm, leaf) or {}) do
-    for _, tr in ipairs(node._otrs) do
-      if match.triggers(tr, "e_unknown") ~= false then return true end
-    end
-  end
-  return false
+  return order.any(location.transitions(part.fsm, leaf), function(tr)
+    return match.triggers(tr, "e_unknown") ~= false
+  end)
 end
 
 -- Lists steps that a leaf ignores: without an event, with an event that no transition
@@ -330,12 +327,12 @@ end
 
 -- Names a run by the leaves that it reaches; a long name lacks leaves in the middle.
 local function name_of(run)
-  local names, last = {}, nil
+  local names = {}
   for _, step in ipairs(run.steps) do
     local leaf = step.result:gsub(", %(.*$", ""):gsub(": .*$", "")
       :match("%-> ([^>]*)$")
-    if leaf and leaf ~= last then names[#names + 1] = leaf end
-    last = leaf or last
+    local is_new = leaf and leaf ~= "internal" and leaf ~= names[#names]
+    if is_new then names[#names + 1] = leaf end
   end
   local text = concat(names, ", ")
   while #text > WIDTH - 30 and names[3] do
@@ -347,11 +344,9 @@ end
 
 -- Returns a Lua expression for the chart's file, relative to the folder of the spec.
 local function file_text(file, output)
-  local folder = output and output ~= "-" and output:match("^(.*/)") or ""
-  if file:sub(1, 1) == "/" or not output or output == "-"
-    or folder:sub(1, 1) == "/" or folder:find("..", 1, true) then
-    return quoted(file)
-  end
+  if not output or output == "-" or file:find("^/") then return quoted(file) end
+  local folder = output:match("^.*/") or ""
+  if folder:find("^/") or folder:find("..", 1, true) then return quoted(file) end
   local first = folder:match("^[^/]*/")
   while first and file:sub(1, #first) == first do
     folder, file = folder:sub(#first + 1), file:sub(#first + 1)
