@@ -60,7 +60,7 @@ local ROOMS = {
   { name = "postgres", files = { "rfsm/postgres.lua", "rfsm/postgres/*.lua" },
     specs = { "postgres_client", "postgres" } },
   { name = "rtt", files = { "rfsm/rtt.lua", "rfsm/rtt/*.lua" },
-    specs = { "rtt_standin", "rtt", "rtt_launch", "rtt_own" } },
+    specs = { "rtt_standin", "rtt", "rtt_own", "rtt_launch" } },
   { name = "cli", files = { "rfsm/cli/*.lua" }, specs = { "cli", "tools", "project" } },
   { name = "system", files = { "rfsm/system.lua", "rfsm/system/*.lua",
     "rfsm/cli/side_by_side.lua" }, specs = { "system", "system_check" } },
