@@ -111,7 +111,7 @@ local function check_globals(file, info, add)
       local other = meant(global.name)
       add("undefined", ("line %d reads the global '%s', which is not defined%s"):format(
         line, global.name, other and " (did you mean '" .. other .. "'?)" or ""),
-        not other and "note" or nil)
+        not other and "note")
     end
   end
 end
