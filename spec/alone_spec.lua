@@ -80,6 +80,20 @@ print(tostring(is_near) .. " " .. tostring(rfsm.get_actleaf_fqn(fsm) == "root.b"
 ]]))
   end)
 
+  it("rfsm_checks raises the error of a part that is there and fails", function()
+    assert.equal("no memory; module 'rfsm.other' not found", output_with({ "rfsm",
+      "rfsm_checks" }, [[
+local checks = require "rfsm_checks"
+local function problem_of(name, module, text)
+  package.preload[module] = function() error(text, 0) end
+  local _, problem = pcall(function() return checks[name] end)
+  return tostring(problem):match("^[^\n]*")
+end
+print(problem_of("explore", "rfsm.explore.explore", "no memory") .. "; "
+  .. problem_of("why", "rfsm.observe.why", "module 'rfsm.other' not found"))
+]]))
+  end)
+
   it("rfsm_checks.check returns what init finds", function()
     local expected = "root.trans[1] (initial -> b): tgt 'b': no state or connector is "
       .. "named 'b' in 'root'"

@@ -284,6 +284,10 @@ local CASES = {
   { "connector-cycle", "no circle that a state is in", {
     j = conn {}, k = conn {}, [4] = go("a", "k", "e_k"), [5] = go("k", "j"),
     [6] = go("j", "a") } },
+  { "connector-cycle", "once, a circle to which another connector leads", {
+    h = conn {}, j = conn {}, k = conn {}, [4] = go("a", "h", "e_h"),
+    [5] = go("h", "j"), [6] = go("j", "k"), [7] = go("k", "j"), [8] = go("k", "b") },
+    "root.j: connectors in a circle: root.j -> root.k -> root.j" },
   { "closed-initial", "a composite that a guard can close",
     entered_by(go("initial", "x", nil, { guard = yes })),
     "root.c.initial: each transition from here has events or a guard, 'root.c' cannot "
@@ -294,11 +298,26 @@ local CASES = {
       .. "them is enabled" },
   { "closed-initial", "none that is entered on the events it names",
     entered_by(go("initial", "x", { "e_b", "e_c" })) },
+  { "closed-initial", "a root that a guard can close",
+    { [1] = go("initial", "a", nil, { guard = yes }) },
+    "root.initial: each transition from here has events or a guard, 'root' cannot be "
+      .. "entered on e_init_fsm while none of them is enabled" },
   { "no-default", "a connector all of whose transitions have guards",
     via_k(go("k", "b", nil, { guard = yes }), go("k", "a", nil, { guard = yes })),
     "root.k: no way on without a guard for e_k" },
   { "no-default", "a connector that has no transition for an event",
     via_k(go("k", "b", "e_other")), "root.k: no way on without a guard for e_k" },
+  { "no-default", "a connector behind another one",
+    { j = conn {}, k = conn {}, [4] = go("a", "k", "e_k"), [5] = go("k", "j"),
+      [6] = go("j", "b", nil, { guard = yes }) },
+    "root.j: no way on without a guard for e_k" },
+  { "no-default", "a connector behind one that only some events pass",
+    { j = conn {}, k = conn {}, [4] = go("a", "k"), [5] = go("k", "j", "e_j"),
+      [6] = go("k", "b"), [7] = go("j", "b", nil, { guard = yes }) },
+    "root.j: no way on without a guard for e_j" },
+  { "no-default", "a connector that is reached on any event",
+    { k = conn {}, [4] = go("a", "k"), [5] = go("k", "b", "e_b") },
+    "root.k: no way on without a guard for any event" },
   { "no-default", "none that has a default",
     via_k(go("k", "b", nil, { guard = yes }), go("k", "a")) },
   { "shadowed", "a transition that an outer one always beats",
@@ -323,6 +342,9 @@ local CASES = {
   { "shadowed", "one that one through a connector always beats",
     { k = conn {}, [4] = go("a", "k", "e_x", { pn = 1 }), [5] = go("k", "b") },
     "root.trans[2] (a -> b)" .. NEVER_TAKEN:format("root.trans[4] (a -> k)") },
+  { "shadowed", "none beside one that leads to connectors in a circle",
+    { j = conn {}, k = conn {}, [4] = go("a", "k", "e_x", { pn = 1 }),
+      [5] = go("k", "j"), [6] = go("j", "k") } },
   { "conflict", "guards that may both be true",
     { [4] = go("a", "b", "e_y", { guard = yes }),
       [5] = go("a", "a", "e_y", { guard = yes }) },
@@ -349,6 +371,14 @@ local CASES = {
     { b = state { doo = busy }, [4] = go("b", "b", "e_done") } },
   { "endless", "none that a callback can leave",
     { b = state { entry = yes }, [4] = go("b", "b", "e_done") } },
+  { "endless", "none that an effect can leave",
+    { [4] = go("b", "b", "e_done", { effect = yes }) } },
+  { "endless", "one with a callback, if there is no way out",
+    { b = state { entry = yes }, [3] = go("b", "b", "e_done", { effect = yes }) },
+    "root.b: run never becomes idle, no event is needed on root.b -> root.b" },
+  { "endless", "one whose only effect is on the way out",
+    { [3] = go("b", "a", "e_x", { effect = yes }), [4] = go("b", "b", "e_done") },
+    "root.b: run never becomes idle, no event is needed on root.b -> root.b" },
   { "endless", "none over connectors in a circle",
     { j = conn {}, k = conn {}, [4] = go("b", "j", "e_done"), [5] = go("j", "k"),
       [6] = go("k", "j") } },
@@ -504,6 +534,56 @@ describe("the code", function()
   end)
 end)
 
+describe("a field of a state", function()
+  for field, flag in pairs { -- any order: each is a spec of its own
+    debug = "dbg", er = "err", inf = "info", strct = "strict", wran = "warn",
+  } do
+    it(("that is nearly '%s' is found in the root"):format(flag), function()
+      assert.same({ ("root: a state has no field '%s' (did you mean '%s'?)"):format(
+        field, flag) }, findings_of(chart { [field] = true }, "unknown-field"))
+    end)
+  end
+
+  local CASES_OF_FIELDS = { -- fields of a composite, the findings
+    { { history = "deep" }, "history' (require \"rfsm.history\")" },
+    { { history = "shallow" }, "history' (require \"rfsm.history\")" },
+    { { history = true }, "history' (require \"rfsm.history\")" },
+    { { history = "of Rome" } }, { { history = false } },
+    { { type = "final" }, "type' (did you mean final = true?)" },
+    { { type = "final", final = true } }, { { type = "red" } },
+    { { type = "parallel" }, "type' (did you mean rfsm.seqand{...}?)" },
+    { { parallel = true }, "parallel' (did you mean rfsm.seqand{...}?)" },
+    { { parallel = false } },
+  }
+  for i, case in ipairs(CASES_OF_FIELDS) do
+    it("may be meant for another library or extension: case " .. i, function()
+      local c = x_in_c()
+      for field, value in pairs(case[1]) do c[field] = value end -- any order: a set
+      helper.with(package.loaded, { ["rfsm.history"] = false }, function()
+        assert.same({ case[2] and "root.c: a state has no field '" .. case[2] },
+          findings_of(chart { c = c }, "unknown-field"))
+      end)
+    end)
+  end
+
+  it("is no finding if the extension that reads it is loaded, or in a leaf", function()
+    local leaf = chart { c = state { history = "deep" } }
+    helper.with(package.loaded, { ["rfsm.history"] = false }, function()
+      assert.same({}, findings_of(leaf, "unknown-field"))
+    end)
+    local c = x_in_c()
+    c.history = "deep"
+    helper.with(package.loaded, { ["rfsm.history"] = true }, function()
+      assert.same({}, findings_of(chart { c = c }, "unknown-field"))
+    end)
+  end)
+
+  it("final is a boolean", function()
+    assert.same({ "root.a: final: true expected, got string 'yes' (final = true)" },
+      findings_of(chart { a = state { final = "yes" } }, "unknown-field"))
+  end)
+end)
+
 describe("a callback that is never called", function()
   local FIELDS = { "entry", "exit", "doo", "guard", "effect" }
   local CALLED = { state = "entry exit doo", transition = "guard effect",
@@ -580,6 +660,25 @@ describe("findings", function()
       findings_of(risky { unreachable = "later", ["unknown-word"] = "mine" }))
     assert.equal(2, #findings_of(risky { unreachable = " " }, "silence"))
   end)
+
+  -- A code, what there is besides a and b, the severity.
+  for _, case in ipairs {
+    { "any-event", { [3] = go("b", "a") }, "note" },
+    { "any-event", { [4] = go("b", "a", {}, { pn = 1 }) }, "warning" },
+    { "dead-end", { b = state {}, [3] = go("a", "b", "e_y") }, "note" },
+    { "dead-end", { FAILED = state {}, [4] = go("a", "FAILED", "e_y") }, "note" },
+    { "dead-end", { c = state {}, [4] = go("a", "c", "e_y") }, "warning" },
+  } do
+    it(("of code %s may be a %s"):format(case[1], case[3]), function()
+      local severities = {}
+      for _, finding in ipairs(rfsm_checks.findings(chart(case[2]))) do
+        if finding.code == case[1] then
+          severities[#severities + 1] = finding.severity
+        end
+      end
+      assert.same({ case[3] }, severities)
+    end)
+  end
 
   it("have the severity that a project sets", function()
     local model = chart { c = state {} }

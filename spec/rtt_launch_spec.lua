@@ -1012,6 +1012,16 @@ function startHook() return true end]])
     end
   end)
 
+  it("makes its ports at the start, if a lua_file has another configureHook", function()
+    local arm = launched { ports = "configure", enter = "start" }
+    arm:getProperty("lua_file"):set(file_with(
+      "function configureHook() return true end"))
+    assert(arm:configure())
+    assert.is_false(has_port(arm, "fqn"))
+    assert(arm:start())
+    assert.equal("a", leaves(listen("arm.fqn")))
+  end)
+
   it("bears a clean-up of its ports by rttlib; can be unloaded, its name used again",
     function()
       local _, _, arm = started {

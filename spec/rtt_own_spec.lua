@@ -101,9 +101,10 @@ describe("rfsm.rtt.launch", function()
       end
     end)
 
-  it("reads the chart again, and no machine is left of the one before", function()
+  it("reads the chart again, when the machine before is no longer in memory", function()
     local chart = chart_file()
-    local arm, exec_str = own(("fsmfile = %q"):format(chart))
+    local arm, exec_str = own(("fsmfile = %q, prestr = %q"):format(chart,
+      "was_left = weak and weak[1] ~= nil"))
     assert(arm:configure())
     exec_str("weak = setmetatable({ fsm }, { __mode = 'v' })")
     local text = helper.content(chart):gsub("tgt = \"a\"", "tgt = \"b\"", 1)
@@ -111,8 +112,19 @@ describe("rfsm.rtt.launch", function()
     file:write(text)
     file:close()
     assert(arm:configure())
-    exec_str("trigger() collectgarbage() collectgarbage()")
-    assert.equal("root.b nil", evaluate(exec_str, "fsm._act_leaf._fqn, weak[1]"))
+    exec_str("trigger()")
+    assert.equal("root.b false", evaluate(exec_str, "fsm._act_leaf._fqn, was_left"))
+  end)
+
+  it("prepares the machine when the garbage of the launch is collected", function()
+    local arm, exec_str = own(("fsmfile = %q, poststr = %q"):format(chart_file(), [[
+local weak, prepare = setmetatable({ {} }, { __mode = "v" }), rfsm.prepare
+function rfsm.prepare(...)
+  is_collected = weak[1] == nil
+  return prepare(...)
+end]]))
+    assert(arm:configure())
+    assert.equal("true", evaluate(exec_str, "is_collected"))
   end)
 
   it("keeps the hooks of the program, calls its updateHook in place of ours", function()
@@ -167,6 +179,15 @@ return rfsm.state { info = false, a = rfsm.state {}, b = rfsm.state {},
       assert.same({ "arm", "arm_timer" }, rtt_helper.loaded())
     end)
 
+  it("fails if the name of its timer is taken", function()
+    local arm = own(("fsmfile = %q, timer = true"):format(chart_file()))
+    arm:addPeer(rtt_helper.deployer())
+    load("arm_timer")
+    assert.is_false(arm:configure())
+    assert.equal(1, #logged("timer: the deployer does not load 'arm_timer'"))
+    assert.same({ "arm", "arm_timer" }, rtt_helper.loaded())
+  end)
+
   for _, case in ipairs { -- fields, what is logged, the chart
     { "", "rfsm.rtt.launch: fsmfile: file name expected, got nil" },
     { "fsm_file = 'x'", "rfsm.rtt.launch: unknown option 'fsm_file' (did you mean "
@@ -183,6 +204,23 @@ return rfsm.state { info = false, a = rfsm.state {}, b = rfsm.state {},
       assert.is_truthy(logged(case[2])[1])
       assert.same({}, arm:getPortNames())
       assert.equal("nil function", evaluate(exec_str, "fsm, type(updateHook)"))
+    end)
+  end
+
+  local SHORT = "error('not enough memory', 0)"
+  for _, case in ipairs { -- stage of the launch, setting, code in it
+    { "the launch begins", "prestr", SHORT },
+    { "the machine is made", "prestr", "function rfsm.init() " .. SHORT .. " end" },
+    { "the machine is connected", "poststr", SHORT },
+    { "the machine is prepared", "poststr", "function rfsm.prepare() " .. SHORT
+      .. " end" },
+  } do
+    it("names the stage in which memory was short: " .. case[1], function()
+      local arm = own(("fsmfile = %q, %s = %q"):format(chart_file(), case[2], case[3]))
+      assert.is_false(arm:configure())
+      assert.matches("not enough memory while " .. case[1] .. ", %d+ KiB in use "
+        .. "without that: enlarge the pool by", logged("not enough memory")[1])
+      assert.same({}, arm:getPortNames())
     end)
   end
 end)

@@ -474,6 +474,20 @@ describe("the memory of a component", function()
   end)
 end)
 
+describe("a launch that fails", function()
+  it("is undone when its garbage is collected", function()
+    local weak, is_collected = setmetatable({ {} }, { __mode = "v" }), false
+    local launch = { where = "launch of 'x.lua': ", undo = function()
+      is_collected = weak[1] == nil
+    end }
+    collectgarbage("stop")
+    assert.equal("launch of 'x.lua': no leg", select(2,
+      pcall(require("rfsm.rtt.update").fail, launch, "no leg")))
+    collectgarbage("restart")
+    assert.is_true(is_collected)
+  end)
+end)
+
 describe("the log of a launched machine", function()
   local update = require "rfsm.rtt.update"
   local now, lines, log, flush

@@ -36,6 +36,30 @@ describe("a composite", function()
   end)
 end)
 
+describe("the name of a node", function()
+  it("is that of its composite if it is an initial connector, and a target", function()
+    local fsm = helper.init(state { c = state { k = rfsm.conn {}, x = state {},
+      trans { src = "initial", tgt = "x" }, trans { src = "k", tgt = "x" } },
+      trans { src = "initial", tgt = "c" } })
+    for name, case in pairs { -- any order: each stands alone
+      c = { fsm.c.initial, "root", true }, ["c.initial"] = { fsm.c.initial, "root" },
+      ["c.k"] = { fsm.c.k, "root", true }, ["p.left.c.x"] = { fsm.c.x, "root.p.left" },
+    } do
+      assert.equal(name, location.name_of(case[1], case[2], case[3]))
+    end
+  end)
+
+  it("that does not exist is refused, with the nearest name", function()
+    for text, name in pairs { -- any order: each stands alone
+      ["no state is named 'onn' (did you mean 'on'?)"] = "onn",
+      ["no state is named '7'"] = 7,
+    } do
+      assert.same({ false, text },
+        { pcall(location.refuse_name, name, "state", { "on", "off" }) })
+    end
+  end)
+end)
+
 describe("a protected call", function()
   it("returns all results", function()
     assert.same({ true, 1, nil, 3, n = 4 }, (function(...)

@@ -56,7 +56,7 @@ local TESTS = { ["not"] = true, ["and"] = true, ["or"] = true, eq = true, ne = t
 local function note_tested(node, tested)
   local first = node.tag == "Op" and TESTS[node[1]] and 2
     or (node.tag == "If" or node.tag == "While") and 1
-  for i = first or 1, first and #node or 0 do
+  for i = first or #node + 1, #node do
     if node[i].tag == "Id" then tested[node[i][1]] = true end
   end
 end
@@ -111,7 +111,7 @@ local function check_globals(file, info, add)
       local other = meant(global.name)
       add("undefined", ("line %d reads the global '%s', which is not defined%s"):format(
         line, global.name, other and " (did you mean '" .. other .. "'?)" or ""),
-        not other and "note" or nil)
+        not other and "note")
     end
   end
 end

@@ -111,7 +111,7 @@ local function check_callbacks(obj, add)
   end
 end
 
--- Names of boolean fields: FLAGS in every state, ROOT_FLAGS only in the root.
+-- Names of boolean fields: of the root, and of the other states.
 local FLAGS = { "final" }
 local ROOT_FLAGS = { "dbg", "err", "info", "strict", "warn" }
 
@@ -186,7 +186,7 @@ local function check_transition(tr, add)
   local other = find_outrun(tr)
   add("any-event", tr, "it has no events, and is taken on any" .. (other
     and ", before " .. rfsm.location_of(other) .. " can be" or ""),
-    other and "warning" or nil)
+    other and "warning")
 end
 
 -- Which events can reach a connector ..............................................

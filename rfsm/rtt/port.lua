@@ -21,7 +21,7 @@ end
 --- An object that holds a port, and is read and written like a port.
 ---@class rfsm.rtt.Port
 ---@field name string name of the port
----@field component any|false its component; false if the port is not looked up
+---@field component any its component; false or nil without RTT
 ---@field facts table<string, any> the information of the port that was held first
 ---@field real any|false the port; false while there is no such port
 ---@field was_found boolean has the component ever had the port?
@@ -69,7 +69,7 @@ end
 function port.hold(real, facts)
   if getmetatable(real) == Port then return real end
   local rtt = package.loaded.rtt
-  local held = port.reserve(rtt and facts.name and rtt.getTC() or false, facts)
+  local held = port.reserve(rtt and rtt.getTC(), facts)
   held.real = real
   held.was_found = port.of(held.component, held.name) ~= nil
   return held

@@ -95,8 +95,9 @@ local function add_loaders(globals)
   function globals.require(name) return (require_in(globals, name)) end
   function globals.loadfile(name) return load_file(globals, name) end
   function globals.dofile(name) return assert(load_file(globals, name))() end
-  function globals.loadstring(text, name) return compile(globals, text, name) end
-  if not setfenv then
+  if setfenv then -- Lua 5.1
+    function globals.loadstring(text, name) return compile(globals, text, name) end
+  else
     function globals.load(text, name, _, env)
       return compile(env or globals, text, name)
     end
