@@ -805,8 +805,10 @@ do
 
   -- Returns the node that a name in a transition of `composite` refers to:
   -- (a) ".a.b" or "..a.b" is a path below the composite;
-  -- (b) "a" is a member of the composite; "root" is a member of this name, or the root;
-  -- (c) "a.b" or "root.a.b" is a path below the root, which may have a member "root".
+  -- (b) "a" is a member of the composite; "root" is the root, unless the composite has a
+  --     member of this name;
+  -- (c) "a.b" or "root.a.b" is a path below the root; "root.a" may also lead to the
+  --     member "a" of a member "root", if the root has no member "a".
   local function find_named(build, composite, name)
     local all, relative = build.plan.nodes, name:match("^%.%.?([^.].*)$")
     local root = all[1]
@@ -1935,7 +1937,8 @@ do
   -- Makers of trace records, by kind. Each returns the record's id, then its texts.
   local RECORDS = {}
 
-  -- Example: root.a[LS]->root.k[c]->root.b[LS]
+  -- Example, with [LS] for a leaf, [CS] for a composite and [c] for a connector:
+  -- root.a[LS]->root.k[c]->root.b[LS]
   function RECORDS.path(path)
     local text = path.text or label_of(path.segments[1].src)
     for _, def in ipairs(path.text and NONE or path.segments) do

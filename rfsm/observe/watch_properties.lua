@@ -213,7 +213,7 @@ local function note_moment(own, state, snapshot)
   end
 end
 
--- Sets all monitors to their first state, without clocks.
+-- Sets all monitors to their first state, in which no clock runs.
 local function begin(own)
   own.trace, own.forwarded, own.moments = {}, {}, {}
   for _, monitor in ipairs(own.monitors) do
