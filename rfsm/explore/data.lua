@@ -132,8 +132,8 @@ local function names_of_data(self)
   return rfsm.sorted_keys(names), rfsm.sorted_keys(variables)
 end
 
--- Counts the callbacks that are not called, without the guards. Lists all callbacks and
--- guards that are not called and may write fields or variables that called ones use.
+-- Counts the callbacks, except guards, that are not called. Lists the callbacks, guards
+-- too, that are not called and may write fields or variables that called ones use.
 local function note_others(self, named)
   local names, variables = names_of_data(self)
   for _, name in ipairs(rfsm.sorted_keys(named)) do

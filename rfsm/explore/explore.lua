@@ -76,7 +76,7 @@ local explore = {}
 ---@field taken table<integer, table> transition -> the first step that takes it
 ---@field stuck integer[] configurations whose steps stay there and take no transition
 ---@field has_moved boolean the configuration expanded now is known not to be stuck
----@field expanded integer how many configurations had all their steps taken
+---@field expanded integer number of configurations from which all steps were taken
 ---@field endless table? the first step in which a region never becomes idle
 ---@field bound string? the name of the first bound that was hit
 ---@field untried string[] texts that say what was not tried
@@ -524,7 +524,7 @@ end
 ---@field events string[] all events that came, as texts
 ---@field values any[] the events that are sent to the machine itself
 ---@field inside { prefix: string, event: any }[] time events that are sent to regions
----@field sent { prefix: string, event: any }[] as the option `sends` says
+---@field sent { prefix: string, event: any }[] events that replacements sent
 ---@field at? number seconds since the first step, if timers come in order
 ---@field choices { who: string, answer: boolean, is_doo: boolean }[] the answers of
 -- guards and predicates and the ends of doos, in the order in which they were asked

@@ -132,7 +132,7 @@ local function cycle_from(walk, edges, start)
 end
 
 -- Are there times at which two rounds of a cycle can be taken? There may be none, since
--- a configuration also stands for configurations whose clocks allow fewer times.
+-- a configuration also stands for equal ones whose clocks can have fewer values.
 local function has_times(walk, start, cycle)
   return not walk.timing
     or walk:witness(start, nil, match.joined(cycle, cycle))[1].at ~= nil

@@ -49,8 +49,8 @@ local function reverse(walk, is_internal)
   return list, before
 end
 
--- Returns a set that begins with the goals and grows. For each step from outside into
--- the set, joins(from, tgt, set) decides whether the configuration `from` is added.
+-- Returns a set that begins with the goals and grows. For each step that leads into the
+-- set, joins(from, tgt, set) decides whether the configuration `from` is added.
 local function spread(walk, goals, is_internal, joins)
   local set, pending, list, before = {}, {}, reverse(walk, is_internal)
   for number = 1, #walk.keys do

@@ -42,8 +42,8 @@ local NOTHING = {}
 
 -- Traits ............................................................................
 
--- Can any event decide whether a transition is taken? A transition from a connector
--- without events and guard (`guard` is false) leaves this to the segments before it.
+-- Can any event decide whether a transition is taken? Not if it leaves a connector and
+-- has no events and no guard (`guard` is false): then the segments before it decide.
 local function is_any(tr)
   local triggers = match.triggers(tr, NOTHING)
   return triggers == nil or triggers and (rfsm.is_state(tr.src) or tr.guard ~= false)

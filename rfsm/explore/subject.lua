@@ -120,7 +120,7 @@ Subject.__index = Subject
 ---@field path string path of the leaf
 ---@field paths string[] paths of the leaf and of the states around it
 ---@field reactions rfsm_checks.Reactions|false false until they are asked for
----@field positions table<string, rfsm_checks.Position> text of mode, events, data -> it
+---@field positions table<string, rfsm_checks.Position> by a text of mode, events, data
 
 --- The state of one part: its leaf, the mode, waiting events, data of extensions.
 ---@class rfsm_checks.Position

@@ -200,8 +200,8 @@ local function add_dead_end(walk, findings, number)
   end
 end
 
--- Finds dead ends: configurations in which nothing happens any more. If some walk
--- has no dead end with the same leaf of the machine, a region still moves in that walk.
+-- Finds dead ends: configurations in which nothing happens any more. It is none if some
+-- walk has no dead end with the same leaf of the machine: a region still moves there.
 local function find_dead_ends(walks, findings)
   local are_stuck = {}
   for i, walk in ipairs(walks) do

@@ -20,7 +20,8 @@ local outline = {}
 ---@class rfsm.observe.Outline
 ---@field nodes table[] { name, fqn, kind, parent?, is_region? }; parents come first
 ---@field edges table[] { key, src, tgt, label, events, is_internal? }
----@field events table[] { text, words, is_own }; `is_own`: the machine itself sends it
+---@field events table[] { text, words, is_own }; `words`: as shown to a person;
+-- `is_own`: the machine itself sends it
 ---@field values any[] the events themselves, in the order of `events`
 ---@field number_of table<any, integer> number of a node, by its FQN
 ---@field edge_of table<string, integer> number of an edge, by the key of the transition

@@ -128,7 +128,7 @@ function rewind.carry_over(fsm, snap)
   return (select(2, snapshot.put(fsm, snap, options)))
 end
 
---- How places are kept.
+--- Options of `rewind.new`: how places are kept.
 ---@class rfsm.observe.RewindOptions
 ---@field bytes? integer limit of all places (32 MiB); the present one is always kept
 ---@field about? fun(): any called for each place; its result is kept with the place

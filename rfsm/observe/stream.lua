@@ -53,7 +53,8 @@ local function attach_element(own, at, element)
   end
 end
 
--- Adds hooks to the states in `top` and replaces guards, only once for each element.
+-- Adds hooks to the states in `top`, a machine or an added element, and replaces the
+-- guards, only once for each element.
 local function attach_elements(own, at, top)
   for _, element in ipairs(rfsm.elements(top)) do
     if not own.is_known[element] then attach_element(own, at, element) end

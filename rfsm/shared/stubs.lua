@@ -50,7 +50,7 @@ function Stub.__index(stub, key)
   return known[key]
 end
 
-local LONGEST = 200 -- bytes; a call with a longer name returns a stub of the old name
+local LONGEST = 200 -- bytes of a name; a call that would exceed it keeps the old name
 
 -- Returns the first state among the arguments of a call, or nil.
 local function find_state(...)

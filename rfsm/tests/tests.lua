@@ -2,8 +2,8 @@
 --- of its events. They also show which of two enabled transitions is taken.
 --
 -- The steps come from an exploration with two events in a step. A run goes on to the
--- nearest step that shows something new. If the run is long and this step is as near
--- from the start, a new run begins. At the first visit of a leaf, steps are added that
+-- nearest step that shows something new. If the run is long, and such a step is as near
+-- to the start, a new run begins. At the first visit of a leaf, steps are added that
 -- the leaf ignores: one without an event, one with an event of no transition, and one
 -- with an event to which only other leaves react.
 --
@@ -105,7 +105,7 @@ local function find_way(walk, start, left)
   end)
 end
 
-local LONG = 12 -- steps; a longer run ends if a new run is as near to the next fact
+local LONG = 12 -- steps; a longer run ends if the start is as near to a new fact
 
 -- Returns runs that together show all facts in `left`. A run is a list of steps.
 local function plan(walk, left)
