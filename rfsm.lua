@@ -805,8 +805,8 @@ do
 
   -- Returns the node that a name in a transition of `composite` refers to:
   -- (a) ".a.b" or "..a.b" is a path below the composite;
-  -- (b) "a" is a member of the composite; "root" is the root, unless the composite has a
-  --     member of this name;
+  -- (b) "a" is a member of the composite; "root" is the root, unless the composite has
+  --     a member of this name;
   -- (c) "a.b" or "root.a.b" is a path below the root; "root.a" may also lead to the
   --     member "a" of a member "root", if the root has no member "a".
   local function find_named(build, composite, name)
