@@ -922,6 +922,7 @@ return rfsm.state { info = false, warn = false,
     arm:stop()
     deploy("setActivity", "arm", 0.01, 0, 0)
     assert(arm:start())
+    advance(1.1) -- lines that come again are written a second later
     assert.same({ text }, logged("timer = true"))
   end)
 
@@ -1146,6 +1147,25 @@ function startHook() return true end]])
 end)
 
 -- The collector: of a pool, and of other Luas --------------------------------------
+
+it("rfsm.rtt sets the collector in a pool, and only there", function()
+  for luatype, calls in pairs { -- any order: each stands alone
+    ["OCL::LuaTLSFComponent"] = "setpause 100, setstepmul 3000, ",
+    ["OCL::LuaComponent"] = "",
+  } do
+    local _, exec_str = load(luatype:match("Lua(.*)"), luatype)
+    assert(exec_str [[
+      local collect = collectgarbage
+      calls = ""
+      function collectgarbage(what, number)
+        if not number then return collect(what) end
+        calls = calls .. what .. " " .. number .. ", "
+      end
+      require "rfsm.rtt"
+      collectgarbage = collect]])
+    assert.equal(calls, evaluate(exec_str, "calls"))
+  end
+end)
 
 -- Since 5.4 it is set in another way.
 describe("the collector of a component's Lua", function()

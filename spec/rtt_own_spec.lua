@@ -72,6 +72,7 @@ describe("rfsm.rtt.launch", function()
         check_run(arm, out, names)
         arm:stop()
         if leave == "cleanup" then arm:cleanup() end
+        arm:getAttribute("rfsm_failures"):set(3)
         assert(arm:configure())
         assert.equal("false 0", evaluate(exec_str, "fsm._act_leaf, "
           .. "rtt.getTC():getAttribute('rfsm_failures'):get()"))
@@ -115,6 +116,26 @@ describe("rfsm.rtt.launch", function()
     exec_str("trigger()")
     assert.equal("root.b false", evaluate(exec_str, "fsm._act_leaf._fqn, was_left"))
   end)
+
+  it("leaves the hooks of a program that is loaded once, when it is configured again",
+    function()
+      local arm, exec_str = load("arm")
+      exec_str(([[
+words = ""
+function startHook()
+  words = words .. " start"
+  return true
+end
+function configureHook() return require("rfsm.rtt").launch { fsmfile = %q } end]])
+        :format(chart_file()))
+      for _ = 1, 2 do
+        assert(arm:configure())
+        assert(arm:start())
+        spin()
+        arm:stop()
+      end
+      assert.equal(" start start", evaluate(exec_str, "words"))
+    end)
 
   it("prepares the machine when the garbage of the launch is collected", function()
     local arm, exec_str = own(("fsmfile = %q, poststr = %q"):format(chart_file(), [[
