@@ -1167,6 +1167,22 @@ it("rfsm.rtt sets the collector in a pool, and only there", function()
   end
 end)
 
+it("rfsm.rtt has no code generated in a pool, and only there", function()
+  for luatype, is_generated in pairs { -- any order: each stands alone
+    ["OCL::LuaTLSFComponent"] = "false",
+    ["OCL::LuaComponent"] = "true",
+  } do
+    local _, exec_str = load(luatype:match("Lua(.*)"), luatype)
+    assert(exec_str [[
+      require "rfsm.rtt"
+      local rfsm = require "rfsm"
+      local fsm = rfsm.init(rfsm.state { info = false, warn = false,
+        a = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" } })
+      rfsm.prepare(fsm)]])
+    assert.equal(is_generated, evaluate(exec_str, "package.loaded['rfsm.fast'] ~= nil"))
+  end
+end)
+
 -- Since 5.4 it is set in another way.
 describe("the collector of a component's Lua", function()
   if _VERSION > "Lua 5.3" then return end
