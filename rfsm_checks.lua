@@ -124,7 +124,7 @@ local ELSEWHERE = {
 local function find_part(name)
   local ok, part = pcall(require, name)
   if ok then return part end
-  if not text_of(part):find("module '" .. name .. "' not found") then
+  if not text_of(part):find("module '" .. name .. "' not found", 1, true) then
     error(part, 0)
   end
 end

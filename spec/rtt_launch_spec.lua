@@ -1148,13 +1148,20 @@ end)
 
 -- The collector: of a pool, and of other Luas --------------------------------------
 
-it("rfsm.rtt sets the collector in a pool, and only there", function()
-  for luatype, calls in pairs { -- any order: each stands alone
-    ["OCL::LuaTLSFComponent"] = "setpause 100, setstepmul 3000, ",
-    ["OCL::LuaComponent"] = "",
-  } do
-    local _, exec_str = load(luatype:match("Lua(.*)"), luatype)
-    assert(exec_str [[
+describe("rfsm.rtt in a pool, and only there,", function()
+  -- Runs code in a component with a pool, and in one without; compares two values.
+  local function compare(code, value, in_pool, elsewhere)
+    for kind, expected in pairs { -- any order: each stands alone
+      TLSFComponent = in_pool, Component = elsewhere,
+    } do
+      local _, exec_str = load(kind, "OCL::Lua" .. kind)
+      assert(exec_str(code))
+      assert.equal(expected, evaluate(exec_str, value))
+    end
+  end
+
+  it("sets the collector", function()
+    compare([[
       local collect = collectgarbage
       calls = ""
       function collectgarbage(what, number)
@@ -1162,25 +1169,17 @@ it("rfsm.rtt sets the collector in a pool, and only there", function()
         calls = calls .. what .. " " .. number .. ", "
       end
       require "rfsm.rtt"
-      collectgarbage = collect]])
-    assert.equal(calls, evaluate(exec_str, "calls"))
-  end
-end)
+      collectgarbage = collect]], "calls", "setpause 100, setstepmul 3000, ", "")
+  end)
 
-it("rfsm.rtt has no code generated in a pool, and only there", function()
-  for luatype, is_generated in pairs { -- any order: each stands alone
-    ["OCL::LuaTLSFComponent"] = "false",
-    ["OCL::LuaComponent"] = "true",
-  } do
-    local _, exec_str = load(luatype:match("Lua(.*)"), luatype)
-    assert(exec_str [[
+  it("has no code generated", function()
+    compare([[
       require "rfsm.rtt"
       local rfsm = require "rfsm"
       local fsm = rfsm.init(rfsm.state { info = false, warn = false,
         a = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" } })
-      rfsm.prepare(fsm)]])
-    assert.equal(is_generated, evaluate(exec_str, "package.loaded['rfsm.fast'] ~= nil"))
-  end
+      rfsm.prepare(fsm)]], "package.loaded['rfsm.fast'] ~= nil", "false", "true")
+  end)
 end)
 
 -- Since 5.4 it is set in another way.

@@ -111,7 +111,7 @@ local function check_callbacks(obj, add)
   end
 end
 
--- Names of boolean fields: of the root, and of the other states.
+-- Names of boolean fields: of states other than the root, and of the root.
 local FLAGS = { "final" }
 local ROOT_FLAGS = { "dbg", "err", "info", "strict", "warn" }
 

@@ -108,7 +108,8 @@ end
 -- false and the problem, end the program with the reason in one line.
 function command.ask(f, ...)
   local ok, result, problem = pcall(f, ...)
-  return common.try(ok and result, ok and problem or chart.first_line(result))
+  if not ok then common.fail(chart.first_line(result)) end
+  return common.try(result, problem)
 end
 
 --- Return the client of a fleet, or end the program if there is no server.

@@ -91,10 +91,15 @@ local function problem_of_missing(sim, name, list)
   return "nothing is named " .. name .. hint
 end
 
+-- Is a word a name, neither of a value nor a word of Lua?
+local function is_unknown(sim, name)
+  return name and sim.env[name] == nil and load("local " .. name) ~= nil
+end
+
 -- Returns a complaint if a line is only the name of an event, or an unknown name.
 local function problem_of_name(sim, text)
   local name = text:match("^%s*([%a_][%w_]*)%s*$")
-  if not name or sim.env[name] ~= nil or not load("local " .. name) then return nil end
+  if not is_unknown(sim, name) then return nil end
   if sim.commands.find "ser" and alphabet.of_all(sim.fsm).set[name] then
     return ("%s is an event: 'ser %s' sends it and runs"):format(name, name)
   end
@@ -104,7 +109,7 @@ end
 -- Returns a complaint if a line, which is no Lua, is an unknown name and words.
 local function problem_of_words(sim, text)
   local name = text:match("^%s*([%a_][%w_]*)%s+[%w_]")
-  if not name or sim.env[name] ~= nil or not load("local " .. name) then return nil end
+  if not is_unknown(sim, name) then return nil end
   return problem_of_missing(sim, name, {})
 end
 
