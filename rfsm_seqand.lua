@@ -136,7 +136,10 @@ end
 
 local function forward(fsm, regions, events)
   for i = 1, #regions do
-    for j = 1, #events do try(fsm, rfsm.send_events, regions[i], events[j]) end
+    for j = 1, #events do
+      try(fsm, rfsm.send_events, regions[i], events[j])
+      rfsm.note_kept(fsm, events[j])
+    end
   end
   regions.is_forwarded = true
 end

@@ -437,7 +437,7 @@ local function prepare_machine(fsm)
   if fsm._timeevent then return end
   fsm._timeevent = { [true] = huge, [false] = huge, has_timers = false, has_at = false,
     is_unusual = false, sends = {} }
-  rfsm.pre_step_hook_add(fsm, rfsm.borrows(check_timers), "front")
+  rfsm.pre_step_hook_add(fsm, rfsm.repeatable(check_timers), "front")
   rfsm.reset_hook_add(fsm, drop_sends)
   rfsm.waiting_hook_add(fsm, list_waiting)
 end
@@ -501,7 +501,7 @@ local function prepare_timers(fsm, state)
   end
   if not state._timers then
     state._timers = { sec = false, nsec = 0, delay = false, entry = 0 }
-    rfsm.entry_hook_add(fsm, state, enter_state)
+    rfsm.entry_hook_add(fsm, state, rfsm.repeatable(enter_state))
   end
   return state._timers
 end

@@ -8,11 +8,11 @@
 -- as a coroutine. If the doo yields a true value, it is idle.
 --
 ---@class rfsm.State
----@field entry? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "entry")
----@field exit? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "exit")
+---@field entry? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "entry", event: any)
+---@field exit? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "exit", event: any)
 ---@field doo? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "doo"): boolean?
 ---@field final? boolean a leaf that is meant to be the end
----@field getevents? false|fun(fsm: rfsm.Machine): any[]? root only, as all fields below
+---@field getevents? false|fun(): any[]? root only, as all fields below
 ---@field dbg? boolean|fun(id: string, ...)
 ---@field info? boolean|fun(...)
 ---@field warn? boolean|fun(...)
@@ -20,6 +20,7 @@
 ---@field idle_hook? false|fun(fsm: rfsm.Machine) called instead of returning when idle
 ---@field pre_step_hook? false|fun(fsm: rfsm.Machine, events: any[])
 ---@field post_step_hook? false|fun(fsm: rfsm.Machine, events: any[])
+---@field one_event? boolean each iteration takes one event of the queue, not all
 ---@field gettime? false|fun(): number, number the machine's clock: seconds, nanoseconds
 ---@field [string|integer] any
 
@@ -31,9 +32,10 @@
 ---@field src string|rfsm.State|rfsm.Connector source; after init always a node
 ---@field tgt string|rfsm.State|rfsm.Connector target; after init always a node
 ---@field events? false|any[]|string each one triggers it; none: any event does
----@field guard? false|fun(tr: rfsm.Transition, events: any[]): boolean?
--- the transition is not enabled if the guard returns false
----@field effect? false|fun(m: rfsm.Machine, tr: rfsm.Transition, s: string, e: any[])
+---@field guard? false|fun(tr: rfsm.Transition, events: any[], event: any): boolean?
+-- the transition is not enabled if the guard returns false; `event` is the first current
+-- event that triggers the transition, or without events of its own the path's first one
+---@field effect? false|fun(m: rfsm.Machine, tr, s: "effect", events: any[], event: any)
 ---@field pn? number priority among the transitions of a node, larger first (0)
 ---@field [string] any
 
@@ -65,4 +67,48 @@
 ---@overload fun(t: table): rfsm.Connector
 
 --- An occasion on which a watch hook is called, see `rfsm.watch_hook_add`.
----@alias rfsm.Watched "sent"|"failed"|"resumed"|"ended"|"merged"
+---@alias rfsm.Watched "sent"|"failed"|"resumed"|"ended"|"merged"|"discarded"
+
+--- Hooks. Each `X_hook_add` has an `X_hook_rm` with the same arguments, which returns true
+-- if there was such a hook. `place` is "before" or "after" (default) the other hooks. An
+-- error of a pre or post step hook is raised at once, of any other when the iteration is
+-- over. `event` is the event that counts, see rfsm.Edge.
+---@class rfsm
+---@field pre_step_hook_add fun(m: rfsm.Machine, hook: rfsm.StepHook, place?: rfsm.Place)
+-- in each iteration before a transition is chosen; the hook may change the list of events
+---@field post_step_hook_add fun(m: rfsm.Machine, hook: rfsm.StepHook, place?: rfsm.Place)
+-- at the end of each iteration
+---@field path_hook_add fun(m: rfsm.Machine, hook: fun(m, path: rfsm.Transition[], event))
+-- before a path, a list of transitions, is taken; for observers
+---@field entry_hook_add fun(m: rfsm.Machine, s: rfsm.State, hook: fun(m, s, event: any))
+-- each time a state is entered, before its entry
+---@field exit_hook_add fun(m: rfsm.Machine, s: rfsm.State, hook: fun(m, s, event: any))
+-- each time a state is left, after its exit
+---@field guard_hook_add fun(m, tr: rfsm.Transition, hook: fun(m, tr, events, event))
+-- before the guard; the transition is not enabled if the hook returns false
+---@field watch_hook_add fun(m: rfsm.Machine, what: rfsm.Watched, hook: fun(m, ...))
+-- sent: event ... | failed: element, name, error | resumed: leaf | ended: leaf | merged:
+-- element | lost: an event that no transition took and no extension keeps or forwards
+---@field reset_hook_add fun(m: rfsm.Machine, hook: fun(m), place?: rfsm.Place)
+-- when the machine is reset, to reset an extension's data
+---@field reaction_hook_add fun(m: rfsm.Machine, hook: fun(m, s: rfsm.State): any[]?)
+-- lists the events to which an extension reacts in a state; a function is a predicate
+---@field waiting_hook_add fun(m: rfsm.Machine, hook: fun(m): any[]?)
+-- lists the events that an extension keeps for later
+
+---@alias rfsm.StepHook fun(fsm: rfsm.Machine, events: any[])
+
+--- Predicates: any value may be asked about.
+---@class rfsm
+---@field is_meta fun(key: any): boolean
+---@field is_state fun(value: any): boolean
+---@field is_trans fun(value: any): boolean
+---@field is_conn fun(value: any): boolean
+---@field is_fsmobj fun(value: any): boolean
+---@field is_node fun(value: any): boolean
+---@field is_composite fun(value: any): boolean
+---@field is_leaf fun(value: any): boolean
+---@field is_root fun(value: any): boolean
+---@field is_initialized_root fun(value: any): boolean
+---@field is_nr_node fun(value: any): boolean
+---@field is_callable fun(value: any): boolean
