@@ -17,9 +17,7 @@ local error, getmetatable, ipairs = error, getmetatable, ipairs
 local next, pairs = next, pairs
 local pcall, rawequal, rawget, rawset, select = pcall, rawequal, rawget, rawset, select
 local setmetatable, tostring, type = setmetatable, tostring, type
-local concat, insert = table.concat, table.insert
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
-local remove, sort = table.remove, table.sort
+local concat, insert, sort = table.concat, table.insert, table.sort
 local huge = 1 / 0
 
 -- Returns a global, or a field of a global table; nil if a sandbox does not have it.
@@ -29,11 +27,11 @@ local function find_global(name, field)
   return type(value) == "table" and rawget(value, field) or nil
 end
 
-local coroutine, loadfile = find_global "coroutine", find_global "loadfile"
+local loadfile = find_global "loadfile"
 local loadstring = find_global "loadstring" or find_global "load"
 
-local getinfo = find_global("debug", "getinfo")
-local _, require = pcall(function() return require end) -- a bundler may replace it
+-- A bundler may replace it by a local one.
+local require = select(2, pcall(function() return require end))
 
 -- LuaJIT 2.1.0-beta3 sometimes skips keys in a traversal that it has compiled.
 -- Functions with such a traversal are given to `interpret`, and are never compiled.
@@ -84,6 +82,7 @@ local made_at = setmetatable({}, { __mode = "k" })
 local define
 
 do
+  local getinfo = find_global("debug", "getinfo")
   local this_file = getinfo and getinfo(1, "S").short_src
   local knows_tail_calls = getinfo ~= nil and pcall(getinfo, 1, "t")
 
@@ -227,78 +226,82 @@ end
 
 local is_callable, text_of = rfsm.is_callable, rfsm.text_of
 
--- The predicates that `rfsm.named` has made: predicate -> name, and name -> predicate.
-local event_names = setmetatable({}, { __mode = "k" })
-local predicates = setmetatable({}, { __mode = "v" })
+local list_text
 
---- Return a predicate for `events` that accepts tables whose field `name` is `name`.
---
--- Such events carry data: `rfsm.send_events(fsm, { name = "e_paid", amount = 12 })`.
--- Equal names give the same predicate; `rfsm.event_name` returns a predicate's name.
---
----@param name string
----@return fun(event: any): boolean predicate
-function rfsm.named(name)
-  if type(name) ~= "string" then
-    error("rfsm.named: name of an event expected, got " .. type(name), 2)
-  end
-  local predicate = predicates[name]
-  if not predicate then
-    predicate = function(event)
-      return type(event) == "table" and rawequal(rawget(event, "name"), name)
+do
+  -- The predicates that `rfsm.named` has made: predicate -> name, and name -> predicate.
+  local event_names = setmetatable({}, { __mode = "k" })
+  local predicates = setmetatable({}, { __mode = "v" })
+
+  --- Return a predicate for `events` that accepts tables whose field `name` is `name`.
+  --
+  -- Such events carry data: `rfsm.send_events(fsm, { name = "e_paid", amount = 12 })`.
+  -- Equal names give the same predicate; `rfsm.event_name` returns a predicate's name.
+  --
+  ---@param name string
+  ---@return fun(event: any): boolean predicate
+  function rfsm.named(name)
+    if type(name) ~= "string" then
+      error("rfsm.named: name of an event expected, got " .. type(name), 2)
     end
-    predicates[name], event_names[predicate] = predicate, name
+    local predicate = predicates[name]
+    if not predicate then
+      predicate = function(event)
+        return type(event) == "table" and rawequal(rawget(event, "name"), name)
+      end
+      predicates[name], event_names[predicate] = predicate, name
+    end
+    return predicate
   end
-  return predicate
-end
 
---- Return the name that a predicate of `rfsm.named` accepts, nil for any other value.
----@param predicate any
----@return string? name
-function rfsm.event_name(predicate) return event_names[predicate] end
+  --- Return the name that a predicate of `rfsm.named` accepts, nil for any other value.
+  ---@param predicate any
+  ---@return string? name
+  function rfsm.event_name(predicate) return event_names[predicate] end
 
---- Return an event or predicate of a transition as text: its name if it has one.
----@param event any
----@return string
-function rfsm.event_text(event)
-  local has_name = type(event) == "table" and not getmetatable(event)
-  return event_names[event] or text_of(has_name and event.name or event)
-end
-
-local function list_text(events)
-  local texts = {}
-  for i = 1, #events do texts[i] = rfsm.event_text(events[i]) end
-  return concat(texts, ", ")
-end
-
-local function end_text(node)
-  local kind = kind_of(node)
-  return kind and kind ~= "transition" and (node._fqn or kind) or text_of(node)
-end
-
--- Example: state root.a (active)
-function State.__tostring(state)
-  local fqn, mode = state._fqn, state._mode
-  return "state" .. (fqn and " " .. fqn or "") .. (mode and " (" .. mode .. ")" or "")
-end
-
-function Connector.__tostring(connector)
-  return "connector" .. (connector._fqn and " " .. connector._fqn or "")
-end
-
-function Machine.__tostring(fsm)
-  return "machine, active: " .. (fsm._act_leaf and fsm._act_leaf._fqn or "<none>")
-end
-
--- Example: T={ src='a', tgt='b', pn=3, events='x, y' }. After init the ends are FQNs.
-function Transition.__tostring(tr)
-  local text = "T={ src='" .. end_text(tr.src) .. "', tgt='" .. end_text(tr.tgt) .. "'"
-  local events = type(tr.events) == "string" and { tr.events } or tr.events
-  if tr.pn then text = text .. ", pn=" .. text_of(tr.pn) end
-  if type(events) == "table" and events[1] ~= nil then
-    text = text .. ", events='" .. list_text(events) .. "'"
+  --- Return an event or predicate of a transition as text: its name if it has one.
+  ---@param event any
+  ---@return string
+  function rfsm.event_text(event)
+    local has_name = type(event) == "table" and not getmetatable(event)
+    return event_names[event] or text_of(has_name and event.name or event)
   end
-  return text .. " }"
+
+  function list_text(events)
+    local texts = {}
+    for i = 1, #events do texts[i] = rfsm.event_text(events[i]) end
+    return concat(texts, ", ")
+  end
+
+  local function end_text(node)
+    local kind = kind_of(node)
+    return kind and kind ~= "transition" and (node._fqn or kind) or text_of(node)
+  end
+
+  -- Example: state root.a (active)
+  function State.__tostring(state)
+    local fqn, mode = state._fqn, state._mode
+    return "state" .. (fqn and " " .. fqn or "") .. (mode and " (" .. mode .. ")" or "")
+  end
+
+  function Connector.__tostring(connector)
+    return "connector" .. (connector._fqn and " " .. connector._fqn or "")
+  end
+
+  function Machine.__tostring(fsm)
+    return "machine, active: " .. (fsm._act_leaf and fsm._act_leaf._fqn or "<none>")
+  end
+
+  -- Example: T={ src='a', tgt='b', pn=3, events='x, y' }. After init the ends are FQNs.
+  function Transition.__tostring(tr)
+    local text = "T={ src='" .. end_text(tr.src) .. "', tgt='" .. end_text(tr.tgt) .. "'"
+    local events = type(tr.events) == "string" and { tr.events } or tr.events
+    if tr.pn then text = text .. ", pn=" .. text_of(tr.pn) end
+    if type(events) == "table" and events[1] ~= nil then
+      text = text .. ", events='" .. list_text(events) .. "'"
+    end
+    return text .. " }"
+  end
 end
 
 -- Orders keys: numbers ascending, then all others by their text.
@@ -327,6 +330,7 @@ interpret(sorted_keys)
 interpret(has_nodes)
 
 local NONE = {}
+local NOTHING = { events = NONE } -- what a getevents that returns nothing has given
 
 local function append(list, more)
   for i = 1, #more do list[#list + 1] = more[i] end
@@ -531,31 +535,6 @@ local function is_node_of(fsm, value, kind)
     and (not kind or kind_of(value) == kind)
 end
 
--- Returns the value, or in place of a plain table a new one, to be filled later.
-local function copy_of(copies, value, pending)
-  if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
-  if not copies[value] then
-    copies[value], pending[#pending + 1] = {}, value
-  end
-  return copies[value]
-end
-
--- Copies nested plain tables. They wait in the list `pending`, so any depth is allowed.
-local function clone_data(copies, value)
-  local pending = {}
-  local copy = copy_of(copies, value, pending)
-  while pending[1] do
-    local source = pending[#pending]
-    pending[#pending] = nil
-    for k, v in pairs(source) do -- any order: independent entries
-      copies[source][copy_of(copies, k, pending)] = copy_of(copies, v, pending)
-    end
-  end
-  return copy
-end
-
-interpret(clone_data)
-
 -- Notes from which model a node was made, because a model may be used repeatedly.
 local function note_mount(build, node)
   local mounts = build.mounts[node._model] or {}
@@ -565,6 +544,29 @@ end
 local clone_below, is_own_field, new_node, new_transition
 
 do
+  -- Returns the value, or in place of a plain table a new one, to be filled later.
+  local function copy_of(copies, value, pending)
+    if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
+    if not copies[value] then
+      copies[value], pending[#pending + 1] = {}, value
+    end
+    return copies[value]
+  end
+
+  -- Copies nested plain tables. They wait in the list `pending`, so any depth is allowed.
+  local function clone_data(copies, value)
+    local pending = {}
+    local copy = copy_of(copies, value, pending)
+    while pending[1] do
+      local source = pending[#pending]
+      pending[#pending] = nil
+      for k, v in pairs(source) do -- any order: independent entries
+        copies[source][copy_of(copies, k, pending)] = copy_of(copies, v, pending)
+      end
+    end
+    return copy
+  end
+
   local ROOT_FIELDS = {}
   for _, name in ipairs(PRINTERS) do ROOT_FIELDS[name] = true end
   for _, name in ipairs(HOOKS) do ROOT_FIELDS[name] = true end
@@ -752,7 +754,7 @@ do
     end
   end
 
-  for _, f in ipairs({ check_events, clone_node, fields_of, new_transition }) do
+  for _, f in ipairs { check_events, clone_data, clone_node, fields_of, new_transition } do
     interpret(f)
   end
 
@@ -1001,7 +1003,7 @@ do
 
   -- Drops the candidates and paths of a machine.
   function drop_paths(fsm)
-    fsm._entrance, fsm._is_compiled = false, false
+    fsm._entrance, fsm._has_paths = false, false
     if fsm._phase == "idle" then fsm._path = fsm._path and NONE end
     for _, node in ipairs(fsm._nodes) do
       node._choices, node._paths, node._ignored = nil, nil, nil
@@ -1010,7 +1012,7 @@ do
 
   -- Drops all that was made of the structure while the machine ran.
   function forget(fsm)
-    fsm._structure, fsm._ways, fsm._order = {}, {}, nil
+    fsm._merges, fsm._structure, fsm._ways = fsm._merges + 1, false, {}
     drop_paths(fsm)
     for _, tr in ipairs(fsm._transitions) do tr._segments = nil end
   end
@@ -1041,7 +1043,7 @@ do
     local tgt, segments = tr.tgt, tr._segments
     if segments and segments[tgt] then return segments[tgt] end
     if not is_node_of(fsm, tgt) then
-      rfsm.report(fsm, "err", "ERROR: tgt of " .. end_text(tr.src)
+      rfsm.report(fsm, "err", "ERROR: tgt of " .. text_of(tr.src._fqn or tr.src)
         .. ": node of the fsm expected, " .. got(tgt))
       return nil
     end
@@ -1074,42 +1076,25 @@ local OWN_ONLY = { OWN }
 local DEFAULTS = {
   rfsm = "state", type = State.type, new = State.new, _id = "root", _fqn = "root",
   _choices = NONE,
-  dbg = silent, getevents = no_events, _guard_hooks = false, _kept = false,
-  _is_compiled = false, _entry_hooks = false, _exit_hooks = false,
+  dbg = silent, getevents = no_events, _guard_hooks = false, _fates = false,
+  _has_paths = false, _merges = 0, _entry_hooks = false, _exit_hooks = false,
   _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
   _snapshot_hooks = false, _failure = false, _reset_wanted = false, _preparing = false,
   _emit = false, -- the function given to `set_emit`
   _cuts = 0, -- number of iterations that an error has ended
 }
 
-do
-  -- Returns the function `emit` of a machine, which callbacks call.
-  local function new_emit(f)
-    return function(name, data)
-      if type(name) ~= "string" then
-        error("emit: name expected, got " .. type(name), 2)
-      end
-      f(name, data)
+-- Returns the function `emit` of a machine, which callbacks call.
+local function new_emit(f)
+  return function(name, data)
+    if type(name) ~= "string" then
+      error("emit: name expected, got " .. type(name), 2)
     end
-  end
-
-  DEFAULTS.emit = new_emit(silent)
-
-  --- Have f(name, data) called when a callback of a machine or its regions emits.
-  --
-  -- For hosts. By default `emit` does nothing. Regions merged later are included.
-  --
-  ---@param fsm rfsm.Machine
-  ---@param f fun(name: string, data: any)
-  function rfsm.set_emit(fsm, f)
-    rfsm.check_machine(fsm, "rfsm.set_emit")
-    local emit = new_emit(f)
-    for _, at in ipairs(rfsm.machines(fsm)) do
-      if not is_state(at.machine.emit) then at.machine.emit = emit end
-      at.machine._emit = f
-    end
+    f(name, data)
   end
 end
+
+DEFAULTS.emit = new_emit(silent)
 
 -- The fields that a machine has from the start.
 local function own_fields()
@@ -1117,7 +1102,7 @@ local function own_fields()
     _parent = false, _mode = "inactive", _otrs = false, _act_leaf = false,
     _intq = { "e_init_fsm" }, _curq = {}, _initialized = false,
     -- the structure
-    _model = false, _nodes = false, _transitions = {}, _structure = {}, _index = 1,
+    _model = false, _nodes = false, _transitions = {}, _structure = false, _index = 1,
     _depth = 0, _is_leaf = true, _entrance = false, _choices = NONE,
     -- the iteration, see "Run":
     --   _path       the path being taken, or the last one since `took_path` was called
@@ -1125,8 +1110,9 @@ local function own_fields()
     --   _ways       connector -> what the last search found there, see `note_of`
     --   _search     number of the current search
     --   _at         number of the action (or part of a doo cycle) that was begun last
-    --   _hook       number of the step hook begun last; -1: the queue is not taken yet
+    --   _hook       number of the step hook begun last
     --   _turn       number of the iteration, if the machine has step hooks
+    --   _unread     events that are taken one by one before getevents is asked again
     --   _given      events that getevents has returned and that are in no list yet
     --   _outcome    of the last iteration: counted (as a step) | idle | free (events
     --               enabled no path: not counted) | refused (entry or step hook failed)
@@ -1138,7 +1124,7 @@ local function own_fields()
     _outcome = "free", _at = 0, _hook = 0, _is_usual = false, _is_cut = false,
     _given = false, _is_lent = false,
     _is_hooked = false, _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _turn = 0,
-    _before = false, _after = false, _lends = false, _box = false,
+    _before = false, _after = false, _lends = false, _unread = 0,
   }
 end
 
@@ -1300,8 +1286,8 @@ end
 -- `_phase` is one of these:
 --
 --   idle     nothing: the machine waits for its caller
---   gather   the pending events and the events of getevents become the current events,
---            then the pre step hooks are called
+--   begin    the pending events become the current events
+--   gather   getevents adds its events, and the pre step hooks are called
 --   search   a path is chosen that the events enable
 --   take     the actions of the chosen path are performed
 --   doo      there is no path: a doo cycle is run
@@ -1343,17 +1329,17 @@ local function give_up(fsm, failure)
   error(failure, 0)
 end
 
--- Calls getevents. Returns its list of events and nils; on failure nil and an error.
--- The list is kept in `_given` until it is appended, so that no interrupt loses it.
+-- Calls getevents. Returns a table whose field `events` is the list of events and nils;
+-- on failure nil and an error. The table is kept in `_given` until its events are in a
+-- list, so that no interrupt loses or doubles them.
 local function ask_getevents(fsm)
   local getevents = fsm.getevents
   if fsm._given then return fsm._given end
-  if not getevents or getevents == no_events then return NONE end
+  if not getevents or getevents == no_events then return NOTHING end
   local ok, events = pcall(getevents)
-  fsm._given = ok and events or false
-  if type(fsm._given) == "table" then return events end
-  fsm._given = false
-  if ok and events == nil then return NONE end
+  if ok and type(events) == "table" then fsm._given = { events = events } end
+  if fsm._given then return fsm._given end
+  if ok and events == nil then return NOTHING end
   if not is_callable(getevents) then
     return nil, "rfsm.step: getevents: function expected, " .. got(getevents)
   elseif not ok then
@@ -1362,13 +1348,51 @@ local function ask_getevents(fsm)
   return nil, "rfsm.step: getevents: list of events expected, " .. got(events)
 end
 
--- Appends the events of getevents. After an interrupt they are appended again, without
--- harm: an event that is current twice has the effect of one.
-local function append_getevents(fsm, list)
-  local events, failure = ask_getevents(fsm)
-  if not events then give_up(fsm, failure) end
-  for i = 1, #events do list[#list + 1] = events[i] end
+-- Appends the events of getevents to the list in a field. The longer list replaces the
+-- other one, and knows what it got.
+local function append_given(fsm, given, field)
+  local list = fsm[field]
+  if given.events[1] ~= nil and list.given ~= given then
+    list = append(append({}, list), given.events)
+    list.given = given
+    fsm[field] = list
+  end
   fsm._given = false
+end
+
+local function append_getevents(fsm, field)
+  local given, failure = ask_getevents(fsm)
+  if not given then give_up(fsm, failure) end
+  append_given(fsm, given, field)
+end
+
+-- Does an iteration take only the first pending event? The root's field `read` decides,
+-- or in a region that of the parent machine; any value but these two is a user's data.
+local function reads_one(fsm)
+  local read = fsm.read
+  if read == "one" or read == "all" then return read == "one" end
+  return fsm._owner and reads_one(fsm._owner) or false
+end
+
+-- Makes all current events but the first one pending again, ahead of the queue. The
+-- events are always in one of the two lists, or in the field `rest` of the current one.
+local function take_one(fsm)
+  local events = fsm._curq
+  if events[2] ~= nil then
+    local others = {}
+    for i = 2, #events do others[i - 1] = events[i] end
+    events = { events[1], rest = others }
+    fsm._curq = events
+  end
+  local rest = events.rest
+  if not rest then return end
+  if fsm._intq.head ~= rest then
+    local queue = append(append({}, rest), fsm._intq)
+    queue.head = rest
+    fsm._intq = queue
+  end
+  events.rest = nil
+  fsm._intq.head = nil
 end
 
 -- Ends an iteration in which a step hook has failed. A hook that may be repeated fails
@@ -1381,8 +1405,8 @@ end
 local run_hooks
 
 do
-  -- Marks in the lists `_before` and `_after`: getevents, the queue of which one event
-  -- is taken, and fields of the machine.
+  -- Marks in the lists `_before` and `_after`, each of a function that is called there
+  -- and may return a hook: getevents, `take_one`, and fields of the machine.
   local function GETEVENTS() end
   local function TAKE_ONE() end
   local function OWN_PRE() end
@@ -1398,36 +1422,16 @@ do
 
   promises[OWN], promises[TAKE_ONE] = "borrows", "repeatable"
 
-  -- Makes the first pending event current, unless a hook has made an event. While it is
-  -- moved it stands in the list `_box` at the head of the queue, so that an interrupt
-  -- neither loses nor doubles it.
-  local function take_one(fsm, events, box)
-    if events[2] ~= nil then
-      fsm._intq = append({ unpack(events, 2) }, fsm._intq)
-      for i = #events, 2, -1 do events[i] = nil end
-    end
-    local queue = fsm._intq
-    if queue[1] == nil or events[1] ~= nil and not rawequal(queue[1], box) then return end
-    if not rawequal(queue[1], box) then
-      box[1] = queue[1]
-      queue[1] = box
-    end
-    events[1] = box[1]
-    if queue[2] == nil then
-      queue[1] = nil
-    else
-      local rest = {} -- an interrupt may come amid table.remove of LuaJIT
-      for i = 2, #queue do rest[i - 1] = queue[i] end
-      fsm._intq = rest
-    end
-  end
-
-  -- What a mark stands for: a function that is called, and may return a hook.
   local MARKS = {
     [GETEVENTS] = function(fsm)
-      append_getevents(fsm, fsm._box and fsm._intq or fsm._curq)
+      if fsm._unread > 1 then
+        fsm._unread = fsm._unread - 1
+        return
+      end
+      append_getevents(fsm, "_curq")
+      if reads_one(fsm) then fsm._unread = #fsm._curq end
     end,
-    [TAKE_ONE] = function(fsm) take_one(fsm, fsm._curq, fsm._box) end,
+    [TAKE_ONE] = take_one,
     [OWN_PRE] = function(fsm) return own_hook(fsm, "pre_step_hook") end,
     [OWN_POST] = function(fsm) return own_hook(fsm, "post_step_hook") end,
   }
@@ -1447,7 +1451,9 @@ do
     if hooks[i + 1] then return run_hooks(fsm, hooks, i + 1) end
   end
 
-  local function append_hooks(list, hooks, own, is_own_set)
+  -- Returns the hooks that are called now: `own` in place of OWN, if it is set.
+  local function present(hooks, own, is_own_set)
+    local list = {}
     for _, hook in ipairs(hooks) do
       if hook ~= OWN then
         list[#list + 1] = hook
@@ -1472,31 +1478,21 @@ do
     return list
   end
 
-  -- Makes the lists of what each iteration calls. `_lends` is true if a hook may keep
-  -- the list of events.
+  -- Makes the lists of what each iteration calls. If one event is taken, all events
+  -- that come are added before. `_lends` is true if a hook may keep the list of events.
   function list_hooks(fsm)
-    local has_events = fsm.getevents and fsm.getevents ~= no_events
+    local is_one, sources = reads_one(fsm), fsm._source_hooks or NONE
+    local before = present(fsm._pre_hooks, OWN_PRE, fsm.pre_step_hook)
+    local at = is_one and 0 or fsm._pre_hooks.front or 0
+    for i, source in ipairs(sources) do insert(before, at + i, source) end
+    if is_one then insert(before, #sources + 1, TAKE_ONE) end
+    if fsm.getevents and fsm.getevents ~= no_events then insert(before, 1, GETEVENTS) end
     fsm._is_usual, fsm._lends = false, false
-    local before = append_hooks({ has_events and GETEVENTS or nil }, fsm._pre_hooks,
-      OWN_PRE, fsm.pre_step_hook)
-    fsm._box = fsm.one_event and (fsm._box or {}) or false
-    if fsm._box then
-      insert(before, (has_events and 2 or 1) + (fsm._pre_hooks.front or 0), TAKE_ONE)
-    end
     fsm._before = finished(fsm, before)
-    if fsm._box then fsm._before.takes_one = true end
-    fsm._after = finished(fsm, append_hooks({}, fsm._post_hooks, OWN_POST,
-      fsm.post_step_hook))
+    fsm._after = finished(fsm, present(fsm._post_hooks, OWN_POST, fsm.post_step_hook))
     fsm._is_hooked = (fsm._before or fsm._after) and true
     fsm._is_lent = fsm._is_lent or fsm._lends
   end
-end
-
--- Calls getevents and the pre step hooks, from number `i` on.
-local function ask_hooks(fsm, i)
-  local hooks = fsm._before
-  if hooks and hooks[i] then run_hooks(fsm, hooks, i) end
-  fsm._phase = "search"
 end
 
 -- Resets a machine as if it were new, but keeps the events of the current iteration.
@@ -1507,36 +1503,39 @@ local function reset_now(fsm)
       rawset(node, "_actchild", nil)
     end
   end
-  fsm._act_leaf = false
+  fsm._act_leaf, fsm._unread = false, 0
   fsm._intq = { "e_init_fsm" }
   tell(fsm, fsm._reset_hooks)
   fsm._reset_wanted = false
 end
 
--- Makes the pending events current: swaps the queue `_intq` with `_curq`, an empty
--- list. After an interrupt both fields may have the same list, or `_curq` may have
--- events, which come first.
-local function take_queue(fsm)
+-- The phase "begin": makes the pending events current. It swaps the queue `_intq` with
+-- `_curq`, an empty list. After an interrupt both fields may have the same list, or
+-- `_curq` may have events, which come first.
+function PHASES.begin(fsm, after_free)
   local queue, spare = fsm._intq, fsm._curq
+  if fsm._reset_wanted then
+    fsm._curq = {}
+    reset_now(fsm)
+    queue, spare = fsm._intq, fsm._curq
+  end
   if rawequal(queue, spare) or spare[1] ~= nil then
     queue = rawequal(queue, spare) and queue or append(append({}, spare), queue)
     spare = {}
   end
   fsm._curq = queue
   fsm._intq = spare
+  fsm._hook = 0
+  fsm._phase = "gather"
+  return PHASES.gather(fsm, after_free)
 end
 
+-- The phase "gather": calls getevents and the pre step hooks.
 function PHASES.gather(fsm, after_free)
-  if fsm._reset_wanted then
-    fsm._curq = {}
-    reset_now(fsm)
-  end
-  if fsm._hook < 0 then
-    if not fsm._box then take_queue(fsm) end
-    fsm._hook = 0
-  end
-  if fsm._given then append_getevents(fsm, fsm._box and fsm._intq or fsm._curq) end
-  ask_hooks(fsm, fsm._hook + 1)
+  if fsm._given then append_given(fsm, fsm._given, "_curq") end
+  local hooks, next_one = fsm._before, fsm._hook + 1
+  if hooks and hooks[next_one] then run_hooks(fsm, hooks, next_one) end
+  fsm._phase = "search"
   return search(fsm, after_free)
 end
 
@@ -1562,108 +1561,110 @@ local function matches(tr, events)
   return false, nil
 end
 
--- Reports that a guard has failed, and returns false as its result. After an interrupt
--- the next step calls the guard again.
-local function refuse_guard(fsm, tr, guard, failure)
-  if rfsm.is_interrupt(failure) then error(failure, 0) end
-  report_callback(fsm, "guard", tr, guard, failure)
-  return false
-end
+local enabled, first_enabled, note_of
 
--- Does a guard hook of an extension forbid the transition?
-local function is_forbidden(fsm, tr, events, event)
-  for _, hook in ipairs(fsm._guard_hooks[tr] or NONE) do
-    if not promises[hook] then fsm._is_lent = true end
-    local ok, answer = pcall(hook, fsm, tr, events, event)
-    if not ok then answer = refuse_guard(fsm, tr, hook, answer) end
-    if answer == false then return true end
+do
+  -- Reports that a guard has failed, and returns false as its result. After an interrupt
+  -- the next step calls the guard again.
+  local function refuse_guard(fsm, tr, guard, failure)
+    if rfsm.is_interrupt(failure) then error(failure, 0) end
+    report_callback(fsm, "guard", tr, guard, failure)
+    return false
   end
-  return false
-end
 
--- Returns the note of a machine about a connector. `search` is the number of the last
--- search that reached the connector (the current one is `fsm._search`). `way` is the
--- segment with which the path continues there, false if none was found; `event` is the
--- event that counts for it.
-local function note_of(fsm, connector)
-  local note = fsm._ways[connector] or { search = 0, way = false, event = false,
-    found = false, others = false, otrs = connector._otrs }
-  fsm._ways[connector] = note
-  return note
-end
-
-local function warn_of_conflict(fsm, ways)
-  report(fsm, "warn", "conflicting transitions from src " .. ways[1].tr.src._fqn
-    .. " to")
-  for _, segment in ipairs(ways) do report(fsm, "warn", "\t" .. segment.tgt._fqn) end
-end
-
-local enabled
-
--- Finds the way out of a connector: its first transition, from number `i` on, that is
--- enabled and leads to a leaf. Others of the same priority are tried, too, to warn of a
--- conflict. `first` is the event of the path's first segment. No loop, as in
--- `run_hooks`. It and `enabled` have few variables: a path may go over thousands of
--- connectors.
-local function find_way(fsm, note, i, events, first)
-  local tr, way = note.otrs[i], note.found
-  if not tr or way and (tr.pn or 0) ~= (way.tr.pn or 0) then
-    if note.others then warn_of_conflict(fsm, note.others) end
-    note.way, note.others = way, false
-    return
-  end
-  local is_triggered, event = true, first
-  if tr.events[1] ~= nil then is_triggered, event = matches(tr, events) end
-  tr = is_triggered and enabled(fsm, tr, events, event, first)
-  if tr and way then
-    note.others = append(note.others or { way }, { tr })
-  elseif tr then
-    note.found, note.event = tr, event
-  end
-  return find_way(fsm, note, i + 1, events, first)
-end
-
--- Returns the segment of a transition that `event` triggers, if its guard and the guard
--- hooks allow it, and it leads to a leaf or to a connector with a way out. Otherwise
--- returns nil. Each connector is asked once in a search. Meanwhile `note.way` is false,
--- so that cycles of connectors end.
-function enabled(fsm, tr, events, event, first)
-  do
-    local guard = tr.guard
-    if fsm._guard_hooks and is_forbidden(fsm, tr, events, event) then return nil end
-    if guard then
-      if not promises[guard] then fsm._is_lent = true end
-      local ok, answer = pcall(guard, tr, events, event)
-      if not ok then answer = refuse_guard(fsm, tr, guard, answer) end
-      if answer == false then return nil end
+  -- Does a guard hook of an extension forbid the transition?
+  local function is_forbidden(fsm, tr, events, event)
+    for _, hook in ipairs(fsm._guard_hooks[tr] or NONE) do
+      if not promises[hook] then fsm._is_lent = true end
+      local ok, answer = pcall(hook, tr, events, event)
+      if not ok then answer = refuse_guard(fsm, tr, hook, answer) end
+      if answer == false then return true end
     end
+    return false
   end
-  local segment = tr._segments
-  segment = segment and segment[tr.tgt] or segment_of(fsm, tr)
-  local note = segment and segment.connector
-  if not note then return segment end
-  note = fsm._ways[note] or note_of(fsm, note)
-  if note.search ~= fsm._search then
-    note.search, note.way, note.found, note.others = fsm._search, false, false, false
-    find_way(fsm, note, 1, events, first)
-  end
-  return note.way and segment or nil
-end
 
--- Returns the segment of the first enabled transition of a list, from number `i` on,
--- and the event that counts; nil if none is enabled. `event` is known to trigger those
--- that call no predicate; nil: nothing is known.
-local function first_enabled(fsm, list, i, events, event)
-  local tr = list[i]
-  if not tr then return nil end
-  local is_triggered, own = true, event
-  if event == nil or tr._is_asked then
-    is_triggered, own = matches(tr, events)
-    if own == nil then own = events[1] end
+  -- Returns the note of a machine about a connector. `search` is the number of the last
+  -- search that reached it (the current one is `fsm._search`), `first` the event of the
+  -- path's first segment then. `way` is the segment with which the path continues there,
+  -- false if none was found; `event` is the event that counts for it.
+  function note_of(fsm, connector)
+    local note = fsm._ways[connector] or { search = 0, first = false, way = false,
+      event = false, found = false, others = false, otrs = connector._otrs }
+    fsm._ways[connector] = note
+    return note
   end
-  local found = is_triggered and enabled(fsm, tr, events, own, own)
-  if found then return found, own end
-  return first_enabled(fsm, list, i + 1, events, event)
+
+  local function warn_of_conflict(fsm, ways)
+    report(fsm, "warn", "conflicting transitions from src " .. ways[1].tr.src._fqn
+      .. " to")
+    for _, segment in ipairs(ways) do report(fsm, "warn", "\t" .. segment.tgt._fqn) end
+  end
+
+  -- Finds the way out of a connector: its first transition, from number `i` on, that is
+  -- enabled and leads to a leaf. Others of the same priority are tried, too, to warn of
+  -- a conflict. No loop, as in `run_hooks`. It and `enabled` have few variables: a path
+  -- may go over thousands of connectors.
+  local function find_way(fsm, note, i, events, first)
+    local tr, way = note.otrs[i], note.found
+    if not tr or way and (tr.pn or 0) ~= (way.tr.pn or 0) then
+      if note.others then warn_of_conflict(fsm, note.others) end
+      note.way, note.others = way, false
+      return
+    end
+    local is_triggered, event = true, first
+    if tr.events[1] ~= nil then is_triggered, event = matches(tr, events) end
+    tr = is_triggered and enabled(fsm, tr, events, event, first)
+    if tr and way then
+      note.others = append(note.others or { way }, { tr })
+    elseif tr then
+      note.found, note.event = tr, event
+    end
+    return find_way(fsm, note, i + 1, events, first)
+  end
+
+  -- Returns the segment of a transition that `event` triggers, if its guard and the guard
+  -- hooks allow it, and it leads to a leaf or to a connector with a way out. Otherwise
+  -- returns nil. A connector is asked once in a search for each `first`. Meanwhile
+  -- `note.way` is false, so that cycles of connectors end.
+  function enabled(fsm, tr, events, event, first)
+    do
+      local guard = tr.guard
+      if fsm._guard_hooks and is_forbidden(fsm, tr, events, event) then return nil end
+      if guard then
+        if not promises[guard] then fsm._is_lent = true end
+        local ok, answer = pcall(guard, tr, events, event)
+        if not ok then answer = refuse_guard(fsm, tr, guard, answer) end
+        if answer == false then return nil end
+      end
+    end
+    local segment = tr._segments
+    segment = segment and segment[tr.tgt] or segment_of(fsm, tr)
+    local note = segment and segment.connector
+    if not note then return segment end
+    note = fsm._ways[note] or note_of(fsm, note)
+    if note.search ~= fsm._search or not rawequal(note.first, first) then
+      note.search, note.first = fsm._search, first
+      note.way, note.found, note.others = false, false, false
+      find_way(fsm, note, 1, events, first)
+    end
+    return note.way and segment or nil
+  end
+
+  -- Returns the segment of the first enabled transition of a list, from number `i` on,
+  -- and the event that counts; nil if none is enabled. `event` is known to trigger those
+  -- that call no predicate; nil: nothing is known.
+  function first_enabled(fsm, list, i, events, event)
+    local tr = list[i]
+    if not tr then return nil end
+    local is_triggered, own = true, event
+    if event == nil or tr._is_asked then
+      is_triggered, own = matches(tr, events)
+      if own == nil then own = events[1] end
+    end
+    local found = is_triggered and enabled(fsm, tr, events, own, own)
+    if found then return found, own end
+    return first_enabled(fsm, list, i + 1, events, event)
+  end
 end
 
 local choice_of, choose, list_choices
@@ -1681,9 +1682,9 @@ do
         report(fsm, "dbg", "CHECKING", "depth:", i - 1,
           "for transitions from " .. node._fqn)
       end
-      local structure = fsm._structure
+      local merges = fsm._merges
       local found, event = first_enabled(fsm, node._otrs, 1, events)
-      if found or fsm._structure ~= structure then return found, event end
+      if found or fsm._merges ~= merges then return found, event end
     end
     if traces then report(fsm, "dbg", "TRANSITION", "no enabled paths found") end
   end
@@ -1746,7 +1747,7 @@ do
   -- `candidates` are given, which `event` has, no other transitions are tried. If a
   -- guard calls `fsm_merge`, the search is repeated once.
   function choose(fsm, leaf, events, candidates, event, is_again)
-    local structure, found = fsm._structure
+    local merges, found = fsm._merges, nil
     if not candidates then
       if events[1] == nil then return nil end
       if not is_traced(fsm) then candidates, event = candidates_of(leaf, events) end
@@ -1757,28 +1758,10 @@ do
     else
       found, event = choose_by_node(fsm, leaf, events)
     end
-    if fsm._structure == structure then return found, event end
+    if fsm._merges == merges then return found, event end
     if is_again then return nil end
     return choose(fsm, leaf, events, nil, nil, true)
   end
-end
-
--- Warns of events that are lost: they were sent before the first entry, the entry
--- consumes them, and no transition of its path names them.
-local function warn_of_lost_events(fsm, path, events)
-  if rfsm.is_strict(fsm) then return end -- rfsm/strict.lua has warned already
-  local lost = {}
-  for i = 1, #events do
-    local is_named = rawequal(events[i], "e_init_fsm")
-    for _, segment in ipairs(path.segments) do
-      is_named = is_named or segment.tr.events[1] ~= nil
-        and matches(segment.tr, { events[i] })
-    end
-    if not is_named then lost[#lost + 1] = events[i] end
-  end
-  if lost[1] == nil then return end
-  report(fsm, "warn", "WARNING: sent before the machine was entered, which consumes "
-    .. "them: " .. list_text(lost))
 end
 
 -- The path of the first entry begins here, and for a root without states ends here.
@@ -1788,30 +1771,6 @@ local function entrance_of(fsm)
   return fsm._entrance
 end
 
--- Returns the first entry's path, from the root's `initial`; nil if none is enabled.
-local function find_entry(fsm, events)
-  local found, event = nil, events[1]
-  fsm._search = fsm._search + 1
-  if not fsm._is_leaf then
-    found, event = first_enabled(fsm, rawget(fsm, "initial")._otrs, 1, events)
-    if not found then return nil end
-  end
-  local path = path_of(entrance_of(fsm), found, fsm._ways)
-  warn_of_lost_events(fsm, path, events)
-  return path, event
-end
-
--- Reports that no path leads into the machine, and makes the events pending again.
-local function refuse_entry(fsm, events)
-  report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
-    .. "events: " .. list_text(events))
-  put_back(fsm)
-  if fsm._reset_wanted then reset_now(fsm) end
-  fsm._is_usual = true
-  raise_failure(fsm)
-  return nil
-end
-
 -- Returns the innermost active state.
 local function innermost(fsm)
   local state = fsm
@@ -1819,48 +1778,95 @@ local function innermost(fsm)
   return state
 end
 
--- Takes a path. `leaf` is the active leaf, or nil at the first entry; `event` is the
--- event that counts for the first segment.
-local function take_path(fsm, leaf, path, event)
-  local run = leaf and fsm.dbg == silent and (path.run or compiled(fsm, path))
-  fsm._at = 0
-  if run then
-    run(fsm, event, true)
-  else
-    fsm._path = path
-    fsm._event = event
-    fsm._phase = "take"
-    perform(fsm)
-  end
-  return conclude(fsm, "counted")
-end
+local follow
 
--- Continues after a search from a leaf: takes the path that begins with the segment
--- found. If none was found, runs the doo or ends the iteration.
-local function follow(fsm, after_free, leaf, found, event)
-  if fsm._act_leaf ~= leaf then -- a guard has moved the machine
-    leaf = innermost(fsm)
-    if found and found.lca._mode == "inactive" then found = nil end
+do
+  -- Warns of events that are lost: they were sent before the first entry, the entry
+  -- consumes them, and no transition of its path names them.
+  local function warn_of_lost_events(fsm, path, events)
+    if rfsm.is_strict(fsm) then return end -- rfsm/strict.lua has warned already
+    local lost = {}
+    for i = 1, #events do
+      local is_named = rawequal(events[i], "e_init_fsm")
+      for _, segment in ipairs(path.segments) do
+        is_named = is_named or segment.tr.events[1] ~= nil
+          and matches(segment.tr, { events[i] })
+      end
+      if not is_named then lost[#lost + 1] = events[i] end
+    end
+    if lost[1] == nil then return end
+    report(fsm, "warn", "WARNING: sent before the machine was entered, which consumes "
+      .. "them: " .. list_text(lost))
   end
-  if found then return take_path(fsm, leaf, path_of(leaf, found, fsm._ways), event) end
-  if fsm._curq[1] == nil or after_free then
+
+  -- Returns the first entry's path, from the root's `initial`; nil if none is enabled.
+  local function find_entry(fsm, events)
+    local found, event = nil, events[1]
+    fsm._search = fsm._search + 1
+    if not fsm._is_leaf then
+      found, event = first_enabled(fsm, rawget(fsm, "initial")._otrs, 1, events)
+      if not found then return nil end
+    end
+    local path = path_of(fsm, entrance_of(fsm), found, fsm._ways)
+    warn_of_lost_events(fsm, path, events)
+    return path, event
+  end
+
+  -- Reports that no path leads into the machine, and makes the events pending again.
+  local function refuse_entry(fsm, events)
+    report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
+      .. "events: " .. list_text(events))
+    put_back(fsm)
+    if fsm._reset_wanted then reset_now(fsm) end
+    fsm._is_usual = true
+    raise_failure(fsm)
+    return nil
+  end
+
+  -- Takes a path. `leaf` is the active leaf, or nil at the first entry; `event` is the
+  -- event that counts for the first segment.
+  local function take_path(fsm, leaf, path, event)
+    local run = leaf and fsm.dbg == silent and (path.run or compiled(fsm, path))
     fsm._at = 0
-    fsm._phase = "doo"
-    return PHASES.doo(fsm)
+    if run then
+      run(fsm, event, true)
+    else
+      fsm._path = path
+      fsm._event = event
+      fsm._phase = "take"
+      perform(fsm)
+    end
+    return conclude(fsm, "counted")
   end
-  return conclude(fsm, "free")
-end
 
--- The phase "search". `choice` is the list of the candidates of `event`, or nil if it
--- is not known.
-function search(fsm, after_free, choice, event)
-  local leaf, events = fsm._act_leaf, fsm._curq
-  if leaf then
-    return follow(fsm, after_free, leaf, choose(fsm, leaf, events, choice, event))
+  -- Continues after a search from a leaf: takes the path that begins with the segment
+  -- found. If none was found, runs the doo or ends the iteration.
+  function follow(fsm, after_free, leaf, found, event)
+    if fsm._act_leaf ~= leaf then -- a guard has moved the machine
+      leaf = innermost(fsm)
+      if found and found.lca._mode == "inactive" then found = nil end
+    end
+    if found then
+      return take_path(fsm, leaf, path_of(fsm, leaf, found, fsm._ways), event)
+    elseif fsm._curq[1] == nil or after_free then
+      fsm._at = 0
+      fsm._phase = "doo"
+      return PHASES.doo(fsm)
+    end
+    return conclude(fsm, "free")
   end
-  local path, first = find_entry(fsm, events)
-  if not path then return refuse_entry(fsm, events) end
-  return take_path(fsm, nil, path, first)
+
+  -- The phase "search". `choice` is the list of the candidates of `event`, or nil if it
+  -- is not known.
+  function search(fsm, after_free, choice, event)
+    local leaf, events = fsm._act_leaf, fsm._curq
+    if leaf then
+      return follow(fsm, after_free, leaf, choose(fsm, leaf, events, choice, event))
+    end
+    local path, first = find_entry(fsm, events)
+    if not path then return refuse_entry(fsm, events) end
+    return take_path(fsm, nil, path, first)
+  end
 end
 
 -- Take: the actions of a path .....................................................
@@ -1868,34 +1874,103 @@ end
 -- A path has a flat list of actions, which are functions f(fsm, arg, at), and a second
 -- list with the `arg` of each action, such as a state. `at` is the position.
 
--- Calls hooks of extensions in the action at position `at`, from number `i` on. Each
--- hook gets a fractional position after `at - 1`, so that no hook is called again after
--- an interrupt, unless it may be repeated. No loop, as in `run_hooks`.
-local function call_hooks(fsm, hooks, what, at, i)
-  i = i or 1
-  local hook = hooks and hooks[i]
-  if not hook then return end
-  local number = at - 1 + i / #hooks
-  if fsm._at < number then
-    local may_repeat = promises[hook] == "repeatable"
-    if not may_repeat then fsm._at = number end
-    local ok, failure = pcall(hook, fsm, what, fsm._event)
-    if not ok then
-      if may_repeat then error(failure, 0) end
-      keep_failure(fsm, failure)
-    end
-    fsm._at = number
+local actions = {}
+
+-- Calls a hook of an extension. One that may be repeated is noted when it has returned.
+local function call_hook(fsm, hook, subject, at)
+  local may_repeat = promises[hook] == "repeatable"
+  if not may_repeat then fsm._at = at end
+  local ok, failure = pcall(hook, fsm, subject, fsm._event)
+  if not ok then
+    if may_repeat then error(failure, 0) end
+    keep_failure(fsm, failure)
   end
-  return call_hooks(fsm, hooks, what, at, i + 1)
+  fsm._at = at
 end
 
--- Calls the path hooks with the list of the transitions that are about to be taken. The
+-- Calls an entry or exit hook.
+function actions.hook(fsm, arg, at) call_hook(fsm, arg.hook, arg.state, at) end
+
+-- Calls a path hook with the list of the transitions that are about to be taken. The
 -- list is empty at the entry of a root without states.
-local function show_path(fsm, path, at)
-  if not fsm._path_hooks then return end
+function actions.path_hook(fsm, arg, at)
   local list = {}
-  for i, segment in ipairs(path.segments) do list[i] = segment.tr end
-  call_hooks(fsm, fsm._path_hooks, list, at)
+  for i, segment in ipairs(arg.path.segments) do list[i] = segment.tr end
+  call_hook(fsm, arg.hook, list, at)
+end
+
+local function run_callback(fsm, owner, name, at, ...)
+  local callback = owner[name]
+  if not callback then return end
+  fsm._at = at
+  local ok, failure = pcall(callback, fsm, owner, name, ...)
+  if not ok then report_callback(fsm, name, owner, callback, failure) end
+end
+
+function actions.effect(fsm, segment, at)
+  local tr = segment.tr
+  if tr.effect and not promises[tr.effect] then fsm._is_lent = true end
+  run_callback(fsm, tr, "effect", at, fsm._curq, fsm._event)
+end
+
+-- Begins a segment that is not the first one of its path.
+function actions.go_through(fsm, connector)
+  fsm._event = fsm._ways[connector].event
+end
+
+function actions.exit(fsm, state, at)
+  state._mode = "inactive"
+  state._parent._actchild = nil
+  run_callback(fsm, state, "exit", at, fsm._event)
+end
+
+function actions.be_left(fsm, state)
+  if fsm._act_leaf == state then fsm._act_leaf = false end
+  if state._doo_co then state._doo_co = nil end
+end
+
+function actions.become_active(_, state)
+  state._mode = "active"
+  if state._depth > 0 then state._parent._actchild = state end
+end
+
+function actions.entry(fsm, state, at)
+  run_callback(fsm, state, "entry", at, fsm._event)
+end
+
+-- A leaf without doo is done at once. After an interrupt e_done may be queued twice,
+-- without harm: an event that is current twice has the effect of one.
+function actions.be_done(fsm, leaf, at)
+  local queue = fsm._intq
+  if leaf.doo then return end
+  queue[#queue + 1] = leaf._done_event
+  leaf._mode = "done"
+  fsm._at = at
+end
+
+-- Has the machine, or an extension, made the event?
+local function is_made(event)
+  if type(event) ~= "string" then return false end
+  if event == "e_init_fsm" or event:find("^e_done@root") then return true end
+  for _, maker in ipairs(rfsm.makers) do
+    if maker(event) then return true end
+  end
+  return false
+end
+
+-- Makes events pending again, ahead of the queue, that the machine itself has made, such
+-- as the event of a timer, if an internal transition was taken that does not name them:
+-- nothing was left, so they would never come again.
+function actions.keep_made(fsm, segment)
+  local tr, leaf, made = segment.tr, fsm._act_leaf, {}
+  for _, event in ipairs(leaf and tr.events[1] ~= nil and fsm._curq or NONE) do
+    if event ~= "e_init_fsm" and is_made(event) and choice_of(leaf, event)[1]
+      and not matches(tr, { event }) then
+      made[#made + 1] = event
+    end
+  end
+  -- after an interrupt they are there already
+  if made[1] and fsm._intq[1] ~= made[1] then fsm._intq = append(made, fsm._intq) end
 end
 
 -- Actions that report a record of the trace to `dbg`, by kind of record.
@@ -1953,189 +2028,124 @@ do
   end
 end
 
-local function run_callback(fsm, owner, name, at, ...)
-  local callback = owner[name]
-  if not callback then return end
-  fsm._at = at
-  local ok, failure = pcall(callback, fsm, owner, name, ...)
-  if not ok then report_callback(fsm, name, owner, callback, failure) end
-end
-
-local function run_effect(fsm, segment, at)
-  local tr = segment.tr
-  if tr.effect and not promises[tr.effect] then fsm._is_lent = true end
-  run_callback(fsm, tr, "effect", at, fsm._curq, fsm._event)
-end
-
--- Begins a segment that is not the first one of its path.
-local function go_through(fsm, connector)
-  fsm._event = fsm._ways[connector].event
-end
-
-local function leave(fsm, state, at)
-  state._mode = "inactive"
-  state._parent._actchild = nil
-  run_callback(fsm, state, "exit", at, fsm._event)
-end
-
-local function run_exit_hooks(fsm, state, at)
-  local hooks = fsm._exit_hooks
-  if hooks and hooks[state] then call_hooks(fsm, hooks[state], state, at) end
-end
-
-local function be_left(fsm, state)
-  if fsm._act_leaf == state then fsm._act_leaf = false end
-  if state._doo_co then state._doo_co = nil end
-end
-
-local function become_active(fsm, state, at)
-  local hooks = fsm._entry_hooks
-  state._mode = "active"
-  if state._depth > 0 then state._parent._actchild = state end
-  if hooks and hooks[state] then call_hooks(fsm, hooks[state], state, at) end
-end
-
-local function enter(fsm, state, at)
-  run_callback(fsm, state, "entry", at, fsm._event)
-end
-
-local function become_leaf(fsm, leaf, at)
+function actions.become_leaf(fsm, leaf, at)
   fsm._act_leaf = leaf
   if not leaf.doo then recorders.done(fsm, leaf, at) end
 end
 
--- A leaf without doo is done at once. After an interrupt e_done may be queued twice,
--- without harm: an event that is current twice has the effect of one.
-local function be_done(fsm, leaf, at)
-  local queue = fsm._intq
-  if leaf.doo then return end
-  queue[#queue + 1] = leaf._done_event
-  leaf._mode = "done"
-  fsm._at = at
-end
-
--- Has the machine, or an extension, made the event?
-local function is_made(event)
-  if type(event) ~= "string" then return false end
-  if event == "e_init_fsm" or event:find("^e_done@root") then return true end
-  for _, maker in ipairs(rfsm.makers) do
-    if maker(event) then return true end
-  end
-  return false
-end
-
--- Makes events pending again that the machine itself has made, such as the event of a
--- timer, if an internal transition was taken that does not name them: nothing was left,
--- so they would never come again.
-local function keep_made(fsm, segment)
-  local tr, leaf, queue = segment.tr, fsm._act_leaf, fsm._intq
-  for _, event in ipairs(leaf and tr.events[1] ~= nil and fsm._curq or NONE) do
-    if event ~= "e_init_fsm" and is_made(event) and choice_of(leaf, event)[1]
-      and not matches(tr, { event }) then
-      queue[#queue + 1] = event
-    end
-  end
-end
-
--- Lists the actions of a path, and their arguments.
-local list_actions
+local new_path
 
 do
-  local function add_action(list, action, arg)
+  -- Lists the actions of a path, and their arguments.
+  local function add(list, action, arg)
     list.actions[#list.actions + 1] = action
     list.args[#list.actions] = arg
   end
 
+  local function add_hooks(list, hooks, state)
+    for _, hook in ipairs(hooks and hooks[state] or NONE) do
+      add(list, actions.hook, { hook = hook, state = state })
+    end
+  end
+
   -- Adds the exits of the states from `from` up to the lca, which stays active.
-  local function add_exits(list, segment, from)
-    add_action(list, recorders.exits, segment)
+  local function add_exits(fsm, list, segment, from)
+    add(list, recorders.exits, segment)
     while from ~= segment.lca do
-      add_action(list, leave, from)
-      add_action(list, run_exit_hooks, from)
-      add_action(list, be_left, from)
-      add_action(list, recorders.exit, from)
+      add(list, actions.exit, from)
+      add_hooks(list, fsm._exit_hooks, from)
+      add(list, actions.be_left, from)
+      add(list, recorders.exit, from)
       from = from._parent
     end
   end
 
-  local function add_entry(list, state)
-    add_action(list, become_active, state)
-    add_action(list, enter, state)
+  local function add_entry(fsm, list, state)
+    add(list, actions.become_active, state)
+    add_hooks(list, fsm._entry_hooks, state)
+    add(list, actions.entry, state)
     if state._is_leaf then
       done_event(state)
-      add_action(list, become_leaf, state)
-      add_action(list, be_done, state)
+      add(list, actions.become_leaf, state)
+      add(list, actions.be_done, state)
     end
-    add_action(list, recorders.entry, state)
+    add(list, recorders.entry, state)
   end
 
   local shapes = {} -- a tree of all lists of actions, with one action per level
 
   -- Returns an equal list of actions. All paths with the same actions share this list.
-  local function shared(actions)
+  local function shared(list)
     local at = shapes
-    for _, action in ipairs(actions) do
+    for _, action in ipairs(list) do
       at[action] = at[action] or {}
       at = at[action]
     end
-    at.list = at.list or actions
+    at.list = at.list or list
     return at.list
+  end
+
+  -- Does a segment behind a connector name events, so that another event counts for it?
+  local function has_inner_events(path)
+    for i = 2, #path.segments do
+      if path.segments[i].tr.events[1] ~= nil then return true end
+    end
+    return false
   end
 
   -- Lists for each segment (a) the exits of the states below the lca, (b) the effect,
   -- (c) the entries of the states from below the lca to the target.
-  function list_actions(path)
+  local function list_actions(fsm, path)
     local from, list = path.from, { actions = {}, args = {} }
-    add_action(list, show_path, path)
-    if path.entered then add_entry(list, path.entered) end
-    if path.segments[1] then add_action(list, recorders.path, path) end
-    local names_events = false
-    for i = 2, #path.segments do
-      names_events = names_events or path.segments[i].tr.events[1] ~= nil
+    local has_events = has_inner_events(path)
+    for _, hook in ipairs(fsm._path_hooks or NONE) do
+      add(list, actions.path_hook, { hook = hook, path = path })
     end
+    if path.entered then add_entry(fsm, list, path.entered) end
+    if path.segments[1] then add(list, recorders.path, path) end
     for i, segment in ipairs(path.segments) do
-      if i > 1 and names_events then add_action(list, go_through, segment.tr.src) end
-      if not segment.is_internal then add_exits(list, segment, from) end
-      add_action(list, recorders.effect, segment)
-      add_action(list, run_effect, segment)
-      add_action(list, segment.is_internal and keep_made or recorders.entries, segment)
-      for _, state in ipairs(segment.entries) do add_entry(list, state) end
+      if i > 1 and has_events then add(list, actions.go_through, segment.tr.src) end
+      if not segment.is_internal then add_exits(fsm, list, segment, from) end
+      add(list, recorders.effect, segment)
+      add(list, actions.effect, segment)
+      add(list, segment.is_internal and actions.keep_made or recorders.entries, segment)
+      for _, state in ipairs(segment.entries) do add_entry(fsm, list, state) end
       from = segment.tgt._parent
     end
-    path.args = list.args
+    path.args, fsm._has_paths = list.args, true
     path.actions = shared(list.actions) -- set last: it marks completion
   end
-end
 
-local function new_path(at, segment)
-  local path = {
-    from = at.from or at, entered = at.entered,
-    segments = append(append({}, at.segments or NONE), { segment }),
-  }
-  at._paths = at._paths or {}
-  at._paths[segment] = path
-  return path
-end
-
--- Returns the path that continues `at` with a segment and, at each connector reached,
--- with the segment noted in `ways`. Paths are kept in a tree. Its roots are the leaves
--- and the entrance of the machine; `at` is a root or a part of a path.
-function path_of(at, segment, ways)
-  if segment then -- no loop, because LuaJIT would not compile a loop around this one
-    at = at._paths and at._paths[segment] or new_path(at, segment)
-    if segment.connector then
-      return path_of(at, ways[segment.connector].way, ways)
-    end
+  function new_path(at, segment)
+    local path = {
+      from = at.from or at, entered = at.entered,
+      segments = append(append({}, at.segments or NONE), { segment }),
+    }
+    at._paths = at._paths or {}
+    at._paths[segment] = path
+    return path
   end
-  if not at.actions then list_actions(at) end
-  return at
+
+  -- Returns the path that continues `at` with a segment and, at each connector reached,
+  -- with the segment noted in `ways`. Paths are kept in a tree. Its roots are the leaves
+  -- and the entrance of the machine; `at` is a root or a part of a path.
+  function path_of(fsm, at, segment, ways)
+    if segment then -- no loop, because LuaJIT would not compile a loop around this one
+      at = at._paths and at._paths[segment] or new_path(at, segment)
+      if segment.connector then
+        return path_of(fsm, at, ways[segment.connector].way, ways)
+      end
+    end
+    if not at.actions then list_actions(fsm, at) end
+    return at
+  end
 end
 
 -- Performs the actions of `_path` after the one that was begun last. Returns true.
 function perform(fsm)
-  local path, begun = fsm._path, fsm._at
-  local actions, args = path.actions, path.args
-  for at = begun - begun % 1 + 1, #actions do actions[at](fsm, args[at], at) end
+  local path = fsm._path
+  local list, args = path.actions, path.args
+  for at = fsm._at + 1, #list do list[at](fsm, args[at], at) end
   return true
 end
 
@@ -2144,18 +2154,15 @@ function PHASES.take(fsm)
   return conclude(fsm, "counted")
 end
 
-local drop_fast, load_fast, prepare_choice, prepare_entry, quick_run
+local compile_path, drop_fast, load_fast, quick_run
 
 do
   local fast -- the functions of rfsm/fast.lua, false without it
 
   local function make_fast()
     return loadstring and require("rfsm.fast") {
-      loadstring = loadstring, silent = silent, promises = promises,
-      perform = perform, failed = report_callback, call_hooks = call_hooks,
-      show_path = show_path, run_effect = run_effect, leave = leave,
-      run_exit_hooks = run_exit_hooks, be_left = be_left, become_active = become_active,
-      enter = enter, go_through = go_through, keep_made = keep_made,
+      loadstring = loadstring, silent = silent, promises = promises, actions = actions,
+      perform = perform, failed = report_callback,
     }
   end
 
@@ -2176,10 +2183,10 @@ do
   -- can be made. `run(fsm, event)` does nothing and returns false if a guard or a
   -- changed target requires a search; `run(fsm, event, true)` is called after the
   -- search.
-  local function compile_path(fsm, path)
-    local ok, run = pcall(fast or silent, fsm, path)
+  function compile_path(path)
+    local ok, run = pcall(fast or silent, path)
     if not ok and run ~= "not enough memory" then error(run, 0) end
-    path.run, fsm._is_compiled = ok and run or false, true
+    path.run = ok and run or false
     return path.run
   end
 
@@ -2189,7 +2196,7 @@ do
     if path.run ~= nil then return path.run end
     path.used = (path.used or 0) + 1
     if fast and path.used <= OFTEN then return false end
-    return compile_path(fsm, path)
+    return compile_path(path)
   end
 
   local function is_hooked(fsm, tr) return fsm._guard_hooks and fsm._guard_hooks[tr] end
@@ -2211,7 +2218,7 @@ do
       ways[segment.connector] = { way = next_one }
       segment, count = next_one, count + 1
     end
-    return segment and path_of(leaf, first, ways)
+    return segment and path_of(fsm, leaf, first, ways)
   end
 
   -- Returns the function that takes a path without a search, if `choice` has only one
@@ -2225,41 +2232,6 @@ do
     if not path or path.run ~= nil then choice.run = run end
     return run
   end
-
-  -- Limits of `rfsm.prepare`: the number of paths for a leaf and an event, and the
-  -- number of segments in a path.
-  local MOST_PATHS, MOST_SEGMENTS = 50, 6
-  local paths_left = 0
-
-  -- Makes the paths that continue `at` with a transition, and compiles them.
-  local function prepare_paths(fsm, at, tr)
-    local segment = segment_of(fsm, tr)
-    if not segment then return end
-    local path = at._paths and at._paths[segment] or new_path(at, segment)
-    if not segment.connector then
-      paths_left = paths_left - 1
-      return compile_path(fsm, path_of(path))
-    end
-    local otrs = #path.segments < MOST_SEGMENTS and segment.connector._otrs or NONE
-    for _, way in ipairs(otrs) do
-      if paths_left > 0 then prepare_paths(fsm, path, way) end
-    end
-  end
-
-  -- Makes and compiles the paths that continue `at` with each transition of a list.
-  local function prepare_list(fsm, at, list)
-    paths_left = MOST_PATHS
-    for _, tr in ipairs(list) do prepare_paths(fsm, at, tr) end
-  end
-
-  function prepare_entry(fsm)
-    prepare_list(fsm, entrance_of(fsm), fsm._is_leaf and NONE or fsm.initial._otrs)
-  end
-
-  function prepare_choice(fsm, leaf, choice)
-    prepare_list(fsm, leaf, choice)
-    quick_run(fsm, leaf, choice)
-  end
 end
 
 -- Doo ............................................................................
@@ -2267,6 +2239,8 @@ end
 local run_doo
 
 do
+  local coroutine = find_global "coroutine"
+
   -- Drops the coroutine last. After an interrupt the next step drops it in `end_doo`.
   local function fail_doo(fsm, leaf, failure)
     report_callback(fsm, "doo", leaf, nil, failure)
@@ -2335,7 +2309,7 @@ local function finish_cycle(fsm, idle)
   if idle and fsm._curq[1] == nil and fsm.getevents ~= no_events
     and (fsm._at < 3 or fsm._given) then
     fsm._at = 3
-    append_getevents(fsm, fsm._intq)
+    append_getevents(fsm, "_intq")
   end
   return conclude(fsm, idle and "idle" or "counted")
 end
@@ -2391,8 +2365,7 @@ local function go_on(fsm, after_free)
   fsm._is_cut = false
   if fsm._phase == "idle" then
     fsm._turn = fsm._turn + 1
-    fsm._hook = -1
-    fsm._phase = "gather"
+    fsm._phase = "begin"
   end
   return PHASES[fsm._phase](fsm, after_free)
 end
@@ -2410,12 +2383,8 @@ do
   local function iterate_hooked(fsm, after_free, leaf) -- luacheck: ignore 561
     local hooks, has_getevents, events = fsm._before, false, fsm._intq
     local spare = fsm._curq
-    if hooks and hooks.takes_one then
-      events = spare
-    else
-      fsm._curq = events
-      fsm._intq = spare
-    end
+    fsm._curq = events
+    fsm._intq = spare
     if hooks then
       fsm._turn = fsm._turn + 1
       local hook = hooks.one
@@ -2429,6 +2398,7 @@ do
         run_hooks(fsm, hooks, 1)
       end
       fsm._phase = "search"
+      events = fsm._curq -- getevents and `take_one` may replace the list
       has_getevents = hooks.has_getevents
       if not fsm._is_usual or fsm._act_leaf ~= leaf or fsm.dbg ~= silent then
         return search(fsm, after_free)
@@ -2500,7 +2470,7 @@ do
     if not fsm._is_usual or fsm.dbg ~= silent or fsm._act_leaf ~= leaf then
       return nil
     end
-    return path_of(leaf, segment, fsm._ways).run
+    return path_of(fsm, leaf, segment, fsm._ways).run
   end
 
   -- Makes one iteration. Returns whether it counts as a step and whether the machine is
@@ -2585,23 +2555,6 @@ end
 
 local check_machine = rfsm.check_machine
 
---- Return a table that stands for the structure of a machine, for extensions.
---
--- A machine gets another table from `fsm_merge`.
---
----@param fsm rfsm.Machine
----@return table structure
-function rfsm.structure_of(fsm)
-  check_machine(fsm, "rfsm.structure_of")
-  return fsm._structure
-end
-
---- Return the FQN of a transition's target in the model, for extensions.
----@param tr rfsm.Transition a transition of a machine
----@return string fqn "internal" for an internal transition
-function rfsm.target_of(tr)
-  return tr._is_internal and "internal" or tr._target._fqn
-end
 
 local function check_function(f, where)
   if not is_callable(f) then error(where .. ": function expected, " .. got(f), 3) end
@@ -2704,8 +2657,6 @@ do
   interpret(set_hooks)
 end
 
---- Use less memory and more time from now on: rfsm/fast.lua compiles nothing more.
-function rfsm.save_memory() drop_fast() end
 
 local function report_lines(fsm, name, list)
   if fsm[name] == silent then return end
@@ -2914,13 +2865,6 @@ function rfsm.verify_early(model)
   return not build.problems[1], lines_of(build.problems), lines_of(build.warnings)
 end
 
---- Warn of each state or connector that no transition leaves.
----@param fsm rfsm.Machine
----@return boolean is_clean true if there is no such node
-function rfsm.check_no_otrs(fsm)
-  check_machine(fsm, "rfsm.check_no_otrs")
-  return report_dead_ends(fsm, 1)
-end
 
 -- Use: what a program does with a machine --------------------------------------------
 
@@ -2965,19 +2909,6 @@ local function try(fsm, after_free)
   return counted, idle
 end
 
---- Raise an error if a step is under way, for extensions.
---
--- The error blames the caller's caller. A step that was cut short is finished first.
---
----@param fsm rfsm.Machine
----@param where string the public function
-function rfsm.check_between_steps(fsm, where)
-  check_machine(fsm, where, 4)
-  check_no_step(fsm, where, 4)
-  if fsm._phase ~= "idle" then try(fsm) end
-end
-
-local check_between_steps = rfsm.check_between_steps
 
 -- Iterates until `left` iterations have counted as steps or the machine is idle. The
 -- result is true if it is idle. `counted` and `idle` come from the last iteration.
@@ -3071,10 +3002,9 @@ end
 ---@return integer waiting length of the queue
 function rfsm.check_events(fsm)
   check_machine(fsm, "rfsm.check_events")
-  local events, failure = ask_getevents(fsm)
-  if not events then error(failure, 0) end
-  append(fsm._intq, events)
-  fsm._given = false
+  local given, failure = ask_getevents(fsm)
+  if not given then error(failure, 0) end
+  append_given(fsm, given, "_intq")
   return #fsm._intq
 end
 
@@ -3157,170 +3087,6 @@ function rfsm.elements(obj, pred)
   return append(list, rfsm.mapfsm(itself, obj, pred)) -- `mapfsm` lists a root
 end
 
---- The field `_regions` of a state in which an extension runs machines.
----@class rfsm.Regions
----@field [integer] rfsm.Machine the machines, in the order in which they are stepped
----@field names any[] the names of these machines, in the same order
----@field entry? function the user's entry, if the extension has replaced it
----@field exit? function the user's exit, if the extension has replaced it
-
---- List the machines that run in a state, in the order in which they are stepped.
----@param state rfsm.State a state of a machine
----@return rfsm.Machine[] regions empty if there are none; the caller must not change it
----@return rfsm.Regions? own the field `_regions`; nil if no machines run in the state
-function rfsm.regions(state)
-  local own = is_state(state) and rawget(state, "_regions")
-  if type(own) ~= "table" then return NONE, nil end
-  return append({}, own), own
-end
-
---- List the nodes to which a transition may lead.
---
--- An extension may change the target of a transition so that it leads to any node in a
--- composite. Then the extension keeps the model's target in the field `_initial`.
---
----@param tr rfsm.Transition a transition of a machine
----@return (rfsm.State|rfsm.Connector)[] targets the target; or `_initial` and all nodes
--- of the composite that contains it
-function rfsm.targets(tr)
-  local initial = tr._initial
-  if not initial then return { tr.tgt } end
-  return append({ initial }, rfsm.elements(initial._parent, rfsm.is_node))
-end
-
---- A machine, and where it runs.
----@class rfsm.Place
----@field machine rfsm.Machine
----@field owner rfsm.Machine|false the parent machine, whose state runs it
----@field state rfsm.State|false the state of the parent machine that runs it
----@field prefix string "root", or the name of the region: "root.arms.left"
-
---- List a machine, then the regions in its states, at any depth.
----@param fsm rfsm.Machine
----@return rfsm.Place[] places
-function rfsm.machines(fsm)
-  check_machine(fsm, "rfsm.machines")
-  local places = {}
-  local function visit(machine, owner, state, prefix)
-    places[#places + 1] = {
-      machine = machine, owner = owner, state = state, prefix = prefix,
-    }
-    for _, leaf in ipairs(rfsm.elements(machine, rfsm.is_leaf)) do
-      local regions, own = rfsm.regions(leaf)
-      for i, region in ipairs(regions) do
-        local name = text_of(own.names[i])
-        visit(region, machine, leaf, prefix .. leaf._fqn:sub(5) .. "." .. name)
-      end
-    end
-  end
-  visit(fsm, false, false, "root")
-  return places
-end
-
-do
-  -- Returns the node with a name such as "root.par.left.a" in a machine or its regions.
-  local function find_by_name(fsm, name)
-    for _, at in ipairs(rfsm.machines(fsm)) do
-      for _, node in ipairs(at.machine._nodes) do
-        if at.prefix .. node._fqn:sub(5) == name then return node end
-      end
-    end
-  end
-
-  --- Is a state of the machine, or of one of its regions, active?
-  ---@param fsm rfsm.Machine
-  ---@param state rfsm.State|string a state, or a name such as "root.par.left.a"
-  ---@return boolean
-  function rfsm.is_in(fsm, state)
-    check_machine(fsm, "rfsm.is_in")
-    local node = type(state) == "string" and find_by_name(fsm, state) or state
-    if not is_state(node) or not node._mode then
-      error("rfsm.is_in: state of the machine expected, " .. got(state)
-        .. (type(state) == "string" and advise("state_name", fsm, state) or ""), 2)
-    end
-    return node._mode ~= "inactive"
-  end
-end
-
---- Compile a machine completely now, not while it runs.
---
--- Without this call a path is compiled when it has been taken a few times. This is also
--- true of paths that change later, by `fsm_merge` or because a first hook is set.
---
----@param fsm rfsm.Machine
-function rfsm.prepare(fsm)
-  check_machine(fsm, "rfsm.prepare")
-  for _, at in ipairs(rfsm.machines(fsm)) do
-    local machine = at.machine
-    prepare_entry(machine)
-    for _, node in ipairs(machine._nodes) do
-      if not node._mode then note_of(machine, node) end
-      for _, choice in pairs(node._is_leaf and list_choices(node) or NONE) do -- any order
-        prepare_choice(machine, node, choice)
-      end
-    end
-  end
-end
-
--- Tools: functions that inspect or move a machine. No iteration calls them .........
-
---- Call `f(fsm, state)` for each state from `from` up or down to `to`, both included.
--- @raise when neither is an ancestor of the other
----@param fsm rfsm.Machine
----@param f fun(fsm: rfsm.Machine, state: rfsm.State): any
----@param from rfsm.State where to begin
----@param to rfsm.State an ancestor or descendant of `from`
----@return any[] results the results of f, in order, without nils
-function rfsm.map_from_to(fsm, f, from, to)
-  check_machine(fsm, "rfsm.map_from_to")
-  check_function(f, "rfsm.map_from_to")
-  if not (is_node_of(fsm, from) and is_node_of(fsm, to)) then
-    error("rfsm.map_from_to: two nodes of the fsm expected, " .. got(from) .. " and "
-      .. got(to), 2)
-  end
-  local up, down, results = from._depth, to._depth, {}
-  local line = line_to(up >= down and from or to)
-  if line[up + 1] ~= from or line[down + 1] ~= to then
-    error(("rfsm.map_from_to: '%s' and '%s' are not on one line"):format(from._fqn,
-      to._fqn), 2)
-  end
-  for depth = up, down, up > down and -1 or 1 do
-    results[#results + 1] = f(fsm, line[depth + 1])
-  end
-  return results
-end
-
---- Find the path that events would enable from a node, without taking it.
---
--- A path is a table { node, nextl }. `nextl` is a list of tables { trans, next }, whose
--- `next` is the rest of the path. At the end of the path `nextl` is false.
---
----@param fsm rfsm.Machine
----@param node rfsm.State|rfsm.Connector
----@param events any[]
----@return table|false path false if no path is enabled
-function rfsm.node_find_enabled(fsm, node, events)
-  check_machine(fsm, "rfsm.node_find_enabled")
-  if not is_node_of(fsm, node) then
-    error("rfsm.node_find_enabled: node of the fsm expected, " .. got(node), 2)
-  end
-  if type(events) ~= "table" then
-    error("rfsm.node_find_enabled: list of events expected, " .. got(events), 2)
-  end
-  local ways, number = fsm._ways, fsm._search -- a guard may call this
-  fsm._ways, fsm._search = {}, 1
-  local segment = first_enabled(fsm, node._otrs, 1, events)
-  local path = segment and { node = node, nextl = false } or false
-  local at = path
-  while segment do
-    local tail = { node = segment.tgt, nextl = false }
-    at.nextl = { { trans = segment.tr, next = tail } }
-    at, segment = tail, segment.connector and fsm._ways[segment.connector].way
-  end
-  fsm._ways, fsm._search = ways, number
-  return path
-end
-
 --- Exit a state and the active states below it, the innermost first.
 ---@param fsm rfsm.Machine
 ---@param state rfsm.State
@@ -3331,58 +3097,132 @@ function rfsm.exit_state(fsm, state)
   end
   if state._mode == "inactive" then return end
   if state._actchild then rfsm.exit_state(fsm, state._actchild) end
-  local at = fsm._at -- a callback of a path may call this
-  fsm._at = 0
-  leave(fsm, state, 1)
-  run_exit_hooks(fsm, state, 2)
-  be_left(fsm, state)
-  recorders.exit(fsm, state, 3)
-  fsm._at = at
+  local at, event, hooks = fsm._at, fsm._event, fsm._exit_hooks
+  fsm._at, fsm._event = 0, nil -- a callback of a path may call this
+  actions.exit(fsm, state, 1)
+  if hooks then tell(fsm, hooks[state], state) end
+  actions.be_left(fsm, state)
+  recorders.exit(fsm, state, 2)
+  fsm._at, fsm._event = at, event
 end
 
--- Sets the mode of a state. Its ancestors become active, all other states inactive.
-local function move_to(state, mode)
-  local fsm = state
-  while fsm._parent ~= fsm do fsm = fsm._parent end
-  local left = fsm -- _actchild leads to all active states
-  while left do
-    local child = left._actchild
-    left._mode = "inactive"
-    if left._doo_co then left._doo_co = nil end
-    if child then rawset(left, "_actchild", nil) end
-    left = child
-  end
-  fsm._act_leaf = false
-  state._mode = mode
-  if mode ~= "inactive" and state._is_leaf then fsm._act_leaf = state end
-  while state ~= fsm do
-    local parent = state._parent
-    if state._mode ~= "inactive" then parent._actchild = state end
-    parent._mode, state = "active", parent
-  end
-end
+-- Hooks ...........................................................................
+--
+-- A list of hooks is replaced, never changed, so that a call of its hooks is not
+-- disturbed. rfsm/shared/types.lua describes the functions and their arguments.
 
---- Set the mode of a state.
---
--- Its ancestors become active, all other states inactive. No callback runs.
---
----@param state rfsm.State a state of a machine
----@param mode "active"|"inactive"|"done"
----@return string mode
-function rfsm.set_sta_mode(state, mode)
-  if not is_state(state) or type(state._index) ~= "number" then
-    error("rfsm.set_sta_mode: state of a fsm expected, " .. got(state), 2)
-  elseif mode ~= "active" and mode ~= "inactive" and mode ~= "done" then
-    error("rfsm.set_sta_mode: 'active', 'done' or 'inactive' expected, " .. got(mode),
-      2)
+do
+  local function is_state_of(fsm, state) return is_node_of(fsm, state, "state") end
+
+  local function is_trans_of(fsm, tr) return rfsm.is_trans(tr) and tr._fsm == fsm end
+
+  local WATCHED = { sent = true, failed = true, resumed = true, ended = true,
+    merged = true, discarded = true }
+
+  local function is_watched(_, what) return WATCHED[what] end
+
+  --- A kind of hooks: rfsm.<kind>_hook_add and _rm.
+  ---@class rfsm.HookKind
+  ---@field list string the field of the machine that has the hooks
+  ---@field is_subject? fun(fsm, subject): boolean hooks are for parts of the machine
+  ---@field expected? string text of a message, if `is_subject` returns false
+  ---@field own? string the field in which a program may set one hook of this kind
+  ---@field is_step? boolean called in each iteration
+  ---@field is_path? boolean the lists of actions contain these hooks
+  local KINDS_OF_HOOKS = {
+    pre_step = { list = "_pre_hooks", own = "pre_step_hook", is_step = true },
+    post_step = { list = "_post_hooks", own = "post_step_hook", is_step = true },
+    source = { list = "_source_hooks", is_step = true },
+    path = { list = "_path_hooks", is_path = true },
+    entry = { list = "_entry_hooks", is_path = true, is_subject = is_state_of,
+      expected = "state of the fsm" },
+    exit = { list = "_exit_hooks", is_path = true, is_subject = is_state_of,
+      expected = "state of the fsm" },
+    guard = { list = "_guard_hooks", is_path = true, is_subject = is_trans_of,
+      expected = "transition of the fsm" },
+    watch = { list = "_watch_hooks", is_subject = is_watched,
+      expected = "'sent', 'failed', 'resumed', 'ended', 'merged' or 'discarded'" },
+    reset = { list = "_reset_hooks" }, reaction = { list = "_reaction_hooks" },
+    waiting = { list = "_waiting_hooks" },
+  }
+
+  -- Hooks placed in "front" record events. They are called before hooks placed "before",
+  -- which may remove events. A list has the number of front hooks in `front`.
+  local PLACES = { front = true, before = true, after = true }
+
+  local function put_in(owner, field, hook, place)
+    local old = owner[field] or NONE
+    local hooks, front = append({}, old), old.front or 0
+    local before = place == "before" and front + 1 or #hooks + 1
+    insert(hooks, place == "front" and 1 or before, hook)
+    hooks.front = place == "front" and front + 1 or front
+    owner[field] = hooks
   end
-  local is_active, was_active = mode ~= "inactive", state._mode ~= "inactive"
-  if is_active ~= was_active or is_active and state._is_leaf then
-    local co = is_active and state._doo_co or nil
-    move_to(state, mode)
-    state._doo_co = co
+
+  -- Removes a hook from the list in a field of `owner`. An empty list becomes false, as
+  -- in a new machine. Returns true if the hook was in the list.
+  local function take_out(owner, field, hook)
+    local old = owner[field] or NONE
+    for i = 1, #old do
+      if rawequal(old[i], hook) then
+        local hooks, front = append({}, old), old.front or 0
+        table.remove(hooks, i)
+        hooks.front = i <= front and front - 1 or front
+        owner[field] = hooks[1] and hooks or false
+        if #hooks == 1 and hooks[1] == OWN then owner[field] = OWN_ONLY end
+        return true
+      end
+    end
+    return false
   end
-  return mode
+
+  local function note_change(fsm, kind)
+    if kind.is_step then list_hooks(fsm) end
+    if kind.is_path and fsm._has_paths then drop_paths(fsm) end
+  end
+
+  local function define_hooks(name, kind)
+    local where, field = "rfsm." .. name .. "_hook_add", kind.list
+
+    rfsm[name .. "_hook_add"] = function(fsm, subject, hook)
+      local place = nil
+      check_machine(fsm, where)
+      if not kind.is_subject then subject, hook, place = nil, subject, hook end
+      check_function(hook, where)
+      if place ~= nil and not PLACES[place] then
+        error(where .. ": 'before' or 'after' expected, " .. got(place), 2)
+      elseif not kind.is_subject then
+        put_in(fsm, field, hook, place)
+      elseif not kind.is_subject(fsm, subject) then
+        error(where .. ": " .. kind.expected .. " expected, " .. got(subject), 2)
+      else
+        fsm[field] = fsm[field] or {}
+        put_in(fsm[field], subject, hook)
+      end
+      note_change(fsm, kind)
+      if subject == "discarded" then rfsm.follow_fates(fsm) end
+    end
+
+    rfsm[name .. "_hook_rm"] = function(fsm, subject, hook)
+      local owner, key = fsm, field
+      check_machine(fsm, "rfsm." .. name .. "_hook_rm")
+      if kind.is_subject then
+        owner, key = fsm[field] or NONE, subject
+      else
+        hook = subject
+      end
+      local is_removed = take_out(owner, key, hook)
+      if is_removed then note_change(fsm, kind) end
+      if is_removed or not kind.own or hook == nil then return is_removed end
+      is_removed = rawequal(fsm[kind.own], hook)
+      if is_removed then fsm[kind.own] = nil end
+      return is_removed
+    end
+  end
+
+  for name, kind in pairs(KINDS_OF_HOOKS) do -- any order: independent entries
+    define_hooks(name, kind)
+  end
 end
 
 --- Promise that a hook, effect or guard does not keep the list of events that it gets.
@@ -3414,193 +3254,63 @@ function rfsm.repeatable(f)
   return f
 end
 
--- Hooks: a list is replaced, never changed, so that a call of its hooks is not
--- disturbed. The functions and their arguments are described in rfsm/shared/types.lua
--- ...
+--- Note that an extension keeps a current event which no transition takes.
+---@param fsm rfsm.Machine
+---@param event any
+function rfsm.note_kept(fsm, event)
+  if fsm._fates then fsm._fates:keep(event) end
+end
+
+--- For post step hooks: will `step` iterate again, because no transition was enabled?
+---@param fsm rfsm.Machine
+---@return boolean
+function rfsm.is_free(fsm)
+  check_machine(fsm, "rfsm.is_free")
+  return fsm._outcome == "free"
+end
+
+--- For post step hooks: is nothing left to do, unless an event comes?
+---@param fsm rfsm.Machine
+---@return boolean
+function rfsm.is_idle(fsm)
+  check_machine(fsm, "rfsm.is_idle")
+  return fsm._outcome == "idle" and fsm._intq[1] == nil
+end
+
+--- Has the machine taken a path since the last call of this function?
+--
+-- A host that calls this between steps needs no path hook.
+--
+---@param fsm rfsm.Machine
+---@return boolean
+function rfsm.took_path(fsm)
+  check_machine(fsm, "rfsm.took_path")
+  local path = fsm._path
+  if fsm._phase ~= "take" then fsm._path = false end
+  return path ~= false
+end
 
 do
-  local STEP_LISTS = { _pre_hooks = "pre_step_hook", _post_hooks = "post_step_hook" }
-  local PATH_LISTS = { _guard_hooks = true, _path_hooks = true, _entry_hooks = true,
-    _exit_hooks = true }
-
-  -- Hooks placed in "front" add or record events. They are called before hooks placed
-  -- "before", which may remove events. A list has the number of front hooks in `front`.
-  local PLACES = { front = true, before = true, after = true }
-
-  -- A path hook: notes the current events that a path takes.
-  local function note_taken(fsm, path)
-    for _, event in ipairs(fsm._curq) do
-      local is_taken = path[1] and path[1].events[1] == nil
-      for _, tr in ipairs(path) do
-        is_taken = is_taken or tr.events[1] ~= nil and matches(tr, { event })
-      end
-      if is_taken then rfsm.note_kept(fsm, event) end
-    end
+  -- Calls all hooks of a list, and joins the lists that they return.
+  local function collect(hooks, ...)
+    local list = {}
+    for _, hook in ipairs(hooks or NONE) do append(list, hook(...) or NONE) end
+    return list
   end
 
-  -- The last post step hook: tells of each current event that nothing took or kept.
-  local function tell_discarded(fsm, events)
-    local kept = fsm._kept
-    fsm._kept = {}
-    for i = 1, #events do
-      if not (kept[events[i]] or is_made(events[i])) then
-        tell_watch(fsm, "discarded", events[i])
-      end
-    end
-  end
-
-  -- Notes a change of a list of hooks: texts of paths have the hooks of their states,
-  -- and hooks of lost events need two hooks more.
-  local function note_change(fsm, field, subject)
-    if STEP_LISTS[field] then list_hooks(fsm) end
-    if PATH_LISTS[field] and fsm._is_compiled then drop_paths(fsm) end
-    if subject ~= "discarded" or fsm._kept then return end
-    fsm._kept = {}
-    rfsm.path_hook_add(fsm, note_taken)
-    rfsm.post_step_hook_add(fsm, rfsm.borrows(tell_discarded))
-  end
-
-  -- Adds a hook to the list in a field of `owner`.
-  local function put_in(owner, field, hook, place)
-    local old = owner[field] or NONE
-    local hooks, front = append({}, old), old.front or 0
-    local before = place == "before" and front + 1 or #hooks + 1
-    insert(hooks, place == "front" and 1 or before, hook)
-    hooks.front = place == "front" and front + 1 or front
-    owner[field] = hooks
-  end
-
-  -- Removes a hook from the list in a field of `owner`. An empty list becomes false, as
-  -- in a new machine. Returns true if the hook was in the list.
-  local function take_out(owner, field, hook)
-    local hooks = owner[field] or NONE
-    for i = 1, #hooks do
-      if rawequal(hooks[i], hook) then
-        local others, front = append({}, hooks), hooks.front or 0
-        remove(others, i)
-        others.front = i <= front and front - 1 or front
-        owner[field] = others[1] and others or false
-        if #others == 1 and others[1] == OWN then owner[field] = OWN_ONLY end
-        return true
-      end
-    end
-    return false
-  end
-
-  -- Makes the two functions for hooks of a kind: of the machine, or, if `is_subject` is
-  -- given, of one of its elements or occasions.
-  local function define_hooks(kind, field, is_subject, expected)
-    local where = "rfsm." .. kind .. "_hook_add"
-
-    rfsm[kind .. "_hook_add"] = function(fsm, subject, hook)
-      local owner, key, place = fsm, field, nil
-      check_machine(fsm, where)
-      if not is_subject then subject, hook, place = nil, subject, hook end
-      check_function(hook, where)
-      if is_subject and not is_subject(fsm, subject) then
-        error(where .. ": " .. expected .. " expected, " .. got(subject), 2)
-      elseif place ~= nil and not PLACES[place] then
-        error(where .. ": 'before' or 'after' expected, " .. got(place), 2)
-      elseif is_subject then
-        fsm[field] = fsm[field] or {}
-        owner, key = fsm[field], subject
-      end
-      put_in(owner, key, hook, place)
-      note_change(fsm, field, subject)
-    end
-
-    rfsm[kind .. "_hook_rm"] = function(fsm, subject, hook)
-      local owner, key, slot = fsm, field, STEP_LISTS[field]
-      check_machine(fsm, "rfsm." .. kind .. "_hook_rm")
-      if is_subject then owner, key = fsm[field] or NONE, subject else hook = subject end
-      if take_out(owner, key, hook) then
-        note_change(fsm, field)
-        return true
-      end
-      if not slot or hook == nil or not rawequal(fsm[slot], hook) then return false end
-      fsm[slot] = nil
-      return true
-    end
-  end
-
-  local WATCHED = { sent = true, failed = true, resumed = true, ended = true,
-    merged = true, discarded = true }
-
-  local function is_state_of(fsm, state) return is_node_of(fsm, state, "state") end
-
-  local function is_trans_of(fsm, tr)
-    return rfsm.is_trans(tr) and rawequal(tr._fsm, fsm)
-  end
-
-  define_hooks("entry", "_entry_hooks", is_state_of, "state of the fsm")
-  define_hooks("exit", "_exit_hooks", is_state_of, "state of the fsm")
-  define_hooks("guard", "_guard_hooks", is_trans_of, "transition of the fsm")
-  define_hooks("watch", "_watch_hooks", function(_, what) return WATCHED[what] end,
-    "'sent', 'failed', 'resumed', 'ended', 'merged' or 'lost'")
-  for _, kind in ipairs { "path", "reset", "reaction", "waiting" } do
-    define_hooks(kind, "_" .. kind .. "_hooks")
-  end
-  define_hooks("pre_step", "_pre_hooks")
-  define_hooks("post_step", "_post_hooks")
-
-  --- Note that a current event is not lost though no transition takes it, for extensions.
+  --- List the events to which extensions react while a state is active.
   ---@param fsm rfsm.Machine
-  ---@param event any
-  function rfsm.note_kept(fsm, event)
-    if fsm._kept and event == event then fsm._kept[event] = true end
+  ---@param state rfsm.State
+  ---@return any[] events
+  function rfsm.reactions(fsm, state)
+    return collect(fsm._reaction_hooks, fsm, state)
   end
 
-  --- For post step hooks: will `step` iterate again, because no transition was enabled?
+  --- List the events that extensions keep for later.
   ---@param fsm rfsm.Machine
-  ---@return boolean
-  function rfsm.is_free(fsm)
-    check_machine(fsm, "rfsm.is_free")
-    return fsm._outcome == "free"
-  end
-
-  --- For post step hooks: is nothing left to do, unless an event comes?
-  ---@param fsm rfsm.Machine
-  ---@return boolean
-  function rfsm.is_idle(fsm)
-    check_machine(fsm, "rfsm.is_idle")
-    return fsm._outcome == "idle" and fsm._intq[1] == nil
-  end
-
-  --- Has the machine taken a path since the last call of this function?
-  --
-  -- A host that calls this between steps needs no path hook.
-  --
-  ---@param fsm rfsm.Machine
-  ---@return boolean
-  function rfsm.took_path(fsm)
-    check_machine(fsm, "rfsm.took_path")
-    local path = fsm._path
-    if fsm._phase ~= "take" then fsm._path = false end
-    return path ~= false
-  end
+  ---@return any[] events
+  function rfsm.waiting(fsm) return collect(fsm._waiting_hooks, fsm) end
 end
-
--- Calls all hooks of a list, and joins the lists that they return.
-local function collect(hooks, ...)
-  local list = {}
-  for _, hook in ipairs(hooks or NONE) do append(list, hook(...) or NONE) end
-  return list
-end
-
---- List the events to which extensions react while a state is active.
----@param fsm rfsm.Machine
----@param state rfsm.State
----@return any[] events
-function rfsm.reactions(fsm, state)
-  return collect(fsm._reaction_hooks, fsm, state)
-end
-
---- List the events that extensions keep for later.
----@param fsm rfsm.Machine
----@return any[] events
-function rfsm.waiting(fsm) return collect(fsm._waiting_hooks, fsm) end
-
--- Snapshots: the data of extensions, and the configuration of the machine .........
 
 --- Have snapshots of a machine include data of an extension, under `name`.
 --
@@ -3621,193 +3331,143 @@ function rfsm.snapshot_hook_add(fsm, name, save, load, is_explored)
     { { name = name, save = save, load = load, is_explored = is_explored } })
 end
 
---- List the arguments of all calls of `snapshot_hook_add`, in order, for extensions.
----@param fsm rfsm.Machine
----@return { name: string, save: function, load: function, is_explored?: boolean }[]
-function rfsm.snapshot_hooks(fsm) return fsm._snapshot_hooks or NONE end
+-- Regions: machines in a state of another machine ----------------------------------
 
---- Reset a machine, then make `leaf` active (false: no leaf); no callback runs.
----@type fun(fsm: rfsm.Machine, leaf: rfsm.State|false, mode: string, queue: any[])
-function rfsm.place(fsm, leaf, mode, queue)
-  check_between_steps(fsm, "rfsm.place")
-  if leaf then
-    move_to(leaf, mode)
-    tell(fsm, fsm._reset_hooks)
-    fsm._reset_wanted = false
-  else
-    reset_now(fsm)
-  end
-  fsm._intq, fsm._curq, fsm._path = queue, {}, false
-  raise_failure(fsm)
+--- The field `_regions` of a state in which an extension runs machines.
+---@class rfsm.Regions
+---@field [integer] rfsm.Machine the machines, in the order in which they are stepped
+---@field names any[] the names of these machines, in the same order
+---@field entry? function the user's entry, if the extension has replaced it
+---@field exit? function the user's exit, if the extension has replaced it
+
+--- List the machines that run in a state, in the order in which they are stepped.
+---@param state rfsm.State a state of a machine
+---@return rfsm.Machine[] regions empty if there are none; the caller must not change it
+---@return rfsm.Regions? own the field `_regions`; nil if no machines run in the state
+function rfsm.regions(state)
+  local own = is_state(state) and rawget(state, "_regions")
+  if type(own) ~= "table" then return NONE, nil end
+  return append({}, own), own
 end
 
--- Merge: a new element of a live machine ------------------------------------------
+--- Make a machine a region of another one, for extensions.
+---@param region rfsm.Machine
+---@param fsm rfsm.Machine the parent machine
+---@param name any the name of the region
+function rfsm.set_parent(region, fsm, name)
+  check_machine(region, "rfsm.set_parent")
+  rawset(region, "_owner", fsm)
+  rawset(region, "_region_name", name)
+  list_hooks(region)
+end
+
+--- Return the machine around a region, and the name of the region there.
+---@param fsm rfsm.Machine
+---@return rfsm.Machine? parent nil if the machine is no region
+---@return any name
+function rfsm.parent(fsm)
+  check_machine(fsm, "rfsm.parent")
+  return fsm._owner or nil, fsm._region_name
+end
+
+--- Send an event of the parent machine to a region, for extensions.
+---@param fsm rfsm.Machine
+---@param region rfsm.Machine
+---@param event any
+function rfsm.forward(fsm, region, event)
+  if fsm._fates then fsm._fates:forward(region, event) end
+  rfsm.send_events(region, event)
+end
+
+-- Names: files that are loaded when one of their names is first read ----------------
 
 do
-  -- Returns the reason why the leaf `parent` cannot become a composite; nil if it can.
-  local function leaf_obstacle(fsm, parent)
-    if parent._mode ~= "inactive" then
-      return ("'%s' is an active leaf state"):format(parent._fqn)
-    elseif fsm._phase == "take" or fsm._phase == "search" and not fsm._act_leaf then
-      return ("'%s' is a leaf state, while a transition is taken"):format(parent._fqn)
+  local PARTS = { seqand = "rfsm_seqand", pp = "rfsmpp", fsm_merge = "rfsm.merge",
+    follow_fates = "rfsm.fates" }
+
+  for name in ([[check_between_steps check_no_otrs is_in machines map_from_to
+    node_find_enabled place prepare save_memory set_emit set_sta_mode snapshot_hooks
+    structure_of target_of targets]]):gmatch("%S+") do
+    PARTS[name] = "rfsm.tools"
+  end
+
+  -- Functions of the engine for the files of the library beside this one.
+  local engine = {
+    add = add, advise = advise, check_function = check_function,
+    check_no_step = check_no_step, clone_below = clone_below,
+    compile_path = compile_path, drop_fast = drop_fast, entrance_of = entrance_of,
+    find_entrance = find_entrance, find_lca = find_lca, first_enabled = first_enabled,
+    forget = forget, is_made = is_made, is_node_of = is_node_of, line_to = line_to,
+    lines_of = lines_of, list_choices = list_choices, list_otrs = list_otrs,
+    matches = matches, new_build = new_build, new_node = new_node, new_path = new_path,
+    new_transition = new_transition, note_mount = note_mount, note_of = note_of,
+    path_of = path_of, preprocess = preprocess, quick_run = quick_run,
+    raise_failure = raise_failure, report_dead_ends = report_dead_ends,
+    report_findings = report_findings, report_lines = report_lines,
+    reset_now = reset_now, resolve = resolve, segment_of = segment_of,
+    new_emit = new_emit, summary = summary, tell = tell,
+    tell_watch = tell_watch, try = try,
+  }
+
+  -- Returns the function of a name whose file is missing: it says so.
+  local function missing(name, module)
+    return function()
+      error(("rfsm.%s: %s.lua is not installed beside rfsm.lua"):format(name,
+        module:gsub("%.", "/")), 2)
     end
   end
 
-  -- Returns the reason why `obj` cannot become a member of `parent`; nil if it can.
-  local function merge_obstacle(fsm, parent, obj, id)
-    local kind = kind_of(obj)
-    if not is_node_of(fsm, parent, "state") then
-      return "parent: a state of the fsm expected, " .. got(parent)
-    elseif not kind then
-      return "state, transition or connector expected, " .. got(obj)
-    elseif id == nil and kind ~= "transition" then
-      return "a " .. kind .. " needs a name"
-    elseif id ~= id then
-      return "a name expected, got NaN"
-    elseif id ~= nil and rawget(parent, id) ~= nil then
-      return ("'%s' has a member '%s' already"):format(parent._fqn, text_of(id))
-    elseif is_node_of(fsm, obj) and find_lca(parent, obj) == obj then
-      return ("'%s' cannot contain itself"):format(obj._fqn)
-    elseif kind ~= "transition" and parent._is_leaf then
-      return leaf_obstacle(fsm, parent)
-    end
-  end
-
-  -- Adds `obj` to the machine, as a member of `parent`. Returns the build.
-  local function build_merge(fsm, parent, obj, id)
-    local build, first = new_build(fsm), #fsm._transitions + 1
-    for _, node in ipairs(fsm._nodes) do note_mount(build, node) end
-    if rfsm.is_trans(obj) then
-      new_transition(build, obj, parent, id)
-      if parent._is_leaf then
-        add(build.warnings, parent, nil, "a transition inside a leaf state")
-      end
+  -- Loads the file with the function of a name. Files named rfsm.<part> return a
+  -- function that adds theirs to this table.
+  local function load_part(name)
+    local module = PARTS[name]
+    local part = find_module(module)
+    if module:find("^rfsm%.") then
+      if part then part(rfsm, engine) else rfsm[name] = missing(name, module) end
     else
-      local node = new_node(build, kind_of(obj), obj, parent, id)
-      clone_below(build, node._index)
-      if parent.doo then
-        add(build.problems, parent, "doo", "only a leaf state can have a doo")
-      end
+      rfsm[name] = part
     end
-    resolve(build, first)
-    return build
+    return rawget(rfsm, name)
   end
 
-  -- If `parent` was a leaf and is a composite now, makes its `initial` the target of
-  -- the transitions to it. Returns these transitions.
-  local function move_targets(build, parent, first)
-    local moved = {}
-    for i = 1, parent._is_leaf and 0 or first - 1 do
-      local tr = build.fsm._transitions[i]
-      if tr._target == parent and not tr._is_internal then
-        moved[#moved + 1] = tr
-        if tr.tgt == parent then tr.tgt = find_entrance(build, tr, parent) or parent end
-        tr._target = rawget(parent, "initial")
-      end
-    end
-    return moved
-  end
-
-  -- Removes the elements from number `first` on, from the list and from their parents.
-  local function truncate(list, first)
-    for i = #list, first, -1 do
-      local element = list[i]
-      if rawequal(rawget(element._parent, element._id), element) then
-        rawset(element._parent, element._id, nil)
-      end
-      list[i] = nil
-    end
-  end
-
-  local function refuse(fsm, reason)
-    report(fsm, "err", reason)
-    return false, reason
-  end
-
-  --- Add a state, connector or transition to a live machine.
-  --
-  -- From the next iteration on the machine behaves as if its model had the new element.
-  -- If `obj` cannot be added, the reason is reported to `err`, and nothing has changed.
-  --
-  ---@param fsm rfsm.Machine
-  ---@param parent rfsm.State the state of the machine that gets the new element
-  ---@param obj rfsm.State|rfsm.Connector|rfsm.Transition the element, which is cloned
-  ---@param id? string its name; optional for a transition
-  ---@return boolean is_merged
-  ---@return string? reason the reason if it was not added
-  function rfsm.fsm_merge(fsm, parent, obj, id)
-    check_machine(fsm, "rfsm.fsm_merge")
-    local obstacle = merge_obstacle(fsm, parent, obj, id)
-    if obstacle then return refuse(fsm, "rfsm.fsm_merge: " .. obstacle) end
-    if id == nil then id = #parent + 1 end
-    local was_leaf, outer = parent._is_leaf, fsm._preparing
-    local first_node, first_transition = #fsm._nodes + 1, #fsm._transitions + 1
-    local build, moved, problems
-    local ok, failure = pcall(function()
-      build = build_merge(fsm, parent, obj, id)
-      moved = was_leaf and move_targets(build, parent, first_transition) or {}
-      if rfsm.is_trans(obj) and not fsm._transitions[first_transition] then
-        append(build.problems, build.warnings) -- in a leaf a wrong end is a warning
-      end
-      problems = lines_of(build.problems)
-      if problems[1] then return end
-      list_otrs(fsm)
-      problems = preprocess(fsm, parent[id])
-    end)
-    if not ok then
-      fsm._preparing = outer
-      problems = { "a preproc function failed: " .. text_of(failure) }
-    end
-    if problems[1] then
-      truncate(fsm._transitions, first_transition)
-      truncate(fsm._nodes, first_node)
-      parent._is_leaf = was_leaf
-      for _, tr in ipairs(moved or NONE) do tr.tgt, tr._target = parent, parent end
-      list_otrs(fsm)
-      forget(fsm)
-      if rfsm.is_interrupt(failure) then error(failure, 0) end
-      return refuse(fsm, summary("rfsm.fsm_merge", problems))
-    end
-    forget(fsm)
-    report_lines(fsm, "info", build.created)
-    report_findings(build, first_node, first_transition)
-    report_dead_ends(fsm, first_node)
-    tell_watch(fsm, "merged", parent[id])
-    return true
-  end
+  setmetatable(rfsm, { __index = function(_, name)
+    return PARTS[name] and load_part(name)
+  end })
 end
 
--- Names: fields that are modules of their own, and the older names of modules -------
+do
+  local source = (find_global("debug", "getinfo") or function() return NONE end)(1, "S")
+  local folder = (source.source or ""):match("^@(.-)[^/\\]*$")
 
-local FIELDS = { seqand = "rfsm_seqand", pp = "rfsmpp" }
-
-setmetatable(rfsm, { __index = function(_, field)
-  rfsm[field] = FIELDS[field] and find_module(FIELDS[field])
-  return rawget(rfsm, field)
-end })
-
--- Searcher for `require`: finds old flat names (rfsm_emem for rfsm.emem) in compat/.
-local function find_old_name(name)
-  if not name:find("^rfsm[%w_]+$") then return nil end
-  local file = "compat/" .. name .. ".lua"
-  for folder in rawget(_G, "package").path:gmatch("([^;]*)%?%.lua") do
-    local chunk = loadfile(folder .. file)
-    if chunk then return chunk, folder .. file end
+  -- Searcher for `require`: finds the modules beside this file, and in compat/ their
+  -- older names (rfsm_emem for rfsm.emem).
+  local function find_beside(name)
+    if not name:find("^rfsm[%w_.]") then return nil end
+    local file, folders = name:gsub("%.", "/") .. ".lua", {}
+    if folder then folders[1], folders[2] = folder, folder .. "compat/" end
+    for other in rawget(_G, "package").path:gmatch("([^;]*)%?%.lua") do
+      folders[#folders + 1] = other .. "compat/"
+    end
+    for _, at in ipairs(folders) do
+      local chunk = loadfile(at .. file)
+      if chunk then return chunk, at .. file end
+    end
   end
+
+  -- Registers the module and the searcher. In a sandbox `package` may be missing or have
+  -- no fields.
+  local function register(package)
+    local searchers = package.searchers or package.loaders
+    if searchers and loadfile and not searchers.rfsm then
+      searchers.rfsm = find_beside -- marks the searcher as installed
+      searchers[#searchers + 1] = find_beside
+    end
+    if package.loaded and not package.loaded.rfsm then package.loaded.rfsm = rfsm end
+  end
+
+  register(rawget(_G, "package") or {})
 end
 
--- Registers the module and a searcher for the older names. In a sandbox `package` may
--- be missing or have no fields.
-local function register(package)
-  local searchers = package.searchers or package.loaders
-  if searchers and loadfile and not searchers.rfsm then
-    searchers.rfsm = find_old_name -- marks the searcher as installed
-    searchers[#searchers + 1] = find_old_name
-  end
-  if package.loaded and not package.loaded.rfsm then package.loaded.rfsm = rfsm end
-end
-
-register(rawget(_G, "package") or {})
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm", rfsm) end
 
 return rfsm

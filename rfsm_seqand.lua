@@ -98,10 +98,10 @@ end
 ---@field is_forwarded boolean the regions have got the events of this iteration
 ---@field is_restored boolean the entry is called again, because a snapshot was restored
 
--- Calls f(region, ...) and returns the result. An error is raised later, after the
+-- Calls f(...) and returns the result. An error is raised later, after the
 -- iteration of the parent machine.
-local function try(fsm, f, region, ...)
-  local ok, result = pcall(f, region, ...)
+local function try(fsm, f, ...)
+  local ok, result = pcall(f, ...)
   if ok then return result end
   rfsm.keep_failure(fsm, result)
   return false
@@ -136,10 +136,7 @@ end
 
 local function forward(fsm, regions, events)
   for i = 1, #regions do
-    for j = 1, #events do
-      try(fsm, rfsm.send_events, regions[i], events[j])
-      rfsm.note_kept(fsm, events[j])
-    end
+    for j = 1, #events do try(fsm, rfsm.forward, fsm, regions[i], events[j]) end
   end
   regions.is_forwarded = true
 end
@@ -165,9 +162,9 @@ local function advance_all(fsm, state)
 end
 
 -- The entry calls the user's entry, then advances each region as the doo does.
-local function enter_all(fsm, state, what)
+local function enter_all(fsm, state, what, event)
   local regions, ok, failure = state._regions, true, nil
-  if regions.entry then ok, failure = pcall(regions.entry, fsm, state, what) end
+  if regions.entry then ok, failure = pcall(regions.entry, fsm, state, what, event) end
   for i = 1, regions.is_restored and 0 or #regions do advance(fsm, state, i) end
   regions.is_restored = false
   if not ok then error(failure, 0) end
@@ -180,10 +177,10 @@ local function leave_and_reset(region)
 end
 
 -- The exit leaves and resets the regions, then calls the user's exit.
-local function leave_all(fsm, state, what)
+local function leave_all(fsm, state, what, event)
   local regions = state._regions
   for i = 1, #regions do try(fsm, leave_and_reset, regions[i]) end
-  if regions.exit then regions.exit(fsm, state, what) end
+  if regions.exit then regions.exit(fsm, state, what, event) end
 end
 
 -- The exit hook leaves active regions, if a tool has replaced the exit of the state.
@@ -260,14 +257,14 @@ local function fresh_region(fsm, given)
 end
 
 -- Returns the machine for a region: the given one if it is a machine without a parent
--- machine, else a fresh one. The field `_owner` of a region is its parent machine.
-local function new_region(fsm, given)
+-- machine, else a fresh one.
+local function new_region(fsm, given, name)
   local region, problems = given, nil
-  if is_apart or not rfsm.is_initialized_root(given) or given._owner
-    and rfsm.is_initialized_root(given._owner) then
+  if is_apart or not rfsm.is_initialized_root(given)
+    or rfsm.is_initialized_root(rfsm.parent(given)) then
     region, problems = fresh_region(fsm, given)
   end
-  if region then rawset(region, "_owner", fsm) end
+  if region then rfsm.set_parent(region, fsm, name) end
   if region and fsm._emit then rfsm.set_emit(region, fsm._emit) end -- merged in later
   return region, problems
 end
@@ -286,7 +283,7 @@ local function new_substates(fsm, state, problems)
   in_progress[given] = true
   local ok, failure = pcall(function()
     for _, name in ipairs(rfsm.sorted_keys(given)) do
-      local region, found = new_region(fsm, given[name])
+      local region, found = new_region(fsm, given[name], name)
       substates[name] = region
       for _, text in ipairs(found or {}) do
         local file, rest = text:match("^(.-:%d+: )(root.*)$")

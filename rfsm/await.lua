@@ -41,8 +41,8 @@ end
 local function raise_complete(fsm, await, events, n)
   local was_missing = await.missing
   for i = 1, n do
+    if await.received[events[i]] == false then rfsm.note_kept(fsm, events[i]) end
     if was_missing > 0 then note_event(await, events[i]) end
-    if await.received[events[i]] then rfsm.note_kept(fsm, events[i]) end
   end
   if await.missing > 0 then return end
   for i = 1, #events do -- current already: after an interrupt, or pending again
