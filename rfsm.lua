@@ -330,7 +330,6 @@ interpret(sorted_keys)
 interpret(has_nodes)
 
 local NONE = {}
-local NOTHING = { events = NONE } -- what a getevents that returns nothing has given
 
 local function append(list, more)
   for i = 1, #more do list[#list + 1] = more[i] end
@@ -1124,7 +1123,7 @@ local function own_fields()
     _outcome = "free", _at = 0, _hook = 0, _is_usual = false, _is_cut = false,
     _given = false, _is_lent = false,
     _is_hooked = false, _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _turn = 0,
-    _before = false, _after = false, _lends = false, _unread = 0,
+    _before = false, _after = false, _lends = false, _unread = 0, _reads_one = false,
   }
 end
 
@@ -1329,17 +1328,19 @@ local function give_up(fsm, failure)
   error(failure, 0)
 end
 
--- Calls getevents. Returns a table whose field `events` is the list of events and nils;
--- on failure nil and an error. The table is kept in `_given` until its events are in a
--- list, so that no interrupt loses or doubles them.
+-- Calls getevents. Returns its list of events and nils; on failure nil and an error.
+-- The list is kept in `_given` until its events are in another list, so that no
+-- interrupt loses them.
 local function ask_getevents(fsm)
   local getevents = fsm.getevents
   if fsm._given then return fsm._given end
-  if not getevents or getevents == no_events then return NOTHING end
+  if not getevents or getevents == no_events then return NONE end
+  fsm._curq.given, fsm._intq.given = nil, nil
   local ok, events = pcall(getevents)
-  if ok and type(events) == "table" then fsm._given = { events = events } end
-  if fsm._given then return fsm._given end
-  if ok and events == nil then return NOTHING end
+  fsm._given = ok and events or false
+  if type(fsm._given) == "table" then return events end
+  fsm._given = false
+  if ok and events == nil then return NONE end
   if not is_callable(getevents) then
     return nil, "rfsm.step: getevents: function expected, " .. got(getevents)
   elseif not ok then
@@ -1348,22 +1349,22 @@ local function ask_getevents(fsm)
   return nil, "rfsm.step: getevents: list of events expected, " .. got(events)
 end
 
--- Appends the events of getevents to the list in a field. The longer list replaces the
--- other one, and knows what it got.
-local function append_given(fsm, given, field)
+-- Appends the events of getevents to the list in a field. After an interrupt they are
+-- appended again, without harm: an event that is current twice has the effect of one.
+-- If events are taken one by one, a longer list that knows what it got replaces the
+-- other one.
+local function append_getevents(fsm, field)
+  local events, failure = ask_getevents(fsm)
+  if not events then give_up(fsm, failure) end
   local list = fsm[field]
-  if given.events[1] ~= nil and list.given ~= given then
-    list = append(append({}, list), given.events)
-    list.given = given
+  if not fsm._reads_one then
+    append(list, events)
+  elseif not rawequal(list.given, events) then
+    list = append(append({}, list), events)
+    list.given = events
     fsm[field] = list
   end
   fsm._given = false
-end
-
-local function append_getevents(fsm, field)
-  local given, failure = ask_getevents(fsm)
-  if not given then give_up(fsm, failure) end
-  append_given(fsm, given, field)
 end
 
 -- Does an iteration take only the first pending event? The root's field `read` decides,
@@ -1428,8 +1429,10 @@ do
         fsm._unread = fsm._unread - 1
         return
       end
+      local count = #fsm._curq
       append_getevents(fsm, "_curq")
-      if reads_one(fsm) then fsm._unread = #fsm._curq end
+      if not fsm._reads_one then return end
+      fsm._unread = #fsm._curq > count and #fsm._curq or 0
     end,
     [TAKE_ONE] = take_one,
     [OWN_PRE] = function(fsm) return own_hook(fsm, "pre_step_hook") end,
@@ -1482,6 +1485,7 @@ do
   -- that come are added before. `_lends` is true if a hook may keep the list of events.
   function list_hooks(fsm)
     local is_one, sources = reads_one(fsm), fsm._source_hooks or NONE
+    fsm._reads_one = is_one
     local before = present(fsm._pre_hooks, OWN_PRE, fsm.pre_step_hook)
     local at = is_one and 0 or fsm._pre_hooks.front or 0
     for i, source in ipairs(sources) do insert(before, at + i, source) end
@@ -1532,7 +1536,7 @@ end
 
 -- The phase "gather": calls getevents and the pre step hooks.
 function PHASES.gather(fsm, after_free)
-  if fsm._given then append_given(fsm, fsm._given, "_curq") end
+  if fsm._given then append_getevents(fsm, "_curq") end
   local hooks, next_one = fsm._before, fsm._hook + 1
   if hooks and hooks[next_one] then run_hooks(fsm, hooks, next_one) end
   fsm._phase = "search"
@@ -1588,10 +1592,27 @@ do
   -- path's first segment then. `way` is the segment with which the path continues there,
   -- false if none was found; `event` is the event that counts for it.
   function note_of(fsm, connector)
-    local note = fsm._ways[connector] or { search = 0, first = false, way = false,
-      event = false, found = false, others = false, otrs = connector._otrs }
+    local note = fsm._ways[connector] or { search = 0, first = false, asked = false,
+      way = false, event = false, found = false, others = false,
+      otrs = connector._otrs }
     fsm._ways[connector] = note
     return note
+  end
+
+  -- Turns a note to another `first` in the same search. Returns true if the connector was
+  -- asked for that event before.
+  local function turn_to(note, first)
+    local asked = note.asked or {}
+    asked[#asked + 1] = { first = note.first, way = note.way, event = note.event }
+    note.first, note.asked = first, asked
+    for i = 1, #asked do
+      if rawequal(asked[i].first, first) then
+        note.way, note.event = asked[i].way, asked[i].event
+        return true
+      end
+    end
+    note.way, note.found, note.others = false, false, false
+    return false
   end
 
   local function warn_of_conflict(fsm, ways)
@@ -1642,9 +1663,11 @@ do
     local note = segment and segment.connector
     if not note then return segment end
     note = fsm._ways[note] or note_of(fsm, note)
-    if note.search ~= fsm._search or not rawequal(note.first, first) then
-      note.search, note.first = fsm._search, first
+    if note.search ~= fsm._search then
+      note.search, note.first, note.asked = fsm._search, first, false
       note.way, note.found, note.others = false, false, false
+      find_way(fsm, note, 1, events, first)
+    elseif not (rawequal(note.first, first) or turn_to(note, first)) then
       find_way(fsm, note, 1, events, first)
     end
     return note.way and segment or nil
@@ -3002,9 +3025,10 @@ end
 ---@return integer waiting length of the queue
 function rfsm.check_events(fsm)
   check_machine(fsm, "rfsm.check_events")
-  local given, failure = ask_getevents(fsm)
-  if not given then error(failure, 0) end
-  append_given(fsm, given, "_intq")
+  local events, failure = ask_getevents(fsm)
+  if not events then error(failure, 0) end
+  append(fsm._intq, events)
+  fsm._given = false
   return #fsm._intq
 end
 
