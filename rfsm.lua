@@ -2229,8 +2229,9 @@ do
   -- guards and changed targets.) Returns nil if there is no such path, or if it has
   -- more than ten segments, because connectors may form a cycle.
   local function straight_path(fsm, leaf, tr)
-    local first, ways, count = segment_of(fsm, tr), {}, 1
-    local segment = first
+    local first = segment_of(fsm, tr)
+    if not (first and first.connector) then return first and path_of(fsm, leaf, first) end
+    local segment, ways, count = first, {}, 1
     while segment and segment.connector do
       local otrs = segment.connector._otrs
       if #otrs ~= 1 or otrs[1].events[1] ~= nil or count == 10
@@ -2408,8 +2409,8 @@ do
     local spare = fsm._curq
     fsm._curq = events
     fsm._intq = spare
+    fsm._turn = fsm._turn + 1
     if hooks then
-      fsm._turn = fsm._turn + 1
       local hook = hooks.one
       fsm._hook = hooks.noted
       fsm._phase = "gather"
@@ -3382,6 +3383,7 @@ function rfsm.set_parent(region, fsm, name)
   check_machine(region, "rfsm.set_parent")
   rawset(region, "_owner", fsm)
   rawset(region, "_region_name", name)
+  rawset(region, "_got", { turn = 0, count = 0, length = huge })
   list_hooks(region)
 end
 
@@ -3394,13 +3396,28 @@ function rfsm.parent(fsm)
   return fsm._owner or nil, fsm._region_name
 end
 
---- Send an event of the parent machine to a region, for extensions.
----@param fsm rfsm.Machine
+--- Send the events of an iteration to a region, for extensions.
+--
+-- After an interrupt this may be called again in the same iteration: then the region
+-- gets only the events that it has not got yet.
+--
+---@param fsm rfsm.Machine the parent machine
 ---@param region rfsm.Machine
----@param event any
-function rfsm.forward(fsm, region, event)
-  if fsm._fates then fsm._fates:forward(region, event) end
-  rfsm.send_events(region, event)
+---@param events any[]
+function rfsm.forward(fsm, region, events)
+  local queue, got = region._intq, region._got -- got.count events, the queue had length
+  if got.turn ~= fsm._turn then
+    got.count = 0
+    got.turn = fsm._turn
+  elseif #queue > got.length and rawequal(queue[#queue], events[got.count + 1]) then
+    got.count = got.count + 1
+  end
+  for i = got.count + 1, #events do
+    got.length = #queue
+    if fsm._fates then fsm._fates:forward(region, events[i]) end
+    rfsm.send_events(region, events[i])
+    got.count = i
+  end
 end
 
 -- Names: files that are loaded when one of their names is first read ----------------
