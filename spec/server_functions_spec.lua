@@ -963,6 +963,109 @@ describe("versions of a chart", function()
     assert.equal("root.c", f.rfsm_send({ "w" }, { "e_go" })[1])
   end)
 
+  -- open --e_pay--> paid, with the reminder `timer` in open or around it, and what
+  -- `more` adds; `log` notes what is taken, in order
+  local function order(timer, more)
+    return function()
+      local function note(text) return function(fsm) fsm.log = fsm.log .. text end end
+      local model = state { keep = { "log" }, log = "", rename = {},
+        live = state { open = state {}, paid = state {},
+          trans { src = "initial", tgt = "open" },
+          trans { src = "open", tgt = "paid", events = { "e_pay" },
+            effect = note "pay " } },
+        trans { src = "initial", tgt = "live" } }
+      local reminder = trans { src = "open", tgt = "internal", events = { timer },
+        effect = note "remind " }
+      if timer then table.insert(model.live, 1, reminder) end
+      if more then more(model, note) end
+      return model
+    end
+  end
+
+  local function with_region(seconds)
+    return order(nil, function(model, note)
+      model.live = rfsm.seqand { idle_doo = "auto", bell = state {
+        open = state {}, paid = state {}, trans { src = "initial", tgt = "open" },
+        trans { src = "open", tgt = "internal",
+          events = { "e_after(" .. seconds .. ")" },
+          effect = function(fsm) note "remind "(fsm._owner) end },
+        trans { src = "open", tgt = "paid", events = { "e_pay" },
+          effect = function(fsm) note "pay "(fsm._owner) end } } }
+    end)
+  end
+
+  local function around(seconds)
+    return order(nil, function(model, note)
+      table.insert(model, 1, trans { src = "live", tgt = "internal",
+        events = { "e_after(" .. seconds .. ")" }, effect = note "remind " })
+    end)
+  end
+
+  describe("whose timers differ: what is due in the new one runs first", function()
+    local CASES = {
+      { "a shorter timer", order "e_after(60)", order "e_after(0.25)", true },
+      { "a longer timer", order "e_after(0.25)", order "e_after(60)", false },
+      { "a new timer", order "e_after(60)", order("e_after(60)", function(model, note)
+        table.insert(model.live, 1, trans { src = "open", tgt = "internal",
+          events = { "e_after(0.25)" }, effect = note "remind " })
+      end), true },
+      { "no timer", order "e_after(0.25)", order(), false },
+      { "a shorter timer around", around(60), around(0.25), true },
+      { "a time that is over, in place of a timer", order "e_after(60)",
+        order "e_at(1000.25)", true },
+      { "a time that is over, in a machine that nothing woke", order(),
+        order "e_at(999)", true },
+      { "a shorter timer in a region", with_region(60), with_region(0.25), true },
+      { "a longer timer in a region", with_region(0.25), with_region(60), false },
+    }
+
+    for _, case in ipairs(CASES) do
+      local name, old, new, is_due = unpack(case)
+      it("with " .. name, function()
+        library(old)
+        f.rfsm_create({ "w" }, { "v" })
+        library(old, new)
+        clock.now = 1000.5
+        local reply = f.rfsm_send({ "w" }, { "e_pay", "ID", "p" })
+        assert.equal("taken", reply[#reply])
+        local log = (is_due and "remind " or "") .. "pay "
+        assert.equal('{"root":{"log":"' .. log .. '"}}', f.rfsm_get({ "w" })[12])
+      end)
+    end
+
+    it("also when waiting events are taken back, or a worker wakes it", function()
+      for _, verb in ipairs { "cancel", "tick" } do
+        library(order "e_after(60)")
+        f.rfsm_create({ verb }, { "v" })
+        f.rfsm_send_at({ verb }, { "+50", "e_pay", "ID", "p" })
+        library(order "e_after(60)", order("e_after(0.25)", function(model, note)
+          table.insert(model.live, 1, trans { src = "open", tgt = "internal",
+            events = { "e_after(0.375)" }, effect = note "again " })
+        end))
+        clock.now = clock.now + 0.5
+        f["rfsm_" .. verb]({ verb }, { "p" })
+        assert.equal('{"root":{"log":"remind again "}}', f.rfsm_get({ verb })[12])
+      end
+    end)
+  end)
+
+  it("are found by the charts of regions, too, if the newest is refused", function()
+    local function no_rename(make)
+      return function()
+        local model = make()
+        model.rename = nil
+        return model
+      end
+    end
+    local old, new = no_rename(with_region(60)), no_rename(with_region(0.25))
+    library(old)
+    f.rfsm_create({ "w" }, { "v" })
+    library(old, new)
+    clock.now = 1000.5
+    assert.same({ "root.live", "active", "taken" }, f.rfsm_send({ "w" }, { "e_pay" }))
+    assert.equal('{"root":{"log":"pay "}}', f.rfsm_get({ "w" })[12])
+  end)
+
   it("that fail are reported with their name", function()
     library(function() error("no chart", 0) end)
     assert.equal("ERR rfsm_create: chart 'v': no chart",

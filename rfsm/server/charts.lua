@@ -9,6 +9,7 @@ local alphabet = require "rfsm.shared.alphabet"
 local calls = require "rfsm.shared.calls"
 local encoding = require "rfsm.snapshot.encoding"
 local exact_json = require "rfsm.shared.exact_json"
+local migrate = require "rfsm.snapshot.migrate"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 
@@ -186,6 +187,12 @@ function charts.open(chart)
   end
   chart.fsm = fsm
   return chart
+end
+
+--- Is a snapshot of this version of a chart? The charts of regions count, too.
+function charts.is_of(chart, snap)
+  if snap.chart ~= chart.blank.chart then return false end
+  return not snap.regions or migrate.is_own(chart.fsm, snap)
 end
 
 --- Put a snapshot into the machine of a chart.

@@ -141,27 +141,38 @@ local function read(key)
 end
 
 -- Puts a snapshot into the newest version of its chart. If it does not fit there, it is
--- put into the version from which it was taken. Returns the version that was used, and
--- the results of `put`.
+-- put into the version from which it was taken. Returns the version that was used, the
+-- results of `put`, and whether this version is not the one of the snapshot.
 local function place(list, snap)
   local newest, own = open(list[#list]), nil
-  if snap.chart ~= newest.blank.chart then
+  local is_other = not charts.is_of(newest, snap)
+  if is_other then
     for _, chart in ipairs(list) do
-      if open(chart).blank.chart == snap.chart then own = chart end
+      if charts.is_of(open(chart), snap) then own = chart end
     end
     newest.options.old = own and own.fsm
   end
   local ok, problem = put(newest, snap)
-  if ok or not own then return newest, ok, problem end
+  if ok or not own then return newest, ok, problem, is_other end
   return own, put(own, snap)
+end
+
+-- A machine that has moved to another version may have other timers, which may be due
+-- before the time for which it was saved.
+local function note_new_timers(machine)
+  local left = timeevent.next_deadline(machine.fsm)
+  if not left then return end
+  machine.list[DUE] = min(machine.list[DUE] or huge, times.seen() + left)
 end
 
 -- Loads a machine. Its clock shows the time at which it was saved.
 local function load_machine(key, list)
   times.set(list[SEC], list[NSEC])
-  local chart, ok, problem = place(versions_of(list[NAME]), list[SNAP])
+  local chart, ok, problem, has_moved = place(versions_of(list[NAME]), list[SNAP])
   if not ok then fail("the machine at '%s': %s", shown(key), problem) end
-  return new_machine(key, chart, list, list[SNAP].leaf)
+  local machine = new_machine(key, chart, list, list[SNAP].leaf)
+  if has_moved then note_new_timers(machine) end
+  return machine
 end
 
 -- Move: first run what is due, then send new events ---------------------------------
