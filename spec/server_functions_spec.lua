@@ -846,6 +846,120 @@ describe("a machine that is held", function()
     assert.same({ "e_b", "e_a", "e_bad", "e_x" }, events)
   end)
 
+  -- a, whose timer is due, with a callback that is not to be called: in a server it
+  -- might never end
+  local function bad(more)
+    return function()
+      local model = { keep = { "n" }, n = 0, a = state {}, b = state {},
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_after(1)", "e_go" },
+          effect = function(fsm) fsm.emit("called", fsm.n) end } }
+      for name, value in pairs(more or {}) do model[name] = value end
+      return state(model)
+    end
+  end
+
+  local function library(...)
+    package.loaded["rfsm.server.functions"] = nil
+    f = require "rfsm.server.functions" (host, { ... })
+    package.loaded["rfsm.server.functions"] = nil
+  end
+
+  it("has not run what was due, and does so when it is released", function()
+    library { name = "bad", make = bad() }
+    f.rfsm_create({ "w" }, { "bad" })
+    clock.now = 1002
+    written()
+    assert.same({ "root.a", "done", "kept" }, f.rfsm_hold({ "w" }))
+    assert.equal("ZREM SET", written())
+    assert.same({ "root.a", "done", "kept" }, f.rfsm_send({ "w" }, { "e_go" }))
+    assert.same({ "root.a", "done", "kept" }, f.rfsm_tick({ "w" }))
+    assert.equal("root.a", f.rfsm_get({ "w" })[6])
+    assert.not_matches("XADD", written())
+    assert.same({ "root.b", "done", "taken" }, f.rfsm_release({ "w" }))
+    assert.equal("ZREM XADD SET SPUBLISH", written())
+  end)
+
+  it("is forced elsewhere, or goes on in a new version of its chart", function()
+    library { name = "bad", make = bad() }
+    for _, key in ipairs { "w", "x" } do f.rfsm_create({ key }, { "bad" }) end
+    clock.now = 1002
+    for _, key in ipairs { "w", "x" } do f.rfsm_hold({ key }) end
+    written()
+    assert.same({ "root.b", "done", "kept" }, f.rfsm_force({ "w" }, { "root.b" }))
+    assert.equal("yes", f.rfsm_get({ "w" })[18])
+    assert.same({ "root.b", "done", "kept" }, f.rfsm_release({ "w" }))
+    assert.equal("ZREM SET SPUBLISH SET", written())
+    library({ name = "bad", make = bad() }, { name = "bad", make = bad { rename = {},
+      [2] = trans { src = "a", tgt = "b", events = { "e_after(1.5)", "e_go" } } } })
+    assert.same({ "root.b", "done", "taken" }, f.rfsm_release({ "x" }))
+    assert.equal("ZREM SET SPUBLISH", written())
+  end)
+
+  it("needs no chart to be held, shown and removed", function()
+    local calls = 0
+    local function count() calls = calls + 1 error "not to be called" end
+    library { name = "bad", make = bad { save = function() return 1 end,
+      load = function() end } }
+    f.rfsm_create({ "w" }, { "bad" })
+    f.rfsm_send({ "w" }, { "e_go" })
+    f.rfsm_create({ "x" }, { "bad" })
+    library { name = "bad", make = bad { save = count, load = count, migrate = count,
+      rename = {}, c = state {} } }
+    assert.same({ "root.b", "done", "kept" }, f.rfsm_hold({ "w" }))
+    library()
+    assert.same({ "root.a", "done", "kept" }, f.rfsm_hold({ "x" }))
+    assert.same({ "held", "yes" }, { unpack(f.rfsm_get({ "x" }), 17, 18) })
+    assert.equal("ERR rfsm_release: no chart is named 'bad'",
+      f.rfsm_release({ "x" }).err)
+    assert.equal("yes", f.rfsm_get({ "x" })[18])
+    assert.equal(0, calls)
+  end)
+
+  it("stays held if its release fails", function()
+    library { name = "bad", make = bad() }
+    f.rfsm_create({ "w" }, { "bad" })
+    clock.now = 1002
+    f.rfsm_hold({ "w" })
+    host.redis.acl_check_cmd = function() return false end
+    assert.matches("^ERR rfsm_release: no right to do ", f.rfsm_release({ "w" }).err)
+    assert.equal("yes", f.rfsm_get({ "w" })[18])
+  end)
+
+  it("loses events for later that are taken back, though they are due", function()
+    library { name = "bad", make = bad() }
+    f.rfsm_create({ "w" }, { "bad" })
+    f.rfsm_send_at({ "w" }, { "+0.5", "e_go", "ID", "x" })
+    clock.now = 1000.75
+    f.rfsm_hold({ "w" })
+    assert.equal(1, f.rfsm_cancel({ "w" }, { "x" }))
+    written()
+    assert.same({ "root.a", "done", "kept" }, f.rfsm_release({ "w" }))
+    assert.equal("ZADD SET", written())
+    assert.equal("1001.000000", f.rfsm_get({ "w" })[16])
+  end)
+
+  it("goes on where it was, if it was not idle when it was held", function()
+    library { name = "long", make = function()
+      return state { keep = { "n" }, n = 0, a = state {}, b = state {},
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_stop" } },
+        trans { src = "a", tgt = "internal", events = { "e_more" },
+          effect = function(fsm)
+            fsm.n = fsm.n + 1
+            if fsm.n < 1500 then rfsm.send_events(fsm, "e_more") end
+          end } }
+    end }
+    f.rfsm_create({ "w" }, { "long" })
+    f.rfsm_send({ "w" }, { "e_more" })
+    assert.same({ "root.a", "done", "kept" }, f.rfsm_hold({ "w" }))
+    clock.now = 1001
+    assert.same({ "root.a", "done", "kept" }, f.rfsm_send({ "w" }, { "e_stop" }))
+    f.rfsm_tick({ "w" })
+    assert.same({ "root.b", "done", "taken" }, f.rfsm_release({ "w" }))
+    assert.equal('{"root":{"n":1500}}', f.rfsm_get({ "w" })[12])
+  end)
+
   it("keeps its timers until then", function()
     clock.now = 1001
     call("hold")
