@@ -105,11 +105,20 @@ local function take_data(fsm, own, snap, path)
   end
 end
 
+local function check_target(own, tr)
+  local tgt = tr.tgt
+  local node = rfsm.is_node(tgt) and own.nodes[tgt._fqn or false]
+  if node and rawequal(node, tgt) then return end
+  fail("%s: tgt: state or connector of the machine expected, %s", rfsm.location_of(tr),
+    rfsm.got(tgt))
+end
+
 local function take_targets(own, snap)
   local first, transitions, list = own.targets, own.transitions, nil
   for i = 1, #transitions do
     local tr = transitions[i]
     if tr.tgt ~= first[i] then
+      check_target(own, tr)
       list = list or {}
       local n = #list
       list[n + 1], list[n + 2], list[n + 3] = tr._parent._fqn, tr._id, tr.tgt._fqn

@@ -38,14 +38,19 @@ end
 
 local clock, trace, f, host
 
+-- Loads the library anew with these charts and options, for the machines of the host.
+local function load_library(charts, options)
+  package.loaded["rfsm.server.functions"] = nil
+  f = require "rfsm.server.functions" (host, charts, options)
+  package.loaded["rfsm.server.functions"] = nil
+end
+
 -- Loads the library with these options, and a machine m of the chart c.
 local function open(options)
   clock, trace = { now = 1000 }, {}
   host = host_of.new(trace, clock)
-  package.loaded["rfsm.server.functions"] = nil
-  f = require "rfsm.server.functions" (host, { { name = "c", make = chart },
+  load_library({ { name = "c", make = chart },
     { name = "any", make = any } }, options)
-  package.loaded["rfsm.server.functions"] = nil
   assert.same({ "root.a", "done", "taken" }, f.rfsm_create({ "m" }, { "c" }))
   for i = #trace, 1, -1 do trace[i] = nil end
 end
@@ -171,9 +176,7 @@ describe("a machine that cannot be entered", function()
       return state { a = state {}, trans { src = "initial", tgt = "a",
         guard = function() return false end } }
     end
-    package.loaded["rfsm.server.functions"] = nil
-    f = require "rfsm.server.functions" (host, { { name = "l", make = locked } })
-    package.loaded["rfsm.server.functions"] = nil
+    load_library { { name = "l", make = locked } }
     local reply = f.rfsm_create({ "l" }, { "l", "ID", "1" })
     assert.same({ "", "inactive" }, { reply[1], reply[2] })
     assert.same({ "", "inactive", "known" },
@@ -433,12 +436,10 @@ describe("what is due", function()
   end
 
   before_each(function()
-    package.loaded["rfsm.server.functions"] = nil
-    f = require "rfsm.server.functions" (host, { { name = "fast", make = every(0.01) },
+    load_library({ { name = "fast", make = every(0.01) },
       { name = "faster", make = every(0.001) }, { name = "endless", make = endless },
       { name = "r", make = reminded }, { name = "s", make = in_step } },
       { history = 9 })
-    package.loaded["rfsm.server.functions"] = nil
   end)
 
   local function data_of(key) return f.rfsm_get({ key })[12] end
@@ -527,10 +528,8 @@ describe("an event with data", function()
   end
 
   before_each(function()
-    package.loaded["rfsm.server.functions"] = nil
-    f = require "rfsm.server.functions" (host, { { name = "p", make = paid } },
+    load_library({ { name = "p", make = paid } },
       { history = 5 })
-    package.loaded["rfsm.server.functions"] = nil
     f.rfsm_create({ "p" }, { "p" })
     written()
   end)
@@ -787,9 +786,7 @@ describe("what an operator asks", function()
           end
         end } }
     end
-    package.loaded["rfsm.server.functions"] = nil
-    f = require "rfsm.server.functions" (host, { { name = "busy", make = busy } })
-    package.loaded["rfsm.server.functions"] = nil
+    load_library { { name = "busy", make = busy } }
     f.rfsm_create({ "q" }, { "busy" })
     assert.equal('[{"n":1,"name":"e_tick"}]', f.rfsm_get({ "q" })[14])
   end)
@@ -859,11 +856,7 @@ describe("a machine that is held", function()
     end
   end
 
-  local function library(...)
-    package.loaded["rfsm.server.functions"] = nil
-    f = require "rfsm.server.functions" (host, { ... })
-    package.loaded["rfsm.server.functions"] = nil
-  end
+  local function library(...) load_library { ... } end
 
   it("has not run what was due, and does so when it is released", function()
     library { name = "bad", make = bad() }
@@ -1026,6 +1019,150 @@ describe("values of the version before", function()
   end)
 end)
 
+describe("a callback that changes what the machines of a chart share", function()
+  -- a --e_1--> b --e_1--> p { x --e_1--> y } --e_2--> a; in a e_bad calls `bad` as an
+  -- effect, and e_ask as a guard that forbids
+  local function model(bad)
+    return function()
+      local function note(text)
+        return function(fsm) fsm.emit(text, { fsm.more ~= nil, fsm[8] ~= nil }) end
+      end
+      return state { a = state { exit = note "a" }, b = state { entry = note "b" },
+        c = state {},
+        p = rfsm.seqand { idle_doo = "auto", left = state { x = state {},
+          y = state { entry = note "y" }, trans { src = "initial", tgt = "x" },
+          trans { src = "x", tgt = "y", events = { "e_1" } } } },
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_1" } },
+        trans { src = "b", tgt = "p", events = { "e_1" } },
+        trans { src = "p", tgt = "a", events = { "e_2" } },
+        trans { src = "a", tgt = "a", events = { "e_bad" }, effect = bad },
+        trans { src = "a", tgt = "c", events = { "e_ask" }, guard = function(tr)
+          bad(tr._fsm, tr)
+          return false
+        end },
+        trans { src = "c", tgt = "a", events = { "e_2" } } }
+    end
+  end
+
+  local function library(bad)
+    clock, trace = { now = 1000 }, {}
+    host = host_of.new(trace, clock)
+    load_library { { name = "v", make = model(bad) } }
+    for _, key in ipairs { "w", "x" } do f.rfsm_create({ key }, { "v" }) end
+    written()
+  end
+
+  -- What x does, and what is written meanwhile, as one text.
+  local function run_other()
+    written()
+    local replies = {}
+    for _, event in ipairs { "e_1", "e_2", "e_1", "e_1", "e_2", "e_1" } do
+      local reply = f.rfsm_send({ "x" }, { event })
+      replies[#replies + 1] = reply.err or table.concat(reply, " ", 1, 2)
+    end
+    return table.concat(replies, "\n") .. "\n" .. table.concat(trace, "\n")
+  end
+
+  -- Does x what it does if no callback changes anything?
+  local function check_others()
+    local got = run_other()
+    library(function() end)
+    assert.equal(run_other(), got)
+  end
+
+  local function merge(fsm, ...) return rfsm.fsm_merge(fsm, fsm, ...) end
+
+  local function clear(_, events) events[1] = nil end
+
+  for _, case in ipairs {
+    { "merges a state", "fsm_merge", function(fsm)
+      return merge(fsm, state {}, "more")
+    end },
+    { "merges a connector", "fsm_merge", function(fsm)
+      return merge(fsm, rfsm.conn {}, "more")
+    end },
+    { "merges a transition with a timer", "fsm_merge", function(fsm)
+      return merge(fsm,
+        trans { src = "a", tgt = "c", events = { "e_1", "e_after(1)" } })
+    end },
+    { "merges into a region", "fsm_merge", function(fsm)
+      return merge(rfsm.regions(fsm.p)[1], state {}, "more")
+    end },
+    { "adds a step hook", "pre_step_hook_add", function(fsm)
+      return rfsm.pre_step_hook_add(fsm, clear, "before")
+    end },
+    { "adds a step hook to a region", "post_step_hook_add", function(fsm)
+      return rfsm.post_step_hook_add(rfsm.regions(fsm.p)[1], clear)
+    end },
+    { "adds a hook to a state", "exit_hook_add", function(fsm)
+      return rfsm.exit_hook_add(fsm, fsm.a, function() fsm.emit "hook" end)
+    end },
+    { "removes a hook", "post_step_hook_rm", function(fsm)
+      return rfsm.post_step_hook_rm(fsm, fsm._post_hooks[1])
+    end },
+  } do
+    local what, name, bad = unpack(case)
+    it(what .. " is refused by name, and nothing is changed", function()
+      local answers, reason = {}, "rfsm." .. name .. ": the machines of a fleet share "
+        .. "their chart, so a callback cannot change it"
+      library(function(fsm) answers[#answers + 1] = { bad(fsm) } end)
+      assert.same({ "root.a", "done", reason, "taken" },
+        f.rfsm_send({ "w" }, { "e_bad" }))
+      assert.same({ "root.a", "done", reason, "dropped" },
+        f.rfsm_send({ "w" }, { "e_ask" }))
+      f.rfsm_why({ "w" }, { "e_ask" })
+      for _, answer in ipairs(answers) do assert.same({ false, reason }, answer) end
+      assert.is_true(#answers >= 3)
+      assert.equal("root.b", f.rfsm_send({ "w" }, { "e_1" })[1])
+      check_others()
+    end)
+  end
+
+  it("writes elements into the tree is not seen by other machines", function()
+    library(function(fsm)
+      fsm.more, fsm[8] = state {}, trans { src = "a", tgt = "c", events = { "e_1" } }
+      fsm.a.more = rfsm.conn {}
+    end)
+    f.rfsm_send({ "w" }, { "e_bad" })
+    check_others()
+  end)
+
+  for text, target in pairs {
+    ["string 'c'"] = "c", ["state"] = state {}, ["nil"] = false,
+  } do
+    it("sets a target that is no node of the machine fails: " .. text, function()
+      library(function(fsm) fsm[2].tgt = target or nil end)
+      local reply = f.rfsm_send({ "w" }, { "e_bad" })
+      assert.matches("^ERR rfsm_send: .*rfsm.snapshot.take: .*root.trans%[2%] "
+        .. "%(a %-> b%): tgt: state or connector of the machine expected, got "
+        .. text .. "$", reply.err)
+      assert.equal("root.b", f.rfsm_send({ "w" }, { "e_1" })[1])
+      check_others()
+    end)
+  end
+
+  it("sends events later for the first time is no such callback", function()
+    library(function(fsm) timeevent.send_after(fsm, 5, "e_1") end)
+    f.rfsm_send({ "w" }, { "e_bad" })
+    clock.now = 1006
+    assert.same({ "root.b", "done", "taken" }, f.rfsm_tick({ "w" }))
+  end)
+
+  it("merges into a machine that it has made itself is no such callback", function()
+    local answer
+    library(function()
+      local own = rfsm.init(state { a = state {}, trans { src = "initial", tgt = "a" },
+        info = false, warn = false })
+      answer = rfsm.fsm_merge(own, own, state {}, "b")
+    end)
+    assert.equal("taken", f.rfsm_send({ "w" }, { "e_bad" })[3])
+    assert.is_true(answer)
+    assert.error_matches(function() rfsm.fsm_merge(nil) end,
+      "rfsm.fsm_merge: initialised fsm expected, got nil")
+  end)
+end)
+
 describe("versions of a chart", function()
   local function version(by, more)
     return function()
@@ -1039,9 +1176,7 @@ describe("versions of a chart", function()
   local function library(...)
     local list = {}
     for i, make in ipairs { ... } do list[i] = { name = "v", make = make } end
-    package.loaded["rfsm.server.functions"] = nil
-    f = require "rfsm.server.functions" (host, list)
-    package.loaded["rfsm.server.functions"] = nil
+    load_library(list)
   end
 
   it("take the machines that they can take, the newest first", function()
