@@ -66,6 +66,26 @@ step()
       .. "queue:  e_done@root.world, e_restart\n" .. AT_HELLO, out)
   end)
 
+  it("opens the chart that a word of make sim names", function()
+    local own = file_with("return rfsm.state { info = false, lamp = 'own' }")
+    local TITLES = { ["lamp.lua"] = "nil\tsays", ["MODEL=lamp.lua"] = "nil\tsays",
+      ["examples/lamp.lua"] = "nil\tsays", [own] = "own\tnil",
+      [""] = "nil\tnil", ["MODEL=" .. HELLO .. " " .. own] = "own\tnil" }
+    for word, title in pairs(TITLES) do -- any order: each stands alone
+      assert.equal(title .. "\n", (run("TERM=dumb make -s sim " .. word,
+        "print(fsm.lamp, fsm.on and 'says')"):gsub("^.-help[^\n]*\n", "")), word)
+    end
+  end)
+
+  it("complains of a word of make sim that names no chart, and opens none", function()
+    for _, word in ipairs { "nosuch.lua", "lamp.lau", "MODEL=nosuch.lua" } do
+      local out, complaints = run("TERM=dumb make -s sim " .. word)
+      assert.equal("", out)
+      assert.equal(("rfsm sim: cannot open %s: No such file or directory\n"):format(
+        word:gsub("MODEL=", "")), complaints:match("^[^\n]*\n"))
+    end
+  end)
+
   it("runs with the Lua that LUA names, also by make sim", function()
     local made = helper.lines_of("make -sn sim LUA=" .. LUA .. " MODEL=" .. HELLO)
     local jit = rawget(_G, "jit")
