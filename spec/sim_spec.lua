@@ -375,9 +375,10 @@ local function open_terminal(arguments, lua_init)
     assert.is_truthy(screen:find("ended with status 0", 1, true), screen)
   end
 
-  os.execute(("LUA_INIT=\"%s\" HOME=/nowhere TERM=dumb LUA=%s %s new-session -d -x 120 "
-    .. "-y 50 'tools/rfsm-sim %s; echo ended with status $?; sleep 100'"):format(
-    lua_init or "", LUA, tmux, arguments))
+  -- tmux asks $SHELL to run the command. Control-C reaches that shell, too.
+  os.execute(("SHELL=/bin/sh LUA_INIT=\"%s\" HOME=/nowhere TERM=dumb LUA=%s %s "
+    .. "new-session -d -x 120 -y 50 'trap : INT; tools/rfsm-sim %s; echo ended with "
+    .. "status $?; sleep 100'"):format(lua_init or "", LUA, tmux, arguments))
   terminal.type_in(">")
   return terminal
 end
