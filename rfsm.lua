@@ -2354,6 +2354,7 @@ local function finish(fsm)
     for i = #events, 1, -1 do events[i] = nil end
   end
   fsm._phase = "idle"
+  fsm._is_cut = false
   fsm._is_usual = not fsm._reset_wanted
   if fsm._failure then raise_failure(fsm) end
   local outcome = fsm._outcome
@@ -2484,13 +2485,18 @@ do
   end
 end
 
--- Raises an error that has ended an iteration: a kept error, an error of a step hook or
--- an interrupt. The mark `_is_cut` shows that no step is under way any more, although
--- the phase may not be "idle".
-local function raise_cut(fsm, failure)
+-- Marks the iteration as cut short. The mark `_is_cut` shows that no step is under way
+-- any more, although the phase may not be "idle".
+local function cut(fsm)
   fsm._cuts = fsm._cuts + 1
   fsm._is_usual = false
   fsm._is_cut = true
+end
+
+-- Raises an error that has ended an iteration: a kept error, an error of a step hook or
+-- an interrupt.
+local function raise_cut(fsm, failure)
+  cut(fsm)
   error(failure, 0)
 end
 
@@ -3281,6 +3287,26 @@ function rfsm.machines(fsm)
   end
   visit(fsm, false, false, "root")
   return places
+end
+
+--- Note that the step under way will never return, for hosts that know this.
+--
+-- An exception of C++ that goes through Lua ends a step, and no pcall notices that. The
+-- next step then goes on behind the callback that was under way, as after an interrupt.
+-- A doo that was under way has failed.
+--
+---@param fsm rfsm.Machine
+---@return boolean is_noted false if no step was under way
+function rfsm.note_cut(fsm)
+  check_machine(fsm, "rfsm.note_cut")
+  if fsm._phase == "idle" or fsm._is_cut then return false end
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    local machine, leaf = at.machine, at.machine._act_leaf
+    -- the doo that steps regions begins anew: its coroutine cannot be resumed
+    if machine._phase == "doo" and rfsm.regions(leaf)[1] then leaf._doo_co = nil end
+    if machine._phase ~= "idle" then cut(machine) end
+  end
+  return true
 end
 
 do
