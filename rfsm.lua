@@ -1066,6 +1066,7 @@ local function copy_plan(plan)
       kind = def.kind, index = i, id = def.id, parent = false, model = def.model,
       data = def.data, proto = false, fqn = def.fqn, depth = def.depth,
       is_leaf = def.is_leaf, otrs = false, members = {}, doo = def.doo,
+      is_left = def.is_left,
     }
     nodes[i].parent = nodes[def.parent.index]
     if i > 1 then nodes[i].parent.members[def.id] = nodes[i] end
@@ -2582,7 +2583,7 @@ function rfsm.location_of(obj, field)
   return (file and file .. ": " or "") .. name_of(def, field)
 end
 
-local build_plan, new_build, plan_of
+local build_plan, check_ways_in, new_build, plan_of
 
 do
   -- Model -> plan, a weak table. Machines keep their plan alive. `latest_plan` keeps
@@ -2611,11 +2612,22 @@ do
     end
   end
 
-  -- Reports each `initial` that no transition leaves: its composite cannot be entered.
-  local function check_ways_in(build)
-    for _, def in ipairs(build.plan.nodes) do
-      if def.id == "initial" and def.kind == "connector" and not def.is_left then
-        add(build.problems, def, nil,
+  local function is_closed_initial(def)
+    return def.id == "initial" and def.kind == "connector" and not def.is_left
+  end
+
+  -- Reports each `initial` that no transition leaves: a problem if the first entry or a
+  -- transition leads to it, else a warning. A merge has added the transitions from
+  -- number `first` on: only problems are reported, and only theirs.
+  function check_ways_in(build, first)
+    local plan, is_aimed_at = build.plan, {}
+    for i = first or 1, #plan.transitions do
+      is_aimed_at[plan.transitions[i].tgt] = true
+    end
+    for _, def in ipairs(plan.nodes) do
+      local is_entered = is_aimed_at[def] or not first and def.parent == plan.nodes[1]
+      if is_closed_initial(def) and (is_entered or not first) then
+        add(is_entered and build.problems or build.warnings, def, nil,
           "no transition leaves it (rfsm.trans{ src='initial', tgt=... })")
       end
     end
@@ -2799,7 +2811,7 @@ do
     local is_internal = tr["_%def"].is_internal and rawequal(tr.src, tr.tgt)
     if tgt.kind == "state" and not (tgt.is_leaf or is_internal) then
       local initial = tgt.members.initial
-      if not initial then
+      if not (initial and initial.is_left) then
         return rfsm.location_of(tr)
           .. ": tgt: the composite has no initial transition"
       end
@@ -3824,6 +3836,7 @@ do
       end
     end
     resolve(build, first)
+    check_ways_in(build, first)
     return build
   end
 
