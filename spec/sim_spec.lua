@@ -124,6 +124,11 @@ local SAID = {
   ["{ { { { 1 } } } }"] = "^{ { { table: %S+ } } }\n$",
   ["local t = {} for i = 1, 25 do t[i] = i end x = t\nx\nx = nil"] =
     "{ 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, ... }\n",
+  ["x = { 1 }\nx[2], x.y = x, { x }\nx\nx = nil"] =
+    "^{ 1, table: %S+, y = { table: %S+ } }\n$",
+  ["x = {}\nwatch x\nx[1] = { { x, { 1 } } }\nstep\ndelete\nx = nil"] = "^"
+    .. AT_HELLO:gsub("[().]", "%%%0")
+    .. "watch:  x = { { { table: %S+, table: %S+ } } }\n$",
   ["for i = 1, 2 do\n  print(i)\nend\n"] = "1\n2\n",
   ["step 3"] = AT_END, ["run\nser e_restart, 'e_restart'"] = AT_END .. AT_END,
   ["next({ 7 })"] = "1\t7\n",
