@@ -1066,6 +1066,7 @@ local function copy_plan(plan)
       kind = def.kind, index = i, id = def.id, parent = false, model = def.model,
       data = def.data, proto = false, fqn = def.fqn, depth = def.depth,
       is_leaf = def.is_leaf, otrs = false, members = {}, doo = def.doo,
+      is_left = def.is_left,
     }
     nodes[i].parent = nodes[def.parent.index]
     if i > 1 then nodes[i].parent.members[def.id] = nodes[i] end
@@ -2354,6 +2355,7 @@ local function finish(fsm)
     for i = #events, 1, -1 do events[i] = nil end
   end
   fsm._phase = "idle"
+  fsm._is_cut = false
   fsm._is_usual = not fsm._reset_wanted
   if fsm._failure then raise_failure(fsm) end
   local outcome = fsm._outcome
@@ -2484,13 +2486,18 @@ do
   end
 end
 
--- Raises an error that has ended an iteration: a kept error, an error of a step hook or
--- an interrupt. The mark `_is_cut` shows that no step is under way any more, although
--- the phase may not be "idle".
-local function raise_cut(fsm, failure)
+-- Marks the iteration as cut short. The mark `_is_cut` shows that no step is under way
+-- any more, although the phase may not be "idle".
+local function cut(fsm)
   fsm._cuts = fsm._cuts + 1
   fsm._is_usual = false
   fsm._is_cut = true
+end
+
+-- Raises an error that has ended an iteration: a kept error, an error of a step hook or
+-- an interrupt.
+local function raise_cut(fsm, failure)
+  cut(fsm)
   error(failure, 0)
 end
 
@@ -2576,7 +2583,7 @@ function rfsm.location_of(obj, field)
   return (file and file .. ": " or "") .. name_of(def, field)
 end
 
-local build_plan, new_build, plan_of
+local build_plan, check_ways_in, new_build, plan_of
 
 do
   -- Model -> plan, a weak table. Machines keep their plan alive. `latest_plan` keeps
@@ -2605,11 +2612,22 @@ do
     end
   end
 
-  -- Reports each `initial` that no transition leaves: its composite cannot be entered.
-  local function check_ways_in(build)
-    for _, def in ipairs(build.plan.nodes) do
-      if def.id == "initial" and def.kind == "connector" and not def.is_left then
-        add(build.problems, def, nil,
+  local function is_closed_initial(def)
+    return def.id == "initial" and def.kind == "connector" and not def.is_left
+  end
+
+  -- Reports each `initial` that no transition leaves: a problem if the first entry or a
+  -- transition leads to it, else a warning. A merge has added the transitions from
+  -- number `first` on: only problems are reported, and only theirs.
+  function check_ways_in(build, first)
+    local plan, is_aimed_at = build.plan, {}
+    for i = first or 1, #plan.transitions do
+      is_aimed_at[plan.transitions[i].tgt] = true
+    end
+    for _, def in ipairs(plan.nodes) do
+      local is_entered = is_aimed_at[def] or not first and def.parent == plan.nodes[1]
+      if is_closed_initial(def) and (is_entered or not first) then
+        add(is_entered and build.problems or build.warnings, def, nil,
           "no transition leaves it (rfsm.trans{ src='initial', tgt=... })")
       end
     end
@@ -2793,7 +2811,7 @@ do
     local is_internal = tr["_%def"].is_internal and rawequal(tr.src, tr.tgt)
     if tgt.kind == "state" and not (tgt.is_leaf or is_internal) then
       local initial = tgt.members.initial
-      if not initial then
+      if not (initial and initial.is_left) then
         return rfsm.location_of(tr)
           .. ": tgt: the composite has no initial transition"
       end
@@ -3281,6 +3299,26 @@ function rfsm.machines(fsm)
   end
   visit(fsm, false, false, "root")
   return places
+end
+
+--- Note that the step under way will never return, for hosts that know this.
+--
+-- An exception of C++ that goes through Lua ends a step, and no pcall notices that. The
+-- next step then goes on behind the callback that was under way, as after an interrupt.
+-- A doo that was under way has failed.
+--
+---@param fsm rfsm.Machine
+---@return boolean is_noted false if no step was under way
+function rfsm.note_cut(fsm)
+  check_machine(fsm, "rfsm.note_cut")
+  if fsm._phase == "idle" or fsm._is_cut then return false end
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    local machine, leaf = at.machine, at.machine._act_leaf
+    -- the doo that steps regions begins anew: its coroutine cannot be resumed
+    if machine._phase == "doo" and rfsm.regions(leaf)[1] then leaf._doo_co = nil end
+    if machine._phase ~= "idle" then cut(machine) end
+  end
+  return true
 end
 
 do
@@ -3798,6 +3836,7 @@ do
       end
     end
     resolve(build, first)
+    check_ways_in(build, first)
     return build
   end
 
