@@ -1,4 +1,4 @@
-# make sim [MODEL=file]   open a chart in the simulator
+# make sim [lamp.lua]     open a chart in the simulator
 # make test               lint, then every spec on every interpreter
 # make help               list the targets
 #
@@ -38,9 +38,21 @@ EXAMPLES := $(wildcard examples/*.lua)
 LINT     := $(MAKE) --no-print-directory lint
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/*/*.lua bench/*.lua)
 
-.PHONY: all help help-all sim fleet fleet-postgres test test-web test-site test-hosts lint fuzz torture mutants bench soak day examples doc site gallery functions deps transcript house
-.PHONY: rockspec rocks dist deb size install uninstall clean
+TARGETS  := all help help-all sim fleet fleet-postgres test test-web test-site test-hosts \
+            lint fuzz torture mutants bench soak day examples doc site gallery functions \
+            deps transcript house rockspec rocks dist deb size install uninstall clean
 .DEFAULT_GOAL := all
+
+# A word beside sim or size that is no target is the chart, as MODEL is.
+CHARTS   := $(if $(filter sim size,$(MAKECMDGOALS)),$(filter-out $(TARGETS),$(MAKECMDGOALS)))
+ifneq ($(CHARTS),)
+override MODEL := $(CHARTS)
+endif
+# An example may be named without its folder.
+CHART     = $(shell test -e '$(MODEL)' || test ! -e 'examples/$(MODEL)' || echo examples/)$(MODEL)
+
+.PHONY: $(TARGETS) $(CHARTS)
+$(CHARTS): ; @:
 
 all: test               ## the same as test
 
@@ -50,9 +62,9 @@ help:                   ## this list
 help-all:               ## this list, and the targets for those who change the library
 	@grep -hE '^[a-z][a-z%-]*:.* ###? ' $(MAKEFILE_LIST) | sed -E 's/:[^#]*###? */\t/' | expand -t 16
 
-sim:                    ## open MODEL in the simulator, with LUA
+sim:                    ## open a chart in the simulator: make sim lamp.lua
 	@tools/deps.sh sim
-	@$(if $(filter file,$(origin LUA)),,LUA=$(LUA)) tools/rfsm sim $(MODEL)
+	@$(if $(filter file,$(origin LUA)),,LUA=$(LUA)) tools/rfsm sim "$(CHART)"
 
 fleet:                  ## a warehouse whose orders are machines in a Redis server of its own
 	@tools/deps.sh fleet
@@ -137,15 +149,12 @@ site:                   ## out/: those pages and the playground, for file: or an
 	@$(MAKE) --no-print-directory doc
 	@du -sk out | sed 's/\([0-9]*\).*/out: \1 KiB/'
 
-# lamp.lua is the chart of the README
-gallery:                ### doc/gallery/: pictures of the README, the examples and larger charts
-	@set -e; trap 'rm -f lamp.lua' EXIT; \
-	export FONTCONFIG_FILE=$(CURDIR)/tools/fonts.conf; \
-	sed -n '/^-- lamp.lua/,/^```$$/p' README.md | sed '$$d' > lamp.lua; \
-	for f in lamp.lua $(EXAMPLES) doc/gallery/*.lua; do \
+gallery:                ### doc/gallery/: pictures of the examples and of larger charts
+	@set -e; export FONTCONFIG_FILE='$(CURDIR)/tools/fonts.conf'; \
+	for f in $(EXAMPLES) doc/gallery/*.lua; do \
 	  $(LUA) tools/rfsm viz $$f -o doc/gallery/$$(basename $$f .lua).svg; \
 	done; \
-	$(LUA) tools/walk.lua lamp.lua e_switch e_go e_halt e_switch > doc/gallery/walk.svg; \
+	$(LUA) tools/walk.lua examples/lamp.lua e_switch e_go e_halt e_switch > doc/gallery/walk.svg; \
 	for n in loops recipe; do \
 	  $(LUA) tools/rfsm viz --direction LR doc/gallery/$$n.lua -o doc/gallery/$${n}_lr.svg; \
 	done
@@ -177,8 +186,8 @@ deb:                    ## Debian packages of the last commit in DIST/deb, and w
 rocks:                  ### a rock of the last commit in DIST/rocks, for each Lua; luarocks test
 	@tools/packaging/rocks.sh $(DIST)/rocks
 
-size:                   ## the memory that MODEL takes on a robot
-	@tools/rfsm size $(MODEL)
+size:                   ## the memory that a chart takes on a robot: make size lamp.lua
+	@tools/rfsm size "$(CHART)"
 
 install:                ## copy modules and tools below PREFIX; STRIP=1: as bytecode
 	@set -e; for d in $(LUADIRS:%=$(DESTDIR)%); do \

@@ -2359,7 +2359,7 @@ local function close(fsm)
   end
   fsm._phase = "idle"
   if not fsm._is_usual then
-    fsm._is_usual = not fsm._reset_wanted
+    fsm._is_usual, fsm._is_cut = not fsm._reset_wanted, false
     if fsm._failure then raise_failure(fsm) end
   end
   local outcome = fsm._outcome
@@ -2546,13 +2546,18 @@ do
   end
 end
 
--- Raises an error that has ended an iteration: a kept error, an error of a step hook or
--- an interrupt. The mark `_is_cut` shows that no step is under way any more, although
--- the phase may not be "idle".
-local function raise_cut(fsm, failure)
+-- Marks the iteration as cut short. The mark `_is_cut` shows that no step is under way
+-- any more, although the phase may not be "idle".
+local function cut(fsm)
   fsm._cuts = fsm._cuts + 1
   fsm._is_usual = false
   fsm._is_cut = true
+end
+
+-- Raises an error that has ended an iteration: a kept error, an error of a step hook or
+-- an interrupt.
+local function raise_cut(fsm, failure)
+  cut(fsm)
   error(failure, 0)
 end
 
@@ -2621,14 +2626,26 @@ function rfsm.location_of(obj, field)
   return (file and file .. ": " or "") .. name_of(obj, field)
 end
 
-local build_machine
+local build_machine, check_ways_in
 
 do
-  -- Reports each `initial` that no transition leaves: its composite cannot be entered.
-  local function check_ways_in(build)
-    for _, node in ipairs(build.fsm._nodes) do
-      if node._id == "initial" and not node._mode and not build.is_left[node] then
-        add(build.problems, node, nil,
+  local function is_closed_initial(build, node)
+    return node._id == "initial" and not node._mode and not build.is_left[node]
+      and not (node._otrs and node._otrs[1])
+  end
+
+  -- Reports each `initial` that no transition leaves: a problem if the first entry or a
+  -- transition leads to it, else a warning. A merge has added the transitions from
+  -- number `first` on: only problems are reported, and only theirs.
+  function check_ways_in(build, first)
+    local fsm, is_aimed_at = build.fsm, {}
+    for i = first or 1, #fsm._transitions do
+      is_aimed_at[fsm._transitions[i].tgt] = true
+    end
+    for _, node in ipairs(fsm._nodes) do
+      local is_entered = is_aimed_at[node] or not first and node._parent == fsm
+      if is_closed_initial(build, node) and (is_entered or not first) then
+        add(is_entered and build.problems or build.warnings, node, nil,
           "no transition leaves it (rfsm.trans{ src='initial', tgt=... })")
       end
     end
@@ -2787,7 +2804,7 @@ do
     tr._is_internal = tr._is_internal and rawequal(tr.src, tgt)
     if tgt._mode and not (tgt._is_leaf or tr._is_internal) then
       tr.tgt = rawget(tgt, "initial")
-      if not tr.tgt then
+      if not (tr.tgt and tr.tgt._otrs[1]) then
         return rfsm.location_of(tr)
           .. ": tgt: the composite has no initial transition"
       end
@@ -3427,7 +3444,7 @@ do
     follow_fates = "rfsm.fates" }
 
   for name in ([[check_between_steps check_no_otrs is_in machines map_from_to
-    node_find_enabled place prepare save_memory set_emit set_sta_mode snapshot_hooks
+    node_find_enabled note_cut place prepare save_memory set_emit set_sta_mode snapshot_hooks
     structure_of target_of targets]]):gmatch("%S+") do
     PARTS[name] = "rfsm.tools"
   end
@@ -3436,7 +3453,8 @@ do
   local engine = {
     add = add, advise = advise, check_function = check_function,
     check_no_step = check_no_step, clone_below = clone_below,
-    compile_path = compile_path, drop_fast = drop_fast, entrance_of = entrance_of,
+    check_ways_in = check_ways_in, compile_path = compile_path, cut = cut,
+    drop_fast = drop_fast, entrance_of = entrance_of,
     find_entrance = find_entrance, find_lca = find_lca, first_enabled = first_enabled,
     forget = forget, is_made = is_made, is_node_of = is_node_of, line_to = line_to,
     lines_of = lines_of, list_choices = list_choices, list_otrs = list_otrs,

@@ -1,18 +1,19 @@
 --- A machine and its trace as text, in colour.
 --
 -- `rfsmpp.gen_dbgcolor` makes a `dbg` function for a machine. `rfsmpp.fsm2str` draws
--- the states. Colours come from the package `ansicolors`, or from the older module of
--- that name. If there is neither, if NO_COLOR is set, if TERM is missing or "dumb", or
--- if `rfsmpp.is_plain` is true, the text is plain.
+-- the states. `rfsmpp.value_text` is the text of any data, for all tools. Colours
+-- come from the package `ansicolors`, or from the older module of that name. If there
+-- is neither, if NO_COLOR is set, if TERM is missing or "dumb", or if `rfsmpp.is_plain`
+-- is true, the text is plain.
 --
 -- @module rfsmpp
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
 
-local error, getmetatable, ipairs = error, getmetatable, ipairs
+local error, getmetatable = error, getmetatable
 local pcall, rawget, rawset, require = pcall, rawget, rawset, require
-local select, tostring, type = select, tostring, type
+local select, setmetatable, tostring, type = select, setmetatable, tostring, type
 local concat = table.concat
 local text_of = rfsm.text_of
 
@@ -64,51 +65,90 @@ function rfsmpp.paint(colour, text)
   return paint(is_colour_wanted(), escape(colour), text)
 end
 
--- Trace: one record, one line ---------------------------------------------------
+-- Data: any value as a bounded text ----------------------------------------------
+
+local LEVELS, FIELDS = 3, 20 -- tables inside each other; fields of a table
+
+-- How tables and nodes are written: in records, which tools read, and for a person.
+local RECORD = { open = "{", close = "}", comma = ",", equals = "=",
+  text_of_node = function(node) return node._fqn or text_of(node) end }
+local PERSON = { open = "{ ", close = " }", comma = ", ", equals = " = ",
+  text_of_node = text_of }
+
+-- Control characters are escaped, so that a text takes one line.
+local function escape_control(character) return ("\\%d"):format(character:byte()) end
+
+local ESCAPES = setmetatable({ ["\n"] = "\\n", ['"'] = '\\"', ["\\"] = "\\\\" },
+  { __index = function(_, character) return escape_control(character) end })
 
 local to_text
 
--- Returns the contents of a table as a text: {"a","b",x=1}. `open` is the set of the
--- tables that contain this table.
-local function table_to_text(t, open)
-  local texts, length = {}, 0
-  for i, key in ipairs(rfsm.sorted_keys(t)) do
-    texts[i] = to_text(t[key], open)
-    if key == length + 1 then
-      length = key
-    elseif type(key) == "string" and key:find("^[%a_][%w_]*$") then
-      texts[i] = key .. "=" .. texts[i]
-    else
-      texts[i] = "[" .. to_text(key, open) .. "]=" .. texts[i]
-    end
-  end
-  return "{" .. concat(texts, ",") .. "}"
+-- Returns the key of a field, and what is between the key and the value.
+local function key_to_text(key, style, seen, level)
+  local is_name = type(key) == "string" and key:find("^[%a_][%w_]*$")
+  return (is_name and key or "[" .. to_text(key, style, seen, level) .. "]")
+    .. style.equals
 end
 
--- Returns a value as a text. If `open` is given, the value is in a table, and a string
--- is put in quotes; otherwise it is an argument of a record.
-function to_text(value, open)
-  if type(value) == "string" and open then
-    return '"' .. value:gsub('"', '\\"'):gsub("\n", "\\n") .. '"'
-  elseif type(value) ~= "table" or open and open[value] then
+-- Returns the contents of a table as a text: {"a","b",x=1}.
+local function table_to_text(t, style, seen, level)
+  local texts, length = {}, 0
+  while length < FIELDS and t[length + 1] ~= nil do
+    length = length + 1
+    texts[length] = to_text(t[length], style, seen, level)
+  end
+  local keys = t[length + 1] == nil and rfsm.sorted_keys(t, function(_, key)
+    return not (type(key) == "number" and key >= 1 and key <= length and key % 1 == 0)
+  end) or { length + 1 }
+  for i = 1, #keys do
+    if #texts == FIELDS then
+      texts[FIELDS + 1] = "..."
+      break
+    end
+    texts[#texts + 1] = key_to_text(keys[i], style, seen, level)
+      .. to_text(t[keys[i]], style, seen, level)
+  end
+  return texts[1] and style.open .. concat(texts, style.comma) .. style.close or "{}"
+end
+
+-- Returns a value as a text. `level` is the number of tables around it; a string in a
+-- table is in quotes. `seen` is the set of the tables that have been written.
+function to_text(value, style, seen, level)
+  if type(value) == "string" and level > 0 then
+    return '"' .. value:gsub('[%c"\\]', ESCAPES) .. '"'
+  elseif type(value) ~= "table" or seen[value] then
     return text_of(value)
   elseif getmetatable(value) then
-    return rfsm.is_node(value) and value._fqn or text_of(value)
+    return rfsm.is_node(value) and style.text_of_node(value) or text_of(value)
+  elseif level == LEVELS then
+    return text_of(value)
   end
-  open = open or {}
-  open[value] = true
-  local text = table_to_text(value, open)
-  open[value] = nil
-  return text
+  seen[value] = true
+  return table_to_text(value, style, seen, level + 1)
 end
 
+--- Return a value as a text for a person: `{ "a", x = { y = 2 } }`.
+--
+-- At most three tables inside each other are written, twenty fields of each, and each
+-- table once; `table: 0x...` stands for the others. Keys are in a fixed order.
+--
+---@param value any
+---@return string text
+---@nodiscard
+function rfsmpp.value_text(value) return to_text(value, PERSON, {}, 0) end
+
+-- Returns an argument of a record as a text.
+local function argument_text(value) return to_text(value, RECORD, {}, 0) end
+
+-- Trace: one record, one line ---------------------------------------------------
+
 local function prefix_of(is_coloured, name)
-  return name and paint(is_coloured, NAME, to_text(name) .. ":") .. "\t" or ""
+  return name and paint(is_coloured, NAME, argument_text(name) .. ":") .. "\t" or ""
 end
 
 local function line_of(is_coloured, prefix, id, ...)
-  local padded, texts = ("%-20s"):format(to_text(id)), {}
-  for i = 1, select("#", ...) do texts[i] = to_text((select(i, ...))) end
+  local padded, texts = ("%-20s"):format(argument_text(id)), {}
+  for i = 1, select("#", ...) do texts[i] = argument_text((select(i, ...))) end
   return prefix .. paint(is_coloured, ID[id], padded) .. concat(texts, " ")
 end
 
@@ -172,9 +212,6 @@ function rfsmpp.gen_dbgcolor(name, ids, defshow, print_fn)
 end
 
 -- States: one a line, indented as they are nested ----------------------------------
-
--- Control characters are escaped, so that a name takes one line.
-local function escape_control(character) return ("\\%d"):format(character:byte()) end
 
 -- Returns the name of a state, in the colour of its mode, or with the mode as a word.
 local function state_text(state, letters, is_coloured)

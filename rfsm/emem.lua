@@ -2,10 +2,10 @@
 --
 -- Once this module is loaded, each state of a machine initialised afterwards has a
 -- table `emem`. `state.emem[event]` is the number of times that the event came in an
--- iteration in which the state was active; it is counted before guards are called. It
--- is nil for an event that has never come. When the state is left, the counts are set
--- to 0. The field `emem = false` switches counting off for a state, or, in the root,
--- for the machine.
+-- iteration in which the state was active; it is counted before guards are called. An
+-- event with data is counted by its name. The count is nil for an event that has never
+-- come. When the state is left, the counts are set to 0. The field `emem = false`
+-- switches counting off for a state, or, in the root, for the machine.
 --
 -- A state counts at most a thousand events that no transition names. When one more
 -- comes, the counts of these events are removed.
@@ -15,6 +15,7 @@
 
 local rfsm = require "rfsm"
 local alphabet = require "rfsm.shared.alphabet"
+local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 
 local error, ipairs = error, ipairs
@@ -51,10 +52,19 @@ local function forget_others(emem, declared)
   end
 end
 
+-- Returns the set of the events that transitions name, events with data by their names.
+local function declared_in(fsm)
+  local known = alphabet.of(fsm)
+  for _, predicate in ipairs(known.predicates) do
+    known.set[rfsm.event_name(predicate) or predicate] = true
+  end
+  return known.set
+end
+
 -- Counts an event that has no count in a state yet.
 local function count_new(fsm, state, event)
   local own, emem = fsm._emem, state.emem
-  own.declared = own.declared or alphabet.of(fsm).set
+  own.declared = own.declared or declared_in(fsm)
   if not own.declared[event] then
     own.others[state] = (own.others[state] or 0) + 1
     if own.others[state] > MOST_OTHERS then
@@ -67,6 +77,7 @@ end
 
 -- Sets count number k of an iteration. After an interrupt it is set again.
 local function count_event(fsm, state, event, k)
+  if type(event) == "table" then event = match.name_of(event) or event end
   local own, n = fsm._emem, state.emem[event]
   if k == own.at then
     state.emem[event] = own.values[k]
@@ -102,13 +113,18 @@ local function reset(fsm)
   for _, state in ipairs(rfsm.elements(fsm, has_emem)) do clear(fsm, state) end
 end
 
+-- No other machine knows an object, so its count cannot be kept.
+local IS_KEPT = { string = true, number = true, boolean = true }
+
 -- Returns the counts for a snapshot, by the FQN of each state that has counts.
 local function save(fsm)
   local counts = {}
   for _, state in ipairs(rfsm.elements(fsm, has_emem)) do
-    for _, event in ipairs(rfsm.sorted_keys(state.emem or {})) do
-      counts[state._fqn] = counts[state._fqn] or {}
-      counts[state._fqn][event] = state.emem[event]
+    for event, n in order.each(state.emem or {}) do -- any order: a copy
+      if IS_KEPT[type(event)] then
+        counts[state._fqn] = counts[state._fqn] or {}
+        counts[state._fqn][event] = n
+      end
     end
   end
   return not order.is_empty(counts) and counts or nil

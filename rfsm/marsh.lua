@@ -11,6 +11,7 @@
 
 local digits_of = require("rfsm.shared.exact_json").digits_of
 local files = require "rfsm.shared.files"
+local instrument = require "rfsm.shared.instrument"
 local rfsm = require "rfsm"
 
 local io, ipairs, rawget, rawset = rawget(_G, "io"), ipairs, rawget, rawset
@@ -19,6 +20,7 @@ local tonumber, type = tonumber, type
 local concat = table.concat
 local compile = rawget(_G, "loadstring") or rawget(_G, "load")
 local debug = rawget(_G, "debug")
+local original = instrument.original
 
 local marsh = {}
 
@@ -353,9 +355,9 @@ end
 local function callbacks_of(state, regions)
   if not regions then return state end
   local _, kept = rfsm.regions(state)
-  local source = source_of(state.doo)
+  local source = source_of(original(state, "doo"))
   local function user_s(field)
-    local f = kept[field] or state[field]
+    local f = original(kept, field) or original(state, field)
     return (not f or source_of(f) ~= source) and f or nil
   end
   return { entry = user_s("entry"), exit = user_s("exit"), doc = state.doc }
@@ -365,7 +367,7 @@ local function path_of(writer, node) return writer.prefix .. node._fqn:sub(5) en
 
 local function add_texts(writer, tab, element, fields)
   for _, field in ipairs(fields) do
-    local f = element[field]
+    local f = original(element, field)
     if f then
       local text, place = writer.callback_text(f, field)
       tab[field] = text

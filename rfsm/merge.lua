@@ -66,6 +66,7 @@ local function build_merge(rfsm, engine, fsm, parent, obj, id)
     end
   end
   engine.resolve(build, first)
+  engine.check_ways_in(build, first)
   return build
 end
 

@@ -51,15 +51,18 @@ local snapshot = { VERSION = migrate.VERSION }
 
 local NONE = {}
 
+local function check_event(event, path)
+  if encoding.is_event(event) then return end
+  fail("%s: an event that is a %s cannot be saved, only text, number, boolean, or "
+    .. "a plain table with a text 'name'", location_of(path, 1), type(event))
+end
+
 local function pack_queue(queue, path)
   local list = {}
   path.owner = (path.prefix == "root" and "" or path.prefix .. " ") .. "queue"
   for i = 1, #queue do
     path[1] = i
-    if not encoding.is_event(queue[i]) then
-      fail("%s: an event that is a %s cannot be saved, only text, number, boolean, or "
-        .. "a plain table with a text 'name'", location_of(path, 1), type(queue[i]))
-    end
+    check_event(queue[i], path)
     list[i] = pack(queue[i], path, 1)
   end
   return list
@@ -102,17 +105,35 @@ local function take_data(fsm, own, snap, path)
   end
 end
 
+local function check_target(own, tr)
+  local tgt = tr.tgt
+  local node = rfsm.is_node(tgt) and own.nodes[tgt._fqn or false]
+  if node and rawequal(node, tgt) then return end
+  fail("%s: tgt: state or connector of the machine expected, %s", rfsm.location_of(tr),
+    rfsm.got(tgt))
+end
+
 local function take_targets(own, snap)
   local first, transitions, list = own.targets, own.transitions, nil
   for i = 1, #transitions do
     local tr = transitions[i]
     if tr.tgt ~= first[i] then
+      check_target(own, tr)
       list = list or {}
       local n = #list
       list[n + 1], list[n + 2], list[n + 3] = tr._parent._fqn, tr._id, tr.tgt._fqn
     end
   end
   snap.targets = list
+end
+
+-- Raises an error if extensions keep an event that another machine would not know.
+local function check_waiting(fsm, path)
+  path.owner = path.prefix .. " waiting"
+  for i, event in ipairs(rfsm.waiting(fsm)) do
+    path[1] = i
+    check_event(event, path)
+  end
 end
 
 local function take_extensions(fsm, snap, path)
@@ -126,6 +147,7 @@ local function take_extensions(fsm, snap, path)
       snap.ext[hook.name] = pack(value, path, 0)
     end
   end
+  if snap.ext then check_waiting(fsm, path) end
 end
 
 -- Adds the queue to a snapshot, except the default queue: an empty one, or `e_init_fsm`
@@ -141,7 +163,7 @@ end
 -- Each machine has one such table, which is reused.
 local function path_of(own, prefix)
   local path = own.path
-  path.prefix, path.seen = prefix, false
+  path.prefix, path.seen, path.is_by_value = prefix, false, false
   return path
 end
 
@@ -157,6 +179,7 @@ local function take_part(fsm, prefix, version)
   end
   take_data(fsm, own, part, path)
   take_targets(own, part)
+  path.seen, path.is_by_value = false, true -- events may stand in several places
   take_extensions(fsm, part, path)
   take_queue(fsm, part, path)
   return part

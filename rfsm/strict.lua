@@ -285,6 +285,11 @@ end
 
 local MANY = 10000 -- iterations of one run
 
+-- Returns an event as a text. A server has no rfsmpp.
+local function event_text(event)
+  return rfsm.pp and rfsm.pp.value_text(event) or text_of(event)
+end
+
 -- Warns of a run that does not end, unless an idle hook shows that this is intended.
 local function check_end(fsm, events)
   local notes, leaf = fsm._strict, fsm._act_leaf
@@ -294,7 +299,7 @@ local function check_end(fsm, events)
   warn(fsm, ("rfsm.run has made %d iterations and goes on, in '%s': %s"):format(MANY,
     leaf and leaf._fqn or "root", MANY - notes.event_at > 9
     and "its doo is never idle (rfsm.yield(true) lets run return)"
-    or ("event '%s' comes again and again"):format(text_of(notes.event))))
+    or ("event '%s' comes again and again"):format(event_text(notes.event))))
 end
 
 -- The path hook: notes the path for the post step hook.

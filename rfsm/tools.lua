@@ -265,6 +265,26 @@ local function define_moves(rfsm, engine)
     if fsm._phase ~= "idle" then engine.try(fsm) end
   end
 
+  --- Note that the step under way will never return, for hosts that know this.
+  --
+  -- An exception of C++ that goes through Lua ends a step, and no pcall notices that. The
+  -- next step then goes on behind the callback that was under way, as after an interrupt.
+  -- A doo that was under way has failed.
+  --
+  ---@param fsm rfsm.Machine
+  ---@return boolean is_noted false if no step was under way
+  function rfsm.note_cut(fsm)
+    rfsm.check_machine(fsm, "rfsm.note_cut")
+    if fsm._phase == "idle" or fsm._is_cut then return false end
+    for _, at in ipairs(rfsm.machines(fsm)) do
+      local machine, leaf = at.machine, at.machine._act_leaf
+      -- the doo that steps regions begins anew: its coroutine cannot be resumed
+      if machine._phase == "doo" and rfsm.regions(leaf)[1] then leaf._doo_co = nil end
+      if machine._phase ~= "idle" then engine.cut(machine) end
+    end
+    return true
+  end
+
   --- Set the mode of a state.
   --
   -- Its ancestors become active, all other states inactive. No callback runs.

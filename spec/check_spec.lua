@@ -221,6 +221,67 @@ describe("init", function()
   end)
 end)
 
+describe("an initial that nothing leaves", function()
+  local TEXT = ": no transition leaves it (rfsm.trans{ src='initial', tgt=... })"
+
+  -- (initial) -> a --e--> on.x, and more members; `on` has such an `initial`.
+  local function entered_inside(members)
+    members.on = state { initial = conn {}, x = state {}, y = state {} }
+    members[2] = trans { src = "a", tgt = "on.x", events = "e" }
+    return chart(members)
+  end
+
+  it("is a warning if nothing enters the composite by it", function()
+    local model = entered_inside {
+      [3] = trans { src = "on.x", tgt = "on.y", events = "e" },
+      [4] = trans { src = "on", tgt = "a", events = "e_off" },
+    }
+    assert.same({ "WARNING: root.on.initial" .. TEXT }, warnings_of(model))
+    local fsm = helper.started(model)
+    assert.equal("root.on.x", helper.leaf_after(fsm, "e"))
+    assert.equal("root.on.y", helper.leaf_after(fsm, "e"))
+    assert.equal("root.a", helper.leaf_after(fsm, "e_off"))
+  end)
+
+  it("is a problem if a transition enters by it, once for all of them", function()
+    for _, tgt in ipairs { "on", "on.initial" } do
+      assert.same({ "root.on.initial" .. TEXT }, problems_of(entered_inside {
+        [3] = trans { src = "a", tgt = tgt, events = "e_on" },
+        [4] = trans { src = "on.x", tgt = tgt, events = "e_again" },
+      }))
+    end
+  end)
+
+  it("is a problem if another initial leads to it", function()
+    local inner = state { initial = conn {}, x = state {} }
+    local out = state { inner = inner, trans { src = "initial", tgt = "inner" } }
+    assert.same({ "root.out.inner.initial" .. TEXT }, problems_of(chart { out = out }))
+  end)
+
+  it("is a problem in the root, which is always entered by it", function()
+    assert.same({ "root.initial" .. TEXT }, problems_of(state {
+      err = false, initial = conn {}, a = state {} }))
+  end)
+
+  it("refuses a transition that is merged, until one leaves it", function()
+    local fsm = helper.started(entered_inside {})
+    local to_on = trans { src = "a", tgt = "on", events = "e_on" }
+    local _, reason = rfsm.fsm_merge(fsm, fsm, to_on)
+    assert.matches("root.on.initial" .. TEXT, reason, 1, true)
+    assert(rfsm.fsm_merge(fsm, fsm.on, trans { src = "initial", tgt = "y" }))
+    assert(rfsm.fsm_merge(fsm, fsm, to_on))
+    assert.equal("root.on.y", helper.leaf_after(fsm, "e_on"))
+  end)
+
+  it("is no way in for a target that a preproc function sets", function()
+    local function aim(fsm) fsm[2].tgt = fsm.on end
+    helper.with_preproc(aim, function()
+      assert.same({ "root.trans[2] (a -> on.x): tgt: the composite has no initial "
+        .. "transition" }, problems_of(entered_inside {}))
+    end)
+  end)
+end)
+
 describe("the warning of a node that nothing leaves", function()
   local function dead_ends_of(members)
     local said = {}

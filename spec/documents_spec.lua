@@ -125,6 +125,11 @@ describe("the chart in the README", function()
 
   teardown(function() os.execute("rm -r " .. folder) end)
 
+  it("is the example lamp.lua, which make sim opens", function()
+    assert.equal(helper.content("examples/lamp.lua"),
+      helper.content(folder .. "/lamp.lua"))
+  end)
+
   it("is taken by every command", function()
     for _, command in ipairs { "rfsm json -o lamp.json", "rfsm plantuml -o lamp.puml",
       "rfsm dot -o lamp.dot", "rfsm mermaid -o lamp.mmd", "rfsm viz -o lamp.svg",

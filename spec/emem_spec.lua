@@ -1,6 +1,7 @@
 -- Event memory.
 
 local helper = require "spec.helper"
+local host_of = require "spec.support.server_host"
 local rfsm = require "rfsm"
 local rfsm_emem = require "rfsm.emem"
 local share = require "spec.support.share"
@@ -100,6 +101,24 @@ describe("emem", function()
     assert.is_nil(next(emem))
   end)
 
+  it("counts events with data by their name", function()
+    local fsm = started(nil, { name = "e_x", v = 1 }, { name = "e_x", v = 2 }, "e_x")
+    assert.equal("3 3 3 nil", counts(fsm))
+    run(fsm, { name = 7 }, setmetatable({ name = "e_x" }, {}), { name = "e_y" })
+    assert.equal("3 3 3 nil", counts(fsm))
+    assert.equal(1, fsm.c.emem.e_y)
+  end)
+
+  it("remembers events with data that a transition names, however many come", function()
+    local model = chart()
+    model.c[2].events = { rfsm.named "e_paid" }
+    local fsm = started(model)
+    run(fsm, { name = "e_paid", v = 1 })
+    for i = 1, 1001 do run(fsm, { name = "e_pos" .. i }) end
+    assert.same({ 1, 1 }, { fsm.c.emem.e_paid, fsm.c.emem.e_pos1001 })
+    assert.is_nil(fsm.c.emem.e_pos1)
+  end)
+
   it("bears an event that is NaN", function()
     assert.equal("1 1 1 nil", counts((started(nil, 0 / 0, "e_x"))))
   end)
@@ -191,6 +210,21 @@ describe("a snapshot", function()
     assert.same({ e_x = 2, e_y = 1 }, other.c.a.emem)
   end)
 
+  it("has the counts of events with data, and none of objects", function()
+    local object, kept = {}, { name = "e_x", list = { 1 } }
+    local fsm = started(nil, kept, kept, object, print, setmetatable({}, {}))
+    for _ = 1, 2 do
+      local snap = snapshot.take(fsm)
+      assert.same({ e_x = 2 }, snap.ext.emem["root.c.a"])
+      local other = assert(snapshot.restore(chart(), snap))
+      run(other, { name = "e_x" })
+      assert.same({ e_x = 3 }, other.c.a.emem)
+      collectgarbage()
+    end
+    assert.equal(1, fsm.c.a.emem[object])
+    assert.is_nil((snapshot.take(started(nil, object)).ext or {}).emem)
+  end)
+
   it("of a machine without counts has none", function()
     assert.is_nil((snapshot.take(helper.init(chart())).ext or {}).emem)
   end)
@@ -233,6 +267,40 @@ describe("a state named emem", function()
     rfsm.reset(fsm)
     assert.is_false((pcall(rfsm_emem.emem_reset, fsm.c)))
     assert.equal("root.c.emem", helper.leaf_after(fsm))
+  end)
+end)
+
+describe("a machine of a fleet", function()
+  -- open --{ e_paid }--> part --{ e_paid }--> open, with a region in part
+  local function pay()
+    local function add(fsm, _, _, events) fsm.sum = fsm.sum + events[1].amount end
+    return state { keep = { "sum" }, sum = 0, open = state {},
+      part = rfsm.seqand { idle_doo = "auto", lamp = state { off = state {},
+        on = state {}, trans { src = "initial", tgt = "off" },
+        trans { src = "off", tgt = "on", events = { rfsm.named "e_on" } } } },
+      trans { src = "initial", tgt = "open" },
+      trans { src = "open", tgt = "part", events = { rfsm.named "e_paid" },
+        effect = add },
+      trans { src = "part", tgt = "open", events = { rfsm.named "e_paid" },
+        effect = add } }
+  end
+
+  it("takes events with data, and keeps their counts", function()
+    local trace = {}
+    package.loaded["rfsm.server.functions"] = nil
+    local f = require "rfsm.server.functions" (host_of.new(trace, { now = 1000 }),
+      { { name = "p", make = pay } })
+    package.loaded["rfsm.server.functions"] = nil
+    f.rfsm_create({ "m" }, { "p" })
+    for _, case in ipairs { { '{"name":"e_paid","amount":12}', "root.part" },
+      { '{"name":"e_on","by":{"id":3}}', "root.part" },
+      { '{"name":"e_paid","amount":3}', "root.open" } } do
+      local reply = f.rfsm_send({ "m" }, { case[1] })
+      assert.same({ case[2], "taken" }, { reply[1], reply[3] })
+    end
+    assert.matches('"sum":15', f.rfsm_get({ "m" })[12], 1, true)
+    local last = trace[#trace - 1]
+    assert.matches("emem={root={e_done@root.open=2,e_on=1,e_paid=2},", last, 1, true)
   end)
 end)
 

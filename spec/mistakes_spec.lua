@@ -108,7 +108,7 @@ local MISTAKES = [[
   doo = function() end,
 --> 1: root.doo: only a leaf state can have a doo
   c = rfsm.state { initial = rfsm.conn {}, x = rfsm.state {} },
---> 6: root.c.initial: no transition leaves it (rfsm.trans{ src='initial', tgt=... })
+--W 6: root.c.initial: no transition leaves it (rfsm.trans{ src='initial', tgt=... })
   c = rfsm.state { enter = function() end },
 --W 6: root.c: a state has no field 'enter' (did you mean 'entry'?)
   c = rfsm.state { on_entry = function() end },

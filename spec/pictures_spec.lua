@@ -441,12 +441,6 @@ describe("doc/gallery", function()
         true))
     end)
   end
-
-  it("has an up to date picture of the README's chart", function()
-    local text = content("README.md"):match("```lua\n(.-)```")
-    local load = rawget(_G, "loadstring") or load
-    compare_ids(helper.init(load(text)()), "doc/gallery/lamp.svg")
-  end)
 end)
 
 -- Saves random charts, and one of odd names, in a language; returns the folder.

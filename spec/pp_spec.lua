@@ -131,6 +131,15 @@ describe("a record", function()
     end)
   end
 
+  it("shows three tables inside each other, and twenty fields", function()
+    local list = {}
+    for i = 1, 21 do list[i] = i end
+    local line = with(nil, {}, function(pp)
+      return printed(pp, "X", { a = { { {} } } }, list)
+    end)
+    assert.matches("X                   {a={{table: [%w]+}}} {1,2,.*,20,...}$", line)
+  end)
+
   it("shows a table that contains itself", function()
     local line = with(nil, {}, function(pp) return printed(pp, "X", loop) end)
     assert.matches("^arm:\tX                   {1,table: [%w]+}$", line)

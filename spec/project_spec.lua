@@ -275,7 +275,7 @@ describe("the command", function()
     os.execute("mkdir " .. folder .. "; ln -s $(command -v readlink) " .. folder)
     local function status(list, name) return list:find(name, 1, true) and 0 or 1 end
     for name in names:gmatch("%S+") do
-      local text = "#!/bin/sh\n[ $1 = -e ] || { echo %s; exit; }\ncase $2 in\n"
+      local text = "#!/bin/sh\n[ \"$1\" = -e ] || { echo %s; exit; }\ncase $2 in\n"
         .. "*redis*) exit %d;;\n*argparse*) exit %d;;\nesac\n"
       helper.write(folder .. "/" .. name, text:format(name, status(own or "", name),
         status(with, name)))

@@ -55,6 +55,89 @@ local function recorded(sink)
   return recorder, fsm, trace
 end
 
+-- a --{ e_paid, amount 12 }--> b --{ e_own }--> c, where the exit of a sends e_own; in
+-- c a region: x --{ e_r }--> y; c --{ e_back, later }--> a
+local function paying(sums)
+  local function amount(name, wanted)
+    return function(_, events)
+      for _, event in ipairs(events) do
+        if event.name == name and event.by.id == wanted then return true end
+      end
+      return false
+    end
+  end
+  return state { info = false, warn = false, keep = { "last" },
+    a = state { exit = function(fsm)
+      rfsm.send_events(fsm,
+        { name = "e_own", n = 0.1, by = { id = 1, n = 5 }, [3] = 1 })
+    end },
+    b = state {},
+    c = rfsm.seqand { idle_doo = "auto", left = state { x = state {}, y = state {},
+      trans { src = "initial", tgt = "x" },
+      trans { src = "x", tgt = "y", events = { rfsm.named "e_r" },
+        guard = amount("e_r", 7) } } },
+    trans { src = "initial", tgt = "a" },
+    trans { src = "a", tgt = "b", events = { rfsm.named "e_paid" },
+      guard = amount("e_paid", 12) },
+    trans { src = "b", tgt = "c", events = { rfsm.named "e_own" },
+      effect = function(fsm, _, _, events)
+        fsm.last = events[1].by
+        sums[#sums + 1] = events[1].n + events[1].by.n + events[1][3]
+        timeevent.send_after(fsm, 5, { name = "e_back", by = { id = 2 } })
+      end },
+    trans { src = "c", tgt = "a", events = { rfsm.named "e_back" },
+      guard = amount("e_back", 2) },
+  }
+end
+
+describe("events with data", function()
+  -- Runs the chart, and returns its fqn at the end.
+  local function run_all(fsm, now)
+    local same = { name = "e_paid", by = { id = 12 } }
+    fsm.gettime = function() return now[1], 0 end
+    helper.post_and_run(fsm, "e_none", { name = "e_paid", by = { id = 11 } })
+    helper.post_and_run(fsm, same, same, { name = "e_none" })
+    helper.post_and_run(fsm, { name = "e_r", by = { id = 7 } })
+    local region = fsm.c.substates and fsm.c._regions[1] or fsm
+    assert.equal("root.y", rfsm.get_actleaf_fqn(region))
+    now[1] = 6
+    return helper.leaf_after(fsm)
+  end
+
+  for _, kind in ipairs { "list", "file" } do
+    it("are replayed with it from a " .. kind .. ", also dry", function()
+      local sums, now = {}, { 0 }
+      local sink = kind == "list" and {} or helper.file_with("")
+      local fsm = helper.init(paying(sums))
+      local recorder = record.record(fsm, sink)
+      assert.equal("root.a", run_all(fsm, now))
+      recorder:stop()
+      for _, dry in ipairs { false, true } do
+        local again = assert(record.replay(paying(sums), sink,
+          { dry = dry, guards = true }))
+        assert.equal("root.a", rfsm.get_actleaf_fqn(again))
+        assert.same({ id = 1, n = 5 }, again.last)
+      end
+      assert.same({ 6.1, 6.1 }, sums)
+    end)
+  end
+
+  it("are as new ones after each replay", function()
+    local sink = {}
+    local fsm = helper.started(paying({}))
+    local recorder = record.record(fsm, sink)
+    local event = { name = "e_paid", by = { id = 12 } }
+    assert.equal("root.c", helper.leaf_after(fsm, event))
+    recorder:stop()
+    event.by.id = 0
+    for _ = 1, 2 do
+      local again = assert(record.replay(paying({}), sink))
+      assert.equal("root.c", rfsm.get_actleaf_fqn(again))
+      again.last.id = 9
+    end
+  end)
+end)
+
 describe("a recording", function()
   it("holds what came from outside, and what followed", function()
     local sink = {}
@@ -227,6 +310,17 @@ describe("a recording", function()
     helper.post_and_run(fsm, print)
     assert.equal("step 10: an event that is a function cannot be replayed",
       select(2, record.replay(worker({}, yes), sink, { dry = true })))
+  end)
+
+  it("names an event with data that cannot be replayed", function()
+    for _, event in ipairs { setmetatable({ name = "e_paid" }, {}),
+      { name = "e_paid", f = print } } do
+      local sink = {}
+      local _, fsm = recorded(sink)
+      helper.post_and_run(fsm, event, "e_go")
+      assert.equal("step 10: an event that is a table named 'e_paid' cannot be "
+        .. "replayed", select(2, record.replay(worker({}, yes), sink, { dry = true })))
+    end
   end)
 
   it("names the field and both values when the data is not as it was", function()

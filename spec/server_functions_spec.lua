@@ -38,14 +38,19 @@ end
 
 local clock, trace, f, host
 
+-- Loads the library anew with these charts and options, for the machines of the host.
+local function load_library(charts, options)
+  package.loaded["rfsm.server.functions"] = nil
+  f = require "rfsm.server.functions" (host, charts, options)
+  package.loaded["rfsm.server.functions"] = nil
+end
+
 -- Loads the library with these options, and a machine m of the chart c.
 local function open(options)
   clock, trace = { now = 1000 }, {}
   host = host_of.new(trace, clock)
-  package.loaded["rfsm.server.functions"] = nil
-  f = require "rfsm.server.functions" (host, { { name = "c", make = chart },
+  load_library({ { name = "c", make = chart },
     { name = "any", make = any } }, options)
-  package.loaded["rfsm.server.functions"] = nil
   assert.same({ "root.a", "done", "taken" }, f.rfsm_create({ "m" }, { "c" }))
   for i = #trace, 1, -1 do trace[i] = nil end
 end
@@ -171,9 +176,7 @@ describe("a machine that cannot be entered", function()
       return state { a = state {}, trans { src = "initial", tgt = "a",
         guard = function() return false end } }
     end
-    package.loaded["rfsm.server.functions"] = nil
-    f = require "rfsm.server.functions" (host, { { name = "l", make = locked } })
-    package.loaded["rfsm.server.functions"] = nil
+    load_library { { name = "l", make = locked } }
     local reply = f.rfsm_create({ "l" }, { "l", "ID", "1" })
     assert.same({ "", "inactive" }, { reply[1], reply[2] })
     assert.same({ "", "inactive", "known" },
@@ -433,12 +436,10 @@ describe("what is due", function()
   end
 
   before_each(function()
-    package.loaded["rfsm.server.functions"] = nil
-    f = require "rfsm.server.functions" (host, { { name = "fast", make = every(0.01) },
+    load_library({ { name = "fast", make = every(0.01) },
       { name = "faster", make = every(0.001) }, { name = "endless", make = endless },
       { name = "r", make = reminded }, { name = "s", make = in_step } },
       { history = 9 })
-    package.loaded["rfsm.server.functions"] = nil
   end)
 
   local function data_of(key) return f.rfsm_get({ key })[12] end
@@ -527,10 +528,8 @@ describe("an event with data", function()
   end
 
   before_each(function()
-    package.loaded["rfsm.server.functions"] = nil
-    f = require "rfsm.server.functions" (host, { { name = "p", make = paid } },
+    load_library({ { name = "p", make = paid } },
       { history = 5 })
-    package.loaded["rfsm.server.functions"] = nil
     f.rfsm_create({ "p" }, { "p" })
     written()
   end)
@@ -787,9 +786,7 @@ describe("what an operator asks", function()
           end
         end } }
     end
-    package.loaded["rfsm.server.functions"] = nil
-    f = require "rfsm.server.functions" (host, { { name = "busy", make = busy } })
-    package.loaded["rfsm.server.functions"] = nil
+    load_library { { name = "busy", make = busy } }
     f.rfsm_create({ "q" }, { "busy" })
     assert.equal('[{"n":1,"name":"e_tick"}]', f.rfsm_get({ "q" })[14])
   end)
@@ -844,6 +841,116 @@ describe("a machine that is held", function()
       events[#events + 1] = by
     end
     assert.same({ "e_b", "e_a", "e_bad", "e_x" }, events)
+  end)
+
+  -- a, whose timer is due, with a callback that is not to be called: in a server it
+  -- might never end
+  local function bad(more)
+    return function()
+      local model = { keep = { "n" }, n = 0, a = state {}, b = state {},
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_after(1)", "e_go" },
+          effect = function(fsm) fsm.emit("called", fsm.n) end } }
+      for name, value in pairs(more or {}) do model[name] = value end
+      return state(model)
+    end
+  end
+
+  local function library(...) load_library { ... } end
+
+  it("has not run what was due, and does so when it is released", function()
+    library { name = "bad", make = bad() }
+    f.rfsm_create({ "w" }, { "bad" })
+    clock.now = 1002
+    written()
+    assert.same({ "root.a", "done", "kept" }, f.rfsm_hold({ "w" }))
+    assert.equal("ZREM SET", written())
+    assert.same({ "root.a", "done", "kept" }, f.rfsm_send({ "w" }, { "e_go" }))
+    assert.same({ "root.a", "done", "kept" }, f.rfsm_tick({ "w" }))
+    assert.equal("root.a", f.rfsm_get({ "w" })[6])
+    assert.not_matches("XADD", written())
+    assert.same({ "root.b", "done", "taken" }, f.rfsm_release({ "w" }))
+    assert.equal("ZREM XADD SET SPUBLISH", written())
+  end)
+
+  it("is forced elsewhere, or goes on in a new version of its chart", function()
+    library { name = "bad", make = bad() }
+    for _, key in ipairs { "w", "x" } do f.rfsm_create({ key }, { "bad" }) end
+    clock.now = 1002
+    for _, key in ipairs { "w", "x" } do f.rfsm_hold({ key }) end
+    written()
+    assert.same({ "root.b", "done", "kept" }, f.rfsm_force({ "w" }, { "root.b" }))
+    assert.equal("yes", f.rfsm_get({ "w" })[18])
+    assert.same({ "root.b", "done", "kept" }, f.rfsm_release({ "w" }))
+    assert.equal("ZREM SET SPUBLISH SET", written())
+    library({ name = "bad", make = bad() }, { name = "bad", make = bad { rename = {},
+      [2] = trans { src = "a", tgt = "b", events = { "e_after(1.5)", "e_go" } } } })
+    assert.same({ "root.b", "done", "taken" }, f.rfsm_release({ "x" }))
+    assert.equal("ZREM SET SPUBLISH", written())
+  end)
+
+  it("needs no chart to be held, shown and removed", function()
+    local calls = 0
+    local function count() calls = calls + 1 error "not to be called" end
+    library { name = "bad", make = bad { save = function() return 1 end,
+      load = function() end } }
+    f.rfsm_create({ "w" }, { "bad" })
+    f.rfsm_send({ "w" }, { "e_go" })
+    f.rfsm_create({ "x" }, { "bad" })
+    library { name = "bad", make = bad { save = count, load = count, migrate = count,
+      rename = {}, c = state {} } }
+    assert.same({ "root.b", "done", "kept" }, f.rfsm_hold({ "w" }))
+    library()
+    assert.same({ "root.a", "done", "kept" }, f.rfsm_hold({ "x" }))
+    assert.same({ "held", "yes" }, { unpack(f.rfsm_get({ "x" }), 17, 18) })
+    assert.equal("ERR rfsm_release: no chart is named 'bad'",
+      f.rfsm_release({ "x" }).err)
+    assert.equal("yes", f.rfsm_get({ "x" })[18])
+    assert.equal(0, calls)
+  end)
+
+  it("stays held if its release fails", function()
+    library { name = "bad", make = bad() }
+    f.rfsm_create({ "w" }, { "bad" })
+    clock.now = 1002
+    f.rfsm_hold({ "w" })
+    host.redis.acl_check_cmd = function() return false end
+    assert.matches("^ERR rfsm_release: no right to do ", f.rfsm_release({ "w" }).err)
+    assert.equal("yes", f.rfsm_get({ "w" })[18])
+  end)
+
+  it("loses events for later that are taken back, though they are due", function()
+    library { name = "bad", make = bad() }
+    f.rfsm_create({ "w" }, { "bad" })
+    f.rfsm_send_at({ "w" }, { "+0.5", "e_go", "ID", "x" })
+    clock.now = 1000.75
+    f.rfsm_hold({ "w" })
+    assert.equal(1, f.rfsm_cancel({ "w" }, { "x" }))
+    written()
+    assert.same({ "root.a", "done", "kept" }, f.rfsm_release({ "w" }))
+    assert.equal("ZADD SET", written())
+    assert.equal("1001.000000", f.rfsm_get({ "w" })[16])
+  end)
+
+  it("goes on where it was, if it was not idle when it was held", function()
+    library { name = "long", make = function()
+      return state { keep = { "n" }, n = 0, a = state {}, b = state {},
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_stop" } },
+        trans { src = "a", tgt = "internal", events = { "e_more" },
+          effect = function(fsm)
+            fsm.n = fsm.n + 1
+            if fsm.n < 1500 then rfsm.send_events(fsm, "e_more") end
+          end } }
+    end }
+    f.rfsm_create({ "w" }, { "long" })
+    f.rfsm_send({ "w" }, { "e_more" })
+    assert.same({ "root.a", "done", "kept" }, f.rfsm_hold({ "w" }))
+    clock.now = 1001
+    assert.same({ "root.a", "done", "kept" }, f.rfsm_send({ "w" }, { "e_stop" }))
+    f.rfsm_tick({ "w" })
+    assert.same({ "root.b", "done", "taken" }, f.rfsm_release({ "w" }))
+    assert.equal('{"root":{"n":1500}}', f.rfsm_get({ "w" })[12])
   end)
 
   it("keeps its timers until then", function()
@@ -912,6 +1019,150 @@ describe("values of the version before", function()
   end)
 end)
 
+describe("a callback that changes what the machines of a chart share", function()
+  -- a --e_1--> b --e_1--> p { x --e_1--> y } --e_2--> a; in a e_bad calls `bad` as an
+  -- effect, and e_ask as a guard that forbids
+  local function model(bad)
+    return function()
+      local function note(text)
+        return function(fsm) fsm.emit(text, { fsm.more ~= nil, fsm[8] ~= nil }) end
+      end
+      return state { a = state { exit = note "a" }, b = state { entry = note "b" },
+        c = state {},
+        p = rfsm.seqand { idle_doo = "auto", left = state { x = state {},
+          y = state { entry = note "y" }, trans { src = "initial", tgt = "x" },
+          trans { src = "x", tgt = "y", events = { "e_1" } } } },
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_1" } },
+        trans { src = "b", tgt = "p", events = { "e_1" } },
+        trans { src = "p", tgt = "a", events = { "e_2" } },
+        trans { src = "a", tgt = "a", events = { "e_bad" }, effect = bad },
+        trans { src = "a", tgt = "c", events = { "e_ask" }, guard = function(tr)
+          bad(tr._fsm, tr)
+          return false
+        end },
+        trans { src = "c", tgt = "a", events = { "e_2" } } }
+    end
+  end
+
+  local function library(bad)
+    clock, trace = { now = 1000 }, {}
+    host = host_of.new(trace, clock)
+    load_library { { name = "v", make = model(bad) } }
+    for _, key in ipairs { "w", "x" } do f.rfsm_create({ key }, { "v" }) end
+    written()
+  end
+
+  -- What x does, and what is written meanwhile, as one text.
+  local function run_other()
+    written()
+    local replies = {}
+    for _, event in ipairs { "e_1", "e_2", "e_1", "e_1", "e_2", "e_1" } do
+      local reply = f.rfsm_send({ "x" }, { event })
+      replies[#replies + 1] = reply.err or table.concat(reply, " ", 1, 2)
+    end
+    return table.concat(replies, "\n") .. "\n" .. table.concat(trace, "\n")
+  end
+
+  -- Does x what it does if no callback changes anything?
+  local function check_others()
+    local got = run_other()
+    library(function() end)
+    assert.equal(run_other(), got)
+  end
+
+  local function merge(fsm, ...) return rfsm.fsm_merge(fsm, fsm, ...) end
+
+  local function clear(_, events) events[1] = nil end
+
+  for _, case in ipairs {
+    { "merges a state", "fsm_merge", function(fsm)
+      return merge(fsm, state {}, "more")
+    end },
+    { "merges a connector", "fsm_merge", function(fsm)
+      return merge(fsm, rfsm.conn {}, "more")
+    end },
+    { "merges a transition with a timer", "fsm_merge", function(fsm)
+      return merge(fsm,
+        trans { src = "a", tgt = "c", events = { "e_1", "e_after(1)" } })
+    end },
+    { "merges into a region", "fsm_merge", function(fsm)
+      return merge(rfsm.regions(fsm.p)[1], state {}, "more")
+    end },
+    { "adds a step hook", "pre_step_hook_add", function(fsm)
+      return rfsm.pre_step_hook_add(fsm, clear, "before")
+    end },
+    { "adds a step hook to a region", "post_step_hook_add", function(fsm)
+      return rfsm.post_step_hook_add(rfsm.regions(fsm.p)[1], clear)
+    end },
+    { "adds a hook to a state", "exit_hook_add", function(fsm)
+      return rfsm.exit_hook_add(fsm, fsm.a, function() fsm.emit "hook" end)
+    end },
+    { "removes a hook", "post_step_hook_rm", function(fsm)
+      return rfsm.post_step_hook_rm(fsm, fsm._post_hooks[1])
+    end },
+  } do
+    local what, name, bad = unpack(case)
+    it(what .. " is refused by name, and nothing is changed", function()
+      local answers, reason = {}, "rfsm." .. name .. ": the machines of a fleet share "
+        .. "their chart, so a callback cannot change it"
+      library(function(fsm) answers[#answers + 1] = { bad(fsm) } end)
+      assert.same({ "root.a", "done", reason, "taken" },
+        f.rfsm_send({ "w" }, { "e_bad" }))
+      assert.same({ "root.a", "done", reason, "dropped" },
+        f.rfsm_send({ "w" }, { "e_ask" }))
+      f.rfsm_why({ "w" }, { "e_ask" })
+      for _, answer in ipairs(answers) do assert.same({ false, reason }, answer) end
+      assert.is_true(#answers >= 3)
+      assert.equal("root.b", f.rfsm_send({ "w" }, { "e_1" })[1])
+      check_others()
+    end)
+  end
+
+  it("writes elements into the tree is not seen by other machines", function()
+    library(function(fsm)
+      fsm.more, fsm[8] = state {}, trans { src = "a", tgt = "c", events = { "e_1" } }
+      fsm.a.more = rfsm.conn {}
+    end)
+    f.rfsm_send({ "w" }, { "e_bad" })
+    check_others()
+  end)
+
+  for text, target in pairs {
+    ["string 'c'"] = "c", ["state"] = state {}, ["nil"] = false,
+  } do
+    it("sets a target that is no node of the machine fails: " .. text, function()
+      library(function(fsm) fsm[2].tgt = target or nil end)
+      local reply = f.rfsm_send({ "w" }, { "e_bad" })
+      assert.matches("^ERR rfsm_send: .*rfsm.snapshot.take: .*root.trans%[2%] "
+        .. "%(a %-> b%): tgt: state or connector of the machine expected, got "
+        .. text .. "$", reply.err)
+      assert.equal("root.b", f.rfsm_send({ "w" }, { "e_1" })[1])
+      check_others()
+    end)
+  end
+
+  it("sends events later for the first time is no such callback", function()
+    library(function(fsm) timeevent.send_after(fsm, 5, "e_1") end)
+    f.rfsm_send({ "w" }, { "e_bad" })
+    clock.now = 1006
+    assert.same({ "root.b", "done", "taken" }, f.rfsm_tick({ "w" }))
+  end)
+
+  it("merges into a machine that it has made itself is no such callback", function()
+    local answer
+    library(function()
+      local own = rfsm.init(state { a = state {}, trans { src = "initial", tgt = "a" },
+        info = false, warn = false })
+      answer = rfsm.fsm_merge(own, own, state {}, "b")
+    end)
+    assert.equal("taken", f.rfsm_send({ "w" }, { "e_bad" })[3])
+    assert.is_true(answer)
+    assert.error_matches(function() rfsm.fsm_merge(nil) end,
+      "rfsm.fsm_merge: initialised fsm expected, got nil")
+  end)
+end)
+
 describe("versions of a chart", function()
   local function version(by, more)
     return function()
@@ -925,9 +1176,7 @@ describe("versions of a chart", function()
   local function library(...)
     local list = {}
     for i, make in ipairs { ... } do list[i] = { name = "v", make = make } end
-    package.loaded["rfsm.server.functions"] = nil
-    f = require "rfsm.server.functions" (host, list)
-    package.loaded["rfsm.server.functions"] = nil
+    load_library(list)
   end
 
   it("take the machines that they can take, the newest first", function()
@@ -961,6 +1210,109 @@ describe("versions of a chart", function()
     f.rfsm_why({ "w" }, { "e_go" }) -- puts the machine, and does not save it
     assert.equal("root.b", f.rfsm_send({ "x" }, { "e_go" })[1])
     assert.equal("root.c", f.rfsm_send({ "w" }, { "e_go" })[1])
+  end)
+
+  -- open --e_pay--> paid, with the reminder `timer` in open or around it, and what
+  -- `more` adds; `log` notes what is taken, in order
+  local function order(timer, more)
+    return function()
+      local function note(text) return function(fsm) fsm.log = fsm.log .. text end end
+      local model = state { keep = { "log" }, log = "", rename = {},
+        live = state { open = state {}, paid = state {},
+          trans { src = "initial", tgt = "open" },
+          trans { src = "open", tgt = "paid", events = { "e_pay" },
+            effect = note "pay " } },
+        trans { src = "initial", tgt = "live" } }
+      local reminder = trans { src = "open", tgt = "internal", events = { timer },
+        effect = note "remind " }
+      if timer then table.insert(model.live, 1, reminder) end
+      if more then more(model, note) end
+      return model
+    end
+  end
+
+  local function with_region(seconds)
+    return order(nil, function(model, note)
+      model.live = rfsm.seqand { idle_doo = "auto", bell = state {
+        open = state {}, paid = state {}, trans { src = "initial", tgt = "open" },
+        trans { src = "open", tgt = "internal",
+          events = { "e_after(" .. seconds .. ")" },
+          effect = function(fsm) note "remind "(fsm._owner) end },
+        trans { src = "open", tgt = "paid", events = { "e_pay" },
+          effect = function(fsm) note "pay "(fsm._owner) end } } }
+    end)
+  end
+
+  local function around(seconds)
+    return order(nil, function(model, note)
+      table.insert(model, 1, trans { src = "live", tgt = "internal",
+        events = { "e_after(" .. seconds .. ")" }, effect = note "remind " })
+    end)
+  end
+
+  describe("whose timers differ: what is due in the new one runs first", function()
+    local CASES = {
+      { "a shorter timer", order "e_after(60)", order "e_after(0.25)", true },
+      { "a longer timer", order "e_after(0.25)", order "e_after(60)", false },
+      { "a new timer", order "e_after(60)", order("e_after(60)", function(model, note)
+        table.insert(model.live, 1, trans { src = "open", tgt = "internal",
+          events = { "e_after(0.25)" }, effect = note "remind " })
+      end), true },
+      { "no timer", order "e_after(0.25)", order(), false },
+      { "a shorter timer around", around(60), around(0.25), true },
+      { "a time that is over, in place of a timer", order "e_after(60)",
+        order "e_at(1000.25)", true },
+      { "a time that is over, in a machine that nothing woke", order(),
+        order "e_at(999)", true },
+      { "a shorter timer in a region", with_region(60), with_region(0.25), true },
+      { "a longer timer in a region", with_region(0.25), with_region(60), false },
+    }
+
+    for _, case in ipairs(CASES) do
+      local name, old, new, is_due = unpack(case)
+      it("with " .. name, function()
+        library(old)
+        f.rfsm_create({ "w" }, { "v" })
+        library(old, new)
+        clock.now = 1000.5
+        local reply = f.rfsm_send({ "w" }, { "e_pay", "ID", "p" })
+        assert.equal("taken", reply[#reply])
+        local log = (is_due and "remind " or "") .. "pay "
+        assert.equal('{"root":{"log":"' .. log .. '"}}', f.rfsm_get({ "w" })[12])
+      end)
+    end
+
+    it("also when waiting events are taken back, or a worker wakes it", function()
+      for _, verb in ipairs { "cancel", "tick" } do
+        library(order "e_after(60)")
+        f.rfsm_create({ verb }, { "v" })
+        f.rfsm_send_at({ verb }, { "+50", "e_pay", "ID", "p" })
+        library(order "e_after(60)", order("e_after(0.25)", function(model, note)
+          table.insert(model.live, 1, trans { src = "open", tgt = "internal",
+            events = { "e_after(0.375)" }, effect = note "again " })
+        end))
+        clock.now = clock.now + 0.5
+        f["rfsm_" .. verb]({ verb }, { "p" })
+        assert.equal('{"root":{"log":"remind again "}}', f.rfsm_get({ verb })[12])
+      end
+    end)
+  end)
+
+  it("are found by the charts of regions, too, if the newest is refused", function()
+    local function no_rename(make)
+      return function()
+        local model = make()
+        model.rename = nil
+        return model
+      end
+    end
+    local old, new = no_rename(with_region(60)), no_rename(with_region(0.25))
+    library(old)
+    f.rfsm_create({ "w" }, { "v" })
+    library(old, new)
+    clock.now = 1000.5
+    assert.same({ "root.live", "active", "taken" }, f.rfsm_send({ "w" }, { "e_pay" }))
+    assert.equal('{"root":{"log":"pay "}}', f.rfsm_get({ "w" })[12])
   end)
 
   it("that fail are reported with their name", function()

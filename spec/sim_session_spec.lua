@@ -273,6 +273,23 @@ at root.a(done)
    7  e_after(9)@root.b               root.a(done)
    8  e_done@root.a                   root.a(done)
 ]=] },
+    { does = "has the names of events with data, also in a replay", chart = ring(
+        "rfsm.trans { src = 'a', tgt = 'b', events = { rfsm.named 'e_paid' } }, "),
+      input = [=[
+record_here()
+run
+ser { name = "e_paid", amount = 12 }
+history 1
+record(false)
+replay_it()
+history 2
+]=], output = [=[
+at root.a(done)
+at root.b(done)
+   2  e_paid                          root.b(done)
+   4  e_done@root.a, e_paid           root.b(done)
+   5  e_done@root.b                   root.b(done)
+]=] },
     { does = "has the errors of callbacks again in a replay", chart = ring(
         "d = rfsm.state { entry = function() error('no', 0) end }, rfsm.trans { "
         .. "src = 'a', tgt = 'd', events = 'e_d' }, "), input = [=[

@@ -66,6 +66,26 @@ step()
       .. "queue:  e_done@root.world, e_restart\n" .. AT_HELLO, out)
   end)
 
+  it("opens the chart that a word of make sim names", function()
+    local own = file_with("return rfsm.state { info = false, lamp = 'own' }")
+    local TITLES = { ["lamp.lua"] = "nil\tsays", ["MODEL=lamp.lua"] = "nil\tsays",
+      ["examples/lamp.lua"] = "nil\tsays", [own] = "own\tnil",
+      [""] = "nil\tnil", ["MODEL=" .. HELLO .. " " .. own] = "own\tnil" }
+    for word, title in pairs(TITLES) do -- any order: each stands alone
+      assert.equal(title .. "\n", (run("TERM=dumb make -s sim " .. word,
+        "print(fsm.lamp, fsm.on and 'says')"):gsub("^.-help[^\n]*\n", "")), word)
+    end
+  end)
+
+  it("complains of a word of make sim that names no chart, and opens none", function()
+    for _, word in ipairs { "nosuch.lua", "lamp.lau", "MODEL=nosuch.lua" } do
+      local out, complaints = run("TERM=dumb make -s sim " .. word)
+      assert.equal("", out)
+      assert.equal(("rfsm sim: cannot open %s: No such file or directory\n"):format(
+        word:gsub("MODEL=", "")), complaints:match("^[^\n]*\n"))
+    end
+  end)
+
   it("runs with the Lua that LUA names, also by make sim", function()
     local made = helper.lines_of("make -sn sim LUA=" .. LUA .. " MODEL=" .. HELLO)
     local jit = rawget(_G, "jit")
@@ -104,6 +124,11 @@ local SAID = {
   ["{ { { { 1 } } } }"] = "^{ { { table: %S+ } } }\n$",
   ["local t = {} for i = 1, 25 do t[i] = i end x = t\nx\nx = nil"] =
     "{ 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, ... }\n",
+  ["x = { 1 }\nx[2], x.y = x, { x }\nx\nx = nil"] =
+    "^{ 1, table: %S+, y = { table: %S+ } }\n$",
+  ["x = {}\nwatch x\nx[1] = { { x, { 1 } } }\nstep\ndelete\nx = nil"] = "^"
+    .. AT_HELLO:gsub("[().]", "%%%0")
+    .. "watch:  x = { { { table: %S+, table: %S+ } } }\n$",
   ["for i = 1, 2 do\n  print(i)\nend\n"] = "1\n2\n",
   ["step 3"] = AT_END, ["run\nser e_restart, 'e_restart'"] = AT_END .. AT_END,
   ["next({ 7 })"] = "1\t7\n",
@@ -355,9 +380,10 @@ local function open_terminal(arguments, lua_init)
     assert.is_truthy(screen:find("ended with status 0", 1, true), screen)
   end
 
-  os.execute(("LUA_INIT=\"%s\" HOME=/nowhere TERM=dumb LUA=%s %s new-session -d -x 120 "
-    .. "-y 50 'tools/rfsm-sim %s; echo ended with status $?; sleep 100'"):format(
-    lua_init or "", LUA, tmux, arguments))
+  -- tmux asks $SHELL to run the command. Control-C reaches that shell, too.
+  os.execute(("SHELL=/bin/sh LUA_INIT=\"%s\" HOME=/nowhere TERM=dumb LUA=%s %s "
+    .. "new-session -d -x 120 -y 50 'trap : INT; tools/rfsm-sim %s; echo ended with "
+    .. "status $?; sleep 100'"):format(lua_init or "", LUA, tmux, arguments))
   terminal.type_in(">")
   return terminal
 end

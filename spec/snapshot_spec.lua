@@ -9,6 +9,7 @@ local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
 local share = require "spec.support.share"
 local snapshot = require "rfsm.snapshot"
+local timeevent = require "rfsm_timeevent"
 
 local state, trans = rfsm.state, rfsm.trans
 local N = tonumber(os.getenv("RFSM_N")) or share.count(30)
@@ -221,6 +222,32 @@ describe("an event with data", function()
   end)
 end)
 
+describe("an event with data that is sent, deferred and kept at once", function()
+  it("is kept by value in each place", function()
+    require "rfsm.defer"
+    local function model()
+      return state { info = false, warn = false, keep = { "last" },
+        a = state { defer = { rfsm.named "e_x" } },
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "initial", events = { rfsm.named "e_y" } } }
+    end
+    local fsm, event = helper.started(model()), { name = "e_x", by = { id = 3 } }
+    helper.post_and_run(fsm, event, event)
+    timeevent.send_after(fsm, 5, event, "first")
+    timeevent.send_after(fsm, 6, event)
+    rfsm.send_events(fsm, event, event)
+    fsm.last = event
+    local snap = snapshot.take(fsm)
+    event.by.id = 4
+    local other = assert(snapshot.restore(model(), snap))
+    local same = { name = "e_x", by = { id = 3 } }
+    assert.same({ same, same, last = same, same, same }, { other._intq[1],
+      other._intq[2], other._deferred[1], other._deferred[2], last = other.last })
+    assert.same({ same, same, same, same }, rfsm.waiting(other))
+    assert.same(snap.queue, snapshot.take(other).queue)
+  end)
+end)
+
 describe("take names what cannot be saved:", function()
   local shared = {}
   local deep = {}
@@ -233,6 +260,17 @@ describe("take names what cannot be saved:", function()
     ["queue[3]: an event that is a userdata cannot be saved, only text, number, "
       .. "boolean, or a plain table with a text 'name'"] = function(fsm)
       rfsm.send_events(fsm, { name = "e", at = 1 }, io.stdout)
+    end,
+    ["root waiting[2]: an event that is a table cannot be saved, only text, number, "
+      .. "boolean, or a plain table with a text 'name'"] = function(fsm)
+      timeevent.send_after(fsm, 5, "e_on")
+      timeevent.send_after(fsm, 6, { "e_on" })
+    end,
+    ["queue[2].by: this table stands elsewhere in the data, too, and can only be saved "
+      .. "once"] = function(fsm)
+      local event = { name = "e" }
+      event.by = event
+      rfsm.send_events(fsm, event)
     end,
     ["root.on.count.list[2]: a function cannot be saved"] = function(fsm)
       fsm.on.count = { list = { 1, print } }

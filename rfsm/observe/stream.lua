@@ -46,9 +46,9 @@ local function attach_element(own, at, element)
       listener.entered(at, state)
     end)
   elseif rfsm.is_trans(element) and listener.guard and element.guard then
-    local guard = element.guard
-    instrument.put(own.changes, element, "guard", function(_, events)
-      return listener.guard(at, element, guard, events)
+    local done
+    done = instrument.put(own.changes, element, "guard", function(_, events)
+      return listener.guard(at, element, done.was, events)
     end)
   end
 end

@@ -16,7 +16,7 @@ local error, ipairs, pcall = error, ipairs, pcall
 local rawequal, rawget, tostring, type = rawequal, rawget, tostring, type
 local max, min, remove = math.max, math.min, table.remove
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
-local is_scalar, reason, text_of = encoding.is_scalar, encoding.reason, rfsm.text_of
+local reason, text_of = encoding.reason, rfsm.text_of
 local list_text, leaf_text, same = tracks.list_text, tracks.leaf_text, tracks.same
 
 --- A machine that is being replayed.
@@ -47,7 +47,7 @@ local function fill(session, list, events)
   for i = #list, 1, -1 do list[i] = nil end
   for i = 1, events and #events or 0 do
     local event = encoding.unpack(events[i], 0)
-    if is_scalar(event) then
+    if encoding.is_scalar(event) or encoding.is_event(event) then
       list[i] = event
     else
       depart(session, "%s cannot be replayed", list_text({ events[i] }))

@@ -23,11 +23,15 @@ local track = {}
 
 -- Data ----------------------------------------------------------------------------
 
---- Return an event as plain data. Of a table or another object only the name of its
--- type is noted, so such an event cannot be replayed.
+--- Return an event as plain data. An object, or an event whose data cannot be saved, is
+-- noted by its type and its name. Such an event cannot be replayed.
 function track.pack_event(event)
   if encoding.is_scalar(event) then return encoding.pack(event) end
-  return { "%x", type(event) }
+  local path = { owner = "event", seen = false, is_by_value = true }
+  local packed = encoding.is_event(event) and encoding.attempt(encoding.pack, event,
+    path, 0)
+  local name = type(event) == "table" and rawget(event, "name")
+  return packed or { "%x", type(event), type(name) == "string" and name or nil }
 end
 
 --- Return events as plain data; nil if there are none.
@@ -37,13 +41,26 @@ function track.pack_events(events)
   return list[1] ~= nil and list or nil
 end
 
+local function is_object(packed)
+  return type(packed) == "table" and packed[1] == "%x"
+end
+
+--- Return the text of a packed event; of an object its name, or its type.
+function track.event_text(packed)
+  if is_object(packed) then return text_of(packed[3] or packed[2]) end
+  return rfsm.event_text(encoding.unpack(packed, 0))
+end
+
+local function long_text(packed)
+  if not is_object(packed) then return track.event_text(packed) end
+  local name = packed[3] and (" named '%s'"):format(text_of(packed[3])) or ""
+  return "an event that is a " .. text_of(packed[2]) .. name
+end
+
 --- Return a list of packed events as text: "e_a, e_b", or "none".
 function track.list_text(list)
   local texts = {}
-  for i = 1, list and #list or 0 do
-    texts[i] = type(list[i]) == "table" and "an event that is a " .. text_of(list[i][2])
-      or text_of(list[i])
-  end
+  for i = 1, list and #list or 0 do texts[i] = long_text(list[i]) end
   return texts[1] and concat(texts, ", ") or "none"
 end
 

@@ -21,7 +21,7 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 -- Functions that are needed after the launch use these locals, so that the rest of the
 -- module `update` can be collected.
 local add_attributes, ATTRIBUTES = update.add_attributes, update.ATTRIBUTES
-local report = update.report
+local notice_exception, report = update.notice_exception, update.report
 
 local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 
@@ -40,6 +40,8 @@ local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 ---@field counts table<string, integer> the values of those attributes that are counters
 ---@field emit? fun(...) writes events to the event port; also global `emit_event`
 ---@field is_ready boolean do all ports exist, and are the program's hooks wrapped?
+---@field has_failed boolean did the last update fail?
+---@field hear? fun() has the machine read its ports again, during its entry
 
 local function set_globals(globals)
   for name, value in pairs(globals) do rawset(_G, name, value) end -- any order: a set
@@ -179,8 +181,12 @@ local function enter(launch, fsm)
   local getevents = rawget(fsm, "getevents")
   local function no_events() end
   fsm.getevents = no_events
+  function launch.hear()
+    if fsm.getevents == no_events then fsm.getevents = getevents end
+    launch.hear = nil
+  end
   local ok, problem = pcall(rfsm.step, fsm)
-  if fsm.getevents == no_events then fsm.getevents = getevents end
+  launch.hear()
   if not ok then report(launch, problem) end
 end
 
@@ -201,13 +207,15 @@ end
 -- Makes RTT's hook `name` call the program's hook, if there is one, and then `ours`, if
 -- given. With `always` it calls `ours` also when the program's hook fails or returns
 -- false. It raises texts only, since OCL mutes the log of the whole process at an error
--- that is no text.
+-- that is no text. RTT calls no hook inside of another one, but for the stopHook of a
+-- component that stops itself.
 local function wrap(launch, name, ours, always)
   local theirs = rawget(_G, name)
   if theirs == launch.hooks[name] and theirs then return end
   launch.theirs[name] = theirs
   launch.hooks[name] = function()
     local ok, result = true, true
+    if name ~= "stopHook" then notice_exception(launch) end
     if theirs then ok, result = pcall(theirs) end
     if ours and (always or ok and result ~= false) then ours() end
     if not ok then error(rfsm.text_of(result), 0) end
@@ -259,7 +267,10 @@ local function new_hook(launch, trigger)
   local _, hook = assert(coroutine.resume(thread))
   launch.hook, launch.thread = hook, thread
   set_globals { eehook = hook, [HOOK] = function()
-    if launch.hook and not halt:tolua() then return trigger() end
+    if launch.hook and not halt:tolua() then
+      notice_exception(launch)
+      return trigger()
+    end
     halted:assign(true)
     return false
   end, [component.RESUME] = function()
@@ -269,6 +280,12 @@ local function new_hook(launch, trigger)
     hook:enable()
   end }
   return hook
+end
+
+-- Returns the global `trigger` of a service without a hook. A callback may call it,
+-- too, so a call that finds a step under way reports that, and takes none.
+local function new_outer_trigger(launch, trigger)
+  return function() return notice_exception(launch) or trigger() end
 end
 
 -- Launch -------------------------------------------------------------------------
@@ -343,7 +360,9 @@ local function set_up(launch)
   connect(launch, fsm, getevents, write_fqn)
   launch.fsm, launch.meter = fsm, update.new_meter(launch)
   local trigger = update.new_trigger(launch, fsm)
-  set_globals { fsm = fsm, trigger = trigger }
+  local by_hand = not (launch.is_component or launch.eehook)
+  set_globals { fsm = fsm,
+    trigger = by_hand and new_outer_trigger(launch, trigger) or trigger }
   if launch.is_component and not rawget(_G, "updateHook") then
     wrap(launch, "updateHook", trigger)
   end
@@ -423,10 +442,10 @@ function component.start(launch)
   if problem then error(launch.where .. problem, 0) end
   load_libraries(launch)
   begin(launch)
+  rfsm_rtt.launched = launch -- now: an exception of C++ may end the launch
   local ok, result = pcall(set_up, launch)
   rfsm_rtt.forget_modules()
   if not ok then update.fail(launch, result) end
-  rfsm_rtt.launched = launch
   return result
 end
 

@@ -226,6 +226,21 @@ end
 
 local report = update.report
 
+-- Exceptions of C++ ----------------------------------------------------------------
+
+--- Have the machine go on if an exception of C++ has ended its last step: it goes
+-- through Lua, and no pcall notices it. Only for callers that RTT calls, and never
+-- inside of a step, since such a step looks the same. Return true if one was ended.
+function update.notice_exception(launch)
+  local fsm = launch.fsm
+  if not (fsm and rfsm.note_cut(fsm)) then return false end
+  if launch.hear then launch.hear() end
+  launch.has_failed = true
+  report(launch, "an exception of C++ has ended a step, which goes on behind the "
+    .. "callback that raised it")
+  return true
+end
+
 -- Updates ------------------------------------------------------------------------
 
 -- Returns a function that wakes an event-driven component for the next time event.
@@ -265,13 +280,14 @@ function update.new_trigger(launch, fsm)
     or function() end
   local advance = new_update(launch, fsm, again)
   local meter, target, flush = launch.meter, launch.component, launch.flush
-  local running_only, has_failed = launch.running_only, false
+  local running_only = launch.running_only
+  launch.has_failed = false
   return function()
     if running_only and target:getState() ~= "Running" then return true end
     local ok, problem = pcall(advance)
     if not ok then report(launch, problem) end
-    if ok == has_failed then pcall(again) end
-    has_failed = not ok
+    if ok == launch.has_failed then pcall(again) end
+    launch.has_failed = not ok
     pcall(flush)
     meter()
     return true

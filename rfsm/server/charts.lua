@@ -9,6 +9,7 @@ local alphabet = require "rfsm.shared.alphabet"
 local calls = require "rfsm.shared.calls"
 local encoding = require "rfsm.snapshot.encoding"
 local exact_json = require "rfsm.shared.exact_json"
+local migrate = require "rfsm.snapshot.migrate"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 
@@ -69,6 +70,33 @@ local function collect_print(...)
   printed[#printed + 1] = calls.text(" ", ...)
 end
 
+-- The machines that run saved machines, and their regions.
+local is_shared = setmetatable({}, { __mode = "k" })
+
+-- Hooks that an extension may add when a callback uses it for the first time.
+local MAY_BE_LATE = { reset_hook_add = true, reaction_hook_add = true,
+  waiting_hook_add = true }
+
+-- Replaces a function that changes a machine for good: for a shared machine it does
+-- nothing, and the reason is reported. Hooks at the place "front" are of extensions.
+local function refuse_for_shared(name)
+  local own, where = rfsm[name], "rfsm." .. name
+  local reason = where .. ": the machines of a fleet share their chart, so a callback "
+    .. "cannot change it"
+  rfsm[name] = function(fsm, hook, place, ...)
+    rfsm.check_machine(fsm, where)
+    if not is_shared[fsm] or place == "front" then return own(fsm, hook, place, ...) end
+    rfsm.report(fsm, "err", reason)
+    return false, reason
+  end
+end
+
+refuse_for_shared "fsm_merge"
+for _, name in ipairs(rfsm.sorted_keys(rfsm)) do
+  local is_change = name:find("_hook_add$") or name:find("_hook_rm$")
+  if is_change and not MAY_BE_LATE[name] then refuse_for_shared(name) end
+end
+
 -- The machine of a chart runs one saved machine after the other. A callback may change
 -- fields that snapshots do not save. `clean` undoes such changes before each call: it
 -- removes the fields in `added`, and gives the other fields their first values.
@@ -86,7 +114,7 @@ local function watch(class)
   function class.__newindex(obj, key, value)
     set(obj, key, value)
     local known = known_of[obj]
-    if known and not (known[key] or is_meta(key) or rfsm.is_fsmobj(value)) then
+    if known and not (known[key] or is_meta(key)) then
       added[#added + 1], added[#added + 2] = obj, key
     end
   end
@@ -180,12 +208,19 @@ function charts.open(chart)
   chart.fields, chart.regions = {}, {}
   for i, at in ipairs(rfsm.machines(fsm)) do
     chart.regions[i - 1] = i > 1 and at.machine or nil
+    is_shared[at.machine] = true
     for _, obj in ipairs(rfsm.elements(at.machine)) do
       note_fields(chart.fields, obj)
     end
   end
   chart.fsm = fsm
   return chart
+end
+
+--- Is a snapshot of this version of a chart? The charts of regions count, too.
+function charts.is_of(chart, snap)
+  if snap.chart ~= chart.blank.chart then return false end
+  return not snap.regions or migrate.is_own(chart.fsm, snap)
 end
 
 --- Put a snapshot into the machine of a chart.

@@ -121,7 +121,7 @@ local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD = 2, 3, 4, 5, 6, 7, 8, 9
 ---@field was_due number|false|nil the item DUE of `list` before the call
 ---@field value any `list` after the call, packed by the host
 ---@field moves { by: string, from: string, to: string }[] the moves of this call
----@field is_idle boolean was the machine idle after its last step?
+---@field is_idle boolean was the machine idle after its last step, in any call?
 ---@field outcome string|false what became of the events: "taken", "kept" or "dropped";
 --- false: no transition took them, and it is not yet known if they were kept or dropped
 ---@field has_run boolean did due timers or events run in this call?
@@ -141,27 +141,44 @@ local function read(key)
 end
 
 -- Puts a snapshot into the newest version of its chart. If it does not fit there, it is
--- put into the version from which it was taken. Returns the version that was used, and
--- the results of `put`.
+-- put into the version from which it was taken. Returns the version that was used, the
+-- results of `put`, and whether this version is not the one of the snapshot.
 local function place(list, snap)
   local newest, own = open(list[#list]), nil
-  if snap.chart ~= newest.blank.chart then
+  local is_other = not charts.is_of(newest, snap)
+  if is_other then
     for _, chart in ipairs(list) do
-      if open(chart).blank.chart == snap.chart then own = chart end
+      if charts.is_of(open(chart), snap) then own = chart end
     end
     newest.options.old = own and own.fsm
   end
   local ok, problem = put(newest, snap)
-  if ok or not own then return newest, ok, problem end
+  if ok or not own then return newest, ok, problem, is_other end
   return own, put(own, snap)
+end
+
+-- A machine that has moved to another version may have other timers, which may be due
+-- before the time for which it was saved.
+local function note_new_timers(machine)
+  local left = timeevent.next_deadline(machine.fsm)
+  if not left then return end
+  machine.list[DUE] = min(machine.list[DUE] or huge, times.seen() + left)
+end
+
+-- Was a machine saved before it was idle? Its clock must show the time of the snapshot.
+local function was_restless(list)
+  return list[DUE] and list[DUE] <= times.seen()
 end
 
 -- Loads a machine. Its clock shows the time at which it was saved.
 local function load_machine(key, list)
   times.set(list[SEC], list[NSEC])
-  local chart, ok, problem = place(versions_of(list[NAME]), list[SNAP])
+  local chart, ok, problem, has_moved = place(versions_of(list[NAME]), list[SNAP])
   if not ok then fail("the machine at '%s': %s", shown(key), problem) end
-  return new_machine(key, chart, list, list[SNAP].leaf)
+  local machine = new_machine(key, chart, list, list[SNAP].leaf)
+  machine.is_idle = not was_restless(list)
+  if has_moved then note_new_timers(machine) end
+  return machine
 end
 
 -- Move: first run what is due, then send new events ---------------------------------
@@ -274,11 +291,6 @@ end
 local function earliest(time, list)
   local first = (list[LATER] or NONE)[1]
   return first and min(time or huge, first[1]) or time
-end
-
--- Was a machine saved before it was idle?
-local function was_restless(list)
-  return list[DUE] and list[DUE] <= times.seen()
 end
 
 -- Runs the due timers and events, each at its own time, until the machine is idle. Then
@@ -503,15 +515,19 @@ end
 
 -- Functions for an operator: hold, release, force, remove, why.
 
--- rfsm_hold KEY: holds a machine: from now on its events and timers wait.
+-- rfsm_hold KEY: holds a machine: from now on its events and timers wait, also those
+-- that are due. No machine is loaded, since one of its callbacks may never end.
 function functions.rfsm_hold(keys)
   local key = key_of(keys)
   local list = read(key)
   if list[HELD] then fail("the machine at '%s' is held already", shown(key)) end
-  local machine = load_machine(key, list)
-  run(machine)
-  list[HELD] = now()
-  return save(machine)
+  local reply = reply_of(list, "kept")
+  local machine = new_machine(key, { name = list[NAME] }, list, list[SNAP].leaf)
+  machine.mode, list[HELD] = reply[2], now()
+  times.set(list[SEC], list[NSEC])
+  pack_machine(machine, list[DUE])
+  host.write(machine, nil, charts.effects())
+  return reply
 end
 
 -- rfsm_release KEY: ends the hold. Events and timers that are due now run, in order.

@@ -9,16 +9,37 @@
 local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 
-local ipairs, rawequal, rawget = ipairs, rawequal, rawget
+local ipairs, rawequal, rawget, rawset = ipairs, rawequal, rawget, rawset
+local remove = table.remove
 
 local instrument = {}
 
+-- The changes of an object's fields, the latest last. The object has them itself, since
+-- Lua 5.1 never collects a weak table whose values lead to their keys.
+local function changes_of(obj) return rawget(obj, "_replaced") or {} end
+
 --- Replace a field. Return the change: `own` has the old value, `new` the new one.
+-- `was` is the old value, also if that is inherited; a wrapper calls it from there.
 function instrument.put(changes, obj, field, value)
-  local done = { obj = obj, field = field, own = rawget(obj, field), new = value }
-  changes[#changes + 1] = done
+  local done = { obj = obj, field = field, own = rawget(obj, field), was = obj[field],
+    new = value }
+  local all = changes_of(obj)
+  rawset(obj, "_replaced", all)
+  all[#all + 1], changes[#changes + 1] = done, done
   obj[field] = value
   return done
+end
+
+--- Return the value that a field would have without any tool.
+function instrument.original(obj, field)
+  local all, own, value = changes_of(obj), rawget(obj, field), obj[field]
+  for i = #all, 1, -1 do
+    local done = all[i]
+    if done.field == field and rawequal(done.new, own) then
+      own, value = done.own, done.was
+    end
+  end
+  return value
 end
 
 --- Have a printer of a machine, such as `warn`, call `note` before it prints.
@@ -81,15 +102,26 @@ function instrument.take_functions(changes, fsm)
   return doers
 end
 
+-- Takes a change out of those of its object. If another tool has replaced the field
+-- since, that tool gets the old value; if a program has set it, nothing happens.
+local function take_back(done)
+  local obj, field, all = done.obj, done.field, changes_of(done.obj)
+  for i = #all, 1, -1 do
+    local other = all[i]
+    if other == done then remove(all, i) end
+    if other.field == field and rawequal(other.own, done.new) then
+      other.own, other.was = done.own, done.was
+    end
+  end
+  if not all[1] then rawset(obj, "_replaced", nil) end
+  if rawequal(rawget(obj, field), done.new) then obj[field] = done.own end
+end
+
 --- Restore the fields, unless a program has set them meanwhile; remove the hooks.
 function instrument.give_back(changes)
   for i = #changes, 1, -1 do
     local done = changes[i]
-    if done.remove then
-      done.remove()
-    elseif rawequal(rawget(done.obj, done.field), done.new) then
-      done.obj[done.field] = done.own
-    end
+    if done.remove then done.remove() else take_back(done) end
     changes[i] = nil
   end
 end

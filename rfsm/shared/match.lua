@@ -8,9 +8,18 @@
 local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 
-local ipairs, rawequal, type = ipairs, rawequal, type
+local getmetatable, ipairs, rawequal, type = getmetatable, ipairs, rawequal, type
 
 local match = {}
+
+--- Return the name of an event with data, a plain table with a text `name`; nil for any
+--- other event.
+---@param event any
+---@return string? name
+function match.name_of(event)
+  if type(event) ~= "table" or getmetatable(event) ~= nil then return nil end
+  return type(event.name) == "string" and event.name or nil
+end
 
 --- Is the event in a list?
 function match.has(list, event)

@@ -58,11 +58,15 @@ function history.pause(sim)
   if sim.recorder then sim.recorder:pause() end
 end
 
+local function note_packed(sim, list)
+  for _, event in ipairs(list or {}) do
+    sim.came[#sim.came + 1] = tracks.event_text(event)
+  end
+end
+
 --- Note the events of the present advance.
 function history.note_events(sim, events)
-  for _, event in ipairs(tracks.pack_events(events) or {}) do
-    sim.came[#sim.came + 1] = text_of(type(event) == "table" and event[2] or event)
-  end
+  note_packed(sim, tracks.pack_events(events))
 end
 
 -- Go to ---------------------------------------------------------------------------
@@ -131,8 +135,8 @@ function history.replay(sim, name)
     migrate = true, each = function(fsm, records)
       history.mark(sim)
       for _, rec in ipairs(records) do
-        history.note_events(sim, rec.events or {})
-        history.note_events(sim, rec.added or {})
+        note_packed(sim, rec.events)
+        note_packed(sim, rec.added)
       end
       local snap, problem = snapshot.try_take(fsm)
       if snap then problem = select(2, snapshot.put(sim.fsm, snap)) end

@@ -14,6 +14,7 @@
 local calls = require "rfsm.shared.calls"
 local exact_json = require "rfsm.shared.exact_json"
 local each = require("rfsm.shared.order").each
+local match = require "rfsm.shared.match"
 local rfsm = require "rfsm"
 
 local error, getmetatable, ipairs, pcall = error, getmetatable, ipairs, pcall
@@ -64,7 +65,9 @@ end
 -- false: at the state of `keeper`
 ---@field keeper rfsm.snapshot.Keeper|false unused if `owner` is a text
 ---@field prefix string location of the machine: "root", "root.arms.left"
----@field seen table<table, true>|false tables that were packed already
+---@field seen table<table, true>|false tables that were packed already; with
+-- `is_by_value` only those around the value
+---@field is_by_value boolean? a table may stand in several places: each gets a copy
 ---@field [integer] any the keys, the outermost first
 
 --- Return the location to which the first `depth` keys lead, such as "root.a.list[2]".
@@ -84,10 +87,9 @@ local function is_scalar(value)
   return kind == "string" or kind == "number" or kind == "boolean"
 end
 
---- Can an event be kept? A scalar can, and a table with a `name` and no metatable.
+--- Can an event be kept? A text, a number and a boolean can, and an event with data.
 local function is_event(value)
-  if type(value) ~= "table" then return is_scalar(value) and value == value end
-  return getmetatable(value) == nil and type(value.name) == "string"
+  return is_scalar(value) and value == value or match.name_of(value) ~= nil
 end
 
 --- Return a copy of a value, in which tables without metatables are copied at any
@@ -186,6 +188,7 @@ local function pack_table(t, path, depth)
     path[depth + 1] = key
     copy[key] = pack(inner, path, depth + 1)
   end
+  if path.is_by_value then path.seen[t] = nil end
   return as_table(copy, path, depth)
 end
 

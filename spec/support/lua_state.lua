@@ -14,6 +14,34 @@ local LIBRARIES = {
   "utf8",
 }
 
+-- Stands in for an exception of C++, which goes through Lua without a trace: no pcall
+-- catches it, and a coroutine that it went through is never resumed again.
+local EXCEPTION = {}
+
+local function pass(ok, problem, ...)
+  if not ok and problem == EXCEPTION then error(EXCEPTION, 0) end
+  return ok, problem, ...
+end
+
+local function let_exceptions_pass(globals)
+  local passed, threads = setmetatable({}, { __mode = "k" }), globals.coroutine
+  local resume, status = threads.resume, threads.status
+  function globals.pcall(...) return pass(pcall(...)) end
+  function globals.xpcall(...) return pass(xpcall(...)) end
+  function threads.resume(thread, ...)
+    if passed[thread] then return false, "cannot resume non-suspended coroutine" end
+    passed[thread] = true
+    return (function(...)
+      passed[thread] = (...) == false and select(2, ...) == EXCEPTION or nil
+      return pass(...)
+    end)(resume(thread, ...))
+  end
+  function threads.status(thread)
+    return passed[thread] and coroutine.running() ~= thread and "normal"
+      or status(thread)
+  end
+end
+
 ---@class LuaState
 ---@field globals table
 local LuaState = {}
@@ -121,13 +149,15 @@ end
 --- Calls a global function, likewise; returns its first result when it went well.
 function LuaState:call(name) return pcall(self.globals[name]) end
 
-local lua_state = {}
+local lua_state = { EXCEPTION = EXCEPTION }
 
---- A fresh Lua.
+--- A fresh Lua; with `has_exceptions` those of C++ go through it.
+---@param has_exceptions? boolean
 ---@return LuaState
-function lua_state.new()
+function lua_state.new(has_exceptions)
   local state = setmetatable({ globals = {} }, LuaState)
   add_libraries(state.globals)
+  if has_exceptions then let_exceptions_pass(state.globals) end
   add_loaders(state.globals)
   return state
 end

@@ -64,6 +64,10 @@ local function die(how)
   error(standin.death, 0)
 end
 
+-- An operation in C++ that throws, for components that are loaded while the field
+-- `has_exceptions` is true.
+function standin.throw() error(lua_state.EXCEPTION, 0) end
+
 function standin.check() if standin.death then error(standin.death, 0) end end
 
 -- Types and Variables ---------------------------------------------------------
@@ -567,6 +571,7 @@ end
 -- Calls a global function of a Lua; false and a word in the log when it fails.
 local function call_function(component, lua, name, wants_result)
   local ok, result = run_in(lua, lua.call, lua, name)
+  if result == lua_state.EXCEPTION then error(result, 0) end
   local where = "LuaComponent '" .. component.name .. "': "
   if not ok then
     log_failure(where .. "error calling function " .. name .. ": ", result)
@@ -584,26 +589,48 @@ local function call_hook(component, name, wants_result)
   return call_function(component, lua, name, wants_result)
 end
 
+-- What RTT does when an exception comes out of a hook.
+local function fail(component, where)
+  local before = component.state
+  log("Error", "in " .. where
+    .. "(): switching to exception state because of unhandled exception")
+  component.state = "Exception"
+  if IS_ACTIVE[before] then call_hook(component, "stopHook", false) end
+  if before ~= "PreOperational" then call_hook(component, "cleanupHook", false) end
+end
+
+-- Calls a hook likewise; nil if an exception came out of it.
+local function try_hook(component, name, wants_result)
+  local ok, result = pcall(call_hook, component, name, wants_result)
+  if ok then return result end
+  if result ~= lua_state.EXCEPTION then error(result, 0) end
+  return fail(component, name)
+end
+
 function TaskContext.getState(component) return component.state end
 
 -- The properties are executed each time; their errors are logged, and no more.
-function TaskContext.configure(component)
-  if component.state ~= "Stopped" and component.state ~= "PreOperational" then
-    return false
-  end
+local function run_properties(component)
   for _, kind in ipairs(component.lua and { "str", "file" } or {}) do
     local name = kind == "str" and "lua_string" or "lua_file"
     local value = component.properties[name]:get()
     if value ~= "" then component.operations["exec_" .. kind](value) end
   end
-  local ok = call_hook(component, "configureHook", true)
-  component.state = ok and "Stopped" or "PreOperational"
-  return ok
+end
+
+function TaskContext.configure(component)
+  if component.state ~= "Stopped" and component.state ~= "PreOperational" then
+    return false
+  end
+  run_properties(component)
+  local ok = try_hook(component, "configureHook", true)
+  if ok ~= nil then component.state = ok and "Stopped" or "PreOperational" end
+  return ok or false
 end
 
 function TaskContext.start(component)
   if component.state ~= "Stopped" then return false end
-  if not call_hook(component, "startHook", true) then return false end
+  if not try_hook(component, "startHook", true) then return false end
   component.state, component.is_triggered = "Running", true
   return true
 end
@@ -624,31 +651,53 @@ function TaskContext.error(component)
 end
 
 function TaskContext.recover(component)
-  if component.state ~= "RunTimeError" then return false end
-  component.state = "Running"
+  if not (component.state == "RunTimeError" or component.state == "Exception") then
+    return false
+  end
+  component.state = component.state == "Exception" and "PreOperational" or "Running"
   return true
 end
 
 local stop = leave("Running", "Stopped", "stopHook")
 
 function TaskContext.stop(component)
-  TaskContext.recover(component)
+  if component.state == "RunTimeError" then TaskContext.recover(component) end
   return stop(component)
 end
 TaskContext.cleanup = leave("Stopped", "PreOperational", "cleanupHook")
 
+-- An exception that comes out of an EEHook ends the thread.
+local function stop_thread(component, problem)
+  if problem ~= lua_state.EXCEPTION then error(problem, 0) end
+  component.is_dead = true
+  log("Critical", component.name .. " caught a C++ exception, stopped thread !")
+end
+
 -- One turn of the thread: hooks, in every state, then updateHook.
 local function execute(component)
   component.is_triggered = false
+  if component.is_dead then return end
   local i, hooks = 1, component.hooks
   while hooks[i] do
     local hook = hooks[i][1]
     if not hook then die("an enabled EEHook was collected") end
-    if hook.run() then i = i + 1 else table.remove(hooks, i) end
+    table.remove(hooks, i)
+    local ok, goes_on = pcall(hook.run)
+    if not ok then return stop_thread(component, goes_on) end
+    if goes_on then
+      table.insert(hooks, i, setmetatable({ hook }, { __mode = "v" }))
+      i = i + 1
+    end
   end
   local hook = component.state == "Running" and "updateHook"
     or component.state == "RunTimeError" and "errorHook"
-  if hook then call_hook(component, hook, false) end
+  if hook then try_hook(component, hook, false) end
+end
+
+-- Starts the thread again.
+function TaskContext.activate(component)
+  component.is_dead = false
+  return true
 end
 
 -- Gives each thread that was triggered its turn, until none is.
@@ -770,7 +819,7 @@ end
 
 -- Makes a Lua with the module `rtt` of a component.
 local function new_lua(component)
-  local lua = lua_state.new()
+  local lua = lua_state.new(standin.has_exceptions)
   local bound = setmetatable({
     getTC = function() return component end, EEHook = eehook_class(component, lua),
   }, { __index = rtt })
@@ -790,6 +839,7 @@ local function add_lua_operations(owner, lua, where)
           .. " to string variable", 2)
       end
       local ok, problem = run_in(lua, run, lua, c_string(argument))
+      if problem == lua_state.EXCEPTION then error(problem, 0) end
       if not ok then log_failure(where, problem) end
       return ok
     end)
@@ -926,7 +976,7 @@ function rtt.getTC() return main end
 
 --- Starts again: a process with a deployer and nothing else.
 function standin.reset()
-  now, components = 0, {}
+  now, components, standin.has_exceptions = 0, {}, false
   standin.log, log_is_dead, pending, standin.death = {}, false, "", nil
   current = { has_rttlib = false, globals = { rtt = rtt, package = package } }
   default_policy = new_variable("ConnPolicy", default_of("ConnPolicy"))

@@ -33,6 +33,7 @@ local function brief(text)
     if line == "" then break end
     if not line:find("^%S+%.lua$") then sentence = sentence .. line .. " " end
   end
+  if sentence == "" then return "The chart of the introduction." end
   return (sentence:match("^(.-[^.]%.)%s") or sentence):gsub("[&<>]", CODES)
 end
 
@@ -54,7 +55,6 @@ local function gallery(shell)
     -- _lr: from left to right; walk: the chart of the README moves
     local chart = name:gsub("_lr$", ""):gsub("^walk$", "lamp") .. ".lua"
     local text = read("examples/" .. chart) or read("doc/gallery/" .. chart)
-      or "-- The chart of the introduction."
     parts[#parts + 1] = ('<h2 id="NAME">NAME</h2>\n<p>%s</p>\n%s'
       .. '<p><a href="gallery/NAME.svg">'
       .. '<img src="gallery/NAME.svg" alt="the chart NAME" loading="lazy"></a></p>\n')

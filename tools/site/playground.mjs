@@ -22,13 +22,13 @@ function libraryFiles() {
   return { ...library, "dkjson.lua": read(dkjson), "host.lua": read(here + "host.lua"), "rfsm/web/page.html": "" };
 }
 
-// The chart of the README, the examples, those of the gallery; the first sentence says what each is.
+// The chart of the README comes first, then the other examples and the gallery. The first sentence of each is its brief.
 function exampleFiles() {
-  const lamp = read("README.md").match(/^-- lamp\.lua\n[^]*?(?=^```$)/m)?.[0] ?? die("README.md has no lamp.lua");
-  const others = ["examples/", "doc/gallery/"].flatMap(folder =>
+  const files = ["examples/", "doc/gallery/"].flatMap(folder =>
     readdirSync(folder).filter(name => name.endsWith(".lua")).sort().map(name => ({ name, text: read(folder + name) })));
   const briefOf = text => text.match(/^-- ([^:]*):/)?.[1] ?? text.match(/^-- ([^.(]*)/)[1].replace(/\n--/g, "").trim();
-  return [{ name: "lamp.lua", brief: "the chart of the introduction", text: lamp },
+  const [lamp, others] = [true, false].map(isLamp => files.filter(({ name }) => (name === "lamp.lua") === isLamp));
+  return [{ ...lamp[0], brief: "the chart of the introduction" },
     ...others.map(file => ({ ...file, brief: briefOf(file.text) }))];
 }
 
