@@ -2224,12 +2224,17 @@ do
 
   local function is_hooked(fsm, tr) return fsm._guard_hooks and fsm._guard_hooks[tr] end
 
+  -- Returns the segment of a transition; if its target is wrong, nil without a report.
+  local function known_segment(fsm, tr)
+    return is_node_of(fsm, tr.tgt) and segment_of(fsm, tr)
+  end
+
   -- Returns the only path that can begin with the transition: each connector on it has
   -- a single transition, without events. (The function compiled from the path checks
   -- guards and changed targets.) Returns nil if there is no such path, or if it has
   -- more than ten segments, because connectors may form a cycle.
   local function straight_path(fsm, leaf, tr)
-    local first = segment_of(fsm, tr)
+    local first = known_segment(fsm, tr)
     if not (first and first.connector) then return first and path_of(fsm, leaf, first) end
     local segment, ways, count = first, {}, 1
     while segment and segment.connector do
@@ -2238,7 +2243,7 @@ do
         or is_hooked(fsm, otrs[1]) then
         return nil
       end
-      local next_one = segment_of(fsm, otrs[1])
+      local next_one = known_segment(fsm, otrs[1])
       ways[segment.connector] = { way = next_one }
       segment, count = next_one, count + 1
     end
