@@ -229,7 +229,7 @@ local is_callable, text_of = rfsm.is_callable, rfsm.text_of
 local list_text
 
 do
-  -- The predicates that `rfsm.named` has made: predicate -> name, and name -> predicate.
+  -- The predicates that `rfsm.named` has made: predicate -> name, name -> predicate.
   local event_names = setmetatable({}, { __mode = "k" })
   local predicates = setmetatable({}, { __mode = "v" })
 
@@ -294,7 +294,7 @@ do
 
   -- Example: T={ src='a', tgt='b', pn=3, events='x, y' }. After init the ends are FQNs.
   function Transition.__tostring(tr)
-    local text = "T={ src='" .. end_text(tr.src) .. "', tgt='" .. end_text(tr.tgt) .. "'"
+    local text = ("T={ src='%s', tgt='%s'"):format(end_text(tr.src), end_text(tr.tgt))
     local events = type(tr.events) == "string" and { tr.events } or tr.events
     if tr.pn then text = text .. ", pn=" .. text_of(tr.pn) end
     if type(events) == "table" and events[1] ~= nil then
@@ -552,7 +552,7 @@ do
     return copies[value]
   end
 
-  -- Copies nested plain tables. They wait in the list `pending`, so any depth is allowed.
+  -- Copies nested plain tables. They wait in the list `pending`: any depth is allowed.
   local function clone_data(copies, value)
     local pending = {}
     local copy = copy_of(copies, value, pending)
@@ -573,9 +573,9 @@ do
   -- Public fields of the engine. If a model has a field with such a name, the field is
   -- not copied, because it is not the user's data.
   local API_FIELDS = {}
-  for name in ("act_leaf actchild choices curq depth done_event doo_co fqn fsm id index "
-    .. "initialized intq is_asked is_internal is_leaf mode model otrs parent paths "
-    .. "segments"):gmatch("%S+") do
+  for name in ("act_leaf actchild choices curq depth done_event doo_co fqn fsm id "
+    .. "index initialized intq is_asked is_internal is_leaf mode model otrs parent "
+    .. "paths segments"):gmatch("%S+") do
     API_FIELDS["_" .. name] = true
   end
 
@@ -753,7 +753,8 @@ do
     end
   end
 
-  for _, f in ipairs { check_events, clone_data, clone_node, fields_of, new_transition } do
+  for _, f in ipairs { check_events, clone_data, clone_node, fields_of,
+    new_transition } do
     interpret(f)
   end
 
@@ -1135,7 +1136,8 @@ do
   end
 end
 
--- What functions promise: "borrows" by `rfsm.borrows`, "repeatable" by `rfsm.repeatable`.
+-- What functions promise, by `rfsm.borrows` or `rfsm.repeatable`: the name of that
+-- function.
 local promises = setmetatable({}, { __mode = "k" })
 
 -- All machines, so that one access shows whether a value is a machine.
@@ -1490,7 +1492,8 @@ do
     local at = is_one and 0 or fsm._pre_hooks.front or 0
     for i, source in ipairs(sources) do insert(before, at + i, source) end
     if is_one then insert(before, #sources + 1, TAKE_ONE) end
-    if fsm.getevents and fsm.getevents ~= no_events then insert(before, 1, GETEVENTS) end
+    local has_getevents = fsm.getevents and fsm.getevents ~= no_events
+    if has_getevents then insert(before, 1, GETEVENTS) end
     fsm._is_usual, fsm._lends = false, false
     fsm._before = finished(fsm, before)
     fsm._after = finished(fsm, present(fsm._post_hooks, OWN_POST, fsm.post_step_hook))
@@ -1568,8 +1571,8 @@ end
 local enabled, first_enabled, note_of
 
 do
-  -- Reports that a guard has failed, and returns false as its result. After an interrupt
-  -- the next step calls the guard again.
+  -- Reports that a guard has failed, and returns false as its result. After an
+  -- interrupt the next step calls the guard again.
   local function refuse_guard(fsm, tr, guard, failure)
     if rfsm.is_interrupt(failure) then error(failure, 0) end
     report_callback(fsm, "guard", tr, guard, failure)
@@ -1589,7 +1592,7 @@ do
 
   -- Returns the note of a machine about a connector. `search` is the number of the last
   -- search that reached it (the current one is `fsm._search`), `first` the event of the
-  -- path's first segment then. `way` is the segment with which the path continues there,
+  -- path's first segment then. `way` is the segment with which the path continues,
   -- false if none was found; `event` is the event that counts for it.
   function note_of(fsm, connector)
     local note = fsm._ways[connector] or { search = 0, first = false, asked = false,
@@ -1599,8 +1602,8 @@ do
     return note
   end
 
-  -- Turns a note to another `first` in the same search. Returns true if the connector was
-  -- asked for that event before.
+  -- Turns a note to another `first` in the same search. Returns true if the connector
+  -- was asked for that event before.
   local function turn_to(note, first)
     local asked = note.asked or {}
     asked[#asked + 1] = { first = note.first, way = note.way, event = note.event }
@@ -1625,7 +1628,7 @@ do
   -- enabled and leads to a leaf. Others of the same priority are tried, too, to warn of
   -- a conflict. No loop, as in `run_hooks`. It and `enabled` have few variables: a path
   -- may go over thousands of connectors.
-  local function find_way(fsm, note, i, events, first)
+  local function find_way(fsm, note, i, events, first) -- luacheck: ignore 561 (a call)
     local tr, way = note.otrs[i], note.found
     if not tr or way and (tr.pn or 0) ~= (way.tr.pn or 0) then
       if note.others then warn_of_conflict(fsm, note.others) end
@@ -1643,10 +1646,10 @@ do
     return find_way(fsm, note, i + 1, events, first)
   end
 
-  -- Returns the segment of a transition that `event` triggers, if its guard and the guard
-  -- hooks allow it, and it leads to a leaf or to a connector with a way out. Otherwise
-  -- returns nil. A connector is asked once in a search for each `first`. Meanwhile
-  -- `note.way` is false, so that cycles of connectors end.
+  -- Returns the segment of a transition that `event` triggers, if its guard and the
+  -- guard hooks allow it, and it leads to a leaf or to a connector with a way out.
+  -- Otherwise returns nil. A connector is asked once in a search for each `first`.
+  -- Meanwhile `note.way` is false, so that cycles of connectors end.
   function enabled(fsm, tr, events, event, first)
     do
       local guard = tr.guard
@@ -1674,8 +1677,8 @@ do
   end
 
   -- Returns the segment of the first enabled transition of a list, from number `i` on,
-  -- and the event that counts; nil if none is enabled. `event` is known to trigger those
-  -- that call no predicate; nil: nothing is known.
+  -- and the event that counts; nil if none is enabled. `event` is known to trigger
+  -- those that call no predicate; nil: nothing is known.
   function first_enabled(fsm, list, i, events, event)
     local tr = list[i]
     if not tr then return nil end
@@ -1770,7 +1773,7 @@ do
   -- `candidates` are given, which `event` has, no other transitions are tried. If a
   -- guard calls `fsm_merge`, the search is repeated once.
   function choose(fsm, leaf, events, candidates, event, is_again)
-    local merges, found = fsm._merges, nil
+    local merges, found = fsm._merges
     if not candidates then
       if events[1] == nil then return nil end
       if not is_traced(fsm) then candidates, event = candidates_of(leaf, events) end
@@ -1849,7 +1852,7 @@ do
   -- Takes a path. `leaf` is the active leaf, or nil at the first entry; `event` is the
   -- event that counts for the first segment.
   local function take_path(fsm, leaf, path, event)
-    local run = leaf and fsm.dbg == silent and (path.run or compiled(fsm, path))
+    local run = leaf and fsm.dbg == silent and (path.run or compiled(path))
     fsm._at = 0
     if run then
       run(fsm, event, true)
@@ -1981,9 +1984,9 @@ local function is_made(event)
   return false
 end
 
--- Makes events pending again, ahead of the queue, that the machine itself has made, such
--- as the event of a timer, if an internal transition was taken that does not name them:
--- nothing was left, so they would never come again.
+-- Makes events pending again, ahead of the queue, that the machine itself has made,
+-- such as the event of a timer, if an internal transition was taken that does not name
+-- them: nothing was left, so they would never come again.
 function actions.keep_made(fsm, segment)
   local tr, leaf, made = segment.tr, fsm._act_leaf, {}
   for _, event in ipairs(leaf and tr.events[1] ~= nil and fsm._curq or NONE) do
@@ -2059,40 +2062,39 @@ end
 local new_path
 
 do
-  -- Lists the actions of a path, and their arguments.
-  local function add(list, action, arg)
+  local function add_action(list, action, arg)
     list.actions[#list.actions + 1] = action
     list.args[#list.actions] = arg
   end
 
   local function add_hooks(list, hooks, state)
     for _, hook in ipairs(hooks and hooks[state] or NONE) do
-      add(list, actions.hook, { hook = hook, state = state })
+      add_action(list, actions.hook, { hook = hook, state = state })
     end
   end
 
   -- Adds the exits of the states from `from` up to the lca, which stays active.
   local function add_exits(fsm, list, segment, from)
-    add(list, recorders.exits, segment)
+    add_action(list, recorders.exits, segment)
     while from ~= segment.lca do
-      add(list, actions.exit, from)
+      add_action(list, actions.exit, from)
       add_hooks(list, fsm._exit_hooks, from)
-      add(list, actions.be_left, from)
-      add(list, recorders.exit, from)
+      add_action(list, actions.be_left, from)
+      add_action(list, recorders.exit, from)
       from = from._parent
     end
   end
 
   local function add_entry(fsm, list, state)
-    add(list, actions.become_active, state)
+    add_action(list, actions.become_active, state)
     add_hooks(list, fsm._entry_hooks, state)
-    add(list, actions.entry, state)
+    add_action(list, actions.entry, state)
     if state._is_leaf then
       done_event(state)
-      add(list, actions.become_leaf, state)
-      add(list, actions.be_done, state)
+      add_action(list, actions.become_leaf, state)
+      add_action(list, actions.be_done, state)
     end
-    add(list, recorders.entry, state)
+    add_action(list, recorders.entry, state)
   end
 
   local shapes = {} -- a tree of all lists of actions, with one action per level
@@ -2122,16 +2124,19 @@ do
     local from, list = path.from, { actions = {}, args = {} }
     local has_events = has_inner_events(path)
     for _, hook in ipairs(fsm._path_hooks or NONE) do
-      add(list, actions.path_hook, { hook = hook, path = path })
+      add_action(list, actions.path_hook, { hook = hook, path = path })
     end
     if path.entered then add_entry(fsm, list, path.entered) end
-    if path.segments[1] then add(list, recorders.path, path) end
+    if path.segments[1] then add_action(list, recorders.path, path) end
     for i, segment in ipairs(path.segments) do
-      if i > 1 and has_events then add(list, actions.go_through, segment.tr.src) end
+      if i > 1 and has_events then
+        add_action(list, actions.go_through, segment.tr.src)
+      end
       if not segment.is_internal then add_exits(fsm, list, segment, from) end
-      add(list, recorders.effect, segment)
-      add(list, actions.effect, segment)
-      add(list, segment.is_internal and actions.keep_made or recorders.entries, segment)
+      add_action(list, recorders.effect, segment)
+      add_action(list, actions.effect, segment)
+      add_action(list, segment.is_internal and actions.keep_made or recorders.entries,
+        segment)
       for _, state in ipairs(segment.entries) do add_entry(fsm, list, state) end
       from = segment.tgt._parent
     end
@@ -2150,8 +2155,8 @@ do
   end
 
   -- Returns the path that continues `at` with a segment and, at each connector reached,
-  -- with the segment noted in `ways`. Paths are kept in a tree. Its roots are the leaves
-  -- and the entrance of the machine; `at` is a root or a part of a path.
+  -- with the segment noted in `ways`. Paths are kept in a tree. Its roots are the
+  -- leaves and the entrance of the machine; `at` is a root or a part of a path.
   function path_of(fsm, at, segment, ways)
     if segment then -- no loop, because LuaJIT would not compile a loop around this one
       at = at._paths and at._paths[segment] or new_path(at, segment)
@@ -2215,7 +2220,7 @@ do
 
   -- Returns the function of a path. It is compiled after OFTEN calls; until then the
   -- result is false.
-  function compiled(fsm, path)
+  function compiled(path)
     if path.run ~= nil then return path.run end
     path.used = (path.used or 0) + 1
     if fast and path.used <= OFTEN then return false end
@@ -2235,7 +2240,8 @@ do
   -- more than ten segments, because connectors may form a cycle.
   local function straight_path(fsm, leaf, tr)
     local first = known_segment(fsm, tr)
-    if not (first and first.connector) then return first and path_of(fsm, leaf, first) end
+    if not first then return nil end
+    if not first.connector then return path_of(fsm, leaf, first) end
     local segment, ways, count = first, {}, 1
     while segment and segment.connector do
       local otrs = segment.connector._otrs
@@ -2257,7 +2263,7 @@ do
     local tr = choice[1]
     local path = tr and not (choice[2] or tr._is_asked or is_hooked(fsm, tr))
       and straight_path(fsm, leaf, tr)
-    local run = path and compiled(fsm, path) or false
+    local run = path and compiled(path) or false
     if not path or path.run ~= nil then choice.run = run end
     return run
   end
@@ -2727,7 +2733,9 @@ do
   -- Does a composite that contains the state have an outgoing transition?
   local function is_left_around(state)
     local around = state._parent
-    while around ~= around._parent and not around._otrs[1] do around = around._parent end
+    while around ~= around._parent and not around._otrs[1] do
+      around = around._parent
+    end
     return state._mode ~= nil and around._otrs[1] ~= nil
   end
 
@@ -2817,6 +2825,15 @@ do
     tr.events = type(tr.events) == "string" and { tr.events } or tr.events or {}
   end
 
+  -- Checks all transitions after preproc functions, if `is_changed`; lists problems.
+  local function check_transitions(fsm, is_changed, problems)
+    for _, tr in ipairs(fsm._transitions) do
+      if is_changed then problems[#problems + 1] = check_transition(fsm, tr) end
+      tr._target = tr.tgt
+    end
+    if is_changed and not problems[1] then list_otrs(fsm) end
+  end
+
   -- Runs the preproc functions and returns the problems they found. If one of them
   -- calls `fsm_merge`, only the functions before it are called for the new element,
   -- because the later ones are still to be called for the whole machine.
@@ -2829,13 +2846,7 @@ do
       append(problems, type(found) == "table" and found or {})
     end
     fsm._preparing = outer
-    if not outer then
-      for _, tr in ipairs(last > 0 and fsm._transitions or NONE) do
-        problems[#problems + 1] = check_transition(fsm, tr)
-      end
-      for _, tr in ipairs(fsm._transitions) do tr._target = tr.tgt end
-      if not problems[1] and last > 0 then list_otrs(fsm) end
-    end
+    if not outer then check_transitions(fsm, last > 0, problems) end
     sort(problems, function(a, b) return natural(a) < natural(b) end)
     return problems
   end
@@ -3193,8 +3204,8 @@ do
     waiting = { list = "_waiting_hooks" },
   }
 
-  -- Hooks placed in "front" record events. They are called before hooks placed "before",
-  -- which may remove events. A list has the number of front hooks in `front`.
+  -- Hooks placed in "front" record events. They are called before hooks placed
+  -- "before", which may remove events. A list has the number of the former in `front`.
   local PLACES = { front = true, before = true, after = true }
 
   local function put_in(owner, field, hook, place)
@@ -3427,18 +3438,18 @@ end
 ---@param region rfsm.Machine
 ---@param events any[]
 function rfsm.forward(fsm, region, events)
-  local queue, got = region._intq, region._got -- got.count events, the queue had length
-  if got.turn ~= fsm._turn then
-    got.count = 0
-    got.turn = fsm._turn
-  elseif #queue > got.length and rawequal(queue[#queue], events[got.count + 1]) then
-    got.count = got.count + 1
+  local queue, had = region._intq, region._got
+  if had.turn ~= fsm._turn then
+    had.count = 0
+    had.turn = fsm._turn
+  elseif #queue > had.length and rawequal(queue[#queue], events[had.count + 1]) then
+    had.count = had.count + 1
   end
-  for i = got.count + 1, #events do
-    got.length = #queue
+  for i = had.count + 1, #events do
+    had.length = #queue
     if fsm._fates then fsm._fates:forward(region, events[i]) end
     rfsm.send_events(region, events[i])
-    got.count = i
+    had.count = i
   end
 end
 
@@ -3449,8 +3460,8 @@ do
     follow_fates = "rfsm.fates" }
 
   for name in ([[check_between_steps check_no_otrs is_in machines map_from_to
-    node_find_enabled note_cut place prepare save_memory set_emit set_sta_mode snapshot_hooks
-    structure_of target_of targets]]):gmatch("%S+") do
+    node_find_enabled note_cut place prepare save_memory set_emit set_sta_mode
+    snapshot_hooks structure_of target_of targets]]):gmatch("%S+") do
     PARTS[name] = "rfsm.tools"
   end
 
@@ -3518,8 +3529,8 @@ do
     end
   end
 
-  -- Registers the module and the searcher. In a sandbox `package` may be missing or have
-  -- no fields.
+  -- Registers the module and the searcher. In a sandbox `package` may be missing or
+  -- have no fields.
   local function register(package)
     local searchers = package.searchers or package.loaders
     if searchers and loadfile and not searchers.rfsm then
@@ -3527,11 +3538,10 @@ do
       searchers[#searchers + 1] = find_beside
     end
     if package.loaded and not package.loaded.rfsm then package.loaded.rfsm = rfsm end
+    if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm", rfsm) end
   end
 
   register(rawget(_G, "package") or {})
 end
-
-if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm", rfsm) end
 
 return rfsm

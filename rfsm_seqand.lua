@@ -157,8 +157,8 @@ local function advance_regions(fsm, state)
   return are_all_idle
 end
 
--- The doo. It runs only in iterations that take no transition, and the events of such an
--- iteration go to the regions. No interrupt ends it.
+-- The doo. It runs only in iterations that take no transition, and the events of such
+-- an iteration go to the regions. No interrupt ends it.
 local function advance_all(fsm, state)
   while true do
     local are_all_idle = try(fsm, advance_regions, fsm, state)
@@ -194,8 +194,8 @@ local function is_new(region)
     and region._intq[2] == nil
 end
 
--- The exit hook leaves regions that the exit of the state has not left, since a tool has
--- replaced it, or an interrupt has cut it short.
+-- The exit hook leaves regions that the exit of the state has not left, since a tool
+-- has replaced it, or an interrupt has cut it short.
 local function leave_others(fsm, state)
   for _, region in ipairs(state._regions) do
     if not is_new(region) then try(fsm, leave_and_reset, region) end

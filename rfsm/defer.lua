@@ -20,7 +20,7 @@ local MOST = 64 -- events that a machine keeps, if `defer` of the state has no `
 ---@class rfsm.defer.Own
 ---@field list any[] the events that are kept
 ---@field is_done boolean the events of this iteration were looked at
----@field checked rfsm.State|false until a path is taken no event is recalled in this leaf
+---@field checked rfsm.State|false the leaf in which nothing was to be recalled
 ---@field turn integer|false the iteration in which events were kept last
 ---@field count integer the number of events kept before that iteration
 ---@field plan table|false the latest recall, to be done again after an interrupt

@@ -1,9 +1,9 @@
 --- Fates: what became of the events of a machine and its regions.
 --
--- An event is taken by a transition, kept by an extension, forwarded if a region took or
--- kept it, or else discarded. The outermost machine tells its watch hooks "discarded" of
--- each event that nobody used. The core loads this file for the first such hook; until
--- then nothing is noted.
+-- An event is taken by a transition, kept by an extension, forwarded if a region took
+-- or kept it, or else discarded. The outermost machine tells its watch hooks
+-- "discarded" of each event that nobody used. The core loads this file for the first
+-- such hook; until then nothing is noted.
 --
 -- @module rfsm.fates
 -- @license BSD-3-Clause
@@ -21,7 +21,7 @@ local ipairs, rawequal, remove = ipairs, rawequal, table.remove
 ---@class rfsm.fates.Own
 ---@field fsm rfsm.Machine
 ---@field used table<any, boolean> set of events taken or kept in this iteration
----@field forwarded table<any, rfsm.fates.Entry> those that regions got in this iteration
+---@field forwarded table<any, rfsm.fates.Entry> events that regions got in it
 ---@field entries rfsm.fates.Entry[]
 
 ---@param rfsm rfsm the core
@@ -48,8 +48,8 @@ return function(rfsm, engine)
 
   local settle
 
-  -- Notes what became of an event in a machine, in the entries of its parent machine. An
-  -- event without an entry was sent to the region alone.
+  -- Notes what became of an event in a machine, in the entries of its parent machine.
+  -- An event without an entry was sent to the region alone.
   local function conclude(fsm, event, is_used)
     local around, is_known = rfsm.parent(fsm), false
     local own = around and around._fates
@@ -116,7 +116,8 @@ return function(rfsm, engine)
     end
   end
 
-  -- The reset hook of a region: what it has not looked at is lost if its state was left.
+  -- The reset hook of a region: what it has not looked at is lost if its state was
+  -- left.
   local function reset(fsm)
     local around = rfsm.parent(fsm)
     local own = around and around._fates

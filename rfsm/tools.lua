@@ -5,8 +5,8 @@
 -- @module rfsm.tools
 -- @license BSD-3-Clause
 
-local error, ipairs, pairs, rawequal, rawget = error, ipairs, pairs, rawequal, rawget
-local type = type
+local error, ipairs, pairs, rawequal = error, ipairs, pairs, rawequal
+local rawset, type = rawset, type
 local max = math.max
 
 local NONE = {}
@@ -45,12 +45,12 @@ local function define_lists(rfsm)
 
   --- List the nodes to which a transition may lead.
   --
-  -- An extension may change the target of a transition so that it leads to any node in a
-  -- composite. Then the extension keeps the model's target in the field `_initial`.
+  -- An extension may change the target of a transition so that it leads to any node in
+  -- a composite. Then the extension keeps the model's target in the field `_initial`.
   --
   ---@param tr rfsm.Transition a transition of a machine
-  ---@return (rfsm.State|rfsm.Connector)[] targets the target; or `_initial` and all nodes
-  -- of the composite that contains it
+  ---@return (rfsm.State|rfsm.Connector)[] targets the target; or `_initial` and all
+  -- nodes of the composite that contains it
   function rfsm.targets(tr)
     local initial = tr._initial
     if not initial then return { tr.tgt } end
@@ -95,8 +95,9 @@ local function define_questions(rfsm, engine)
     check_machine(fsm, "rfsm.is_in")
     local node = type(state) == "string" and find_by_name(fsm, state) or state
     if not rfsm.is_state(node) or not node._mode then
-      error("rfsm.is_in: state of the machine expected, " .. got(state)
-        .. (type(state) == "string" and engine.advise("state_name", fsm, state) or ""), 2)
+      local hint = type(state) == "string" and engine.advise("state_name", fsm, state)
+      error("rfsm.is_in: state of the machine expected, " .. got(state) .. (hint or ""),
+        2)
     end
     return node._mode ~= "inactive"
   end
@@ -129,8 +130,8 @@ local function define_questions(rfsm, engine)
 
   --- Find the path that events would enable from a node, without taking it.
   --
-  -- A path is a table { node, nextl }. `nextl` is a list of tables { trans, next }, whose
-  -- `next` is the rest of the path. At the end of the path `nextl` is false.
+  -- A path is a table { node, nextl }. `nextl` is a list of tables { trans, next },
+  -- whose `next` is the rest of the path. At the end of the path `nextl` is false.
   --
   ---@param fsm rfsm.Machine
   ---@param node rfsm.State|rfsm.Connector
@@ -170,7 +171,8 @@ end
 
 local latest = setmetatable({}, { __mode = "v" }) -- model -> a machine of it
 
--- Have the elements of two lists equal values in some fields? Nodes are compared by FQN.
+-- Have the elements of two lists equal values in some fields? Nodes are compared by
+-- FQN.
 local function have_same(list, others, fields)
   for i, element in ipairs(list) do
     for _, field in ipairs(fields) do
@@ -267,9 +269,9 @@ local function define_moves(rfsm, engine)
 
   --- Note that the step under way will never return, for hosts that know this.
   --
-  -- An exception of C++ that goes through Lua ends a step, and no pcall notices that. The
-  -- next step then goes on behind the callback that was under way, as after an interrupt.
-  -- A doo that was under way has failed.
+  -- An exception of C++ that goes through Lua ends a step, and no pcall notices that.
+  -- The next step then goes on behind the callback that was under way, as after an
+  -- interrupt. A doo that was under way has failed.
   --
   ---@param fsm rfsm.Machine
   ---@return boolean is_noted false if no step was under way
@@ -380,8 +382,8 @@ local function define_prepare(rfsm, engine)
 
   --- Compile a machine completely now, not while it runs.
   --
-  -- Without this call a path is compiled when it has been taken a few times. This is also
-  -- true of paths that change later, by `fsm_merge` or because a hook is added.
+  -- Without this call a path is compiled when it has been taken a few times. This is
+  -- also true of paths that change later, by `fsm_merge` or because a hook is added.
   --
   ---@param fsm rfsm.Machine
   function rfsm.prepare(fsm)
