@@ -223,6 +223,51 @@ describe("explore", function()
   end
 end)
 
+describe("a step that was not tried", function()
+  local function more(fsm) fsm.n = fsm.n + 5 end
+
+  -- What is found in the chart a --e_go--> b, which is left with n out of its range.
+  local function found(members, options)
+    members.n, members[2] = 0, go("a", "b", "e_go")
+    options = options or { vars = { n = { 0, 3 } }, run = { more } }
+    local result = rfsm_checks.explore(chart(members), options)
+    local codes = {}
+    for i, finding in ipairs(result.findings) do codes[i] = finding.code end
+    return table.concat(codes, " "), result.untried[1]
+  end
+
+  local BEYOND = "values of the field 'n' such as 5"
+
+  it("leaves its state, which is no dead end then", function()
+    local codes, untried = found { [3] = go("b", "a", "e_back", { effect = more }) }
+    assert.same({ "", BEYOND }, { codes, untried })
+  end)
+
+  it("may be the end of what the machine sends itself", function()
+    local codes, untried = found { [3] = go("b", "a", "e_done", { effect = more }) }
+    assert.same({ "", BEYOND }, { codes, untried })
+  end)
+
+  it("may begin when a deadline is over", function()
+    local codes, untried = found { [3] = go("b", "a", "e_after(1)", { effect = more }) }
+    assert.same({ "", BEYOND }, { codes, untried })
+  end)
+
+  it("leaves a dead end in another state to be found", function()
+    local codes, untried = found { c = state {}, [4] = go("a", "c", "e_c"),
+      [3] = go("b", "a", "e_back", { effect = more }),
+      [5] = go("c", "a", "e_done", { guard = yes }) }
+    assert.same({ "dead-end", BEYOND }, { codes, untried })
+  end)
+
+  it("leaves a rest in its state to be found, if an event has to begin it", function()
+    local model = chart { n = 0, [3] = go("b", "a", "e_back", { effect = more }) }
+    local result = rfsm_checks.explore(model, { vars = { n = { 0, 3 } }, run = { more },
+      properties = { after("e_x").leads_to "root.a" } })
+    assert.is_false(result.properties[1].holds)
+  end)
+end)
+
 describe("an await that is complete", function()
   it("comes with an event that nothing names", function()
     local result = rfsm_checks.explore(rfsm.state { info = false, warn = false,

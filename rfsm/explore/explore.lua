@@ -75,7 +75,8 @@ local explore = {}
 ---@field steps integer[] target of each step; negative: without event from outside
 ---@field taken table<integer, table> transition -> the first step that takes it
 ---@field stuck integer[] configurations whose steps stay there and take no transition
----@field has_moved boolean the configuration expanded now is known not to be stuck
+---@field has_moved boolean the configuration expanded now is not known to be stuck: a
+-- step leaves it or takes a transition, or some step was not tried
 ---@field expanded integer number of configurations from which all steps were taken
 ---@field endless table? the first step in which a region never becomes idle
 ---@field bound string? the name of the first bound that was hit
@@ -90,8 +91,8 @@ local explore = {}
 ---@field kin table<string, integer[]> configurations that differ only in their times
 ---@field unsure table<integer, rfsm_checks.Group> position of a step in `steps` -> the
 -- group of deadlines that are over before the step, if another group may be over first
----@field cut table<integer, boolean> configurations with a step whose target is not
--- explored, since more than `pending` events wait to be sent later
+---@field cut table<integer, boolean> configurations from which a step without events
+-- from outside was not tried, or its target is not explored
 ---@field try rfsm_checks.Try the step that is taken now
 ---@field label fun(): string the label of that step
 ---@field timing rfsm_checks.Timing|false clocks, if timers come in order
@@ -204,6 +205,14 @@ end
 
 explore.note_untried = Walk.note_untried
 
+-- Notes that a step from the configuration `from` was not tried: so nobody knows that
+-- nothing happens there.
+local function note_cut(walk, from, is_from_outside, bound, text)
+  walk.has_moved = true
+  walk.cut[from] = walk.cut[from] or not is_from_outside
+  walk:note_untried(bound, text)
+end
+
 -- Notes the states that a step has entered and left again.
 local function note_passed(walk, from, tgt, label)
   for _, moment in ipairs(walk.subject.passed) do
@@ -237,6 +246,7 @@ end
 ---@field conf rfsm_checks.Configuration
 ---@field events rfsm_checks.Occurrence[] the time events are the last ones
 ---@field is_internal boolean the step has no event from outside and no deadline
+---@field is_from_outside boolean the step has an event from outside
 ---@field group rfsm_checks.Group|false the deadlines; false if the walk has no clocks
 ---@field f fun(walk: rfsm_checks.Walk, try: rfsm_checks.Try, key: string|nil,
 -- label: fun()) called after the step; `key` is nil if the step never ends
@@ -251,12 +261,11 @@ local function key_after(walk, try, label)
     time, sources = walk.timing:after(context.time, try.group, walk, clocks)
   end
   if time == nil then
-    walk:note_untried("pending", ("more than %d events that wait to be sent later")
-      :format(walk.options.pending))
-    walk.cut[try.from] = true
+    note_cut(walk, try.from, try.is_from_outside, "pending",
+      ("more than %d events that wait to be sent later"):format(walk.options.pending))
     return nil, sources
   elseif problem then
-    walk:note_untried("values", problem)
+    note_cut(walk, try.from, try.is_from_outside, "values", problem)
     return nil, sources
   end
   return in_context(walk, key, state, time), sources
@@ -278,6 +287,7 @@ local function note_step(walk, try, key, label)
   end
   if not key then
     walk.endless = walk.endless or { from = from, label = label() }
+    walk.has_moved = true
     return
   end
   local tgt = walk:find_configuration(key, from, label)
@@ -305,14 +315,16 @@ end
 local function each_set(walk, from, conf, group, sets, f)
   local timers, is_over = group and group.events or {}, group and group.is_over
   local try = { from = from, conf = conf, group = group, events = false,
-    is_internal = false, f = f }
+    is_internal = false, is_from_outside = false, f = f }
   for _, set in ipairs(sets) do
     if set[1] ~= nil or is_over or subject.may_act(conf) then
-      try.events = match.joined(set, timers)
+      try.events, try.is_from_outside = match.joined(set, timers), set[1] ~= nil
       try.is_internal = set[1] == nil and not is_over
       walk.try = try
       local untried = walk.subject:each_choice(conf, try.events, walk, after_choice)
-      if untried then walk:note_untried("choices", untried) end
+      if untried then
+        note_cut(walk, from, try.is_from_outside, "choices", untried)
+      end
     end
   end
 end
@@ -320,10 +332,12 @@ end
 local NO_GROUP = { false }
 
 -- Lists the groups of deadlines that may be over when a step begins.
-local function groups_of(walk, conf)
+local function groups_of(walk, from, conf)
   if not walk.timing then return NO_GROUP end
   local groups = walk.timing:groups(conf.context.time, subject.is_driven(conf))
-  if walk.timing.is_cut then walk:note_untried("sets", "some orders of deadlines") end
+  if walk.timing.is_cut then
+    note_cut(walk, from, false, "sets", "some orders of deadlines")
+  end
   return groups
 end
 
@@ -343,8 +357,8 @@ local function each_try(walk, from, f, read)
   local conf = walk:configuration(from)
   local list, needed, is_cut = reactions.that_may_come(walk.subject, conf)
   if is_cut then
-    walk:note_untried("sets", ("some sets of events that paths from %s need"):format(
-      conf[1].leaf and conf[1].leaf._fqn or "root.initial"))
+    note_cut(walk, from, true, "sets", ("some sets of events that paths from %s need")
+      :format(conf[1].leaf and conf[1].leaf._fqn or "root.initial"))
   end
   add_wanted(walk.subject, walk.wanted, list)
   local sets = sets_of(list, walk.together)
@@ -352,7 +366,7 @@ local function each_try(walk, from, f, read)
     if #set > walk.together then sets[#sets + 1] = set end
   end
   for i, set in ipairs(read and sets or {}) do sets[i] = match.joined(read, set) end
-  for _, group in ipairs(groups_of(walk, conf)) do
+  for _, group in ipairs(groups_of(walk, from, conf)) do
     each_set(walk, from, conf, group, sets, f)
   end
 end
@@ -361,7 +375,7 @@ end
 function Walk.expand(walk, from)
   walk.first[from], walk.has_moved = #walk.steps + 1, false
   each_try(walk, from, note_step)
-  if not (walk.has_moved or walk.cut[from]) then walk.stuck[#walk.stuck + 1] = from end
+  if not walk.has_moved then walk.stuck[#walk.stuck + 1] = from end
 end
 
 --- Take all steps from a configuration, and call f(walk, try, key, label) after each.
@@ -602,7 +616,7 @@ function Walk:rerun(from, label, whole)
   explore.note_outcome(self.subject, step)
   if whole then repeat_on(whole, events, step) end
   return step, self.timing and { from = from, conf = conf, events = events,
-    group = groups_of(self, conf)[number] }
+    group = groups_of(self, from, conf)[number] }
 end
 
 --- List the steps of the shortest run to a configuration, then the step from there that

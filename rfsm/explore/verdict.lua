@@ -223,8 +223,8 @@ local function find_endless(walk, findings)
   local is_idle, are_idle, step = {}, true, walk.endless
   for number = 1, #walk.keys do
     local conf = walk:configuration(number)
-    is_idle[number] = number > walk.expanded or not (conf[1].leaf
-      and subject.is_driven(conf))
+    is_idle[number] = number > walk.expanded or walk.cut[number]
+      or not (conf[1].leaf and subject.is_driven(conf))
     are_idle = are_idle and is_idle[number]
   end
   local ends = are_idle and is_idle or graph.can_reach(walk, is_idle, true)
