@@ -134,8 +134,7 @@ end
 
 -- Counts the callbacks, except guards, that are not called. Lists the callbacks, guards
 -- too, that are not called and may write fields or variables that called ones use.
-local function note_others(self, named)
-  local names, variables = names_of_data(self)
+local function note_others(self, named, names, variables)
   for _, name in ipairs(rfsm.sorted_keys(named)) do
     local callback = named[name]
     if not self.runs[callback] then
@@ -229,7 +228,11 @@ function data.read_options(self, options, fsm)
     add_rules(self, kind, options[kind], named)
   end
   self.idle_callbacks, self.data_writers = 0, {}
-  if self.var_names[1] or self.run_list[1] then note_others(self, named) end
+  if self.var_names[1] or self.run_list[1] then
+    local names, variables = names_of_data(self)
+    self.data_names = names
+    note_others(self, named, names, variables)
+  end
 end
 
 -- Returns the answer of a guard that follows from the answers of other guards in its
