@@ -348,7 +348,7 @@ describe("callbacks that are not run", function()
       ["/x.lua"] = false } do -- any order: each stands alone
       local file = "@" .. core .. name
       local callback = assert(load_text(text, file))()
-      assert.equal(is_read, writes.text_of(callback) ~= nil)
+      assert.equal(not is_read, writes.is_known(callback))
     end
   end)
 
@@ -362,6 +362,155 @@ describe("callbacks that are not run", function()
         { run = { is_three } })
       assert.equal("targets that the effect root.trans[2] may write", untried)
     end
+  end)
+end)
+
+-- (initial) -> a --e_x--> b, whose effect is a part of this text; then to bad on e_y.
+local TEXT = [[
+local rfsm = require "rfsm"
+return rfsm.state { info = false, warn = false, n = 0,
+  a = rfsm.state {}, b = rfsm.state {}, bad = rfsm.state { final = true },
+  rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "b", events = { "e_x" },
+    effect = function(fsm) fsm.n = 3 end },
+  rfsm.trans { src = "b", tgt = "bad", events = { "e_y" },
+    guard = function(tr) return tr._fsm.n %s 3 end },
+}]]
+
+describe("a callback whose text is not known", function()
+  local function load_as(text, name) return assert(load_text(text, name))() end
+
+  local function stripped(text)
+    return load_text(string.dump(assert(load_text(text)), true))()
+  end
+
+  local UNKNOWN = "what the effect root.trans[2] does, whose text is not known, and "
+    .. "%d more callbacks"
+
+  -- The verdict on `never root.bad` if the guard is run, and what was not tried.
+  local function judged(model, options)
+    options = options or { vars = { n = { 0, 3 } }, run = { "guard root.trans[3]" } }
+    options.properties = { never "root.bad" }
+    local result = rfsm_checks.explore(model, options)
+    return result.properties[1].holds, result.untried[#result.untried], result
+  end
+
+  it("may do anything, so that nothing holds", function()
+    local text = TEXT:format ">="
+    local MODELS = { ["=chart"] = load_as(text, "=chart"), named = load_as(text, "x"),
+      ["@chart"] = load_as(text, "@no/chart.lua"), other = load_as(text, "@rfsm.lua"),
+      dumped = stripped(text) }
+    if _VERSION == "Lua 5.1" and not rawget(_G, "jit") then MODELS.dumped = nil end
+    for name, model in pairs(MODELS) do -- any order: each stands alone
+      local holds, untried, result = judged(model)
+      assert.same({ name, nil, UNKNOWN:format(1) }, { name, holds, untried })
+      assert.equal("texts", result.bound)
+      assert.equal("one event a step; 1 callback not run", result.premises)
+    end
+  end)
+
+  it("shows what does not hold if it is run", function()
+    local model = load_as(TEXT:format ">=", "=chart")
+    local holds = judged(model, { vars = { n = { 0, 3 } },
+      run = { "guard root.trans[3]", "effect root.trans[2]" } })
+    assert.is_false(holds)
+  end)
+
+  it("is known if its chunk has its text for a name", function()
+    local text = TEXT:format ">="
+    local _, untried = judged(load_as(text, text))
+    assert.equal("data that the effect root.trans[2] may write, which is not run",
+      untried)
+  end)
+
+  it("may be called by another one, be a whole chunk, or be of C", function()
+    local call = load_as("return function(fsm) fsm.n = 3 end", "=helper")
+    local host = coroutine.wrap(function() end)
+    local EFFECTS = { function(fsm) call(fsm) end, host,
+      setmetatable({}, { __call = call }), assert(load_text("x = 1", "=chunk")) }
+    for i, effect in ipairs(EFFECTS) do
+      local _, untried = judged(counting(effect), {})
+      assert.equal("what the effect root.trans[2] does, whose text is not known",
+        untried, i)
+    end
+  end)
+
+  it("is harmless if it is of Lua or of this library, or calls C", function()
+    local host = coroutine.wrap(function() end)
+    local monitor = require "rfsm.monitor"
+    local EFFECTS = { print, rfsm.prepare, function() host() end,
+      function(fsm) fsm.d.n = #tostring(fsm) end,
+      assert(load_text("\nlocal x = 1\nreturn x")),
+      monitor.gen_monitor_state { montab = {} }.doo }
+    for i, effect in ipairs(EFFECTS) do
+      local model = counting(effect, nil, { [3] = go("a", "b", "e_y") })
+      local holds, untried = judged(model, {})
+      assert.same({ i, true }, { i, holds, untried })
+    end
+  end)
+end)
+
+describe("a run that data which are not followed may forbid", function()
+  local function is_below(tr) return tr._fsm.n < 3 end
+  local function set(fsm) fsm.n = 3 end
+
+  -- (initial) -> a --e_x--> b --e_y--> bad, where the guard of the last one is run.
+  local function verdict_of(members, property)
+    local all = { n = 0, bad = state { final = true }, [2] = go("a", "b", "e_x"),
+      [3] = go("b", "bad", "e_y", { guard = is_below }) }
+    for key, value in pairs(members) do all[key] = value end
+    local _, line, result = verdict(chart(all), property or never "root.bad",
+      { vars = { n = { 0, 3 } }, run = { is_below } })
+    local codes = {}
+    for i, finding in ipairs(result.findings) do codes[i] = finding.code end
+    return line:match("^p: [^%[(]*%w"), table.concat(codes, " ")
+  end
+
+  it("is no witness", function()
+    local text = TEXT:format "<"
+    local result = rfsm_checks.explore(assert(load_text(text, "=chart"))(), {
+      vars = { n = { 0, 3 } }, run = { "guard root.trans[3]" },
+      properties = { never "root.bad" } })
+    assert.is_nil(result.properties[1].holds)
+    local CASES = {
+      { [2] = go("a", "b", "e_x", { effect = set }) }, { b = state { entry = set } },
+      { a = state { exit = set } },
+      { b = state { doo = set }, [3] = go("b", "bad", "e_done", { guard = is_below }) },
+      { [2] = go("a", "b", "e_x", { guard = set }) },
+    }
+    for i, members in ipairs(CASES) do
+      assert.same({ i, "p: not known", "" }, { i, verdict_of(members) })
+    end
+  end)
+
+  it("is no witness of a dead end, or of what never comes", function()
+    local function is_set(tr) return tr._fsm.n == 3 end
+    local members = { [2] = go("a", "b", "e_x", { effect = set }),
+      [3] = go("b", "a", "e_done", { guard = is_set }) }
+    for _, property in ipairs { rfsm_checks.after("e_x").reach "root.a",
+      rfsm_checks.after("e_x").leads_to "root.a" } do
+      local _, line, result = verdict(chart { n = 0, [2] = members[2],
+        [3] = members[3] }, property, { vars = { n = { 0, 3 } }, run = { is_set } })
+      assert.same({ "p: not known", 0 }, { line, #result.findings })
+    end
+  end)
+
+  it("is a witness if the guard is asked before, or is free", function()
+    assert.same({ "p: does not hold", "violated" }, { verdict_of {
+      bad = state { final = true, entry = set } } })
+    assert.same({ "p: does not hold", "violated" }, { verdict_of { [3] = go("b", "bad",
+      "e_y"), [2] = go("a", "b", "e_x", { effect = set }),
+      [4] = go("b", "a", "e_z", { guard = is_below }) } })
+  end)
+
+  it("is no witness if a callback may have changed its transitions", function()
+    local function retarget(fsm) fsm[3].tgt = fsm.a end
+    local holds = verdict(chart { bad = state { final = true }, [3] = go("b", "bad",
+      "e_y"), [2] = go("a", "b", "e_x", { effect = retarget }) }, never "root.bad", {})
+    assert.is_nil(holds)
+    holds = verdict(chart { bad = state { final = true }, [3] = go("b", "bad", "e_y",
+      { effect = retarget }) }, never "root.bad", {})
+    assert.is_false(holds)
   end)
 end)
 

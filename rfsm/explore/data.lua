@@ -126,7 +126,7 @@ local function names_of_data(self)
     writes.each(callback, function(text)
       for name in text:gmatch(writes.ANY) do names[name] = true end
       for _, name in ipairs(writes.names_in(text)) do variables[name] = true end
-      if text == "" or writes.reads_any(text) then names[writes.ANY] = true end
+      if writes.reads_any(text) then names[writes.ANY] = true end
     end, seen)
   end
   return rfsm.sorted_keys(names), rfsm.sorted_keys(variables)
@@ -227,7 +227,7 @@ function data.read_options(self, options, fsm)
   for _, kind in ipairs { "exclusive", "complementary", "same" } do
     add_rules(self, kind, options[kind], named)
   end
-  self.idle_callbacks, self.data_writers = 0, {}
+  self.idle_callbacks = 0
   if self.var_names[1] or self.run_list[1] then
     local names, variables = names_of_data(self)
     self.data_names = names
@@ -269,6 +269,7 @@ function data.new_guard(self, path, guard)
     local only_reads = writes.only_reads(guard)
     return function(...)
       self.is_touched = self.is_touched or not only_reads
+      replacements.note_run(self)
       local ok, answer = calls.try(guard, ...)
       return self:choose(path, false, ok and answer ~= false)
     end
@@ -292,6 +293,7 @@ end
 function data.new_doo(self, path, doo, free)
   return function(...)
     self.is_touched = true
+    replacements.note_run(self)
     local thread = coroutine.create(doo)
     coroutine.resume(thread, ...)
     if coroutine.status(thread) == "dead" then

@@ -16,11 +16,11 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
-local any = require("rfsm.shared.order").any
 local data = require "rfsm.explore.data"
 local opts = require "rfsm.shared.options"
 local match = require "rfsm.shared.match"
 local monitors = require "rfsm.explore.monitors"
+local order = require "rfsm.shared.order"
 local subject = require "rfsm.explore.subject"
 local reactions = require "rfsm.explore.reactions"
 local replacements = require "rfsm.explore.replacements"
@@ -139,7 +139,7 @@ end
 --- Is the machine entered in some configuration of the walk?
 ---@return boolean
 function Walk:is_entered()
-  return any(self.subject.parts[1].positions, function(at) return at.leaf end)
+  return order.any(self.subject.parts[1].positions, function(at) return at.leaf end)
 end
 
 --- Return the number of a known configuration with the same key, or of one that differs
@@ -464,6 +464,11 @@ local KNOWN = {
 -- data, and send events later or cancel them though the options do not name these.
 local function note_gaps(walk)
   local own = walk.subject
+  local count, first = #own.unknown, own.unknown[1]
+  if first then
+    walk:note_untried("texts", ("what the %s does, whose text is not known%s"):format(
+      first, count > 1 and (", and %d more callbacks"):format(count - 1) or ""))
+  end
   local function add(names, bound, text)
     for _, name in ipairs(names) do walk:note_untried(bound, text:format(name)) end
   end
@@ -544,6 +549,8 @@ end
 -- guards and predicates and the ends of doos, in the order in which they were asked
 ---@field taken string[] paths of the transitions that the step takes
 ---@field leaf string|false FQN of the active leaf after the step
+---@field unfollowed false|"data"|"targets" see the fields of `rfsm_checks.Subject`
+---@field ran false|"before"|"after"
 
 local function text_of_event(occurrence)
   local text, part = rfsm.text_of(occurrence.event), occurrence.part
@@ -562,6 +569,26 @@ function explore.note_outcome(own, step)
   end
   step.taken, step.leaf = own:paths_of(), rfsm.get_actleaf_fqn(own.parts[1].fsm)
   step.sent = match.joined({}, own.sent)
+  step.unfollowed, step.ran = own.unfollowed, own.ran
+end
+
+--- Is it doubtful that a machine can follow a run? It is if a step calls a callback in
+--- `run`, or takes a transition, after a callback may have changed data or targets that
+--- are not followed.
+---@param steps { unfollowed: any, ran: any, taken: string[], machine: string? }[]
+---@param goes_on? boolean callbacks in `run` decide what happens after the run, too
+---@return boolean
+function explore.is_doubtful(steps, goes_on)
+  local changed = {} -- by machine
+  local is_doubtful = order.any(steps, function(step)
+    local name = step.machine or ""
+    local before = changed[name]
+    changed[name] = step.unfollowed == "targets" and "targets" or before
+      or step.unfollowed or nil
+    return step.ran == "after" or before and step.ran
+      or before == "targets" and step.taken[1] ~= nil
+  end)
+  return is_doubtful or goes_on and not order.is_empty(changed) or false
 end
 
 -- Returns a step of a witness with its events. `values` and `inside` leave out the time

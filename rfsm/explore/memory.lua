@@ -43,7 +43,6 @@ local memory = {}
 -- `writes.ANY`
 ---@field most integer the greatest number of homes
 ---@field is_cut boolean there are more tables than `most`, and not all are homes
----@field is_blind boolean the source text of some callback is not known
 local Memory = {}
 Memory.__index = Memory
 
@@ -216,7 +215,6 @@ end
 --- data were looked at.
 ---@return string?
 function Memory:premise()
-  if self.is_blind then return "upvalues and globals not looked at" end
   return self.is_cut and "not all data looked at" or nil
 end
 
@@ -241,7 +239,7 @@ end
 ---@return rfsm_checks.Memory
 function memory.of(self)
   local own = setmetatable({ homes = {}, cells = {}, places = {}, seen = {},
-    names = {}, most = math.huge, is_cut = false, is_blind = false }, Memory)
+    names = {}, most = math.huge, is_cut = false }, Memory)
   for _, name in ipairs(self.data_names) do own.names[name] = true end
   skip_libraries(own)
   local list = {}
@@ -255,7 +253,6 @@ function memory.of(self)
   own.most = #own.homes + MANY
   local seen = {}
   for _, callback in ipairs(self.run_list) do
-    own.is_blind = own.is_blind or (writes.text_of(callback) or "") == ""
     writes.each(callback, function(text, other) add_cells(own, text, other) end, seen)
   end
   return own

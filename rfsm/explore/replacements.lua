@@ -188,15 +188,41 @@ end
 
 --- Note what a callback may do that the exploration does not follow: it may write the
 --- target of a transition; it may also emit, delay or cancel events, unless the option
---- `sends` lists the events of the callback.
+--- `sends` lists the events of the callback. Without text it may do anything.
 function replacements.note_writer(self, name, callback)
-  if writes.may_write(callback, { "tgt" }) then table.insert(self.writers, name) end
-  local is_run = self.runs[callback or false]
-  local is_known = is_run or self.sends[name] or self.dry_sends[name]
-  if not is_known and may_emit(callback) then table.insert(self.emitters, name) end
+  if not callback then return end
+  local is_run = self.runs[callback]
+  local is_listed = is_run or self.sends[name] or self.dry_sends[name]
+  local function note(list) list[#list + 1] = name end
+  if not writes.is_known(callback) then note(self.unknown) end
+  if writes.may_write(callback, { "tgt" }) then note(self.writers) end
+  if not is_listed and may_emit(callback) then note(self.emitters) end
   if self.sends[name] and not is_run then return end
-  if may_call(callback, "send_after") then table.insert(self.late_senders, name) end
-  if may_call(callback, "cancel") then table.insert(self.cancellers, name) end
+  if may_call(callback, "send_after") then note(self.late_senders) end
+  if may_call(callback, "cancel") then note(self.cancellers) end
+end
+
+--- Return a function that notes that a callback has run which may change what is not
+--- followed, and then calls `f`; `f` itself if the callback changes nothing of that.
+---@param self rfsm_checks.Subject
+---@param name string of the callback
+---@param callback function|nil
+---@param f function|nil the replacement of the callback
+---@return function?
+function replacements.marked(self, name, callback, f)
+  local is_unknown = match.has(self.unknown, name) and not self.runs[callback]
+  local kind = match.has(self.writers, name) and "targets"
+    or (is_unknown or match.has(self.data_writers, name)) and "data"
+  if not kind then return f end
+  return function(...)
+    self.unfollowed = self.unfollowed == "targets" and "targets" or kind
+    if f then return f(...) end
+  end
+end
+
+--- Note that a callback in `run` is called now.
+function replacements.note_run(self)
+  self.ran = self.unfollowed and "after" or self.ran or "before"
 end
 
 -- Replacements ......................................................................
@@ -297,6 +323,7 @@ local function new_replacement(self, part, run, flags, events)
   return function(own, ...)
     if run then
       self.is_touched = true
+      replacements.note_run(self)
       calls.try(run, own, ...)
     end
     for _, flag in ipairs(flags) do self.flags[flag.number] = flag.value end
@@ -323,7 +350,8 @@ function replacements.new(self, what, path, part, callback)
   local run = self.runs[callback or false] and callback
   local events = self.sends[name] or run and {}
     or self.dry_sends[name] or {}
-  return new_replacement(self, part, run, self.flags_of[name] or {}, events)
+  return replacements.marked(self, name, callback,
+    new_replacement(self, part, run, self.flags_of[name] or {}, events))
 end
 
 -- Notes that the replacements of the callbacks `names` set a flag to a value.

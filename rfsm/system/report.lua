@@ -92,10 +92,13 @@ end
 
 -- Adds a finding. Its witness is the run to the configuration `shown.at`, then the move
 -- `shown.label` if there is one, then, if there is a `shown.tgt`, a run to where the
--- system may stay for ever.
+-- system may stay for ever. Returns false, and adds nothing, if the run is doubtful.
 local function add_run(walk, findings, code, path, text, shown, where)
+  local witness = walk:witness(shown.at, shown.label, shown.tgt)
+  if explore.is_doubtful(witness) then return false end
   local finding = findings:add(code, nil, path, text, nil, where)
-  if finding then finding.witness = walk:witness(shown.at, shown.label, shown.tgt) end
+  if finding then finding.witness = witness end
+  return true
 end
 
 -- Does a machine wait for an event? It does if it was not entered, or if one of its
@@ -243,9 +246,9 @@ end
 -- Judges a property, and adds a finding if it does not hold.
 local function judge(result, judged)
   properties.judge(judged.walk, judged)
-  if judged.at then
-    add_run(judged.walk, result.findings, "violated", judged.name, "does not hold",
-      judged, "")
+  if judged.at and not add_run(judged.walk, result.findings, "violated", judged.name,
+    "does not hold", judged, "") then
+    judged.holds = nil
   end
 end
 
