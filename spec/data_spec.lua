@@ -549,6 +549,127 @@ describe("a doo that is run", function()
   end)
 end)
 
+describe("a callback that is run", function()
+  local named = rfsm.named
+
+  -- The verdict on `never root.bad` in a chart a --named "e_pay"--> bad, its premises,
+  -- what was not tried, and whether bad is said to be unreachable.
+  local function judged(members, options)
+    local all = { n = 0, bad = state { final = true }, [3] = go("b", "a", "e_x"),
+      [2] = go("a", "bad", named "e_pay", members[2]) }
+    for key, value in pairs(members) do all[key] = key ~= 2 and value or all[2] end
+    options.properties = { never "root.bad" }
+    local result = rfsm_checks.explore(chart(all), options)
+    local is_unreachable = false
+    for _, finding in ipairs(result.findings) do
+      is_unreachable = is_unreachable or finding.code == "unreachable"
+        and finding.place == "root.bad"
+    end
+    return { result.properties[1].holds, is_unreachable, result.premises,
+      result.untried[1] }
+  end
+
+  local Payment = {}
+  function Payment:is_enough(events) return self and events[1].amount > 10 end
+
+  it("is free if it is a guard that reads the data of events", function()
+    local check = setmetatable({}, { __call = function(_, _, events)
+      return type(events[1]) == "table"
+    end })
+    local GUARDS = {
+      function(_, events) return events[1].amount > 10 end,
+      function(_, events)
+        return (type(events[1]) == "table" and events[1].amount or 0) > 10
+      end,
+      function(_, list)
+        for _, event in ipairs(list) do
+          if type(event) == "table" and event.amount > 10 then return true end
+        end
+        return false
+      end,
+      function(...) return type((select(2, ...))[1]) == "table" end,
+      Payment.is_enough, check,
+      function(_, events) return rawget(_G, "no_robot").is_ready(events) end,
+    }
+    for i, guard in ipairs(GUARDS) do
+      assert.same({ i, false, false, "one event a step; guards and predicates free" },
+        { i, unpack(judged({ [2] = { guard = guard } },
+          { run = { "guard root.trans[2]" } })) })
+    end
+  end)
+
+  it("is free if it is a guard that fails away from its robot", function()
+    local function is_ready() return rawget(_G, "no_robot").ready end
+    local members = { [2] = { guard = is_ready } }
+    assert.same({ false, false, "one event a step; guards and predicates free" },
+      judged(members, { run = { is_ready } }))
+  end)
+
+  it("is known if it is a guard that reads names, or no events", function()
+    local function never_now(tr) return tr._fsm.n > 10 end
+    local function is_x(_, events) return events[1] == "e_x" end
+    assert.same({ true, true, "one event a step; predicates free" },
+      judged({ [2] = { guard = never_now } }, { run = { never_now } }))
+    local holds = verdict(chart { bad = state {}, [3] = go("b", "bad", "e_y",
+      { guard = is_x }), [4] = go("bad", "a", "e_x") }, never "root.bad",
+      { run = { is_x } })
+    assert.is_true(holds)
+    holds = verdict(chart { bad = state {}, [3] = go("b", "bad", nil,
+      { guard = is_x }), [4] = go("bad", "a", "e_x") }, never "root.bad",
+      { run = { is_x } })
+    assert.is_false(holds)
+  end)
+
+  it("leaves it open if it is an effect or doo that reads data, or fails", function()
+    local function is_ten(tr) return tr._fsm.n >= 10 end
+    local function add(fsm, _, _, events) fsm.n = fsm.n + events[1].amount end
+    local function add_one(fsm, _, _, events)
+      fsm.n = type(events[1]) == "table" and events[1].amount or fsm.n
+    end
+    local function fail(fsm) fsm.n = rawget(_G, "no_robot").n end
+    local FAILS, READS = "what the %s does, which fails here",
+      "what the %s does with the data of an event"
+    local CASES = {
+      { "effect", add, FAILS }, { "effect", add_one, READS }, { "effect", fail, FAILS },
+      { "entry", fail, FAILS }, { "doo", fail, "how the %s goes on" },
+    }
+    for i, case in ipairs(CASES) do
+      local field, callback = case[1], case[2]
+      local is_effect = field == "effect"
+      local result = judged({
+        a = state { [not is_effect and field or "x"] = callback },
+        [2] = { guard = is_ten },
+        [3] = go("a", "internal", named "e_pay", is_effect and { effect = callback }) },
+        { run = { callback, is_ten }, vars = { n = { 0, 20 } } })
+      assert.same({ i, nil, false, case[3]:format(is_effect and "effect root.trans[3]"
+        or field .. " root.a") }, { i, result[1], result[2], result[4] })
+    end
+  end)
+
+  it("is not known to send what it sends in a dry run, if that needs data", function()
+    local function send(fsm, _, _, events)
+      if events[1] and events[1].amount > 10 then rfsm.send_events(fsm, "e_paid") end
+    end
+    local function fail(fsm)
+      rfsm.send_events(fsm, rawget(_G, "no_robot").ready and "e_paid")
+    end
+    local function emit(fsm, _, _, events) fsm.emit("e_paid", events[1].amount) end
+    local function note(_, _, _, events) return events[1].amount end
+    local function dry(effect, sends)
+      return judged({ [2] = {}, bad = state {}, paid = state {},
+        [3] = go("b", "a", "e_x", { effect = effect }),
+        [4] = go("bad", "paid", "e_paid") }, { dry_run = true, alphabet = {},
+        sends = sends })[4]
+    end
+    for i, effect in ipairs { send, fail, emit } do
+      assert.same({ i, "events that the effect root.trans[3] may send, which a dry run "
+        .. "does not show" }, { i, dry(effect) })
+    end
+    assert.is_nil(dry(note))
+    assert.is_nil(dry(send, { ["effect root.trans[3]"] = { "e_paid" } }))
+  end)
+end)
+
 describe("guards that stay free", function()
   local function yes() return true end
   local function left() return true end

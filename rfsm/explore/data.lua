@@ -259,6 +259,23 @@ local function known_answer(self, guard)
   return answer
 end
 
+-- Returns the function that replaces a guard in `run`. Both answers are tried if the
+-- guard fails, or reads data of an event.
+local function new_called_guard(self, path, guard)
+  local only_reads, reads_event = writes.only_reads(guard), writes.may_read(guard, 2)
+  return function(tr, ...)
+    self.is_touched = self.is_touched or not only_reads
+    replacements.note_run(self)
+    local ok, answer = calls.try(guard, tr, ...)
+    local part = self.transitions[self.number_of[tr]].part
+    if not ok or reads_event and replacements.have_data(self, part.fsm) then
+      self.free.guards = true
+      return self:choose(path)
+    end
+    return self:choose(path, false, answer ~= false)
+  end
+end
+
 --- Return the function that replaces a guard in a subject.
 ---@param self rfsm_checks.Subject
 ---@param path string of its transition
@@ -266,13 +283,7 @@ end
 ---@return function
 function data.new_guard(self, path, guard)
   if self.runs[guard] then
-    local only_reads = writes.only_reads(guard)
-    return function(...)
-      self.is_touched = self.is_touched or not only_reads
-      replacements.note_run(self)
-      local ok, answer = calls.try(guard, ...)
-      return self:choose(path, false, ok and answer ~= false)
-    end
+    return new_called_guard(self, path, guard)
   elseif not self.rules[guard] then
     return function() return self:choose(path) end
   end
@@ -295,13 +306,13 @@ function data.new_doo(self, path, doo, free)
     self.is_touched = true
     replacements.note_run(self)
     local thread = coroutine.create(doo)
-    coroutine.resume(thread, ...)
-    if coroutine.status(thread) == "dead" then
-      self:choose(path, true, true)
-      return
+    local ok = coroutine.resume(thread, ...)
+    local is_dead = coroutine.status(thread) == "dead"
+    if not (is_dead and ok) then
+      self.changed = self.changed or ("how the doo %s goes on"):format(path)
     end
-    self.changed = self.changed or ("how the doo %s goes on"):format(path)
-    return free()
+    if not is_dead then return free() end
+    self:choose(path, true, true)
   end
 end
 

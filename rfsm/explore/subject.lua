@@ -50,6 +50,8 @@ local subject = {}
 ---@field writers string[] callbacks that may write the targets of transitions
 ---@field unknown string[] callbacks whose text, or that of a function they call, is not
 -- known
+---@field unsure_senders string[] callbacks that may send what a dry run does not show
+---@field names_with_data table<any, true> names in predicates of `rfsm.named`
 ---@field free table<string, true> the kinds of choices that the chart has: "guards",
 -- "predicates", "timers", "doos"
 ---@field wanted table<any, boolean> event of a property -> did the last step have it?
@@ -700,6 +702,7 @@ local function free_predicates(self, fsm)
       if type(event) == "function" then
         local name = "predicate of " .. rfsm.location_of(tr)
         self.free.predicates = true
+        self.names_with_data[rfsm.event_name(event) or event] = true
         replacements.note_writer(self, name, event)
         tr.events[i] = replacements.marked(self, name, event, new_predicate(self, tr))
       end
@@ -787,7 +790,7 @@ end
 function subject.new(model, options, way)
   local self = setmetatable({ parts = {}, transitions = {}, number_of = {},
     names = {}, paths = {}, part_of = {}, callbacks = {}, writers = {},
-    unknown = {}, data_writers = {},
+    unknown = {}, data_writers = {}, unsure_senders = {}, names_with_data = {},
     free = {}, sent = {}, later = {}, sent_later = {}, dropped = {}, late_senders = {},
     cancellers = {}, emitted = {}, emitters = {}, dry_sends = {},
     runs = {},
@@ -804,7 +807,7 @@ function subject.new(model, options, way)
     self.emitted[#self.emitted + 1] = { emit = event, data = value ~= nil }
   end)
   self.dry_sends = options.dry_run
-    and replacements.dry_run(new_machine(self, model)) or {}
+    and replacements.dry_run(self, new_machine(self, model)) or {}
   replacements.read_flags(self, options.flags or {})
   data.read_options(self, options, fsm)
   add_parts(self, fsm, way)

@@ -33,7 +33,7 @@ local verdict = {}
 ---@field transitions integer number of transitions of the chart
 ---@field taken integer number of transitions that at least one step takes
 ---@field bound? "configurations"|"depth"|"seconds"|"choices"|"sets"|"targets"|"values"
--- |"pending"|"texts" a limit that the exploration reached
+-- |"pending"|"texts"|"sends" a limit that the exploration reached
 ---@field untried string[] texts about parts that were not tried; empty without a bound
 ---@field premises string the assumptions: "one event a step; guards and timers free"
 ---@field findings rfsm_checks.Finding[] a finding about a run has a field `witness`

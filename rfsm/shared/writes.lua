@@ -290,6 +290,35 @@ function writes.only_reads(callback)
     or body:find("[%w_%])]%s*[({\"']"))
 end
 
+-- Does the text behind a list of parameters use parameter `at`, or one behind it?
+local function uses(text, parameters, at)
+  local number = 0
+  for name in parameters:gmatch("[%w_.]+") do
+    number = number + 1
+    if name == "..." then return text:find(name, 1, true) ~= nil end
+    if number >= at and text:find("%f[%w_]" .. name .. "%f[^%w_]") then return true end
+  end
+  return false
+end
+
+--- May a function read its argument number `at`, or one behind it? If several functions
+--- begin in its line, it may be any of them.
+---@param callback any
+---@param at integer
+---@return boolean
+function writes.may_read(callback, at)
+  local text = writes.text_of(callback) or ""
+  if type(callback) ~= "function" then at = at + 1 end -- `self` comes first
+  local line, has_parameters = text:match("^[^\n]*"), false
+  for name, parameters, from in line:gmatch("function%s*([%w_.:]*)%s*(%b())()") do
+    local first = name:find(":", 1, true) and at - 1 or at
+    if uses(text:sub(from), parameters, first) then return true end
+    has_parameters = true
+  end
+  return not has_parameters
+    and (text:find("^function") or text:find("...", 1, true)) ~= nil
+end
+
 --- May a function write a field of one of these names?
 ---@param callback any
 ---@param names string[] names, or patterns such as `ANY`
