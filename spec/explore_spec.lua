@@ -265,6 +265,97 @@ describe("a step that was not tried", function()
   end)
 end)
 
+describe("the bound on seconds", function()
+  require "rfsm_seqand"
+
+  -- Explores with a clock that advances 1 s whenever it is looked at. Returns what was
+  -- done and not tried, how often the clock was looked at, and the result.
+  local function explored(model, options)
+    local looks = 0
+    local function clock()
+      looks = looks + 1
+      return looks
+    end
+    local result = helper.with(os, { clock = clock }, function()
+      return rfsm_checks.explore(model, options)
+    end)
+    return { result.steps, result.untried, result.bound }, looks, result
+  end
+
+  local LATE = { "what lies behind the bound on seconds" }
+
+  -- Of the transitions from a on e_x, each leads to a connector that leads nowhere.
+  local function with_many_choices()
+    local model = chart {}
+    for i = 1, 12 do
+      model["k" .. i] = conn {}
+      model[#model + 1] = go("a", "k" .. i, "e_x", { guard = yes, pn = 1 })
+      model[#model + 1] = go("k" .. i, "b", nil, { guard = yes })
+    end
+    return model
+  end
+
+  it("ends a step that has many choices", function()
+    local found = explored(with_many_choices(), { seconds = 20 })
+    assert.same({ 18 * 8, LATE, "seconds" }, found)
+  end)
+
+  it("is not needed for a step with choices without end", function()
+    local function wait() rfsm.yield(true) end
+    local region = state { warn = false, info = false, x = state { doo = wait },
+      y = state { doo = wait }, go("initial", "x"), go("x", "y", "e_done"),
+      go("y", "x", "e_done") }
+    local model = chart { a = rfsm.seqand { run = true, region } }
+    local found, _, result = explored(model, { configurations = 2 })
+    assert.same({ 275, { "more than 275 choices of one step",
+      "what lies behind the bound on configurations" }, "choices" }, found)
+    assert.equal("endless", result.findings[1].code)
+  end)
+
+  it("ends a step with many sets of events", function()
+    local model = chart {}
+    for i = 1, 30 do model[#model + 1] = go("a", "b", "e_" .. i) end
+    local found = explored(model, { seconds = 20, together = 6 })
+    assert.same({ 1, LATE, "seconds" }, found)
+  end)
+
+  it("is one bound for all properties", function()
+    local model = chart { [2] = go("a", "b", "e_after(1)"), [3] = go("b", "a", "e_x") }
+    local _, looks = explored(model, {})
+    local properties = {}
+    for i = 1, 4 do properties[i] = from("root.a").left_within(i + 1) end
+    local _, more, result = explored(model, { properties = properties })
+    assert.same({ "left", true }, { "left", more > 3 * looks })
+    for _, judged in ipairs(result.properties) do assert.is_true(judged.holds) end
+    local found, least = explored(model, { properties = properties, seconds = looks })
+    assert.same({ LATE, "seconds" }, { found[2], found[3] })
+    assert.is_true(least <= looks + 2 * 5 + 2)
+  end)
+
+  it("is one bound for regions that are explored one by one", function()
+    local function region(event, back)
+      return state { warn = false, info = false, x = state {}, y = state {},
+        go("initial", "x"), go("x", "y", event), go("y", "x", back) }
+    end
+    local model = chart { a = rfsm.seqand { region("e_1", "e_2"),
+      region("e_3", "e_4"), region("e_5", "e_6") } }
+    local found, _, result = explored(model, {})
+    assert.same({ {}, nil }, { found[2], found[3] })
+    local less, _, part = explored(model, { seconds = 8 })
+    assert.same({ LATE, "seconds" }, { less[2], less[3] })
+    assert.is_true(part.configurations < result.configurations)
+  end)
+
+  it("leaves a dead end and what was not reached open", function()
+    local model = with_many_choices()
+    model.c, model[3] = state {}, go("b", "c", "e_c")
+    local _, _, result = explored(model, { seconds = 3, properties = {
+      after("e_c").leads_to "root.a", never "root.c" } })
+    assert.equal(0, #result.findings)
+    for _, judged in ipairs(result.properties) do assert.is_nil(judged.holds) end
+  end)
+end)
+
 describe("an await that is complete", function()
   it("comes with an event that nothing names", function()
     local result = rfsm_checks.explore(rfsm.state { info = false, warn = false,

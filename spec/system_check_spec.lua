@@ -262,6 +262,29 @@ describe("cell:explore", function()
     assert.equal("depth", explored(charts, wires, { depth = 2 }).bound)
   end)
 
+  it("looks at the clock inside of a step", function()
+    local looks = 0
+    local function clock()
+      looks = looks + 1
+      return looks
+    end
+    local right = chart(go("a", "b", "e_x"))
+    for i = 1, 12 do
+      right["k" .. i], right[#right + 1] = rfsm.conn {}, go("a", "k" .. i, "e_y")
+      right[#right].guard = function() return true end
+      right[#right + 1] = go("k" .. i, "c")
+      right[#right].guard = right[#right - 1].guard
+    end
+    local result = helper.with(os, { clock = clock }, function()
+      return (explored({ left = chart(go("a", "b", "e_go", "e_x")), right = right },
+        { "left e_x right" }, { seconds = 12, properties = {
+          never { "left: root.b", "right: root.b" } } }))
+    end)
+    assert.same({ nil, "seconds" }, { result.properties[1].holds, result.bound })
+    assert.equal("right: what lies behind the bound on seconds", result.untried[1])
+    assert.is_true(looks < 20)
+  end)
+
   it("names its premises", function()
     local result = explored({ left = chart(go("a", "a", "e_go", "e_x")),
       right = chart(rfsm.trans { src = "a", tgt = "b", events = { "e_x", "e_y" },

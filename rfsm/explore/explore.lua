@@ -30,8 +30,8 @@ local zones = require "rfsm.explore.zones"
 local assert, error, getmetatable = assert, error, getmetatable
 local ipairs, math, rawget, require = ipairs, math, rawget, require
 local setmetatable, tonumber, type = setmetatable, tonumber, type
-local concat = table.concat
-local os_clock = (rawget(_G, "os") or {}).clock or function() return 0 end
+local concat, huge, max = table.concat, math.huge, math.max
+local os = rawget(_G, "os") or {}
 
 local explore = {}
 
@@ -83,6 +83,8 @@ local explore = {}
 ---@field untried string[] texts that say what was not tried
 ---@field passed rfsm_checks.Passed[] states that steps enter and leave again
 ---@field count integer how many steps were run
+---@field ends number the time of the clock at which the walk has to end
+---@field is_late boolean that time is over, so no more steps are taken
 ---@field wanted any[] events that properties look at
 ---@field monitor rfsm_checks.Judged|false the property whose monitor sees each step
 ---@field contexts table[] number in a key -> state of the monitor and times of clocks,
@@ -271,12 +273,20 @@ local function key_after(walk, try, label)
   return in_context(walk, key, state, time), sources
 end
 
+-- Returns the seconds of processor time; 0 on a host without a clock.
+local function now() return os.clock and os.clock() or 0 end
+
+local EVERY = 8 -- steps between two looks at the clock
+
 -- Calls the function `f` of the try after a step, unless its target is not explored.
+-- Returns true if the time of the walk is over.
 local function after_choice(walk, has_ended)
   local try, label = walk.try, walk.label
   walk.count = walk.count + 1
   local key = has_ended and key_after(walk, try, label)
   if key or not has_ended then try.f(walk, try, key, label) end
+  walk.is_late = walk.is_late or walk.count % EVERY == 0 and now() > walk.ends
+  return walk.is_late
 end
 
 -- Notes the outcome of a step in the walk.
@@ -297,21 +307,38 @@ local function note_step(walk, try, key, label)
   walk:look(from, tgt, try.events, label)
 end
 
--- Lists the sets of up to `most` events of a list, smaller sets first.
-local function sets_of(list, most)
+-- Lists the sets of up to `most` events of a list, smaller sets first, as long as there
+-- is time.
+local function sets_of(walk, list, most)
   local sets, last, at = { {} }, { 0 }, 1
-  while sets[at] and #sets[at] < most do
+  while sets[at] and #sets[at] < most and not walk.is_late do
     for i = last[at] + 1, #list do
       local set = at == 1 and list[i].alone or match.with(sets[at], list[i])
       sets[#sets + 1], last[#sets + 1] = set, i
     end
+    walk.is_late = at % EVERY == 0 and now() > walk.ends
     at = at + 1
   end
   return sets
 end
 
--- Takes the steps that begin when the deadlines of a group are over: one step for each
--- set of events from outside and each list of choices.
+local BEHIND = "what lies behind the bound on "
+
+-- Takes the steps with the events of a try: one step for each list of choices. If some
+-- are not taken, notes it.
+local function each_list(walk, try)
+  walk.try = try
+  local untried = not walk.is_late
+    and walk.subject:each_choice(try.conf, try.events, walk, after_choice)
+  if walk.is_late then
+    note_cut(walk, try.from, try.is_from_outside, "seconds", BEHIND .. "seconds")
+  elseif untried then
+    note_cut(walk, try.from, try.is_from_outside, "choices", untried)
+  end
+end
+
+-- Takes the steps that begin when the deadlines of a group are over: those with each
+-- set of events from outside.
 local function each_set(walk, from, conf, group, sets, f)
   local timers, is_over = group and group.events or {}, group and group.is_over
   local try = { from = from, conf = conf, group = group, events = false,
@@ -320,11 +347,7 @@ local function each_set(walk, from, conf, group, sets, f)
     if set[1] ~= nil or is_over or subject.may_act(conf) then
       try.events, try.is_from_outside = match.joined(set, timers), set[1] ~= nil
       try.is_internal = set[1] == nil and not is_over
-      walk.try = try
-      local untried = walk.subject:each_choice(conf, try.events, walk, after_choice)
-      if untried then
-        note_cut(walk, from, try.is_from_outside, "choices", untried)
-      end
+      each_list(walk, try)
     end
   end
 end
@@ -361,7 +384,7 @@ local function each_try(walk, from, f, read)
       :format(conf[1].leaf and conf[1].leaf._fqn or "root.initial"))
   end
   add_wanted(walk.subject, walk.wanted, list)
-  local sets = sets_of(list, walk.together)
+  local sets = sets_of(walk, list, walk.together)
   for _, set in ipairs(needed) do
     if #set > walk.together then sets[#sets + 1] = set end
   end
@@ -389,27 +412,43 @@ end
 
 -- Bounds ............................................................................
 
-local EVERY = 256 -- configurations between two looks at the clock
+local EVERY_REPORT = 256 -- configurations between two calls of `progress`
 
-local function find_bound(walk, options, at, began)
+local function find_bound(walk, options)
   if #walk.keys > options.configurations then return "configurations" end
   if walk.depth >= options.depth then return "depth" end
-  if at % EVERY == 0 and os_clock() - began > options.seconds then return "seconds" end
+  if now() > walk.ends then return "seconds" end
+end
+
+--- Set the time of the clock at which a walk has to end.
+function Walk:set_end(ends) self.ends = ends end
+
+--- Return a function that sets `options.seconds` to the seconds that are left of them,
+--- and returns the options: all explorations of a chart have one bound together.
+---@param options table
+---@return fun(): table
+function explore.one_bound(options)
+  local ends = now() + options.seconds
+  return function()
+    options.seconds = max(ends - now(), 0)
+    return options
+  end
 end
 
 --- Have a walk, or a product of machines, take all steps from each configuration.
 function explore.walk_all(walk, options)
-  local at, began = 1, os_clock()
+  local at = 1
+  walk:set_end(now() + options.seconds)
   while walk.keys[at] and not (walk.monitor and walk.monitor.holds ~= nil) do
     if at > walk.level_end then
       walk.depth, walk.level_end = walk.depth + 1, #walk.keys
     end
-    local bound = find_bound(walk, options, at, began)
+    local bound = find_bound(walk, options)
     if bound then
-      walk:note_untried(bound, "what lies behind the bound on " .. bound)
+      walk:note_untried(bound, BEHIND .. bound)
       break
     end
-    if options.progress and at % EVERY == 0 then
+    if options.progress and at % EVERY_REPORT == 0 then
       options.progress(#walk.keys, walk.depth)
     end
     walk:expand(at)
@@ -426,7 +465,7 @@ function Walk.look() end
 
 local function is_number(x) return type(x) == "number" and x >= 0 end
 
-local is_count, is_boolean = opts.is_whole(1, math.huge), opts.is_a "boolean"
+local is_count, is_boolean = opts.is_whole(1, huge), opts.is_a "boolean"
 
 local function is_period(x) return opts.is_seconds(x) and x > 0 end
 
@@ -441,8 +480,8 @@ end
 local KNOWN = {
   together = { "whole number above 0", is_count },
   configurations = { "whole number above 0", is_count, 1e6 },
-  depth = { "number", is_number, math.huge },
-  seconds = { "number", is_number, math.huge },
+  depth = { "number", is_number, huge },
+  seconds = { "number", is_number, huge },
   alphabet = { "list", replacements.check_list },
   sends = { "table of lists", replacements.check_sends, {} },
   pending = { "whole number above 0", is_count, 4 },
@@ -506,6 +545,7 @@ function explore.new(model, options, way)
     keys = {}, numbers = {}, from = {}, labels = {}, depth = 0, level_end = 1,
     first = {}, steps = {}, taken = {}, endless = nil,
     bound = nil, stuck = {}, has_moved = false, count = 0, expanded = 0, wanted = {},
+    ends = huge, is_late = false,
     monitor = false, contexts = {}, context_ids = {}, kin = {},
     unsure = {}, cut = {}, timing = false }, Walk)
   function walk.label() return label_of(walk.try, own.choices, own.asked) end

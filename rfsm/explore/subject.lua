@@ -618,23 +618,26 @@ local function next_choices(self, choices)
   return false
 end
 
-local MANY_CHOICES = 4096
+-- Most lists of choices of one step, and most answers in them all.
+local MANY_CHOICES, MANY_ANSWERS = 4096, 100000
 
 --- Take a step from a configuration once for each list of choices: the answers of
 --- guards and predicates, and whether a doo ends. Call f(owner, has_ended) after each
---- step; `has_ended` is the result of `step`.
+--- step; `has_ended` is the result of `step`. If `f` returns true, stop.
 ---@param conf rfsm_checks.Configuration
 ---@param events rfsm_checks.Occurrence[]
 ---@param owner any the first argument of `f`
----@param f fun(owner: any, has_ended: true?)
+---@param f fun(owner: any, has_ended: true?): boolean?
 ---@return string? untried a text if some lists of choices were not tried, nil otherwise
 function Subject:each_choice(conf, events, owner, f)
-  local choices, tries = {}, 0
+  local choices, lists, answers = {}, 0, 0
   repeat
     self:put(conf, events)
-    f(owner, self:step(events, choices))
-    tries = tries + 1
-    if tries == MANY_CHOICES then return "more than 4096 choices of one step" end
+    local is_stopped = f(owner, self:step(events, choices))
+    lists, answers = lists + 1, answers + self.asked
+    if is_stopped or lists == MANY_CHOICES or answers > MANY_ANSWERS then
+      return ("more than %d choices of one step"):format(lists)
+    end
   until not next_choices(self, choices)
 end
 

@@ -530,10 +530,11 @@ end
 
 -- Returns a table of walks by way (the set of regions that a walk includes), and the
 -- list of the walks for `ways`. The table makes a walk when its way is first read.
-local function walks_in(model, options, ways, list)
+-- rest() returns the options with the seconds that are left.
+local function walks_in(model, rest, ways, list)
   local by_way, walks = {}, {}
   setmetatable(by_way, { __index = function(_, way)
-    by_way[way] = explore.walk(model, options, function(walk)
+    by_way[way] = explore.walk(model, rest(), function(walk)
       properties.watch(walk, list)
     end, way)
     return by_way[way]
@@ -574,19 +575,20 @@ end
 ---@param options rfsm_checks.Options
 ---@return rfsm_checks.Exploration
 function verdict.of(model, options)
-  local own = subject.new(model, options)
+  local rest, own = explore.one_bound(options), subject.new(model, options)
   local list = properties.list_for(own, properties_of(model, options))
   local ways = independence.ways(own, list, options)
-  local by_way, walks = walks_in(model, options, ways, list)
+  local by_way, walks = walks_in(model, rest, ways, list)
   local has_endless = any(walks, function(walk) return walk.endless end)
-  if walks[2] and has_endless then -- an endless step stops all regions: use one walk
+  local is_late = any(walks, function(walk) return walk.is_late end)
+  if walks[2] and has_endless and not is_late then -- it stops all regions: use one walk
     options.multiply = true
-    return verdict.of(model, options)
+    return verdict.of(model, rest())
   end
   local result = new_result(own, walks, options)
   for i, judged in ipairs(list) do
     judged.walk = monitors.kinds[judged.property.kind].judge and by_way[judged.way]
-      or explore.walk(model, options, function(walk)
+      or explore.walk(model, rest(), function(walk)
         properties.monitor(walk, judged)
       end, judged.way)
     result.properties[i] = judge(result, judged, options)

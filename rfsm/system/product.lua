@@ -244,6 +244,12 @@ end
 
 -- What properties ask ...............................................................
 
+--- Set the time of the clock at which the walks of all machines have to end.
+function Product:set_end(ends)
+  self.ends = ends
+  for _, member in ipairs(self.members) do member:set_end(ends) end
+end
+
 --- Is some machine entered at some time?
 function Product:is_entered()
   return order.any(self.members, function(member) return member:is_entered() end)

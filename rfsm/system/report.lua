@@ -224,8 +224,8 @@ local function add_premises(result, walk, settings)
   end
 end
 
-local function add_walk(result, walk, cell, settings, options)
-  explore.walk_all(walk, options)
+local function add_walk(result, walk, cell, settings, rest)
+  explore.walk_all(walk, rest())
   result.configurations = result.configurations + #walk.keys
   for _, member in ipairs(walk.members) do
     result.steps = result.steps + member.count
@@ -239,7 +239,7 @@ local function add_walk(result, walk, cell, settings, options)
   for _, wire in ipairs(walk.wires) do find_in_wire(walk, wire, result.findings) end
   for _, member in ipairs(walk.wires[1] and not walk.bound and walk.members or {}) do
     find_unreached(member, result.findings, unreached_alone(member,
-      cell.models[member.name], settings[member.name], options))
+      cell.models[member.name], settings[member.name], rest()))
   end
 end
 
@@ -279,6 +279,7 @@ local function walks_of(cell, group_of, settings)
 end
 
 local function explored(cell, options)
+  local rest = explore.one_bound(options)
   local settings = read_settings(cell, options.machines)
   local list = properties.list_of("rfsm.system", options.properties)
   local group_of = groups_of(cell, list)
@@ -290,7 +291,7 @@ local function explored(cell, options)
     judged.walk = by_group[group_of[judged.first]] or walks[1]
     watch(judged.walk, judged)
   end
-  for _, walk in ipairs(walks) do add_walk(result, walk, cell, settings, options) end
+  for _, walk in ipairs(walks) do add_walk(result, walk, cell, settings, rest) end
   for _, judged in ipairs(list) do judge(result, judged) end
   return result
 end
