@@ -146,6 +146,48 @@ describe("cell:explore", function()
       { "left e_x right" })))
   end)
 
+  -- Keeps e_x and e_y while in a, up to 64 events, and never sees e_y before e_x.
+  local function deferring()
+    local model = chart(go("a", "b", "e_go"), go("b", "c", "e_x"), go("b", "wrong",
+      "e_y"))
+    model.a.defer, model.wrong = { "e_x", "e_y" }, rfsm.state { final = true }
+    model.c.final = true
+    return model
+  end
+
+  -- Returns the lines of the findings, and how many steps the engine took beside those
+  -- of the machines together.
+  local function counted(charts, wires)
+    local count, step = 0, rfsm.step
+    local result = helper.with(rfsm, { step = function(...)
+      count = count + 1
+      return step(...)
+    end }, function() return (explored(charts, wires)) end)
+    return lines_of(result), count - result.steps
+  end
+
+  it("explores a chart alone in part, if it keeps many events", function()
+    require "rfsm.defer"
+    local left = rfsm.state { info = false, warn = false, a = rfsm.state {
+      final = true, entry = function(fsm)
+        for _, event in ipairs { "e_x", "e_y", "e_go" } do fsm.emit(event) end
+      end }, rfsm.trans { src = "initial", tgt = "a" } }
+    local wires = { "left e_x right", "left e_y right", "left e_go right" }
+    local lines, count = counted({ left = left, right = deferring() }, wires)
+    assert.same({ "warning wires[2] (left e_y -> right): 'right' never takes the event",
+      "warning right: root.wrong: active in no configuration of the "
+      .. "system, though the chart alone reaches it" }, lines)
+    assert.is_true(count < 10000)
+  end)
+
+  it("explores no chart alone whose states were all active", function()
+    local left = chart(go("a", "b", "e_go", "e_x"), go("b", "c", "e_go", "e_x"))
+    local right = chart(go("a", "b", "e_x"), go("b", "c", "e_x"))
+    left.c.final, right.b.final, right.c.final = true, true, true
+    local lines, count = counted({ left = left, right = right }, { "left e_x right" })
+    assert.same({ {}, 0 }, { lines, count })
+  end)
+
   it("reads all that waits, or one, as the wire says", function()
     local function found(read)
       local left = chart(go("a", "b", "e_go", "e_x", "e_x"))
