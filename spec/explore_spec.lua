@@ -511,6 +511,42 @@ end)
 
 -- Agreement with random runs ----------------------------------------------------
 
+describe("a state whose name is a word of an extension", function()
+  -- (initial) -> a --e_x--> prepare --e_y--> a
+  local function chart_with(name, members)
+    members[name], members.a = state {}, state {}
+    members.warn, members.info, members[1] = false, false, go("initial", "a")
+    members[2], members[3] = go("a", name, "e_x"), go(name, "a", "e_y")
+    return state(members)
+  end
+
+  it("is a state of the chart", function()
+    for _, name in ipairs { "prepare", "likely" } do
+      local result = rfsm_checks.explore(chart_with(name, {}), { properties = {
+        never("root." .. name) } })
+      assert.same({ name, 3, false }, { name, result.configurations,
+        result.properties[1].holds })
+    end
+  end)
+
+  it("is a state of its region", function()
+    local model = chart { b = rfsm.seqand { left = chart_with("prepare", {}) } }
+    local result = rfsm_checks.explore(model, { properties = {
+      never "root.b.left.prepare" } })
+    assert.same({ false, 0 }, { result.properties[1].holds,
+      #result.findings - 1 }) -- one finding: the property
+  end)
+
+  it("may be in another state, also as the key of a transition", function()
+    local model = chart { b = state { prepare = state {}, c = state {},
+      go("initial", "prepare"), go("prepare", "c", "e_c"), go("c", "prepare", "e_c") } }
+    assert.equal("", report(model))
+    model = chart { b = state { c = state {}, d = state {}, go("initial", "c"),
+      prepare = go("c", "d", "e_c"), [2] = go("d", "c", "e_c") } }
+    assert.equal("", report(model))
+  end)
+end)
+
 describe("the transitions of a step", function()
   it("are listed up to 20", function()
     local subject = require "rfsm.explore.subject"

@@ -554,3 +554,10 @@ describe("a stub that is a callback", function()
     assert.is_true(rfsm.is_state(stub(model).a))
   end)
 end)
+
+describe("exploration of charts with stubs", function()
+  it("agrees with random runs", function()
+    local claim = require "spec.support.claims.stubs"
+    assert.is_nil(require("spec.support.share").problem(claim, 20, true))
+  end)
+end)

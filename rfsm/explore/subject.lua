@@ -253,7 +253,6 @@ local function make_state(self, part, state)
     state.doo = replacements.marked(self, "doo " .. path, state.doo,
       new_replacement_of_doo(self, part, path, state.doo))
   end
-  state.prepare = nil
   if state.doo or state._timers then
     rfsm.entry_hook_add(part.fsm, state, function() self.entered[state] = true end)
   end
