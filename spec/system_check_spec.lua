@@ -304,6 +304,24 @@ describe("cell:explore", function()
     assert.equal("depth", explored(charts, wires, { depth = 2 }).bound)
   end)
 
+  it("has no witness in which data that are not followed decide", function()
+    local function is_below(tr) return tr._fsm.n < 3 end
+    local function judged(first)
+      local right = chart(go("a", "b", "e_x"), go("b", "c", "e_y"))
+      right.n, right[first and 2 or 3].effect = 0, function(fsm) fsm.n = 3 end
+      right[3].guard = is_below
+      local result = explored({ left = chart(go("a", "b", "e_go", "e_x")),
+        right = right }, { "left e_x right" }, {
+        machines = { right = { vars = { n = { 0, 3 } }, run = { is_below } } },
+        properties = { never "right: root.c" } })
+      return result.properties[1].holds, result.untried[1]
+    end
+    local DATA =
+      "right: data that the effect root.trans[%d] may write, which is not run"
+    assert.same({ nil, DATA:format(2) }, { judged(true) })
+    assert.same({ false, DATA:format(3) }, { judged(false) })
+  end)
+
   it("looks at the clock inside of a step", function()
     local looks = 0
     local function clock()
