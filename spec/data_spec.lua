@@ -416,11 +416,14 @@ describe("a callback whose text is not known", function()
     assert.is_false(holds)
   end)
 
-  it("is known if its chunk has its text for a name", function()
+  it("is known if its chunk has its text for a name, or is that of stdin", function()
     local text = TEXT:format ">="
-    local _, untried = judged(load_as(text, text))
-    assert.equal("data that the effect root.trans[2] may write, which is not run",
-      untried)
+    writes.keep_text("=stdin", text)
+    for _, name in ipairs { text, "=stdin" } do
+      local _, untried = judged(load_as(text, name))
+      assert.equal("data that the effect root.trans[2] may write, which is not run",
+        untried)
+    end
   end)
 
   it("may be called by another one, be a whole chunk, or be of C", function()
