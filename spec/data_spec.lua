@@ -348,7 +348,7 @@ describe("callbacks that are not run", function()
       ["/x.lua"] = false } do -- any order: each stands alone
       local file = "@" .. core .. name
       local callback = assert(load_text(text, file))()
-      assert.equal(is_read, writes.text_of(callback) ~= nil)
+      assert.equal(not is_read, writes.is_known(callback))
     end
   end)
 
@@ -362,6 +362,158 @@ describe("callbacks that are not run", function()
         { run = { is_three } })
       assert.equal("targets that the effect root.trans[2] may write", untried)
     end
+  end)
+end)
+
+-- (initial) -> a --e_x--> b, whose effect is a part of this text; then to bad on e_y.
+local TEXT = [[
+local rfsm = require "rfsm"
+return rfsm.state { info = false, warn = false, n = 0,
+  a = rfsm.state {}, b = rfsm.state {}, bad = rfsm.state { final = true },
+  rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "b", events = { "e_x" },
+    effect = function(fsm) fsm.n = 3 end },
+  rfsm.trans { src = "b", tgt = "bad", events = { "e_y" },
+    guard = function(tr) return tr._fsm.n %s 3 end },
+}]]
+
+describe("a callback whose text is not known", function()
+  local function load_as(text, name) return assert(load_text(text, name))() end
+
+  local function stripped(text)
+    return load_text(string.dump(assert(load_text(text)), true))()
+  end
+
+  local UNKNOWN = "what the effect root.trans[2] does, whose text is not known, and "
+    .. "%d more callbacks"
+
+  -- The verdict on `never root.bad` if the guard is run, and what was not tried.
+  local function judged(model, options)
+    options = options or { vars = { n = { 0, 3 } }, run = { "guard root.trans[3]" } }
+    options.properties = { never "root.bad" }
+    local result = rfsm_checks.explore(model, options)
+    return result.properties[1].holds, result.untried[#result.untried], result
+  end
+
+  it("may do anything, so that nothing holds", function()
+    local text = TEXT:format ">="
+    local MODELS = { ["=chart"] = load_as(text, "=chart"), named = load_as(text, "x"),
+      ["@chart"] = load_as(text, "@no/chart.lua"), other = load_as(text, "@rfsm.lua"),
+      dumped = stripped(text) }
+    if _VERSION == "Lua 5.1" and not rawget(_G, "jit") then MODELS.dumped = nil end
+    for name, model in pairs(MODELS) do -- any order: each stands alone
+      local holds, untried, result = judged(model)
+      assert.same({ name, nil, UNKNOWN:format(1) }, { name, holds, untried })
+      assert.equal("texts", result.bound)
+      assert.equal("one event a step; 1 callback not run", result.premises)
+    end
+  end)
+
+  it("shows what does not hold if it is run", function()
+    local model = load_as(TEXT:format ">=", "=chart")
+    local holds = judged(model, { vars = { n = { 0, 3 } },
+      run = { "guard root.trans[3]", "effect root.trans[2]" } })
+    assert.is_false(holds)
+  end)
+
+  it("is known if its chunk has its text for a name, or is that of stdin", function()
+    local text = TEXT:format ">="
+    writes.keep_text("=stdin", text)
+    for _, name in ipairs { text, "=stdin" } do
+      local _, untried = judged(load_as(text, name))
+      assert.equal("data that the effect root.trans[2] may write, which is not run",
+        untried)
+    end
+  end)
+
+  it("may be called by another one, be a whole chunk, or be of C", function()
+    local call = load_as("return function(fsm) fsm.n = 3 end", "=helper")
+    local host = coroutine.wrap(function() end)
+    local EFFECTS = { function(fsm) call(fsm) end, host,
+      setmetatable({}, { __call = call }), assert(load_text("x = 1", "=chunk")) }
+    for i, effect in ipairs(EFFECTS) do
+      local _, untried = judged(counting(effect), {})
+      assert.equal("what the effect root.trans[2] does, whose text is not known",
+        untried, i)
+    end
+  end)
+
+  it("is harmless if it is of Lua or of this library, or calls C", function()
+    local host = coroutine.wrap(function() end)
+    local monitor = require "rfsm.monitor"
+    local EFFECTS = { print, rfsm.prepare, function() host() end,
+      function(fsm) fsm.d.n = #tostring(fsm) end,
+      assert(load_text("\nlocal x = 1\nreturn x")),
+      monitor.gen_monitor_state { montab = {} }.doo }
+    for i, effect in ipairs(EFFECTS) do
+      local model = counting(effect, nil, { [3] = go("a", "b", "e_y") })
+      local holds, untried = judged(model, {})
+      assert.same({ i, true }, { i, holds, untried })
+    end
+  end)
+end)
+
+describe("a run that data which are not followed may forbid", function()
+  local function is_below(tr) return tr._fsm.n < 3 end
+  local function set(fsm) fsm.n = 3 end
+
+  -- (initial) -> a --e_x--> b --e_y--> bad, where the guard of the last one is run.
+  local function verdict_of(members, property)
+    local all = { n = 0, bad = state { final = true }, [2] = go("a", "b", "e_x"),
+      [3] = go("b", "bad", "e_y", { guard = is_below }) }
+    for key, value in pairs(members) do all[key] = value end
+    local _, line, result = verdict(chart(all), property or never "root.bad",
+      { vars = { n = { 0, 3 } }, run = { is_below } })
+    local codes = {}
+    for i, finding in ipairs(result.findings) do codes[i] = finding.code end
+    return line:match("^p: [^%[(]*%w"), table.concat(codes, " ")
+  end
+
+  it("is no witness", function()
+    local text = TEXT:format "<"
+    local result = rfsm_checks.explore(assert(load_text(text, "=chart"))(), {
+      vars = { n = { 0, 3 } }, run = { "guard root.trans[3]" },
+      properties = { never "root.bad" } })
+    assert.is_nil(result.properties[1].holds)
+    local CASES = {
+      { [2] = go("a", "b", "e_x", { effect = set }) }, { b = state { entry = set } },
+      { a = state { exit = set } },
+      { b = state { doo = set }, [3] = go("b", "bad", "e_done", { guard = is_below }) },
+      { [2] = go("a", "b", "e_x", { guard = set }) },
+    }
+    for i, members in ipairs(CASES) do
+      assert.same({ i, "p: not known", "" }, { i, verdict_of(members) })
+    end
+  end)
+
+  it("is no witness of a dead end, or of what never comes", function()
+    local function is_set(tr) return tr._fsm.n == 3 end
+    local members = { [2] = go("a", "b", "e_x", { effect = set }),
+      [3] = go("b", "a", "e_done", { guard = is_set }) }
+    for _, property in ipairs { rfsm_checks.after("e_x").reach "root.a",
+      rfsm_checks.after("e_x").leads_to "root.a" } do
+      local _, line, result = verdict(chart { n = 0, [2] = members[2],
+        [3] = members[3] }, property, { vars = { n = { 0, 3 } }, run = { is_set } })
+      assert.same({ "p: not known", 0 }, { line, #result.findings })
+    end
+  end)
+
+  it("is a witness if the guard is asked before, or is free", function()
+    assert.same({ "p: does not hold", "violated" }, { verdict_of {
+      bad = state { final = true, entry = set } } })
+    assert.same({ "p: does not hold", "violated" }, { verdict_of { [3] = go("b", "bad",
+      "e_y"), [2] = go("a", "b", "e_x", { effect = set }),
+      [4] = go("b", "a", "e_z", { guard = is_below }) } })
+  end)
+
+  it("is no witness if a callback may have changed its transitions", function()
+    local function retarget(fsm) fsm[3].tgt = fsm.a end
+    local holds = verdict(chart { bad = state { final = true }, [3] = go("b", "bad",
+      "e_y"), [2] = go("a", "b", "e_x", { effect = retarget }) }, never "root.bad", {})
+    assert.is_nil(holds)
+    holds = verdict(chart { bad = state { final = true }, [3] = go("b", "bad", "e_y",
+      { effect = retarget }) }, never "root.bad", {})
+    assert.is_false(holds)
   end)
 end)
 
@@ -397,6 +549,127 @@ describe("a doo that is run", function()
     local holds, untried = judge(make(wait), { run = { wait, is_set } })
     assert.is_nil(holds)
     assert.equal("how the doo root.a goes on", untried)
+  end)
+end)
+
+describe("a callback that is run", function()
+  local named = rfsm.named
+
+  -- The verdict on `never root.bad` in a chart a --named "e_pay"--> bad, its premises,
+  -- what was not tried, and whether bad is said to be unreachable.
+  local function judged(members, options)
+    local all = { n = 0, bad = state { final = true }, [3] = go("b", "a", "e_x"),
+      [2] = go("a", "bad", named "e_pay", members[2]) }
+    for key, value in pairs(members) do all[key] = key ~= 2 and value or all[2] end
+    options.properties = { never "root.bad" }
+    local result = rfsm_checks.explore(chart(all), options)
+    local is_unreachable = false
+    for _, finding in ipairs(result.findings) do
+      is_unreachable = is_unreachable or finding.code == "unreachable"
+        and finding.place == "root.bad"
+    end
+    return { result.properties[1].holds, is_unreachable, result.premises,
+      result.untried[1] }
+  end
+
+  local Payment = {}
+  function Payment:is_enough(events) return self and events[1].amount > 10 end
+
+  it("is free if it is a guard that reads the data of events", function()
+    local check = setmetatable({}, { __call = function(_, _, events)
+      return type(events[1]) == "table"
+    end })
+    local GUARDS = {
+      function(_, events) return events[1].amount > 10 end,
+      function(_, events)
+        return (type(events[1]) == "table" and events[1].amount or 0) > 10
+      end,
+      function(_, list)
+        for _, event in ipairs(list) do
+          if type(event) == "table" and event.amount > 10 then return true end
+        end
+        return false
+      end,
+      function(...) return type((select(2, ...))[1]) == "table" end,
+      Payment.is_enough, check,
+      function(_, events) return rawget(_G, "no_robot").is_ready(events) end,
+    }
+    for i, guard in ipairs(GUARDS) do
+      assert.same({ i, false, false, "one event a step; guards and predicates free" },
+        { i, unpack(judged({ [2] = { guard = guard } },
+          { run = { "guard root.trans[2]" } })) })
+    end
+  end)
+
+  it("is free if it is a guard that fails away from its robot", function()
+    local function is_ready() return rawget(_G, "no_robot").ready end
+    local members = { [2] = { guard = is_ready } }
+    assert.same({ false, false, "one event a step; guards and predicates free" },
+      judged(members, { run = { is_ready } }))
+  end)
+
+  it("is known if it is a guard that reads names, or no events", function()
+    local function never_now(tr) return tr._fsm.n > 10 end
+    local function is_x(_, events) return events[1] == "e_x" end
+    assert.same({ true, true, "one event a step; predicates free" },
+      judged({ [2] = { guard = never_now } }, { run = { never_now } }))
+    local holds = verdict(chart { bad = state {}, [3] = go("b", "bad", "e_y",
+      { guard = is_x }), [4] = go("bad", "a", "e_x") }, never "root.bad",
+      { run = { is_x } })
+    assert.is_true(holds)
+    holds = verdict(chart { bad = state {}, [3] = go("b", "bad", nil,
+      { guard = is_x }), [4] = go("bad", "a", "e_x") }, never "root.bad",
+      { run = { is_x } })
+    assert.is_false(holds)
+  end)
+
+  it("leaves it open if it is an effect or doo that reads data, or fails", function()
+    local function is_ten(tr) return tr._fsm.n >= 10 end
+    local function add(fsm, _, _, events) fsm.n = fsm.n + events[1].amount end
+    local function add_one(fsm, _, _, events)
+      fsm.n = type(events[1]) == "table" and events[1].amount or fsm.n
+    end
+    local function fail(fsm) fsm.n = rawget(_G, "no_robot").n end
+    local FAILS, READS = "what the %s does, which fails here",
+      "what the %s does with the data of an event"
+    local CASES = {
+      { "effect", add, FAILS }, { "effect", add_one, READS }, { "effect", fail, FAILS },
+      { "entry", fail, FAILS }, { "doo", fail, "how the %s goes on" },
+    }
+    for i, case in ipairs(CASES) do
+      local field, callback = case[1], case[2]
+      local is_effect = field == "effect"
+      local result = judged({
+        a = state { [not is_effect and field or "x"] = callback },
+        [2] = { guard = is_ten },
+        [3] = go("a", "internal", named "e_pay", is_effect and { effect = callback }) },
+        { run = { callback, is_ten }, vars = { n = { 0, 20 } } })
+      assert.same({ i, nil, false, case[3]:format(is_effect and "effect root.trans[3]"
+        or field .. " root.a") }, { i, result[1], result[2], result[4] })
+    end
+  end)
+
+  it("is not known to send what it sends in a dry run, if that needs data", function()
+    local function send(fsm, _, _, events)
+      if events[1] and events[1].amount > 10 then rfsm.send_events(fsm, "e_paid") end
+    end
+    local function fail(fsm)
+      rfsm.send_events(fsm, rawget(_G, "no_robot").ready and "e_paid")
+    end
+    local function emit(fsm, _, _, events) fsm.emit("e_paid", events[1].amount) end
+    local function note(_, _, _, events) return events[1].amount end
+    local function dry(effect, sends)
+      return judged({ [2] = {}, bad = state {}, paid = state {},
+        [3] = go("b", "a", "e_x", { effect = effect }),
+        [4] = go("bad", "paid", "e_paid") }, { dry_run = true, alphabet = {},
+        sends = sends })[4]
+    end
+    for i, effect in ipairs { send, fail, emit } do
+      assert.same({ i, "events that the effect root.trans[3] may send, which a dry run "
+        .. "does not show" }, { i, dry(effect) })
+    end
+    assert.is_nil(dry(note))
+    assert.is_nil(dry(send, { ["effect root.trans[3]"] = { "e_paid" } }))
   end)
 end)
 

@@ -372,3 +372,56 @@ describe("emem_reset", function()
       helper.refusal(rfsm_emem.emem_reset, nil))
   end)
 end)
+
+describe("exploration of a machine with event memories", function()
+  local rfsm_checks = require "rfsm_checks"
+
+  local function count(fsm) if fsm.n < 2 then fsm.n = fsm.n + 1 end end
+
+  -- (initial) -> a --e_x--> b --e_back--> a, which counts how often it came back.
+  local function judged(members, called, property)
+    local model = { warn = false, info = false, n = 0, a = state {}, b = state {},
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = { "e_x" } },
+      trans { src = "b", tgt = "a", events = { "e_back" }, effect = count } }
+    for key, value in pairs(members) do model[key] = value end -- any order: a set
+    property = property or rfsm_checks.never { "root.a", "root.b" }
+    local result = rfsm_checks.explore(state(model), { vars = { n = { 0, 2 } },
+      run = called, properties = { property } })
+    return result.properties[1].holds, result.untried[1]
+  end
+
+  it("follows the data of callbacks, and leaves the counts out", function()
+    local holds, untried = judged({}, { count })
+    assert.same({ true }, { holds, untried })
+    holds, untried = judged({ a = state { emem = true } }, { count })
+    assert.same({ true }, { holds, untried })
+    holds, untried = judged({}, { count }, rfsm_checks.never "root.b")
+    assert.same({ false }, { holds, untried })
+  end)
+
+  it("leaves out the counts in a region, too", function()
+    local region = state { warn = false, info = false, n = 0, a = state {},
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "internal", events = { "e_x" }, effect = count } }
+    local result = rfsm_checks.explore(state { warn = false, info = false,
+      par = rfsm.seqand { r = region }, trans { src = "initial", tgt = "par" } },
+      { vars = { ["par.r.n"] = { 0, 2 } }, run = { count },
+        properties = { rfsm_checks.always "root.par" } })
+    assert.same({ true, {} }, { result.properties[1].holds, result.untried })
+  end)
+
+  it("knows nothing if a callback that is run reads the counts", function()
+    local key = "emem"
+    local GUARDS = {
+      function(tr) return (tr.src.emem.e_back or 0) < 2 end,
+      function(tr) return (tr.src[key].e_back or 0) < 2 end,
+    }
+    for i, guard in ipairs(GUARDS) do
+      local holds, untried = judged({ [2] = trans { src = "a", tgt = "b",
+        events = { "e_x" }, guard = guard } }, { count, guard })
+      assert.same({ i, nil, "the field 'emem.e_back', which vars does not name" },
+        { i, holds, untried })
+    end
+  end)
+end)

@@ -177,10 +177,7 @@ describe("explore", function()
   end)
 
   it("takes what callbacks send in a dry run, if that is asked for", function()
-    local function send_y(fsm)
-      rfsm.send_events(fsm, "e_y")
-      error("failed")
-    end
+    local function send_y(fsm) rfsm.send_events(fsm, "e_y") end
     local options, calls = { alphabet = { "e_x" }, dry_run = true }, {}
     local model = chart { b = state { entry = send_y }, c = state {},
       [4] = go("b", "c", "e_y", { effect = function(_, _, what) calls[1] = what end }),
@@ -221,6 +218,142 @@ describe("explore", function()
       assert.matches(case[2], text)
     end)
   end
+end)
+
+describe("a step that was not tried", function()
+  local function more(fsm) fsm.n = fsm.n + 5 end
+
+  -- What is found in the chart a --e_go--> b, which is left with n out of its range.
+  local function found(members, options)
+    members.n, members[2] = 0, go("a", "b", "e_go")
+    options = options or { vars = { n = { 0, 3 } }, run = { more } }
+    local result = rfsm_checks.explore(chart(members), options)
+    local codes = {}
+    for i, finding in ipairs(result.findings) do codes[i] = finding.code end
+    return table.concat(codes, " "), result.untried[1]
+  end
+
+  local BEYOND = "values of the field 'n' such as 5"
+
+  it("leaves its state, which is no dead end then", function()
+    local codes, untried = found { [3] = go("b", "a", "e_back", { effect = more }) }
+    assert.same({ "", BEYOND }, { codes, untried })
+  end)
+
+  it("may be the end of what the machine sends itself", function()
+    local codes, untried = found { [3] = go("b", "a", "e_done", { effect = more }) }
+    assert.same({ "", BEYOND }, { codes, untried })
+  end)
+
+  it("may begin when a deadline is over", function()
+    local codes, untried = found { [3] = go("b", "a", "e_after(1)", { effect = more }) }
+    assert.same({ "", BEYOND }, { codes, untried })
+  end)
+
+  it("leaves a dead end in another state to be found", function()
+    local codes, untried = found { c = state {}, [4] = go("a", "c", "e_c"),
+      [3] = go("b", "a", "e_back", { effect = more }),
+      [5] = go("c", "a", "e_done", { guard = yes }) }
+    assert.same({ "dead-end", BEYOND }, { codes, untried })
+  end)
+
+  it("leaves a rest in its state to be found, if an event has to begin it", function()
+    local model = chart { n = 0, [3] = go("b", "a", "e_back", { effect = more }) }
+    local result = rfsm_checks.explore(model, { vars = { n = { 0, 3 } }, run = { more },
+      properties = { after("e_x").leads_to "root.a" } })
+    assert.is_false(result.properties[1].holds)
+  end)
+end)
+
+describe("the bound on seconds", function()
+  require "rfsm_seqand"
+
+  -- Explores with a clock that advances 1 s whenever it is looked at. Returns what was
+  -- done and not tried, how often the clock was looked at, and the result.
+  local function explored(model, options)
+    local looks = 0
+    local function clock()
+      looks = looks + 1
+      return looks
+    end
+    local result = helper.with(os, { clock = clock }, function()
+      return rfsm_checks.explore(model, options)
+    end)
+    return { result.steps, result.untried, result.bound }, looks, result
+  end
+
+  local LATE = { "what lies behind the bound on seconds" }
+
+  -- Of the transitions from a on e_x, each leads to a connector that leads nowhere.
+  local function with_many_choices()
+    local model = chart {}
+    for i = 1, 12 do
+      model["k" .. i] = conn {}
+      model[#model + 1] = go("a", "k" .. i, "e_x", { guard = yes, pn = 1 })
+      model[#model + 1] = go("k" .. i, "b", nil, { guard = yes })
+    end
+    return model
+  end
+
+  it("ends a step that has many choices", function()
+    local found = explored(with_many_choices(), { seconds = 20 })
+    assert.same({ 18 * 8, LATE, "seconds" }, found)
+  end)
+
+  it("is not needed for a step with choices without end", function()
+    local function wait() rfsm.yield(true) end
+    local region = state { warn = false, info = false, x = state { doo = wait },
+      y = state { doo = wait }, go("initial", "x"), go("x", "y", "e_done"),
+      go("y", "x", "e_done") }
+    local model = chart { a = rfsm.seqand { run = true, region } }
+    local found, _, result = explored(model, { configurations = 2 })
+    assert.same({ 275, { "more than 275 choices of one step",
+      "what lies behind the bound on configurations" }, "choices" }, found)
+    assert.equal("endless", result.findings[1].code)
+  end)
+
+  it("ends a step with many sets of events", function()
+    local model = chart {}
+    for i = 1, 30 do model[#model + 1] = go("a", "b", "e_" .. i) end
+    local found = explored(model, { seconds = 20, together = 6 })
+    assert.same({ 1, LATE, "seconds" }, found)
+  end)
+
+  it("is one bound for all properties", function()
+    local model = chart { [2] = go("a", "b", "e_after(1)"), [3] = go("b", "a", "e_x") }
+    local _, looks = explored(model, {})
+    local properties = {}
+    for i = 1, 4 do properties[i] = from("root.a").left_within(i + 1) end
+    local _, more, result = explored(model, { properties = properties })
+    assert.same({ "left", true }, { "left", more > 3 * looks })
+    for _, judged in ipairs(result.properties) do assert.is_true(judged.holds) end
+    local found, least = explored(model, { properties = properties, seconds = looks })
+    assert.same({ LATE, "seconds" }, { found[2], found[3] })
+    assert.is_true(least <= looks + 2 * 5 + 2)
+  end)
+
+  it("is one bound for regions that are explored one by one", function()
+    local function region(event, back)
+      return state { warn = false, info = false, x = state {}, y = state {},
+        go("initial", "x"), go("x", "y", event), go("y", "x", back) }
+    end
+    local model = chart { a = rfsm.seqand { region("e_1", "e_2"),
+      region("e_3", "e_4"), region("e_5", "e_6") } }
+    local found, _, result = explored(model, {})
+    assert.same({ {}, nil }, { found[2], found[3] })
+    local less, _, part = explored(model, { seconds = 8 })
+    assert.same({ LATE, "seconds" }, { less[2], less[3] })
+    assert.is_true(part.configurations < result.configurations)
+  end)
+
+  it("leaves a dead end and what was not reached open", function()
+    local model = with_many_choices()
+    model.c, model[3] = state {}, go("b", "c", "e_c")
+    local _, _, result = explored(model, { seconds = 3, properties = {
+      after("e_c").leads_to "root.a", never "root.c" } })
+    assert.equal(0, #result.findings)
+    for _, judged in ipairs(result.properties) do assert.is_nil(judged.holds) end
+  end)
 end)
 
 describe("an await that is complete", function()
@@ -377,6 +510,42 @@ describe("a witness", function()
 end)
 
 -- Agreement with random runs ----------------------------------------------------
+
+describe("a state whose name is a word of an extension", function()
+  -- (initial) -> a --e_x--> prepare --e_y--> a
+  local function chart_with(name, members)
+    members[name], members.a = state {}, state {}
+    members.warn, members.info, members[1] = false, false, go("initial", "a")
+    members[2], members[3] = go("a", name, "e_x"), go(name, "a", "e_y")
+    return state(members)
+  end
+
+  it("is a state of the chart", function()
+    for _, name in ipairs { "prepare", "likely" } do
+      local result = rfsm_checks.explore(chart_with(name, {}), { properties = {
+        never("root." .. name) } })
+      assert.same({ name, 3, false }, { name, result.configurations,
+        result.properties[1].holds })
+    end
+  end)
+
+  it("is a state of its region", function()
+    local model = chart { b = rfsm.seqand { left = chart_with("prepare", {}) } }
+    local result = rfsm_checks.explore(model, { properties = {
+      never "root.b.left.prepare" } })
+    assert.same({ false, 0 }, { result.properties[1].holds,
+      #result.findings - 1 }) -- one finding: the property
+  end)
+
+  it("may be in another state, also as the key of a transition", function()
+    local model = chart { b = state { prepare = state {}, c = state {},
+      go("initial", "prepare"), go("prepare", "c", "e_c"), go("c", "prepare", "e_c") } }
+    assert.equal("", report(model))
+    model = chart { b = state { c = state {}, d = state {}, go("initial", "c"),
+      prepare = go("c", "d", "e_c"), [2] = go("d", "c", "e_c") } }
+    assert.equal("", report(model))
+  end)
+end)
 
 describe("the transitions of a step", function()
   it("are listed up to 20", function()

@@ -531,3 +531,33 @@ describe("loading a chart", function()
     assert.equal("chart.lua:1: os.exit is called while the chart is loaded", problem)
   end)
 end)
+
+describe("a stub that is a callback", function()
+  it("is called with the machine, and does not fail", function()
+    local fsm = machine_of { ["chart.lua"] = [[
+      return rfsm.state { a = rfsm.state { entry = robot.act, doo = robot.act },
+        rfsm.trans { src = "initial", tgt = "a", effect = robot.act,
+          guard = robot.act } }
+    ]] }
+    local problems = helper.said(fsm, "err")
+    rfsm.run(fsm)
+    assert.same({ "root.a", {} }, { rfsm.get_actleaf_fqn(fsm), problems })
+  end)
+
+  it("returns the machine or state that it is called with", function()
+    local fsm, stub = helper.started(rfsm.state { a = rfsm.state {},
+      rfsm.trans { src = "initial", tgt = "a" } }), stubs.new("wrap")
+    assert.equal(fsm, stub(fsm))
+    assert.equal(fsm.a, stub(fsm.a))
+    local model = rfsm.state { a = rfsm.state {} }
+    assert.not_equal(model, stub(model))
+    assert.is_true(rfsm.is_state(stub(model).a))
+  end)
+end)
+
+describe("exploration of charts with stubs", function()
+  it("agrees with random runs", function()
+    local claim = require "spec.support.claims.stubs"
+    assert.is_nil(require("spec.support.share").problem(claim, 20, true))
+  end)
+end)

@@ -146,6 +146,48 @@ describe("cell:explore", function()
       { "left e_x right" })))
   end)
 
+  -- Keeps e_x and e_y while in a, up to 64 events, and never sees e_y before e_x.
+  local function deferring()
+    local model = chart(go("a", "b", "e_go"), go("b", "c", "e_x"), go("b", "wrong",
+      "e_y"))
+    model.a.defer, model.wrong = { "e_x", "e_y" }, rfsm.state { final = true }
+    model.c.final = true
+    return model
+  end
+
+  -- Returns the lines of the findings, and how many steps the engine took beside those
+  -- of the machines together.
+  local function counted(charts, wires)
+    local count, step = 0, rfsm.step
+    local result = helper.with(rfsm, { step = function(...)
+      count = count + 1
+      return step(...)
+    end }, function() return (explored(charts, wires)) end)
+    return lines_of(result), count - result.steps
+  end
+
+  it("explores a chart alone in part, if it keeps many events", function()
+    require "rfsm.defer"
+    local left = rfsm.state { info = false, warn = false, a = rfsm.state {
+      final = true, entry = function(fsm)
+        for _, event in ipairs { "e_x", "e_y", "e_go" } do fsm.emit(event) end
+      end }, rfsm.trans { src = "initial", tgt = "a" } }
+    local wires = { "left e_x right", "left e_y right", "left e_go right" }
+    local lines, count = counted({ left = left, right = deferring() }, wires)
+    assert.same({ "warning wires[2] (left e_y -> right): 'right' never takes the event",
+      "warning right: root.wrong: active in no configuration of the "
+      .. "system, though the chart alone reaches it" }, lines)
+    assert.is_true(count < 10000)
+  end)
+
+  it("explores no chart alone whose states were all active", function()
+    local left = chart(go("a", "b", "e_go", "e_x"), go("b", "c", "e_go", "e_x"))
+    local right = chart(go("a", "b", "e_x"), go("b", "c", "e_x"))
+    left.c.final, right.b.final, right.c.final = true, true, true
+    local lines, count = counted({ left = left, right = right }, { "left e_x right" })
+    assert.same({ {}, 0 }, { lines, count })
+  end)
+
   it("reads all that waits, or one, as the wire says", function()
     local function found(read)
       local left = chart(go("a", "b", "e_go", "e_x", "e_x"))
@@ -260,6 +302,47 @@ describe("cell:explore", function()
     assert.matches("not tried: what lies behind the bound on configurations; what was "
       .. "not found is not known\n", tostring(result), 1, true)
     assert.equal("depth", explored(charts, wires, { depth = 2 }).bound)
+  end)
+
+  it("has no witness in which data that are not followed decide", function()
+    local function is_below(tr) return tr._fsm.n < 3 end
+    local function judged(first)
+      local right = chart(go("a", "b", "e_x"), go("b", "c", "e_y"))
+      right.n, right[first and 2 or 3].effect = 0, function(fsm) fsm.n = 3 end
+      right[3].guard = is_below
+      local result = explored({ left = chart(go("a", "b", "e_go", "e_x")),
+        right = right }, { "left e_x right" }, {
+        machines = { right = { vars = { n = { 0, 3 } }, run = { is_below } } },
+        properties = { never "right: root.c" } })
+      return result.properties[1].holds, result.untried[1]
+    end
+    local DATA =
+      "right: data that the effect root.trans[%d] may write, which is not run"
+    assert.same({ nil, DATA:format(2) }, { judged(true) })
+    assert.same({ false, DATA:format(3) }, { judged(false) })
+  end)
+
+  it("looks at the clock inside of a step", function()
+    local looks = 0
+    local function clock()
+      looks = looks + 1
+      return looks
+    end
+    local right = chart(go("a", "b", "e_x"))
+    for i = 1, 12 do
+      right["k" .. i], right[#right + 1] = rfsm.conn {}, go("a", "k" .. i, "e_y")
+      right[#right].guard = function() return true end
+      right[#right + 1] = go("k" .. i, "c")
+      right[#right].guard = right[#right - 1].guard
+    end
+    local result = helper.with(os, { clock = clock }, function()
+      return (explored({ left = chart(go("a", "b", "e_go", "e_x")), right = right },
+        { "left e_x right" }, { seconds = 12, properties = {
+          never { "left: root.b", "right: root.b" } } }))
+    end)
+    assert.same({ nil, "seconds" }, { result.properties[1].holds, result.bound })
+    assert.equal("right: what lies behind the bound on seconds", result.untried[1])
+    assert.is_true(looks < 20)
   end)
 
   it("names its premises", function()

@@ -126,7 +126,7 @@ local function names_of_data(self)
     writes.each(callback, function(text)
       for name in text:gmatch(writes.ANY) do names[name] = true end
       for _, name in ipairs(writes.names_in(text)) do variables[name] = true end
-      if text == "" or writes.reads_any(text) then names[writes.ANY] = true end
+      if writes.reads_any(text) then names[writes.ANY] = true end
     end, seen)
   end
   return rfsm.sorted_keys(names), rfsm.sorted_keys(variables)
@@ -134,8 +134,7 @@ end
 
 -- Counts the callbacks, except guards, that are not called. Lists the callbacks, guards
 -- too, that are not called and may write fields or variables that called ones use.
-local function note_others(self, named)
-  local names, variables = names_of_data(self)
+local function note_others(self, named, names, variables)
   for _, name in ipairs(rfsm.sorted_keys(named)) do
     local callback = named[name]
     if not self.runs[callback] then
@@ -228,8 +227,12 @@ function data.read_options(self, options, fsm)
   for _, kind in ipairs { "exclusive", "complementary", "same" } do
     add_rules(self, kind, options[kind], named)
   end
-  self.idle_callbacks, self.data_writers = 0, {}
-  if self.var_names[1] or self.run_list[1] then note_others(self, named) end
+  self.idle_callbacks = 0
+  if self.var_names[1] or self.run_list[1] then
+    local names, variables = names_of_data(self)
+    self.data_names = names
+    note_others(self, named, names, variables)
+  end
 end
 
 -- Returns the answer of a guard that follows from the answers of other guards in its
@@ -256,6 +259,23 @@ local function known_answer(self, guard)
   return answer
 end
 
+-- Returns the function that replaces a guard in `run`. Both answers are tried if the
+-- guard fails, or reads data of an event.
+local function new_called_guard(self, path, guard)
+  local only_reads, reads_event = writes.only_reads(guard), writes.may_read(guard, 2)
+  return function(tr, ...)
+    self.is_touched = self.is_touched or not only_reads
+    replacements.note_run(self)
+    local ok, answer = calls.try(guard, tr, ...)
+    local part = self.transitions[self.number_of[tr]].part
+    if not ok or reads_event and replacements.have_data(self, part.fsm) then
+      self.free.guards = true
+      return self:choose(path)
+    end
+    return self:choose(path, false, answer ~= false)
+  end
+end
+
 --- Return the function that replaces a guard in a subject.
 ---@param self rfsm_checks.Subject
 ---@param path string of its transition
@@ -263,12 +283,7 @@ end
 ---@return function
 function data.new_guard(self, path, guard)
   if self.runs[guard] then
-    local only_reads = writes.only_reads(guard)
-    return function(...)
-      self.is_touched = self.is_touched or not only_reads
-      local ok, answer = calls.try(guard, ...)
-      return self:choose(path, false, ok and answer ~= false)
-    end
+    return new_called_guard(self, path, guard)
   elseif not self.rules[guard] then
     return function() return self:choose(path) end
   end
@@ -289,14 +304,15 @@ end
 function data.new_doo(self, path, doo, free)
   return function(...)
     self.is_touched = true
+    replacements.note_run(self)
     local thread = coroutine.create(doo)
-    coroutine.resume(thread, ...)
-    if coroutine.status(thread) == "dead" then
-      self:choose(path, true, true)
-      return
+    local ok = coroutine.resume(thread, ...)
+    local is_dead = coroutine.status(thread) == "dead"
+    if not (is_dead and ok) then
+      self.changed = self.changed or ("how the doo %s goes on"):format(path)
     end
-    self.changed = self.changed or ("how the doo %s goes on"):format(path)
-    return free()
+    if not is_dead then return free() end
+    self:choose(path, true, true)
   end
 end
 

@@ -16,11 +16,11 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
-local any = require("rfsm.shared.order").any
 local data = require "rfsm.explore.data"
 local opts = require "rfsm.shared.options"
 local match = require "rfsm.shared.match"
 local monitors = require "rfsm.explore.monitors"
+local order = require "rfsm.shared.order"
 local subject = require "rfsm.explore.subject"
 local reactions = require "rfsm.explore.reactions"
 local replacements = require "rfsm.explore.replacements"
@@ -30,8 +30,8 @@ local zones = require "rfsm.explore.zones"
 local assert, error, getmetatable = assert, error, getmetatable
 local ipairs, math, rawget, require = ipairs, math, rawget, require
 local setmetatable, tonumber, type = setmetatable, tonumber, type
-local concat = table.concat
-local os_clock = (rawget(_G, "os") or {}).clock or function() return 0 end
+local concat, huge, max = table.concat, math.huge, math.max
+local os = rawget(_G, "os") or {}
 
 local explore = {}
 
@@ -75,13 +75,16 @@ local explore = {}
 ---@field steps integer[] target of each step; negative: without event from outside
 ---@field taken table<integer, table> transition -> the first step that takes it
 ---@field stuck integer[] configurations whose steps stay there and take no transition
----@field has_moved boolean the configuration expanded now is known not to be stuck
+---@field has_moved boolean the configuration expanded now is not known to be stuck: a
+-- step leaves it or takes a transition, or some step was not tried
 ---@field expanded integer number of configurations from which all steps were taken
 ---@field endless table? the first step in which a region never becomes idle
 ---@field bound string? the name of the first bound that was hit
 ---@field untried string[] texts that say what was not tried
 ---@field passed rfsm_checks.Passed[] states that steps enter and leave again
 ---@field count integer how many steps were run
+---@field ends number the time of the clock at which the walk has to end
+---@field is_late boolean that time is over, so no more steps are taken
 ---@field wanted any[] events that properties look at
 ---@field monitor rfsm_checks.Judged|false the property whose monitor sees each step
 ---@field contexts table[] number in a key -> state of the monitor and times of clocks,
@@ -90,8 +93,8 @@ local explore = {}
 ---@field kin table<string, integer[]> configurations that differ only in their times
 ---@field unsure table<integer, rfsm_checks.Group> position of a step in `steps` -> the
 -- group of deadlines that are over before the step, if another group may be over first
----@field cut table<integer, boolean> configurations with a step whose target is not
--- explored, since more than `pending` events wait to be sent later
+---@field cut table<integer, boolean> configurations from which a step without events
+-- from outside was not tried, or its target is not explored
 ---@field try rfsm_checks.Try the step that is taken now
 ---@field label fun(): string the label of that step
 ---@field timing rfsm_checks.Timing|false clocks, if timers come in order
@@ -138,7 +141,7 @@ end
 --- Is the machine entered in some configuration of the walk?
 ---@return boolean
 function Walk:is_entered()
-  return any(self.subject.parts[1].positions, function(at) return at.leaf end)
+  return order.any(self.subject.parts[1].positions, function(at) return at.leaf end)
 end
 
 --- Return the number of a known configuration with the same key, or of one that differs
@@ -204,6 +207,14 @@ end
 
 explore.note_untried = Walk.note_untried
 
+-- Notes that a step from the configuration `from` was not tried: so nobody knows that
+-- nothing happens there.
+local function note_cut(walk, from, is_from_outside, bound, text)
+  walk.has_moved = true
+  walk.cut[from] = walk.cut[from] or not is_from_outside
+  walk:note_untried(bound, text)
+end
+
 -- Notes the states that a step has entered and left again.
 local function note_passed(walk, from, tgt, label)
   for _, moment in ipairs(walk.subject.passed) do
@@ -237,6 +248,7 @@ end
 ---@field conf rfsm_checks.Configuration
 ---@field events rfsm_checks.Occurrence[] the time events are the last ones
 ---@field is_internal boolean the step has no event from outside and no deadline
+---@field is_from_outside boolean the step has an event from outside
 ---@field group rfsm_checks.Group|false the deadlines; false if the walk has no clocks
 ---@field f fun(walk: rfsm_checks.Walk, try: rfsm_checks.Try, key: string|nil,
 -- label: fun()) called after the step; `key` is nil if the step never ends
@@ -251,23 +263,30 @@ local function key_after(walk, try, label)
     time, sources = walk.timing:after(context.time, try.group, walk, clocks)
   end
   if time == nil then
-    walk:note_untried("pending", ("more than %d events that wait to be sent later")
-      :format(walk.options.pending))
-    walk.cut[try.from] = true
+    note_cut(walk, try.from, try.is_from_outside, "pending",
+      ("more than %d events that wait to be sent later"):format(walk.options.pending))
     return nil, sources
   elseif problem then
-    walk:note_untried("values", problem)
+    note_cut(walk, try.from, try.is_from_outside, "values", problem)
     return nil, sources
   end
   return in_context(walk, key, state, time), sources
 end
 
+-- Returns the seconds of processor time; 0 on a host without a clock.
+local function now() return os.clock and os.clock() or 0 end
+
+local EVERY = 8 -- steps between two looks at the clock
+
 -- Calls the function `f` of the try after a step, unless its target is not explored.
+-- Returns true if the time of the walk is over.
 local function after_choice(walk, has_ended)
   local try, label = walk.try, walk.label
   walk.count = walk.count + 1
   local key = has_ended and key_after(walk, try, label)
   if key or not has_ended then try.f(walk, try, key, label) end
+  walk.is_late = walk.is_late or walk.count % EVERY == 0 and now() > walk.ends
+  return walk.is_late
 end
 
 -- Notes the outcome of a step in the walk.
@@ -278,6 +297,7 @@ local function note_step(walk, try, key, label)
   end
   if not key then
     walk.endless = walk.endless or { from = from, label = label() }
+    walk.has_moved = true
     return
   end
   local tgt = walk:find_configuration(key, from, label)
@@ -287,32 +307,47 @@ local function note_step(walk, try, key, label)
   walk:look(from, tgt, try.events, label)
 end
 
--- Lists the sets of up to `most` events of a list, smaller sets first.
-local function sets_of(list, most)
+-- Lists the sets of up to `most` events of a list, smaller sets first, as long as there
+-- is time.
+local function sets_of(walk, list, most)
   local sets, last, at = { {} }, { 0 }, 1
-  while sets[at] and #sets[at] < most do
+  while sets[at] and #sets[at] < most and not walk.is_late do
     for i = last[at] + 1, #list do
       local set = at == 1 and list[i].alone or match.with(sets[at], list[i])
       sets[#sets + 1], last[#sets + 1] = set, i
     end
+    walk.is_late = at % EVERY == 0 and now() > walk.ends
     at = at + 1
   end
   return sets
 end
 
--- Takes the steps that begin when the deadlines of a group are over: one step for each
--- set of events from outside and each list of choices.
+local BEHIND = "what lies behind the bound on "
+
+-- Takes the steps with the events of a try: one step for each list of choices. If some
+-- are not taken, notes it.
+local function each_list(walk, try)
+  walk.try = try
+  local untried = not walk.is_late
+    and walk.subject:each_choice(try.conf, try.events, walk, after_choice)
+  if walk.is_late then
+    note_cut(walk, try.from, try.is_from_outside, "seconds", BEHIND .. "seconds")
+  elseif untried then
+    note_cut(walk, try.from, try.is_from_outside, "choices", untried)
+  end
+end
+
+-- Takes the steps that begin when the deadlines of a group are over: those with each
+-- set of events from outside.
 local function each_set(walk, from, conf, group, sets, f)
   local timers, is_over = group and group.events or {}, group and group.is_over
   local try = { from = from, conf = conf, group = group, events = false,
-    is_internal = false, f = f }
+    is_internal = false, is_from_outside = false, f = f }
   for _, set in ipairs(sets) do
     if set[1] ~= nil or is_over or subject.may_act(conf) then
-      try.events = match.joined(set, timers)
+      try.events, try.is_from_outside = match.joined(set, timers), set[1] ~= nil
       try.is_internal = set[1] == nil and not is_over
-      walk.try = try
-      local untried = walk.subject:each_choice(conf, try.events, walk, after_choice)
-      if untried then walk:note_untried("choices", untried) end
+      each_list(walk, try)
     end
   end
 end
@@ -320,10 +355,12 @@ end
 local NO_GROUP = { false }
 
 -- Lists the groups of deadlines that may be over when a step begins.
-local function groups_of(walk, conf)
+local function groups_of(walk, from, conf)
   if not walk.timing then return NO_GROUP end
   local groups = walk.timing:groups(conf.context.time, subject.is_driven(conf))
-  if walk.timing.is_cut then walk:note_untried("sets", "some orders of deadlines") end
+  if walk.timing.is_cut then
+    note_cut(walk, from, false, "sets", "some orders of deadlines")
+  end
   return groups
 end
 
@@ -343,16 +380,16 @@ local function each_try(walk, from, f, read)
   local conf = walk:configuration(from)
   local list, needed, is_cut = reactions.that_may_come(walk.subject, conf)
   if is_cut then
-    walk:note_untried("sets", ("some sets of events that paths from %s need"):format(
-      conf[1].leaf and conf[1].leaf._fqn or "root.initial"))
+    note_cut(walk, from, true, "sets", ("some sets of events that paths from %s need")
+      :format(conf[1].leaf and conf[1].leaf._fqn or "root.initial"))
   end
   add_wanted(walk.subject, walk.wanted, list)
-  local sets = sets_of(list, walk.together)
+  local sets = sets_of(walk, list, walk.together)
   for _, set in ipairs(needed) do
     if #set > walk.together then sets[#sets + 1] = set end
   end
   for i, set in ipairs(read and sets or {}) do sets[i] = match.joined(read, set) end
-  for _, group in ipairs(groups_of(walk, conf)) do
+  for _, group in ipairs(groups_of(walk, from, conf)) do
     each_set(walk, from, conf, group, sets, f)
   end
 end
@@ -361,7 +398,7 @@ end
 function Walk.expand(walk, from)
   walk.first[from], walk.has_moved = #walk.steps + 1, false
   each_try(walk, from, note_step)
-  if not (walk.has_moved or walk.cut[from]) then walk.stuck[#walk.stuck + 1] = from end
+  if not walk.has_moved then walk.stuck[#walk.stuck + 1] = from end
 end
 
 --- Take all steps from a configuration, and call f(walk, try, key, label) after each.
@@ -375,27 +412,43 @@ end
 
 -- Bounds ............................................................................
 
-local EVERY = 256 -- configurations between two looks at the clock
+local EVERY_REPORT = 256 -- configurations between two calls of `progress`
 
-local function find_bound(walk, options, at, began)
+local function find_bound(walk, options)
   if #walk.keys > options.configurations then return "configurations" end
   if walk.depth >= options.depth then return "depth" end
-  if at % EVERY == 0 and os_clock() - began > options.seconds then return "seconds" end
+  if now() > walk.ends then return "seconds" end
+end
+
+--- Set the time of the clock at which a walk has to end.
+function Walk:set_end(ends) self.ends = ends end
+
+--- Return a function that sets `options.seconds` to the seconds that are left of them,
+--- and returns the options: all explorations of a chart have one bound together.
+---@param options table
+---@return fun(): table
+function explore.one_bound(options)
+  local ends = now() + options.seconds
+  return function()
+    options.seconds = max(ends - now(), 0)
+    return options
+  end
 end
 
 --- Have a walk, or a product of machines, take all steps from each configuration.
 function explore.walk_all(walk, options)
-  local at, began = 1, os_clock()
+  local at = 1
+  walk:set_end(now() + options.seconds)
   while walk.keys[at] and not (walk.monitor and walk.monitor.holds ~= nil) do
     if at > walk.level_end then
       walk.depth, walk.level_end = walk.depth + 1, #walk.keys
     end
-    local bound = find_bound(walk, options, at, began)
+    local bound = find_bound(walk, options)
     if bound then
-      walk:note_untried(bound, "what lies behind the bound on " .. bound)
+      walk:note_untried(bound, BEHIND .. bound)
       break
     end
-    if options.progress and at % EVERY == 0 then
+    if options.progress and at % EVERY_REPORT == 0 then
       options.progress(#walk.keys, walk.depth)
     end
     walk:expand(at)
@@ -412,7 +465,7 @@ function Walk.look() end
 
 local function is_number(x) return type(x) == "number" and x >= 0 end
 
-local is_count, is_boolean = opts.is_whole(1, math.huge), opts.is_a "boolean"
+local is_count, is_boolean = opts.is_whole(1, huge), opts.is_a "boolean"
 
 local function is_period(x) return opts.is_seconds(x) and x > 0 end
 
@@ -427,8 +480,8 @@ end
 local KNOWN = {
   together = { "whole number above 0", is_count },
   configurations = { "whole number above 0", is_count, 1e6 },
-  depth = { "number", is_number, math.huge },
-  seconds = { "number", is_number, math.huge },
+  depth = { "number", is_number, huge },
+  seconds = { "number", is_number, huge },
   alphabet = { "list", replacements.check_list },
   sends = { "table of lists", replacements.check_sends, {} },
   pending = { "whole number above 0", is_count, 4 },
@@ -450,11 +503,18 @@ local KNOWN = {
 -- data, and send events later or cancel them though the options do not name these.
 local function note_gaps(walk)
   local own = walk.subject
+  local count, first = #own.unknown, own.unknown[1]
+  if first then
+    walk:note_untried("texts", ("what the %s does, whose text is not known%s"):format(
+      first, count > 1 and (", and %d more callbacks"):format(count - 1) or ""))
+  end
   local function add(names, bound, text)
     for _, name in ipairs(names) do walk:note_untried(bound, text:format(name)) end
   end
   add(own.writers, "targets", "targets that the %s may write")
   add(own.data_writers, "values", "data that the %s may write, which is not run")
+  add(own.unsure_senders, "sends", "events that the %s may send, which a dry run does "
+    .. "not show")
   add(own.late_senders, "pending", "events that the %s may send later")
   add(own.later[1] and own.cancellers or {}, "pending",
     "events that the %s may cancel")
@@ -485,6 +545,7 @@ function explore.new(model, options, way)
     keys = {}, numbers = {}, from = {}, labels = {}, depth = 0, level_end = 1,
     first = {}, steps = {}, taken = {}, endless = nil,
     bound = nil, stuck = {}, has_moved = false, count = 0, expanded = 0, wanted = {},
+    ends = huge, is_late = false,
     monitor = false, contexts = {}, context_ids = {}, kin = {},
     unsure = {}, cut = {}, timing = false }, Walk)
   function walk.label() return label_of(walk.try, own.choices, own.asked) end
@@ -530,6 +591,8 @@ end
 -- guards and predicates and the ends of doos, in the order in which they were asked
 ---@field taken string[] paths of the transitions that the step takes
 ---@field leaf string|false FQN of the active leaf after the step
+---@field unfollowed false|"data"|"targets" see the fields of `rfsm_checks.Subject`
+---@field ran false|"before"|"after"
 
 local function text_of_event(occurrence)
   local text, part = rfsm.text_of(occurrence.event), occurrence.part
@@ -548,6 +611,26 @@ function explore.note_outcome(own, step)
   end
   step.taken, step.leaf = own:paths_of(), rfsm.get_actleaf_fqn(own.parts[1].fsm)
   step.sent = match.joined({}, own.sent)
+  step.unfollowed, step.ran = own.unfollowed, own.ran
+end
+
+--- Is it doubtful that a machine can follow a run? It is if a step calls a callback in
+--- `run`, or takes a transition, after a callback may have changed data or targets that
+--- are not followed.
+---@param steps { unfollowed: any, ran: any, taken: string[], machine: string? }[]
+---@param goes_on? boolean callbacks in `run` decide what happens after the run, too
+---@return boolean
+function explore.is_doubtful(steps, goes_on)
+  local changed = {} -- by machine
+  local is_doubtful = order.any(steps, function(step)
+    local name = step.machine or ""
+    local before = changed[name]
+    changed[name] = step.unfollowed == "targets" and "targets" or before
+      or step.unfollowed or nil
+    return step.ran == "after" or before and step.ran
+      or before == "targets" and step.taken[1] ~= nil
+  end)
+  return is_doubtful or goes_on and not order.is_empty(changed) or false
 end
 
 -- Returns a step of a witness with its events. `values` and `inside` leave out the time
@@ -602,7 +685,7 @@ function Walk:rerun(from, label, whole)
   explore.note_outcome(self.subject, step)
   if whole then repeat_on(whole, events, step) end
   return step, self.timing and { from = from, conf = conf, events = events,
-    group = groups_of(self, conf)[number] }
+    group = groups_of(self, from, conf)[number] }
 end
 
 --- List the steps of the shortest run to a configuration, then the step from there that

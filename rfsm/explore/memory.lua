@@ -6,9 +6,10 @@
 -- values, those before the exploration. The first difference is reported, and all first
 -- values are put back.
 --
--- A *home* is a table with data: an element of the chart, a table in an element, or a
--- table to which a callback in `run` refers. The fields of the engine are not data. A
--- *cell* is an upvalue or a global variable that a callback in `run` names.
+-- A *home* is a table with data: an element of the chart, a table in an element, or
+-- a table to which a callback in `run` refers. The fields of the engine are not
+-- data. Nor are fields of extensions that no callback in `run` names. A *cell* is an
+-- upvalue or a global variable that a callback in `run` names.
 --
 -- @module rfsm.explore.memory
 -- @license BSD-3-Clause
@@ -19,8 +20,8 @@ local location = require "rfsm.shared.location"
 local order = require "rfsm.shared.order"
 local writes = require "rfsm.shared.writes"
 
-local _G, error, ipairs, next, rawequal, rawget = _G, error, ipairs, next, rawequal,
-  rawget
+local _G, error, getmetatable, ipairs, next = _G, error, getmetatable, ipairs, next
+local rawequal, rawget = rawequal, rawget
 local jit, math = rawget(_G, "jit"), math
 local rawset, setmetatable, type = rawset, setmetatable, type
 local package = rawget(_G, "package")
@@ -38,9 +39,10 @@ local memory = {}
 ---@field places table<string, { home: rfsm_checks.Home, key: any }> fields of the
 -- chart, by path
 ---@field seen table<any, true> tables and names of globals that were added or skipped
+---@field names table<string, true> the fields that callbacks in `run` may use, or
+-- `writes.ANY`
 ---@field most integer the greatest number of homes
 ---@field is_cut boolean there are more tables than `most`, and not all are homes
----@field is_blind boolean the source text of some callback is not known
 local Memory = {}
 Memory.__index = Memory
 
@@ -50,7 +52,8 @@ Memory.__index = Memory
 ---@field name string path of the table: "on", "trans[2]"; empty for the machine
 ---@field kept table<any, any> the first values, by key
 ---@field count integer the number of first values
----@field followed table<any, true> keys of the fields that the option `vars` names
+---@field followed table<any, true> keys of the fields that the option `vars` names, and
+-- of those that are not compared
 
 local MANY = 1000 -- greatest number of homes (tables with data) outside of the chart
 
@@ -65,6 +68,29 @@ local function path_to(name, key)
   return name == "" and key or name .. "." .. key
 end
 
+-- Has an extension put this field into an element, as a counter that no callback in
+-- `run` names? The model of the element has no such field, or a value of another kind.
+local function is_made(self, of, key, value)
+  local model = rfsm.model_of(of)
+  if rawequal(model, of) or self.names[writes.ANY] or self.names[key] then
+    return false
+  end
+  local given = model[key]
+  return type(given) ~= type(value) or getmetatable(given) ~= getmetatable(value)
+end
+
+-- Notes a datum of a home. With `has_places`, the option `vars` may name it.
+local function add_datum(self, home, key, value, is_left_out, has_places)
+  if is_left_out then
+    home.followed[key] = true
+  else
+    home.kept[key], home.count = value, home.count + 1
+  end
+  if has_places then
+    self.places[path_to(home.name, key)] = { home = home, key = key }
+  end
+end
+
 -- Adds a table and the tables in it to `homes`, whose fields are compared. With
 -- `has_places`, the option `vars` may name the fields of these tables.
 local function add_home(self, of, name, has_places)
@@ -73,13 +99,12 @@ local function add_home(self, of, name, has_places)
   local home, keys = { of = of, name = name, kept = {}, count = 0, followed = {} }, {}
   self.homes[#self.homes + 1] = home
   for key, value in order.each(of) do -- any order: each stands alone
+    local is_left_out = is_made(self, of, key, value)
     if is_datum(key, value) then
-      home.kept[key], home.count = value, home.count + 1
-      if has_places then
-        self.places[path_to(name, key)] = { home = home, key = key }
-      end
+      add_datum(self, home, key, value, is_left_out, has_places)
     end
-    if type(value) == "table" and not rfsm.is_meta(key) then keys[key] = value end
+    local is_home = type(value) == "table" and not is_left_out
+    if is_home and not rfsm.is_meta(key) then keys[key] = value end
   end
   for _, key in ipairs(rfsm.sorted_keys(keys)) do
     if not self.seen[keys[key]] then
@@ -190,7 +215,6 @@ end
 --- data were looked at.
 ---@return string?
 function Memory:premise()
-  if self.is_blind then return "upvalues and globals not looked at" end
   return self.is_cut and "not all data looked at" or nil
 end
 
@@ -215,7 +239,8 @@ end
 ---@return rfsm_checks.Memory
 function memory.of(self)
   local own = setmetatable({ homes = {}, cells = {}, places = {}, seen = {},
-    most = math.huge, is_cut = false, is_blind = false }, Memory)
+    names = {}, most = math.huge, is_cut = false }, Memory)
+  for _, name in ipairs(self.data_names) do own.names[name] = true end
   skip_libraries(own)
   local list = {}
   for _, part in ipairs(self.parts) do
@@ -228,7 +253,6 @@ function memory.of(self)
   own.most = #own.homes + MANY
   local seen = {}
   for _, callback in ipairs(self.run_list) do
-    own.is_blind = own.is_blind or (writes.text_of(callback) or "") == ""
     writes.each(callback, function(text, other) add_cells(own, text, other) end, seen)
   end
   return own

@@ -14,6 +14,7 @@ local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
+local reactions = require "rfsm.explore.reactions"
 local writes = require "rfsm.shared.writes"
 
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
@@ -144,9 +145,9 @@ function replacements.named(fsm)
   return named
 end
 
--- May a callback call the function `name` of rfsm_timeevent, as far as its text shows?
-local function may_call(callback, name)
-  local f = (package.loaded.rfsm_timeevent or {})[name]
+-- May a callback call the function `name` of a module, as far as its text shows?
+local function may_call(callback, module, name)
+  local f = module and module[name]
   return writes.each(callback, function(text, own)
     return text:find("%f[%w_]" .. name .. "%f[^%w_]") or f and order.any(
       writes.upvalues_of(own), function(upvalue) return rawequal(upvalue.value, f) end)
@@ -188,15 +189,42 @@ end
 
 --- Note what a callback may do that the exploration does not follow: it may write the
 --- target of a transition; it may also emit, delay or cancel events, unless the option
---- `sends` lists the events of the callback.
+--- `sends` lists the events of the callback. Without text it may do anything.
 function replacements.note_writer(self, name, callback)
-  if writes.may_write(callback, { "tgt" }) then table.insert(self.writers, name) end
-  local is_run = self.runs[callback or false]
-  local is_known = is_run or self.sends[name] or self.dry_sends[name]
-  if not is_known and may_emit(callback) then table.insert(self.emitters, name) end
+  if not callback then return end
+  local is_run = self.runs[callback]
+  local is_listed = is_run or self.sends[name] or self.dry_sends[name]
+  local function note(list) list[#list + 1] = name end
+  if not writes.is_known(callback) then note(self.unknown) end
+  if writes.may_write(callback, { "tgt" }) then note(self.writers) end
+  if not is_listed and may_emit(callback) then note(self.emitters) end
   if self.sends[name] and not is_run then return end
-  if may_call(callback, "send_after") then table.insert(self.late_senders, name) end
-  if may_call(callback, "cancel") then table.insert(self.cancellers, name) end
+  local timeevent = package.loaded.rfsm_timeevent
+  if may_call(callback, timeevent, "send_after") then note(self.late_senders) end
+  if may_call(callback, timeevent, "cancel") then note(self.cancellers) end
+end
+
+--- Return a function that notes that a callback has run which may change what is not
+--- followed, and then calls `f`; `f` itself if the callback changes nothing of that.
+---@param self rfsm_checks.Subject
+---@param name string of the callback
+---@param callback function|nil
+---@param f function|nil the replacement of the callback
+---@return function?
+function replacements.marked(self, name, callback, f)
+  local is_unknown = match.has(self.unknown, name) and not self.runs[callback]
+  local kind = match.has(self.writers, name) and "targets"
+    or (is_unknown or match.has(self.data_writers, name)) and "data"
+  if not kind then return f end
+  return function(...)
+    self.unfollowed = self.unfollowed == "targets" and "targets" or kind
+    if f then return f(...) end
+  end
+end
+
+--- Note that a callback in `run` is called now.
+function replacements.note_run(self)
+  self.ran = self.unfollowed and "after" or self.ran or "before"
 end
 
 -- Replacements ......................................................................
@@ -241,9 +269,16 @@ end
 
 local IS_DRY = { entry = true, exit = true, effect = true }
 
+-- Is it not known what a callback sends, since it has failed in a dry run, or reads the
+-- event, which a dry run does not have?
+local function is_unsure(callback, ok)
+  local may_send = may_emit(callback) or may_call(callback, rfsm, "send_events")
+  return may_send and not (ok and not writes.may_read(callback, replacements.EVENTS))
+end
+
 --- Call each entry, exit and effect of a machine once. The machine is used for nothing
 --- else. Return the events that a callback sends and emits, by the callback's name.
-function replacements.dry_run(fsm)
+function replacements.dry_run(self, fsm)
   local sent, emitted = {}, {}
   rfsm.set_emit(fsm, function(event, value)
     emitted[#emitted + 1] = { emit = event, data = value ~= nil }
@@ -251,9 +286,50 @@ function replacements.dry_run(fsm)
   each_callback(fsm, function(name, callback, machine, obj, field)
     if not IS_DRY[field] then return end
     emitted = {}
-    sent[name] = match.joined(call_apart(callback, machine, obj, field, {}), emitted)
+    local list, ok = call_apart(callback, machine, obj, field, {})
+    sent[name] = match.joined(list, emitted)
+    if not self.sends[name] and is_unsure(callback, ok) then
+      self.unsure_senders[#self.unsure_senders + 1] = name
+    end
   end)
   return sent
+end
+
+-- Events with data ....................................................................
+
+--- The number of the first argument of an entry, exit or effect that has to do with
+--- the current events.
+replacements.EVENTS = 4
+
+-- May an event stand for one with data, or for an event that no transition names?
+local function may_have_data(self, event)
+  if self.names_with_data[event] or event == reactions.OTHER then return true end
+  for _, answers in order.each(self.answers) do -- any order: one is enough
+    if type(answers) == "table" and answers[event] then return true end
+  end
+  return type(event) == "table" and getmetatable(event) == nil
+    and type(event.name) == "string"
+end
+
+--- Are there current events whose data an exploration does not have?
+---@param self rfsm_checks.Subject
+---@param fsm rfsm.Machine
+---@return boolean
+function replacements.have_data(self, fsm)
+  return order.any(fsm._curq, function(event) return may_have_data(self, event) end)
+end
+
+-- Calls a callback in `run`. If it fails, or reads data of an event, it is not known
+-- what it does.
+local function call_run(self, part, name, run, reads_event, ...)
+  self.is_touched = true
+  replacements.note_run(self)
+  if not calls.try(run, ...) then
+    self.changed = self.changed or ("what the %s does, which fails here"):format(name)
+  elseif reads_event and replacements.have_data(self, part.fsm) then
+    self.changed = self.changed
+      or ("what the %s does with the data of an event"):format(name)
+  end
 end
 
 --- Drop the delayed events of a machine or region; with `event`, only equal events.
@@ -287,18 +363,15 @@ local function new_send(self, part, item)
   end
 end
 
--- Returns a function that calls `run`, if it is a callback, then sets the flags, then
--- sends the events. Returns nil if there is nothing to do.
-local function new_replacement(self, part, run, flags, events)
+-- Returns a function that calls `run`, if it is the callback of this name, then sets
+-- flags, then sends events. Returns nil if there is nothing to do.
+local function new_replacement(self, part, name, run, flags, events)
   if not (flags[1] or events[1] ~= nil or run) then return nil end
   if run then part.is_bound = true end
-  local sends = {}
+  local sends, reads_event = {}, run and writes.may_read(run, replacements.EVENTS)
   for i, item in ipairs(events) do sends[i] = new_send(self, part, item) end
   return function(own, ...)
-    if run then
-      self.is_touched = true
-      calls.try(run, own, ...)
-    end
+    if run then call_run(self, part, name, run, reads_event, own, ...) end
     for _, flag in ipairs(flags) do self.flags[flag.number] = flag.value end
     for _, send in ipairs(sends) do send(own) end
   end
@@ -323,7 +396,8 @@ function replacements.new(self, what, path, part, callback)
   local run = self.runs[callback or false] and callback
   local events = self.sends[name] or run and {}
     or self.dry_sends[name] or {}
-  return new_replacement(self, part, run, self.flags_of[name] or {}, events)
+  return replacements.marked(self, name, callback,
+    new_replacement(self, part, name, run, self.flags_of[name] or {}, events))
 end
 
 -- Notes that the replacements of the callbacks `names` set a flag to a value.

@@ -48,6 +48,10 @@ local subject = {}
 ---@field paths string[] the paths of all states, in the order of the tree
 ---@field flags ("+"|"-")[] "+" for each flag that is on, "-" for each that is off
 ---@field writers string[] callbacks that may write the targets of transitions
+---@field unknown string[] callbacks whose text, or that of a function they call, is not
+-- known
+---@field unsure_senders string[] callbacks that may send what a dry run does not show
+---@field names_with_data table<any, true> names in predicates of `rfsm.named`
 ---@field free table<string, true> the kinds of choices that the chart has: "guards",
 -- "predicates", "timers", "doos"
 ---@field wanted table<any, boolean> event of a property -> did the last step have it?
@@ -77,6 +81,10 @@ local subject = {}
 ---@field is_known boolean[] for each choice: is the opposite answer impossible?
 ---@field asked integer how many choices the last step had
 ---@field taken integer[] numbers of the transitions that the last step took
+---@field unfollowed false|"data"|"targets" the last step has called callbacks that may
+-- change data that callbacks in `run` use, or targets of transitions
+---@field ran false|"before"|"after" the last step has called a callback in `run`, also
+-- after such a callback
 local Subject = {}
 Subject.__index = Subject
 
@@ -242,9 +250,9 @@ local function make_state(self, part, state)
   own.exit = replacements.new(self, "exit", path, part, own.exit)
   if state.doo and own == state then
     replacements.note_writer(self, "doo " .. path, state.doo)
-    state.doo = new_replacement_of_doo(self, part, path, state.doo)
+    state.doo = replacements.marked(self, "doo " .. path, state.doo,
+      new_replacement_of_doo(self, part, path, state.doo))
   end
-  state.prepare = nil
   if state.doo or state._timers then
     rfsm.entry_hook_add(part.fsm, state, function() self.entered[state] = true end)
   end
@@ -267,7 +275,8 @@ local function make_transition(self, part, tr)
     replacements.note_writer(self, "guard " .. path, tr.guard)
     if not self.runs[tr.guard] then self.free.guards = true end
     if self.runs[tr.guard] or self.rules[tr.guard] then part.is_bound = true end
-    tr.guard = data.new_guard(self, path, tr.guard)
+    tr.guard = replacements.marked(self, "guard " .. path, tr.guard,
+      data.new_guard(self, path, tr.guard))
   end
   local replacement = replacements.new(self, "effect", path, part, tr.effect)
   tr.likely = nil
@@ -574,6 +583,7 @@ end
 ---@return true?
 function Subject:step(events, choices)
   self.choices, self.asked, self.changed = choices, 0, nil
+  self.unfollowed, self.ran = false, false
   for i = 1, #OF_STEP do clear(self[OF_STEP[i]]) end
   if not order.is_empty(self.dropped) then self.dropped = {} end
   if not order.is_empty(self.answers) then self.answers = {} end
@@ -607,23 +617,26 @@ local function next_choices(self, choices)
   return false
 end
 
-local MANY_CHOICES = 4096
+-- Most lists of choices of one step, and most answers in them all.
+local MANY_CHOICES, MANY_ANSWERS = 4096, 100000
 
 --- Take a step from a configuration once for each list of choices: the answers of
 --- guards and predicates, and whether a doo ends. Call f(owner, has_ended) after each
---- step; `has_ended` is the result of `step`.
+--- step; `has_ended` is the result of `step`. If `f` returns true, stop.
 ---@param conf rfsm_checks.Configuration
 ---@param events rfsm_checks.Occurrence[]
 ---@param owner any the first argument of `f`
----@param f fun(owner: any, has_ended: true?)
+---@param f fun(owner: any, has_ended: true?): boolean?
 ---@return string? untried a text if some lists of choices were not tried, nil otherwise
 function Subject:each_choice(conf, events, owner, f)
-  local choices, tries = {}, 0
+  local choices, lists, answers = {}, 0, 0
   repeat
     self:put(conf, events)
-    f(owner, self:step(events, choices))
-    tries = tries + 1
-    if tries == MANY_CHOICES then return "more than 4096 choices of one step" end
+    local is_stopped = f(owner, self:step(events, choices))
+    lists, answers = lists + 1, answers + self.asked
+    if is_stopped or lists == MANY_CHOICES or answers > MANY_ANSWERS then
+      return ("more than %d choices of one step"):format(lists)
+    end
   until not next_choices(self, choices)
 end
 
@@ -689,9 +702,11 @@ local function free_predicates(self, fsm)
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     for i, event in ipairs(tr.events) do
       if type(event) == "function" then
+        local name = "predicate of " .. rfsm.location_of(tr)
         self.free.predicates = true
-        replacements.note_writer(self, "predicate of " .. rfsm.location_of(tr), event)
-        tr.events[i] = new_predicate(self, tr)
+        self.names_with_data[rfsm.event_name(event) or event] = true
+        replacements.note_writer(self, name, event)
+        tr.events[i] = replacements.marked(self, name, event, new_predicate(self, tr))
       end
     end
   end
@@ -777,6 +792,7 @@ end
 function subject.new(model, options, way)
   local self = setmetatable({ parts = {}, transitions = {}, number_of = {},
     names = {}, paths = {}, part_of = {}, callbacks = {}, writers = {},
+    unknown = {}, data_writers = {}, unsure_senders = {}, names_with_data = {},
     free = {}, sent = {}, later = {}, sent_later = {}, dropped = {}, late_senders = {},
     cancellers = {}, emitted = {}, emitters = {}, dry_sends = {},
     runs = {},
@@ -787,13 +803,13 @@ function subject.new(model, options, way)
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
     alphabet = options.alphabet, time = clock.simulated(), is_endless = false,
     notes_events = false, leaves_out = false, trimmed = false, is_touched = false,
-    changed = nil }, Subject)
+    changed = nil, unfollowed = false, ran = false }, Subject)
   local fsm = new_machine(self, model)
   rfsm.set_emit(fsm, function(event, value)
     self.emitted[#self.emitted + 1] = { emit = event, data = value ~= nil }
   end)
   self.dry_sends = options.dry_run
-    and replacements.dry_run(new_machine(self, model)) or {}
+    and replacements.dry_run(self, new_machine(self, model)) or {}
   replacements.read_flags(self, options.flags or {})
   data.read_options(self, options, fsm)
   add_parts(self, fsm, way)

@@ -33,7 +33,7 @@ local verdict = {}
 ---@field transitions integer number of transitions of the chart
 ---@field taken integer number of transitions that at least one step takes
 ---@field bound? "configurations"|"depth"|"seconds"|"choices"|"sets"|"targets"|"values"
--- |"pending" a limit that the exploration reached
+-- |"pending"|"texts"|"sends" a limit that the exploration reached
 ---@field untried string[] texts about parts that were not tried; empty without a bound
 ---@field premises string the assumptions: "one event a step; guards and timers free"
 ---@field findings rfsm_checks.Finding[] a finding about a run has a field `witness`
@@ -171,11 +171,25 @@ local function leaves_of(walk, number)
   return leaves, concat(paths, ", "), are_final
 end
 
+-- May callbacks change what the exploration does not follow?
+local function has_gaps(own)
+  return own.data_writers[1] or own.unknown[1] or own.writers[1]
+end
+
+-- Is it doubtful that a machine can follow a witness, and then does what the
+-- configurations behind it do?
+local function is_doubtful(own, witness, goes_on)
+  return explore.is_doubtful(witness, goes_on and own.run_list[1] ~= nil)
+end
+
 -- Appends a finding. Its witness is the run to configuration `number`, followed by the
--- step with the label `label` if one is given.
+-- step with the label `label` if one is given. A run that is doubtful shows nothing.
 local function add_run(walk, findings, code, state, path, text, number, label)
+  local own = walk.subject
+  local known = has_gaps(own) and walk:witness(number, label)
+  if known and is_doubtful(own, known, true) then return {} end
   local finding = findings:add(code, state, path, text)
-  if finding then finding.witness = walk:witness(number, label) end
+  if finding then finding.witness = known or walk:witness(number, label) end
   return finding or {}
 end
 
@@ -223,8 +237,8 @@ local function find_endless(walk, findings)
   local is_idle, are_idle, step = {}, true, walk.endless
   for number = 1, #walk.keys do
     local conf = walk:configuration(number)
-    is_idle[number] = number > walk.expanded or not (conf[1].leaf
-      and subject.is_driven(conf))
+    is_idle[number] = number > walk.expanded or walk.cut[number]
+      or not (conf[1].leaf and subject.is_driven(conf))
     are_idle = are_idle and is_idle[number]
   end
   local ends = are_idle and is_idle or graph.can_reach(walk, is_idle, true)
@@ -384,12 +398,21 @@ local function reason_of(walk, judged)
     or ", it depends on when timers expire"
 end
 
+-- Returns the run that violates a property. If it is doubtful, returns nil, and the
+-- verdict is not known.
+local function find_witness(walk, judged)
+  local witness = walk:witness(judged.at, judged.label, judged.cycle)
+  local goes_on = judged.tgt or judged.rests or judged.cycle
+  if not is_doubtful(walk.subject, witness, goes_on) then return witness end
+  judged.holds = nil
+end
+
 -- Judges a property on its walk and returns the verdict. If the property is violated,
 -- also adds a finding to `result`.
 local function judge(result, judged, options)
   local walk = judged.walk
   properties.judge(walk, judged)
-  local witness = judged.at and walk:witness(judged.at, judged.label, judged.cycle)
+  local witness = judged.at and find_witness(walk, judged)
   if judged.holds == nil then note_bound(result, walk) end
   if judged.holds == false then
     witness.rests = judged.rests
@@ -507,10 +530,11 @@ end
 
 -- Returns a table of walks by way (the set of regions that a walk includes), and the
 -- list of the walks for `ways`. The table makes a walk when its way is first read.
-local function walks_in(model, options, ways, list)
+-- rest() returns the options with the seconds that are left.
+local function walks_in(model, rest, ways, list)
   local by_way, walks = {}, {}
   setmetatable(by_way, { __index = function(_, way)
-    by_way[way] = explore.walk(model, options, function(walk)
+    by_way[way] = explore.walk(model, rest(), function(walk)
       properties.watch(walk, list)
     end, way)
     return by_way[way]
@@ -551,19 +575,20 @@ end
 ---@param options rfsm_checks.Options
 ---@return rfsm_checks.Exploration
 function verdict.of(model, options)
-  local own = subject.new(model, options)
+  local rest, own = explore.one_bound(options), subject.new(model, options)
   local list = properties.list_for(own, properties_of(model, options))
   local ways = independence.ways(own, list, options)
-  local by_way, walks = walks_in(model, options, ways, list)
+  local by_way, walks = walks_in(model, rest, ways, list)
   local has_endless = any(walks, function(walk) return walk.endless end)
-  if walks[2] and has_endless then -- an endless step stops all regions: use one walk
+  local is_late = any(walks, function(walk) return walk.is_late end)
+  if walks[2] and has_endless and not is_late then -- it stops all regions: use one walk
     options.multiply = true
-    return verdict.of(model, options)
+    return verdict.of(model, rest())
   end
   local result = new_result(own, walks, options)
   for i, judged in ipairs(list) do
     judged.walk = monitors.kinds[judged.property.kind].judge and by_way[judged.way]
-      or explore.walk(model, options, function(walk)
+      or explore.walk(model, rest(), function(walk)
         properties.monitor(walk, judged)
       end, judged.way)
     result.properties[i] = judge(result, judged, options)

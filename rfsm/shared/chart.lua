@@ -16,6 +16,7 @@ local location = require "rfsm.shared.location"
 local order = require "rfsm.shared.order"
 local search = require "rfsm.shared.search"
 local stubs = require "rfsm.shared.stubs"
+local writes = require "rfsm.shared.writes"
 
 local error, getmetatable, io, ipairs, next = error, getmetatable, io, ipairs, next
 local os, pcall, rawget, rawset, require = os, pcall, rawget, rawset, require
@@ -259,6 +260,7 @@ end
 
 local function load_stdin() -- without a first line for the shell (#!)
   local text = io.read("*a"):gsub("^#[^\n]*", "")
+  writes.keep_text("=stdin", text)
   return rfsm.load_str(text, "=stdin")
 end
 

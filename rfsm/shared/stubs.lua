@@ -1,8 +1,9 @@
 --- Stubs: values that replace missing modules and globals, such as those of a robot.
 --
 -- A stub returns a stub if it is indexed or called. If it is called with a state, it
--- returns a copy of the state. In a concatenation a stub is its name, such as
--- 'rf.findFile("arm.lua")', and in arithmetic it is 0. A loop over a stub ends.
+-- returns a copy of the state, or the state itself if it is in a machine. In a
+-- concatenation a stub is its name, such as 'rf.findFile("arm.lua")', and in
+-- arithmetic it is 0. A loop over a stub ends.
 --
 -- @module rfsm.shared.stubs
 -- @license BSD-3-Clause
@@ -10,7 +11,8 @@
 local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
-local getmetatable, ipairs, rawget, rawset = getmetatable, ipairs, rawget, rawset
+local getmetatable, ipairs, rawequal = getmetatable, ipairs, rawequal
+local rawget, rawset = rawget, rawset
 local select, setmetatable, type = select, setmetatable, type
 local concat = table.concat
 
@@ -78,7 +80,9 @@ function Stub.__call(stub, ...)
     return stub
   end
   local state = find_state(...)
-  if state then return copy_of(state) end
+  if state then
+    return rawequal(rfsm.model_of(state), state) and copy_of(state) or state
+  end
   for i = 1, count do
     local argument = select(i, ...)
     if type(argument) == "string" then texts[#texts + 1] = '"' .. argument .. '"' end

@@ -3,20 +3,22 @@
 --
 -- The text of a function is the text of its lines, without comments. Functions whose
 -- names occur in it are searched, too. An assignment to a computed key, and `rawset`,
--- may write any field.
+-- may write any field. Nothing is known of a function without text, such as one whose
+-- file is not there; functions of Lua and of this library write nothing.
 --
 -- @module rfsm.shared.writes
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local calls = require "rfsm.shared.calls"
 local code = require "rfsm.shared.code"
 local files = require "rfsm.shared.files"
 local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 
-local io, ipairs, math, rawget = io, ipairs, math, rawget
-local setmetatable, type = setmetatable, type
-local concat, max, min = table.concat, math.max, math.min
+local _G, getmetatable, io, ipairs = _G, getmetatable, io, ipairs
+local rawequal, rawget, setmetatable, type = rawequal, rawget, setmetatable, type
+local concat = table.concat
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 local getupvalue = (rawget(_G, "debug") or {}).getupvalue
 
@@ -24,46 +26,41 @@ local writes = {}
 
 -- Texts .............................................................................
 
-local sources = {} -- lists of lines, by the field `source` of debug.getinfo
+-- Lists of lines by the field `source` of debug.getinfo; false: the text is not known.
+local sources = {}
 
-local function lines_of(source)
-  if sources[source] then return sources[source] end
-  local text, lines = source, {}
-  if source:sub(1, 1) == "@" then
-    text = io and files.read(source:sub(2)) or ""
-  end
+local function keep_text(source, text)
+  local lines = {}
   for line in (code.of(text, true) .. "\n"):gmatch("(.-)\r?\n") do
     lines[#lines + 1] = line
   end
   sources[source] = lines
-  return lines
+end
+
+--- Keep the text of a chunk that has no file, such as "=stdin".
+---@param source string the field `source` that debug.getinfo has for its functions
+---@param text string
+writes.keep_text = keep_text
+
+-- Returns the text of a source; nil if it is not known. A source that names no file is
+-- either a text or the name of a text.
+local function read(source)
+  local mark = source:sub(1, 1)
+  if mark == "@" then return io and files.read(source:sub(2)) or nil end
+  return mark ~= "=" and calls.load(source, "=text", {}) and source or nil
+end
+
+-- Returns the lines of a source; false if its text is not known.
+local function lines_of(source)
+  local text = sources[source] == nil and read(source)
+  if text then keep_text(source, text) end
+  sources[source] = sources[source] or false
+  return sources[source]
 end
 
 -- The files of this library beside rfsm.lua: the ends of their names, after "rfsm".
 local BESIDE = { ["_checks.lua"] = true, ["_seqand.lua"] = true,
   ["_timeevent.lua"] = true, ["pp.lua"] = true }
-
--- Is a function with this `source` from a file of this library? A chart in the same
--- folder may have a name that begins with rfsm_, too.
-local function is_own(source)
-  local core = getinfo(rfsm.init, "S").source
-  local base = core:match("^(@.*rfsm)%.lua$")
-  local rest = base and source:sub(1, #base) == base and source:sub(#base + 1) or ""
-  return source == core or rest:sub(1, 1) == "/" or BESIDE[rest] == true
-end
-
---- Return the text of a function of the chart; nil if the function is of C or of this
---- library, or if there is no library `debug`.
----@param callback any
----@return string?
-function writes.text_of(callback)
-  local info = getinfo and type(callback) == "function" and getinfo(callback, "S")
-  if not info or info.what == "C" or is_own(info.source) then return nil end
-  local lines = lines_of(info.source)
-  local text = concat(lines, "\n", max(info.linedefined, 1),
-    min(max(info.lastlinedefined, 1), #lines))
-  return text:match("%f[%w_]function%f[^%w_].*%f[%w_]end%f[^%w_]") or text
-end
 
 --- List the upvalues of a function, each with its name and value.
 ---@return { name: string, value: any }[]
@@ -77,6 +74,16 @@ function writes.upvalues_of(callback)
   return list
 end
 
+-- Is a function with this `source` from a file of this library? A chart in the same
+-- folder may have a name that begins with rfsm_, too.
+local function is_own(source)
+  local core = getinfo(rfsm.init, "S").source
+  local base = core:match("^(@.*rfsm)%.lua$")
+  local rest = base and source:sub(1, #base) == base and source:sub(#base + 1) or ""
+  local is_core = source == core and core ~= "=?" -- "=?": any function without a text
+  return is_core or rest:sub(1, 1) == "/" or BESIDE[rest] == true
+end
+
 -- The words of Lua, and the names of its functions.
 local OWN_NAMES = {}
 for name in ([[and break do else elseif end false for function goto if in local nil not
@@ -84,6 +91,55 @@ for name in ([[and break do else elseif end false for function goto if in local 
   ipairs load loadfile loadstring next pairs pcall print rawequal rawget rawlen rawset
   require select setmetatable tonumber tostring type unpack xpcall]]):gmatch("%l+") do
   OWN_NAMES[name] = true
+end
+
+local LIBRARIES = { "bit", "bit32", "coroutine", "debug", "io", "math", "os", "package",
+  "string", "table", "utf8" }
+
+-- Is it a function of Lua itself?
+local function is_standard(f)
+  for name in order.each(OWN_NAMES) do -- any order: one is enough
+    if rawequal(rawget(_G, name), f) then return true end
+  end
+  return order.any(LIBRARIES, function(name)
+    local library = rawget(_G, name)
+    for _, value in order.each(type(library) == "table" and library or {}) do
+      if rawequal(value, f) then return true end -- any order, as above
+    end
+  end)
+end
+
+-- Returns the function that is called if a value is called.
+local function function_of(value)
+  if type(value) == "function" then return value end
+  local class = getmetatable(value)
+  return type(class) == "table" and rawget(class, "__call") or nil
+end
+
+-- Returns the text of a function in the lines of its source; nil if the lines have no
+-- such function. A file may have changed, and a chunk may have the name of a file.
+local function text_in(lines, f, info)
+  local last = lines[info.lastlinedefined] and info.lastlinedefined or 0
+  local text = concat(lines, "\n", info.linedefined, last)
+    :match("%f[%w_]function%f[^%w_].*%f[%w_]end%f[^%w_]")
+  local has_names = order.all(writes.upvalues_of(f), function(upvalue)
+    return upvalue.name == "_ENV" or text and upvalue.name:find("^[%w_]+$")
+      and text:find("%f[%w_]" .. upvalue.name .. "%f[^%w_]")
+  end)
+  return has_names and text or nil
+end
+
+--- Return the text of a function of the chart; nil if the text is not known, or if the
+--- function is of C or of this library.
+---@param callback any
+---@return string?
+function writes.text_of(callback)
+  local f = function_of(callback)
+  local info = getinfo and type(f) == "function" and getinfo(f, "S")
+  if not info or info.what == "C" or is_own(info.source) then return nil end
+  local lines = lines_of(info.source)
+  if lines and info.what == "main" then return concat(lines, "\n") end
+  return lines and text_in(lines, f, info) or nil
 end
 
 --- List the names of variables in a text, each once: names without a point or colon in
@@ -175,6 +231,7 @@ end
 -- called are added
 ---@return boolean is_true did a call return true?
 function writes.each(callback, f, seen)
+  callback = function_of(callback)
   local text = not seen[callback or seen] and writes.text_of(callback)
   if not text then return false end
   seen[callback] = true
@@ -186,6 +243,28 @@ function writes.each(callback, f, seen)
   return order.any(called_by(text, upvalues), function(other)
     return writes.each(other, f, seen)
   end)
+end
+
+-- Is it known what a function writes? That of Lua and of this library writes nothing.
+local function is_known(f)
+  local info = getinfo and type(f) == "function" and getinfo(f, "S")
+  return info and (is_own(info.source) or is_standard(f) or writes.text_of(f) ~= nil)
+    or false
+end
+
+-- Is it a function of C? If a callback calls one, the callback is still known.
+local function is_foreign(f) return getinfo and getinfo(f, "S").what == "C" end
+
+--- Is it known what a callback writes, as far as texts show it?
+---@param callback any
+---@return boolean
+function writes.is_known(callback)
+  return is_known(function_of(callback)) and not writes.each(callback,
+    function(text, _, upvalues)
+      return order.any(called_by(text, upvalues), function(f)
+        return not (is_foreign(f) or is_known(f))
+      end)
+    end, {})
 end
 
 --- A pattern that matches all names, for `may_write` and `may_set`.
@@ -209,6 +288,35 @@ function writes.only_reads(callback)
   end
   return text ~= "" and not (body:find("[^=~<>]=[^=]") or body:find("%f[%w]function")
     or body:find("[%w_%])]%s*[({\"']"))
+end
+
+-- Does the text behind a list of parameters use parameter `at`, or one behind it?
+local function uses(text, parameters, at)
+  local number = 0
+  for name in parameters:gmatch("[%w_.]+") do
+    number = number + 1
+    if name == "..." then return text:find(name, 1, true) ~= nil end
+    if number >= at and text:find("%f[%w_]" .. name .. "%f[^%w_]") then return true end
+  end
+  return false
+end
+
+--- May a function read its argument number `at`, or one behind it? If several functions
+--- begin in its line, it may be any of them.
+---@param callback any
+---@param at integer
+---@return boolean
+function writes.may_read(callback, at)
+  local text = writes.text_of(callback) or ""
+  if type(callback) ~= "function" then at = at + 1 end -- `self` comes first
+  local line, has_parameters = text:match("^[^\n]*"), false
+  for name, parameters, from in line:gmatch("function%s*([%w_.:]*)%s*(%b())()") do
+    local first = name:find(":", 1, true) and at - 1 or at
+    if uses(text:sub(from), parameters, first) then return true end
+    has_parameters = true
+  end
+  return not has_parameters
+    and (text:find("^function") or text:find("...", 1, true)) ~= nil
 end
 
 --- May a function write a field of one of these names?

@@ -244,6 +244,12 @@ end
 
 -- What properties ask ...............................................................
 
+--- Set the time of the clock at which the walks of all machines have to end.
+function Product:set_end(ends)
+  self.ends = ends
+  for _, member in ipairs(self.members) do member:set_end(ends) end
+end
+
 --- Is some machine entered at some time?
 function Product:is_entered()
   return order.any(self.members, function(member) return member:is_entered() end)
@@ -350,6 +356,8 @@ end
 -- callbacks; for a doo, whether it ends
 ---@field taken string[] paths of the transitions that were taken
 ---@field leaf string|false path of the leaf after the move; false: not entered yet
+---@field unfollowed false|"data"|"targets" see `rfsm_checks.WitnessStep`
+---@field ran false|"before"|"after"
 
 -- Returns the move with this label from the configuration `from`, as a witness has it.
 local function move_of(self, from, label)
@@ -360,7 +368,7 @@ local function move_of(self, from, label)
   local _, sent = send(self, member, left, outcome.emitted)
   local move = { machine = member.name, events = {}, read = by, sent = sent,
     choices = outcome.choices, taken = outcome.taken, leaf = outcome.leaf,
-    occurrences = outcome.outside }
+    occurrences = outcome.outside, unfollowed = outcome.unfollowed, ran = outcome.ran }
   for i, occurrence in ipairs(outcome.outside) do
     move.events[i] = rfsm.text_of(occurrence.event)
   end

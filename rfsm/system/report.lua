@@ -26,7 +26,7 @@ local verdict = require "rfsm.explore.verdict"
 
 local error, ipairs, pcall = error, ipairs, pcall
 local setmetatable, type = setmetatable, type
-local concat = table.concat
+local concat, min = table.concat, math.min
 
 local report = {}
 
@@ -92,10 +92,13 @@ end
 
 -- Adds a finding. Its witness is the run to the configuration `shown.at`, then the move
 -- `shown.label` if there is one, then, if there is a `shown.tgt`, a run to where the
--- system may stay for ever.
+-- system may stay for ever. Returns false, and adds nothing, if the run is doubtful.
 local function add_run(walk, findings, code, path, text, shown, where)
+  local witness = walk:witness(shown.at, shown.label, shown.tgt)
+  if explore.is_doubtful(witness) then return false end
   local finding = findings:add(code, nil, path, text, nil, where)
-  if finding then finding.witness = walk:witness(shown.at, shown.label, shown.tgt) end
+  if finding then finding.witness = witness end
+  return true
 end
 
 -- Does a machine wait for an event? It does if it was not entered, or if one of its
@@ -153,29 +156,33 @@ local function find_in_wire(walk, wire, findings)
   end
 end
 
--- Explores a chart alone. Returns the set of unreached states; nil if a bound was hit.
-local function unreached_alone(member, model, settings, bounds)
-  local own = { timers = "free", configurations = bounds.configurations,
-    seconds = bounds.seconds }
+local MANY_ALONE = 1000 -- most configurations of a chart that is explored alone
+
+-- Explores a chart alone. Returns the set of the paths of states that are active then.
+local function reached_alone(member, model, settings, rest)
+  local bounds = rest()
+  local own = { timers = "free", seconds = bounds.seconds,
+    configurations = min(bounds.configurations, MANY_ALONE) }
   for _, name in ipairs(report.OF_MACHINE) do own[name] = settings[name] end
   for event in order.each(own.alphabet and member.wired or {}) do -- any order: a set
     own.alphabet = match.with(own.alphabet, event)
   end
-  local result, unreached = explore.explore(model, own), {}
-  for _, finding in ipairs(result.findings) do
-    if finding.code == "unreachable" then unreached[finding.place] = true end
-  end
-  return not result.bound and unreached or nil
+  local walk = explore.walk(model, own)
+  return verdict.active_in(walk.subject, walk.passed)
 end
 
-local function find_unreached(member, findings, unreached)
-  local own = member.subject
+-- Finds states that are not active in the system, but in the chart alone.
+local function find_unreached(member, findings, model, settings, rest)
+  local own, alone = member.subject, nil
   local active = verdict.active_in(own, member.passed)
-  for _, path in ipairs(unreached and own.paths or {}) do
+  for _, path in ipairs(own.paths) do
     local above = path:match("^(.*)%.[^.]*$")
-    if not (active[path] or unreached[path]) and (not above or active[above]) then
-      findings:add("unreachable", own.names[path], member.name .. ": " .. path,
-        "active in no configuration of the system, though the chart alone reaches it")
+    if not active[path] and (not above or active[above]) then
+      alone = alone or reached_alone(member, model, settings, rest)
+      if alone[path] then
+        findings:add("unreachable", own.names[path], member.name .. ": " .. path,
+          "active in no configuration of the system, though the chart alone reaches it")
+      end
     end
   end
 end
@@ -221,8 +228,8 @@ local function add_premises(result, walk, settings)
   end
 end
 
-local function add_walk(result, walk, cell, settings, options)
-  explore.walk_all(walk, options)
+local function add_walk(result, walk, cell, settings, rest)
+  explore.walk_all(walk, rest())
   result.configurations = result.configurations + #walk.keys
   for _, member in ipairs(walk.members) do
     result.steps = result.steps + member.count
@@ -235,17 +242,17 @@ local function add_walk(result, walk, cell, settings, options)
   end
   for _, wire in ipairs(walk.wires) do find_in_wire(walk, wire, result.findings) end
   for _, member in ipairs(walk.wires[1] and not walk.bound and walk.members or {}) do
-    find_unreached(member, result.findings, unreached_alone(member,
-      cell.models[member.name], settings[member.name], options))
+    find_unreached(member, result.findings, cell.models[member.name],
+      settings[member.name], rest)
   end
 end
 
 -- Judges a property, and adds a finding if it does not hold.
 local function judge(result, judged)
   properties.judge(judged.walk, judged)
-  if judged.at then
-    add_run(judged.walk, result.findings, "violated", judged.name, "does not hold",
-      judged, "")
+  if judged.at and not add_run(judged.walk, result.findings, "violated", judged.name,
+    "does not hold", judged, "") then
+    judged.holds = nil
   end
 end
 
@@ -276,6 +283,7 @@ local function walks_of(cell, group_of, settings)
 end
 
 local function explored(cell, options)
+  local rest = explore.one_bound(options)
   local settings = read_settings(cell, options.machines)
   local list = properties.list_of("rfsm.system", options.properties)
   local group_of = groups_of(cell, list)
@@ -287,7 +295,7 @@ local function explored(cell, options)
     judged.walk = by_group[group_of[judged.first]] or walks[1]
     watch(judged.walk, judged)
   end
-  for _, walk in ipairs(walks) do add_walk(result, walk, cell, settings, options) end
+  for _, walk in ipairs(walks) do add_walk(result, walk, cell, settings, rest) end
   for _, judged in ipairs(list) do judge(result, judged) end
   return result
 end
