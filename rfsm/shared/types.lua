@@ -86,7 +86,7 @@
 ---@field source_hook_add fun(fsm: rfsm.Machine, hook: rfsm.StepHook) the hook appends
 -- events to the list of current events, before all other hooks and before one is taken
 ---@field pre_step_hook_add fun(fsm: rfsm.Machine, hook: rfsm.StepHook, place?: string)
--- in each iteration before a transition is chosen; the hook may change the list of events
+-- in each iteration before a transition is chosen; the hook may change the events
 ---@field post_step_hook_add fun(fsm: rfsm.Machine, hook: rfsm.StepHook, place?: string)
 -- at the end of each iteration
 ---@field path_hook_add fun(fsm: rfsm.Machine, hook: fun(fsm, path: any[], event: any))
