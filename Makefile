@@ -15,7 +15,7 @@ SEED     ?= 1
 PREFIX   ?= /usr/local
 LUADIRS  ?= $(foreach v,5.1 5.2 5.3 5.4 5.5,$(PREFIX)/share/lua/$(v))
 STRIP    ?=
-BUNDLE   ?= rfsm rfsm.fast rfsm.advice
+BUNDLE   ?= rfsm rfsm.fast rfsm.advice rfsm.tools rfsm.merge rfsm.fates
 # time events, sequential AND states, the printed machine, history, checks
 ALL      ?= rfsm_timeevent rfsm.clock rfsm_seqand rfsmpp rfsm.history rfsm_checks \
             rfsm.checkevents $(addprefix rfsm.observe.,coverage watch_properties why) \

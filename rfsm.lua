@@ -17,8 +17,7 @@ local error, getmetatable, ipairs = error, getmetatable, ipairs
 local next, pairs = next, pairs
 local pcall, rawequal, rawget, rawset, select = pcall, rawequal, rawget, rawset, select
 local setmetatable, tostring, type = setmetatable, tostring, type
-local concat, insert = table.concat, table.insert
-local remove, sort = table.remove, table.sort
+local concat, insert, sort = table.concat, table.insert, table.sort
 local huge = 1 / 0
 
 -- Returns a global, or a field of a global table; nil if a sandbox does not have it.
@@ -28,11 +27,11 @@ local function find_global(name, field)
   return type(value) == "table" and rawget(value, field) or nil
 end
 
-local coroutine, loadfile = find_global "coroutine", find_global "loadfile"
+local loadfile = find_global "loadfile"
 local loadstring = find_global "loadstring" or find_global "load"
 
-local getinfo = find_global("debug", "getinfo")
-local _, require = pcall(function() return require end) -- a bundler may replace it
+-- A bundler may replace it by a local one.
+local require = select(2, pcall(function() return require end))
 
 -- LuaJIT 2.1.0-beta3 sometimes skips keys in a traversal that it has compiled.
 -- Functions with such a traversal are given to `interpret`, and are never compiled.
@@ -51,20 +50,28 @@ local CLASSES = { state = State, transition = Transition, connector = Connector 
 
 local Machine = { rfsm = "state", __eq = rawequal }
 
---- Return the kind of a model element, or nil for any other value, for extensions.
---
--- A table of another library is an element, too, if its metatable has a true field
--- `rfsm` and its method `type` returns a kind.
---
----@param value any
----@return "state"|"transition"|"connector"|nil kind
-function rfsm.kind_of(value)
-  local class = getmetatable(value)
-  local mark = type(class) == "table" and rawget(class, "rfsm")
-  if not mark then return nil end
-  if CLASSES[mark] then return mark end
-  local ok, kind = pcall(function() return value:type() end)
-  return ok and CLASSES[kind] and kind or nil
+local KINDS = {} -- metatable of an element of this library -> kind of the element
+
+do
+  local function ask_type(value) return value:type() end
+
+  --- Return the kind of a model element, or nil for any other value, for extensions.
+  --
+  -- A table of another library is an element, too, if its metatable has a true field
+  -- `rfsm` and its method `type` returns a kind.
+  --
+  ---@param value any
+  ---@return "state"|"transition"|"connector"|nil kind
+  function rfsm.kind_of(value)
+    local class = getmetatable(value)
+    if class == nil then return nil end
+    if KINDS[class] then return KINDS[class] end
+    local mark = type(class) == "table" and rawget(class, "rfsm")
+    if not mark then return nil end
+    if CLASSES[mark] then return mark end
+    local ok, kind = pcall(ask_type, value)
+    return ok and CLASSES[kind] and kind or nil
+  end
 end
 
 local kind_of = rfsm.kind_of
@@ -75,8 +82,12 @@ local made_at = setmetatable({}, { __mode = "k" })
 local define
 
 do
+  local getinfo = find_global("debug", "getinfo")
   local this_file = getinfo and getinfo(1, "S").short_src
   local knows_tail_calls = getinfo ~= nil and pcall(getinfo, 1, "t")
+
+  -- The texts of places: source -> line -> "file:line". A source may be a long text.
+  local places = setmetatable({}, { __mode = "v" })
 
   -- Records the line that called the constructor at stack level `level`. After a tail
   -- call nothing is recorded, because the stack frame of the caller is gone.
@@ -85,8 +96,13 @@ do
     if knows_tail_calls and getinfo(level, "t").istailcall then return end
     local caller = getinfo(level + 1, "Sl")
     if caller and caller.currentline > 0 and caller.short_src ~= this_file then
-      local file = caller.source:match("^@(.*)") or caller.short_src -- at most 60 bytes
-      made_at[t] = ("%s:%d"):format(file, caller.currentline)
+      local source, line = caller.source, caller.currentline
+      local texts = places[source] or {}
+      if not texts[line] then
+        local file = source:match("^@(.*)") or caller.short_src -- at most 60 bytes
+        places[source], texts[line] = texts, ("%s:%d"):format(file, line)
+      end
+      made_at[t] = texts[line]
     end
   end
 
@@ -154,34 +170,11 @@ rfsm.connector = rfsm.conn
 ---@type fun(idle?: boolean): rfsm.Machine, rfsm.State, "doo"
 rfsm.yield = find_global("coroutine", "yield")
 
---- Is `key` reserved for the engine: a text that begins with an underscore?
----@param key any
----@return boolean
 function rfsm.is_meta(key) return type(key) == "string" and key:byte() == 95 end
-
---- Is `value` a state?
----@param value any
----@return boolean
 function rfsm.is_state(value) return kind_of(value) == "state" end
-
---- Is `value` a transition?
----@param value any
----@return boolean
 function rfsm.is_trans(value) return kind_of(value) == "transition" end
-
---- Is `value` a connector?
----@param value any
----@return boolean
 function rfsm.is_conn(value) return kind_of(value) == "connector" end
-
---- Is `value` a state, a transition or a connector?
----@param value any
----@return boolean
 function rfsm.is_fsmobj(value) return kind_of(value) ~= nil end
-
---- Is `value` a state or a connector?
----@param value any
----@return boolean
 function rfsm.is_node(value)
   local kind = kind_of(value)
   return kind == "state" or kind == "connector"
@@ -196,31 +189,13 @@ local function has_nodes(state)
   return false
 end
 
---- Is `value` a state with states or connectors in it?
----@param value any
----@return boolean
 function rfsm.is_composite(value) return is_state(value) and has_nodes(value) end
-
---- Is `value` a state without states or connectors in it?
----@param value any
----@return boolean
 function rfsm.is_leaf(value) return is_state(value) and not has_nodes(value) end
-
---- Is `value` the root of a machine?
----@param value any
----@return boolean
 function rfsm.is_root(value) return rawequal(getmetatable(value), Machine) end
-
---- Is `value` a machine, the result of `rfsm.init`?
----@param value any
----@return boolean
 function rfsm.is_initialized_root(value)
   return rfsm.is_root(value) and rawget(value, "_initialized") == true
 end
 
---- Is `value` a state or connector other than the root of a machine?
----@param value any
----@return boolean
 function rfsm.is_nr_node(value) return is_node(value) and not rfsm.is_root(value) end
 
 --- Return the kind of a model element in one or two letters.
@@ -232,9 +207,6 @@ function rfsm.fsmobj_tochar(value)
   return kind == "transition" and "TR" or kind == "connector" and "c" or nil
 end
 
---- Can `value` be called?
----@param value any
----@return boolean
 function rfsm.is_callable(value)
   if type(value) == "function" then return true end
   local class = getmetatable(value)
@@ -254,78 +226,82 @@ end
 
 local is_callable, text_of = rfsm.is_callable, rfsm.text_of
 
--- The predicates that `rfsm.named` has made: predicate -> name, and name -> predicate.
-local event_names = setmetatable({}, { __mode = "k" })
-local predicates = setmetatable({}, { __mode = "v" })
+local list_text
 
---- Return a predicate for `events` that accepts tables whose field `name` is `name`.
---
--- Such events carry data: `rfsm.send_events(fsm, { name = "e_paid", amount = 12 })`.
--- Equal names give the same predicate; `rfsm.event_name` returns a predicate's name.
---
----@param name string
----@return fun(event: any): boolean predicate
-function rfsm.named(name)
-  if type(name) ~= "string" then
-    error("rfsm.named: name of an event expected, got " .. type(name), 2)
-  end
-  local predicate = predicates[name]
-  if not predicate then
-    predicate = function(event)
-      return type(event) == "table" and rawequal(rawget(event, "name"), name)
+do
+  -- The predicates that `rfsm.named` has made: predicate -> name, name -> predicate.
+  local event_names = setmetatable({}, { __mode = "k" })
+  local predicates = setmetatable({}, { __mode = "v" })
+
+  --- Return a predicate for `events` that accepts tables whose field `name` is `name`.
+  --
+  -- Such events carry data: `rfsm.send_events(fsm, { name = "e_paid", amount = 12 })`.
+  -- Equal names give the same predicate; `rfsm.event_name` returns a predicate's name.
+  --
+  ---@param name string
+  ---@return fun(event: any): boolean predicate
+  function rfsm.named(name)
+    if type(name) ~= "string" then
+      error("rfsm.named: name of an event expected, got " .. type(name), 2)
     end
-    predicates[name], event_names[predicate] = predicate, name
+    local predicate = predicates[name]
+    if not predicate then
+      predicate = function(event)
+        return type(event) == "table" and rawequal(rawget(event, "name"), name)
+      end
+      predicates[name], event_names[predicate] = predicate, name
+    end
+    return predicate
   end
-  return predicate
-end
 
---- Return the name that a predicate of `rfsm.named` accepts, nil for any other value.
----@param predicate any
----@return string? name
-function rfsm.event_name(predicate) return event_names[predicate] end
+  --- Return the name that a predicate of `rfsm.named` accepts, nil for any other value.
+  ---@param predicate any
+  ---@return string? name
+  function rfsm.event_name(predicate) return event_names[predicate] end
 
---- Return an event or predicate of a transition as text: its name if it has one.
----@param event any
----@return string
-function rfsm.event_text(event)
-  local has_name = type(event) == "table" and not getmetatable(event)
-  return event_names[event] or text_of(has_name and event.name or event)
-end
-
-local function list_text(events)
-  local texts = {}
-  for i = 1, #events do texts[i] = rfsm.event_text(events[i]) end
-  return concat(texts, ", ")
-end
-
-local function end_text(node)
-  local kind = kind_of(node)
-  return kind and kind ~= "transition" and (node._fqn or kind) or text_of(node)
-end
-
--- Example: state root.a (active)
-function State.__tostring(state)
-  local fqn, mode = state._fqn, state._mode
-  return "state" .. (fqn and " " .. fqn or "") .. (mode and " (" .. mode .. ")" or "")
-end
-
-function Connector.__tostring(connector)
-  return "connector" .. (connector._fqn and " " .. connector._fqn or "")
-end
-
-function Machine.__tostring(fsm)
-  return "machine, active: " .. (fsm._act_leaf and fsm._act_leaf._fqn or "<none>")
-end
-
--- Example: T={ src='a', tgt='b', pn=3, events='x, y' }. After init the ends are FQNs.
-function Transition.__tostring(tr)
-  local text = "T={ src='" .. end_text(tr.src) .. "', tgt='" .. end_text(tr.tgt) .. "'"
-  local events = type(tr.events) == "string" and { tr.events } or tr.events
-  if tr.pn then text = text .. ", pn=" .. text_of(tr.pn) end
-  if type(events) == "table" and events[1] ~= nil then
-    text = text .. ", events='" .. list_text(events) .. "'"
+  --- Return an event or predicate of a transition as text: its name if it has one.
+  ---@param event any
+  ---@return string
+  function rfsm.event_text(event)
+    local has_name = type(event) == "table" and not getmetatable(event)
+    return event_names[event] or text_of(has_name and event.name or event)
   end
-  return text .. " }"
+
+  function list_text(events)
+    local texts = {}
+    for i = 1, #events do texts[i] = rfsm.event_text(events[i]) end
+    return concat(texts, ", ")
+  end
+
+  local function end_text(node)
+    local kind = kind_of(node)
+    return kind and kind ~= "transition" and (node._fqn or kind) or text_of(node)
+  end
+
+  -- Example: state root.a (active)
+  function State.__tostring(state)
+    local fqn, mode = state._fqn, state._mode
+    return "state" .. (fqn and " " .. fqn or "") .. (mode and " (" .. mode .. ")" or "")
+  end
+
+  function Connector.__tostring(connector)
+    return "connector" .. (connector._fqn and " " .. connector._fqn or "")
+  end
+
+  function Machine.__tostring(fsm)
+    return "machine, active: " .. (fsm._act_leaf and fsm._act_leaf._fqn or "<none>")
+  end
+
+  -- Example: T={ src='a', tgt='b', pn=3, events='x, y' }. After init the ends are FQNs.
+  function Transition.__tostring(tr)
+    local text = ("T={ src='%s', tgt='%s'"):format(end_text(tr.src), end_text(tr.tgt))
+    local events = type(tr.events) == "string" and { tr.events } or tr.events
+    if tr.pn then text = text .. ", pn=" .. text_of(tr.pn) end
+    if type(events) == "table" and events[1] ~= nil then
+      text = text .. ", events='" .. list_text(events) .. "'"
+    end
+    return text .. " }"
+  end
 end
 
 -- Orders keys: numbers ascending, then all others by their text.
@@ -440,48 +416,36 @@ local function advise(topic, ...)
   return advice[topic](...)
 end
 
---- The working data with which one call of `init` or `fsm_merge` makes a plan.
+--- What one call of `init` or `fsm_merge` finds while it builds elements.
 ---@class rfsm.Build
----@field plan rfsm.Plan the result: the structure of the machine
+---@field fsm rfsm.Machine the machine, or the one that `fsm_merge` extends
 ---@field problems { file?: string, line: string }[]
 ---@field warnings { file?: string, line: string }[]
 ---@field created { line: string }[] a message for each `initial` that was created
----@field mounts table<table, rfsm.Def[]> node of the model -> its definitions
----@field fsm rfsm.Machine? the machine that `fsm_merge` extends; nil in `init`
+---@field mounts table<table, table[]> node of the model -> the nodes made of it
+---@field copies table<table, table> plain table in the user's data -> its copy
 
---- The definition of a node or transition: all that is known before a machine runs.
---
--- All machines of a model share the definition. An element of a machine is a table with
--- the data of this machine, such as the mode of a state, and inherits from `proto`.
---
----@class rfsm.Def
----@field kind "state"|"transition"|"connector"
----@field index integer its position among the nodes or transitions of the plan
----@field id string|integer the name, or the position of a transition without a name
----@field parent rfsm.Def the state that contains it; for the root, the root itself
----@field model table the element of the model from which it was made
----@field data any[] callbacks and the user's data: key, value, key, value ...
----@field proto table the metatable of its elements in all machines
----@field fqn string the fully qualified name (nodes only)
----@field is_leaf boolean true for a state that contains no nodes
----@field otrs rfsm.Def[] the outgoing transitions, in search order (nodes only)
----@field src rfsm.Def the source; only transitions have `src`, `tgt`, `events`, `pn`
+local function new_build(fsm)
+  return {
+    fsm = fsm, problems = {}, warnings = {}, created = {}, mounts = {}, copies = {},
+  }
+end
 
 -- Returns the name of an element for messages: an FQN, or root.trans[2] (a -> b). If
 -- `field` is given, the name includes it: root.trans[2].events (a -> b).
-local function name_of(def, field)
-  local suffix, key = field and "." .. field or "", text_of(def.id)
-  if def.kind ~= "transition" then return def.fqn .. suffix end
-  if type(def.id) == "number" then key = "trans[" .. key .. "]" end
-  local name, model = def.parent.fqn .. "." .. key .. suffix, def.model
+local function name_of(obj, field)
+  local suffix, key = field and "." .. field or "", text_of(obj._id)
+  if kind_of(obj) ~= "transition" then return obj._fqn .. suffix end
+  if type(obj._id) == "number" then key = "trans[" .. key .. "]" end
+  local name, model = obj._parent._fqn .. "." .. key .. suffix, obj._model
   if type(model.src) ~= "string" or type(model.tgt) ~= "string" then return name end
   return ("%s (%s -> %s)"):format(name, model.src, model.tgt)
 end
 
-local function add(list, def, field, text, ...)
+local function add(list, obj, field, text, ...)
   if select("#", ...) > 0 then text = text:format(...) end
   list[#list + 1] = {
-    file = made_at[def.model], line = name_of(def, field) .. ": " .. text,
+    file = made_at[obj._model], line = name_of(obj, field) .. ": " .. text,
   }
 end
 
@@ -492,9 +456,9 @@ local CALLBACKS = {
 
 -- Adds the warning of rfsm/advice.lua on a topic, if the file has one. The caller has
 -- found something suspicious already, so most charts do not load the file.
-local function add_advice(list, topic, def, ...)
-  local text, field = advise(topic, def, ...)
-  if text ~= "" then add(list, def, field, text) end
+local function add_advice(list, topic, obj, ...)
+  local text, field = advise(topic, obj, ...)
+  if text ~= "" then add(list, obj, field, text) end
 end
 
 --- Describe an unexpected value: "got string 'led'", "got state", for extensions.
@@ -512,51 +476,96 @@ local got = rfsm.got
 local HOOKS = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook", "gettime" }
 local PRINTERS = { "dbg", "info", "warn", "err" }
 
-local function check_callable(build, def, field, value)
+local function check_callable(build, obj, field, value)
   if value and not is_callable(value) then
-    add(build.problems, def, field, "function expected, " .. got(value))
+    add(build.problems, obj, field, "function expected, " .. got(value))
   end
 end
 
--- Clone: a definition for each position of a node -------------------------------
+-- Clone: the elements of a machine, one for each position in the model --------------
+--
+-- A machine is a tree of plain tables. Raw fields are the children by name, transitions
+-- by position or name, callbacks, the user's data, and fields of the engine, which
+-- begin with an underscore. The configuration is kept only in `_mode` of each state,
+-- `_actchild` of each active composite, and `_act_leaf` of the machine.
+
+-- The metatables of elements in machines, by kind.
+local LIVE = {}
+
+for kind, class in pairs(CLASSES) do -- any order: independent entries
+  LIVE[kind] = {
+    rfsm = kind, type = class.type, new = class.new, __tostring = class.__tostring,
+    __eq = rawequal, -- so that the `__eq` of another value is never called
+    __index = class,
+  }
+end
+
+LIVE.transition.__index = {
+  guard = false, effect = false, type = Transition.type, new = Transition.new,
+}
+
+-- A state that was never entered has no such fields of its own.
+LIVE.state.__index = {
+  _mode = "inactive", _is_leaf = true, _choices = NONE, type = State.type,
+  new = State.new, rfsm = "state",
+}
+
+for kind, class in pairs(CLASSES) do -- any order: independent entries
+  KINDS[class], KINDS[LIVE[kind]] = kind, kind
+end
+KINDS[Machine] = "state"
 
 --- Return the model of a machine, or of an element of a machine, for extensions.
 ---@param value any
 ---@return any model or `value` itself, if it is not a part of a machine
 function rfsm.model_of(value)
   local class = getmetatable(value)
-  if rawequal(class, Machine) then return rfsm.structure_of(value).model end
-  local def = type(class) == "table" and rawget(class, "_%def")
-  return def and def.model or value
-end
-
---- Return the FQN of a transition's target in the model, for extensions.
----@param tr rfsm.Transition a transition of a machine
----@return string fqn "internal" for an internal transition
-function rfsm.target_of(tr)
-  local def = tr["_%def"]
-  return def.is_internal and "internal" or def.tgt.fqn
+  local kind = class ~= nil and KINDS[class]
+  local is_live = kind and (class == Machine or class == LIVE[kind])
+  return is_live and value._model or value
 end
 
 local model_of = rfsm.model_of
 
 -- Is `value` a node of the machine, and of the given kind? Without `kind`, of any kind.
 local function is_node_of(fsm, value, kind)
-  local value_kind = kind_of(value)
-  local def = value_kind and value["_%def"]
-  return type(def) == "table" and (not kind or value_kind == kind)
-    and rawequal(fsm._nodes[def.index], value)
+  local index = type(value) == "table" and rawget(value, "_index")
+  return index and rawequal(fsm._nodes[index], value)
+    and (not kind or kind_of(value) == kind)
 end
 
--- Adds `def` to the definitions of its model, because a model may be used repeatedly.
-local function note_mount(build, def)
-  local mounts = build.mounts[def.model] or {}
-  mounts[#mounts + 1], build.mounts[def.model] = def, mounts
+-- Notes from which model a node was made, because a model may be used repeatedly.
+local function note_mount(build, node)
+  local mounts = build.mounts[node._model] or {}
+  mounts[#mounts + 1], build.mounts[node._model] = node, mounts
 end
 
-local clone_below, new_node, new_transition
+local clone_below, is_own_field, new_node, new_transition
 
 do
+  -- Returns the value, or in place of a plain table a new one, to be filled later.
+  local function copy_of(copies, value, pending)
+    if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
+    if not copies[value] then
+      copies[value], pending[#pending + 1] = {}, value
+    end
+    return copies[value]
+  end
+
+  -- Copies nested plain tables. They wait in the list `pending`: any depth is allowed.
+  local function clone_data(copies, value)
+    local pending = {}
+    local copy = copy_of(copies, value, pending)
+    while pending[1] do
+      local source = pending[#pending]
+      pending[#pending] = nil
+      for k, v in pairs(source) do -- any order: independent entries
+        copies[source][copy_of(copies, k, pending)] = copy_of(copies, v, pending)
+      end
+    end
+    return copy
+  end
+
   local ROOT_FIELDS = {}
   for _, name in ipairs(PRINTERS) do ROOT_FIELDS[name] = true end
   for _, name in ipairs(HOOKS) do ROOT_FIELDS[name] = true end
@@ -564,55 +573,56 @@ do
   -- Public fields of the engine. If a model has a field with such a name, the field is
   -- not copied, because it is not the user's data.
   local API_FIELDS = {}
-  for name in ("act_leaf actchild curq doo_co fqn fsm id initialized intq mode otrs "
-    .. "parent"):gmatch("%S+") do
+  for name in ("act_leaf actchild choices curq depth done_event doo_co fqn fsm id "
+    .. "index initialized intq is_asked is_internal is_leaf mode model otrs parent "
+    .. "paths segments"):gmatch("%S+") do
     API_FIELDS["_" .. name] = true
   end
 
   -- Checks the name of a node: a path can contain it, and it is no field of the parent.
-  local function check_name(build, def)
-    local name, parent = def.id, def.parent
+  local function check_name(build, kind, node)
+    local name, is_top = node._id, node._depth == 1
     if type(name) ~= "string" then
-      add(build.problems, def, nil, "a %s needs a name (name = ...)", def.kind)
+      add(build.problems, node, nil, "a %s needs a name (name = ...)", kind)
     elseif name == "" or name:find("[.\\]") or is_meta(name) then
-      add(build.problems, def, nil, "the name of a %s must not be empty, contain '.' "
-        .. "or '\\' or start with '_'", def.kind)
-    elseif CALLBACKS.state[name] or parent.parent == parent and ROOT_FIELDS[name] then
-      add(build.problems, def, nil, "a %s cannot have this name, it is a field of "
-        .. "every " .. (CALLBACKS.state[name] and "state" or "root"), def.kind)
-    elseif name == "initial" and def.kind ~= "connector" then
-      add(build.problems, def, nil, "connector expected, got %s", def.kind)
+      add(build.problems, node, nil, "the name of a %s must not be empty, contain '.' "
+        .. "or '\\' or start with '_'", kind)
+    elseif CALLBACKS.state[name] or is_top and ROOT_FIELDS[name] then
+      add(build.problems, node, nil, "a %s cannot have this name, it is a field of "
+        .. "every " .. (CALLBACKS.state[name] and "state" or "root"), kind)
+    elseif name == "initial" and kind ~= "connector" then
+      add(build.problems, node, nil, "connector expected, got %s", kind)
     end
   end
 
-  -- Returns the events of a transition as a new list, or false if it has none. A model
-  -- has one string, or a list without holes. Any value except NaN may be an event.
-  local function check_events(build, def, events)
-    if not events then return false end
-    if type(events) == "string" then events = { events } end
-    if type(events) ~= "table" or getmetatable(events) ~= nil then
-      add(build.problems, def, "events", "list of events or a string expected, "
-        .. got(events))
-      return false
-    end
+  -- Returns the events of a transition as a new list. A model has one string, or a list
+  -- without holes. Any value except NaN may be an event.
+  local function check_events(build, tr, events)
     local list, count = {}, 0
+    if not events then return list end
+    if type(events) == "string" then return { events } end
+    if type(events) ~= "table" or getmetatable(events) ~= nil then
+      add(build.problems, tr, "events", "list of events or a string expected, "
+        .. got(events))
+      return list
+    end
     for _ in pairs(events) do count = count + 1 end -- any order: only counted
     for i = 1, count do
       local event = events[i]
       if event == nil then
-        add(build.problems, def, "events", "list of events expected, got a table with "
+        add(build.problems, tr, "events", "list of events expected, got a table with "
           .. "holes or keys" .. advise("list", events))
-        return false
+        return {}
       elseif event ~= event then
-        add(build.problems, def, ("events[%d]"):format(i), "an event cannot be NaN")
+        add(build.problems, tr, ("events[%d]"):format(i), "an event cannot be NaN")
       end
       list[i] = event
     end
     if count == 0 then
-      add(build.warnings, def, "events", "an empty list, any event triggers it (is a "
+      add(build.warnings, tr, "events", "an empty list, any event triggers it (is a "
         .. "name in it nil? if any event is meant, leave it out)")
     end
-    return count > 0 and list
+    return list
   end
 
   -- Returns the fields of a model element. An element made by base:new{...} inherits
@@ -629,136 +639,129 @@ do
     return fields
   end
 
-  local function new_def(list, kind, model, parent, key)
-    local def = {
-      kind = kind, index = #list + 1, id = key, parent = parent, model = model,
-      data = NONE, proto = false,
-    }
-    list[def.index] = def
-    return def
-  end
-
-  local function add_member(parent, key, def)
-    if parent.members == NONE then parent.members = {} end
-    parent.members[key] = def
-  end
-
-  -- Makes the definition of a node. `clone_below` adds its fields and members later.
-  function new_node(build, kind, model, parent, key)
-    local def = new_def(build.plan.nodes, kind, model_of(model), parent or false, key)
-    def.fqn = parent and parent.fqn .. "." .. text_of(key) or key
-    def.depth = parent and parent.depth + 1 or 0
-    def.parent = parent or def
-    def.is_leaf, def.otrs, def.members = kind == "state", NONE, NONE
-    note_mount(build, def)
-    if parent then
-      add_member(parent, key, def)
-      parent.is_leaf = false
-      check_name(build, def)
-    end
-    return def
-  end
-
-  -- Is the model of `def` also the model of an ancestor? Then cloning would never end.
-  local function is_inside_itself(def)
-    local above = def
-    while above.parent ~= above do
-      above = above.parent
-      if above.model == def.model then return true end
+  -- Is the model of `node` also the model of an ancestor? Then cloning would never end.
+  local function is_inside_itself(node)
+    local above = node
+    while above._parent ~= above do
+      above = above._parent
+      if above._model == node._model then return true end
     end
     return false
   end
 
-  local function add_datum(def, key, value)
-    if def.data == NONE then def.data = {} end
-    append(def.data, { key, value })
-  end
-
-  local function check_datum(build, def, key, value)
-    if def.kind == "transition" or type(value) == "table" or is_callable(value) then
-      add_advice(build.warnings, "datum", def, key, value)
+  -- Copies a field of the user's data.
+  local function clone_datum(build, kind, obj, key, value)
+    local is_root = rawequal(obj, build.fsm)
+    if is_root and is_own_field(key) then
+      return add(build.warnings, obj, key, "the machine has a field of this name, this "
+        .. "one is ignored")
+    end
+    if type(value) == "table" then value = clone_data(build.copies, value) end
+    rawset(obj, key, value)
+    if is_root and ROOT_FIELDS[key] then return end
+    if kind == "transition" or type(value) == "table" or is_callable(value) then
+      add_advice(build.warnings, "datum", obj, key, obj._model[key])
     end
   end
 
   -- Copies a field that is no node and no transition: a callback or the user's data.
-  local function clone_field(build, def, key, value)
-    if CALLBACKS[def.kind][key] then
-      check_callable(build, def, key, value)
+  local function clone_field(build, kind, obj, key, value)
+    if CALLBACKS[kind][key] then
+      check_callable(build, obj, key, value)
       if value then
-        add_datum(def, key, value)
-        if key == "doo" or key == "guard" then def[key] = value end
+        rawset(obj, key, value)
       elseif key == "guard" then
-        add(build.warnings, def, nil, "its guard is false and counts as absent, it was "
+        add(build.warnings, obj, nil, "its guard is false and counts as absent, it was "
           .. "made while the chart was loaded")
       end
-    elseif key == "initial" and def.kind == "state" then
-      add(build.problems, def, key, "connector expected, %s "
+    elseif key == "initial" and kind == "state" then
+      add(build.problems, obj, key, "connector expected, %s "
         .. "(rfsm.trans{ src='initial', tgt=... })", got(value))
     elseif not API_FIELDS[key] then
-      add_datum(def, key, value)
-      if def.parent ~= def or not ROOT_FIELDS[key] then
-        check_datum(build, def, key, value)
-      end
+      clone_datum(build, kind, obj, key, value)
     end
+  end
+
+  -- Makes a node of the machine. `clone_below` adds its fields and members later.
+  function new_node(build, kind, model, parent, key)
+    local nodes = build.fsm._nodes
+    local node = setmetatable({
+      _parent = parent, _id = key, _fqn = parent._fqn .. "." .. text_of(key),
+      _model = model_of(model), _index = #nodes + 1, _depth = parent._depth + 1,
+      _otrs = {},
+    }, LIVE[kind])
+    nodes[node._index], parent._is_leaf = node, false
+    note_mount(build, node)
+    check_name(build, kind, node)
+    if not is_meta(key) then rawset(parent, key, node) end
+    return node
   end
 
   local OWN_FIELDS = { src = true, tgt = true, events = true, pn = true }
 
   function new_transition(build, model, parent, key)
     model = model_of(model)
-    local def = new_def(build.plan.transitions, "transition", model, parent, key)
+    local transitions = build.fsm._transitions
+    local tr = setmetatable({
+      _parent = parent, _id = key, _fsm = build.fsm, _model = model, src = model.src,
+      tgt = model.tgt,
+    }, LIVE.transition)
+    transitions[#transitions + 1] = tr
     if type(key) ~= "number" and type(key) ~= "string" then
-      add(build.problems, def, nil, "the key of a transition is a position or a name")
+      add(build.problems, tr, nil, "the key of a transition is a position or a name")
     elseif is_meta(key) then
-      add(build.problems, def, nil, "the name of a transition must not start with '_'")
+      add(build.problems, tr, nil, "the name of a transition must not start with '_'")
     elseif CALLBACKS.state[key] then
-      add(build.problems, def, nil, "a transition cannot have this name, it is a field "
+      add(build.problems, tr, nil, "a transition cannot have this name, it is a field "
         .. "of every state")
+    else
+      rawset(parent, key, tr)
     end
     for field, value in pairs(fields_of(model)) do -- any order: independent entries
-      if not OWN_FIELDS[field] then clone_field(build, def, field, value) end
-    end
-    def.src, def.tgt, def.pn = model.src, model.tgt, model.pn or nil
-    def.events = check_events(build, def, model.events)
-    if def.pn and (type(def.pn) ~= "number" or def.pn ~= def.pn) then
-      add(build.problems, def, "pn", "number expected, " .. got(def.pn))
-      def.pn = nil
-    end
-    add_member(parent, key, def)
-  end
-
-  local function clone_node(build, def)
-    local has_transition = false
-    for key, value in pairs(fields_of(def.model)) do -- any order: sorted later
-      local kind = kind_of(value)
-      if not kind then
-        clone_field(build, def, key, value)
-      elseif def.kind == "connector" then
-        add(build.warnings, def, nil, "a connector holds no %s, '%s' is ignored", kind,
-          text_of(key))
-      elseif kind == "transition" then
-        new_transition(build, value, def, key)
-        has_transition = true
-      else
-        new_node(build, kind, value, def, key)
+      if not OWN_FIELDS[field] then
+        clone_field(build, "transition", tr, field, value)
       end
     end
-    if def.is_leaf and has_transition then
-      add(build.warnings, def, nil, "a transition inside a leaf state%s",
-        advise("plain_states", def.model))
-    elseif def.doo and not def.is_leaf then
-      add(build.problems, def, "doo", "only a leaf state can have a doo")
+    tr.events, tr.pn = check_events(build, tr, model.events), model.pn or nil
+    if tr.pn and (type(tr.pn) ~= "number" or tr.pn ~= tr.pn) then
+      add(build.problems, tr, "pn", "number expected, " .. got(tr.pn))
+      tr.pn = nil
     end
   end
 
-  for _, f in ipairs({ check_events, clone_node, fields_of, new_transition }) do
+  local function clone_node(build, node)
+    local has_transition, own_kind = false, kind_of(node)
+    for key, value in pairs(fields_of(node._model)) do -- any order: sorted later
+      local kind = type(value) == "table" and kind_of(value)
+      if not kind then
+        clone_field(build, own_kind, node, key, value)
+      elseif own_kind == "connector" then
+        add(build.warnings, node, nil, "a connector holds no %s, '%s' is ignored", kind,
+          text_of(key))
+      elseif kind == "transition" then
+        new_transition(build, value, node, key)
+        has_transition = true
+      else
+        new_node(build, kind, value, node, key)
+      end
+    end
+    if node._is_leaf and has_transition then
+      add(build.warnings, node, nil, "a transition inside a leaf state%s",
+        advise("plain_states", node._model))
+    elseif own_kind == "state" and node.doo and not node._is_leaf then
+      add(build.problems, node, "doo", "only a leaf state can have a doo")
+    end
+  end
+
+  for _, f in ipairs { check_events, clone_data, clone_node, fields_of,
+    new_transition } do
     interpret(f)
   end
 
   -- Adds fields and members to the nodes from number `first` on. New nodes are appended
   -- to the list of nodes, so that the loop reaches them, too.
   function clone_below(build, first)
-    local nodes, i = build.plan.nodes, first
+    local nodes, i = build.fsm._nodes, first
     while nodes[i] do
       if is_inside_itself(nodes[i]) then
         add(build.problems, nodes[i], nil, "a state cannot contain itself")
@@ -777,30 +780,39 @@ local find_entrance, resolve
 -- Returns the innermost node that contains both nodes or is one of them.
 local function find_lca(a, b)
   while a ~= b do
-    if a.depth >= b.depth then a = a.parent else b = b.parent end
+    if a._depth >= b._depth then a = a._parent else b = b._parent end
   end
   return a
 end
 
+-- Lists the states from the root to `leaf`.
+local function line_to(leaf)
+  local line, state = {}, leaf
+  for i = leaf._depth + 1, 1, -1 do
+    line[i], state = state, state._parent
+  end
+  return line
+end
+
 do
-  -- Returns the node at the path "a.b" below `def`. If there is no such node, returns
+  -- Returns the node at the path "a.b" below `node`. If there is no such node, returns
   -- nil and the reason, which may suggest a node from the list `all`.
-  local function find_below(def, path, all)
+  local function find_below(node, path, all)
     for name in (path .. "."):gmatch("([^.]*)%.") do
-      local child = def.members[name]
-      if not child or child.kind == "transition" then
-        local value = def.model[name]
+      local child = rawget(node, name)
+      if not is_node(child) or is_meta(name) then
+        local value = node._model[name]
         if value ~= nil and not is_meta(name) then
           local kind = kind_of(value) or type(value)
-          return nil, ("'%s.%s' is no state or connector but a %s%s"):format(def.fqn,
+          return nil, ("'%s.%s' is no state or connector but a %s%s"):format(node._fqn,
             name, kind, kind == "table" and " (did you mean rfsm.state{...}?)" or "")
         end
         return nil, ("no state or connector is named '%s' in '%s'%s"):format(name,
-          def.fqn, advise("nearest_node", name, def, all, path))
+          node._fqn, advise("nearest_node", name, node, all, path))
       end
-      def = child
+      node = child
     end
-    return def
+    return node
   end
 
   -- Returns the node that a name in a transition of `composite` refers to:
@@ -810,28 +822,26 @@ do
   -- (c) "a.b" or "root.a.b" is a path below the root; "root.a" may also lead to the
   --     member "a" of a member "root", if the root has no member "a".
   local function find_named(build, composite, name)
-    local all, relative = build.plan.nodes, name:match("^%.%.?([^.].*)$")
+    local all, relative = build.fsm._nodes, name:match("^%.%.?([^.].*)$")
     local root = all[1]
     if relative then return find_below(composite, relative, all) end
     if not name:find(".", 1, true) then
-      local def, reason = find_below(composite, name, all)
-      if name == "root" then return def or root end
-      return def, reason
+      local node, reason = find_below(composite, name, all)
+      if name == "root" then return node or root end
+      return node, reason
     end
     if name:sub(1, 5) ~= "root." then return find_below(root, name, all) end
-    local def, reason = find_below(root, name:sub(6), all)
-    return def or root.members.root and find_below(root, name, all), reason
+    local node, reason = find_below(root, name:sub(6), all)
+    return node or is_node(rawget(root, "root")) and find_below(root, name, all), reason
   end
 
   -- Returns the node for `ref`, which is a table of the model and not a name. If the
   -- model uses this table in several places, returns the node nearest to `composite`.
   local function find_mounted(build, composite, ref)
     local nearest, most, is_tie = nil, -1, false
-    if build.fsm and is_node_of(build.fsm, ref) then
-      return build.plan.nodes[ref["_%def"].index]
-    end
+    if is_node_of(build.fsm, ref) then return ref end
     for _, mount in ipairs(build.mounts[model_of(ref)] or {}) do
-      local depth = find_lca(composite, mount).depth
+      local depth = find_lca(composite, mount)._depth
       if depth >= most then nearest, most, is_tie = mount, depth, depth == most end
     end
     if is_tie then
@@ -841,54 +851,59 @@ do
   end
 
   -- Returns the node to which `src` or `tgt` refers, or nil and a reason.
-  local function find_end(build, def, field)
-    local ref = def[field]
+  local function find_end(build, tr, field)
+    local ref = tr[field]
     if type(ref) == "string" then
-      local node, reason = find_named(build, def.parent, ref)
+      local member = rawget(tr._parent, ref) -- the usual case
+      if type(member) == "table" and is_node(member) and not is_meta(ref) then
+        return member
+      end
+      local node, reason = find_named(build, tr._parent, ref)
       return node, reason and ("%s '%s': %s"):format(field, ref, reason)
     elseif is_node(ref) then
-      local node, reason = find_mounted(build, def.parent, ref)
+      local node, reason = find_mounted(build, tr._parent, ref)
       return node, reason and field .. ": " .. reason
     elseif ref == nil then
       return nil, field .. " is missing, the name of a state or connector expected"
-        .. advise("other_word", def.model, field)
+        .. advise("other_word", tr._model, field)
     end
     return nil, field .. ": name of a state or connector expected, " .. got(ref)
   end
 
   -- Makes the connector `initial` if a transition starts from it and none is declared.
-  local function create_initial(build, def)
-    local composite = def.parent
-    if def.src ~= "initial" or composite.members.initial or composite.is_leaf then
+  local function create_initial(build, tr)
+    local composite = tr._parent
+    if tr.src ~= "initial" or composite._is_leaf
+      or is_node(rawget(composite, "initial")) then
       return
     end
     local connector = new_node(build, "connector", Connector {}, composite, "initial")
-    made_at[connector.model] = made_at[def.model]
+    made_at[connector._model] = made_at[tr._model]
     build.created[#build.created + 1] = {
-      line = "created undeclared connector " .. connector.fqn,
+      line = "created undeclared connector " .. connector._fqn,
     }
   end
 
   -- Returns the node where a transition to `node` ends: for a composite, its `initial`.
   -- If the composite has no `initial`, adds a problem and returns nil.
-  function find_entrance(build, def, node)
-    if node.kind == "connector" or node.is_leaf then return node end
-    local initial = node.members.initial
-    if initial and initial.kind == "connector" then return initial end
-    if node.parent == node then return nil end -- `check_root` reports it
-    add(build.problems, def, nil, "tgt '%s': the composite has no initial transition "
-      .. "(rfsm.trans{ src='initial', tgt=... })%s", node.fqn,
-      advise("regions", node.model))
+  function find_entrance(build, tr, node)
+    if node._is_leaf or kind_of(node) == "connector" then return node end
+    local initial = rawget(node, "initial")
+    if kind_of(initial) == "connector" then return initial end
+    if node._parent == node then return nil end -- `check_root` reports it
+    add(build.problems, tr, nil, "tgt '%s': the composite has no initial transition "
+      .. "(rfsm.trans{ src='initial', tgt=... })%s", node._fqn,
+      advise("regions", node._model))
   end
 
-  local function resolve_e_done(build, def)
-    local events, src = def.events or {}, def.src
+  local function resolve_e_done(build, tr)
+    local events, src = tr.events, tr.src
     for i = 1, #events do
       if events[i] == "e_done" then
-        events[i] = "e_done@" .. src.fqn
-        if not src.is_leaf then
-          add(build.warnings, def, nil,
-            "'e_done' never fires here, '%s' is no leaf state", src.fqn)
+        events[i] = "e_done@" .. src._fqn
+        if not src._is_leaf then
+          add(build.warnings, tr, nil,
+            "'e_done' never fires here, '%s' is no leaf state", src._fqn)
         end
       end
     end
@@ -896,266 +911,163 @@ do
 
   -- Returns the target of a transition from `src`, or nil and a reason. For an internal
   -- transition returns `src`, nil and true.
-  local function find_target(build, def, src)
-    if def.tgt ~= "internal" or def.parent.members.internal then
-      return find_end(build, def, "tgt")
-    elseif src and src.kind == "connector" then
+  local function find_target(build, tr, src)
+    if tr.tgt ~= "internal" or is_node(rawget(tr._parent, "internal")) then
+      return find_end(build, tr, "tgt")
+    elseif src and kind_of(src) == "connector" then
       return nil, "tgt 'internal': only a state has internal transitions"
     end
     return src, nil, true
   end
 
   -- Resolves the ends of a transition. Returns false if one of them is not found.
-  local function resolve_transition(build, def)
-    local src, src_reason = find_end(build, def, "src")
-    if src and src.kind == "connector" then src.is_left = true end
-    local tgt, tgt_reason, is_internal = find_target(build, def, src)
-    if not def.parent.is_leaf then -- a leaf got a warning already
-      if src_reason then add(build.problems, def, nil, src_reason) end
-      if tgt_reason then add(build.problems, def, nil, tgt_reason) end
+  local function resolve_transition(build, tr)
+    local src, src_reason = find_end(build, tr, "src")
+    local tgt, tgt_reason, is_internal = find_target(build, tr, src)
+    if not tr._parent._is_leaf then -- a leaf got a warning already
+      if src_reason then add(build.problems, tr, nil, src_reason) end
+      if tgt_reason then add(build.problems, tr, nil, tgt_reason) end
     end
-    tgt = is_internal and src or tgt and find_entrance(build, def, tgt)
+    if src then build.is_left[src] = true end
+    tgt = is_internal and src or tgt and find_entrance(build, tr, tgt)
     if not (src and tgt) then return false end
-    def.src, def.tgt, def.is_internal = src, tgt, is_internal
-    resolve_e_done(build, def)
+    tr.src, tr.tgt, tr._is_internal = src, tgt, is_internal
+    resolve_e_done(build, tr)
     return true
   end
 
   -- Resolves the transitions from number `first` on. Transitions with a wrong reference
   -- are dropped: inside a leaf they give only a warning, and `init` may succeed.
   function resolve(build, first)
-    local transitions, kept = build.plan.transitions, first - 1
+    local transitions, kept = build.fsm._transitions, first - 1
+    build.is_left = {}
     for i = first, #transitions do create_initial(build, transitions[i]) end
     for i = first, #transitions do
-      local def = transitions[i]
+      local tr = transitions[i]
       transitions[i] = nil
-      if resolve_transition(build, def) then
+      if resolve_transition(build, tr) then
         kept = kept + 1
-        transitions[kept], def.index = def, kept
+        transitions[kept] = tr
+      elseif rawequal(rawget(tr._parent, tr._id), tr) then
+        rawset(tr._parent, tr._id, nil)
       end
     end
   end
 end
 
--- Compile: the structure becomes lists, shared by all machines of the model ------
+-- Index: the lists in which an iteration searches --------------------------------
 --
--- At init only the outgoing transitions of each node are listed. Candidates and paths
--- are listed when they are first needed, so that unused parts take neither time nor
--- memory. Callbacks are not compiled: each is read when it is called.
+-- At init only the outgoing transitions of each node are listed. Candidates, segments
+-- and paths are made when they are first needed, so that unused parts take neither time
+-- nor memory. No callback is kept in them: each is read when it is called.
 
---- The structure that machines of a model share.
----@class rfsm.Plan
----@field model rfsm.State the model from which it was made
----@field nodes rfsm.Def[] parents before children, the root first
----@field transitions rfsm.Def[]
----@field trail table|false all values in the model; false if one machine owns the plan
----@field variant rfsm.Plan|false the latest copy with changes by preproc functions
----@field order rfsm.Def[]? all definitions in the order of `mapfsm`, made on demand
-
-local compile, compile_transition, line_to
+local done_event, drop_paths, forget, list_otrs, segment_of
 
 do
   -- Is transition `a` of a node tried before `b`? Larger pn first; then the transition
   -- whose parent is less deep; then by FQN of the parent; then by position or name.
   local function tried_before(a, b)
-    local a_pn, b_pn = a.pn or 0, b.pn or 0
+    local a_pn, b_pn, a_at, b_at = a.pn or 0, b.pn or 0, a._parent, b._parent
     if a_pn ~= b_pn then return a_pn > b_pn end
-    if a.parent.depth ~= b.parent.depth then return a.parent.depth < b.parent.depth end
-    if a.parent ~= b.parent then return a.parent.fqn < b.parent.fqn end
-    return key_before(a.id, b.id)
+    if a_at._depth ~= b_at._depth then return a_at._depth < b_at._depth end
+    if a_at ~= b_at then return a_at._fqn < b_at._fqn end
+    return key_before(a._id, b._id)
   end
 
-  -- Metatables for the `proto` of a definition, by kind. They add methods of the class.
-  -- `tr.events` is a new list at each access, because machines share the definition's.
-  local INHERITED = {
-    state = { __index = State }, connector = { __index = Connector }, transition = {},
-  }
-
-  function INHERITED.transition.__index(proto, key)
-    if key == "events" then return append({}, proto["_%def"].events or NONE) end
-    if key == "_id" then return proto["_%def"].id end
-    return Transition[key]
-  end
-
-  -- Makes the proto of a definition, the metatable from which its elements inherit.
-  local function make_proto(def)
-    local proto = def.proto or {
-      ["_%def"] = def, rfsm = def.kind, __tostring = CLASSES[def.kind].__tostring,
-      __eq = rawequal, -- so that the `__eq` of another value is never called
-      __index = false,
-    }
-    if def.kind == "transition" then
-      proto.pn, proto.guard, proto.effect = def.pn, false, false
-    else
-      proto._id, proto._fqn = def.id, def.fqn
-    end
-    proto.__index = proto
-    def.proto = setmetatable(proto, INHERITED[def.kind])
-    if def.is_leaf then
-      def.done_event, def.choices = "e_done@" .. def.fqn, NONE
-    end
-  end
-
-  -- Gives each node the list of its outgoing transitions, in search order, and gives
-  -- each definition its proto. Returns the plan.
-  function compile(plan)
-    local nodes, transitions = plan.nodes, plan.transitions
+  -- Gives each node the list of its outgoing transitions, in search order.
+  function list_otrs(fsm)
+    local nodes, transitions = fsm._nodes, fsm._transitions
     for i = 1, #nodes do
-      nodes[i].otrs = NONE
-      make_proto(nodes[i])
+      local otrs = nodes[i]._otrs
+      if not otrs or otrs[1] then nodes[i]._otrs = {} end
     end
     for i = 1, #transitions do
-      local def, src = transitions[i], transitions[i].src
-      if src.otrs == NONE then src.otrs = {} end
-      src.otrs[#src.otrs + 1] = def
-      for j = 1, def.events and #def.events or 0 do
-        def.is_asked = def.is_asked or type(def.events[j]) == "function"
+      local tr = transitions[i]
+      local otrs, events = tr.src._otrs, tr.events
+      otrs[#otrs + 1] = tr
+      for j = 1, #events do
+        if type(events[j]) == "function" then tr._is_asked = true end
       end
-      make_proto(def)
     end
     for i = 1, #nodes do
-      if nodes[i].otrs[2] then sort(nodes[i].otrs, tried_before) end
+      if nodes[i]._otrs[2] then sort(nodes[i]._otrs, tried_before) end
     end
-    nodes[1].plan = plan
-    -- The path of the first entry begins here, and for a root without states ends here.
-    nodes[1].entrance = { from = nodes[1], segments = NONE, entered = nodes[1] }
-    return plan
   end
 
-  -- Completes the definition of a transition on the first call, and returns it.
-  -- `entries` are the states that are entered, outermost first. `lca` is the innermost
-  -- state that contains both ends and stays active.
-  function compile_transition(def)
-    if def.connector ~= nil then return def end
-    local tgt, entries = def.tgt, {}
-    local lca = find_lca(def.src.parent, tgt.parent)
-    local state = tgt.kind == "state" and tgt or tgt.parent
-    if def.is_internal then lca, state = tgt, tgt end
-    for i = state.depth - lca.depth, 1, -1 do
-      entries[i], state = state, state.parent
+  -- Returns the event that tells that a leaf is done. It is made when it is needed
+  -- first.
+  function done_event(leaf)
+    leaf._done_event = leaf._done_event or "e_done@" .. leaf._fqn
+    return leaf._done_event
+  end
+
+  -- Drops the candidates and paths of a machine.
+  function drop_paths(fsm)
+    fsm._entrance, fsm._has_paths = false, false
+    if fsm._phase == "idle" then fsm._path = fsm._path and NONE end
+    for _, node in ipairs(fsm._nodes) do
+      node._choices, node._paths, node._ignored = nil, nil, nil
     end
-    def.lca, def.entries = lca, entries
-    def.connector = tgt.kind == "connector" and tgt -- set last: it marks completion
-    return def
   end
 
-  -- Lists the states from the root to `leaf`.
-  function line_to(leaf)
-    local line, def = {}, leaf
-    for i = leaf.depth + 1, 1, -1 do
-      line[i], def = def, def.parent
+  -- Drops all that was made of the structure while the machine ran.
+  function forget(fsm)
+    fsm._merges, fsm._structure, fsm._ways = fsm._merges + 1, false, {}
+    drop_paths(fsm)
+    for _, tr in ipairs(fsm._transitions) do tr._segments = nil end
+  end
+
+  --- A transition with the target that it has now.
+  ---@class rfsm.Segment
+  ---@field tr rfsm.Transition
+  ---@field tgt rfsm.State|rfsm.Connector a leaf or a connector
+  ---@field connector rfsm.Connector|false the target, if it is a connector
+  ---@field lca rfsm.State the innermost state that contains both ends and stays active
+  ---@field entries rfsm.State[] the states that are entered, the outermost first
+
+  local function new_segment(tr, tgt)
+    local is_internal = tr._is_internal and tr.src == tgt
+    local lca, entries = find_lca(tr.src._parent, tgt._parent), {}
+    local state = tgt._mode and tgt or tgt._parent
+    if is_internal then lca, state = tgt, tgt end
+    for i = state._depth - lca._depth, 1, -1 do
+      entries[i], state = state, state._parent
     end
-    return line
+    return { tr = tr, tgt = tgt, lca = lca, entries = entries,
+      is_internal = is_internal, connector = not tgt._mode and tgt }
   end
-end
 
-local function new_plan(model, warnings, created)
-  return {
-    model = model, nodes = {}, transitions = {}, trail = false, warnings = warnings,
-    created = created, variant = false,
-  }
-end
-
--- Returns a copy of a plan that the caller may change. Its definitions are copies in
--- the same order: parents before children.
-local function copy_plan(plan)
-  local copy = new_plan(plan.model, plan.warnings, plan.created)
-  local nodes, transitions = copy.nodes, copy.transitions
-  for i, def in ipairs(plan.nodes) do
-    nodes[i] = {
-      kind = def.kind, index = i, id = def.id, parent = false, model = def.model,
-      data = def.data, proto = false, fqn = def.fqn, depth = def.depth,
-      is_leaf = def.is_leaf, otrs = false, members = {}, doo = def.doo,
-      is_left = def.is_left,
-    }
-    nodes[i].parent = nodes[def.parent.index]
-    if i > 1 then nodes[i].parent.members[def.id] = nodes[i] end
-  end
-  for i, def in ipairs(plan.transitions) do
-    transitions[i] = {
-      kind = def.kind, index = i, id = def.id, parent = nodes[def.parent.index],
-      model = def.model, data = def.data, proto = false, src = nodes[def.src.index],
-      tgt = nodes[def.tgt.index], events = def.events, pn = def.pn,
-      is_internal = def.is_internal, guard = def.guard,
-    }
-    transitions[i].parent.members[def.id] = transitions[i]
-  end
-  return copy
-end
-
--- Calls f(t) for each table of a plan's model: elements, their bases, lists of events.
-local function each_table(plan, f)
-  local function visit(model)
-    f(model)
-    local base = getmetatable(model).__index
-    if base ~= getmetatable(model) and kind_of(base) then visit(base) end
-  end
-  for _, def in ipairs(plan.nodes) do visit(def.model) end
-  for _, def in ipairs(plan.transitions) do
-    visit(def.model)
-    if type(def.model.events) == "table" then f(def.model.events) end
-  end
-end
-
--- Records the keys and values of all tables of a model, in the order of `next`, so that
--- `is_current` finds changes. Each is a number in `ids`, because a comparison of the
--- values by `==` might call an `__eq`. A 0 ends a table.
-local function make_trail(plan)
-  local ids, n, tables, trail, plain = {}, 0, {}, {}, {}
-  local function id_of(value)
-    if value ~= value then return 0 end -- NaN never equals itself
-    if not ids[value] then n, ids[value] = n + 1, n + 1 end
-    return ids[value]
-  end
-  each_table(plan, function(t)
-    tables[#tables + 1] = t
-    for key, value in next, t do
-      trail[#trail + 1], trail[#trail + 2] = id_of(key), id_of(value)
-      if type(value) == "table" and not getmetatable(value) then
-        plain[#plain + 1] = value
-      end
+  -- Returns the segment of a transition whose target a program may have changed. Each
+  -- is made once. Returns nil if the target is no node of the machine.
+  function segment_of(fsm, tr)
+    local tgt, segments = tr.tgt, tr._segments
+    if segments and segments[tgt] then return segments[tgt] end
+    if not is_node_of(fsm, tgt) then
+      rfsm.report(fsm, "err", "ERROR: tgt of " .. text_of(tr.src._fqn or tr.src)
+        .. ": node of the fsm expected, " .. got(tgt))
+      return nil
     end
-    trail[#trail + 1] = 0
-  end)
-  return { ids = ids, tables = tables, trail = trail, plain = plain }
-end
-
--- Does the model have the same keys and values as when the plan was made?
-local function is_current(plan)
-  local noted = plan.trail
-  local ids, tables, trail, at = noted.ids, noted.tables, noted.trail, 1
-  for i = 1, #tables do
-    for key, value in next, tables[i] do
-      if ids[key] ~= trail[at] or ids[value] ~= trail[at + 1] then return false end
-      at = at + 2
+    local to = tgt
+    if tgt._mode and not (tgt._is_leaf or tr._is_internal and tgt == tr.src) then
+      to = rawget(tgt, "initial")
     end
-    if trail[at] ~= 0 then return false end
-    at = at + 1
+    if not to then return nil end
+    tr._segments = segments or {}
+    tr._segments[tgt] = new_segment(tr, to)
+    return tr._segments[tgt]
   end
-  for i = 1, #noted.plain do
-    if getmetatable(noted.plain[i]) then return false end -- it is an element now
-  end
-  return true
 end
 
-interpret(make_trail, true)
-interpret(is_current)
-
--- Machine: an instance of a plan ------------------------------------------------
---
--- A machine is a tree of plain tables. Raw fields are the children by name, transitions
--- by position or name, callbacks, `_parent`, `_otrs`, `_mode` and the user's data. Each
--- element inherits `_fqn`, `_id`, `events` and `pn` from its definition in the plan.
---
--- The configuration is kept only in these fields: `_mode` of each state, `_actchild` of
--- each active composite, and `_act_leaf` of the machine.
+-- Machine: the root of the tree, with the fields of the engine ----------------------
 
 local function silent() end
 
 local function no_events() return {} end
 
 -- In a list of hooks OWN marks the place of the hook in a field of the machine, such as
--- `pre_step_hook`. A program may set this field at any time.
+-- `pre_step_hook`. A program may set this field at any time. `list_hooks` makes the
+-- lists that an iteration calls, `_before` and `_after`, which are false if they are
+-- empty.
 local function OWN() end
 
 local OWN_ONLY = { OWN }
@@ -1163,41 +1075,26 @@ local OWN_ONLY = { OWN }
 -- Fields that a machine inherits until it sets them.
 local DEFAULTS = {
   rfsm = "state", type = State.type, new = State.new, _id = "root", _fqn = "root",
-  dbg = silent, getevents = no_events, _entry_hooks = false, _exit_hooks = false,
+  _choices = NONE,
+  dbg = silent, getevents = no_events, _guard_hooks = false, _fates = false,
+  _has_paths = false, _merges = 0, _entry_hooks = false, _exit_hooks = false,
   _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
   _snapshot_hooks = false, _failure = false, _reset_wanted = false, _preparing = false,
   _emit = false, -- the function given to `set_emit`
   _cuts = 0, -- number of iterations that an error has ended
 }
 
-do
-  -- Returns the function `emit` of a machine, which callbacks call.
-  local function new_emit(f)
-    return function(name, data)
-      if type(name) ~= "string" then
-        error("emit: name expected, got " .. type(name), 2)
-      end
-      f(name, data)
+-- Returns the function `emit` of a machine, which callbacks call.
+local function new_emit(f)
+  return function(name, data)
+    if type(name) ~= "string" then
+      error("emit: name expected, got " .. type(name), 2)
     end
-  end
-
-  DEFAULTS.emit = new_emit(silent)
-
-  --- Have f(name, data) called when a callback of a machine or its regions emits.
-  --
-  -- For hosts. By default `emit` does nothing. Regions merged later are included.
-  --
-  ---@param fsm rfsm.Machine
-  ---@param f fun(name: string, data: any)
-  function rfsm.set_emit(fsm, f)
-    rfsm.check_machine(fsm, "rfsm.set_emit")
-    local emit = new_emit(f)
-    for _, at in ipairs(rfsm.machines(fsm)) do
-      if not is_state(at.machine.emit) then at.machine.emit = emit end
-      at.machine._emit = f
-    end
+    f(name, data)
   end
 end
+
+DEFAULTS.emit = new_emit(silent)
 
 -- The fields that a machine has from the start.
 local function own_fields()
@@ -1205,29 +1102,43 @@ local function own_fields()
     _parent = false, _mode = "inactive", _otrs = false, _act_leaf = false,
     _intq = { "e_init_fsm" }, _curq = {}, _initialized = false,
     -- the structure
-    ["_%def"] = false, _plan = false, _nodes = false, _transitions = {},
+    _model = false, _nodes = false, _transitions = {}, _structure = false, _index = 1,
+    _depth = 0, _is_leaf = true, _entrance = false, _choices = NONE,
     -- the iteration, see "Run":
     --   _path       the path being taken, or the last one since `took_path` was called
+    --   _event      the event that counts for the segment being taken
     --   _ways       connector -> what the last search found there, see `note_of`
     --   _search     number of the current search
     --   _at         number of the action (or part of a doo cycle) that was begun last
-    --   _hook       number of the step hook begun last; -1: getevents is not called yet
+    --   _hook       number of the step hook begun last
+    --   _turn       number of the iteration, if the machine has step hooks
+    --   _unread     events that are taken one by one before getevents is asked again
     --   _given      events that getevents has returned and that are in no list yet
     --   _outcome    of the last iteration: counted (as a step) | idle | free (events
     --               enabled no path: not counted) | refused (entry or step hook failed)
     --   _is_usual   false after an interrupt, error or reset: `iterate` calls `go_on`
     --   _is_lent    true if a callback may have kept the list of current events
     --   _is_cut     true if an error ended the iteration; the next step completes it
-    --   _is_hooked  true once a step hook, path hook or getevents was set
+    --   _is_hooked  true if the machine has step hooks or getevents
     _phase = "idle", _path = false, _ways = {}, _search = 0,
     _outcome = "free", _at = 0, _hook = 0, _is_usual = false, _is_cut = false,
     _given = false, _is_lent = false,
-    _is_hooked = false, _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY,
+    _is_hooked = false, _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _turn = 0,
+    _before = false, _after = false, _lends = false, _unread = 0, _reads_one = false,
   }
 end
 
--- Functions given to `rfsm.borrows`: they do not keep the list of current events.
-local borrowers = setmetatable({}, { __mode = "k" })
+do
+  local taken = own_fields()
+
+  function is_own_field(key)
+    return taken[key] ~= nil or is_meta(key) and DEFAULTS[key] ~= nil
+  end
+end
+
+-- What functions promise, by `rfsm.borrows` or `rfsm.repeatable`: the name of that
+-- function.
+local promises = setmetatable({}, { __mode = "k" })
 
 -- All machines, so that one access shows whether a value is a machine.
 local machines = setmetatable({}, { __mode = "k" })
@@ -1238,96 +1149,15 @@ Machine.__index = DEFAULTS
 -- is called for the assignment.
 local STEP_HOOKS = { getevents = true, pre_step_hook = true, post_step_hook = true }
 
+local list_hooks
+
 function Machine.__newindex(fsm, key, value)
-  if STEP_HOOKS[key] and value then
-    if not rfsm.is_callable(value) then
-      error(key .. ": function expected, " .. got(value), 2)
-    end
-    fsm._is_hooked, fsm._is_usual = true, false
+  local is_hook = STEP_HOOKS[key] and value
+  if is_hook and not rfsm.is_callable(value) then
+    error(key .. ": function expected, " .. got(value), 2)
   end
   rawset(fsm, key, value)
-end
-
--- Returns the value, or in place of a plain table a new one, to be filled later.
-local function copy_of(copies, value, pending)
-  if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
-  if not copies[value] then
-    copies[value], pending[#pending + 1] = {}, value
-  end
-  return copies[value]
-end
-
--- Copies nested plain tables. They wait in the list `pending`, so any depth is allowed.
-local function clone_data(copies, value)
-  local pending = {}
-  local copy = copy_of(copies, value, pending)
-  while pending[1] do
-    local source = pending[#pending]
-    pending[#pending] = nil
-    for k, v in pairs(source) do -- any order: independent entries
-      copies[source][copy_of(copies, k, pending)] = copy_of(copies, v, pending)
-    end
-  end
-  return copy
-end
-
-interpret(clone_data)
-
-local function give_data(element, def, copies)
-  local data = def.data
-  for i = 1, #data, 2 do
-    local key, value = data[i], data[i + 1]
-    if type(value) == "table" then value = clone_data(copies, value) end
-    element[key] = value
-  end
-end
-
--- Makes the elements of a machine for the definitions with numbers from `first_node`
--- and `first_transition` on.
-local function make_elements(fsm, plan, first_node, first_transition)
-  local nodes, transitions, copies = fsm._nodes, fsm._transitions, {}
-  if first_node == 2 then give_data(fsm, plan.nodes[1], copies) end
-  for i = first_node, #plan.nodes do
-    local def = plan.nodes[i]
-    local parent = nodes[def.parent.index]
-    local node = def.kind == "state"
-      and { _parent = parent, _mode = "inactive", _otrs = false }
-      or { _parent = parent, _otrs = false }
-    if def.data[1] ~= nil then give_data(node, def, copies) end
-    nodes[i] = setmetatable(node, def.proto)
-    rawset(parent, def.id, node)
-  end
-  for i = first_transition, #plan.transitions do
-    local def = plan.transitions[i]
-    local parent = nodes[def.parent.index]
-    local src, tgt = nodes[def.src.index], nodes[def.tgt.index]
-    local tr = { src = src, tgt = tgt, _parent = parent, _fsm = fsm }
-    if def.data[1] ~= nil then give_data(tr, def, copies) end
-    transitions[i] = setmetatable(tr, def.proto)
-    rawset(parent, def.id, tr)
-  end
-end
-
-local function list_otrs(fsm, plan)
-  local transitions, nodes = fsm._transitions, fsm._nodes
-  for i = 1, #plan.nodes do
-    local otrs = plan.nodes[i].otrs
-    local list = { otrs[1] and transitions[otrs[1].index] } -- most nodes have one
-    for j = 2, #otrs do list[j] = transitions[otrs[j].index] end
-    nodes[i]._otrs = list
-  end
-end
-
--- Makes a machine use another plan, in which its elements have the same positions.
-local function use_plan(fsm, plan)
-  fsm._ways = {}
-  if fsm._phase == "idle" then fsm._path = fsm._path and NONE end
-  fsm._plan, fsm["_%def"] = plan, plan.nodes[1]
-  for i = 2, #fsm._nodes do setmetatable(fsm._nodes[i], plan.nodes[i].proto) end
-  for i, tr in ipairs(fsm._transitions) do
-    setmetatable(tr, plan.transitions[i].proto)
-  end
-  list_otrs(fsm, plan)
+  if is_hook then list_hooks(fsm) end
 end
 
 -- Report: messages to the printers of a machine, and errors that are kept ----------
@@ -1457,8 +1287,8 @@ end
 -- `_phase` is one of these:
 --
 --   idle     nothing: the machine waits for its caller
---   gather   the pending events and the events of getevents become the current events,
---            then the pre step hooks are called
+--   begin    the pending events become the current events
+--   gather   getevents adds its events, and the pre step hooks are called
 --   search   a path is chosen that the events enable
 --   take     the actions of the chosen path are performed
 --   doo      there is no path: a doo cycle is run
@@ -1501,11 +1331,13 @@ local function give_up(fsm, failure)
 end
 
 -- Calls getevents. Returns its list of events and nils; on failure nil and an error.
--- The list is kept in `_given` until it is appended, so that no interrupt loses it.
+-- The list is kept in `_given` until its events are in another list, so that no
+-- interrupt loses them.
 local function ask_getevents(fsm)
   local getevents = fsm.getevents
   if fsm._given then return fsm._given end
   if not getevents or getevents == no_events then return NONE end
+  fsm._curq.given, fsm._intq.given = nil, nil
   local ok, events = pcall(getevents)
   fsm._given = ok and events or false
   if type(fsm._given) == "table" then return events end
@@ -1519,43 +1351,155 @@ local function ask_getevents(fsm)
   return nil, "rfsm.step: getevents: list of events expected, " .. got(events)
 end
 
--- Appends the events of getevents. After an interrupt they are appended again, without
--- harm: an event that is current twice has the effect of one.
-local function append_getevents(fsm, list)
+-- Appends the events of getevents to the list in a field. After an interrupt they are
+-- appended again, without harm: an event that is current twice has the effect of one.
+-- If events are taken one by one, a longer list that knows what it got replaces the
+-- other one.
+local function append_getevents(fsm, field)
   local events, failure = ask_getevents(fsm)
   if not events then give_up(fsm, failure) end
-  for i = 1, #events do list[#list + 1] = events[i] end
+  local list = fsm[field]
+  if not fsm._reads_one then
+    append(list, events)
+  elseif not rawequal(list.given, events) then
+    list = append(append({}, list), events)
+    list.given = events
+    fsm[field] = list
+  end
   fsm._given = false
 end
 
--- Calls the step hooks whose number is above `_hook`, the number of the last one begun.
-local function run_hooks(fsm, hooks, slot)
-  for i = fsm._hook + 1, #hooks do
-    local hook = hooks[i]
-    if hook == OWN then hook = fsm[slot] end
-    if hook then
-      if not borrowers[hook] then fsm._is_lent = true end
-      fsm._hook = i
-      local ok, failure = pcall(hook, fsm, fsm._curq)
-      if not (ok or is_callable(hook)) then
-        failure = ("rfsm.step: %s: function expected, %s"):format(slot, got(hook))
-      end
-      if not ok then give_up(fsm, failure) end
-    end
-  end
+-- Does an iteration take only the first pending event? The root's field `read` decides,
+-- or in a region that of the parent machine; any value but these two is a user's data.
+local function reads_one(fsm)
+  local read = fsm.read
+  if read == "one" or read == "all" then return read == "one" end
+  return fsm._owner and reads_one(fsm._owner) or false
 end
 
--- Calls getevents (not again after an interrupt) and then the pre step hooks. The
--- pending events have become the current events already.
-local function ask_hooks(fsm)
-  if fsm._hook < 0 or fsm._given then
-    fsm._hook = 0
-    if fsm.getevents ~= no_events then append_getevents(fsm, fsm._curq) end
+-- Makes all current events but the first one pending again, ahead of the queue. The
+-- events are always in one of the two lists, or in the field `rest` of the current one.
+local function take_one(fsm)
+  local events = fsm._curq
+  if events[2] ~= nil then
+    local others = {}
+    for i = 2, #events do others[i - 1] = events[i] end
+    events = { events[1], rest = others }
+    fsm._curq = events
   end
-  if fsm._pre_hooks ~= OWN_ONLY or fsm.pre_step_hook then
-    run_hooks(fsm, fsm._pre_hooks, "pre_step_hook")
+  local rest = events.rest
+  if not rest then return end
+  if fsm._intq.head ~= rest then
+    local queue = append(append({}, rest), fsm._intq)
+    queue.head = rest
+    fsm._intq = queue
   end
-  fsm._phase = "search"
+  events.rest = nil
+  fsm._intq.head = nil
+end
+
+-- Ends an iteration in which a step hook has failed. A hook that may be repeated fails
+-- only by an interrupt: then the next step calls it again.
+local function fail_hook(fsm, hook, failure)
+  if promises[hook] == "repeatable" then error(failure, 0) end
+  give_up(fsm, failure)
+end
+
+local run_hooks
+
+do
+  -- Marks in the lists `_before` and `_after`, each of a function that is called there
+  -- and may return a hook: getevents, `take_one`, and fields of the machine.
+  local function GETEVENTS() end
+  local function TAKE_ONE() end
+  local function OWN_PRE() end
+  local function OWN_POST() end
+
+  -- Returns the hook that a program has set in a field of the machine.
+  local function own_hook(fsm, slot)
+    local hook = fsm[slot]
+    if not promises[hook or OWN] then fsm._is_lent = true end
+    if not hook or is_callable(hook) then return hook end
+    give_up(fsm, ("rfsm.step: %s: function expected, %s"):format(slot, got(hook)))
+  end
+
+  promises[OWN], promises[TAKE_ONE] = "borrows", "repeatable"
+
+  local MARKS = {
+    [GETEVENTS] = function(fsm)
+      if fsm._unread > 1 then
+        fsm._unread = fsm._unread - 1
+        return
+      end
+      local count = #fsm._curq
+      append_getevents(fsm, "_curq")
+      if not fsm._reads_one then return end
+      fsm._unread = #fsm._curq > count and #fsm._curq or 0
+    end,
+    [TAKE_ONE] = take_one,
+    [OWN_PRE] = function(fsm) return own_hook(fsm, "pre_step_hook") end,
+    [OWN_POST] = function(fsm) return own_hook(fsm, "post_step_hook") end,
+  }
+
+  -- Calls the step hooks of a list from number `i` on. A hook that may be repeated is
+  -- noted when it has returned, any other hook when it begins. This is no loop: LuaJIT
+  -- would give up a host's loop around a loop that mostly turns once.
+  function run_hooks(fsm, hooks, i)
+    local hook = hooks[i]
+    if promises[hook] ~= "repeatable" then fsm._hook = i end
+    if MARKS[hook] then hook = MARKS[hook](fsm) end
+    if hook then
+      local ok, failure = pcall(hook, fsm, fsm._curq)
+      if not ok then fail_hook(fsm, hook, failure) end
+    end
+    fsm._hook = i
+    if hooks[i + 1] then return run_hooks(fsm, hooks, i + 1) end
+  end
+
+  -- Returns the hooks that are called now: `own` in place of OWN, if it is set.
+  local function present(hooks, own, is_own_set)
+    local list = {}
+    for _, hook in ipairs(hooks) do
+      if hook ~= OWN then
+        list[#list + 1] = hook
+      elseif is_own_set then
+        list[#list + 1] = own
+      end
+    end
+    return list
+  end
+
+  -- Returns a list of hooks, false if it is empty. `one` is the first hook, unless it
+  -- is a mark; `noted` is the position to note before this hook is called.
+  local function finished(fsm, list)
+    local one = list[1]
+    if not one then return false end
+    for _, hook in ipairs(list) do
+      fsm._lends = fsm._lends or not (promises[hook] or MARKS[hook])
+    end
+    list.one = not MARKS[one] and one
+    list.noted = list.one and promises[one] ~= "repeatable" and 1 or 0
+    list.has_getevents = one == GETEVENTS
+    return list
+  end
+
+  -- Makes the lists of what each iteration calls. If one event is taken, all events
+  -- that come are added before. `_lends` is true if a hook may keep the list of events.
+  function list_hooks(fsm)
+    local is_one, sources = reads_one(fsm), fsm._source_hooks or NONE
+    fsm._reads_one = is_one
+    local before = present(fsm._pre_hooks, OWN_PRE, fsm.pre_step_hook)
+    local at = is_one and 0 or fsm._pre_hooks.front or 0
+    for i, source in ipairs(sources) do insert(before, at + i, source) end
+    if is_one then insert(before, #sources + 1, TAKE_ONE) end
+    local has_getevents = fsm.getevents and fsm.getevents ~= no_events
+    if has_getevents then insert(before, 1, GETEVENTS) end
+    fsm._is_usual, fsm._lends = false, false
+    fsm._before = finished(fsm, before)
+    fsm._after = finished(fsm, present(fsm._post_hooks, OWN_POST, fsm.post_step_hook))
+    fsm._is_hooked = (fsm._before or fsm._after) and true
+    fsm._is_lent = fsm._is_lent or fsm._lends
+  end
 end
 
 -- Resets a machine as if it were new, but keeps the events of the current iteration.
@@ -1566,32 +1510,39 @@ local function reset_now(fsm)
       rawset(node, "_actchild", nil)
     end
   end
-  fsm._act_leaf = false
+  fsm._act_leaf, fsm._unread = false, 0
   fsm._intq = { "e_init_fsm" }
   tell(fsm, fsm._reset_hooks)
   fsm._reset_wanted = false
 end
 
--- Makes the pending events current: swaps the queue `_intq` with `_curq`, an empty
--- list. After an interrupt both fields may have the same list, or `_curq` may have
--- events, which come first.
-local function take_queue(fsm)
+-- The phase "begin": makes the pending events current. It swaps the queue `_intq` with
+-- `_curq`, an empty list. After an interrupt both fields may have the same list, or
+-- `_curq` may have events, which come first.
+function PHASES.begin(fsm, after_free)
   local queue, spare = fsm._intq, fsm._curq
+  if fsm._reset_wanted then
+    fsm._curq = {}
+    reset_now(fsm)
+    queue, spare = fsm._intq, fsm._curq
+  end
   if rawequal(queue, spare) or spare[1] ~= nil then
     queue = rawequal(queue, spare) and queue or append(append({}, spare), queue)
     spare = {}
   end
   fsm._curq = queue
   fsm._intq = spare
+  fsm._hook = 0
+  fsm._phase = "gather"
+  return PHASES.gather(fsm, after_free)
 end
 
+-- The phase "gather": calls getevents and the pre step hooks.
 function PHASES.gather(fsm, after_free)
-  if fsm._reset_wanted then
-    fsm._curq = {}
-    reset_now(fsm)
-  end
-  if fsm._hook < 0 then take_queue(fsm) end
-  ask_hooks(fsm)
+  if fsm._given then append_getevents(fsm, "_curq") end
+  local hooks, next_one = fsm._before, fsm._hook + 1
+  if hooks and hooks[next_one] then run_hooks(fsm, hooks, next_one) end
+  fsm._phase = "search"
   return search(fsm, after_free)
 end
 
@@ -1599,127 +1550,153 @@ end
 --
 -- A search that was cut short is done again: guards must not have side effects.
 
--- Do `events` trigger the transition? A transition without events is always triggered.
-local function matches(def, events)
-  local wanted = def.events
-  if not wanted then return true end
-  for i = 1, #wanted do
-    local is_predicate = type(wanted[i]) == "function"
-    for j = 1, #events do
-      if rawequal(wanted[i], events[j]) then return true end
-      if is_predicate then
-        local ok, answer = pcall(wanted[i], events[j])
-        if ok and answer then return true end
+-- Do `events` trigger the transition? Also returns the first event that does; nil for a
+-- transition without events, which is always triggered.
+local function matches(tr, events)
+  local wanted = tr.events
+  if not wanted or wanted[1] == nil then return true, nil end
+  for i = 1, #events do
+    local event = events[i]
+    for j = 1, #wanted do
+      if rawequal(wanted[j], event) then return true, event end
+      if type(wanted[j]) == "function" then
+        local ok, answer = pcall(wanted[j], event)
+        if ok and answer then return true, event end
       end
     end
   end
-  return false
+  return false, nil
 end
 
--- Returns a copy of `def` for a transition whose target a program has changed to `tgt`.
--- Each copy is made once. Returns nil if `tgt` is no node of the machine.
-local function retarget(fsm, def, tgt)
-  local node = is_node(tgt) and getmetatable(tgt)["_%def"]
-  if rawequal(tgt, fsm) then node = fsm._plan.nodes[1] end
-  if not node or not rawequal(fsm._nodes[node.index], tgt) then
-    report(fsm, "err", "ERROR: tgt of " .. end_text(fsm._transitions[def.index].src)
-      .. ": node of the fsm expected, " .. got(tgt))
-    return nil
+local enabled, first_enabled, note_of
+
+do
+  -- Reports that a guard has failed, and returns false as its result. After an
+  -- interrupt the next step calls the guard again.
+  local function refuse_guard(fsm, tr, guard, failure)
+    if rfsm.is_interrupt(failure) then error(failure, 0) end
+    report_callback(fsm, "guard", tr, guard, failure)
+    return false
   end
-  if node.kind == "state" and not node.is_leaf then node = node.members.initial end
-  if not node then return nil end
-  def = fsm._plan.transitions[def.index] -- a guard may have called fsm_merge
-  def.aimed = def.aimed or {}
-  def.aimed[node] = def.aimed[node] or compile_transition {
-    kind = "transition", index = def.index, id = def.id, parent = def.parent,
-    model = def.model, src = def.src, tgt = node, events = def.events, pn = def.pn,
-  }
-  return def.aimed[node]
-end
 
--- Reports that a guard has failed, and returns false as its result. After an interrupt
--- the next step calls the guard again.
-local function refuse_guard(fsm, tr, guard, failure)
-  if rfsm.is_interrupt(failure) then error(failure, 0) end
-  report_callback(fsm, "guard", tr, guard, failure)
-  return false
-end
-
--- Calls the guard of a transition whose events match. Returns nil if the guard returns
--- false. Otherwise returns the definition, from `retarget` if the target was changed.
-local function ask(fsm, def, events)
-  local tr = fsm._transitions[def.index]
-  local guard = tr.guard
-  if guard then
-    if not borrowers[guard] then fsm._is_lent = true end
-    local ok, answer = pcall(guard, tr, events)
-    if not ok then answer = refuse_guard(fsm, tr, guard, answer) end
-    if answer == false then return nil end
-  end
-  if def.connector == nil then compile_transition(def) end
-  if fsm._nodes[def.tgt.index] ~= tr.tgt then return retarget(fsm, def, tr.tgt) end
-  return def
-end
-
--- Returns the note of a machine about a connector. `search` is the number of the last
--- search that reached the connector (the current one is `fsm._search`). `way` is the
--- transition with which the path continues there, false if none was found.
-local function note_of(fsm, connector)
-  local note = fsm._ways[connector] or { search = 0, way = false }
-  fsm._ways[connector] = note
-  return note
-end
-
-local function warn_of_conflict(fsm, ways)
-  report(fsm, "warn", "conflicting transitions from src " .. ways[1].src.fqn .. " to")
-  for _, def in ipairs(ways) do report(fsm, "warn", "\t" .. def.tgt.fqn) end
-end
-
-local lead
-
--- Finds the way out of a connector, once in each search: its first transition that is
--- enabled and leads to a leaf. Others of the same priority are tried, too, to warn of a
--- conflict. During the search `note.way` is false, so that cycles of connectors end.
-local function find_way(fsm, connector, note, events)
-  local way, pn, others = false, nil, nil
-  note.search, note.way = fsm._search, false
-  for _, def in ipairs(connector.otrs) do
-    if way and (def.pn or 0) ~= pn then break end
-    local found = matches(def, events) and lead(fsm, ask(fsm, def, events), events)
-    if found and way then
-      others = append(others or { way }, { found })
-    elseif found then
-      way, pn = found, found.pn or 0
+  -- Does a guard hook of an extension forbid the transition?
+  local function is_forbidden(fsm, tr, events, event)
+    for _, hook in ipairs(fsm._guard_hooks[tr] or NONE) do
+      if not promises[hook] then fsm._is_lent = true end
+      local ok, answer = pcall(hook, tr, events, event)
+      if not ok then answer = refuse_guard(fsm, tr, hook, answer) end
+      if answer == false then return true end
     end
+    return false
   end
-  if others then warn_of_conflict(fsm, others) end
-  note.way = way
-end
 
--- Returns `def`, an enabled transition, if its target is a leaf or a connector with a
--- way out. Otherwise returns nil.
-function lead(fsm, def, events)
-  if not (def and def.connector) then return def end
-  local note = note_of(fsm, def.connector)
-  if note.search ~= fsm._search then find_way(fsm, def.connector, note, events) end
-  return note.way and def or nil
-end
+  -- Returns the note of a machine about a connector. `search` is the number of the last
+  -- search that reached it (the current one is `fsm._search`), `first` the event of the
+  -- path's first segment then. `way` is the segment with which the path continues,
+  -- false if none was found; `event` is the event that counts for it.
+  function note_of(fsm, connector)
+    local note = fsm._ways[connector] or { search = 0, first = false, asked = false,
+      way = false, event = false, found = false, others = false,
+      otrs = connector._otrs }
+    fsm._ways[connector] = note
+    return note
+  end
 
--- Returns the first enabled transition of a list. Returns nil if there is none, or if a
--- guard has called `fsm_merge`: the list is out of date then.
-local function first_enabled(fsm, list, events)
-  local plan = fsm._plan
-  for i = 1, #list do
-    local def = matches(list[i], events)
-      and lead(fsm, ask(fsm, list[i], events), events)
-    if def or fsm._plan ~= plan then return def or nil end
+  -- Turns a note to another `first` in the same search. Returns true if the connector
+  -- was asked for that event before.
+  local function turn_to(note, first)
+    local asked = note.asked or {}
+    asked[#asked + 1] = { first = note.first, way = note.way, event = note.event }
+    note.first, note.asked = first, asked
+    for i = 1, #asked do
+      if rawequal(asked[i].first, first) then
+        note.way, note.event = asked[i].way, asked[i].event
+        return true
+      end
+    end
+    note.way, note.found, note.others = false, false, false
+    return false
+  end
+
+  local function warn_of_conflict(fsm, ways)
+    report(fsm, "warn", "conflicting transitions from src " .. ways[1].tr.src._fqn
+      .. " to")
+    for _, segment in ipairs(ways) do report(fsm, "warn", "\t" .. segment.tgt._fqn) end
+  end
+
+  -- Finds the way out of a connector: its first transition, from number `i` on, that is
+  -- enabled and leads to a leaf. Others of the same priority are tried, too, to warn of
+  -- a conflict. No loop, as in `run_hooks`. It and `enabled` have few variables: a path
+  -- may go over thousands of connectors.
+  local function find_way(fsm, note, i, events, first) -- luacheck: ignore 561 (a call)
+    local tr, way = note.otrs[i], note.found
+    if not tr or way and (tr.pn or 0) ~= (way.tr.pn or 0) then
+      if note.others then warn_of_conflict(fsm, note.others) end
+      note.way, note.others = way, false
+      return
+    end
+    local is_triggered, event = true, first
+    if tr.events[1] ~= nil then is_triggered, event = matches(tr, events) end
+    tr = is_triggered and enabled(fsm, tr, events, event, first)
+    if tr and way then
+      note.others = append(note.others or { way }, { tr })
+    elseif tr then
+      note.found, note.event = tr, event
+    end
+    return find_way(fsm, note, i + 1, events, first)
+  end
+
+  -- Returns the segment of a transition that `event` triggers, if its guard and the
+  -- guard hooks allow it, and it leads to a leaf or to a connector with a way out.
+  -- Otherwise returns nil. A connector is asked once in a search for each `first`.
+  -- Meanwhile `note.way` is false, so that cycles of connectors end.
+  function enabled(fsm, tr, events, event, first)
+    do
+      local guard = tr.guard
+      if fsm._guard_hooks and is_forbidden(fsm, tr, events, event) then return nil end
+      if guard then
+        if not promises[guard] then fsm._is_lent = true end
+        local ok, answer = pcall(guard, tr, events, event)
+        if not ok then answer = refuse_guard(fsm, tr, guard, answer) end
+        if answer == false then return nil end
+      end
+    end
+    local segment = tr._segments
+    segment = segment and segment[tr.tgt] or segment_of(fsm, tr)
+    local note = segment and segment.connector
+    if not note then return segment end
+    note = fsm._ways[note] or note_of(fsm, note)
+    if note.search ~= fsm._search then
+      note.search, note.first, note.asked = fsm._search, first, false
+      note.way, note.found, note.others = false, false, false
+      find_way(fsm, note, 1, events, first)
+    elseif not (rawequal(note.first, first) or turn_to(note, first)) then
+      find_way(fsm, note, 1, events, first)
+    end
+    return note.way and segment or nil
+  end
+
+  -- Returns the segment of the first enabled transition of a list, from number `i` on,
+  -- and the event that counts; nil if none is enabled. `event` is known to trigger
+  -- those that call no predicate; nil: nothing is known.
+  function first_enabled(fsm, list, i, events, event)
+    local tr = list[i]
+    if not tr then return nil end
+    local is_triggered, own = true, event
+    if event == nil or tr._is_asked then
+      is_triggered, own = matches(tr, events)
+      if own == nil then own = events[1] end
+    end
+    local found = is_triggered and enabled(fsm, tr, events, own, own)
+    if found then return found, own end
+    return first_enabled(fsm, list, i + 1, events, event)
   end
 end
 
 local choice_of, choose, list_choices
 
 do
-  -- Returns the first enabled transition, in the states from the root down to the leaf.
+  -- Returns the first enabled segment, in the states from the root down to the leaf.
   local function choose_by_node(fsm, leaf, events)
     local traces = is_traced(fsm)
     if traces then
@@ -1729,125 +1706,95 @@ do
     for i, node in ipairs(line_to(leaf)) do
       if traces then
         report(fsm, "dbg", "CHECKING", "depth:", i - 1,
-          "for transitions from " .. node.fqn)
+          "for transitions from " .. node._fqn)
       end
-      local plan, def = fsm._plan, first_enabled(fsm, node.otrs, events)
-      if def or fsm._plan ~= plan then return def end
+      local merges = fsm._merges
+      local found, event = first_enabled(fsm, node._otrs, 1, events)
+      if found or fsm._merges ~= merges then return found, event end
     end
     if traces then report(fsm, "dbg", "TRANSITION", "no enabled paths found") end
   end
 
   local OTHER = {} -- the key for all events that no transition names
-  local NO_CHOICE = { run = false, run_hooked = false, find = false }
+  local NO_CHOICE = { run = false }
 
-  -- Makes `leaf.choices`: for each event the list of candidates, which are the
+  -- Makes `leaf._choices`: for each event the list of candidates, which are the
   -- transitions that it may trigger while the leaf is active, in search order.
-  -- `leaf.ignored` is the leaf's e_done if no transition reacts to it. Otherwise it is
+  -- `leaf._ignored` is the leaf's e_done if no transition reacts to it. Otherwise it is
   -- NaN, which equals no event.
   function list_choices(leaf)
     local choices, lists = { [OTHER] = {} }, {}
     lists[1] = choices[OTHER]
-    local function add_to(list, def)
-      if list[#list] ~= def then list[#list + 1] = def end
+    local function add_to(list, tr)
+      if list[#list] ~= tr then list[#list + 1] = tr end
     end
-    local function add_to_events(def)
-      for _, event in ipairs(def.events) do
+    local function add_to_events(tr)
+      for _, event in ipairs(tr.events) do
         local list = choices[event] or append({}, choices[OTHER])
         if not choices[event] then choices[event], lists[#lists + 1] = list, list end
-        add_to(list, def)
+        add_to(list, tr)
       end
     end
     for _, node in ipairs(line_to(leaf)) do
-      for _, def in ipairs(node.otrs) do
-        local is_for_all = not def.events or def.is_asked
-        if not is_for_all then add_to_events(def) end
-        for _, list in ipairs(is_for_all and lists or NONE) do add_to(list, def) end
+      for _, tr in ipairs(node._otrs) do
+        local is_for_all = tr.events[1] == nil or tr._is_asked
+        if not is_for_all then add_to_events(tr) end
+        for _, list in ipairs(is_for_all and lists or NONE) do add_to(list, tr) end
       end
     end
     if not choices[OTHER][1] then choices[OTHER] = NO_CHOICE end
-    local done = choices[leaf.done_event] or choices[OTHER]
-    leaf.ignored = done[1] and 0 / 0 or leaf.done_event
-    leaf.choices = choices
+    local done = choices[done_event(leaf)] or choices[OTHER]
+    leaf._ignored = done[1] and 0 / 0 or leaf._done_event
+    leaf._choices = choices
     return choices
   end
 
   function choice_of(leaf, event)
-    local choices = leaf.choices ~= NONE and leaf.choices or list_choices(leaf)
+    local choices = leaf._choices ~= NONE and leaf._choices or list_choices(leaf)
     return choices[event] or choices[OTHER]
   end
 
-  -- Returns the candidates for `events`; nil if two events have different candidates.
+  -- Returns the candidates for `events`, and the first event that has them; nil if two
+  -- events have different candidates.
   local function candidates_of(leaf, events)
-    local common = NONE
+    local common, first = NONE, nil
     for i = 1, #events do
-      local list = events[i] ~= leaf.ignored and choice_of(leaf, events[i]) or NONE
+      local event = events[i]
+      local list = event ~= leaf._ignored and choice_of(leaf, event) or NONE
       if list[1] and list ~= common then
         if common ~= NONE then return nil end
-        common = list
+        common, first = list, event
       end
     end
-    return common
+    return common, first
   end
 
-  -- Returns the transition that the events enable, or nil. If `candidates` are given,
-  -- no other transitions are tried. If a guard calls `fsm_merge`, the search is
-  -- repeated once.
-  function choose(fsm, leaf, events, candidates, is_again)
-    local plan, find, from = fsm._plan, choose_by_node, leaf["_%def"]
+  -- Returns the segment that the events enable, and the event that counts; or nil. If
+  -- `candidates` are given, which `event` has, no other transitions are tried. If a
+  -- guard calls `fsm_merge`, the search is repeated once.
+  function choose(fsm, leaf, events, candidates, event, is_again)
+    local merges, found = fsm._merges
     if not candidates then
       if events[1] == nil then return nil end
-      candidates = not is_traced(fsm) and candidates_of(from, events)
-    end
-    if candidates then
-      if candidates[1] == nil then return nil end
-      find = candidates.find or compiled(candidates, "find") or first_enabled
-      from = candidates
+      if not is_traced(fsm) then candidates, event = candidates_of(leaf, events) end
     end
     fsm._search = fsm._search + 1
-    local def = find(fsm, from, events)
-    if fsm._plan == plan then return def end
-    return not is_again and choose(fsm, leaf, events, nil, true) or nil
-  end
-end
-
--- Warns of events that are lost: they were sent before the first entry, the entry
--- consumes them, and no transition of its path names them.
-local function warn_of_lost_events(fsm, path, events)
-  if rfsm.is_strict(fsm) then return end -- rfsm/strict.lua has warned already
-  local lost = {}
-  for i = 1, #events do
-    local is_named = rawequal(events[i], "e_init_fsm")
-    for _, def in ipairs(path.segments) do
-      is_named = is_named or def.events and matches(def, { events[i] })
+    if candidates then
+      found, event = first_enabled(fsm, candidates, 1, events, event)
+    else
+      found, event = choose_by_node(fsm, leaf, events)
     end
-    if not is_named then lost[#lost + 1] = events[i] end
+    if fsm._merges == merges then return found, event end
+    if is_again then return nil end
+    return choose(fsm, leaf, events, nil, nil, true)
   end
-  if lost[1] == nil then return end
-  report(fsm, "warn", "WARNING: sent before the machine was entered, which consumes "
-    .. "them: " .. list_text(lost))
 end
 
--- Returns the first entry's path, from the root's `initial`; nil if none is enabled.
-local function find_entry(fsm, events)
-  local root = fsm._plan.nodes[1]
-  fsm._search = fsm._search + 1
-  local def = not root.is_leaf
-    and first_enabled(fsm, root.members.initial.otrs, events)
-  if not (def or root.is_leaf) then return nil end
-  local path = path_of(root.entrance, def, fsm._ways)
-  warn_of_lost_events(fsm, path, events)
-  return path
-end
-
--- Reports that no path leads into the machine, and makes the events pending again.
-local function refuse_entry(fsm, events)
-  report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
-    .. "events: " .. list_text(events))
-  put_back(fsm)
-  if fsm._reset_wanted then reset_now(fsm) end
-  fsm._is_usual = true
-  raise_failure(fsm)
-  return nil
+-- The path of the first entry begins here, and for a root without states ends here.
+local function entrance_of(fsm)
+  fsm._entrance = fsm._entrance
+    or { from = fsm, segments = NONE, entered = fsm }
+  return fsm._entrance
 end
 
 -- Returns the innermost active state.
@@ -1857,128 +1804,125 @@ local function innermost(fsm)
   return state
 end
 
--- Takes a path. `leaf` is the active leaf, or nil at the first entry.
-local function take_path(fsm, leaf, path)
-  local name, run = fsm._is_hooked and "run_hooked" or "run", false
-  if leaf and fsm.dbg == silent then run = path[name] or compiled(path, name) end
-  fsm._at = 0
-  if run then
-    run(fsm, true)
-  else
-    fsm._path = path
-    fsm._phase = "take"
-    perform(fsm)
-  end
-  return conclude(fsm, "counted")
-end
+local follow
 
--- Continues after a search from a leaf: takes the path that begins with `def`, the
--- transition found. If `def` is nil, runs the doo or ends the iteration.
-local function follow(fsm, after_free, leaf, def)
-  if fsm._act_leaf ~= leaf then -- a guard has moved the machine
-    leaf = innermost(fsm)
-    if def and fsm._nodes[def.lca.index]._mode == "inactive" then def = nil end
+do
+  -- Warns of events that are lost: they were sent before the first entry, the entry
+  -- consumes them, and no transition of its path names them.
+  local function warn_of_lost_events(fsm, path, events)
+    if rfsm.is_strict(fsm) then return end -- rfsm/strict.lua has warned already
+    local lost = {}
+    for i = 1, #events do
+      local is_named = rawequal(events[i], "e_init_fsm")
+      for _, segment in ipairs(path.segments) do
+        is_named = is_named or segment.tr.events[1] ~= nil
+          and matches(segment.tr, { events[i] })
+      end
+      if not is_named then lost[#lost + 1] = events[i] end
+    end
+    if lost[1] == nil then return end
+    report(fsm, "warn", "WARNING: sent before the machine was entered, which consumes "
+      .. "them: " .. list_text(lost))
   end
-  if def then return take_path(fsm, leaf, path_of(leaf["_%def"], def, fsm._ways)) end
-  if fsm._curq[1] == nil or after_free then
+
+  -- Returns the first entry's path, from the root's `initial`; nil if none is enabled.
+  local function find_entry(fsm, events)
+    local found, event = nil, events[1]
+    fsm._search = fsm._search + 1
+    if not fsm._is_leaf then
+      found, event = first_enabled(fsm, rawget(fsm, "initial")._otrs, 1, events)
+      if not found then return nil end
+    end
+    local path = path_of(fsm, entrance_of(fsm), found, fsm._ways)
+    warn_of_lost_events(fsm, path, events)
+    return path, event
+  end
+
+  -- Reports that no path leads into the machine, and makes the events pending again.
+  local function refuse_entry(fsm, events)
+    report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
+      .. "events: " .. list_text(events))
+    put_back(fsm)
+    if fsm._reset_wanted then reset_now(fsm) end
+    fsm._is_usual = true
+    raise_failure(fsm)
+    return nil
+  end
+
+  -- Takes a path. `leaf` is the active leaf, or nil at the first entry; `event` is the
+  -- event that counts for the first segment.
+  local function take_path(fsm, leaf, path, event)
+    local run = leaf and fsm.dbg == silent and (path.run or compiled(path))
     fsm._at = 0
-    fsm._phase = "doo"
-    return PHASES.doo(fsm)
+    if run then
+      run(fsm, event, true)
+    else
+      fsm._path = path
+      fsm._event = event
+      fsm._phase = "take"
+      perform(fsm)
+    end
+    return conclude(fsm, "counted")
   end
-  return conclude(fsm, "free")
-end
 
--- The phase "search". `choice` is the list of candidates, or nil if it is not known.
-function search(fsm, after_free, choice)
-  local leaf, events = fsm._act_leaf, fsm._curq
-  if leaf then
-    return follow(fsm, after_free, leaf, choose(fsm, leaf, events, choice))
+  -- Continues after a search from a leaf: takes the path that begins with the segment
+  -- found. If none was found, runs the doo or ends the iteration.
+  function follow(fsm, after_free, leaf, found, event)
+    if fsm._act_leaf ~= leaf then -- a guard has moved the machine
+      leaf = innermost(fsm)
+      if found and found.lca._mode == "inactive" then found = nil end
+    end
+    if found then
+      return take_path(fsm, leaf, path_of(fsm, leaf, found, fsm._ways), event)
+    elseif fsm._curq[1] == nil or after_free then
+      fsm._at = 0
+      fsm._phase = "doo"
+      return PHASES.doo(fsm)
+    end
+    return conclude(fsm, "free")
   end
-  local path = find_entry(fsm, events)
-  if not path then return refuse_entry(fsm, events) end
-  return take_path(fsm, nil, path)
+
+  -- The phase "search". `choice` is the list of the candidates of `event`, or nil if it
+  -- is not known.
+  function search(fsm, after_free, choice, event)
+    local leaf, events = fsm._act_leaf, fsm._curq
+    if leaf then
+      return follow(fsm, after_free, leaf, choose(fsm, leaf, events, choice, event))
+    end
+    local path, first = find_entry(fsm, events)
+    if not path then return refuse_entry(fsm, events) end
+    return take_path(fsm, nil, path, first)
+  end
 end
 
 -- Take: the actions of a path .....................................................
 --
 -- A path has a flat list of actions, which are functions f(fsm, arg, at), and a second
--- list with the `arg` of each action, usually a definition. `at` is the position.
+-- list with the `arg` of each action, such as a state. `at` is the position.
 
--- Calls hooks of extensions in the action at position `at`. Each hook gets a fractional
--- position after `at - 1`, so that no hook is called again after an interrupt.
-local function call_hooks(fsm, hooks, what, at)
-  for i = 1, #hooks do
-    local number = at - 1 + i / #hooks
-    if fsm._at < number then
-      fsm._at = number
-      local ok, failure = pcall(hooks[i], fsm, what)
-      if not ok then keep_failure(fsm, failure) end
-    end
+local actions = {}
+
+-- Calls a hook of an extension. One that may be repeated is noted when it has returned.
+local function call_hook(fsm, hook, subject, at)
+  local may_repeat = promises[hook] == "repeatable"
+  if not may_repeat then fsm._at = at end
+  local ok, failure = pcall(hook, fsm, subject, fsm._event)
+  if not ok then
+    if may_repeat then error(failure, 0) end
+    keep_failure(fsm, failure)
   end
+  fsm._at = at
 end
 
--- Calls the path hooks with the list of the transitions that are about to be taken. The
+-- Calls an entry or exit hook.
+function actions.hook(fsm, arg, at) call_hook(fsm, arg.hook, arg.state, at) end
+
+-- Calls a path hook with the list of the transitions that are about to be taken. The
 -- list is empty at the entry of a root without states.
-local function show_path(fsm, path, at)
-  if not fsm._path_hooks then return end
+function actions.path_hook(fsm, arg, at)
   local list = {}
-  for i, def in ipairs(path.segments) do list[i] = fsm._transitions[def.index] end
-  call_hooks(fsm, fsm._path_hooks, list, at)
-end
-
--- Actions that report a record of the trace to `dbg`, by kind of record.
-local recorders = {}
-
-do
-  local function label_of(node)
-    if node.kind == "connector" then return node.fqn .. "[c]" end
-    return node.fqn .. (node.is_leaf and "[LS]" or "[CS]")
-  end
-
-  -- Makers of trace records, by kind. Each returns the record's id, then its texts.
-  local RECORDS = {}
-
-  -- Example, with [LS] for a leaf, [CS] for a composite and [c] for a connector:
-  -- root.a[LS]->root.k[c]->root.b[LS]
-  function RECORDS.path(path)
-    local text = path.text or label_of(path.segments[1].src)
-    for _, def in ipairs(path.text and NONE or path.segments) do
-      text = text .. "->" .. label_of(def.tgt)
-    end
-    path.text = text
-    return "EXEC_PATH", text
-  end
-
-  function RECORDS.exits(def)
-    local outermost = line_to(def.src)[def.lca.depth + 2] or def.src -- for the root
-    return "TRANS_EXIT", "exiting all up to (including):", outermost.fqn, ", lca:",
-      def.lca.fqn
-  end
-
-  function RECORDS.exit(state) return "STATE_EXIT", state.fqn end
-
-  function RECORDS.effect(def, fsm)
-    return "EFFECT", tostring(fsm._transitions[def.index])
-  end
-
-  function RECORDS.entries(def)
-    local text, node = def.tgt.fqn, def.tgt.parent
-    while node ~= def.lca do text, node = text .. " > " .. node.fqn, node.parent end
-    return "TRANS_ENTER", "lca: " .. def.lca.fqn, "down_path: ", text
-  end
-
-  function RECORDS.done(leaf) return "RAISED", leaf.done_event end
-
-  function RECORDS.entry(state) return "STATE_ENTER", state.fqn end
-
-  for name, words in pairs(RECORDS) do -- any order: independent entries
-    recorders[name] = function(fsm, arg, at)
-      local dbg = fsm.dbg
-      if dbg == silent or not dbg then return end
-      fsm._at = at
-      report(fsm, "dbg", words(arg, fsm))
-    end
-  end
+  for i, segment in ipairs(arg.path.segments) do list[i] = segment.tr end
+  call_hook(fsm, arg.hook, list, at)
 end
 
 local function run_callback(fsm, owner, name, at, ...)
@@ -1989,59 +1933,133 @@ local function run_callback(fsm, owner, name, at, ...)
   if not ok then report_callback(fsm, name, owner, callback, failure) end
 end
 
-local function run_effect(fsm, def, at)
-  local tr = fsm._transitions[def.index]
-  if tr.effect and not borrowers[tr.effect] then fsm._is_lent = true end
-  run_callback(fsm, tr, "effect", at, fsm._curq)
+function actions.effect(fsm, segment, at)
+  local tr = segment.tr
+  if tr.effect and not promises[tr.effect] then fsm._is_lent = true end
+  run_callback(fsm, tr, "effect", at, fsm._curq, fsm._event)
 end
 
-local function leave(fsm, def, at)
-  local state = fsm._nodes[def.index]
+-- Begins a segment that is not the first one of its path.
+function actions.go_through(fsm, connector)
+  fsm._event = fsm._ways[connector].event
+end
+
+function actions.exit(fsm, state, at)
   state._mode = "inactive"
   state._parent._actchild = nil
-  run_callback(fsm, state, "exit", at)
+  run_callback(fsm, state, "exit", at, fsm._event)
 end
 
-local function run_exit_hooks(fsm, def, at)
-  local state, hooks = fsm._nodes[def.index], fsm._exit_hooks
-  if hooks and hooks[state] then call_hooks(fsm, hooks[state], state, at) end
-end
-
-local function be_left(fsm, def)
-  local state = fsm._nodes[def.index]
+function actions.be_left(fsm, state)
   if fsm._act_leaf == state then fsm._act_leaf = false end
   if state._doo_co then state._doo_co = nil end
 end
 
-local function become_active(fsm, def, at)
-  local state, hooks = fsm._nodes[def.index], fsm._entry_hooks
+function actions.become_active(_, state)
   state._mode = "active"
-  if def.depth > 0 then state._parent._actchild = state end
-  if hooks and hooks[state] then call_hooks(fsm, hooks[state], state, at) end
+  if state._depth > 0 then state._parent._actchild = state end
 end
 
-local function enter(fsm, def, at)
-  run_callback(fsm, fsm._nodes[def.index], "entry", at)
-end
-
-local function become_leaf(fsm, def, at)
-  local leaf = fsm._nodes[def.index]
-  fsm._act_leaf = leaf
-  if not leaf.doo then recorders.done(fsm, def, at) end
+function actions.entry(fsm, state, at)
+  run_callback(fsm, state, "entry", at, fsm._event)
 end
 
 -- A leaf without doo is done at once. After an interrupt e_done may be queued twice,
 -- without harm: an event that is current twice has the effect of one.
-local function be_done(fsm, def, at)
-  local leaf, queue = fsm._nodes[def.index], fsm._intq
+function actions.be_done(fsm, leaf, at)
+  local queue = fsm._intq
   if leaf.doo then return end
-  queue[#queue + 1] = def.done_event
+  queue[#queue + 1] = leaf._done_event
   leaf._mode = "done"
   fsm._at = at
 end
 
--- Lists the actions of a path, and their arguments.
-local list_actions
+-- Has the machine, or an extension, made the event?
+local function is_made(event)
+  if type(event) ~= "string" then return false end
+  if event == "e_init_fsm" or event:find("^e_done@root") then return true end
+  for _, maker in ipairs(rfsm.makers) do
+    if maker(event) then return true end
+  end
+  return false
+end
+
+-- Makes events pending again, ahead of the queue, that the machine itself has made,
+-- such as the event of a timer, if an internal transition was taken that does not name
+-- them: nothing was left, so they would never come again.
+function actions.keep_made(fsm, segment)
+  local tr, leaf, made = segment.tr, fsm._act_leaf, {}
+  for _, event in ipairs(leaf and tr.events[1] ~= nil and fsm._curq or NONE) do
+    if event ~= "e_init_fsm" and is_made(event) and choice_of(leaf, event)[1]
+      and not matches(tr, { event }) then
+      made[#made + 1] = event
+    end
+  end
+  -- after an interrupt they are there already
+  if made[1] and fsm._intq[1] ~= made[1] then fsm._intq = append(made, fsm._intq) end
+end
+
+-- Actions that report a record of the trace to `dbg`, by kind of record.
+local recorders = {}
+
+do
+  local function label_of(node)
+    if not node._mode then return node._fqn .. "[c]" end
+    return node._fqn .. (node._is_leaf and "[LS]" or "[CS]")
+  end
+
+  -- Makers of trace records, by kind. Each returns the record's id, then its texts.
+  local RECORDS = {}
+
+  -- Example, with [LS] for a leaf, [CS] for a composite and [c] for a connector:
+  -- root.a[LS]->root.k[c]->root.b[LS]
+  function RECORDS.path(path)
+    local text = label_of(path.segments[1].tr.src)
+    for _, segment in ipairs(path.segments) do
+      text = text .. "->" .. label_of(segment.tgt)
+    end
+    return "EXEC_PATH", text
+  end
+
+  function RECORDS.exits(segment)
+    local src, lca = segment.tr.src, segment.lca
+    local outermost = line_to(src)[lca._depth + 2] or src -- for the root
+    return "TRANS_EXIT", "exiting all up to (including):", outermost._fqn, ", lca:",
+      lca._fqn
+  end
+
+  function RECORDS.exit(state) return "STATE_EXIT", state._fqn end
+
+  function RECORDS.effect(segment) return "EFFECT", tostring(segment.tr) end
+
+  function RECORDS.entries(segment)
+    local text, node = segment.tgt._fqn, segment.tgt._parent
+    while node ~= segment.lca do
+      text, node = text .. " > " .. node._fqn, node._parent
+    end
+    return "TRANS_ENTER", "lca: " .. segment.lca._fqn, "down_path: ", text
+  end
+
+  function RECORDS.done(leaf) return "RAISED", leaf._done_event end
+
+  function RECORDS.entry(state) return "STATE_ENTER", state._fqn end
+
+  for name, words in pairs(RECORDS) do -- any order: independent entries
+    recorders[name] = function(fsm, arg, at)
+      local dbg = fsm.dbg
+      if dbg == silent or not dbg then return end
+      fsm._at = at
+      report(fsm, "dbg", words(arg))
+    end
+  end
+end
+
+function actions.become_leaf(fsm, leaf, at)
+  fsm._act_leaf = leaf
+  if not leaf.doo then recorders.done(fsm, leaf, at) end
+end
+
+local new_path
 
 do
   local function add_action(list, action, arg)
@@ -2049,24 +2067,32 @@ do
     list.args[#list.actions] = arg
   end
 
-  -- Adds the exits of the states from `from` up to the lca, which stays active.
-  local function add_exits(list, def, from)
-    add_action(list, recorders.exits, def)
-    while from ~= def.lca do
-      add_action(list, leave, from)
-      add_action(list, run_exit_hooks, from)
-      add_action(list, be_left, from)
-      add_action(list, recorders.exit, from)
-      from = from.parent
+  local function add_hooks(list, hooks, state)
+    for _, hook in ipairs(hooks and hooks[state] or NONE) do
+      add_action(list, actions.hook, { hook = hook, state = state })
     end
   end
 
-  local function add_entry(list, state)
-    add_action(list, become_active, state)
-    add_action(list, enter, state)
-    if state.is_leaf then
-      add_action(list, become_leaf, state)
-      add_action(list, be_done, state)
+  -- Adds the exits of the states from `from` up to the lca, which stays active.
+  local function add_exits(fsm, list, segment, from)
+    add_action(list, recorders.exits, segment)
+    while from ~= segment.lca do
+      add_action(list, actions.exit, from)
+      add_hooks(list, fsm._exit_hooks, from)
+      add_action(list, actions.be_left, from)
+      add_action(list, recorders.exit, from)
+      from = from._parent
+    end
+  end
+
+  local function add_entry(fsm, list, state)
+    add_action(list, actions.become_active, state)
+    add_hooks(list, fsm._entry_hooks, state)
+    add_action(list, actions.entry, state)
+    if state._is_leaf then
+      done_event(state)
+      add_action(list, actions.become_leaf, state)
+      add_action(list, actions.be_done, state)
     end
     add_action(list, recorders.entry, state)
   end
@@ -2074,63 +2100,80 @@ do
   local shapes = {} -- a tree of all lists of actions, with one action per level
 
   -- Returns an equal list of actions. All paths with the same actions share this list.
-  local function shared(actions)
+  local function shared(list)
     local at = shapes
-    for _, action in ipairs(actions) do
+    for _, action in ipairs(list) do
       at[action] = at[action] or {}
       at = at[action]
     end
-    at.list = at.list or actions
+    at.list = at.list or list
     return at.list
+  end
+
+  -- Does a segment behind a connector name events, so that another event counts for it?
+  local function has_inner_events(path)
+    for i = 2, #path.segments do
+      if path.segments[i].tr.events[1] ~= nil then return true end
+    end
+    return false
   end
 
   -- Lists for each segment (a) the exits of the states below the lca, (b) the effect,
   -- (c) the entries of the states from below the lca to the target.
-  function list_actions(path)
+  local function list_actions(fsm, path)
     local from, list = path.from, { actions = {}, args = {} }
-    add_action(list, show_path, path)
-    if path.entered then add_entry(list, path.entered) end
-    if path.segments[1] then add_action(list, recorders.path, path) end
-    for _, def in ipairs(path.segments) do
-      if not def.is_internal then add_exits(list, def, from) end
-      add_action(list, recorders.effect, def)
-      add_action(list, run_effect, def)
-      if not def.is_internal then add_action(list, recorders.entries, def) end
-      for _, state in ipairs(def.is_internal and NONE or def.entries) do
-        add_entry(list, state)
-      end
-      from = def.tgt.parent
+    local has_events = has_inner_events(path)
+    for _, hook in ipairs(fsm._path_hooks or NONE) do
+      add_action(list, actions.path_hook, { hook = hook, path = path })
     end
-    path.args = list.args
+    if path.entered then add_entry(fsm, list, path.entered) end
+    if path.segments[1] then add_action(list, recorders.path, path) end
+    for i, segment in ipairs(path.segments) do
+      if i > 1 and has_events then
+        add_action(list, actions.go_through, segment.tr.src)
+      end
+      if not segment.is_internal then add_exits(fsm, list, segment, from) end
+      add_action(list, recorders.effect, segment)
+      add_action(list, actions.effect, segment)
+      add_action(list, segment.is_internal and actions.keep_made or recorders.entries,
+        segment)
+      for _, state in ipairs(segment.entries) do add_entry(fsm, list, state) end
+      from = segment.tgt._parent
+    end
+    path.args, fsm._has_paths = list.args, true
     path.actions = shared(list.actions) -- set last: it marks completion
   end
-end
 
-local function new_path(at, def)
-  local segments = append(append({}, at.segments or NONE), { compile_transition(def) })
-  local path = { from = at.from or at, entered = at.entered, segments = segments }
-  at.paths = at.paths or {}
-  at.paths[def] = path
-  return path
-end
-
--- Returns the path that continues `at` with the transition `def` and, at each connector
--- reached, with the transition noted in `ways`. Paths are kept in a tree. Its roots are
--- the leaves and the entrance of the root state; `at` is a root or a part of a path.
-function path_of(at, def, ways)
-  if def then -- no loop, because LuaJIT would not compile a loop around this one
-    at = at.paths and at.paths[def] or new_path(at, def)
-    if def.connector then return path_of(at, ways[def.connector].way, ways) end
+  function new_path(at, segment)
+    local path = {
+      from = at.from or at, entered = at.entered,
+      segments = append(append({}, at.segments or NONE), { segment }),
+    }
+    at._paths = at._paths or {}
+    at._paths[segment] = path
+    return path
   end
-  if not at.actions then list_actions(at) end
-  return at
+
+  -- Returns the path that continues `at` with a segment and, at each connector reached,
+  -- with the segment noted in `ways`. Paths are kept in a tree. Its roots are the
+  -- leaves and the entrance of the machine; `at` is a root or a part of a path.
+  function path_of(fsm, at, segment, ways)
+    if segment then -- no loop, because LuaJIT would not compile a loop around this one
+      at = at._paths and at._paths[segment] or new_path(at, segment)
+      if segment.connector then
+        return path_of(fsm, at, ways[segment.connector].way, ways)
+      end
+    end
+    if not at.actions then list_actions(fsm, at) end
+    return at
+  end
 end
 
 -- Performs the actions of `_path` after the one that was begun last. Returns true.
 function perform(fsm)
-  local path, begun = fsm._path, fsm._at
-  local actions, args = path.actions, path.args
-  for at = begun - begun % 1 + 1, #actions do actions[at](fsm, args[at], at) end
+  local path = fsm._path
+  local list, args = path.actions, path.args
+  for at = fsm._at + 1, #list do list[at](fsm, args[at], at) end
   return true
 end
 
@@ -2139,20 +2182,15 @@ function PHASES.take(fsm)
   return conclude(fsm, "counted")
 end
 
-local drop_fast, load_fast, prepare_choice, prepare_entry, quick_run
+local compile_path, drop_fast, load_fast, quick_run
 
 do
   local fast -- the functions of rfsm/fast.lua, false without it
 
   local function make_fast()
     return loadstring and require("rfsm.fast") {
-      loadstring = loadstring, silent = silent, borrowers = borrowers,
-      perform = perform, failed = report_callback, call_hooks = call_hooks,
-      show_path = show_path, run_effect = run_effect, leave = leave,
-      run_exit_hooks = run_exit_hooks, be_left = be_left, become_active = become_active,
-      enter = enter, become_leaf = become_leaf, matches = matches,
-      refuse_guard = refuse_guard, retarget = retarget, lead = lead, note_of = note_of,
-      warn_of_conflict = warn_of_conflict, compile_transition = compile_transition,
+      loadstring = loadstring, silent = silent, promises = promises, actions = actions,
+      perform = perform, failed = report_callback,
     }
   end
 
@@ -2167,94 +2205,67 @@ do
 
   function drop_fast() fast = false end
 
-  local OFTEN = 3 -- a path or list that is used more often is compiled
+  local OFTEN = 3 -- a path that is used more often is compiled
 
-  -- Has rfsm/fast.lua make a function for `at`, a path or a list of candidates. The
-  -- function, or false if none can be made, is kept in one of these fields:
-  --
-  --   path.run, path.run_hooked   f(fsm, is_chosen) takes the path. If no search has
-  --                               chosen the path, and a guard or a changed target
-  --                               requires a search, f does nothing and returns false
-  --   list.find                   does the same as `first_enabled`
-  local function compile_text(at, name)
-    local ok, f = pcall(fast and fast[name] or silent, at)
-    if not ok and f ~= "not enough memory" then error(f, 0) end
-    at[name] = ok and f or false
-    return at[name]
+  -- Has rfsm/fast.lua make the function `path.run`, which takes the path; false if none
+  -- can be made. `run(fsm, event)` does nothing and returns false if a guard or a
+  -- changed target requires a search; `run(fsm, event, true)` is called after the
+  -- search.
+  function compile_path(path)
+    local ok, run = pcall(fast or silent, path)
+    if not ok and run ~= "not enough memory" then error(run, 0) end
+    path.run = ok and run or false
+    return path.run
   end
 
-  -- Returns the function in the field `name` of `at`, a path or a list of candidates.
-  -- It is compiled after OFTEN calls; until then the result is false.
-  function compiled(at, name)
-    if at[name] ~= nil then return at[name] end
-    at.used = (at.used or 0) + 1
-    if fast and at.used <= OFTEN then return false end
-    return compile_text(at, name)
+  -- Returns the function of a path. It is compiled after OFTEN calls; until then the
+  -- result is false.
+  function compiled(path)
+    if path.run ~= nil then return path.run end
+    path.used = (path.used or 0) + 1
+    if fast and path.used <= OFTEN then return false end
+    return compile_path(path)
   end
 
-  -- Returns the only path that can begin with the transition `def`: each connector on
-  -- it has a single transition, without events. (The function compiled from the path
-  -- checks guards and changed targets.) Returns nil if there is no such path, or if it
-  -- has more than ten segments, because connectors may form a cycle.
-  local function straight_path(leaf, def)
-    local first, ways, count = compile_transition(def), {}, 1
-    while def.connector do
-      local otrs = def.connector.otrs
-      if #otrs ~= 1 or otrs[1].events or count == 10 then return nil end
-      ways[def.connector] = { way = otrs[1] }
-      def, count = compile_transition(otrs[1]), count + 1
+  local function is_hooked(fsm, tr) return fsm._guard_hooks and fsm._guard_hooks[tr] end
+
+  -- Returns the segment of a transition; if its target is wrong, nil without a report.
+  local function known_segment(fsm, tr)
+    return is_node_of(fsm, tr.tgt) and segment_of(fsm, tr)
+  end
+
+  -- Returns the only path that can begin with the transition: each connector on it has
+  -- a single transition, without events. (The function compiled from the path checks
+  -- guards and changed targets.) Returns nil if there is no such path, or if it has
+  -- more than ten segments, because connectors may form a cycle.
+  local function straight_path(fsm, leaf, tr)
+    local first = known_segment(fsm, tr)
+    if not first then return nil end
+    if not first.connector then return path_of(fsm, leaf, first) end
+    local segment, ways, count = first, {}, 1
+    while segment and segment.connector do
+      local otrs = segment.connector._otrs
+      if #otrs ~= 1 or otrs[1].events[1] ~= nil or count == 10
+        or is_hooked(fsm, otrs[1]) then
+        return nil
+      end
+      local next_one = known_segment(fsm, otrs[1])
+      ways[segment.connector] = { way = next_one }
+      segment, count = next_one, count + 1
     end
-    return path_of(leaf, first, ways)
+    return segment and path_of(fsm, leaf, first, ways)
   end
 
   -- Returns the function that takes a path without a search, if `choice` has only one
   -- candidate and this candidate has only one path. Otherwise, or if the function is
   -- not compiled yet, returns false. `choice` keeps the result when it is final.
-  function quick_run(leaf, choice, name)
-    local def = choice[1]
-    local path = def and not (choice[2] or def.is_asked) and straight_path(leaf, def)
-    local run = path and compiled(path, name) or false
-    if not path or path[name] ~= nil then choice[name] = run end
+  function quick_run(fsm, leaf, choice)
+    local tr = choice[1]
+    local path = tr and not (choice[2] or tr._is_asked or is_hooked(fsm, tr))
+      and straight_path(fsm, leaf, tr)
+    local run = path and compiled(path) or false
+    if not path or path.run ~= nil then choice.run = run end
     return run
-  end
-
-  -- Limits of `rfsm.prepare`: the number of paths for a leaf and an event, and the
-  -- number of segments in a path.
-  local MOST_PATHS, MOST_SEGMENTS = 50, 6
-  local paths_left = 0
-
-  -- Makes the paths that continue `at` with transition `def`, and compiles them.
-  local function prepare_paths(at, def, name)
-    local path = at.paths and at.paths[def] or new_path(at, def)
-    local connector = compile_transition(def).connector
-    if not connector then
-      paths_left = paths_left - 1
-      return compile_text(path_of(path), name)
-    end
-    for _, way in ipairs(#path.segments < MOST_SEGMENTS and connector.otrs or NONE) do
-      if paths_left > 0 then prepare_paths(path, way, name) end
-    end
-  end
-
-  -- Makes and compiles the paths that continue `at` with each transition of a list.
-  local function prepare_list(at, list, name)
-    paths_left = MOST_PATHS
-    for _, def in ipairs(list) do prepare_paths(at, def, name) end
-  end
-
-  function prepare_entry(root)
-    local initial = root.members.initial
-    prepare_list(root.entrance, initial and initial.otrs or NONE, "run")
-  end
-
-  function prepare_choice(leaf, choice, name)
-    prepare_list(leaf, choice, name)
-    for _, def in ipairs(choice) do
-      if choice[2] or def.guard or def.is_asked or def.connector then
-        compile_text(choice, "find")
-      end
-    end
-    quick_run(leaf, choice, name)
   end
 end
 
@@ -2263,6 +2274,8 @@ end
 local run_doo
 
 do
+  local coroutine = find_global "coroutine"
+
   -- Drops the coroutine last. After an interrupt the next step drops it in `end_doo`.
   local function fail_doo(fsm, leaf, failure)
     report_callback(fsm, "doo", leaf, nil, failure)
@@ -2270,7 +2283,7 @@ do
   end
 
   local function complete(fsm, leaf)
-    local queue, event = fsm._intq, leaf["_%def"].done_event
+    local queue, event = fsm._intq, done_event(leaf)
     if is_traced(fsm) then report(fsm, "dbg", "RAISED", event) end
     queue[#queue + 1] = event
     leaf._mode = "done"
@@ -2331,7 +2344,7 @@ local function finish_cycle(fsm, idle)
   if idle and fsm._curq[1] == nil and fsm.getevents ~= no_events
     and (fsm._at < 3 or fsm._given) then
     fsm._at = 3
-    append_getevents(fsm, fsm._intq)
+    append_getevents(fsm, "_intq")
   end
   return conclude(fsm, idle and "idle" or "counted")
 end
@@ -2340,34 +2353,44 @@ function PHASES.doo(fsm) return finish_cycle(fsm, run_doo(fsm, innermost(fsm))) 
 
 -- Iterate ........................................................................
 
--- The phase "finish": calls the post step hooks and returns the results of `iterate`.
--- The list of current events is used again, unless a callback may have kept it.
-local function finish(fsm)
-  if fsm._reset_wanted then reset_now(fsm) end
-  if fsm._post_hooks ~= OWN_ONLY or fsm.post_step_hook then
-    run_hooks(fsm, fsm._post_hooks, "post_step_hook")
-  end
+local function empty(list)
+  for i = #list, 1, -1 do list[i] = nil end
+end
+
+-- Ends an iteration whose hooks were called. Returns the results of `iterate`. The list
+-- of current events is used again, unless a callback may have kept it.
+local function close(fsm)
   if fsm._is_lent then
     fsm._curq = {}
-    fsm._is_lent = false
+    fsm._is_lent = fsm._lends
   else
     local events = fsm._curq
-    for i = #events, 1, -1 do events[i] = nil end
+    if events[2] ~= nil then empty(events) end
+    events[1] = nil
   end
   fsm._phase = "idle"
-  fsm._is_cut = false
-  fsm._is_usual = not fsm._reset_wanted
-  if fsm._failure then raise_failure(fsm) end
+  if not fsm._is_usual then
+    fsm._is_usual, fsm._is_cut = not fsm._reset_wanted, false
+    if fsm._failure then raise_failure(fsm) end
+  end
   local outcome = fsm._outcome
   return outcome ~= "free",
     outcome == "idle" and fsm._intq[1] == nil and fsm._act_leaf ~= false
 end
 
+-- The phase "finish": calls the post step hooks.
+local function finish(fsm)
+  if fsm._reset_wanted then reset_now(fsm) end
+  local hooks, next_one = fsm._after, fsm._hook + 1
+  if hooks and hooks[next_one] then run_hooks(fsm, hooks, next_one) end
+  return close(fsm)
+end
+
 PHASES.search, PHASES.finish = search, finish
 
 function conclude(fsm, outcome)
-  fsm._hook = 0
   fsm._outcome = outcome
+  fsm._hook = 0
   fsm._phase = "finish"
   return finish(fsm)
 end
@@ -2376,8 +2399,8 @@ end
 local function go_on(fsm, after_free)
   fsm._is_cut = false
   if fsm._phase == "idle" then
-    fsm._hook = -1
-    fsm._phase = "gather"
+    fsm._turn = fsm._turn + 1
+    fsm._phase = "begin"
   end
   return PHASES[fsm._phase](fsm, after_free)
 end
@@ -2390,24 +2413,72 @@ end
 local iterate
 
 do
-  -- Makes one iteration of a machine with hooks. The caller has made the pending events
-  -- current.
-  local function iterate_hooked(fsm, after_free)
-    fsm._hook = -1
-    fsm._phase = "gather"
-    ask_hooks(fsm)
-    local leaf, events, choice = fsm._act_leaf, fsm._curq, nil
-    if leaf and fsm.dbg == silent then
-      local def, event, more = leaf["_%def"], events[1], events[2]
-      if event == def.ignored then event, more = more, events[3] end
-      if event ~= nil and more == nil then
-        choice = def.choices[event] or choice_of(def, event)
-        local run = choice.run_hooked
-        if run == nil then run = quick_run(def, choice, "run_hooked") end
-        if run and run(fsm) then return conclude(fsm, "counted") end
+  -- Makes one iteration of a machine with step hooks. The first hook of a list is
+  -- called here: most machines have only one.
+  local function iterate_hooked(fsm, after_free, leaf) -- luacheck: ignore 561
+    local hooks, has_getevents, events = fsm._before, false, fsm._intq
+    local spare = fsm._curq
+    fsm._curq = events
+    fsm._intq = spare
+    fsm._turn = fsm._turn + 1
+    if hooks then
+      local hook = hooks.one
+      fsm._hook = hooks.noted
+      fsm._phase = "gather"
+      if hook then
+        local ok, failure = pcall(hook, fsm, events)
+        if not ok then fail_hook(fsm, hook, failure) end
+        if hooks[2] then run_hooks(fsm, hooks, 2) end
+      else
+        run_hooks(fsm, hooks, 1)
+      end
+      fsm._phase = "search"
+      events = fsm._curq -- getevents and `take_one` may replace the list
+      has_getevents = hooks.has_getevents
+      if not fsm._is_usual or fsm._act_leaf ~= leaf or fsm.dbg ~= silent then
+        return search(fsm, after_free)
       end
     end
-    return search(fsm, after_free, choice)
+    local event, more = events[1], events[2]
+    if event == leaf._ignored then event, more = more, events[3] end
+    local choice, outcome
+    if event == nil then
+      if leaf._mode == "done" and not (leaf._doo_co or has_getevents) then
+        outcome = (event == events[1] or after_free) and "idle" or "free"
+      end
+    elseif more == nil then
+      choice = leaf._choices[event] or choice_of(leaf, event)
+      local run = choice.run
+      if run == nil then run = quick_run(fsm, leaf, choice) end
+      if run and run(fsm, event) then
+        if not fsm._is_usual then return conclude(fsm, "counted") end
+        outcome = "counted"
+      end
+    end
+    if not outcome then
+      fsm._phase = "search"
+      return search(fsm, after_free, choice, event)
+    end
+    fsm._outcome = outcome
+    hooks = fsm._after
+    if hooks then
+      local hook = hooks.one
+      fsm._hook = hooks.noted
+      fsm._phase = "finish"
+      if hook then
+        local ok, failure = pcall(hook, fsm, events)
+        if not ok then fail_hook(fsm, hook, failure) end
+        if hooks[2] then run_hooks(fsm, hooks, 2) end
+      else
+        run_hooks(fsm, hooks, 1)
+      end
+    end
+    if fsm._is_lent or not fsm._is_usual then return close(fsm) end
+    if events[2] ~= nil then empty(events) end
+    events[1] = nil
+    fsm._phase = "idle"
+    if outcome ~= "idle" then return outcome == "counted", false end
+    return true, fsm._intq[1] == nil and fsm._act_leaf ~= false
   end
 
   -- Makes one iteration without events.
@@ -2430,11 +2501,11 @@ do
 
   -- Returns the function of the path that a search has found. Returns nil if it is not
   -- compiled, or if the iteration is no longer a usual one because of a guard.
-  local function found_run(fsm, leaf, def)
+  local function found_run(fsm, leaf, segment)
     if not fsm._is_usual or fsm.dbg ~= silent or fsm._act_leaf ~= leaf then
       return nil
     end
-    return path_of(leaf["_%def"], def, fsm._ways).run
+    return path_of(fsm, leaf, segment, fsm._ways).run
   end
 
   -- Makes one iteration. Returns whether it counts as a step and whether the machine is
@@ -2446,26 +2517,26 @@ do
     if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
       return go_on(fsm, after_free)
     end
+    if fsm._is_hooked then return iterate_hooked(fsm, after_free, leaf) end
     local events = fsm._intq
     local spare = fsm._curq
     fsm._curq = events
     fsm._intq = spare
-    if fsm._is_hooked then return iterate_hooked(fsm, after_free) end
-    local def, event, more = leaf["_%def"], events[1], events[2]
-    if event == def.ignored then event, more = more, events[3] end
+    local event, more = events[1], events[2]
+    if event == leaf._ignored then event, more = more, events[3] end
     if event == nil then return rest(fsm, leaf, after_free) end
     local choice
     if more == nil then
-      choice = def.choices[event] or choice_of(def, event)
+      choice = leaf._choices[event] or choice_of(leaf, event)
       local run = choice.run
-      if run == nil then run = quick_run(def, choice, "run") end
-      local is_taken = run and run(fsm)
-      if not is_taken and choice.find then
+      if run == nil then run = quick_run(fsm, leaf, choice) end
+      local is_taken = run and run(fsm, event)
+      if not is_taken and choice[1] then
         fsm._phase = "search"
-        local found = choose(fsm, leaf, events, choice)
+        local found, own = choose(fsm, leaf, events, choice, event)
         run = found and found_run(fsm, leaf, found)
-        if not run then return follow(fsm, after_free, leaf, found) end
-        is_taken = run(fsm, true)
+        if not run then return follow(fsm, after_free, leaf, found, own) end
+        is_taken = run(fsm, own, true)
       end
       if is_taken and not fsm._is_usual then
         return conclude(fsm, "counted")
@@ -2482,7 +2553,7 @@ do
       end
     end
     fsm._phase = "search"
-    return search(fsm, after_free, choice)
+    return search(fsm, after_free, choice, event)
   end
 end
 
@@ -2501,16 +2572,7 @@ local function raise_cut(fsm, failure)
   error(failure, 0)
 end
 
--- Build: a plan of a model, and a machine of the plan -------------------------------
-
--- Accepts a machine that is a program's deep copy. Its plan is a copy, too, but the
--- metatables of its elements belong to the original plan, so it gets the original.
-local function adopt_copy(fsm)
-  local node = fsm._nodes[2]
-  local root = node and node["_%def"].parent or fsm["_%def"]
-  fsm._plan, fsm["_%def"], fsm._ways = root.plan, root, {}
-  machines[fsm] = true
-end
+-- Build: a machine of a model -------------------------------------------------------
 
 --- Raise an error that blames the caller, unless `fsm` is a machine; for extensions.
 ---@param fsm any
@@ -2519,7 +2581,11 @@ end
 function rfsm.check_machine(fsm, where, level)
   if machines[fsm] then return end
   if rawequal(getmetatable(fsm), Machine) and rawget(fsm, "_initialized") then
-    if not fsm._preparing then adopt_copy(fsm) end -- otherwise `init` is running
+    if fsm._preparing then return end -- `init` is running
+    -- a program's deep copy: what was made of the structure may still lead to elements
+    -- of the original
+    forget(fsm)
+    machines[fsm] = true
     return
   end
   local hint = is_state(fsm) and (rawget(fsm, "_initialized")
@@ -2529,17 +2595,6 @@ end
 
 local check_machine = rfsm.check_machine
 
---- Return a table that machines of the same structure share, for extensions.
---
--- A machine gets another table from `fsm_merge`, and when a preproc function changes
--- its transitions.
---
----@param fsm rfsm.Machine
----@return table structure
-function rfsm.structure_of(fsm)
-  check_machine(fsm, "rfsm.structure_of")
-  return fsm._plan
-end
 
 local function check_function(f, where)
   if not is_callable(f) then error(where .. ": function expected, " .. got(f), 3) end
@@ -2578,128 +2633,82 @@ end
 ---@param field? string a field to include: "root.trans[2].events (off -> on)"
 ---@return string location
 function rfsm.location_of(obj, field)
-  local def = obj["_%def"]
-  local file = made_at[def.model]
-  return (file and file .. ": " or "") .. name_of(def, field)
+  local file = made_at[obj._model]
+  return (file and file .. ": " or "") .. name_of(obj, field)
 end
 
-local build_plan, check_ways_in, new_build, plan_of
+local build_machine, check_ways_in
 
 do
-  -- Model -> plan, a weak table. Machines keep their plan alive. `latest_plan` keeps
-  -- one more, for programs that drop each machine before they make the next.
-  local plans, latest_plan = setmetatable({}, { __mode = "kv" }), nil
-  local is_sparing = false
-
-  function new_build(plan)
-    plan.warnings, plan.created = {}, {}
-    return { plan = plan, problems = {}, warnings = plan.warnings,
-      created = plan.created, mounts = {} }
-  end
-
-  -- Removes user data of the root whose key is also a field of every machine.
-  local function drop_taken_names(build, root)
-    local taken, data = own_fields(), root.data
-    root.data = {}
-    for i = 1, #data, 2 do
-      local key = data[i]
-      if taken[key] ~= nil or is_meta(key) and DEFAULTS[key] ~= nil then
-        add(build.warnings, root, key, "the machine has a field of this name, this one "
-          .. "is ignored")
-      else
-        append(root.data, { key, data[i + 1] })
-      end
-    end
-  end
-
-  local function is_closed_initial(def)
-    return def.id == "initial" and def.kind == "connector" and not def.is_left
+  local function is_closed_initial(build, node)
+    return node._id == "initial" and not node._mode and not build.is_left[node]
+      and not (node._otrs and node._otrs[1])
   end
 
   -- Reports each `initial` that no transition leaves: a problem if the first entry or a
   -- transition leads to it, else a warning. A merge has added the transitions from
   -- number `first` on: only problems are reported, and only theirs.
   function check_ways_in(build, first)
-    local plan, is_aimed_at = build.plan, {}
-    for i = first or 1, #plan.transitions do
-      is_aimed_at[plan.transitions[i].tgt] = true
+    local fsm, is_aimed_at = build.fsm, {}
+    for i = first or 1, #fsm._transitions do
+      is_aimed_at[fsm._transitions[i].tgt] = true
     end
-    for _, def in ipairs(plan.nodes) do
-      local is_entered = is_aimed_at[def] or not first and def.parent == plan.nodes[1]
-      if is_closed_initial(def) and (is_entered or not first) then
-        add(is_entered and build.problems or build.warnings, def, nil,
+    for _, node in ipairs(fsm._nodes) do
+      local is_entered = is_aimed_at[node] or not first and node._parent == fsm
+      if is_closed_initial(build, node) and (is_entered or not first) then
+        add(is_entered and build.problems or build.warnings, node, nil,
           "no transition leaves it (rfsm.trans{ src='initial', tgt=... })")
       end
     end
   end
 
-  local function check_root(build, root)
-    local model = root.model
-    for _, name in ipairs(HOOKS) do check_callable(build, root, name, model[name]) end
+  local function check_root(build, fsm)
+    local model = fsm._model
+    for _, name in ipairs(HOOKS) do check_callable(build, fsm, name, model[name]) end
     for _, name in ipairs(PRINTERS) do
       local printer = model[name]
       if printer and printer ~= true and not is_callable(printer) then
-        add(build.problems, root, name, "function, true or false expected, "
+        add(build.problems, fsm, name, "function, true or false expected, "
           .. got(printer))
       end
     end
-    if not root.is_leaf and not root.members.initial then
-      add(build.problems, root, nil, "the root needs an initial transition "
+    if not (fsm._is_leaf or is_node(rawget(fsm, "initial"))) then
+      add(build.problems, fsm, nil, "the root needs an initial transition "
         .. "(rfsm.trans{ src='initial', tgt=... })")
     end
   end
 
-  -- Checks, clones and resolves a model, without a call of its functions.
-  function build_plan(model)
-    local build = new_build(new_plan(model))
-    local root = new_node(build, "state", model, nil, "root")
+  -- Sets the printers and step hooks. A printer that cannot be called is replaced by a
+  -- default.
+  local function set_hooks(fsm)
+    for _, name in ipairs(PRINTERS) do
+      local printer = rawget(fsm, name)
+      printer = printer == nil and DEFAULT_PRINTER[name] or printer_of(fsm, name)
+      rawset(fsm, name, is_callable(printer) and printer or DEFAULT_PRINTER[name])
+    end
+    for name in pairs(STEP_HOOKS) do -- any order: independent entries
+      if not rawget(fsm, name) then rawset(fsm, name, nil) end
+    end
+    list_hooks(fsm)
+  end
+
+  -- Clones and resolves a model, without a call of its functions. Returns the build.
+  function build_machine(model)
+    local fsm = setmetatable(own_fields(), Machine)
+    local build = new_build(fsm)
+    fsm._model, fsm._parent, fsm._nodes = model, fsm, { fsm }
+    note_mount(build, fsm)
     clone_below(build, 1)
     resolve(build, 1)
     check_ways_in(build)
-    drop_taken_names(build, root)
-    check_root(build, root)
+    check_root(build, fsm)
+    set_hooks(fsm)
     return build
   end
 
-  -- Returns the plan of a model. If the model has problems, returns nil and their list.
-  function plan_of(model)
-    local plan = plans[model]
-    if plan and is_current(plan) then return plan end
-    local build = build_plan(model)
-    if build.problems[1] then return nil, lines_of(build.problems) end
-    plan = compile(build.plan)
-    if is_sparing then return plan end
-    plan.trail = make_trail(plan)
-    plans[model], latest_plan = plan, plan
-    return latest_plan
-  end
-
-  --- Use less memory and more time from now on, for all machines of this Lua state.
-  --
-  -- rfsm/fast.lua compiles nothing more. Each `init` makes a new plan, which is dropped
-  -- with its machine.
-  function rfsm.save_memory()
-    drop_fast()
-    is_sparing, latest_plan = true, nil
-  end
+  interpret(set_hooks)
 end
 
--- Makes a machine of a plan. A printer that cannot be called is replaced by a default.
-local function new_machine(plan)
-  local fsm = own_fields()
-  fsm["_%def"], fsm._plan, fsm._parent, fsm._nodes = plan.nodes[1], plan, fsm, { fsm }
-  make_elements(fsm, plan, 2, 1)
-  for _, name in ipairs(PRINTERS) do
-    local printer = printer_of(fsm, name)
-    fsm[name] = is_callable(printer) and printer or DEFAULT_PRINTER[name]
-  end
-  for name in pairs(STEP_HOOKS) do -- any order: independent entries
-    if fsm[name] then fsm._is_hooked = true else fsm[name] = nil end
-  end
-  return setmetatable(fsm, Machine)
-end
-
-interpret(new_machine)
 
 local function report_lines(fsm, name, list)
   if fsm[name] == silent then return end
@@ -2708,54 +2717,62 @@ local function report_lines(fsm, name, list)
   end
 end
 
--- Returns the set of composites that are left by a transition from a node inside.
-local function left_composites(plan)
-  local left = {}
-  for _, def in ipairs(plan.transitions) do
-    local composite, lca = def.src.parent, find_lca(def.src.parent, def.tgt.parent)
-    while composite ~= lca do left[composite], composite = true, composite.parent end
-  end
-  return left
-end
+local report_dead_ends
 
--- Does a composite that contains the state `def` have an outgoing transition?
-local function is_left_around(def)
-  local around = def.parent
-  while around ~= around.parent and not around.otrs[1] do around = around.parent end
-  return def.kind == "state" and around.otrs[1] ~= nil
-end
-
--- Warns of the nodes, from number `first` on, that no transition leaves. Returns true
--- if there are none.
-local function report_dead_ends(fsm, first)
-  local plan, dead, left = fsm._plan, {}, nil
-  for i = first, #plan.nodes do
-    local def = plan.nodes[i]
-    if not (def.otrs[1] or def.model.final or def.parent == def
-      or is_left_around(def)) then
-      left = left or left_composites(plan)
-      local line = "no outgoing transitions from node '" .. def.fqn .. "'"
-      dead[#dead + 1] = not left[def] and { line = line } or nil
+do
+  -- Returns the set of composites that are left by a transition from a node inside.
+  local function left_composites(fsm)
+    local left = {}
+    for _, tr in ipairs(fsm._transitions) do
+      local composite, lca = tr.src._parent, find_lca(tr.src._parent, tr.tgt._parent)
+      while composite ~= lca do left[composite], composite = true, composite._parent end
     end
+    return left
   end
-  report_lines(fsm, "warn", dead)
-  return dead[1] == nil
+
+  -- Does a composite that contains the state have an outgoing transition?
+  local function is_left_around(state)
+    local around = state._parent
+    while around ~= around._parent and not around._otrs[1] do
+      around = around._parent
+    end
+    return state._mode ~= nil and around._otrs[1] ~= nil
+  end
+
+  -- Warns of the nodes, from number `first` on, that no transition leaves. Returns true
+  -- if there are none.
+  function report_dead_ends(fsm, first)
+    local nodes, dead, left = fsm._nodes, {}, nil
+    for i = first, #nodes do
+      local node = nodes[i]
+      if not (node._otrs[1] or node._model.final or node == fsm
+        or is_left_around(node)) then
+        left = left or left_composites(fsm)
+        local line = "no outgoing transitions from node '" .. node._fqn .. "'"
+        dead[#dead + 1] = not left[node] and { line = line } or nil
+      end
+    end
+    report_lines(fsm, "warn", dead)
+    return dead[1] == nil
+  end
 end
 
 -- Reports the warnings of the model, then suspicious guards and events, which preproc
 -- functions may have changed.
-local function report_findings(fsm, first_node, first_transition)
-  local plan, found = fsm._plan, append({}, fsm._plan.warnings)
-  for i = first_node, #plan.nodes do
-    local def = plan.nodes[i]
-    local way = def.id == "initial" and def.otrs[1]
-    if way and (way.events or way.guard) then add_advice(found, "initial", def) end
+local function report_findings(build, first_node, first_transition)
+  local fsm, found = build.fsm, append({}, build.warnings)
+  for i = first_node, #fsm._nodes do
+    local node = fsm._nodes[i]
+    local way = node._id == "initial" and node._otrs[1]
+    if way and (way.events[1] ~= nil or way.guard) then
+      add_advice(found, "initial", node)
+    end
   end
-  for i = first_transition, #plan.transitions do
-    local def = plan.transitions[i]
-    for _, event in ipairs(def.events or NONE) do
+  for i = first_transition, #fsm._transitions do
+    local tr = fsm._transitions[i]
+    for _, event in ipairs(tr.events) do
       local is_call = type(event) == "string" and event:find("%)$")
-      if is_call then add_advice(found, "event", def, event) end
+      if is_call then add_advice(found, "event", tr, event) end
     end
   end
   report_lines(fsm, "warn", found)
@@ -2780,110 +2797,41 @@ rfsm.makers = {}
 local preprocess
 
 do
-  -- Gives each transition the fields `events` and `pn`, which a preproc function may
-  -- change. The fields exist already if a preproc function has called `fsm_merge`.
-  local function hand_out(fsm, plan)
-    for i, tr in ipairs(fsm._transitions) do
-      local def = plan.transitions[i]
-      tr.events = rawget(tr, "events") or append({}, def.events or NONE)
-      tr.pn = rawget(tr, "pn") or def.pn
-    end
-  end
-
   -- Returns the name of a field with a wrong value from a preproc function; else false.
   local function wrong_field(fsm, tr)
-    local events, pn = tr.events or NONE, rawget(tr, "pn") or 0
+    local events, pn = tr.events or NONE, tr.pn or 0
     if type(events) ~= "table" and type(events) ~= "string" then return "events" end
     if type(pn) ~= "number" or pn ~= pn then return "pn" end
     if not is_node_of(fsm, tr.src) then return "src" end
     return not is_node_of(fsm, tr.tgt) and "tgt"
   end
 
-  -- Converts the fields of a transition into the form of a plan: a list of events, and
-  -- a target that is no composite. Returns the text of a problem, or nil.
+  -- Checks what preproc functions have made of a transition. Its events become a list,
+  -- its target no composite. Returns the text of a problem, or nil.
   local function check_transition(fsm, tr)
-    local wrong = wrong_field(fsm, tr)
+    local wrong, tgt = wrong_field(fsm, tr), tr.tgt
     if wrong then
       return ("%s: %s: set by a preproc function, %s"):format(rfsm.location_of(tr),
         wrong, got(tr[wrong]))
     end
-    local tgt, events = tr.tgt["_%def"], rawget(tr, "events") or {}
-    local is_internal = tr["_%def"].is_internal and rawequal(tr.src, tr.tgt)
-    if tgt.kind == "state" and not (tgt.is_leaf or is_internal) then
-      local initial = tgt.members.initial
-      if not (initial and initial.is_left) then
+    tr._is_internal = tr._is_internal and rawequal(tr.src, tgt)
+    if tgt._mode and not (tgt._is_leaf or tr._is_internal) then
+      tr.tgt = rawget(tgt, "initial")
+      if not (tr.tgt and tr.tgt._otrs[1]) then
         return rfsm.location_of(tr)
           .. ": tgt: the composite has no initial transition"
       end
-      tr.tgt = fsm._nodes[initial.index]
     end
-    tr.events = type(events) == "string" and { events } or events
+    tr.events = type(tr.events) == "string" and { tr.events } or tr.events or {}
   end
 
-  -- Do all transitions of a machine have the ends, priority and events of the plan?
-  local function fits(fsm, plan)
-    local nodes = fsm._nodes
-    for i, tr in ipairs(fsm._transitions) do
-      local def, events = plan.transitions[i], rawget(tr, "events")
-      local known = def.events or NONE
-      if type(events) ~= "table" or #events ~= #known
-        or (rawget(tr, "pn") or nil) ~= def.pn
-        or not rawequal(tr.src, nodes[def.src.index])
-        or not rawequal(tr.tgt, nodes[def.tgt.index]) then
-        return false
-      end
-      for j = 1, #known do
-        if not rawequal(events[j], known[j]) then return false end
-      end
+  -- Checks all transitions after preproc functions, if `is_changed`; lists problems.
+  local function check_transitions(fsm, is_changed, problems)
+    for _, tr in ipairs(fsm._transitions) do
+      if is_changed then problems[#problems + 1] = check_transition(fsm, tr) end
+      tr._target = tr.tgt
     end
-    return true
-  end
-
-  -- Returns a plan that fits the machine: the latest variant or `plan`. Otherwise nil.
-  local function find_plan(fsm, plan)
-    if plan.variant and fits(fsm, plan.variant) then return plan.variant end
-    return fits(fsm, plan) and plan or nil
-  end
-
-  -- Returns a new plan with the same definitions, and drops what was compiled in them.
-  -- Only one machine may have `plan`.
-  local function renewed(plan)
-    local variant = new_plan(plan.model, plan.warnings, plan.created)
-    variant.nodes, variant.transitions = plan.nodes, plan.transitions
-    for _, def in ipairs(plan.nodes) do def.paths = nil end
-    for _, def in ipairs(plan.transitions) do
-      def.connector, def.aimed, def.is_asked = nil, nil, nil
-    end
-    return variant
-  end
-
-  -- Returns a new plan with the transitions as the preproc functions have changed them.
-  local function new_variant(fsm, plan)
-    local variant = plan.trail and copy_plan(plan) or renewed(plan)
-    for i, tr in ipairs(fsm._transitions) do
-      local def = variant.transitions[i]
-      def.src = variant.nodes[tr.src["_%def"].index]
-      def.tgt = variant.nodes[tr.tgt["_%def"].index]
-      def.pn = rawget(tr, "pn") or nil
-      def.events = tr.events[1] ~= nil and append({}, tr.events)
-      def.is_internal = def.is_internal and def.src == def.tgt
-    end
-    plan.variant = compile(variant)
-    return variant
-  end
-
-  -- Gives the machine a plan that fits its transitions after the preproc functions.
-  -- Machines with equal transitions share this plan.
-  local function take_results(fsm, plan, problems)
-    local found = find_plan(fsm, plan)
-    if not found then
-      for _, tr in ipairs(fsm._transitions) do
-        problems[#problems + 1] = check_transition(fsm, tr)
-      end
-      found = problems[1] and plan or find_plan(fsm, plan) or new_variant(fsm, plan)
-    end
-    for _, tr in ipairs(fsm._transitions) do tr.events, tr.pn = nil, nil end
-    if found ~= plan then use_plan(fsm, found) end
+    if is_changed and not problems[1] then list_otrs(fsm) end
   end
 
   -- Runs the preproc functions and returns the problems they found. If one of them
@@ -2892,15 +2840,13 @@ do
   function preprocess(fsm, merged)
     local problems, outer = {}, fsm._preparing
     local last = outer and outer - 1 or #rfsm.preproc
-    if last < 1 then return problems end
-    hand_out(fsm, fsm._plan)
     for i = 1, last do
       fsm._preparing = i
       local found = rfsm.preproc[i](fsm, merged)
       append(problems, type(found) == "table" and found or {})
     end
     fsm._preparing = outer
-    if not outer then take_results(fsm, fsm._plan, problems) end
+    if not outer then check_transitions(fsm, last > 0, problems) end
     sort(problems, function(a, b) return natural(a) < natural(b) end)
     return problems
   end
@@ -2941,21 +2887,21 @@ function rfsm.init(model)
       .. (type(model) == "string" and " (did you mean rfsm.load?)" or ""), 2)
   end
   model = model_of(model)
-  local plan, problems = plan_of(model)
-  if not plan then return refuse_model(model, nil, problems) end
+  local build = build_machine(model)
+  local fsm, problems = build.fsm, lines_of(build.problems)
+  if problems[1] then return refuse_model(model, nil, problems) end
   load_fast()
   if rfsm.is_strict(model) then find_module("rfsm.strict") end
-  local fsm = new_machine(plan)
   fsm._initialized = true
-  report_lines(fsm, "info", plan.created)
-  list_otrs(fsm, plan)
+  report_lines(fsm, "info", build.created)
+  list_otrs(fsm)
   problems = preprocess(fsm)
   if problems[1] then
     fsm._initialized = false
     return refuse_model(model, fsm, problems)
   end
   if fsm.warn ~= silent then
-    report_findings(fsm, 1, 1)
+    report_findings(build, 1, 1)
     report_dead_ends(fsm, 1)
   end
   machines[fsm] = true
@@ -2972,43 +2918,38 @@ function rfsm.verify_early(model)
   if not is_state(model) then
     error("rfsm.verify_early: state expected, " .. got(model), 2)
   end
-  local build = build_plan(model_of(model))
+  local build = build_machine(model_of(model))
   return not build.problems[1], lines_of(build.problems), lines_of(build.warnings)
 end
 
---- Warn of each state or connector that no transition leaves.
----@param fsm rfsm.Machine
----@return boolean is_clean true if there is no such node
-function rfsm.check_no_otrs(fsm)
-  check_machine(fsm, "rfsm.check_no_otrs")
-  return report_dead_ends(fsm, 1)
-end
 
 -- Use: what a program does with a machine --------------------------------------------
 
-local function queue_more(queue, ...)
-  for i = 1, select("#", ...) do
-    local event = select(i, ...)
-    if event ~= nil then queue[#queue + 1] = event end
+do
+  local function queue_more(queue, ...)
+    for i = 1, select("#", ...) do
+      local event = select(i, ...)
+      if event ~= nil then queue[#queue + 1] = event end
+    end
   end
-end
 
---- Send events to a machine. They are pending until the next iteration, in order.
---
--- @usage
---    rfsm.send_events(fsm, "e_start", "e_ready")
---
----@param fsm rfsm.Machine
----@param event? any anything; nil is skipped
----@param ... any more events
-function rfsm.send_events(fsm, event, ...)
-  if not machines[fsm] then check_machine(fsm, "rfsm.send_events") end
-  if fsm.dbg ~= silent and fsm.dbg then report(fsm, "dbg", "RAISED", event, ...) end
-  local queue = fsm._intq
-  if event ~= nil then queue[#queue + 1] = event end
-  if select("#", ...) > 0 then queue_more(queue, ...) end
-  local hooks = fsm._watch_hooks
-  if hooks and hooks.sent then return tell_from(1, fsm, hooks.sent, event, ...) end
+  --- Send events to a machine. They are pending until the next iteration, in order.
+  --
+  -- @usage
+  --    rfsm.send_events(fsm, "e_start", "e_ready")
+  --
+  ---@param fsm rfsm.Machine
+  ---@param event? any anything; nil is skipped
+  ---@param ... any more events
+  function rfsm.send_events(fsm, event, ...)
+    if not machines[fsm] then check_machine(fsm, "rfsm.send_events") end
+    if fsm.dbg ~= silent and fsm.dbg then report(fsm, "dbg", "RAISED", event, ...) end
+    local queue = fsm._intq
+    if event ~= nil then queue[#queue + 1] = event end
+    if select("#", ...) > 0 then queue_more(queue, ...) end
+    local hooks = fsm._watch_hooks
+    if hooks and hooks.sent then return tell_from(1, fsm, hooks.sent, event, ...) end
+  end
 end
 
 -- Raises an error if a step is under way, also if its coroutine is suspended. A step
@@ -3025,19 +2966,6 @@ local function try(fsm, after_free)
   return counted, idle
 end
 
---- Raise an error if a step is under way, for extensions.
---
--- The error blames the caller's caller. A step that was cut short is finished first.
---
----@param fsm rfsm.Machine
----@param where string the public function
-function rfsm.check_between_steps(fsm, where)
-  check_machine(fsm, where, 4)
-  check_no_step(fsm, where, 4)
-  if fsm._phase ~= "idle" then try(fsm) end
-end
-
-local check_between_steps = rfsm.check_between_steps
 
 -- Iterates until `left` iterations have counted as steps or the machine is idle. The
 -- result is true if it is idle. `counted` and `idle` come from the last iteration.
@@ -3065,33 +2993,35 @@ local function advance(fsm, left, counted, idle)
   return idle or false
 end
 
-local function step_often(fsm, n)
-  if type(n) ~= "number" then
-    error("rfsm.step: number of steps expected, " .. got(n)
-      .. (type(n) == "string" and " (did you mean rfsm.send_events?)" or ""), 3)
+do
+  local function step_often(fsm, n)
+    if type(n) ~= "number" then
+      error("rfsm.step: number of steps expected, " .. got(n)
+        .. (type(n) == "string" and " (did you mean rfsm.send_events?)" or ""), 3)
+    end
+    return advance(fsm, n == n and n or 1, try(fsm)) -- NaN counts as 1
   end
-  return advance(fsm, n == n and n or 1, try(fsm)) -- NaN counts as 1
-end
 
---- Advance a machine by at most `n` transitions or doo cycles.
---
--- Returns earlier if the machine is idle. Errors of callbacks are reported to `err`.
--- Errors of step hooks and getevents are raised at once, errors of printers at the end
--- of the iteration. A step that an interrupt has cut short is finished first.
---
----@param fsm rfsm.Machine
----@param n? number at least 1, default 1
----@return boolean idle true if there is nothing left to do
-function rfsm.step(fsm, n)
-  if not machines[fsm] then check_machine(fsm, "rfsm.step") end
-  if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.step", 3) end
-  if n ~= nil then return (step_often(fsm, n)) end -- a tail call shifts error levels
-  local ok, counted, idle = pcall(iterate, fsm)
-  if ok and counted then return idle end -- no loop: LuaJIT makes one trace of it
-  if ok and counted == false then ok, counted, idle = pcall(iterate, fsm, true) end
-  if ok and counted then return idle end
-  if not ok then raise_cut(fsm, counted) end
-  return advance(fsm, 1, counted, idle)
+  --- Advance a machine by at most `n` transitions or doo cycles.
+  --
+  -- Returns earlier if the machine is idle. Errors of callbacks are reported to `err`.
+  -- Errors of step hooks and getevents are raised at once, errors of printers at the
+  -- end of the iteration. A step that an interrupt has cut short is finished first.
+  --
+  ---@param fsm rfsm.Machine
+  ---@param n? number at least 1, default 1
+  ---@return boolean idle true if there is nothing left to do
+  function rfsm.step(fsm, n)
+    if not machines[fsm] then check_machine(fsm, "rfsm.step") end
+    if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.step", 3) end
+    if n ~= nil then return (step_often(fsm, n)) end -- a tail call shifts error levels
+    local ok, counted, idle = pcall(iterate, fsm)
+    if ok and counted then return idle end -- no loop: LuaJIT makes one trace of it
+    if ok and counted == false then ok, counted, idle = pcall(iterate, fsm, true) end
+    if ok and counted then return idle end
+    if not ok then raise_cut(fsm, counted) end
+    return advance(fsm, 1, counted, idle)
+  end
 end
 
 --- Advance a machine until no event is pending and no doo is busy.
@@ -3100,8 +3030,9 @@ end
 function rfsm.run(fsm)
   if not machines[fsm] then check_machine(fsm, "rfsm.run") end
   if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.run", 3) end
-  local ok, counted, idle = pcall(iterate, fsm) -- usually two iterations
+  local ok, counted, idle = pcall(iterate, fsm) -- usually two iterations, or three
   if ok and counted and not idle then ok, counted, idle = pcall(iterate, fsm) end
+  if ok and counted == false then ok, counted, idle = pcall(iterate, fsm, true) end
   if not ok then raise_cut(fsm, counted) end
   if idle and fsm.dbg == silent and not fsm.idle_hook then return true end
   return advance(fsm, huge, counted, idle)
@@ -3200,229 +3131,18 @@ function rfsm.mapfsm(f, fsm, pred, depth)
   return results
 end
 
-do
+--- List the elements that `pred` accepts among `obj` and its members, for extensions.
+--
+-- A preproc function `f(fsm, merged)` works on `rfsm.elements(merged or fsm, pred)`.
+--
+---@param obj table a machine or an element of one
+---@param pred? fun(obj: any): boolean default is_fsmobj
+---@return table[] elements parents before children
+function rfsm.elements(obj, pred)
   local function itself(element) return element end
-
-  -- Lists the elements of a machine while preproc functions run. They are in the order
-  -- of `mapfsm`, which is computed once for all machines of the plan.
-  local function planned_elements(fsm, pred)
-    local nodes, transitions, order = fsm._nodes, fsm._transitions, fsm._plan.order
-    if not order then
-      order = rfsm.mapfsm(function(element) return element["_%def"] end, fsm)
-      fsm._plan.order = order
-    end
-    local list, is_simple = {}, pred == rfsm.is_trans -- the most common case
-    for i = 1, #order do
-      local def = order[i]
-      if def.kind == "transition" then
-        list[#list + 1] = (is_simple or not pred or pred(transitions[def.index]))
-          and transitions[def.index] or nil
-      elseif not is_simple and (not pred or pred(nodes[def.index])) then
-        list[#list + 1] = nodes[def.index]
-      end
-    end
-    return list
-  end
-
-  --- List the elements that `pred` accepts among `obj` and its members, for extensions.
-  --
-  -- A preproc function `f(fsm, merged)` works on `rfsm.elements(merged or fsm, pred)`.
-  -- Machines with the same `rfsm.structure_of` have their elements in the same order.
-  --
-  ---@param obj table a machine or an element of one
-  ---@param pred? fun(obj: any): boolean default is_fsmobj
-  ---@return table[] elements parents before children
-  function rfsm.elements(obj, pred)
-    local is_root = rfsm.is_root(obj)
-    if is_root and obj._preparing then return planned_elements(obj, pred) end
-    local list = not is_root and (not pred or pred(obj)) and { obj } or {}
-    if rfsm.is_trans(obj) then return list end
-    return append(list, rfsm.mapfsm(itself, obj, pred)) -- `mapfsm` lists a root
-  end
-end
-
---- The field `_regions` of a state in which an extension runs machines.
----@class rfsm.Regions
----@field [integer] rfsm.Machine the machines, in the order in which they are stepped
----@field names any[] the names of these machines, in the same order
----@field entry? function the user's entry, if the extension has replaced it
----@field exit? function the user's exit, if the extension has replaced it
-
---- List the machines that run in a state, in the order in which they are stepped.
----@param state rfsm.State a state of a machine
----@return rfsm.Machine[] regions empty if there are none; the caller must not change it
----@return rfsm.Regions? own the field `_regions`; nil if no machines run in the state
-function rfsm.regions(state)
-  local own = is_state(state) and rawget(state, "_regions")
-  if type(own) ~= "table" then return NONE, nil end
-  return append({}, own), own
-end
-
---- List the nodes to which a transition may lead.
---
--- An extension may change the target of a transition so that it leads to any node in a
--- composite. Then the extension keeps the model's target in the field `_initial`.
---
----@param tr rfsm.Transition a transition of a machine
----@return (rfsm.State|rfsm.Connector)[] targets the target; or `_initial` and all nodes
--- of the composite that contains it
-function rfsm.targets(tr)
-  local initial = tr._initial
-  if not initial then return { tr.tgt } end
-  return append({ initial }, rfsm.elements(initial._parent, rfsm.is_node))
-end
-
---- A machine, and where it runs.
----@class rfsm.Place
----@field machine rfsm.Machine
----@field owner rfsm.Machine|false the parent machine, whose state runs it
----@field state rfsm.State|false the state of the parent machine that runs it
----@field prefix string "root", or the name of the region: "root.arms.left"
-
---- List a machine, then the regions in its states, at any depth.
----@param fsm rfsm.Machine
----@return rfsm.Place[] places
-function rfsm.machines(fsm)
-  check_machine(fsm, "rfsm.machines")
-  local places = {}
-  local function visit(machine, owner, state, prefix)
-    places[#places + 1] = {
-      machine = machine, owner = owner, state = state, prefix = prefix,
-    }
-    for _, leaf in ipairs(rfsm.elements(machine, rfsm.is_leaf)) do
-      local regions, own = rfsm.regions(leaf)
-      for i, region in ipairs(regions) do
-        local name = text_of(own.names[i])
-        visit(region, machine, leaf, prefix .. leaf._fqn:sub(5) .. "." .. name)
-      end
-    end
-  end
-  visit(fsm, false, false, "root")
-  return places
-end
-
---- Note that the step under way will never return, for hosts that know this.
---
--- An exception of C++ that goes through Lua ends a step, and no pcall notices that. The
--- next step then goes on behind the callback that was under way, as after an interrupt.
--- A doo that was under way has failed.
---
----@param fsm rfsm.Machine
----@return boolean is_noted false if no step was under way
-function rfsm.note_cut(fsm)
-  check_machine(fsm, "rfsm.note_cut")
-  if fsm._phase == "idle" or fsm._is_cut then return false end
-  for _, at in ipairs(rfsm.machines(fsm)) do
-    local machine, leaf = at.machine, at.machine._act_leaf
-    -- the doo that steps regions begins anew: its coroutine cannot be resumed
-    if machine._phase == "doo" and rfsm.regions(leaf)[1] then leaf._doo_co = nil end
-    if machine._phase ~= "idle" then cut(machine) end
-  end
-  return true
-end
-
-do
-  -- Returns the node with a name such as "root.par.left.a" in a machine or its regions.
-  local function find_by_name(fsm, name)
-    for _, at in ipairs(rfsm.machines(fsm)) do
-      for _, node in ipairs(at.machine._nodes) do
-        if at.prefix .. node._fqn:sub(5) == name then return node end
-      end
-    end
-  end
-
-  --- Is a state of the machine, or of one of its regions, active?
-  ---@param fsm rfsm.Machine
-  ---@param state rfsm.State|string a state, or a name such as "root.par.left.a"
-  ---@return boolean
-  function rfsm.is_in(fsm, state)
-    check_machine(fsm, "rfsm.is_in")
-    local node = type(state) == "string" and find_by_name(fsm, state) or state
-    if not is_state(node) or not node._mode then
-      error("rfsm.is_in: state of the machine expected, " .. got(state)
-        .. (type(state) == "string" and advise("state_name", fsm, state) or ""), 2)
-    end
-    return node._mode ~= "inactive"
-  end
-end
-
---- Compile a machine completely now, not while it runs.
---
--- Without this call a path is compiled when it has been taken a few times. This is also
--- true of paths that change later, by `fsm_merge` or because a first hook is set.
---
----@param fsm rfsm.Machine
-function rfsm.prepare(fsm)
-  check_machine(fsm, "rfsm.prepare")
-  for _, at in ipairs(rfsm.machines(fsm)) do
-    local plan, name = at.machine._plan, at.machine._is_hooked and "run_hooked" or "run"
-    prepare_entry(plan.nodes[1])
-    for _, def in ipairs(plan.nodes) do
-      if def.kind == "connector" then note_of(at.machine, def) end
-      for _, choice in pairs(def.is_leaf and list_choices(def) or NONE) do -- any order
-        prepare_choice(def, choice, name)
-      end
-    end
-  end
-end
-
--- Tools: functions that inspect or move a machine. No iteration calls them .........
-
---- Call `f(fsm, state)` for each state from `from` up or down to `to`, both included.
--- @raise when neither is an ancestor of the other
----@param fsm rfsm.Machine
----@param f fun(fsm: rfsm.Machine, state: rfsm.State): any
----@param from rfsm.State where to begin
----@param to rfsm.State an ancestor or descendant of `from`
----@return any[] results the results of f, in order, without nils
-function rfsm.map_from_to(fsm, f, from, to)
-  check_machine(fsm, "rfsm.map_from_to")
-  check_function(f, "rfsm.map_from_to")
-  if not (is_node_of(fsm, from) and is_node_of(fsm, to)) then
-    error("rfsm.map_from_to: two nodes of the fsm expected, " .. got(from) .. " and "
-      .. got(to), 2)
-  end
-  local up, down, results = from["_%def"], to["_%def"], {}
-  local line = line_to(up.depth >= down.depth and up or down)
-  if line[up.depth + 1] ~= up or line[down.depth + 1] ~= down then
-    error(("rfsm.map_from_to: '%s' and '%s' are not on one line"):format(from._fqn,
-      to._fqn), 2)
-  end
-  for depth = up.depth, down.depth, up.depth > down.depth and -1 or 1 do
-    results[#results + 1] = f(fsm, fsm._nodes[line[depth + 1].index])
-  end
-  return results
-end
-
---- Find the path that events would enable from a node, without taking it.
---
--- A path is a table { node, nextl }. `nextl` is a list of tables { trans, next }, whose
--- `next` is the rest of the path. At the end of the path `nextl` is false.
---
----@param fsm rfsm.Machine
----@param node rfsm.State|rfsm.Connector
----@param events any[]
----@return table|false path false if no path is enabled
-function rfsm.node_find_enabled(fsm, node, events)
-  check_machine(fsm, "rfsm.node_find_enabled")
-  if not is_node_of(fsm, node) then
-    error("rfsm.node_find_enabled: node of the fsm expected, " .. got(node), 2)
-  end
-  if type(events) ~= "table" then
-    error("rfsm.node_find_enabled: list of events expected, " .. got(events), 2)
-  end
-  local ways, number = fsm._ways, fsm._search -- a guard may call this
-  fsm._ways, fsm._search = {}, 1
-  local def = first_enabled(fsm, node["_%def"].otrs, events)
-  local path = def and { node = node, nextl = false } or false
-  local at = path
-  while def do
-    local tail = { node = fsm._nodes[def.tgt.index], nextl = false }
-    at.nextl = { { trans = fsm._transitions[def.index], next = tail } }
-    at, def = tail, def.connector and fsm._ways[def.connector].way
-  end
-  fsm._ways, fsm._search = ways, number
-  return path
+  local list = not rfsm.is_root(obj) and (not pred or pred(obj)) and { obj } or {}
+  if rfsm.is_trans(obj) then return list end
+  return append(list, rfsm.mapfsm(itself, obj, pred)) -- `mapfsm` lists a root
 end
 
 --- Exit a state and the active states below it, the innermost first.
@@ -3435,59 +3155,132 @@ function rfsm.exit_state(fsm, state)
   end
   if state._mode == "inactive" then return end
   if state._actchild then rfsm.exit_state(fsm, state._actchild) end
-  local def, at = state["_%def"], fsm._at -- a callback of a path may call this
-  fsm._at = 0
-  leave(fsm, def, 1)
-  run_exit_hooks(fsm, def, 2)
-  be_left(fsm, def)
-  recorders.exit(fsm, def, 3)
-  fsm._at = at
+  local at, event, hooks = fsm._at, fsm._event, fsm._exit_hooks
+  fsm._at, fsm._event = 0, nil -- a callback of a path may call this
+  actions.exit(fsm, state, 1)
+  if hooks then tell(fsm, hooks[state], state) end
+  actions.be_left(fsm, state)
+  recorders.exit(fsm, state, 2)
+  fsm._at, fsm._event = at, event
 end
 
--- Sets the mode of a state. Its ancestors become active, all other states inactive.
-local function move_to(state, mode)
-  local fsm = state
-  while fsm._parent ~= fsm do fsm = fsm._parent end
-  local left = fsm -- _actchild leads to all active states
-  while left do
-    local child = left._actchild
-    left._mode = "inactive"
-    if left._doo_co then left._doo_co = nil end
-    if child then rawset(left, "_actchild", nil) end
-    left = child
-  end
-  fsm._act_leaf = false
-  state._mode = mode
-  if mode ~= "inactive" and state["_%def"].is_leaf then fsm._act_leaf = state end
-  while state ~= fsm do
-    local parent = state._parent
-    if state._mode ~= "inactive" then parent._actchild = state end
-    parent._mode, state = "active", parent
-  end
-end
+-- Hooks ...........................................................................
+--
+-- A list of hooks is replaced, never changed, so that a call of its hooks is not
+-- disturbed. rfsm/shared/types.lua describes the functions and their arguments.
 
---- Set the mode of a state.
---
--- Its ancestors become active, all other states inactive. No callback runs.
---
----@param state rfsm.State a state of a machine
----@param mode "active"|"inactive"|"done"
----@return string mode
-function rfsm.set_sta_mode(state, mode)
-  local def = is_state(state) and state["_%def"]
-  if type(def) ~= "table" then
-    error("rfsm.set_sta_mode: state of a fsm expected, " .. got(state), 2)
-  elseif mode ~= "active" and mode ~= "inactive" and mode ~= "done" then
-    error("rfsm.set_sta_mode: 'active', 'done' or 'inactive' expected, " .. got(mode),
-      2)
+do
+  local function is_state_of(fsm, state) return is_node_of(fsm, state, "state") end
+
+  local function is_trans_of(fsm, tr) return rfsm.is_trans(tr) and tr._fsm == fsm end
+
+  local WATCHED = { sent = true, failed = true, resumed = true, ended = true,
+    merged = true, discarded = true }
+
+  local function is_watched(_, what) return WATCHED[what] end
+
+  --- A kind of hooks: rfsm.<kind>_hook_add and _rm.
+  ---@class rfsm.HookKind
+  ---@field list string the field of the machine that has the hooks
+  ---@field is_subject? fun(fsm, subject): boolean hooks are for parts of the machine
+  ---@field expected? string text of a message, if `is_subject` returns false
+  ---@field own? string the field in which a program may set one hook of this kind
+  ---@field is_step? boolean called in each iteration
+  ---@field is_path? boolean the lists of actions contain these hooks
+  local KINDS_OF_HOOKS = {
+    pre_step = { list = "_pre_hooks", own = "pre_step_hook", is_step = true },
+    post_step = { list = "_post_hooks", own = "post_step_hook", is_step = true },
+    source = { list = "_source_hooks", is_step = true },
+    path = { list = "_path_hooks", is_path = true },
+    entry = { list = "_entry_hooks", is_path = true, is_subject = is_state_of,
+      expected = "state of the fsm" },
+    exit = { list = "_exit_hooks", is_path = true, is_subject = is_state_of,
+      expected = "state of the fsm" },
+    guard = { list = "_guard_hooks", is_path = true, is_subject = is_trans_of,
+      expected = "transition of the fsm" },
+    watch = { list = "_watch_hooks", is_subject = is_watched,
+      expected = "'sent', 'failed', 'resumed', 'ended', 'merged' or 'discarded'" },
+    reset = { list = "_reset_hooks" }, reaction = { list = "_reaction_hooks" },
+    waiting = { list = "_waiting_hooks" },
+  }
+
+  -- Hooks placed in "front" record events. They are called before hooks placed
+  -- "before", which may remove events. A list has the number of the former in `front`.
+  local PLACES = { front = true, before = true, after = true }
+
+  local function put_in(owner, field, hook, place)
+    local old = owner[field] or NONE
+    local hooks, front = append({}, old), old.front or 0
+    local before = place == "before" and front + 1 or #hooks + 1
+    insert(hooks, place == "front" and 1 or before, hook)
+    hooks.front = place == "front" and front + 1 or front
+    owner[field] = hooks
   end
-  local is_active, was_active = mode ~= "inactive", state._mode ~= "inactive"
-  if is_active ~= was_active or is_active and def.is_leaf then
-    local co = is_active and state._doo_co or nil
-    move_to(state, mode)
-    state._doo_co = co
+
+  -- Removes a hook from the list in a field of `owner`. An empty list becomes false, as
+  -- in a new machine. Returns true if the hook was in the list.
+  local function take_out(owner, field, hook)
+    local old = owner[field] or NONE
+    for i = 1, #old do
+      if rawequal(old[i], hook) then
+        local hooks, front = append({}, old), old.front or 0
+        table.remove(hooks, i)
+        hooks.front = i <= front and front - 1 or front
+        owner[field] = hooks[1] and hooks or false
+        if #hooks == 1 and hooks[1] == OWN then owner[field] = OWN_ONLY end
+        return true
+      end
+    end
+    return false
   end
-  return mode
+
+  local function note_change(fsm, kind)
+    if kind.is_step then list_hooks(fsm) end
+    if kind.is_path and fsm._has_paths then drop_paths(fsm) end
+  end
+
+  local function define_hooks(name, kind)
+    local where, field = "rfsm." .. name .. "_hook_add", kind.list
+
+    rfsm[name .. "_hook_add"] = function(fsm, subject, hook)
+      local place = nil
+      check_machine(fsm, where)
+      if not kind.is_subject then subject, hook, place = nil, subject, hook end
+      check_function(hook, where)
+      if place ~= nil and not PLACES[place] then
+        error(where .. ": 'before' or 'after' expected, " .. got(place), 2)
+      elseif not kind.is_subject then
+        put_in(fsm, field, hook, place)
+      elseif not kind.is_subject(fsm, subject) then
+        error(where .. ": " .. kind.expected .. " expected, " .. got(subject), 2)
+      else
+        fsm[field] = fsm[field] or {}
+        put_in(fsm[field], subject, hook)
+      end
+      note_change(fsm, kind)
+      if subject == "discarded" then rfsm.follow_fates(fsm) end
+    end
+
+    rfsm[name .. "_hook_rm"] = function(fsm, subject, hook)
+      local owner, key = fsm, field
+      check_machine(fsm, "rfsm." .. name .. "_hook_rm")
+      if kind.is_subject then
+        owner, key = fsm[field] or NONE, subject
+      else
+        hook = subject
+      end
+      local is_removed = take_out(owner, key, hook)
+      if is_removed then note_change(fsm, kind) end
+      if is_removed or not kind.own or hook == nil then return is_removed end
+      is_removed = rawequal(fsm[kind.own], hook)
+      if is_removed then fsm[kind.own] = nil end
+      return is_removed
+    end
+  end
+
+  for name, kind in pairs(KINDS_OF_HOOKS) do -- any order: independent entries
+    define_hooks(name, kind)
+  end
 end
 
 --- Promise that a hook, effect or guard does not keep the list of events that it gets.
@@ -3502,249 +3295,80 @@ end
 ---@return function f
 function rfsm.borrows(f)
   check_function(f, "rfsm.borrows")
-  borrowers[f] = true
+  promises[f] = promises[f] or "borrows"
   return f
 end
 
--- Hooks: a list is replaced, never changed, so that a loop over it is not disturbed ...
+--- Promise that a hook of an extension may be called again after an interrupt.
+--
+-- Twice must be as good as once. So an interrupt loses nothing that the hook does. The
+-- hook must not raise errors of its own, and not keep the list of events.
+--
+---@param f function
+---@return function f
+function rfsm.repeatable(f)
+  check_function(f, "rfsm.repeatable")
+  promises[f] = "repeatable"
+  return f
+end
+
+--- Note that an extension keeps a current event which no transition takes.
+---@param fsm rfsm.Machine
+---@param event any
+function rfsm.note_kept(fsm, event)
+  if fsm._fates then fsm._fates:keep(event) end
+end
+
+--- For post step hooks: will `step` iterate again, because no transition was enabled?
+---@param fsm rfsm.Machine
+---@return boolean
+function rfsm.is_free(fsm)
+  check_machine(fsm, "rfsm.is_free")
+  return fsm._outcome == "free"
+end
+
+--- For post step hooks: is nothing left to do, unless an event comes?
+---@param fsm rfsm.Machine
+---@return boolean
+function rfsm.is_idle(fsm)
+  check_machine(fsm, "rfsm.is_idle")
+  return fsm._outcome == "idle" and fsm._intq[1] == nil
+end
+
+--- Has the machine taken a path since the last call of this function?
+--
+-- A host that calls this between steps needs no path hook.
+--
+---@param fsm rfsm.Machine
+---@return boolean
+function rfsm.took_path(fsm)
+  check_machine(fsm, "rfsm.took_path")
+  local path = fsm._path
+  if fsm._phase ~= "take" then fsm._path = false end
+  return path ~= false
+end
 
 do
-  -- Hooks called in an iteration. Machines with such a hook use `iterate_hooked`.
-  local IN_STEP = { _pre_hooks = true, _post_hooks = true, _path_hooks = true,
-    _entry_hooks = true, _exit_hooks = true }
-
-  -- Hooks placed in "front" add or record events. They are called before hooks placed
-  -- "before", which may remove events. A list has the number of front hooks in `front`.
-  local PLACES = { front = true, before = true, after = true }
-
-  -- Adds a hook to the list in a field of `owner`.
-  local function put_in(owner, field, hook, place)
-    local old = owner[field] or NONE
-    local hooks, front = append({}, old), old.front or 0
-    local before = place == "before" and front + 1 or #hooks + 1
-    insert(hooks, place == "front" and 1 or before, hook)
-    hooks.front = place == "front" and front + 1 or front
-    owner[field] = hooks
+  -- Calls all hooks of a list, and joins the lists that they return.
+  local function collect(hooks, ...)
+    local list = {}
+    for _, hook in ipairs(hooks or NONE) do append(list, hook(...) or NONE) end
+    return list
   end
 
-  local function hook_adder(where, field)
-    return function(fsm, hook, place)
-      check_machine(fsm, where)
-      check_function(hook, where)
-      if place ~= nil and not PLACES[place] then
-        error(where .. ": 'before' or 'after' expected, " .. got(place), 2)
-      end
-      put_in(fsm, field, hook, place)
-      if IN_STEP[field] then fsm._is_hooked, fsm._is_usual = true, false end
-    end
-  end
-
-  -- Makes a function that adds a hook to the list of a key. Keys are states, or the
-  -- words of `rfsm.Watched`.
-  local function keyed_adder(where, field, is_key, expected)
-    return function(fsm, key, hook)
-      check_machine(fsm, where)
-      check_function(hook, where)
-      if not is_key(fsm, key) then
-        error(where .. ": " .. expected .. " expected, " .. got(key), 2)
-      end
-      fsm[field] = fsm[field] or {}
-      put_in(fsm[field], key, hook)
-      if IN_STEP[field] then fsm._is_hooked, fsm._is_usual = true, false end
-    end
-  end
-
-  -- Removes a hook from the list in a field of `owner`. An empty list becomes false, as
-  -- in a new machine. Returns true if the hook was in the list.
-  local function take_out(owner, field, hook)
-    local hooks = owner[field] or NONE
-    for i = 1, #hooks do
-      if rawequal(hooks[i], hook) then
-        local others, front = append({}, hooks), hooks.front or 0
-        remove(others, i)
-        others.front = i <= front and front - 1 or front
-        owner[field] = others[1] and others or false
-        if #others == 1 and others[1] == OWN then owner[field] = OWN_ONLY end
-        return true
-      end
-    end
-    return false
-  end
-
-  -- Makes a function that removes a hook: from the list in `field`, or, if the hook is
-  -- in the machine's field `slot`, from this field.
-  local function hook_remover(where, field, slot)
-    return function(fsm, hook)
-      check_machine(fsm, where)
-      if take_out(fsm, field, hook) then return true end
-      if not slot or hook == nil or not rawequal(fsm[slot], hook) then return false end
-      fsm[slot] = nil
-      return true
-    end
-  end
-
-  local function keyed_remover(where, field)
-    return function(fsm, key, hook)
-      check_machine(fsm, where)
-      return take_out(fsm[field] or NONE, key, hook)
-    end
-  end
-
-  local function is_state_of(fsm, state) return is_node_of(fsm, state, "state") end
-
-  --- Have `hook(fsm, state)` called each time `state` is entered, before its entry.
-  --
-  -- For extensions: a tool that replaces `state.entry` does not remove the hook. An
-  -- error of the hook is raised when the iteration is over.
-  --
-  ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function)
-  rfsm.entry_hook_add = keyed_adder("rfsm.entry_hook_add", "_entry_hooks", is_state_of,
-    "state of the fsm")
-
-  --- Remove an entry hook of a state. Return true if the state had this hook.
-  ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function): boolean
-  rfsm.entry_hook_rm = keyed_remover("rfsm.entry_hook_rm", "_entry_hooks")
-
-  --- Have `hook(fsm, state)` called each time `state` is left, after its exit.
-  ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function)
-  rfsm.exit_hook_add = keyed_adder("rfsm.exit_hook_add", "_exit_hooks", is_state_of,
-    "state of the fsm")
-
-  --- Remove an exit hook of a state. Return true if the state had this hook.
-  ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function): boolean
-  rfsm.exit_hook_rm = keyed_remover("rfsm.exit_hook_rm", "_exit_hooks")
-
-  --- Have `hook(fsm, events)` called in each iteration before a transition is chosen.
-  --
-  -- The hook may change the list of events. `fsm.pre_step_hook` is called together with
-  -- these hooks, and a program may still set this field. `place`, "after" (default) or
-  -- "before", is relative to the other hooks.
-  --
-  ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
-  rfsm.pre_step_hook_add = hook_adder("rfsm.pre_step_hook_add", "_pre_hooks")
-
-  --- Remove a pre step hook. Return true if the machine had this hook.
-  ---@type fun(fsm: rfsm.Machine, hook: function): boolean
-  rfsm.pre_step_hook_rm = hook_remover("rfsm.pre_step_hook_rm", "_pre_hooks",
-    "pre_step_hook")
-
-  --- Have `hook(fsm, events)` called at the end of each iteration.
-  ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
-  rfsm.post_step_hook_add = hook_adder("rfsm.post_step_hook_add", "_post_hooks")
-
-  --- Remove a post step hook. Return true if the machine had this hook.
-  ---@type fun(fsm: rfsm.Machine, hook: function): boolean
-  rfsm.post_step_hook_rm = hook_remover("rfsm.post_step_hook_rm", "_post_hooks",
-    "post_step_hook")
-
-  --- For post step hooks: will `step` iterate again, because no transition was enabled?
+  --- List the events to which extensions react while a state is active.
   ---@param fsm rfsm.Machine
-  ---@return boolean
-  function rfsm.is_free(fsm)
-    check_machine(fsm, "rfsm.is_free")
-    return fsm._outcome == "free"
+  ---@param state rfsm.State
+  ---@return any[] events
+  function rfsm.reactions(fsm, state)
+    return collect(fsm._reaction_hooks, fsm, state)
   end
 
-  --- For post step hooks: is nothing left to do, unless an event comes?
+  --- List the events that extensions keep for later.
   ---@param fsm rfsm.Machine
-  ---@return boolean
-  function rfsm.is_idle(fsm)
-    check_machine(fsm, "rfsm.is_idle")
-    return fsm._outcome == "idle" and fsm._intq[1] == nil
-  end
-
-  --- Has the machine taken a path since the last call of this function?
-  --
-  -- A host that calls this between steps needs no path hook.
-  --
-  ---@param fsm rfsm.Machine
-  ---@return boolean
-  function rfsm.took_path(fsm)
-    check_machine(fsm, "rfsm.took_path")
-    local path = fsm._path
-    if fsm._phase ~= "take" then fsm._path = false end
-    return path ~= false
-  end
-
-  --- Have `hook(fsm, path)` called before a path, a list of transitions, is taken.
-  --
-  -- For observers. An error of the hook is raised when the iteration is over.
-  --
-  ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
-  rfsm.path_hook_add = hook_adder("rfsm.path_hook_add", "_path_hooks")
-
-  --- Remove a path hook. Return true if the machine had this hook.
-  ---@type fun(fsm: rfsm.Machine, hook: function): boolean
-  rfsm.path_hook_rm = hook_remover("rfsm.path_hook_rm", "_path_hooks")
-
-  local WATCHED = { sent = true, failed = true, resumed = true, ended = true,
-    merged = true }
-
-  --- Have `hook(fsm, ...)` called for one of five occasions, for observers.
-  --
-  -- These are the values of `what`, and the arguments of the hook after `fsm`:
-  --
-  --    "sent": event ...               events were sent
-  --    "failed": element, name, error  the callback `name` of the element has failed
-  --    "resumed": leaf                 the doo of the leaf is resumed
-  --    "ended": leaf                   the doo of the leaf has ended
-  --    "merged": element               the element was added by `fsm_merge`
-  --
-  -- An error of the hook is raised when the iteration is over.
-  --
-  ---@type fun(fsm: rfsm.Machine, what: rfsm.Watched, hook: function)
-  rfsm.watch_hook_add = keyed_adder("rfsm.watch_hook_add", "_watch_hooks",
-    function(_, what) return WATCHED[what] end,
-    "'sent', 'failed', 'resumed', 'ended' or 'merged'")
-
-  --- Remove a watch hook. Return true if the machine had this hook.
-  ---@type fun(fsm: rfsm.Machine, what: rfsm.Watched, hook: function): boolean
-  rfsm.watch_hook_rm = keyed_remover("rfsm.watch_hook_rm", "_watch_hooks")
-
-  --- Have `hook(fsm)` called when the machine is reset, to reset an extension's data.
-  ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
-  rfsm.reset_hook_add = hook_adder("rfsm.reset_hook_add", "_reset_hooks")
-
-  --- Remove a reset hook. Return true if the machine had this hook.
-  ---@type fun(fsm: rfsm.Machine, hook: function): boolean
-  rfsm.reset_hook_rm = hook_remover("rfsm.reset_hook_rm", "_reset_hooks")
-
-  --- Have `hook(fsm, state)` list the events to which an extension reacts in a state.
-  --
-  -- Events of transitions are not included. The result nil means no events.
-  -- `rfsm.reactions` lists the events of all hooks. Explorations omit events to which
-  -- nothing reacts, and tools warn of them. A function in the list is a predicate.
-  --
-  ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
-  rfsm.reaction_hook_add = hook_adder("rfsm.reaction_hook_add", "_reaction_hooks")
-
-  --- Have `hook(fsm)` list the events that an extension keeps for later; nil for none.
-  --- Tools show them beside the queue.
-  ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
-  rfsm.waiting_hook_add = hook_adder("rfsm.waiting_hook_add", "_waiting_hooks")
+  ---@return any[] events
+  function rfsm.waiting(fsm) return collect(fsm._waiting_hooks, fsm) end
 end
-
--- Calls all hooks of a list, and joins the lists that they return.
-local function collect(hooks, ...)
-  local list = {}
-  for _, hook in ipairs(hooks or NONE) do append(list, hook(...) or NONE) end
-  return list
-end
-
---- List the events to which extensions react while a state is active.
----@param fsm rfsm.Machine
----@param state rfsm.State
----@return any[] events
-function rfsm.reactions(fsm, state)
-  return collect(fsm._reaction_hooks, fsm, state)
-end
-
---- List the events that extensions keep for later.
----@param fsm rfsm.Machine
----@return any[] events
-function rfsm.waiting(fsm) return collect(fsm._waiting_hooks, fsm) end
-
--- Snapshots: the data of extensions, and the configuration of the machine .........
 
 --- Have snapshots of a machine include data of an extension, under `name`.
 --
@@ -3765,213 +3389,159 @@ function rfsm.snapshot_hook_add(fsm, name, save, load, is_explored)
     { { name = name, save = save, load = load, is_explored = is_explored } })
 end
 
---- List the arguments of all calls of `snapshot_hook_add`, in order, for extensions.
----@param fsm rfsm.Machine
----@return { name: string, save: function, load: function, is_explored?: boolean }[]
-function rfsm.snapshot_hooks(fsm) return fsm._snapshot_hooks or NONE end
+-- Regions: machines in a state of another machine ----------------------------------
 
---- Reset a machine, then make `leaf` active (false: no leaf); no callback runs.
----@type fun(fsm: rfsm.Machine, leaf: rfsm.State|false, mode: string, queue: any[])
-function rfsm.place(fsm, leaf, mode, queue)
-  check_between_steps(fsm, "rfsm.place")
-  if leaf then
-    move_to(leaf, mode)
-    tell(fsm, fsm._reset_hooks)
-    fsm._reset_wanted = false
-  else
-    reset_now(fsm)
-  end
-  fsm._intq, fsm._curq, fsm._path = queue, {}, false
-  raise_failure(fsm)
+--- The field `_regions` of a state in which an extension runs machines.
+---@class rfsm.Regions
+---@field [integer] rfsm.Machine the machines, in the order in which they are stepped
+---@field names any[] the names of these machines, in the same order
+---@field entry? function the user's entry, if the extension has replaced it
+---@field exit? function the user's exit, if the extension has replaced it
+
+--- List the machines that run in a state, in the order in which they are stepped.
+---@param state rfsm.State a state of a machine
+---@return rfsm.Machine[] regions empty if there are none; the caller must not change it
+---@return rfsm.Regions? own the field `_regions`; nil if no machines run in the state
+function rfsm.regions(state)
+  local own = is_state(state) and rawget(state, "_regions")
+  if type(own) ~= "table" then return NONE, nil end
+  return append({}, own), own
 end
 
--- Merge: a new element of a live machine ------------------------------------------
+--- Make a machine a region of another one, for extensions.
+---@param region rfsm.Machine
+---@param fsm rfsm.Machine the parent machine
+---@param name any the name of the region
+function rfsm.set_parent(region, fsm, name)
+  check_machine(region, "rfsm.set_parent")
+  rawset(region, "_owner", fsm)
+  rawset(region, "_region_name", name)
+  rawset(region, "_got", { turn = 0, count = 0, length = huge })
+  list_hooks(region)
+end
+
+--- Return the machine around a region, and the name of the region there.
+---@param fsm rfsm.Machine
+---@return rfsm.Machine? parent nil if the machine is no region
+---@return any name
+function rfsm.parent(fsm)
+  check_machine(fsm, "rfsm.parent")
+  return fsm._owner or nil, fsm._region_name
+end
+
+--- Send the events of an iteration to a region, for extensions.
+--
+-- After an interrupt this may be called again in the same iteration: then the region
+-- gets only the events that it has not got yet.
+--
+---@param fsm rfsm.Machine the parent machine
+---@param region rfsm.Machine
+---@param events any[]
+function rfsm.forward(fsm, region, events)
+  local queue, had = region._intq, region._got
+  if had.turn ~= fsm._turn then
+    had.count = 0
+    had.turn = fsm._turn
+  elseif #queue > had.length and rawequal(queue[#queue], events[had.count + 1]) then
+    had.count = had.count + 1
+  end
+  for i = had.count + 1, #events do
+    had.length = #queue
+    if fsm._fates then fsm._fates:forward(region, events[i]) end
+    rfsm.send_events(region, events[i])
+    had.count = i
+  end
+end
+
+-- Names: files that are loaded when one of their names is first read ----------------
 
 do
-  -- Returns the reason why the leaf `parent` cannot become a composite; nil if it can.
-  local function leaf_obstacle(fsm, parent)
-    if parent._mode ~= "inactive" then
-      return ("'%s' is an active leaf state"):format(parent._fqn)
-    elseif fsm._phase == "take" or fsm._phase == "search" and not fsm._act_leaf then
-      return ("'%s' is a leaf state, while a transition is taken"):format(parent._fqn)
+  local PARTS = { seqand = "rfsm_seqand", pp = "rfsmpp", fsm_merge = "rfsm.merge",
+    follow_fates = "rfsm.fates" }
+
+  for name in ([[check_between_steps check_no_otrs is_in machines map_from_to
+    node_find_enabled note_cut place prepare save_memory set_emit set_sta_mode
+    snapshot_hooks structure_of target_of targets]]):gmatch("%S+") do
+    PARTS[name] = "rfsm.tools"
+  end
+
+  -- Functions of the engine for the files of the library beside this one.
+  local engine = {
+    add = add, advise = advise, check_function = check_function,
+    check_no_step = check_no_step, clone_below = clone_below,
+    check_ways_in = check_ways_in, compile_path = compile_path, cut = cut,
+    drop_fast = drop_fast, entrance_of = entrance_of,
+    find_entrance = find_entrance, find_lca = find_lca, first_enabled = first_enabled,
+    forget = forget, is_made = is_made, is_node_of = is_node_of, line_to = line_to,
+    lines_of = lines_of, list_choices = list_choices, list_otrs = list_otrs,
+    matches = matches, new_build = new_build, new_node = new_node, new_path = new_path,
+    new_transition = new_transition, note_mount = note_mount, note_of = note_of,
+    path_of = path_of, preprocess = preprocess, quick_run = quick_run,
+    raise_failure = raise_failure, report_dead_ends = report_dead_ends,
+    report_findings = report_findings, report_lines = report_lines,
+    reset_now = reset_now, resolve = resolve, segment_of = segment_of,
+    new_emit = new_emit, summary = summary, tell = tell,
+    tell_watch = tell_watch, try = try,
+  }
+
+  -- Returns the function of a name whose file is missing: it says so.
+  local function missing(name, module)
+    return function()
+      error(("rfsm.%s: %s.lua is not installed beside rfsm.lua"):format(name,
+        module:gsub("%.", "/")), 2)
     end
   end
 
-  -- Returns the reason why `obj` cannot become a member of `parent`; nil if it can.
-  local function merge_obstacle(fsm, parent, obj, id)
-    local kind = kind_of(obj)
-    if not is_node_of(fsm, parent, "state") then
-      return "parent: a state of the fsm expected, " .. got(parent)
-    elseif not kind then
-      return "state, transition or connector expected, " .. got(obj)
-    elseif id == nil and kind ~= "transition" then
-      return "a " .. kind .. " needs a name"
-    elseif id ~= id then
-      return "a name expected, got NaN"
-    elseif id ~= nil and rawget(parent, id) ~= nil then
-      return ("'%s' has a member '%s' already"):format(parent._fqn, text_of(id))
-    elseif is_node_of(fsm, obj)
-      and find_lca(parent["_%def"], obj["_%def"]) == obj["_%def"] then
-      return ("'%s' cannot contain itself"):format(obj._fqn)
-    elseif kind ~= "transition" and parent["_%def"].is_leaf then
-      return leaf_obstacle(fsm, parent)
-    end
-  end
-
-  -- Adds `obj` to the machine's new plan, as a member of `parent`. Returns the build.
-  local function build_merge(fsm, plan, parent, obj, id)
-    local build, first = new_build(plan), #plan.transitions + 1
-    build.fsm = fsm
-    for _, def in ipairs(plan.nodes) do note_mount(build, def) end
-    if rfsm.is_trans(obj) then
-      new_transition(build, obj, parent, id)
-      if parent.is_leaf then
-        add(build.warnings, parent, nil, "a transition inside a leaf state")
-      end
+  -- Loads the file with the function of a name. Files named rfsm.<part> return a
+  -- function that adds theirs to this table.
+  local function load_part(name)
+    local module = PARTS[name]
+    local part = find_module(module)
+    if module:find("^rfsm%.") then
+      if part then part(rfsm, engine) else rfsm[name] = missing(name, module) end
     else
-      local node = new_node(build, kind_of(obj), obj, parent, id)
-      clone_below(build, node.index)
-      if parent.doo then
-        add(build.problems, parent, "doo", "only a leaf state can have a doo")
-      end
+      rfsm[name] = part
     end
-    resolve(build, first)
-    check_ways_in(build, first)
-    return build
+    return rawget(rfsm, name)
   end
 
-  -- If `parent` was a leaf and is a composite now, makes its `initial` the target of
-  -- the transitions to it. Returns the numbers of these transitions.
-  local function move_targets(build, parent, first)
-    local moved = {}
-    if parent.is_leaf then return moved end
-    for i = 1, first - 1 do
-      local def = build.plan.transitions[i]
-      if def.tgt == parent and not def.is_internal then
-        moved[#moved + 1], def.tgt = i, find_entrance(build, def, parent)
-      end
-    end
-    return moved
-  end
-
-  -- Removes the elements from number `first` on, from the list and from their parents.
-  local function truncate(list, first)
-    for i = #list, first, -1 do
-      local element = list[i]
-      if rawequal(rawget(element._parent, element["_%def"].id), element) then
-        rawset(element._parent, element["_%def"].id, nil)
-      end
-      list[i] = nil
-    end
-  end
-
-  -- Makes a machine use a plan, and sets the targets of the transitions in `moved`.
-  local function use_targets(fsm, plan, moved)
-    for _, i in ipairs(moved) do
-      fsm._transitions[i].tgt = fsm._nodes[plan.transitions[i].tgt.index]
-    end
-    use_plan(fsm, plan)
-  end
-
-  local function undo_merge(fsm, plan, moved)
-    truncate(fsm._transitions, #plan.transitions + 1)
-    truncate(fsm._nodes, #plan.nodes + 1)
-    use_targets(fsm, plan, moved)
-  end
-
-  -- Cleans up after an error of a preproc function. If `outer` is a number, the preproc
-  -- function with this number has called `fsm_merge`, and continues.
-  local function stop_preprocessing(fsm, outer)
-    fsm._preparing = outer
-    for _, tr in ipairs(outer and NONE or fsm._transitions) do
-      tr.events, tr.pn = nil, nil
-    end
-  end
-
-  local function refuse(fsm, reason)
-    report(fsm, "err", reason)
-    return false, reason
-  end
-
-  --- Add a state, connector or transition to a live machine.
-  --
-  -- From the next iteration on the machine behaves as if its model had the new element.
-  -- If `obj` cannot be added, the reason is reported to `err`, and nothing has changed.
-  --
-  ---@param fsm rfsm.Machine
-  ---@param parent rfsm.State the state of the machine that gets the new element
-  ---@param obj rfsm.State|rfsm.Connector|rfsm.Transition the element, which is cloned
-  ---@param id? string its name; optional for a transition
-  ---@return boolean is_merged
-  ---@return string? reason the reason if it was not added
-  function rfsm.fsm_merge(fsm, parent, obj, id)
-    check_machine(fsm, "rfsm.fsm_merge")
-    local obstacle = merge_obstacle(fsm, parent, obj, id)
-    if obstacle then return refuse(fsm, "rfsm.fsm_merge: " .. obstacle) end
-    if id == nil then id = #parent + 1 end
-    local old, plan = fsm._plan, copy_plan(fsm._plan)
-    local first_node, first_transition = #plan.nodes + 1, #plan.transitions + 1
-    local parent_def = plan.nodes[parent["_%def"].index]
-    local build = build_merge(fsm, plan, parent_def, obj, id)
-    local moved = move_targets(build, parent_def, first_transition)
-    if rfsm.is_trans(obj) and not plan.transitions[first_transition] then
-      append(build.problems, build.warnings) -- in a leaf a wrong end is a warning
-    end
-    local problems = lines_of(build.problems)
-    if problems[1] then return refuse(fsm, summary("rfsm.fsm_merge", problems)) end
-    compile(plan)
-    local outer = fsm._preparing
-    local ok, found = pcall(function()
-      make_elements(fsm, plan, first_node, first_transition)
-      use_targets(fsm, plan, moved)
-      return preprocess(fsm, parent[id])
-    end)
-    if not ok then stop_preprocessing(fsm, outer) end
-    if not ok or found[1] then
-      undo_merge(fsm, old, moved)
-      if rfsm.is_interrupt(found) then error(found, 0) end
-      if not ok then found = { "a preproc function failed: " .. text_of(found) } end
-      return refuse(fsm, summary("rfsm.fsm_merge", found))
-    end
-    report_lines(fsm, "info", build.created)
-    report_findings(fsm, first_node, first_transition)
-    report_dead_ends(fsm, first_node)
-    tell_watch(fsm, "merged", parent[id])
-    return true
-  end
+  setmetatable(rfsm, { __index = function(_, name)
+    return PARTS[name] and load_part(name)
+  end })
 end
 
--- Names: fields that are modules of their own, and the older names of modules -------
+do
+  local source = (find_global("debug", "getinfo") or function() return NONE end)(1, "S")
+  local folder = (source.source or ""):match("^@(.-)[^/\\]*$")
 
-local FIELDS = { seqand = "rfsm_seqand", pp = "rfsmpp" }
-
-setmetatable(rfsm, { __index = function(_, field)
-  rfsm[field] = FIELDS[field] and find_module(FIELDS[field])
-  return rawget(rfsm, field)
-end })
-
--- Searcher for `require`: finds old flat names (rfsm_emem for rfsm.emem) in compat/.
-local function find_old_name(name)
-  if not name:find("^rfsm[%w_]+$") then return nil end
-  local file = "compat/" .. name .. ".lua"
-  for folder in rawget(_G, "package").path:gmatch("([^;]*)%?%.lua") do
-    local chunk = loadfile(folder .. file)
-    if chunk then return chunk, folder .. file end
+  -- Searcher for `require`: finds the modules beside this file, and in compat/ their
+  -- older names (rfsm_emem for rfsm.emem).
+  local function find_beside(name)
+    if not name:find("^rfsm[%w_.]") then return nil end
+    local file, folders = name:gsub("%.", "/") .. ".lua", {}
+    if folder then folders[1], folders[2] = folder, folder .. "compat/" end
+    for other in rawget(_G, "package").path:gmatch("([^;]*)%?%.lua") do
+      folders[#folders + 1] = other .. "compat/"
+    end
+    for _, at in ipairs(folders) do
+      local chunk = loadfile(at .. file)
+      if chunk then return chunk, at .. file end
+    end
   end
-end
 
--- Registers the module and a searcher for the older names. In a sandbox `package` may
--- be missing or have no fields.
-local function register(package)
-  local searchers = package.searchers or package.loaders
-  if searchers and loadfile and not searchers.rfsm then
-    searchers.rfsm = find_old_name -- marks the searcher as installed
-    searchers[#searchers + 1] = find_old_name
+  -- Registers the module and the searcher. In a sandbox `package` may be missing or
+  -- have no fields.
+  local function register(package)
+    local searchers = package.searchers or package.loaders
+    if searchers and loadfile and not searchers.rfsm then
+      searchers.rfsm = find_beside -- marks the searcher as installed
+      searchers[#searchers + 1] = find_beside
+    end
+    if package.loaded and not package.loaded.rfsm then package.loaded.rfsm = rfsm end
+    if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm", rfsm) end
   end
-  if package.loaded and not package.loaded.rfsm then package.loaded.rfsm = rfsm end
-end
 
-register(rawget(_G, "package") or {})
-if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm", rfsm) end
+  register(rawget(_G, "package") or {})
+end
 
 return rfsm

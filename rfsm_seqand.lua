@@ -95,13 +95,13 @@ end
 ---@field entry? function the entry that the user gave
 ---@field exit? function the exit that the user gave
 ---@field is_shown boolean the order of the regions has been printed
----@field is_forwarded boolean the regions have got the events of this iteration
+---@field turn integer|false the iteration whose events the regions have got last
 ---@field is_restored boolean the entry is called again, because a snapshot was restored
 
--- Calls f(region, ...) and returns the result. An error is raised later, after the
+-- Calls f(...) and returns the result. An error is raised later, after the
 -- iteration of the parent machine.
-local function try(fsm, f, region, ...)
-  local ok, result = pcall(f, region, ...)
+local function try(fsm, f, ...)
+  local ok, result = pcall(f, ...)
   if ok then return result end
   rfsm.keep_failure(fsm, result)
   return false
@@ -134,11 +134,11 @@ local function advance(fsm, state, i)
   return idle
 end
 
-local function forward(fsm, regions, events)
-  for i = 1, #regions do
-    for j = 1, #events do try(fsm, rfsm.send_events, regions[i], events[j]) end
-  end
-  regions.is_forwarded = true
+-- Forwards the events of an iteration, once. Only an interrupt ends this with an error.
+local function forward(fsm, regions)
+  if regions.turn == fsm._turn then return end
+  for i = 1, #regions do rfsm.forward(fsm, regions[i], fsm._curq) end
+  regions.turn = fsm._turn
 end
 
 -- Returns the value that the doo yields when all regions were advanced.
@@ -149,22 +149,28 @@ local function idle_flag(state, are_all_idle)
   return flag == nil or flag
 end
 
--- The doo advances all regions. It runs only in iterations that take no transition, and
--- the events of such an iteration go to the regions.
+-- Advances all regions. Returns true if all are idle.
+local function advance_regions(fsm, state)
+  local regions, are_all_idle = state._regions, true
+  forward(fsm, regions)
+  for i = 1, #regions do are_all_idle = advance(fsm, state, i) and are_all_idle end
+  return are_all_idle
+end
+
+-- The doo. It runs only in iterations that take no transition, and the events of such
+-- an iteration go to the regions. No interrupt ends it.
 local function advance_all(fsm, state)
   while true do
-    local regions, are_all_idle = state._regions, true
-    forward(fsm, regions, fsm._curq)
-    for i = 1, #regions do are_all_idle = advance(fsm, state, i) and are_all_idle end
+    local are_all_idle = try(fsm, advance_regions, fsm, state)
     -- `yield` returns the next machine: copies of a machine share this coroutine
     fsm, state = rfsm.yield(idle_flag(state, are_all_idle))
   end
 end
 
 -- The entry calls the user's entry, then advances each region as the doo does.
-local function enter_all(fsm, state, what)
+local function enter_all(fsm, state, what, event)
   local regions, ok, failure = state._regions, true, nil
-  if regions.entry then ok, failure = pcall(regions.entry, fsm, state, what) end
+  if regions.entry then ok, failure = pcall(regions.entry, fsm, state, what, event) end
   for i = 1, regions.is_restored and 0 or #regions do advance(fsm, state, i) end
   regions.is_restored = false
   if not ok then error(failure, 0) end
@@ -177,32 +183,35 @@ local function leave_and_reset(region)
 end
 
 -- The exit leaves and resets the regions, then calls the user's exit.
-local function leave_all(fsm, state, what)
+local function leave_all(fsm, state, what, event)
   local regions = state._regions
   for i = 1, #regions do try(fsm, leave_and_reset, regions[i]) end
-  if regions.exit then regions.exit(fsm, state, what) end
+  if regions.exit then regions.exit(fsm, state, what, event) end
 end
 
--- The exit hook leaves active regions, if a tool has replaced the exit of the state.
-local function leave_active(fsm, state)
+local function is_new(region)
+  return region._mode == "inactive" and region._intq[1] == "e_init_fsm"
+    and region._intq[2] == nil
+end
+
+-- The exit hook leaves regions that the exit of the state has not left, since a tool
+-- has replaced it, or an interrupt has cut it short.
+local function leave_others(fsm, state)
   for _, region in ipairs(state._regions) do
-    if region._mode ~= "inactive" then try(fsm, leave_and_reset, region) end
+    if not is_new(region) then try(fsm, leave_and_reset, region) end
   end
 end
 
 -- The post step hook forwards the events of the iteration to the regions of the state
 -- that is active now, unless its doo has done so.
-local function end_iteration(fsm, events)
+local function end_iteration(fsm)
   local regions = fsm._act_leaf and fsm._act_leaf._regions
-  if not regions then return end
-  if not regions.is_forwarded then forward(fsm, regions, events) end
-  regions.is_forwarded = false
+  if regions then forward(fsm, regions) end
 end
 
 local function reset(fsm)
   for _, state in ipairs(rfsm.elements(fsm, has_regions)) do
     local regions = state._regions
-    regions.is_forwarded = false
     for i = 1, #regions do try(fsm, rfsm.reset, regions[i]) end
   end
 end
@@ -257,14 +266,14 @@ local function fresh_region(fsm, given)
 end
 
 -- Returns the machine for a region: the given one if it is a machine without a parent
--- machine, else a fresh one. The field `_owner` of a region is its parent machine.
-local function new_region(fsm, given)
+-- machine, else a fresh one.
+local function new_region(fsm, given, name)
   local region, problems = given, nil
-  if is_apart or not rfsm.is_initialized_root(given) or given._owner
-    and rfsm.is_initialized_root(given._owner) then
+  if is_apart or not rfsm.is_initialized_root(given)
+    or rfsm.is_initialized_root(rfsm.parent(given)) then
     region, problems = fresh_region(fsm, given)
   end
-  if region then rawset(region, "_owner", fsm) end
+  if region then rfsm.set_parent(region, fsm, name) end
   if region and fsm._emit then rfsm.set_emit(region, fsm._emit) end -- merged in later
   return region, problems
 end
@@ -283,7 +292,7 @@ local function new_substates(fsm, state, problems)
   in_progress[given] = true
   local ok, failure = pcall(function()
     for _, name in ipairs(rfsm.sorted_keys(given)) do
-      local region, found = new_region(fsm, given[name])
+      local region, found = new_region(fsm, given[name], name)
       substates[name] = region
       for _, text in ipairs(found or {}) do
         local file, rest = text:match("^(.-:%d+: )(root.*)$")
@@ -310,7 +319,7 @@ local function new_regions(state)
   add(rfsm.sorted_keys(state.substates))
   for i = 1, #names do regions[i] = state.substates[names[i]] end
   regions.names, regions.is_shown = names, false
-  regions.is_forwarded, regions.is_restored = false, false
+  regions.turn, regions.is_restored = false, false
   return regions
 end
 
@@ -326,10 +335,10 @@ local function prepare_state(fsm, state, problems)
   local regions = new_regions(state)
   regions.entry, regions.exit = state.entry, state.exit
   state._regions, state.entry, state.exit = regions, enter_all, leave_all
-  rfsm.exit_hook_add(fsm, state, leave_active)
+  rfsm.exit_hook_add(fsm, state, rfsm.repeatable(leave_others))
   if fsm._has_seqand then return end
   fsm._has_seqand = true
-  rfsm.post_step_hook_add(fsm, end_iteration, "before")
+  rfsm.post_step_hook_add(fsm, rfsm.repeatable(end_iteration), "before")
   rfsm.reset_hook_add(fsm, reset)
   rfsm.snapshot_hook_add(fsm, "seqand", save, load)
 end

@@ -292,12 +292,14 @@ local function next_send(fsm, sec, nsec)
   return send, send and time_left(send.sec, send.nsec, sec, nsec) or huge
 end
 
--- Moves due sends to the list `events`. Returns the nanoseconds until the next send.
+-- Moves due sends to the list `events`. Returns the nanoseconds until the next send. A
+-- send notes its position there, so that after an interrupt it comes once.
 local function raise_sends(fsm, events, sec, nsec)
   local sends = fsm._timeevent.sends
   local send, left = next_send(fsm, sec, nsec)
   while left < 0 do
-    events[#events + 1] = send.event
+    send.at = send.at or #events + 1
+    events[send.at] = send.event
     remove(sends)
     report(fsm, "dbg", "TIMEEVENT", send.event)
     send, left = next_send(fsm, sec, nsec)
@@ -306,12 +308,12 @@ local function raise_sends(fsm, events, sec, nsec)
 end
 
 -- Appends the events of expired timers, and sends that are due, to the current events.
--- After an interrupt an event may be appended twice, with the same effect as once.
+-- After an interrupt the event of the timer that was under way may be there already.
 local function raise_expired(fsm, is_relative, time, sec, nsec)
   if not time then return report_clock(fsm, sec) end
   local events, expired, least = fsm._curq, find_expired(fsm, is_relative, sec, nsec)
   for _, timer in ipairs(expired) do
-    events[#events + 1] = timer.name
+    if events[#events] ~= timer.name then events[#events + 1] = timer.name end
     set(fsm, timer, huge, 0)
     report(fsm, "dbg", "TIMEEVENT", timer.name)
   end
@@ -437,7 +439,7 @@ local function prepare_machine(fsm)
   if fsm._timeevent then return end
   fsm._timeevent = { [true] = huge, [false] = huge, has_timers = false, has_at = false,
     is_unusual = false, sends = {} }
-  rfsm.pre_step_hook_add(fsm, rfsm.borrows(check_timers), "front")
+  rfsm.source_hook_add(fsm, rfsm.repeatable(check_timers))
   rfsm.reset_hook_add(fsm, drop_sends)
   rfsm.waiting_hook_add(fsm, list_waiting)
 end
@@ -501,7 +503,7 @@ local function prepare_timers(fsm, state)
   end
   if not state._timers then
     state._timers = { sec = false, nsec = 0, delay = false, entry = 0 }
-    rfsm.entry_hook_add(fsm, state, enter_state)
+    rfsm.entry_hook_add(fsm, state, rfsm.repeatable(enter_state))
   end
   return state._timers
 end

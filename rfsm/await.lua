@@ -25,17 +25,29 @@ local rfsm_await = {}
 ---@field received table<string, boolean> for each wanted event: was it received?
 ---@field missing integer how many wanted events were not received yet
 
+-- Notes an event. The number of missing events is counted anew, so that an interrupt
+-- cannot make it wrong.
 local function note_event(await, event)
-  if await.received[event] ~= false then return end
+  if await.received[event] == nil then return end
   await.received[event] = true
-  await.missing = await.missing - 1
+  local missing = 0
+  for _, wanted in ipairs(await.wanted) do
+    if not await.received[wanted] then missing = missing + 1 end
+  end
+  await.missing = missing
 end
 
 -- Has an await note the first n events, and appends its event if it is complete.
 local function raise_complete(fsm, await, events, n)
   local was_missing = await.missing
-  for i = 1, was_missing > 0 and n or 0 do note_event(await, events[i]) end
+  for i = 1, n do
+    if await.received[events[i]] == false then rfsm.note_kept(fsm, events[i]) end
+    if was_missing > 0 then note_event(await, events[i]) end
+  end
   if await.missing > 0 then return end
+  for i = 1, #events do -- current already: after an interrupt, or pending again
+    if events[i] == await.name then return end
+  end
   events[#events + 1] = await.name
   if was_missing > 0 then rfsm.report(fsm, "dbg", "AWAIT", await.name) end
 end
@@ -159,14 +171,14 @@ end
 local function add_await(fsm, state, await)
   if not fsm._awaits then
     fsm._awaits = {}
-    rfsm.pre_step_hook_add(fsm, rfsm.borrows(check_awaits))
+    rfsm.pre_step_hook_add(fsm, rfsm.repeatable(check_awaits))
     rfsm.reset_hook_add(fsm, reset)
     rfsm.snapshot_hook_add(fsm, "await", save, load, true)
     rfsm.reaction_hook_add(fsm, list_wanted)
   end
   if not state._await then
     state._await = {}
-    rfsm.exit_hook_add(fsm, state, forget_state)
+    rfsm.exit_hook_add(fsm, state, rfsm.repeatable(forget_state))
   end
   for _, other in ipairs(state._await) do
     if other.name == await.name then return end

@@ -16,10 +16,21 @@ local insert, ipairs, type = table.insert, ipairs, type
 
 local MOST = 64 -- events that a machine keeps, if `defer` of the state has no `max`
 
--- A machine keeps its deferred events in the list `_deferred`. Other fields of that
--- table: `is_done`, whether the events of this iteration were looked at; `told`, the
--- warnings that were given; `known`, the alphabet of the machine.
-local function reset(fsm) fsm._deferred = { is_done = false, told = {} } end
+--- The field `_deferred` of a machine.
+---@class rfsm.defer.Own
+---@field list any[] the events that are kept
+---@field is_done boolean the events of this iteration were looked at
+---@field checked rfsm.State|false the leaf in which nothing was to be recalled
+---@field turn integer|false the iteration in which events were kept last
+---@field count integer the number of events kept before that iteration
+---@field plan table|false the latest recall, to be done again after an interrupt
+---@field told table<string, boolean> the warnings that were given
+---@field known rfsm.Alphabet|false the alphabet of the machine
+
+local function reset(fsm)
+  fsm._deferred = { list = {}, is_done = false, checked = false, turn = false,
+    count = 0, plan = false, told = {}, known = false }
+end
 
 local function warn(fsm, state, event, text)
   local told, name = fsm._deferred.told, rfsm.event_text(event)
@@ -40,24 +51,46 @@ local function deferrer(fsm, event)
 end
 
 local function keep(fsm, state, event)
-  local own, known = fsm._deferred, fsm._deferred.known or alphabet.of_all(fsm)
-  own.known = known
+  local own = fsm._deferred
+  own.known = own.known or alphabet.of_all(fsm)
+  local known, list = own.known, own.list
   if not (known.takes_any or known.predicates[1] or match.has(known.list, event)) then
     warn(fsm, state, event, "'%s' is deferred, but no transition takes it")
   end
-  if #own >= (state._defers.max or MOST) then
+  if #list >= (state._defers.max or MOST) then
     return warn(fsm, state, event, "'%s' is lost, too many events are deferred")
   end
-  own[#own + 1] = event
+  list[#list + 1] = event
+  rfsm.note_kept(fsm, event)
   rfsm.report(fsm, "dbg", "DEFERRED", event)
 end
 
 -- Keeps the events of an iteration that a state defers, except those that `tr` takes.
 local function keep_others(fsm, events, tr)
+  local own, list = fsm._deferred, fsm._deferred.list
+  if own.turn ~= fsm._turn then
+    own.count = #list
+    own.turn = fsm._turn
+  end
+  for i = #list, own.count + 1, -1 do list[i] = nil end -- after an interrupt
   for _, event in ipairs(events) do
     local state = not (tr and match.takes(tr.events, event)) and deferrer(fsm, event)
     if state then keep(fsm, state, event) end
   end
+end
+
+-- Does a recall; after an interrupt it is done again, and events that the program has
+-- sent meanwhile go to the end of the queue.
+local function recall_by(fsm, plan, events)
+  local sent = fsm._intq
+  if sent ~= plan.queue then
+    for i = plan.waiting + 1, #sent do plan.queue[#plan.queue + 1] = sent[i] end
+    fsm._intq = plan.queue
+  end
+  for at = #events, 2, -1 do events[at] = nil end
+  events[1] = plan.event
+  fsm._deferred.list = plan.rest
+  rfsm.report(fsm, "dbg", "RECALLED", plan.event)
 end
 
 -- The pre step hook: recalls the first event that no state defers any more. Only hooks
@@ -65,20 +98,26 @@ end
 local function recall(fsm, events)
   local own = fsm._deferred
   own.is_done = not fsm._act_leaf
-  for i, event in ipairs(own) do
+  if own.plan and own.plan.turn == fsm._turn then
+    return recall_by(fsm, own.plan, events)
+  elseif own.checked and own.checked == fsm._act_leaf then
+    return
+  end
+  for i, event in ipairs(own.list) do
     if not deferrer(fsm, event) then
-      table.remove(own, i)
-      fsm._intq = match.joined(match.joined({}, events), fsm._intq)
-      for at = #events, 2, -1 do events[at] = nil end
-      events[1] = event
-      return rfsm.report(fsm, "dbg", "RECALLED", event)
+      local rest = match.joined({}, own.list)
+      table.remove(rest, i)
+      own.plan = { turn = fsm._turn, event = event, rest = rest, waiting = #fsm._intq,
+        queue = match.joined(match.joined({}, events), fsm._intq) }
+      return recall_by(fsm, own.plan, events)
     end
   end
+  own.checked = fsm._act_leaf
 end
 
 -- The path hook: keeps events before the path leaves the states that defer them.
 local function before_path(fsm, path)
-  fsm._deferred.is_done = true
+  fsm._deferred.is_done, fsm._deferred.checked = true, false
   local first = path[1] -- none if a root without states is entered
   if first and not match.is_any(first) then keep_others(fsm, fsm._curq, first) end
 end
@@ -88,19 +127,20 @@ local function end_iteration(fsm, events)
 end
 
 local function list_kept(fsm)
-  return fsm._deferred[1] ~= nil and match.joined({}, fsm._deferred) or nil
+  local list = fsm._deferred.list
+  return list[1] ~= nil and match.joined({}, list) or nil
 end
 
 local function load(fsm, kept)
   reset(fsm)
-  for i, event in ipairs(kept or {}) do fsm._deferred[i] = event end
+  for i, event in ipairs(kept or {}) do fsm._deferred.list[i] = event end
 end
 
 local function prepare_machine(fsm)
   reset(fsm)
-  rfsm.pre_step_hook_add(fsm, rfsm.borrows(recall), "before")
-  rfsm.path_hook_add(fsm, before_path)
-  rfsm.post_step_hook_add(fsm, rfsm.borrows(end_iteration), "before")
+  rfsm.pre_step_hook_add(fsm, rfsm.repeatable(recall), "before")
+  rfsm.path_hook_add(fsm, rfsm.repeatable(before_path))
+  rfsm.post_step_hook_add(fsm, rfsm.repeatable(end_iteration), "before")
   rfsm.reset_hook_add(fsm, reset)
   rfsm.snapshot_hook_add(fsm, "defer", list_kept, load, true)
   rfsm.reaction_hook_add(fsm, function(_, state) return state._defers end)
@@ -143,7 +183,9 @@ insert(rfsm.preproc, 1, function(fsm, merged)
   for _, state in ipairs(rfsm.elements(merged or fsm, has_defer)) do
     problems[#problems + 1] = prepare_state(fsm, state)
   end
-  if fsm._deferred then fsm._deferred.known = nil end -- merged: there are more events
+  if fsm._deferred then -- merged: there are more events
+    fsm._deferred.known, fsm._deferred.checked = false, false
+  end
   return problems
 end)
 

@@ -28,6 +28,9 @@ local rfsm_emem = {}
 ---@field is_blocked table<rfsm.State, boolean> states without counts, since a node or
 -- transition in them has the name `emem`
 ---@field others table<rfsm.State, integer> number of counted events not in `declared`
+---@field turn integer|false the iteration whose events were counted last
+---@field at integer the number of the count of that iteration that was set last
+---@field values integer[] the counts of that iteration, so that each is set only once
 ---@field declared table<any, boolean>|false the events that transitions name; false
 -- until they are collected
 
@@ -72,23 +75,32 @@ local function count_new(fsm, state, event)
   emem[event] = 1
 end
 
-local function count_event(fsm, state, emem, event)
+-- Sets count number k of an iteration. After an interrupt it is set again.
+local function count_event(fsm, state, event, k)
   if type(event) == "table" then event = match.name_of(event) or event end
-  local n = emem[event]
-  if n then
-    emem[event] = n + 1
+  local own, n = fsm._emem, state.emem[event]
+  if k == own.at then
+    state.emem[event] = own.values[k]
   elseif event == event then -- not NaN
-    count_new(fsm, state, event)
+    own.values[k] = (n or 0) + 1
+    own.at = k
+    if n then state.emem[event] = n + 1 else count_new(fsm, state, event) end
   end
 end
 
 -- Counts the events of an iteration in all active states. Runs in every iteration.
 local function count(fsm)
-  local events, state = fsm._curq, fsm._act_leaf and fsm
-  local is_blocked = fsm._emem.is_blocked
+  local own, events, state, k = fsm._emem, fsm._curq, fsm._act_leaf and fsm, 0
+  local turn = fsm._turn
+  if own.turn ~= turn then
+    own.at = 0
+    own.turn = turn
+  end
   while state do
-    local emem = not is_blocked[state] and state.emem
-    for i = 1, emem and #events or 0 do count_event(fsm, state, emem, events[i]) end
+    for i = 1, own.is_blocked[state] and 0 or state.emem and #events or 0 do
+      k = k + 1
+      if k >= own.at then count_event(fsm, state, events[i], k) end
+    end
     state = state._actchild
   end
 end
@@ -132,8 +144,9 @@ local function load(fsm, counts)
 end
 
 local function prepare_machine(fsm)
-  fsm._emem = { is_blocked = {}, others = {}, declared = false }
-  rfsm.pre_step_hook_add(fsm, rfsm.borrows(count))
+  fsm._emem = { is_blocked = {}, others = {}, declared = false, turn = false, at = 0,
+    values = {} }
+  rfsm.pre_step_hook_add(fsm, rfsm.repeatable(count))
   rfsm.reset_hook_add(fsm, reset)
   rfsm.snapshot_hook_add(fsm, "emem", save, load)
 end
@@ -147,7 +160,7 @@ local function prepare_state(fsm, state)
       rfsm.kind_of(state.emem)))
   end
   state.emem = setmetatable({}, WEAK)
-  rfsm.exit_hook_add(fsm, state, clear)
+  rfsm.exit_hook_add(fsm, state, rfsm.repeatable(clear))
 end
 
 rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)

@@ -61,7 +61,7 @@ end
 local function note(fsm, obj)
   local composite = rfsm.is_trans(obj) and obj.tgt._id == "initial" and obj.tgt._parent
   if rfsm.is_leaf(obj) then
-    rfsm.entry_hook_add(fsm, obj, remember)
+    rfsm.entry_hook_add(fsm, obj, rfsm.repeatable(remember))
   elseif composite and has_history(composite) and not is_inside(obj.src, composite) then
     obj._initial, fsm._history[#fsm._history + 1] = obj.tgt, obj
   end

@@ -64,6 +64,34 @@ print((tostring(problem):gsub("^.-:%d+: ", "")))
     end
   end)
 
+  it("rfsm.lua says by name which file is missing", function()
+    assert.equal([[
+root.b
+rfsm.is_in: rfsm/tools.lua is not installed beside rfsm.lua
+rfsm.prepare: rfsm/tools.lua is not installed beside rfsm.lua
+rfsm.fsm_merge: rfsm/merge.lua is not installed beside rfsm.lua
+rfsm.follow_fates: rfsm/fates.lua is not installed beside rfsm.lua
+nil]], output_with({ "rfsm" }, [[
+local rfsm = require "rfsm"
+local fsm = assert(rfsm.init(rfsm.state { info = false, warn = false,
+  a = rfsm.state {}, b = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "b", events = "e_go" } }))
+rfsm.send_events(fsm, "e_go")
+rfsm.run(fsm)
+rfsm.send_events(fsm, "e_go")
+rfsm.run(fsm)
+print(rfsm.get_actleaf_fqn(fsm))
+local function try(f, ...)
+  print((tostring(select(2, pcall(f, ...))):gsub("^.-:%d+: ", "")))
+end
+try(rfsm.is_in, fsm, "root.b")
+try(rfsm.prepare, fsm)
+try(rfsm.fsm_merge, fsm, fsm, rfsm.state {}, "c")
+try(rfsm.watch_hook_add, fsm, "discarded", print)
+print(rfsm.no_such_function)
+]]))
+  end)
+
   it("rfsm_timeevent reads os.time", function()
     assert.equal("true true", output_with({ "rfsm", "rfsm_timeevent" }, [[
 local rfsm, timeevent = require "rfsm", require "rfsm_timeevent"

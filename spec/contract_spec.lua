@@ -385,7 +385,7 @@ describe("FIX copying:", function()
     local function marked(element)
       for name in ([[id fqn parent mode actchild doo_co otrs is_leaf sources choices
         ignored by_event by_any done_event search way entry_hooks exit_hooks lca entries
-        run rank is_simple initialized nodes fsm at intq leaf index def plan_ mine]])
+        run rank is_simple initialized nodes fsm at intq leaf def plan_ mine]])
         :gmatch("%S+") do
         element["_" .. name] = { "the user's" }
       end
@@ -402,7 +402,7 @@ describe("FIX copying:", function()
       "exit root.a", "effect root.a->root.k", "effect root.k->root.b", "entry root.b" },
       trace)
     for _, part in ipairs { fsm.a, fsm[2] } do
-      for name in ("_index _def _plan_ _run _lca _leaf _choices _entries _mine")
+      for name in ("_def _plan_ _run _lca _leaf _entries _mine")
         :gmatch("%S+") do assert.same({ "the user's" }, part[name]) end
       assert.equal(1, part["%data"])
     end

@@ -57,7 +57,7 @@ describe("coverage", function()
     rfsm_checks.coverage(fsm)
     helper.post_and_run(fsm)
     helper.post_and_run(fsm, "e_x")
-    assert.same({ "root.b e_x", "4effect" }, ran)
+    assert.same({ "root.b e_x", "5effect" }, ran)
   end)
 
   it("counts a guard that fails", function()

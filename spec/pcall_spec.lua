@@ -9,7 +9,7 @@
 -- interrupt  an interrupt is told apart from other errors, and raised again
 
 local REASONS = {
-  ["rfsm.lua"] = { 21, "user after package host" },
+  ["rfsm.lua"] = { 24, "user after package host" },
   ["rfsm_checks.lua"] = { 2, "user package" },
   ["rfsm_seqand.lua"] = { 6, "user after input" },
   ["rfsm_timeevent.lua"] = { 3, "host package user" },
@@ -22,8 +22,9 @@ local REASONS = {
   ["rfsm/clock.lua"] = { 5, "host package" },
   ["rfsm/explore/properties.lua"] = { 1, "user" },
   ["rfsm/explore/subject.lua"] = { 2, "user after" },
-  ["rfsm/fast.lua"] = { 3, "user input" },
+  ["rfsm/fast.lua"] = { 2, "user input" },
   ["rfsm/fleet.lua"] = { 7, "host user" },
+  ["rfsm/merge.lua"] = { 1, "user interrupt" },
   ["rfsm/observe/breakpoints.lua"] = { 1, "input" },
   ["rfsm/pictures/diagram.lua"] = { 1, "input" },
   ["rfsm/postgres.lua"] = { 2, "host after" },

@@ -74,18 +74,18 @@ end
 local is_shared = setmetatable({}, { __mode = "k" })
 
 -- Hooks that an extension may add when a callback uses it for the first time.
-local MAY_BE_LATE = { reset_hook_add = true, reaction_hook_add = true,
-  waiting_hook_add = true }
+local MAY_BE_LATE = { source_hook_add = true, reset_hook_add = true,
+  reaction_hook_add = true, waiting_hook_add = true }
 
 -- Replaces a function that changes a machine for good: for a shared machine it does
--- nothing, and the reason is reported. Hooks at the place "front" are of extensions.
+-- nothing, and the reason is reported.
 local function refuse_for_shared(name)
   local own, where = rfsm[name], "rfsm." .. name
   local reason = where .. ": the machines of a fleet share their chart, so a callback "
     .. "cannot change it"
-  rfsm[name] = function(fsm, hook, place, ...)
+  rfsm[name] = function(fsm, ...)
     rfsm.check_machine(fsm, where)
-    if not is_shared[fsm] or place == "front" then return own(fsm, hook, place, ...) end
+    if not is_shared[fsm] then return own(fsm, ...) end
     rfsm.report(fsm, "err", reason)
     return false, reason
   end

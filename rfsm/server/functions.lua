@@ -26,6 +26,9 @@ local timeevent = require "rfsm_timeevent"
 local times = require "rfsm.server.times"
 local why = require "rfsm.observe.why"
 require "rfsm.await"
+require "rfsm.fates" -- which the core loads by name, like the next two
+require "rfsm.merge"
+require "rfsm.tools"
 
 local ipairs, pairs, pcall, rawget = ipairs, pairs, pcall, rawget
 local select, tonumber, tostring, type = select, tonumber, tostring, type

@@ -8,11 +8,11 @@
 -- as a coroutine. If the doo yields a true value, it is idle.
 --
 ---@class rfsm.State
----@field entry? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "entry")
----@field exit? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "exit")
+---@field entry? rfsm.StateCallback
+---@field exit? rfsm.StateCallback
 ---@field doo? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "doo"): boolean?
 ---@field final? boolean a leaf that is meant to be the end
----@field getevents? false|fun(fsm: rfsm.Machine): any[]? root only, as all fields below
+---@field getevents? false|fun(): any[]? root only, as all fields below
 ---@field dbg? boolean|fun(id: string, ...)
 ---@field info? boolean|fun(...)
 ---@field warn? boolean|fun(...)
@@ -20,6 +20,7 @@
 ---@field idle_hook? false|fun(fsm: rfsm.Machine) called instead of returning when idle
 ---@field pre_step_hook? false|fun(fsm: rfsm.Machine, events: any[])
 ---@field post_step_hook? false|fun(fsm: rfsm.Machine, events: any[])
+---@field read? "all"|"one" "one": an iteration takes only the first pending event
 ---@field gettime? false|fun(): number, number the machine's clock: seconds, nanoseconds
 ---@field [string|integer] any
 
@@ -31,9 +32,8 @@
 ---@field src string|rfsm.State|rfsm.Connector source; after init always a node
 ---@field tgt string|rfsm.State|rfsm.Connector target; after init always a node
 ---@field events? false|any[]|string each one triggers it; none: any event does
----@field guard? false|fun(tr: rfsm.Transition, events: any[]): boolean?
--- the transition is not enabled if the guard returns false
----@field effect? false|fun(m: rfsm.Machine, tr: rfsm.Transition, s: string, e: any[])
+---@field guard? rfsm.Guard
+---@field effect? rfsm.Effect
 ---@field pn? number priority among the transitions of a node, larger first (0)
 ---@field [string] any
 
@@ -64,5 +64,60 @@
 ---@field new fun(self: any, t: table): rfsm.Connector
 ---@overload fun(t: table): rfsm.Connector
 
+--- Callbacks. Their last argument `event` is the event that counts: the first current
+--- event that enables the segment of the path; for a segment without events that of the
+--- path's first segment, or the first current event. It is nil if no event leads here.
+---@alias rfsm.StateCallback false|fun(fsm, state: rfsm.State, what: string, event: any)
+---@alias rfsm.Guard false|fun(tr, events: any[], event: any): boolean? false forbids
+---@alias rfsm.Effect false|fun(fsm, tr, what: "effect", events: any[], event: any)
+
 --- An occasion on which a watch hook is called, see `rfsm.watch_hook_add`.
----@alias rfsm.Watched "sent"|"failed"|"resumed"|"ended"|"merged"
+---@alias rfsm.Watched "sent"|"failed"|"resumed"|"ended"|"merged"|"discarded"
+
+--- Hooks. For each `X_hook_add` there is an `X_hook_rm` with the same arguments. It
+--- returns true if there was such a hook. `place` is "before" or "after" (default) the
+--- other hooks. An error of a source or step hook is raised at once, an error of any
+--- other hook when the iteration is over.
+---@alias rfsm.StepHook fun(fsm: rfsm.Machine, events: any[])
+---@alias rfsm.StateHook fun(fsm: rfsm.Machine, state: rfsm.State, event: any)
+---@alias rfsm.HookPlace "before"|"after"|"front"
+
+---@class rfsm
+---@field source_hook_add fun(fsm: rfsm.Machine, hook: rfsm.StepHook) the hook appends
+-- events to the list of current events, before all other hooks and before one is taken
+---@field pre_step_hook_add fun(fsm: rfsm.Machine, hook: rfsm.StepHook, place?: string)
+-- in each iteration before a transition is chosen; the hook may change the events
+---@field post_step_hook_add fun(fsm: rfsm.Machine, hook: rfsm.StepHook, place?: string)
+-- at the end of each iteration
+---@field path_hook_add fun(fsm: rfsm.Machine, hook: fun(fsm, path: any[], event: any))
+-- before a path, a list of transitions, is taken; for observers
+---@field entry_hook_add fun(fsm: rfsm.Machine, state: rfsm.State, hook: rfsm.StateHook)
+-- each time a state is entered, before its entry
+---@field exit_hook_add fun(fsm: rfsm.Machine, state: rfsm.State, hook: rfsm.StateHook)
+-- each time a state is left, after its exit
+---@field guard_hook_add fun(fsm: rfsm.Machine, tr: rfsm.Transition, hook: rfsm.Guard)
+-- asked before the guard; the transition is not enabled if the hook returns false
+---@field watch_hook_add fun(fsm: rfsm.Machine, what: rfsm.Watched, hook: function)
+-- hook(fsm, ...): sent: event, ... | failed: element, name, error | resumed: leaf |
+-- ended: leaf | merged: element | discarded: an event that nobody has used
+---@field reset_hook_add fun(fsm: rfsm.Machine, hook: fun(fsm), place?: string)
+-- when the machine is reset, to reset the data of an extension
+---@field reaction_hook_add fun(fsm: rfsm.Machine, hook: fun(fsm, state): any[]?)
+-- lists the events to which an extension reacts in a state; a function is a predicate
+---@field waiting_hook_add fun(fsm: rfsm.Machine, hook: fun(fsm): any[]?)
+-- lists the events that an extension keeps for later
+
+--- Predicates: any value may be asked about.
+---@class rfsm
+---@field is_meta fun(key: any): boolean
+---@field is_state fun(value: any): boolean
+---@field is_trans fun(value: any): boolean
+---@field is_conn fun(value: any): boolean
+---@field is_fsmobj fun(value: any): boolean
+---@field is_node fun(value: any): boolean
+---@field is_composite fun(value: any): boolean
+---@field is_leaf fun(value: any): boolean
+---@field is_root fun(value: any): boolean
+---@field is_initialized_root fun(value: any): boolean
+---@field is_nr_node fun(value: any): boolean
+---@field is_callable fun(value: any): boolean

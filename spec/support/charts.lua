@@ -359,6 +359,7 @@ function charts.generate(seed)
     merges = {} }
   chart.is_tame, chart.traced = random:chance(20), random:chance(33)
   chart.has_twin = random:chance(30)
+  chart.read = new_random(seed + 13):pick { false, false, "one", "all" } or nil
   add_node(chart, nil, "root", "state")
   if random:chance(98) then add_children(chart, random, "root", 1) end
   if not chart.nodes.root.is_leaf then

@@ -98,6 +98,8 @@ end
 -- and the clock of the outer one.
 local function new_world(chart, outer)
   chart = own_chart(chart)
+  chart.given_read = chart.read
+  if outer and chart.read == nil then chart.read = outer.chart.read end
   local world = {
     chart = chart, trace = outer and outer.trace or {}, counts = {}, versions = {},
     ids = replaceable(chart), clock = outer and outer.clock or { now = 0 },
@@ -195,9 +197,9 @@ end
 local function program_of(world, what, fqn)
   local id = what .. " " .. fqn
   local version = version_of(world, id)
-  return program(world, id, function(fsm, state, kind)
+  return program(world, id, function(fsm, state, kind, event)
     if is_muted(world) then return end
-    note(world, kind, state._fqn, "leaf", leaf_name(fsm), version)
+    note(world, kind, state._fqn, "leaf", leaf_name(fsm), version, "on", event)
     note_modes(world)
     return act(world, id)
   end)
@@ -206,8 +208,8 @@ end
 local function guard_of(world, index)
   local id = "guard " .. index
   local version = version_of(world, id)
-  return program(world, id, function(_, events)
-    note(world, "guard", index, events, version)
+  return program(world, id, function(_, events, event)
+    note(world, "guard", index, events, version, "on", event)
     return act(world, id)
   end)
 end
@@ -215,9 +217,10 @@ end
 local function effect_of(world, index)
   local id = "effect " .. index
   local version = version_of(world, id)
-  return program(world, id, function(_, _, kind, events)
+  return program(world, id, function(_, _, kind, events, event)
     if is_muted(world) then return end
-    note(world, kind, index, world.calls and set_of(events) or events, version)
+    note(world, kind, index, world.calls and set_of(events) or events, version, "on",
+      event)
     note_modes(world)
     act(world, id)
   end)
@@ -255,6 +258,7 @@ function model_of(world)
     return model_node(world, fqn, node)
   end, function(tr) return model_transition(world, tr) end)
   root.info, root.err, root.warn = false, outside(world, "err"), false
+  root.read = world.chart.given_read
   root.dbg = first_dbg(world) or false
   root.gettime = function() return world.clock.now, 0 end
   root.getevents = outside(world, "getevents")
@@ -330,9 +334,9 @@ local function add_state_hooks(world, fsm)
   for _, fqn in ipairs(world.chart.names) do
     for i = 1, world.chart.nodes[fqn].hooks or 0 do
       for _, what in ipairs({ "entry_hook", "exit_hook" }) do
-        rfsm[what .. "_add"](fsm, node_of(fsm, fqn), function(_, state)
+        rfsm[what .. "_add"](fsm, node_of(fsm, fqn), function(_, state, event)
           if is_muted(world) then return end
-          note(world, what, i, state._fqn, "leaf", leaf_name(fsm))
+          note(world, what, i, state._fqn, "leaf", leaf_name(fsm), "on", event)
           act(world, ("%s %d %s"):format(what, i, fqn))
         end)
       end
@@ -364,14 +368,15 @@ end
 
 local function oracle_state_calls(world, calls)
   for _, what in ipairs({ "entry", "exit" }) do
-    calls[what] = function(fqn, leaf)
-      note(world, what, fqn, "leaf", leaf, version_of(world, what .. " " .. fqn))
+    calls[what] = function(fqn, leaf, event)
+      note(world, what, fqn, "leaf", leaf, version_of(world, what .. " " .. fqn), "on",
+        event)
       note_modes(world)
       return act(world, what .. " " .. fqn)
     end
     local hook = what .. "_hook"
-    calls[hook] = function(fqn, i, leaf)
-      note(world, hook, i, fqn, "leaf", leaf)
+    calls[hook] = function(fqn, i, leaf, event)
+      note(world, hook, i, fqn, "leaf", leaf, "on", event)
       act(world, ("%s %d %s"):format(hook, i, fqn))
     end
   end
@@ -382,12 +387,14 @@ local function oracle_calls(world)
   return oracle_state_calls(world, {
     text = transition_text,
     doo = function(fqn) return run_doo(world, fqn) end,
-    guard = function(tr, events)
-      note(world, "guard", tr.index, events, version_of(world, "guard " .. tr.index))
+    guard = function(tr, events, event)
+      note(world, "guard", tr.index, events, version_of(world, "guard " .. tr.index),
+        "on", event)
       return act(world, "guard " .. tr.index)
     end,
-    effect = function(tr, events)
-      note(world, "effect", tr.index, events, version_of(world, "effect " .. tr.index))
+    effect = function(tr, events, event)
+      note(world, "effect", tr.index, events, version_of(world, "effect " .. tr.index),
+        "on", event)
       note_modes(world)
       act(world, "effect " .. tr.index)
     end,

@@ -139,21 +139,21 @@ local function add_region_model(calls, _, world)
   behind(calls, "pre_hook", function(events) current = events end)
   local entry, exit, doo = calls.entry, calls.exit, calls.doo
   local post_hook = calls.post_hook
-  function calls.entry(fqn, leaf)
-    if not world.regions[fqn] then return entry(fqn, leaf) end
-    local ok, problem = pcall(entry, fqn, leaf)
+  function calls.entry(fqn, leaf, event)
+    if not world.regions[fqn] then return entry(fqn, leaf, event) end
+    local ok, problem = pcall(entry, fqn, leaf, event)
     active = fqn
     advance()
     if not ok then error(problem, 0) end
   end
-  function calls.exit(fqn, leaf)
+  function calls.exit(fqn, leaf, event)
     if world.regions[fqn] then
       each(function(region)
         reference.protected(machine, reference.leave, region)
       end)
       active = false
     end
-    return exit(fqn, leaf)
+    return exit(fqn, leaf, event)
   end
   function calls.doo(fqn)
     if not world.regions[fqn] then return doo(fqn) end

@@ -1,0 +1,414 @@
+--- Tools: functions of `rfsm` that inspect or move a machine. No iteration calls them.
+--
+-- The core loads this file when one of their names is first read.
+--
+-- @module rfsm.tools
+-- @license BSD-3-Clause
+
+local error, ipairs, pairs, rawequal = error, ipairs, pairs, rawequal
+local rawset, type = rawset, type
+local max = math.max
+
+local NONE = {}
+
+-- Inspect ---------------------------------------------------------------------------
+
+local function define_lists(rfsm)
+  --- A machine, and where it runs.
+  ---@class rfsm.Place
+  ---@field machine rfsm.Machine
+  ---@field owner rfsm.Machine|false the parent machine, whose state runs it
+  ---@field state rfsm.State|false the state of the parent machine that runs it
+  ---@field prefix string "root", or the name of the region: "root.arms.left"
+
+  --- List a machine, then the regions in its states, at any depth.
+  ---@param fsm rfsm.Machine
+  ---@return rfsm.Place[] places
+  function rfsm.machines(fsm)
+    rfsm.check_machine(fsm, "rfsm.machines")
+    local places = {}
+    local function visit(machine, owner, state, prefix)
+      places[#places + 1] = {
+        machine = machine, owner = owner, state = state, prefix = prefix,
+      }
+      for _, leaf in ipairs(rfsm.elements(machine, rfsm.is_leaf)) do
+        local regions, own = rfsm.regions(leaf)
+        for i, region in ipairs(regions) do
+          local name = rfsm.text_of(own.names[i])
+          visit(region, machine, leaf, prefix .. leaf._fqn:sub(5) .. "." .. name)
+        end
+      end
+    end
+    visit(fsm, false, false, "root")
+    return places
+  end
+
+  --- List the nodes to which a transition may lead.
+  --
+  -- An extension may change the target of a transition so that it leads to any node in
+  -- a composite. Then the extension keeps the model's target in the field `_initial`.
+  --
+  ---@param tr rfsm.Transition a transition of a machine
+  ---@return (rfsm.State|rfsm.Connector)[] targets the target; or `_initial` and all
+  -- nodes of the composite that contains it
+  function rfsm.targets(tr)
+    local initial = tr._initial
+    if not initial then return { tr.tgt } end
+    local targets = { initial }
+    for _, node in ipairs(rfsm.elements(initial._parent, rfsm.is_node)) do
+      targets[#targets + 1] = node
+    end
+    return targets
+  end
+
+  --- Return the FQN of a transition's target in the model, for extensions.
+  ---@param tr rfsm.Transition a transition of a machine
+  ---@return string fqn "internal" for an internal transition
+  function rfsm.target_of(tr)
+    return tr._is_internal and "internal" or tr._target._fqn
+  end
+
+  --- List the arguments of all calls of `snapshot_hook_add`, in order, for extensions.
+  ---@param fsm rfsm.Machine
+  ---@return { name: string, save: function, load: function, is_explored?: boolean }[]
+  function rfsm.snapshot_hooks(fsm) return fsm._snapshot_hooks or NONE end
+end
+
+local function define_questions(rfsm, engine)
+  local check_machine, got = rfsm.check_machine, rfsm.got
+  local is_node_of, line_to = engine.is_node_of, engine.line_to
+
+  -- Returns the node with a name such as "root.par.left.a" in a machine or its regions.
+  local function find_by_name(fsm, name)
+    for _, at in ipairs(rfsm.machines(fsm)) do
+      for _, node in ipairs(at.machine._nodes) do
+        if at.prefix .. node._fqn:sub(5) == name then return node end
+      end
+    end
+  end
+
+  --- Is a state of the machine, or of one of its regions, active?
+  ---@param fsm rfsm.Machine
+  ---@param state rfsm.State|string a state, or a name such as "root.par.left.a"
+  ---@return boolean
+  function rfsm.is_in(fsm, state)
+    check_machine(fsm, "rfsm.is_in")
+    local node = type(state) == "string" and find_by_name(fsm, state) or state
+    if not rfsm.is_state(node) or not node._mode then
+      local hint = type(state) == "string" and engine.advise("state_name", fsm, state)
+      error("rfsm.is_in: state of the machine expected, " .. got(state) .. (hint or ""),
+        2)
+    end
+    return node._mode ~= "inactive"
+  end
+
+  --- Call `f(fsm, state)` for each state from `from` up or down to `to`, both included.
+  -- @raise when neither is an ancestor of the other
+  ---@param fsm rfsm.Machine
+  ---@param f fun(fsm: rfsm.Machine, state: rfsm.State): any
+  ---@param from rfsm.State where to begin
+  ---@param to rfsm.State an ancestor or descendant of `from`
+  ---@return any[] results the results of f, in order, without nils
+  function rfsm.map_from_to(fsm, f, from, to)
+    check_machine(fsm, "rfsm.map_from_to")
+    engine.check_function(f, "rfsm.map_from_to")
+    if not (is_node_of(fsm, from) and is_node_of(fsm, to)) then
+      error("rfsm.map_from_to: two nodes of the fsm expected, " .. got(from) .. " and "
+        .. got(to), 2)
+    end
+    local up, down, results = from._depth, to._depth, {}
+    local line = line_to(up >= down and from or to)
+    if line[up + 1] ~= from or line[down + 1] ~= to then
+      error(("rfsm.map_from_to: '%s' and '%s' are not on one line"):format(from._fqn,
+        to._fqn), 2)
+    end
+    for depth = up, down, up > down and -1 or 1 do
+      results[#results + 1] = f(fsm, line[depth + 1])
+    end
+    return results
+  end
+
+  --- Find the path that events would enable from a node, without taking it.
+  --
+  -- A path is a table { node, nextl }. `nextl` is a list of tables { trans, next },
+  -- whose `next` is the rest of the path. At the end of the path `nextl` is false.
+  --
+  ---@param fsm rfsm.Machine
+  ---@param node rfsm.State|rfsm.Connector
+  ---@param events any[]
+  ---@return table|false path false if no path is enabled
+  function rfsm.node_find_enabled(fsm, node, events)
+    check_machine(fsm, "rfsm.node_find_enabled")
+    if not is_node_of(fsm, node) then
+      error("rfsm.node_find_enabled: node of the fsm expected, " .. got(node), 2)
+    elseif type(events) ~= "table" then
+      error("rfsm.node_find_enabled: list of events expected, " .. got(events), 2)
+    end
+    local ways, number = fsm._ways, fsm._search -- a guard may call this
+    fsm._ways, fsm._search = {}, 1
+    local segment = engine.first_enabled(fsm, node._otrs, 1, events)
+    local path = segment and { node = node, nextl = false } or false
+    local at = path
+    while segment do
+      local tail = { node = segment.tgt, nextl = false }
+      at.nextl = { { trans = segment.tr, next = tail } }
+      at, segment = tail, segment.connector and fsm._ways[segment.connector].way
+    end
+    fsm._ways, fsm._search = ways, number
+    return path
+  end
+
+  --- Warn of each state or connector that no transition leaves.
+  ---@param fsm rfsm.Machine
+  ---@return boolean is_clean true if there is no such node
+  function rfsm.check_no_otrs(fsm)
+    check_machine(fsm, "rfsm.check_no_otrs")
+    return engine.report_dead_ends(fsm, 1)
+  end
+end
+
+-- Structure: machines of equal structure share what is known of it --------------------
+
+local latest = setmetatable({}, { __mode = "v" }) -- model -> a machine of it
+
+-- Have the elements of two lists equal values in some fields? Nodes are compared by
+-- FQN.
+local function have_same(list, others, fields)
+  for i, element in ipairs(list) do
+    for _, field in ipairs(fields) do
+      local a, b = element[field], others[i][field]
+      if type(a) == "table" and type(b) == "table" and a._index then
+        a, b = a._fqn, b._fqn
+      end
+      if not rawequal(a, b) then return false end
+    end
+  end
+  return true
+end
+
+local function have_same_events(list, others)
+  for i, tr in ipairs(list) do
+    local events, more = tr.events, others[i].events
+    for j = 1, max(#events, #more) do
+      if not rawequal(events[j], more[j]) then return false end
+    end
+  end
+  return true
+end
+
+local NODE, TRANSITION = { "_fqn", "_is_leaf" }, { "_model", "src", "_target", "pn" }
+
+local function are_alike(fsm, other)
+  local nodes, transitions = fsm._nodes, fsm._transitions
+  return #nodes == #other._nodes and #transitions == #other._transitions
+    and have_same(nodes, other._nodes, NODE)
+    and have_same(transitions, other._transitions, TRANSITION)
+    and have_same_events(transitions, other._transitions)
+end
+
+local function define_structure(rfsm)
+  --- Return a table that stands for the structure of a machine, for extensions.
+  --
+  -- A machine gets another table from `fsm_merge`. Machines of one model have the same
+  -- table if they are alike.
+  --
+  ---@param fsm rfsm.Machine
+  ---@return table structure
+  function rfsm.structure_of(fsm)
+    rfsm.check_machine(fsm, "rfsm.structure_of")
+    if fsm._structure then return fsm._structure end
+    local other = latest[fsm._model]
+    fsm._structure = other and other._structure and are_alike(fsm, other)
+      and other._structure or {}
+    latest[fsm._model] = fsm
+    return fsm._structure
+  end
+end
+
+-- Move --------------------------------------------------------------------------------
+
+-- Makes all active states inactive. `_actchild` leads to them.
+local function leave_all(fsm)
+  local left = fsm
+  while left do
+    local child = left._actchild
+    left._mode = "inactive"
+    if left._doo_co then left._doo_co = nil end
+    if child then rawset(left, "_actchild", nil) end
+    left = child
+  end
+  fsm._act_leaf = false
+end
+
+-- Sets the mode of a state. Its ancestors become active, all other states inactive.
+local function move_to(state, mode)
+  local fsm = state
+  while fsm._parent ~= fsm do fsm = fsm._parent end
+  leave_all(fsm)
+  state._mode = mode
+  if mode ~= "inactive" and state._is_leaf then fsm._act_leaf = state end
+  while state ~= fsm do
+    local parent = state._parent
+    if state._mode ~= "inactive" then parent._actchild = state end
+    parent._mode, state = "active", parent
+  end
+end
+
+local function define_moves(rfsm, engine)
+  --- Raise an error if a step is under way, for extensions.
+  --
+  -- The error blames the caller's caller. A step that was cut short is finished first.
+  --
+  ---@param fsm rfsm.Machine
+  ---@param where string the public function
+  function rfsm.check_between_steps(fsm, where)
+    rfsm.check_machine(fsm, where, 4)
+    engine.check_no_step(fsm, where, 4)
+    if fsm._phase ~= "idle" then engine.try(fsm) end
+  end
+
+  --- Note that the step under way will never return, for hosts that know this.
+  --
+  -- An exception of C++ that goes through Lua ends a step, and no pcall notices that.
+  -- The next step then goes on behind the callback that was under way, as after an
+  -- interrupt. A doo that was under way has failed.
+  --
+  ---@param fsm rfsm.Machine
+  ---@return boolean is_noted false if no step was under way
+  function rfsm.note_cut(fsm)
+    rfsm.check_machine(fsm, "rfsm.note_cut")
+    if fsm._phase == "idle" or fsm._is_cut then return false end
+    for _, at in ipairs(rfsm.machines(fsm)) do
+      local machine, leaf = at.machine, at.machine._act_leaf
+      -- the doo that steps regions begins anew: its coroutine cannot be resumed
+      if machine._phase == "doo" and rfsm.regions(leaf)[1] then leaf._doo_co = nil end
+      if machine._phase ~= "idle" then engine.cut(machine) end
+    end
+    return true
+  end
+
+  --- Set the mode of a state.
+  --
+  -- Its ancestors become active, all other states inactive. No callback runs.
+  --
+  ---@param state rfsm.State a state of a machine
+  ---@param mode "active"|"inactive"|"done"
+  ---@return string mode
+  function rfsm.set_sta_mode(state, mode)
+    if not rfsm.is_state(state) or type(state._index) ~= "number" then
+      error("rfsm.set_sta_mode: state of a fsm expected, " .. rfsm.got(state), 2)
+    elseif mode ~= "active" and mode ~= "inactive" and mode ~= "done" then
+      error("rfsm.set_sta_mode: 'active', 'done' or 'inactive' expected, "
+        .. rfsm.got(mode), 2)
+    end
+    local is_active, was_active = mode ~= "inactive", state._mode ~= "inactive"
+    if is_active ~= was_active or is_active and state._is_leaf then
+      local co = is_active and state._doo_co or nil
+      move_to(state, mode)
+      state._doo_co = co
+    end
+    return mode
+  end
+
+  --- Reset a machine, then make `leaf` active (false: no leaf); no callback runs.
+  ---@param fsm rfsm.Machine
+  ---@param leaf rfsm.State|false
+  ---@param mode string the mode of the leaf
+  ---@param queue any[] the pending events
+  function rfsm.place(fsm, leaf, mode, queue)
+    rfsm.check_between_steps(fsm, "rfsm.place")
+    if leaf then
+      move_to(leaf, mode)
+      engine.tell(fsm, fsm._reset_hooks)
+      fsm._reset_wanted, fsm._unread = false, 0
+    else
+      engine.reset_now(fsm)
+    end
+    fsm._intq, fsm._curq, fsm._path = queue, {}, false
+    engine.raise_failure(fsm)
+  end
+
+  --- Have f(name, data) called when a callback of a machine or its regions emits.
+  --
+  -- For hosts. By default `emit` does nothing. Regions merged later are included.
+  --
+  ---@param fsm rfsm.Machine
+  ---@param f fun(name: string, data: any)
+  function rfsm.set_emit(fsm, f)
+    rfsm.check_machine(fsm, "rfsm.set_emit")
+    local emit = engine.new_emit(f)
+    for _, at in ipairs(rfsm.machines(fsm)) do
+      if not rfsm.is_state(at.machine.emit) then at.machine.emit = emit end
+      at.machine._emit = f
+    end
+  end
+end
+
+-- Prepare: compile what would be compiled while the machine runs ----------------------
+
+local MOST_PATHS, MOST_SEGMENTS = 50, 6 -- for a leaf and an event; in a path
+
+local function define_prepare(rfsm, engine)
+  local paths_left = 0
+
+  -- Makes the paths that continue `at` with a transition, and compiles them.
+  local function prepare_paths(fsm, at, tr)
+    local segment = engine.segment_of(fsm, tr)
+    if not segment then return end
+    local path = at._paths and at._paths[segment] or engine.new_path(at, segment)
+    if not segment.connector then
+      paths_left = paths_left - 1
+      engine.compile_path(engine.path_of(fsm, path))
+      return
+    end
+    local is_long = #path.segments >= MOST_SEGMENTS
+    for _, way in ipairs(is_long and NONE or segment.connector._otrs) do
+      if paths_left > 0 then prepare_paths(fsm, path, way) end
+    end
+  end
+
+  -- Makes and compiles the paths that continue `at` with each transition of a list.
+  local function prepare_list(fsm, at, list)
+    paths_left = MOST_PATHS
+    for _, tr in ipairs(list) do prepare_paths(fsm, at, tr) end
+  end
+
+  local function prepare_leaf(fsm, leaf)
+    for _, choice in pairs(engine.list_choices(leaf)) do -- any order: independent
+      prepare_list(fsm, leaf, choice)
+      engine.quick_run(fsm, leaf, choice)
+    end
+  end
+
+  --- Compile a machine completely now, not while it runs.
+  --
+  -- Without this call a path is compiled when it has been taken a few times. This is
+  -- also true of paths that change later, by `fsm_merge` or because a hook is added.
+  --
+  ---@param fsm rfsm.Machine
+  function rfsm.prepare(fsm)
+    rfsm.check_machine(fsm, "rfsm.prepare")
+    for _, at in ipairs(rfsm.machines(fsm)) do
+      local machine = at.machine
+      prepare_list(machine, engine.entrance_of(machine),
+        machine._is_leaf and NONE or machine.initial._otrs)
+      for _, node in ipairs(machine._nodes) do
+        if not node._mode then engine.note_of(machine, node) end
+        if node._is_leaf then prepare_leaf(machine, node) end
+      end
+    end
+  end
+
+  --- Use less memory and more time from now on: rfsm/fast.lua compiles nothing more.
+  function rfsm.save_memory() engine.drop_fast() end
+end
+
+---@param rfsm rfsm the core
+---@param engine table<string, function> functions of the core
+return function(rfsm, engine)
+  define_lists(rfsm)
+  define_questions(rfsm, engine)
+  define_structure(rfsm)
+  define_moves(rfsm, engine)
+  define_prepare(rfsm, engine)
+end
