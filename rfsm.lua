@@ -659,9 +659,9 @@ do
     if type(value) == "table" then value = clone_data(build.copies, value) end
     rawset(obj, key, value)
     if is_root and ROOT_FIELDS[key] then return end
-    if kind == "transition" or type(value) == "table" or is_callable(value) then
-      add_advice(build.warnings, "datum", obj, key, obj._model[key])
-    end
+    local is_odd = kind == "transition" or type(value) == "table"
+      or type(value) == "string" or is_callable(value)
+    if is_odd then add_advice(build.warnings, "datum", obj, key, obj._model[key]) end
   end
 
   -- Copies a field that is no node and no transition: a callback or the user's data.

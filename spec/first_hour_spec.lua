@@ -107,6 +107,7 @@ return state { off = state {}, on = state { history = "shallow", x = state {},
   trans { src = "off", tgt = "on", events = { "e_pause" } } }
 --C :1: warning: root.on: a state has no field 'history' (require "rfsm.history")
     [unknown-field]
+--S WARNING: :1: root.on: a state has no field 'history' (require "rfsm.history")
 == history_true
 -- events: e_next e_pause e_pause
 return state { off = state {}, on = state { history = true, x = state {},

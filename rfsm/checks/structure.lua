@@ -128,13 +128,11 @@ local function check_flags(state, flags, add)
   end
 end
 
-local HISTORIES = { shallow = true, deep = true, [true] = true }
-
 -- Returns the name of a field that only another library, or an extension that is not
 -- loaded, would read, and the remedy; nil if the state has no such field.
 local function foreign_field(state, loaded)
-  local has_history = HISTORIES[state.history] and rfsm.is_composite(state)
-  if has_history and not loaded["rfsm.history"] then
+  local has_history = state.history == true and rfsm.is_composite(state)
+  if has_history and not loaded["rfsm.history"] then -- init tells of a text
     return "history", "require \"rfsm.history\""
   elseif state.type == "final" and not state.final then
     return "type", "did you mean final = true?"
