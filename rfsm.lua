@@ -442,12 +442,19 @@ local function name_of(obj, field)
   return ("%s (%s -> %s)"):format(name, model.src, model.tgt)
 end
 
+-- Adds a problem or warning to a list, and returns it.
 local function add(list, obj, field, text, ...)
   if select("#", ...) > 0 then text = text:format(...) end
-  list[#list + 1] = {
+  local found = {
     file = made_at[obj._model], line = name_of(obj, field) .. ": " .. text,
+    code = "init",
   }
+  list[#list + 1] = found
+  return found
 end
+
+-- Adds a warning with its code in rfsm/checks/codes.lua; false: a check tells more.
+local function add_warning(list, code, ...) add(list, ...).code = code end
 
 local CALLBACKS = {
   state = { entry = true, exit = true, doo = true }, connector = {},
@@ -457,8 +464,8 @@ local CALLBACKS = {
 -- Adds the warning of rfsm/advice.lua on a topic, if the file has one. The caller has
 -- found something suspicious already, so most charts do not load the file.
 local function add_advice(list, topic, obj, ...)
-  local text, field = advise(topic, obj, ...)
-  if text ~= "" then add(list, obj, field, text) end
+  local text, code, field = advise(topic, obj, ...)
+  if text ~= "" then add_warning(list, code, obj, field, text) end
 end
 
 --- Describe an unexpected value: "got string 'led'", "got state", for extensions.
@@ -619,8 +626,9 @@ do
       list[i] = event
     end
     if count == 0 then
-      add(build.warnings, tr, "events", "an empty list, any event triggers it (is a "
-        .. "name in it nil? if any event is meant, leave it out)")
+      add_warning(build.warnings, "empty-events", tr, "events", "an empty list, any "
+        .. "event triggers it (is a name in it nil? if any event is meant, leave it "
+        .. "out)")
     end
     return list
   end
@@ -671,8 +679,8 @@ do
       if value then
         rawset(obj, key, value)
       elseif key == "guard" then
-        add(build.warnings, obj, nil, "its guard is false and counts as absent, it was "
-          .. "made while the chart was loaded")
+        add_warning(build.warnings, "false-guard", obj, nil, "its guard is false and "
+          .. "counts as absent, it was made while the chart was loaded")
       end
     elseif key == "initial" and kind == "state" then
       add(build.problems, obj, key, "connector expected, %s "
@@ -736,8 +744,8 @@ do
       if not kind then
         clone_field(build, own_kind, node, key, value)
       elseif own_kind == "connector" then
-        add(build.warnings, node, nil, "a connector holds no %s, '%s' is ignored", kind,
-          text_of(key))
+        add_warning(build.warnings, "misplaced", node, nil,
+          "a connector holds no %s, '%s' is ignored", kind, text_of(key))
       elseif kind == "transition" then
         new_transition(build, value, node, key)
         has_transition = true
@@ -746,8 +754,8 @@ do
       end
     end
     if node._is_leaf and has_transition then
-      add(build.warnings, node, nil, "a transition inside a leaf state%s",
-        advise("plain_states", node._model))
+      add_warning(build.warnings, "misplaced", node, nil,
+        "a transition inside a leaf state%s", advise("plain_states", node._model))
     elseif own_kind == "state" and node.doo and not node._is_leaf then
       add(build.problems, node, "doo", "only a leaf state can have a doo")
     end
@@ -902,7 +910,7 @@ do
       if events[i] == "e_done" then
         events[i] = "e_done@" .. src._fqn
         if not src._is_leaf then
-          add(build.warnings, tr, nil,
+          add_warning(build.warnings, false, tr, nil,
             "'e_done' never fires here, '%s' is no leaf state", src._fqn)
         end
       end
@@ -2606,16 +2614,16 @@ local function natural(text)
 end
 
 -- Puts the `file` of each item in front of its `line`, which is "location: text".
--- Returns these texts, sorted by location.
+-- Returns these texts, sorted by location, and the code of each.
 local function lines_of(list)
-  local keys, lines = {}, {}
+  local keys, lines, codes = {}, {}, {}
   for i = 1, #list do
     local file, line = list[i].file, list[i].line
     lines[i] = (file and file .. ": " or "") .. line
-    keys[lines[i]] = natural(line)
+    keys[lines[i]], codes[lines[i]] = natural(line), list[i].code
   end
   sort(lines, function(a, b) return keys[a] < keys[b] end)
-  return lines
+  return lines, codes
 end
 
 local function summary(where, problems)
@@ -2710,10 +2718,28 @@ do
 end
 
 
+--- A function `f(fsm, code, text)` that is called for each warning, or false.
+rfsm.warned = false
+
+--- Warn of something in a chart, for extensions.
+---@param fsm rfsm.Machine
+---@param code string|false the code of the warning in rfsm/checks/codes.lua; false: a
+-- check tells more
+---@param text string "location: what is wrong"
+function rfsm.warn(fsm, code, text)
+  if rfsm.warned then rfsm.warned(fsm, code, text) end
+  report(fsm, "warn", "WARNING: " .. text)
+end
+
 local function report_lines(fsm, name, list)
   if fsm[name] == silent then return end
-  for _, line in ipairs(lines_of(list)) do
-    report(fsm, name, (name == "info" and "INFO: " or "WARNING: ") .. line)
+  local lines, codes = lines_of(list)
+  for _, line in ipairs(lines) do
+    if name == "info" then
+      report(fsm, name, "INFO: " .. line)
+    else
+      rfsm.warn(fsm, codes[line], line)
+    end
   end
 end
 
@@ -2749,7 +2775,7 @@ do
         or is_left_around(node)) then
         left = left or left_composites(fsm)
         local line = "no outgoing transitions from node '" .. node._fqn .. "'"
-        dead[#dead + 1] = not left[node] and { line = line } or nil
+        dead[#dead + 1] = not left[node] and { line = line, code = false } or nil
       end
     end
     report_lines(fsm, "warn", dead)
@@ -2888,7 +2914,7 @@ function rfsm.init(model)
   end
   model = model_of(model)
   local build = build_machine(model)
-  local fsm, problems = build.fsm, lines_of(build.problems)
+  local fsm, problems = build.fsm, (lines_of(build.problems))
   if problems[1] then return refuse_model(model, nil, problems) end
   load_fast()
   if rfsm.is_strict(model) then find_module("rfsm.strict") end
@@ -2914,12 +2940,14 @@ end
 ---@return boolean is_valid
 ---@return string[] problems each "file:line: location: problem"
 ---@return string[] warnings
+---@return table<string, string|false> codes the code of each warning
 function rfsm.verify_early(model)
   if not is_state(model) then
     error("rfsm.verify_early: state expected, " .. got(model), 2)
   end
   local build = build_machine(model_of(model))
-  return not build.problems[1], lines_of(build.problems), lines_of(build.warnings)
+  local warnings, codes = lines_of(build.warnings)
+  return not build.problems[1], (lines_of(build.problems)), warnings, codes
 end
 
 
@@ -3467,7 +3495,8 @@ do
 
   -- Functions of the engine for the files of the library beside this one.
   local engine = {
-    add = add, advise = advise, check_function = check_function,
+    add = add, add_warning = add_warning, advise = advise,
+    check_function = check_function,
     check_no_step = check_no_step, clone_below = clone_below,
     check_ways_in = check_ways_in, compile_path = compile_path, cut = cut,
     drop_fast = drop_fast, entrance_of = entrance_of,

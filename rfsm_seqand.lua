@@ -326,7 +326,7 @@ end
 local function prepare_state(fsm, state, problems)
   local count = #problems
   if has_transitions[state.substates] then
-    rfsm.report(fsm, "warn", "WARNING: " .. rfsm.location_of(state)
+    rfsm.warn(fsm, "misplaced", rfsm.location_of(state)
       .. ": a transition in a sequential AND state, it belongs into a region (none "
       .. "leads from one region to another)")
   end

@@ -544,7 +544,7 @@ end
 local function expand(fsm, tr, event)
   local src = tr.src
   if not rfsm.is_state(src) then
-    report(fsm, "warn", ("WARNING: %s: '%s' never fires here, '%s' is no state"):format(
+    rfsm.warn(fsm, "never-done", ("%s: '%s' never fires here, '%s' is no state"):format(
       rfsm.location_of(tr, "events"), event.name, src._fqn))
     return event.name .. "@" .. src._fqn
   end
@@ -557,8 +557,7 @@ end
 local function expand_text(fsm, tr, text)
   local _, problem = parse(text)
   if problem then
-    report(fsm, "warn", ("WARNING: %s: %s"):format(rfsm.location_of(tr, "events"),
-      problem))
+    rfsm.warn(fsm, "init", rfsm.location_of(tr, "events") .. ": " .. problem)
     return text
   end
   return (text:gsub("%f[%w_](e_%a+%s*%b())(@?)", function(inner, at)

@@ -164,7 +164,7 @@ local function new_await(names, fqn)
 end
 
 local function warn_never(fsm, tr, event, kind)
-  rfsm.report(fsm, "warn", ("WARNING: %s: '%s' never fires here, '%s' is no %s"):format(
+  rfsm.warn(fsm, "never-done", ("%s: '%s' never fires here, '%s' is no %s"):format(
     rfsm.location_of(tr, "events"), event, tr.src._fqn, kind))
 end
 

@@ -126,33 +126,6 @@ function codes.means(state, meaning)
   end)
 end
 
--- Parts of the core's warnings, and their codes; false: a check reports the problem in
--- more detail.
-local WARNINGS = {
-  { "no outgoing transitions from node", false },
-  { "'e_done' never fires here", false },
-  { "each transition from here has events or a guard", false },
-  { "a connector has no ", false },
-  { "has no field '", "unknown-field" },
-  { "a plain table that", "unmarked" },
-  { "a transition inside a leaf state", "misplaced" },
-  { "a transition in a sequential AND state", "misplaced" },
-  { "a connector holds no", "misplaced" },
-  { "never fires here", "never-done" },
-  { "no loaded extension knows", "unknown-word" },
-  { "its guard is false", "false-guard" },
-  { "any event triggers it (events", "unknown-field" },
-  { "an empty list, any event triggers it", "empty-events" },
-}
-
---- Return the code of a warning of the core; false if a check reports the same problem.
-function codes.of_warning(text)
-  for _, pair in ipairs(WARNINGS) do
-    if text:find(pair[1], 1, true) then return pair[2] end
-  end
-  return "init"
-end
-
 --- Return a hint with the code that is nearest to an unknown code; "" if none is near.
 function codes.nearest(code)
   return type(code) == "string"
