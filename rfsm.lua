@@ -29,6 +29,7 @@ local function find_global(name, field)
 end
 
 local coroutine, loadfile = find_global "coroutine", find_global "loadfile"
+local tonumber = find_global "tonumber"
 local loadstring = find_global "loadstring" or find_global "load"
 
 local getinfo = find_global("debug", "getinfo")
@@ -241,13 +242,49 @@ function rfsm.is_callable(value)
   return type(class) == "table" and rawget(class, "__call") ~= nil
 end
 
+-- A host may have set a locale: then `format`, `tonumber` and `..` have its decimal
+-- point, and `<` compares texts in the order of its dictionaries.
+
+--- Return a number as text, with a point in every locale.
+---@param number number
+---@param format? string of a number without other text ("%.14g")
+---@return string
+function rfsm.number_text(number, format)
+  return ((format or "%.14g"):format(number):gsub("[^%d%l+-]+", "."))
+end
+
+--- Return the number that a text with a point means in every locale; nil if it is none.
+---@param text any
+---@return number?
+function rfsm.number_of(text)
+  if type(text) ~= "string" then return type(text) == "number" and text or nil end
+  if text:find("[^%w%s.+-]") then return nil end
+  return tonumber((text:gsub("%.", (("%.1f"):format(0.5):sub(2, -2)))))
+end
+
+--- Does a text come before another one? Bytes decide, in every locale.
+---@param a string
+---@param b string
+---@return boolean
+function rfsm.text_before(a, b)
+  local small, capital = "a", "B"
+  if capital < small then return a < b end -- as bytes
+  for i = 1, #a do
+    local byte, other = a:byte(i), b:byte(i)
+    if byte ~= other then return other ~= nil and byte < other end
+  end
+  return #a < #b
+end
+
+local text_before = rfsm.text_before
+
 --- Return any value as text; never raise an error. Numbers look the same on every Lua.
 ---@param value any
 ---@return string
 function rfsm.text_of(value)
   local kind = type(value)
   if kind == "string" then return value end
-  if kind == "number" then return ("%.14g"):format(value) end
+  if kind == "number" then return rfsm.number_text(value) end
   local ok, text = pcall(tostring, value)
   return ok and type(text) == "string" and text or kind
 end
@@ -331,9 +368,9 @@ end
 -- Orders keys: numbers ascending, then all others by their text.
 local function key_before(a, b)
   local kind, other = type(a), type(b)
-  if kind == other and (kind == "string" or kind == "number") then return a < b end
+  if kind == "number" and other == "number" then return a < b end
   if kind == "number" or other == "number" then return kind == "number" end
-  return text_of(a) < text_of(b)
+  return text_before(text_of(a), text_of(b))
 end
 
 --- Return the keys of a table, numbers ascending, then others by text, for extensions.
@@ -961,7 +998,7 @@ do
     local a_pn, b_pn = a.pn or 0, b.pn or 0
     if a_pn ~= b_pn then return a_pn > b_pn end
     if a.parent.depth ~= b.parent.depth then return a.parent.depth < b.parent.depth end
-    if a.parent ~= b.parent then return a.parent.fqn < b.parent.fqn end
+    if a.parent ~= b.parent then return text_before(a.parent.fqn, b.parent.fqn) end
     return key_before(a.id, b.id)
   end
 
@@ -1447,7 +1484,8 @@ local function report_callback(fsm, name, owner, callback, failure)
   tell_watch(fsm, "failed", owner, name, failure)
   local text = "error executing " .. name .. " of " .. (owner._fqn or tostring(owner))
   if name == "doo" then text = "doo program of state '" .. owner._fqn .. "' failed" end
-  report(fsm, "err", name:upper(), text .. ": ", failure)
+  local id = name:upper():gsub("i", "I") -- Turkish has another capital i
+  report(fsm, "err", id, text .. ": ", failure)
 end
 
 -- Run: one iteration after the other ----------------------------------------------
@@ -2552,7 +2590,7 @@ local function lines_of(list)
     lines[i] = (file and file .. ": " or "") .. line
     keys[lines[i]] = natural(line)
   end
-  sort(lines, function(a, b) return keys[a] < keys[b] end)
+  sort(lines, function(a, b) return text_before(keys[a], keys[b]) end)
   return lines
 end
 
@@ -2883,7 +2921,7 @@ do
     end
     fsm._preparing = outer
     if not outer then take_results(fsm, fsm._plan, problems) end
-    sort(problems, function(a, b) return natural(a) < natural(b) end)
+    sort(problems, function(a, b) return text_before(natural(a), natural(b)) end)
     return problems
   end
 end

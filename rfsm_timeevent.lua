@@ -62,7 +62,8 @@ end
 local function from_text(text)
   local whole, fraction = text:match("^%s*(%d*)%.?(%d*)%s*$")
   if not whole then
-    local number = text:match("^%s*%d*%.?%d*[eE][+-]?%d+%s*$") and tonumber(text)
+    local number = text:match("^%s*%d*%.?%d*[eE][+-]?%d+%s*$")
+      and rfsm.number_of(text)
     if number then return normalise(number, 0) end
   elseif whole .. fraction ~= "" then
     local digits = (fraction .. ("0"):rep(10)):sub(1, 10) -- the tenth rounds the ninth

@@ -61,6 +61,7 @@ missing_for_test() { # missing_for_test LUA ...
   command -v redis-server >/dev/null 2>&1 || echo redis-server
   command -v dot >/dev/null 2>&1 || echo graphviz
   command -v tmux >/dev/null 2>&1 || echo tmux
+  [ -e /usr/share/i18n/locales/de_DE ] || echo locales # with a decimal comma
 }
 
 missing_for_fleet() {

@@ -152,7 +152,7 @@ local is_count = opts.is_whole(1, math.huge)
 function common.add_number(command, names, description, is_right, expected)
   local add = names:find(" ") and common.add_option or command.option
   return add(command, names, description):argname("N"):convert(function(text)
-    local number = tonumber(text)
+    local number = rfsm.number_of(text)
     if number and (is_right or is_count)(number) then return number end
     return nil, ("%s: %s expected, got '%s'"):format(names:match("%S+$"),
       expected or "whole number above 0", text)

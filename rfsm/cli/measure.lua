@@ -107,4 +107,5 @@ end
 
 local all = make_machine()
 local modules = math.max(kib() - before, 0) -- they stay when the machine is garbage
-print(("modules %.1f\nchart %.1f"):format(modules, all - modules))
+print("modules " .. rfsm.number_text(modules, "%.1f"))
+print("chart " .. rfsm.number_text(all - modules, "%.1f"))

@@ -3,6 +3,8 @@
 -- @module rfsm.shared.limit
 -- @license BSD-3-Clause
 
+local rfsm = require "rfsm"
+
 local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
 local debug, jit = rawget(_G, "debug"), rawget(_G, "jit")
 
@@ -29,8 +31,8 @@ local function new_hook(state, clocks, is_known)
     for i = 1, event == "count" and #clocks or 1 do
       if state.is_on and clocks[i]() > ends[i] then
         state.is_late = true
-        error(("%sloading takes more than %g s, is there a loop without end?"):format(
-          location(is_known), seconds), 0)
+        error(("%sloading takes more than %s s, is there a loop without end?"):format(
+          location(is_known), rfsm.text_of(seconds)), 0)
       end
     end
   end
