@@ -3949,28 +3949,61 @@ setmetatable(rfsm, { __index = function(_, field)
   return rawget(rfsm, field)
 end })
 
--- Searcher for `require`: finds old flat names (rfsm_emem for rfsm.emem) in compat/.
-local function find_old_name(name)
-  if not name:find("^rfsm[%w_]+$") then return nil end
-  local file = "compat/" .. name .. ".lua"
-  for folder in rawget(_G, "package").path:gmatch("([^;]*)%?%.lua") do
-    local chunk = loadfile(folder .. file)
-    if chunk then return chunk, folder .. file end
+do
+  -- Loaded as "libs.rfsm" this file has the prefix "libs."; by `dofile`, a folder only.
+  local prefix = tostring((...)):match("^(.+[./])rfsm$")
+  local source = (find_global("debug", "getinfo") or tostring)(1, "S")
+  local folder = type(source) == "table" and source.source:match("^@(.-)[^/\\]*$")
+  local searchers, find_beside
+
+  -- Asks other searchers for a module beside this file; they may look into archives.
+  local function find_by_others(name)
+    for i = 1, prefix and #searchers or 0 do
+      local chunk, where = nil, nil
+      if searchers[i] ~= find_beside then
+        chunk, where = searchers[i](prefix .. name)
+      end
+      if type(chunk) == "function" then return chunk, where end
+    end
   end
+
+  local function find_file(name)
+    local file, folders = name:gsub("%.", "/") .. ".lua", {}
+    if folder then folders = { folder, folder .. "compat/" } end
+    for other in rawget(_G, "package").path:gmatch("([^;]*)%?%.lua") do
+      folders[#folders + 1] = other .. "compat/"
+    end
+    for _, at in ipairs(folders) do
+      local chunk = loadfile(at .. file)
+      if chunk then return chunk, at .. file end
+    end
+  end
+
+  -- Searcher for `require`: finds the modules beside this file, and in compat/ their
+  -- older names (rfsm_emem for rfsm.emem). A name with the prefix is the same module.
+  function find_beside(name)
+    local plain = prefix and name:sub(1, #prefix) == prefix and name:sub(#prefix + 1)
+    if not (plain or name):find("^rfsm[%w_.]") then return nil end
+    if plain then return function() return require(plain) end, name end
+    local chunk, where = find_by_others(name)
+    if not chunk then chunk, where = find_file(name) end
+    return chunk and function() return chunk(name, where) end, where
+  end
+
+  -- Registers the module and the searcher. With a prefix the modules beside this file
+  -- come before others that are installed. In a sandbox `package` may have no fields.
+  local function register(package)
+    searchers = package.searchers or package.loaders
+    if searchers and loadfile and not searchers.rfsm then
+      searchers.rfsm = find_beside -- marks the searcher as installed
+      insert(searchers, prefix and 2 or #searchers + 1, find_beside)
+    end
+    if package.loaded and not package.loaded.rfsm then package.loaded.rfsm = rfsm end
+  end
+
+  register(rawget(_G, "package") or NONE)
 end
 
--- Registers the module and a searcher for the older names. In a sandbox `package` may
--- be missing or have no fields.
-local function register(package)
-  local searchers = package.searchers or package.loaders
-  if searchers and loadfile and not searchers.rfsm then
-    searchers.rfsm = find_old_name -- marks the searcher as installed
-    searchers[#searchers + 1] = find_old_name
-  end
-  if package.loaded and not package.loaded.rfsm then package.loaded.rfsm = rfsm end
-end
-
-register(rawget(_G, "package") or {})
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm", rfsm) end
 
 return rfsm

@@ -11,6 +11,9 @@
 -- @module rfsm_seqand
 -- @license BSD-3-Clause
 
+local home = tostring((...)):match("^(.+[./])rfsm_seqand$") -- "libs."
+if home then require(home .. "rfsm") return require "rfsm_seqand" end -- one copy
+
 local rfsm = require "rfsm"
 
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs

@@ -15,6 +15,9 @@
 -- @module rfsm_timeevent
 -- @license BSD-3-Clause
 
+local home = tostring((...)):match("^(.+[./])rfsm_timeevent$") -- "libs."
+if home then require(home .. "rfsm") return require "rfsm_timeevent" end -- one copy
+
 local rfsm = require "rfsm"
 
 local error, getmetatable, ipairs, pcall = error, getmetatable, ipairs, pcall
