@@ -50,7 +50,7 @@ local State, Transition = { rfsm = "state" }, { rfsm = "transition" }
 local Connector = { rfsm = "connector" }
 local CLASSES = { state = State, transition = Transition, connector = Connector }
 
-local Machine = { rfsm = "state", __eq = rawequal }
+local Machine = { rfsm = "state", __eq = rawequal, rfsm_copy = rfsm }
 
 --- Return the kind of a model element, or nil for any other value, for extensions.
 --
@@ -557,6 +557,18 @@ end
 
 -- Clone: a definition for each position of a node -------------------------------
 
+--- Does a value belong to another copy of this library? For extensions: the metatable
+--- of their objects has the field `rfsm_copy`, which is this module.
+---@param value any
+---@return boolean
+function rfsm.is_foreign(value)
+  local class = type(value) == "table" and getmetatable(value)
+  local copy = type(class) == "table" and rawget(class, "rfsm_copy")
+  return type(copy) == "table" and not rawequal(copy, rfsm)
+end
+
+local is_foreign = rfsm.is_foreign
+
 --- Return the model of a machine, or of an element of a machine, for extensions.
 ---@param value any
 ---@return any model or `value` itself, if it is not a part of a machine
@@ -576,6 +588,8 @@ function rfsm.target_of(tr)
 end
 
 local model_of = rfsm.model_of
+
+local FOREIGN = "it belongs to another copy of rfsm (give the model, not the machine)"
 
 -- Is `value` a node of the machine, and of the given kind? Without `kind`, of any kind.
 local function is_node_of(fsm, value, kind)
@@ -770,6 +784,8 @@ do
       local kind = kind_of(value)
       if not kind then
         clone_field(build, def, key, value)
+      elseif is_foreign(value) then
+        add(build.problems, def, text_of(key), FOREIGN)
       elseif def.kind == "connector" then
         add(build.warnings, def, nil, "a connector holds no %s, '%s' is ignored", kind,
           text_of(key))
@@ -2775,7 +2791,9 @@ local function report_findings(fsm, first_node, first_transition)
     local def = plan.transitions[i]
     for _, event in ipairs(def.events or NONE) do
       local is_call = type(event) == "string" and event:find("%)$")
-      if is_call then add_advice(found, "event", def, event) end
+      if is_call or type(event) == "table" then
+        add_advice(found, "event", def, event)
+      end
     end
   end
   report_lines(fsm, "warn", found)
@@ -2961,6 +2979,7 @@ function rfsm.init(model)
       .. (type(model) == "string" and " (did you mean rfsm.load?)" or ""), 2)
   end
   model = model_of(model)
+  if is_foreign(model) then return refuse_model(model, nil, { "root: " .. FOREIGN }) end
   local plan, problems = plan_of(model)
   if not plan then return refuse_model(model, nil, problems) end
   load_fast()
@@ -3990,10 +4009,23 @@ do
     return chunk and function() return chunk(name, where) end, where
   end
 
+  -- Takes the modules of an earlier copy of the core out of `package.loaded`: they know
+  -- nothing of machines of this one. Whoever requires them again gets new ones.
+  local function forget_modules(loaded)
+    for name, module in pairs(loaded) do -- any order: each stands alone
+      if type(module) == "table" and tostring(name):find("^rfsm[%w_.]") then
+        loaded[name] = nil
+      end
+    end
+  end
+
   -- Registers the module and the searcher. With a prefix the modules beside this file
   -- come before others that are installed. In a sandbox `package` may have no fields.
   local function register(package)
     searchers = package.searchers or package.loaders
+    if searchers and searchers.rfsm and type(package.loaded.rfsm) ~= "table" then
+      forget_modules(package.loaded)
+    end
     if searchers and loadfile and not searchers.rfsm then
       searchers.rfsm = find_beside -- marks the searcher as installed
       insert(searchers, prefix and 2 or #searchers + 1, find_beside)

@@ -82,7 +82,7 @@ end
 ---@field nsec? number nanoseconds in addition to `sec`
 ---@field timeout? fun(id: any): number called at each entry, returns the seconds
 ---@field id? any the argument of `timeout`
-local Timeevent = {}
+local Timeevent = { rfsm_copy = rfsm }
 
 function Timeevent.__tostring(event) return event.name end
 
