@@ -307,9 +307,9 @@ describe("tools/test.sh", function()
   local FILES = "spec/[ab]*_spec.lua"
   local SPECS = #lines_of("ls " .. FILES)
 
-  -- Runs it with a busted that prints this; returns the lines, and those on stderr.
-  local function run(text, settings)
-    local busted = helper.file_with("#!/bin/sh\ncat <<EOF\n" .. text .. "EOF\n")
+  -- Runs it with a busted that does this; returns the lines, and those on stderr.
+  local function run_program(program, settings)
+    local busted = helper.file_with("#!/bin/sh\n" .. program)
     local messages = helper.file_with("")
     os.execute("chmod +x " .. busted)
     local command = "LINT= %s FILES='%s' BUSTED=%s tools/test.sh %s"
@@ -317,6 +317,36 @@ describe("tools/test.sh", function()
       :format(settings or "PENDING=", FILES, busted, arg[-1], messages)),
       lines_of("cat " .. messages)
   end
+
+  -- Runs it with a busted that prints this.
+  local function run(text, settings)
+    return run_program("cat <<EOF\n" .. text .. "EOF\n", settings)
+  end
+
+  local PASSED = "1 success / 0 failures / 0 errors / 0 pending : 0.1 seconds\n"
+
+  it("limits the time of the processor, not that in which others had it", function()
+    local lines = run_program("while :; do :; done\n", "LIMIT=1")
+    assert.same({ ("0 passed, %d failed, 0 pending"):format(SPECS), "1" },
+      { lines[#lines - 1], lines[#lines] })
+    assert.matches("spec/alloc_spec.lua used more than 1 s of the processor, did not "
+      .. "end within 10 s, or crashed", table.concat(lines, "\n"), 1, true)
+  end)
+
+  it("stops what waits without end after ten times as long", function()
+    local folder = os.tmpname()
+    os.remove(folder)
+    os.execute("mkdir " .. folder)
+    helper.write(folder .. "/timeout", '#!/bin/sh\necho "$1 $2 $3" >>' .. folder
+      .. '/seen\nshift 3\nexec "$@"\n')
+    os.execute("chmod +x " .. folder .. "/timeout")
+    local lines = run(PASSED, "LIMIT=7 PATH=" .. folder .. ":$PATH")
+    local seen = lines_of("sort -u " .. folder .. "/seen")
+    os.execute("rm -r " .. folder)
+    assert.same({ SPECS .. " passed, 0 failed, 0 pending", "0" },
+      { lines[#lines - 1], lines[#lines] })
+    assert.same({ "-k 5 70" }, seen)
+  end)
 
   it("prints a line as each interpreter ends, and the sum", function()
     local lines, messages = run("2 successes / 0 failures / 0 errors / 0 pending : 0.1 "
@@ -331,11 +361,10 @@ describe("tools/test.sh", function()
   end)
 
   it("runs another command beside the specs, and fails if that does", function()
-    local text = "1 success / 0 failures / 0 errors / 0 pending : 0.1 seconds\n"
-    local lines = run(text, "LINT='ls nowhere'")
+    local lines = run(PASSED, "LINT='ls nowhere'")
     assert.matches("nowhere", lines[2])
     assert.equal("1", lines[#lines])
-    lines = run(text, "LINT=true")
+    lines = run(PASSED, "LINT=true")
     assert.same({ SPECS .. " passed, 0 failed, 0 pending", "0" },
       { lines[2], lines[3] })
   end)
@@ -350,7 +379,7 @@ describe("tools/test.sh", function()
     for text, reason in pairs { -- any order: each stands alone
       ["0 successes / 0 failures / 0 errors / 0 pending : 0.1 seconds\n"]
         = "has no test",
-      ["● ●\n"] = "did not end within",
+      ["● ●\n"] = "used more than 300 s of the processor, did not end within 3000 s",
     } do
       local lines = run(text)
       assert.same({ ("0 passed, %d failed, 0 pending"):format(SPECS), "1" },
