@@ -242,7 +242,7 @@ describe("rfsm size", function()
 
   it("reports a chart with a problem, and a Lua that is not there", function()
     local file = helper.file_with("return 3")
-    for lua, text in pairs { [arg[-1]] = file, ["no-such-lua"] = "not found" } do
+    for lua, text in pairs { [arg[-1]] = file, ["no-such-lua"] = "no-such-lua: " } do
       local rows, others = size(file, lua)
       assert.same({}, rows)
       assert.is_truthy(others[1]:find(text, 1, true))
@@ -300,6 +300,73 @@ describe("the command", function()
   it("is run by the newest one, which reports it, if none has", function()
     assert.equal("luajit", chosen("lua5.1 luajit", ""))
     assert.matches("^rfsm: no Lua found", chosen("", ""))
+  end)
+end)
+
+describe("on a machine where nothing is installed", function()
+  local folder = os.tmpname()
+
+  setup(function()
+    os.remove(folder)
+    os.execute("mkdir " .. folder .. "; for p in sh make dirname mkdir; do "
+      .. "ln -s $(command -v $p) " .. folder .. "; done")
+  end)
+
+  teardown(function() os.execute("rm -r " .. folder) end)
+
+  -- Returns what a command prints that finds these programs only, and its status.
+  local function output(command)
+    return table.concat(lines_of(("{ PATH=%s LUA= %s; echo $?; } 2>&1"):format(folder,
+      command)), "\n")
+  end
+
+  local NO_LUA = "no Lua is installed; please type: sudo apt-get install lua5.4\n"
+
+  it("tools/deps.sh lua prints the last Lua there, or what to type", function()
+    local lua = helper.interpreter()
+    os.execute(("ln -s $(command -v %s) %s/lua5.3"):format(lua, folder))
+    assert.equal("lua5.3\n0", output("tools/deps.sh lua lua5.3 lua5.4 tools/lua"))
+    os.remove(folder .. "/lua5.3")
+    assert.equal(NO_LUA .. "false\n0", output("tools/deps.sh lua lua5.1 lua5.3"))
+  end)
+
+  for _, target in ipairs { "house", "fuzz", "dist" } do
+    it("make " .. target .. " says what to type", function()
+      local text = output("make -s DIST=" .. folder .. "/dist " .. target)
+      assert.equal(NO_LUA, text:sub(1, #NO_LUA))
+      assert.matches("\n2$", text)
+    end)
+  end
+
+  for target, packages in pairs { -- any order: each stands alone
+    deb = "git build-essential dpkg-dev debhelper help2man lintian lua5.3 lua-argparse "
+      .. "lua-dkjson",
+    site = "lua-ldoc lua-discount lua-dkjson",
+  } do
+    it("make " .. target .. " lists the packages to type", function()
+      assert.equal("missing; please type: sudo apt-get install " .. packages .. "\n1",
+        output("tools/deps.sh " .. target))
+    end)
+  end
+
+  it("make rocks lists the headers that LuaRocks wants", function()
+    local text = output("tools/deps.sh rocks")
+    for _, version in ipairs { "5.1", "5.2", "5.3", "5.4" } do
+      local header = io.open("/usr/include/lua" .. version .. "/lua.h")
+      assert.equal(header == nil, text:find("liblua" .. version .. "-dev", 1, true)
+        ~= nil)
+      if header then header:close() end
+    end
+    assert.matches("git luarocks lua5.1 ", text, 1, true)
+  end)
+
+  it("the site needs a Lua, and says so", function()
+    for _, name in ipairs { "node", "npm" } do
+      helper.write(folder .. "/" .. name, "#!/bin/sh\n")
+      os.execute("chmod +x " .. folder .. "/" .. name)
+    end
+    assert.equal("make site: a Lua is missing (on Debian: apt-get install lua5.4)\n1",
+      output("tools/site/build.sh " .. folder .. "/x.html"))
   end)
 end)
 
