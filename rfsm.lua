@@ -399,6 +399,16 @@ end
 
 -- Load ------------------------------------------------------------------------
 
+-- Returns the hint for the result of a chart that is no state. The metatable of a system
+-- has one of its own.
+local function chart_hint(model)
+  if model == nil then return " (a chart ends with: return rfsm.state{...})" end
+  if type(model) ~= "table" then return "" end
+  local class = getmetatable(model)
+  return type(class) == "table" and rawget(class, "rfsm_hint")
+    or " (did you mean: return rfsm.state{...}?)"
+end
+
 -- Runs the chunk of a chart and returns its root state. If `return rfsm.state{...}` was
 -- a tail call, the line of the root is not known, and line 1 is recorded in its place.
 local function run_chunk(chunk, file, where, accepts)
@@ -408,9 +418,7 @@ local function run_chunk(chunk, file, where, accepts)
     made_at[model] = made_at[model] or file and file .. ":1"
     return model
   end
-  local hint = model == nil and " (a chart ends with: return rfsm.state{...})"
-    or type(model) == "table" and " (did you mean: return rfsm.state{...}?)" or ""
-  error(where .. " found." .. hint, 0)
+  error(where .. " found." .. chart_hint(model), 0)
 end
 
 --- Load a model from a file that returns it.

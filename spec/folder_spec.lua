@@ -6,8 +6,8 @@ after_each(helper.remove_files)
 
 local folder = os.tmpname()
 
--- The modules that are programs, or types for the editor.
-local NO_MODULES = { ["rfsm.shared.types"] = true, ["rfsm.cli.measure"] = true }
+-- What no program loads: types for the editor.
+local NO_MODULES = { ["rfsm.shared.types"] = true }
 
 -- All modules by their names below libs/, those in compat/ with their flat names, too.
 local function all_modules()

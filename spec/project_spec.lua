@@ -268,17 +268,19 @@ end)
 
 describe("the command", function()
   -- Returns which of these Luas runs it; those in `with` have argparse, those in `own`
-  -- the package of the command.
-  local function chosen(names, with, command, own)
+  -- the package of the command, those in `socket` luasocket, by default all.
+  local function chosen(names, with, command, own, socket)
     local folder = os.tmpname()
     os.remove(folder)
     os.execute("mkdir " .. folder .. "; ln -s $(command -v readlink) " .. folder)
     local function status(list, name) return list:find(name, 1, true) and 0 or 1 end
     for name in names:gmatch("%S+") do
       local text = "#!/bin/sh\n[ $1 = -e ] || { echo %s; exit; }\ncase $2 in\n"
-        .. "*redis*) exit %d;;\n*argparse*) exit %d;;\nesac\n"
-      helper.write(folder .. "/" .. name, text:format(name, status(own or "", name),
-        status(with, name)))
+        .. "*redis*socket*) exit $((%d | %d));;\n*redis*) exit %d;;\n"
+        .. "*argparse*) exit %d;;\nesac\n"
+      local has_own = status(own or "", name)
+      helper.write(folder .. "/" .. name, text:format(name, has_own,
+        status(socket or names, name), has_own, status(with, name)))
       os.execute("chmod +x " .. folder .. "/" .. name)
     end
     local lines = lines_of(("LUA= PATH=%s /bin/sh tools/rfsm %s 2>&1"):format(folder,
@@ -295,6 +297,13 @@ describe("the command", function()
   it("is run by the newest one that has the package of the command", function()
     assert.equal("lua5.1", chosen("lua5.1 lua5.3", "lua5.1 lua5.3", "redis", "lua5.1"))
     assert.equal("lua5.3", chosen("lua5.1 lua5.3", "lua5.1 lua5.3", "redis", ""))
+  end)
+
+  it("is run by one that has luasocket, too, for Redis", function()
+    for _, command in ipairs { "redis", "fleet" } do
+      assert.equal("lua5.1", chosen("lua5.1 lua5.3", "lua5.1 lua5.3", command,
+        "lua5.1 lua5.3", "lua5.1"))
+    end
   end)
 
   it("is run by the newest one, which reports it, if none has", function()

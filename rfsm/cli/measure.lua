@@ -5,6 +5,8 @@
 --   LUA measure.lua source|stripped PATH chart FILE [stub]
 
 local form, path, kind, name, has_stubs = ...
+if form ~= "source" and form ~= "stripped" then return {} end -- it is required
+
 local version = _VERSION:match("[%d.]+$")
 local execute, loadfile = os.execute, loadfile -- charts may get stubs for them later
 

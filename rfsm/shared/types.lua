@@ -12,7 +12,7 @@
 ---@field exit? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "exit")
 ---@field doo? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "doo"): boolean?
 ---@field final? boolean a leaf that is meant to be the end
----@field getevents? false|fun(fsm: rfsm.Machine): any[]? root only, as all fields below
+---@field getevents? false|fun(): any[]? root only, as all fields below
 ---@field dbg? boolean|fun(id: string, ...)
 ---@field info? boolean|fun(...)
 ---@field warn? boolean|fun(...)
