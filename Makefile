@@ -2,13 +2,17 @@
 # make test               lint, then every spec on every interpreter
 # make help               list the targets
 #
-# sim, fleet, fleet-postgres, test, test-web, test-site, test-hosts, doc and deb install missing
-# Debian packages if you are root or have password-free sudo. Otherwise they print the
+# sim, fleet, fleet-postgres, test, test-web, test-site, test-hosts, doc, site, rocks and deb
+# install missing Debian packages if you are root or have password-free sudo. Otherwise they print the
 # command to type. site and test-site need npm.
 
 MODEL    ?= examples/hello_world.lua
 LUAS     ?= lua5.1 luajit lua5.2 lua5.3 lua5.4 tools/lua5.5
-LUA      ?= $(lastword $(foreach l,$(filter-out tools/%,$(LUAS)),$(shell command -v $(l) 2>/dev/null)))
+# found when a recipe runs it: an earlier line may have installed one
+ifeq ($(LUA),)
+LUA      := $$(tools/deps.sh lua $(LUAS))
+unexport LUA
+endif
 BUSTED   ?= busted
 N        ?= 100000
 SEED     ?= 1
@@ -145,6 +149,7 @@ doc:                    ## out/: HTML pages of documents and API; warnings are e
 
 # From npm's packages, in a cache; files of a site that is there are replaced.
 site:                   ## out/: those pages and the playground, for file: or any server
+	@tools/deps.sh site
 	@tools/site/build.sh out/playground.html $(LUA)
 	@$(MAKE) --no-print-directory doc
 	@du -sk out | sed 's/\([0-9]*\).*/out: \1 KiB/'
@@ -184,6 +189,7 @@ deb:                    ## Debian packages of the last commit in DIST/deb, and w
 	@tools/packaging/deb.sh $(DIST)/deb
 
 rocks:                  ### a rock of the last commit in DIST/rocks, for each Lua; luarocks test
+	@tools/deps.sh rocks
 	@tools/packaging/rocks.sh $(DIST)/rocks
 
 size:                   ## the memory that a chart takes on a robot: make size lamp.lua

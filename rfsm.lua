@@ -28,6 +28,7 @@ local function find_global(name, field)
 end
 
 local loadfile = find_global "loadfile"
+local tonumber = find_global "tonumber"
 local loadstring = find_global "loadstring" or find_global "load"
 
 -- A bundler may replace it by a local one.
@@ -48,7 +49,7 @@ local State, Transition = { rfsm = "state" }, { rfsm = "transition" }
 local Connector = { rfsm = "connector" }
 local CLASSES = { state = State, transition = Transition, connector = Connector }
 
-local Machine = { rfsm = "state", __eq = rawequal }
+local Machine = { rfsm = "state", __eq = rawequal, rfsm_copy = rfsm }
 
 local KINDS = {} -- metatable of an element of this library -> kind of the element
 
@@ -213,13 +214,49 @@ function rfsm.is_callable(value)
   return type(class) == "table" and rawget(class, "__call") ~= nil
 end
 
+-- A host may have set a locale: then `format`, `tonumber` and `..` have its decimal
+-- point, and `<` compares texts in the order of its dictionaries.
+
+--- Return a number as text, with a point in every locale.
+---@param number number
+---@param format? string of a number without other text ("%.14g")
+---@return string
+function rfsm.number_text(number, format)
+  return ((format or "%.14g"):format(number):gsub("[^%d%l+-]+", "."))
+end
+
+--- Return the number that a text with a point means in every locale; nil if it is none.
+---@param text any
+---@return number?
+function rfsm.number_of(text)
+  if type(text) ~= "string" then return type(text) == "number" and text or nil end
+  if text:find("[^%w%s.+-]") then return nil end
+  return tonumber((text:gsub("%.", (("%.1f"):format(0.5):sub(2, -2)))))
+end
+
+--- Does a text come before another one? Bytes decide, in every locale.
+---@param a string
+---@param b string
+---@return boolean
+function rfsm.text_before(a, b)
+  local small, capital = "a", "B"
+  if capital < small then return a < b end -- as bytes
+  for i = 1, #a do
+    local byte, other = a:byte(i), b:byte(i)
+    if byte ~= other then return other ~= nil and byte < other end
+  end
+  return #a < #b
+end
+
+local text_before = rfsm.text_before
+
 --- Return any value as text; never raise an error. Numbers look the same on every Lua.
 ---@param value any
 ---@return string
 function rfsm.text_of(value)
   local kind = type(value)
   if kind == "string" then return value end
-  if kind == "number" then return ("%.14g"):format(value) end
+  if kind == "number" then return rfsm.number_text(value) end
   local ok, text = pcall(tostring, value)
   return ok and type(text) == "string" and text or kind
 end
@@ -307,9 +344,9 @@ end
 -- Orders keys: numbers ascending, then all others by their text.
 local function key_before(a, b)
   local kind, other = type(a), type(b)
-  if kind == other and (kind == "string" or kind == "number") then return a < b end
+  if kind == "number" and other == "number" then return a < b end
   if kind == "number" or other == "number" then return kind == "number" end
-  return text_of(a) < text_of(b)
+  return text_before(text_of(a), text_of(b))
 end
 
 --- Return the keys of a table, numbers ascending, then others by text, for extensions.
@@ -338,6 +375,16 @@ end
 
 -- Load ------------------------------------------------------------------------
 
+-- Returns the hint for the result of a chart that is no state. The metatable of a
+-- system has one of its own.
+local function chart_hint(model)
+  if model == nil then return " (a chart ends with: return rfsm.state{...})" end
+  if type(model) ~= "table" then return "" end
+  local class = getmetatable(model)
+  return type(class) == "table" and rawget(class, "rfsm_hint")
+    or " (did you mean: return rfsm.state{...}?)"
+end
+
 -- Runs the chunk of a chart and returns its root state. If `return rfsm.state{...}` was
 -- a tail call, the line of the root is not known, and line 1 is recorded in its place.
 local function run_chunk(chunk, file, where, accepts)
@@ -347,9 +394,7 @@ local function run_chunk(chunk, file, where, accepts)
     made_at[model] = made_at[model] or file and file .. ":1"
     return model
   end
-  local hint = model == nil and " (a chart ends with: return rfsm.state{...})"
-    or type(model) == "table" and " (did you mean: return rfsm.state{...}?)" or ""
-  error(where .. " found." .. hint, 0)
+  error(where .. " found." .. chart_hint(model), 0)
 end
 
 --- Load a model from a file that returns it.
@@ -522,6 +567,18 @@ for kind, class in pairs(CLASSES) do -- any order: independent entries
 end
 KINDS[Machine] = "state"
 
+--- Does a value belong to another copy of this library? For extensions: the metatable
+--- of their objects has the field `rfsm_copy`, which is this module.
+---@param value any
+---@return boolean
+function rfsm.is_foreign(value)
+  local class = type(value) == "table" and getmetatable(value)
+  local copy = type(class) == "table" and rawget(class, "rfsm_copy")
+  return type(copy) == "table" and not rawequal(copy, rfsm)
+end
+
+local is_foreign = rfsm.is_foreign
+
 --- Return the model of a machine, or of an element of a machine, for extensions.
 ---@param value any
 ---@return any model or `value` itself, if it is not a part of a machine
@@ -533,6 +590,8 @@ function rfsm.model_of(value)
 end
 
 local model_of = rfsm.model_of
+
+local FOREIGN = "it belongs to another copy of rfsm (give the model, not the machine)"
 
 -- Is `value` a node of the machine, and of the given kind? Without `kind`, of any kind.
 local function is_node_of(fsm, value, kind)
@@ -743,6 +802,8 @@ do
       local kind = type(value) == "table" and kind_of(value)
       if not kind then
         clone_field(build, own_kind, node, key, value)
+      elseif is_foreign(value) then
+        add(build.problems, node, text_of(key), FOREIGN)
       elseif own_kind == "connector" then
         add_warning(build.warnings, "misplaced", node, nil,
           "a connector holds no %s, '%s' is ignored", kind, text_of(key))
@@ -978,7 +1039,7 @@ do
     local a_pn, b_pn, a_at, b_at = a.pn or 0, b.pn or 0, a._parent, b._parent
     if a_pn ~= b_pn then return a_pn > b_pn end
     if a_at._depth ~= b_at._depth then return a_at._depth < b_at._depth end
-    if a_at ~= b_at then return a_at._fqn < b_at._fqn end
+    if a_at ~= b_at then return text_before(a_at._fqn, b_at._fqn) end
     return key_before(a._id, b._id)
   end
 
@@ -1286,7 +1347,8 @@ local function report_callback(fsm, name, owner, callback, failure)
   tell_watch(fsm, "failed", owner, name, failure)
   local text = "error executing " .. name .. " of " .. (owner._fqn or tostring(owner))
   if name == "doo" then text = "doo program of state '" .. owner._fqn .. "' failed" end
-  report(fsm, "err", name:upper(), text .. ": ", failure)
+  local id = name:upper():gsub("i", "I") -- Turkish has another capital i
+  report(fsm, "err", id, text .. ": ", failure)
 end
 
 -- Run: one iteration after the other ----------------------------------------------
@@ -2622,7 +2684,7 @@ local function lines_of(list)
     lines[i] = (file and file .. ": " or "") .. line
     keys[lines[i]], codes[lines[i]] = natural(line), list[i].code
   end
-  sort(lines, function(a, b) return keys[a] < keys[b] end)
+  sort(lines, function(a, b) return text_before(keys[a], keys[b]) end)
   return lines, codes
 end
 
@@ -2798,7 +2860,9 @@ local function report_findings(build, first_node, first_transition)
     local tr = fsm._transitions[i]
     for _, event in ipairs(tr.events) do
       local is_call = type(event) == "string" and event:find("%)$")
-      if is_call then add_advice(found, "event", tr, event) end
+      if is_call or type(event) == "table" then
+        add_advice(found, "event", tr, event)
+      end
     end
   end
   report_lines(fsm, "warn", found)
@@ -2873,7 +2937,7 @@ do
     end
     fsm._preparing = outer
     if not outer then check_transitions(fsm, last > 0, problems) end
-    sort(problems, function(a, b) return natural(a) < natural(b) end)
+    sort(problems, function(a, b) return text_before(natural(a), natural(b)) end)
     return problems
   end
 end
@@ -2913,6 +2977,7 @@ function rfsm.init(model)
       .. (type(model) == "string" and " (did you mean rfsm.load?)" or ""), 2)
   end
   model = model_of(model)
+  if is_foreign(model) then return refuse_model(model, nil, { "root: " .. FOREIGN }) end
   local build = build_machine(model)
   local fsm, problems = build.fsm, (lines_of(build.problems))
   if problems[1] then return refuse_model(model, nil, problems) end
@@ -3540,15 +3605,26 @@ do
 end
 
 do
-  local source = (find_global("debug", "getinfo") or function() return NONE end)(1, "S")
-  local folder = (source.source or ""):match("^@(.-)[^/\\]*$")
+  -- Loaded as "libs.rfsm" this file has the prefix "libs."; by `dofile`, a folder only.
+  local prefix = tostring((...)):match("^(.+[./])rfsm$")
+  local source = (find_global("debug", "getinfo") or tostring)(1, "S")
+  local folder = type(source) == "table" and source.source:match("^@(.-)[^/\\]*$")
+  local searchers, find_beside
 
-  -- Searcher for `require`: finds the modules beside this file, and in compat/ their
-  -- older names (rfsm_emem for rfsm.emem).
-  local function find_beside(name)
-    if not name:find("^rfsm[%w_.]") then return nil end
+  -- Asks other searchers for a module beside this file; they may look into archives.
+  local function find_by_others(name)
+    for i = 1, prefix and #searchers or 0 do
+      local chunk, where = nil, nil
+      if searchers[i] ~= find_beside then
+        chunk, where = searchers[i](prefix .. name)
+      end
+      if type(chunk) == "function" then return chunk, where end
+    end
+  end
+
+  local function find_file(name)
     local file, folders = name:gsub("%.", "/") .. ".lua", {}
-    if folder then folders[1], folders[2] = folder, folder .. "compat/" end
+    if folder then folders = { folder, folder .. "compat/" } end
     for other in rawget(_G, "package").path:gmatch("([^;]*)%?%.lua") do
       folders[#folders + 1] = other .. "compat/"
     end
@@ -3558,19 +3634,47 @@ do
     end
   end
 
-  -- Registers the module and the searcher. In a sandbox `package` may be missing or
-  -- have no fields.
+  -- Searcher for `require`: finds the modules beside this file, and in compat/ their
+  -- older names (rfsm_emem for rfsm.emem). A name with the prefix is the same module.
+  function find_beside(name)
+    local plain = prefix and name:sub(1, #prefix) == prefix and name:sub(#prefix + 1)
+    if not (plain or name):find("^rfsm[%w_.]") then return nil end
+    if plain then return function() return require(plain) end, name end
+    local chunk, where = find_by_others(name)
+    if not chunk then chunk, where = find_file(name) end
+    return chunk and function() return chunk(name, where) end, where
+  end
+
+  -- Takes the modules of an earlier copy of the core out of `package.loaded`: they know
+  -- nothing of machines of this one. Whoever requires them again gets new ones.
+  local function forget_modules(loaded)
+    for name, module in pairs(loaded) do -- any order: each stands alone
+      if type(module) == "table" and tostring(name):find("^rfsm[%w_.]") then
+        loaded[name] = nil
+      end
+    end
+  end
+
+  -- Registers the module and the searcher. With a prefix the modules beside this file
+  -- come before others that are installed. In a sandbox `package` may have no fields.
   local function register(package)
-    local searchers = package.searchers or package.loaders
+    searchers = package.searchers or package.loaders
+    if searchers and searchers.rfsm and type(package.loaded.rfsm) ~= "table" then
+      forget_modules(package.loaded)
+    end
     if searchers and loadfile and not searchers.rfsm then
       searchers.rfsm = find_beside -- marks the searcher as installed
-      searchers[#searchers + 1] = find_beside
+      insert(searchers, prefix and 2 or #searchers + 1, find_beside)
     end
     if package.loaded and not package.loaded.rfsm then package.loaded.rfsm = rfsm end
+  end
+
+  local function set_global()
     if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm", rfsm) end
   end
 
-  register(rawget(_G, "package") or {})
+  register(rawget(_G, "package") or NONE)
+  set_global()
 end
 
 return rfsm

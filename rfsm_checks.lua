@@ -8,6 +8,9 @@
 -- @module rfsm_checks
 -- @license BSD-3-Clause
 
+local home = tostring((...)):match("^(.+[./])rfsm_checks$") -- "libs."
+if home then require(home .. "rfsm") return require "rfsm_checks" end -- one copy
+
 local rfsm = require "rfsm"
 
 local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget

@@ -11,6 +11,9 @@
 -- @module rfsm_seqand
 -- @license BSD-3-Clause
 
+local home = tostring((...)):match("^(.+[./])rfsm_seqand$") -- "libs."
+if home then require(home .. "rfsm") return require "rfsm_seqand" end -- one copy
+
 local rfsm = require "rfsm"
 
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
@@ -37,7 +40,7 @@ local step, run = rfsm.step, rfsm.run
 -- The metatable of `substates`, a table of the regions by name: models in a model,
 -- machines in an instance. The core does not look into a table with a metatable, so
 -- regions do not become children of the state.
-local Substates = {}
+local Substates = { rfsm_copy = rfsm }
 
 -- The `substates` of states that contain transitions, for a warning: transitions belong
 -- into a region.

@@ -15,6 +15,9 @@
 -- @module rfsm_timeevent
 -- @license BSD-3-Clause
 
+local home = tostring((...)):match("^(.+[./])rfsm_timeevent$") -- "libs."
+if home then require(home .. "rfsm") return require "rfsm_timeevent" end -- one copy
+
 local rfsm = require "rfsm"
 
 local error, getmetatable, ipairs, pcall = error, getmetatable, ipairs, pcall
@@ -62,7 +65,8 @@ end
 local function from_text(text)
   local whole, fraction = text:match("^%s*(%d*)%.?(%d*)%s*$")
   if not whole then
-    local number = text:match("^%s*%d*%.?%d*[eE][+-]?%d+%s*$") and tonumber(text)
+    local number = text:match("^%s*%d*%.?%d*[eE][+-]?%d+%s*$")
+      and rfsm.number_of(text)
     if number then return normalise(number, 0) end
   elseif whole .. fraction ~= "" then
     local digits = (fraction .. ("0"):rep(10)):sub(1, 10) -- the tenth rounds the ninth
@@ -78,7 +82,7 @@ end
 ---@field nsec? number nanoseconds in addition to `sec`
 ---@field timeout? fun(id: any): number called at each entry, returns the seconds
 ---@field id? any the argument of `timeout`
-local Timeevent = {}
+local Timeevent = { rfsm_copy = rfsm }
 
 function Timeevent.__tostring(event) return event.name end
 

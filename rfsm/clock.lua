@@ -110,9 +110,9 @@ local function check_unit(fsm, number)
   local os = find_module("os")
   local is_day = os.time and abs(number - os.time()) < 86400
   if not (is_day or number > 0 and number < 1e6) then return end
-  rfsm.report(fsm, "warn", ("WARNING: the clock returned one number, %.14g, which "
+  rfsm.report(fsm, "warn", ("WARNING: the clock returned one number, %s, which "
     .. "means nanoseconds; seconds need two: function() return os.time(), 0 end")
-    :format(number))
+    :format(rfsm.text_of(number)))
 end
 
 -- Finds the function above that can read a clock, notes it, and reads the clock. If the

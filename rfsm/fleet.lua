@@ -22,7 +22,7 @@ local rfsm = require "rfsm"
 
 local error, ipairs, pcall = error, ipairs, try
 local pairs, rawget, rawset = pairs, rawget, rawset
-local setmetatable, tonumber, type = setmetatable, tonumber, type
+local setmetatable, type = setmetatable, type
 local concat, min = table.concat, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
@@ -134,7 +134,7 @@ function Fleet:history(id, count)
   if not list then return nil, problem end
   local moves = {}
   for i = 1, #list, 4 do
-    moves[#moves + 1] = { time = tonumber(list[i]), event = list[i + 1],
+    moves[#moves + 1] = { time = rfsm.number_of(list[i]), event = list[i + 1],
       from = list[i + 2], to = list[i + 3] }
   end
   return moves

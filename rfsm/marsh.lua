@@ -16,7 +16,7 @@ local rfsm = require "rfsm"
 
 local io, ipairs, rawget, rawset = rawget(_G, "io"), ipairs, rawget, rawset
 local select, setmetatable = select, setmetatable
-local tonumber, type = tonumber, type
+local type = type
 local concat = table.concat
 local compile = rawget(_G, "loadstring") or rawget(_G, "load")
 local debug = rawget(_G, "debug")
@@ -321,7 +321,7 @@ function marsh.words_of(text, fqn)
   if text == "e_done" then return "done" end
   local kind, time = text:match("^e_(a%l+)%((.*)%)$")
   if kind ~= "after" and kind ~= "at" then return text end
-  return kind .. " " .. time .. (tonumber(time) and " s" or "")
+  return kind .. " " .. time .. (rfsm.number_of(time) and " s" or "")
 end
 
 -- Tables ----------------------------------------------------------------------

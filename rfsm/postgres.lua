@@ -14,6 +14,7 @@ local script = require "rfsm.postgres.script"
 local Base = require "rfsm.server.client"
 local host = require "rfsm.postgres.host"
 local codec = require "rfsm.server.codec"
+local digits_of = require("rfsm.shared.exact_json").digits_of
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 local sandbox = require "rfsm.server.sandbox"
@@ -84,7 +85,7 @@ local function of_luasql(connection)
     sql = sql:gsub("%$(%d+)", function(number)
       local value = values[tonumber(number)]
       if value == nil then return "NULL" end
-      value = tostring(value)
+      value = type(value) == "number" and digits_of(value) or tostring(value)
       local text = not value:find("\0", 1, true) and connection:escape(value) or nil
       is_text = is_text and text ~= nil
       return text and "'" .. text .. "'"

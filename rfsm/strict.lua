@@ -15,7 +15,7 @@ local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 
 local getmetatable, ipairs, pairs, rawequal = getmetatable, ipairs, pairs, rawequal
-local rawget, select, tonumber, type = rawget, select, tonumber, type
+local rawget, select, type = rawget, select, type
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 local text_of = rfsm.text_of
 
@@ -58,7 +58,7 @@ end
 -- Returns the hint for an event that no transition names.
 local function hint_for(known, event)
   local names, named = names_of(known)
-  local other = tonumber(event)
+  local other = rfsm.number_of(event)
   if type(event) == "string" and other and known.set[other] then
     return (" (did you mean the number %s?)"):format(event)
   end

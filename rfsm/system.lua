@@ -31,7 +31,9 @@ local system = {}
 ---@field lost integer[] how many events each wire has lost, because it was full
 ---@field file string? the file that describes the system
 ---@field state number|false random state for the order of moves; false: a fixed order
-local System = {}
+local System = { -- the hint is for who loads a system as a chart
+  rfsm_hint = " (it is a system, which rfsm check, rfsm sim and rfsm.system.load open)",
+}
 
 -- Raises an error that blames the caller of a method.
 local function check(is_right, method, expected, value)

@@ -480,3 +480,45 @@ describe("what commands share", function()
       { io.stdout, io.stderr, rawget(_G, "print"), io.output() })
   end)
 end)
+
+describe("a system that is opened as a chart", function()
+  local file = "examples/systems/stop/cell.lua"
+  local HINT = ": no valid rfsm in file '" .. file .. "' found. (it is a system, which "
+    .. "rfsm check, rfsm sim and rfsm.system.load open)"
+
+  for _, command in ipairs { "viz", "dot", "mermaid", "plantuml", "json" } do
+    it("is named by rfsm " .. command, function()
+      assert.same({ "", "rfsm " .. command .. HINT .. "\n", 1 },
+        { run(command .. " -o - " .. file) })
+    end)
+  end
+
+  it("is named by the page", function()
+    assert.same({ false, { HINT:sub(3) } },
+      { require("rfsm.shared.chart").open(file, error) })
+  end)
+end)
+
+describe("a chart that reads a global of its robot", function()
+  local STUB = " (the option --stub loads the chart without it)"
+
+  -- Returns what rfsm viz complains of, without the file.
+  local function complaint(text)
+    local file = helper.file_with(text)
+    local _, err = run("viz -o - " .. file)
+    return err:match("rfsm viz: .-:%d+: ([^\n]*)\n$")
+  end
+
+  it("names the option --stub", function()
+    for _, text in ipairs { "local c = rtt.getTC()", "robot_setup()",
+      "local rtt = rtt local c = rtt.getTC()", "require 'rttlib'" } do
+      assert.equal(STUB, complaint(text):sub(-#STUB))
+    end
+  end)
+
+  it("does not if `rfsm` is misspelt, or a local variable is nil", function()
+    for _, text in ipairs { "return rfms.state {}", "local p local n = p.name" } do
+      assert.is_nil(complaint(text):find("--stub", 1, true))
+    end
+  end)
+end)

@@ -344,6 +344,44 @@ describe("loading a chart", function()
     assert.is_true(not jit or jit.status())
   end)
 
+  -- Calls `limit.load` with a clock that jumps at its reading number `at`, and in `f`.
+  -- Returns whether it came back, its results, and whether a hook stays set.
+  local function load_late(at, f)
+    local debug, count, is_late = rawget(_G, "debug"), 0, false
+    local function clock()
+      count = count + 1
+      return (is_late or count >= at) and 100 or 0
+    end
+    local ok, loaded, problem, was_late = pcall(limit.load, function()
+      if f then f() end
+      is_late = true
+    end, "x", { clock })
+    local stays = debug.gethook() ~= nil
+    debug.sethook()
+    return { ok, loaded, problem, was_late, stays }
+  end
+
+  it("leaves no hook if the time ends while the loading begins", function()
+    local late = load_late(2)
+    assert.same({ true, false, true, false }, { late[1], late[2], late[4], late[5] })
+    assert.matches("loading takes more than 5 s", late[3], 1, true)
+  end)
+
+  it("leaves no hook if the time ends at any instruction behind the loading", function()
+    local wrong = {}
+    for turns = 1, 60 do -- the 10,000th instruction is each of those that follow
+      local result = load_late(1 / 0, function()
+        for _ = 1, 4970 + turns do local _ = turns + 1 end
+      end)
+      if not result[1] or result[5] then wrong[#wrong + 1] = turns end
+      result = load_late(1 / 0, function()
+        for _ = 1, 9940 + turns do end
+      end)
+      if not result[1] or result[5] then wrong[#wrong + 1] = -turns end
+    end
+    assert.same({}, wrong)
+  end)
+
   local seconds = limit.SECONDS
 
   teardown(function() limit.SECONDS = seconds end)

@@ -50,7 +50,8 @@ end
 local function history_lines(fleet, key, count)
   local moves, problem = fleet:history(key, count)
   for i, move in ipairs(moves or {}) do
-    moves[i] = ("%.3f %s: %s -> %s"):format(move.time, move.event, move.from, move.to)
+    moves[i] = ("%s %s: %s -> %s"):format(rfsm.number_text(move.time, "%.3f"),
+      move.event, move.from, move.to)
   end
   return moves, problem
 end
@@ -67,7 +68,7 @@ end
 -- returns lines to print, or nil and the problem.
 local VERBS = {
   find = { "CHART STATE [LIMIT [SECONDS]]", 2, function(fleet, name, state, limit, s)
-    return fleet:find(name, state, tonumber(limit), s)
+    return fleet:find(name, state, rfsm.number_of(limit), s)
   end },
   get = { "KEY", 1, view_lines }, history = { "KEY [COUNT]", 1, history_lines },
   why = { "KEY EVENT", 2, function(fleet, ...) return fleet:why(...) end },

@@ -5,9 +5,9 @@
 
 local common = require "rfsm.cli.common"
 local files = require "rfsm.shared.files"
+local rfsm = require "rfsm"
 
 local io, ipairs, package = io, ipairs, package
-local tonumber = tonumber
 local ceil, concat = math.ceil, table.concat
 
 local size = { summary = "Print the memory that a chart needs on a robot.",
@@ -53,7 +53,8 @@ end
 -- Notes a value that rfsm/cli/measure.lua prints. A value with a factor is KiB of heap.
 local function note(values, key, value)
   local factor, sum = FACTORS[key], values.together
-  values[key] = factor and { heap = tonumber(value), pool = value * factor } or value
+  if factor then value = rfsm.number_of(value) end
+  values[key] = factor and { heap = value, pool = value * factor } or value
   if not factor then return end
   sum.heap, sum.pool = sum.heap + values[key].heap, sum.pool + values[key].pool
 end

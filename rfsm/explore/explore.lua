@@ -597,7 +597,7 @@ end
 local function text_of_event(occurrence)
   local text, part = rfsm.text_of(occurrence.event), occurrence.part
   if occurrence.after then
-    text = ("after %.9g s: %s"):format(occurrence.after, text)
+    text = ("after %s s: %s"):format(rfsm.number_text(occurrence.after, "%.9g"), text)
   end
   return part.owner and text .. " in " .. part.prefix or text
 end

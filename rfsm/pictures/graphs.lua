@@ -11,9 +11,11 @@
 
 local diagram = require "rfsm.pictures.diagram"
 local looks = require "rfsm.pictures.looks"
+local rfsm = require "rfsm"
 
 local ceil, floor, max, min = math.ceil, math.floor, math.max, math.min
 local ipairs, tonumber = ipairs, tonumber
+local number_of = rfsm.number_of
 local concat, sort, add = table.concat, table.sort, diagram.add
 
 local graphs = {}
@@ -256,7 +258,7 @@ end
 --- Return the numbers in a text.
 function graphs.numbers_in(text)
   local list = {}
-  for number in text:gmatch("[%d.e+-]+") do list[#list + 1] = tonumber(number) end
+  for number in text:gmatch("[%d.e+-]+") do list[#list + 1] = number_of(number) end
   return list
 end
 
@@ -265,8 +267,8 @@ local numbers_in = graphs.numbers_in
 --- Return the middle of a node and its size, in points.
 function graphs.box_of(attributes)
   local point = numbers_in(attributes.pos)
-  return { x = point[1], y = point[2], width = attributes.width * 72,
-    height = attributes.height * 72 }
+  return { x = point[1], y = point[2], width = number_of(attributes.width) * 72,
+    height = number_of(attributes.height) * 72 }
 end
 
 --- Return the points of a line, and the tip of its arrowhead. `is_turned` is true if

@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local diagram = require "rfsm.pictures.diagram"
+local rfsm = require "rfsm"
 
 local floor, ipairs = math.floor, ipairs
 local concat, add = table.concat, diagram.add
@@ -27,7 +28,8 @@ function looks.head(direction) return (HEAD:gsub("DIRECTION", direction)) end
 --- Return a number with at most two decimals, the same text on each Lua: `%.2f` alone
 -- rounds 0.125 up on LuaJIT, down on the others.
 function looks.number_text(number)
-  local text = ("%.2f"):format(floor(number * 100 + 0.5) / 100):gsub("%.?0+$", "")
+  local rounded = floor(number * 100 + 0.5) / 100
+  local text = rfsm.number_text(rounded, "%.2f"):gsub("%.?0+$", "")
   return text == "-0" and "0" or text
 end
 

@@ -9,6 +9,8 @@
 -- @module rfsm.postgres.host
 -- @license BSD-3-Clause
 
+local rfsm = require "rfsm"
+
 local ipairs = ipairs
 local floor = math.floor
 
@@ -99,7 +101,7 @@ local function save(server, execute, key, change)
   end
   local written = execute(is_new and "insert" or "update", key, machine.chart.name,
     machine.list[3].chart, machine.at, machine.mode, by,
-    change.due and ("%.6f"):format(change.due) or nil,
+    change.due and rfsm.number_text(change.due, "%.6f") or nil,
     server.json.datum(change.data), server.json.datum(machine.value))
   if written[1] then save_effects(server, execute, key, change) end
   return written[1] ~= nil

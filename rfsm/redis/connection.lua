@@ -9,6 +9,7 @@
 local try = require("rfsm.shared.calls").try
 local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
+local rfsm = require "rfsm"
 
 local error, ipairs, next, pairs = error, ipairs, next, pairs
 local pcall, rawget, setmetatable = try, rawget, setmetatable
@@ -227,8 +228,8 @@ function Connection:call(tag, name, ...)
     if other == address or tries > 2 then sleep(min(0.01 * tries, 0.2)) end
     address = other
     if time() - started > self.options.patience then
-      error(("rfsm.fleet: no answer for {%s} in %g s: %s"):format(tag,
-        self.options.patience, reply), 0)
+      error(("rfsm.fleet: no answer for {%s} in %s s: %s"):format(tag,
+        rfsm.text_of(self.options.patience), reply), 0)
     end
   until false
 end

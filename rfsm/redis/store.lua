@@ -11,6 +11,7 @@
 local charts = require "rfsm.server.charts"
 local encoding = require "rfsm.snapshot.encoding"
 local keys_of = require "rfsm.server.keys"
+local rfsm = require "rfsm"
 local times = require "rfsm.server.times"
 
 local ipairs, pairs, pcall, rawget = ipairs, pairs, pcall, rawget
@@ -30,7 +31,7 @@ local redis, call, cmsgpack, tick_machine, options
 
 local store = {}
 
-local function score(time) return ("%.6f"):format(time) end
+local function score(time) return rfsm.number_text(time, "%.6f") end
 
 -- One machine ----------------------------------------------------------------------
 
@@ -172,7 +173,7 @@ end
 local more = {}
 
 local function whole_of(text, default, most)
-  local number = tonumber(text or default)
+  local number = rfsm.number_of(text or default)
   if not number or number < 1 or number > most or number % 1 ~= 0 then
     fail("a whole number from 1 to %d expected, got '%s'", most, shown(text))
   end
@@ -227,7 +228,7 @@ end
 -- rfsm_due KEY [limit [seconds]]: returns the keys of machines that are due now, or
 -- at a time in seconds, and that have the {hash tag} of KEY.
 function more.rfsm_due(keys, args)
-  local limit, at = tonumber(args[1] or 100), tonumber(args[2] or now())
+  local limit, at = rfsm.number_of(args[1] or 100), rfsm.number_of(args[2] or now())
   if not limit or not at then fail("a number expected") end
   return call("ZRANGEBYSCORE", keys_of.due(keys[1]), "-inf", score(at), "LIMIT", 0,
     limit)
@@ -244,7 +245,7 @@ end
 -- Has a machine been in its active leaf since a time, or longer? Without a time: yes.
 local function is_since(key, time)
   local since = time and call("ZSCORE", keys_of.since(key), key)
-  return not time or since and tonumber(since) <= time
+  return not time or since and rfsm.number_of(since) <= time
 end
 
 -- Lists at most `limit` keys of machines whose members of the index begin with `head`,
@@ -307,8 +308,8 @@ function more.rfsm_history(keys, args)
     "COUNT", count)
   for _, entry in ipairs(entries) do
     local ms, fields = entry[1]:match("^%d+"), entry[2]
-    for _, value in ipairs { ("%.3f"):format(ms / 1000), fields[2], fields[4],
-      fields[6] } do
+    for _, value in ipairs { rfsm.number_text(ms / 1000, "%.3f"), fields[2],
+      fields[4], fields[6] } do
       reply[#reply + 1] = value
     end
   end

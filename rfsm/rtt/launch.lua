@@ -28,7 +28,9 @@ local function to_text(value, path)
   local kind = type(value)
   if kind == "string" then return ("%q"):format(value) end
   if kind == "boolean" then return tostring(value) end
-  if kind == "number" and value - value == 0 then return ("%.17g"):format(value) end
+  if kind == "number" and value - value == 0 then
+    return rfsm.number_text(value, "%.17g")
+  end
   if kind ~= "table" or #path > 100 then
     error(("%s: string, finite number, boolean or table of these expected, %s"):format(
       path:sub(2), rfsm.got(value)), 0)

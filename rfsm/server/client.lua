@@ -12,7 +12,7 @@ local rfsm = require "rfsm"
 local try = require("rfsm.shared.calls").try
 
 local error, os, select = error, os, select
-local rawget, tonumber, tostring, type = rawget, tonumber, tostring, type
+local rawget, tostring, type = rawget, tostring, type
 local insert = table.insert
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
@@ -106,7 +106,7 @@ function Client:send_after(id, seconds, ...)
     error(self.where .. ".send_after: seconds expected, " .. opts.got(seconds), 2)
   end
   local ticket = next_id(self)
-  local time = "+" .. ("%.6f"):format(seconds)
+  local time = "+" .. rfsm.number_text(seconds, "%.6f")
   local reply, problem = ask_with(self, "rfsm_send_at", id, { time, "ID", ticket }, ...)
   return reply and ticket, problem
 end
@@ -165,7 +165,7 @@ function Client:get(id)
   local view = {}
   for i = 1, #list, 2 do view[list[i]] = list[i + 1] end
   view.data, view.queue, view.due = codec.decode(view.data), codec.decode(view.queue),
-    tonumber(view.due)
+    rfsm.number_of(view.due)
   return view
 end
 

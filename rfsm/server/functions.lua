@@ -98,7 +98,7 @@ end
 local function time_of(text)
   local offset, number = text:match("^(%+?)(%d+%.?%d*)$")
   if not number then fail("seconds, or +seconds expected, got '%s'", shown(text)) end
-  return tonumber(number) + (offset == "+" and now() or 0)
+  return rfsm.number_of(number) + (offset == "+" and now() or 0)
 end
 
 -- Load: the value of a key becomes a machine ----------------------------------------
@@ -508,7 +508,8 @@ function functions.rfsm_get(keys)
   for i, event in ipairs(snap.queue or {}) do queue[i] = encoding.unpack(event, 0) end
   for i in leaf:gmatch("()%.") do names[#names + 1] = leaf:sub(1, i - 1) end
   names[#names + 1] = snap.leaf
-  local due = list[DUE] and not list[HELD] and ("%.6f"):format(list[DUE]) or ""
+  local due = list[DUE] and not list[HELD] and rfsm.number_text(list[DUE], "%.6f")
+    or ""
   return { "chart", list[NAME], "version", snap.chart, "leaf", leaf,
     "mode", reply_of(list)[2],
     "configuration", concat(names, " "), "data", charts.data_of(snap),

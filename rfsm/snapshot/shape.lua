@@ -169,7 +169,7 @@ local function chart_of(fsm)
   for _, at in ipairs(places) do
     if at.owner == fsm then self.fields[#self.fields + 1] = "region " .. at.prefix end
   end
-  sort(self.fields)
+  sort(self.fields, rfsm.text_before)
   self.structure = fingerprint_of(self.lines)
   self.name = self.structure
   if self.fields[1] then

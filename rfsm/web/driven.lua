@@ -223,8 +223,8 @@ local function pass(session, seconds)
     if seconds <= 0 or session.stopped then return start_clock(session) end
   end
   start_clock(session)
-  session.view:note("note", ("%.6g s are left after %d timers"):format(seconds,
-    Driven.MAX_STEPS))
+  session.view:note("note", ("%s s are left after %d timers"):format(
+    rfsm.number_text(seconds, "%.6g"), Driven.MAX_STEPS))
 end
 
 function commands.wait(session, message)

@@ -9,6 +9,7 @@
 
 local dot = require "rfsm.dot"
 local files = require "rfsm.shared.files"
+local rfsm = require "rfsm"
 
 local io, ipairs, os, package, pairs = io, ipairs, os, package, pairs
 local pcall, rawget, require, setmetatable = pcall, rawget, require, setmetatable
@@ -46,7 +47,7 @@ local function add_value(texts, value, key)
   elseif kind == "table" then
     texts[#texts + 1] = "{" .. ("1,"):rep(#value) .. "}"
   elseif kind == "number" then
-    texts[#texts + 1] = ("(tonumber %q or 1/0)"):format(tostring(value))
+    texts[#texts + 1] = ("(tonumber %q or 1/0)"):format(rfsm.number_text(value))
   else
     texts[#texts + 1] = kind == "string" and ("%q"):format(value) or tostring(value)
   end
