@@ -35,6 +35,7 @@ if rawget(_G, "tlsf") then rfsm.save_memory() end
 
 ---@class rfsm.rtt
 ---@field launched rfsm.rtt.Launched? the latest launch in this Lua
+---@field declared rfsm.rtt.Declared? what the latest call of `ports` has made
 ---@field service_launch_rfsm fun(file: string, exec_str: function, ...): boolean
 ---@field component_launch_rfsm fun(args: rfsm.rtt.Launch): any
 ---@field service_halt_rfsm fun(component: any, seconds?: number): boolean
@@ -43,11 +44,7 @@ local rfsm_rtt = {}
 
 -- Types: conversion between values of Lua and samples of RTT --------------------
 
-local LUA_TYPES = { bool = "boolean", char = "string", string = "string" }
-for name in ("double float int uint long int8 uint8 int16 uint16 int32 uint32 int64 "
-  .. "uint64 llong ullong"):gmatch("%S+") do
-  LUA_TYPES[name] = "number"
-end
+local LUA_TYPES = held_port.LUA_TYPES
 
 -- Can `value:name(...)` be called? Reading a field of a Variable may raise an error.
 local function has_method(value, name)
@@ -89,16 +86,18 @@ end
 -- keys of this table keep the three strings alive, so that no read allocates one.
 local IS_NEW = { NewData = true, OldData = false, NoData = false }
 
--- Returns a function that appends new samples of a port to a list until the list has
--- `most` events. The function returns true if the port may have more samples.
+-- Returns a function that appends new samples of a port to a list, at most as many as
+-- the list needs to have `most` events. It returns true if the port may have more.
 local function new_reader(port)
   local var, double = new_variables(port)
+  local convert = held_port.converter(port)
   return function(events, most)
     for _ = #events + 1, most do
       local status, event = port:read(var)
       if not IS_NEW[status] then return false end
       if double then double:assign(var) end
       if var then event = (double or var):tolua() end
+      if convert then event = convert(event) end
       events[#events + 1] = event
     end
     return true
@@ -289,13 +288,33 @@ function rfsm_rtt.reason(problem)
     .. "how much a chart needs"
 end
 
-local NOT_NEEDED = { "rtt.component", "rtt.update", "rtt.settings", "shared.options",
-  "shared.limit", "shared.calls", "advice" }
+local NOT_NEEDED = { "rtt.component", "rtt.update", "rtt.settings", "rtt.inputs",
+  "shared.options", "shared.limit", "shared.calls", "advice" }
 
 --- Forget the modules that a launch has loaded, so that they become garbage. A launch
 -- also calls this first: Lua 5.1 never loads a module again if loading it once failed.
 function rfsm_rtt.forget_modules()
   for _, name in ipairs(NOT_NEEDED) do package.loaded["rfsm." .. name] = nil end
+end
+
+--- Make the input ports of a machine that this component will launch.
+--
+-- Say this where the file of the component begins. Then the ports are there before the
+-- component is configured, and can be connected. `launch` takes them without a word.
+--
+-- @usage
+--    rfsm_rtt.ports {
+--      { "stop_in" },
+--      { "arm_in", prefix = "arm" },
+--      { "force_in", type = "Force", event = is_contact, edge = true },
+--    }
+--
+-- @raise when an entry is wrong or a port cannot be made; then none is left
+---@param list rfsm.rtt.Input[]
+function rfsm_rtt.ports(list)
+  local ok, why = pcall(function() require("rfsm.rtt.inputs").declare(list) end)
+  rfsm_rtt.forget_modules()
+  if not ok then error("rfsm.rtt.ports: " .. rfsm.text_of(why), 2) end
 end
 
 --- Launch a machine in the component of this Lua, in its configureHook.

@@ -128,6 +128,7 @@ build = {
     ["rfsm.rfsm2json"] = "rfsm/rfsm2json.lua",
     ["rfsm.rtt"] = "rfsm/rtt.lua",
     ["rfsm.rtt.component"] = "rfsm/rtt/component.lua",
+    ["rfsm.rtt.inputs"] = "rfsm/rtt/inputs.lua",
     ["rfsm.rtt.launch"] = "rfsm/rtt/launch.lua",
     ["rfsm.rtt.port"] = "rfsm/rtt/port.lua",
     ["rfsm.rtt.program"] = "rfsm/rtt/program.lua",

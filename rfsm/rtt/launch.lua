@@ -17,16 +17,36 @@ local settings = require "rfsm.rtt.settings"
 local debug, error, ipairs, os = debug, error, ipairs, os
 local package, pairs, pcall, tostring = package, pairs, pcall, tostring
 local type = type
-local concat = table.concat
+local concat, dump = table.concat, string.dump
 
 local rtt_launch = {}
 
 -- The text that the other Lua executes ---------------------------------------------
 
--- Returns a value as Lua source. Raises an error for functions, userdata, NaN.
+-- Returns the upvalue of a function, but for the table of globals, which a function has
+-- as an upvalue since Lua 5.2.
+local function upvalue_of(f)
+  local name = debug.getupvalue(f, 1)
+  if name == "_ENV" then name = debug.getupvalue(f, 2) end
+  return name
+end
+
+-- Returns a function as Lua source. The other Lua has none of its upvalues.
+local function code_of(f, where)
+  local ok, code = pcall(dump, f)
+  if not ok then error(where .. "function in Lua expected, " .. rfsm.got(f), 0) end
+  local name = upvalue_of(f)
+  if not name then return ("assert((loadstring or load)(%q))"):format(code) end
+  error(("%sfunction that uses no local of its surroundings expected, it uses '%s'")
+    :format(where, name), 0)
+end
+
+-- Returns a value as Lua source. Raises an error for userdata, NaN, and functions but
+-- those in `ports`.
 local function to_text(value, path)
-  local kind = type(value)
+  local kind, number = type(value), path:match("^%.inputs%.(%d+)%.event$")
   if kind == "string" then return ("%q"):format(value) end
+  if number then return code_of(value, "ports[" .. number .. "]: event: ") end
   if kind == "boolean" then return tostring(value) end
   if kind == "number" and value - value == 0 then return ("%.17g"):format(value) end
   if kind ~= "table" or #path > 100 then
