@@ -11,6 +11,7 @@ local limit = require "rfsm.shared.limit"
 local update = require "rfsm.rtt.update"
 
 local assert, collectgarbage, coroutine = assert, collectgarbage, coroutine
+local debug = debug
 local error, ipairs, loadfile, package = error, ipairs, loadfile, package
 local os, pairs, pcall, rawequal = os, pairs, pcall, rawequal
 local rawget, rawset, require = rawget, rawset, require
@@ -386,7 +387,11 @@ local function set_up(launch)
 end
 
 -- Returns why nothing can be launched in this Lua; nil if it can.
-local function obstacle()
+local function obstacle(launch)
+  if launch.stripped and debug.getinfo(rfsm.init, "S").source ~= "=?" then
+    return "stripped: no modules in rfsm/stripped beside the library, or it was loaded "
+      .. "before from source"
+  end
   if not rfsm.prepare then return "another rfsm is loaded in this Lua" end
   if not package.loaded.rtt then return "no module 'rtt' in this Lua" end
   if not rfsm.is_initialized_root(rawget(_G, "fsm")) then return nil end
@@ -445,7 +450,7 @@ end
 ---@param launch rfsm.rtt.Launched
 function component.start(launch)
   launch.where = "launch of '" .. launch.fsmfile .. "': "
-  local problem = obstacle()
+  local problem = obstacle(launch)
   if problem then error(launch.where .. problem, 0) end
   load_libraries(launch)
   begin(launch)

@@ -21,6 +21,9 @@ local concat, dump = table.concat, string.dump
 
 local rtt_launch = {}
 
+-- Where `make install` puts the modules without debug information.
+local STRIPPED = "rfsm/stripped/?.lua"
+
 -- The text that the other Lua executes ---------------------------------------------
 
 -- Returns the upvalue of a function, but for the table of globals, which a function has
@@ -86,10 +89,12 @@ if hook then hook:enable() end
 ]]
 
 -- Returns the part of package.path for this library's modules; "" if it is not known.
-local function own_template()
+-- With `is_stripped`, the modules without debug information come first.
+local function own_template(is_stripped)
   local source = debug and debug.getinfo(1, "S").source
   local folder = source and source:match("^@(.*)rfsm[/\\]rtt[/\\]launch%.lua$")
-  return folder and folder .. "?.lua;" or ""
+  if not folder then return "" end
+  return (is_stripped and folder .. STRIPPED .. ";" or "") .. folder .. "?.lua;"
 end
 
 -- Launch ----------------------------------------------------------------------------
@@ -99,7 +104,8 @@ local NO_REASON = "RTT's log has the reason"
 -- Executes PROGRAM through the operation `exec_str`. If it fails, raises the reason.
 local function execute(exec_str, launch)
   local fields, file = to_text(launch, ""), os.tmpname()
-  local program = PROGRAM:format(fields, own_template(), ";" .. package.path, file)
+  local program = PROGRAM:format(fields, own_template(launch.stripped),
+    ";" .. package.path, file)
   local is_called, is_done = pcall(exec_str, program)
   local reason = files.read(file)
   os.remove(file)

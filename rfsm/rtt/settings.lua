@@ -38,6 +38,8 @@ local settings = {}
 ---@field poststr? string Lua code to run after `postfile`
 ---@field env? table<string, any> globals to set: strings, numbers, booleans, or tables
 -- of these
+---@field stripped? boolean have the library without its debug information, which takes
+-- a third less memory, from where `make install` puts it
 ---@field rttlib? boolean load rttlib and utils, which charts rely on (true)
 ---@field sync? boolean older name of `steps = 1`
 ---@field run? boolean older name of `steps = 1000`
@@ -69,7 +71,7 @@ local function with_common(fields)
   fields.prestr, fields.poststr = STRING, STRING
   fields.ev_inport, fields.ev_outport = NAME, NAME
   fields.run, fields.sync, fields.error = BOOLEAN, BOOLEAN, BOOLEAN
-  fields.running_only, fields.rttlib = BOOLEAN, BOOLEAN
+  fields.running_only, fields.rttlib, fields.stripped = BOOLEAN, BOOLEAN, BOOLEAN
   fields.steps, fields.samples = COUNT, COUNT
   return fields
 end
