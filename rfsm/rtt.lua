@@ -289,7 +289,7 @@ function rfsm_rtt.reason(problem)
 end
 
 local NOT_NEEDED = { "rtt.component", "rtt.update", "rtt.settings", "rtt.inputs",
-  "shared.options", "shared.limit", "shared.calls", "advice" }
+  "rtt.rttlib", "shared.options", "shared.limit", "shared.calls", "advice" }
 
 --- Forget the modules that a launch has loaded, so that they become garbage. A launch
 -- also calls this first: Lua 5.1 never loads a module again if loading it once failed.

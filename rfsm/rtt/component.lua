@@ -420,10 +420,22 @@ local function undo(launch)
   launch:forget()
 end
 
+-- Logs that rttlib is loaded after the launch.
+local function warn_of_use()
+  local launched = rfsm_rtt.launched
+  if not launched or launched.finish then return end
+  pcall(launched.log, "Warning", "rfsm.rtt: rttlib is loaded now, after the "
+    .. "launch; with rttlib = true the launch loads it")
+end
+
 -- Charts rely on utils, and on rttlib, which makes constructors callable and operations
--- methods. Both are loaded if they are installed, unless the launch has rttlib = false.
+-- methods. Both are loaded if they are installed, in a pool when they are first used.
 local function load_libraries(launch)
   if launch.rttlib == false then return end
+  if launch.rttlib == nil and rawget(_G, "tlsf") then
+    if rawget(_G, "rttlib") then return end
+    return require("rfsm.rtt.rttlib")(launch.rtt, warn_of_use)
+  end
   pcall(require, "rttlib")
   local has_utils, utils = pcall(require, "utils")
   if has_utils and not rawget(_G, "utils") then set_globals { utils = utils } end
@@ -452,8 +464,8 @@ function component.start(launch)
   launch.where = "launch of '" .. launch.fsmfile .. "': "
   local problem = obstacle(launch)
   if problem then error(launch.where .. problem, 0) end
-  load_libraries(launch)
   begin(launch)
+  load_libraries(launch)
   rfsm_rtt.launched = launch -- now: an exception of C++ may end the launch
   local ok, result = pcall(set_up, launch)
   rfsm_rtt.forget_modules()

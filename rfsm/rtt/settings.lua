@@ -40,7 +40,8 @@ local settings = {}
 -- of these
 ---@field stripped? boolean have the library without its debug information, which takes
 -- a third less memory, from where `make install` puts it
----@field rttlib? boolean load rttlib and utils, which charts rely on (true)
+---@field rttlib? boolean load rttlib and utils, which charts rely on (true; in a pool
+-- at their first use)
 ---@field sync? boolean older name of `steps = 1`
 ---@field run? boolean older name of `steps = 1000`
 
