@@ -21,7 +21,7 @@ BUNDLE   ?= rfsm rfsm.fast rfsm.advice
 ALL      ?= rfsm_timeevent rfsm.clock rfsm_seqand rfsmpp rfsm.history rfsm_checks \
             rfsm.checkevents $(addprefix rfsm.observe.,coverage watch_properties why) \
             $(subst /,.,$(basename $(wildcard $(ROOMS:%=rfsm/%/*.lua))))
-ROOMS    := shared checks explore tests
+ROOMS    := shared clock checks explore tests
 DIST     ?= dist
 ifneq ($(word 2,x$(DESTDIR)$(PREFIX)),)
 $(error PREFIX and DESTDIR: no blanks expected, got '$(DESTDIR)$(PREFIX)')

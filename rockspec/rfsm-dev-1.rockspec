@@ -61,6 +61,7 @@ build = {
     ["rfsm.cli.watch"] = "rfsm/cli/watch.lua",
     ["rfsm.cli.web"] = "rfsm/cli/web.lua",
     ["rfsm.clock"] = "rfsm/clock.lua",
+    ["rfsm.clock.simulated"] = "rfsm/clock/simulated.lua",
     ["rfsm.defer"] = "rfsm/defer.lua",
     ["rfsm.dot"] = "rfsm/dot.lua",
     ["rfsm.emem"] = "rfsm/emem.lua",
