@@ -133,6 +133,7 @@ build = {
     ["rfsm.rtt.launch"] = "rfsm/rtt/launch.lua",
     ["rfsm.rtt.port"] = "rfsm/rtt/port.lua",
     ["rfsm.rtt.program"] = "rfsm/rtt/program.lua",
+    ["rfsm.rtt.raise"] = "rfsm/rtt/raise.lua",
     ["rfsm.rtt.rttlib"] = "rfsm/rtt/rttlib.lua",
     ["rfsm.rtt.settings"] = "rfsm/rtt/settings.lua",
     ["rfsm.rtt.update"] = "rfsm/rtt/update.lua",

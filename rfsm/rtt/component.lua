@@ -64,6 +64,27 @@ local PORTS = {
   timer = { "in", "rfsm_timer", "rfsm_timer", "wakes for time events", "int" },
 }
 
+--- Remove a port that `make` has made: Lua does not collect ports.
+---@param held rfsm.rtt.Port
+function component.remove_port(held)
+  if not (held.is_made and held.real) then return end
+  held.component:removePort(held.name) -- else `delete` ends the process
+  held.real:delete()
+end
+
+--- Make a port. With `is_kept` a port that the component has already is taken, such as
+-- that of its last launch. Otherwise it is an error: RTT would replace the port.
+---@param held rfsm.rtt.Port
+---@param is_kept boolean
+function component.provide_port(held, is_kept)
+  if is_kept and held:find() then return held:check() end
+  local owner, name = held.component, held.name
+  if held_port.of(owner, name) then
+    error(("'%s' has a port '%s' already"):format(owner:getName(), name), 0)
+  end
+  held:make()
+end
+
 -- Adds a port to the launch. With `ports = "configure"` it is made later, when the
 -- component is configured.
 local function add(launch, facts, is_kept)
@@ -71,7 +92,7 @@ local function add(launch, facts, is_kept)
   held.is_trigger = facts.porttype == "in" and launch.is_component
   launch.held[#launch.held + 1] = held
   held.timer = facts.name == "rfsm_timer" and launch.timer or nil
-  if launch.ports_at ~= "configure" then held:provide(is_kept) end
+  if launch.ports_at ~= "configure" then component.provide_port(held, is_kept) end
   return held
 end
 
@@ -412,7 +433,7 @@ end
 
 -- Removes what a launch has made: Lua does not collect ports and attributes.
 local function undo(launch)
-  for _, held in ipairs(launch.held) do held:remove() end
+  for _, held in ipairs(launch.held) do component.remove_port(held) end
   for _, name in ipairs(launch.attributes) do
     launch.component:removeAttribute(name)
   end

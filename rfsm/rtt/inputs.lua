@@ -6,6 +6,7 @@
 local rfsm_rtt = require "rfsm.rtt" -- first: it adapts Lua to a TLSF pool
 local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
+local component = require "rfsm.rtt.component"
 local held_port = require "rfsm.rtt.port"
 local options = require "rfsm.shared.options"
 local update = require "rfsm.rtt.update"
@@ -113,15 +114,15 @@ end
 ---@param read rfsm.rtt.Input[]
 ---@param is_trigger boolean does a sample trigger an update of the component?
 ---@param is_kept boolean are ports taken that the component has already?
-function inputs.make(component, read, is_trigger, is_kept)
+function inputs.make(owner, read, is_trigger, is_kept)
   local made = {}
   for i, input in ipairs(read) do
-    local held = held_port.reserve(component, { name = input[1], type = input.type,
+    local held = held_port.reserve(owner, { name = input[1], type = input.type,
       desc = "events for the machine", porttype = "in" })
     held.is_trigger, made[i] = is_trigger, held
-    local ok, problem = pcall(held.provide, held, is_kept)
+    local ok, problem = pcall(component.provide_port, held, is_kept)
     if not ok then
-      for _, port in ipairs(made) do port:remove() end
+      for _, port in ipairs(made) do component.remove_port(port) end
       error(("ports[%d]: %s"):format(i, rfsm.text_of(problem)), 0)
     end
   end
@@ -132,8 +133,8 @@ end
 function inputs.declare(list)
   local rtt = package.loaded.rtt
   if not rtt then error("no module 'rtt' in this Lua", 0) end
-  local component, read = rtt.getTC(), inputs.read(list)
-  inputs.make(component, read, component:hasOperation("exec_str"), true)
+  local owner, read = rtt.getTC(), inputs.read(list)
+  inputs.make(owner, read, owner:hasOperation("exec_str"), true)
   rfsm_rtt.declared = { list = list, inputs = read }
 end
 

@@ -7,8 +7,10 @@
 -- @module rfsm.rtt.port
 -- @license BSD-3-Clause
 
+local rfsm = require "rfsm"
+
 local error, getmetatable, package, pcall = error, getmetatable, package, pcall
-local setmetatable = setmetatable
+local setmetatable, type = setmetatable, type
 
 local port = {}
 
@@ -17,6 +19,53 @@ port.LUA_TYPES = { bool = "boolean", char = "string", string = "string" }
 for name in ("double float int uint long int8 uint8 int16 uint16 int32 uint32 int64 "
   .. "uint64 llong ullong"):gmatch("%S+") do
   port.LUA_TYPES[name] = "number"
+end
+
+--- Can `value:name(...)` be called? Reading a field of a Variable may raise an error.
+function port.has_method(value, name)
+  local ok, method = pcall(function() return value[name] end)
+  return ok and rfsm.is_callable(method)
+end
+
+--- Return the table `real:info()`; an empty table if `real` is no port of RTT.
+function port.info_of(real)
+  local ok, info = pcall(function() return real:info() end)
+  return ok and type(info) == "table" and info or {}
+end
+
+--- Return a Variable for the samples of a port; nil if RTT is not loaded, or if no type
+-- of Lua matches the port's type. Also return a second Variable, of type double, if
+-- RTT-Lua converts the port's type only from and to such a Variable.
+function port.new_variables(real)
+  local kind, rtt = port.info_of(real).type, package.loaded.rtt
+  if not (port.LUA_TYPES[kind] and rtt) then return nil end
+  return rtt.Variable.new(kind), kind:find("llong") and rtt.Variable.new("double")
+end
+
+local DIRECTIONS = { read = "input port", write = "output port" }
+local GOT = { ["in"] = "got an input port", out = "got an output port" }
+
+--- Return the problem if a port does not have the method "read" or "write", or is not
+-- of type `kind` (nil: any type); nil if the port is right.
+function port.problem(real, method, kind)
+  local info = port.info_of(real)
+  local got = not port.has_method(real, method)
+    and (GOT[info.porttype] or rfsm.got(real))
+    or kind and info.type and info.type ~= kind and "got one of type " .. info.type
+  return got and ("%s%s expected, %s"):format(DIRECTIONS[method],
+    kind and " of type " .. kind or "", got) or nil
+end
+
+--- Return a function that writes a value to a port. A Variable is written as it is.
+function port.new_writer(real)
+  local var, double = port.new_variables(real)
+  local lua_type = port.LUA_TYPES[port.info_of(real).type]
+  return function(value)
+    if not var or type(value) ~= lua_type then return real:write(value) end
+    if double then double:assign(value) end
+    var:assign(double or value)
+    real:write(var)
+  end
 end
 
 --- Return the port of a component that has a name; nil if there is no such port.
@@ -83,30 +132,12 @@ function Port:make()
   real:connect(self.component:getPeer(self.timer):getPort("timer_0"))
 end
 
---- Remove a port that `make` has made: Lua does not collect ports.
-function Port:remove()
-  if not (self.is_made and self.real) then return end
-  self.component:removePort(self.name) -- else `delete` ends the process
-  self.real:delete()
-end
-
 --- Raise an error if the port that was found has another direction or type.
 function Port:check()
   local wanted, found = self.facts, self.real:info()
   if found.porttype == wanted.porttype and found.type == wanted.type then return end
   error(("port '%s': %sput port of type %s expected, got an %sput port of type %s")
     :format(self.name, wanted.porttype, wanted.type, found.porttype, found.type), 0)
-end
-
---- Make the port. With `is_kept` a port that the component has already is taken, such
--- as that of its last launch. Otherwise it is an error: RTT would replace the port.
-function Port:provide(is_kept)
-  if is_kept and self:find() then return self:check() end
-  if port.of(self.component, self.name) then
-    error(("'%s' has a port '%s' already"):format(self.component:getName(), self.name),
-      0)
-  end
-  self:make()
 end
 
 --- Make an object for a port that is made later. `facts` has the name, type, porttype

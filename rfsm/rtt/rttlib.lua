@@ -8,10 +8,9 @@
 -- @license BSD-3-Clause
 
 local debug, error, getmetatable, ipairs = debug, error, getmetatable, ipairs
-local package = package
-local pairs, pcall, rawget, rawset = pairs, pcall, rawget, rawset
-local require, setmetatable, tostring = require, setmetatable, tostring
-local type = type
+local package, pairs, pcall, rawget = package, pairs, pcall, rawget
+local rawset, require, setmetatable = rawset, require, setmetatable
+local tostring, type = tostring, type
 
 -- What rttlib makes: constructors that can be called; operations that are methods;
 -- texts of objects; methods.
@@ -20,10 +19,8 @@ local CONSTRUCTORS = { "Variable", "Property", "Attribute", "InputPort", "Output
 local WITH_OPERATIONS = { "TaskContext", "Service" }
 local WITH_TEXT = { "TaskContext", "Variable", "Property", "Attribute", "Service",
   "ServiceRequester", "Operation", "InputPort", "OutputPort" }
-local METHODS = {
-  Variable = { "fromtab", "var2tab", "totab" }, Property = { "fromtab" },
-  Attribute = { "fromtab" },
-}
+local METHODS = { fromtab = { "Variable", "Property", "Attribute" },
+  var2tab = { "Variable" }, totab = { "Variable" } }
 
 -- Returns the value of a field of an object whose class has this `__index`.
 local function value_of(index, object, key)
@@ -35,30 +32,32 @@ end
 ---@param rtt table the module of RTT
 ---@param note fun()
 return function(rtt, note)
-  local changes = {} -- tables, keys, values before, one after the other
-  local constructors = {} -- a table that is called -> its metatable before
-  local load
+  local changes, load = {}, nil -- a table -> its fields before, false if there was none
 
   local function put(t, key, value)
-    local n = #changes
-    changes[n + 1], changes[n + 2], changes[n + 3] = t, key, rawget(t, key) or false
+    if not t then return end
+    local before = changes[t] or {}
+    changes[t], before[key] = before, rawget(t, key) or false
     rawset(t, key, value)
   end
 
-  local function remove_placeholders()
-    for i = #changes - 2, 1, -3 do
-      rawset(changes[i], changes[i + 1], changes[i + 2] or nil)
-    end
-    changes = {}
-    for class, metatable in pairs(constructors) do -- any order: different classes
-      setmetatable(class, metatable or nil)
-    end
-  end
+  local calls = { __call = function(class, ...)
+    load()
+    return class(...)
+  end }
 
   function load()
-    if not changes[1] then return end
+    if not changes then return end
     note()
-    remove_placeholders()
+    for t, before in pairs(changes) do -- any order: different fields
+      for key, value in pairs(before) do rawset(t, key, value or nil) end
+    end
+    changes = nil
+    for _, name in ipairs(CONSTRUCTORS) do
+      if rtt[name] and getmetatable(rtt[name]) == calls then
+        setmetatable(rtt[name], nil)
+      end
+    end
     package.loaded.rttlib, package.loaded.utils = nil, nil -- one of them is loading
     pcall(require, "rttlib")
     local ok, utils = pcall(require, "utils")
@@ -67,17 +66,13 @@ return function(rtt, note)
 
   -- Puts a table in place of a module.
   local function put_module(name)
+    local function module()
+      load()
+      return rawget(_G, name) or error("no module '" .. name .. "'", 3)
+    end
     put(_G, name, setmetatable({}, {
-      __index = function(_, key)
-        load()
-        local module = rawget(_G, name)
-        if module then return module[key] end
-        error("no module '" .. name .. "'", 2)
-      end,
-      __newindex = function(_, key, value)
-        load()
-        rawget(_G, name)[key] = value
-      end,
+      __index = function(_, key) return module()[key] end,
+      __newindex = function(_, key, value) module()[key] = value end,
     }))
     put(package.preload, name, function()
       load()
@@ -85,23 +80,8 @@ return function(rtt, note)
     end)
   end
 
-  local function put_call(class)
-    constructors[class] = getmetatable(class) or false
-    setmetatable(class, { __call = function(_, ...)
-      load()
-      return class(...)
-    end })
-  end
-
-  local function put_method(class, key)
-    put(class, key, function(...)
-      load()
-      return class[key](...)
-    end)
-  end
-
   local function put_index(class)
-    local index = class.__index
+    local index = class and class.__index
     put(class, "__index", function(object, key)
       local value = value_of(index, object, key)
       if value ~= nil then return value end
@@ -110,31 +90,31 @@ return function(rtt, note)
     end)
   end
 
-  local function put_text(class)
-    put(class, "__tostring", function(object)
-      load()
-      return tostring(object)
-    end)
+  local function text(object)
+    load()
+    return tostring(object)
   end
 
+  local function new_method(key)
+    return function(object, ...)
+      load()
+      return getmetatable(object)[key](object, ...)
+    end
+  end
+
+  local classes = debug.getregistry()
   for _, name in ipairs { "rttlib", "utils" } do put_module(name) end
   put(rtt, "globals", setmetatable({}, { __index = function(_, key)
     load()
     return rtt.globals[key]
   end }))
   for _, name in ipairs(CONSTRUCTORS) do
-    if rtt[name] then put_call(rtt[name]) end
+    if rtt[name] then setmetatable(rtt[name], calls) end
   end
-  local classes = debug.getregistry()
-  for _, name in ipairs(WITH_OPERATIONS) do
-    if classes[name] then put_index(classes[name]) end
-  end
-  for _, name in ipairs(WITH_TEXT) do
-    if classes[name] then put_text(classes[name]) end
-  end
-  for name, keys in pairs(METHODS) do -- any order: different classes
-    for _, key in ipairs(classes[name] and keys or {}) do
-      put_method(classes[name], key)
-    end
+  for _, name in ipairs(WITH_OPERATIONS) do put_index(classes[name]) end
+  for _, name in ipairs(WITH_TEXT) do put(classes[name], "__tostring", text) end
+  for key, names in pairs(METHODS) do -- any order: different fields
+    local method = new_method(key)
+    for _, name in ipairs(names) do put(classes[name], key, method) end
   end
 end
