@@ -1,9 +1,9 @@
 --- The schema `rfsm` as texts of SQL: tables, a function in PL/Lua, functions in SQL.
 --
--- When the script is loaded, tables that exist are kept, and functions are replaced.
--- Tables that do not change are not locked, so clients need not wait for the load.
--- $TAG, $CODE, $ID, $LOG, $OWNER, $HISTORY and $NOTIFY are replaced by
--- `rfsm.postgres.script`.
+-- When the script is loaded, tables that exist are kept, and functions are replaced. A
+-- schema of an older release is altered step by step. Tables that do not change are not
+-- locked, so clients need not wait for the load. $TAG, $CODE, $ID, $LOG, $OWNER,
+-- $HISTORY and $NOTIFY are replaced by `rfsm.postgres.script`.
 --
 -- @module rfsm.postgres.schema
 -- @license BSD-3-Clause
@@ -12,11 +12,80 @@ local ipairs, concat = ipairs, table.concat
 
 local schema = {}
 
+-- The steps from one version of the schema to the next. Each has the table that it
+-- changes, and the statement. A schema without a version is of the first one or of the
+-- second, so these steps must do no harm to a schema that needs them not.
+local STEPS = {
+  { "rfsm.out", "ALTER TABLE rfsm.out ADD COLUMN IF NOT EXISTS due timestamptz, "
+    .. "ADD COLUMN IF NOT EXISTS tries integer NOT NULL DEFAULT 0, "
+    .. "ADD COLUMN IF NOT EXISTS error text; "
+    .. "DROP PROCEDURE IF EXISTS rfsm.work(double precision);" },
+}
+
+--- The version of the schema that the script makes.
+schema.VERSION = #STEPS + 1
+
+-- The version is in the comment of the schema, which a dump keeps.
+local OWN = ("rfsm schema %d"):format(schema.VERSION)
+
+--- SQL that returns the version of the schema as a text; NULL if it has none.
+schema.FOUND = [[SELECT substring(obj_description(to_regnamespace('rfsm'),
+  'pg_namespace') FROM '^rfsm schema (\d+)$') AS version]]
+
+-- Locks a table that is to change. Clients have to wait behind a session that waits for
+-- a lock, so it gives up soon, lets them pass, and tries again.
+local LOCK = [[
+
+CREATE OR REPLACE FUNCTION rfsm.lock_table(name text) RETURNS void
+  LANGUAGE plpgsql AS $$
+BEGIN
+  FOR try IN 1..5 LOOP
+    BEGIN
+      SET LOCAL lock_timeout = '500ms';
+      EXECUTE 'LOCK TABLE ' || name;
+      RETURN;
+    EXCEPTION WHEN lock_not_available THEN
+      IF try = 5 THEN
+        RAISE EXCEPTION 'rfsm: nothing was loaded: other sessions hold tables that '
+          'are to change (pid %); load again when their transactions have ended',
+          (SELECT string_agg(DISTINCT pid::text, ', ') FROM pg_locks
+            WHERE granted AND pid <> pg_backend_pid() AND relation = name::regclass);
+      END IF;
+      PERFORM pg_sleep(0.5);
+    END;
+  END LOOP;
+END $$;
+]]
+
+local steps = {}
+for i, step in ipairs(STEPS) do
+  steps[i] = ([[
+  IF found <= %d THEN
+    PERFORM rfsm.lock_table('%s');
+    %s
+  END IF;
+]]):format(i, step[1], step[2])
+end
+
 schema.HEAD = [[
 -- Made by: rfsm postgres. All of it, or nothing: one transaction.
 BEGIN;
 SET LOCAL client_min_messages = warning;
 CREATE SCHEMA IF NOT EXISTS rfsm;
+]] .. LOCK .. [[
+
+-- Alters the tables of an older release.
+DO $$
+DECLARE found integer := coalesce((]] .. schema.FOUND .. [[)::integer, 1);
+BEGIN
+  IF found > ]] .. schema.VERSION .. [[ THEN
+    RAISE EXCEPTION 'rfsm: nothing was loaded: the schema is of version %, this script '
+      'knows ]] .. schema.VERSION .. [[ (load one of the rfsm that made it)', found;
+  END IF;
+  IF to_regclass('rfsm.machines') IS NULL THEN RETURN; END IF;
+]] .. concat(steps) .. [[
+END $$;
+COMMENT ON SCHEMA rfsm IS ']] .. OWN .. [[';
 
 CREATE TABLE IF NOT EXISTS rfsm.machines (
   key text COLLATE "C" PRIMARY KEY,
@@ -303,8 +372,7 @@ END $$;
 schema.TRIGGERS = [[
 
 -- Makes the triggers that are absent or different, and drops those that are not wanted.
--- Both need a lock of the table. Clients have to wait behind a session that waits for a
--- lock, so it gives up soon, lets them pass, and tries again.
+-- Both need a lock of the table.
 DO $$
 DECLARE
   moved text := 'WHEN ((old.state <> new.state)) ';
@@ -324,28 +392,13 @@ BEGIN
     LEFT JOIN pg_trigger t ON tgrelid = 'rfsm.machines'::regclass AND tgname = name
   LOOP
     CONTINUE WHEN each.found IS NOT DISTINCT FROM each.wanted;
-    FOR try IN 1..5 LOOP
-      BEGIN
-        SET LOCAL lock_timeout = '500ms';
-        LOCK TABLE rfsm.machines;
-        EXIT;
-      EXCEPTION WHEN lock_not_available THEN
-        IF try = 5 THEN
-          RAISE EXCEPTION 'rfsm: nothing was loaded: other sessions hold tables that '
-            'are to change (pid %); load again when their transactions have ended',
-            (SELECT string_agg(DISTINCT pid::text, ', ') FROM pg_locks
-              WHERE granted AND pid <> pg_backend_pid()
-              AND relation = 'rfsm.machines'::regclass);
-        END IF;
-        PERFORM pg_sleep(0.5);
-      END;
-    END LOOP;
+    PERFORM rfsm.lock_table('rfsm.machines');
     EXECUTE format('DROP TRIGGER IF EXISTS %s ON rfsm.machines', each.name);
     IF each.wanted IS NOT NULL THEN EXECUTE each.wanted; END IF;
   END LOOP;
 END $$;
 ]]
 
-schema.FOOT = "\nCOMMIT;\n"
+schema.FOOT = "\nDROP FUNCTION rfsm.lock_table;\nCOMMIT;\n"
 
 return schema
