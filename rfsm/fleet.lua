@@ -152,30 +152,60 @@ end
 
 -- Workers ------------------------------------------------------------------------
 
+local function all_tags(self)
+  local tags = {}
+  for i = 1, self.tags do tags[i] = ("%d"):format(i - 1) end
+  return tags
+end
+
+-- Returns a call of a function of the loaded library for a hash tag. `keys` lists
+-- functions of `rfsm.server.keys`; each makes one key of the call.
+local function call_of(name, keys, tag, ...)
+  local call = { "FCALL", name, #keys }
+  for _, of in ipairs(keys) do call[#call + 1] = of("{" .. tag .. "}") end
+  for _, value in ipairs { ... } do call[#call + 1] = value end
+  return call
+end
+
 -- Calls a function of the loaded library for each hash tag, in parallel. Returns the
--- replies. `keys` lists functions of `rfsm.server.keys`; each makes one key of a call.
+-- replies.
 local function call_tags(self, name, keys, ...)
-  local tags, calls = {}, {}
-  for i = 1, self.tags do
-    local tag, call = ("%d"):format(i - 1), { "FCALL", name, #keys }
-    for _, of in ipairs(keys) do call[#call + 1] = of("{" .. tag .. "}") end
-    for _, value in ipairs { ... } do call[#call + 1] = value end
-    tags[i], calls[i] = tag, call
-  end
+  local tags, calls = all_tags(self), {}
+  for i, tag in ipairs(tags) do calls[i] = call_of(name, keys, tag, ...) end
   return self.connection:call_all(tags, calls)
 end
 
---- Run the machines whose timers are due. A failed machine is put aside for a minute.
+-- The keys of a call of rfsm_wake.
+local WAKE = { keys_of.due, keys_of.out, keys_of.aside, keys_of.lease }
+
+-- Calls rfsm_wake for each hash tag in a list, in which a tag may come again. Adds
+-- to the counts; returns a table hash tag -> how many machines are still due.
+local function wake_tags(self, tags, limit, counts)
+  local calls, left = {}, {}
+  for i, tag in ipairs(tags) do calls[i] = call_of("rfsm_wake", WAKE, tag, limit) end
+  for i, reply in ipairs(self.connection:call_all(tags, calls)) do
+    counts.woken, counts.failed = counts.woken + reply[1], counts.failed + reply[2]
+    counts[tags[i]] = (counts[tags[i]] or 0) + reply[1] + reply[2]
+    left[tags[i]] = reply[3] or 0 -- an older library has run all of them
+  end
+  return left
+end
+
+--- Run the machines whose timers are due. Each call for a machine leases the next, so
+-- that a machine that comes to no end does not hold up the others. A failed machine is
+-- put aside for a minute.
 ---@param limit? integer greatest number of machines for each hash tag (100)
 ---@return integer count machines that ran
 ---@return integer failed machines that were put aside
 function Fleet:wake(limit)
-  local count, failed = 0, 0
-  for _, reply in ipairs(call_tags(self, "rfsm_wake", { keys_of.due, keys_of.out,
-    keys_of.aside }, limit or 100)) do
-    count, failed = count + reply[1], failed + reply[2]
+  limit = limit or 100
+  local counts, more = { woken = 0, failed = 0 }, {}
+  local left = wake_tags(self, all_tags(self), limit, counts)
+  for _, tag in ipairs(all_tags(self)) do
+    for _ = 1, min(left[tag], limit - counts[tag]) do more[#more + 1] = tag end
   end
-  return count, failed
+  wake_tags(self, more, limit, counts)
+  return counts.woken, counts.failed
 end
 
 --- Return the keys of machines in a state. The library must be made with `--index`.

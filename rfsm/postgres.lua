@@ -13,13 +13,14 @@
 local script = require "rfsm.postgres.script"
 local Base = require "rfsm.server.client"
 local host = require "rfsm.postgres.host"
+local lease = require "rfsm.server.lease"
 local codec = require "rfsm.server.codec"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 local sandbox = require "rfsm.server.sandbox"
 local try = require("rfsm.shared.calls").try
 
-local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
+local error, pairs, pcall, select = error, pairs, pcall, select
 local setmetatable, tonumber, tostring = setmetatable, tonumber, tostring
 local type = type
 
@@ -29,18 +30,19 @@ local postgres = {}
 
 -- Returns a statement that reads machines, and then the time, since it may have to wait
 -- for a lock. If there is no machine, it returns one row that has only the time.
-local function reading(columns, rows)
-  return ([[SELECT %s, (extract(epoch FROM clock_timestamp()) * 1e6)::text AS us
-    FROM (SELECT 1) one LEFT JOIN (SELECT key, value FROM rfsm.machines %s) m ON true]])
-    :format(columns, rows)
+local function reading(rows)
+  return ([[SELECT value::text, key,
+    (extract(epoch FROM clock_timestamp()) * 1e6)::text AS us
+    FROM (SELECT 1) one LEFT JOIN (SELECT key, value FROM rfsm.%s) m ON true]])
+    :format(rows)
 end
 
-local READ = reading("value::text", "WHERE key = $1")
-local LOCK = reading("value::text", "WHERE key = $1 FOR UPDATE")
-local DUE = reading("key, value::text", "WHERE due <= clock_timestamp() ORDER BY due "
-  .. "LIMIT %d FOR UPDATE SKIP LOCKED")
-local ASIDE = "UPDATE rfsm.machines SET due = clock_timestamp() + interval '1 minute' "
-  .. "WHERE key = $1"
+local READ = reading "machines WHERE key = $1"
+local LOCK = reading "machines WHERE key = $1 FOR UPDATE"
+local LEASED = reading "leased($1)"
+local LEASE = "SELECT key, leases FROM rfsm.lease()"
+local ASIDE = "UPDATE rfsm.machines SET due = clock_timestamp() + interval '1 minute', "
+  .. "leases = 0 WHERE key = $1"
 
 -- Charts --------------------------------------------------------------------------
 
@@ -287,27 +289,51 @@ local function put_aside(self, key, problem)
   query(self, host.STATEMENTS.log, key, reason_of(problem))
 end
 
--- Runs machines that are due and that no other worker has locked. If a statement fails,
--- the transaction of all these machines fails, and `culprit` has the key of the machine
--- that caused this, and the problem.
-local function wake(self, limit, culprit)
-  local counts = { woken = 0, failed = 0 }
-  for _, row in ipairs(query(self, DUE:format(limit))) do
-    if row.key then
-      local ok, problem = try(answer, self, "rfsm_tick", row.key, {}, row)
-      if not ok then
-        culprit.key, culprit.problem = row.key, problem
-        if not try(put_aside, self, row.key, problem) then error(problem, 0) end
-      end
-      local name = ok and "woken" or "failed"
-      counts[name] = counts[name] + 1
-    end
-  end
-  culprit.key = nil
-  return counts
+-- Runs a leased machine, unless another session has it. Returns the name of a count;
+-- nil if it was not run.
+local function run_leased(self, key)
+  local row = key and query(self, LEASED, key)[1]
+  if not (row and row.key) then return nil end
+  local ok, problem = try(answer, self, "rfsm_tick", key, { "due" }, row)
+  if not ok and not try(put_aside, self, key, problem) then error(problem, 0) end
+  return ok and "woken" or "failed"
 end
 
---- Run the machines whose timers are due. A failed one is put aside for a minute.
+-- Leases the machine that is due first; returns its key, or nil. A machine that had too
+-- many leases is held.
+local function lease_next(self)
+  local key
+  repeat
+    local row = query(self, LEASE)[1]
+    key = row and row.key
+    local has_ended = not key or tonumber(row.leases) <= lease.MOST
+    if not has_ended then call(self, "rfsm_hold", key, lease.REASON) end
+  until has_ended
+  return key
+end
+
+-- Runs the machine that the transaction before has leased, and leases the next one.
+local function run_next(self, key, is_last)
+  local name = run_leased(self, key)
+  return { name = name, key = not is_last and lease_next(self) or nil }
+end
+
+-- The same in a transaction. If a statement fails, the transaction fails, and the
+-- machine is put aside in another one. Returns the name of a count or nil, and the key
+-- of the next machine.
+local function wake_one(self, key, is_last)
+  local ok, done = run(self, run_next, key, is_last)
+  if ok then return done.name, done.key end
+  local can_go_on = key and self.query and not self.is_open
+  if not (can_go_on and run(self, put_aside, key, done)) then
+    error("rfsm.postgres.wake: " .. reason_of(done), 0)
+  end
+  return "failed", select(2, wake_one(self, nil, is_last))
+end
+
+--- Run the machines whose timers are due, each in a transaction. It is leased in the
+-- one before, so that a machine that comes to no end does not hold up the others after
+-- this process has ended. A failed one is put aside for a minute.
 -- @raise if no server answers
 ---@param limit? integer how many machines are run at most (100)
 ---@return integer count machines that were run
@@ -317,16 +343,14 @@ function Client:wake(limit)
   if not is_limit(limit) then
     error("rfsm.postgres.wake: a whole number expected, " .. opts.got(limit), 2)
   end
-  local culprit, failed = {}, 0
-  local ok, counts = run(self, wake, limit, culprit)
-  while not ok and culprit.key and self.query and not self.is_open
-    and run(self, put_aside, culprit.key, culprit.problem) do
-    failed = failed + 1
-    culprit.key = nil
-    ok, counts = run(self, wake, limit, culprit)
+  local counts, key = { woken = 0, failed = 0 }, nil
+  for i = 0, limit do
+    local name, next_key = wake_one(self, key, i == limit)
+    if name then counts[name] = counts[name] + 1 end
+    if not next_key then break end
+    key = next_key
   end
-  if not ok then error("rfsm.postgres.wake: " .. reason_of(counts), 0) end
-  return counts.woken, counts.failed + failed
+  return counts.woken, counts.failed
 end
 
 return postgres

@@ -390,6 +390,77 @@ describe("machines that are due", function()
   end)
 end)
 
+describe("a callback that never ends", function()
+  local hung, worker
+
+  setup(function()
+    hung = servers.redis("--busy-reply-threshold 50")
+    worker = fleet.connect(hung:url(), { name = "m", tags = 1 })
+    assert(worker:load(servers.with_clock(library({ index = true },
+      { endless = servers.ENDLESS }))))
+  end)
+
+  before_each(function()
+    hung:cli("FLUSHALL")
+    hung:stop_clock(1000)
+    assert(worker:create("bad", "endless", { bad = true }))
+    for i = 1, 3 do assert(worker:create(i, "endless")) end
+    hung:stop_clock(1001)
+  end)
+
+  -- Calls rfsm_wake so many times, and kills each call that does not end.
+  local function wake(count)
+    servers.output_of(([[
+      for i in $(seq %d); do
+        timeout 20 redis-cli -p %s FCALL rfsm_wake 1 {0} & call=$!
+        for try in $(seq 500); do
+          kill -0 $call && redis-cli -p %s FUNCTION KILL || break
+        done
+        wait $call
+      done]]):format(count, hung.port, hung.port))
+  end
+
+  it("costs one machine one lease, not the others, and can be killed", function()
+    wake(6)
+    assert.same({ "m:{0}:1", "m:{0}:2", "m:{0}:3" }, worker:find("endless", "root.b"))
+    assert.equal("root.a", worker:get("bad").leaf)
+    assert.equal("1\n", hung:cli("ZSCORE rfsm:lease:{0} m:{0}:bad"))
+    assert.equal("1011\n", hung:cli("ZSCORE rfsm:due:{0} m:{0}:bad"))
+  end)
+
+  it("costs it three leases, then the machine is held", function()
+    for i = 1, 3 do
+      wake(6)
+      hung:stop_clock(1000 + 12 * i)
+    end
+    assert.same({ 0, 1 }, { worker:wake() })
+    assert.equal("yes", worker:get("bad").held)
+    assert.equal("1\n", hung:cli("ZCARD rfsm:aside:{0}"))
+    assert.matches("3 calls that ran what is due have not ended: held until it is "
+      .. "released", hung:cli("XRANGE m:{0}:bad:log - +"))
+    assert.equal("kept", worker:send("bad", "e_b").outcome)
+    assert.same({ 0, 0 }, { worker:wake() })
+    assert(worker:force("bad", "root.b"))
+  end)
+
+  it("costs the same if the server is killed in it", function()
+    local killed = servers.redis("--appendonly yes --appendfsync always")
+    local other = fleet.connect(killed:url(), { name = "m", tags = 1 })
+    assert(other:load(library({ index = true }, { endless = servers.ENDLESS })))
+    assert(other:create("bad", "endless", { bad = true }))
+    assert(other:create(1, "endless"))
+    killed:cli("FCALL rfsm_wake 1 {0}")
+    local finish = servers.beside(("timeout 20 redis-cli -p %s FCALL rfsm_wake 1 {0}")
+      :format(killed.port))
+    killed:kill()
+    finish()
+    killed:launch()
+    assert.same({ 1, 0 }, { other:wake() })
+    assert.same({ "m:{0}:1" }, other:find("endless", "root.b"))
+    servers.stop(killed)
+  end)
+end)
+
 describe("an event of a time", function()
   it("comes when that is there", function()
     assert(machines:create(1, "timed"))

@@ -528,15 +528,39 @@ SELECT rfsm.wake();]]):gsub("COMMAND", function()
     end)))
   end)
 
-  it("is woken by a worker until that is cancelled", function()
-    assert.equal("ERROR:  canceling statement due to statement timeout\n"
-      .. "root.off|3\n", sql([[
+  it("is woken by a worker, which ends at half of a statement_timeout", function()
+    assert.equal("root.off|3\n", sql([[
 SET client_min_messages = error;
 SELECT rfsm.create(i::text, 'lamp') FROM generate_series(1, 3) i \g /dev/null
 SELECT rfsm.send(i::text, 'e_on') FROM generate_series(1, 3) i \g /dev/null
-SET statement_timeout = 300;
+SET statement_timeout = 600;
 CALL rfsm.work(0.01);
 SELECT state, count(*) FROM rfsm.machines GROUP BY state;]]))
+  end)
+
+  it("that never ends costs a worker one lease, and is held after three", function()
+    load_charts({}, "endless=" .. helper.file_with(servers.ENDLESS))
+    local hangs = "ERROR:  canceling statement due to statement timeout\n"
+    assert.equal(hangs .. "bad|root.a|1\nm1|root.b|0\nm2|root.b|0\n" .. hangs .. hangs
+      .. "t||3 calls that ran what is due have not ended: held until it is released\n"
+      .. "rfsm_aside|1\n", sql([[
+SET client_min_messages = error;
+SELECT rfsm.create('bad', 'endless', '{"bad": true}') \g /dev/null
+SELECT rfsm.create('m' || i, 'endless') FROM generate_series(1, 2) i \g /dev/null
+SET statement_timeout = 500;
+CALL rfsm.work(0.01);
+CALL rfsm.work(0.01);
+SELECT key, state, leases FROM rfsm.machines ORDER BY key;
+UPDATE rfsm.machines SET due = now() WHERE key = 'bad';
+CALL rfsm.work(0.01);
+UPDATE rfsm.machines SET due = now() WHERE key = 'bad';
+CALL rfsm.work(0.01);
+UPDATE rfsm.machines SET due = now() WHERE key = 'bad';
+CALL rfsm.work(0.01);
+SELECT (value->8)::text <> 'false', due, l.error FROM rfsm.machines m JOIN rfsm.log l
+  USING (key) WHERE key = 'bad';
+SELECT name, value FROM rfsm.stats() WHERE name = 'rfsm_aside';]]))
+    has_usual_charts = false
   end)
 
   it("waits for a minute if it cannot be woken", function()
