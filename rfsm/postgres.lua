@@ -20,7 +20,8 @@ local rfsm = require "rfsm"
 local sandbox = require "rfsm.server.sandbox"
 local try = require("rfsm.shared.calls").try
 
-local error, pairs, pcall, select = error, pairs, pcall, select
+local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
+local select = select
 local setmetatable, tonumber, tostring = setmetatable, tonumber, tostring
 local type = type
 
@@ -352,5 +353,121 @@ function Client:wake(limit)
   end
   return counts.woken, counts.failed
 end
+
+-- Entries -------------------------------------------------------------------------
+
+--- An event that a machine has emitted.
+---@class rfsm.postgres.Entry
+---@field id string for `answer` and `send_once`
+---@field number integer its id in the tables rfsm.out and rfsm.dead
+---@field machine string its key
+---@field what string
+---@field data any
+---@field tries integer how often a worker got it
+---@field error string? of a dead entry: the error of the last try
+
+local function entry_of(row)
+  return { id = "out-" .. row.id, number = tonumber(row.id), machine = row.key,
+    what = row.what, data = row.data and codec.decode(row.data),
+    tries = tonumber(row.tries), error = row.error }
+end
+
+-- Returns the rows of a statement, which is a transaction unless one is open.
+local function ask_rows(self, where, sql, ...)
+  local ok, rows = run(self, query, sql, ...)
+  if ok then return rows end
+  error("rfsm.postgres." .. where .. ": " .. reason_of(rows), 0)
+end
+
+local function ask_entries(self, where, sql, ...)
+  local entries = {}
+  for i, row in ipairs(ask_rows(self, where, sql, ...)) do
+    entries[i] = entry_of(row)
+  end
+  return entries
+end
+
+-- Calls a function of SQL for an entry; returns what it returns, a boolean.
+local function ask_about(self, name, number, ...)
+  local sql = ("SELECT rfsm.%s($1::bigint%s)::text AS answer"):format(name,
+    select("#", ...) > 0 and ", $2" or "")
+  return ask_rows(self, name, sql, ("%d"):format(number), ...)[1].answer == "true"
+end
+
+local WORK = {
+  count = { "a whole number", opts.is_whole(1, 1e6), 1 },
+  lease = { "seconds", opts.is_seconds, 30 },
+  tries = { "a whole number", opts.is_whole(1, 1000), 5 },
+}
+
+local function take(self, where, options)
+  local settings, problem = opts.read(WORK, options or {})
+  if not settings then error("rfsm.postgres." .. where .. ": " .. problem, 3) end
+  return ask_entries(self, where, [[SELECT id, key, what, data::text, try AS tries
+    FROM rfsm.take($1::integer, $2::interval, $3::integer)]], settings.count,
+    settings.lease .. " s", settings.tries)
+end
+
+--- Take entries, each of which the caller ends by `done` or `fail`. No other worker
+-- gets them until their lease is over: `lease` seconds, twice as long with each try.
+-- @raise if no server answers, as the methods below do
+---@param options? { count: integer?, lease: number?, tries: integer? } by default
+--- `count` is 1, `lease` is 30, and `tries` is 5
+---@return rfsm.postgres.Entry[] entries
+function Client:take(options)
+  local entries = take(self, "take", options) -- no tail call: it blames the caller
+  return entries
+end
+
+--- An entry is done. Call it in the transaction that sends the answer.
+---@param entry rfsm.postgres.Entry
+---@return boolean was_there
+function Client:done(entry) return ask_about(self, "done", entry.number) end
+
+--- The try has failed: the entry comes again when its lease is over.
+---@param entry rfsm.postgres.Entry
+---@param reason string
+---@return boolean was_there
+function Client:fail(entry, reason)
+  return ask_about(self, "fail", entry.number, rfsm.text_of(reason))
+end
+
+--- Call `f(entry)` for each entry that no other worker has. If `f` raises an error, or
+-- the worker dies, the entry comes again, see `take`. After `tries` calls it is dead.
+---@param f fun(entry: rfsm.postgres.Entry)
+---@param options? { count: integer?, lease: number?, tries: integer? } as for `take`
+---@return integer count entries that are done
+---@return string[] failures errors of `f`
+function Client:work(f, options)
+  local count, failures = 0, {}
+  for _, entry in ipairs(take(self, "work", options)) do
+    local ok, problem = try(f, entry)
+    if ok then
+      count = count + (self:done(entry) and 1 or 0)
+    else
+      failures[#failures + 1] = rfsm.text_of(problem)
+      self:fail(entry, problem)
+    end
+  end
+  return count, failures
+end
+
+--- Return dead entries, the oldest first.
+---@param limit? integer greatest number of entries (100)
+---@return rfsm.postgres.Entry[] entries
+function Client:dead(limit)
+  return ask_entries(self, "dead", [[SELECT id, key, what, data::text, tries, error
+    FROM rfsm.dead ORDER BY id LIMIT $1::integer]], limit or 100)
+end
+
+--- Send a dead entry again; it keeps its id.
+---@param number integer
+---@return boolean was_there
+function Client:again(number) return ask_about(self, "again", number) end
+
+--- Drop a dead entry.
+---@param number integer
+---@return boolean was_there
+function Client:drop(number) return ask_about(self, "drop", number) end
 
 return postgres

@@ -321,6 +321,86 @@ describe("consumer groups", function()
     assert.same({ 2, "root.b" }, { count_of(1), machines:get(1).leaf })
   end)
 
+  it("take entries, and end each by done or fail", function()
+    emit(2)
+    local entries = machines:take("g", "w")
+    local first, second = entries[1], entries[2]
+    assert.same({ {}, {} }, { machines:take("g", "v") })
+    assert.is_true(machines:done(first))
+    assert.is_false(machines:fail(second, "no stock"))
+    assert.same({ { second }, {} }, { machines:take("g", "v", { idle = 0 }) })
+    local again = machines:take("g", "v", { idle = 0, tries = 3 })[1]
+    assert.is_true(machines:fail(again, "no stock"))
+    assert.same({ second.machine, "no stock" }, { machines:dead()[1].machine,
+      machines:dead()[1].error })
+    assert.same({ "rfsm.fleet.done: an entry of take expected, got table" },
+      { (select(2, pcall(machines.done, machines, {})):gsub("^%S+:%d+: ", "")) })
+  end)
+
+  it("see that an answer was dropped", function()
+    emit(1)
+    local entry = machines:take("g", "w")[1]
+    assert.same({ nil, "rfsm.fleet.answer: dropped in root.a" },
+      { machines:answer(entry, "e_back") })
+    assert.equal("taken", machines:answer(entry, "e_b").outcome)
+    assert.equal("known", machines:answer(entry, "e_b").outcome)
+    assert.matches("no machine is at", select(2, machines:answer({ id = "x",
+      machine = "{0}gone" }, "e_b")))
+  end)
+
+  it("count an answer once, though its entry died and was sent again", function()
+    for _, group in ipairs { "g", "other" } do machines:work(group, "w", print) end
+    emit(1)
+    machines:work("g", "w", function(entry)
+      assert(machines:answer(entry, "e_emit"))
+      error("no mail", 0)
+    end, { tries = 1 })
+    local dead = machines:dead()[1]
+    assert.is_true(machines:again(dead.tag, dead.id))
+    for _ = 1, 2 do -- once more it dies
+      local ids = {}
+      machines:work("g", "w", function(entry)
+        ids[#ids + 1] = entry.id
+        if entry.data.n == 1 then assert(machines:answer(entry, "e_emit")) end
+        if #ids == 1 and entry.data.n == 1 then error("no mail", 0) end
+      end, { tries = 1 })
+      dead = machines:dead()[1] or dead
+      machines:again(dead.tag, dead.id)
+    end
+    assert.equal(2, count_of(1))
+    local others = {}
+    machines:work("other", "w", function(entry) others[#others + 1] = entry.data.n end)
+    assert.same({ 1, 2 }, others)
+    assert.equal("0\n", server:cli("XLEN rfsm:dead:{0}"))
+  end)
+
+  it("do not acknowledge an entry to a node that may not know the answer", function()
+    local master = servers.redis()
+    local replica = servers.redis("--repl-diskless-sync-delay 0 --replicaof 127.0.0.1 "
+      .. master.port)
+    local url = { master:url(), replica:url() }
+    local both = fleet.connect(url, { name = "m", tags = 1 })
+    assert(both:load(library()))
+    assert(both:create(1, "timed"))
+    assert(both:send(1, "e_emit"))
+    for _ = 1, 500 do
+      if both:call("0", "WAIT", 1, 1000) == 1
+        and replica:cli("GET m:{0}:1") == master:cli("GET m:{0}:1") then break end
+    end
+    local calls = 0
+    local function work(entry)
+      calls = calls + 1
+      if calls == 1 then replica:cli("REPLICAOF NO ONE") end
+      assert(both:send_once(entry.id, entry.machine, "e_b"))
+      if calls == 1 then servers.stop(master) end
+    end
+    assert.equal(0, (both:work("g", "w", work, { idle = 0 })))
+    assert.equal("root.a", both:get(1).leaf)
+    assert.equal(1, (both:work("g", "w", work, { idle = 0 })))
+    assert.equal("root.b", both:get(1).leaf)
+    servers.stop(replica)
+  end)
+
   it("report a stream of another type", function()
     server:cli("SET 'rfsm:out:{0}' x")
     local _, problem = pcall(machines.work, machines, "g", "w", print)

@@ -119,10 +119,11 @@ return rfsm.state {
     end },
 }]]
 
--- a --e_emit--> a, which emits its number
+-- a --e_emit--> a, which emits its number; no transition takes e_nothing
 local EMITTER = [[
 return rfsm.state {
-  keep = { "n" }, n = 0, a = rfsm.state {},
+  keep = { "n" }, n = 0, a = rfsm.state {}, b = rfsm.state {},
+  rfsm.trans { src = "b", tgt = "a", events = { "e_nothing" } },
   rfsm.trans { src = "initial", tgt = "a" },
   rfsm.trans { src = "a", tgt = "internal", events = { "e_emit" },
     effect = function(fsm)
@@ -380,6 +381,42 @@ SELECT event, src, tgt FROM rfsm.history ORDER BY id;]]))
       found[key] = n ~= "0" and tonumber(n) or nil
     end
     assert.same(sent, found)
+  end)
+
+  -- Makes a machine that has emitted, and its client.
+  local function emitting()
+    make_tables()
+    local client = connect("emitter=" .. helper.file_with(EMITTER))
+    assert(client:create("1", "emitter"))
+    assert(client:send("1", "e_emit"))
+    return client
+  end
+
+  it("takes entries that no other worker has, and ends each by done or fail", function()
+    local client = emitting()
+    assert.equal("2\n", server:sql "SELECT count(*) + 1 FROM rfsm.take(1, '0');")
+    local entry = client:take({ lease = 0 })[1]
+    assert.same({ id = "out-1", number = 1, machine = "1", what = "emitted",
+      data = { n = 1 }, tries = 2 }, entry)
+    assert.is_true(client:fail(entry, "no stock"))
+    assert.equal("no stock\n", server:sql "SELECT error FROM rfsm.out;")
+    assert.same({ nil, "rfsm.postgres.answer: dropped in root.a" },
+      { client:answer(entry, "e_nothing") })
+    assert.same({ 0, { "no mail" } }, { client:work(function(taken)
+      assert(client:answer(taken, "e_emit"))
+      error("no mail", 0)
+    end, { lease = 0, tries = 3 }) })
+    client:done({ number = 2 })
+    assert.same({}, client:take({ tries = 3 }))
+    assert.equal("no mail", client:dead()[1].error)
+    assert.is_true(client:again(1))
+    assert.same({ 1, {} }, { client:work(function(taken)
+      assert.equal("known", assert(client:answer(taken, "e_emit")).outcome)
+    end) })
+    assert.equal(2, client:get("1").data.root.n)
+    assert.is_false(client:drop(1))
+    assert.same({ false, "rfsm.postgres.take: tries: a whole number expected, got 0" },
+      { false, (helper.refusal(client.take, client, { tries = 0 })) })
   end)
 
   it("wakes each machine once beside another", function()

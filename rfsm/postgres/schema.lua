@@ -365,11 +365,12 @@ CREATE OR REPLACE FUNCTION rfsm.fail(id bigint, reason text)
   SELECT EXISTS (SELECT FROM failed)
 $$;
 
--- Sends a dead entry again, or drops it. Returns whether the entry was there.
+-- Sends a dead entry again, or drops it. Returns whether the entry was there. It keeps
+-- its id, so that an answer which was sent before it failed counts once.
 CREATE OR REPLACE FUNCTION rfsm.again(id bigint) RETURNS boolean $OWNER AS $$
   WITH gone AS (DELETE FROM rfsm.dead d WHERE d.id = again.id RETURNING *),
-    sent AS (INSERT INTO rfsm.out (key, what, data)
-      SELECT key, what, data FROM gone RETURNING 1)
+    sent AS (INSERT INTO rfsm.out (id, at, key, what, data) OVERRIDING SYSTEM VALUE
+      SELECT g.id, g.at, g.key, g.what, g.data FROM gone g RETURNING 1)
   SELECT EXISTS (SELECT FROM sent)
 $$;
 
