@@ -614,6 +614,31 @@ describe("the last field of a reply", function()
   end)
 end)
 
+describe("an event that a machine keeps", function()
+  it("is told in the log if no transition of the new version takes it, once", function()
+    local function worker(name)
+      return function()
+        require "rfsm.defer"
+        return state { rename = {}, busy = state { defer = { rfsm.named(name) } },
+          idle = state {}, trans { src = "initial", tgt = "busy" },
+          trans { src = "busy", tgt = "idle", events = { "e_free" } },
+          trans { src = "idle", tgt = "busy", events = { rfsm.named(name) } } }
+      end
+    end
+    local old, new = { name = "w", make = worker "e_job" },
+      { name = "w", make = worker "e_task" }
+    load_library { old }
+    f.rfsm_create({ "w" }, { "w" })
+    assert.same({ "root.busy", "done", "kept" },
+      f.rfsm_send({ "w" }, { '{"name":"e_job","k":7}' }))
+    load_library { old, new }
+    assert.same({ "root.busy", "done", "rfsm.snapshot: the event 'e_job' waits, but no "
+      .. "transition of the chart takes it", "kept" },
+      f.rfsm_send({ "w" }, { '{"name":"e_task","k":8}' }))
+    assert.same({ "root.busy", "done", "taken" }, f.rfsm_send({ "w" }, { "e_free" }))
+  end)
+end)
+
 describe("machines that are due", function()
   -- Has Redis find these keys due, the first one first, until another time is added for
   -- them. `leases` has how often each was leased before.

@@ -219,8 +219,8 @@ end
 
 --- Is a snapshot of this version of a chart? The charts of regions count, too.
 function charts.is_of(chart, snap)
-  if snap.chart ~= chart.blank.chart then return false end
-  return not snap.regions or migrate.is_own(chart.fsm, snap)
+  local is_same = snap.chart == chart.blank.chart and not snap.regions
+  return is_same or migrate.is_own(chart.fsm, snap)
 end
 
 --- Put a snapshot into the machine of a chart.

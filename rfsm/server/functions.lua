@@ -130,7 +130,6 @@ local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD, HOLD = 2, 3, 4, 5, 6, 7, 8, 
 local NONE = {}
 
 local function new_machine(key, chart, list, leaf)
-  charts.forget_effects()
   return { key = key, chart = chart, fsm = chart.fsm, list = list, leaf = leaf,
     at = leaf or "", mode = "inactive", was_due = list[DUE], value = false, moves = {},
     is_idle = true, outcome = false, has_run = false }
@@ -173,6 +172,7 @@ end
 
 -- Loads a machine. Its clock shows the time at which it was saved.
 local function load_machine(key, list)
+  charts.forget_effects()
   times.set(list[SEC], list[NSEC])
   local chart, ok, problem, has_moved = place(versions_of(list[NAME]), list[SNAP])
   if not ok then fail("the machine at '%s': %s", shown(key), problem) end
@@ -444,6 +444,7 @@ function functions.rfsm_create(keys, args)
   if list and id and has_id(list, id) then return reply_of(list, "known") end
   if list then fail("something is at '%s'", shown(key)) end
   times.set(false)
+  charts.forget_effects()
   local ok, problem = put(chart, chart.blank)
   if not ok then fail("%s", problem) end
   set_data(chart.fsm, args[2])
@@ -534,6 +535,7 @@ function functions.rfsm_hold(keys, args)
   if list[HELD] then fail("the machine at '%s' is held already", shown(key)) end
   local reply = reply_of(list, "kept")
   local machine = new_machine(key, { name = list[NAME] }, list, list[SNAP].leaf)
+  charts.forget_effects()
   if args[1] then charts.note(args[1]) end
   machine.mode, list[HELD], list[HOLD] = reply[2], now(), { now(), args[1] }
   times.set(list[SEC], list[NSEC])
