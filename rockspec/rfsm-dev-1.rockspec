@@ -146,6 +146,7 @@ build = {
     ["rfsm.server.codec"] = "rfsm/server/codec.lua",
     ["rfsm.server.functions"] = "rfsm/server/functions.lua",
     ["rfsm.server.keys"] = "rfsm/server/keys.lua",
+    ["rfsm.server.lease"] = "rfsm/server/lease.lua",
     ["rfsm.server.library"] = "rfsm/server/library.lua",
     ["rfsm.server.sandbox"] = "rfsm/server/sandbox.lua",
     ["rfsm.server.times"] = "rfsm/server/times.lua",

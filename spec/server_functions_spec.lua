@@ -614,43 +614,103 @@ describe("the last field of a reply", function()
   end)
 end)
 
-describe("machines that are due", function()
-  -- Has Redis find these keys due, and machines that were put aside.
-  local function with_due(keys, has_aside)
-    local outer = host.redis.call
-    function host.redis.call(name, key, ...)
-      if name == "ZRANGEBYSCORE" then return keys end
-      if name == "EXISTS" and key:find("^rfsm:aside") then
-        return has_aside and 1 or 0
+describe("an event that a machine keeps", function()
+  it("is told in the log if no transition of the new version takes it, once", function()
+    local function worker(name)
+      return function()
+        require "rfsm.defer"
+        return state { rename = {}, busy = state { defer = { rfsm.named(name) } },
+          idle = state {}, trans { src = "initial", tgt = "busy" },
+          trans { src = "busy", tgt = "idle", events = { "e_free" } },
+          trans { src = "idle", tgt = "busy", events = { rfsm.named(name) } } }
       end
-      return outer(name, key, ...)
+    end
+    local old, new = { name = "w", make = worker "e_job" },
+      { name = "w", make = worker "e_task" }
+    load_library { old }
+    f.rfsm_create({ "w" }, { "w" })
+    assert.same({ "root.busy", "done", "kept" },
+      f.rfsm_send({ "w" }, { '{"name":"e_job","k":7}' }))
+    load_library { old, new }
+    assert.same({ "root.busy", "done", "rfsm.snapshot: the event 'e_job' waits, but no "
+      .. "transition of the chart takes it", "kept" },
+      f.rfsm_send({ "w" }, { '{"name":"e_task","k":8}' }))
+    assert.same({ "root.busy", "done", "taken" }, f.rfsm_send({ "w" }, { "e_free" }))
+  end)
+end)
+
+describe("machines that are due", function()
+  -- Has Redis find these keys due, the first one first, until another time is added for
+  -- them. `leases` has how often each was leased before.
+  local function with_due(keys, leases)
+    local outer, counts = host.redis.call, leases or {}
+    local function forget(key)
+      for i, due in ipairs(keys) do
+        if due == key then table.remove(keys, i) end
+      end
+    end
+    function host.redis.call(name, key, ...)
+      local arguments = { ... }
+      if name == "ZRANGEBYSCORE" then return { keys[1] } end
+      if name == "ZCOUNT" then return #keys end
+      if key == "rfsm:due:{m}" then forget(arguments[#arguments]) end
+      local reply = outer(name, key, ...)
+      if name ~= "ZINCRBY" then return reply end
+      counts[arguments[2]] = (counts[arguments[2]] or 0) + arguments[1]
+      return counts[arguments[2]]
     end
   end
 
-  it("are run, each with the time of the call", function()
+  it("are leased in one call, and run by the next, at its time", function()
     f.rfsm_create({ "k" }, { "c" })
     clock.now = 1006
-    with_due({ "m", "k", "gone" })
+    with_due { "m", "k", "gone" }
     written()
-    assert.same({ 3, 0 }, call("wake"))
-    assert.equal("ZREM XADD SET SPUBLISH ZREM XADD SET SPUBLISH ZREM", written())
+    assert.same({ 0, 0, 3 }, call("wake"))
+    assert.same({ "ZINCRBY {1=rfsm:lease:{m},2=1,3=m}",
+      "ZADD {1=rfsm:due:{m},2=1016.000000,3=m}" }, trace)
+    written()
+    assert.same({ 1, 0, 2 }, call("wake"))
+    assert.equal("ZREM XADD SET SPUBLISH ZREM ZREM ZINCRBY ZADD", written())
+    assert.same({ 1, 0, 1 }, call("wake"))
+    assert.same({ 1, 0, 0 }, call("wake"))
+    assert.same({ 0, 0, 0 }, call("wake"))
   end)
 
-  it("are taken off the list of those put aside, if there are some", function()
+  it("are not run if another call has done so meanwhile", function()
     clock.now = 1006
-    with_due({ "m" }, true)
+    with_due { "m" }
     call("wake")
-    assert.equal("ZREM XADD SET SPUBLISH ZREM", written())
+    call("send", "e_x")
+    call("send", "e_a")
+    written()
+    assert.same({ 1, 0, 0 }, call("wake"))
+    assert.equal("ZADD SET ZREM ZREM", written())
+  end)
+
+  it("are held after three leases that came to no end, with the reason", function()
+    clock.now = 1006
+    with_due({ "m", "k" }, { m = 3 })
+    written()
+    assert.same({ 0, 1, 1 }, call("wake"))
+    assert.matches("XADD {1={m}:log,2=MAXLEN,3=~,4=1000,5=*,6=error,7=3 calls that ran "
+      .. "what is due have not ended: held until it is released}",
+      table.concat(trace, "\n"), 1, true)
+    assert.equal("ZINCRBY ZREM XADD SET ZREM ZINCRBY", written())
+    assert.equal("kept", call("send", "e_b")[3])
+    assert.equal("taken", call("release")[3])
   end)
 
   it("wait a minute if they cannot be run, with the reason in their log", function()
-    with_due({ "bad", "m" })
+    with_due { "bad", "m" }
     local outer = host.redis.call
     function host.redis.call(name, key, ...)
       if name == "GET" and key == "bad" then error({ err = "ERR spoiled" }, 0) end
       return outer(name, key, ...)
     end
-    assert.same({ 1, 1 }, call("wake"))
+    assert.same({ 0, 0, 2 }, call("wake"))
+    assert.same({ 0, 1, 1 }, call("wake"))
+    assert.same({ 1, 0, 0 }, call("wake"))
     local lines = table.concat(trace, "\n")
     assert.matches("ZADD {1=rfsm:due:{m},2=1060.000000,3=bad}", lines, 1, true)
     assert.matches("ZINCRBY {1=rfsm:aside:{m},2=1,3=bad}", lines, 1, true)
@@ -664,7 +724,8 @@ describe("machines that are due", function()
     value[3].chart = "another"
     function host.packs.unpack() return encoding.copy_of(value) end
     clock.now = 1010
-    assert.same({ 0, 1 }, call("wake"))
+    call("wake")
+    assert.same({ 0, 1, 0 }, call("wake"))
     assert.matches("ZADD {1=rfsm:due:{m},2=1070.000000,3=m}", table.concat(trace, "\n"),
       1, true)
   end)
@@ -676,13 +737,15 @@ describe("machines that are due", function()
       if name == "GET" then error({ err = "ERR access to a non local key" }, 0) end
       return outer(name, key, ...)
     end
-    assert.same({ 0, 0 }, call("wake"))
+    call("wake")
+    written()
+    assert.same({ 0, 0, 0 }, call("wake"))
     assert.equal("", written())
   end)
 
   it("are none", function()
     with_due {}
-    assert.same({ 0, 0 }, call("wake"))
+    assert.same({ 0, 0, 0 }, call("wake"))
   end)
 end)
 

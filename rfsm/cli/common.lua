@@ -58,6 +58,9 @@ function common.try(result, problem)
   return result or common.fail(problem)
 end
 
+-- Returns a text as a word of the shell.
+function common.quoted(text) return "'" .. text:gsub("'", "'\\''") .. "'" end
+
 -- Returns the results of f(...), and discards the text that it prints. An error in `f`
 -- ends the program with a message that names the file.
 function common.call(file, f, ...)

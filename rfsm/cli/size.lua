@@ -40,8 +40,6 @@ local BASE = {
 -- A pool needs room for garbage: it is larger than the memory in use by this factor.
 local ROOM = 1.2
 
-local function quoted(text) return "'" .. text:gsub("'", "'\\''") .. "'" end
-
 -- Returns the name of the Lua file that measures.
 local function find_program()
   for template in package.path:gmatch("[^;]+") do
@@ -62,8 +60,8 @@ end
 -- Returns the measured values of a form by name; nil if the Lua loads no stripped code.
 local function measure(options, form, kind, name)
   local pipe = io.popen(("%s %s %s %s %s %s %s 2>&1"):format(options.lua,
-    quoted(find_program()), form, quoted(package.path), kind, quoted(name),
-    options.stub and "stub" or ""))
+    common.quoted(find_program()), form, common.quoted(package.path), kind,
+    common.quoted(name), options.stub and "stub" or ""))
   local base, last = BASE[form], "nothing"
   local values = { base = base, together = { heap = base.heap, pool = base.pool } }
   for line in pipe:lines() do

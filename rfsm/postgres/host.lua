@@ -57,7 +57,7 @@ host.STATEMENTS = {
     ON CONFLICT (key) DO NOTHING RETURNING key]],
   update = [[UPDATE rfsm.machines SET chart = $2, version = $3, state = $4, mode = $5,
     event = coalesce($6, event), due = to_timestamp($7::text::float8),
-    data = $8::jsonb, value = $9::jsonb,
+    data = $8::jsonb, value = $9::jsonb, leases = 0,
     since = CASE WHEN state = $4 THEN since ELSE clock_timestamp() END
     WHERE key = $1 RETURNING key]],
   move = [[UPDATE rfsm.machines SET state = $2, event = $3, since = clock_timestamp()

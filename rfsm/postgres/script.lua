@@ -7,6 +7,7 @@
 
 local add_module = require("rfsm.server.bundle").add
 local host = require "rfsm.postgres.host"
+local lease = require "rfsm.server.lease"
 local library = require "rfsm.server.library"
 local schema = require "rfsm.postgres.schema"
 
@@ -85,15 +86,16 @@ function script.library(arguments, options)
   return library.text(arguments, "PostgreSQL", options)
 end
 
--- Functions in SQL run with the rights of their owner, not of their caller.
-local OWNER = { OWNER =
-  "LANGUAGE sql SECURITY DEFINER SET search_path = pg_catalog, pg_temp" }
+-- Words of the schema. Functions in SQL run with the rights of their owner, not of
+-- their caller.
+local WORDS = { SECONDS = lease.SECONDS, MOST = lease.MOST, REASON = lease.REASON,
+  OWNER = "LANGUAGE sql SECURITY DEFINER SET search_path = pg_catalog, pg_temp" }
 
 local function schema_of(functions, options)
   local triggers = schema.TRIGGERS:gsub("%$(%u+)", {
     HISTORY = options.history and "true" or "false",
     NOTIFY = options.notify and "true" or "false" })
-  local outbox = schema.OUTBOX:gsub("%$(OWNER)", OWNER)
+  local outbox = schema.OUTBOX:gsub("%$(%u+)", WORDS)
   return concat { schema.HEAD, functions, outbox,
     options.history and schema.HISTORY or "", options.notify and schema.NOTIFY or "",
     triggers, schema.FOOT }
@@ -115,7 +117,7 @@ function script.sql(arguments, options)
   local id = id_of(code)
   local values = { TAG = quote_for(code), CODE = code:gsub("%$ID", id, 1), ID = id,
     LOG = (host.STATEMENTS.log:gsub("%$%d", { ["$1"] = "each", ["$2"] = "SQLERRM" })) }
-  local functions = schema.FUNCTIONS:gsub("%$(OWNER)", OWNER):gsub("%$(%u+)", values)
+  local functions = schema.FUNCTIONS:gsub("%$(%u+)", WORDS):gsub("%$(%u+)", values)
   return schema_of(functions, options), warnings
 end
 

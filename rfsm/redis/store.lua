@@ -11,6 +11,7 @@
 local charts = require "rfsm.server.charts"
 local encoding = require "rfsm.snapshot.encoding"
 local keys_of = require "rfsm.server.keys"
+local lease = require "rfsm.server.lease"
 local rfsm = require "rfsm"
 local times = require "rfsm.server.times"
 
@@ -25,9 +26,10 @@ local MAX_LOG = 1000
 local OVERDUE = 60 -- seconds; a machine that is due for longer counts as overdue
 local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 
--- The objects that Redis passes to libraries, the function rfsm_tick, and the options
--- of the library. They are locals of the module, since a server runs one such library.
-local redis, call, cmsgpack, tick_machine, options
+-- The objects that Redis passes to libraries, the functions rfsm_tick and rfsm_hold,
+-- and the options of the library. They are locals of the module, since a server runs
+-- one such library.
+local redis, call, cmsgpack, tick_machine, hold_machine, options
 
 local store = {}
 
@@ -159,6 +161,7 @@ function store.remove(key)
   if call("DEL", key) == 0 then return false end
   call("ZREM", keys_of.due(key), key)
   call("ZREM", keys_of.aside(key), key)
+  call("ZREM", keys_of.lease(key), key)
   call("DEL", keys_of.log(key), keys_of.history(key))
   if options.index then
     local members = members_of(key)
@@ -180,23 +183,25 @@ local function whole_of(text, default, most)
   return number
 end
 
--- Runs a machine that is due. If `may_be_aside`, the machine is no longer put aside. If
--- the machine does not exist, its key is removed from the keys of due machines.
-local function tick(key, may_be_aside)
-  local reply = tick_machine({ key })
+-- Runs a machine. It is no longer put aside, and its lease ends. If the machine does
+-- not exist, its key is removed from the keys of due machines.
+local function tick(key, arguments)
+  local reply = tick_machine({ key }, arguments)
   if not reply then call("ZREM", keys_of.due(key), key) end
-  if may_be_aside then call("ZREM", keys_of.aside(key), key) end
+  call("ZREM", keys_of.aside(key), key)
+  call("ZREM", keys_of.lease(key), key)
   return reply
 end
 
 -- rfsm_tick KEY: runs a machine, because it is due.
-function more.rfsm_tick(keys) return tick(keys[1], true) end
+function more.rfsm_tick(keys, args) return tick(keys[1], args) end
 
 -- Has a machine that cannot be run wait for a minute, so that others are not held up.
 -- The failure is counted, and the reason is added to the log of the machine.
 local function put_aside(due, key, problem)
   local text = "rfsm_wake: " .. reason_of(problem)
   call("ZADD", due, score(now() + ASIDE), key)
+  call("ZREM", keys_of.lease(due), key)
   call("ZINCRBY", keys_of.aside(due), 1, key)
   pcall(call, "XADD", keys_of.log(key), "MAXLEN", "~", MAX_LOG, "*", "error", text)
 end
@@ -206,23 +211,53 @@ local function is_elsewhere(problem)
   return reason_of(problem):find("non local key", 1, true) ~= nil
 end
 
--- rfsm_wake KEY [limit]: runs the due machines whose keys have the {hash tag} of
--- KEY; returns how many ran, and how many failed.
+-- Calls f(key, argument). Returns 1 and 0; if it fails, puts the machine aside and
+-- returns 0 and 1.
+local function try(f, due, key, argument)
+  local ok, problem = pcall(f, key, { argument })
+  if ok then return 1, 0 end
+  if is_elsewhere(problem) then return 0, 0 end
+  put_aside(due, key, problem)
+  return 0, 1
+end
+
+-- Holds a machine because of its leases.
+local function hold(key, arguments)
+  hold_machine({ key }, arguments)
+  call("ZREM", keys_of.lease(key), key)
+  call("ZINCRBY", keys_of.aside(key), 1, key)
+end
+
+-- Leases the machine that is due first. Returns its key; nil if none is due. If it had
+-- too many leases, it is held, and the second result is 1.
+local function lease_next(due)
+  local key = call("ZRANGEBYSCORE", due, "-inf", score(now()), "LIMIT", 0, 1)[1]
+  if not key then return nil, 0 end
+  if tonumber(call("ZINCRBY", keys_of.lease(due), 1, key)) > lease.MOST then
+    try(hold, due, key, lease.REASON)
+    return nil, 1
+  end
+  call("ZADD", due, score(now() + lease.SECONDS), key)
+  return key, 0
+end
+
+-- The machine that the call before has leased, by the key of its due machines. It is
+-- not written, since a call that is killed cannot write that it has begun.
+local leased = {}
+
+-- rfsm_wake KEY [limit]: runs the machine that the call before has leased, and leases
+-- the one that is due first, among those with the {hash tag} of KEY. Returns how many
+-- ran, how many failed, and how many are still due, at most `limit`. No call runs two,
+-- since a call that has written cannot be killed.
 function more.rfsm_wake(keys, args)
   local due, limit = keys_of.due(keys[1]), whole_of(args[1], 100, 10000)
-  local list = call("ZRANGEBYSCORE", due, "-inf", score(now()), "LIMIT", 0, limit)
-  if not list[1] then return { 0, 0 } end
-  local has_aside, count, failed = call("EXISTS", keys_of.aside(due)) == 1, 0, 0
-  for _, key in ipairs(list) do
-    local ok, problem = pcall(tick, key, has_aside)
-    if ok then
-      count = count + 1
-    elseif not is_elsewhere(problem) then
-      failed = failed + 1
-      put_aside(due, key, problem)
-    end
-  end
-  return { count, failed }
+  local key, count, failed = leased[due], 0, 0
+  leased[due] = nil
+  if key then count, failed = try(tick, due, key, "due") end
+  local next_key, held = lease_next(due)
+  leased[due] = next_key
+  local left = call("ZCOUNT", due, "-inf", score(now())) + (next_key and 1 or 0)
+  return { count, failed + held, min(limit, left) }
 end
 
 -- rfsm_due KEY [limit [seconds]]: returns the keys of machines that are due now, or
@@ -318,7 +353,7 @@ end
 
 --- Add the functions for many machines to `all`. A call checks types and rights anew.
 function store.add(all, settings)
-  tick_machine, options = all.rfsm_tick, settings
+  tick_machine, hold_machine, options = all.rfsm_tick, all.rfsm_hold, settings
   for name, f in pairs(more) do all[name] = f end -- any order: a copy
   for name, f in pairs(all) do -- any order: they are independent
     all[name] = function(keys, args)

@@ -108,8 +108,9 @@ end
 -- be woken. IDS: the ids of the latest events, the oldest first; with `ids_for` each is
 -- followed by its time. LATER: the waiting events in the order in which they will be
 -- sent, each { time, id, event, ... }. HELD: the time at which the machine was held, or
--- at which it last kept an event while it was held.
-local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD = 2, 3, 4, 5, 6, 7, 8, 9
+-- at which it last kept an event while it was held. HOLD: { the time at which it was
+-- held, the reason if a worker has held it }.
+local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD, HOLD = 2, 3, 4, 5, 6, 7, 8, 9, 10
 
 --- A machine that a call works on.
 ---@class rfsm.server.Machine
@@ -132,7 +133,6 @@ local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD = 2, 3, 4, 5, 6, 7, 8, 9
 local NONE = {}
 
 local function new_machine(key, chart, list, leaf)
-  charts.forget_effects()
   return { key = key, chart = chart, fsm = chart.fsm, list = list, leaf = leaf,
     at = leaf or "", mode = "inactive", was_due = list[DUE], value = false, moves = {},
     is_idle = true, outcome = false, has_run = false }
@@ -175,6 +175,7 @@ end
 
 -- Loads a machine. Its clock shows the time at which it was saved.
 local function load_machine(key, list)
+  charts.forget_effects()
   times.set(list[SEC], list[NSEC])
   local chart, ok, problem, has_moved = place(versions_of(list[NAME]), list[SNAP])
   if not ok then fail("the machine at '%s': %s", shown(key), problem) end
@@ -313,13 +314,17 @@ local function run_due(machine)
   return budget > 0
 end
 
+local function is_due(list)
+  local due = earliest(list[DUE], list)
+  return due and due <= now() + SAME
+end
+
 -- Runs the due timers and events until the clock of the machine shows the present.
 -- Returns false if the machine is held, or if too much was due for one call.
 local function catch_up(machine)
   local list = machine.list
   if list[HELD] then return false end
-  local due = earliest(list[DUE], list)
-  if due and due <= now() + SAME then return run_due(machine) end
+  if is_due(list) then return run_due(machine) end
   times.set(false)
   return true
 end
@@ -378,7 +383,7 @@ local function pack_machine(machine, due)
   list[SEC], list[NSEC], list[DUE] = false, false, due
   if due then list[SEC], list[NSEC] = times.get() end
   if list[LATER] and not list[LATER][1] then list[LATER] = false end
-  for i = HELD, SEC, -1 do
+  for i = HOLD, SEC, -1 do
     if not list[i] then list[i] = nil end
     if list[i] == nil and list[i + 1] ~= nil then list[i] = false end
   end
@@ -442,6 +447,7 @@ function functions.rfsm_create(keys, args)
   if list and id and has_id(list, id) then return reply_of(list, "known") end
   if list then fail("something is at '%s'", shown(key)) end
   times.set(false)
+  charts.forget_effects()
   local ok, problem = put(chart, chart.blank)
   if not ok then fail("%s", problem) end
   set_data(chart.fsm, args[2])
@@ -490,13 +496,18 @@ function functions.rfsm_cancel(keys, args)
   return at and 1 or 0
 end
 
--- rfsm_tick KEY: runs a machine that is due. Returns false if there is no machine.
-function functions.rfsm_tick(keys)
+-- rfsm_tick KEY ["due"]: runs a machine, with "due" only if something is due, since
+-- another call may have run that meanwhile. Returns false if there is no machine.
+function functions.rfsm_tick(keys, args)
   local key = key_of(keys)
   local list = host.read(key)
   if not list then return false end
   local machine = load_machine(key, list)
-  run(machine)
+  if args[1] == "due" and not is_due(list) then
+    machine.outcome = "kept"
+  else
+    run(machine)
+  end
   return save(machine)
 end
 
@@ -519,15 +530,18 @@ end
 
 -- Functions for an operator: hold, release, force, remove, why.
 
--- rfsm_hold KEY: holds a machine: from now on its events and timers wait, also those
--- that are due. No machine is loaded, since one of its callbacks may never end.
-function functions.rfsm_hold(keys)
+-- rfsm_hold KEY [reason]: holds a machine: from now on its events and timers wait, also
+-- those that are due. No machine is loaded, since one of its callbacks may never end.
+-- The reason goes to the log.
+function functions.rfsm_hold(keys, args)
   local key = key_of(keys)
   local list = read(key)
   if list[HELD] then fail("the machine at '%s' is held already", shown(key)) end
   local reply = reply_of(list, "kept")
   local machine = new_machine(key, { name = list[NAME] }, list, list[SNAP].leaf)
-  machine.mode, list[HELD] = reply[2], now()
+  charts.forget_effects()
+  if args[1] then charts.note(args[1]) end
+  machine.mode, list[HELD], list[HOLD] = reply[2], now(), { now(), args[1] }
   times.set(list[SEC], list[NSEC])
   pack_machine(machine, list[DUE])
   host.write(machine, nil, charts.effects())
@@ -540,7 +554,7 @@ function functions.rfsm_release(keys)
   local list = read(key)
   if not list[HELD] then fail("the machine at '%s' is not held", shown(key)) end
   keep_due(list)
-  list[HELD] = nil
+  list[HELD], list[HOLD] = nil, nil
   local machine = load_machine(key, list)
   run(machine)
   return save(machine)
@@ -591,7 +605,7 @@ return function(server, list, settings)
   for name, f in pairs(functions) do -- any order: each stands alone
     made[name] = function(keys, args)
       times.begin()
-      local ok, reply = pcall(f, keys, args)
+      local ok, reply = pcall(f, keys, args or NONE)
       if ok then return reply end
       return host.refuse(name, charts.reason_of(reply))
     end

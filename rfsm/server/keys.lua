@@ -49,6 +49,7 @@ end
 -- the given key share it.
 keys.due, keys.out, keys.index = of_tag "due", of_tag "out", of_tag "in"
 keys.aside, keys.dead, keys.since = of_tag "aside", of_tag "dead", of_tag "since"
+keys.lease = of_tag "lease"
 
 local function of_machine(suffix)
   return function(key)

@@ -6,6 +6,8 @@
 
 local calls = require "rfsm.shared.calls"
 local encoding = require "rfsm.snapshot.encoding"
+local match = require "rfsm.shared.match"
+local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
 local ipairs, rawget, setmetatable, type = ipairs, rawget, setmetatable, type
@@ -17,18 +19,62 @@ local shape = {}
 
 -- Lines: one for each element -------------------------------------------------------
 
-local function event_text(event)
+-- Returns an event or predicate as a text. Once it had no names of events with data.
+local function event_text_before(event)
   return is_scalar(event) and text_of(event) or "a " .. type(event)
 end
 
-local function line_of(obj)
+local function event_text(event)
+  local has_name = rfsm.event_name(event) or match.name_of(event)
+  return has_name and rfsm.event_text(event) or event_text_before(event)
+end
+
+local function texts_of(events, text)
+  local texts = {}
+  for i, event in ipairs(events) do texts[i] = text(event) end
+  return concat(texts, ", ")
+end
+
+local function line_of(obj, text)
   if rfsm.is_conn(obj) then return "connector " .. obj._fqn end
   if rfsm.is_state(obj) then return "state " .. obj._fqn end
-  local texts = {}
-  for i, event in ipairs(obj.events) do texts[i] = event_text(event) end
   return ("%s -> %s%s%s"):format(obj.src._fqn, rfsm.target_of(obj),
-    texts[1] and " on " .. concat(texts, ", ") or "",
+    obj.events[1] ~= nil and " on " .. texts_of(obj.events, text) or "",
     obj.pn and " pn " .. text_of(obj.pn) or "")
+end
+
+local NONE = {}
+
+-- Returns the list `defer` of a state, from its model; an empty list if it has none.
+local function deferred(state)
+  local list = rfsm.model_of(state).defer
+  return type(list) == "table" and not rfsm.is_fsmobj(list) and list or NONE
+end
+
+--- Does a transition of a machine or its regions take an event, or does an extension
+-- wait for it? A state that defers it does not count.
+function shape.wants(fsm, event)
+  return order.any(rfsm.machines(fsm), function(at)
+    return order.any(rfsm.elements(at.machine), function(obj)
+      if rfsm.is_trans(obj) then
+        return match.begins_on_any(obj) or match.takes(obj.events or NONE, event)
+      end
+      return rfsm.is_state(obj) and not match.takes(deferred(obj), event)
+        and match.has(rfsm.reactions(at.machine, obj), event)
+    end)
+  end)
+end
+
+--- List the events that a state defers, as samples, except those that only a predicate
+-- describes.
+function shape.samples(state)
+  local events = {}
+  for _, event in ipairs(deferred(state)) do
+    local name = rfsm.event_name(event)
+    events[#events + 1] = name and { name = name }
+      or type(event) ~= "function" and event or nil
+  end
+  return events
 end
 
 --- Does `line` describe a transition that has `event`, a text, among its events?
@@ -113,6 +159,9 @@ end
 ---@field fields string[] a line for each kept field, `save` and region
 ---@field structure string fingerprint of `lines`
 ---@field name string `structure`, with the fingerprint of `fields` if there are any
+---@field structure_before string|false `structure` as it was before names of events
+--- with data, and deferred events, were in `lines`; false: it is the same
+---@field name_before string|false `name` as it was then
 ---@field keepers rfsm.snapshot.Keeper[]
 ---@field keeper table<string, rfsm.snapshot.Keeper> the keepers by the FQN of the state
 ---@field has_load boolean some state has functions `save` and `load`
@@ -155,27 +204,41 @@ local function add_element(self, obj)
   if rfsm.is_state(obj) then add_keeper(self, obj) end
 end
 
+-- Sets the fingerprints of a chart from its lines, and from those of before.
+local function set_names(self, before)
+  local fields = self.fields[1] and "-" .. fingerprint_of(self.fields):sub(-6) or ""
+  self.structure = fingerprint_of(self.lines)
+  self.name = self.structure .. fields
+  if concat(before, "\n") == concat(self.lines, "\n") then return end
+  self.structure_before = fingerprint_of(before)
+  self.name_before = self.structure_before .. fields
+end
+
 local function chart_of(fsm)
   local key = rfsm.structure_of(fsm)
   if charts[key] then return charts[key] end
   local places = rfsm.machines(fsm)
   local self = { lines = {}, fields = {}, structure = false, name = false,
-    keepers = {}, keeper = {}, has_load = false, has_regions = places[2] ~= nil,
-    leaves = {}, nodes = {}, transitions = {} }
+    structure_before = false, name_before = false, keepers = {}, keeper = {},
+    has_load = false, has_regions = places[2] ~= nil, leaves = {}, nodes = {},
+    transitions = {} }
+  local before = {}
   for i, obj in ipairs(rfsm.elements(fsm)) do
-    self.lines[i] = line_of(obj)
+    before[i] = line_of(obj, event_text_before)
+    self.lines[#self.lines + 1] = line_of(obj, event_text)
+    if rfsm.is_state(obj) and deferred(obj)[1] ~= nil then
+      self.lines[#self.lines + 1] = obj._fqn .. " defers " .. texts_of(deferred(obj),
+        event_text)
+    end
     add_element(self, obj)
   end
   for _, at in ipairs(places) do
     if at.owner == fsm then self.fields[#self.fields + 1] = "region " .. at.prefix end
   end
   sort(self.fields, rfsm.text_before)
-  self.structure = fingerprint_of(self.lines)
-  self.name = self.structure
-  if self.fields[1] then
-    self.name = self.name .. "-" .. fingerprint_of(self.fields):sub(-6)
-  end
+  set_names(self, before)
   charts[key], by_name[self.name] = self, self
+  by_name[self.name_before or self.name] = self
   count = count % MAX_LATEST + 1
   shape.latest[count] = self
   return self
