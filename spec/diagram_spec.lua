@@ -61,9 +61,12 @@ local function random_machines()
     next_seed = next_seed + 1
     local fsm = rfsm.init(bare.model_of(charts.generate(next_seed),
       { entry = callback, doo = callback, guard = callback, effect = callback }))
-    return fsm, #rfsm.mapfsm(function(tr)
-      return rfsm.target_of(tr) ~= "internal" or nil
+    local arrows = {}
+    rfsm.mapfsm(function(tr)
+      arrows[#arrows + 1] = rfsm.target_of(tr) ~= "internal" and {
+        src = tr.src._fqn, tgt = tr.tgt._fqn } or nil
     end, fsm, rfsm.is_trans)
+    return fsm, #pictures.drawn_arrows(arrows)
   end
 end
 
@@ -120,6 +123,19 @@ describe("utf8", function()
     end
   end)
 end)
+
+-- Returns the lines of a label as a language has them.
+local function lines_by(before, between, after)
+  return function(...)
+    return before .. table.concat({ ... }, between) .. after
+  end
+end
+
+local LABEL = {
+  ["rfsm.plantuml"] = lines_by(" : ", "\\n", "\n"),
+  ["rfsm.mermaid"] = lines_by(" : ", "<br>", "\n"),
+  ["rfsm.dot"] = lines_by("", '<BR ALIGN="LEFT"/>', "<"),
+}
 
 for _, language in ipairs(LANGUAGES) do
   local exporter = require(language)
@@ -187,6 +203,51 @@ for _, language in ipairs(LANGUAGES) do
       local file = file_with("")
       exporter.save(lamp(), file, "T")
       assert.equal(exporter.encode(lamp(), "T"), content(file))
+    end)
+
+    it("has a line for each of three or more arrows with equal ends", function()
+      local model = state { a = state {}, b = state {}, c = state {},
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = "e_1", guard = yes, pn = 2 },
+        trans { src = "a", tgt = "c", events = "e_c" },
+        trans { src = "a", tgt = "b", events = "e_2" }, trans { src = "a", tgt = "b" },
+        trans { src = "c", tgt = "b", events = "e_x" },
+        trans { src = "c", tgt = "b", events = "e_y" } }
+      local label = LABEL[language]
+      contains(exporter.encode(helper.init(model)),
+        { label("e_1 [yes] (pn 2)", "e_2", "-"), label("e_x"), label("e_y") })
+    end)
+
+    it("ties arrows that end at one folded composite, and no loops", function()
+      local model = state { a = state {}, trans { src = "initial", tgt = "a" },
+        m = state { x = state {}, y = state {}, trans { src = "initial", tgt = "x" } },
+        trans { src = "a", tgt = "m.x", events = "e_1" },
+        trans { src = "a", tgt = "m.y", events = "e_2" },
+        trans { src = "a", tgt = "m", events = "e_3" } }
+      for i = 1, 3 do
+        model[#model + 1] = trans { src = "a", tgt = "a", events = "e_loop" .. i }
+      end
+      local label = LABEL[language]
+      local text = exporter.encode(helper.init(model), { folded = { "root.m" } })
+      contains(text, { label("e_1", "e_2", "e_3"), label("e_loop1"), label("e_loop3") })
+    end)
+
+    it("marks a bundle as missed only if all of its arrows are", function()
+      if language ~= "rfsm.dot" then return end
+      local model = state { a = state {}, b = state {},
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = "e_1" },
+        trans { src = "a", tgt = "b", events = "e_2" },
+        trans { src = "a", tgt = "b", events = "e_3" } }
+      local function class_of(counts)
+        local text = exporter.encode(helper.init(model),
+          { coverage = { states = {}, transitions = counts } })
+        return text:match('trans%[4%]/tgt", class="transition (%l+)"'), text
+      end
+      local class, text = class_of { ["root.trans[3]"] = 7 }
+      assert.equal("covered", class)
+      contains(text, { "e_1 (never)", "e_2 (7\195\151)" })
+      assert.equal("missed", (class_of {}))
     end)
 
     it("lists internal transitions and callbacks in their state", function()

@@ -68,13 +68,13 @@ local diagram = {}
 
 --- A transition.
 ---@class rfsm.pictures.Arrow
----@field key string such as "root.trans[2]"
+---@field key string such as "root.trans[2]"; of a bundle the keys of all, in lines
 ---@field src rfsm.pictures.Node
 ---@field tgt rfsm.pictures.Node an `initial` only if `src` is in its composite
 ---@field home? rfsm.pictures.Node the innermost composite around both ends
 ---@field at string file and line of guard and effect
 ---@field parts string[] of the label: "e1, e2", "[guard]", "/ effect" and "(pn 1)", as
--- far as the transition has them
+-- far as the transition has them; of a bundle one text, with a line for each transition
 ---@field mark? "covered"|"missed"|"traced"
 
 --- All that is drawn of a machine.
@@ -297,17 +297,6 @@ local function parts_of(tr, words)
   return parts
 end
 
-local function add_arrow(chart, arrow)
-  local src, tgt = arrow.src, arrow.tgt
-  local home = diagram.find_home(src, tgt)
-  arrow.home = home
-  src.is_on_border = src.is_on_border or home ~= src.parent or nil
-  tgt.is_on_border = tgt.is_on_border or home ~= tgt.parent or nil
-  local arrows = (home or chart).arrows
-  arrows[#arrows + 1] = arrow
-  chart.all[#chart.all + 1] = arrow
-end
-
 -- Adds an arrow for a transition; an internal transition is a row in the box of its
 -- state. Adds nothing if both ends are in one composite drawn without its nodes. If an
 -- arrow leads from outside of a composite to its initial, it ends at the frame.
@@ -320,8 +309,65 @@ local function read_transition(chart, tr, key, words)
     return
   end
   local is_inner = tgt.kind ~= "initial" or is_inside(src, tgt.parent)
-  add_arrow(chart, { key = key, src = src, tgt = is_inner and tgt or tgt.parent,
-    parts = parts, at = at_of(tr) })
+  chart.all[#chart.all + 1] = { key = key, src = src,
+    tgt = is_inner and tgt or tgt.parent, parts = parts, at = at_of(tr) }
+end
+
+-- Bundles: arrows with equal ends become one, with a line for each in its label --
+
+local FEWEST = 3 -- arrows in a bundle
+
+-- Returns a table from each arrow to the list of all arrows with its ends. A loop is
+-- alone in its list.
+local function groups_of(arrows)
+  local groups, by_ends = {}, {}
+  for _, arrow in ipairs(arrows) do
+    local ends = arrow.src.id .. " " .. arrow.tgt.id
+    local group = arrow.src ~= arrow.tgt and by_ends[ends] or {}
+    group[#group + 1] = arrow
+    groups[arrow], by_ends[ends] = group, group
+  end
+  return groups
+end
+
+-- Returns the bundle of some arrows. It is marked as missed only if all of them are.
+local function bundle_of(arrows)
+  local first, keys, texts, places, marks = arrows[1], {}, {}, {}, {}
+  for i, arrow in ipairs(arrows) do
+    keys[i], texts[i] = arrow.key, arrow.parts[1] and concat(arrow.parts, " ") or "-"
+    places[#places + 1] = arrow.at ~= "" and arrow.at or nil
+    marks[arrow.mark or ""] = arrow.mark
+  end
+  return { key = concat(keys, "\n"), src = first.src, tgt = first.tgt,
+    parts = { concat(texts, "\n") }, at = concat(places, "\n"),
+    mark = marks.traced or marks.covered or marks.missed }
+end
+
+-- Returns the arrows of a picture. A bundle is where its first arrow was.
+local function tied(arrows)
+  local groups, list = groups_of(arrows), {}
+  for _, arrow in ipairs(arrows) do
+    local group = groups[arrow]
+    if not group[FEWEST] then
+      list[#list + 1] = arrow
+    elseif group[1] == arrow then
+      list[#list + 1] = bundle_of(group)
+    end
+  end
+  return list
+end
+
+local function place_arrows(chart)
+  chart.all = tied(chart.all)
+  for _, arrow in ipairs(chart.all) do
+    local src, tgt = arrow.src, arrow.tgt
+    local home = diagram.find_home(src, tgt)
+    arrow.home = home
+    src.is_on_border = src.is_on_border or home ~= src.parent or nil
+    tgt.is_on_border = tgt.is_on_border or home ~= tgt.parent or nil
+    local arrows = (home or chart).arrows
+    arrows[#arrows + 1] = arrow
+  end
 end
 
 -- Order of nodes, as in a former picture ----------------------------------------
@@ -483,6 +529,7 @@ function diagram.read(source, where, options)
   end
   if settings.active then mark_active(chart, settings.active, where) end
   mark_run(chart, settings.coverage, settings.trace)
+  place_arrows(chart)
   return chart
 end
 

@@ -34,9 +34,11 @@ end
 local CODES = { ["&"] = "&amp;", ["<"] = "&lt;", [">"] = "&gt;", ['"'] = "&quot;" }
 
 --- Return a text as a quoted string for Graphviz, which reads "&amp;" in it as "&".
-function looks.quoted(text)
+-- `ending` replaces a line feed; by default it is "\\n".
+function looks.quoted(text, ending)
   if not text:find('[&\\"\n]') then return '"' .. text .. '"' end
-  return '"' .. text:gsub("&", "&amp;"):gsub('[\\"]', "\\%0"):gsub("\n", "\\n") .. '"'
+  return '"' .. text:gsub("&", "&amp;"):gsub('[\\"]', "\\%0")
+    :gsub("\n", ending or "\\n") .. '"'
 end
 
 local quoted = looks.quoted
@@ -87,12 +89,19 @@ function looks.state_label(node)
     .. html(concat(rows, "\n")) .. '<BR ALIGN="LEFT"/></FONT></TD></TR>')
 end
 
+-- Returns the label of an arrow. Each of several lines ends in a line feed, so that all
+-- of them are aligned at the left.
+local function label_of(arrow)
+  local text = diagram.label_of(arrow)
+  return text:find("\n", 1, true) and text .. "\n" or text
+end
+
 --- Return the label of an arrow.
-function looks.arrow_label(arrow) return quoted(diagram.label_of(arrow)) end
+function looks.arrow_label(arrow) return quoted(label_of(arrow), "\\l") end
 
 --- Return the label of an arrow, with room around it.
 function looks.roomy_label(arrow)
-  return table_of("<TR><TD>" .. centred(diagram.label_of(arrow)) .. "</TD></TR>",
+  return table_of("<TR><TD>" .. html(label_of(arrow)) .. "</TD></TR>",
     ' CELLPADDING="3"')
 end
 
@@ -180,7 +189,7 @@ local function label_node(arrow, direction, feet, sides)
   local cells = {}
   local text = ('<TD CELLPADDING="4"%s>%s</TD>'):format(sides
     and (' BORDER="1" SIDES="%s"'):format(sides) or "",
-    centred(arrow.parts[1] and diagram.label_of(arrow) or " "))
+    html(arrow.parts[1] and label_of(arrow) or " "))
   for i, foot in ipairs(feet) do
     cells[i] = foot == "text" and text or FOOT:format(foot)
   end
