@@ -621,3 +621,36 @@ stateDiagram-v2
     })
   end)
 end)
+
+describe("a state in a picture by Graphviz", function()
+  local function label_of(fields)
+    fields.id, fields.type = "a", "state"
+    local text = require("rfsm.dot").encode { id = "root", type = "state", subnodes = {
+      fields }, transitions = {} }
+    local label = text:match('id="root.a", label=(.-), class=')
+    return (label:gsub("<[^<]->", " "):gsub(" +", " "))
+  end
+
+  it("has a mark for each callback that has no row", function()
+    for expected, fields in pairs { -- any order: each stands alone
+      ['"a"'] = {}, ['"a •"'] = { entry = ".." }, ['"a •••"'] = { entry = "..",
+        doo = "..", exit = ".." },
+      ["< a entry / f >"] = { entry = "f" }, ["< a • entry / f >"] = { entry = "f",
+        exit = ".." }, ["< a •• (H) doo / g >"] = { entry = "..", doo = "g",
+        exit = "..", history = "shallow" },
+      ["< a what it is for >"] = { doc = "what it is for", entry = "..", exit = "f" },
+    } do
+      assert.equal(expected, label_of(fields))
+    end
+  end)
+
+  it("has them if it is a composite, and if a run is shown", function()
+    local function model()
+      return state { entry = print, m = state { exit = print, entry = yes, x = state {},
+        trans { src = "initial", tgt = "x" } }, trans { src = "initial", tgt = "m" } }
+    end
+    local text = require("rfsm.dot").encode(helper.init(model()),
+      { coverage = { states = {}, transitions = {} } })
+    contains(text, { ">m •<", ">root •<", ">x<" })
+  end)
+end)

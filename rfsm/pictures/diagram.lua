@@ -57,6 +57,7 @@ local diagram = {}
 ---@field nodes rfsm.pictures.Node[] its regions, or the nodes in it, `initial` first
 ---@field arrows rfsm.pictures.Arrow[] arrows whose `home` is this composite
 ---@field rows string[] lines below the name: "entry / f", internal transitions
+---@field marks? string "•" for each callback that has no row
 ---@field at string file and line of callbacks
 ---@field mode? "active"|"done"
 ---@field mark? "covered"|"missed"|"traced"
@@ -209,18 +210,21 @@ end
 
 local HISTORY = { shallow = "(H)", deep = "(H*)" }
 
+-- Returns the rows of a state, and a mark for each callback that has no row.
 local function rows_of(tab)
-  local rows = { HISTORY[tab.history] }
+  local rows, marks = { HISTORY[tab.history] }, ""
   if tab.doc then
     rows[#rows + 1] = clean(tab.doc)
     return rows
   end
   for _, field in ipairs { "entry", "doo", "exit" } do
-    if tab[field] and tab[field] ~= marsh.UNKNOWN then
+    if tab[field] == marsh.UNKNOWN then
+      marks = marks .. "•"
+    elseif tab[field] then
       rows[#rows + 1] = field .. " / " .. clean(tab[field])
     end
   end
-  return rows
+  return rows, marks ~= "" and marks or nil
 end
 
 local function at_of(tab) return clean(tab.at or "") end
@@ -233,10 +237,11 @@ local function is_closed(chart, fqn, depth) return depth == 0 or chart.folded[fq
 local function read_node(chart, tab, parent, fqn, depth)
   local kind, id = diagram.kind_of(tab), fqn:gsub("%W", "_")
   local is_cut = kind == "composite" and is_closed(chart, fqn, depth)
+  local rows, marks = rows_of(tab)
   local node = {
     name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, id), parent = parent,
     kind = is_cut and "leaf" or kind, is_cut = is_cut or nil,
-    nodes = {}, arrows = {}, rows = rows_of(tab), at = at_of(tab),
+    nodes = {}, arrows = {}, rows = rows, marks = marks, at = at_of(tab),
     mode = MODES[tab.mode], depth = parent and parent.depth + 1 or 0,
     is_final = tab.final, index = 1,
   }

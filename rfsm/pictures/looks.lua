@@ -75,11 +75,9 @@ end
 -- <HR/> in a PNG.
 local RULE = '<TR><TD CELLPADDING="0" HEIGHT="1" BGCOLOR="#555555"></TD></TR>'
 
---- Return the label of a state: its name, and rows such as "entry / f" below it. If a
--- state has callbacks but no rows, a mark follows its name.
+--- Return the label of a state: its name and marks, and rows such as "entry / f" below.
 function looks.state_label(node)
-  local has_mark = node.at ~= "" and not node.rows[1]
-  local name = lines_of(node.name .. (has_mark and " •" or "")
+  local name = lines_of(node.name .. (node.marks and " " .. node.marks or "")
     .. (node.is_cut and " …" or ""), 28)
   if not node.rows[1] then return quoted(name) end
   local rows = {}
