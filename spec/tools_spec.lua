@@ -548,8 +548,17 @@ describe("rfsm-check", function()
     assert.equal("rfsm viz: " .. line, err)
     assert.matches('title: "arm %(stubbed: armlib%)"', out)
     local picture = run("rfsm viz --stub -T svg " .. name)
-    assert.matches('font%-size="8.00">stubbed: armlib<', picture)
+    assert.matches('font%-size="10.00">stubbed: armlib<', picture)
     assert.not_matches("arm %(stubbed", picture)
+  end)
+
+  it("has one line for stubs in a picture, however many they are", function()
+    local lines = {}
+    for i = 1, 30 do lines[i] = ('require "robots.lib%d"\n'):format(i) end
+    local name = write_file("arm.lua", table.concat(lines) .. CHART)
+    local picture = run("rfsm viz --stub -T svg " .. name)
+    assert.equal("robots.lib1, robots.lib2, robots.lib3, robots.lib4 and 26 more",
+      picture:match(">stubbed: (.-)<"))
   end)
 
   it("reports the warnings of init, and undefined globals of the file, once", function()

@@ -23,7 +23,7 @@ local diagram = {}
 --- The options of a picture. A string in place of this table is the title.
 ---@class rfsm.pictures.Options
 ---@field title? string
----@field foot? string a note in small letters below a picture
+---@field foot? string a note below a picture
 ---@field active? string|string[] FQNs of active states; default: those of the machine
 ---@field depth? integer levels of states to draw; deeper states are left out
 ---@field folded? string[] FQNs of composites that are drawn without the nodes in them

@@ -130,7 +130,7 @@ local function add_arrow(texts, arrow, line, frame)
       looks.arrow_label(arrow)) or ""))
 end
 
-local FOOT = 8 -- points from the picture down to the text below it
+local FOOT = 10 -- points from the picture down to the text below it
 
 local function graph_of(chart, positions)
   local root, places = chart.root, positions.places
@@ -143,7 +143,7 @@ local function graph_of(chart, positions)
     add_arrow(texts, arrow, positions.lines[i], frame)
   end
   if chart.foot then
-    add(texts, 1, ('foot [shape=plain, style="", fontsize=8, label=%s, pos="%s"]')
+    add(texts, 1, ('foot [shape=plain, style="", fontsize=10, label=%s, pos="%s"]')
       :format(looks.quoted(diagram.clean(chart.foot)), point_text(positions.left
       + positions.width / 2, positions.bottom - FOOT)))
   end
