@@ -387,11 +387,11 @@ digraph "lamp" {
   node [shape=box, style="rounded,filled", height=0.4, margin="0.15,0.07"]
   edge [fontname="Helvetica,Arial,sans-serif", fontsize=10, color="#555555", arrowsize=0.7]
   subgraph cluster_root {
-    graph [id="root", label="lamp", margin=10, style="rounded,filled", fillcolor="white", color="#555555", penwidth=1, class="state"]
+    graph [id="root", label="lamp", margin=4, style="rounded,filled", fillcolor="#F4F6F8", color="#555555", penwidth=1, class="state", color=none]
     root_initial [id="root.initial", shape=circle, label="", width=0.15, height=0.15, color="#222222", fillcolor="#222222", class="initial"]
     root_off [id="root.off", label="off", class="state"]
     subgraph cluster_root_on {
-      graph [id="root.on", label="on", margin=10, style="rounded,filled", fillcolor="#F4F6F8", color="#555555", penwidth=1, class="state"]
+      graph [id="root.on", label="on", margin=10, style="rounded,filled", fillcolor="white", color="#555555", penwidth=1, class="state"]
       root_on_initial [id="root.on.initial", shape=circle, label="", width=0.15, height=0.15, color="#222222", fillcolor="#222222", class="initial"]
       root_on_bright [id="root.on.bright", label="bright", class="state"]
     }
@@ -490,10 +490,10 @@ describe("a picture by Graphviz", function()
       trans { src = "initial", tgt = "a" },
     }))
     local colours = {}
-    for colour in text:gmatch('margin=10[^\n]-fillcolor="([^"]*)"') do
+    for colour in text:gmatch('margin=%d+[^\n]-fillcolor="([^"]*)"') do
       colours[#colours + 1] = colour
     end
-    assert.same({ "white", "#F4F6F8", "white" }, colours)
+    assert.same({ "#F4F6F8", "white", "#F4F6F8" }, colours)
   end)
 
   it("marks what is final, cut off or a region", function()
@@ -652,5 +652,28 @@ describe("a state in a picture by Graphviz", function()
     local text = require("rfsm.dot").encode(helper.init(model()),
       { coverage = { states = {}, transitions = {} } })
     contains(text, { ">m •<", ">root •<", ">x<" })
+  end)
+end)
+
+describe("the root in a picture by Graphviz", function()
+  -- m{ x }
+  local function frames_of(options)
+    local text = require("rfsm.dot").encode(helper.init(state {
+      m = state { x = state {}, trans { src = "initial", tgt = "x" } },
+      trans { src = "initial", tgt = "m" } }), options)
+    local frames = {}
+    local FRAME = 'margin=(%d+), [^\n]-fillcolor="(.-)"([^\n]*)'
+    for margin, fill, rest in text:gmatch(FRAME) do
+      local line = "" -- the last value of an attribute counts
+      for color in rest:gmatch(' color=([^],]+)') do line = color end
+      frames[#frames + 1] = ("%s %s %s"):format(margin, fill, line)
+    end
+    return frames
+  end
+
+  it("has a tint and its title, and no line, also while it is active", function()
+    assert.same({ "4 #F4F6F8 none", '10 white "#555555"' }, frames_of "title")
+    assert.same({ "4 #F4F6F8 none", '10 white "#0072B2"' },
+      frames_of { active = "root.m" })
   end)
 end)

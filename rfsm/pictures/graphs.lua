@@ -356,8 +356,6 @@ end
 
 -- Public functions ------------------------------------------------------------
 
-local MARGIN = 10 -- points between a frame and the nodes in it
-
 local function place_gate(level, gate)
   local x, y = gate.at[1] + level.x, gate.at[2] + level.y
   if level.direction == "TB" then
@@ -371,7 +369,7 @@ end
 --- Give a level its size, and its gates their positions.
 function graphs.measure(level)
   local composite = level.composite
-  local margin = composite.is_column and 0 or MARGIN
+  local margin = composite.fqn and looks.margin_of(composite) or 0
   local least = composite.loops and composite.loops.length or 0
   level.width, level.height = ceil(level.inner_width) + 2 * margin,
     max(ceil(level.inner_height) + 2 * margin, ceil(least))

@@ -145,11 +145,16 @@ function looks.leaf_text(node)
     node.mode and ', fillcolor="#D6EAF8"' or "")
 end
 
---- Return the attributes of the frame of a composite.
+--- Return the distance in points from the frame of a composite to what is in it.
+function looks.margin_of(node) return node.depth > 0 and 10 or 4 end
+
+--- Return the attributes of the frame of a composite. The root has a tint, and no line.
 function looks.frame_text(node)
-  return ('label=%s, margin=10, style="%s,filled", fillcolor="%s"%s, %s'):format(
-    looks.state_label(node), node.is_region and "dashed" or "rounded",
-    node.depth % 2 == 0 and "white" or "#F4F6F8", LOOKS.plain, look_of(node, "state"))
+  local style = node.is_region and "dashed" or "rounded"
+  return ('label=%s, margin=%d, style="%s,filled", fillcolor="%s"%s, %s%s'):format(
+    looks.state_label(node), looks.margin_of(node), style,
+    node.depth % 2 == 1 and "white" or "#F4F6F8", LOOKS.plain, look_of(node, "state"),
+    node.depth == 0 and ", color=none" or "")
 end
 
 --- Append the lines of a node and of the nodes in it. A composite is a cluster; a
