@@ -543,6 +543,49 @@ describe("an arrow across frames", function()
   end
 end)
 
+describe("a label", function()
+  -- a -e_1 ... e_20-> b, b -(pn 1)-> a
+  local function model(back)
+    local result = state { a = state {}, b = state {},
+      trans { src = "initial", tgt = "a" }, trans(back) }
+    for i = 1, 20 do
+      result[#result + 1] = trans { src = "a", tgt = "b", events = "e_" .. i }
+    end
+    return result
+  end
+
+  for _, case in ipairs {
+    { text = "a priority", half = 18, back = { src = "b", tgt = "a", pn = 1 } },
+    { text = "an event", half = 10, back = { src = "b", tgt = "a", events = "e_b" } },
+  } do
+    local picture = drawn(model(case.back))
+
+    it("is at its arrow where the arrow is bent: " .. case.text, function()
+      local arrow, least = picture()["root.trans[2]"], 1e9
+      for _, point in ipairs(pictures.points_on(arrow.path)) do
+        if math.abs(point[2] - arrow.label[2]) < 20 then
+          least = math.min(least, arrow.label[1] - case.half - point[1])
+        end
+      end
+      assert.is_true(least > 1 and least < 16, least)
+    end)
+  end
+
+  it("stays where it is if it is near, at its side of the line", function()
+    local function moved(x, y, text, axis)
+      local at, path = { x, y }, { { 0, 0 }, { 0, 30 }, { 0, 60 }, { 0, 90 } }
+      if axis == 2 then path = { { 0, 0 }, { 30, 0 }, { 60, 0 }, { 90, 0 } } end
+      lines.attract(at, text, path, axis)
+      return ("%.1f %.1f"):format(at[1], at[2])
+    end
+    assert.equal("29.0 50.0", moved(29, 50, "e_go!", 1))
+    assert.equal("21.8 50.0", moved(60, 50, "e_go!", 1))
+    assert.equal("21.8 50.0", moved(60, 50, "e_go!\ne", 1))
+    assert.equal("60.0 500.0", moved(60, 500, "e_go!", 1)) -- the line is elsewhere
+    assert.equal("50.0 18.0", moved(50, 60, "e_go!\ne", 2))
+  end)
+end)
+
 describe("dot.layout", function()
   it("is the same text each time", function()
     local function text() return assert(dot.layout(helper.init(star(9)), "T")) end

@@ -8,29 +8,21 @@
 -- @module rfsm.pictures.choice
 -- @license BSD-3-Clause
 
+local lines = require "rfsm.pictures.lines"
+
 local ipairs, sort = ipairs, table.sort
 local max, min, sqrt = math.max, math.min, math.sqrt
 
 local choice = {}
 
-local PIECES = 8 -- how many straight pieces replace a curve
-
 -- Appends the straight pieces of a line to a list, each with its lower end first.
 -- Returns the length of the line.
 local function add_pieces(list, line)
-  local points, length = line.points, 0
-  local x, y = points[1][1], points[1][2]
-  for i = 1, #points - 3, 3 do
-    local a, b, c, d = points[i], points[i + 1], points[i + 2], points[i + 3]
-    for k = 1, PIECES do
-      local t, u = k / PIECES, 1 - k / PIECES
-      local p, q, r, s = u * u * u, 3 * u * u * t, 3 * u * t * t, t * t * t
-      local x2 = p * a[1] + q * b[1] + r * c[1] + s * d[1]
-      local y2 = p * a[2] + q * b[2] + r * c[2] + s * d[2]
-      length = length + sqrt((x2 - x) * (x2 - x) + (y2 - y) * (y2 - y))
-      list[#list + 1] = y < y2 and { x, y, x2, y2, line } or { x2, y2, x, y, line }
-      x, y = x2, y2
-    end
+  local length, flat = 0, lines.flat(line.points)
+  for i = 2, #flat do
+    local x, y, x2, y2 = flat[i - 1][1], flat[i - 1][2], flat[i][1], flat[i][2]
+    length = length + sqrt((x2 - x) * (x2 - x) + (y2 - y) * (y2 - y))
+    list[#list + 1] = y < y2 and { x, y, x2, y2, line } or { x2, y2, x, y, line }
   end
   return length
 end

@@ -10,6 +10,7 @@
 -- @license BSD-3-Clause
 
 local diagram = require "rfsm.pictures.diagram"
+local curves = require "rfsm.pictures.lines"
 local looks = require "rfsm.pictures.looks"
 
 local ceil, floor, max, min = math.ceil, math.floor, math.max, math.min
@@ -287,6 +288,10 @@ local function read_link(link, attributes)
   local line = graphs.line_of(attributes.pos)
   link.points, link.tip = line.points, line.tip
   link.label_at = attributes.lp and numbers_in(attributes.lp)
+  if link.label_at then
+    curves.attract(link.label_at, diagram.label_of(link.arrow), line.points,
+      link.level.direction == "TB" and 1 or 2)
+  end
 end
 
 local function read_node(level, id, attributes)
