@@ -38,6 +38,8 @@ function viz.add_arguments(command)
     :argname("JSON")
   command:option("--direction", "TB (down) or LR (to the right)"):argname("DIRECTION")
     :choices { "TB", "LR" }
+  command:option("--for", "the sheet: a4 (default), slide or WIDTHxHEIGHT in points")
+    :argname("SHEET"):target("sheet")
   command:option("--like", "keep the order of states in a former picture")
     :argname("SVG")
 end
@@ -82,7 +84,7 @@ function viz.run(options, parser)
   local format = format_of(options, parser)
   local exporter = require("rfsm." .. (IS_TEXT[format] and format or "dot"))
   local looks = {
-    depth = options.depth, direction = options.direction,
+    depth = options.depth, direction = options.direction, sheet = options.sheet,
     active = options.active[1] and options.active,
     coverage = options.coverage and read_coverage(options.coverage),
     trace = options.trace and read_trace(options.trace),

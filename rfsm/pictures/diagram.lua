@@ -8,6 +8,7 @@
 -- @license BSD-3-Clause
 
 local advice = require "rfsm.advice"
+local choice = require "rfsm.pictures.choice"
 local files = require "rfsm.shared.files"
 local marsh = require "rfsm.marsh"
 local opts = require "rfsm.shared.options"
@@ -31,6 +32,7 @@ local diagram = {}
 ---@field coverage? rfsm.pictures.Coverage
 ---@field trace? (string|rfsm.pictures.Step)[] steps of a run; a string is the FQN of a
 -- state or the key of a transition
+---@field sheet? string "a4", "slide", or width and height in points, such as "1200x800"
 ---@field like? string a former picture (SVG): the order of its nodes is kept
 
 --- A step of a run: from a witness of `rfsm_checks.explore`, or from a recording.
@@ -83,6 +85,7 @@ local diagram = {}
 ---@field title? string
 ---@field foot? string
 ---@field direction string
+---@field sheet rfsm.pictures.Size
 ---@field kind? "levels"|"plain" the layout of the former picture in the option `like`
 ---@field root rfsm.pictures.Node
 ---@field nodes rfsm.pictures.Node[] all nodes, parents before children
@@ -499,6 +502,9 @@ local OPTIONS = {
   coverage = { "table", is_a "table" },
   trace = { "table", is_a "table" }, like = { "string", is_a "string" },
   direction = { "'TB' or 'LR'", function(x) return x == "TB" or x == "LR" end, "TB" },
+  sheet = { "'a4', 'slide' or 'WIDTHxHEIGHT'", function(x)
+    return type(x) == "string" and choice.size_of(x)
+  end, "a4" },
 }
 
 local function is_description(value)
@@ -525,7 +531,7 @@ function diagram.read(source, where, options)
   local title = tostring(settings.title or "")
   local chart = {
     title = title ~= "" and clean(title) or nil, direction = settings.direction,
-    foot = settings.foot,
+    foot = settings.foot, sheet = choice.size_of(settings.sheet),
     nodes = {}, arrows = {}, all = {}, by_fqn = {}, taken = {}, folded = {},
   }
   local tab = is_read and source or marsh.model2tab(source, true)

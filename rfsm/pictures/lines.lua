@@ -118,16 +118,23 @@ function lines.flat(line)
 end
 
 local CHARACTER, HEIGHT = 6.3, 12 -- points: of a label, about
+
+--- Return the size of a label, estimated from above: x, then y.
+function lines.size_of(text)
+  local width, height = 0, 0
+  for row in text:gmatch("[^\n]+") do
+    width, height = max(width, #row * CHARACTER), height + HEIGHT
+  end
+  return { width, height }
+end
+
 local FAR, BESIDE = 14, 6 -- points: distances between a line and its label
 
 --- Move a label to its line if it is far from it. Graphviz bends a line away from its
 -- label if there is room. `axis` (1: x, 2: y) is the axis across the arrows.
 function lines.attract(at, text, line, axis)
-  local size, other = { 0, 0 }, 3 - axis
-  for row in text:gmatch("[^\n]+") do
-    size[1], size[2] = max(size[1], #row * CHARACTER), size[2] + HEIGHT
-  end
-  local reach, side = nil, at[axis] - size[axis] / 2
+  local size, other, reach = lines.size_of(text), 3 - axis, nil
+  local side = at[axis] - size[axis] / 2
   for _, point in ipairs(lines.flat(line)) do
     if abs(point[other] - at[other]) <= size[other] / 2 + BESIDE then
       reach = max(reach or point[axis], point[axis])

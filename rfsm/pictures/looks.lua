@@ -5,7 +5,7 @@
 
 local diagram = require "rfsm.pictures.diagram"
 
-local floor, ipairs = math.floor, ipairs
+local floor, ipairs, max = math.floor, ipairs, math.max
 local concat, add = table.concat, diagram.add
 
 local looks = {}
@@ -97,10 +97,10 @@ end
 --- Return the label of an arrow.
 function looks.arrow_label(arrow) return quoted(label_of(arrow), "\\l") end
 
---- Return the label of an arrow, with room around it.
-function looks.roomy_label(arrow)
+--- Return the label of an arrow, with so many points of room around it.
+function looks.roomy_label(arrow, room)
   return table_of("<TR><TD>" .. html(label_of(arrow)) .. "</TD></TR>",
-    ' CELLPADDING="3"')
+    (' CELLPADDING="%d"'):format(room))
 end
 
 -- Nodes -----------------------------------------------------------------------
@@ -110,7 +110,7 @@ local INITIAL = 'shape=circle, label="", width=0.15, height=0.15, color="#222222
 local CONNECTOR = 'shape=plain, style="", label=<<TABLE BORDER="0" CELLBORDER="0" '
   .. 'CELLSPACING="0" CELLPADDING="0"><TR><TD PORT="p" BORDER="1" STYLE="ROUNDED" '
   .. 'FIXEDSIZE="TRUE" WIDTH="10" HEIGHT="10" BGCOLOR="%s"></TD><TD>'
-  .. '<FONT POINT-SIZE="9">&#160;%s</FONT></TD></TR></TABLE>>'
+  .. '<FONT POINT-SIZE="10">&#160;%s</FONT></TD></TR></TABLE>>'
 -- Looks of active and of marked elements. No two of them differ only in red and green,
 -- for colour-blind readers.
 local LOOKS = {
@@ -129,6 +129,14 @@ local function look_of(element, kind)
     element.mark and " " .. element.mark or "",
     element.mode and LOOKS.active or "", element.mark and LOOKS[element.mark] or "",
     tooltip_of(element))
+end
+
+--- Return the attribute `least` of a node whose side is at least so long, in points.
+function looks.least_text(direction, length)
+  if direction == "TB" then
+    return ", height=" .. looks.number_text(max(0.4, length / 72))
+  end
+  return ", width=" .. looks.number_text(max(0.75, length / 72))
 end
 
 --- Return the attributes of a node that is not a composite.
@@ -157,16 +165,10 @@ function looks.frame_text(node)
     node.depth == 0 and ", color=none" or "")
 end
 
---- Append the lines of a node and of the nodes in it. A composite is a cluster; a
--- column has no frame. `position_of(node)` returns further attributes of a node, and
+--- Append the lines of a node and of the nodes in it. A composite is a cluster.
+-- `position_of(node)` returns further attributes of a node, and
 -- `add_labels(lines, depth, node)` appends further lines in a composite.
 function looks.add_node(lines, depth, node, position_of, add_labels)
-  local function add_members(inner)
-    for _, subnode in ipairs(node.nodes) do
-      looks.add_node(lines, inner, subnode, position_of, add_labels)
-    end
-  end
-  if node.is_column then return add_members(depth) end
   local id, position = looks.id_of(node.fqn), position_of and position_of(node) or ""
   if node.kind ~= "composite" then
     return add(lines, depth, ("%s [%s, %s%s]"):format(node.id, id,
@@ -175,7 +177,9 @@ function looks.add_node(lines, depth, node, position_of, add_labels)
   add(lines, depth, "subgraph cluster_" .. node.id .. " {")
   add(lines, depth + 1, ("graph [%s, %s%s]"):format(id, looks.frame_text(node),
     position))
-  add_members(depth + 1)
+  for _, subnode in ipairs(node.nodes) do
+    looks.add_node(lines, depth + 1, subnode, position_of, add_labels)
+  end
   if add_labels then add_labels(lines, depth + 1, node) end
   add(lines, depth, "}")
 end
