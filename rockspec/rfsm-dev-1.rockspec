@@ -50,6 +50,7 @@ build = {
     ["rfsm.cli.fleet"] = "rfsm/cli/fleet.lua",
     ["rfsm.cli.main"] = "rfsm/cli/main.lua",
     ["rfsm.cli.measure"] = "rfsm/cli/measure.lua",
+    ["rfsm.cli.pages"] = "rfsm/cli/pages.lua",
     ["rfsm.cli.postgres"] = "rfsm/cli/postgres.lua",
     ["rfsm.cli.redis"] = "rfsm/cli/redis.lua",
     ["rfsm.cli.review"] = "rfsm/cli/review.lua",

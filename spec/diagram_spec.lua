@@ -187,6 +187,7 @@ for _, language in ipairs(LANGUAGES) do
         ["coverage: table expected, got string 'x'"] = { coverage = "x" },
         ["trace: table expected, got string 'x'"] = { trace = "x" },
         ["direction: 'TB' or 'LR' expected, got string 'UP'"] = { direction = "UP" },
+        ["within: no state is named 'root.om'"] = { within = "root.om" },
         ["active: no state is named 'root.onn' (did you mean 'root.on'?)"] = {
           active = "root.onn" },
       } do
@@ -248,6 +249,25 @@ for _, language in ipairs(LANGUAGES) do
       assert.equal("covered", class)
       contains(text, { "e_1 (never)", "e_2 (7\195\151)" })
       assert.equal("missed", (class_of {}))
+    end)
+
+    it("draws a composite alone, and the states outside that arrows lead to", function()
+      local model = state { off = state {}, k = conn {},
+        m = state { x = state {}, y = state {}, trans { src = "initial", tgt = "x" },
+          trans { src = "x", tgt = "y", events = "e_in" },
+          trans { src = "y", tgt = "root.off", events = "e_out" } },
+        n = state { z = state {}, trans { src = "initial", tgt = "z" } },
+        trans { src = "initial", tgt = "off" }, trans { src = "off", tgt = "m" },
+        trans { src = "off", tgt = ".m.y", events = "e_into" },
+        trans { src = ".m.y", tgt = "n", events = "e_n" },
+        trans { src = "m", tgt = "off", events = "e_all" } }
+      local text = exporter.encode(helper.init(model), { within = "root.m",
+        active = { "root.m.x", "root.off" } })
+      contains(text, { "e_in", "e_out", "e_into", "e_n", "root_m_x", "root_off",
+        "root_n" })
+      for _, part in ipairs { "root_k", "root_n_z", "e_all", "root_initial" } do
+        assert.is_nil(text:find(part, 1, true), part)
+      end
     end)
 
     it("lists internal transitions and callbacks in their state", function()

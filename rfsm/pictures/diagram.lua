@@ -14,8 +14,8 @@ local marsh = require "rfsm.marsh"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 
-local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
-local rawset, select = rawset, select
+local assert, error, ipairs, pcall = assert, error, ipairs, pcall
+local rawget, rawset, select = rawget, rawset, select
 local tonumber, tostring, type = tonumber, tostring, type
 local concat, max, sort = table.concat, math.max, table.sort
 
@@ -28,6 +28,8 @@ local diagram = {}
 ---@field active? string|string[] FQNs of active states; default: those of the machine
 ---@field depth? integer levels of states to draw; deeper states are left out
 ---@field folded? string[] FQNs of composites that are drawn without the nodes in them
+---@field within? string FQN of a composite: only this one is drawn. An arrow that leads
+-- out of it, or into it, ends at a box with the name of the state outside
 ---@field direction? "TB"|"LR" from top to bottom, or from left to right
 ---@field coverage? rfsm.pictures.Coverage
 ---@field trace? (string|rfsm.pictures.Step)[] steps of a run; a string is the FQN of a
@@ -67,6 +69,8 @@ local diagram = {}
 ---@field is_region? true
 ---@field is_on_border? true an arrow leads from or to it across the frame around it
 ---@field is_cut? true a composite that is drawn without the nodes in it
+---@field is_outside? true a state outside of the composite that is drawn
+---@field is_linked? true another picture shows what is in it
 ---@field least? string an attribute for Graphviz: the least width or height of its box
 
 --- A transition.
@@ -94,6 +98,8 @@ local diagram = {}
 ---@field all rfsm.pictures.Arrow[] all arrows
 ---@field taken table<string, boolean> identifiers that are in use
 ---@field folded table<string, boolean> FQNs of the composites in the option `folded`
+---@field outside table<string, rfsm.pictures.Node> FQN -> a state outside
+---@field has_links boolean other pictures show what is in folded composites
 
 -- Text ------------------------------------------------------------------------
 
@@ -244,6 +250,7 @@ local function read_node(chart, tab, parent, fqn, depth)
   local node = {
     name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, id), parent = parent,
     kind = is_cut and "leaf" or kind, is_cut = is_cut or nil,
+    is_linked = is_cut and chart.has_links or nil,
     nodes = {}, arrows = {}, rows = rows, marks = marks, at = at_of(tab),
     mode = MODES[tab.mode], depth = parent and parent.depth + 1 or 0,
     is_final = tab.final, index = 1,
@@ -305,12 +312,37 @@ local function parts_of(tr, words)
   return parts
 end
 
+-- Returns the node for a state outside of the drawn composite; the first call adds it.
+local function outside_node(chart, fqn)
+  fqn = fqn:gsub("%.initial$", "")
+  local root, node = chart.root, chart.outside[fqn]
+  if node then return node end
+  node = { name = clean(fqn:gsub("^root%.", "")), fqn = fqn, kind = "leaf",
+    parent = root, id = diagram.new_id(chart, fqn:gsub("%W", "_")), nodes = {},
+    arrows = {}, rows = {}, at = "", depth = root.depth + 1, index = #root.nodes + 1,
+    is_outside = true, is_linked = true }
+  chart.outside[fqn], root.nodes[node.index] = node, node
+  chart.nodes[#chart.nodes + 1] = node
+  return node
+end
+
+-- Returns the ends of a transition; nil if none of them is in the drawn composite.
+local function ends_of(chart, tr)
+  local src, tgt = find_node(chart, tr.src), find_node(chart, tr.tgt)
+  if src and tgt then return src, tgt end
+  assert(chart.root.fqn ~= "root", "a state is missing")
+  local inner = src or tgt
+  if not inner or inner == chart.root or inner.parent == chart.root
+    and inner.kind == "initial" then return nil end
+  return src or outside_node(chart, tr.src), tgt or outside_node(chart, tr.tgt)
+end
+
 -- Adds an arrow for a transition; an internal transition is a row in the box of its
 -- state. Adds nothing if both ends are in one composite drawn without its nodes. If an
 -- arrow leads from outside of a composite to its initial, it ends at the frame.
 local function read_transition(chart, tr, key, words)
-  local src, tgt = find_node(chart, tr.src), find_node(chart, tr.tgt)
-  if src == tgt and src.fqn ~= tr.src then return end
+  local src, tgt = ends_of(chart, tr)
+  if not src or src == tgt and src.fqn ~= tr.src then return end
   local parts = parts_of(tr, words)
   if tr.internal then
     src.rows[#src.rows + 1] = concat(parts, " ")
@@ -434,7 +466,8 @@ end
 local function mark_active(chart, active, where)
   for _, node in ipairs(chart.nodes) do node.mode = nil end
   for _, fqn in ipairs(type(active) == "table" and active or { active }) do
-    local node = find_state(chart, fqn, where)
+    local is_drawn = chart.root.fqn == "root" or find_node(chart, fqn)
+    local node = is_drawn and find_state(chart, fqn, where)
     while node do node.mode, node = "active", node.parent end
   end
 end
@@ -498,7 +531,8 @@ end
 local OPTIONS = {
   title = { "string", is_a("string", "number") }, foot = { "string", is_a "string" },
   depth = { "number", is_a "number" },
-  active = { "string", is_a("string", "table") }, folded = { "list", is_a "table" },
+  active = { "string", is_a("string", "table") },
+  within = { "string", is_a "string" }, folded = { "list", is_a "table" },
   coverage = { "table", is_a "table" },
   trace = { "table", is_a "table" }, like = { "string", is_a "string" },
   direction = { "'TB' or 'LR'", function(x) return x == "TB" or x == "LR" end, "TB" },
@@ -511,13 +545,35 @@ local function is_description(value)
   return type(value) == "table" and type(value.id) == "string" and value.type == "state"
 end
 
+-- Returns what a description has at an FQN; nil if there is nothing.
+local function part_of(tab, fqn)
+  for id in fqn:gmatch("%.([^.]+)") do
+    local found
+    for _, member in ipairs(tab and members(tab) or {}) do
+      found = member.id == id and member or found
+    end
+    tab = found
+  end
+  return tab
+end
+
+-- Reads a description; returns false if it lacks the state in the option `within`.
 local function read_description(chart, tab, settings)
-  for _, fqn in ipairs(settings.folded or {}) do chart.folded[fqn] = true end
-  chart.root = read_node(chart, tab, nil, "root", settings.depth or 1 / 0)
+  local fqn = settings.within or "root"
+  local top = part_of(tab, fqn)
+  if not top then return false end
+  for _, name in ipairs(settings.folded or {}) do chart.folded[name] = true end
+  chart.root = read_node(chart, top, nil, fqn, settings.depth or 1 / 0)
   if settings.like then keep_order(chart, settings.like) end
   diagram.each_transition(tab, marsh.gen_event_text(), function(...)
     read_transition(chart, ...)
   end)
+  return true
+end
+
+local function title_of(value)
+  local title = clean(tostring(value or ""))
+  return title ~= "" and title or nil
 end
 
 --- Return the chart of a machine or of a description. An error names the public
@@ -528,15 +584,18 @@ function diagram.read(source, where, options)
   local settings, problem = opts.read(OPTIONS,
     type(options) == "table" and options or { title = options })
   if not settings then error(where .. ": " .. problem, 3) end
-  local title = tostring(settings.title or "")
   local chart = {
-    title = title ~= "" and clean(title) or nil, direction = settings.direction,
+    title = title_of(settings.title), direction = settings.direction,
     foot = settings.foot, sheet = choice.size_of(settings.sheet),
     nodes = {}, arrows = {}, all = {}, by_fqn = {}, taken = {}, folded = {},
+    outside = {}, has_links = settings.within ~= nil,
   }
   local tab = is_read and source or marsh.model2tab(source, true)
-  if not pcall(read_description, chart, tab, settings) then
+  local ok, found = pcall(read_description, chart, tab, settings)
+  if not ok then
     error(where .. ": description by rfsm.marsh expected, got another table", 3)
+  elseif not found then
+    error(("%s: within: no state is named '%s'"):format(where, settings.within), 3)
   end
   if settings.active then mark_active(chart, settings.active, where) end
   mark_run(chart, settings.coverage, settings.trace)

@@ -192,7 +192,8 @@ local function layout_for(chart, graph, best, whole, run)
   return layout_of(chart)
 end
 
---- Return the graph of a chart, with positions; nil and the problem if that fails.
+--- Return the graph of a chart, with positions, then nil and the size of its text on
+-- the sheet, in points. Return nil and the problem if that fails.
 -- `graph` is the result of `rfsm.dot.encode`, which the plain layout needs. `run(text)`
 -- has Graphviz lay out a graph.
 function layout.draw(chart, graph, run)
@@ -207,7 +208,9 @@ function layout.draw(chart, graph, run)
   if not choice.is_readable(best, chart.sheet) then
     best, problem = layout_for(chart, graph, best, whole, ask)
   end
-  return best and graph_of(chart, best), problem
+  if not best then return nil, problem end
+  local scale = choice.scale(chart.sheet, best.width, best.height)
+  return graph_of(chart, best), nil, 10 * scale
 end
 
 return layout

@@ -119,6 +119,9 @@ local LOOKS = {
   traced = ', color="#D55E00", penwidth=2',
 }
 
+--- The address of a state that is drawn in another picture begins so, before its FQN.
+looks.URL = "#"
+
 local function tooltip_of(element)
   return element.at ~= "" and ", tooltip=" .. quoted(element.at) or ""
 end
@@ -139,6 +142,12 @@ function looks.least_text(direction, length)
   return ", width=" .. looks.number_text(max(0.75, length / 72))
 end
 
+-- Returns the attributes of a state that another picture shows, if there is one.
+local function address_of(node)
+  return (node.is_outside and ', style="rounded,dashed"' or "")
+    .. (node.is_linked and ", URL=" .. quoted(looks.URL .. node.fqn) or "")
+end
+
 --- Return the attributes of a node that is not a composite.
 function looks.leaf_text(node)
   if node.kind == "initial" then return INITIAL .. ', class="initial"' end
@@ -146,11 +155,12 @@ function looks.leaf_text(node)
     return CONNECTOR:format(node.is_on_border and "white" or "#555555", html(node.name))
       .. ', class="connector"'
   end
-  return ("label=%s, %s%s%s%s%s"):format(looks.state_label(node),
+  return ("label=%s, %s%s%s%s%s%s"):format(looks.state_label(node),
     look_of(node, "state"), node.least or "",
     node.is_final and ", peripheries=2" or "",
     node.is_region and ', style="filled,dashed"' or "",
-    node.mode and ', fillcolor="#D6EAF8"' or "")
+    node.mode and ', fillcolor="#D6EAF8"' or "",
+    address_of(node))
 end
 
 --- Return the distance in points from the frame of a composite to what is in it.
