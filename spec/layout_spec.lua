@@ -401,6 +401,41 @@ describe("the sheet", function()
     assert.equal(1, count)
   end)
 
+  -- The rows of states, by the number of the state; of a new one by its name.
+  local function rows_of(graph)
+    local found = {}
+    for name, row in graph:gmatch('id="root.(%w+)"[^\n]- row(%d+)') do
+      found[name] = tonumber(row)
+    end
+    return found
+  end
+
+  local function like(model, graph)
+    return assert(dot.layout(helper.init(model),
+      { like = graph and assert(dot.render(graph, "svg")) }))
+  end
+
+  it("has the rows of a former picture, also with a new state or arrow", function()
+    local former = like(chain(30))
+    local expected = rows_of(former)
+    assert.equal(31, #rfsm.sorted_keys(expected))
+    local model = linked(chain(30), { { "s30", "new" } })
+    model.new = state {}
+    local found = rows_of(like(model, former))
+    assert.equal(expected.s30, found.new)
+    found.new = nil
+    assert.same(expected, found)
+    assert.same(expected, rows_of(like(linked(chain(30), { { "s30", "s1" } }), former)))
+    assert.not_same(expected, rows_of(like(chain(60), nil)))
+  end)
+
+  it("gives them up for a shape whose text is 15 % larger", function()
+    local former = like(chain(80))
+    local again, fresh = like(chain(18), former), like(chain(18))
+    assert.same(rows_of(fresh), rows_of(again))
+    assert.matches("class=sheet", former)
+  end)
+
   it("is one that is known", function()
     for _, name in ipairs { "a5", "10x", "0x10", 7 } do
       local ok, problem = pcall(dot.encode, helper.init(chain(1)), { sheet = name })

@@ -139,7 +139,13 @@ function choice.for_sheet(shapes, layout, size, limits)
   return best
 end
 
-local CLOSE = 0.9 -- share of a scale
+local CLOSE, MUCH = 0.9, 1.15 -- factors of a scale
+
+--- Is a shape or layout so much larger on a sheet that a former shape is given up?
+function choice.is_much_larger(shape, former, size)
+  return choice.scale(size, shape.width, shape.height)
+    >= MUCH * choice.scale(size, former.width, former.height)
+end
 
 --- Is a shape hardly smaller on a sheet than another one?
 function choice.is_close(shape, other, size)

@@ -70,7 +70,9 @@ local diagram = {}
 ---@field is_on_border? true an arrow leads from or to it across the frame around it
 ---@field is_cut? true a composite that is drawn without the nodes in it
 ---@field is_outside? true a state outside of the composite that is drawn
----@field is_linked? true another picture shows what is in it
+---@field is_linked? boolean another picture shows it if it is cut or outside
+---@field row? integer its row, if its level is in rows, or was in a former picture
+---@field is_turned? true the nodes in it run, or have run, from left to right
 ---@field least? string an attribute for Graphviz: the least width or height of its box
 
 --- A transition.
@@ -90,7 +92,8 @@ local diagram = {}
 ---@field foot? string
 ---@field direction string
 ---@field sheet rfsm.pictures.Size
----@field kind? "levels"|"plain" the layout of the former picture in the option `like`
+---@field kind? "levels"|"plain"|"sheet" the layout of the former picture in the option
+-- `like`
 ---@field root rfsm.pictures.Node
 ---@field nodes rfsm.pictures.Node[] all nodes, parents before children
 ---@field by_fqn table<string, rfsm.pictures.Node>
@@ -250,7 +253,7 @@ local function read_node(chart, tab, parent, fqn, depth)
   local node = {
     name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, id), parent = parent,
     kind = is_cut and "leaf" or kind, is_cut = is_cut or nil,
-    is_linked = is_cut and chart.has_links or nil,
+    is_linked = chart.has_links,
     nodes = {}, arrows = {}, rows = rows, marks = marks, at = at_of(tab),
     mode = MODES[tab.mode], depth = parent and parent.depth + 1 or 0,
     is_final = tab.final, index = 1,
@@ -429,11 +432,23 @@ local function numbers_in(svg)
   return numbers
 end
 
+-- Gives nodes the shapes that a former picture for a sheet has noted in its classes.
+local function keep_shapes(chart, svg)
+  for id, class in svg:gmatch('<g id="([^"]*)" class="%l+ ([^"]*)"') do
+    local node = chart.by_fqn[id:gsub("&(#?%w+);", ENTITIES) .. ""]
+    if node then
+      node.row = tonumber(class:match(" row(%d+)"))
+      node.is_turned = class:find(" turned", 1, true) and true or nil
+    end
+  end
+end
+
 -- Sorts the nodes of each composite as in a former picture. A new node stays behind the
 -- node that precedes it now. Regions stay in the order in which they are stepped.
 local function keep_order(chart, svg)
   local numbers, number_of = numbers_in(svg), {}
   chart.kind = svg:match('class="graph (%l+)"')
+  if chart.kind == "sheet" then keep_shapes(chart, svg) end
   for _, composite in ipairs(chart.nodes) do
     local number, nodes = 0, composite.nodes
     for _, node in ipairs(nodes) do

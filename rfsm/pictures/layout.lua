@@ -21,7 +21,7 @@ local layout = {}
 
 --- A layout: the position of everything, in points from the lower left corner.
 ---@class rfsm.pictures.Layout
----@field kind "levels"|"plain"
+---@field kind "levels"|"plain"|"sheet"
 ---@field left number
 ---@field bottom number
 ---@field width number
@@ -83,12 +83,12 @@ local function line_of(arrow, direction)
 end
 
 -- Returns the layout of a chart whose levels are laid out.
-local function layout_of(chart)
+local function layout_of(chart, kind)
   local places, arrows, leasts, top = {}, {}, {}, chart.top.level
   move(places, chart.top, 0, 0)
   for i, arrow in ipairs(chart.all) do arrows[i] = line_of(arrow, chart.direction) end
   for _, node in ipairs(chart.nodes) do leasts[node] = node.least end
-  return { kind = "levels", left = 0, bottom = 0, width = top.width,
+  return { kind = kind, left = 0, bottom = 0, width = top.width,
     height = top.height, places = places, lines = arrows, leasts = leasts }
 end
 
@@ -180,16 +180,31 @@ local function shape_for(chart, best, limits, run)
   return other and choice.is_close(other, shape, size) and other or shape, problem
 end
 
+-- Returns a problem if there is one, then the shape of the former picture, unless the
+-- layout `best` or another shape is much larger, or the former one is not right now.
+local function keep_former(chart, best, shape, limits, run)
+  local problem, formers = sheet.shapes_of(chart, limits, run, sheet.former)
+  if problem then return problem end
+  local former = formers[#formers]
+  local other = shape or best
+  local is_kept = former.crossings <= limits.more
+    and not choice.is_much_larger(other, former, chart.sheet)
+  return nil, is_kept and former or shape
+end
+
 -- Returns the best layout for a sheet, which may be `best`; or nil and the problem.
 local function layout_for(chart, graph, best, whole, run)
   local limits = choice.limits(best, whole)
   local tight = whole and plain_layout(chart, graph, "  graph [ranksep=0.15]\n", run)
   best = tight and choice.for_sheet({ tight }, best, chart.sheet, limits) or best
   local shape, problem = shape_for(chart, best, limits, run)
+  if chart.kind == "sheet" and not problem then
+    problem, shape = keep_former(chart, best, shape, limits, run)
+  end
   if problem then return nil, problem end
   if not shape then return best end
   sheet.put(chart, shape)
-  return layout_of(chart)
+  return layout_of(chart, "sheet")
 end
 
 --- Return the graph of a chart, with positions, then nil and the size of its text on
@@ -203,9 +218,9 @@ function layout.draw(chart, graph, run)
   end
   local problem = levels.lay_out(chart, ask)
   if problem then return nil, problem end
-  local best, whole = layout_of(chart), plain_layout(chart, graph, "", ask)
+  local best, whole = layout_of(chart, "levels"), plain_layout(chart, graph, "", ask)
   best = whole and choice.of(best, whole, chart.kind, chart.sheet) or best
-  if not choice.is_readable(best, chart.sheet) then
+  if chart.kind == "sheet" or not choice.is_readable(best, chart.sheet) then
     best, problem = layout_for(chart, graph, best, whole, ask)
   end
   if not best then return nil, problem end

@@ -126,8 +126,14 @@ local function tooltip_of(element)
   return element.at ~= "" and ", tooltip=" .. quoted(element.at) or ""
 end
 
+-- Returns classes that note the shape of a state on a sheet, for the next picture.
+local function shape_of(node)
+  return (node.row and " row" .. node.row or "") .. (node.is_turned and " turned" or "")
+end
+
 local function look_of(element, kind)
-  return ('class="%s%s%s%s"%s%s%s'):format(kind, element.is_region and " region" or "",
+  return ('class="%s%s%s%s%s"%s%s%s'):format(kind,
+    element.is_region and " region" or "", shape_of(element),
     element.mode and " " .. element.mode or "",
     element.mark and " " .. element.mark or "",
     element.mode and LOOKS.active or "", element.mark and LOOKS[element.mark] or "",
@@ -144,16 +150,19 @@ end
 
 -- Returns the attributes of a state that another picture shows, if there is one.
 local function address_of(node)
+  local is_elsewhere = node.is_linked and (node.is_cut or node.is_outside)
   return (node.is_outside and ', style="rounded,dashed"' or "")
-    .. (node.is_linked and ", URL=" .. quoted(looks.URL .. node.fqn) or "")
+    .. (is_elsewhere and ", URL=" .. quoted(looks.URL .. node.fqn) or "")
 end
 
 --- Return the attributes of a node that is not a composite.
 function looks.leaf_text(node)
-  if node.kind == "initial" then return INITIAL .. ', class="initial"' end
+  if node.kind == "initial" then
+    return INITIAL .. (', class="initial%s"'):format(shape_of(node))
+  end
   if node.kind == "connector" then
     return CONNECTOR:format(node.is_on_border and "white" or "#555555", html(node.name))
-      .. ', class="connector"'
+      .. (', class="connector%s"'):format(shape_of(node))
   end
   return ("label=%s, %s%s%s%s%s%s"):format(looks.state_label(node),
     look_of(node, "state"), node.least or "",

@@ -15,7 +15,7 @@ local lines = require "rfsm.pictures.lines"
 local rows = require "rfsm.pictures.rows"
 
 local abs, huge, ipairs, pairs = math.abs, math.huge, ipairs, pairs
-local concat, type = table.concat, type
+local concat, max, type = table.concat, math.max, type
 
 local sheet = {}
 
@@ -135,10 +135,13 @@ local function most_of(level, aim, limits)
   return level.first.crossings + (aim == "more" and SLACK or 0)
 end
 
--- Sets the field `kept` of a level: for each aim the shape that serves it best.
-local function keep_best(level, size, limits)
+-- Sets the field `kept` of a level: for each aim the shape that serves it best. It is
+-- the last one if that is fixed.
+local function keep_best(level, size, limits, is_fixed)
+  local only = is_fixed and level.shapes[#level.shapes]
   for _, aim in ipairs(AIMS) do
     local best, least = level.first, huge
+    if only and only.crossings < huge then best, least = only, -huge end
     for _, shape in ipairs(level.shapes) do
       local misfit = MISFITS[aim](shape, size)
       if shape.crossings <= most_of(level, aim, limits) and misfit < least - 0.001 then
@@ -293,7 +296,9 @@ function sheet.shapes_of(chart, limits, run, fixed)
     end
     local problem = lay_out(jobs, run)
     if problem then return problem end
-    for _, level in ipairs(list) do keep_best(level, chart.sheet, limits) end
+    for _, level in ipairs(list) do
+      keep_best(level, chart.sheet, limits, fixed(level))
+    end
   end
   return nil, heights[#heights][1].shapes
 end
@@ -313,9 +318,44 @@ function sheet.alike(shape)
   end or nil
 end
 
+-- Returns the rows of a level in a former picture. A new node is in the row of the node
+-- before it. A node that cannot be in its row begins another one.
+local function former_rows(level)
+  local numbers, last, first, shift = {}, 1, 1, 0
+  for i, node in ipairs(level.composite.nodes) do
+    local number = max(last, node.row and node.row + shift or last)
+    if number == last and (level.bounds[i] or 0) >= first then
+      number, shift = number + 1, shift + 1
+    end
+    first = number > last and i or first
+    numbers[i], last = number, number
+  end
+  return numbers
+end
+
+--- Return the deal that a level has in a former picture, for `fixed`.
+function sheet.former(level)
+  if level.composite.is_turned then return "turned" end
+  for _, node in ipairs(level.composite.nodes) do
+    if node.row then return former_rows(level) end
+  end
+  return "plain"
+end
+
+-- Notes the shapes in the nodes, so that the picture has them.
+local function note(shape)
+  local composite, deal = shape.level.composite, shape.deal
+  composite.is_turned = deal == "turned" or nil
+  for i, node in ipairs(composite.nodes) do
+    node.row = type(deal) == "table" and deal[i] or nil
+    if shape.kids[i] then note(shape.kids[i]) end
+  end
+end
+
 --- Lay out a chart as in a shape of it.
 function sheet.put(chart, shape)
   put_all(shape)
+  note(shape)
   if shape.level ~= chart.top.level then levels.enclose(chart.top.level) end
 end
 
