@@ -185,6 +185,7 @@ end
 ---@param run? rfsm.pictures.Run runs Graphviz on a host without the program `dot`
 ---@return string? graph with the position of everything in it
 ---@return string? problem in one line
+---@return number? text size of the text on the sheet, in points
 ---@nodiscard
 function dot.layout(fsm, options, run)
   local chart = diagram.read(fsm, "rfsm.dot.layout", options)

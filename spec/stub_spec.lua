@@ -268,6 +268,20 @@ describe("a chart of a robot", function()
     assert.is_table(json.decode_all(json.encode(machine_of(FILES))))
   end)
 
+  it("is drawn with one line for a stub, and none for what is in it", function()
+    local call = ('m.get("%s")'):format(("x"):rep(60))
+    local fsm = machine_of { ["chart.lua"] = ([[
+      local m = require "m"
+      return rfsm.state { a = %s.arm, b = m.b,
+        rfsm.trans { src = "initial", tgt = "a.low" },
+        rfsm.trans { src = "a.low", tgt = "b.x.y" } } ]]):format(call) }
+    local rows = {}
+    for row in mermaid.encode(fsm):gmatch(" : ([^\n]+)") do rows[#rows + 1] = row end
+    assert.same({ ".." .. ("x"):rep(22) .. "#34;).arm is a stub", "m.b is a stub" },
+      rows)
+    assert.is_not_nil(fsm.b.x.y)
+  end)
+
   it("runs, is recorded, replayed, saved and restored", function()
     local fsm, file = machine_of(FILES), folder .. "/recording"
     local recorder = record.record(fsm, file)

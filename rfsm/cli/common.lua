@@ -220,6 +220,20 @@ function common.write(file, text)
   if not ok then common.fail(problem) end
 end
 
+local WIDEST = 60 -- bytes of the line about stubs in a picture
+
+-- Returns a line that names stubs; the last ones are counted if the line is too long.
+local function line_of(names)
+  local line = "stubbed: " .. names[1]
+  for i = 2, #names do
+    if #line + #names[i] > WIDEST then
+      return ("%s and %d more"):format(line, #names - i + 1)
+    end
+    line = line .. ", " .. names[i]
+  end
+  return line
+end
+
 -- Calls encode(fsm, title, foot) for the chart in each file, and returns the list of
 -- texts. So nothing is written before all charts are encoded. `foot` is a line that
 -- names the stubs; nil without stubs.
@@ -228,8 +242,7 @@ function common.encode_all(options, encode)
   for i, file in ipairs(options.files) do
     local title = (chart.name_of(file):match("[^/]+$") or file):gsub("%.lua$", "")
     local fsm, names = load_machine(file, options.stub, options.machine)
-    local text = common.call(file, encode, fsm, title,
-      names[1] and "stubbed: " .. concat(names, ", "))
+    local text = common.call(file, encode, fsm, title, names[1] and line_of(names))
     texts[i] = text:sub(-1) == "\n" and text or text .. "\n"
   end
   return texts
