@@ -322,6 +322,26 @@ describe("the server", function()
     assert.same({ "1 1 ", "", "1 1 3,99", "root.on", "1 1 ", "" }, asked)
   end)
 
+  -- Asks for the picture until it is there; returns the last reply.
+  local function picture_of(server)
+    local status, body
+    for _ = 1, 3000 do
+      status, body = http.request(server, "GET", "/picture.svg")
+      if status ~= 202 then break end
+      require("socket").select(nil, nil, 0.01) -- another process draws it
+    end
+    return { status, body:sub(1, 5) }
+  end
+
+  for name, head in pairs { -- any order: each stands alone
+    ["needs none"] = "", ["needs one"] = "local port = require 'no_such_module'\n",
+  } do
+    it("has a picture of a chart that is opened with stubs and " .. name, function()
+      assert.same({ 200, "<?xml" }, picture_of(opened(assert(web.open(
+        helper.file_with(head .. LAMP), { port = 0, stub = true })))))
+    end)
+  end
+
   it("asks for no picture before a page does, and draws none itself", function()
     local server = open()
     helper.with(Painter, { ask = error, start = error }, function()
