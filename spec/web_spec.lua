@@ -571,6 +571,58 @@ describe("a page", function()
     assert.equal(400, (http.command(server, { command = "back" })))
   end)
 
+  -- What a page is told of the moments after the steps in a message, and of now.
+  local function moments_of(message, chart)
+    local moments, all = {}, {}
+    for _, entry in ipairs(message.log) do
+      if entry.active then all[#all + 1] = entry end
+    end
+    all[#all + 1] = message
+    for i, about in ipairs(all) do
+      local events = {}
+      for j, number in ipairs(about.enabled) do
+        events[j] = chart.events[number + 1].text
+      end
+      moments[i] = { about.leaf, table.concat(events, " "),
+        table.concat(about.queue, " "), about.states[1], about.transitions[1],
+        #about.taken, about.failures[2] or 0,
+        about.timer and math.floor(about.timer) }
+    end
+    return moments
+  end
+
+  it("is told the moment after each step, as that of now", function()
+    local server = open([[
+      local rfsm = require "rfsm"
+      require "rfsm_timeevent"
+      return rfsm.state { err = false,
+        off = rfsm.state {
+          entry = function(fsm) rfsm.send_events(fsm, "e_on", "e_x") end },
+        on = rfsm.state { entry = function() error("no power", 0) end },
+        rfsm.trans { src = "initial", tgt = "off" },
+        rfsm.trans { src = "off", tgt = "on", events = { "e_on" } },
+        rfsm.trans { src = "on", tgt = "off", events = { "e_after(2)" } },
+      }
+    ]])
+    local _, first = http.page(server)
+    assert.same({
+      { "root.off", "e_on", "e_on e_x e_done@root.off", 2, 1, 1, 0, false },
+      { "root.on", "e_after(2)@root.on", "e_done@root.on", 3, 2, 1, 1, 2 },
+      { "root.on", "e_after(2)@root.on", "", 3, 2, 2, 1, 2 },
+    }, moments_of(first, http.chart(server)))
+  end)
+
+  it("is told the first 20 events of a queue, and how many more wait", function()
+    local server = open((LAMP:gsub('print%("dark"%)', [[
+      for i = 1, 30 do rfsm.send_events(fsm, "e_" .. i) end]]):gsub("function%(%)",
+      "function(fsm)")))
+    local _, first = http.page(server)
+    local queue = first.log[1].queue
+    assert.same({ 21, "e_1", "e_20", "11 more" },
+      { #queue, queue[1], queue[20], queue[21] })
+    assert.same({}, first.queue)
+  end)
+
   it("goes back to any turn", function()
     local server = open()
     local page = http.page(server)

@@ -673,6 +673,137 @@ describe("the history", function()
   end)
 end)
 
+-- What the page shows of its moment: the path, the lit leaf, the enabled events, the
+-- queue, the coverage, the first row of the log, the time.
+local SHOWN = [=[
+  const texts = (selector, not) => [...document.querySelectorAll(selector)]
+    .filter(e => e.checkVisibility() && !e.matches(not || "none"))
+    .map(e => (e.firstChild ?? e).textContent);
+  const names = selector => texts(selector).filter(text => !text.includes("/"));
+  return { path: texts("#path > *", "#mode").filter(t => !"›‖".includes(t)).join("."),
+    lit: names(".node.state.active > text"), enabled: texts("#events .enabled"),
+    queue: texts("#queue span"), states: texts("#states")[0],
+    log: texts("#log td:nth-child(3)")[0], failed: names(".failed > text"),
+    why: texts("#why h2").length,
+    said: $("said").textContent.replace(/[\d.]+ s/, "0 s") }]=]
+
+describe("a moment of the past", function()
+  local STOVE = [[
+local rfsm = require "rfsm"
+local state, trans = rfsm.state, rfsm.trans
+return state { info = false, warn = false, err = false,
+  off = state {}, hot = state { entry = function() error("no gas", 0) end },
+  on = state { entry = function(fsm) rfsm.send_events(fsm, "e_warm") end },
+  trans { src = "initial", tgt = "off" },
+  trans { src = "off", tgt = "on", events = { "e_on" } },
+  trans { src = "on", tgt = "hot", events = { "e_heat" } },
+  trans { src = "hot", tgt = "off", events = { "e_off" } } }
+]]
+
+  -- Looks at the step before the last `count` ones.
+  local function look_back(count)
+    window:run("$('scrub').value -= arguments[0]; $('scrub').oninput()", count)
+  end
+
+  it("is all that the page shows", function()
+    visit_picture(helper.file_with(STOVE))
+    window:type "12"
+    window:wait "now.leaf == 'root.hot'"
+    window:run "return send('e_heat')"
+    window:wait "!$('why').hidden && document.querySelector('#diagram .failed')"
+    look_back(1)
+    assert.same({ path = "root.on", lit = { "on" }, enabled = { "e_heat" },
+      queue = { "e_warm", "e_done@root.on" }, states = "3 of 4",
+      log = "root.off → root.on", failed = {}, why = 0, said = "at 0 s in root.on" },
+      window:run(SHOWN))
+    window:wait "document.querySelector('.edge.taken')"
+    look_back(1)
+    assert.same({ path = "root.off", lit = { "off" }, enabled = { "e_on" },
+      queue = { "e_done@root.off" }, states = "2 of 4", log = "root.initial → root.off",
+      failed = {}, why = 0, said = "at 0 s in root.off" }, window:run(SHOWN))
+    window:keep_shot "past"
+    window:click "#to-now"
+    assert.same({ path = "root.hot", lit = { "hot" }, enabled = { "e_off" },
+      queue = { "empty" }, states = "4 of 4", log = "no transition", failed = { "hot" },
+      why = 1, said = "in root.hot" }, window:run(SHOWN))
+  end)
+
+  it("is the time of the clock and of the next timer", function()
+    visit_picture(helper.file_with [[
+local rfsm = require "rfsm"
+require "rfsm_timeevent"
+return rfsm.state { info = false, red = rfsm.state {}, green = rfsm.state {},
+  rfsm.trans { src = "initial", tgt = "red" },
+  rfsm.trans { src = "red", tgt = "green", events = { "e_after(2)" } },
+  rfsm.trans { src = "green", tgt = "red", events = { "e_after(3)" } } }
+]])
+    window:click "#live"
+    window:wait "!now.live"
+    window:click "[data-do=next]"
+    window:wait "now.leaf == 'root.green'"
+    window:click "[data-wait='1']"
+    window:wait "$('timer').textContent.startsWith('next timer in 2.0')"
+    look_back(1)
+    assert.same({ "0.000 s", "next timer in 2.000 s" },
+      window:run "return [$('clock').textContent, $('timer').textContent]")
+  end)
+
+  it("has the states of all regions", function()
+    visit_picture "examples/seqand.lua"
+    window:run "return send('e_grasp')"
+    window:wait(LIT .. ".join() == 'closed,closed'")
+    look_back(2)
+    assert.same({ "open", "open" }, lit())
+    assert.same({ "open", "open" }, texts "#path b")
+  end)
+
+  for name, act in pairs { -- any order: each stands alone
+    event = function() window:type "2" end, button = function() window:type "r" end,
+    typed = function() window:type "/e_heatt\n" end,
+    line = function() window:click "#log tr:not([hidden]) button" end,
+  } do
+    it("ends with a command, and the page says so: " .. name, function()
+      visit_picture(helper.file_with(STOVE))
+      window:type "12"
+      window:wait "now.leaf == 'root.hot'"
+      look_back(1)
+      assert.equal("on", texts("#path b")[1])
+      act()
+      window:wait "!past && document.querySelector('#to-now').hidden"
+      assert.equal("The page shows now again. Commands go to the machine as it is now.",
+        window:run "return $('refused').innerText.split('\\n')[0]")
+      if name == "typed" then
+        window:wait "$('refused').innerText.includes(\"did you mean 'e_heat'\")"
+      end
+      window:wait "$('path').innerText.includes(now.leaf.split('.').at(-1))"
+    end)
+  end
+
+  it("stays, in the bar and in the log, however fast the machine goes on", function()
+    local fsm = helper.ring(5)
+    rfsm.run(fsm)
+    visit_served(fsm)
+    for _ = 1, 6 do helper.post_and_run(fsm, "e_push") end
+    window:wait "withStates().length == 6 && document.querySelector('#view > svg .active')"
+    look_back(2)
+    local before = window:run(SHOWN)
+    assert.same({ "root.s5", { "s5" } }, { before.path, before.lit })
+    for i = 1, 3000 do
+      helper.post_and_run(fsm, "e_push")
+      if i % 100 == 0 then window:run "return 1" end -- and the page gets a message
+    end
+    window:wait "$('past-text').textContent.endsWith('Now is 3000 entries later')"
+    assert.same(before, window:run(SHOWN))
+    assert.same({ true, true }, window:run [=[
+      return [drawnSteps().includes(past), [...$("log").querySelectorAll("tr")]
+        .find(e => !e.hidden).dataset.number == past.number]]=])
+    window:click "#to-now"
+    window:wait "document.querySelector('#path b').textContent == now.leaf.slice(5)"
+    assert.equal(fsm._act_leaf._fqn, window:run "return now.leaf")
+    assert.is_true(window:run "return steps.at(-1).number == 3006")
+  end)
+end)
+
 describe("a keyboard", function()
   it("reaches the events before the log, and the tree before the diagram", function()
     visit(CHART)
