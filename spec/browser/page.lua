@@ -9,6 +9,8 @@ local socket = require "socket"
 local web = require "rfsm.web"
 local webdriver = require "spec.support.webdriver"
 
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
 local CHART = "examples/ball_tracking.lua"
 
 local servers, driver, window = {}, nil, nil
@@ -499,6 +501,95 @@ describe("the diagram", function()
     end)
   end
 
+  -- Ten groups of ten states. e_next goes on within a group, e_jump to the next group.
+  local function groups()
+    local model = rfsm.state { info = false, warn = false,
+      rfsm.trans { src = "initial", tgt = "g0" } }
+    for g = 0, 9 do
+      local group = rfsm.state { rfsm.trans { src = "initial", tgt = "s0" } }
+      for i = 0, 9 do
+        group["s" .. i] = rfsm.state {}
+        group[#group + 1] = rfsm.trans { src = "s" .. i, tgt = "s" .. (i + 1) % 10,
+          events = { "e_next" } }
+      end
+      model["g" .. g] = group
+      model[#model + 1] = rfsm.trans { src = "g" .. g, tgt = "g" .. (g + 1) % 10,
+        events = { "e_jump" } }
+    end
+    local fsm = helper.init(model)
+    rfsm.run(fsm)
+    return fsm
+  end
+
+  for _, case in ipairs {
+    { each = 1, state = "root.g0" }, { each = 20, state = "root.g0" },
+    { each = 1, state = "root", event = "e_jump" },
+    { each = 20, state = "root", event = "e_jump" },
+    { each = 20, state = "root.g0", boxes = true },
+  } do
+    it(("follows %s while the machine is fast, then the leaf; %d changes a look%s")
+      :format(case.state, case.each, case.boxes and ", boxes" or ""), function()
+      local fsm = groups()
+      visit_served(fsm)
+      window:wait "document.querySelector('#view > svg .active')"
+      if case.boxes then show_boxes() end
+      local state, is_in_view
+      for i = 1, 400 do
+        for _ = 1, case.each do
+          helper.post_and_run(fsm, i % 5 == 0 and case.event or "e_next")
+        end
+        state, is_in_view = unpack(window:run [=[
+          const v = $("view").getBoundingClientRect();
+          const leaf = drawnOf(now.active.at(-1)).getBoundingClientRect();
+          return [chart.nodes[followed.state].fqn, leaf.left >= v.left - 2
+            && leaf.right <= v.right + 2 && leaf.top >= v.top - 2
+            && leaf.bottom <= v.bottom + 2]]=])
+        assert.is_true(is_in_view, i)
+        if i > 40 and state == case.state then break end
+      end
+      assert.equal(case.state, state)
+      window:keep_shot("fast-" .. case.each .. case.state)
+      window:wait "followed.state == now.active.at(-1) && !isDrawing"
+      assert.is_true(select(2, looks()))
+    end)
+  end
+
+  it("is where it was put while the machine is fast", function()
+    local fsm = groups()
+    visit_served(fsm)
+    window:wait "document.querySelector('#view > svg .active')"
+    window:click "#larger"
+    local before = width()
+    for _ = 1, 40 do
+      helper.post_and_run(fsm, "e_next")
+      window:run "return 1"
+    end
+    assert.equal(before, width())
+  end)
+
+  it("follows the region that has changed", function()
+    local function region(name)
+      local model = rfsm.state { rfsm.trans { src = "initial", tgt = "s0" } }
+      for i = 0, 19 do
+        model["s" .. i] = rfsm.state {}
+        model[#model + 1] = rfsm.trans { src = "s" .. i, tgt = "s" .. (i + 1) % 20,
+          events = { "e_" .. name } }
+      end
+      return helper.init(model)
+    end
+    local fsm = helper.init(rfsm.state { both = require "rfsm_seqand" {
+      left = region "left", right = region "right" },
+      rfsm.trans { src = "initial", tgt = "both" } })
+    rfsm.run(fsm)
+    visit_served(fsm)
+    window:wait "document.querySelector('#view > svg .active')"
+    for _, name in ipairs { "left", "right", "left" } do
+      helper.post_and_run(fsm, "e_" .. name)
+      window:wait(("chart.nodes[followed.state].fqn.startsWith('root.both.%s.')")
+        :format(name))
+    end
+  end)
+
   it("describes a state: callbacks, line, data, how often it was entered", function()
     local file = helper.file_with [[
 local rfsm = require "rfsm"
@@ -784,7 +875,8 @@ return rfsm.state { info = false, red = rfsm.state {}, green = rfsm.state {},
     rfsm.run(fsm)
     visit_served(fsm)
     for _ = 1, 6 do helper.post_and_run(fsm, "e_push") end
-    window:wait "withStates().length == 6 && document.querySelector('#view > svg .active')"
+    window:wait "withStates().length == 6"
+    window:wait "document.querySelector('#view > svg .active')"
     look_back(2)
     local before = window:run(SHOWN)
     assert.same({ "root.s5", { "s5" } }, { before.path, before.lit })
