@@ -740,6 +740,107 @@ describe("the history", function()
     assert.not_equal(before, colour_now())
   end)
 
+  -- Returns the names in the legend, and their colours.
+  local function legend()
+    return unpack(window:run [=[
+      const items = [...$("legend").children];
+      return [items.map(e => e.textContent),
+        items.map(e => getComputedStyle(e.firstChild).backgroundColor)]]=])
+  end
+
+  it("has names that are as short as no other in its legend", function()
+    local function unit()
+      return rfsm.state { wait = rfsm.state {}, run = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "wait" },
+        rfsm.trans { src = "wait", tgt = "run", events = { "e_run" } } }
+    end
+    local fsm = helper.init(rfsm.state {
+      a = rfsm.state { u1 = unit(), u2 = unit(),
+        rfsm.trans { src = "initial", tgt = "u1" },
+        rfsm.trans { src = "u1", tgt = "u2", events = { "e_unit" } } },
+      b = rfsm.state { u1 = unit(), rfsm.trans { src = "initial", tgt = "u1" } },
+      rfsm.trans { src = "initial", tgt = "a" },
+      rfsm.trans { src = "a", tgt = "b", events = { "e_area" } },
+    })
+    rfsm.run(fsm)
+    visit_served(fsm, { history = true })
+    helper.post_and_run(fsm, "e_run")
+    window:wait "$('legend').childElementCount == 1"
+    assert.same({ "run" }, (legend()))
+    helper.post_and_run(fsm, "e_unit")
+    window:wait "$('legend').childElementCount == 2"
+    assert.same({ "run", "wait" }, (legend()))
+    helper.post_and_run(fsm, "e_run")
+    window:wait "$('legend').childElementCount == 3"
+    assert.same({ "u1.run", "wait", "u2.run" }, (legend()))
+    helper.post_and_run(fsm, "e_area")
+    helper.post_and_run(fsm, "e_run")
+    window:wait "$('legend').childElementCount == 5"
+    assert.same({ "a.u1.run", "u2.wait", "u2.run", "u1.wait", "b.u1.run" }, (legend()))
+  end)
+
+  -- The least distance in CIELAB of two colours of a list, for all who see colours and
+  -- for those blind to red, green or blue (Machado, Oliveira, Fernandes 2009).
+  local LEAST = [=[
+    const SIGHTS = [[[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+      [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216],
+        [-0.003882, -0.048116, 1.051998]],
+      [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413],
+        [-0.011820, 0.042940, 0.968881]],
+      [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602],
+        [0.004733, 0.691367, 0.303900]]];
+    const XYZ = [[0.433953, 0.376219, 0.189828], [0.212673, 0.715152, 0.072175],
+      [0.017758, 0.109477, 0.872766]]; // of white: 1, 1, 1
+    const times = (matrix, [a, b, c]) =>
+      matrix.map(row => row[0] * a + row[1] * b + row[2] * c);
+    const root = v => v > 0.008856 ? Math.cbrt(v) : 7.787 * v + 16 / 116;
+    const lab = (colour, sight) => {
+      const linear = colour.match(/\d+/g).map(v => v / 255)
+        .map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+      const seen = times(sight, linear).map(v => Math.min(1, Math.max(0, v)));
+      const [x, y, z] = times(XYZ, seen).map(root);
+      return [116 * y - 16, 500 * (x - y), 200 * (y - z)];
+    };
+    const list = arguments[0];
+    return Math.min(...SIGHTS.flatMap(sight => list.flatMap((a, i) => list.slice(0, i)
+      .map(b => Math.hypot(...lab(a, sight).map((v, j) => v - lab(b, sight)[j]))))))]=]
+
+  for _, scheme in ipairs { "light", "dark" } do
+    it("has distinct colours for all eyes, which stay: " .. scheme, function()
+      prefer(scheme)
+      local fsm = helper.ring(40)
+      rfsm.run(fsm)
+      visit_served(fsm)
+      local before
+      for count = 2, 40 do
+        helper.post_and_run(fsm, "e_push")
+        if count == 10 then
+          window:wait "$('legend').childElementCount == 9"
+          before = select(2, legend())
+        elseif count == 11 then
+          window:wait "$('legend').childElementCount == 10"
+          local colours = select(2, legend())
+          assert.same(before, { unpack(colours, 1, 9) })
+        end
+      end
+      window:wait "now.leaf == 'root.s40' && withStates().length == 39"
+      local names, colours = legend()
+      table.sort(names)
+      assert.same({ "s29", "s30", "s31", "s32", "s33", "s34", "s35", "s36", "s37",
+        "s38", "s39", "s40" }, names)
+      local least = window:run(LEAST, unpack { colours })
+      assert.is_true(least > 19, least)
+    end)
+  end
+
+  it("has the leaves of all regions in its legend", function()
+    visit "examples/seqand.lua"
+    window:wait "$('legend').childElementCount == 2"
+    assert.same({ "right.open", "left.open" }, (legend()))
+    window:run "return send('e_grasp')"
+    window:wait "$('legend').childElementCount == 4"
+  end)
+
   it("has a contrast of 4.5:1 in each bar, light and dark", function()
     for _, scheme in ipairs { "light", "dark" } do
       prefer(scheme)
