@@ -3,6 +3,7 @@
 
 local helper = require "spec.helper"
 local marsh = require "rfsm.marsh"
+local Painter = require "rfsm.web.picture"
 local proto = require "rfsm.proto"
 local rfsm = require "rfsm"
 local socket = require "socket"
@@ -383,6 +384,52 @@ describe("the diagram", function()
     return window:run [[
       return $("view").firstElementChild.getBoundingClientRect().width]]
   end
+
+  -- What is seen where the picture will be: the text, how many states of the tree, and
+  -- if the active one is in view.
+  local PANEL = [=[
+    const isSeen = e => {
+      const r = e.getBoundingClientRect();
+      const at = document.elementFromPoint(r.x + 3, r.y + 3);
+      return r.width > 2 && (e.contains(at) || e == at);
+    };
+    const items = [...document.querySelectorAll("#tree [role=treeitem] > span")];
+    const active = $("tree").querySelectorAll("[aria-selected=true] > span");
+    return [isSeen($("drawing")) && $("drawing").textContent,
+      items.filter(isSeen).length,
+      active.length ? isSeen([...active].at(-1)) : "none"]]=]
+
+  for name, case in pairs { -- any order: each stands alone
+    ["2 states"] = { fsm = function() return helper.ring(2) end, least = 3 },
+    ["500 states"] = { fsm = function() return helper.ring(500) end, least = 10,
+      leaf = 400 },
+  } do
+    it("is a tree with the active state until there is a picture: " .. name, function()
+      local fsm, svg = case.fsm(), nil
+      rfsm.run(fsm)
+      for _ = 2, case.leaf or 1 do helper.post_and_run(fsm, "e_push") end
+      helper.with(Painter, { ask = function() return svg end }, function()
+        window:open(keep(web.serve(fsm, { port = 0 })).url)
+        window:wait "document.querySelector('#tree [aria-selected=true]')"
+        local found = window:run(PANEL)
+        assert.same({ "Drawing ..", true, true },
+          { found[1], found[2] >= case.least, found[3] })
+        window:keep_shot("drawing-" .. name)
+        assert.same({}, window:faint_words()[2])
+        svg = "<svg xmlns='http://www.w3.org/2000/svg' width='9pt' height='9pt'/>"
+        window:wait "document.querySelector('#view > svg')"
+        assert.same({ false, 0 }, { unpack(window:run(PANEL), 1, 2) })
+      end)
+    end)
+  end
+
+  it("is drawn by the page at once if there is no picture", function()
+    helper.with(Painter, { ask = function() return false end }, function()
+      visit(CHART)
+      window:wait "document.querySelector('#boxes .active')"
+      assert.same({ false, 0 }, { unpack(window:run(PANEL), 1, 2) })
+    end)
+  end)
 
   it("fits, is zoomed by wheel, fingers and buttons, and dragged", function()
     visit(helper.file_with(LARGE))
