@@ -1069,6 +1069,90 @@ describe("a keyboard", function()
     window:wait "document.querySelector('#tree [aria-selected=true]')"
   end)
 
+  -- Presses the key of a name at what has the focus; returns the text there.
+  local function press(key)
+    return window:run([=[
+      const event = new KeyboardEvent("keydown",
+        { key: arguments[0], bubbles: true, cancelable: true });
+      document.activeElement.dispatchEvent(event);
+      return (document.activeElement.querySelector(":scope > span")
+        ?? document.activeElement).firstChild.textContent]=], key)
+  end
+
+  -- The tab stops in an element.
+  local function stops_in(selector)
+    return window:run([[
+      return [...document.querySelector(arguments[0]).querySelectorAll("button, li")]
+        .filter(e => e.tabIndex == 0 && e.checkVisibility())
+        .map(e => (e.querySelector(":scope > span") ?? e).firstChild.textContent)]],
+      selector)
+  end
+
+  it("has one tab stop for all events, and arrow keys among them", function()
+    local model = rfsm.state { info = false, a = rfsm.state {},
+      rfsm.trans { src = "initial", tgt = "a" } }
+    for i = 1, 31 do
+      model[#model + 1] = rfsm.trans { src = "a", tgt = "a",
+        events = { ("e_%02d"):format(i) } }
+    end
+    local fsm = helper.init(model)
+    rfsm.run(fsm)
+    visit_served(fsm, { allow_send = true })
+    assert.same({ "e_01" }, stops_in "#events")
+    assert.same({ "toolbar", "Events" },
+      window:run "return [$('events').role, $('events').ariaLabel]")
+    window:run "$('events').firstElementChild.focus()"
+    local seen = {}
+    for i, key in ipairs { "ArrowRight", "ArrowDown", "ArrowLeft", "End", "ArrowRight",
+      "ArrowUp", "Home", "ArrowLeft" } do
+      seen[i] = press(key)
+    end
+    assert.same({ "e_02", "e_03", "e_02", "e_31", "e_31", "e_30", "e_01", "e_01" },
+      seen)
+    press "End"
+    assert.same({ "e_31" }, stops_in "#events")
+    window:type "\n"
+    host = fsm
+    window:wait "now.log.some(entry => entry.events?.includes('e_31'))"
+    assert.same({ "e_31" }, stops_in "#events")
+    window:run "$('send').event.value = 'e_1'; filterEvents()"
+    window:wait "document.querySelector('#events button[tabindex=\"0\"]:not([hidden])')"
+    assert.same({ "e_10" }, stops_in "#events")
+  end)
+
+  it("has one tab stop for each other list of buttons, too", function()
+    visit(CHART)
+    for _, at in ipairs { "stopped", "setup", "e_start" } do
+      window:run("return command('breakpoint', { at: arguments[0], on: true })", at)
+    end
+    window:wait "document.querySelectorAll('#points .chips button').length == 3"
+    window:type "452"
+    window:wait "document.querySelectorAll('#log button').length > 3"
+    for _, selector in ipairs { "#points .chips", "#log", "#tree" } do
+      assert.equal(1, #stops_in(selector), selector)
+    end
+    window:run "document.querySelector('#points .chips button').focus()"
+    assert.equal("root.setup ×", press "ArrowRight")
+    window:run "document.querySelector('#log button').focus()"
+    press "End"
+    window:type "4" -- a new row comes above
+    window:wait "$('log').querySelector('tr.lost')"
+    assert.same({ true, 1 }, window:run [[
+      const stops = [...$("log").querySelectorAll("button[tabindex='0']")];
+      return [stops[0] == document.activeElement, stops.length] ]])
+  end)
+
+  it("has one tab stop for the tabs of machines", function()
+    visit_served({ helper.ring(2), helper.ring(3), helper.ring(4) },
+      { title = { "left", "middle", "right" } })
+    assert.same({ "left" }, stops_in "#machines")
+    window:run "$('machines').firstElementChild.focus()"
+    assert.equal("middle", press "ArrowRight")
+    window:type "\n"
+    window:wait "chart.title == 'middle' && now.active"
+    assert.equal(1, #stops_in "#machines")
+  end)
+
   it("finds no fault by axe", function()
     if not webdriver.AXE then return pending(webdriver.no_axe()) end
     visit_picture(CHART)
