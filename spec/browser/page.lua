@@ -431,6 +431,26 @@ describe("the diagram", function()
     end)
   end)
 
+  for name, size in pairs { -- any order: each stands alone
+    ["a zoom of 200 %"] = { 640, 400 }, ["a phone"] = { 390, 844 },
+    ["a phone on its side"] = { 844, 390 }, ["a low window"] = { 1280, 440 },
+  } do
+    it("has half of the window, with nothing above it: " .. name, function()
+      window:resize(unpack(size))
+      visit_picture "doc/gallery/factory.lua"
+      window:run "$('view').scrollIntoView({ block: 'center' })"
+      window:keep_shot("half-" .. size[1])
+      local seen = window:run [=[ // the part of the height in which all is of it
+        const view = $("view"), { x, width } = view.getBoundingClientRect();
+        const isOfIt = y => [0.25, 0.5, 0.9, 0.96].every(part =>
+          view.contains(document.elementFromPoint(x + part * width, y)));
+        const heights = [...Array(100).keys()].map(i => (i + 0.5) / 100 * innerHeight);
+        return heights.filter(isOfIt).length / 100]=]
+      assert.is_true(seen >= 0.5, seen)
+      assert.equal(size[1], window:run "return document.documentElement.scrollWidth")
+    end)
+  end
+
   it("fits, is zoomed by wheel, fingers and buttons, and dragged", function()
     visit(helper.file_with(LARGE))
     show_boxes()
