@@ -298,7 +298,8 @@ local function open_server(sources, settings)
     painter = Painter.new(),
     token = token, id = files.random(4), name = settings.host, is_late = false,
   }, Server)
-  server.page = page:gsub("{{token}}", token)
+  -- A tenth of the page is indentation and comments.
+  server.page = page:gsub("\n +", "\n"):gsub("\n//[^\n]*", ""):gsub("{{token}}", token)
   server.policy = CSP:format(token)
   local listen = require("rfsm.web.http").listen
   local listener, problem = listen(settings.host, settings.port, function(request)

@@ -84,8 +84,49 @@ describe("the server", function()
       reply)
     assert.matches("\r\nX%-Content%-Type%-Options: nosniff\r\n", reply)
     assert.is_truthy(body:find('nonce="' .. server.token .. '"', 1, true))
+    assert.is_nil(body:find("\n ") or body:find("\n//")) -- they were a tenth of it
     for link in body:gmatch("https?://[%w.]+") do
       assert.equal("http://www.w3.org", link) -- the name of SVG
+    end
+  end)
+
+  -- A Lua zlib that packs a text to its length.
+  local function pack(level, bits)
+    return function(text, flush)
+      return ("\31\139 %d %d %d %s"):format(#text, level, bits, flush)
+    end
+  end
+
+  -- Returns what a server with this module replies to a request: the header fields of
+  -- a compression, if the body is as long as told, and if it is the packed page.
+  local function packing(zlib, path, accepted)
+    local found
+    helper.with(package.loaded, { zlib = zlib }, function()
+      local server = open()
+      local _, body, reply = http.request(server, "GET", path, { "Host: localhost",
+        accepted and "Accept-Encoding: " .. accepted })
+      found = { reply:match("\r\nContent%-Encoding: .-\r\nVary: .-\r\n") or "none",
+        #body == tonumber(reply:match("\r\nContent%-Length: (%d+)\r\n")),
+        body == ("\31\139 %d 6 31 finish"):format(#server.page) }
+    end)
+    return found
+  end
+
+  it("compresses what is long, if it can and the client takes that", function()
+    local packed = { "\r\nContent-Encoding: gzip\r\nVary: Accept-Encoding\r\n", true,
+      true }
+    for _, accepted in ipairs { "gzip", "deflate, GZIP;q=0.5, br", "gzip ; q = 1" } do
+      assert.same(packed, packing({ deflate = pack }, "/", accepted), accepted)
+    end
+    local plain = { "none", true, false }
+    for _, accepted in ipairs { "", "br", "x-gzip", "gzip;q=0", "gzip; q=0.00, br" } do
+      assert.same(plain, packing({ deflate = pack }, "/", accepted), accepted)
+    end
+    assert.same(plain, packing({ deflate = pack }, "/"))
+    assert.same(plain, packing({ deflate = pack }, "/none", "gzip"))
+    for _, zlib in ipairs { {}, { deflate = error }, { deflate = tostring },
+      { deflate = function() return function() return "x" end end } } do
+      assert.same(plain, packing(zlib, "/", "gzip"))
     end
   end)
 

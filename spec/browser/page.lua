@@ -101,6 +101,26 @@ after_each(function()
   helper.remove_files()
 end)
 
+-- Composites in composites, side by side: never are all of them active.
+local NESTED = [[
+local rfsm = require "rfsm"
+local seqand = require "rfsm_seqand"
+local state, trans = rfsm.state, rfsm.trans
+
+local function nest(depth)
+  if depth == 0 then return state { entry = print } end
+  return state { entry = print, info = false, warn = false,
+    way = rfsm.conn {}, inner = nest(depth - 1),
+    trans { src = "initial", tgt = "way" }, trans { src = "way", tgt = "inner" },
+    trans { src = "inner", tgt = "inner", events = { "e_again" } } }
+end
+
+return state { a = nest(3), b = nest(3), c = seqand { l = nest(1), r = nest(1) },
+  trans { src = "initial", tgt = "a" },
+  trans { src = "a", tgt = "b", events = { "e_b" } },
+  trans { src = "b", tgt = "c", events = { "e_c" } } }
+]]
+
 describe("the page", function()
   it("shows where the machine stands, lights it, and marks its events", function()
     visit_picture(CHART)
@@ -211,6 +231,18 @@ describe("the page", function()
     window:type "1"
     window:wait "now.leaf == 'root.b'"
     assert.same({}, texts "img, #evil")
+  end)
+
+  it("comes compressed where the server can: chart and picture, too", function()
+    if not pcall(require, "zlib") then return pending("lua-zlib is missing") end
+    visit_picture(helper.file_with(NESTED))
+    assert.same({}, window:run [[
+      return [...performance.getEntriesByType("navigation"),
+        ...performance.getEntriesByType("resource")].filter(e =>
+          e.decodedBodySize > 1400 && e.encodedBodySize > e.decodedBodySize / 2.5)
+        .map(e => e.name)]])
+    assert.is_true(window:run [[
+      return performance.getEntriesByType("navigation")[0].decodedBodySize > 5e4]])
   end)
 
   it("shows two browsers the same", function()
@@ -701,26 +733,6 @@ return rfsm.state {
     window:wait "now.points.length == 1"
   end)
 end)
-
--- Composites in composites, side by side: never are all of them active.
-local NESTED = [[
-local rfsm = require "rfsm"
-local seqand = require "rfsm_seqand"
-local state, trans = rfsm.state, rfsm.trans
-
-local function nest(depth)
-  if depth == 0 then return state { entry = print } end
-  return state { entry = print, info = false, warn = false,
-    way = rfsm.conn {}, inner = nest(depth - 1),
-    trans { src = "initial", tgt = "way" }, trans { src = "way", tgt = "inner" },
-    trans { src = "inner", tgt = "inner", events = { "e_again" } } }
-end
-
-return state { a = nest(3), b = nest(3), c = seqand { l = nest(1), r = nest(1) },
-  trans { src = "initial", tgt = "a" },
-  trans { src = "a", tgt = "b", events = { "e_b" } },
-  trans { src = "b", tgt = "c", events = { "e_c" } } }
-]]
 
 describe("a text of the picture", function()
   local DEEP = ".inner.inner.inner"
