@@ -1,6 +1,7 @@
 -- The page in headless Chromium: `make test-web`. The server lives in this process and
 -- goes on while the browser is asked something. SHOTS=folder keeps screenshots there.
 
+local dot = require "rfsm.dot"
 local helper = require "spec.helper"
 local marsh = require "rfsm.marsh"
 local Painter = require "rfsm.web.picture"
@@ -761,6 +762,71 @@ describe("a text of the picture", function()
   end)
 end)
 
+describe("a picture in a file", function()
+  -- Draws an SVG as a README does. Returns the luminance of its darkest, of its median
+  -- and of its lightest point, and how many points are blue, and how many orange.
+  local PIXELS = [==[
+    const [svg, done] = arguments, image = new Image();
+    image.onload = () => {
+      const { width, height } = image, lights = [], counts = [0, 0];
+      const canvas = Object.assign(document.createElement("canvas"), { width, height });
+      const pen = canvas.getContext("2d");
+      pen.drawImage(image, 0, 0);
+      const { data } = pen.getImageData(0, 0, width, height);
+      for (let i = 0; i < data.length; i += 4) {
+        const [r, g, b] = data.slice(i, i + 3);
+        lights.push(0.2126 * r + 0.7152 * g + 0.0722 * b);
+        if (b - r > 60) counts[0]++; else if (r - b > 60) counts[1]++;
+      }
+      lights.sort((a, b) => a - b);
+      done([lights[0], lights[lights.length >> 1], lights.at(-1), ...counts]);
+    };
+    image.src = "data:image/svg+xml;base64," + btoa(svg)]==]
+
+  local function picture()
+    local fsm = helper.init(rfsm.state { a = rfsm.state {}, b = rfsm.state {},
+      rfsm.trans { src = "initial", tgt = "a" },
+      rfsm.trans { src = "a", tgt = "b", events = { "e_go" } } })
+    local looks = { active = { "root.b" } }
+    return assert(dot.render(assert(dot.layout(fsm, looks)), "svg"))
+  end
+
+  local PICTURES = {
+    chart = picture, -- what is active is blue
+    graph = function()
+      return assert(dot.render('digraph { a [color="#D55E00", penwidth=9] }', "svg"))
+    end,
+    ["moving picture of the README"] = function()
+      return helper.content "doc/gallery/walk.svg"
+    end,
+  }
+
+  for name, svg_of in pairs(PICTURES) do -- any order: each stands alone
+    it("is dark where its page is, in the same hues: " .. name, function()
+      window:open "data:text/html,<body>"
+      prefer "light"
+      local dark, common, light, blue, orange = unpack(window:run_async(PIXELS,
+        svg_of()))
+      assert.same({ true, true, true, true, name == "graph" },
+        { dark < 30, common > 230, light > 250, blue + orange > 100, orange > blue })
+      prefer "dark"
+      local new = window:run_async(PIXELS, svg_of())
+      assert.same({ true, true, true, name == "graph" },
+        { new[1] < 30, new[2] < 40, new[3] > 220, new[5] > new[4] })
+      assert.is_true(math.abs(new[4] + new[5] - blue - orange) < 0.2 * (blue + orange))
+    end)
+  end
+
+  it("leaves a document alone that has it inside", function()
+    prefer "dark"
+    window:open "data:text/html,<body>"
+    window:run("document.body.innerHTML = arguments[0]", picture())
+    assert.same({ "none", "none", "none" }, window:run [[
+      return ["html", "body", "svg"]
+        .map(name => getComputedStyle(document.querySelector(name)).filter)]])
+  end)
+end)
+
 describe("a text of the page", function()
   it("has a contrast of 4.5:1 to what is behind it, light and dark", function()
     visit_picture(CHART)
@@ -844,10 +910,9 @@ describe("the history", function()
     rfsm.run(fsm)
     visit_served(fsm, { history = true })
     helper.post_and_run(fsm, "e_run")
-    window:wait "$('legend').childElementCount == 1"
-    assert.same({ "run" }, (legend()))
+    window:wait "$('legend').textContent == 'run'"
     helper.post_and_run(fsm, "e_unit")
-    window:wait "$('legend').childElementCount == 2"
+    window:wait "now.leaf.endsWith('u2.wait') && $('legend').childElementCount == 2"
     assert.same({ "run", "wait" }, (legend()))
     helper.post_and_run(fsm, "e_run")
     window:wait "$('legend').childElementCount == 3"
