@@ -140,7 +140,8 @@ end
 -- Pictures ------------------------------------------------------------------------
 
 -- Answers with the picture of a machine. The request lists the numbers of the
--- composites that are drawn folded. The page asks again until the picture is ready.
+-- composites that are drawn folded, and has the size of its panel in points, such as
+-- sheet=672x372, for a layout that fits it. The page asks again until it is ready.
 local function picture_reply(server, request, tab)
   local source, numbers = server.sources[tab],
     request.query:match("folded=([%d,]*)") or ""

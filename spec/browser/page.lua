@@ -456,6 +456,16 @@ describe("the diagram", function()
     end)
   end
 
+  it("is asked for with the size of its panel, in points", function()
+    visit_picture(CHART)
+    assert.same({ true, true }, window:run [=[
+      const { name } = performance.getEntriesByType("resource")
+        .findLast(e => e.name.includes("picture.svg"));
+      const [width, height] = new URL(name).searchParams.get("sheet").split("x");
+      return [Math.abs(width / 0.75 - $("view").clientWidth) < 1,
+        Math.abs(height / 0.75 - $("view").clientHeight) < 1]]=])
+  end)
+
   it("is drawn by the page at once if there is no picture", function()
     helper.with(Painter, { ask = function() return false end }, function()
       visit(CHART)
