@@ -86,6 +86,7 @@ missing_for_web() {
   command -v busted >/dev/null 2>&1 || echo lua-busted
   has_module lua5.1 dkjson || echo lua-dkjson
   has_module lua5.1 socket || echo lua-socket
+  has_module lua5.1 zlib || echo lua-zlib
   command -v dot >/dev/null 2>&1 || echo graphviz
   command -v chromium >/dev/null 2>&1 || echo chromium
   command -v chromedriver >/dev/null 2>&1 || echo chromium-driver
