@@ -12,6 +12,7 @@
 local digits_of = require("rfsm.shared.exact_json").digits_of
 local files = require "rfsm.shared.files"
 local instrument = require "rfsm.shared.instrument"
+local match = require "rfsm.shared.match"
 local rfsm = require "rfsm"
 
 local io, ipairs, rawget, rawset = rawget(_G, "io"), ipairs, rawget, rawset
@@ -295,14 +296,16 @@ end
 --- Return a function that gives each event a text, the same on each run and each Lua.
 --
 -- An event whose text would be an address, such as a function, gets its type and a
--- number: "function 1" is the first function for which a text was requested.
+-- number, so that two of them differ: "function 1" is the first function for which a
+-- text was requested.
 --
 ---@return fun(event: any): string text_of
 ---@nodiscard
 function marsh.gen_event_text()
   local texts, counts = {}, {}
   return function(event)
-    local text = texts[event] or text_without_address(event)
+    local name = rfsm.event_name(event) or match.name_of(event)
+    local text = texts[event] or name or text_without_address(event)
     if text then return text end
     local kind = type(event)
     counts[kind] = (counts[kind] or 0) + 1
@@ -390,7 +393,8 @@ end
 local function add_words(writer, tab, tr)
   local words = {}
   for i, event in ipairs(tab.events) do
-    words[i] = type(event) == "function" and name_of(writer, event)
+    local is_nameless = type(event) == "function" and not rfsm.event_name(event)
+    words[i] = is_nameless and name_of(writer, event)
       or marsh.words_of(writer.event_text(event), tr.src._fqn)
   end
   tab.words = words

@@ -595,7 +595,7 @@ end
 ---@field ran false|"before"|"after"
 
 local function text_of_event(occurrence)
-  local text, part = rfsm.text_of(occurrence.event), occurrence.part
+  local text, part = rfsm.event_text(occurrence.event), occurrence.part
   if occurrence.after then
     text = ("after %.9g s: %s"):format(occurrence.after, text)
   end

@@ -17,7 +17,7 @@ local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 
 local error, getmetatable, ipairs = error, getmetatable, ipairs
-local pcall, rawget, setmetatable, type = pcall, rawget, setmetatable, type
+local pcall, setmetatable, type = pcall, setmetatable, type
 local concat, sort = table.concat, table.sort
 local holds, kinds = monitors.holds, monitors.kinds
 
@@ -194,15 +194,6 @@ function properties.at_least(count, event)
     { within = { "at_least", "seconds" } })
 end
 
--- Returns a text of an event that is the same in each run, so without addresses.
-local function text_of_event(event)
-  if type(event) == "function" then return "a function" end
-  if type(event) ~= "table" then return rfsm.text_of(event) end
-  if type(rawget(event, "name")) == "string" then return event.name end
-  local class = getmetatable(event)
-  return class and class.__tostring and rfsm.text_of(event) or "a table"
-end
-
 local function text_of(what)
   if type(what) == "function" then return "a function" end
   return type(what) == "table" and concat(what, " and ") or rfsm.text_of(what)
@@ -210,7 +201,9 @@ end
 
 function Property:__tostring()
   return (kinds[self.kind].text:gsub("{(%l+)}", function(field)
-    return (field == "event" and text_of_event or text_of)(self[field])
+    local value = self[field]
+    local is_event = field == "event" and type(value) ~= "function"
+    return (is_event and rfsm.event_text or text_of)(value)
   end))
 end
 
@@ -317,7 +310,7 @@ end
 function kinds.after.judge(walk, judged)
   local must_reach = walk.must_reach or graph.must_reach
   local set = must_reach(walk, set_of(walk, judged.property.goal))
-  local event = rfsm.text_of(judged.property.event)
+  local event = rfsm.event_text(judged.property.event)
   if not judged.has_come then
     judged.vacuous = event .. " never comes"
   elseif not judged.is_taken then
@@ -444,7 +437,7 @@ end
 -- noted violations already. If a condition must hold eventually, it is judged here.
 local function judge_monitored(walk, judged)
   if judged.property.event ~= nil and not judged.has_come then
-    judged.vacuous = rfsm.text_of(judged.property.event) .. " never comes"
+    judged.vacuous = rfsm.event_text(judged.property.event) .. " never comes"
   end
   local owes = kinds[judged.property.kind].owes
   if owes and judged.holds == nil then fairness.judge(walk, judged, owes) end

@@ -731,7 +731,7 @@ local function check_alphabet(self, alphabet)
   for _, event in ipairs(self.free.predicates and {} or alphabet or {}) do
     if not self.event_numbers[event] then
       error(("alphabet: no transition names the event '%s'%s"):format(
-        rfsm.text_of(event), type(event) == "string"
+        rfsm.event_text(event), type(event) == "string"
         and advice.nearest_name(event, self:named_texts()) or ""), 0)
     end
   end

@@ -89,7 +89,11 @@ end
 local function change_of(machine, part)
   local chart = shape.of(machine).chart
   if part.chart == nil or part.chart == chart.name then return nil end
-  return part.chart:match("^[^-]*") == chart.structure and "kept" or "structure"
+  local structure, rest = part.chart:match("^([^-]*)(.*)$")
+  if structure ~= chart.structure and structure ~= chart.older then
+    return "structure"
+  end
+  return chart.structure .. rest ~= chart.name and "kept" or nil
 end
 
 --- Is a snapshot of the chart of a machine, and its regions of those of the machine?

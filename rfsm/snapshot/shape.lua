@@ -17,15 +17,19 @@ local shape = {}
 
 -- Lines: one for each element -------------------------------------------------------
 
-local function event_text(event)
-  return is_scalar(event) and text_of(event) or "a " .. type(event)
+local function new_text(event) return rfsm.event_text(event, true) end
+
+-- Snapshots of an older form have fingerprints in which an event that is no text,
+-- number or boolean was only its type.
+local function older_text(event)
+  return is_scalar(event) and new_text(event) or "a " .. type(event)
 end
 
-local function line_of(obj)
+local function line_of(obj, text_of_event)
   if rfsm.is_conn(obj) then return "connector " .. obj._fqn end
   if rfsm.is_state(obj) then return "state " .. obj._fqn end
   local texts = {}
-  for i, event in ipairs(obj.events) do texts[i] = event_text(event) end
+  for i, event in ipairs(obj.events) do texts[i] = text_of_event(event) end
   return ("%s -> %s%s%s"):format(obj.src._fqn, rfsm.target_of(obj),
     texts[1] and " on " .. concat(texts, ", ") or "",
     obj.pn and " pn " .. text_of(obj.pn) or "")
@@ -35,9 +39,12 @@ end
 function shape.has_event(line, event)
   local events = line:match(" on (.*)$")
   if not events then return false end
-  local function has(text) return (", " .. text .. ","):find(", " .. event .. ",", 1,
-    true) ~= nil end
-  return has(events) or has((events:gsub(" pn %S+$", "")))
+  local function has(list)
+    list = ", " .. list .. ","
+    return list:find(", " .. event .. ",", 1, true)
+      or list:find(", " .. event .. "{..},", 1, true)
+  end
+  return (has(events) or has((events:gsub(" pn %S+$", "")))) ~= nil
 end
 
 -- Returns a hash of lines. Its numbers are below 2^44, so that doubles multiply them by
@@ -112,6 +119,7 @@ end
 ---@field lines string[] a line for each state, connector and transition
 ---@field fields string[] a line for each kept field, `save` and region
 ---@field structure string fingerprint of `lines`
+---@field older string the fingerprint that older snapshots have
 ---@field name string `structure`, with the fingerprint of `fields` if there are any
 ---@field keepers rfsm.snapshot.Keeper[]
 ---@field keeper table<string, rfsm.snapshot.Keeper> the keepers by the FQN of the state
@@ -159,18 +167,19 @@ local function chart_of(fsm)
   local key = rfsm.structure_of(fsm)
   if charts[key] then return charts[key] end
   local places = rfsm.machines(fsm)
-  local self = { lines = {}, fields = {}, structure = false, name = false,
-    keepers = {}, keeper = {}, has_load = false, has_regions = places[2] ~= nil,
-    leaves = {}, nodes = {}, transitions = {} }
+  local self = { lines = {}, fields = {}, structure = false, older = false,
+    name = false, keepers = {}, keeper = {}, has_load = false,
+    has_regions = places[2] ~= nil, leaves = {}, nodes = {}, transitions = {} }
+  local older = {}
   for i, obj in ipairs(rfsm.elements(fsm)) do
-    self.lines[i] = line_of(obj)
+    self.lines[i], older[i] = line_of(obj, new_text), line_of(obj, older_text)
     add_element(self, obj)
   end
   for _, at in ipairs(places) do
     if at.owner == fsm then self.fields[#self.fields + 1] = "region " .. at.prefix end
   end
   sort(self.fields)
-  self.structure = fingerprint_of(self.lines)
+  self.structure, self.older = fingerprint_of(self.lines), fingerprint_of(older)
   self.name = self.structure
   if self.fields[1] then
     self.name = self.name .. "-" .. fingerprint_of(self.fields):sub(-6)

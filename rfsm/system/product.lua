@@ -370,7 +370,7 @@ local function move_of(self, from, label)
     choices = outcome.choices, taken = outcome.taken, leaf = outcome.leaf,
     occurrences = outcome.outside, unfollowed = outcome.unfollowed, ran = outcome.ran }
   for i, occurrence in ipairs(outcome.outside) do
-    move.events[i] = rfsm.text_of(occurrence.event)
+    move.events[i] = rfsm.event_text(occurrence.event)
   end
   return move
 end
