@@ -213,6 +213,7 @@ end
 ---@class rfsm_checks.Judged
 ---@field name string
 ---@field property rfsm_checks.Property
+---@field event any the event that the property means in the chart
 ---@field holds boolean|nil nil: not known, since something was not tried
 ---@field vacuous? string the reason why nothing tests the property
 ---@field way rfsm_checks.Way the parts of the machine that its walk explores
@@ -346,7 +347,7 @@ end
 -- Raises an error for an event that only a machine itself can make, such as a time
 -- event, and that this machine never makes.
 local function check_maker(own, judged)
-  local event = judged.property.event
+  local event = judged.event
   if not own:maker_of(event) or own.event_numbers[event] or own.done[event] then
     return
   end
@@ -372,7 +373,7 @@ local function watch_steps(walk, afters)
   function walk.look(_, from, tgt, _, label)
     if not own.parts[1].position.leaf then return end -- before the first entry
     for _, judged in ipairs(afters) do
-      local owed, event = judged.owed, judged.property.event
+      local owed, event = judged.owed, judged.event
       if own.wanted[event] then
         judged.has_come = true
         judged.is_taken = judged.is_taken or properties.is_taken(own, event)
@@ -384,7 +385,7 @@ end
 
 -- Has a walk take steps with the event of a property.
 local function want_event(walk, judged)
-  local event = judged.property.event
+  local event = judged.event
   walk.wanted[#walk.wanted + 1], walk.subject.wanted[event] = event, false
   if judged.property.goal and not walk.options.together then
     walk.together = 2
@@ -402,7 +403,8 @@ function properties.list_for(own, given)
   local active = own:view(own:configuration(own:read()))
   for _, judged in ipairs(list) do
     properties.check_names(where, judged, active)
-    if judged.property.event ~= nil then check_maker(own, judged) end
+    judged.event = own:event_meant(judged.property.event)
+    if judged.event ~= nil then check_maker(own, judged) end
   end
   return list
 end
@@ -430,7 +432,7 @@ end
 ---@param judged rfsm_checks.Judged
 function properties.monitor(walk, judged)
   walk.monitor = judged
-  if judged.property.event ~= nil then want_event(walk, judged) end
+  if judged.event ~= nil then want_event(walk, judged) end
 end
 
 -- Judges a property whose monitor has looked at each step of the walk. The monitor has

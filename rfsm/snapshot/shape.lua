@@ -6,6 +6,7 @@
 
 local calls = require "rfsm.shared.calls"
 local encoding = require "rfsm.snapshot.encoding"
+local match = require "rfsm.shared.match"
 local rfsm = require "rfsm"
 
 local ipairs, rawget, setmetatable, type = ipairs, rawget, setmetatable, type
@@ -17,7 +18,12 @@ local shape = {}
 
 -- Lines: one for each element -------------------------------------------------------
 
-local function new_text(event) return rfsm.event_text(event, true) end
+-- Returns the text of an event of a transition. In a machine that is explored, an event
+-- takes the place of the predicate of its name.
+local function new_text(event)
+  local name = match.name_of(event)
+  return rfsm.event_text(name and rfsm.named(name) or event, true)
+end
 
 -- Snapshots of an older form have fingerprints in which an event that is no text,
 -- number or boolean was only its type.

@@ -409,7 +409,9 @@ local function add_member(self, cell, name, options)
       member.outgoing[wire.event] = match.with(member.outgoing[wire.event] or {}, at)
     end
   end
-  function own.maker_of(_, event) return maker_of(own, event) or member.wired[event] end
+  function own.maker_of(_, event)
+    return maker_of(own, event) or member.wired[match.name_of(event) or event]
+  end
   function member.note_untried(_, bound, text)
     self.is_partial = true
     self:note_untried(bound, name .. ": " .. text)
