@@ -35,6 +35,7 @@ local marsh = {}
 ---@field internal? true no state is left or entered, `src` and `tgt` are the same
 ---@field key? string location of the transition: "root.trans[2]"
 ---@field words? string[] its events in words: "e_go", "after 5 s", "done"
+---@field with_data? string[] only in JSON: the names of the events that have data
 ---@field guard? string the name, code or comment of the guard in its source
 ---@field effect? string the name, code or comment of the effect in its source
 ---@field at? string where callbacks begin: "guard chart.lua:7, effect chart.lua:9"
@@ -569,9 +570,13 @@ local function plain(tab, text_of)
   each(tab, TEXTS, marsh.utf8)
   each(tab, LISTS, as_array)
   tab.pn = tab.pn and plain_number(tab.pn)
+  local names = {}
   for i, event in ipairs(tab.events or {}) do
+    names[#names + 1] = rfsm.event_name(event)
     tab.events[i] = plain_event(event, text_of)
   end
+  for i, name in ipairs(names) do names[i] = marsh.utf8(name) end
+  tab.with_data = names[1] and as_array(names)
   for i, text in ipairs(tab.words or {}) do tab.words[i] = marsh.utf8(text) end
   for _, key in ipairs { "transitions", "subnodes", "regions" } do
     for _, element in ipairs(tab[key] or {}) do plain(element, text_of) end
