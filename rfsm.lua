@@ -296,17 +296,43 @@ do
   ---@return string? name
   function rfsm.event_name(predicate) return event_names[predicate] end
 
-  --- Return an event or predicate of a transition as text: its name if it has one.
-  ---@param event any
-  ---@return string
-  function rfsm.event_text(event)
-    local has_name = type(event) == "table" and not getmetatable(event)
-    return event_names[event] or text_of(has_name and event.name or event)
+  -- Returns the text of a value; its kind if the text would be an address.
+  local function identity_text(value)
+    local kind, text = type(value), text_of(value)
+    if kind == "function" then return "a predicate" end
+    return (text == kind or text:find("^" .. kind .. ": ")) and "a " .. kind or text
   end
 
+  --- Return an event or predicate of a transition as text: its name if it has one.
+  --
+  -- All tools show this text. If there is room for data, an event with data is shown as
+  -- `e_paid{amount=12}`, and a predicate of `rfsm.named` as `e_paid{..}`. No text is an
+  -- address, so it is the same in each run.
+  --
+  ---@param event any
+  ---@param has_room? boolean show data, too, in short
+  ---@return string
+  function rfsm.event_text(event, has_room)
+    local name = event_names[event]
+    if name then return has_room and name .. "{..}" or name end
+    if type(event) ~= "table" or getmetatable(event) then
+      return identity_text(event)
+    end
+    name = rawget(event, "name")
+    if type(name) ~= "string" then name = false end
+    local pp = has_room and rfsm.pp
+    if pp then return pp.short_text(event, name) end
+    return name or identity_text(event)
+  end
+
+  -- Returns the events of a transition for the trace, where a function is its address,
+  -- as in the original.
   function list_text(events)
     local texts = {}
-    for i = 1, #events do texts[i] = rfsm.event_text(events[i]) end
+    for i = 1, #events do
+      local is_nameless = type(events[i]) == "function" and not event_names[events[i]]
+      texts[i] = is_nameless and text_of(events[i]) or rfsm.event_text(events[i])
+    end
     return concat(texts, ", ")
   end
 

@@ -82,7 +82,7 @@ local function check_event(fsm, event)
   if not fsm._checks.predicates then collect_known(fsm, fsm._checks) end
   if is_known(fsm._checks, event) then return end
   rfsm.report(fsm, "warn",
-    "WARNING: undeclared event " .. text_of(event) .. " received")
+    "WARNING: undeclared event " .. rfsm.event_text(event) .. " received")
 end
 
 -- The pre step hook. It is fast, as it runs in every iteration: a declared event takes

@@ -78,6 +78,13 @@ local RECORD = { open = "{", close = "}", comma = ",", equals = "=",
 local PERSON = { open = "{ ", close = " }", comma = ", ", equals = " = ",
   text_of_node = text_of }
 
+-- How the data of an event are written: at most `most` bytes of a text, no addresses.
+local SHORT = { open = "{", close = "}", comma = ",", equals = "=", most = 24,
+  text_of_node = RECORD.text_of_node }
+local NAMELESS = { open = "{ ", close = " }", comma = ", ", equals = " = ", most = 24,
+  text_of_node = text_of }
+local LONGEST = 80 -- bytes of the data of an event
+
 -- Control characters are escaped, so that a text takes one line.
 local function escape_control(character) return ("\\%d"):format(character:byte()) end
 
@@ -86,6 +93,24 @@ local ESCAPES = setmetatable({ ["\n"] = "\\n", ['"'] = '\\"', ["\\"] = "\\\\" },
 
 local to_text
 
+-- Returns the text of a value that is not looked into.
+local function plain_text(value, style)
+  if rfsm.is_node(value) then return style.text_of_node(value) end
+  if not style.most then return text_of(value) end
+  if value ~= value then return "nan" end
+  if type(value) == "table" and not getmetatable(value) then return "{..}" end
+  return rfsm.event_text(value)
+end
+
+-- Returns a text in quotes, cut behind its first `most` bytes, between characters.
+local function quoted(text, most)
+  local rest = #text > most and ".." or ""
+  if rest ~= "" then
+    text = text:sub(1, most):gsub("[\194-\244]?[\128-\191]*$", "")
+  end
+  return '"' .. text:gsub('[%c"\\]', ESCAPES) .. rest .. '"'
+end
+
 -- Returns the key of a field, and what is between the key and the value.
 local function key_to_text(key, style, seen, level)
   local is_name = type(key) == "string" and key:find("^[%a_][%w_]*$")
@@ -93,15 +118,16 @@ local function key_to_text(key, style, seen, level)
     .. style.equals
 end
 
--- Returns the contents of a table as a text: {"a","b",x=1}.
-local function table_to_text(t, style, seen, level)
+-- Returns the contents of a table as a text: {"a","b",x=1}, without the key `hidden`.
+local function table_to_text(t, style, seen, level, hidden)
   local texts, length = {}, 0
   while length < FIELDS and t[length + 1] ~= nil do
     length = length + 1
     texts[length] = to_text(t[length], style, seen, level)
   end
   local keys = t[length + 1] == nil and rfsm.sorted_keys(t, function(_, key)
-    return not (type(key) == "number" and key >= 1 and key <= length and key % 1 == 0)
+    return key ~= hidden
+      and not (type(key) == "number" and key >= 1 and key <= length and key % 1 == 0)
   end) or { length + 1 }
   for i = 1, #keys do
     if #texts == FIELDS then
@@ -118,13 +144,10 @@ end
 -- table is in quotes. `seen` is the set of the tables that have been written.
 function to_text(value, style, seen, level)
   if type(value) == "string" and level > 0 then
-    return '"' .. value:gsub('[%c"\\]', ESCAPES) .. '"'
-  elseif type(value) ~= "table" or seen[value] then
-    return text_of(value)
-  elseif getmetatable(value) then
-    return rfsm.is_node(value) and style.text_of_node(value) or text_of(value)
-  elseif level == LEVELS then
-    return text_of(value)
+    return quoted(value, style.most or #value)
+  elseif type(value) ~= "table" or seen[value] or getmetatable(value)
+    or level == LEVELS then
+    return plain_text(value, style)
   end
   seen[value] = true
   return table_to_text(value, style, seen, level + 1)
@@ -139,6 +162,25 @@ end
 ---@return string text
 ---@nodiscard
 function rfsmpp.value_text(value) return to_text(value, PERSON, {}, 0) end
+
+--- Return an event that is a plain table in short: `e_paid{amount=12,by={id=3}}`.
+--
+-- The data have at most 80 bytes. What does not fit becomes `..`, as do tables that
+-- were written before. An event without a name is `{ 1, 2 }`.
+--
+---@param event table
+---@param name string|false the field `name` of the event
+---@return string text
+---@nodiscard
+function rfsmpp.short_text(event, name)
+  local style = name and SHORT or NAMELESS
+  local text = table_to_text(event, style, { [event] = true }, 1, name and "name")
+  if #text > LONGEST then
+    local kept = text:sub(1, LONGEST - 4):match("^(.*),")
+    text = kept and kept .. style.comma .. ".." .. style.close or "{..}"
+  end
+  return (name or "") .. text
+end
 
 -- Returns an argument of a record as a text.
 local function argument_text(value) return to_text(value, RECORD, {}, 0) end

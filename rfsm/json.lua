@@ -15,7 +15,8 @@ local json = {}
 
 local KEY_ORDER = {
   "version", "type", "id", "doc", "mode", "final", "history", "entry", "doo", "exit",
-  "key", "src", "tgt", "pn", "events", "words", "guard", "effect", "internal",
+  "key", "src", "tgt", "pn", "events", "words", "with_data", "guard", "effect",
+  "internal",
   "transitions", "subnodes", "regions", "graph", "active_leaf", "active_leaf_state",
 }
 

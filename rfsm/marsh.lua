@@ -12,6 +12,7 @@
 local digits_of = require("rfsm.shared.exact_json").digits_of
 local files = require "rfsm.shared.files"
 local instrument = require "rfsm.shared.instrument"
+local match = require "rfsm.shared.match"
 local rfsm = require "rfsm"
 
 local io, ipairs, rawget, rawset = rawget(_G, "io"), ipairs, rawget, rawset
@@ -34,6 +35,7 @@ local marsh = {}
 ---@field internal? true no state is left or entered, `src` and `tgt` are the same
 ---@field key? string location of the transition: "root.trans[2]"
 ---@field words? string[] its events in words: "e_go", "after 5 s", "done"
+---@field with_data? string[] only in JSON: the names of the events that have data
 ---@field guard? string the name, code or comment of the guard in its source
 ---@field effect? string the name, code or comment of the effect in its source
 ---@field at? string where callbacks begin: "guard chart.lua:7, effect chart.lua:9"
@@ -295,14 +297,16 @@ end
 --- Return a function that gives each event a text, the same on each run and each Lua.
 --
 -- An event whose text would be an address, such as a function, gets its type and a
--- number: "function 1" is the first function for which a text was requested.
+-- number, so that two of them differ: "function 1" is the first function for which a
+-- text was requested.
 --
 ---@return fun(event: any): string text_of
 ---@nodiscard
 function marsh.gen_event_text()
   local texts, counts = {}, {}
   return function(event)
-    local text = texts[event] or text_without_address(event)
+    local name = rfsm.event_name(event) or match.name_of(event)
+    local text = texts[event] or name or text_without_address(event)
     if text then return text end
     local kind = type(event)
     counts[kind] = (counts[kind] or 0) + 1
@@ -390,7 +394,8 @@ end
 local function add_words(writer, tab, tr)
   local words = {}
   for i, event in ipairs(tab.events) do
-    words[i] = type(event) == "function" and name_of(writer, event)
+    local is_nameless = type(event) == "function" and not rfsm.event_name(event)
+    words[i] = is_nameless and name_of(writer, event)
       or marsh.words_of(writer.event_text(event), tr.src._fqn)
   end
   tab.words = words
@@ -565,9 +570,13 @@ local function plain(tab, text_of)
   each(tab, TEXTS, marsh.utf8)
   each(tab, LISTS, as_array)
   tab.pn = tab.pn and plain_number(tab.pn)
+  local names = {}
   for i, event in ipairs(tab.events or {}) do
+    names[#names + 1] = rfsm.event_name(event)
     tab.events[i] = plain_event(event, text_of)
   end
+  for i, name in ipairs(names) do names[i] = marsh.utf8(name) end
+  tab.with_data = names[1] and as_array(names)
   for i, text in ipairs(tab.words or {}) do tab.words[i] = marsh.utf8(text) end
   for _, key in ipairs { "transitions", "subnodes", "regions" } do
     for _, element in ipairs(tab[key] or {}) do plain(element, text_of) end

@@ -16,6 +16,7 @@
 
 local rfsm = require "rfsm"
 local marsh = require "rfsm.marsh"
+local encoding = require "rfsm.snapshot.encoding"
 local opts = require "rfsm.shared.options"
 local instrument = require "rfsm.shared.instrument"
 
@@ -135,7 +136,8 @@ local function each_subscriber(feed, f)
 end
 
 local KEY_ORDER = {
-  "id", "type", "src", "tgt", "pn", "events", "internal", "transitions", "subnodes",
+  "id", "type", "src", "tgt", "pn", "events", "with_data", "internal", "transitions",
+  "subnodes",
 }
 
 -- Returns the message with the graph of a machine, or an error message if the chart is
@@ -211,12 +213,18 @@ function MESSAGES.heartbeat(server, _, ip, port)
   sub.seen = server.now
 end
 
-local IS_EVENT = { string = true, boolean = true, number = true }
+-- Is an event a text, a boolean, a finite number, or a table with a name and data that
+-- a snapshot can have?
+local function is_event(event)
+  if type(event) == "number" then return event - event == 0 end
+  return encoding.is_event(event) and encoding.attempt(encoding.pack, event,
+    { owner = "event", seen = false, is_by_value = true }, 0) ~= nil
+end
 
 function MESSAGES.event(server, message)
   local event = message.event
   if not server.allow_send then return "event: refused, allow_send is off" end
-  if not IS_EVENT[type(event)] or event == huge or event == -huge or event ~= event then
+  if not is_event(event) then
     return "event: string, boolean or finite number expected, " .. opts.got(event)
   end
   local feed, problem = feed_of(server, message, message.fsm or 1)

@@ -47,7 +47,7 @@ end
 local function names_of(known)
   local names, named = {}, {}
   for _, list in ipairs { known.list, known.reactions } do
-    for _, event in ipairs(list) do names[#names + 1] = text_of(event) end
+    for _, event in ipairs(list) do names[#names + 1] = rfsm.event_text(event) end
   end
   for _, predicate in ipairs(known.predicates) do
     named[#named + 1] = rfsm.event_name(predicate)
@@ -95,7 +95,7 @@ local function oddness_of(fsm, known, event)
     return oddness_of_table(known, event)
   elseif type(event) ~= "string" then
     local hint = type(event) == "number" and hint_for(known, event) or ""
-    return ("no transition names the event %s%s"):format(text_of(event), hint)
+    return ("no transition names the event %s%s"):format(rfsm.event_text(event), hint)
   elseif is_state_name(fsm, event) then
     return ("'%s' is the name of a state, no event%s"):format(event,
       known.set["e_" .. event] and hint_for(known, event) or "")
@@ -285,11 +285,6 @@ end
 
 local MANY = 10000 -- iterations of one run
 
--- Returns an event as a text. A server has no rfsmpp.
-local function event_text(event)
-  return rfsm.pp and rfsm.pp.value_text(event) or text_of(event)
-end
-
 -- Warns of a run that does not end, unless an idle hook shows that this is intended.
 local function check_end(fsm, events)
   local notes, leaf = fsm._strict, fsm._act_leaf
@@ -299,7 +294,7 @@ local function check_end(fsm, events)
   warn(fsm, ("rfsm.run has made %d iterations and goes on, in '%s': %s"):format(MANY,
     leaf and leaf._fqn or "root", MANY - notes.event_at > 9
     and "its doo is never idle (rfsm.yield(true) lets run return)"
-    or ("event '%s' comes again and again"):format(event_text(notes.event))))
+    or ("event '%s' comes again and again"):format(rfsm.event_text(notes.event, true))))
 end
 
 -- The path hook: notes the path for the post step hook.

@@ -14,11 +14,11 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local advice = require "rfsm.advice"
 local calls = require "rfsm.shared.calls"
 local files = require "rfsm.shared.files"
 local Served = require "rfsm.web.served"
 local opts = require "rfsm.shared.options"
+local outline = require "rfsm.observe.outline"
 local Painter = require "rfsm.web.picture"
 
 local error, ipairs, pcall = error, ipairs, pcall
@@ -114,12 +114,8 @@ end
 
 -- Returns a hint if a message sends an event that no transition names; otherwise nil.
 local function hint_for(source, message)
-  local lists, event, names = source.view.outline, message.event, {}
-  if message.command ~= "send" or type(event) ~= "string" or lists.event_of[event] then
-    return nil
-  end
-  for i, other in ipairs(lists.events) do names[i] = other.text end
-  return ("no transition names '%s'%s"):format(event, advice.nearest_name(event, names))
+  if message.command ~= "send" then return nil end
+  return outline.hint_for(source.view.outline, (source.view:event_of(message)))
 end
 
 local function command_reply(server, request, tab)

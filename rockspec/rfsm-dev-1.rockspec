@@ -166,6 +166,7 @@ build = {
     ["rfsm.shared.order"] = "rfsm/shared/order.lua",
     ["rfsm.shared.search"] = "rfsm/shared/search.lua",
     ["rfsm.shared.stubs"] = "rfsm/shared/stubs.lua",
+    ["rfsm.shared.typed"] = "rfsm/shared/typed.lua",
     ["rfsm.shared.types"] = "rfsm/shared/types.lua",
     ["rfsm.shared.writes"] = "rfsm/shared/writes.lua",
     ["rfsm.sim.commands"] = "rfsm/sim/commands.lua",

@@ -595,7 +595,7 @@ describe("a callback that is run", function()
       function(_, events) return rawget(_G, "no_robot").is_ready(events) end,
     }
     for i, guard in ipairs(GUARDS) do
-      assert.same({ i, false, false, "one event a step; guards and predicates free" },
+      assert.same({ i, false, false, "one event a step; guards free" },
         { i, unpack(judged({ [2] = { guard = guard } },
           { run = { "guard root.trans[2]" } })) })
     end
@@ -604,14 +604,14 @@ describe("a callback that is run", function()
   it("is free if it is a guard that fails away from its robot", function()
     local function is_ready() return rawget(_G, "no_robot").ready end
     local members = { [2] = { guard = is_ready } }
-    assert.same({ false, false, "one event a step; guards and predicates free" },
+    assert.same({ false, false, "one event a step; guards free" },
       judged(members, { run = { is_ready } }))
   end)
 
   it("is known if it is a guard that reads names, or no events", function()
     local function never_now(tr) return tr._fsm.n > 10 end
     local function is_x(_, events) return events[1] == "e_x" end
-    assert.same({ true, true, "one event a step; predicates free" },
+    assert.same({ true, true, "one event a step" },
       judged({ [2] = { guard = never_now } }, { run = { never_now } }))
     local holds = verdict(chart { bad = state {}, [3] = go("b", "bad", "e_y",
       { guard = is_x }), [4] = go("bad", "a", "e_x") }, never "root.bad",

@@ -170,6 +170,19 @@ for _, case in ipairs {
   end)
 end
 
+it("an event with data is sent, and data that a snapshot cannot have are refused",
+  function()
+    local seen, model = false, lamp()
+    model.off = rfsm.state { exit = function(_, _, _, event) seen = event end }
+    model[2] = rfsm.trans { src = "off", tgt = "on", events = { rfsm.named "e_paid" } }
+    local server = install { allow_send = true }
+    local fsm, client = started(model), new_client(server)
+    client:send { type = "event", event = { name = "e_paid", by = { id = 3 } } }
+    rfsm.run(fsm)
+    assert.same({ name = "e_paid", by = { id = 3 } }, seen)
+    client:send '{"type":"event","event":{"name":"e_paid","n":1e999}}'
+  end)
+
 describe("a subscription", function()
   it("brings the graph, then the active leaf after each iteration", function()
     local fsm, client = served()

@@ -74,6 +74,36 @@ return rfsm.state { warn = false, info = false, ]] .. (more or "") .. [[
 }]]
 end
 
+-- a --e_paid{..}--> b --e_x--> a
+local PAID = [[
+local rfsm = require "rfsm"
+return rfsm.state { warn = false, info = false, a = rfsm.state {}, b = rfsm.state {},
+  rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "b", events = { rfsm.named "e_paid" },
+    guard = function(_, events) return events[1].amount > 9 end },
+  rfsm.trans { src = "b", tgt = "a", events = { "e_x" } },
+}]]
+
+describe("an event with data", function()
+  check {
+    { does = "is sent as it is shown", chart = PAID, input = [=[
+run
+ser e_paid{amount = 1} e_paid{"amount": 12}
+ser e_x
+se e_paid { amount = 12 }
+run
+ser e_paid{amount}
+]=], output = [=[
+at root.a(done)
+at root.a(done)
+at root.a(done)
+queue:  e_paid{amount=12}
+at root.b(done)
+! data: a text in quotes, a number, true, false or a table expected, got 'amount}'
+]=] },
+  }
+end)
+
 describe("the history", function()
   check {
     { does = "ends where it was left for another way", chart = ring(), input = [=[

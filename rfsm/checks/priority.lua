@@ -90,7 +90,7 @@ local function shared_event(tr, other)
   if match.is_any(tr) and match.is_any(other) then return "any event" end
   for _, event in ipairs(match.is_any(tr) and other.events or tr.events) do
     if type(event) ~= "function" and is_enabled_by(other, event) then
-      return rfsm.text_of(event)
+      return rfsm.event_text(event)
     end
   end
 end

@@ -231,7 +231,7 @@ local function check_default(connector, arriving, add)
   local texts = {}
   for _, event in ipairs(arriving or {}) do
     if not has_default(connector, event) then
-      texts[#texts + 1] = rfsm.text_of(event)
+      texts[#texts + 1] = rfsm.event_text(event)
     end
   end
   if not texts[1] or not connector._otrs[1] then return end

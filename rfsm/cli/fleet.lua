@@ -7,6 +7,7 @@ local chart = require "rfsm.shared.chart"
 local codec = require "rfsm.server.codec"
 local common = require "rfsm.cli.common"
 local rfsm = require "rfsm"
+local typed = require "rfsm.shared.typed"
 
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -24,6 +25,12 @@ local function reply_lines(name)
     if not reply then return nil, problem end
     return lines_of(reply)
   end
+end
+
+-- Returns the event that a person has typed, such as e_paid{amount=12}.
+local function event_of(text)
+  local event, problem = typed.read(text)
+  return event or error(problem, 0)
 end
 
 local function list_dead(fleet, limit)
@@ -71,8 +78,14 @@ local VERBS = {
     return fleet:find(name, state, rfsm.number_of(limit), s)
   end },
   get = { "KEY", 1, view_lines }, history = { "KEY [COUNT]", 1, history_lines },
-  why = { "KEY EVENT", 2, function(fleet, ...) return fleet:why(...) end },
-  send = { "KEY EVENT", 2, reply_lines "send" },
+  why = { "KEY EVENT", 2, function(fleet, key, text)
+    return fleet:why(key, event_of(text))
+  end },
+  send = { "KEY EVENT", 2, function(fleet, key, ...)
+    local events = { ... }
+    for i, text in ipairs(events) do events[i] = event_of(text) end
+    return reply_lines "send"(fleet, key, unpack(events))
+  end },
   hold = { "KEY", 1, reply_lines "hold" },
   release = { "KEY", 1, reply_lines "release" },
   force = { "KEY STATE", 2, reply_lines "force" },

@@ -14,7 +14,6 @@ local rewind = require "rfsm.observe.rewind"
 local session = require "rfsm.sim.session"
 local snapshot = require "rfsm.snapshot"
 local system = require "rfsm.system"
-local values = require "rfsm.observe.values"
 
 local concat = table.concat
 
@@ -52,7 +51,8 @@ end
 local function print_move(cell, name, came, by)
   local fsm, got = cell.machines[name], {}
   for i, event in ipairs(came) do
-    got[i] = values.value(event) .. " from " .. (by[i] and by[i].from or "outside")
+    got[i] = rfsm.event_text(event, true) .. " from "
+      .. (by[i] and by[i].from or "outside")
   end
   if rfsm.took_path(fsm) or got[1] then
     print(name .. (got[1] and " gets " .. concat(got, ", ") or "") .. ": "

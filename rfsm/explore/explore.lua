@@ -595,7 +595,7 @@ end
 ---@field ran false|"before"|"after"
 
 local function text_of_event(occurrence)
-  local text, part = rfsm.text_of(occurrence.event), occurrence.part
+  local text, part = rfsm.event_text(occurrence.event), occurrence.part
   if occurrence.after then
     text = ("after %s s: %s"):format(rfsm.number_text(occurrence.after, "%.9g"), text)
   end

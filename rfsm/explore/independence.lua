@@ -245,8 +245,9 @@ end
 
 -- Returns the way of the walk on which a property is judged. It has all parts if the
 -- property has a function, or an event that machines make themselves.
-local function way_for(self, property)
-  local own, parts, event = self.own, {}, property.event
+local function way_for(self, judged)
+  local own, parts, event = self.own, {}, judged.event
+  local property = judged.property
   local are_known = add_named(own, parts, property.what)
     and add_named(own, parts, property.goal)
   if not are_known or event ~= nil and own:maker_of(event) then return false end
@@ -275,7 +276,7 @@ function independence.ways(own, list, options)
     ways[i] = way_of(self, parts)
   end
   for _, judged in ipairs(ways[2] and list or NOTHING) do
-    judged.way = way_for(self, judged.property)
+    judged.way = way_for(self, judged)
   end
   return ways
 end

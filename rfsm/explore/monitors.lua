@@ -200,8 +200,8 @@ local function look_at(walk, judged, state, try, view)
   end
   if state == "violated" then return state, {} end
   look.active, look.is_end = view, true
-  look.came = property.event ~= nil and own.parts[1].position.leaf
-    and own.wanted[property.event] or false
+  look.came = judged.event ~= nil and own.parts[1].position.leaf
+    and own.wanted[judged.event] or false
   judged.has_come = judged.has_come or look.came
   return monitors.look(property, state, look)
 end

@@ -17,7 +17,7 @@ local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 
 local error, getmetatable, ipairs = error, getmetatable, ipairs
-local pcall, rawget, setmetatable, type = pcall, rawget, setmetatable, type
+local pcall, setmetatable, type = pcall, setmetatable, type
 local concat, sort = table.concat, table.sort
 local holds, kinds = monitors.holds, monitors.kinds
 
@@ -194,15 +194,6 @@ function properties.at_least(count, event)
     { within = { "at_least", "seconds" } })
 end
 
--- Returns a text of an event that is the same in each run, so without addresses.
-local function text_of_event(event)
-  if type(event) == "function" then return "a function" end
-  if type(event) ~= "table" then return rfsm.text_of(event) end
-  if type(rawget(event, "name")) == "string" then return event.name end
-  local class = getmetatable(event)
-  return class and class.__tostring and rfsm.text_of(event) or "a table"
-end
-
 local function text_of(what)
   if type(what) == "function" then return "a function" end
   return type(what) == "table" and concat(what, " and ") or rfsm.text_of(what)
@@ -210,7 +201,9 @@ end
 
 function Property:__tostring()
   return (kinds[self.kind].text:gsub("{(%l+)}", function(field)
-    return (field == "event" and text_of_event or text_of)(self[field])
+    local value = self[field]
+    local is_event = field == "event" and type(value) ~= "function"
+    return (is_event and rfsm.event_text or text_of)(value)
   end))
 end
 
@@ -220,6 +213,7 @@ end
 ---@class rfsm_checks.Judged
 ---@field name string
 ---@field property rfsm_checks.Property
+---@field event any the event that the property means in the chart
 ---@field holds boolean|nil nil: not known, since something was not tried
 ---@field vacuous? string the reason why nothing tests the property
 ---@field way rfsm_checks.Way the parts of the machine that its walk explores
@@ -317,7 +311,7 @@ end
 function kinds.after.judge(walk, judged)
   local must_reach = walk.must_reach or graph.must_reach
   local set = must_reach(walk, set_of(walk, judged.property.goal))
-  local event = rfsm.text_of(judged.property.event)
+  local event = rfsm.event_text(judged.property.event)
   if not judged.has_come then
     judged.vacuous = event .. " never comes"
   elseif not judged.is_taken then
@@ -353,7 +347,7 @@ end
 -- Raises an error for an event that only a machine itself can make, such as a time
 -- event, and that this machine never makes.
 local function check_maker(own, judged)
-  local event = judged.property.event
+  local event = judged.event
   if not own:maker_of(event) or own.event_numbers[event] or own.done[event] then
     return
   end
@@ -379,7 +373,7 @@ local function watch_steps(walk, afters)
   function walk.look(_, from, tgt, _, label)
     if not own.parts[1].position.leaf then return end -- before the first entry
     for _, judged in ipairs(afters) do
-      local owed, event = judged.owed, judged.property.event
+      local owed, event = judged.owed, judged.event
       if own.wanted[event] then
         judged.has_come = true
         judged.is_taken = judged.is_taken or properties.is_taken(own, event)
@@ -391,7 +385,7 @@ end
 
 -- Has a walk take steps with the event of a property.
 local function want_event(walk, judged)
-  local event = judged.property.event
+  local event = judged.event
   walk.wanted[#walk.wanted + 1], walk.subject.wanted[event] = event, false
   if judged.property.goal and not walk.options.together then
     walk.together = 2
@@ -409,7 +403,8 @@ function properties.list_for(own, given)
   local active = own:view(own:configuration(own:read()))
   for _, judged in ipairs(list) do
     properties.check_names(where, judged, active)
-    if judged.property.event ~= nil then check_maker(own, judged) end
+    judged.event = own:event_meant(judged.property.event)
+    if judged.event ~= nil then check_maker(own, judged) end
   end
   return list
 end
@@ -437,14 +432,14 @@ end
 ---@param judged rfsm_checks.Judged
 function properties.monitor(walk, judged)
   walk.monitor = judged
-  if judged.property.event ~= nil then want_event(walk, judged) end
+  if judged.event ~= nil then want_event(walk, judged) end
 end
 
 -- Judges a property whose monitor has looked at each step of the walk. The monitor has
 -- noted violations already. If a condition must hold eventually, it is judged here.
 local function judge_monitored(walk, judged)
   if judged.property.event ~= nil and not judged.has_come then
-    judged.vacuous = rfsm.text_of(judged.property.event) .. " never comes"
+    judged.vacuous = rfsm.event_text(judged.property.event) .. " never comes"
   end
   local owes = kinds[judged.property.kind].owes
   if owes and judged.holds == nil then fairness.judge(walk, judged, owes) end

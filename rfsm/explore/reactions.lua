@@ -32,6 +32,7 @@ local reactions = {}
 -- itself, without events of its regions; false: all events count
 
 local function add_event(found, event)
+  event = match.example_of(event)
   if type(event) == "function" then
     found.has_predicate, found.any = true, true
   elseif not found.set[event] then

@@ -260,7 +260,9 @@ local function new_call(self, name, callback)
     local called = self.called
     called[#called + 1] = name
     local sent, ok, failure = call_apart(callback, ...)
-    for i = 1, #sent do called[#called + 1] = "sends " .. rfsm.text_of(sent[i]) end
+    for i = 1, #sent do
+      called[#called + 1] = "sends " .. rfsm.event_text(sent[i], true)
+    end
     if not ok then
       called[#called + 1] = "fails" .. text_of_failure(failure)
     end

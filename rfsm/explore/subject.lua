@@ -170,8 +170,23 @@ local function new_doo(self, part, who)
   end
 end
 
+--- Return an event as the transitions of the subject name it. All events with data of
+--- one name are the same event, unless a transition names the table itself.
+function Subject:event_of(event)
+  if type(event) ~= "table" and type(event) ~= "function" then return event end
+  return self.event_numbers[event] and event or match.example_of(event)
+end
+
+--- Return the event that an option or property means. It may give only the name of an
+--- event with data, if no transition has a text of that name.
+function Subject:event_meant(event)
+  local is_name = self.names_with_data[event] and not self.event_numbers[event]
+  return self:event_of(is_name and rfsm.named(event) or event)
+end
+
 -- Returns the number of an event; a new event gets the next number.
 function Subject:number_of_event(event)
+  event = self:event_of(event)
   local number = self.event_numbers[event]
   if not number then
     number = #self.event_list + 1
@@ -193,7 +208,7 @@ end
 --- Make an occurrence of an event, with the next number.
 ---@return rfsm_checks.Occurrence
 function Subject:new_occurrence(part, event, after)
-  local new = { part = part, event = event, after = after,
+  local new = { part = part, event = self:event_of(event), after = after,
     number = #self.occurrences + 1, alone = {} }
   new.alone[1], self.occurrences[new.number] = new, new
   return new
@@ -202,6 +217,7 @@ end
 --- Return the occurrence of an event in a part, the same table at each call.
 ---@return rfsm_checks.Occurrence
 function Subject:occurrence(part, event)
+  event = self:event_of(event)
   part.occurrences[event] = part.occurrences[event] or self:new_occurrence(part, event)
   return part.occurrences[event]
 end
@@ -296,12 +312,14 @@ local function count_round(self, part)
   end
 end
 
--- Returns a step hook that counts the iterations of a step, and notes their events.
+-- Returns a step hook that counts the iterations of a step, and notes their events. An
+-- event with data that a callback has sent becomes the event of its name.
 local function new_hook(self, part)
   return function(_, events)
     count_round(self, part)
     for i = 1, #events do
-      local event = events[i]
+      local event = self:event_of(events[i])
+      events[i] = event
       if self.notes_events then self.last_events[#self.last_events + 1] = event end
       if self.wanted[event] ~= nil and (not part.owner or match.maker_of(event)) then
         self.wanted[event] = true
@@ -368,6 +386,7 @@ end
 -- and the leaf reacts to any event, the first waiting event is listed alone. If an
 -- extension may keep events for another leaf, all waiting events are listed.
 local function relevant(self, part, leaf, events)
+  for i = 1, #events do events[i] = self:event_of(events[i]) end
   if part.may_keep then return match.joined({}, events) end
   local found, list, other = reactions.of(part, leaf), NOTHING, nil
   for i = 1, #events do
@@ -697,14 +716,17 @@ local function new_predicate(self, tr)
   return predicate
 end
 
--- Replaces the predicates of transitions by functions that answer with a choice.
+-- Replaces the predicates of transitions: those of `rfsm.named` by the event that
+-- stands for all events of the name, others by functions that answer with a choice.
 local function free_predicates(self, fsm)
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     for i, event in ipairs(tr.events) do
-      if type(event) == "function" then
+      if rfsm.event_name(event) then
+        self.names_with_data[rfsm.event_name(event)] = true
+        tr.events[i] = match.example_of(event)
+      elseif type(event) == "function" then
         local name = "predicate of " .. rfsm.location_of(tr)
         self.free.predicates = true
-        self.names_with_data[rfsm.event_name(event) or event] = true
         replacements.note_writer(self, name, event)
         tr.events[i] = replacements.marked(self, name, event, new_predicate(self, tr))
       end
@@ -729,9 +751,9 @@ end
 -- has predicates, any event is allowed, since a predicate may accept it.
 local function check_alphabet(self, alphabet)
   for _, event in ipairs(self.free.predicates and {} or alphabet or {}) do
-    if not self.event_numbers[event] then
+    if not self.event_numbers[self:event_meant(event)] then
       error(("alphabet: no transition names the event '%s'%s"):format(
-        rfsm.text_of(event), type(event) == "string"
+        rfsm.event_text(event), type(event) == "string"
         and advice.nearest_name(event, self:named_texts()) or ""), 0)
     end
   end
@@ -801,7 +823,7 @@ function subject.new(model, options, way)
     choices = {}, is_known = {}, askers = {}, is_doo = {}, asked = 0,
     taken = {}, passed = {}, last_events = {}, ids = {}, entered = {}, values = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
-    alphabet = options.alphabet, time = clock.simulated(), is_endless = false,
+    alphabet = nil, time = clock.simulated(), is_endless = false,
     notes_events = false, leaves_out = false, trimmed = false, is_touched = false,
     changed = nil, unfollowed = false, ran = false }, Subject)
   local fsm = new_machine(self, model)
@@ -813,6 +835,10 @@ function subject.new(model, options, way)
   replacements.read_flags(self, options.flags or {})
   data.read_options(self, options, fsm)
   add_parts(self, fsm, way)
+  self.alphabet = options.alphabet and {}
+  for i, event in ipairs(options.alphabet or {}) do
+    self.alphabet[i] = self:event_meant(event)
+  end
   if not way then check_options(self, options) end
   data.check_first(self)
   return self

@@ -84,7 +84,7 @@ function breakpoints.add(sim, what)
   elseif type(what) == "string" or rfsm.is_node(what) and what._fqn then
     point = of_text(sim.fsm, type(what) == "string" and what or what._fqn)
   else
-    point = { kind = "event", name = values.value(what), value = what }
+    point = { kind = "event", name = rfsm.event_text(what, true), value = what }
   end
   sim.points[#sim.points + 1] = point
   return #sim.points

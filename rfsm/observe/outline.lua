@@ -6,11 +6,13 @@
 -- @module rfsm.observe.outline
 -- @license BSD-3-Clause
 
+local advice = require "rfsm.advice"
 local diagram = require "rfsm.pictures.diagram"
 local marsh = require "rfsm.marsh"
 local match = require "rfsm.shared.match"
+local rfsm = require "rfsm"
 
-local ipairs = ipairs
+local ipairs, type = ipairs, type
 local concat = table.concat
 local utf8 = marsh.utf8
 
@@ -20,8 +22,8 @@ local outline = {}
 ---@class rfsm.observe.Outline
 ---@field nodes table[] { name, fqn, kind, parent?, is_region? }; parents come first
 ---@field edges table[] { key, src, tgt, label, events, is_internal? }
----@field events table[] { text, words, is_own }; `words`: as shown to a person;
--- `is_own`: the machine itself sends it
+---@field events table[] { text, words, is_own, has_data }; `words`: as shown to a
+-- person; `is_own`: the machine itself sends it; `has_data`: it is sent with data
 ---@field values any[] the events themselves, in the order of `events`
 ---@field number_of table<any, integer> number of a node, by its FQN
 ---@field edge_of table<string, integer> number of an edge, by the key of the transition
@@ -47,7 +49,8 @@ local function number_of(list, event, words)
     list.event_of[event] = #list.values
     list.values[#list.values + 1] = event
     list.events[#list.values] = { text = utf8(list.event_text(event)),
-      words = utf8(words), is_own = match.maker_of(event) == "engine" }
+      words = utf8(words), is_own = match.maker_of(event) == "engine",
+      has_data = rfsm.event_name(event) and true }
   end
   return list.event_of[event]
 end
@@ -65,12 +68,32 @@ local function add_edge(list, tr, key, words)
     label = label_of(tr, words), is_internal = tr.internal, events = {},
   }
   for i, event in ipairs(tr.events) do
-    edge.events[i] = number_of(list, event, words[i])
+    local has_data = match.has(tr.with_data or {}, event) -- a description from JSON
+    edge.events[i] = number_of(list, has_data and rfsm.named(event) or event, words[i])
   end
   list.edge_of[key] = #list.edges
   list.edges[#list.edges + 1] = edge
   list.from[edge.src] = list.from[edge.src] or {}
   table.insert(list.from[edge.src], edge)
+end
+
+local function is_named(list, event)
+  local name = match.name_of(event)
+  return list.event_of[name and rfsm.named(name) or event] ~= nil
+end
+
+--- Return a hint if no transition names an event, a text or with data; otherwise nil.
+---@param event any
+---@return string?
+function outline.hint_for(list, event)
+  local name, texts = match.name_of(event), {}
+  local text = name or event
+  if type(text) ~= "string" or is_named(list, event) then return nil end
+  for i, about in ipairs(list.events) do texts[i] = about.text end
+  local other = name and text or text .. "{}"
+  return ("no transition names '%s'%s"):format(name and text .. "{..}" or text,
+    match.has(texts, text) and (" (did you mean '%s'?)"):format(other)
+    or advice.nearest_name(text, texts))
 end
 
 --- Return the outline of a description.

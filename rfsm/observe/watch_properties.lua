@@ -16,7 +16,6 @@ local location = require "rfsm.shared.location"
 local properties = require "rfsm.explore.properties"
 local order = require "rfsm.shared.order"
 local stream = require "rfsm.observe.stream"
-local values = require "rfsm.observe.values"
 
 local error, ipairs, type = error, ipairs, type
 local concat, remove = table.concat, table.remove
@@ -100,7 +99,7 @@ end
 local function note_step(own, events)
   local texts, leaf = {}, own.fsm._act_leaf
   if leaf == own.leaf and are_internal(events) then return end
-  for i = 1, #events do texts[i] = values.value(events[i]) end
+  for i = 1, #events do texts[i] = rfsm.event_text(events[i], true) end
   local text = (texts[1] and concat(texts, ", ") or "no event") .. ": "
     .. (own.leaf and own.leaf._fqn .. " -> " or "") .. leaf._fqn
   own.trace[#own.trace + 1] = { text = text, at = own.is_timed and own.now }

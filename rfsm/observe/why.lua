@@ -42,9 +42,10 @@ local why = {}
 ---@field answers rfsm_checks.Answer[] in the order in which transitions are tried
 ---@field regions { name: string, why: rfsm_checks.Why }[] regions of the leaf
 
-local function texts_of(values)
+-- Returns events as texts. `has_room` is true for events with their data.
+local function texts_of(events, has_room)
   local texts = {}
-  for i = 1, #values do texts[i] = text_of(values[i]) end
+  for i = 1, #events do texts[i] = rfsm.event_text(events[i], has_room) end
   return texts
 end
 
@@ -76,7 +77,7 @@ local ask_connector
 -- connector, also returns the FQN of the connector and the answers of its transitions.
 local function judge(search, tr)
   if not matches(search, tr) then
-    local wanted = concat(texts_of(tr.events or {}), ", ")
+    local wanted = concat(texts_of(tr.events or {}, false), ", ")
     return "event", "waits for " .. (wanted == "" and "any event" or wanted)
   end
   local ok, answer = true, true
@@ -169,7 +170,7 @@ end
 
 local function explain(fsm, events)
   local answers, winner = answers_of(fsm, events)
-  local result = { events = texts_of(events), fires = winner, answers = answers,
+  local result = { events = texts_of(events, true), fires = winner, answers = answers,
     leaf = rfsm.get_actleaf_fqn(fsm), regions = {} }
   for i, region in ipairs(location.regions_of(fsm._act_leaf or {})) do
     result.regions[i] = { name = region.name, why = explain(region.machine, events) }
@@ -203,6 +204,15 @@ end
 -- This table represents every event that is in no transition.
 local OTHER = setmetatable({}, { __tostring = function() return "any other event" end })
 
+-- May an active state take an event with data, by its name? Its guard is not asked,
+-- since it may read the data.
+local function may_take(fsm, predicate)
+  return rfsm.event_name(predicate)
+    and order.any(location.transitions(fsm, fsm._act_leaf), function(tr)
+      return match.names(tr, predicate)
+    end)
+end
+
 -- Appends the events on which the machine, or a region of its leaf, takes a transition.
 -- Each event is tried, even if a transition reacts to any event, since its guard may
 -- refuse some events.
@@ -214,6 +224,12 @@ local function add_enabled(list, is_listed, fsm)
       list[#list + 1] = event
     end
   end
+  for _, predicate in ipairs(alphabet.of(fsm).predicates) do
+    if not is_listed[predicate] and may_take(fsm, predicate) then
+      is_listed[predicate] = true
+      list[#list + 1] = predicate
+    end
+  end
   list.any = list.any or takes_any
   for _, region in ipairs(location.regions_of(fsm._act_leaf or {})) do
     add_enabled(list, is_listed, region.machine)
@@ -223,7 +239,8 @@ end
 
 --- List the events that would make the machine take a transition now.
 --
--- Each event of a transition is tried alone, in the order of the tree.
+-- Each event of a transition is tried alone, in the order of the tree. An event with
+-- data is listed as the predicate of its name, and its guard is not asked.
 --
 ---@param fsm rfsm.Machine
 ---@return any[] events the field `any` is true if any other event has this effect, too
@@ -231,7 +248,7 @@ end
 function why.enabled(fsm)
   rfsm.check_machine(fsm, "rfsm_checks.enabled")
   local list = add_enabled({ any = false }, {}, fsm)
-  local texts = texts_of(list)
+  local texts = texts_of(list, false)
   if list.any then texts[#texts + 1] = text_of(OTHER) end
   return list, texts[1] and concat(texts, "\n") or "no event"
 end

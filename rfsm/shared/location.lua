@@ -124,15 +124,14 @@ function location.name_of(node, prefix, is_target)
 end
 
 -- Returns the text of an event, without "@" and the FQN of its transition's source.
-local function event_text(event, tr)
-  if type(event) == "function" then return "a predicate" end
-  local text, behind = rfsm.text_of(event), "@" .. tr.src._fqn
+local function short_name(event, tr)
+  local text, behind = rfsm.event_text(event), "@" .. tr.src._fqn
   return text:sub(-#behind) == behind and text:sub(1, -#behind - 1) or text
 end
 
 local function transition_name(tr, prefix)
   local texts = {}
-  for i, event in ipairs(tr.events or {}) do texts[i] = event_text(event, tr) end
+  for i, event in ipairs(tr.events or {}) do texts[i] = short_name(event, tr) end
   sort(texts, rfsm.text_before)
   return location.name_of(tr.src, prefix) .. " -" .. concat(texts, ", ") .. "-> "
     .. (rfsm.target_of(tr) == "internal" and "internal"

@@ -1,6 +1,7 @@
 --- Match: which events a transition names, and lists of events.
 --
--- Events are compared by identity.
+-- Events are compared by identity. Tools that do not have the data of an event compare
+-- it by its name: `match.example_of` returns one table for all events of a name.
 --
 -- @module rfsm.shared.match
 -- @license BSD-3-Clause
@@ -8,7 +9,8 @@
 local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 
-local getmetatable, ipairs, rawequal, type = getmetatable, ipairs, rawequal, type
+local getmetatable, ipairs, rawequal = getmetatable, ipairs, rawequal
+local setmetatable, type = setmetatable, type
 
 local match = {}
 
@@ -19,6 +21,21 @@ local match = {}
 function match.name_of(event)
   if type(event) ~= "table" or getmetatable(event) ~= nil then return nil end
   return type(event.name) == "string" and event.name or nil
+end
+
+-- name -> the event that stands for all events with data of this name
+local examples = setmetatable({}, { __mode = "v" })
+
+--- Return the event that stands for all events with data of one name, given one of them
+--- or its predicate; return any other event as it is.
+---@param event any
+---@return any example
+function match.example_of(event)
+  local name = rfsm.event_name(event) or match.name_of(event)
+  if not name then return event end
+  local example = examples[name] or { name = name }
+  examples[name] = example
+  return example
 end
 
 --- Is the event in a list?

@@ -96,7 +96,7 @@ function(sim, ...)
 end, { completes = "now" })
 
 add("ser(...)", "send events, then run()", [[
-Example: ser e_push    or, in Lua, ser("e_push")]],
+Example: ser e_push    or, in Lua, ser("e_push")    with data: ser e_paid{amount=12}]],
 function(sim, ...)
   history.mark(sim)
   sim:send(...)

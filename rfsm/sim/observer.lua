@@ -62,7 +62,7 @@ function Observer:note_used(tr, events, by)
     if takes(tr, event) then
       add(self.is_used, event)
       if tr.events[1] ~= nil then
-        by[#by + 1] = (text_of(event):gsub("^(e_[%w()._]*)@root.*", "%1"))
+        by[#by + 1] = (rfsm.event_text(event, true):gsub("^(e_[%w()._]*)@root.*", "%1"))
       end
     end
   end

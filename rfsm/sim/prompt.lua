@@ -11,6 +11,7 @@ local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local names = require "rfsm.observe.names"
 local terminal = require "rfsm.sim.terminal"
+local typed = require "rfsm.shared.typed"
 local values = require "rfsm.observe.values"
 local rfsm = require "rfsm"
 
@@ -54,14 +55,15 @@ local VALUES = { ["true"] = true, ["false"] = false }
 
 local function value_of_word(word)
   if VALUES[word] ~= nil then return VALUES[word] end
-  return rfsm.number_of(word) or word
+  if not word:find("{", 1, true) then return rfsm.number_of(word) or word end
+  local event, problem = typed.read(word)
+  return event or error(problem, 0)
 end
 
 local function split(text)
-  local words = {}
-  for word in text:gmatch("[^%s,]+") do
-    words[#words + 1] = value_of_word(word:match("^(['\"])(.*)%1$") and word:sub(2, -2)
-      or word)
+  local words = typed.split(text)
+  for i, word in ipairs(words) do
+    words[i] = value_of_word(word:match("^(['\"])(.*)%1$") and word:sub(2, -2) or word)
   end
   return words
 end
@@ -73,9 +75,10 @@ local function call_of(sim, text)
   if not name then name, rest = text:match("^%s*(goto)%((.-)%)%s*$") end -- a keyword
   local command = name and sim.commands.find(name)
   if not command then return nil end
-  local arguments = split(rest)
-  if command.takes_line and rest ~= "" then arguments = { value_of_word(rest) } end
-  return function() sim.env[name](unpack(arguments)) end
+  return function()
+    local is_line = command.takes_line and rest ~= ""
+    sim.env[name](unpack(is_line and { value_of_word(rest) } or split(rest)))
+  end
 end
 
 -- Words of other programs for commands of the simulator.

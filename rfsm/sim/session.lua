@@ -21,7 +21,6 @@ local instrument = require "rfsm.shared.instrument"
 local terminal = require "rfsm.sim.terminal"
 local time = require "rfsm.sim.time"
 local drawing = require "rfsm.sim.drawing"
-local values = require "rfsm.observe.values"
 
 local error, ipairs, pcall, print = error, ipairs, pcall, print
 local rawget, select, setmetatable = rawget, select, setmetatable
@@ -84,7 +83,7 @@ end
 
 local function print_events(title, events)
   local texts = {}
-  for i = 1, #events do texts[i] = text_of(events[i]) end
+  for i = 1, #events do texts[i] = rfsm.event_text(events[i], true) end
   print(title .. concat(texts, ", "))
 end
 
@@ -160,7 +159,7 @@ end
 
 function Session:print_discarded(events)
   if not (self.follows and events[1] ~= nil) then return end
-  for i, event in ipairs(events) do events[i] = values.value(event) end
+  for i, event in ipairs(events) do events[i] = rfsm.event_text(event, true) end
   print("discarded: " .. concat(events, ", ") .. (self.has_explained and ""
     or " ('why " .. events[1] .. "' explains)"))
   self.has_explained = true
@@ -178,8 +177,9 @@ function Session:check_event(event, i, fsm)
   elseif event == nil then
     complain(("event %d is nil"):format(i))
   elseif not names.is_event(fsm, event) then
-    complain(("no transition names the event '%s'%s"):format(values.value(event),
-      type(event) == "string" and names.hint(event, names.events(fsm)) or ""))
+    complain(("no transition names the event '%s'%s"):format(
+      rfsm.event_text(event, true), type(event) == "string"
+        and names.hint(event, names.events(fsm)) or ""))
   end
 end
 

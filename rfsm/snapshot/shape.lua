@@ -25,8 +25,8 @@ local function event_text_before(event)
 end
 
 local function event_text(event)
-  local has_name = rfsm.event_name(event) or match.name_of(event)
-  return has_name and rfsm.event_text(event) or event_text_before(event)
+  local name = rfsm.event_name(event) or match.name_of(event)
+  return name and rfsm.event_text(rfsm.named(name), true) or event_text_before(event)
 end
 
 local function texts_of(events, text)
@@ -81,9 +81,12 @@ end
 function shape.has_event(line, event)
   local events = line:match(" on (.*)$")
   if not events then return false end
-  local function has(text) return (", " .. text .. ","):find(", " .. event .. ",", 1,
-    true) ~= nil end
-  return has(events) or has((events:gsub(" pn %S+$", "")))
+  local function has(list)
+    list = ", " .. list .. ","
+    return list:find(", " .. event .. ",", 1, true)
+      or list:find(", " .. event .. "{..},", 1, true)
+  end
+  return (has(events) or has((events:gsub(" pn %S+$", "")))) ~= nil
 end
 
 -- Returns a hash of lines. Its numbers are below 2^44, so that doubles multiply them by
@@ -158,6 +161,7 @@ end
 ---@field lines string[] a line for each state, connector and transition
 ---@field fields string[] a line for each kept field, `save` and region
 ---@field structure string fingerprint of `lines`
+---@field older string the fingerprint that older snapshots have
 ---@field name string `structure`, with the fingerprint of `fields` if there are any
 ---@field structure_before string|false `structure` as it was before names of events
 --- with data, and deferred events, were in `lines`; false: it is the same

@@ -370,7 +370,7 @@ local function move_of(self, from, label)
     choices = outcome.choices, taken = outcome.taken, leaf = outcome.leaf,
     occurrences = outcome.outside, unfollowed = outcome.unfollowed, ran = outcome.ran }
   for i, occurrence in ipairs(outcome.outside) do
-    move.events[i] = rfsm.text_of(occurrence.event)
+    move.events[i] = rfsm.event_text(occurrence.event)
   end
   return move
 end
@@ -409,7 +409,9 @@ local function add_member(self, cell, name, options)
       member.outgoing[wire.event] = match.with(member.outgoing[wire.event] or {}, at)
     end
   end
-  function own.maker_of(_, event) return maker_of(own, event) or member.wired[event] end
+  function own.maker_of(_, event)
+    return maker_of(own, event) or member.wired[match.name_of(event) or event]
+  end
   function member.note_untried(_, bound, text)
     self.is_partial = true
     self:note_untried(bound, name .. ": " .. text)

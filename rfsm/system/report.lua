@@ -68,13 +68,14 @@ end
 local function watch_event(walk, judged)
   local member, event = walk:split(judged.property.event)
   local own = member.subject
-  if not (own.event_numbers[event] or own.free.predicates) then
+  local meant = own:event_meant(event)
+  if not (own.event_numbers[meant] or own.free.predicates) then
     error(("property '%s': no transition of '%s' names the event '%s'%s"):format(
       judged.name, member.name, event,
       advice.nearest_name(event, own:named_texts())), 0)
   end
   judged.member, judged.event = member, event
-  member.wanted[#member.wanted + 1], own.wanted[event] = event, false
+  member.wanted[#member.wanted + 1], own.wanted[meant] = event, false
   walk.afters[#walk.afters + 1], judged.owed = judged, {}
 end
 

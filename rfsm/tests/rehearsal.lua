@@ -250,7 +250,7 @@ local function send_after(part, event)
   if not part.is_single then
     error(("rfsm_checks.record_witness: a callback in %s sends '%s' while the region "
       .. "takes several steps in one: no recording has that"):format(part.prefix,
-      rfsm.text_of(event)), 0)
+      rfsm.event_text(event)), 0)
   end
   rfsm.send_events(part.fsm, event)
 end

@@ -51,9 +51,14 @@ end
 
 -- Steps of the exploration ..........................................................
 
--- Can an event be written in a spec? It must be a plain value, and not go to a region.
+-- Can an event be written in a spec? It must be a plain value or have a name.
+local function is_writable(event)
+  return encoding.is_scalar(event) or match.name_of(event) ~= nil
+end
+
+-- Can an event of a step be written? It must not go to a region.
 local function is_plain(occurrence)
-  return encoding.is_scalar(occurrence.event) and not occurrence.part.owner
+  return is_writable(occurrence.event) and not occurrence.part.owner
 end
 
 -- Lists the facts that the last step shows, as keys: "taken 3" for transition 3,
@@ -169,8 +174,9 @@ local function steps_at_rest(walk, number)
   if subject.is_driven(conf) or is_open then return {} end
   local goes_on = conf[1].mode == "active" and { location.name_of(leaf, "root") } or nil
   local list = { { goes_on = goes_on }, { "e_unknown" } }
-  for _, event in ipairs(own:named_texts()) do
-    if not (found.set[event] or own:maker_of(event)) then
+  for _, event in ipairs(own.event_list) do
+    local is_named = type(event) == "string" or match.name_of(event)
+    if is_named and not (found.set[event] or own:maker_of(event)) then
       list[3] = { event }
       break
     end
@@ -258,6 +264,8 @@ end
 -- Text ..............................................................................
 
 local function quoted(value)
+  local name = match.name_of(value)
+  if name then return ("{ name = %q }"):format(name) end
   return type(value) == "string" and ("%q"):format(value) or rfsm.text_of(value)
 end
 

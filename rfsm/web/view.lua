@@ -10,7 +10,10 @@
 
 local diagram = require "rfsm.pictures.diagram"
 local marsh = require "rfsm.marsh"
+local match = require "rfsm.shared.match"
 local outline = require "rfsm.observe.outline"
+local rfsm = require "rfsm"
+local typed = require "rfsm.shared.typed"
 
 local ipairs, rawget = ipairs, rawget
 local setmetatable, type = setmetatable, type
@@ -153,10 +156,14 @@ function View:add_failure(number)
   self:touch()
 end
 
---- Return the events as texts.
+--- Return the events as texts, with their data.
 function View:texts_of(events)
   local texts = {}
-  for i = 1, #events do texts[i] = marsh.utf8(self.outline.event_text(events[i])) end
+  for i = 1, #events do
+    local event = events[i]
+    texts[i] = marsh.utf8(match.name_of(event) and rfsm.event_text(event, true)
+      or self.outline.event_text(event))
+  end
   return texts
 end
 
@@ -177,15 +184,22 @@ end
 -- Messages --------------------------------------------------------------------------
 
 --- Return the event in a message from a page: a text, or the number of an event in the
--- chart. Return nil and the problem if it is neither.
+-- chart. The field `data` is a text. Return nil and the problem if it cannot be read.
 function View:event_of(message)
-  local event = message.event
-  if type(event) == "number" then
-    event = self.outline.values[event + 1]
-  elseif type(event) ~= "string" then
-    event = nil
+  local event, data = message.event, message.data or ""
+  if type(data) ~= "string" then return nil, "data: text expected" end
+  if type(event) == "string" then
+    if data:find("%S") then return typed.event(event, data) end
+    return typed.read(event)
   end
-  return event, event == nil and "event: text or number of an event expected" or nil
+  local value = nil
+  if type(event) == "number" then value = self.outline.values[event + 1] end
+  if value == nil then
+    return nil, "event: text or number of an event expected"
+  end
+  local name = rfsm.event_name(value)
+  if name then return typed.event(name, data) end
+  return value
 end
 
 --- Return the chart as a page draws it.

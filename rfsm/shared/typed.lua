@@ -1,0 +1,241 @@
+--- Typed events: reads the form in which tools show an event, `e_paid{amount=12}`.
+--
+-- The data are a Lua table or JSON, of texts, numbers, booleans and tables. Nothing in
+-- them is run. A field that is `nil` or `null` is left out.
+--
+-- @module rfsm.shared.typed
+-- @license BSD-3-Clause
+
+local error, pcall, select = error, pcall, select
+local tonumber, type = tonumber, type
+local char, floor, max = string.char, math.floor, math.max
+
+local typed = {}
+
+local LEVELS = 9 -- tables inside each other, as in snapshots
+
+--- A text, and the position of the next character to read.
+---@class rfsm.shared.Reader
+---@field text string
+---@field at integer
+
+-- Raises the problem in one line: what is expected, and what is there.
+local function fail(reader, expected)
+  local rest = reader.text:match("^%s*(.-)%s*$", reader.at):gsub("%c", " ")
+  rest = #rest > 20 and rest:sub(1, 20):gsub("[\194-\244]?[\128-\191]*$", "") .. ".."
+    or rest
+  error({ ("data: %s expected, got %s"):format(expected,
+    rest == "" and "the end" or "'" .. rest .. "'") }, 0)
+end
+
+-- Returns what a pattern captures behind blanks, and goes behind it; nil if the text is
+-- different there.
+local function take(reader, pattern)
+  local first, last, found = reader.text:find("^%s*" .. pattern, reader.at)
+  if not first then return nil end
+  reader.at = last + 1
+  return found or true
+end
+
+-- Texts .............................................................................
+
+local ESCAPES = { a = "\a", b = "\b", f = "\f", n = "\n", r = "\r", t = "\t", v = "\v" }
+
+-- Returns a character of Unicode as UTF-8.
+local function utf8_of(code)
+  if code < 128 then return char(code) end
+  local low = char(128 + code % 64)
+  code = floor(code / 64)
+  if code < 32 then return char(192 + code) .. low end
+  low = char(128 + code % 64) .. low
+  code = floor(code / 64)
+  if code < 16 then return char(224 + code) .. low end
+  return char(240 + floor(code / 64), 128 + code % 64) .. low
+end
+
+-- Two \uXXXX, a high and a low one, stand for one character.
+local PAIR = "\237([\160-\175])([\128-\191])\237([\176-\191])([\128-\191])"
+
+local function join_pair(a, b, c, d)
+  return utf8_of(0x10000 + (a:byte() - 160) * 65536 + (b:byte() - 128) * 1024
+    + (c:byte() - 176) * 64 + d:byte() - 128)
+end
+
+-- Returns the meaning of a backslash and the character behind it. The digits behind both
+-- may belong to them.
+local function meaning_of(character, digits)
+  if character == "u" and #digits == 4 then return utf8_of(tonumber(digits, 16)) end
+  local number, rest = (character .. digits):match("^(%d%d?%d?)(.*)$")
+  if number and tonumber(number) < 256 then return char(tonumber(number)) .. rest end
+  return (ESCAPES[character] or character) .. digits
+end
+
+local function unescape(text)
+  return (text:gsub("\\(.)(%x?%x?%x?%x?)", meaning_of):gsub(PAIR, join_pair))
+end
+
+local function read_text(reader, quote)
+  local from = reader.at
+  while true do
+    local at = reader.text:find("[\\" .. quote .. "]", reader.at)
+    if not at then fail(reader, "the end of a text in quotes") end
+    reader.at = at + (reader.text:sub(at, at) == "\\" and 2 or 1)
+    if reader.text:sub(at, at) == quote then
+      return unescape(reader.text:sub(from, at - 1))
+    end
+  end
+end
+
+-- Values ............................................................................
+
+local WORDS = { ["true"] = true, ["false"] = false }
+
+local read_value
+
+-- Reads a list in square brackets, whose opening bracket was read.
+local function read_list(reader, level)
+  local list, n = {}, 0
+  while not take(reader, "%]") do
+    n = n + 1
+    list[n] = read_value(reader, level)
+    if not take(reader, "[,;]") and not reader.text:find("^%s*%]", reader.at) then
+      fail(reader, "',' or ']'")
+    end
+  end
+  return list
+end
+
+-- Reads the key of a field, and the sign behind it. Returns nil if a value follows that
+-- has no key.
+local function read_key(reader, level)
+  local from, key = reader.at, take(reader, "([%a_][%w_]*)%s*[=:]")
+  if key then return key end
+  local is_in_brackets = take(reader, "%[")
+  local ok
+  ok, key = pcall(read_value, reader, level)
+  if ok and (not is_in_brackets or take(reader, "%]")) and take(reader, "[=:]") then
+    return key
+  end
+  reader.at = from
+end
+
+-- Reads the fields of a table whose opening brace was read.
+local function read_fields(reader, level)
+  local fields, n = {}, 0
+  while not take(reader, "}") do
+    local key = read_key(reader, level)
+    if key == nil then n = n + 1 end
+    fields[key == nil and n or key] = read_value(reader, level)
+    if not take(reader, "[,;]") and not reader.text:find("^%s*}", reader.at) then
+      fail(reader, "',' or '}'")
+    end
+  end
+  return fields
+end
+
+local function read_table(reader, read, level)
+  if level == LEVELS then fail(reader, "at most 9 tables inside each other") end
+  return read(reader, level + 1)
+end
+
+local function read_number(reader)
+  local from, word = reader.at, take(reader, "(-?%.?%d[%w.+-]*)")
+  local number = word and tonumber(word)
+  if not number or number - number ~= 0 then
+    reader.at = from
+    fail(reader, "a text in quotes, a number, true, false or a table")
+  end
+  return number
+end
+
+function read_value(reader, level)
+  local quote = take(reader, "([\"'])")
+  if quote then return read_text(reader, quote) end
+  if take(reader, "{") then return read_table(reader, read_fields, level) end
+  if take(reader, "%[") then return read_table(reader, read_list, level) end
+  local from, word = reader.at, take(reader, "(%a+)")
+  if word == "nil" or word == "null" then return nil end
+  if WORDS[word] ~= nil then return WORDS[word] end
+  reader.at = from
+  return read_number(reader)
+end
+
+-- Public functions ..................................................................
+
+-- Reads a whole text by a function of a reader; returns nil and the problem if it is
+-- wrong.
+local function read_all(text, f)
+  local reader = { text = text, at = 1 }
+  local ok, result = pcall(function()
+    local value = f(reader)
+    if reader.text:find("%S", reader.at) then fail(reader, "the end") end
+    return value
+  end)
+  if ok then return result end
+  if type(result) ~= "table" then error(result, 0) end
+  return nil, result[1]
+end
+
+--- Read data: `{ amount = 12 }`, `{"amount": 12}`, or the fields without braces.
+---@param text string
+---@return table? data
+---@return string? problem one line
+function typed.data(text)
+  if not text:find("^%s*{") then text = "{" .. text .. "}" end
+  return read_all(text, function(reader)
+    take(reader, "{")
+    return read_fields(reader, 1)
+  end)
+end
+
+--- Return the event with a name and data; nil and the problem if it cannot be read.
+---@param name string
+---@param text? string the data; without it the event has none
+---@return table? event
+---@return string? problem
+function typed.event(name, text)
+  local event, problem = typed.data(text or "")
+  if not event then return nil, problem end
+  if event.name ~= nil and event.name ~= name then
+    return nil, "data: 'name' is the name of the event, not a field of its data"
+  end
+  event.name = name
+  return event
+end
+
+--- Read an event as a person types it: a text is itself, `e_paid{amount=12}` is a table
+--- with the name `e_paid`, and so is JSON with a `name`.
+---@param text string
+---@return any event
+---@return string? problem
+function typed.read(text)
+  local name, data = text:match("^%s*([^{%s@(][^{@(]*)({.*)$")
+  name = name and name:gsub("%s+$", "")
+  if name then return typed.event(name, data) end
+  if not text:find("^%s*{") then return text end
+  local event, problem = typed.data(text)
+  if not event then return nil, problem end
+  if type(event.name) ~= "string" then
+    return nil, "data: a text 'name' expected, " .. (event.name == nil and "got none"
+      or "got " .. type(event.name))
+  end
+  return event
+end
+
+--- Split a line into words at blanks and commas. What is in braces behind a word is a
+--- part of the word.
+---@param text string
+---@return string[] words
+function typed.split(text)
+  local words, at = {}, 1
+  while true do
+    local from, to = text:find("[^%s,{]*", text:find("[^%s,]", at) or #text + 1)
+    local brace = select(2, text:find("^%s*%b{}", to + 1))
+    if from > #text then return words end
+    to = brace or max(to, from)
+    words[#words + 1] = text:sub(from, to)
+    at = to + 1
+  end
+end
+
+return typed
