@@ -764,13 +764,13 @@ describe("events that a machine keeps", function()
 
   it("belong to the structure by their names, as what states defer does", function()
     local lines = snapshot.structure(worker(NAMED, { NAMED, 7, "e_x" }))
-    assert.same({ "root.idle -> root.busy on e_job", "state root.busy",
-      "root.busy defers e_job, 7, e_x", "state root.idle", "root.idle defers e_other" },
+    assert.same({ "root.idle -> root.busy on e_job{..}", "state root.busy",
+      "root.busy defers e_job{..}, 7, e_x", "state root.idle", "root.idle defers e_other" },
       { lines[4], lines[5], lines[6], lines[7], lines[8] })
     local _, ok, _, list = reported(worker(OTHER, false), keeping())
     assert.is_false(ok)
-    assert.same({ "new: root.idle -> root.busy on e_task",
-      "gone: root.idle -> root.busy on e_job", "gone: root.busy defers e_job" }, list)
+    assert.same({ "new: root.idle -> root.busy on e_task{..}",
+      "gone: root.idle -> root.busy on e_job{..}", "gone: root.busy defers e_job{..}" }, list)
   end)
 
   it("are reported if no transition of the new chart takes them", function()
@@ -837,16 +837,17 @@ describe("rfsm snapshot diff", function()
   it("says which kept events are lost", function()
     local old = [[require "rfsm.defer"
       return rfsm.state { rename = {},
-      a = rfsm.state { defer = { rfsm.named "e_job" } }, b = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" },
+      a = rfsm.state { defer = { rfsm.named "e_job" } }, b = rfsm.state {},
+      rfsm.trans { src = "initial", tgt = "a" },
       rfsm.trans { src = "a", tgt = "b", events = { "e_free" } },
       rfsm.trans { src = "b", tgt = "a", events = { rfsm.named "e_job" } } }]]
     local new = old:gsub('e_job" } } }%]?', 'e_task" } } }')
-    assert.same({ { "new: root.b -> root.a on e_task",
-      "gone: root.b -> root.a on e_job", "in root.a: moves to root.a",
+    assert.same({ { "new: root.b -> root.a on e_task{..}",
+      "gone: root.b -> root.a on e_job{..}", "in root.a: moves to root.a",
       "  a kept e_job is reported and lost: no transition takes it",
       "in root.b: moves to root.b" }, 0 }, { compare(new, old) })
     new = old:gsub('{ defer = { rfsm.named "e_job" } }', "{}")
-    assert.same({ { "gone: root.a defers e_job", "in root.a: moves to root.a",
+    assert.same({ { "gone: root.a defers e_job{..}", "in root.a: moves to root.a",
       "in root.b: moves to root.b" }, 0 }, { compare(new, old) })
   end)
 
