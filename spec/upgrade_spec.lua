@@ -837,7 +837,8 @@ describe("rfsm snapshot diff", function()
   it("says which kept events are lost", function()
     local old = [[require "rfsm.defer"
       return rfsm.state { rename = {},
-      a = rfsm.state { defer = { rfsm.named "e_job" } }, b = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" },
+      a = rfsm.state { defer = { rfsm.named "e_job" } }, b = rfsm.state {},
+      rfsm.trans { src = "initial", tgt = "a" },
       rfsm.trans { src = "a", tgt = "b", events = { "e_free" } },
       rfsm.trans { src = "b", tgt = "a", events = { rfsm.named "e_job" } } }]]
     local new = old:gsub('e_job" } } }%]?', 'e_task" } } }')

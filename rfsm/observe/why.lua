@@ -44,7 +44,7 @@ local why = {}
 
 local function texts_of(values)
   local texts = {}
-  for i = 1, #values do texts[i] = text_of(values[i]) end
+  for i = 1, #values do texts[i] = rfsm.event_text(values[i]) end
   return texts
 end
 

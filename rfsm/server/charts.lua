@@ -188,7 +188,9 @@ function charts.read_json(owner, text, most)
     fail("%s: at most %d bytes expected, got %d", owner, most, #text)
   end
   local ok, data = pcall(decode, text)
-  if not ok or is_odd(text) or type(data) ~= "table" then fail("%s: a JSON object expected", owner) end
+  if not ok or is_odd(text) or type(data) ~= "table" then
+    fail("%s: a JSON object expected", owner)
+  end
   local inexact = exact_json.find_inexact(text)
   if inexact then
     fail("%s: the number %s: whole numbers below 2^53 expected", owner, inexact)
