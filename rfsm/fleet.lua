@@ -24,6 +24,7 @@ local error, ipairs, pcall = error, ipairs, try
 local pairs, rawget, rawset = pairs, rawget, rawset
 local setmetatable, type = setmetatable, type
 local concat, min = table.concat, math.min
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local fleet = {}
 
@@ -139,6 +140,21 @@ function Fleet:history(id, count)
   return moves
 end
 
+--- Return the latest errors of a machine, the newest first.
+---@param id any
+---@param count? integer default 10
+---@return { time: number, error: string }[]? lines
+---@return string? problem
+function Fleet:log(id, count)
+  local list, problem = self:ask("rfsm_log", id, count or 10)
+  if not list then return nil, problem end
+  local lines = {}
+  for i = 1, #list, 2 do
+    lines[#lines + 1] = { time = tonumber(list[i]), error = list[i + 1] }
+  end
+  return lines
+end
+
 --- Call `f(leaf)` each time the active leaf of a machine changes, until `f` returns
 -- true. The method returns only then.
 ---@param id any
@@ -214,17 +230,10 @@ function Fleet:wake(limit)
   return counts.woken, counts.failed, problem
 end
 
---- Return the keys of machines in a state. The library must be made with `--index`.
----@param chart string
----@param state string FQN of a leaf or composite
----@param limit? integer default 100
----@param seconds? integer return only machines that are in their leaf for so long
----@return string[]? keys
----@return string? problem
-function Fleet:find(chart, state, limit, seconds)
-  limit = limit or 100
-  local ok, replies = pcall(call_tags, self, "rfsm_find", { keys_of.index,
-    keys_of.since }, chart, state, limit, seconds)
+-- Calls a function for each hash tag; returns the first keys of all replies, at most
+-- `limit`, or nil and the problem.
+local function joined(self, limit, name, keys, ...)
+  local ok, replies = pcall(call_tags, self, name, keys, ...)
   if not ok then return nil, replies end
   local found = {}
   for _, reply in ipairs(replies) do
@@ -233,6 +242,81 @@ function Fleet:find(chart, state, limit, seconds)
     end
   end
   return found
+end
+
+--- Return the keys of machines in a state. The library must be made with `--index`.
+---@param chart string
+---@param state string FQN of a leaf or composite
+---@param limit? integer default 100
+---@param seconds? integer return only machines that are in their leaf for so long
+---@return string[]? keys
+---@return string? problem
+function Fleet:find(chart, state, limit, seconds)
+  return joined(self, limit or 100, "rfsm_find", { keys_of.index, keys_of.since },
+    chart, state, limit or 100, seconds)
+end
+
+--- Return the keys of machines that are due.
+---@param limit? integer default 100
+---@param time? number seconds; default: now
+---@return string[]? keys
+---@return string? problem
+function Fleet:due(limit, time)
+  return joined(self, limit or 100, "rfsm_due", { keys_of.due }, limit or 100, time)
+end
+
+-- Calls f(call, keys) for the keys of a server that may be machines, in groups with the
+-- same hash tag. call(name, ...) sends a command to the server.
+local function each_group(self, f)
+  self.connection:each_master(function(call)
+    local at = "0"
+    repeat
+      local reply = call("SCAN", at, "COUNT", 1000, "TYPE", "string")
+      at = reply[1]
+      local groups = {}
+      for _, key in ipairs(reply[2]) do
+        local ok, tag = pcall(keys_of.tag, key)
+        if ok and pcall(keys_of.machine, { key }) then
+          groups[tag] = groups[tag] or {}
+          groups[tag][#groups[tag] + 1] = key
+        end
+      end
+      for _, tag in ipairs(rfsm.sorted_keys(groups)) do f(call, groups[tag]) end
+    until at == "0"
+  end)
+end
+
+--- Put all machines into the index as they are, also those that have moved while the
+-- library was loaded without `--index`.
+---@return integer? count machines
+---@return string? problem
+function Fleet:reindex()
+  local count = 0
+  local ok, problem = pcall(each_group, self, function(call, keys)
+    count = count + call("FCALL", "rfsm_reindex", #keys, unpack(keys))
+  end)
+  return ok and count or nil, not ok and problem or nil
+end
+
+--- Count the machines of each version of each chart.
+---@return { chart: string, known: string, version: string, count: integer }[]? list
+--- `known` is "newest", "bundled" (in the library), or "gone"
+---@return string? problem
+function Fleet:versions()
+  local counts, list = {}, {}
+  local ok, problem = pcall(each_group, self, function(call, keys)
+    local reply = call("FCALL", "rfsm_versions", #keys, unpack(keys))
+    for i = 1, #reply, 4 do
+      local name = concat(reply, "\t", i, i + 2)
+      counts[name] = (counts[name] or 0) + reply[i + 3]
+    end
+  end)
+  if not ok then return nil, problem end
+  for i, name in ipairs(rfsm.sorted_keys(counts)) do
+    local chart, known, version = name:match("^(.-)\t(.-)\t(.*)$")
+    list[i] = { chart = chart, known = known, version = version, count = counts[name] }
+  end
+  return list
 end
 
 -- Messages ------------------------------------------------------------------------

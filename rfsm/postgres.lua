@@ -355,6 +355,61 @@ function Client:wake(limit)
   return counts.woken, counts.failed
 end
 
+-- Questions -----------------------------------------------------------------------
+
+-- Returns the rows of a statement, which is a transaction unless one is open.
+local function ask_rows(self, where, sql, ...)
+  local ok, rows = run(self, query, sql, ...)
+  if ok then return rows end
+  error("rfsm.postgres." .. where .. ": " .. reason_of(rows), 0)
+end
+
+--- Return the latest errors of a machine, the newest first.
+-- @raise if no server answers, as the methods below do
+---@param key any
+---@param count? integer default 10
+---@return { time: number, error: string }[] lines
+function Client:log(key, count)
+  local lines = ask_rows(self, "log", [[SELECT extract(epoch FROM at)::text AS time,
+    error FROM rfsm.log($1, $2::integer)]], rfsm.text_of(key), count or 10)
+  for _, line in ipairs(lines) do line.time = tonumber(line.time) end
+  return lines
+end
+
+local function keys_of(rows)
+  for i, row in ipairs(rows) do rows[i] = row.key end
+  return rows
+end
+
+--- Return the keys of machines that are due.
+---@param limit? integer default 100
+---@return string[] keys
+function Client:due(limit)
+  return keys_of(ask_rows(self, "due", "SELECT key FROM rfsm.due($1::integer)",
+    limit or 100))
+end
+
+--- Return the keys of machines in a state.
+---@param chart string
+---@param state string FQN of a leaf or composite
+---@param limit? integer default 100
+---@param seconds? number return only machines that are in their leaf for so long
+---@return string[] keys
+function Client:find(chart, state, limit, seconds)
+  return keys_of(ask_rows(self, "find", "SELECT key FROM rfsm.find($1, $2, "
+    .. "$3::integer, $4::interval) key", chart, state, limit or 100,
+    (seconds or 0) .. " s"))
+end
+
+--- Count the machines of each version of each chart.
+---@return { chart: string, version: string, count: integer }[] list
+function Client:versions()
+  local list = ask_rows(self, "versions", "SELECT chart, version, machines AS count "
+    .. "FROM rfsm.versions()")
+  for _, row in ipairs(list) do row.count = tonumber(row.count) end
+  return list
+end
+
 -- Entries -------------------------------------------------------------------------
 
 --- An event that a machine has emitted.
@@ -371,13 +426,6 @@ local function entry_of(row)
   return { id = "out-" .. row.id, number = tonumber(row.id), machine = row.key,
     what = row.what, data = row.data and codec.decode(row.data),
     tries = tonumber(row.tries), error = row.error }
-end
-
--- Returns the rows of a statement, which is a transaction unless one is open.
-local function ask_rows(self, where, sql, ...)
-  local ok, rows = run(self, query, sql, ...)
-  if ok then return rows end
-  error("rfsm.postgres." .. where .. ": " .. reason_of(rows), 0)
 end
 
 local function ask_entries(self, where, sql, ...)
@@ -411,7 +459,6 @@ end
 
 --- Take entries, each of which the caller ends by `done` or `fail`. No other worker
 -- gets them until their lease is over: `lease` seconds, twice as long with each try.
--- @raise if no server answers, as the methods below do
 ---@param options? { count: integer?, lease: number?, tries: integer? } by default
 --- `count` is 1, `lease` is 30, and `tries` is 5
 ---@return rfsm.postgres.Entry[] entries

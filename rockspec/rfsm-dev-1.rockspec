@@ -152,6 +152,7 @@ build = {
     ["rfsm.server.library"] = "rfsm/server/library.lua",
     ["rfsm.server.sandbox"] = "rfsm/server/sandbox.lua",
     ["rfsm.server.times"] = "rfsm/server/times.lua",
+    ["rfsm.server.verbs"] = "rfsm/server/verbs.lua",
     ["rfsm.shared.alphabet"] = "rfsm/shared/alphabet.lua",
     ["rfsm.shared.calls"] = "rfsm/shared/calls.lua",
     ["rfsm.shared.chart"] = "rfsm/shared/chart.lua",

@@ -377,7 +377,8 @@ describe("rfsm fleet", function()
   for command, needed in pairs { -- any order: each stands alone
     ["find door"] = "find CHART STATE [LIMIT [SECONDS]]", ["get"] = "get KEY",
     ["history"] = "history KEY [COUNT]", ["why k"] = "why KEY EVENT",
-    ["send k"] = "send KEY EVENT", ["hold"] = "hold KEY", ["release"] = "release KEY",
+    ["send k"] = "send KEY EVENT [ID]", ["hold"] = "hold KEY [REASON]",
+    ["log"] = "log KEY [COUNT]", ["move"] = "move KEY", ["release"] = "release KEY",
     ["force k"] = "force KEY STATE", ["remove"] = "remove KEY",
     ["again 0"] = "again TAG ID", ["drop 0"] = "drop TAG ID",
   } do
@@ -391,11 +392,14 @@ describe("rfsm fleet", function()
   it("lists the verbs with their arguments, two in a line", function()
     assert.equal([=[
    again TAG ID                         dead [LIMIT]
-   drop TAG ID                          find CHART STATE [LIMIT [SECONDS]]
-   force KEY STATE                      get KEY
-   history KEY [COUNT]                  hold KEY
+   drop TAG ID                          due [LIMIT [SECONDS]]
+   find CHART STATE [LIMIT [SECONDS]]   force KEY STATE
+   get KEY                              history KEY [COUNT]
+   hold KEY [REASON]                    log KEY [COUNT]
+   move KEY                             reindex
    release KEY                          remove KEY
-   send KEY EVENT                       why KEY EVENT
+   send KEY EVENT [ID]                  versions
+   why KEY EVENT
 ]=], run("help fleet"):match("Verbs:\n(.*)"))
   end)
 end)

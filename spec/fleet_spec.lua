@@ -734,9 +734,78 @@ describe("rfsm fleet", function()
     assert.same({ 1 }, seen)
   end)
 
+  it("shows the log, what is due, and the versions", function()
+    local old = { timed = TIMED }
+    assert(machines:load(library({ index = true }, old)))
+    for i = 1, 2 do assert(machines:create(i, "timed")) end
+    local version = machines:get(1).version
+    assert.equal("timed newest " .. version .. " 2\n", fleet_command("versions"))
+    assert(machines:load(redis.bundle { "timed=" .. helper.file_with(TIMED), "timed="
+      .. helper.file_with((TIMED:gsub("keep", "rename = {}, more = rfsm.state {}, keep")
+      )) }))
+    assert.equal("root.a done kept\n", fleet_command("move", "m:{0}:2"))
+    assert.equal(("timed bundled %s 1\ntimed newest %s 1\n"):format(version,
+      machines:get(2).version), fleet_command("versions"))
+    assert(machines:load(library(nil, { counter = COUNTER })))
+    assert.matches("timed gone " .. version, fleet_command("versions"), 1, true)
+    assert.equal("", fleet_command("due"))
+    assert.equal("m:{0}:1\nm:{0}:2\n", fleet_command("due", "10", "1e10"))
+    fleet_command("hold", "m:{0}:1", "'to be looked at'")
+    assert.matches("^%d+%.%d+ to be looked at\n$", fleet_command("log", "m:{0}:1"))
+  end)
+
+  it("sends an event with an id", function()
+    assert(machines:create(1, "counter"))
+    for _, outcome in ipairs { "taken", "known" } do
+      assert.equal("root.odd done " .. outcome .. "\n",
+        fleet_command("send", "m:{0}:1", "e_tick", "x"))
+    end
+  end)
+
   it("says what a verb needs", function()
     assert.matches("Error: force KEY STATE expected", fleet_command("force", "x"), 1,
       true)
+  end)
+end)
+
+describe("the index", function()
+  local MOVING = [[
+    local rfsm = require "rfsm"
+    return rfsm.state { rename = {}, a = rfsm.state {}, ["b\tc"] = rfsm.state {},
+      d = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" },
+      rfsm.trans { src = "a", tgt = "b\tc", events = { "e_b" } },
+      rfsm.trans { src = "b\tc", tgt = "d", events = { "e_d" } } }]]
+
+  it("finds machines that were there before it, and none where it was", function()
+    local charts = { moving = MOVING }
+    assert(machines:load(library(nil, charts)))
+    for i = 1, 3 do assert(machines:create(i, "moving")) end
+    assert(machines:load(library({ index = true }, charts)))
+    assert(machines:send(1, "e_b"))
+    assert.equal(3, machines:reindex())
+    assert.same({ "m:{0}:2", "m:{0}:3" }, machines:find("moving", "root.a"))
+    assert(machines:load(library(nil, charts)))
+    assert(machines:send(2, "e_b"))
+    assert(machines:load(library({ index = true }, charts)))
+    assert.same({ "m:{0}:2", "m:{0}:3" }, machines:find("moving", "root.a"))
+    assert.equal("3\n", server:cli("FCALL rfsm_reindex 1 {0}"))
+    assert.same({ "m:{0}:3" }, machines:find("moving", "root.a"))
+    assert.same({ "m:{0}:1", "m:{0}:2" }, machines:find("moving", "root.b\tc"))
+    assert.matches('state="root.b\tc"} 2\n', machines:stats(), 1, true)
+    assert(machines:send(2, "e_d"))
+    assert.same({ "m:{0}:1" }, machines:find("moving", "root.b\tc"))
+    assert.same({ nil, "ERR rfsm_reindex: the library was made without --index" },
+      { (function()
+        assert(machines:load(library(nil, charts)))
+        return machines:reindex()
+      end)() })
+  end)
+
+  it("finds machines that are in their state since nobody knows when", function()
+    assert(machines:create(1, "timed"))
+    assert.same({}, machines:find("timed", "root", 10, 100))
+    server:cli("DEL rfsm:since:{0}")
+    assert.same({ "m:{0}:1" }, machines:find("timed", "root", 10, 100))
   end)
 end)
 

@@ -775,6 +775,36 @@ SELECT rfsm.create('1', 'counter') \gset
 SELECT rfsm.force('1', 'root.add');]]))
   end)
 
+  it("sees what waits, the log, what is due, and the versions", function()
+    assert.equal([[
+WARNING:  1: looked at
+held|yes
+held_because|looked at
+kept|[]
+waiting|[{"events":["e_tick"],"id":"x"}]
+ids|["one"]
+t
+looked at
+counter|1
+1
+2|0
+]], (sql([[
+SELECT rfsm.create('1', 'counter', id => 'one') \gset
+SELECT rfsm.create('2', 'counter') \gset
+SELECT rfsm.call('rfsm_hold', '1', ARRAY['looked at'], NULL) \gset
+SELECT rfsm.send('1', 'e_tick', 'x') \gset
+SELECT name, regexp_replace(value, ',"time":[0-9.]+', '') FROM rfsm.get('1')
+  WHERE name IN ('held', 'held_because', 'kept', 'waiting', 'ids');
+SELECT why ~ '^held since ' FROM rfsm.why('1', 'e_tick') why LIMIT 1;
+SELECT error FROM rfsm.log('1');
+SELECT chart, machines - 1 FROM rfsm.versions();
+SELECT rfsm.send_at('2', now(), 'e_tick', 'y') \gset
+UPDATE rfsm.machines SET due = now() WHERE key = '2';
+SELECT count(*) FROM rfsm.due();
+SELECT count(*), (SELECT count(*) FROM rfsm.find('counter', 'root', 10, '1 h'))
+  FROM rfsm.find('counter', 'root');]])))
+  end)
+
   it("sends dead entries again, drops them, and reads numbers", function()
     assert.equal([[
 rfsm_dead|||2

@@ -639,6 +639,111 @@ describe("an event that a machine keeps", function()
   end)
 end)
 
+describe("JSON that only some decoders take", function()
+  for _, odd in ipairs { "NaN", "nan", "-Infinity", "0x10", "01", "+1", "1.",
+    "\\u0000" } do
+    it("is refused: " .. odd, function()
+      open()
+      load_library { { name = "c", make = chart } }
+      local value = odd:find("u", 1, true) == 2 and '"' .. odd .. '"' or odd
+      assert.equal("ERR rfsm_create: data: a JSON object expected",
+        f.rfsm_create({ "k" }, { "c", '{"n":' .. value .. "}" }).err)
+    end)
+  end
+
+  it("is not what a text contains", function()
+    for _, text in ipairs { "NaN", "0x10", '\\"NaN', "\\\\u0000", "-1.5e+10" } do
+      f.rfsm_remove({ "k" })
+      local reply = f.rfsm_create({ "k" .. #text }, { "c", '{"n":["' .. text
+        .. '",-1.5e+10,true,null,0]}' })
+      assert.equal("root.a", reply[1])
+    end
+  end)
+end)
+
+describe("what waits in a machine", function()
+  -- Returns what rfsm_get says, by name.
+  local function view()
+    local list, found = call("get"), {}
+    for i = 1, #list, 2 do found[list[i]] = list[i + 1] end
+    return found
+  end
+
+  it("is shown: events for later, those of a held machine, and ids", function()
+    call("send", "e_b", "ID", "one")
+    call("send_at", "+9", "e_a", "ID", "two")
+    clock.now = 1003
+    call("hold", "looked at")
+    clock.now = 1004
+    call("send", "e_a", "e_b", "ID", "three")
+    local found = view()
+    assert.same({ '[{"events":["e_a"],"id":"two","time":1009}]',
+      '[{"events":["e_a","e_b"],"id":"three","time":1004}]', '["one"]', "[]", "yes",
+      "1003.000000", "looked at", "" }, { found.later, found.waiting, found.ids,
+      found.kept, found.held, found.held_since, found.held_because, found.due })
+    call("release")
+    found = view()
+    assert.same({ "[]", '["one","three"]', "", "", "" }, { found.waiting, found.ids,
+      found.held, found.held_since, found.held_because })
+  end)
+
+  it("is shown: events that it has deferred, also in regions", function()
+    require "rfsm.defer"
+    require "rfsm_seqand"
+    local function region()
+      return state { info = false, warn = false, x = state { defer = { "e_x" } },
+        trans { src = "initial", tgt = "x" }, trans { src = "x", tgt = "x",
+          events = { "e_go" } } }
+    end
+    load_library { { name = "c", make = function()
+      return state { a = require("rfsm_seqand").seqand {
+        defer = { rfsm.named "e_job" }, left = region() },
+        b = state {}, trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_b" } },
+        trans { src = "b", tgt = "a", events = { rfsm.named "e_job", "e_x" } } }
+    end } }
+    host.packs.unpack("m") -- of the chart before
+    f.rfsm_remove({ "m" })
+    f.rfsm_create({ "m2" }, { "c" })
+    f.rfsm_send({ "m2" }, { '{"name":"e_job","k":1}' })
+    f.rfsm_send({ "m2" }, { "e_x" })
+    local list = f.rfsm_get({ "m2" })
+    for i = 1, #list, 2 do
+      if list[i] == "kept" then
+        assert.equal('[{"k":1,"name":"e_job"},"e_x"]', list[i + 1])
+      end
+    end
+  end)
+
+  it("is explained: a held machine moves only when it is released", function()
+    call("hold")
+    clock.now = 1012
+    assert.same({ "held since 1000.000, for 12 s: events wait until it is released; "
+      .. "then:", "root.trans[2] (a -> b) would be taken on e_b in root.a" },
+      { call("why", "e_b")[1], call("why", "e_b")[2] })
+  end)
+end)
+
+describe("a machine that is moved to the newest version", function()
+  it("is woken in time for a shorter timer there", function()
+    local function waiting(seconds)
+      return { name = "w", make = function()
+        return state { rename = {}, keep = { "n" }, n = 0, a = state {}, b = state {},
+          trans { src = "initial", tgt = "a" },
+          trans { src = "a", tgt = "b", events = { ("e_after(%d)"):format(seconds) } } }
+      end }
+    end
+    load_library { waiting(60) }
+    f.rfsm_create({ "w" }, { "w" })
+    clock.now = 1005
+    load_library { waiting(60), waiting(8) }
+    assert.same({ "root.a", "done", "kept" }, f.rfsm_move({ "w" }))
+    assert.equal(1008, math.floor(host.packs.unpack("w")[6] + 0.5))
+    clock.now = 1009
+    assert.same({ "root.b", "done", "taken" }, f.rfsm_tick({ "w" }, { "due" }))
+  end)
+end)
+
 describe("machines that are due", function()
   -- Has Redis find these keys due, the first one first, until another time is added for
   -- them. `leases` has how often each was leased before.

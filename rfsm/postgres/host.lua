@@ -10,6 +10,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local verbs_of = require "rfsm.server.verbs"
 
 local ipairs = ipairs
 local floor = math.floor
@@ -42,7 +43,10 @@ local floor = math.floor
 local host = {}
 
 --- Functions that only read the machine, so that its row needs no lock.
-host.READ_ONLY = { rfsm_get = true, rfsm_why = true }
+host.READ_ONLY = {}
+for _, verb in ipairs(verbs_of) do
+  host.READ_ONLY["rfsm_" .. verb.name] = verb.reads
+end
 
 --- Statements by their names. A statement that writes a machine returns a row if it has
 -- written one. The casts are for drivers that give all parameters the type text.

@@ -8,6 +8,8 @@
 -- @module rfsm.postgres.schema
 -- @license BSD-3-Clause
 
+local verbs = require "rfsm.server.verbs"
+
 local ipairs, concat = ipairs, table.concat
 
 local schema = {}
@@ -150,40 +152,30 @@ CREATE OR REPLACE FUNCTION rfsm.is_in(state text, other text)
 $$;
 ]]
 
--- The functions in SQL for one machine: name, parameters after `key`, type of the
--- result, and the arguments `args` and `id` for `rfsm.call` (NULL, NULL if absent).
-local VERBS = {
-  { "create", ", chart text, data jsonb DEFAULT '{}', id text DEFAULT NULL", "text",
-    "ARRAY[chart, coalesce(data, '{}')::text], id" },
-  { "send", ", events text[], id text DEFAULT NULL", "text", "events, id" },
-  { "send", ", event text, id text DEFAULT NULL", "text", "ARRAY[event], id" },
-  { "send_at", ", at timestamptz, event text, id text", "text",
-    "ARRAY[extract(epoch FROM at)::text, event], id" },
-  { "cancel", ", id text", "boolean", "ARRAY[id], NULL" },
-  { "why", ", event text", "SETOF text", "ARRAY[event], NULL" },
-  { "force", ", state text", "text", "ARRAY[state], NULL" },
-  { "tick", "", "text" }, { "hold", "", "text" }, { "release", "", "text" },
-  { "remove", "", "boolean" },
-}
-
 -- For each type of result, the SQL expression that makes it; %s is a list of texts.
 local RESULTS = { text = "(%s)[1]", boolean = "(%s)[1] = '1'",
-  ["SETOF text"] = "unnest(%s)" }
+  ["SETOF text"] = "unnest(%s)", ["TABLE (name text, value text)"] =
+  "l[i], l[i + 1] FROM %s l, generate_series(1, cardinality(l), 2) i" }
 
 -- The functions in SQL. A role that has USAGE of the schema may call them, except those
 -- that are revoked below. They run with the rights of the owner ($OWNER).
-local calls = {}
-for i, verb in ipairs(VERBS) do
-  local name, arguments, kind = verb[1], verb[2], verb[3]
-  local call = ("rfsm.call('rfsm_%s', key, %s)"):format(name, verb[4] or "NULL, NULL")
-  calls[i] = ([[
+local function function_of(name, sql)
+  local call = ("rfsm.call('rfsm_%s', key, %s)"):format(name, sql[3] or "NULL, NULL")
+  return ([[
 CREATE OR REPLACE FUNCTION rfsm.%s(key text%s)
   RETURNS %s $OWNER AS $$
   SELECT %s
 $$;
 
-]]):format(name, arguments, kind, RESULTS[kind]:format(call))
+]]):format(name, sql[1], sql[2], RESULTS[sql[2]]:format(call))
 end
+
+local calls = verbs.map(function(verb)
+  local more = verb.more_sql and function_of(verb.name, verb.more_sql) or ""
+  return verb.sql and function_of(verb.name, verb.sql) .. more
+end)
+
+local revoked = verbs.map(function(verb) return verb.by and "rfsm." .. verb.name end)
 
 schema.FUNCTIONS = [[
 
@@ -205,7 +197,7 @@ CREATE OR REPLACE FUNCTION rfsm.reply(key text, events text[], id text DEFAULT N
 $$;
 
 ]] .. concat(calls) .. [[
-REVOKE EXECUTE ON FUNCTION rfsm.hold, rfsm.release, rfsm.force, rfsm.remove FROM PUBLIC;
+REVOKE EXECUTE ON FUNCTION ]] .. concat(revoked, ", ") .. [[ FROM PUBLIC;
 
 -- Runs a machine that is due, unless another session has locked it; returns whether it
 -- ran. A machine that cannot run waits for a minute, and the log has the reason.
@@ -379,6 +371,33 @@ CREATE OR REPLACE FUNCTION rfsm.drop(id bigint) RETURNS boolean $OWNER AS $$
   SELECT EXISTS (SELECT FROM gone)
 $$;
 
+-- What an operator asks: the latest errors of a machine, the machines that are due, how
+-- many machines there are of each version, and those that are in a state, for so long.
+CREATE OR REPLACE FUNCTION rfsm.log(key text, most integer DEFAULT 10)
+  RETURNS TABLE (at timestamptz, error text) $OWNER AS $$
+  SELECT l.at, l.error FROM rfsm.log l WHERE l.key = log.key ORDER BY l.id DESC
+  LIMIT most
+$$;
+
+CREATE OR REPLACE FUNCTION rfsm.due(most integer DEFAULT 100,
+  until timestamptz DEFAULT clock_timestamp())
+  RETURNS TABLE (key text, due timestamptz) $OWNER AS $$
+  SELECT m.key, m.due FROM rfsm.machines m WHERE m.due <= until ORDER BY m.due
+  LIMIT most
+$$;
+
+CREATE OR REPLACE FUNCTION rfsm.versions()
+  RETURNS TABLE (chart text, version text, machines bigint) $OWNER AS $$
+  SELECT m.chart, m.version, count(*) FROM rfsm.machines m GROUP BY 1, 2 ORDER BY 1, 2
+$$;
+
+CREATE OR REPLACE FUNCTION rfsm.find(chart text, state text, most integer DEFAULT 100,
+  age interval DEFAULT '0') RETURNS SETOF text $OWNER AS $$
+  SELECT m.key FROM rfsm.machines m WHERE m.chart = find.chart
+    AND rfsm.is_in(m.state, find.state) AND m.since <= clock_timestamp() - age
+  ORDER BY m.since LIMIT most
+$$;
+
 -- Numbers for monitoring.
 CREATE OR REPLACE FUNCTION rfsm.stats()
   RETURNS TABLE (name text, chart text, state text, value bigint) $OWNER AS $$
@@ -395,7 +414,7 @@ CREATE OR REPLACE FUNCTION rfsm.stats()
 $$;
 
 REVOKE EXECUTE ON FUNCTION rfsm.take, rfsm.done, rfsm.fail, rfsm.again, rfsm.drop,
-  rfsm.stats FROM PUBLIC;
+  rfsm.stats, rfsm.log, rfsm.due, rfsm.versions, rfsm.find FROM PUBLIC;
 ]]
 
 schema.HISTORY = [[

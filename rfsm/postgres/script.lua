@@ -23,7 +23,10 @@ local script = {}
 local HEAD = [[
 local globals, sandbox
 do
-  local bundled, load, pcall = {}, load, lpcall
+  local bundled, load, pcall, outer_require = {}, load, lpcall, require
+  local function require(name)
+    return bundled[name] and bundled[name]() or outer_require(name)
+  end
   %s
   self.serve = bundled["rfsm.postgres.pllua"]()(
     bundled["rfsm.postgres.host"](), spi, pgtype, "$ID")
@@ -111,6 +114,7 @@ function script.sql(arguments, options)
   options = options or {}
   local text, warnings = script.library(arguments, options)
   local parts = {}
+  add_module(parts, "rfsm.server.verbs")
   add_module(parts, "rfsm.postgres.host")
   add_module(parts, "rfsm.postgres.pllua")
   local code = HEAD:format(concat(parts)) .. text .. FOOT

@@ -18,6 +18,7 @@ local times = require "rfsm.server.times"
 local ipairs, pairs, pcall, rawget = ipairs, pairs, pcall, rawget
 local tonumber, type = tonumber, type
 local char, huge, min = string.char, math.huge, math.min
+local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local fail, now, reason_of, shown = encoding.fail, times.now, charts.reason_of,
   keys_of.shown
@@ -26,10 +27,10 @@ local MAX_LOG = 1000
 local OVERDUE = 60 -- seconds; a machine that is due for longer counts as overdue
 local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 
--- The objects that Redis passes to libraries, the functions rfsm_tick and rfsm_hold,
--- and the options of the library. They are locals of the module, since a server runs
--- one such library.
-local redis, call, cmsgpack, tick_machine, hold_machine, options
+-- The objects that Redis passes to libraries, the functions rfsm_tick and rfsm_hold, a
+-- function that tells of which version a snapshot is, and the options of the library.
+-- They are locals of the module, since a server runs one such library.
+local redis, call, cmsgpack, tick_machine, hold_machine, version_of, options
 
 local store = {}
 
@@ -278,9 +279,10 @@ local function is_there(key)
 end
 
 -- Has a machine been in its active leaf since a time, or longer? Without a time: yes.
+-- If it is not known since when, yes: it came there before times were noted.
 local function is_since(key, time)
   local since = time and call("ZSCORE", keys_of.since(key), key)
-  return not time or since and rfsm.number_of(since) <= time
+  return not since or rfsm.number_of(since) <= time
 end
 
 -- Lists at most `limit` keys of machines whose members of the index begin with `head`,
@@ -307,13 +309,24 @@ function more.rfsm_find(keys, args)
   if not options.index then fail("the library was made without --index") end
   local index, limit = keys_of.index(keys[1]), whole_of(args[3], 100, 100000)
   if not args[2] then fail("a chart and a state expected") end
-  local head, time = args[1] .. "\t" .. args[2], nil
+  local head, time = keys_of.head(args[1], args[2]), nil
   if args[4] then time = now() - whole_of(args[4], 0, 1e9) end
   local found = keys_with(index, head .. "\t", limit, time) -- the state itself
   for _, key in ipairs(keys_with(index, head .. ".", limit - #found, time)) do
     found[#found + 1] = key
   end
   return found
+end
+
+-- Lists the newest entries of a stream: the time of each, and its values.
+local function list_stream(stream, count)
+  local reply = {}
+  for _, entry in ipairs(call("XREVRANGE", stream, "+", "-", "COUNT",
+    whole_of(count, 10, 10000))) do
+    reply[#reply + 1] = rfsm.number_text(entry[1]:match("^%d+") / 1000, "%.3f")
+    for i = 2, #entry[2], 2 do reply[#reply + 1] = entry[2][i] end
+  end
+  return reply
 end
 
 -- rfsm_stats KEY: returns six results for the machines with the {hash tag} of KEY: a
@@ -323,7 +336,7 @@ function more.rfsm_stats(keys)
   local key, reply = keys[1], {}
   local index, due = keys_of.index(key), keys_of.due(key)
   for _, head in ipairs(options.index and heads_of(index) or {}) do
-    local name, leaf = head:match("^([^\t]*)\t([^\t]*)")
+    local name, leaf = keys_of.read_head(head)
     local count = #keys_with(index, head, huge)
     for _, value in ipairs(count > 0 and { name, leaf, count } or {}) do
       reply[#reply + 1] = value
@@ -334,26 +347,76 @@ function more.rfsm_stats(keys)
     call("XLEN", keys_of.dead(key)) }
 end
 
--- rfsm_history KEY [count]: returns the latest moves of a machine, the newest first,
--- each as four items: time, events, from, to.
-function more.rfsm_history(keys, args)
-  if not options.history then fail("the library was made without --history") end
-  local reply, count = {}, whole_of(args[1], 10, 10000)
-  local entries = call("XREVRANGE", keys_of.history(keys_of.machine(keys)), "+", "-",
-    "COUNT", count)
-  for _, entry in ipairs(entries) do
-    local ms, fields = entry[1]:match("^%d+"), entry[2]
-    for _, value in ipairs { rfsm.number_text(ms / 1000, "%.3f"), fields[2],
-      fields[4], fields[6] } do
-      reply[#reply + 1] = value
-    end
+-- Calls f(key, list) for each machine in a list of keys. If there is no machine at the
+-- first key, calls it for all machines with its hash tag. Returns how many there are.
+local function each_machine(keys, f)
+  local count, found = 0, keys
+  local function see(key)
+    local ok, list = pcall(store.read, key)
+    if not (ok and list) then return end
+    count = count + 1
+    f(key, list)
+  end
+  if call("TYPE", keys[1]).ok ~= "string" then
+    local tag, at = keys_of.tag(keys[1]), "0"
+    found = { tag }
+    repeat
+      local page = call("SCAN", at, "MATCH", "*{" .. tag:gsub("[%[%]*?\\]", "\\%0")
+        .. "}*", "COUNT", 1000, "TYPE", "string")
+      at = page[1]
+      for _, key in ipairs(page[2]) do found[#found + 1] = key end
+    until at == "0"
+  end
+  for _, key in ipairs(found) do see(key) end
+  return count
+end
+
+-- rfsm_reindex KEY...: puts machines into the index as they are, also those that have
+-- moved while the library was loaded without --index. Returns how many.
+function more.rfsm_reindex(keys)
+  if not options.index then fail("the library was made without --index") end
+  return each_machine(keys, function(key, list)
+    local old = members_of(key)
+    if old[1] then call("ZREM", keys_of.index(key), unpack(old)) end
+    local member = keys_of.member(list[2], list[3].leaf or "", key)
+    call("ZADD", keys_of.index(key), 0, member)
+  end)
+end
+
+-- rfsm_versions KEY...: returns four items for each version of a chart: its name, how
+-- the version is known ("newest", "bundled", "gone"), its fingerprint, and how many
+-- machines are of this version.
+function more.rfsm_versions(keys)
+  local counts, reply = {}, {}
+  each_machine(keys, function(_, list)
+    local snap = list[3]
+    local name = concat({ list[2], version_of(list[2], snap), snap.chart }, "\t")
+    counts[name] = (counts[name] or 0) + 1
+  end)
+  for _, name in ipairs(rfsm.sorted_keys(counts)) do
+    for text in name:gmatch("[^\t]+") do reply[#reply + 1] = text end
+    reply[#reply + 1] = counts[name]
   end
   return reply
 end
 
+-- rfsm_log KEY [count]: returns the latest errors of a machine, the newest first, each
+-- as two items: time and text.
+function more.rfsm_log(keys, args)
+  return list_stream(keys_of.log(keys_of.machine(keys)), args[1])
+end
+
+-- rfsm_history KEY [count]: returns the latest moves of a machine, the newest first,
+-- each as four items: time, events, from, to.
+function more.rfsm_history(keys, args)
+  if not options.history then fail("the library was made without --history") end
+  return list_stream(keys_of.history(keys_of.machine(keys)), args[1])
+end
+
 --- Add the functions for many machines to `all`. A call checks types and rights anew.
-function store.add(all, settings)
+function store.add(all, settings, find_version)
   tick_machine, hold_machine, options = all.rfsm_tick, all.rfsm_hold, settings
+  version_of = find_version
   for name, f in pairs(more) do all[name] = f end -- any order: a copy
   for name, f in pairs(all) do -- any order: they are independent
     all[name] = function(keys, args)

@@ -11,7 +11,7 @@ local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 local try = require("rfsm.shared.calls").try
 
-local error, os, select = error, os, select
+local error, ipairs, os, select = error, ipairs, os, select
 local rawget, tostring, type = rawget, tostring, type
 local insert = table.insert
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -160,9 +160,12 @@ function Client:tick(id) return reply_of(self:ask("rfsm_tick", id)) end
 
 --- Hold a machine: its events and timers wait until `release`.
 ---@param id any
+---@param reason? string it is in the log of the machine
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
-function Client:hold(id) return reply_of(self:ask("rfsm_hold", id)) end
+function Client:hold(id, reason)
+  return reply_of(self:ask("rfsm_hold", id, reason))
+end
 
 --- Release a held machine. Events and timers that came due meanwhile run in order.
 ---@param id any
@@ -188,17 +191,27 @@ end
 
 --- Return a table that describes a machine.
 ---@param id any
----@return table? view chart, version, leaf, mode, configuration, data, queue, due
+---@return table? view chart, version, leaf, mode, configuration, data, queue, due;
+--- held, held_since, held_because; events: kept (deferred), later, waiting (for the
+--- release); ids that the machine knows
 ---@return string? problem
 function Client:get(id)
   local list, problem = self:ask("rfsm_get", id)
   if not list then return nil, problem end
   local view = {}
   for i = 1, #list, 2 do view[list[i]] = list[i + 1] end
-  view.data, view.queue, view.due = codec.decode(view.data), codec.decode(view.queue),
-    rfsm.number_of(view.due)
+  for _, name in ipairs { "data", "queue", "kept", "later", "waiting", "ids" } do
+    view[name] = view[name] and codec.decode(view[name]) -- an old library lacks some
+  end
+  view.due, view.held_since = rfsm.number_of(view.due), rfsm.number_of(view.held_since)
   return view
 end
+
+--- Move a machine to the newest version of its chart, without running it.
+---@param id any
+---@return rfsm.server.Reply? reply
+---@return string? problem
+function Client:move(id) return reply_of(self:ask("rfsm_move", id)) end
 
 --- Explain which transitions an event would trigger in a machine, and why not others.
 ---@param id any

@@ -438,6 +438,15 @@ local function reply_of(list, ...)
     or "inactive", ... }
 end
 
+local function time_text(time) return time and rfsm.number_text(time, "%.6f") or "" end
+
+local function list_json(list)
+  return list[1] ~= nil and charts.json_of(list) or "[]"
+end
+
+-- A machine that an older release has held does not know since when.
+local function held_since(list) return (list[HOLD] or NONE)[1] or list[HELD] end
+
 -- rfsm_create KEY chart [data] [ID id]: makes a machine and runs it.
 function functions.rfsm_create(keys, args)
   local key, id = key_of(keys), take_id(args)
@@ -511,6 +520,50 @@ function functions.rfsm_tick(keys, args)
   return save(machine)
 end
 
+-- Returns the events of `later` that came before a time, or after it, as JSON.
+local function later_json(list, is_past)
+  local entries = {}
+  for _, entry in ipairs(list[LATER] or NONE) do
+    if (entry[1] <= now()) == is_past then
+      entries[#entries + 1] = { time = entry[1], id = entry[2],
+        events = { select(3, unpack(entry)) } }
+    end
+  end
+  return list_json(entries)
+end
+
+-- Returns the ids that a machine knows, the oldest first.
+local function ids_of(list)
+  local ids = {}
+  for _, id in ipairs(list[IDS] or NONE) do
+    if type(id) == "string" then ids[#ids + 1] = id end
+  end
+  return ids
+end
+
+-- Returns the events that a machine and its regions have deferred.
+local function kept_of(snap)
+  local events = {}
+  local function add(part)
+    local kept = part.ext and part.ext.defer and encoding.unpack(part.ext.defer, 0)
+    for _, event in ipairs(kept or NONE) do events[#events + 1] = event end
+  end
+  add(snap)
+  for _, prefix in ipairs(rfsm.sorted_keys(snap.regions or NONE)) do
+    add(snap.regions[prefix])
+  end
+  return events
+end
+
+-- rfsm_move KEY: moves a machine to the newest version of its chart without running it,
+-- so that it is woken in time for the timers of this version.
+function functions.rfsm_move(keys)
+  local key = key_of(keys)
+  local machine = load_machine(key, read(key))
+  machine.outcome = "kept"
+  return save(machine)
+end
+
 -- rfsm_get KEY: returns a list in which each name is followed by its value.
 function functions.rfsm_get(keys)
   local list = read(key_of(keys))
@@ -519,13 +572,14 @@ function functions.rfsm_get(keys)
   for i, event in ipairs(snap.queue or {}) do queue[i] = encoding.unpack(event, 0) end
   for i in leaf:gmatch("()%.") do names[#names + 1] = leaf:sub(1, i - 1) end
   names[#names + 1] = snap.leaf
-  local due = list[DUE] and not list[HELD] and rfsm.number_text(list[DUE], "%.6f")
-    or ""
   return { "chart", list[NAME], "version", snap.chart, "leaf", leaf,
     "mode", reply_of(list)[2],
     "configuration", concat(names, " "), "data", charts.data_of(snap),
-    "queue", queue[1] ~= nil and charts.json_of(queue) or "[]", "due", due,
-    "held", list[HELD] and "yes" or "" }
+    "queue", list_json(queue), "due", time_text(not list[HELD] and list[DUE]),
+    "held", list[HELD] and "yes" or "", "held_since", time_text(held_since(list)),
+    "held_because", (list[HOLD] or NONE)[2] or "",
+    "kept", list_json(kept_of(snap)), "later", later_json(list, false),
+    "waiting", later_json(list, true), "ids", list_json(ids_of(list)) }
 end
 
 -- Functions for an operator: hold, release, force, remove, why.
@@ -579,11 +633,27 @@ function functions.rfsm_remove(keys) return host.remove(key_of(keys)) and 1 or 0
 function functions.rfsm_why(keys, args)
   if #args ~= 1 then fail("one event expected, got %d", #args) end
   local key, lines = key_of(keys), {}
-  local machine = load_machine(key, read(key))
+  local list = read(key)
+  local machine = load_machine(key, list)
   times.set(false)
+  if list[HELD] then
+    lines[1] = ("held since %.3f, for %.0f s: events wait until it is released; then:")
+      :format(held_since(list), now() - held_since(list))
+  end
   local _, text = why.why(machine.fsm, charts.events(machine.chart, args)[1])
   for line in text:gmatch("[^\n]+") do lines[#lines + 1] = line end
   return lines
+end
+
+-- Returns of which version of a chart a snapshot is: "newest", "bundled" or "gone".
+local function version_of(name, snap)
+  local list = versions[name] or NONE
+  for i = #list, 1, -1 do
+    if charts.is_of(open(list[i]), snap) then
+      return i == #list and "newest" or "bundled"
+    end
+  end
+  return "gone"
 end
 
 --- Return the functions by name. Each takes a list of keys and a list of arguments.
@@ -601,7 +671,7 @@ return function(server, list, settings)
     versions[chart.name] = versions[chart.name] or {}
     versions[chart.name][#versions[chart.name] + 1] = chart
   end
-  if host.add then host.add(functions, options) end
+  if host.add then host.add(functions, options, version_of) end
   for name, f in pairs(functions) do -- any order: each stands alone
     made[name] = function(keys, args)
       times.begin()
