@@ -131,26 +131,17 @@ local LARGER, MUCH_LARGER = 1.02, 1.2 -- factors of the scale
 function choice.for_sheet(shapes, layout, size, limits)
   local best, value = nil, choice.scale(size, layout.width, layout.height)
   for _, shape in ipairs(shapes) do
-    local crossings = shape.crossings or choice.measure(shape)
-    local factor = crossings <= limits.same and LARGER or MUCH_LARGER
+    local factor = shape.crossings <= limits.same and LARGER or MUCH_LARGER
     local one = choice.scale(size, shape.width, shape.height) / factor
-    if crossings <= limits.more and one > value then best, value = shape, one end
+    if shape.crossings <= limits.more and one > value then best, value = shape, one end
   end
   return best
 end
 
-local CLOSE, MUCH = 0.9, 1.15 -- factors of a scale
-
---- Is a shape or layout so much larger on a sheet that a former shape is given up?
-function choice.is_much_larger(shape, former, size)
+--- Return how much larger the text of a shape or layout is than that of another one.
+function choice.gain(shape, other, size)
   return choice.scale(size, shape.width, shape.height)
-    >= MUCH * choice.scale(size, former.width, former.height)
-end
-
---- Is a shape hardly smaller on a sheet than another one?
-function choice.is_close(shape, other, size)
-  return choice.scale(size, shape.width, shape.height)
-    >= CLOSE * choice.scale(size, other.width, other.height)
+    / choice.scale(size, other.width, other.height)
 end
 
 --- Return the most crossings of a shape in place of a layout, and the most if its text

@@ -157,13 +157,13 @@ end
 
 local MOST = 1000 -- nodes; Graphviz needs about a second to lay out so many
 
--- Returns Graphviz' layout of a chart; nil if there is none. `more` are further lines.
-local function plain_layout(chart, graph, more, run)
-  if #chart.nodes > MOST then return nil end
-  graph = graph:gsub("^[^\n]*", "digraph {", 1):gsub("}\n$", more .. "}\n")
-  local answer = run(graph)
-  return answer and plain.read(chart, answer)
+-- Returns Graphviz' layout of a chart; nil if there is none.
+local function plain_layout(chart, graph, run)
+  local answer = #chart.nodes <= MOST and run((graph:gsub("^[^\n]*", "digraph {", 1)))
+  return answer and plain.read(chart, answer) or nil
 end
+
+local ALIKE, NEW = 0.9, 1.15 -- gains: least for equal shapes, to give up a former shape
 
 local function nothing() end
 
@@ -177,7 +177,7 @@ local function shape_for(chart, best, limits, run)
   if not fixed then return shape, problem end
   problem, shapes = sheet.shapes_of(chart, limits, run, fixed)
   local other = shapes and choice.for_sheet(shapes, best, size, limits)
-  return other and choice.is_close(other, shape, size) and other or shape, problem
+  return other and choice.gain(other, shape, size) >= ALIKE and other or shape, problem
 end
 
 -- Returns a problem if there is one, then the shape of the former picture, unless the
@@ -186,17 +186,14 @@ local function keep_former(chart, best, shape, limits, run)
   local problem, formers = sheet.shapes_of(chart, limits, run, sheet.former)
   if problem then return problem end
   local former = formers[#formers]
-  local other = shape or best
   local is_kept = former.crossings <= limits.more
-    and not choice.is_much_larger(other, former, chart.sheet)
+    and choice.gain(shape or best, former, chart.sheet) < NEW
   return nil, is_kept and former or shape
 end
 
 -- Returns the best layout for a sheet, which may be `best`; or nil and the problem.
-local function layout_for(chart, graph, best, whole, run)
+local function layout_for(chart, best, whole, run)
   local limits = choice.limits(best, whole)
-  local tight = whole and plain_layout(chart, graph, "  graph [ranksep=0.15]\n", run)
-  best = tight and choice.for_sheet({ tight }, best, chart.sheet, limits) or best
   local shape, problem = shape_for(chart, best, limits, run)
   if chart.kind == "sheet" and not problem then
     problem, shape = keep_former(chart, best, shape, limits, run)
@@ -218,10 +215,10 @@ function layout.draw(chart, graph, run)
   end
   local problem = levels.lay_out(chart, ask)
   if problem then return nil, problem end
-  local best, whole = layout_of(chart, "levels"), plain_layout(chart, graph, "", ask)
+  local best, whole = layout_of(chart, "levels"), plain_layout(chart, graph, ask)
   best = whole and choice.of(best, whole, chart.kind, chart.sheet) or best
   if chart.kind == "sheet" or not choice.is_readable(best, chart.sheet) then
-    best, problem = layout_for(chart, graph, best, whole, ask)
+    best, problem = layout_for(chart, best, whole, ask)
   end
   if not best then return nil, problem end
   local scale = choice.scale(chart.sheet, best.width, best.height)

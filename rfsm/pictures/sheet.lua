@@ -99,12 +99,30 @@ local function is_covering(level, link)
   return false
 end
 
--- Counts the crossings in a shape; huge if a line covers a box and `is_strict`.
-local function count_crossings(shape, is_strict)
-  local list, level = {}, shape.level
+-- Returns the lines of a level: its links, and from each gate to the frame, since
+-- Graphviz does not always put gates into the first or the last rank.
+local function lines_in(level)
+  local list, axis = {}, level.direction == "TB" and 2 or 1
   for _, link in ipairs(level.links) do
-    if is_strict and not link.is_loop and is_covering(level, link) then return huge end
     list[#list + 1] = not link.is_loop and link or nil
+  end
+  for _, gate in ipairs(level.gates) do
+    local at, border = gate.at, { gate.at[1], gate.at[2] }
+    local far = axis == 2 and level.inner_height or level.inner_width
+    border[axis] = gate.is_upper == (axis == 2) and far or 0
+    local line = {}
+    lines.join(line, { at })
+    lines.join(line, { border })
+    if line[2] then list[#list + 1] = { points = line, lower = {} } end
+  end
+  return list
+end
+
+-- Counts the crossings in a shape; huge if a line covers a box.
+local function count_crossings(shape)
+  local list = lines_in(shape.level)
+  for _, line in ipairs(list) do
+    if is_covering(shape.level, line) then return huge end
   end
   local count = choice.measure { lines = list }
   for _, kid in pairs(shape.kids) do count = count + kid.crossings end -- any order
@@ -234,7 +252,7 @@ local function lay_out(jobs, run)
     levels.draw_loops(level)
     rows.draw(level)
     take(job)
-    job.crossings = count_crossings(job, true)
+    job.crossings = count_crossings(job)
     level.shapes[#level.shapes + 1] = job
   end)
 end
