@@ -26,8 +26,8 @@ describe("the usage of rfsm", function()
     check = "[OPTION] ... FILE [FILE] ...",
     sim = "[--stub] [-e CODE] [-i] [-r FILE] [-d] [-q] FILE",
     viz = "[--stub] [--machine N] [-T FORMAT] [-o FILE] [--active FQN] [--depth N] "
-      .. "[--coverage JSON] [--trace JSON] [--direction DIRECTION] [--like SVG] "
-      .. "FILE [FILE] ...",
+      .. "[--coverage JSON] [--trace JSON] [--direction DIRECTION] [--for SHEET] "
+      .. "[--pages] [--like SVG] FILE [FILE] ...",
     snapshot = "{diff} OLD NEW",
     redis = "[--ids N] [--ids-for S] [-o FILE] [-l URL] [--index] [--history N] "
       .. "[--diff] [--stats URL] [[NAME=]FILE] ...",

@@ -765,12 +765,14 @@ describe("events that a machine keeps", function()
   it("belong to the structure by their names, as what states defer does", function()
     local lines = snapshot.structure(worker(NAMED, { NAMED, 7, "e_x" }))
     assert.same({ "root.idle -> root.busy on e_job{..}", "state root.busy",
-      "root.busy defers e_job{..}, 7, e_x", "state root.idle", "root.idle defers e_other" },
+      "root.busy defers e_job{..}, 7, e_x", "state root.idle",
+      "root.idle defers e_other" },
       { lines[4], lines[5], lines[6], lines[7], lines[8] })
     local _, ok, _, list = reported(worker(OTHER, false), keeping())
     assert.is_false(ok)
     assert.same({ "new: root.idle -> root.busy on e_task{..}",
-      "gone: root.idle -> root.busy on e_job{..}", "gone: root.busy defers e_job{..}" }, list)
+      "gone: root.idle -> root.busy on e_job{..}", "gone: root.busy defers e_job{..}" },
+      list)
   end)
 
   it("are reported if no transition of the new chart takes them", function()

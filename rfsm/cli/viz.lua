@@ -20,8 +20,7 @@ for _, exporter in ipairs(exporters.list) do
   BY_ENDING[exporter.ending] = exporter.name
 end
 
-local viz = { summary = "Draw charts.",
-  epilog = "Without -T the ending of the output decides, or it is dot." }
+local viz = { summary = "Draw charts." }
 
 function viz.add_arguments(command)
   common.add_files(command)
@@ -29,7 +28,7 @@ function viz.add_arguments(command)
   common.add_machine(command)
   common.add_option(command, "-T --format", concat(FORMATS, ", "))
     :argname("FORMAT"):choices(FORMATS)
-  common.add_option(command, "-o --output", "file to write; - is stdout", "-")
+  common.add_option(command, "-o --output", "file to write, its ending is the format; - is stdout", "-")
     :argname("FILE")
   command:option("--active", "draw state FQN as active, once for each region")
     :argname("FQN"):count("*")
@@ -40,7 +39,7 @@ function viz.add_arguments(command)
     :argname("JSON")
   command:option("--direction", "TB (down) or LR (to the right)"):argname("DIRECTION")
     :choices { "TB", "LR" }
-  command:option("--for", "the sheet: a4 (default), slide or WIDTHxHEIGHT in points")
+  command:option("--for", "a4 (default), slide or WIDTHxHEIGHT in points")
     :argname("SHEET"):target("sheet")
   command:flag("--pages", "several pictures in the folder of -o, with links")
   command:option("--like", "keep the order of states in a former picture")
