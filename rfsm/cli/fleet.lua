@@ -3,6 +3,7 @@
 -- @module rfsm.cli.fleet
 -- @license BSD-3-Clause
 
+local advice = require "rfsm.advice"
 local chart = require "rfsm.shared.chart"
 local codec = require "rfsm.server.codec"
 local common = require "rfsm.cli.common"
@@ -144,9 +145,17 @@ local command = {
   epilog = help(),
 }
 
+-- Returns a verb; nil and the problem if there is no such verb. (A list of choices would
+-- be one long line of the help.)
+local function verb_of(word)
+  if VERBS[word] then return word end
+  return nil, ("there is no verb '%s'%s"):format(word,
+    advice.nearest_name(word, rfsm.sorted_keys(VERBS)))
+end
+
 function command.add_arguments(parser)
   parser:argument("url", "of the server, or a node of the cluster"):argname("URL")
-  parser:argument("verb", "what to do"):choices(rfsm.sorted_keys(VERBS)):argname("VERB")
+  parser:argument("verb", "what to do, see below"):convert(verb_of):argname("VERB")
   parser:argument("arguments", "of the verb; KEY is a whole key, with its {tag}")
     :args("*"):argname("ARGUMENT")
   common.add_number(parser, "--tags", "hash tags of the machines (64)")

@@ -20,7 +20,8 @@ for _, exporter in ipairs(exporters.list) do
   BY_ENDING[exporter.ending] = exporter.name
 end
 
-local viz = { summary = "Draw charts." }
+local viz = { summary = "Draw charts.",
+  epilog = "Without -T the ending of the output decides, or it is dot." }
 
 function viz.add_arguments(command)
   common.add_files(command)
@@ -28,7 +29,7 @@ function viz.add_arguments(command)
   common.add_machine(command)
   common.add_option(command, "-T --format", concat(FORMATS, ", "))
     :argname("FORMAT"):choices(FORMATS)
-  common.add_option(command, "-o --output", "file to write, its ending is the format; - is stdout", "-")
+  common.add_option(command, "-o --output", "file to write; - is stdout", "-")
     :argname("FILE")
   command:option("--active", "draw state FQN as active, once for each region")
     :argname("FQN"):count("*")
@@ -37,7 +38,7 @@ function viz.add_arguments(command)
     :argname("JSON")
   command:option("--trace", "number the steps of a recording (JSON lines)")
     :argname("JSON")
-  command:option("--direction", "TB (down) or LR (to the right)"):argname("DIRECTION")
+  command:option("--direction", "TB (down) or LR (to the right)"):argname("DIR")
     :choices { "TB", "LR" }
   command:option("--for", "a4 (default), slide or WIDTHxHEIGHT in points")
     :argname("SHEET"):target("sheet")
