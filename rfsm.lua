@@ -1081,6 +1081,7 @@ local DEFAULTS = {
   _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
   _snapshot_hooks = false, _failure = false, _reset_wanted = false, _preparing = false,
   _emit = false, -- the function given to `set_emit`
+  _again = false, -- the events that `keep_made` has put ahead of the queue
   _cuts = 0, -- number of iterations that an error has ended
 }
 
@@ -1995,8 +1996,10 @@ function actions.keep_made(fsm, segment)
       made[#made + 1] = event
     end
   end
+  if not made[1] then return end
+  fsm._again = { turn = fsm._turn, count = #made } -- for extensions
   -- after an interrupt they are there already
-  if made[1] and fsm._intq[1] ~= made[1] then fsm._intq = append(made, fsm._intq) end
+  if fsm._intq[1] ~= made[1] then fsm._intq = append(made, fsm._intq) end
 end
 
 -- Actions that report a record of the trace to `dbg`, by kind of record.

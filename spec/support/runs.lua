@@ -513,7 +513,7 @@ function runs.on_oracle(chart, extend)
     send = world.send, reset = world.reset, wait = world.wait,
     merge = function(n)
       add_merged(world, chart.merges[n])
-      machine.mode[chart.merges[n].fqn] = "inactive"
+      machine.mode[chart.merges[n].fqn], machine.look = "inactive", 1
     end,
     step = function(n) return reference.step(machine, n) end,
     run = function() return reference.step(machine, 1e9) end,
