@@ -329,6 +329,38 @@ local sorted_keys = rfsm.sorted_keys
 interpret(sorted_keys)
 interpret(has_nodes)
 
+do
+  -- Has a composite a leaf right in it that is final?
+  local function has_final(composite)
+    for key, child in pairs(composite) do -- any order: one leaf is enough
+      local is_final = type(child) == "table" and not is_meta(key)
+        and rawequal(rawget(child, "final"), true)
+      if is_final and child._is_leaf and is_state(child) then return true end
+    end
+    return false
+  end
+
+  interpret(has_final)
+
+  --- Can a state of a machine be done, so that its e_done comes? For extensions.
+  --
+  -- A leaf can. A composite needs a leaf right in it with `final = true`; a state with
+  -- regions needs such a leaf in the root of each region.
+  --
+  ---@param node rfsm.State|rfsm.Connector
+  ---@return boolean
+  ---@return any region the name of a region without such a leaf
+  function rfsm.can_be_done(node)
+    if not is_state(node) then return false end
+    if not node._is_leaf then return has_final(node) end
+    local regions, own = rfsm.regions(node)
+    for i, region in ipairs(regions) do
+      if not has_final(region) then return false, own.names[i] end
+    end
+    return true
+  end
+end
+
 local NONE = {}
 
 local function append(list, more)
@@ -896,15 +928,18 @@ do
       advise("regions", node._model))
   end
 
+  local function warn_of_e_done(build, tr, src)
+    add(build.warnings, tr, nil, "'e_done' never fires here, %s", src._mode
+      and ("no leaf right in '%s' is final (final = true)"):format(src._fqn)
+      or ("'%s' is no leaf state"):format(src._fqn))
+  end
+
   local function resolve_e_done(build, tr)
     local events, src = tr.events, tr.src
     for i = 1, #events do
       if events[i] == "e_done" then
         events[i] = "e_done@" .. src._fqn
-        if not src._is_leaf then
-          add(build.warnings, tr, nil,
-            "'e_done' never fires here, '%s' is no leaf state", src._fqn)
-        end
+        if not rfsm.can_be_done(src) then warn_of_e_done(build, tr, src) end
       end
     end
   end
@@ -1903,6 +1938,9 @@ end
 
 local actions = {}
 
+-- Actions that report a record of the trace to `dbg`, by kind of record.
+local recorders = {}
+
 -- Calls a hook of an extension. One that may be repeated is noted when it has returned.
 local function call_hook(fsm, hook, subject, at)
   local may_repeat = promises[hook] == "repeatable"
@@ -1975,6 +2013,23 @@ function actions.be_done(fsm, leaf, at)
   fsm._at = at
 end
 
+-- The name of the event that tells that a composite is done, if a leaf in it is; nil if
+-- the leaf is not final, or no transition of the composite waits for it.
+local function done_around(leaf)
+  local around = leaf._parent
+  if rawequal(leaf.final, true) and around ~= leaf and rfsm.names_done(around) then
+    return done_event(around)
+  end
+end
+
+-- Queues the e_done of the composite around a final leaf that is done.
+function actions.be_done_around(fsm, leaf, at)
+  local queue, event = fsm._intq, leaf._mode == "done" and done_around(leaf)
+  if not event then return end
+  queue[#queue + 1] = event
+  recorders.done(fsm, leaf._parent, at)
+end
+
 -- Has the machine, or an extension, made the event?
 local function is_made(event)
   if type(event) ~= "string" then return false end
@@ -2002,8 +2057,6 @@ function actions.keep_made(fsm, segment)
   if fsm._intq[1] ~= made[1] then fsm._intq = append(made, fsm._intq) end
 end
 
--- Actions that report a record of the trace to `dbg`, by kind of record.
-local recorders = {}
 
 do
   local function label_of(node)
@@ -2096,6 +2149,9 @@ do
       done_event(state)
       add_action(list, actions.become_leaf, state)
       add_action(list, actions.be_done, state)
+      if rfsm.names_done(state._parent) then
+        add_action(list, actions.be_done_around, state)
+      end
     end
     add_action(list, recorders.entry, state)
   end
@@ -2290,6 +2346,7 @@ do
     if is_traced(fsm) then report(fsm, "dbg", "RAISED", event) end
     queue[#queue + 1] = event
     leaf._mode = "done"
+    if leaf.final then actions.be_done_around(fsm, leaf, fsm._at) end
   end
 
   local function end_doo(fsm, leaf)
@@ -3409,6 +3466,18 @@ function rfsm.regions(state)
   local own = is_state(state) and rawget(state, "_regions")
   if type(own) ~= "table" then return NONE, nil end
   return append({}, own), own
+end
+
+--- Does a transition from a state wait for its e_done? For extensions.
+---@param state rfsm.State a state of a machine
+---@return boolean
+function rfsm.names_done(state)
+  for _, tr in ipairs(state._otrs) do
+    for _, event in ipairs(tr.events) do
+      if event == done_event(state) then return true end
+    end
+  end
+  return state._awaits_done or false
 end
 
 --- Make a machine a region of another one, for extensions.

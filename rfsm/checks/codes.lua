@@ -47,8 +47,8 @@ note conflict: two transitions of a node and of equal pn can be enabled at once
   give them different pn, or guards that exclude each other
 warning endless: run never becomes idle
   let a state of the cycle wait for an event, or have a doo
-warning never-done: an e_done that no leaf sends
-  name a leaf state, or a final event of your own
+warning never-done: an e_done that no state sends
+  name a leaf, or mark the last leaf of the composite or of each region: final = true
 warning never-called: a callback stands where none is called
   guard and effect belong to transitions; entry, exit and doo to states
 warning false-guard: a guard that was false while loading counts as absent

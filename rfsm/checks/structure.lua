@@ -97,6 +97,18 @@ local function check_node(fsm, node, reached, add)
   end
 end
 
+-- Finds `final` where it says nothing, or the contrary of the transitions.
+local function check_final(fsm, node, add)
+  if node.final ~= true then return end
+  if not is_leaf(node) then
+    add("misplaced", node, "final = true in a composite says nothing (mark the leaf in "
+      .. "it that ends it)")
+  elseif node ~= fsm and node._otrs[1] then
+    add("misplaced", node, "final = true, but a transition leaves it (remove one of "
+      .. "them)")
+  end
+end
+
 local NEVER_CALLED = {
   state = { "guard", "effect" }, transition = { "entry", "exit", "doo" },
   connector = { "entry", "exit", "doo", "guard", "effect" },
@@ -283,7 +295,10 @@ end
 ---@type rfsm_checks.Check
 function structure.check(fsm, add, reached)
   for _, obj in ipairs(rfsm.elements(fsm)) do
-    if rfsm.is_node(obj) then check_node(fsm, obj, reached, add) end
+    if rfsm.is_node(obj) then
+      check_node(fsm, obj, reached, add)
+      check_final(fsm, obj, add)
+    end
     if rfsm.is_trans(obj) then check_transition(obj, add) end
     if rfsm.is_state(obj) then
       check_flags(obj, rfsm.is_root(obj) and ROOT_FLAGS or FLAGS, add)

@@ -11,7 +11,7 @@
 ---@field entry? rfsm.StateCallback
 ---@field exit? rfsm.StateCallback
 ---@field doo? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "doo"): boolean?
----@field final? boolean a leaf that is meant to be the end
+---@field final? boolean a leaf that ends its composite or region
 ---@field getevents? false|fun(): any[]? root only, as all fields below
 ---@field dbg? boolean|fun(id: string, ...)
 ---@field info? boolean|fun(...)

@@ -136,7 +136,15 @@ local function add_region_model(calls, _, world)
     is_forwarded = true
   end
 
-  behind(calls, "pre_hook", function(events) current = events end)
+  local function is_joined(fqn)
+    local regions = {}
+    each(function(region) regions[#regions + 1] = region end)
+    return reference.is_joined(machine, fqn, regions)
+  end
+
+  behind(calls, "pre_hook", function(events)
+    current, is_forwarded = events, false
+  end)
   local entry, exit, doo = calls.entry, calls.exit, calls.doo
   local post_hook = calls.post_hook
   function calls.entry(fqn, leaf, event)
@@ -160,11 +168,13 @@ local function add_region_model(calls, _, world)
     while true do
       forward()
       advance()
+      if is_joined(fqn) then return true end
       coroutine.yield(true)
     end
   end
   function calls.post_hook(events)
-    if active and not is_forwarded then forward() end
+    local is_open = active and machine.mode[active] == "active"
+    if is_open and not is_forwarded then forward() end
     is_forwarded = false
     if post_hook then post_hook(events) end
   end
