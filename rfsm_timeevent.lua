@@ -1,9 +1,10 @@
---- Time events: e_after(seconds) and e_at(time).
+--- Time events: e_after(seconds), e_every(seconds) and e_at(time).
 --
 -- Once this module is loaded, each machine initialised afterwards understands the
--- events `"e_after(T)"` and `"e_at(T)"` in its transitions. A timer is armed when the
--- source of its transition is entered. The event `e_after(T)@FQN` comes in the first
--- iteration that finds the timer expired, once per entry.
+-- events `"e_after(T)"`, `"e_every(T)"` and `"e_at(T)"` in its transitions. A timer is
+-- armed when the source of its transition is entered. The event `e_after(T)@FQN` comes
+-- in the first iteration that finds the timer expired, once per entry; `e_every(T)@FQN`
+-- comes again each T seconds after the entry, but never twice for one iteration.
 --
 -- The entry of a state notes the time once for all its timers. Most iterations only
 -- compare the clock with one number, a time before which no timer expires. The number
@@ -20,7 +21,8 @@ local rfsm = require "rfsm"
 local error, getmetatable, ipairs, pcall = error, getmetatable, ipairs, pcall
 local rawget, rawset, require = rawget, rawset, require
 local setmetatable, tonumber, type = setmetatable, tonumber, type
-local abs, floor, huge, max, min = math.abs, math.floor, math.huge, math.max, math.min
+local abs, ceil, floor, huge = math.abs, math.ceil, math.floor, math.huge
+local max, min = math.max, math.min
 local insert, remove, sort = table.insert, table.remove, table.sort
 local is_callable, report, text_of = rfsm.is_callable, rfsm.report, rfsm.text_of
 
@@ -38,7 +40,8 @@ local function new_clock()
     if not nsec then sec, nsec = 0, sec end
     return sec + nsec * 1e-9, sec, nsec
   end
-  return { read = read, set_hook = function(gettime) hook = gettime or read_day end }
+  return { read = read, set_hook = function(gettime) hook = gettime or read_day end,
+    present = function(sec, nsec) return sec, nsec end }
 end
 
 local has_clock, clock = pcall(require, "rfsm.clock")
@@ -70,10 +73,11 @@ local function from_text(text)
   end
 end
 
---- A time event, made by `e_after` or `e_at`, or parsed from a text.
+--- A time event, made by `e_after`, `e_every` or `e_at`, or parsed from a text.
 ---@class rfsm_timeevent.Timeevent
 ---@field name string the text of the event: "e_after(3)"
----@field is_relative boolean true for e_after, false for e_at
+---@field is_relative boolean true for e_after and e_every, false for e_at
+---@field is_repeated boolean true for e_every
 ---@field sec? number whole seconds; absent if `timeout` returns the time
 ---@field nsec? number nanoseconds in addition to `sec`
 ---@field timeout? fun(id: any): number called at each entry, returns the seconds
@@ -83,22 +87,28 @@ local Timeevent = {}
 function Timeevent.__tostring(event) return event.name end
 
 local function new_event(kind, name, sec, nsec)
-  return setmetatable({ name = name, is_relative = kind == "e_after", sec = sec,
-    nsec = nsec }, Timeevent)
+  return setmetatable({ name = name, is_relative = kind ~= "e_at",
+    is_repeated = kind == "e_every", sec = sec, nsec = nsec }, Timeevent)
 end
 
--- Makes an event. A wrong `x` raises an error in the caller of `e_after` or `e_at`.
+-- Is the number of seconds too small for a time event of this kind?
+local function is_too_small(kind, seconds)
+  return seconds < 0 or kind == "e_every" and seconds < 1e-9
+end
+
+-- Makes an event. A wrong `x` raises an error in the caller of `e_after` and others.
 local function new_object(kind, x, id)
   if is_callable(x) then
     local shown = id == nil and "function" or text_of(id)
     local event = new_event(kind, kind .. "(" .. shown .. ")")
     event.timeout, event.id = x, id
     return event
-  elseif type(x) == "number" and x >= 0 then
+  elseif type(x) == "number" and x == x and not is_too_small(kind, x) then
     return new_event(kind, kind .. "(" .. text_of(x) .. ")", normalise(x, 0))
   end
-  error("rfsm_timeevent." .. kind .. ": seconds, a number not below 0, or a function "
-    .. "expected, got " .. (type(x) == "number" and text_of(x) or type(x)), 3)
+  error(("rfsm_timeevent.%s: seconds, a number %s 0, or a function expected, got %s")
+    :format(kind, kind == "e_every" and "above" or "not below",
+    type(x) == "number" and text_of(x) or type(x)), 3)
 end
 
 local parsed = setmetatable({}, { __mode = "v" }) -- time events by their texts
@@ -107,11 +117,13 @@ local parsed = setmetatable({}, { __mode = "v" }) -- time events by their texts
 -- text. Also returns the problem if the text is a time event with wrong seconds.
 local function parse(text)
   if parsed[text] then return parsed[text] end
-  local kind = text:match("^(e_after)%s*%(") or text:match("^(e_at)%s*%(")
+  local kind = text:match("^(e_after)%s*%(") or text:match("^(e_every)%s*%(")
+    or text:match("^(e_at)%s*%(")
   if not kind or text:find("@", 1, true) then return nil end
   local sec, nsec = from_text(text:match("%((.*)%)$") or "")
-  if not sec then
-    return nil, ("'%s': seconds expected, as in %s(0.5)"):format(text, kind)
+  if not sec or is_too_small(kind, sec + nsec) then
+    return nil, ("'%s': seconds%s expected, as in %s(0.5)"):format(text,
+      sec and " above 0" or "", kind)
   end
   local event = new_event(kind, text, sec, nsec)
   parsed[text] = event
@@ -121,8 +133,8 @@ end
 -- Run: arm, raise ------------------------------------------------------------------
 
 --- The field `_timeevent` of a machine. Before the time `[true]`, in seconds, no timer
--- of an e_after expires and no event of `send_after` is sent. Before the time `[false]`
--- no timer of an e_at expires. A time is huge if nothing is armed.
+-- of an e_after or e_every expires and no event of `send_after` is sent. Before
+-- `[false]` no timer of an e_at expires. A time is huge if nothing is armed.
 ---@class rfsm_timeevent.Own
 ---@field has_timers boolean a state of the machine has timers
 ---@field has_at boolean a timer of the machine is an e_at
@@ -154,7 +166,7 @@ local function report_clock(fsm, reason)
   report(fsm, "err", "TIMEEVENT", "the clock failed: ", reason)
 end
 
--- Is it an e_after without a function? Its deadline follows from the time of the entry.
+-- Is it relative, without a function? Its deadline follows from the time of the entry.
 local function is_usual(event) return event.is_relative and event.sec end
 
 -- Returns the deadline of a timer; false if it is not known.
@@ -183,7 +195,7 @@ local function duration_of(fsm, timer)
   if not event.timeout then return event.sec, event.nsec end
   local ok, seconds = pcall(event.timeout, event.id)
   if ok and type(seconds) == "number" and seconds == seconds then
-    return normalise(max(seconds, 0), 0)
+    return normalise(max(seconds, event.is_repeated and 1e-9 or 0), 0)
   elseif ok then
     seconds = "number of seconds expected, got "
       .. (seconds ~= seconds and "NaN" or type(seconds))
@@ -307,6 +319,18 @@ local function raise_sends(fsm, events, sec, nsec)
   return left
 end
 
+-- Arms an expired timer for its next time, if it is repeated. Times that have passed
+-- are skipped; `now` is the present. Returns the deadline, which is huge if none is to
+-- come.
+local function arm_again(fsm, timer, now, now_nsec)
+  if not timer.event.is_repeated then return set(fsm, timer, huge, 0) end
+  local sec, nsec = deadline_of(timer)
+  local period, rest = duration_of(fsm, timer)
+  local missed = -time_left(sec, nsec, now, now_nsec) / (period * 1e9 + rest)
+  local count = max(ceil(missed), 1)
+  return set(fsm, timer, normalise(sec + count * period, nsec + count * rest))
+end
+
 -- Appends the events of expired timers, and sends that are due, to the current events.
 -- After an interrupt the event of the timer that was under way may be there already.
 local function raise_expired(fsm, is_relative, time, sec, nsec)
@@ -314,7 +338,8 @@ local function raise_expired(fsm, is_relative, time, sec, nsec)
   local events, expired, least = fsm._curq, find_expired(fsm, is_relative, sec, nsec)
   for _, timer in ipairs(expired) do
     if events[#events] ~= timer.name then events[#events + 1] = timer.name end
-    set(fsm, timer, huge, 0)
+    local again, rest = arm_again(fsm, timer, clock.present(sec, nsec))
+    if again < huge then least = min(least, time_left(again, rest, sec, nsec)) end
     report(fsm, "dbg", "TIMEEVENT", timer.name)
   end
   if is_relative then least = min(least, raise_sends(fsm, events, sec, nsec)) end
@@ -585,6 +610,7 @@ end)
 
 rfsm.makers[#rfsm.makers + 1] = function(event)
   local fqn = event:match("^e_after%s*%(.*@(root.*)$")
+    or event:match("^e_every%s*%(.*@(root.*)$")
     or event:match("^e_at%s*%(.*@(root.*)$")
   if fqn then return "timer", fqn end
 end
@@ -603,6 +629,20 @@ end
 ---@return rfsm_timeevent.Timeevent event
 ---@nodiscard
 function rfsm_timeevent.e_after(x, id) return (new_object("e_after", x, id)) end
+
+--- Make an event that comes each `x` seconds while its state is active.
+--
+-- The times are counted from the entry, so they do not drift. Times that were missed
+-- come once.
+--
+-- @usage
+--    rfsm.trans { src = "on", tgt = "internal", events = { e_every(1) }, effect = log }
+--
+---@param x number|fun(id: any): number seconds, or a function that returns them
+---@param id? any argument of this function; it is also part of the event's name
+---@return rfsm_timeevent.Timeevent event
+---@nodiscard
+function rfsm_timeevent.e_every(x, id) return (new_object("e_every", x, id)) end
 
 --- Make an event that comes when the clock shows more than `x`, if its state is active.
 ---@param x number|fun(id: any): number seconds on the clock, or a function that is

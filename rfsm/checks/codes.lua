@@ -73,6 +73,8 @@ note doo-ends: a doo ends, and nothing waits for its e_done
   add a transition on e_done, or let the doo go on
 note any-event: a transition of a state on any event; a warning if others come too late
   name its events, or e_done if it waits for none
+warning once: an internal transition takes an e_after, which comes once an entry
+  write e_every(T) if it is to come again
 warning empty-events: a list of events without any, so that any event matches
   see if a name in it is nil; leave `events` out if any event is meant
 warning typo: an event is one letter from another

@@ -193,7 +193,19 @@ local function find_outrun(tr)
   end
 end
 
+-- Finds an e_after that an internal transition takes: the timer is not armed again.
+local function check_repeated(tr, add)
+  for _, timer in ipairs(rfsm.target_of(tr) == "internal" and tr.src._timers or {}) do
+    local event = timer.event
+    if event.is_relative and not event.is_repeated and match.names(tr, timer.name) then
+      add("once", tr, ("'%s' comes once an entry, and an internal transition enters "
+        .. "nothing"):format(event.name))
+    end
+  end
+end
+
 local function check_transition(tr, add)
+  check_repeated(tr, add)
   if not match.begins_on_any(tr) then return end
   local other = find_outrun(tr)
   add("any-event", tr, "it has no events, and is taken on any" .. (other

@@ -19,7 +19,8 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local function add_timers(chart, random)
   for _, tr in ipairs(chart.transitions) do
     if chart.nodes[tr.src].kind == "state" and tr.events[1] and random:chance(30) then
-      local event = ("e_after(%.1f)"):format(random:below(4) / 2)
+      local event = ("e_%s(%.1f)"):format(random:pick { "after", "every" },
+        random:below(4) / 2)
       tr.events_ref = { event, unpack(tr.events_ref) }
       tr.events = { event .. "@" .. tr.src, unpack(tr.events) }
     end
@@ -89,10 +90,13 @@ local function add_timer_model(calls, chart, world)
   local function add_over(list, fqn)
     for _, tr in ipairs(chart.transitions) do
       for _, event in ipairs(tr.src == fqn and tr.events or {}) do
-        local seconds = type(event) == "string" and event:match("^e_after%((.-)%)@")
-        local at = seconds and since[fqn].at + tonumber(seconds)
-        if at and at < world.clock.now and not since[fqn][event] then
-          since[fqn][event] = true
+        local kind, seconds = tostring(event):match("^e_(%l+)%((.-)%)@")
+        local at = seconds and (since[fqn][event] or since[fqn].at + tonumber(seconds))
+        if at and at < world.clock.now then
+          since[fqn][event] = kind == "after" and math.huge or at
+          while since[fqn][event] < world.clock.now do
+            since[fqn][event] = since[fqn][event] + tonumber(seconds)
+          end
           list[#list + 1] = { event = event, at = at, depth = depth[fqn] }
         end
       end

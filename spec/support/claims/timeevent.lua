@@ -95,6 +95,12 @@ local function check_event(run, timer, due, last)
   end
 end
 
+-- How many of the events come again, beside an internal transition? They are the first.
+local function count_again(fsm)
+  local again = fsm._again
+  return again and again.turn == fsm._turn - 1 and again.count or 0
+end
+
 -- Compares the time events among `events` with the timers that have expired: those of
 -- e_after first, each kind in the order of deadlines.
 local function check_events(run, events, now)
@@ -102,7 +108,8 @@ local function check_events(run, events, now)
   for _, timer in ipairs(list_active(run, now)) do
     if now and timer.deadline < now then due[timer] = true end
   end
-  for _, event in ipairs(events) do
+  for i = count_again(run.fsm) + 1, #events do
+    local event = events[i]
     local timer = type(event) == "string" and run.chart.timers[event]
     if timer then
       check_event(run, timer, due, last)
