@@ -1941,13 +1941,15 @@ local actions = {}
 -- Actions that report a record of the trace to `dbg`, by kind of record.
 local recorders = {}
 
+local function may_repeat(hook) return promises[hook] == "repeatable" end
+
 -- Calls a hook of an extension. One that may be repeated is noted when it has returned.
 local function call_hook(fsm, hook, subject, at)
-  local may_repeat = promises[hook] == "repeatable"
-  if not may_repeat then fsm._at = at end
+  local is_repeatable = promises[hook] == "repeatable"
+  if not is_repeatable then fsm._at = at end
   local ok, failure = pcall(hook, fsm, subject, fsm._event)
   if not ok then
-    if may_repeat then error(failure, 0) end
+    if is_repeatable then error(failure, 0) end
     keep_failure(fsm, failure)
   end
   fsm._at = at
@@ -2330,7 +2332,7 @@ end
 
 -- Doo ............................................................................
 
-local run_doo
+local complete, run_doo
 
 do
   local coroutine = find_global "coroutine"
@@ -2341,7 +2343,7 @@ do
     leaf._doo_co = nil
   end
 
-  local function complete(fsm, leaf)
+  function complete(fsm, leaf)
     local queue, event = fsm._intq, done_event(leaf)
     if is_traced(fsm) then report(fsm, "dbg", "RAISED", event) end
     queue[#queue + 1] = event
@@ -3533,7 +3535,7 @@ do
 
   for name in ([[check_between_steps check_no_otrs is_in machines map_from_to
     node_find_enabled note_cut place prepare save_memory set_emit set_sta_mode
-    snapshot_hooks structure_of target_of targets]]):gmatch("%S+") do
+    begin_in snapshot_hooks structure_of target_of targets]]):gmatch("%S+") do
     PARTS[name] = "rfsm.tools"
   end
 
@@ -3546,13 +3548,14 @@ do
     find_entrance = find_entrance, find_lca = find_lca, first_enabled = first_enabled,
     forget = forget, is_made = is_made, is_node_of = is_node_of, line_to = line_to,
     lines_of = lines_of, list_choices = list_choices, list_otrs = list_otrs,
-    matches = matches, new_build = new_build, new_node = new_node, new_path = new_path,
+    matches = matches, may_repeat = may_repeat, new_build = new_build,
+    new_node = new_node, new_path = new_path,
     new_transition = new_transition, note_mount = note_mount, note_of = note_of,
     path_of = path_of, preprocess = preprocess, quick_run = quick_run,
     raise_failure = raise_failure, report_dead_ends = report_dead_ends,
     report_findings = report_findings, report_lines = report_lines,
     reset_now = reset_now, resolve = resolve, segment_of = segment_of,
-    new_emit = new_emit, summary = summary, tell = tell,
+    new_emit = new_emit, summary = summary, tell = tell, complete = complete,
     tell_watch = tell_watch, try = try,
   }
 

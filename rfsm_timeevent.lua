@@ -145,9 +145,10 @@ end
 ---@class rfsm_timeevent.Timers
 ---@field sec number|false seconds on the clock at the latest entry; false: not known
 ---@field nsec number nanoseconds in addition to `sec`
----@field delay number|false seconds of the shortest e_after, less MARGIN; huge if each
--- e_after has a function, false if there is no e_after
+---@field delay number seconds of the shortest e_after or e_every without a function,
+-- less MARGIN; huge if there is none
 ---@field entry integer how often the state has been entered
+---@field is_timed boolean snapshots keep the time since the entry
 
 --- A timer. The entry of a state arms all timers of the state.
 ---@class rfsm_timeevent.Timer
@@ -234,21 +235,16 @@ local function enter_state(fsm, state)
   local timers, own = state._timers, fsm._timeevent
   local is_unusual = own.is_unusual
   if is_unusual and own.has_at then own[false] = -huge end
-  local entry = timers.entry + 1
-  if not timers.delay then
-    timers.entry = entry
+  local soon = own[true]
+  own[true] = -huge
+  timers.sec, timers.entry = false, timers.entry + 1
+  local time, sec, nsec = read(fsm, true)
+  if time then
+    timers.sec, timers.nsec = sec, nsec
+    time = time + timers.delay
+    if not is_unusual then own[true] = time < soon and time or soon end
   else
-    local soon = own[true]
-    own[true] = -huge
-    timers.sec, timers.entry = false, entry
-    local time, sec, nsec = read(fsm, true)
-    if time then
-      timers.sec, timers.nsec = sec, nsec
-      time = time + timers.delay
-      if not is_unusual then own[true] = time < soon and time or soon end
-    else
-      report_clock(fsm, sec)
-    end
+    report_clock(fsm, sec)
   end
   if is_unusual then arm_unusual(fsm, timers) end
 end
@@ -367,6 +363,12 @@ local function read_or_raise(fsm, is_relative)
   error("rfsm_timeevent: the clock failed: " .. text_of(sec), 0)
 end
 
+-- Returns the machine of a state.
+local function machine_of(state)
+  while state._parent ~= state do state = state._parent end
+  return state
+end
+
 -- Snapshots: keep the time left until an e_after, and the deadline of an e_at ------
 
 local MAX_EXACT = 1000000 -- seconds; a float below this is exact to the nanosecond
@@ -375,6 +377,32 @@ local function kept_time(sec, nsec)
   sec, nsec = normalise(sec, nsec)
   if abs(sec) >= MAX_EXACT then return { sec, nsec } end
   return nsec == 0 and sec or sec + nsec / 1e9
+end
+
+-- Lists the active states that are timed.
+local function list_timed(fsm)
+  local list, state = {}, fsm._mode ~= "inactive" and fsm
+  while state do
+    if state._timers and state._timers.is_timed then list[#list + 1] = state end
+    state = state._actchild
+  end
+  return list
+end
+
+-- The name under which snapshots have the seconds since the entry of a timed state.
+local function name_of_time(state) return "time_in@" .. state._fqn end
+
+-- Adds the seconds since the entry of each timed state that is active.
+local function save_times(fsm, left)
+  for _, state in ipairs(list_timed(fsm)) do
+    local timers = state._timers
+    if timers.sec then
+      local sec, nsec = read_or_raise(fsm, true)
+      left = left or {}
+      left[name_of_time(state)] = kept_time(sec - timers.sec, nsec - timers.nsec)
+    end
+  end
+  return left
 end
 
 local function save(fsm)
@@ -390,7 +418,7 @@ local function save(fsm)
       left[timer.name] = not sec or kept_time(sec, nsec)
     end
   end
-  return left
+  return save_times(fsm, left)
 end
 
 -- Returns the seconds and nanoseconds of a time in a snapshot. There the time is a
@@ -414,6 +442,28 @@ local function load_timer(fsm, timer, left)
   set(fsm, timer, sec + now, nsec + now_nsec)
 end
 
+-- Sets the times of entries from a snapshot: those of timed states, and those that
+-- follow from the deadline of an e_after. Others are not known any more. Adds the names
+-- of the former to a set.
+local function load_times(fsm, left, is_known)
+  for _, timer in ipairs(list_timers(fsm)) do timer.timers.sec = false end
+  for _, timer in ipairs(list_timers(fsm)) do
+    local event, timers = timer.event, timer.timers
+    if is_usual(event) and not event.is_repeated and timer.sec and timer.sec < huge then
+      timers.sec, timers.nsec = timer.sec - event.sec, timer.nsec - event.nsec
+    end
+  end
+  for _, state in ipairs(list_timed(fsm)) do
+    local name = name_of_time(state)
+    is_known[name] = true
+    if left[name] ~= nil then
+      local sec, nsec = loaded_time(left[name], "'" .. name .. "'")
+      local now, now_nsec = read_or_raise(fsm, true)
+      state._timers.sec, state._timers.nsec = now - sec, now_nsec - nsec
+    end
+  end
+end
+
 -- Loads the timers of a snapshot. In a migration to a changed chart, a timer that is
 -- new in the chart is armed from now on, and a timer that the chart lacks is dropped.
 local function load(fsm, left, how)
@@ -429,6 +479,7 @@ local function load(fsm, left, how)
       arm_now(fsm, timer)
     end
   end
+  load_times(fsm, left, is_known)
   for _, name in ipairs(how.is_migrated and {} or rfsm.sorted_keys(left)) do
     if not is_known[name] then
       error("no active state has a timer '" .. text_of(name) .. "'", 0)
@@ -527,7 +578,8 @@ local function prepare_timers(fsm, state)
     rfsm.snapshot_hook_add(fsm, "timers", save, load)
   end
   if not state._timers then
-    state._timers = { sec = false, nsec = 0, delay = false, entry = 0 }
+    state._timers = { sec = false, nsec = 0, delay = huge, entry = 0,
+      is_timed = false }
     rfsm.entry_hook_add(fsm, state, rfsm.repeatable(enter_state))
   end
   return state._timers
@@ -555,9 +607,8 @@ local function add_timer(fsm, state, name, event)
   local timer = { name = name, event = event, timers = timers, entry = false,
     sec = false, nsec = 0, left = 0, rank = 0 }
   timers[#timers + 1] = timer
-  if event.is_relative then
-    local delay = event.sec and event.sec + event.nsec * 1e-9 - MARGIN or huge
-    timers.delay = min(timers.delay or huge, delay)
+  if is_usual(event) then
+    timers.delay = min(timers.delay, event.sec + event.nsec * 1e-9 - MARGIN)
   end
   own.has_at = own.has_at or not event.is_relative
   own.is_unusual = own.is_unusual or not is_usual(event)
@@ -592,11 +643,16 @@ local function expand_text(fsm, tr, text)
   end))
 end
 
+local function is_timed(obj) return rfsm.is_state(obj) and obj.timed == true end
+
 -- This is the first preproc function, because the time events inside an "await(...)"
 -- must have their names before rfsm.await reads them.
 insert(rfsm.preproc, 1, function(fsm, merged)
   -- Each machine gets this hook: it may load a snapshot with sends before it has any.
   if not merged then rfsm.snapshot_hook_add(fsm, "sends", save_sends, load_sends) end
+  for _, state in ipairs(rfsm.elements(merged or fsm, is_timed)) do
+    prepare_timers(fsm, state).is_timed = true
+  end
   for _, tr in ipairs(rfsm.elements(merged or fsm, rfsm.is_trans)) do
     for i, event in ipairs(tr.events) do
       if getmetatable(event) == Timeevent then
@@ -748,6 +804,45 @@ function rfsm_timeevent.cancel(fsm, id)
   local at = id ~= nil and find_send(fsm, id)
   if at then remove(fsm._timeevent.sends, at) end
   return at and true or false
+end
+
+--- Return the seconds since a state was entered.
+--
+-- They are known if a time event leaves the state, or if the state has `timed = true`.
+--
+-- @raise if they are not known, or if the clock fails
+---@param state rfsm.State a state of a machine
+---@return number? seconds nil while the state is inactive
+function rfsm_timeevent.time_in(state)
+  if not rfsm.is_state(state) or not state._mode then
+    error("rfsm_timeevent.time_in: state of a machine expected, " .. rfsm.got(state), 2)
+  end
+  local timers = rawget(state, "_timers")
+  if timers and state._mode == "inactive" then return nil end
+  if not (timers and timers.sec) then
+    error(("rfsm_timeevent.time_in: the time of '%s' is not known (timed = true in the "
+      .. "state)"):format(state._fqn), 2)
+  end
+  local sec, nsec = read_or_raise(machine_of(state), true)
+  return sec - timers.sec + (nsec - timers.nsec) / 1e9
+end
+
+--- Have an inactive machine begin in a leaf, as if entered, but without callbacks.
+--
+-- For programs that keep only the name of the state. The timers of the leaf and of the
+-- states around it are armed, e_done comes as after an entry, regions begin anew. The
+-- queue loses `e_init_fsm`; other events stay.
+--
+-- @raise if the machine is active, or has no such leaf
+---@param fsm rfsm.Machine
+---@param leaf rfsm.State|string a leaf of the machine, or its FQN
+function rfsm_timeevent.enter_at(fsm, leaf)
+  rfsm.check_machine(fsm, "rfsm_timeevent.enter_at")
+  local sends = fsm._timeevent and fsm._timeevent.sends
+  rfsm.begin_in(fsm, leaf, "rfsm_timeevent.enter_at")
+  if sends and sends[1] then
+    fsm._timeevent.sends, fsm._timeevent[true] = sends, -huge
+  end
 end
 
 --- Return how long a host may sleep: seconds until the next timer can fire.
