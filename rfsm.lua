@@ -1312,6 +1312,11 @@ local function report_callback(fsm, name, owner, callback, failure)
     failure = "function expected, " .. got(callback)
   end
   tell_watch(fsm, "failed", owner, name, failure)
+  local around = fsm
+  while around do
+    tell_watch(around, "failed_inside", fsm, owner, name, failure, callback)
+    around = around._owner
+  end
   local text = "error executing " .. name .. " of " .. (owner._fqn or tostring(owner))
   if name == "doo" then text = "doo program of state '" .. owner._fqn .. "' failed" end
   report(fsm, "err", name:upper(), text .. ": ", failure)
@@ -2034,6 +2039,7 @@ end
 
 -- Has the machine, or an extension, made the event?
 local function is_made(event)
+  if type(event) == "table" and not getmetatable(event) then event = event.name end
   if type(event) ~= "string" then return false end
   if event == "e_init_fsm" or event:find("^e_done@root") then return true end
   for _, maker in ipairs(rfsm.makers) do
@@ -2833,8 +2839,9 @@ local function report_findings(build, first_node, first_transition)
   for i = first_transition, #fsm._transitions do
     local tr = fsm._transitions[i]
     for _, event in ipairs(tr.events) do
-      local is_call = type(event) == "string" and event:find("%)$")
-      if is_call then add_advice(found, "event", tr, event) end
+      local is_odd = type(event) == "string" and (event:find("%)$")
+        or event == "e_fault") -- only extensions know such events
+      if is_odd then add_advice(found, "event", tr, event) end
     end
   end
   report_lines(fsm, "warn", found)
@@ -3237,7 +3244,7 @@ do
   local function is_trans_of(fsm, tr) return rfsm.is_trans(tr) and tr._fsm == fsm end
 
   local WATCHED = { sent = true, failed = true, resumed = true, ended = true,
-    merged = true, discarded = true }
+    merged = true, discarded = true, failed_inside = true }
 
   local function is_watched(_, what) return WATCHED[what] end
 
@@ -3261,7 +3268,8 @@ do
     guard = { list = "_guard_hooks", is_path = true, is_subject = is_trans_of,
       expected = "transition of the fsm" },
     watch = { list = "_watch_hooks", is_subject = is_watched,
-      expected = "'sent', 'failed', 'resumed', 'ended', 'merged' or 'discarded'" },
+      expected = "'sent', 'failed', 'failed_inside', 'resumed', 'ended', 'merged' or "
+        .. "'discarded'" },
     reset = { list = "_reset_hooks" }, reaction = { list = "_reaction_hooks" },
     waiting = { list = "_waiting_hooks" },
   }

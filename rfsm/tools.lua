@@ -5,8 +5,8 @@
 -- @module rfsm.tools
 -- @license BSD-3-Clause
 
-local error, ipairs, pairs, rawequal = error, ipairs, pairs, rawequal
-local rawset, type = rawset, type
+local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
+local rawequal, rawset, type = rawequal, rawset, type
 local max = math.max
 
 local NONE = {}
@@ -149,8 +149,10 @@ local function define_questions(rfsm, engine)
       error("rfsm.node_find_enabled: list of events expected, " .. got(events), 2)
     end
     local ways, number = fsm._ways, fsm._search -- a guard may call this
-    fsm._ways, fsm._search = {}, 1
-    local segment = engine.first_enabled(fsm, node._otrs, 1, events)
+    fsm._ways, fsm._search, fsm._is_asking = {}, 1, true
+    local ok, segment = pcall(engine.first_enabled, fsm, node._otrs, 1, events)
+    fsm._is_asking = false
+    if not ok then error(segment, 0) end
     local path = segment and { node = node, nextl = false } or false
     local at = path
     while segment do

@@ -12,8 +12,9 @@
 -- deadlines may be over at any time.
 --
 -- A step takes no time. An e_at, an e_every, or a timer whose seconds come from a
--- function, has no clock: its event may come at any time. Zones need no extrapolation, since a clock is
--- dropped when its last deadline is over: so its deadlines bound its value.
+-- function, has no clock: its event may come at any time. Zones need no extrapolation,
+-- since a clock is dropped when its last deadline is over: so its deadlines bound its
+-- value.
 --
 -- @module rfsm.explore.timing
 -- @license BSD-3-Clause

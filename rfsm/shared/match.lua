@@ -99,6 +99,7 @@ end
 ---@return string? maker "engine" or an extension; nil: the event comes from outside
 ---@return string? fqn for a time event, the FQN of the state that has to be active
 function match.maker_of(event)
+  event = match.name_of(event) or event
   if type(event) ~= "string" then return nil end
   if event == "e_init_fsm" or event:find("^e_done@root") then return "engine" end
   for _, maker in ipairs(rfsm.makers) do

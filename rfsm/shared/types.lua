@@ -72,7 +72,8 @@
 ---@alias rfsm.Effect false|fun(fsm, tr, what: "effect", events: any[], event: any)
 
 --- An occasion on which a watch hook is called, see `rfsm.watch_hook_add`.
----@alias rfsm.Watched "sent"|"failed"|"resumed"|"ended"|"merged"|"discarded"
+---@alias rfsm.Watched "sent"|"failed"|"failed_inside"|"resumed"|"ended"|"merged"
+---|"discarded"
 
 --- Hooks. For each `X_hook_add` there is an `X_hook_rm` with the same arguments. It
 --- returns true if there was such a hook. `place` is "before" or "after" (default) the
