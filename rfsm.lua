@@ -605,8 +605,8 @@ do
   -- Public fields of the engine. If a model has a field with such a name, the field is
   -- not copied, because it is not the user's data.
   local API_FIELDS = {}
-  for name in ("act_leaf actchild choices curq depth done_event doo_co fqn fsm id "
-    .. "index initialized intq is_asked is_internal is_leaf mode model otrs parent "
+  for name in ("act_leaf actchild always choices curq depth done_event doo_co fqn fsm "
+    .. "id index initialized intq is_asked is_internal is_leaf mode model otrs parent "
     .. "paths segments"):gmatch("%S+") do
     API_FIELDS["_" .. name] = true
   end
@@ -955,6 +955,16 @@ do
     return src, nil, true
   end
 
+  local function check_always(build, tr, src)
+    if tr.events[1] ~= nil then
+      add(build.problems, tr, "always", "a transition that needs no event has no events "
+        .. "(leave out one of the two fields)")
+    elseif not src._mode then
+      add(build.problems, tr, "always", "only a transition from a state needs no event, "
+        .. "'%s' is a connector", src._fqn)
+    end
+  end
+
   -- Resolves the ends of a transition. Returns false if one of them is not found.
   local function resolve_transition(build, tr)
     local src, src_reason = find_end(build, tr, "src")
@@ -967,6 +977,7 @@ do
     tgt = is_internal and src or tgt and find_entrance(build, tr, tgt)
     if not (src and tgt) then return false end
     tr.src, tr.tgt, tr._is_internal = src, tgt, is_internal
+    if tr.always == true then check_always(build, tr, src) end
     resolve_e_done(build, tr)
     return true
   end
@@ -1020,6 +1031,7 @@ do
       local tr = transitions[i]
       local otrs, events = tr.src._otrs, tr.events
       otrs[#otrs + 1] = tr
+      if tr.always == true then fsm._has_always, fsm._is_usual = true, false end
       for j = 1, #events do
         if type(events[j]) == "function" then tr._is_asked = true end
       end
@@ -1041,7 +1053,7 @@ do
     fsm._entrance, fsm._has_paths = false, false
     if fsm._phase == "idle" then fsm._path = fsm._path and NONE end
     for _, node in ipairs(fsm._nodes) do
-      node._choices, node._paths, node._ignored = nil, nil, nil
+      node._choices, node._paths, node._ignored, node._always = nil, nil, nil, nil
     end
   end
 
@@ -1116,6 +1128,7 @@ local DEFAULTS = {
   _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
   _snapshot_hooks = false, _failure = false, _reset_wanted = false, _preparing = false,
   _emit = false, -- the function given to `set_emit`
+  _has_always = false, -- has a transition that needs no event: no iteration is usual
   _again = false, -- the events that `keep_made` has put ahead of the queue
   _cuts = 0, -- number of iterations that an error has ended
 }
@@ -1328,6 +1341,7 @@ end
 -- `_phase` is one of these:
 --
 --   idle     nothing: the machine waits for its caller
+--   always   a path is searched that needs no event, if the machine has such ones
 --   begin    the pending events become the current events
 --   gather   getevents adds its events, and the pre step hooks are called
 --   search   a path is chosen that the events enable
@@ -1736,6 +1750,15 @@ end
 
 local choice_of, choose, list_choices
 
+-- Lists the transitions from a node that need no event, or the others.
+local function list_otrs_of(node, are_always)
+  local list = {}
+  for _, tr in ipairs(node._otrs) do
+    if (tr.always == true) == are_always then list[#list + 1] = tr end
+  end
+  return list
+end
+
 do
   -- Returns the first enabled segment, in the states from the root down to the leaf.
   local function choose_by_node(fsm, leaf, events)
@@ -1750,7 +1773,8 @@ do
           "for transitions from " .. node._fqn)
       end
       local merges = fsm._merges
-      local found, event = first_enabled(fsm, node._otrs, 1, events)
+      local otrs = fsm._has_always and list_otrs_of(node, false) or node._otrs
+      local found, event = first_enabled(fsm, otrs, 1, events)
       if found or fsm._merges ~= merges then return found, event end
     end
     if traces then report(fsm, "dbg", "TRANSITION", "no enabled paths found") end
@@ -1777,7 +1801,7 @@ do
       end
     end
     for _, node in ipairs(line_to(leaf)) do
-      for _, tr in ipairs(node._otrs) do
+      for _, tr in ipairs(list_otrs_of(node, false)) do
         local is_for_all = tr.events[1] == nil or tr._is_asked
         if not is_for_all then add_to_events(tr) end
         for _, list in ipairs(is_for_all and lists or NONE) do add_to(list, tr) end
@@ -1885,7 +1909,7 @@ do
       .. "events: " .. list_text(events))
     put_back(fsm)
     if fsm._reset_wanted then reset_now(fsm) end
-    fsm._is_usual = true
+    fsm._is_usual = not fsm._has_always
     raise_failure(fsm)
     return nil
   end
@@ -1933,6 +1957,42 @@ do
     local path, first = find_entry(fsm, events)
     if not path then return refuse_entry(fsm, events) end
     return take_path(fsm, nil, path, first)
+  end
+end
+
+do
+  local function list_always(leaf)
+    local list = {}
+    for _, node in ipairs(line_to(leaf)) do append(list, list_otrs_of(node, true)) end
+    leaf._always = list
+    return list
+  end
+
+  -- Returns the segment of the first transition that needs no event and is enabled. An
+  -- event would be given to its guard, so `events` is an empty list.
+  local function find_always(fsm, leaf, events)
+    local merges = fsm._merges
+    fsm._search = fsm._search + 1
+    for _, tr in ipairs(leaf._always or list_always(leaf)) do
+      local found = enabled(fsm, tr, events, nil, nil)
+      if fsm._merges ~= merges then return nil end
+      if found then return found end
+    end
+  end
+
+  -- The phase "always". After an interrupt the list of current events may have events,
+  -- which come first. What comes again beside an internal transition still does so in
+  -- the next iteration.
+  function PHASES.always(fsm, after_free)
+    local leaf, events, again = fsm._act_leaf, fsm._curq, fsm._again
+    if leaf and not fsm._reset_wanted and events[1] == nil then
+      local found = find_always(fsm, leaf, events)
+      if found and again and again.turn == fsm._turn - 1 then again.turn = fsm._turn end
+      if found then return follow(fsm, after_free, leaf, found, nil) end
+      if fsm._is_lent then fsm._curq, fsm._is_lent = {}, fsm._lends end
+    end
+    fsm._phase = "begin"
+    return PHASES.begin(fsm, after_free)
   end
 end
 
@@ -2438,7 +2498,8 @@ local function close(fsm)
   end
   fsm._phase = "idle"
   if not fsm._is_usual then
-    fsm._is_usual, fsm._is_cut = not fsm._reset_wanted, false
+    fsm._is_usual = not (fsm._reset_wanted or fsm._has_always)
+    fsm._is_cut = false
     if fsm._failure then raise_failure(fsm) end
   end
   local outcome = fsm._outcome
@@ -2468,7 +2529,7 @@ local function go_on(fsm, after_free)
   fsm._is_cut = false
   if fsm._phase == "idle" then
     fsm._turn = fsm._turn + 1
-    fsm._phase = "begin"
+    fsm._phase = fsm._has_always and "always" or "begin"
   end
   return PHASES[fsm._phase](fsm, after_free)
 end

@@ -53,8 +53,11 @@ end
 --- Return a copy of a list with one event more.
 function match.with(list, event) return match.joined(list, { event }) end
 
---- Does any event trigger the transition, because it names no event?
-function match.is_any(tr) return not tr.events or tr.events[1] == nil end
+--- Does any event trigger the transition, because it names no event? One that needs no
+--- event (`always`) is triggered by none.
+function match.is_any(tr)
+  return (not tr.events or tr.events[1] == nil) and tr.always ~= true
+end
 
 --- Can a path begin with the transition on any event? No path begins at a connector.
 function match.begins_on_any(tr)

@@ -32,6 +32,7 @@
 ---@field src string|rfsm.State|rfsm.Connector source; after init always a node
 ---@field tgt string|rfsm.State|rfsm.Connector target; after init always a node
 ---@field events? false|any[]|string each one triggers it; none: any event does
+---@field always? boolean true: it needs no event, and has none
 ---@field guard? rfsm.Guard
 ---@field effect? rfsm.Effect
 ---@field pn? number priority among the transitions of a node, larger first (0)

@@ -362,6 +362,14 @@ local function add_finals(chart, random)
   end
 end
 
+-- Has some transitions from states need no event. A tame chart becomes idle.
+local function add_always(chart, random)
+  for _, tr in ipairs(chart.is_tame and {} or chart.transitions) do
+    local is_any = chart.nodes[tr.src].kind == "state" and #tr.events == 0
+    tr.always = is_any and random:chance(50) or nil
+  end
+end
+
 --- The chart of `seed`.
 function charts.generate(seed)
   local random = new_random(seed)
@@ -378,6 +386,7 @@ function charts.generate(seed)
   end
   add_programs(chart, random)
   add_finals(chart, new_random(seed + 14))
+  add_always(chart, new_random(seed + 15))
   chart.ops = { { "step", 1 } }
   for i = 2, 4 + random:below(16) do chart.ops[i] = random_op(chart, random) end
   local may_merge = not (chart.nodes.root.is_leaf or chart.is_tame) -- which may `run`

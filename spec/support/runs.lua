@@ -229,6 +229,7 @@ end
 local function model_transition(world, tr)
   return rfsm.trans {
     src = tr.src_ref, tgt = tr.tgt_ref, pn = tr.pn, events = tr.events_ref,
+    always = tr.always,
     guard = tr.guard and guard_of(world, tr.index) or nil,
     effect = tr.effect and effect_of(world, tr.index) or nil,
   }

@@ -15,12 +15,15 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 -- Charts -----------------------------------------------------------------------------
 
--- Gives some transitions a time event.
+-- Gives some transitions a time event. Those of one state have the same, since events of
+-- one state that come at one time have the order of its transitions.
 local function add_timers(chart, random)
+  local event_of = {}
   for _, tr in ipairs(chart.transitions) do
     if chart.nodes[tr.src].kind == "state" and tr.events[1] and random:chance(30) then
-      local event = ("e_%s(%.1f)"):format(random:pick { "after", "every" },
-        random:below(4) / 2)
+      local event = event_of[tr.src] or ("e_%s(%.1f)"):format(
+        random:pick { "after", "every" }, random:below(4) / 2)
+      event_of[tr.src] = event
       tr.events_ref = { event, unpack(tr.events_ref) }
       tr.events = { event .. "@" .. tr.src, unpack(tr.events) }
     end
