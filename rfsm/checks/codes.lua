@@ -69,6 +69,8 @@ warning no-yield: a doo that never returns to the engine
   call rfsm.yield() in its loop
 note busy-doo: a doo that is never idle, so that run never returns
   yield true where there is nothing to do
+note early-idle: run may return while an event of a region still waits
+  write idle_doo = "auto", so that run goes on until all regions are idle
 note doo-ends: a doo ends, and nothing waits for its e_done
   add a transition on e_done, or let the doo go on
 note any-event: a transition of a state on any event; a warning if others come too late
