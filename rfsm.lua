@@ -392,6 +392,38 @@ local sorted_keys = rfsm.sorted_keys
 interpret(sorted_keys)
 interpret(has_nodes)
 
+do
+  -- Has a composite a leaf right in it that is final?
+  local function has_final(composite)
+    for key, child in pairs(composite) do -- any order: one leaf is enough
+      local is_final = type(child) == "table" and not is_meta(key)
+        and rawequal(rawget(child, "final"), true)
+      if is_final and child._is_leaf and is_state(child) then return true end
+    end
+    return false
+  end
+
+  interpret(has_final)
+
+  --- Can a state of a machine be done, so that its e_done comes? For extensions.
+  --
+  -- A leaf can. A composite needs a leaf right in it with `final = true`; a state with
+  -- regions needs such a leaf in the root of each region.
+  --
+  ---@param node rfsm.State|rfsm.Connector
+  ---@return boolean
+  ---@return any region the name of a region without such a leaf
+  function rfsm.can_be_done(node)
+    if not is_state(node) then return false end
+    if not node._is_leaf then return has_final(node) end
+    local regions, own = rfsm.regions(node)
+    for i, region in ipairs(regions) do
+      if not has_final(region) then return false, own.names[i] end
+    end
+    return true
+  end
+end
+
 local NONE = {}
 
 local function append(list, more)
@@ -665,8 +697,8 @@ do
   -- Public fields of the engine. If a model has a field with such a name, the field is
   -- not copied, because it is not the user's data.
   local API_FIELDS = {}
-  for name in ("act_leaf actchild choices curq depth done_event doo_co fqn fsm id "
-    .. "index initialized intq is_asked is_internal is_leaf mode model otrs parent "
+  for name in ("act_leaf actchild always choices curq depth done_event doo_co fqn fsm "
+    .. "id index initialized intq is_asked is_internal is_leaf mode model otrs parent "
     .. "paths segments"):gmatch("%S+") do
     API_FIELDS["_" .. name] = true
   end
@@ -991,15 +1023,18 @@ do
       advise("regions", node._model))
   end
 
+  local function warn_of_e_done(build, tr, src)
+    add_warning(build.warnings, false, tr, nil, "'e_done' never fires here, %s",
+      src._mode and ("no leaf right in '%s' is final (final = true)"):format(src._fqn)
+      or ("'%s' is no leaf state"):format(src._fqn))
+  end
+
   local function resolve_e_done(build, tr)
     local events, src = tr.events, tr.src
     for i = 1, #events do
       if events[i] == "e_done" then
         events[i] = "e_done@" .. src._fqn
-        if not src._is_leaf then
-          add_warning(build.warnings, false, tr, nil,
-            "'e_done' never fires here, '%s' is no leaf state", src._fqn)
-        end
+        if not rfsm.can_be_done(src) then warn_of_e_done(build, tr, src) end
       end
     end
   end
@@ -1015,6 +1050,16 @@ do
     return src, nil, true
   end
 
+  local function check_always(build, tr, src)
+    if tr.events[1] ~= nil then
+      add(build.problems, tr, "always", "a transition that needs no event has no "
+        .. "events (leave out one of the two fields)")
+    elseif not src._mode then
+      add(build.problems, tr, "always", "only a transition from a state needs no "
+        .. "event, '%s' is a connector", src._fqn)
+    end
+  end
+
   -- Resolves the ends of a transition. Returns false if one of them is not found.
   local function resolve_transition(build, tr)
     local src, src_reason = find_end(build, tr, "src")
@@ -1027,6 +1072,7 @@ do
     tgt = is_internal and src or tgt and find_entrance(build, tr, tgt)
     if not (src and tgt) then return false end
     tr.src, tr.tgt, tr._is_internal = src, tgt, is_internal
+    if tr.always == true then check_always(build, tr, src) end
     resolve_e_done(build, tr)
     return true
   end
@@ -1080,6 +1126,7 @@ do
       local tr = transitions[i]
       local otrs, events = tr.src._otrs, tr.events
       otrs[#otrs + 1] = tr
+      if tr.always == true then fsm._has_always, fsm._is_usual = true, false end
       for j = 1, #events do
         if type(events[j]) == "function" then tr._is_asked = true end
       end
@@ -1101,7 +1148,7 @@ do
     fsm._entrance, fsm._has_paths = false, false
     if fsm._phase == "idle" then fsm._path = fsm._path and NONE end
     for _, node in ipairs(fsm._nodes) do
-      node._choices, node._paths, node._ignored = nil, nil, nil
+      node._choices, node._paths, node._ignored, node._always = nil, nil, nil, nil
     end
   end
 
@@ -1176,6 +1223,8 @@ local DEFAULTS = {
   _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
   _snapshot_hooks = false, _failure = false, _reset_wanted = false, _preparing = false,
   _emit = false, -- the function given to `set_emit`
+  _has_always = false, -- has a transition that needs no event: no iteration is usual
+  _again = false, -- the events that `keep_made` has put ahead of the queue
   _cuts = 0, -- number of iterations that an error has ended
 }
 
@@ -1371,6 +1420,11 @@ local function report_callback(fsm, name, owner, callback, failure)
     failure = "function expected, " .. got(callback)
   end
   tell_watch(fsm, "failed", owner, name, failure)
+  local around = fsm
+  while around do
+    tell_watch(around, "failed_inside", fsm, owner, name, failure, callback)
+    around = around._owner
+  end
   local text = "error executing " .. name .. " of " .. (owner._fqn or tostring(owner))
   if name == "doo" then text = "doo program of state '" .. owner._fqn .. "' failed" end
   local id = name:upper():gsub("i", "I") -- Turkish has another capital i
@@ -1383,6 +1437,7 @@ end
 -- `_phase` is one of these:
 --
 --   idle     nothing: the machine waits for its caller
+--   always   a path is searched that needs no event, if the machine has such ones
 --   begin    the pending events become the current events
 --   gather   getevents adds its events, and the pre step hooks are called
 --   search   a path is chosen that the events enable
@@ -1791,6 +1846,15 @@ end
 
 local choice_of, choose, list_choices
 
+-- Lists the transitions from a node that need no event, or the others.
+local function list_otrs_of(node, are_always)
+  local list = {}
+  for _, tr in ipairs(node._otrs) do
+    if (tr.always == true) == are_always then list[#list + 1] = tr end
+  end
+  return list
+end
+
 do
   -- Returns the first enabled segment, in the states from the root down to the leaf.
   local function choose_by_node(fsm, leaf, events)
@@ -1805,7 +1869,8 @@ do
           "for transitions from " .. node._fqn)
       end
       local merges = fsm._merges
-      local found, event = first_enabled(fsm, node._otrs, 1, events)
+      local otrs = fsm._has_always and list_otrs_of(node, false) or node._otrs
+      local found, event = first_enabled(fsm, otrs, 1, events)
       if found or fsm._merges ~= merges then return found, event end
     end
     if traces then report(fsm, "dbg", "TRANSITION", "no enabled paths found") end
@@ -1832,7 +1897,7 @@ do
       end
     end
     for _, node in ipairs(line_to(leaf)) do
-      for _, tr in ipairs(node._otrs) do
+      for _, tr in ipairs(list_otrs_of(node, false)) do
         local is_for_all = tr.events[1] == nil or tr._is_asked
         if not is_for_all then add_to_events(tr) end
         for _, list in ipairs(is_for_all and lists or NONE) do add_to(list, tr) end
@@ -1940,7 +2005,7 @@ do
       .. "events: " .. list_text(events))
     put_back(fsm)
     if fsm._reset_wanted then reset_now(fsm) end
-    fsm._is_usual = true
+    fsm._is_usual = not fsm._has_always
     raise_failure(fsm)
     return nil
   end
@@ -1991,6 +2056,42 @@ do
   end
 end
 
+do
+  local function list_always(leaf)
+    local list = {}
+    for _, node in ipairs(line_to(leaf)) do append(list, list_otrs_of(node, true)) end
+    leaf._always = list
+    return list
+  end
+
+  -- Returns the segment of the first transition that needs no event and is enabled. An
+  -- event would be given to its guard, so `events` is an empty list.
+  local function find_always(fsm, leaf, events)
+    local merges = fsm._merges
+    fsm._search = fsm._search + 1
+    for _, tr in ipairs(leaf._always or list_always(leaf)) do
+      local found = enabled(fsm, tr, events, nil, nil)
+      if fsm._merges ~= merges then return nil end
+      if found then return found end
+    end
+  end
+
+  -- The phase "always". After an interrupt the list of current events may have events,
+  -- which come first. What comes again beside an internal transition still does so in
+  -- the next iteration.
+  function PHASES.always(fsm, after_free)
+    local leaf, events, again = fsm._act_leaf, fsm._curq, fsm._again
+    if leaf and not fsm._reset_wanted and events[1] == nil then
+      local found = find_always(fsm, leaf, events)
+      if found and again and again.turn == fsm._turn - 1 then again.turn = fsm._turn end
+      if found then return follow(fsm, after_free, leaf, found, nil) end
+      if fsm._is_lent then fsm._curq, fsm._is_lent = {}, fsm._lends end
+    end
+    fsm._phase = "begin"
+    return PHASES.begin(fsm, after_free)
+  end
+end
+
 -- Take: the actions of a path .....................................................
 --
 -- A path has a flat list of actions, which are functions f(fsm, arg, at), and a second
@@ -1998,13 +2099,18 @@ end
 
 local actions = {}
 
+-- Actions that report a record of the trace to `dbg`, by kind of record.
+local recorders = {}
+
+local function may_repeat(hook) return promises[hook] == "repeatable" end
+
 -- Calls a hook of an extension. One that may be repeated is noted when it has returned.
 local function call_hook(fsm, hook, subject, at)
-  local may_repeat = promises[hook] == "repeatable"
-  if not may_repeat then fsm._at = at end
+  local is_repeatable = promises[hook] == "repeatable"
+  if not is_repeatable then fsm._at = at end
   local ok, failure = pcall(hook, fsm, subject, fsm._event)
   if not ok then
-    if may_repeat then error(failure, 0) end
+    if is_repeatable then error(failure, 0) end
     keep_failure(fsm, failure)
   end
   fsm._at = at
@@ -2070,8 +2176,26 @@ function actions.be_done(fsm, leaf, at)
   fsm._at = at
 end
 
+-- The name of the event that tells that a composite is done, if a leaf in it is; nil if
+-- the leaf is not final, or no transition of the composite waits for it.
+local function done_around(leaf)
+  local around = leaf._parent
+  if rawequal(leaf.final, true) and around ~= leaf and rfsm.names_done(around) then
+    return done_event(around)
+  end
+end
+
+-- Queues the e_done of the composite around a final leaf that is done.
+function actions.be_done_around(fsm, leaf, at)
+  local queue, event = fsm._intq, leaf._mode == "done" and done_around(leaf)
+  if not event then return end
+  queue[#queue + 1] = event
+  recorders.done(fsm, leaf._parent, at)
+end
+
 -- Has the machine, or an extension, made the event?
 local function is_made(event)
+  if type(event) == "table" and not getmetatable(event) then event = event.name end
   if type(event) ~= "string" then return false end
   if event == "e_init_fsm" or event:find("^e_done@root") then return true end
   for _, maker in ipairs(rfsm.makers) do
@@ -2091,12 +2215,12 @@ function actions.keep_made(fsm, segment)
       made[#made + 1] = event
     end
   end
+  if not made[1] then return end
+  fsm._again = { turn = fsm._turn, count = #made } -- for extensions
   -- after an interrupt they are there already
-  if made[1] and fsm._intq[1] ~= made[1] then fsm._intq = append(made, fsm._intq) end
+  if fsm._intq[1] ~= made[1] then fsm._intq = append(made, fsm._intq) end
 end
 
--- Actions that report a record of the trace to `dbg`, by kind of record.
-local recorders = {}
 
 do
   local function label_of(node)
@@ -2189,6 +2313,9 @@ do
       done_event(state)
       add_action(list, actions.become_leaf, state)
       add_action(list, actions.be_done, state)
+      if rfsm.names_done(state._parent) then
+        add_action(list, actions.be_done_around, state)
+      end
     end
     add_action(list, recorders.entry, state)
   end
@@ -2367,7 +2494,7 @@ end
 
 -- Doo ............................................................................
 
-local run_doo
+local complete, run_doo
 
 do
   local coroutine = find_global "coroutine"
@@ -2378,11 +2505,12 @@ do
     leaf._doo_co = nil
   end
 
-  local function complete(fsm, leaf)
+  function complete(fsm, leaf)
     local queue, event = fsm._intq, done_event(leaf)
     if is_traced(fsm) then report(fsm, "dbg", "RAISED", event) end
     queue[#queue + 1] = event
     leaf._mode = "done"
+    if leaf.final then actions.be_done_around(fsm, leaf, fsm._at) end
   end
 
   local function end_doo(fsm, leaf)
@@ -2466,7 +2594,8 @@ local function close(fsm)
   end
   fsm._phase = "idle"
   if not fsm._is_usual then
-    fsm._is_usual, fsm._is_cut = not fsm._reset_wanted, false
+    fsm._is_usual = not (fsm._reset_wanted or fsm._has_always)
+    fsm._is_cut = false
     if fsm._failure then raise_failure(fsm) end
   end
   local outcome = fsm._outcome
@@ -2496,7 +2625,7 @@ local function go_on(fsm, after_free)
   fsm._is_cut = false
   if fsm._phase == "idle" then
     fsm._turn = fsm._turn + 1
-    fsm._phase = "begin"
+    fsm._phase = fsm._has_always and "always" or "begin"
   end
   return PHASES[fsm._phase](fsm, after_free)
 end
@@ -2885,10 +3014,9 @@ local function report_findings(build, first_node, first_transition)
   for i = first_transition, #fsm._transitions do
     local tr = fsm._transitions[i]
     for _, event in ipairs(tr.events) do
-      local is_call = type(event) == "string" and event:find("%)$")
-      if is_call or type(event) == "table" then
-        add_advice(found, "event", tr, event)
-      end
+      local is_odd = type(event) == "table" or type(event) == "string"
+        and (event:find("%)$") or event == "e_fault") -- extensions know such events
+      if is_odd then add_advice(found, "event", tr, event) end
     end
   end
   report_lines(fsm, "warn", found)
@@ -3294,7 +3422,7 @@ do
   local function is_trans_of(fsm, tr) return rfsm.is_trans(tr) and tr._fsm == fsm end
 
   local WATCHED = { sent = true, failed = true, resumed = true, ended = true,
-    merged = true, discarded = true }
+    merged = true, discarded = true, failed_inside = true }
 
   local function is_watched(_, what) return WATCHED[what] end
 
@@ -3318,7 +3446,8 @@ do
     guard = { list = "_guard_hooks", is_path = true, is_subject = is_trans_of,
       expected = "transition of the fsm" },
     watch = { list = "_watch_hooks", is_subject = is_watched,
-      expected = "'sent', 'failed', 'resumed', 'ended', 'merged' or 'discarded'" },
+      expected = "'sent', 'failed', 'failed_inside', 'resumed', 'ended', 'merged' or "
+        .. "'discarded'" },
     reset = { list = "_reset_hooks" }, reaction = { list = "_reaction_hooks" },
     waiting = { list = "_waiting_hooks" },
   }
@@ -3527,6 +3656,18 @@ function rfsm.regions(state)
   return append({}, own), own
 end
 
+--- Does a transition from a state wait for its e_done? For extensions.
+---@param state rfsm.State a state of a machine
+---@return boolean
+function rfsm.names_done(state)
+  for _, tr in ipairs(state._otrs) do
+    for _, event in ipairs(tr.events) do
+      if event == done_event(state) then return true end
+    end
+  end
+  return state._awaits_done or false
+end
+
 --- Make a machine a region of another one, for extensions.
 ---@param region rfsm.Machine
 ---@param fsm rfsm.Machine the parent machine
@@ -3580,7 +3721,7 @@ do
 
   for name in ([[check_between_steps check_no_otrs is_in machines map_from_to
     node_find_enabled note_cut place prepare save_memory set_emit set_sta_mode
-    snapshot_hooks structure_of target_of targets]]):gmatch("%S+") do
+    begin_in snapshot_hooks structure_of target_of targets]]):gmatch("%S+") do
     PARTS[name] = "rfsm.tools"
   end
 
@@ -3594,13 +3735,14 @@ do
     find_entrance = find_entrance, find_lca = find_lca, first_enabled = first_enabled,
     forget = forget, is_made = is_made, is_node_of = is_node_of, line_to = line_to,
     lines_of = lines_of, list_choices = list_choices, list_otrs = list_otrs,
-    matches = matches, new_build = new_build, new_node = new_node, new_path = new_path,
+    matches = matches, may_repeat = may_repeat, new_build = new_build,
+    new_node = new_node, new_path = new_path,
     new_transition = new_transition, note_mount = note_mount, note_of = note_of,
     path_of = path_of, preprocess = preprocess, quick_run = quick_run,
     raise_failure = raise_failure, report_dead_ends = report_dead_ends,
     report_findings = report_findings, report_lines = report_lines,
     reset_now = reset_now, resolve = resolve, segment_of = segment_of,
-    new_emit = new_emit, summary = summary, tell = tell,
+    new_emit = new_emit, summary = summary, tell = tell, complete = complete,
     tell_watch = tell_watch, try = try,
   }
 

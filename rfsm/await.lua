@@ -192,7 +192,10 @@ local function expand(fsm, tr, names)
   for i = 1, #names do -- here `e_done` is the event of the source's doo
     if names[i] == "e_done" then
       names[i] = "e_done@" .. src._fqn
-      if not rfsm.is_leaf(src) then warn_never(fsm, tr, "e_done", "leaf state") end
+      src._awaits_done = true
+      if not rfsm.can_be_done(src) then
+        warn_never(fsm, tr, "e_done", "leaf, and has no final leaf")
+      end
     end
   end
   local await = new_await(names, src._fqn)

@@ -146,6 +146,9 @@ end
 
 local process = best
 
+-- Returns the present, if the clock of the process shows an earlier time.
+local present = nil
+
 local function inherited(fsm)
   local owner = fsm._owner
   return owner and (owner.gettime or inherited(owner))
@@ -168,10 +171,27 @@ function clock.read(fsm, is_relative)
 end
 
 --- Set the clock of the process; nil sets the best clock that is installed.
+--
+-- A host that catches up, so that machines see times of the past one by one, also gives
+-- a function that returns the present.
+--
 ---@param gettime? fun(id?: string): number, number?
-function clock.set_hook(gettime)
-  process = gettime or best
+---@param of_present? fun(): number, number seconds and nanoseconds
+function clock.set_hook(gettime, of_present)
+  process, present = gettime or best, of_present
   found[true], found[false] = nil, nil
+end
+
+--- Return the present, which is the time given unless a host catches up.
+---@param sec number the time that a machine sees, in seconds
+---@param nsec number nanoseconds in addition
+---@return number sec
+---@return number nsec
+function clock.present(sec, nsec)
+  if not present then return sec, nsec end
+  local now, now_nsec = present()
+  if now + now_nsec * 1e-9 < sec + nsec * 1e-9 then return sec, nsec end
+  return now, now_nsec
 end
 
 --- Return a function that returns how many seconds have passed since this call.

@@ -323,8 +323,8 @@ end
 function marsh.words_of(text, fqn)
   if text:sub(-#fqn - 1) == "@" .. fqn then text = text:sub(1, -#fqn - 2) end
   if text == "e_done" then return "done" end
-  local kind, time = text:match("^e_(a%l+)%((.*)%)$")
-  if kind ~= "after" and kind ~= "at" then return text end
+  local kind, time = text:match("^e_(%l+)%((.*)%)$")
+  if kind ~= "after" and kind ~= "every" and kind ~= "at" then return text end
   return kind .. " " .. time .. (rfsm.number_of(time) and " s" or "")
 end
 

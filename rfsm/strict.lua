@@ -298,7 +298,15 @@ local function check_end(fsm, events)
 end
 
 -- The path hook: notes the path for the post step hook.
-local function note_path(fsm, path) fsm._strict.path = path end
+local function note_path(fsm, path)
+  local notes, tr = fsm._strict, path[1]
+  notes.path = path
+  notes.always = tr and tr.always == true and notes.always + 1 or 0
+  if notes.always == MANY then
+    warn(fsm, ("transitions that need no event are taken again and again, such as %s "
+      .. "(give one of them a guard)"):format(rfsm.location_of(tr)))
+  end
+end
 
 local function is_named_in(path, event)
   return order.any(path, function(tr) return match.triggers(tr, event) ~= false end)
@@ -335,6 +343,7 @@ end
 -- The pre step hook: checks the elements of the machine, and warns of events that come
 -- too early. For an event from `getevents` the sender's line is not known.
 local function check_machine(fsm, events)
+  fsm._strict.always = 0
   check_end(fsm, events)
   local count = fsm._strict.count or 0
   local is_due = count < 100 or count % 100 == 0 -- a long run is not slowed down
@@ -361,7 +370,7 @@ function strict.watch(fsm)
   latest = fsm
   if fsm._strict then return end
   fsm._strict = { told = {}, models = {}, path = false, count = false,
-    event = false, event_at = 0, structure = false, known = false }
+    event = false, event_at = 0, always = 0, structure = false, known = false }
   for _, obj in ipairs(rfsm.elements(fsm)) do check_model(fsm, obj) end
   rfsm.pre_step_hook_add(fsm, check_machine)
   rfsm.path_hook_add(fsm, note_path)

@@ -84,6 +84,7 @@ build = {
     ["rfsm.ext"] = "rfsm/ext.lua",
     ["rfsm.fast"] = "rfsm/fast.lua",
     ["rfsm.fates"] = "rfsm/fates.lua",
+    ["rfsm.faults"] = "rfsm/faults.lua",
     ["rfsm.fleet"] = "rfsm/fleet.lua",
     ["rfsm.history"] = "rfsm/history.lua",
     ["rfsm.json"] = "rfsm/json.lua",

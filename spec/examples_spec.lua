@@ -157,7 +157,7 @@ local SESSIONS = {
     "right open", "left open" }, "e_grasp", "e_stop", "e_start" },
   { "timeevent", "lights up in time", { "do not walk", "please wait", "walk",
     "do not walk", "dark", "do not walk", "dark" }, "e_button", wait(0.3), wait(1),
-    wait(59), wait(3), "e_fault" },
+    wait(59), wait(3), "e_short" },
 }
 
 describe("the example", function()

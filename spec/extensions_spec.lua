@@ -640,8 +640,8 @@ describe("a watch hook", function()
   end)
 
   it("is for something that there is", function()
-    assert.equal("rfsm.watch_hook_add: 'sent', 'failed', 'resumed', 'ended', "
-      .. "'merged' or 'discarded' expected, got string 'send'",
+    assert.equal("rfsm.watch_hook_add: 'sent', 'failed', 'failed_inside', 'resumed', "
+      .. "'ended', 'merged' or 'discarded' expected, got string 'send'",
       helper.refusal(rfsm.watch_hook_add, watched(), "send", print))
   end)
 

@@ -145,8 +145,8 @@ local command = {
   epilog = help(),
 }
 
--- Returns a verb; nil and the problem if there is no such verb. (A list of choices would
--- be one long line of the help.)
+-- Returns a verb; nil and the problem if there is no such verb. (A list of choices
+-- would be one long line of the help.)
 local function verb_of(word)
   if VERBS[word] then return word end
   return nil, ("there is no verb '%s'%s"):format(word,

@@ -8,6 +8,7 @@ local rfsm_rtt = require "rfsm.rtt" -- first: it adapts Lua to a TLSF pool
 local rfsm = require "rfsm"
 local held_port = require "rfsm.rtt.port"
 local limit = require "rfsm.shared.limit"
+local match = require "rfsm.shared.match"
 local update = require "rfsm.rtt.update"
 
 local assert, collectgarbage, coroutine = assert, collectgarbage, coroutine
@@ -229,7 +230,7 @@ local function warn_of_timers(launch)
   for _, tr in ipairs(rfsm.elements(launch.fsm, rfsm.is_trans)) do
     for _, event in ipairs(tr.events or {}) do
       local name = rfsm.text_of(event)
-      if name:find("^e_after%(") or name:find("^e_at%(") then
+      if match.maker_of(event) == "timer" then
         local text = "%s is late: a component without a period needs timer = true"
         return launch.log("Warning", text:format(name))
       end

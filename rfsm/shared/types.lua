@@ -11,7 +11,7 @@
 ---@field entry? rfsm.StateCallback
 ---@field exit? rfsm.StateCallback
 ---@field doo? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "doo"): boolean?
----@field final? boolean a leaf that is meant to be the end
+---@field final? boolean a leaf that ends its composite or region
 ---@field getevents? false|fun(): any[]? root only, as all fields below
 ---@field dbg? boolean|fun(id: string, ...)
 ---@field info? boolean|fun(...)
@@ -32,6 +32,7 @@
 ---@field src string|rfsm.State|rfsm.Connector source; after init always a node
 ---@field tgt string|rfsm.State|rfsm.Connector target; after init always a node
 ---@field events? false|any[]|string each one triggers it; none: any event does
+---@field always? boolean true: it needs no event, and has none
 ---@field guard? rfsm.Guard
 ---@field effect? rfsm.Effect
 ---@field pn? number priority among the transitions of a node, larger first (0)
@@ -72,7 +73,8 @@
 ---@alias rfsm.Effect false|fun(fsm, tr, what: "effect", events: any[], event: any)
 
 --- An occasion on which a watch hook is called, see `rfsm.watch_hook_add`.
----@alias rfsm.Watched "sent"|"failed"|"resumed"|"ended"|"merged"|"discarded"
+---@alias rfsm.Watched "sent"|"failed"|"failed_inside"|"resumed"|"ended"|"merged"
+---|"discarded"
 
 --- Hooks. For each `X_hook_add` there is an `X_hook_rm` with the same arguments. It
 --- returns true if there was such a hook. `place` is "before" or "after" (default) the
