@@ -130,7 +130,8 @@ local function add_deadlock(walk, findings, number)
 end
 
 local function wire_text(wire)
-  return ("wires[%d] (%s %s -> %s)"):format(wire.number, wire.from, wire.event, wire.to)
+  return ("wires[%d] (%s %s -> %s)"):format(wire.number, wire.from,
+    concat(wire.events, ", "), wire.to)
 end
 
 -- Does a transition or an extension ever take an event?
@@ -139,7 +140,23 @@ local function takes(member, event)
     or match.has(alphabet.of_all(member.subject.parts[1].fsm).reactions, event)
 end
 
--- Adds findings about a wire whose event can be lost, is never sent, or is never taken.
+-- Adds findings about the events of a wire that are never sent, or are never taken.
+local function find_in_events(walk, wire, findings, place, where)
+  local function add(code, text) findings:add(code, nil, place, text, nil, where) end
+  local carried, reader = walk.carries[wire], walk:split(wire.to .. ":")
+  if order.is_empty(carried) then
+    return add("idle-wire", "no event ever goes over it")
+  end
+  for _, event in ipairs(wire.events) do
+    if not carried[event] then
+      add("idle-wire", ("no '%s' ever goes over it"):format(event))
+    elseif not takes(reader, event) then
+      add("untaken", ("'%s' never takes '%s'"):format(wire.to, event))
+    end
+  end
+end
+
+-- Adds findings about a wire: its events can be lost, are never sent, or never taken.
 local function find_in_wire(walk, wire, findings)
   local place = wire_text(wire)
   local where = wire.location ~= "" and wire.location .. ": " or ""
@@ -147,13 +164,7 @@ local function find_in_wire(walk, wire, findings)
     add_run(walk, findings, "overflow", place, ("the buffer of %d can be full, the new "
       .. "event is lost"):format(wire.size), walk.lost[wire], where)
   end
-  if walk.bound then return end
-  if not walk.carries[wire] then
-    findings:add("idle-wire", nil, place, "no event ever goes over it", nil, where)
-  elseif not takes(walk:split(wire.to .. ":"), wire.event) then
-    findings:add("untaken", nil, place, ("'%s' never takes the event"):format(wire.to),
-      nil, where)
-  end
+  if not walk.bound then find_in_events(walk, wire, findings, place, where) end
 end
 
 local MANY_ALONE = 1000 -- most configurations of a chart that is explored alone
@@ -215,6 +226,7 @@ local function add_premises(result, walk, settings)
     local own = member.subject
     local free = rfsm.sorted_keys(own.free)
     if free[1] then add(member.name .. ": " .. concat(free, ", ") .. " free") end
+    if member.reads_one then add(member.name .. ": one event an iteration") end
     if settings[member.name].alphabet then
       add(member.name .. ": no event outside of the alphabet")
     end
@@ -223,8 +235,8 @@ local function add_premises(result, walk, settings)
     end
   end
   for _, wire in ipairs(walk.wires) do
-    add(("%s: %s, read = \"%s\""):format(wire_text(wire), wire.kind == "data" and "data"
-      or "buffer of " .. wire.size, wire.read))
+    add(("%s: %s"):format(wire_text(wire), wire.kind == "data" and "data"
+      or "buffer of " .. wire.size))
   end
 end
 
@@ -290,7 +302,8 @@ local function explored(cell, options)
   local walks, by_group = walks_of(cell, group_of, settings)
   local result = setmetatable({ configurations = 0, steps = 0, walks = walks,
     findings = static.new_list(), properties = list, untried = {},
-    premises = { "any order, any time", "one event from outside in a move" } }, Report)
+    premises = { "any order, any time", "one event from outside in a move",
+      "events of a step are put one by one, the first within the move" } }, Report)
   for _, judged in ipairs(list) do
     judged.walk = by_group[group_of[judged.first]] or walks[1]
     watch(judged.walk, judged)
