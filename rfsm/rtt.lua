@@ -37,6 +37,7 @@ if rawget(_G, "tlsf") then rfsm.save_memory() end
 ---@field launched rfsm.rtt.Launched? the latest launch in this Lua
 ---@field service_launch_rfsm fun(file: string, exec_str: function, ...): boolean
 ---@field component_launch_rfsm fun(args: rfsm.rtt.Launch): any
+---@field launch_system fun(file: string, options?: table): rfsm.rtt.LaunchedSystem
 ---@field service_halt_rfsm fun(component: any, seconds?: number): boolean
 ---@field service_resume_rfsm fun(exec_str: function)
 local rfsm_rtt = {}
@@ -322,6 +323,7 @@ function rfsm_rtt.launch(args)
 end
 
 setmetatable(rfsm_rtt, { __index = function(_, name)
+  if name == "launch_system" then return require("rfsm.rtt.launch_system").launch end
   if type(name) ~= "string" or not name:find("_rfsm$") then return nil end
   return require("rfsm.rtt.launch")[name]
 end })

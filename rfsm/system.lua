@@ -35,6 +35,9 @@ local system = {}
 ---@field unsent table<string, table[]> by machine, the events that it has emitted and
 -- that are not yet put into a wire, the oldest first: { wire = number, event = event }
 ---@field file string? the file that describes the system
+---@field files table<string, string> by machine, the file of its chart; only of charts
+-- that `system.load` has read
+---@field places table<string, string> where each machine is described: "cell.lua:5"
 ---@field state number|false random state for the order of moves; false: a fixed order
 local System = {}
 
@@ -213,8 +216,9 @@ end
 ---@return boolean
 function system.is_system(value) return getmetatable(value) == System end
 
--- The files that `load` is reading, the innermost last.
-local loading = {}
+-- The files that `load` is reading, the innermost last; the files of the charts that it
+-- has read.
+local loading, file_of = {}, setmetatable({}, { __mode = "k" })
 
 -- Returns the file that is being loaded; if there is none, the file that calls a
 -- function of this module. The stack alone does not show the file, if it ends with the
@@ -245,7 +249,9 @@ function system.load(file)
   loading[#loading + 1] = path
   local ok, value = pcall(rfsm.load, path, system.is_system)
   loading[#loading] = nil
-  return ok and value or error(value, 0)
+  if not ok then error(value, 0) end
+  if not system.is_system(value) then file_of[value] = path end
+  return value
 end
 
 -- Makes a system: `system { arm = model, wires = { ... } }`. Raises an error with all
@@ -253,7 +259,8 @@ end
 local function new(_, given)
   local self, text = description.read(given, calling_file())
   if not self then error(text, 0) end
-  self.state = false
+  self.state, self.files = false, {}
+  for _, name in ipairs(self.names) do self.files[name] = file_of[given[name]] end
   empty_wires(self)
   return setmetatable(self, System)
 end

@@ -1,10 +1,9 @@
--- Systems: what callbacks emit, wires, moves, checks of a description, the examples,
--- also in components of the stand-in for RTT, and the simulator.
+-- Systems: what callbacks emit, wires, moves, checks of a description, the examples, and
+-- the simulator.
 
 local commands = require "spec.support.commands"
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
-local rtt_helper = require "spec.support.rtt_helper"
 local system = require "rfsm.system"
 local wires = require "rfsm.system.wires"
 require "rfsm_seqand"
@@ -620,64 +619,6 @@ describe("an example of a system", function()
       assert.is_true(is_stuck)
     end)
   end
-end)
-
-describe("an example in components of RTT", function()
-  before_each(rtt_helper.reset)
-  after_each(rtt_helper.reset)
-
-  -- The leaves at the end, when each machine is in a component, of which the ports are
-  -- joined by buffers of 16.
-  local function leaves_in_components(name, files, event, ending)
-    local cell = system.load("examples/systems/" .. name .. (ending or "/cell_mended")
-      .. ".lua")
-    local list, ports, is_connected = {}, {}, {}
-    for _, member in ipairs(cell.names) do
-      local component = rtt_helper.load(member)
-      component:getProperty("lua_string"):set(([[
-function configureHook()
-  return require("rfsm.rtt").launch { fsmfile = "examples/systems/%s/%s.lua",
-    ev_outport = true, enter = "start" }
-end]]):format(name, files[member] or member))
-      assert.is_true(component:configure())
-      ports[member] = rtt_helper.listen(member .. ".fqn")
-    end
-    for _, wire in ipairs(cell.wires) do
-      local from, to = wire.from .. ".events_out", wire.to .. ".events_in"
-      if not is_connected[from .. to] then
-        assert(rtt_helper.deploy("connect", from, to, rtt_helper.policy(16)))
-      end
-      is_connected[from .. to] = true
-    end
-    local outside = event and rtt_helper.feed("supervisor.events_in")
-    for _, member in ipairs(cell.names) do
-      assert(rtt_helper.deployer():getPeer(member):start())
-    end
-    rtt_helper.spin()
-    if outside then outside:write(event) end
-    rtt_helper.spin()
-    for i, member in ipairs(cell.names) do
-      list[i] = member .. " " .. (rtt_helper.leaves(ports[member]):match("[%w_]*$"))
-    end
-    return table.concat(list, ", ")
-  end
-
-  it("ends as it should when it is mended", function()
-    assert.equal(GOALS.zone, leaves_in_components("zone", { zone = "turns" }))
-  end)
-
-  it("stops whatever it does", function()
-    assert.equal(GOALS.stop, leaves_in_components("stop", { arm = "arm_mended" },
-      "e_stop"))
-  end)
-
-  it("loses no message if a step takes one event", function()
-    assert.equal(GOALS.protocol, leaves_in_components("protocol", {
-      sender = "sender_mended", receiver = "receiver_mended" }))
-    rtt_helper.reset()
-    assert.equal("receiver half, sender half", leaves_in_components("protocol", {}, nil,
-      "/cell"))
-  end)
 end)
 
 describe("rfsm sim of a system", function()

@@ -257,7 +257,7 @@ end
 --- Read a description. If it is wrong, return nil and all its problems as one text.
 ---@param given any
 ---@param file? string file that has the description
----@return table? parts the fields names, models, wires and file
+---@return table? parts the fields names, models, wires, file and places
 ---@return string? text the problems
 function description.read(given, file)
   if type(given) ~= "table" or rfsm.is_fsmobj(given) then
@@ -273,8 +273,10 @@ function description.read(given, file)
     return nil, ("rfsm.system: the system has %d problem%s\n  %s"):format(
       #draft.problems, draft.problems[2] and "s" or "", concat(draft.problems, "\n  "))
   end
-  return { names = rfsm.sorted_keys(draft.models), models = draft.models,
-    wires = draft.wires, file = file }
+  local names_of, places = rfsm.sorted_keys(draft.models), {}
+  for _, name in ipairs(names_of) do places[name] = place_of(draft, name) end
+  return { names = names_of, models = draft.models, wires = draft.wires, file = file,
+    places = places }
 end
 
 return description
