@@ -477,6 +477,7 @@ describe("cell:explore", function()
       { machines = { right = { alphabet = { "e_y" } } } })
     assert.same({ "any order, any time", "one event from outside in a move",
       "events of a step are put one by one, the first within the move",
+      "a connection for each wire, all of them read at one moment",
       "right: guards free", "right: one event an iteration",
       "right: no event outside of the alphabet",
       "wires[1] (left e_x -> right): buffer of 2" }, result.premises)

@@ -1,4 +1,4 @@
--- Systems: what callbacks emit, wires, moves, checks of a description, the examples, and
+-- Systems: what callbacks emit, wires, moves, checks of a description, examples, and
 -- the simulator.
 
 local commands = require "spec.support.commands"

@@ -303,7 +303,8 @@ local function explored(cell, options)
   local result = setmetatable({ configurations = 0, steps = 0, walks = walks,
     findings = static.new_list(), properties = list, untried = {},
     premises = { "any order, any time", "one event from outside in a move",
-      "events of a step are put one by one, the first within the move" } }, Report)
+      "events of a step are put one by one, the first within the move",
+      "a connection for each wire, all of them read at one moment" } }, Report)
   for _, judged in ipairs(list) do
     judged.walk = by_group[group_of[judged.first]] or walks[1]
     watch(judged.walk, judged)
