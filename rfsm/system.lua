@@ -125,10 +125,11 @@ end
 ---@param wanted? { from: string, event: string }|false only if the machine takes one
 -- event an iteration: the sender and an event of the wire that it reads, or false to
 -- read none; default: the first wire in which an event waits
+---@param holds? boolean put nothing after the step, so that others move before that
 ---@return boolean idle the result of `rfsm.step`; false if events are still to be put
 ---@return any[] came the events from the wires, then the events from outside
 ---@return rfsm.system.Wire[] by for each event that came from a wire, this wire
-function System:move(name, events, wanted)
+function System:move(name, events, wanted, holds)
   local is_name, problem = description.is_name(self.models, name)
   if not is_name then error("rfsm.system.move: " .. problem, 2) end
   check(events == nil or type(events) == "table", "move", "list of events", events)
@@ -138,7 +139,7 @@ function System:move(name, events, wanted)
   for _, event in ipairs(events or {}) do came[#came + 1] = event end
   rfsm.send_events(fsm, unpack(came))
   local is_idle = not has_to_put and rfsm.step(fsm)
-  put_next(self, name)
+  if has_to_put or not holds then put_next(self, name) end
   return is_idle and not unsent[1], came, by
 end
 

@@ -236,6 +236,50 @@ describe("cell:explore", function()
     }, sequence.lines_of(result.findings[#result.findings].witness))
   end)
 
+  -- Two that cross: each goes to b by an event from outside, and tells the other one,
+  -- which goes to c if it is not in b yet.
+  local function crossing()
+    return { left = chart(go("a", "c", "e_right"), go("a", "b", "e_go", "e_left")),
+      right = chart(go("a", "c", "e_left"), go("a", "b", "e_go", "e_right")) },
+      { "left e_left right", "right e_right left" }
+  end
+
+  it("has steps overlap if it is told so", function()
+    local function judged(overlap)
+      local charts, wires = crossing()
+      return explored(charts, wires, { overlap = overlap,
+        properties = { never { "left: root.b", "right: root.b" } } })
+    end
+    assert.is_true(judged(false).properties[1].holds)
+    local result, cell = judged(true)
+    assert.is_false(result.properties[1].holds)
+    assert.equal("steps overlap, and their events are put one by one",
+      result.premises[3])
+    local lines = sequence.lines_of(result.findings[#result.findings].witness)
+    assert.same({
+      "1. left: root.trans[1] -> root.a",
+      "2. left gets e_go from outside: root.trans[3] -> root.b; sends nothing yet",
+      "3. right: root.trans[1] -> root.a",
+      "4. right gets e_go from outside: root.trans[3] -> root.b; sends nothing yet",
+    }, lines)
+    for _, move in ipairs(sequence.read(table.concat(lines, "\n"))) do
+      cell:move(move.machine, move.events, move.wanted, move.holds)
+    end
+    assert.same({ "root.b", "root.b", 1, 1 }, {
+      rfsm.get_actleaf_fqn(cell.machines.left),
+      rfsm.get_actleaf_fqn(cell.machines.right), #cell.unsent.left,
+      #cell.unsent.right })
+  end)
+
+  it("has a step that emits nothing overlap nothing", function()
+    local function count(overlap)
+      return explored({ left = chart(go("a", "b", "e_go"), go("b", "a", "e_go", "e_z")),
+        right = chart(go("a", "b", "e_x"), go("b", "a", "e_y")) }, {},
+        { overlap = overlap }).configurations
+    end
+    assert.equal(count(false), count(true))
+  end)
+
   it("has the sender do nothing else until all events of a step are put", function()
     local left = chart(go("a", "b", "e_go", "e_x", "e_y"))
     assert.is_true(explored({ left = left, right = one_by_one(go("a", "b", "e_y"),
@@ -300,6 +344,27 @@ describe("cell:explore", function()
       { properties = { after("boss: e_go").reach "to: root.d" } })
     assert.is_true(result.properties[1].holds)
   end)
+
+  it("knows that a machine which goes on by itself, or was not entered, reads nothing",
+    function()
+      local function holds(...)
+        local to = one_by_one(...)
+        to.d = rfsm.state { final = true }
+        to[#to + 1] = go("a", "d", "e_stop")
+        return explored({ boss = chart(go("a", "b", "e_go", "e_stop")), to = to },
+          { "boss e_stop to" }, { properties = {
+            after("boss: e_go").reach "to: root.d" } }).properties[1].holds
+      end
+      assert.is_true(holds())
+      assert.is_false(holds(go("a", "a", "e_done")))
+      assert.is_true(holds(go("b", "b", "e_done")))
+      local late = rfsm.state { info = false, warn = false, read = "one",
+        a = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a",
+          events = { "e_stop" } } }
+      assert.is_false(explored({ boss = chart(go("a", "b", "e_go", "e_stop")),
+        to = late }, { "boss e_stop to" }, { properties = {
+          after("boss: e_go").reach "to: root.a" } }).properties[1].holds)
+    end)
 
   it("takes an event from outside alone, if the machine takes one", function()
     local right = one_by_one(go("a", "b", "e_x"), go("a", "c", "e_out"))
@@ -591,7 +656,7 @@ describe("a property of a system", function()
     assert.matches("machines.left: unknown option 'timers', expected: alphabet, ",
       refused(charts, wires, { machines = { left = { timers = "free" } } }), 1, true)
     assert.equal("rfsm.system.explore: unknown option 'timers', expected: "
-      .. "configurations, depth, machines, progress, properties, seconds",
+      .. "configurations, depth, machines, overlap, progress, properties, seconds",
       refused(charts, wires, { timers = "free" }))
   end)
 end)
@@ -603,7 +668,7 @@ describe("a witness of a system", function()
     local witness = result.findings[1].witness
     local moves = sequence.read(table.concat(sequence.lines_of(witness), "\n"))
     for _, move in ipairs(moves) do
-      cell:move(move.machine, move.events, move.wanted)
+      cell:move(move.machine, move.events, move.wanted, move.holds)
     end
     assert.equal("root.b", rfsm.get_actleaf_fqn(cell.machines.left))
     assert.equal("root.b", rfsm.get_actleaf_fqn(cell.machines.right))
@@ -688,6 +753,12 @@ describe("rfsm check of a system", function()
         .. "left: 1 guard exclusive; right: guards free; right: 1 guard exclusive\n",
         out)
     end)
+
+  it("has steps overlap by an option of the command", function()
+    local out = checked("zone/cell_mended", "--overlap")
+    assert.matches("cell_mended.lua: ok\n.*one arm is inside: holds\n.*steps overlap",
+      out)
+  end)
 
   it("draws the run, and explores nothing if it need not", function()
     local file = helper.file_with("") .. ".mmd"

@@ -189,6 +189,7 @@ local function explore_system(file, cell, options)
     machines[name] = machine_options(cell, name, machines[name] or {})
   end
   own.machines = machines
+  if options.overlap then own.overlap = true end
   return run_explore(file, cell, own, options, report.explore,
     MANY_TOGETHER)
 end

@@ -73,9 +73,9 @@ local function print_move(cell, name, came, by)
 end
 
 -- Has one machine move, with events from outside.
-function Side:move(name, events, wanted)
+function Side:move(name, events, wanted, holds)
   history.mark(self)
-  print_move(self.cell, name, select(2, self.cell:move(name, events, wanted)))
+  print_move(self.cell, name, select(2, self.cell:move(name, events, wanted, holds)))
 end
 
 local MAX_RUN = 10000 -- steps: a system may have no end
@@ -101,7 +101,7 @@ function Side:replay(file)
   if not text then error(problem, 0) end
   local moves = require("rfsm.system.sequence").read(text)
   for _, each in ipairs(moves) do
-    self:move(each.machine, each.events, each.wanted)
+    self:move(each.machine, each.events, each.wanted, each.holds)
   end
   return #moves, not moves[1] and "no line is a move" or nil
 end

@@ -3,8 +3,9 @@
 -- In a move, a machine reads its wires. Then it takes one step with the events that it
 -- has read and at most one event from outside, and puts the first event that the step
 -- emits into its wire. Each further one is a move of its own, and before that the
--- machine does nothing else. Any machine may move at any time. A machine that takes one
--- event an iteration takes one: from any of its wires, or from outside.
+-- machine does nothing else. If steps overlap, the first one is a move of its own, too.
+-- Any machine may move at any time. A machine that takes one event an iteration takes
+-- one: from any of its wires, or from outside.
 --
 -- Each machine has a walk (`rfsm.explore.explore`), which takes equal steps only once.
 -- The outcomes are kept by the configuration of the machine and the list of what it has
@@ -48,6 +49,7 @@ local product = {}
 ---@field carries table<rfsm.system.Wire, table> for each wire the set of events that go
 -- over it
 ---@field is_partial boolean some steps of a machine were not tried
+---@field overlap boolean a step puts nothing, so others may move before its first event
 local Product = { note_untried = explore.note_untried }
 Product.__index = Product
 
@@ -257,9 +259,16 @@ local function put_into(self, queues, put)
   return after, { wire = wire, event = put.name, is_lost = not is_put }
 end
 
--- Returns what is to be put after a machine has put the first of `puts`.
-local function unsent_after(conf, number, puts)
-  local rest = rest_of(puts)
+-- Returns what a move has to put: now, or nil, and later.
+local function puts_of_move(self, conf, member, outcome)
+  local puts = conf.unsent[member.number]
+  if outcome ~= GOES_ON then puts = outcome.puts end
+  if self.overlap and outcome ~= GOES_ON and puts[1] then return nil, puts end
+  return puts[1], rest_of(puts)
+end
+
+-- Returns what all machines have to put if one of them has `rest` to put.
+local function unsent_with(conf, number, rest)
   if rest == conf.unsent[number] then return conf.unsent end
   local unsent = copy(conf.unsent)
   unsent[number] = rest
@@ -305,15 +314,14 @@ end
 -- Takes a move. Returns true if it changes something, or takes a transition.
 local function take_move(self, from, member, reading, outcome, label)
   local conf, numbers = self.keys[from], nil
-  local is_step = outcome ~= GOES_ON
-  local puts = is_step and outcome.puts or conf.unsent[member.number]
-  local queues, sent = put_into(self, reading.queues, puts[1])
-  if is_step then
+  local put, rest = puts_of_move(self, conf, member, outcome)
+  local queues, sent = put_into(self, reading.queues, put)
+  if outcome ~= GOES_ON then
     numbers = copy(conf.numbers)
     numbers[member.number] = outcome.tgt
   end
   local tgt = find_configuration(self, numbers or conf.numbers, queues,
-    unsent_after(conf, member.number, puts), from, label)
+    unsent_with(conf, member.number, rest), from, label)
   add_step(self, from, tgt, reading.mover, outcome, label)
   note_move(self, { from = from, tgt = tgt, label = label }, member, outcome, sent)
   return tgt ~= from or outcome.taken[1] ~= nil or reading.by[1] ~= nil
@@ -382,8 +390,8 @@ end
 
 -- Notes in `is_fair` which machines a run does not neglect if it stays in the strongly
 -- connected component of a configuration: a machine has nothing to do in the
--- configuration, or it has a move that stays in the component. If a machine reads one
--- of its wires at a time, it neglects none: the wire is empty, or is read.
+-- configuration, or it has a move that stays in the component. Behind the machines it
+-- notes which wires are read, if the reader reads one wire at a time.
 local function note_fair(self, number, index_of, is_fair)
   local is_busy = {}
   graph.each_step(self, number, function(tgt, is_internal, at)
@@ -392,10 +400,53 @@ local function note_fair(self, number, index_of, is_fair)
     is_fair[mover] = is_fair[mover] or is_internal and stays
   end)
   for i in ipairs(self.members) do is_fair[i] = is_fair[i] or not is_busy[i] end
-  for at, queue in ipairs(self.keys[number].queues) do
-    local i = #self.members + at
-    is_fair[i] = is_fair[i] or queue[1] == nil or not self.wires[at].is_read_alone
+end
+
+-- Could a machine that reads one wire at a time read the wire in a configuration?
+local function is_readable(self, number, at)
+  local conf, member = self.keys[number], self.wires[at].reader
+  if not member.reads_one or conf.queues[at][1] == nil
+    or conf.unsent[member.number][1] then return false end
+  local own = member.confs[conf.numbers[member.number]]
+  return own[1].leaf and not subject.is_driven(own)
+end
+
+-- Does a run neglect a wire if it comes to a configuration again and again? It does if
+-- the wire could be read there, and is never read.
+local function is_neglected(self, number, is_fair)
+  for at in ipairs(self.wires) do
+    if not is_fair[#self.members + at] and is_readable(self, number, at) then
+      return true
+    end
   end
+  return false
+end
+
+-- Adds the configurations of a component to the set `staying`, if a run that stays in
+-- the component neglects neither a machine nor a wire. If it neglects a wire, adds to
+-- the set `parts` those in which the wire cannot be read.
+local function note_component(self, numbers, index_of, staying, parts)
+  local is_fair, rest = {}, {}
+  for _, number in ipairs(numbers) do note_fair(self, number, index_of, is_fair) end
+  for _, member in ipairs(self.members) do
+    if not is_fair[member.number] then return end
+  end
+  for _, number in ipairs(numbers) do
+    if not is_neglected(self, number, is_fair) then rest[#rest + 1] = number end
+  end
+  local set = #rest == #numbers and staying or parts
+  for _, number in ipairs(rest) do set[number] = true end
+end
+
+-- Adds to the set `staying` the configurations of the set `open` between which a run
+-- may stay for ever, without neglecting a machine or a wire.
+local function note_staying(self, open, staying)
+  local components, index_of = graph.components_in(self, open, true)
+  local parts = {}
+  for _, numbers in ipairs(components) do
+    note_component(self, numbers, index_of, staying, parts)
+  end
+  if not order.is_empty(parts) then note_staying(self, parts, staying) end
 end
 
 --- Return the set of configurations from which moves without events from outside always
@@ -405,16 +456,7 @@ end
 function Product:must_reach(goals)
   local set, staying, open = {}, {}, {}
   for number = 1, self.expanded do open[number] = not goals[number] end
-  local components, index_of = graph.components_in(self, open, true)
-  for _, numbers in ipairs(components) do
-    local is_fair = {}
-    for _, number in ipairs(numbers) do
-      note_fair(self, number, index_of, is_fair)
-    end
-    local stays = true
-    for i = 1, #self.members + #self.wires do stays = stays and is_fair[i] end
-    for _, number in ipairs(numbers) do staying[number] = stays end
-  end
+  note_staying(self, open, staying)
   self.open, self.staying = open, staying
   local can_stay = graph.can_reach(self, staying, true, open)
   for number = 1, #self.keys do
@@ -450,6 +492,7 @@ end
 ---@field sent? { wire: rfsm.system.Wire, event: string, is_lost: boolean } the event
 -- that was put into a wire
 ---@field is_put boolean nothing else is done: the event is one of the step before
+---@field holds boolean the step emits, but nothing is put yet
 ---@field choices { who: string, answer: boolean, is_doo: boolean }[] tried answers of
 -- callbacks; for a doo, whether it ends
 ---@field taken string[] paths of the transitions that were taken
@@ -474,10 +517,10 @@ local function move_of(self, from, label)
   local member, conf = self.members[tonumber(number)], self.keys[from]
   local reading = readings_of(self, member, conf)[tonumber(at)]
   local outcome = reading.outcomes[tonumber(index)]
-  local is_put = outcome == GOES_ON
-  local puts = is_put and conf.unsent[member.number] or outcome.puts
-  local _, sent = put_into(self, reading.queues, puts[1])
-  local move = { machine = member.name, events = {}, is_put = is_put, sent = sent,
+  local put, rest = puts_of_move(self, conf, member, outcome)
+  local _, sent = put_into(self, reading.queues, put)
+  local move = { machine = member.name, events = {}, is_put = outcome == GOES_ON,
+    sent = sent, holds = not put and rest[1] ~= nil,
     read = events_read(conf, reading),
     choices = outcome.choices, taken = outcome.taken, leaf = outcome.leaf,
     occurrences = outcome.outside, unfollowed = outcome.unfollowed, ran = outcome.ran }
@@ -530,7 +573,7 @@ local function join_wires(self, member, options)
     for i, event in ipairs(wire.events) do
       if wire.to == member.name then
         member.wired[event] = not match.has(options.alphabet or {}, event)
-        wire.is_read_alone = member.reads_one
+        wire.reader = member
       end
       if wire.from == member.name then
         member.outgoing[event] = match.with(member.outgoing[event] or {}, wire.puts[i])
@@ -566,13 +609,14 @@ end
 ---@param group_of table<string, string> the group of each machine
 ---@param group string the product has the machines of this group
 ---@param settings table<string, rfsm_checks.Options> the options of each machine
+---@param overlap boolean steps overlap
 ---@return rfsm.system.Product
-function product.new(cell, group_of, group, settings)
+function product.new(cell, group_of, group, settings, overlap)
   local self = setmetatable({ members = {}, wires = {}, keys = {}, numbers = {},
     from = {}, labels = {}, first = {}, steps = {}, movers = {}, step_labels = {},
     expanded = 0, depth = 0, level_end = 1, stuck = {}, passed = {}, lost = {},
     carries = {}, afters = {}, untried = {}, unsure = {}, cut = {},
-    monitor = false, bound = nil, is_partial = false }, Product)
+    monitor = false, bound = nil, is_partial = false, overlap = overlap }, Product)
   self.subject = self
   for _, wire in ipairs(cell.wires) do
     if group_of[wire.to] == group then

@@ -282,12 +282,12 @@ local function read_settings(cell, given)
 end
 
 -- Returns the products of the groups of machines, in a list and by group.
-local function walks_of(cell, group_of, settings)
+local function walks_of(cell, group_of, settings, overlap)
   local walks, by_group = {}, {}
   for _, name in ipairs(cell.names) do
     local group = group_of[name]
     if not by_group[group] then
-      by_group[group] = product.new(cell, group_of, group, settings)
+      by_group[group] = product.new(cell, group_of, group, settings, overlap)
       walks[#walks + 1] = by_group[group]
     end
   end
@@ -299,11 +299,12 @@ local function explored(cell, options)
   local settings = read_settings(cell, options.machines)
   local list = properties.list_of("rfsm.system", options.properties)
   local group_of = groups_of(cell, list)
-  local walks, by_group = walks_of(cell, group_of, settings)
+  local walks, by_group = walks_of(cell, group_of, settings, options.overlap)
   local result = setmetatable({ configurations = 0, steps = 0, walks = walks,
     findings = static.new_list(), properties = list, untried = {},
     premises = { "any order, any time", "one event from outside in a move",
-      "events of a step are put one by one, the first within the move",
+      options.overlap and "steps overlap, and their events are put one by one"
+        or "events of a step are put one by one, the first within the move",
       "a connection for each wire, all of them read at one moment" } }, Report)
   for _, judged in ipairs(list) do
     judged.walk = by_group[group_of[judged.first]] or walks[1]
@@ -319,11 +320,13 @@ end
 -- @raise if an option is wrong
 ---@param cell rfsm.System
 ---@param options? table `machines`: options of `rfsm_checks.explore` by machine;
--- `properties`, `configurations`, `depth`, `seconds`, `progress`
+-- `properties`, `configurations`, `depth`, `seconds`, `progress`; `overlap`: others may
+-- also move between what a machine reads and the first event that it emits then
 ---@return rfsm.system.Report
 function report.explore(cell, options)
-  local settings, problem = explore.settings(options or {}, OF_SYSTEM, { machines =
-    { "table of options by machine", opts.is_a("table"), {} } })
+  local settings, problem = explore.settings(options or {}, OF_SYSTEM, {
+    machines = { "table of options by machine", opts.is_a("table"), {} },
+    overlap = { "boolean", opts.is_a("boolean"), false } })
   local ok, result = settings ~= nil, problem
   if ok then ok, result = pcall(explored, cell, settings) end
   if not ok then error("rfsm.system.explore: " .. rfsm.text_of(result), 2) end

@@ -12,13 +12,15 @@ local concat = table.concat
 
 local sequence = {}
 
+local HOLDS = "; sends nothing yet"
+
 -- Returns the text of what a move does.
 local function text_of(move)
   local sent = move.sent and ("sends %s to %s%s"):format(move.sent.event,
     move.sent.wire.to, move.sent.is_lost and " (lost)" or "")
   if move.is_put then return "still in its step, " .. sent end
   return subject.outcome(move.taken, move.leaf) .. verdict.choices_text(move)
-    .. (sent and "; " .. sent or "")
+    .. (sent and "; " .. sent or move.holds and HOLDS or "")
 end
 
 --- Return the moves of a witness as lines, one line for each move:
@@ -39,13 +41,14 @@ end
 
 --- Read the moves in a text. Each line that begins with a number and a point is a move.
 ---@param text string
----@return { machine: string, events: string[], wanted: table|false }[] moves the
--- arguments of `cell:move`
+---@return { machine: string, events: string[], wanted: table|false, holds: boolean }[]
+-- moves the arguments of `cell:move`
 function sequence.read(text)
   local moves = {}
-  for head in ("\n" .. text):gmatch("\n%s*%d+%. ([^\n]-): ") do
+  for head, rest in ("\n" .. text):gmatch("\n%s*%d+%. ([^\n]-): ([^\n]*)") do
     local machine, got = head:match("^(.-) gets (.*)$")
-    local move = { machine = machine or head, events = {}, wanted = false }
+    local move = { machine = machine or head, events = {}, wanted = false,
+      holds = rest:sub(-#HOLDS) == HOLDS }
     for item in ((got or "") .. ", "):gmatch("(.-), ") do
       local event, from = item:match("^(.*) from (.-)$")
       if from == "outside" then

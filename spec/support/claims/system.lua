@@ -116,7 +116,8 @@ local function new_system(seed)
     members[i] = new_member(random, NAMES[i])
     members[NAMES[i]] = members[i]
   end
-  local options = { machines = {}, configurations = BOUND, properties = {} }
+  local options = { machines = {}, configurations = BOUND, properties = {},
+    overlap = random:chance(40) }
   for _, member in ipairs(members) do
     options.machines[member.name] = random:chance(25) and { dry_run = true }
       or { sends = member.sends }
@@ -241,7 +242,8 @@ local function move(run, is_alone)
   if is_busy then events = {} end
   local wanted = nil
   if events[1] and member.read == "one" then wanted = false end
-  run.cell:move(member.name, events, wanted)
+  local holds = run.own.options.overlap and random:chance(50)
+  run.cell:move(member.name, events, wanted, holds)
   return run.fired + #events > 1
 end
 
@@ -403,7 +405,7 @@ local function follow(own, witness, fail)
       end
     end
     run.before = { unpack(run.cell.lost) }
-    run.cell:move(step.machine, events, step.read[1] or false)
+    run.cell:move(step.machine, events, step.read[1] or false, step.holds)
   end
   return run
 end
