@@ -42,6 +42,7 @@ if rawget(_G, "tlsf") then rfsm.save_memory() end
 ---@field gen_raise_event fun(port: any, fsm?: rfsm.Machine): fun(...: any)
 ---@field service_launch_rfsm fun(file: string, exec_str: function, ...): boolean
 ---@field component_launch_rfsm fun(args: rfsm.rtt.Launch): any
+---@field launch_system fun(file: string, options?: table): rfsm.rtt.LaunchedSystem
 ---@field service_halt_rfsm fun(component: any, seconds?: number): boolean
 ---@field service_resume_rfsm fun(exec_str: function)
 local rfsm_rtt = {}
@@ -255,6 +256,7 @@ for _, name in ipairs { "service_launch", "service_halt", "service_resume",
 end
 
 setmetatable(rfsm_rtt, { __index = function(_, name)
+  if name == "launch_system" then return require("rfsm.rtt.launch_system").launch end
   return FILES[name] and require(FILES[name])[name]
 end })
 

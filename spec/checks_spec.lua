@@ -639,6 +639,7 @@ describe("each code", function()
   local codes = require "rfsm.checks.codes"
   local OTHERS = { invalid = true, init = true, trap = true, violated = true,
     deadlock = true, overflow = true, untaken = true, ["idle-wire"] = true,
+    deployed = true,
     undefined = true, ["no-value"] = true, ["no-yield"] = true, ["busy-doo"] = true,
     ["doo-ends"] = true, called = true, lost = true, parameters = true,
     ["wrong-call"] = true }

@@ -105,6 +105,8 @@ warning untaken: an event of a wire that its reader never takes
   see in which states it comes: take it there, or defer it
 warning idle-wire: a wire over which no event goes
   see who should emit the event, or remove the wire
+warning deployed: a deployment is not as its system says
+  launch the system by rfsm_rtt.launch_system, or mend the deployment
 error violated: a property that does not hold
   mend the chart, or the property
 ]]

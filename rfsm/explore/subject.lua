@@ -75,6 +75,7 @@ local subject = {}
 ---@field leaves_out boolean steps do not advance regions in which nothing would happen
 ---@field trimmed rfsm.State|false the state whose quiet regions are removed for now
 ---@field notes_events boolean `last_events` gets the events of all iterations of a step
+---@field keeps_order boolean configurations have the order of waiting events
 ---@field choices boolean[] the choices of the last step, in the order of the questions
 ---@field askers string[] for each choice the path of the transition or leaf
 ---@field is_doo boolean[] for each choice: is it about the end of a doo?
@@ -385,10 +386,10 @@ end
 
 -- Lists the waiting events to which the leaf can react, each once. If there are none,
 -- and the leaf reacts to any event, the first waiting event is listed alone. If an
--- extension may keep events for another leaf, all waiting events are listed.
+-- extension may keep events for another leaf, or the machine takes one event an
+-- iteration, all waiting events are listed.
 local function relevant(self, part, leaf, events)
-  for i = 1, #events do events[i] = self:event_of(events[i]) end
-  if part.may_keep then return match.joined({}, events) end
+  if part.may_keep or self.keeps_order then return match.joined({}, events) end
   local found, list, other = reactions.of(part, leaf), NOTHING, nil
   for i = 1, #events do
     local event = events[i]
@@ -407,7 +408,7 @@ local function text_of_waiting(self, part, waiting)
   if waiting[1] == nil then return "" end
   local numbers = {}
   for i, event in ipairs(waiting) do numbers[i] = self:number_of_event(event) end
-  if not part.may_keep then sort(numbers) end
+  if not (part.may_keep or self.keeps_order) then sort(numbers) end
   return concat(numbers, ",")
 end
 
@@ -415,7 +416,9 @@ end
 local function read_position(self, part)
   local leaf, values, data_text = part.fsm._act_leaf, false, ""
   local known, mode = part.known[leaf], leaf and leaf._mode or "inactive"
-  local waiting = relevant(self, part, leaf, part.fsm._intq)
+  local queue = part.fsm._intq
+  for i = 1, #queue do queue[i] = self:event_of(queue[i]) end
+  local waiting = relevant(self, part, leaf, queue)
   if part.kept then
     values, data_text = kept.read(part.kept, part.fsm, self.event_numbers)
     data_text = ":" .. data_text
@@ -845,8 +848,8 @@ function subject.new(model, options, way)
     taken = {}, passed = {}, last_events = {}, ids = {}, entered = {}, values = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
     alphabet = nil, time = clock.simulated(), is_endless = false,
-    notes_events = false, leaves_out = false, trimmed = false, is_touched = false,
-    changed = nil, unfollowed = false, ran = false }, Subject)
+    notes_events = false, keeps_order = false, leaves_out = false, trimmed = false,
+    is_touched = false, changed = nil, unfollowed = false, ran = false }, Subject)
   local fsm = new_machine(self, model)
   rfsm.set_emit(fsm, function(event, value)
     self.emitted[#self.emitted + 1] = { emit = event, data = value ~= nil }
