@@ -207,7 +207,8 @@ describe("rfsm size", function()
       local sum = kib + library[i] + modules[i] + chart[i]
       assert.is_true(math.abs(together[i] - sum) <= 2) -- they are rounded
     end
-    for _, name in ipairs { "+ rttlib and utils", "+ rfsmpp", "+ rfsm.record", "+ rfsm.proto" } do
+    for _, name in ipairs { "+ rttlib and utils", "+ rfsmpp", "+ rfsm.record",
+      "+ rfsm.proto" } do
       assert.is_true(rows[name][1] > 0)
     end
     local pool = others[#others]:match("^launch { pool = (%d+) } leaves room for")

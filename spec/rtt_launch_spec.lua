@@ -1187,7 +1187,8 @@ describe("rfsm.rtt in a pool, and only there,", function()
     local rfsm = require "rfsm"
     local function root(initial)
       return rfsm.state { info = false, warn = false, err = false, limits = { 1 },
-        a = rfsm.state { speeds = { 2 } }, rfsm.trans { src = "initial", tgt = initial } }
+        a = rfsm.state { speeds = { 2 } },
+        rfsm.trans { src = "initial", tgt = initial } }
     end
     is_made = rfsm.init(root("a")) and true
     text = select(2, rfsm.init(root("aa"))):match("did you mean '.-'")

@@ -30,8 +30,8 @@ local EXTRAS = { "rfsmpp", "rfsm.record", "rfsm.proto" }
 local CODE, DATA = 1.29, 1.12
 local FACTORS = { library = CODE, modules = CODE, module = CODE, chart = DATA }
 
--- KiB by form: the memory of a Lua with RTT 2.10, and what a launch adds for good. RTTLIB
--- comes on top for a chart that uses rttlib or utils, which OCL installs as source.
+-- KiB by form: the memory of a Lua with RTT 2.10, and what a launch adds for good.
+-- RTTLIB comes on top if a chart uses rttlib or utils, which OCL installs as source.
 local BASE = {
   source = { heap = 114, pool = 162 },
   stripped = { heap = 104, pool = 135 },
