@@ -54,6 +54,7 @@ end
 ---@field launched rfsm.rtt.Launched? the latest launch in this Lua
 ---@field declared rfsm.rtt.Declared? what the latest call of `ports` has made
 ---@field gen_raise_event fun(port: any, fsm?: rfsm.Machine): fun(...: any)
+---@field placeholders table? what stands for OCL's rttlib until it is used
 ---@field service_launch_rfsm fun(file: string, exec_str: function, ...): boolean
 ---@field component_launch_rfsm fun(args: rfsm.rtt.Launch): any
 ---@field service_halt_rfsm fun(component: any, seconds?: number): boolean
