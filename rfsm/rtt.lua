@@ -33,13 +33,28 @@ local held_port = require "rfsm.rtt.port"
 local info_of, new_variables = held_port.info_of, held_port.new_variables
 local port_problem = held_port.problem
 
+-- What the core keeps in place of rfsm/advice.lua in a pool, where that would take more
+-- than a chart of five states: it is loaded for problems, and dropped with the launch.
+-- Fields of a state that may be mistakes are left to `rfsm check`.
+local hints = setmetatable({ datum = function() return "" end }, {
+  __index = function(self, topic)
+    local loaded = package.loaded
+    if loaded["rfsm.advice"] == self then loaded["rfsm.advice"] = nil end
+    return require("rfsm.advice")[topic]
+  end,
+})
+
 -- rfsm/fast.lua would generate code that takes 2 KiB of the pool for each state.
-if rawget(_G, "tlsf") then rfsm.save_memory() end
+if rawget(_G, "tlsf") then
+  rfsm.save_memory()
+  package.loaded["rfsm.advice"] = hints
+end
 
 ---@class rfsm.rtt
 ---@field launched rfsm.rtt.Launched? the latest launch in this Lua
 ---@field declared rfsm.rtt.Declared? what the latest call of `ports` has made
 ---@field gen_raise_event fun(port: any, fsm?: rfsm.Machine): fun(...: any)
+---@field placeholders table? what stands for OCL's rttlib until it is used
 ---@field service_launch_rfsm fun(file: string, exec_str: function, ...): boolean
 ---@field component_launch_rfsm fun(args: rfsm.rtt.Launch): any
 ---@field launch_system fun(file: string, options?: table): rfsm.rtt.LaunchedSystem
@@ -204,6 +219,7 @@ local NOT_NEEDED = { "rtt.component", "rtt.update", "rtt.settings", "rtt.inputs"
 -- also calls this first: Lua 5.1 never loads a module again if loading it once failed.
 function rfsm_rtt.forget_modules()
   for _, name in ipairs(NOT_NEEDED) do package.loaded["rfsm." .. name] = nil end
+  if rawget(_G, "tlsf") then package.loaded["rfsm.advice"] = hints end
 end
 
 --- Make the input ports of a machine that this component will launch.

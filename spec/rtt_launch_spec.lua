@@ -1180,6 +1180,28 @@ describe("rfsm.rtt in a pool, and only there,", function()
         a = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" } })
       rfsm.prepare(fsm)]], "package.loaded['rfsm.fast'] ~= nil", "false", "true")
   end)
+
+  -- Makes machines of a chart with data, and of one with a mistake.
+  local INIT = [[
+    require "rfsm.rtt"
+    local rfsm = require "rfsm"
+    local function root(initial)
+      return rfsm.state { info = false, warn = false, err = false, limits = { 1 },
+        a = rfsm.state { speeds = { 2 } },
+        rfsm.trans { src = "initial", tgt = initial } }
+    end
+    is_made = rfsm.init(root("a")) and true
+    text = select(2, rfsm.init(root("aa"))):match("did you mean '.-'")
+    local weak = setmetatable({ rawget(package.loaded["rfsm.advice"], "nearest_name") },
+      { __mode = "v" })
+    rfsm_rtt.forget_modules()
+    collectgarbage()
+    is_kept = weak[1] ~= nil]]
+
+  it("has hints for problems, and leaves none of them in memory", function()
+    compare(INIT, "is_made, text, is_kept", "true did you mean 'a' false",
+      "true did you mean 'a' true")
+  end)
 end)
 
 -- Since 5.4 it is set in another way.

@@ -456,7 +456,7 @@ local function load_libraries(launch)
   if launch.rttlib == false then return end
   if launch.rttlib == nil and rawget(_G, "tlsf") then
     if rawget(_G, "rttlib") then return end
-    return require("rfsm.rtt.rttlib")(launch.rtt, warn_of_use)
+    return require("rfsm.rtt.rttlib").put(launch.rtt, warn_of_use)
   end
   pcall(require, "rttlib")
   local has_utils, utils = pcall(require, "utils")

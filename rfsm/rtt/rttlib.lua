@@ -1,16 +1,20 @@
 --- OCL's modules rttlib and utils, loaded when they are first used.
 --
--- They take more of a pool than a chart of 20 states, and many charts use none of them.
+-- They take more of a pool than a chart of 15 states, and many charts use none of them.
 -- So a launch in a pool puts placeholders where rttlib is noticed. The first use of one
--- removes them all, and loads the modules.
+-- removes them all, and loads the modules. This file is forgotten in between.
 --
 -- @module rfsm.rtt.rttlib
 -- @license BSD-3-Clause
 
-local debug, error, getmetatable, ipairs = debug, error, getmetatable, ipairs
-local package, pairs, pcall, rawget = package, pairs, pcall, rawget
-local rawset, require, setmetatable = rawset, require, setmetatable
-local tostring, type = tostring, type
+local rfsm_rtt = require "rfsm.rtt"
+
+local debug, getmetatable, ipairs, package = debug, getmetatable, ipairs, package
+local pairs, pcall, rawget, rawset = pairs, pcall, rawget, rawset
+local require, setmetatable, tostring = require, setmetatable, tostring
+local type = type
+
+local rttlib = {}
 
 -- What rttlib makes: constructors that can be called; operations that are methods;
 -- texts of objects; methods.
@@ -22,99 +26,128 @@ local WITH_TEXT = { "TaskContext", "Variable", "Property", "Attribute", "Service
 local METHODS = { fromtab = { "Variable", "Property", "Attribute" },
   var2tab = { "Variable" }, totab = { "Variable" } }
 
--- Returns the value of a field of an object whose class has this `__index`.
+-- Placeholders: they refer to nothing in this file but `load` ------------------------
+
+local function load() require("rfsm.rtt.rttlib").load() end
+
+-- Stands for a module.
+local function new_module(name)
+  return setmetatable({}, { __index = function(_, key)
+    load()
+    return rawget(_G, name)[key]
+  end, __newindex = function(_, key, value)
+    load()
+    rawget(_G, name)[key] = value
+  end })
+end
+
+-- Stands for the loader of a module.
+local function new_loader(name)
+  return function()
+    load()
+    return package.loaded[name]
+  end
+end
+
+local function new_globals(rtt)
+  return setmetatable({}, { __index = function(_, key)
+    load()
+    return rtt.globals[key]
+  end })
+end
+
 local function value_of(index, object, key)
   if type(index) == "function" then return index(object, key) end
   return type(index) == "table" and index[key] or nil
 end
 
---- Have rttlib and utils loaded at their first use. `note` is called before that.
----@param rtt table the module of RTT
----@param note fun()
-return function(rtt, note)
-  local changes, load = {}, nil -- a table -> its fields before, false if there was none
-
-  local function put(t, key, value)
-    if not t then return end
-    local before = changes[t] or {}
-    changes[t], before[key] = before, rawget(t, key) or false
-    rawset(t, key, value)
-  end
-
-  local calls = { __call = function(class, ...)
+-- Finds what the class has; for other names rttlib may have an operation.
+local function new_index(class)
+  local index = class.__index
+  return function(object, key)
+    local value = value_of(index, object, key)
+    if value ~= nil then return value end
     load()
-    return class(...)
-  end }
-
-  function load()
-    if not changes then return end
-    note()
-    for t, before in pairs(changes) do -- any order: different fields
-      for key, value in pairs(before) do rawset(t, key, value or nil) end
-    end
-    changes = nil
-    for _, name in ipairs(CONSTRUCTORS) do
-      if rtt[name] and getmetatable(rtt[name]) == calls then
-        setmetatable(rtt[name], nil)
-      end
-    end
-    package.loaded.rttlib, package.loaded.utils = nil, nil -- one of them is loading
-    pcall(require, "rttlib")
-    local ok, utils = pcall(require, "utils")
-    if ok and not rawget(_G, "utils") then rawset(_G, "utils", utils) end
-  end
-
-  -- Puts a table in place of a module.
-  local function put_module(name)
-    local function module()
-      load()
-      return rawget(_G, name) or error("no module '" .. name .. "'", 3)
-    end
-    put(_G, name, setmetatable({}, {
-      __index = function(_, key) return module()[key] end,
-      __newindex = function(_, key, value) module()[key] = value end,
-    }))
-    put(package.preload, name, function()
-      load()
-      return package.loaded[name]
-    end)
-  end
-
-  local function put_index(class)
-    local index = class and class.__index
-    put(class, "__index", function(object, key)
-      local value = value_of(index, object, key)
-      if value ~= nil then return value end
-      load()
-      return value_of(class.__index, object, key)
-    end)
-  end
-
-  local function text(object)
-    load()
-    return tostring(object)
-  end
-
-  local function new_method(key)
-    return function(object, ...)
-      load()
-      return getmetatable(object)[key](object, ...)
-    end
-  end
-
-  local classes = debug.getregistry()
-  for _, name in ipairs { "rttlib", "utils" } do put_module(name) end
-  put(rtt, "globals", setmetatable({}, { __index = function(_, key)
-    load()
-    return rtt.globals[key]
-  end }))
-  for _, name in ipairs(CONSTRUCTORS) do
-    if rtt[name] then setmetatable(rtt[name], calls) end
-  end
-  for _, name in ipairs(WITH_OPERATIONS) do put_index(classes[name]) end
-  for _, name in ipairs(WITH_TEXT) do put(classes[name], "__tostring", text) end
-  for key, names in pairs(METHODS) do -- any order: different fields
-    local method = new_method(key)
-    for _, name in ipairs(names) do put(classes[name], key, method) end
+    return value_of(class.__index, object, key)
   end
 end
+
+local CALLS = { __call = function(class, ...)
+  load()
+  return class(...)
+end }
+
+local function text(object)
+  load()
+  return tostring(object)
+end
+
+local function new_method(key)
+  return function(object, ...)
+    load()
+    return getmetatable(object)[key](object, ...)
+  end
+end
+
+-- Places -----------------------------------------------------------------------------
+
+-- Calls visit(t, key, placeholder) for each place.
+local function each_place(rtt, visit)
+  local classes = debug.getregistry()
+  for _, name in ipairs { "rttlib", "utils" } do
+    visit(_G, name, new_module(name))
+    visit(package.preload, name, new_loader(name))
+  end
+  visit(rtt, "globals", new_globals(rtt))
+  for _, name in ipairs(WITH_OPERATIONS) do
+    local class = classes[name]
+    if class then visit(class, "__index", new_index(class)) end
+  end
+  for _, name in ipairs(WITH_TEXT) do visit(classes[name], "__tostring", text) end
+  for key, names in pairs(METHODS) do -- any order: different fields
+    for _, name in ipairs(names) do visit(classes[name], key, new_method(key)) end
+  end
+end
+
+-- Gives the constructors the metatable `calls`, if they have the metatable `before`.
+local function set_calls(rtt, before, calls)
+  for _, name in ipairs(CONSTRUCTORS) do
+    if rtt[name] and getmetatable(rtt[name]) == before then
+      setmetatable(rtt[name], calls)
+    end
+  end
+end
+
+--- Put placeholders. `note` is called before the modules are loaded.
+---@param rtt table the module of RTT
+---@param note fun()
+function rttlib.put(rtt, note)
+  local before = {} -- the values that were there: a list of tables, keys and values
+  each_place(rtt, function(t, key, placeholder)
+    if not t then return end
+    local value, n = rawget(t, key), #before
+    if value ~= nil then before[n + 1], before[n + 2], before[n + 3] = t, key, value end
+    rawset(t, key, placeholder)
+  end)
+  set_calls(rtt, nil, CALLS)
+  rfsm_rtt.placeholders = { rtt = rtt, note = note, before = before, calls = CALLS }
+end
+
+--- Load the modules in place of the placeholders.
+function rttlib.load()
+  local put = rfsm_rtt.placeholders
+  package.loaded["rfsm.rtt.rttlib"] = nil
+  if not put then return end
+  rfsm_rtt.placeholders = nil
+  put.note()
+  each_place(put.rtt, function(t, key) if t then rawset(t, key, nil) end end)
+  local before = put.before
+  for i = 1, #before, 3 do rawset(before[i], before[i + 1], before[i + 2]) end
+  set_calls(put.rtt, put.calls, nil)
+  package.loaded.rttlib, package.loaded.utils = nil, nil -- one of them is loading
+  pcall(require, "rttlib")
+  local ok, utils = pcall(require, "utils")
+  if ok and not rawget(_G, "utils") then rawset(_G, "utils", utils) end
+end
+
+return rttlib
