@@ -444,8 +444,6 @@ describe("the way back", function()
 end)
 
 describe("a breakpoint at a state whose name occurs elsewhere", function()
-  local state, trans = rfsm.state, rfsm.trans
-
   -- A machine with as many units, each with the states `hold` and `go`.
   local function plant(count)
     local model = { trans { src = "initial", tgt = "area1" } }
