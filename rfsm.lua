@@ -28,7 +28,6 @@ local function find_global(name, field)
 end
 
 local loadfile = find_global "loadfile"
-local tonumber = find_global "tonumber"
 local loadstring = find_global "loadstring" or find_global "load"
 
 -- A bundler may replace it by a local one.
@@ -231,7 +230,8 @@ end
 function rfsm.number_of(text)
   if type(text) ~= "string" then return type(text) == "number" and text or nil end
   if text:find("[^%w%s.+-]") then return nil end
-  return tonumber((text:gsub("%.", (("%.1f"):format(0.5):sub(2, -2)))))
+  local point = ("%.1f"):format(0.5):sub(2, -2)
+  return find_global "tonumber"((text:gsub("%.", point)))
 end
 
 --- Does a text come before another one? Bytes decide, in every locale.
@@ -433,26 +433,30 @@ end
 
 -- Load ------------------------------------------------------------------------
 
--- Returns the hint for the result of a chart that is no state. The metatable of a
--- system has one of its own.
-local function chart_hint(model)
-  if model == nil then return " (a chart ends with: return rfsm.state{...})" end
-  if type(model) ~= "table" then return "" end
-  local class = getmetatable(model)
-  return type(class) == "table" and rawget(class, "rfsm_hint")
-    or " (did you mean: return rfsm.state{...}?)"
-end
+local run_chunk
 
--- Runs the chunk of a chart and returns its root state. If `return rfsm.state{...}` was
--- a tail call, the line of the root is not known, and line 1 is recorded in its place.
-local function run_chunk(chunk, file, where, accepts)
-  local model = chunk(file)
-  if accepts and accepts(model) then return model end
-  if is_state(model) then
-    made_at[model] = made_at[model] or file and file .. ":1"
-    return model
+do
+  -- Returns the hint for the result of a chart that is no state. The metatable of a
+  -- system has one of its own.
+  local function chart_hint(model)
+    if model == nil then return " (a chart ends with: return rfsm.state{...})" end
+    if type(model) ~= "table" then return "" end
+    local class = getmetatable(model)
+    return type(class) == "table" and rawget(class, "rfsm_hint")
+      or " (did you mean: return rfsm.state{...}?)"
   end
-  error(where .. " found." .. chart_hint(model), 0)
+
+  -- Runs the chunk of a chart and returns its root state. After a tail call, as in
+  -- `return rfsm.state{...}`, the line of the root is not known: line 1 is recorded.
+  function run_chunk(chunk, file, where, accepts)
+    local model = chunk(file)
+    if accepts and accepts(model) then return model end
+    if is_state(model) then
+      made_at[model] = made_at[model] or file and file .. ":1"
+      return model
+    end
+    error(where .. " found." .. chart_hint(model), 0)
+  end
 end
 
 --- Load a model from a file that returns it.
@@ -634,8 +638,6 @@ function rfsm.is_foreign(value)
   local copy = type(class) == "table" and rawget(class, "rfsm_copy")
   return type(copy) == "table" and not rawequal(copy, rfsm)
 end
-
-local is_foreign = rfsm.is_foreign
 
 --- Return the model of a machine, or of an element of a machine, for extensions.
 ---@param value any
@@ -860,7 +862,7 @@ do
       local kind = type(value) == "table" and kind_of(value)
       if not kind then
         clone_field(build, own_kind, node, key, value)
-      elseif is_foreign(value) then
+      elseif rfsm.is_foreign(value) then
         add(build.problems, node, text_of(key), FOREIGN)
       elseif own_kind == "connector" then
         add_warning(build.warnings, "misplaced", node, nil,
@@ -3131,7 +3133,9 @@ function rfsm.init(model)
       .. (type(model) == "string" and " (did you mean rfsm.load?)" or ""), 2)
   end
   model = model_of(model)
-  if is_foreign(model) then return refuse_model(model, nil, { "root: " .. FOREIGN }) end
+  if rfsm.is_foreign(model) then
+    return refuse_model(model, nil, { "root: " .. FOREIGN })
+  end
   local build = build_machine(model)
   local fsm, problems = build.fsm, (lines_of(build.problems))
   if problems[1] then return refuse_model(model, nil, problems) end

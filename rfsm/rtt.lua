@@ -208,6 +208,10 @@ function rfsm_rtt.reason(problem)
   pcall(collectgarbage)
   local text = rfsm.text_of(problem)
   if not text:find("not enough memory", 1, true) then return text end
+  if not text:find(" KiB ", 1, true) then -- it was short before the launch began
+    text = ("%s while the library is loaded, %.0f KiB in use without that"):format(text,
+      collectgarbage("count"))
+  end
   return text .. ": enlarge the pool by `pool = KIB` of the launch; 'rfsm size' prints "
     .. "how much a chart needs"
 end

@@ -54,6 +54,12 @@ describe("the tree", function()
     end
   end)
 
+  -- A user's own charts may lie at the top, and nowhere else.
+  it("has no file that git does not know", function()
+    assert.same({}, lines_of("git ls-files --others --exclude-standard -- .ci .github "
+      .. "bench compat doc examples rfsm rockspec spec tools 'rfsm*.lua'"))
+  end)
+
   it("has one line in each file of compat/", function()
     for _, file in ipairs(files) do
       if file:find("^compat/") then
@@ -61,6 +67,36 @@ describe("the tree", function()
       end
     end
   end)
+end)
+
+describe("each exporter", function()
+  -- Lists the files in which each of the patterns is found.
+  local function files_with(glob, ...)
+    local found = {}
+    for _, file in ipairs(lines_of("ls " .. glob)) do
+      local text, has_all = helper.content(file), true
+      for _, pattern in ipairs { ... } do
+        has_all = has_all and text:find(pattern) ~= nil
+      end
+      found[#found + 1] = has_all and file or nil
+    end
+    return found
+  end
+
+  for _, exporter in ipairs(require("rfsm.cli.exporters").list) do
+    local name = exporter.name
+    local module = "%f[%w]rfsm%." .. name .. "%f[^%w]"
+
+    it(name .. " has a spec that loads it and calls its encode", function()
+      assert.is_truthy(files_with("spec/*_spec.lua", 'require%(?%s*"' .. module .. '"',
+        "%f[%w]" .. name .. "%.encode")[1], "rfsm." .. name)
+    end)
+
+    it(name .. " has a page with its encode and the ending of its files", function()
+      assert.is_truthy(files_with("doc/*.md", "`" .. name .. "%.encode%(",
+        "`[%w.]*%." .. exporter.ending .. "`")[1], "rfsm " .. name)
+    end)
+  end
 end)
 
 -- The global that each module sets, and the names it has.

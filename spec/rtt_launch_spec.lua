@@ -896,6 +896,15 @@ return rfsm.state { info = false, warn = false,
     assert.equal("false", evaluate(exec_str, "fsm._act_leaf"))
   end)
 
+  it("with timer = true knows time events that the chart does not require", function()
+    local _, exec_str = launched { timer = true, fsmfile = file_with [[
+      return rfsm.state { a = rfsm.state {}, b = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "b", events = { "e_after(1)" } } } ]] }
+    assert.equal("e_after(1)@root.a", evaluate(exec_str, "fsm[2].events[1]"))
+    assert.same({}, logged("no loaded extension"))
+  end)
+
   it("is woken exactly when a time event is due, without a period", function()
     local _, exec_str = launched { timer = true,
       prestr = "require('rfsm_timeevent').set_gettime_hook(rtt.getTime)",

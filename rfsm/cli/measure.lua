@@ -51,7 +51,8 @@ local before = kib()
 
 local function report(what)
   local now = kib()
-  print(("%s %.1f"):format(what, now - before))
+  -- below 0 if the table of LuaJIT's texts has become smaller meanwhile
+  print(("%s %.1f"):format(what, math.max(now - before, 0)))
   before = now
 end
 

@@ -193,6 +193,7 @@ end
 
 -- Returns the machine, and the getevents of the chart.
 local function load_machine(launch)
+  if launch.timer then require "rfsm_timeevent" end -- the chart may not require it
   local ok, model = limit.load(rfsm.load, launch.fsmfile, { os.time })
   if not ok then error(model, 0) end
   local log = launch.log
@@ -365,6 +366,26 @@ local function add_outputs(launch)
   return write_fqn
 end
 
+-- Has the attribute `rfsm_state` follow the active leaf, as a number, because OCL's
+-- reporters write a text with a column for each letter. The log has the list.
+local function number_states(launch, fsm)
+  local variable, numbers, texts = launch.variables.rfsm_state, {}, { "0 <none>" }
+  for i, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
+    numbers[leaf], texts[i + 1] = i, ("%d %s"):format(i, leaf._fqn)
+  end
+  launch.rtt.logl("Info", ("rfsm.rtt: rfsm_state of '%s': %s"):format(
+    launch.component:getName(), concat(texts, ", ")))
+  local last = 0
+  local follow = rfsm.borrows(function(machine)
+    local number = numbers[machine._act_leaf] or 0
+    if number ~= last then variable:assign(number) end
+    last = number
+  end)
+  variable:assign(0)
+  rfsm.post_step_hook_add(fsm, follow)
+  rfsm.reset_hook_add(fsm, follow)
+end
+
 -- Connects the machine with its ports. FQNs are converted to Variables once, here.
 local function connect(launch, fsm, getevents, write_fqn)
   rfsm.post_step_hook_add(fsm, write_fqn)
@@ -376,6 +397,7 @@ local function connect(launch, fsm, getevents, write_fqn)
   end
   add_getevents(launch, fsm, getevents)
   add_attributes(launch, ATTRIBUTES)
+  number_states(launch, fsm)
   if launch.is_component then return end
   add_attributes(launch, update.OF_SERVICE)
   launch.variables.rfsm_halted:assign(not launch.eehook)
@@ -467,7 +489,7 @@ end
 local function begin(launch)
   local rtt = package.loaded.rtt
   launch.rtt, launch.component = rtt, rtt.getTC()
-  launch.hooks, launch.theirs, launch.stage = {}, {}, "the launch begins"
+  launch.hooks, launch.theirs = {}, {}
   launch.ports_at, launch.ports, launch.extra = launch.ports, {}, {}
   launch.held = {}
   launch.variables, launch.attributes = {}, {}
@@ -486,10 +508,13 @@ function component.start(launch)
   launch.where = "launch of '" .. launch.fsmfile .. "': "
   local problem = obstacle(launch)
   if problem then error(launch.where .. problem, 0) end
-  begin(launch)
-  load_libraries(launch)
-  rfsm_rtt.launched = launch -- now: an exception of C++ may end the launch
-  local ok, result = pcall(set_up, launch)
+  launch.stage = "the launch begins"
+  local ok, result = pcall(function()
+    begin(launch)
+    load_libraries(launch)
+    rfsm_rtt.launched = launch -- now: an exception of C++ may end the launch
+    return set_up(launch)
+  end)
   rfsm_rtt.forget_modules()
   if not ok then update.fail(launch, result) end
   return result

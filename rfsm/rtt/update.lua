@@ -92,10 +92,10 @@ end
 -- message also has the stage of the launch and the memory in use.
 function update.fail(launch, problem)
   collect() -- otherwise undoing would fail, too
-  launch:undo()
-  local text, memory = rfsm.text_of(problem), memory_text()
+  if launch.undo then launch:undo() end
+  local text = rfsm.text_of(problem)
   if text:find("not enough memory", 1, true) then
-    text = ("%s while %s, %s without that"):format(text, launch.stage, memory)
+    text = ("%s while %s, %s without that"):format(text, launch.stage, memory_text())
   end
   error(launch.where .. text, 0)
 end
@@ -121,7 +121,7 @@ end
 --- Name of an attribute -> its type. OF_SERVICE: attributes that only a service adds.
 update.ATTRIBUTES = {
   rfsm_errors = "uint", rfsm_overruns = "uint", rfsm_failures = "uint",
-  rfsm_live = "double", rfsm_peak = "double",
+  rfsm_live = "double", rfsm_peak = "double", rfsm_state = "uint",
 }
 update.OF_SERVICE = { rfsm_halt = "bool", rfsm_halted = "bool" }
 
