@@ -15,6 +15,7 @@ local REASONS = {
   ["rfsm_timeevent.lua"] = { 3, "host package user" },
   ["rfsmpp.lua"] = { 1, "package" },
   ["rfsm/checks/source.lua"] = { 2, "package input" },
+  ["rfsm/checks/static.lua"] = { 1, "after" },
   ["rfsm/cli/common.lua"] = { 2, "user interrupt" },
   ["rfsm/cli/fleet.lua"] = { 1, "host" },
   ["rfsm/cli/review.lua"] = { 2, "input after" },
@@ -40,6 +41,7 @@ local REASONS = {
   ["rfsm/rtt/component.lua"] = { 12, "host user package" },
   ["rfsm/rtt/inputs.lua"] = { 1, "host after" },
   ["rfsm/rtt/launch.lua"] = { 11, "host after input" },
+  ["rfsm/rtt/launch_system.lua"] = { 6, "host after" },
   ["rfsm/rtt/port.lua"] = { 4, "host" },
   ["rfsm/rtt/program.lua"] = { 2, "host" },
   ["rfsm/rtt/rttlib.lua"] = { 2, "package" },
@@ -62,6 +64,7 @@ local REASONS = {
   ["rfsm/tests/rehearsal.lua"] = { 1, "after" },
   ["rfsm/web.lua"] = { 1, "input" },
   ["rfsm/web/driven.lua"] = { 2, "interrupt input" },
+  ["rfsm/web/http.lua"] = { 1, "package" },
   ["rfsm/web/picture.lua"] = { 3, "host package" },
 }
 
