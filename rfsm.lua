@@ -1105,7 +1105,8 @@ local DEFAULTS = {
   dbg = silent, getevents = no_events, _guard_hooks = false, _fates = false,
   _has_paths = false, _merges = 0, _entry_hooks = false, _exit_hooks = false,
   _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
-  _snapshot_hooks = false, _failure = false, _reset_wanted = false, _preparing = false,
+  _fate_hooks = false, _snapshot_hooks = false, _failure = false,
+  _reset_wanted = false, _preparing = false,
   _emit = false, -- the function given to `set_emit`
   _cuts = 0, -- number of iterations that an error has ended
 }
@@ -2010,14 +2011,30 @@ local function is_made(event)
   return false
 end
 
+-- May one of some candidates take an event that the machine has made? Such an event is a
+-- text, which no predicate of `rfsm.named` accepts.
+local function may_be_taken(candidates, event)
+  for i = 1, #candidates do
+    local events = candidates[i].events
+    if events[1] == nil then return true end
+    for n = 1, #events do
+      local other = events[n]
+      if other == event or is_callable(other) and not rfsm.event_name(other) then
+        return true
+      end
+    end
+  end
+  return false
+end
+
 -- Makes events pending again, ahead of the queue, that the machine itself has made,
 -- such as the event of a timer, if an internal transition was taken that does not name
 -- them: nothing was left, so they would never come again.
 function actions.keep_made(fsm, segment)
   local tr, leaf, made = segment.tr, fsm._act_leaf, {}
   for _, event in ipairs(leaf and tr.events[1] ~= nil and fsm._curq or NONE) do
-    if event ~= "e_init_fsm" and is_made(event) and choice_of(leaf, event)[1]
-      and not matches(tr, { event }) then
+    if event ~= "e_init_fsm" and is_made(event)
+      and may_be_taken(choice_of(leaf, event), event) and not matches(tr, { event }) then
       made[#made + 1] = event
     end
   end
@@ -3227,7 +3244,7 @@ do
     watch = { list = "_watch_hooks", is_subject = is_watched,
       expected = "'sent', 'failed', 'resumed', 'ended', 'merged' or 'discarded'" },
     reset = { list = "_reset_hooks" }, reaction = { list = "_reaction_hooks" },
-    waiting = { list = "_waiting_hooks" },
+    waiting = { list = "_waiting_hooks" }, fate = { list = "_fate_hooks" },
   }
 
   -- Hooks placed in "front" record events. They are called before hooks placed
@@ -3284,7 +3301,7 @@ do
         put_in(fsm[field], subject, hook)
       end
       note_change(fsm, kind)
-      if subject == "discarded" then rfsm.follow_fates(fsm) end
+      if subject == "discarded" or name == "fate" then rfsm.follow_fates(fsm) end
     end
 
     rfsm[name .. "_hook_rm"] = function(fsm, subject, hook)
@@ -3297,6 +3314,7 @@ do
       end
       local is_removed = take_out(owner, key, hook)
       if is_removed then note_change(fsm, kind) end
+      if is_removed and fsm._fates then rfsm.leave_fates(fsm) end
       if is_removed or not kind.own or hook == nil then return is_removed end
       is_removed = rawequal(fsm[kind.own], hook)
       if is_removed then fsm[kind.own] = nil end
@@ -3341,8 +3359,10 @@ end
 --- Note that an extension keeps a current event which no transition takes.
 ---@param fsm rfsm.Machine
 ---@param event any
-function rfsm.note_kept(fsm, event)
-  if fsm._fates then fsm._fates:keep(event) end
+---@param state? rfsm.State the state for which it is kept
+---@param word? string what the extension does: "defers"
+function rfsm.note_kept(fsm, event, state, word)
+  if fsm._fates then fsm._fates:keep(event, state, word) end
 end
 
 --- For post step hooks: will `step` iterate again, because no transition was enabled?
@@ -3383,6 +3403,9 @@ do
   end
 
   --- List the events to which extensions react while a state is active.
+  --
+  -- `rfsm.foretell` asks the same hooks about events that may come now.
+  --
   ---@param fsm rfsm.Machine
   ---@param state rfsm.State
   ---@return any[] events
@@ -3485,7 +3508,7 @@ do
   local PARTS = { seqand = "rfsm_seqand", pp = "rfsmpp", fsm_merge = "rfsm.merge",
     follow_fates = "rfsm.fates" }
 
-  for name in ([[check_between_steps check_no_otrs is_in machines map_from_to
+  for name in ([[check_between_steps check_no_otrs foretell is_in machines map_from_to
     node_find_enabled note_cut place prepare save_memory set_emit set_sta_mode
     snapshot_hooks structure_of target_of targets]]):gmatch("%S+") do
     PARTS[name] = "rfsm.tools"

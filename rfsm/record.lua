@@ -234,8 +234,8 @@ function listener.finished(recorder, track, events)
   end
 end
 
-function listener.guard(_, track, number, guard, tr, events)
-  local ok, answer = calls.try(guard, tr, events)
+function listener.guard(_, track, number, guard, tr, events, event)
+  local ok, answer = calls.try(guard, tr, events, event)
   if track.rec then
     tracks.note(track.rec, "guards", number, ok and answer ~= false or not ok
       and text_of(answer))

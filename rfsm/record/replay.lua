@@ -180,8 +180,8 @@ end
 
 -- Returns the recorded result of a guard. With the option `guards`, the guard is also
 -- called, and the two results are compared.
-function listener.guard(session, track, number, guard, tr, events)
-  if not track.rec then return guard(tr, events) end
+function listener.guard(session, track, number, guard, tr, events, event)
+  if not track.rec then return guard(tr, events, event) end
   local list, at = track.rec.guards or {}, track.guard_at + 1
   local answer = list[at + 1]
   track.guard_at = at + 1
@@ -189,7 +189,7 @@ function listener.guard(session, track, number, guard, tr, events)
     depart(session, "the guard of %s was not called then", tostring(tr))
     return false
   elseif session.options.guards then
-    local ok, now = calls.try(guard, tr, events)
+    local ok, now = calls.try(guard, tr, events, event)
     if (ok and now ~= false) ~= (answer == true) then
       depart(session, "the guard of %s behaves otherwise", tostring(tr))
     end

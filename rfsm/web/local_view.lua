@@ -13,12 +13,12 @@ local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local calls = require "rfsm.shared.calls"
 local marsh = require "rfsm.marsh"
-local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
 local breakpoints = require "rfsm.observe.breakpoints"
 local instrument = require "rfsm.shared.instrument"
 local stream = require "rfsm.observe.stream"
 local values = require "rfsm.observe.values"
+local why = require "rfsm.observe.why"
 local View = require "rfsm.web.view"
 
 local ipairs, rawget = ipairs, rawget
@@ -107,12 +107,12 @@ local function active_numbers(view)
   return numbers
 end
 
--- Notes events without an effect, except events that the engine makes, such as e_done.
-local function add_lost(view, events)
-  for i = 1, #events do
-    if match.maker_of(events[i]) ~= "engine" and #view.lost < MAX_LOST then
-      view.lost[#view.lost + 1] = events[i]
-    end
+-- Notes an event that nobody has used, or that an extension keeps.
+local function note_fate(view, at, event, fate, who)
+  if fate == "discarded" and #view.lost < MAX_LOST then
+    view.lost[#view.lost + 1] = event
+  elseif fate == "kept" then
+    view:note("note", "kept: " .. why.kept_text(event, who, at.prefix), { event })
   end
 end
 
@@ -122,8 +122,7 @@ local function text_of_path(at, path)
   return concat(texts, " \226\134\146 ")
 end
 
--- Adds an entry to the log if the iteration has taken a path. If it has not, its events
--- are noted as lost.
+-- Adds an entry to the log if the iteration has taken a path.
 local function note_step(view, fsm, events)
   local path = view.path[fsm]
   for i = 1, view.points[1] and #events or 0 do
@@ -131,9 +130,7 @@ local function note_step(view, fsm, events)
   end
   if path then
     view:note("step", path, { unpack(events) }, active_numbers(view))
-    view.lost, view.path[fsm] = {}, nil
-  elseif fsm == view.fsm then
-    add_lost(view, events)
+    view.path[fsm] = nil
   end
   view:touch()
 end
@@ -156,6 +153,7 @@ local function new_listener(view)
       end
     end,
     finished = function(at, events) note_step(view, at.machine, events) end,
+    fate = function(at, ...) note_fate(view, at, ...) end,
     reset = function() view:touch() end,
   }
 end
@@ -178,21 +176,25 @@ end
 
 -- The present state ----------------------------------------------------------------
 
-local function queue_texts(view)
+-- Returns the events in the queue of each machine, or those that extensions keep.
+local function texts_in(view, events_of)
   local texts = {}
   for _, at in ipairs(view.machines) do
-    for _, text in ipairs(view:texts_of(at.machine._intq)) do
+    for _, text in ipairs(view:texts_of(events_of(at.machine))) do
       texts[#texts + 1] = location.prefix(at.prefix) .. text
     end
   end
   return texts
 end
 
+local function queue_of(fsm) return fsm._intq end
+
 function LocalView:now()
   local leaf = self.fsm._act_leaf
   return {
     active = active_numbers(self), leaf = leaf and utf8(leaf._fqn) or false,
-    mode = leaf and leaf._mode or "inactive", queue = queue_texts(self),
+    mode = leaf and leaf._mode or "inactive", queue = texts_in(self, queue_of),
+    waiting = texts_in(self, rfsm.waiting),
   }
 end
 
