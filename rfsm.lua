@@ -2011,8 +2011,8 @@ local function is_made(event)
   return false
 end
 
--- May one of some candidates take an event that the machine has made? Such an event is a
--- text, which no predicate of `rfsm.named` accepts.
+-- May one of some candidates take an event that the machine has made? Such an event is
+-- a text, which no predicate of `rfsm.named` accepts.
 local function may_be_taken(candidates, event)
   for i = 1, #candidates do
     local events = candidates[i].events
@@ -2034,7 +2034,8 @@ function actions.keep_made(fsm, segment)
   local tr, leaf, made = segment.tr, fsm._act_leaf, {}
   for _, event in ipairs(leaf and tr.events[1] ~= nil and fsm._curq or NONE) do
     if event ~= "e_init_fsm" and is_made(event)
-      and may_be_taken(choice_of(leaf, event), event) and not matches(tr, { event }) then
+      and may_be_taken(choice_of(leaf, event), event)
+      and not matches(tr, { event }) then
       made[#made + 1] = event
     end
   end
@@ -3409,8 +3410,16 @@ do
   ---@param fsm rfsm.Machine
   ---@param state rfsm.State
   ---@return any[] events
+  ---@return { events: any[], word: string }[] shown those of extensions that want them
+  -- to be drawn in the state, as "e_job / defer"
   function rfsm.reactions(fsm, state)
-    return collect(fsm._reaction_hooks, fsm, state)
+    local list, shown = {}, {}
+    for _, hook in ipairs(fsm._reaction_hooks or NONE) do
+      local events, word = hook(fsm, state)
+      append(list, events or NONE)
+      if word and events then shown[#shown + 1] = { events = events, word = word } end
+    end
+    return list, shown
   end
 
   --- List the events that extensions keep for later.

@@ -126,7 +126,7 @@ local function list_wanted(_, state, events)
       for _, event in ipairs(await.wanted) do wanted[#wanted + 1] = event end
     end
   end
-  return wanted, "awaits", complete
+  return wanted, events and "awaits" or nil, complete
 end
 
 -- Prepare: await(...) becomes an event ----------------------------------------------

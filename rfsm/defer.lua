@@ -138,7 +138,7 @@ end
 
 -- The reaction hook: lists the events that a state defers.
 local function list_deferred(_, state, events)
-  if not (events and state._defers) then return state._defers end
+  if not (events and state._defers) then return state._defers, "defer" end
   local list = {}
   for _, event in ipairs(events) do
     local is_deferred = not match.maker_of(event) and match.takes(state._defers, event)

@@ -7,6 +7,7 @@ local location = require "rfsm.shared.location"
 local migrate = require "rfsm.snapshot.migrate"
 local shape = require "rfsm.snapshot.shape"
 local snapshot = require "rfsm.snapshot"
+require "rfsm.defer"
 
 local state, trans, conn, named = rfsm.state, rfsm.trans, rfsm.conn, rfsm.named
 
@@ -68,6 +69,21 @@ describe("an event with data", function()
       local text = require("rfsm." .. exporter).encode(machine())
       assert.is_truthy(text:find("e_paid", 1, true))
       assert.is_nil(text:find("predicate", 1, true) or text:find("function", 1, true))
+    end)
+  end
+
+  for _, exporter in ipairs { "dot", "mermaid", "plantuml" } do
+    it("is a row of the state that defers it: " .. exporter, function()
+      local fsm = helper.init(state { info = false, warn = false,
+        a = state { defer = { "e_job", named "e_paid" } }, b = state { doc = "free",
+          defer = { "e_x" } },
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_go" } } })
+      local text = require("rfsm." .. exporter).encode(fsm)
+      assert.is_truthy(text:find("e_job, e_paid / defer", 1, true))
+      assert.is_truthy(text:find("e_x / defer", 1, true))
+      assert.is_truthy(require("rfsm.json").encode(fsm):find(
+        '"reactions":%[{%s*"word":"defer",%s*"words":%["e_job","e_paid"%]%s*}%]'))
     end)
   end
 

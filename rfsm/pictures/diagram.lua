@@ -211,14 +211,14 @@ local HISTORY = { shallow = "(H)", deep = "(H*)" }
 
 local function rows_of(tab)
   local rows = { HISTORY[tab.history] }
-  if tab.doc then
-    rows[#rows + 1] = clean(tab.doc)
-    return rows
-  end
-  for _, field in ipairs { "entry", "doo", "exit" } do
+  rows[#rows + 1] = tab.doc and clean(tab.doc)
+  for _, field in ipairs(tab.doc and {} or { "entry", "doo", "exit" }) do
     if tab[field] and tab[field] ~= marsh.UNKNOWN then
       rows[#rows + 1] = field .. " / " .. clean(tab[field])
     end
+  end
+  for _, reaction in ipairs(tab.reactions or {}) do
+    rows[#rows + 1] = clean(concat(reaction.words, ", ") .. " / " .. reaction.word)
   end
   return rows
 end

@@ -119,6 +119,7 @@
 -- when the machine is reset, to reset the data of an extension
 ---@field reaction_hook_add fun(fsm: rfsm.Machine, hook: rfsm.ReactionHook)
 -- lists the events to which an extension reacts in a state; a function is a predicate.
+-- A word behind them has pictures show them in the state: "e_job / defer".
 -- With `events`: those of them that it would keep now, the word for that ("defers"),
 -- and the events that it would add to them
 ---@field waiting_hook_add fun(fsm: rfsm.Machine, hook: fun(fsm): any[]?)
