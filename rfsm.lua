@@ -3515,9 +3515,9 @@ end
 
 do
   local PARTS = { seqand = "rfsm_seqand", pp = "rfsmpp", fsm_merge = "rfsm.merge",
-    follow_fates = "rfsm.fates" }
+    follow_fates = "rfsm.fates", foretell = "rfsm.fates" }
 
-  for name in ([[check_between_steps check_no_otrs foretell is_in machines map_from_to
+  for name in ([[check_between_steps check_no_otrs is_in machines map_from_to
     node_find_enabled note_cut place prepare save_memory set_emit set_sta_mode
     snapshot_hooks structure_of target_of targets]]):gmatch("%S+") do
     PARTS[name] = "rfsm.tools"

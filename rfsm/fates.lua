@@ -1,4 +1,4 @@
---- Fates: what became of the events of a machine and its regions.
+--- Fates: what became of the events of a machine and its regions, or would become.
 --
 -- An event is taken by a transition, kept by an extension, forwarded if a region took
 -- or kept it, or else discarded. Each machine tells its fate hooks who has used an
@@ -180,5 +180,33 @@ return function(rfsm, engine)
     for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
       for _, region in ipairs(rfsm.regions(leaf)) do rfsm.follow_fates(region) end
     end
+  end
+
+  --- List what extensions would do with events that come to a machine now.
+  --
+  -- An event may be listed although a transition takes it. The regions of the machine
+  -- are not asked.
+  --
+  ---@param fsm rfsm.Machine
+  ---@param events any[]
+  ---@return rfsm.Kept[] kept the events that an extension would keep, each once
+  ---@return any[] more events that extensions would add to them
+  function rfsm.foretell(fsm, events)
+    rfsm.check_machine(fsm, "rfsm.foretell")
+    local kept, more, is_kept, state = {}, {}, {}, fsm._act_leaf and fsm
+    while state do
+      for _, hook in ipairs(fsm._reaction_hooks or {}) do
+        local list, word, added = hook(fsm, state, events)
+        for _, event in ipairs(word and list or {}) do
+          if not is_kept[event] then
+            is_kept[event] = true
+            kept[#kept + 1] = { event = event, state = state, word = word }
+          end
+        end
+        for _, event in ipairs(added or {}) do more[#more + 1] = event end
+      end
+      state = rfsm.actchild_get(state)
+    end
+    return kept, more
   end
 end

@@ -403,42 +403,9 @@ local function define_prepare(rfsm, engine)
   function rfsm.save_memory() engine.drop_fast() end
 end
 
--- Foretell: what extensions would do with events --------------------------------------
-
-local function define_foretell(rfsm)
-  --- List what extensions would do with events that come to a machine now.
-  --
-  -- An event may be listed although a transition takes it. The regions of the machine
-  -- are not asked.
-  --
-  ---@param fsm rfsm.Machine
-  ---@param events any[]
-  ---@return rfsm.Kept[] kept the events that an extension would keep, each once
-  ---@return any[] more events that extensions would add to them
-  function rfsm.foretell(fsm, events)
-    rfsm.check_machine(fsm, "rfsm.foretell")
-    local kept, more, is_kept, state = {}, {}, {}, fsm._act_leaf and fsm
-    while state do
-      for _, hook in ipairs(fsm._reaction_hooks or NONE) do
-        local list, word, added = hook(fsm, state, events)
-        for _, event in ipairs(word and list or NONE) do
-          if not is_kept[event] then
-            is_kept[event] = true
-            kept[#kept + 1] = { event = event, state = state, word = word }
-          end
-        end
-        for _, event in ipairs(added or NONE) do more[#more + 1] = event end
-      end
-      state = rfsm.actchild_get(state)
-    end
-    return kept, more
-  end
-end
-
 ---@param rfsm rfsm the core
 ---@param engine table<string, function> functions of the core
 return function(rfsm, engine)
-  define_foretell(rfsm)
   define_lists(rfsm)
   define_questions(rfsm, engine)
   define_structure(rfsm)

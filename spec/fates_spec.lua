@@ -187,3 +187,8 @@ it("the page shows what is kept, and what is discarded", function()
     lines)
   assert.same({ { "e_job" }, {} }, { view:now().waiting, view:now().queue })
 end)
+
+it("the fates of random runs with deferral are those of the definition", function()
+  local claim = require "spec.support.claims.fates"
+  assert.is_nil(require("spec.support.share").problem(claim, 300, true))
+end)

@@ -85,6 +85,12 @@
 ---@field word? string what the extension does: "defers"
 ---@field region? rfsm.Machine that has taken or kept it
 
+--- An event that an extension would keep, see `rfsm.foretell`.
+---@class rfsm.Kept
+---@field event any
+---@field state rfsm.State
+---@field word string what the extension does: "defers"
+
 --- Hooks. For each `X_hook_add` there is an `X_hook_rm` with the same arguments. It
 --- returns true if there was such a hook. `place` is "before" or "after" (default) the
 --- other hooks. An error of a source or step hook is raised at once, an error of any
