@@ -1223,7 +1223,8 @@ local DEFAULTS = {
   dbg = silent, getevents = no_events, _guard_hooks = false, _fates = false,
   _has_paths = false, _merges = 0, _entry_hooks = false, _exit_hooks = false,
   _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
-  _snapshot_hooks = false, _failure = false, _reset_wanted = false, _preparing = false,
+  _fate_hooks = false, _snapshot_hooks = false, _failure = false,
+  _reset_wanted = false, _preparing = false,
   _emit = false, -- the function given to `set_emit`
   _has_always = false, -- has a transition that needs no event: no iteration is usual
   _again = false, -- the events that `keep_made` has put ahead of the queue
@@ -2206,13 +2207,30 @@ local function is_made(event)
   return false
 end
 
+-- May one of some candidates take an event that the machine has made? Such an event is
+-- a text, which no predicate of `rfsm.named` accepts.
+local function may_be_taken(candidates, event)
+  for i = 1, #candidates do
+    local events = candidates[i].events
+    if events[1] == nil then return true end
+    for n = 1, #events do
+      local other = events[n]
+      if other == event or is_callable(other) and not rfsm.event_name(other) then
+        return true
+      end
+    end
+  end
+  return false
+end
+
 -- Makes events pending again, ahead of the queue, that the machine itself has made,
 -- such as the event of a timer, if an internal transition was taken that does not name
 -- them: nothing was left, so they would never come again.
 function actions.keep_made(fsm, segment)
   local tr, leaf, made = segment.tr, fsm._act_leaf, {}
   for _, event in ipairs(leaf and tr.events[1] ~= nil and fsm._curq or NONE) do
-    if event ~= "e_init_fsm" and is_made(event) and choice_of(leaf, event)[1]
+    if event ~= "e_init_fsm" and is_made(event)
+      and may_be_taken(choice_of(leaf, event), event)
       and not matches(tr, { event }) then
       made[#made + 1] = event
     end
@@ -3453,7 +3471,7 @@ do
       expected = "'sent', 'failed', 'failed_inside', 'resumed', 'ended', 'merged' or "
         .. "'discarded'" },
     reset = { list = "_reset_hooks" }, reaction = { list = "_reaction_hooks" },
-    waiting = { list = "_waiting_hooks" },
+    waiting = { list = "_waiting_hooks" }, fate = { list = "_fate_hooks" },
   }
 
   -- Hooks placed in "front" record events. They are called before hooks placed
@@ -3510,7 +3528,7 @@ do
         put_in(fsm[field], subject, hook)
       end
       note_change(fsm, kind)
-      if subject == "discarded" then rfsm.follow_fates(fsm) end
+      if subject == "discarded" or name == "fate" then rfsm.follow_fates(fsm) end
     end
 
     rfsm[name .. "_hook_rm"] = function(fsm, subject, hook)
@@ -3523,6 +3541,7 @@ do
       end
       local is_removed = take_out(owner, key, hook)
       if is_removed then note_change(fsm, kind) end
+      if is_removed and fsm._fates then rfsm.leave_fates(fsm) end
       if is_removed or not kind.own or hook == nil then return is_removed end
       is_removed = rawequal(fsm[kind.own], hook)
       if is_removed then fsm[kind.own] = nil end
@@ -3567,8 +3586,10 @@ end
 --- Note that an extension keeps a current event which no transition takes.
 ---@param fsm rfsm.Machine
 ---@param event any
-function rfsm.note_kept(fsm, event)
-  if fsm._fates then fsm._fates:keep(event) end
+---@param state? rfsm.State the state for which it is kept
+---@param word? string what the extension does: "defers"
+function rfsm.note_kept(fsm, event, state, word)
+  if fsm._fates then fsm._fates:keep(event, state, word) end
 end
 
 --- For post step hooks: will `step` iterate again, because no transition was enabled?
@@ -3609,11 +3630,22 @@ do
   end
 
   --- List the events to which extensions react while a state is active.
+  --
+  -- `rfsm.foretell` asks the same hooks about events that may come now.
+  --
   ---@param fsm rfsm.Machine
   ---@param state rfsm.State
   ---@return any[] events
+  ---@return { events: any[], word: string }[] shown those of extensions that want them
+  -- to be drawn in the state, as "e_job / defer"
   function rfsm.reactions(fsm, state)
-    return collect(fsm._reaction_hooks, fsm, state)
+    local list, shown = {}, {}
+    for _, hook in ipairs(fsm._reaction_hooks or NONE) do
+      local events, word = hook(fsm, state)
+      append(list, events or NONE)
+      if word and events then shown[#shown + 1] = { events = events, word = word } end
+    end
+    return list, shown
   end
 
   --- List the events that extensions keep for later.
@@ -3721,7 +3753,7 @@ end
 
 do
   local PARTS = { seqand = "rfsm_seqand", pp = "rfsmpp", fsm_merge = "rfsm.merge",
-    follow_fates = "rfsm.fates" }
+    follow_fates = "rfsm.fates", foretell = "rfsm.fates" }
 
   for name in ([[check_between_steps check_no_otrs is_in machines map_from_to
     node_find_enabled note_cut place prepare save_memory set_emit set_sta_mode

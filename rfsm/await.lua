@@ -23,6 +23,7 @@ local rfsm_await = {}
 ---@field name string the event that occurs when all wanted events were received
 ---@field wanted string[] the events to wait for
 ---@field received table<string, boolean> for each wanted event: was it received?
+---@field state rfsm.State|false its source
 ---@field missing integer how many wanted events were not received yet
 
 -- Notes an event. The number of missing events is counted anew, so that an interrupt
@@ -41,7 +42,9 @@ end
 local function raise_complete(fsm, await, events, n)
   local was_missing = await.missing
   for i = 1, n do
-    if await.received[events[i]] == false then rfsm.note_kept(fsm, events[i]) end
+    if await.received[events[i]] == false then
+      rfsm.note_kept(fsm, events[i], await.state, "awaits")
+    end
     if was_missing > 0 then note_event(await, events[i]) end
   end
   if await.missing > 0 then return end
@@ -99,13 +102,31 @@ local function load(fsm, kept)
   end
 end
 
--- The reaction hook: lists the events for which the awaits of a state wait.
-local function list_wanted(_, state)
-  local wanted = {}
-  for _, await in ipairs(state._await or {}) do
-    for _, event in ipairs(await.wanted) do wanted[#wanted + 1] = event end
+-- Adds to a list the events that an await would note for the first time. Returns how
+-- many events are missing then.
+local function add_noted(list, await, events)
+  local missing, is_noted = await.missing, {}
+  for _, event in ipairs(events) do
+    if await.received[event] == false and not is_noted[event] then
+      is_noted[event], missing, list[#list + 1] = true, missing - 1, event
+    end
   end
-  return wanted
+  return missing
+end
+
+-- The reaction hook: lists the events for which the awaits of a state wait. With
+-- `events`, also lists the awaits that these complete.
+local function list_wanted(_, state, events)
+  local wanted, complete = {}, {}
+  for _, await in ipairs(state._await or {}) do
+    if events then
+      local missing = add_noted(wanted, await, events)
+      complete[#complete + 1] = missing == 0 and events[1] ~= nil and await.name or nil
+    else
+      for _, event in ipairs(await.wanted) do wanted[#wanted + 1] = event end
+    end
+  end
+  return wanted, events and "awaits" or nil, complete
 end
 
 -- Prepare: await(...) becomes an event ----------------------------------------------
@@ -154,7 +175,7 @@ end
 
 local function new_await(names, fqn)
   local await = { name = "await(" .. concat(names, ", ") .. ")@" .. fqn,
-    wanted = {}, received = {}, missing = 0 }
+    wanted = {}, received = {}, state = false, missing = 0 }
   for _, name in ipairs(names) do
     if await.received[name] == nil then await.wanted[#await.wanted + 1] = name end
     await.received[name] = false
@@ -183,6 +204,7 @@ local function add_await(fsm, state, await)
   for _, other in ipairs(state._await) do
     if other.name == await.name then return end
   end
+  await.state = state
   state._await[#state._await + 1], fsm._awaits[#fsm._awaits + 1] = await, await
 end
 

@@ -77,7 +77,7 @@ local function keep(fsm, state, event)
     return warn(fsm, state, event, "'%s' is lost, too many events are deferred")
   end
   list[#list + 1] = event
-  rfsm.note_kept(fsm, event)
+  rfsm.note_kept(fsm, event, state, "defers")
   rfsm.report(fsm, "dbg", "DEFERRED", event)
 end
 
@@ -241,6 +241,17 @@ local function load(fsm, kept)
   for i, event in ipairs(kept.list or kept) do fsm._deferred.list[i] = event end
 end
 
+-- The reaction hook: lists the events that a state defers.
+local function list_deferred(_, state, events)
+  if not (events and state._defers) then return state._defers, "defer" end
+  local list = {}
+  for _, event in ipairs(events) do
+    local is_deferred = not match.maker_of(event) and match.takes(state._defers, event)
+    if is_deferred then list[#list + 1] = event end
+  end
+  return list, "defers"
+end
+
 local function prepare_machine(fsm)
   reset(fsm)
   rfsm.pre_step_hook_add(fsm, rfsm.repeatable(recall), "before")
@@ -248,7 +259,7 @@ local function prepare_machine(fsm)
   rfsm.post_step_hook_add(fsm, rfsm.repeatable(end_iteration), "before")
   rfsm.reset_hook_add(fsm, reset)
   rfsm.snapshot_hook_add(fsm, "defer", save, load, true)
-  rfsm.reaction_hook_add(fsm, function(_, state) return state._defers end)
+  rfsm.reaction_hook_add(fsm, list_deferred)
   rfsm.waiting_hook_add(fsm, list_kept)
 end
 

@@ -15,9 +15,9 @@ local json = {}
 
 local KEY_ORDER = {
   "version", "type", "id", "doc", "mode", "final", "history", "entry", "doo", "exit",
-  "key", "src", "tgt", "pn", "events", "words", "with_data", "guard", "effect",
-  "internal",
-  "transitions", "subnodes", "regions", "graph", "active_leaf", "active_leaf_state",
+  "reactions", "word", "key", "src", "tgt", "pn", "events", "words", "with_data",
+  "guard", "effect", "internal", "transitions",
+  "subnodes", "regions", "graph", "active_leaf", "active_leaf_state",
 }
 
 local function find_dkjson() return opts.need("rfsm.json", "dkjson") end

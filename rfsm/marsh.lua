@@ -53,6 +53,8 @@ local marsh = {}
 ---@field doo? string the name, code or comment of the callback in its source
 ---@field at? string where each callback begins: "entry chart.lua:7"
 ---@field doc? string the field `doc` of the state in the model
+---@field reactions? { word: string, words: string[] }[] events to which extensions
+-- react: "defer", with the events in words
 ---@field final? true the model has `final` in this state
 ---@field history? "shallow"|"deep" given if transitions enter the composite by history
 ---@field mode? "active"|"done" mode in a live machine; absent if the state is inactive
@@ -332,6 +334,7 @@ end
 
 --- The functions and tables from which the table of a machine is made.
 ---@class rfsm.marsh.Writer
+---@field fsm rfsm.Machine
 ---@field walk fun(composite: rfsm.State): rfsm.Node[]? lists the nodes of a composite
 ---@field transitions table<rfsm.State, rfsm.Transition[]> transitions in each composite
 ---@field names table<rfsm.Transition, string|number> name in its composite
@@ -391,14 +394,15 @@ local function name_of(writer, f)
   return text ~= marsh.UNKNOWN and text or place
 end
 
-local function add_words(writer, tab, tr)
+-- Returns the events of a transition or reaction in words.
+local function words_of(writer, events, fqn)
   local words = {}
-  for i, event in ipairs(tab.events) do
+  for i, event in ipairs(events) do
     local is_nameless = type(event) == "function" and not rfsm.event_name(event)
     words[i] = is_nameless and name_of(writer, event)
-      or marsh.words_of(writer.event_text(event), tr.src._fqn)
+      or marsh.words_of(writer.event_text(event), fqn)
   end
-  tab.words = words
+  return words
 end
 
 local function transition_table(writer, tr, composite)
@@ -413,7 +417,7 @@ local function transition_table(writer, tr, composite)
   local name = writer.names[tr]
   tab.key = path_of(writer, composite)
     .. (type(name) == "number" and ".trans[%s]" or ".%s"):format(rfsm.text_of(name))
-  add_words(writer, tab, tr)
+  tab.words = words_of(writer, events, tr.src._fqn)
   add_texts(writer, tab, tr, EFFECTS)
   return tab
 end
@@ -423,6 +427,12 @@ local machine_table
 -- Adds the fields of a state that only a full description has.
 local function add_details(writer, tab, state)
   local regions, mode = writer.regions_of[state], rfsm.get_sta_mode(state)
+  local _, shown = rfsm.reactions(writer.fsm, state)
+  for i, reaction in ipairs(shown) do
+    shown[i] = { word = reaction.word,
+      words = words_of(writer, reaction.events, state._fqn) }
+  end
+  tab.reactions = shown[1] and shown
   add_texts(writer, tab, callbacks_of(state, regions), PROGRAMS)
   tab.final = state.final and true or nil
   tab.history = writer.has_history[state] and state.history or nil
@@ -465,7 +475,8 @@ end
 -- writer that a full description needs; it is empty if the description is not full.
 function machine_table(fsm, id, prefix, texts)
   local walk, transitions, names = new_walk(fsm)
-  local tab = node_table({ walk = walk, transitions = transitions, names = names,
+  local tab = node_table({ fsm = fsm, walk = walk, transitions = transitions,
+    names = names,
     prefix = prefix, callback_text = texts.callback_text, event_text = texts.event_text,
     regions_of = texts.regions_of, has_history = histories_of(fsm) }, fsm)
   tab.id = id
@@ -559,10 +570,20 @@ local function as_array(list) return setmetatable(list, { __jsontype = "array" }
 
 local TEXTS = { "id", "src", "tgt", "key", "at", "doc", "guard", "effect", "entry",
   "exit", "doo" }
-local LISTS = { "events", "words", "transitions", "subnodes", "regions" }
+local LISTS = { "events", "words", "reactions", "transitions", "subnodes", "regions" }
 
 local function each(tab, keys, f)
   for _, key in ipairs(keys) do tab[key] = tab[key] and f(tab[key]) end
+end
+
+local function make_events_plain(tab, text_of)
+  local names = {}
+  for i, event in ipairs(tab.events) do
+    local name = rfsm.event_name(event)
+    names[#names + 1] = name and marsh.utf8(name)
+    tab.events[i] = plain_event(event, text_of)
+  end
+  tab.with_data = names[1] and as_array(names)
 end
 
 -- Changes the table of an element so that dkjson writes it without loss.
@@ -570,15 +591,9 @@ local function plain(tab, text_of)
   each(tab, TEXTS, marsh.utf8)
   each(tab, LISTS, as_array)
   tab.pn = tab.pn and plain_number(tab.pn)
-  local names = {}
-  for i, event in ipairs(tab.events or {}) do
-    names[#names + 1] = rfsm.event_name(event)
-    tab.events[i] = plain_event(event, text_of)
-  end
-  for i, name in ipairs(names) do names[i] = marsh.utf8(name) end
-  tab.with_data = names[1] and as_array(names)
+  if tab.events then make_events_plain(tab, text_of) end
   for i, text in ipairs(tab.words or {}) do tab.words[i] = marsh.utf8(text) end
-  for _, key in ipairs { "transitions", "subnodes", "regions" } do
+  for _, key in ipairs { "reactions", "transitions", "subnodes", "regions" } do
     for _, element in ipairs(tab[key] or {}) do plain(element, text_of) end
   end
   return tab

@@ -14,6 +14,7 @@
 -- @license BSD-3-Clause
 
 local calls = require "rfsm.shared.calls"
+local match = require "rfsm.shared.match"
 local clock = require "rfsm.clock"
 local journal = require "rfsm.record.journal"
 local encoding = require "rfsm.snapshot.encoding"
@@ -174,6 +175,7 @@ function listener.began(recorder, track, events)
   local dropped, leaf = track.rec or NONE, track.fsm._act_leaf
   local rec = { m = track.m, events = tracks.pack_events(events), had = dropped.had }
   track.rec, track.first, track.last = rec, 1, 0
+  track.held = match.joined({}, track.fsm._intq)
   if track.m == nil then
     track.leaf, track.mode, track.has_doo = leaf, leaf and leaf._mode, has_doo(leaf)
     recorder.timed, recorder.is_moved = rec, recorder.is_moved or dropped.reset or false
@@ -199,13 +201,18 @@ local function is_empty(track, rec)
   return true
 end
 
--- Notes the events that the machine has sent, and the events that hooks have added.
+-- Notes the events that the machine has sent, and the events that hooks have added. A
+-- machine that reads one event an iteration still has the others that it had before.
 local function note_events(track, rec, events)
-  local queue = track.fsm._intq
+  local queue, held, at = track.fsm._intq, track.held, 1
   rec.sent, rec.added = nil, nil
   for i = 1, #queue do
     local is_got = i >= track.first and i <= track.last
-    if not is_got then tracks.note(rec, "sent", tracks.pack_event(queue[i])) end
+    if held[at] ~= nil and rawequal(queue[i], held[at]) then
+      at = at + 1
+    elseif not is_got then
+      tracks.note(rec, "sent", tracks.pack_event(queue[i]))
+    end
   end
   for i = (rec.events and #rec.events or 0) + 1, #events do
     tracks.note(rec, "added", tracks.pack_event(events[i]))
@@ -234,8 +241,8 @@ function listener.finished(recorder, track, events)
   end
 end
 
-function listener.guard(_, track, number, guard, tr, events)
-  local ok, answer = calls.try(guard, tr, events)
+function listener.guard(_, track, number, guard, tr, events, event)
+  local ok, answer = calls.try(guard, tr, events, event)
   if track.rec then
     tracks.note(track.rec, "guards", number, ok and answer ~= false or not ok
       and text_of(answer))

@@ -15,8 +15,9 @@ local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 
-local getmetatable, ipairs, pairs, rawequal = getmetatable, ipairs, pairs, rawequal
-local rawget, select, type = rawget, select, type
+local getmetatable, ipairs, next, pairs = getmetatable, ipairs, next, pairs
+local rawequal, rawget, select = rawequal, rawget, select
+local type = type
 local concat = table.concat
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 local text_of = rfsm.text_of
@@ -72,19 +73,44 @@ local function hint_for(known, event)
   return advice.nearest_name(text_of(event), names)
 end
 
+-- Returns the name that a table has in another field than `name`: { type = "e_go" } or
+-- { "e_go", n = 1 }. It counts if a transition names it.
+local function name_meant(known, event)
+  for _, key in ipairs(rfsm.sorted_keys(event)) do
+    local value = event[key]
+    local is_known = type(value) == "string"
+      and (known.set[value] or known.set[rfsm.named(value)])
+    if is_known and (key ~= 1 or event[2] == nil) then return key, value end
+  end
+end
+
+-- Returns the warning for a table without a name.
+local function oddness_of_nameless(known, event)
+  local key, value = name_meant(known, event)
+  local _, named = names_of(known)
+  if event[1] ~= nil and not (key == 1 and next(event, 1) ~= nil) then
+    return "a list is one event (did you mean rfsm.send_events(fsm, unpack(list))?)"
+  elseif key == 1 or key ~= nil and not named[1] then
+    return ("the table has no field 'name' (did you mean name = '%s' in place of %s?)")
+      :format(value, key == 1 and "the first item" or "'" .. text_of(key) .. "'")
+  elseif named[1] then
+    return "the table has no field 'name'" .. advice.nearest_name("name", named)
+  end
+  return "a table is an event of its own, as each argument is"
+end
+
 -- Returns the warning for an event that is a plain table. A table with a field `name`
 -- is an event with data.
 local function oddness_of_table(known, event)
   local _, named = names_of(known)
-  if event[1] ~= nil then
-    return "a list is one event (did you mean rfsm.send_events(fsm, unpack(list))?)"
-  elseif named[1] and event.name == nil then
-    return "the table has no field 'name'" .. advice.nearest_name("name", named)
-  elseif named[1] then
-    return ("no transition names the event { name = '%s' }%s"):format(
-      text_of(event.name), advice.nearest_name(text_of(event.name), named))
+  local name = match.name_of(event)
+  if not name or event[1] ~= nil then return oddness_of_nameless(known, event) end
+  if not (known.set[name] or named[1]) then
+    return "a table is an event of its own, as each argument is"
   end
-  return "a table is an event of its own, as each argument is"
+  return ("no transition names the event { name = '%s' }%s"):format(name,
+    known.set[name] and (" (did you mean '%s'?)"):format(name)
+    or advice.nearest_name(name, named))
 end
 
 local function is_state_name(fsm, event)

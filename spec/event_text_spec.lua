@@ -7,6 +7,7 @@ local location = require "rfsm.shared.location"
 local migrate = require "rfsm.snapshot.migrate"
 local shape = require "rfsm.snapshot.shape"
 local snapshot = require "rfsm.snapshot"
+require "rfsm.defer"
 
 local state, trans, conn, named = rfsm.state, rfsm.trans, rfsm.conn, rfsm.named
 
@@ -71,6 +72,21 @@ describe("an event with data", function()
     end)
   end
 
+  for _, exporter in ipairs { "dot", "mermaid", "plantuml" } do
+    it("is a row of the state that defers it: " .. exporter, function()
+      local fsm = helper.init(state { info = false, warn = false,
+        a = state { defer = { "e_job", named "e_paid" } }, b = state { doc = "free",
+          defer = { "e_x" } },
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_go" } } })
+      local text = require("rfsm." .. exporter).encode(fsm)
+      assert.is_truthy(text:find("e_job, e_paid / defer", 1, true))
+      assert.is_truthy(text:find("e_x / defer", 1, true))
+      assert.is_truthy(require("rfsm.json").encode(fsm):find(
+        '"reactions":%[{%s*"word":"defer",%s*"words":%["e_job","e_paid"%]%s*}%]'))
+    end)
+  end
+
   it("is named by why, with the data that are sent", function()
     local _, text = checks.why(machine(), { name = "e_other", n = 1 })
     assert.equal("no transition would be taken on e_other{n=1} in root.a\n"
@@ -115,3 +131,73 @@ describe("an event with data", function()
       "root.b -> root.a on e_paid{..}, e_x" }, found)
   end)
 end)
+
+-- Each tool that shows events, by name: a function of a model, a machine and a name.
+local TOOLS = {
+  dot = function(_, fsm) return require("rfsm.dot").encode(fsm) end,
+  mermaid = function(_, fsm) return require("rfsm.mermaid").encode(fsm) end,
+  plantuml = function(_, fsm) return require("rfsm.plantuml").encode(fsm) end,
+  json = function(_, fsm) return require("rfsm.json").encode(fsm) end,
+  why = function(_, fsm, name)
+    return (select(2, checks.why(fsm, { name = name, n = 1 })))
+  end,
+  structure = function(model) return table.concat(shape.structure(model), "\n") end,
+  tests = function(model)
+    return (require("rfsm.tests.tests").busted("x.lua", model))
+  end,
+  page = function(_, fsm)
+    local marsh = require "rfsm.marsh"
+    local texts = {}
+    for i, about in ipairs(require("rfsm.observe.outline").read(
+      marsh.model2tab(fsm, true)).events) do texts[i] = about.words end
+    return table.concat(texts, " ")
+  end,
+  names = function(_, fsm)
+    return table.concat(require("rfsm.observe.names").events(fsm), " ")
+  end,
+  trace = function(_, fsm)
+    local texts = {}
+    for i, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+      texts[i] = tostring(tr)
+    end
+    return table.concat(texts, " ")
+  end,
+}
+
+local CHARTS = {
+  ["a machine that sells"] = { "e_coin", "e_choose", model = function()
+    return state { info = false, warn = false, read = "one", paid = 0,
+      idle = state {}, paying = state {}, delivering = state { final = true },
+      trans { src = "initial", tgt = "idle" },
+      trans { src = "idle", tgt = "paying", events = { named "e_coin" } },
+      trans { src = "paying", tgt = "internal", events = { named "e_coin" },
+        effect = function(fsm, _, _, _, event) fsm.paid = fsm.paid + event.cents end },
+      trans { src = "paying", tgt = "delivering", events = { named "e_choose" },
+        guard = function(tr, _, event) return tr._fsm.paid >= event.price end },
+      trans { src = "paying", tgt = "idle", events = { "e_cancel" } } }
+  end },
+  ["the chart of the README"] = { "e_reading", model = function()
+    local code = helper.content("README.md"):match("%-%- heater.lua\n(.-)\nrfsm.run")
+    local load = rawget(_G, "loadstring") or load
+    local made
+    helper.with(rfsm, { init = function(model) made = model return true end },
+      function() assert(load(code))() end)
+    return made
+  end },
+}
+
+for name, about in pairs(CHARTS) do -- any order: each stands alone
+  for tool, text_of in pairs(TOOLS) do -- any order, as above
+    it(name .. " is shown with names: " .. tool, function()
+      local model = about.model()
+      local fsm = helper.init(model)
+      rfsm.run(fsm)
+      for _, event in ipairs(about) do
+        local text = text_of(model, fsm, event)
+        assert.is_truthy(text:find(event, 1, true), text)
+        assert.is_nil(text:find "predicate" or text:find "function: "
+          or text:find "table: ", text)
+      end
+    end)
+  end
+end

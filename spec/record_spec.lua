@@ -12,6 +12,7 @@ local record = require "rfsm.record"
 local rfsm = require "rfsm"
 local share = require "spec.support.share"
 local snapshot = require "rfsm.snapshot"
+require "rfsm.defer"
 local timeevent = require "rfsm_timeevent"
 
 local state, trans = rfsm.state, rfsm.trans
@@ -89,6 +90,58 @@ local function paying(sums)
       guard = amount("e_back", 2) },
   }
 end
+
+describe("a machine that reads one event an iteration", function()
+  -- a -e_go-> b, whose entry sends e_s1 and e_s2 -> c -> par, a region x -e_r{..}-> y
+  local function reader(more)
+    local model = { info = false, warn = false, read = "one", n = 0, keep = { "n" },
+      a = state {}, c = state {}, par = rfsm.seqand { idle_doo = "auto",
+        r = state { info = false, warn = false, x = state {}, y = state {},
+          trans { src = "initial", tgt = "x" },
+          trans { src = "x", tgt = "y", events = { rfsm.named "e_r" },
+            guard = function(_, _, event) return event.v > 3 end } } },
+      b = state { entry = function(fsm) rfsm.send_events(fsm, "e_s1", "e_s2") end },
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "internal", events = { rfsm.named "e_r" },
+        effect = function(fsm, _, _, _, event) fsm.n = fsm.n + event.v end },
+      trans { src = "a", tgt = "b", events = { "e_go" } },
+      trans { src = "b", tgt = "c", events = { "e_s1" } },
+      trans { src = "c", tgt = "par", events = { "e_s2" } } }
+    for key, value in pairs(more or {}) do model[key] = value end -- any order: a set
+    return state(model)
+  end
+
+  local function e_r(v) return { name = "e_r", v = v } end
+
+  for _, dry in ipairs { false, true } do
+    it("replays what it read, dry: " .. tostring(dry), function()
+      local fsm, recording = helper.init(reader()), {}
+      local recorder = record.record(fsm, recording)
+      rfsm.send_events(fsm, e_r(1))
+      rfsm.run(fsm)
+      helper.post_and_run(fsm, e_r(2), e_r(3), "e_go", "e_s1", e_r(4))
+      helper.post_and_run(fsm, e_r(2), e_r(5), "e_s1", "e_s1")
+      recorder:stop()
+      assert.same({ "root.par", 6 }, { rfsm.get_actleaf_fqn(fsm), fsm.n })
+      local again, problem = record.replay(reader(), recording, { dry = dry })
+      assert.same({ "root.par", 6, nil }, { again and rfsm.get_actleaf_fqn(again),
+        again and again.n, problem })
+      assert.equal("root.y", rfsm.get_actleaf_fqn(rfsm.regions(again.par)[1]))
+    end)
+  end
+
+  it("replays deferred events, each in an iteration", function()
+    local more = { a = state { defer = { "e_s1" } } }
+    local fsm, recording = helper.init(reader(more)), {}
+    local recorder = record.record(fsm, recording)
+    rfsm.run(fsm)
+    helper.post_and_run(fsm, "e_s1", e_r(2), "e_go", "e_x")
+    recorder:stop()
+    local leaf = rfsm.get_actleaf_fqn(fsm)
+    local again = assert(record.replay(reader(more), recording))
+    assert.equal(leaf, rfsm.get_actleaf_fqn(again))
+  end)
+end)
 
 describe("events with data", function()
   -- Runs the chart, and returns its fqn at the end.

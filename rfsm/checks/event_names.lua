@@ -7,7 +7,9 @@ local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local match = require "rfsm.shared.match"
 
-local getmetatable, ipairs, table, type = getmetatable, ipairs, table, type
+local getmetatable, ipairs, package = getmetatable, ipairs, package
+local rawequal, rawget, table = rawequal, rawget, table
+local tostring, type = tostring, type
 
 local event_names = {}
 
@@ -85,11 +87,36 @@ local function oddness_of_table(event)
   end
 end
 
+-- Returns a text if an event is a function of the library, such as `rfsm.named`: its
+-- author has forgotten to call it.
+local function oddness_of_function(event)
+  for _, name in ipairs(rfsm.sorted_keys(package.loaded)) do
+    local module = tostring(name):find("^rfsm") and package.loaded[name]
+    local fields = type(module) == "table" and rfsm.sorted_keys(module) or {}
+    for _, field in ipairs(fields) do
+      if rawequal(rawget(module, field), event) then
+        local text = name .. "." .. tostring(field)
+        return ("%s is not called (did you mean %s(..)?)"):format(text, text)
+      end
+    end
+  end
+end
+
+local function oddness_of(event)
+  if event == "" then return "the name of an event is empty" end
+  if type(event) == "string" then return oddness_of_name(event) end
+  if type(event) == "function" then
+    return not rfsm.event_name(event) and oddness_of_function(event) or nil
+  elseif rfsm.is_fsmobj(event) then
+    return ("a %s is no event (texts and rfsm.named are)"):format(rfsm.kind_of(event))
+  end
+  local is_plain = type(event) == "table" and not getmetatable(event)
+  return is_plain and oddness_of_table(event) or nil
+end
+
 local function check_odd_events(tr, add)
   for _, event in ipairs(tr.events or {}) do
-    local is_table = type(event) == "table" and not getmetatable(event)
-    local text = type(event) == "string" and oddness_of_name(event)
-      or is_table and oddness_of_table(event)
+    local text = oddness_of(event)
     if text then add("odd-event", tr, text) end
   end
 end

@@ -9,6 +9,7 @@
 
 local rfsm = require "rfsm"
 local location = require "rfsm.shared.location"
+local match = require "rfsm.shared.match"
 local names = require "rfsm.observe.names"
 local values = require "rfsm.observe.values"
 
@@ -94,7 +95,8 @@ end
 -- `value`: the name of a state entered, a transition taken, or an event received.
 function breakpoints.each_reached(list, kind, value, f)
   for i, point in ipairs(list) do
-    if point.kind == kind and (rawequal(point.value, value)
+    local is_named = kind == "event" and match.name_of(value) == point.value
+    if point.kind == kind and (rawequal(point.value, value) or is_named
       or kind == "transition" and point.value[value]) then
       f(i, point)
     end

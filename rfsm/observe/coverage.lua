@@ -58,10 +58,10 @@ local function new_counter(own, fsm)
   end
   -- Counts the call as failed until it returns, since an error is not caught here; then
   -- counts its answer instead.
-  function counter.guard(_, tr, guard, events)
+  function counter.guard(_, tr, guard, events, event)
     local counts = own.guards[paths[tr]]
     counts.failed = counts.failed + 1
-    local answer = guard(tr, events)
+    local answer = guard(tr, events, event)
     counts.failed = counts.failed - 1
     add(counts, answer ~= false and "true" or "false")
     return answer

@@ -4,7 +4,7 @@
 -- `rfsm.machines` for the machine concerned, which may be a region.
 --
 --    began(at, events)                    an iteration begins, before other hooks
---    guard(at, tr, own, events)           called in place of the guard `own`
+--    guard(at, tr, own, events, event)    called in place of the guard `own`
 --    taken(at, path, events)              the transitions in `path` will be taken
 --    entered(at, state)                   a state is entered, before its entry
 --    failed(at, element, name, failure)   the callback `name` of an element has failed
@@ -13,6 +13,8 @@
 --    finished(at, events)                 an iteration is over, before other hooks
 --    passed(at, events)                   an iteration is over, after other hooks; the
 --                                         machine is idle if `rfsm.is_idle` is true
+--    fate(at, event, fate, who)           what became of an event ("taken", "kept",
+--                                         "forwarded", "discarded"), and who used it
 --    reset(at)                            the machine was reset
 --    merged(at, element)                  `fsm_merge` has added an element
 --
@@ -47,8 +49,8 @@ local function attach_element(own, at, element)
     end)
   elseif rfsm.is_trans(element) and listener.guard and element.guard then
     local done
-    done = instrument.put(own.changes, element, "guard", function(_, events)
-      return listener.guard(at, element, done.was, events)
+    done = instrument.put(own.changes, element, "guard", function(_, events, event)
+      return listener.guard(at, element, done.was, events, event)
     end)
   end
 end
@@ -68,7 +70,7 @@ local WATCHED = { "failed", "sent", "resumed", "ended" }
 
 -- Function of a listener -> the kind of the hook that calls it, and the hook's place.
 local HOOKS = { began = { "pre_step", "front" }, finished = { "post_step", "before" },
-  passed = { "post_step", "after" }, reset = { "reset" } }
+  passed = { "post_step", "after" }, reset = { "reset" }, fate = { "fate" } }
 
 local function attach(own, at)
   local listener, fsm, changes = own.listener, at.machine, own.changes

@@ -8,6 +8,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local alphabet = require "rfsm.shared.alphabet"
 local clock = require "rfsm.clock"
 local match = require "rfsm.shared.match"
 local monitors = require "rfsm.explore.monitors"
@@ -39,6 +40,7 @@ local watch_properties = {}
 ---@field is_timed boolean does a property have a time limit?
 ---@field now number the time at which the iteration began, in seconds
 ---@field leaf rfsm.State|false the active leaf when the iteration began
+---@field meant table<any, any> event of a property -> the event that it means
 ---@field forwarded any[] events of earlier iterations that belong to this step
 ---@field moments { state: rfsm.State, active: fun(name: string): boolean }[] entries of
 -- states that this step may leave again, and what was active at each entry
@@ -141,11 +143,31 @@ local function set_clocks(monitor, numbers, now)
   monitor.clocks = clocks
 end
 
+-- Returns the event that a property means. It may be only the name of an event with
+-- data, if no transition has a text of that name.
+local function meant(own, event)
+  local example = own.meant[event]
+  if example == nil then
+    local set = alphabet.of_all(own.fsm).set
+    local is_name = type(event) == "string" and not set[event]
+      and set[rfsm.named(event)]
+    example = match.example_of(is_name and rfsm.named(event) or event)
+    own.meant[event] = example
+  end
+  return example
+end
+
+local function has_come(own, event, events)
+  local wanted = meant(own, event)
+  return match.has(events, event) or match.name_of(wanted) ~= nil
+    and order.any(events, function(other) return match.example_of(other) == wanted end)
+end
+
 -- Makes a monitor look at the end of a step, or at a state that the step only passes.
 local function look_at(own, monitor, look, events)
   local property = monitor.property
   look.came = property.event ~= nil and own.leaf
-    and match.has(events, property.event) or false
+    and has_come(own, property.event, events) or false
   look.expired, look.count = count_expired(own, monitor), #monitor.clocks
   local state, clocks = monitors.look(property, monitor.state, look)
   if clocks then set_clocks(monitor, clocks, look.now) end
@@ -260,7 +282,7 @@ function watch_properties.watch_properties(fsm, given)
   end
   local active, snapshot = views_of(fsm)
   local own = setmetatable({ fsm = fsm, active = active, now = 0, leaf = false,
-    is_timed = false }, Watched)
+    is_timed = false, meant = {} }, Watched)
   own.monitors = monitors_of(where, given, own.active)
   own.is_timed = order.any(own.monitors, is_timed)
   begin(own)

@@ -39,8 +39,21 @@ local why = {}
 ---@field events string[] the events, as texts
 ---@field leaf string|false FQN of the active leaf; false before the first entry
 ---@field fires string|false place of the transition that would be taken
+---@field kept string[] the events that an extension would keep, with the state:
+-- "e_job (root.warming defers it)"
 ---@field answers rfsm_checks.Answer[] in the order in which transitions are tried
 ---@field regions { name: string, why: rfsm_checks.Why }[] regions of the leaf
+
+--- Return an event that an extension keeps as text: "e_job (root.warming defers it)".
+---@param event any
+---@param use rfsm.Use|rfsm.Kept
+---@param prefix? string prefix of the machine
+---@return string
+function why.kept_text(event, use, prefix)
+  local state = use.state and location.path(use.state, prefix)
+  return rfsm.event_text(event, true) .. (state and (" (%s %s it)"):format(state,
+    use.word or "keeps") or "")
+end
 
 -- Returns events as texts. `has_room` is true for events with their data.
 local function texts_of(events, has_room)
@@ -52,12 +65,17 @@ end
 -- Search: as in the engine, but with an answer for each transition -----------------
 
 -- Do the events trigger a transition? Without events, only a machine that was not
--- entered takes a transition.
-local function matches(search, tr)
-  if match.is_any(tr) then return not search.is_mute end
-  return order.any(search.events, function(event)
-    return match.takes(tr.events, event)
-  end)
+-- entered takes a transition. Also returns the event that counts for its guard. `first`
+-- is the event that counts for the first transition of the path.
+local function matches(search, tr, first)
+  if match.is_any(tr) then
+    if first == nil then first = search.events[1] end
+    return not search.is_mute, first
+  end
+  for _, event in ipairs(search.events) do
+    if match.takes(tr.events, event) then return true, event end
+  end
+  return false
 end
 
 -- Returns the node to which a transition leads; nil if its target cannot be entered.
@@ -75,13 +93,14 @@ local ask_connector
 
 -- Returns the verdict on a transition and the reason in words. If the path ends at a
 -- connector, also returns the FQN of the connector and the answers of its transitions.
-local function judge(search, tr)
-  if not matches(search, tr) then
+local function judge(search, tr, first)
+  local is_triggered, event = matches(search, tr, first)
+  if not is_triggered then
     local wanted = concat(texts_of(tr.events or {}, false), ", ")
     return "event", "waits for " .. (wanted == "" and "any event" or wanted)
   end
   local ok, answer = true, true
-  if tr.guard then ok, answer = calls.try(tr.guard, tr, search.events) end
+  if tr.guard then ok, answer = calls.try(tr.guard, tr, search.events, event) end
   if not ok then return "failed", "its guard fails: " .. text_of(answer) end
   if answer == false then return "guard", "its guard returns false" end
   local tgt = target_of(tr)
@@ -89,32 +108,42 @@ local function judge(search, tr)
     return "closed", "its target is " .. name_of(tr.tgt) .. ", which cannot be entered"
   end
   local found, ways = { way = true }, nil
-  if is_conn(tgt) then found, ways = ask_connector(search, tgt) end
+  if first == nil then first = event end
+  if is_conn(tgt) then found, ways = ask_connector(search, tgt, first) end
   if found.way then return "enabled", "enabled" end
   return "closed", "the path ends at " .. found.connector, found.connector, ways
 end
 
-local function ask(search, tr)
-  local verdict, reason, connector, ways = judge(search, tr)
+local function ask(search, tr, first)
+  local verdict, reason, connector, ways = judge(search, tr, first)
   local file, at = location.split(rfsm.location_of(tr))
   return { verdict = verdict, reason = reason, place = at, file = file,
     src = tr.src._fqn, tgt = name_of(tr.tgt), connector = connector, ways = ways }
 end
 
+-- Returns the result for a connector, and true if it is new. A connector may be asked
+-- once for each event that counts for the first transition of a path.
+local function result_for(search, connector, first)
+  local key = first ~= nil and first == first and first or search
+  local by_event = search.found[connector] or {}
+  search.found[connector] = by_event
+  if by_event[key] then return by_event[key], false end
+  by_event[key] = { connector = connector._fqn, way = false }
+  return by_event[key], true
+end
+
 -- Asks the transitions from a connector. The field `way` of the first result is true if
--- one of the transitions is enabled. The second result is a list of their answers. In a
--- search, only the first call for a connector returns this list. During that call the
+-- one of the transitions is enabled. The second result is a list of their answers. Only
+-- the first call for a connector and an event returns this list. During that call the
 -- connector counts as closed, so that a cycle of connectors ends. All transitions are
 -- asked, while the engine stops at the first one that is enabled.
-function ask_connector(search, connector)
-  local found = search.found[connector]
-  if found then return found end
-  found = { connector = connector._fqn, way = false }
-  search.found[connector] = found
+function ask_connector(search, connector, first)
+  local found, is_new = result_for(search, connector, first)
+  if not is_new then return found end
   local ways, pn = {}, nil
   for i, tr in ipairs(connector._otrs) do
     if pn and (tr.pn or 0) ~= pn then found.way = true end
-    ways[i] = ask(search, tr)
+    ways[i] = ask(search, tr, first)
     if not pn and ways[i].verdict == "enabled" then pn = tr.pn or 0 end
   end
   found.way = pn ~= nil
@@ -123,6 +152,7 @@ function ask_connector(search, connector)
 end
 
 local function answers_of(fsm, events)
+  events = match.joined(events, select(2, rfsm.foretell(fsm, events)))
   local search, answers, winner = { events = events, found = {} }, {}, false
   search.is_mute = fsm._act_leaf and events[1] == nil
   for _, node in ipairs(location.tried(fsm, fsm._act_leaf)) do
@@ -133,12 +163,24 @@ local function answers_of(fsm, events)
           winner
       elseif answer.verdict == "enabled" then
         answer.verdict, answer.reason = "fires", "would be taken"
-        winner = answer.place
+        winner, search.taker = answer.place, tr
       end
       answers[#answers + 1] = answer
     end
   end
-  return answers, winner
+  return answers, winner, search.taker
+end
+
+-- Lists the events that an extension would keep, as texts, since the transition that
+-- would be taken does not take them.
+local function kept_texts(fsm, events, taker)
+  local texts = {}
+  for _, kept in ipairs((rfsm.foretell(fsm, events))) do
+    local is_taken = taker and (match.is_any(taker)
+      or match.takes(taker.events, kept.event))
+    if not is_taken then texts[#texts + 1] = why.kept_text(kept.event, kept) end
+  end
+  return texts
 end
 
 -- Text ----------------------------------------------------------------------------
@@ -159,6 +201,9 @@ end
 
 local function add_text(lines, result, indent)
   lines[#lines + 1] = indent .. summary(result)
+  if result.kept[1] then
+    lines[#lines + 1] = indent .. "  kept: " .. concat(result.kept, ", ")
+  end
   add_answers(lines, result.answers, indent .. "  ")
   for _, region in ipairs(result.regions) do
     lines[#lines + 1] = indent .. "  region " .. region.name .. ":"
@@ -169,8 +214,9 @@ end
 -- Public functions ----------------------------------------------------------------
 
 local function explain(fsm, events)
-  local answers, winner = answers_of(fsm, events)
+  local answers, winner, taker = answers_of(fsm, events)
   local result = { events = texts_of(events, true), fires = winner, answers = answers,
+    kept = kept_texts(fsm, events, taker),
     leaf = rfsm.get_actleaf_fqn(fsm), regions = {} }
   for i, region in ipairs(location.regions_of(fsm._act_leaf or {})) do
     result.regions[i] = { name = region.name, why = explain(region.machine, events) }
@@ -218,13 +264,14 @@ end
 -- refuse some events.
 local function add_enabled(list, is_listed, fsm)
   local takes_any = select(2, answers_of(fsm, { OTHER })) and true
-  for _, event in ipairs(alphabet.of(fsm).list) do
+  local known = alphabet.of(fsm)
+  for _, event in ipairs(match.joined(known.list, known.reactions)) do
     if not is_listed[event] and select(2, answers_of(fsm, { event })) then
       is_listed[event] = true
       list[#list + 1] = event
     end
   end
-  for _, predicate in ipairs(alphabet.of(fsm).predicates) do
+  for _, predicate in ipairs(known.predicates) do
     if not is_listed[predicate] and may_take(fsm, predicate) then
       is_listed[predicate] = true
       list[#list + 1] = predicate

@@ -225,16 +225,16 @@ local HISTORY = { shallow = "(H)", deep = "(H*)" }
 -- Returns the rows of a state, and a mark for each callback that has no row.
 local function rows_of(tab)
   local rows, marks = { HISTORY[tab.history] }, ""
-  if tab.doc then
-    rows[#rows + 1] = clean(tab.doc)
-    return rows
-  end
-  for _, field in ipairs { "entry", "doo", "exit" } do
+  rows[#rows + 1] = tab.doc and clean(tab.doc)
+  for _, field in ipairs(tab.doc and {} or { "entry", "doo", "exit" }) do
     if tab[field] == marsh.UNKNOWN then
       marks = marks .. "•"
     elseif tab[field] then
       rows[#rows + 1] = field .. " / " .. clean(tab[field])
     end
+  end
+  for _, reaction in ipairs(tab.reactions or {}) do
+    rows[#rows + 1] = clean(concat(reaction.words, ", ") .. " / " .. reaction.word)
   end
   return rows, marks ~= "" and marks or nil
 end

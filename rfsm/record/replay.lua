@@ -108,6 +108,7 @@ function listener.began(session, track, events)
   track.rec, track.guard_at = rec, 0
   fill(session, events, rec.events)
   if session.is_dry then add_sends(session, events, rec.added) end
+  fill(session, track.fsm._intq, nil) -- what is read later is in later records
   if rec.had then snapshot.put_data(track.fsm, rec.had) end
   if track.m == nil then
     session.readings = { unpack(rec.clock or {}) }
@@ -191,8 +192,8 @@ end
 
 -- Returns the recorded result of a guard. With the option `guards`, the guard is also
 -- called, and the two results are compared.
-function listener.guard(session, track, number, guard, tr, events)
-  if not track.rec then return guard(tr, events) end
+function listener.guard(session, track, number, guard, tr, events, event)
+  if not track.rec then return guard(tr, events, event) end
   local list, at = track.rec.guards or {}, track.guard_at + 1
   local answer = list[at + 1]
   track.guard_at = at + 1
@@ -200,7 +201,7 @@ function listener.guard(session, track, number, guard, tr, events)
     depart(session, "the guard of %s was not called then", tostring(tr))
     return false
   elseif session.options.guards then
-    local ok, now = calls.try(guard, tr, events)
+    local ok, now = calls.try(guard, tr, events, event)
     if (ok and now ~= false) ~= (answer == true) then
       depart(session, "the guard of %s behaves otherwise", tostring(tr))
     end

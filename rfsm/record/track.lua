@@ -195,11 +195,11 @@ function track.attach(fsm, listener, session)
     tracks[i], of[at.machine] = own, own
   end
   -- A machine that is merged in later has no track. A new transition has no number.
-  function heard.guard(at, tr, guard, events)
+  function heard.guard(at, tr, guard, events, event)
     local own = of[at.machine]
     local number = own and own.number_of[tr]
-    if not number then return guard(tr, events) end
-    return listener.guard(session, own, number, guard, tr, events)
+    if not number then return guard(tr, events, event) end
+    return listener.guard(session, own, number, guard, tr, events, event)
   end
   for _, name in ipairs { "began", "finished", "reset", "failed" } do
     local f = listener[name]

@@ -76,12 +76,31 @@
 ---@alias rfsm.Watched "sent"|"failed"|"failed_inside"|"resumed"|"ended"|"merged"
 ---|"discarded"
 
+--- What became of an event: the first of these words that is true.
+---@alias rfsm.Fate "taken"|"kept"|"forwarded"|"discarded"
+
+--- Who has used an event.
+---@class rfsm.Use
+---@field fate rfsm.Fate
+---@field transition? rfsm.Transition that has taken it: the first one of the path
+---@field state? rfsm.State for which an extension keeps it, or that has the region
+---@field word? string what the extension does: "defers"
+---@field region? rfsm.Machine that has taken or kept it
+
+--- An event that an extension would keep, see `rfsm.foretell`.
+---@class rfsm.Kept
+---@field event any
+---@field state rfsm.State
+---@field word string what the extension does: "defers"
+
 --- Hooks. For each `X_hook_add` there is an `X_hook_rm` with the same arguments. It
 --- returns true if there was such a hook. `place` is "before" or "after" (default) the
 --- other hooks. An error of a source or step hook is raised at once, an error of any
 --- other hook when the iteration is over.
 ---@alias rfsm.StepHook fun(fsm: rfsm.Machine, events: any[])
 ---@alias rfsm.StateHook fun(fsm: rfsm.Machine, state: rfsm.State, event: any)
+---@alias rfsm.FateHook fun(fsm: rfsm.Machine, event, fate: rfsm.Fate, who: rfsm.Use)
+---@alias rfsm.ReactionHook fun(fsm, state, events?: any[]): any[]?, string?, any[]?
 ---@alias rfsm.HookPlace "before"|"after"|"front"
 
 ---@class rfsm
@@ -102,10 +121,15 @@
 ---@field watch_hook_add fun(fsm: rfsm.Machine, what: rfsm.Watched, hook: function)
 -- hook(fsm, ...): sent: event, ... | failed: element, name, error | resumed: leaf |
 -- ended: leaf | merged: element | discarded: an event that nobody has used
+---@field fate_hook_add fun(fsm: rfsm.Machine, hook: rfsm.FateHook) what became of an
+-- event, once for each, at the end of an iteration
 ---@field reset_hook_add fun(fsm: rfsm.Machine, hook: fun(fsm), place?: string)
 -- when the machine is reset, to reset the data of an extension
----@field reaction_hook_add fun(fsm: rfsm.Machine, hook: fun(fsm, state): any[]?)
--- lists the events to which an extension reacts in a state; a function is a predicate
+---@field reaction_hook_add fun(fsm: rfsm.Machine, hook: rfsm.ReactionHook)
+-- lists the events to which an extension reacts in a state; a function is a predicate.
+-- A word behind them has pictures show them in the state: "e_job / defer".
+-- With `events`: those of them that it would keep now, the word for that ("defers"),
+-- and the events that it would add to them
 ---@field waiting_hook_add fun(fsm: rfsm.Machine, hook: fun(fsm): any[]?)
 -- lists the events that an extension keeps for later
 

@@ -1,7 +1,7 @@
 --- The observer of a session: follows the machine while a command advances it.
 --
 -- Each path that is taken is printed before its callbacks run. After the advance the
--- observer knows which events were discarded, and which breakpoints were hit.
+-- observer knows what became of each event, and which breakpoints were hit.
 --
 -- @module rfsm.sim.observer
 -- @license BSD-3-Clause
@@ -11,10 +11,11 @@ local calls = require "rfsm.shared.calls"
 local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
 local breakpoints = require "rfsm.observe.breakpoints"
+local order = require "rfsm.shared.order"
 local stream = require "rfsm.observe.stream"
 
 local error, ipairs, next, print = error, ipairs, next, print
-local setmetatable = setmetatable
+local rawequal, setmetatable = rawequal, setmetatable
 local concat = table.concat
 local text_of = rfsm.text_of
 
@@ -25,11 +26,6 @@ Observer.__index = Observer
 local function takes(tr, event)
   if match.is_any(tr) then return match.begins_on_any(tr) end
   return match.triggers(tr, event) ~= false
-end
-
--- Adds an event to a set, unless it is NaN, which cannot be a key.
-local function add(set, event)
-  if event == event then set[event] = true end
 end
 
 function Observer:check_points(kind, value)
@@ -54,16 +50,13 @@ function Observer:check_conditions()
   if problem then error(problem, 0) end
 end
 
--- Records in `is_used` the events that may have triggered a transition. Also appends
--- their texts to the list `by`, unless the transition names no events.
-function Observer:note_used(tr, events, by)
-  for i = 1, #events do
-    local event = events[i]
-    if takes(tr, event) then
-      add(self.is_used, event)
-      if tr.events[1] ~= nil then
-        by[#by + 1] = (rfsm.event_text(event, true):gsub("^(e_[%w()._]*)@root.*", "%1"))
-      end
+-- Appends to the list `by` the texts of the events that may have triggered a
+-- transition, unless the transition names no events.
+local function add_triggers(by, tr, events)
+  for i = 1, tr.events[1] ~= nil and #events or 0 do
+    if takes(tr, events[i]) then
+      by[#by + 1] = (rfsm.event_text(events[i], true):gsub("^(e_[%w()._]*)@root.*",
+        "%1"))
     end
   end
 end
@@ -72,7 +65,7 @@ function Observer:taken(at, path, events)
   local by, nodes = {}, { location.path(path[1].src, at.prefix) }
   for i, tr in ipairs(path) do
     self:check_points("transition", tr)
-    self:note_used(tr, events, i == 1 and by or {})
+    if i == 1 then add_triggers(by, tr, events) end
     nodes[i + 1] = location.path(tr.tgt, at.prefix)
   end
   if not self.is_shown then return end
@@ -112,7 +105,7 @@ end
 function Observer:begin(is_shown)
   self.is_on, self.is_shown, self.line, self.times = true, is_shown, false, 1
   self.hits, self.reached, self.is_hit = {}, {}, false
-  self.seen, self.is_seen, self.is_used = {}, {}, {}
+  self.seen, self.is_seen, self.fates = {}, {}, {}
 end
 
 --- Stop observing.
@@ -121,15 +114,25 @@ function Observer:finish()
   self:print_taken(false)
 end
 
---- List the discarded events in the order they came. They have triggered no transition
--- and are not pending.
-function Observer:discarded()
-  local is_pending, list = {}, {}
-  for _, at in ipairs(self.stream.machines) do
-    for _, event in ipairs(at.machine._intq) do add(is_pending, event) end
+function Observer:fate(at, event, fate, who)
+  local list = self.fates[fate] or {}
+  for _, entry in ipairs(list) do
+    if rawequal(entry.event, event) then return end
   end
-  for _, event in ipairs(self.seen) do
-    if not (self.is_used[event] or is_pending[event]) then list[#list + 1] = event end
+  self.fates[fate], list[#list + 1] = list, { at = at, event = event, who = who }
+end
+
+--- List the events with a fate in the order they came, each once. An event that a hook
+-- has sent again, so that it is pending, is left out.
+---@param fate rfsm.Fate
+---@return { at: rfsm.Place, event: any, who: rfsm.Use }[]
+function Observer:with_fate(fate)
+  local list = {}
+  for _, entry in ipairs(self.fates[fate] or {}) do
+    local is_pending = order.any(self.stream.machines, function(at)
+      return match.has(at.machine._intq, entry.event)
+    end)
+    if not is_pending then list[#list + 1] = entry end
   end
   return list
 end
@@ -140,7 +143,7 @@ local observer = {}
 function observer.new(sim)
   local self = setmetatable({ sim = sim, is_on = false }, Observer)
   local listener = {}
-  for _, name in ipairs { "taken", "entered", "finished" } do
+  for _, name in ipairs { "taken", "entered", "finished", "fate" } do
     listener[name] = function(...)
       if self.is_on then self[name](self, ...) end
     end

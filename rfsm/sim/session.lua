@@ -20,6 +20,7 @@ local snapshot = require "rfsm.snapshot"
 local instrument = require "rfsm.shared.instrument"
 local terminal = require "rfsm.sim.terminal"
 local time = require "rfsm.sim.time"
+local why = require "rfsm.observe.why"
 local drawing = require "rfsm.sim.drawing"
 
 local error, ipairs, pcall, print = error, ipairs, pcall, print
@@ -147,7 +148,7 @@ function Session:advance(n)
   if not ok then calls.try(rfsm.check_between_steps, self.fsm, "advance") end
   observed:finish()
   history.note_events(self, observed.seen)
-  self:print_discarded(observed:discarded())
+  self:print_fates()
   self:show()
   self:print_hits()
   if ok and not (n or result or observed.is_hit) and self.fsm._act_leaf then
@@ -157,11 +158,20 @@ function Session:advance(n)
   if not ok then error(result, 0) end
 end
 
-function Session:print_discarded(events)
-  if not (self.follows and events[1] ~= nil) then return end
-  for i, event in ipairs(events) do events[i] = rfsm.event_text(event, true) end
-  print("discarded: " .. concat(events, ", ") .. (self.has_explained and ""
-    or " ('why " .. events[1] .. "' explains)"))
+-- Prints the events that an extension keeps, with the states, and the discarded ones.
+function Session:print_fates()
+  if not self.follows then return end
+  local kept, discarded = {}, {}
+  for i, entry in ipairs(self.observer:with_fate("kept")) do
+    kept[i] = why.kept_text(entry.event, entry.who, entry.at.prefix)
+  end
+  for i, entry in ipairs(self.observer:with_fate("discarded")) do
+    discarded[i] = rfsm.event_text(entry.event, true)
+  end
+  if kept[1] then print("kept:   " .. concat(kept, ", ")) end
+  if not discarded[1] then return end
+  print("discarded: " .. concat(discarded, ", ") .. (self.has_explained and ""
+    or " ('why " .. discarded[1] .. "' explains)"))
   self.has_explained = true
 end
 
@@ -176,6 +186,9 @@ function Session:check_event(event, i, fsm)
       names.hint(name, names.events(fsm))))
   elseif event == nil then
     complain(("event %d is nil"):format(i))
+  elseif names.form_meant(fsm, event) then
+    complain(("no transition names the event '%s' (did you mean '%s'?)"):format(
+      rfsm.event_text(event, true), names.form_meant(fsm, event)))
   elseif not names.is_event(fsm, event) then
     complain(("no transition names the event '%s'%s"):format(
       rfsm.event_text(event, true), type(event) == "string"

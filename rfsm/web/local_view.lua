@@ -13,13 +13,13 @@ local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local calls = require "rfsm.shared.calls"
 local marsh = require "rfsm.marsh"
-local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
 local breakpoints = require "rfsm.observe.breakpoints"
 local clock = require "rfsm.clock"
 local instrument = require "rfsm.shared.instrument"
 local stream = require "rfsm.observe.stream"
 local values = require "rfsm.observe.values"
+local why = require "rfsm.observe.why"
 local View = require "rfsm.web.view"
 
 local ipairs, rawget = ipairs, rawget
@@ -110,12 +110,12 @@ local function active_numbers(view)
   return numbers
 end
 
--- Notes events without an effect, except events that the engine makes, such as e_done.
-local function add_lost(view, events)
-  for i = 1, #events do
-    if match.maker_of(events[i]) ~= "engine" and #view.lost < MAX_LOST then
-      view.lost[#view.lost + 1] = events[i]
-    end
+-- Notes an event that nobody has used, or that an extension keeps.
+local function note_fate(view, at, event, fate, who)
+  if fate == "discarded" and #view.lost < MAX_LOST then
+    view.lost[#view.lost + 1] = event
+  elseif fate == "kept" then
+    view:note("note", "kept: " .. why.kept_text(event, who, at.prefix), { event })
   end
 end
 
@@ -125,8 +125,7 @@ local function text_of_path(at, path)
   return concat(texts, " \226\134\146 ")
 end
 
--- Adds an entry to the log if the iteration has taken a path. If it has not, its events
--- are noted as lost.
+-- Adds an entry to the log if the iteration has taken a path.
 local function note_step(view, fsm, events)
   local path = view.path[fsm]
   for i = 1, view.points[1] and #events or 0 do
@@ -134,9 +133,7 @@ local function note_step(view, fsm, events)
   end
   if path then
     view:note("step", path, { unpack(events) }, view:moment())
-    view.lost, view.path[fsm] = {}, nil
-  elseif fsm == view.fsm then
-    add_lost(view, events)
+    view.path[fsm] = nil
   end
   view:touch()
 end
@@ -159,6 +156,7 @@ local function new_listener(view)
       end
     end,
     finished = function(at, events) note_step(view, at.machine, events) end,
+    fate = function(at, ...) note_fate(view, at, ...) end,
     reset = function() view:touch() end,
   }
 end
@@ -182,11 +180,12 @@ end
 -- The present state ----------------------------------------------------------------
 
 -- Returns the texts of the first events in all queues, and how many more there are: a
--- moment is noted at each step, also if 10,000 events wait.
-local function queue_texts(view)
+-- moment is noted at each step, also if 10,000 events wait. With `events_of` these are
+-- the events that it returns for each machine.
+local function queue_texts(view, events_of)
   local texts, more = {}, 0
   for _, at in ipairs(view.machines) do
-    local queue = at.machine._intq
+    local queue = events_of and events_of(at.machine) or at.machine._intq
     local room = min(#queue, MAX_QUEUED - #texts)
     for _, text in ipairs(view:texts_of { unpack(queue, 1, room) }) do
       texts[#texts + 1] = location.prefix(at.prefix) .. text
@@ -203,7 +202,7 @@ function LocalView:now()
   return {
     active = active_numbers(self), leaf = leaf and utf8(leaf._fqn) or false,
     mode = leaf and leaf._mode or "inactive", queue = queue_texts(self),
-    timer = timer,
+    waiting = queue_texts(self, rfsm.waiting), timer = timer,
   }
 end
 

@@ -58,6 +58,7 @@ local function sayings_of(model, properties)
   local fsm = rfsm.init(model)
   for _, name in ipairs(EXPORTERS) do
     said[name] = require("rfsm." .. name).encode(fsm)
+      :gsub(',%s*"with_data":%b[]', "")
   end
   return said
 end
