@@ -957,11 +957,11 @@ do
 
   local function check_always(build, tr, src)
     if tr.events[1] ~= nil then
-      add(build.problems, tr, "always", "a transition that needs no event has no events "
-        .. "(leave out one of the two fields)")
+      add(build.problems, tr, "always", "a transition that needs no event has no "
+        .. "events (leave out one of the two fields)")
     elseif not src._mode then
-      add(build.problems, tr, "always", "only a transition from a state needs no event, "
-        .. "'%s' is a connector", src._fqn)
+      add(build.problems, tr, "always", "only a transition from a state needs no "
+        .. "event, '%s' is a connector", src._fqn)
     end
   end
 
@@ -2080,21 +2080,18 @@ function actions.be_done(fsm, leaf, at)
   fsm._at = at
 end
 
--- The name of the event that tells that a composite is done, if a leaf in it is; nil if
--- the leaf is not final, or no transition of the composite waits for it.
-local function done_around(leaf)
-  local around = leaf._parent
-  if rawequal(leaf.final, true) and around ~= leaf and rfsm.names_done(around) then
-    return done_event(around)
-  end
+-- Queues the e_done of the composite around a leaf that is done, if the leaf is final
+-- and a transition of the composite waits for it.
+local function complete_around(fsm, leaf, at)
+  local queue, around = fsm._intq, leaf._parent
+  local is_last = rawequal(leaf.final, true) and around ~= leaf
+  if not (is_last and rfsm.names_done(around)) then return end
+  queue[#queue + 1] = done_event(around)
+  recorders.done(fsm, around, at)
 end
 
--- Queues the e_done of the composite around a final leaf that is done.
 function actions.be_done_around(fsm, leaf, at)
-  local queue, event = fsm._intq, leaf._mode == "done" and done_around(leaf)
-  if not event then return end
-  queue[#queue + 1] = event
-  recorders.done(fsm, leaf._parent, at)
+  if leaf._mode == "done" then complete_around(fsm, leaf, at) end
 end
 
 -- Has the machine, or an extension, made the event?
@@ -2413,8 +2410,8 @@ do
     local queue, event = fsm._intq, done_event(leaf)
     if is_traced(fsm) then report(fsm, "dbg", "RAISED", event) end
     queue[#queue + 1] = event
-    leaf._mode = "done"
-    if leaf.final then actions.be_done_around(fsm, leaf, fsm._at) end
+    if leaf.final then complete_around(fsm, leaf, fsm._at) end
+    leaf._mode = "done" -- last: after an interrupt the events are queued again
   end
 
   local function end_doo(fsm, leaf)

@@ -15,8 +15,8 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 -- Charts -----------------------------------------------------------------------------
 
--- Gives some transitions a time event. Those of one state have the same, since events of
--- one state that come at one time have the order of its transitions.
+-- Gives some transitions a time event. Those of one state have the same: events of one
+-- state that come at one time have the order of its transitions.
 local function add_timers(chart, random)
   local event_of = {}
   for _, tr in ipairs(chart.transitions) do
