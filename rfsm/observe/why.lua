@@ -51,8 +51,9 @@ end
 -- Search: as in the engine, but with an answer for each transition -----------------
 
 -- Do the events trigger a transition? Without events, only a machine that was not
--- entered takes a transition.
+-- entered takes a transition, or one that needs no event is taken.
 local function matches(search, tr)
+  if tr.always == true then return search.needs_none end
   if match.is_any(tr) then return not search.is_mute end
   return order.any(search.events, function(event)
     return match.takes(tr.events, event)
@@ -121,12 +122,12 @@ function ask_connector(search, connector)
   return found, ways
 end
 
-local function answers_of(fsm, events)
-  local search, answers, winner = { events = events, found = {} }, {}, false
-  search.is_mute = fsm._act_leaf and events[1] == nil
+-- Asks the transitions that need no event, or the others: those come later.
+local function add_answers_of(fsm, search, answers, winner)
   for _, node in ipairs(location.tried(fsm, fsm._act_leaf)) do
     for _, tr in ipairs(node._otrs) do
-      local answer = ask(search, tr)
+      local is_asked = (tr.always == true) == search.needs_none
+      local answer = is_asked and ask(search, tr) or {}
       if answer.verdict == "enabled" and winner then
         answer.verdict, answer.reason, answer.winner = "lost", "loses to " .. winner,
           winner
@@ -134,9 +135,20 @@ local function answers_of(fsm, events)
         answer.verdict, answer.reason = "fires", "would be taken"
         winner = answer.place
       end
-      answers[#answers + 1] = answer
+      answers[#answers + 1] = is_asked and answer or nil
     end
   end
+  return winner
+end
+
+local function answers_of(fsm, events)
+  local answers, winner = {}, false
+  if fsm._act_leaf then
+    winner = add_answers_of(fsm, { events = {}, found = {}, needs_none = true }, answers,
+      winner)
+  end
+  winner = add_answers_of(fsm, { events = events, found = {}, needs_none = false,
+    is_mute = fsm._act_leaf and events[1] == nil }, answers, winner)
   return answers, winner
 end
 
