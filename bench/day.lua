@@ -2,15 +2,16 @@
 --
 -- Orders get numbered events with data, in Redis, then in PostgreSQL. Each order has a
 -- timer at any time, and both come together all the time. Some calls are made again;
--- others are for later; in PostgreSQL a worker wakes orders beside them. For each event
--- an order emits an entry; a worker answers it, and fails now and then after the
--- answer, so that entries die and are sent again. Meanwhile the server is killed in the middle
--- of calls, its clock jumps forwards and back, a new version of the chart is loaded, in
--- which the timer is shorter and the event has another name, and the one before it
--- again. One machine has a timer whose effect never ends. Redis fails over to a replica
--- that lacks the latest answers, PostgreSQL is dumped and restored. At the end each
--- order says what it has seen: how many events and answers are lost, came twice or out
--- of order, and which order is without a timer. The exit code is 1 if there is any.
+-- others are for later; in PostgreSQL a worker wakes orders beside them. For each
+-- event an order emits an entry; a worker answers it, and fails now and then after the
+-- answer, so that entries die and are sent again. Meanwhile the server is killed in
+-- the middle of calls, its clock jumps forwards and back, a new version of the chart
+-- is loaded, in which the timer is shorter and the event has another name, and the one
+-- before it again. One machine has a timer whose effect never ends. Redis fails over
+-- to a replica that lacks the latest answers, PostgreSQL is dumped and restored. At
+-- the end each order says what it has seen: how many events and answers are lost, came
+-- twice or out of order, and which order is without a timer. The exit code is 1 if
+-- there is any.
 
 package.path = "./?.lua;" .. package.path
 
