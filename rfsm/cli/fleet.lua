@@ -3,6 +3,7 @@
 -- @module rfsm.cli.fleet
 -- @license BSD-3-Clause
 
+local advice = require "rfsm.advice"
 local chart = require "rfsm.shared.chart"
 local codec = require "rfsm.server.codec"
 local common = require "rfsm.cli.common"
@@ -135,9 +136,16 @@ local command = {
   epilog = help(),
 }
 
+-- Returns a verb, or nil and the problem.
+local function verb_of(text)
+  if LINES[text] then return text end
+  return nil, ("there is no verb '%s'%s"):format(text,
+    advice.nearest_name(text, rfsm.sorted_keys(LINES)))
+end
+
 function command.add_arguments(parser)
   parser:argument("url", "of the server, or a node of the cluster"):argname("URL")
-  parser:argument("verb", "what to do"):choices(rfsm.sorted_keys(VERBS)):argname("VERB")
+  parser:argument("verb", "what to do, see below"):argname("VERB"):convert(verb_of)
   parser:argument("arguments", "of the verb; KEY is a whole key, with its {tag}")
     :args("*"):argname("ARGUMENT")
   common.add_number(parser, "--tags", "hash tags of the machines (64)")
