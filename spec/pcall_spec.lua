@@ -61,6 +61,7 @@ local REASONS = {
   ["rfsm/snapshot/encoding.lua"] = { 1, "input" },
   ["rfsm/system.lua"] = { 1, "after" },
   ["rfsm/system/report.lua"] = { 1, "input" },
+  ["rfsm/tools.lua"] = { 1, "after" },
   ["rfsm/tests/rehearsal.lua"] = { 1, "after" },
   ["rfsm/web.lua"] = { 1, "input" },
   ["rfsm/web/driven.lua"] = { 2, "interrupt input" },

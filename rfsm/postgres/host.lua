@@ -9,11 +9,16 @@
 -- @module rfsm.postgres.host
 -- @license BSD-3-Clause
 
-local rfsm = require "rfsm"
 local verbs_of = require "rfsm.server.verbs"
 
 local ipairs = ipairs
 local floor = math.floor
+
+-- Returns seconds with six digits behind the point, whatever the locale of the host.
+local function seconds_text(seconds)
+  local us = floor(seconds * 1000000 + 0.5)
+  return ("%d.%06d"):format(floor(us / 1000000), us % 1000000)
+end
 
 --- The row of the machine for which a function was called.
 ---@class rfsm.postgres.Row
@@ -105,7 +110,7 @@ local function save(server, execute, key, change)
   end
   local written = execute(is_new and "insert" or "update", key, machine.chart.name,
     machine.list[3].chart, machine.at, machine.mode, by,
-    change.due and rfsm.number_text(change.due, "%.6f") or nil,
+    change.due and seconds_text(change.due) or nil,
     server.json.datum(change.data), server.json.datum(machine.value))
   if written[1] then save_effects(server, execute, key, change) end
   return written[1] ~= nil
