@@ -2,25 +2,30 @@
 # make test               lint, then every spec on every interpreter
 # make help               list the targets
 #
-# sim, fleet, fleet-postgres, test, test-web, test-site, test-hosts, doc and deb install missing
-# Debian packages if you are root or have password-free sudo. Otherwise they print the
+# sim, fleet, fleet-postgres, test, test-web, test-site, test-hosts, doc, site, rocks and deb
+# install missing Debian packages if you are root or have password-free sudo. Otherwise they print the
 # command to type. site and test-site need npm.
 
 MODEL    ?= examples/hello_world.lua
 LUAS     ?= lua5.1 luajit lua5.2 lua5.3 lua5.4 tools/lua5.5
-LUA      ?= $(lastword $(foreach l,$(filter-out tools/%,$(LUAS)),$(shell command -v $(l) 2>/dev/null)))
+# found when a recipe runs it: an earlier line may have installed one
+ifeq ($(LUA),)
+LUA      := $$(tools/deps.sh lua $(LUAS))
+unexport LUA
+endif
 BUSTED   ?= busted
 N        ?= 100000
 SEED     ?= 1
 PREFIX   ?= /usr/local
 LUADIRS  ?= $(foreach v,5.1 5.2 5.3 5.4 5.5,$(PREFIX)/share/lua/$(v))
 STRIP    ?=
+STRIPPED := rfsm/stripped
 BUNDLE   ?= rfsm rfsm.fast rfsm.advice rfsm.tools rfsm.merge rfsm.fates
 # time events, sequential AND states, the printed machine, history, checks
 ALL      ?= rfsm_timeevent rfsm.clock rfsm_seqand rfsmpp rfsm.history rfsm_checks \
             rfsm.checkevents $(addprefix rfsm.observe.,coverage watch_properties why) \
             $(subst /,.,$(basename $(wildcard $(ROOMS:%=rfsm/%/*.lua))))
-ROOMS    := shared checks explore tests
+ROOMS    := shared clock checks explore tests
 DIST     ?= dist
 ifneq ($(word 2,x$(DESTDIR)$(PREFIX)),)
 $(error PREFIX and DESTDIR: no blanks expected, got '$(DESTDIR)$(PREFIX)')
@@ -145,6 +150,7 @@ doc:                    ## out/: HTML pages of documents and API; warnings are e
 
 # From npm's packages, in a cache; files of a site that is there are replaced.
 site:                   ## out/: those pages and the playground, for file: or any server
+	@tools/deps.sh site
 	@tools/site/build.sh out/playground.html $(LUA)
 	@$(MAKE) --no-print-directory doc
 	@du -sk out | sed 's/\([0-9]*\).*/out: \1 KiB/'
@@ -184,18 +190,19 @@ deb:                    ## Debian packages of the last commit in DIST/deb, and w
 	@tools/packaging/deb.sh $(DIST)/deb
 
 rocks:                  ### a rock of the last commit in DIST/rocks, for each Lua; luarocks test
+	@tools/deps.sh rocks
 	@tools/packaging/rocks.sh $(DIST)/rocks
 
 size:                   ## the memory that a chart takes on a robot: make size lamp.lua
 	@tools/rfsm size "$(CHART)"
 
-install:                ## copy modules and tools below PREFIX; STRIP=1: as bytecode
+install:                ## copy modules and tools below PREFIX; STRIP=1: as bytecode, STRIP=0: no bytecode
 	@set -e; for d in $(LUADIRS:%=$(DESTDIR)%); do \
 	  install -d $(addprefix $$d/,$(sort $(dir $(DEEPER)))); \
 	  install -m 644 $(OUTER) $$d; \
 	  install -m 644 $(INNER) $$d/rfsm; \
 	  $(foreach d,$(sort $(dir $(DEEPER))),install -m 644 $(filter $d%,$(DEEPER) $(PAGE)) $$d/$d;) \
-	  $(if $(STRIP),$(STRIP_FILES);) \
+	  $(if $(filter 0,$(STRIP)),,$(if $(STRIP),$(STRIP_FILES),$(STRIP_COPIES));) \
 	done
 	install -d $(DESTDIR)$(PREFIX)/bin
 	install -m 755 $(TOOLS) $(DESTDIR)$(PREFIX)/bin
@@ -208,8 +215,17 @@ STRIP_FILES = luac=luac$${d\#\#*/}; \
 	    echo "$$d: source, there is no $$luac"; \
 	  fi
 
+# For robots: Lua 5.1 is that of Orocos. A launch with stripped = true finds these.
+STRIP_COPIES = case $$d in *5.1) if command -v luac5.1 >/dev/null; then \
+	    for f in $(NAMES); do \
+	      install -d $$d/$(STRIPPED)/$$(dirname $$f); \
+	      luac5.1 -s -o $$d/$(STRIPPED)/$$f $$d/$$f; \
+	    done; \
+	  fi;; esac
+
 uninstall:              ## remove the files that install copied, and empty directories
-	@for d in $(LUADIRS:%=$(DESTDIR)%); do (cd $$d 2>/dev/null && rm -f $(NAMES) $(PAGE)) || true; done
+	@for d in $(LUADIRS:%=$(DESTDIR)%); do \
+	  (cd $$d 2>/dev/null && rm -rf $(NAMES) $(PAGE) $(STRIPPED)) || true; done
 	@rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,$(notdir $(TOOLS)))
 	@rmdir $(foreach d,$(LUADIRS:%=$(DESTDIR)%),$(addprefix $(d)/,$(sort $(dir $(DEEPER))) rfsm)) 2>/dev/null || true
 	@for d in $(LUADIRS) $(PREFIX)/share/lua $(OWN_DIRS); do \

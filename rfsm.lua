@@ -48,7 +48,7 @@ local State, Transition = { rfsm = "state" }, { rfsm = "transition" }
 local Connector = { rfsm = "connector" }
 local CLASSES = { state = State, transition = Transition, connector = Connector }
 
-local Machine = { rfsm = "state", __eq = rawequal }
+local Machine = { rfsm = "state", __eq = rawequal, rfsm_copy = rfsm }
 
 local KINDS = {} -- metatable of an element of this library -> kind of the element
 
@@ -213,13 +213,50 @@ function rfsm.is_callable(value)
   return type(class) == "table" and rawget(class, "__call") ~= nil
 end
 
+-- A host may have set a locale: then `format`, `tonumber` and `..` have its decimal
+-- point, and `<` compares texts in the order of its dictionaries.
+
+--- Return a number as text, with a point in every locale.
+---@param number number
+---@param format? string of a number without other text ("%.14g")
+---@return string
+function rfsm.number_text(number, format)
+  return ((format or "%.14g"):format(number):gsub("[^%d%l+-]+", "."))
+end
+
+--- Return the number that a text with a point means in every locale; nil if it is none.
+---@param text any
+---@return number?
+function rfsm.number_of(text)
+  if type(text) ~= "string" then return type(text) == "number" and text or nil end
+  if text:find("[^%w%s.+-]") then return nil end
+  local point = ("%.1f"):format(0.5):sub(2, -2)
+  return find_global "tonumber"((text:gsub("%.", point)))
+end
+
+--- Does a text come before another one? Bytes decide, in every locale.
+---@param a string
+---@param b string
+---@return boolean
+function rfsm.text_before(a, b)
+  local small, capital = "a", "B"
+  if capital < small then return a < b end -- as bytes
+  for i = 1, #a do
+    local byte, other = a:byte(i), b:byte(i)
+    if byte ~= other then return other ~= nil and byte < other end
+  end
+  return #a < #b
+end
+
+local text_before = rfsm.text_before
+
 --- Return any value as text; never raise an error. Numbers look the same on every Lua.
 ---@param value any
 ---@return string
 function rfsm.text_of(value)
   local kind = type(value)
   if kind == "string" then return value end
-  if kind == "number" then return ("%.14g"):format(value) end
+  if kind == "number" then return rfsm.number_text(value) end
   local ok, text = pcall(tostring, value)
   return ok and type(text) == "string" and text or kind
 end
@@ -333,9 +370,9 @@ end
 -- Orders keys: numbers ascending, then all others by their text.
 local function key_before(a, b)
   local kind, other = type(a), type(b)
-  if kind == other and (kind == "string" or kind == "number") then return a < b end
+  if kind == "number" and other == "number" then return a < b end
   if kind == "number" or other == "number" then return kind == "number" end
-  return text_of(a) < text_of(b)
+  return text_before(text_of(a), text_of(b))
 end
 
 --- Return the keys of a table, numbers ascending, then others by text, for extensions.
@@ -355,6 +392,38 @@ local sorted_keys = rfsm.sorted_keys
 interpret(sorted_keys)
 interpret(has_nodes)
 
+do
+  -- Has a composite a leaf right in it that is final?
+  local function has_final(composite)
+    for key, child in pairs(composite) do -- any order: one leaf is enough
+      local is_final = type(child) == "table" and not is_meta(key)
+        and rawequal(rawget(child, "final"), true)
+      if is_final and child._is_leaf and is_state(child) then return true end
+    end
+    return false
+  end
+
+  interpret(has_final)
+
+  --- Can a state of a machine be done, so that its e_done comes? For extensions.
+  --
+  -- A leaf can. A composite needs a leaf right in it with `final = true`; a state with
+  -- regions needs such a leaf in the root of each region.
+  --
+  ---@param node rfsm.State|rfsm.Connector
+  ---@return boolean
+  ---@return any region the name of a region without such a leaf
+  function rfsm.can_be_done(node)
+    if not is_state(node) then return false end
+    if not node._is_leaf then return has_final(node) end
+    local regions, own = rfsm.regions(node)
+    for i, region in ipairs(regions) do
+      if not has_final(region) then return false, own.names[i] end
+    end
+    return true
+  end
+end
+
 local NONE = {}
 
 local function append(list, more)
@@ -364,18 +433,30 @@ end
 
 -- Load ------------------------------------------------------------------------
 
--- Runs the chunk of a chart and returns its root state. If `return rfsm.state{...}` was
--- a tail call, the line of the root is not known, and line 1 is recorded in its place.
-local function run_chunk(chunk, file, where, accepts)
-  local model = chunk(file)
-  if accepts and accepts(model) then return model end
-  if is_state(model) then
-    made_at[model] = made_at[model] or file and file .. ":1"
-    return model
+local run_chunk
+
+do
+  -- Returns the hint for the result of a chart that is no state. The metatable of a
+  -- system has one of its own.
+  local function chart_hint(model)
+    if model == nil then return " (a chart ends with: return rfsm.state{...})" end
+    if type(model) ~= "table" then return "" end
+    local class = getmetatable(model)
+    return type(class) == "table" and rawget(class, "rfsm_hint")
+      or " (did you mean: return rfsm.state{...}?)"
   end
-  local hint = model == nil and " (a chart ends with: return rfsm.state{...})"
-    or type(model) == "table" and " (did you mean: return rfsm.state{...}?)" or ""
-  error(where .. " found." .. hint, 0)
+
+  -- Runs the chunk of a chart and returns its root state. After a tail call, as in
+  -- `return rfsm.state{...}`, the line of the root is not known: line 1 is recorded.
+  function run_chunk(chunk, file, where, accepts)
+    local model = chunk(file)
+    if accepts and accepts(model) then return model end
+    if is_state(model) then
+      made_at[model] = made_at[model] or file and file .. ":1"
+      return model
+    end
+    error(where .. " found." .. chart_hint(model), 0)
+  end
 end
 
 --- Load a model from a file that returns it.
@@ -468,12 +549,19 @@ local function name_of(obj, field)
   return ("%s (%s -> %s)"):format(name, model.src, model.tgt)
 end
 
+-- Adds a problem or warning to a list, and returns it.
 local function add(list, obj, field, text, ...)
   if select("#", ...) > 0 then text = text:format(...) end
-  list[#list + 1] = {
+  local found = {
     file = made_at[obj._model], line = name_of(obj, field) .. ": " .. text,
+    code = "init",
   }
+  list[#list + 1] = found
+  return found
 end
+
+-- Adds a warning with its code in rfsm/checks/codes.lua; false: a check tells more.
+local function add_warning(list, code, ...) add(list, ...).code = code end
 
 local CALLBACKS = {
   state = { entry = true, exit = true, doo = true }, connector = {},
@@ -483,8 +571,8 @@ local CALLBACKS = {
 -- Adds the warning of rfsm/advice.lua on a topic, if the file has one. The caller has
 -- found something suspicious already, so most charts do not load the file.
 local function add_advice(list, topic, obj, ...)
-  local text, field = advise(topic, obj, ...)
-  if text ~= "" then add(list, obj, field, text) end
+  local text, code, field = advise(topic, obj, ...)
+  if text ~= "" then add_warning(list, code, obj, field, text) end
 end
 
 --- Describe an unexpected value: "got string 'led'", "got state", for extensions.
@@ -541,6 +629,16 @@ for kind, class in pairs(CLASSES) do -- any order: independent entries
 end
 KINDS[Machine] = "state"
 
+--- Does a value belong to another copy of this library? For extensions: the metatable
+--- of their objects has the field `rfsm_copy`, which is this module.
+---@param value any
+---@return boolean
+function rfsm.is_foreign(value)
+  local class = type(value) == "table" and getmetatable(value)
+  local copy = type(class) == "table" and rawget(class, "rfsm_copy")
+  return type(copy) == "table" and not rawequal(copy, rfsm)
+end
+
 --- Return the model of a machine, or of an element of a machine, for extensions.
 ---@param value any
 ---@return any model or `value` itself, if it is not a part of a machine
@@ -552,6 +650,8 @@ function rfsm.model_of(value)
 end
 
 local model_of = rfsm.model_of
+
+local FOREIGN = "it belongs to another copy of rfsm (give the model, not the machine)"
 
 -- Is `value` a node of the machine, and of the given kind? Without `kind`, of any kind.
 local function is_node_of(fsm, value, kind)
@@ -599,8 +699,8 @@ do
   -- Public fields of the engine. If a model has a field with such a name, the field is
   -- not copied, because it is not the user's data.
   local API_FIELDS = {}
-  for name in ("act_leaf actchild choices curq depth done_event doo_co fqn fsm id "
-    .. "index initialized intq is_asked is_internal is_leaf mode model otrs parent "
+  for name in ("act_leaf actchild always choices curq depth done_event doo_co fqn fsm "
+    .. "id index initialized intq is_asked is_internal is_leaf mode model otrs parent "
     .. "paths segments"):gmatch("%S+") do
     API_FIELDS["_" .. name] = true
   end
@@ -645,8 +745,9 @@ do
       list[i] = event
     end
     if count == 0 then
-      add(build.warnings, tr, "events", "an empty list, any event triggers it (is a "
-        .. "name in it nil? if any event is meant, leave it out)")
+      add_warning(build.warnings, "empty-events", tr, "events", "an empty list, any "
+        .. "event triggers it (is a name in it nil? if any event is meant, leave it "
+        .. "out)")
     end
     return list
   end
@@ -685,9 +786,9 @@ do
     if type(value) == "table" then value = clone_data(build.copies, value) end
     rawset(obj, key, value)
     if is_root and ROOT_FIELDS[key] then return end
-    if kind == "transition" or type(value) == "table" or is_callable(value) then
-      add_advice(build.warnings, "datum", obj, key, obj._model[key])
-    end
+    local is_odd = kind == "transition" or type(value) == "table"
+      or type(value) == "string" or is_callable(value)
+    if is_odd then add_advice(build.warnings, "datum", obj, key, obj._model[key]) end
   end
 
   -- Copies a field that is no node and no transition: a callback or the user's data.
@@ -697,8 +798,8 @@ do
       if value then
         rawset(obj, key, value)
       elseif key == "guard" then
-        add(build.warnings, obj, nil, "its guard is false and counts as absent, it was "
-          .. "made while the chart was loaded")
+        add_warning(build.warnings, "false-guard", obj, nil, "its guard is false and "
+          .. "counts as absent, it was made while the chart was loaded")
       end
     elseif key == "initial" and kind == "state" then
       add(build.problems, obj, key, "connector expected, %s "
@@ -761,9 +862,11 @@ do
       local kind = type(value) == "table" and kind_of(value)
       if not kind then
         clone_field(build, own_kind, node, key, value)
+      elseif rfsm.is_foreign(value) then
+        add(build.problems, node, text_of(key), FOREIGN)
       elseif own_kind == "connector" then
-        add(build.warnings, node, nil, "a connector holds no %s, '%s' is ignored", kind,
-          text_of(key))
+        add_warning(build.warnings, "misplaced", node, nil,
+          "a connector holds no %s, '%s' is ignored", kind, text_of(key))
       elseif kind == "transition" then
         new_transition(build, value, node, key)
         has_transition = true
@@ -772,8 +875,8 @@ do
       end
     end
     if node._is_leaf and has_transition then
-      add(build.warnings, node, nil, "a transition inside a leaf state%s",
-        advise("plain_states", node._model))
+      add_warning(build.warnings, "misplaced", node, nil,
+        "a transition inside a leaf state%s", advise("plain_states", node._model))
     elseif own_kind == "state" and node.doo and not node._is_leaf then
       add(build.problems, node, "doo", "only a leaf state can have a doo")
     end
@@ -922,15 +1025,18 @@ do
       advise("regions", node._model))
   end
 
+  local function warn_of_e_done(build, tr, src)
+    add_warning(build.warnings, false, tr, nil, "'e_done' never fires here, %s",
+      src._mode and ("no leaf right in '%s' is final (final = true)"):format(src._fqn)
+      or ("'%s' is no leaf state"):format(src._fqn))
+  end
+
   local function resolve_e_done(build, tr)
     local events, src = tr.events, tr.src
     for i = 1, #events do
       if events[i] == "e_done" then
         events[i] = "e_done@" .. src._fqn
-        if not src._is_leaf then
-          add(build.warnings, tr, nil,
-            "'e_done' never fires here, '%s' is no leaf state", src._fqn)
-        end
+        if not rfsm.can_be_done(src) then warn_of_e_done(build, tr, src) end
       end
     end
   end
@@ -946,6 +1052,16 @@ do
     return src, nil, true
   end
 
+  local function check_always(build, tr, src)
+    if tr.events[1] ~= nil then
+      add(build.problems, tr, "always", "a transition that needs no event has no "
+        .. "events (leave out one of the two fields)")
+    elseif not src._mode then
+      add(build.problems, tr, "always", "only a transition from a state needs no "
+        .. "event, '%s' is a connector", src._fqn)
+    end
+  end
+
   -- Resolves the ends of a transition. Returns false if one of them is not found.
   local function resolve_transition(build, tr)
     local src, src_reason = find_end(build, tr, "src")
@@ -958,6 +1074,7 @@ do
     tgt = is_internal and src or tgt and find_entrance(build, tr, tgt)
     if not (src and tgt) then return false end
     tr.src, tr.tgt, tr._is_internal = src, tgt, is_internal
+    if tr.always == true then check_always(build, tr, src) end
     resolve_e_done(build, tr)
     return true
   end
@@ -996,7 +1113,7 @@ do
     local a_pn, b_pn, a_at, b_at = a.pn or 0, b.pn or 0, a._parent, b._parent
     if a_pn ~= b_pn then return a_pn > b_pn end
     if a_at._depth ~= b_at._depth then return a_at._depth < b_at._depth end
-    if a_at ~= b_at then return a_at._fqn < b_at._fqn end
+    if a_at ~= b_at then return text_before(a_at._fqn, b_at._fqn) end
     return key_before(a._id, b._id)
   end
 
@@ -1011,6 +1128,7 @@ do
       local tr = transitions[i]
       local otrs, events = tr.src._otrs, tr.events
       otrs[#otrs + 1] = tr
+      if tr.always == true then fsm._has_always, fsm._is_usual = true, false end
       for j = 1, #events do
         if type(events[j]) == "function" then tr._is_asked = true end
       end
@@ -1032,7 +1150,7 @@ do
     fsm._entrance, fsm._has_paths = false, false
     if fsm._phase == "idle" then fsm._path = fsm._path and NONE end
     for _, node in ipairs(fsm._nodes) do
-      node._choices, node._paths, node._ignored = nil, nil, nil
+      node._choices, node._paths, node._ignored, node._always = nil, nil, nil, nil
     end
   end
 
@@ -1108,6 +1226,8 @@ local DEFAULTS = {
   _fate_hooks = false, _snapshot_hooks = false, _failure = false,
   _reset_wanted = false, _preparing = false,
   _emit = false, -- the function given to `set_emit`
+  _has_always = false, -- has a transition that needs no event: no iteration is usual
+  _again = false, -- the events that `keep_made` has put ahead of the queue
   _cuts = 0, -- number of iterations that an error has ended
 }
 
@@ -1303,9 +1423,15 @@ local function report_callback(fsm, name, owner, callback, failure)
     failure = "function expected, " .. got(callback)
   end
   tell_watch(fsm, "failed", owner, name, failure)
+  local around = fsm
+  while around do
+    tell_watch(around, "failed_inside", fsm, owner, name, failure, callback)
+    around = around._owner
+  end
   local text = "error executing " .. name .. " of " .. (owner._fqn or tostring(owner))
   if name == "doo" then text = "doo program of state '" .. owner._fqn .. "' failed" end
-  report(fsm, "err", name:upper(), text .. ": ", failure)
+  local id = name:upper():gsub("i", "I") -- Turkish has another capital i
+  report(fsm, "err", id, text .. ": ", failure)
 end
 
 -- Run: one iteration after the other ----------------------------------------------
@@ -1314,6 +1440,7 @@ end
 -- `_phase` is one of these:
 --
 --   idle     nothing: the machine waits for its caller
+--   always   a path is searched that needs no event, if the machine has such ones
 --   begin    the pending events become the current events
 --   gather   getevents adds its events, and the pre step hooks are called
 --   search   a path is chosen that the events enable
@@ -1722,6 +1849,15 @@ end
 
 local choice_of, choose, list_choices
 
+-- Lists the transitions from a node that need no event, or the others.
+local function list_otrs_of(node, are_always)
+  local list = {}
+  for _, tr in ipairs(node._otrs) do
+    if (tr.always == true) == are_always then list[#list + 1] = tr end
+  end
+  return list
+end
+
 do
   -- Returns the first enabled segment, in the states from the root down to the leaf.
   local function choose_by_node(fsm, leaf, events)
@@ -1736,7 +1872,8 @@ do
           "for transitions from " .. node._fqn)
       end
       local merges = fsm._merges
-      local found, event = first_enabled(fsm, node._otrs, 1, events)
+      local otrs = fsm._has_always and list_otrs_of(node, false) or node._otrs
+      local found, event = first_enabled(fsm, otrs, 1, events)
       if found or fsm._merges ~= merges then return found, event end
     end
     if traces then report(fsm, "dbg", "TRANSITION", "no enabled paths found") end
@@ -1763,7 +1900,7 @@ do
       end
     end
     for _, node in ipairs(line_to(leaf)) do
-      for _, tr in ipairs(node._otrs) do
+      for _, tr in ipairs(list_otrs_of(node, false)) do
         local is_for_all = tr.events[1] == nil or tr._is_asked
         if not is_for_all then add_to_events(tr) end
         for _, list in ipairs(is_for_all and lists or NONE) do add_to(list, tr) end
@@ -1871,7 +2008,7 @@ do
       .. "events: " .. list_text(events))
     put_back(fsm)
     if fsm._reset_wanted then reset_now(fsm) end
-    fsm._is_usual = true
+    fsm._is_usual = not fsm._has_always
     raise_failure(fsm)
     return nil
   end
@@ -1922,6 +2059,42 @@ do
   end
 end
 
+do
+  local function list_always(leaf)
+    local list = {}
+    for _, node in ipairs(line_to(leaf)) do append(list, list_otrs_of(node, true)) end
+    leaf._always = list
+    return list
+  end
+
+  -- Returns the segment of the first transition that needs no event and is enabled. An
+  -- event would be given to its guard, so `events` is an empty list.
+  local function find_always(fsm, leaf, events)
+    local merges = fsm._merges
+    fsm._search = fsm._search + 1
+    for _, tr in ipairs(leaf._always or list_always(leaf)) do
+      local found = enabled(fsm, tr, events, nil, nil)
+      if fsm._merges ~= merges then return nil end
+      if found then return found end
+    end
+  end
+
+  -- The phase "always". After an interrupt the list of current events may have events,
+  -- which come first. What comes again beside an internal transition still does so in
+  -- the next iteration.
+  function PHASES.always(fsm, after_free)
+    local leaf, events, again = fsm._act_leaf, fsm._curq, fsm._again
+    if leaf and not fsm._reset_wanted and events[1] == nil then
+      local found = find_always(fsm, leaf, events)
+      if found and again and again.turn == fsm._turn - 1 then again.turn = fsm._turn end
+      if found then return follow(fsm, after_free, leaf, found, nil) end
+      if fsm._is_lent then fsm._curq, fsm._is_lent = {}, fsm._lends end
+    end
+    fsm._phase = "begin"
+    return PHASES.begin(fsm, after_free)
+  end
+end
+
 -- Take: the actions of a path .....................................................
 --
 -- A path has a flat list of actions, which are functions f(fsm, arg, at), and a second
@@ -1929,13 +2102,18 @@ end
 
 local actions = {}
 
+-- Actions that report a record of the trace to `dbg`, by kind of record.
+local recorders = {}
+
+local function may_repeat(hook) return promises[hook] == "repeatable" end
+
 -- Calls a hook of an extension. One that may be repeated is noted when it has returned.
 local function call_hook(fsm, hook, subject, at)
-  local may_repeat = promises[hook] == "repeatable"
-  if not may_repeat then fsm._at = at end
+  local is_repeatable = promises[hook] == "repeatable"
+  if not is_repeatable then fsm._at = at end
   local ok, failure = pcall(hook, fsm, subject, fsm._event)
   if not ok then
-    if may_repeat then error(failure, 0) end
+    if is_repeatable then error(failure, 0) end
     keep_failure(fsm, failure)
   end
   fsm._at = at
@@ -2001,8 +2179,26 @@ function actions.be_done(fsm, leaf, at)
   fsm._at = at
 end
 
+-- The name of the event that tells that a composite is done, if a leaf in it is; nil if
+-- the leaf is not final, or no transition of the composite waits for it.
+local function done_around(leaf)
+  local around = leaf._parent
+  if rawequal(leaf.final, true) and around ~= leaf and rfsm.names_done(around) then
+    return done_event(around)
+  end
+end
+
+-- Queues the e_done of the composite around a final leaf that is done.
+function actions.be_done_around(fsm, leaf, at)
+  local queue, event = fsm._intq, leaf._mode == "done" and done_around(leaf)
+  if not event then return end
+  queue[#queue + 1] = event
+  recorders.done(fsm, leaf._parent, at)
+end
+
 -- Has the machine, or an extension, made the event?
 local function is_made(event)
+  if type(event) == "table" and not getmetatable(event) then event = event.name end
   if type(event) ~= "string" then return false end
   if event == "e_init_fsm" or event:find("^e_done@root") then return true end
   for _, maker in ipairs(rfsm.makers) do
@@ -2039,12 +2235,12 @@ function actions.keep_made(fsm, segment)
       made[#made + 1] = event
     end
   end
+  if not made[1] then return end
+  fsm._again = { turn = fsm._turn, count = #made } -- for extensions
   -- after an interrupt they are there already
-  if made[1] and fsm._intq[1] ~= made[1] then fsm._intq = append(made, fsm._intq) end
+  if fsm._intq[1] ~= made[1] then fsm._intq = append(made, fsm._intq) end
 end
 
--- Actions that report a record of the trace to `dbg`, by kind of record.
-local recorders = {}
 
 do
   local function label_of(node)
@@ -2137,6 +2333,9 @@ do
       done_event(state)
       add_action(list, actions.become_leaf, state)
       add_action(list, actions.be_done, state)
+      if rfsm.names_done(state._parent) then
+        add_action(list, actions.be_done_around, state)
+      end
     end
     add_action(list, recorders.entry, state)
   end
@@ -2315,7 +2514,7 @@ end
 
 -- Doo ............................................................................
 
-local run_doo
+local complete, run_doo
 
 do
   local coroutine = find_global "coroutine"
@@ -2326,11 +2525,12 @@ do
     leaf._doo_co = nil
   end
 
-  local function complete(fsm, leaf)
+  function complete(fsm, leaf)
     local queue, event = fsm._intq, done_event(leaf)
     if is_traced(fsm) then report(fsm, "dbg", "RAISED", event) end
     queue[#queue + 1] = event
     leaf._mode = "done"
+    if leaf.final then actions.be_done_around(fsm, leaf, fsm._at) end
   end
 
   local function end_doo(fsm, leaf)
@@ -2414,7 +2614,8 @@ local function close(fsm)
   end
   fsm._phase = "idle"
   if not fsm._is_usual then
-    fsm._is_usual, fsm._is_cut = not fsm._reset_wanted, false
+    fsm._is_usual = not (fsm._reset_wanted or fsm._has_always)
+    fsm._is_cut = false
     if fsm._failure then raise_failure(fsm) end
   end
   local outcome = fsm._outcome
@@ -2444,7 +2645,7 @@ local function go_on(fsm, after_free)
   fsm._is_cut = false
   if fsm._phase == "idle" then
     fsm._turn = fsm._turn + 1
-    fsm._phase = "begin"
+    fsm._phase = fsm._has_always and "always" or "begin"
   end
   return PHASES[fsm._phase](fsm, after_free)
 end
@@ -2650,16 +2851,16 @@ local function natural(text)
 end
 
 -- Puts the `file` of each item in front of its `line`, which is "location: text".
--- Returns these texts, sorted by location.
+-- Returns these texts, sorted by location, and the code of each.
 local function lines_of(list)
-  local keys, lines = {}, {}
+  local keys, lines, codes = {}, {}, {}
   for i = 1, #list do
     local file, line = list[i].file, list[i].line
     lines[i] = (file and file .. ": " or "") .. line
-    keys[lines[i]] = natural(line)
+    keys[lines[i]], codes[lines[i]] = natural(line), list[i].code
   end
-  sort(lines, function(a, b) return keys[a] < keys[b] end)
-  return lines
+  sort(lines, function(a, b) return text_before(keys[a], keys[b]) end)
+  return lines, codes
 end
 
 local function summary(where, problems)
@@ -2754,10 +2955,28 @@ do
 end
 
 
+--- A function `f(fsm, code, text)` that is called for each warning, or false.
+rfsm.warned = false
+
+--- Warn of something in a chart, for extensions.
+---@param fsm rfsm.Machine
+---@param code string|false the code of the warning in rfsm/checks/codes.lua; false: a
+-- check tells more
+---@param text string "location: what is wrong"
+function rfsm.warn(fsm, code, text)
+  if rfsm.warned then rfsm.warned(fsm, code, text) end
+  report(fsm, "warn", "WARNING: " .. text)
+end
+
 local function report_lines(fsm, name, list)
   if fsm[name] == silent then return end
-  for _, line in ipairs(lines_of(list)) do
-    report(fsm, name, (name == "info" and "INFO: " or "WARNING: ") .. line)
+  local lines, codes = lines_of(list)
+  for _, line in ipairs(lines) do
+    if name == "info" then
+      report(fsm, name, "INFO: " .. line)
+    else
+      rfsm.warn(fsm, codes[line], line)
+    end
   end
 end
 
@@ -2793,7 +3012,7 @@ do
         or is_left_around(node)) then
         left = left or left_composites(fsm)
         local line = "no outgoing transitions from node '" .. node._fqn .. "'"
-        dead[#dead + 1] = not left[node] and { line = line } or nil
+        dead[#dead + 1] = not left[node] and { line = line, code = false } or nil
       end
     end
     report_lines(fsm, "warn", dead)
@@ -2815,8 +3034,9 @@ local function report_findings(build, first_node, first_transition)
   for i = first_transition, #fsm._transitions do
     local tr = fsm._transitions[i]
     for _, event in ipairs(tr.events) do
-      local is_call = type(event) == "string" and event:find("%)$")
-      if is_call then add_advice(found, "event", tr, event) end
+      local is_odd = type(event) == "table" or type(event) == "string"
+        and (event:find("%)$") or event == "e_fault") -- extensions know such events
+      if is_odd then add_advice(found, "event", tr, event) end
     end
   end
   report_lines(fsm, "warn", found)
@@ -2891,7 +3111,7 @@ do
     end
     fsm._preparing = outer
     if not outer then check_transitions(fsm, last > 0, problems) end
-    sort(problems, function(a, b) return natural(a) < natural(b) end)
+    sort(problems, function(a, b) return text_before(natural(a), natural(b)) end)
     return problems
   end
 end
@@ -2931,8 +3151,11 @@ function rfsm.init(model)
       .. (type(model) == "string" and " (did you mean rfsm.load?)" or ""), 2)
   end
   model = model_of(model)
+  if rfsm.is_foreign(model) then
+    return refuse_model(model, nil, { "root: " .. FOREIGN })
+  end
   local build = build_machine(model)
-  local fsm, problems = build.fsm, lines_of(build.problems)
+  local fsm, problems = build.fsm, (lines_of(build.problems))
   if problems[1] then return refuse_model(model, nil, problems) end
   load_fast()
   if rfsm.is_strict(model) then find_module("rfsm.strict") end
@@ -2958,12 +3181,14 @@ end
 ---@return boolean is_valid
 ---@return string[] problems each "file:line: location: problem"
 ---@return string[] warnings
+---@return table<string, string|false> codes the code of each warning
 function rfsm.verify_early(model)
   if not is_state(model) then
     error("rfsm.verify_early: state expected, " .. got(model), 2)
   end
   local build = build_machine(model_of(model))
-  return not build.problems[1], lines_of(build.problems), lines_of(build.warnings)
+  local warnings, codes = lines_of(build.warnings)
+  return not build.problems[1], (lines_of(build.problems)), warnings, codes
 end
 
 
@@ -3219,7 +3444,7 @@ do
   local function is_trans_of(fsm, tr) return rfsm.is_trans(tr) and tr._fsm == fsm end
 
   local WATCHED = { sent = true, failed = true, resumed = true, ended = true,
-    merged = true, discarded = true }
+    merged = true, discarded = true, failed_inside = true }
 
   local function is_watched(_, what) return WATCHED[what] end
 
@@ -3243,7 +3468,8 @@ do
     guard = { list = "_guard_hooks", is_path = true, is_subject = is_trans_of,
       expected = "transition of the fsm" },
     watch = { list = "_watch_hooks", is_subject = is_watched,
-      expected = "'sent', 'failed', 'resumed', 'ended', 'merged' or 'discarded'" },
+      expected = "'sent', 'failed', 'failed_inside', 'resumed', 'ended', 'merged' or "
+        .. "'discarded'" },
     reset = { list = "_reset_hooks" }, reaction = { list = "_reaction_hooks" },
     waiting = { list = "_waiting_hooks" }, fate = { list = "_fate_hooks" },
   }
@@ -3466,6 +3692,18 @@ function rfsm.regions(state)
   return append({}, own), own
 end
 
+--- Does a transition from a state wait for its e_done? For extensions.
+---@param state rfsm.State a state of a machine
+---@return boolean
+function rfsm.names_done(state)
+  for _, tr in ipairs(state._otrs) do
+    for _, event in ipairs(tr.events) do
+      if event == done_event(state) then return true end
+    end
+  end
+  return state._awaits_done or false
+end
+
 --- Make a machine a region of another one, for extensions.
 ---@param region rfsm.Machine
 ---@param fsm rfsm.Machine the parent machine
@@ -3519,26 +3757,28 @@ do
 
   for name in ([[check_between_steps check_no_otrs is_in machines map_from_to
     node_find_enabled note_cut place prepare save_memory set_emit set_sta_mode
-    snapshot_hooks structure_of target_of targets]]):gmatch("%S+") do
+    begin_in snapshot_hooks structure_of target_of targets]]):gmatch("%S+") do
     PARTS[name] = "rfsm.tools"
   end
 
   -- Functions of the engine for the files of the library beside this one.
   local engine = {
-    add = add, advise = advise, check_function = check_function,
+    add = add, add_warning = add_warning, advise = advise,
+    check_function = check_function,
     check_no_step = check_no_step, clone_below = clone_below,
     check_ways_in = check_ways_in, compile_path = compile_path, cut = cut,
     drop_fast = drop_fast, entrance_of = entrance_of,
     find_entrance = find_entrance, find_lca = find_lca, first_enabled = first_enabled,
     forget = forget, is_made = is_made, is_node_of = is_node_of, line_to = line_to,
     lines_of = lines_of, list_choices = list_choices, list_otrs = list_otrs,
-    matches = matches, new_build = new_build, new_node = new_node, new_path = new_path,
+    matches = matches, may_repeat = may_repeat, new_build = new_build,
+    new_node = new_node, new_path = new_path,
     new_transition = new_transition, note_mount = note_mount, note_of = note_of,
     path_of = path_of, preprocess = preprocess, quick_run = quick_run,
     raise_failure = raise_failure, report_dead_ends = report_dead_ends,
     report_findings = report_findings, report_lines = report_lines,
     reset_now = reset_now, resolve = resolve, segment_of = segment_of,
-    new_emit = new_emit, summary = summary, tell = tell,
+    new_emit = new_emit, summary = summary, tell = tell, complete = complete,
     tell_watch = tell_watch, try = try,
   }
 
@@ -3569,15 +3809,26 @@ do
 end
 
 do
-  local source = (find_global("debug", "getinfo") or function() return NONE end)(1, "S")
-  local folder = (source.source or ""):match("^@(.-)[^/\\]*$")
+  -- Loaded as "libs.rfsm" this file has the prefix "libs."; by `dofile`, a folder only.
+  local prefix = tostring((...)):match("^(.+[./])rfsm$")
+  local source = (find_global("debug", "getinfo") or tostring)(1, "S")
+  local folder = type(source) == "table" and source.source:match("^@(.-)[^/\\]*$")
+  local searchers, find_beside
 
-  -- Searcher for `require`: finds the modules beside this file, and in compat/ their
-  -- older names (rfsm_emem for rfsm.emem).
-  local function find_beside(name)
-    if not name:find("^rfsm[%w_.]") then return nil end
+  -- Asks other searchers for a module beside this file; they may look into archives.
+  local function find_by_others(name)
+    for i = 1, prefix and #searchers or 0 do
+      local chunk, where = nil, nil
+      if searchers[i] ~= find_beside then
+        chunk, where = searchers[i](prefix .. name)
+      end
+      if type(chunk) == "function" then return chunk, where end
+    end
+  end
+
+  local function find_file(name)
     local file, folders = name:gsub("%.", "/") .. ".lua", {}
-    if folder then folders[1], folders[2] = folder, folder .. "compat/" end
+    if folder then folders = { folder, folder .. "compat/" } end
     for other in rawget(_G, "package").path:gmatch("([^;]*)%?%.lua") do
       folders[#folders + 1] = other .. "compat/"
     end
@@ -3587,19 +3838,47 @@ do
     end
   end
 
-  -- Registers the module and the searcher. In a sandbox `package` may be missing or
-  -- have no fields.
+  -- Searcher for `require`: finds the modules beside this file, and in compat/ their
+  -- older names (rfsm_emem for rfsm.emem). A name with the prefix is the same module.
+  function find_beside(name)
+    local plain = prefix and name:sub(1, #prefix) == prefix and name:sub(#prefix + 1)
+    if not (plain or name):find("^rfsm[%w_.]") then return nil end
+    if plain then return function() return require(plain) end, name end
+    local chunk, where = find_by_others(name)
+    if not chunk then chunk, where = find_file(name) end
+    return chunk and function() return chunk(name, where) end, where
+  end
+
+  -- Takes the modules of an earlier copy of the core out of `package.loaded`: they know
+  -- nothing of machines of this one. Whoever requires them again gets new ones.
+  local function forget_modules(loaded)
+    for name, module in pairs(loaded) do -- any order: each stands alone
+      if type(module) == "table" and tostring(name):find("^rfsm[%w_.]") then
+        loaded[name] = nil
+      end
+    end
+  end
+
+  -- Registers the module and the searcher. With a prefix the modules beside this file
+  -- come before others that are installed. In a sandbox `package` may have no fields.
   local function register(package)
-    local searchers = package.searchers or package.loaders
+    searchers = package.searchers or package.loaders
+    if searchers and searchers.rfsm and type(package.loaded.rfsm) ~= "table" then
+      forget_modules(package.loaded)
+    end
     if searchers and loadfile and not searchers.rfsm then
       searchers.rfsm = find_beside -- marks the searcher as installed
-      searchers[#searchers + 1] = find_beside
+      insert(searchers, prefix and 2 or #searchers + 1, find_beside)
     end
     if package.loaded and not package.loaded.rfsm then package.loaded.rfsm = rfsm end
+  end
+
+  local function set_global()
     if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm", rfsm) end
   end
 
-  register(rawget(_G, "package") or {})
+  register(rawget(_G, "package") or NONE)
+  set_global()
 end
 
 return rfsm

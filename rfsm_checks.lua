@@ -8,11 +8,14 @@
 -- @module rfsm_checks
 -- @license BSD-3-Clause
 
+local home = tostring((...)):match("^(.+[./])rfsm_checks$") -- "libs."
+if home then require(home .. "rfsm") return require "rfsm_checks" end -- one copy
+
 local rfsm = require "rfsm"
 
 local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
 local rawset, require, setmetatable, type = rawset, require, setmetatable, type
-local is_leaf, is_state = rfsm.is_leaf, rfsm.is_state
+local is_state = rfsm.is_state
 local elements, text_of = rfsm.elements, rfsm.text_of
 
 --- Functions from modules in the folders of rfsm/, which are loaded at their first use.
@@ -61,8 +64,8 @@ local function collect_known(fsm, known)
   for _, state in ipairs(elements(fsm, is_state)) do
     add_events(known, rfsm.reactions(fsm, state))
   end
-  for _, leaf in ipairs(elements(fsm, is_leaf)) do
-    known.events["e_done@" .. leaf._fqn] = true
+  for _, state in ipairs(elements(fsm, rfsm.can_be_done)) do
+    known.events["e_done@" .. state._fqn] = true
   end
 end
 

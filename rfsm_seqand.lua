@@ -11,6 +11,9 @@
 -- @module rfsm_seqand
 -- @license BSD-3-Clause
 
+local home = tostring((...)):match("^(.+[./])rfsm_seqand$") -- "libs."
+if home then require(home .. "rfsm") return require "rfsm_seqand" end -- one copy
+
 local rfsm = require "rfsm"
 
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
@@ -37,7 +40,7 @@ local step, run = rfsm.step, rfsm.run
 -- The metatable of `substates`, a table of the regions by name: models in a model,
 -- machines in an instance. The core does not look into a table with a metatable, so
 -- regions do not become children of the state.
-local Substates = {}
+local Substates = { rfsm_copy = rfsm }
 
 -- The `substates` of states that contain transitions, for a warning: transitions belong
 -- into a region.
@@ -157,11 +160,24 @@ local function advance_regions(fsm, state)
   return are_all_idle
 end
 
+-- Has each region come to a final leaf in its root that is done? Then the state is done
+-- if a transition waits for that.
+local function is_joined(state)
+  local regions = state._regions
+  for i = 1, #regions do
+    local leaf = regions[i]._actchild
+    if not leaf or leaf._mode ~= "done" or leaf.final ~= true then return false end
+  end
+  return regions[1] ~= nil and rfsm.names_done(state)
+end
+
 -- The doo. It runs only in iterations that take no transition, and the events of such
--- an iteration go to the regions. No interrupt ends it.
+-- an iteration go to the regions. It ends when the regions are joined; no interrupt
+-- ends it.
 local function advance_all(fsm, state)
   while true do
     local are_all_idle = try(fsm, advance_regions, fsm, state)
+    if is_joined(state) then return true end
     -- `yield` returns the next machine: copies of a machine share this coroutine
     fsm, state = rfsm.yield(idle_flag(state, are_all_idle))
   end
@@ -203,9 +219,10 @@ local function leave_others(fsm, state)
 end
 
 -- The post step hook forwards the events of the iteration to the regions of the state
--- that is active now, unless its doo has done so.
+-- that is active now, unless its doo has done so or is over.
 local function end_iteration(fsm)
-  local regions = fsm._act_leaf and fsm._act_leaf._regions
+  local leaf = fsm._act_leaf
+  local regions = leaf and leaf._mode ~= "done" and leaf._regions
   if regions then forward(fsm, regions) end
 end
 
@@ -323,10 +340,19 @@ local function new_regions(state)
   return regions
 end
 
+-- Warns of a transition that waits for e_done if the regions are never joined.
+local function warn_of_e_done(fsm, state)
+  local can_be_done, name = rfsm.can_be_done(state)
+  if can_be_done or not rfsm.names_done(state) then return end
+  rfsm.report(fsm, "warn", ("WARNING: %s: 'e_done' never fires here, no leaf right in "
+    .. "the region '%s' is final (final = true)"):format(rfsm.location_of(state),
+    text_of(name)))
+end
+
 local function prepare_state(fsm, state, problems)
   local count = #problems
   if has_transitions[state.substates] then
-    rfsm.report(fsm, "warn", "WARNING: " .. rfsm.location_of(state)
+    rfsm.warn(fsm, "misplaced", rfsm.location_of(state)
       .. ": a transition in a sequential AND state, it belongs into a region (none "
       .. "leads from one region to another)")
   end
@@ -336,6 +362,7 @@ local function prepare_state(fsm, state, problems)
   regions.entry, regions.exit = state.entry, state.exit
   state._regions, state.entry, state.exit = regions, enter_all, leave_all
   rfsm.exit_hook_add(fsm, state, rfsm.repeatable(leave_others))
+  warn_of_e_done(fsm, state)
   if fsm._has_seqand then return end
   fsm._has_seqand = true
   rfsm.post_step_hook_add(fsm, rfsm.repeatable(end_iteration), "before")

@@ -1,9 +1,10 @@
---- Time events: e_after(seconds) and e_at(time).
+--- Time events: e_after(seconds), e_every(seconds) and e_at(time).
 --
 -- Once this module is loaded, each machine initialised afterwards understands the
--- events `"e_after(T)"` and `"e_at(T)"` in its transitions. A timer is armed when the
--- source of its transition is entered. The event `e_after(T)@FQN` comes in the first
--- iteration that finds the timer expired, once per entry.
+-- events `"e_after(T)"`, `"e_every(T)"` and `"e_at(T)"` in its transitions. A timer is
+-- armed when the source of its transition is entered. The event `e_after(T)@FQN` comes
+-- in the first iteration that finds the timer expired, once per entry; `e_every(T)@FQN`
+-- comes again each T seconds after the entry, but never twice for one iteration.
 --
 -- The entry of a state notes the time once for all its timers. Most iterations only
 -- compare the clock with one number, a time before which no timer expires. The number
@@ -15,12 +16,16 @@
 -- @module rfsm_timeevent
 -- @license BSD-3-Clause
 
+local home = tostring((...)):match("^(.+[./])rfsm_timeevent$") -- "libs."
+if home then require(home .. "rfsm") return require "rfsm_timeevent" end -- one copy
+
 local rfsm = require "rfsm"
 
 local error, getmetatable, ipairs, pcall = error, getmetatable, ipairs, pcall
 local rawget, rawset, require = rawget, rawset, require
 local setmetatable, tonumber, type = setmetatable, tonumber, type
-local abs, floor, huge, max, min = math.abs, math.floor, math.huge, math.max, math.min
+local abs, ceil, floor, huge = math.abs, math.ceil, math.floor, math.huge
+local max, min = math.max, math.min
 local insert, remove, sort = table.insert, table.remove, table.sort
 local is_callable, report, text_of = rfsm.is_callable, rfsm.report, rfsm.text_of
 
@@ -38,7 +43,8 @@ local function new_clock()
     if not nsec then sec, nsec = 0, sec end
     return sec + nsec * 1e-9, sec, nsec
   end
-  return { read = read, set_hook = function(gettime) hook = gettime or read_day end }
+  return { read = read, set_hook = function(gettime) hook = gettime or read_day end,
+    present = function(sec, nsec) return sec, nsec end }
 end
 
 local has_clock, clock = pcall(require, "rfsm.clock")
@@ -62,7 +68,8 @@ end
 local function from_text(text)
   local whole, fraction = text:match("^%s*(%d*)%.?(%d*)%s*$")
   if not whole then
-    local number = text:match("^%s*%d*%.?%d*[eE][+-]?%d+%s*$") and tonumber(text)
+    local number = text:match("^%s*%d*%.?%d*[eE][+-]?%d+%s*$")
+      and rfsm.number_of(text)
     if number then return normalise(number, 0) end
   elseif whole .. fraction ~= "" then
     local digits = (fraction .. ("0"):rep(10)):sub(1, 10) -- the tenth rounds the ninth
@@ -70,35 +77,42 @@ local function from_text(text)
   end
 end
 
---- A time event, made by `e_after` or `e_at`, or parsed from a text.
+--- A time event, made by `e_after`, `e_every` or `e_at`, or parsed from a text.
 ---@class rfsm_timeevent.Timeevent
 ---@field name string the text of the event: "e_after(3)"
----@field is_relative boolean true for e_after, false for e_at
+---@field is_relative boolean true for e_after and e_every, false for e_at
+---@field is_repeated boolean true for e_every
 ---@field sec? number whole seconds; absent if `timeout` returns the time
 ---@field nsec? number nanoseconds in addition to `sec`
 ---@field timeout? fun(id: any): number called at each entry, returns the seconds
 ---@field id? any the argument of `timeout`
-local Timeevent = {}
+local Timeevent = { rfsm_copy = rfsm }
 
 function Timeevent.__tostring(event) return event.name end
 
 local function new_event(kind, name, sec, nsec)
-  return setmetatable({ name = name, is_relative = kind == "e_after", sec = sec,
-    nsec = nsec }, Timeevent)
+  return setmetatable({ name = name, is_relative = kind ~= "e_at",
+    is_repeated = kind == "e_every", sec = sec, nsec = nsec }, Timeevent)
 end
 
--- Makes an event. A wrong `x` raises an error in the caller of `e_after` or `e_at`.
+-- Is the number of seconds too small for a time event of this kind?
+local function is_too_small(kind, seconds)
+  return seconds < 0 or kind == "e_every" and seconds < 1e-9
+end
+
+-- Makes an event. A wrong `x` raises an error in the caller of `e_after` and others.
 local function new_object(kind, x, id)
   if is_callable(x) then
     local shown = id == nil and "function" or text_of(id)
     local event = new_event(kind, kind .. "(" .. shown .. ")")
     event.timeout, event.id = x, id
     return event
-  elseif type(x) == "number" and x >= 0 then
+  elseif type(x) == "number" and x == x and not is_too_small(kind, x) then
     return new_event(kind, kind .. "(" .. text_of(x) .. ")", normalise(x, 0))
   end
-  error("rfsm_timeevent." .. kind .. ": seconds, a number not below 0, or a function "
-    .. "expected, got " .. (type(x) == "number" and text_of(x) or type(x)), 3)
+  error(("rfsm_timeevent.%s: seconds, a number %s 0, or a function expected, got %s")
+    :format(kind, kind == "e_every" and "above" or "not below",
+    type(x) == "number" and text_of(x) or type(x)), 3)
 end
 
 local parsed = setmetatable({}, { __mode = "v" }) -- time events by their texts
@@ -107,11 +121,13 @@ local parsed = setmetatable({}, { __mode = "v" }) -- time events by their texts
 -- text. Also returns the problem if the text is a time event with wrong seconds.
 local function parse(text)
   if parsed[text] then return parsed[text] end
-  local kind = text:match("^(e_after)%s*%(") or text:match("^(e_at)%s*%(")
+  local kind = text:match("^(e_after)%s*%(") or text:match("^(e_every)%s*%(")
+    or text:match("^(e_at)%s*%(")
   if not kind or text:find("@", 1, true) then return nil end
   local sec, nsec = from_text(text:match("%((.*)%)$") or "")
-  if not sec then
-    return nil, ("'%s': seconds expected, as in %s(0.5)"):format(text, kind)
+  if not sec or is_too_small(kind, sec + nsec) then
+    return nil, ("'%s': seconds%s expected, as in %s(0.5)"):format(text,
+      sec and " above 0" or "", kind)
   end
   local event = new_event(kind, text, sec, nsec)
   parsed[text] = event
@@ -121,8 +137,8 @@ end
 -- Run: arm, raise ------------------------------------------------------------------
 
 --- The field `_timeevent` of a machine. Before the time `[true]`, in seconds, no timer
--- of an e_after expires and no event of `send_after` is sent. Before the time `[false]`
--- no timer of an e_at expires. A time is huge if nothing is armed.
+-- of an e_after or e_every expires and no event of `send_after` is sent. Before
+-- `[false]` no timer of an e_at expires. A time is huge if nothing is armed.
 ---@class rfsm_timeevent.Own
 ---@field has_timers boolean a state of the machine has timers
 ---@field has_at boolean a timer of the machine is an e_at
@@ -133,9 +149,10 @@ end
 ---@class rfsm_timeevent.Timers
 ---@field sec number|false seconds on the clock at the latest entry; false: not known
 ---@field nsec number nanoseconds in addition to `sec`
----@field delay number|false seconds of the shortest e_after, less MARGIN; huge if each
--- e_after has a function, false if there is no e_after
+---@field delay number seconds of the shortest e_after or e_every without a function,
+-- less MARGIN; huge if there is none
 ---@field entry integer how often the state has been entered
+---@field is_timed boolean snapshots keep the time since the entry
 
 --- A timer. The entry of a state arms all timers of the state.
 ---@class rfsm_timeevent.Timer
@@ -154,7 +171,7 @@ local function report_clock(fsm, reason)
   report(fsm, "err", "TIMEEVENT", "the clock failed: ", reason)
 end
 
--- Is it an e_after without a function? Its deadline follows from the time of the entry.
+-- Is it relative, without a function? Its deadline follows from the time of the entry.
 local function is_usual(event) return event.is_relative and event.sec end
 
 -- Returns the deadline of a timer; false if it is not known.
@@ -183,7 +200,7 @@ local function duration_of(fsm, timer)
   if not event.timeout then return event.sec, event.nsec end
   local ok, seconds = pcall(event.timeout, event.id)
   if ok and type(seconds) == "number" and seconds == seconds then
-    return normalise(max(seconds, 0), 0)
+    return normalise(max(seconds, event.is_repeated and 1e-9 or 0), 0)
   elseif ok then
     seconds = "number of seconds expected, got "
       .. (seconds ~= seconds and "NaN" or type(seconds))
@@ -222,21 +239,16 @@ local function enter_state(fsm, state)
   local timers, own = state._timers, fsm._timeevent
   local is_unusual = own.is_unusual
   if is_unusual and own.has_at then own[false] = -huge end
-  local entry = timers.entry + 1
-  if not timers.delay then
-    timers.entry = entry
+  local soon = own[true]
+  own[true] = -huge
+  timers.sec, timers.entry = false, timers.entry + 1
+  local time, sec, nsec = read(fsm, true)
+  if time then
+    timers.sec, timers.nsec = sec, nsec
+    time = time + timers.delay
+    if not is_unusual then own[true] = time < soon and time or soon end
   else
-    local soon = own[true]
-    own[true] = -huge
-    timers.sec, timers.entry = false, entry
-    local time, sec, nsec = read(fsm, true)
-    if time then
-      timers.sec, timers.nsec = sec, nsec
-      time = time + timers.delay
-      if not is_unusual then own[true] = time < soon and time or soon end
-    else
-      report_clock(fsm, sec)
-    end
+    report_clock(fsm, sec)
   end
   if is_unusual then arm_unusual(fsm, timers) end
 end
@@ -307,6 +319,18 @@ local function raise_sends(fsm, events, sec, nsec)
   return left
 end
 
+-- Arms an expired timer for its next time, if it is repeated. Times that have passed
+-- are skipped; `now` is the present. Returns the deadline, which is huge if none is to
+-- come.
+local function arm_again(fsm, timer, now, now_nsec)
+  if not timer.event.is_repeated then return set(fsm, timer, huge, 0) end
+  local sec, nsec = deadline_of(timer)
+  local period, rest = duration_of(fsm, timer)
+  local missed = -time_left(sec, nsec, now, now_nsec) / (period * 1e9 + rest)
+  local count = max(ceil(missed), 1)
+  return set(fsm, timer, normalise(sec + count * period, nsec + count * rest))
+end
+
 -- Appends the events of expired timers, and sends that are due, to the current events.
 -- After an interrupt the event of the timer that was under way may be there already.
 local function raise_expired(fsm, is_relative, time, sec, nsec)
@@ -314,7 +338,8 @@ local function raise_expired(fsm, is_relative, time, sec, nsec)
   local events, expired, least = fsm._curq, find_expired(fsm, is_relative, sec, nsec)
   for _, timer in ipairs(expired) do
     if events[#events] ~= timer.name then events[#events + 1] = timer.name end
-    set(fsm, timer, huge, 0)
+    local again, rest = arm_again(fsm, timer, clock.present(sec, nsec))
+    if again < huge then least = min(least, time_left(again, rest, sec, nsec)) end
     report(fsm, "dbg", "TIMEEVENT", timer.name)
   end
   if is_relative then least = min(least, raise_sends(fsm, events, sec, nsec)) end
@@ -342,6 +367,12 @@ local function read_or_raise(fsm, is_relative)
   error("rfsm_timeevent: the clock failed: " .. text_of(sec), 0)
 end
 
+-- Returns the machine of a state.
+local function machine_of(state)
+  while state._parent ~= state do state = state._parent end
+  return state
+end
+
 -- Snapshots: keep the time left until an e_after, and the deadline of an e_at ------
 
 local MAX_EXACT = 1000000 -- seconds; a float below this is exact to the nanosecond
@@ -350,6 +381,32 @@ local function kept_time(sec, nsec)
   sec, nsec = normalise(sec, nsec)
   if abs(sec) >= MAX_EXACT then return { sec, nsec } end
   return nsec == 0 and sec or sec + nsec / 1e9
+end
+
+-- Lists the active states that are timed.
+local function list_timed(fsm)
+  local list, state = {}, fsm._mode ~= "inactive" and fsm
+  while state do
+    if state._timers and state._timers.is_timed then list[#list + 1] = state end
+    state = state._actchild
+  end
+  return list
+end
+
+-- The name under which snapshots have the seconds since the entry of a timed state.
+local function name_of_time(state) return "time_in@" .. state._fqn end
+
+-- Adds the seconds since the entry of each timed state that is active.
+local function save_times(fsm, left)
+  for _, state in ipairs(list_timed(fsm)) do
+    local timers = state._timers
+    if timers.sec then
+      local sec, nsec = read_or_raise(fsm, true)
+      left = left or {}
+      left[name_of_time(state)] = kept_time(sec - timers.sec, nsec - timers.nsec)
+    end
+  end
+  return left
 end
 
 local function save(fsm)
@@ -365,7 +422,7 @@ local function save(fsm)
       left[timer.name] = not sec or kept_time(sec, nsec)
     end
   end
-  return left
+  return save_times(fsm, left)
 end
 
 -- Returns the seconds and nanoseconds of a time in a snapshot. There the time is a
@@ -389,6 +446,28 @@ local function load_timer(fsm, timer, left)
   set(fsm, timer, sec + now, nsec + now_nsec)
 end
 
+-- Sets the times of entries from a snapshot: those of timed states, and those that
+-- follow from the deadline of an e_after. Others are not known any more. Adds the names
+-- of the former to a set.
+local function load_times(fsm, left, is_known)
+  for _, timer in ipairs(list_timers(fsm)) do timer.timers.sec = false end
+  for _, timer in ipairs(list_timers(fsm)) do
+    local event, timers = timer.event, timer.timers
+    if is_usual(event) and not event.is_repeated and timer.sec and timer.sec < huge then
+      timers.sec, timers.nsec = timer.sec - event.sec, timer.nsec - event.nsec
+    end
+  end
+  for _, state in ipairs(list_timed(fsm)) do
+    local name = name_of_time(state)
+    is_known[name] = true
+    if left[name] ~= nil then
+      local sec, nsec = loaded_time(left[name], "'" .. name .. "'")
+      local now, now_nsec = read_or_raise(fsm, true)
+      state._timers.sec, state._timers.nsec = now - sec, now_nsec - nsec
+    end
+  end
+end
+
 -- Loads the timers of a snapshot. In a migration to a changed chart, a timer that is
 -- new in the chart is armed from now on, and a timer that the chart lacks is dropped.
 local function load(fsm, left, how)
@@ -404,6 +483,7 @@ local function load(fsm, left, how)
       arm_now(fsm, timer)
     end
   end
+  load_times(fsm, left, is_known)
   for _, name in ipairs(how.is_migrated and {} or rfsm.sorted_keys(left)) do
     if not is_known[name] then
       error("no active state has a timer '" .. text_of(name) .. "'", 0)
@@ -502,7 +582,8 @@ local function prepare_timers(fsm, state)
     rfsm.snapshot_hook_add(fsm, "timers", save, load)
   end
   if not state._timers then
-    state._timers = { sec = false, nsec = 0, delay = false, entry = 0 }
+    state._timers = { sec = false, nsec = 0, delay = huge, entry = 0,
+      is_timed = false }
     rfsm.entry_hook_add(fsm, state, rfsm.repeatable(enter_state))
   end
   return state._timers
@@ -530,9 +611,8 @@ local function add_timer(fsm, state, name, event)
   local timer = { name = name, event = event, timers = timers, entry = false,
     sec = false, nsec = 0, left = 0, rank = 0 }
   timers[#timers + 1] = timer
-  if event.is_relative then
-    local delay = event.sec and event.sec + event.nsec * 1e-9 - MARGIN or huge
-    timers.delay = min(timers.delay or huge, delay)
+  if is_usual(event) then
+    timers.delay = min(timers.delay, event.sec + event.nsec * 1e-9 - MARGIN)
   end
   own.has_at = own.has_at or not event.is_relative
   own.is_unusual = own.is_unusual or not is_usual(event)
@@ -544,7 +624,7 @@ end
 local function expand(fsm, tr, event)
   local src = tr.src
   if not rfsm.is_state(src) then
-    report(fsm, "warn", ("WARNING: %s: '%s' never fires here, '%s' is no state"):format(
+    rfsm.warn(fsm, "never-done", ("%s: '%s' never fires here, '%s' is no state"):format(
       rfsm.location_of(tr, "events"), event.name, src._fqn))
     return event.name .. "@" .. src._fqn
   end
@@ -557,8 +637,7 @@ end
 local function expand_text(fsm, tr, text)
   local _, problem = parse(text)
   if problem then
-    report(fsm, "warn", ("WARNING: %s: %s"):format(rfsm.location_of(tr, "events"),
-      problem))
+    rfsm.warn(fsm, "init", rfsm.location_of(tr, "events") .. ": " .. problem)
     return text
   end
   return (text:gsub("%f[%w_](e_%a+%s*%b())(@?)", function(inner, at)
@@ -567,11 +646,16 @@ local function expand_text(fsm, tr, text)
   end))
 end
 
+local function is_timed(obj) return rfsm.is_state(obj) and obj.timed == true end
+
 -- This is the first preproc function, because the time events inside an "await(...)"
 -- must have their names before rfsm.await reads them.
 insert(rfsm.preproc, 1, function(fsm, merged)
   -- Each machine gets this hook: it may load a snapshot with sends before it has any.
   if not merged then rfsm.snapshot_hook_add(fsm, "sends", save_sends, load_sends) end
+  for _, state in ipairs(rfsm.elements(merged or fsm, is_timed)) do
+    prepare_timers(fsm, state).is_timed = true
+  end
   for _, tr in ipairs(rfsm.elements(merged or fsm, rfsm.is_trans)) do
     for i, event in ipairs(tr.events) do
       if getmetatable(event) == Timeevent then
@@ -585,6 +669,7 @@ end)
 
 rfsm.makers[#rfsm.makers + 1] = function(event)
   local fqn = event:match("^e_after%s*%(.*@(root.*)$")
+    or event:match("^e_every%s*%(.*@(root.*)$")
     or event:match("^e_at%s*%(.*@(root.*)$")
   if fqn then return "timer", fqn end
 end
@@ -603,6 +688,20 @@ end
 ---@return rfsm_timeevent.Timeevent event
 ---@nodiscard
 function rfsm_timeevent.e_after(x, id) return (new_object("e_after", x, id)) end
+
+--- Make an event that comes each `x` seconds while its state is active.
+--
+-- The times are counted from the entry, so they do not drift. Times that were missed
+-- come once.
+--
+-- @usage
+--    rfsm.trans { src = "on", tgt = "internal", events = { e_every(1) }, effect = log }
+--
+---@param x number|fun(id: any): number seconds, or a function that returns them
+---@param id? any argument of this function; it is also part of the event's name
+---@return rfsm_timeevent.Timeevent event
+---@nodiscard
+function rfsm_timeevent.e_every(x, id) return (new_object("e_every", x, id)) end
 
 --- Make an event that comes when the clock shows more than `x`, if its state is active.
 ---@param x number|fun(id: any): number seconds on the clock, or a function that is
@@ -708,6 +807,45 @@ function rfsm_timeevent.cancel(fsm, id)
   local at = id ~= nil and find_send(fsm, id)
   if at then remove(fsm._timeevent.sends, at) end
   return at and true or false
+end
+
+--- Return the seconds since a state was entered.
+--
+-- They are known if a time event leaves the state, or if the state has `timed = true`.
+--
+-- @raise if they are not known, or if the clock fails
+---@param state rfsm.State a state of a machine
+---@return number? seconds nil while the state is inactive
+function rfsm_timeevent.time_in(state)
+  if not rfsm.is_state(state) or not state._mode then
+    error("rfsm_timeevent.time_in: state of a machine expected, " .. rfsm.got(state), 2)
+  end
+  local timers = rawget(state, "_timers")
+  if timers and state._mode == "inactive" then return nil end
+  if not (timers and timers.sec) then
+    error(("rfsm_timeevent.time_in: the time of '%s' is not known (timed = true in the "
+      .. "state)"):format(state._fqn), 2)
+  end
+  local sec, nsec = read_or_raise(machine_of(state), true)
+  return sec - timers.sec + (nsec - timers.nsec) / 1e9
+end
+
+--- Have an inactive machine begin in a leaf, as if entered, but without callbacks.
+--
+-- For programs that keep only the name of the state. The timers of the leaf and of the
+-- states around it are armed, e_done comes as after an entry, regions begin anew. The
+-- queue loses `e_init_fsm`; other events stay.
+--
+-- @raise if the machine is active, or has no such leaf
+---@param fsm rfsm.Machine
+---@param leaf rfsm.State|string a leaf of the machine, or its FQN
+function rfsm_timeevent.enter_at(fsm, leaf)
+  rfsm.check_machine(fsm, "rfsm_timeevent.enter_at")
+  local sends = fsm._timeevent and fsm._timeevent.sends
+  rfsm.begin_in(fsm, leaf, "rfsm_timeevent.enter_at")
+  if sends and sends[1] then
+    fsm._timeevent.sends, fsm._timeevent[true] = sends, -huge
+  end
 end
 
 --- Return how long a host may sleep: seconds until the next timer can fire.

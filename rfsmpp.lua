@@ -9,6 +9,9 @@
 -- @module rfsmpp
 -- @license BSD-3-Clause
 
+local home = tostring((...)):match("^(.+[./])rfsmpp$") -- "libs."
+if home then require(home .. "rfsm") return require "rfsmpp" end -- one copy
+
 local rfsm = require "rfsm"
 
 local error, getmetatable = error, getmetatable

@@ -5,10 +5,8 @@
 
 package.path = "./?.lua;" .. package.path
 
+local measure = require "bench.measure"
 local rfsm = require "rfsm"
-local rfsmpp = require "rfsmpp"
-local rfsm_timeevent = require "rfsm_timeevent"
-local snapshot = require "rfsm.snapshot"
 local workloads = require "bench.workloads"
 
 local state, trans = rfsm.state, rfsm.trans
@@ -16,7 +14,7 @@ local state, trans = rfsm.state, rfsm.trans
 -- The instructions of f(n) that each further unit of n takes.
 local function per_unit(f, n)
   local count = 0
-  local function measure(units)
+  local function count_units(units)
     count = 0
     debug.sethook(function() count = count + 1 end, "", 1)
     f(units)
@@ -24,9 +22,41 @@ local function per_unit(f, n)
     return count
   end
   f(2000) -- compiles what is compiled as it runs
-  local first = measure(n)
-  return (measure(2 * n) - first) / n
+  local first = count_units(n)
+  return (count_units(2 * n) - first) / n
 end
+
+local function callback() end
+
+-- A ring of 20 leaves, each with an entry.
+local function ring()
+  local model = { info = false, warn = false, trans { src = "initial", tgt = "s1" } }
+  for i = 1, 20 do
+    model["s" .. i] = state { entry = callback }
+    model[i + 1] = trans { src = "s" .. i, tgt = "s" .. i % 20 + 1,
+      events = { "e_next" } }
+  end
+  return state(model)
+end
+
+local function count_calls(f)
+  return per_unit(function(n)
+    for _ = 1, n do f() end
+  end, 20)
+end
+
+local known, making = ring(), count_calls(ring)
+print(("%-32s %6.0f"):format("init of 20 states, a known model",
+  count_calls(function() return rfsm.init(known) end)))
+print(("%-32s %6.0f"):format("init of 20 states, its own model",
+  count_calls(function() return rfsm.init(ring()) end) - making))
+print(("%-32s %6.1f"):format("KiB of a machine of 20 states",
+  measure.bytes_kept(function() return rfsm.init(known) end, 20) / 1024))
+
+-- From here on extensions are loaded, whose preproc functions look at each machine.
+local rfsmpp = require "rfsmpp"
+local rfsm_timeevent = require "rfsm_timeevent"
+local snapshot = require "rfsm.snapshot"
 
 -- Two events in turn.
 local function stepping(fsm, one, other)
@@ -41,8 +71,6 @@ local function stepping(fsm, one, other)
     end
   end
 end
-
-local function callback() end
 
 local function two_leaves(fields)
   local model = {
@@ -146,6 +174,50 @@ row("dbg that does nothing", two_leaves { dbg = callback })
 row("rfsmpp", two_leaves { dbg = rfsmpp.gen_dbgcolor("x", {}, true, callback) })
 row("a composite, aimed at its leaf", composites ".x")
 row("a composite, by initial", composites "")
+
+-- `send; run`, the loop of most hosts: two leaves without callbacks, and what is added.
+local function running(fields, change)
+  local model = { info = false, warn = false, a = state {}, b = state {},
+    trans { src = "initial", tgt = "a" },
+    trans { src = "a", tgt = "b", events = { "e" } },
+    trans { src = "b", tgt = "a", events = { "e" } } }
+  for name, value in pairs(fields or {}) do model[name] = value end -- any order: a set
+  local fsm = rfsm.init(state(model))
+  if change then change(fsm) end
+  rfsm.run(fsm)
+  return function(n)
+    for _ = 1, n do
+      rfsm.send_events(fsm, "e")
+      rfsm.run(fsm)
+    end
+  end
+end
+
+local function add_hooks(count)
+  return function(fsm)
+    for _ = 1, count do
+      rfsm.post_step_hook_add(fsm, rfsm.borrows(function() end))
+    end
+  end
+end
+
+base = per_unit(running(), 1000)
+for _, case in ipairs {
+  { "send; run", running() },
+  { "send; run, a hook", running(nil, add_hooks(1)) },
+  { "send; run, three hooks", running(nil, add_hooks(3)) },
+  { "send; run, a guard", running { [2] = trans { src = "a", tgt = "b",
+    events = { "e" }, guard = rfsm.borrows(function() end) } } },
+  { "send; run, a timer", running { [2] = trans { src = "a", tgt = "b",
+    events = { "e", "e_after(9)" } } } },
+} do
+  local count = per_unit(case[2], 1000)
+  print(("%-32s %6.0f  x %.2f"):format(case[1], count, count / base))
+end
+
+local kept = snapshot.take(rfsm.init(known))
+print(("%-32s %6.0f"):format("restore of 20 states",
+  count_calls(function() snapshot.restore(known, kept) end)))
 
 local model = warehouse()
 local fsm = rfsm.init(model)

@@ -1,7 +1,7 @@
 -- Time events: a pedestrian light. The timer of a composite runs across its inner
 -- transitions.
 --
---   (initial) --> lights --e_fault, e_after(60)--> dark --e_after(2)--> lights
+--   (initial) --> lights --e_short, e_after(60)--> dark --e_after(2)--> lights
 --
 --   lights: (initial) --> stop --e_button--> wait --e_after(0.2)--> walk
 --                          ^                                         |
@@ -39,6 +39,6 @@ return state {
   dark = state { entry = show("dark") },
 
   trans { src = "initial", tgt = "lights" },
-  trans { src = "lights", tgt = "dark", events = { "e_fault", "e_after(60)" } },
+  trans { src = "lights", tgt = "dark", events = { "e_short", "e_after(60)" } },
   trans { src = "dark", tgt = "lights", events = { "e_after(2)" } },
 }

@@ -185,7 +185,7 @@ local function new_await(names, fqn)
 end
 
 local function warn_never(fsm, tr, event, kind)
-  rfsm.report(fsm, "warn", ("WARNING: %s: '%s' never fires here, '%s' is no %s"):format(
+  rfsm.warn(fsm, "never-done", ("%s: '%s' never fires here, '%s' is no %s"):format(
     rfsm.location_of(tr, "events"), event, tr.src._fqn, kind))
 end
 
@@ -214,7 +214,10 @@ local function expand(fsm, tr, names)
   for i = 1, #names do -- here `e_done` is the event of the source's doo
     if names[i] == "e_done" then
       names[i] = "e_done@" .. src._fqn
-      if not rfsm.is_leaf(src) then warn_never(fsm, tr, "e_done", "leaf state") end
+      src._awaits_done = true
+      if not rfsm.can_be_done(src) then
+        warn_never(fsm, tr, "e_done", "leaf, and has no final leaf")
+      end
     end
   end
   local await = new_await(names, src._fqn)

@@ -11,10 +11,10 @@
 
 local rfsm = require "rfsm"
 
-local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local error, getmetatable, ipairs = error, getmetatable, ipairs
 local pcall, rawequal, rawget, require = pcall, rawequal, rawget, require
 local setmetatable, type = setmetatable, type
-local abs, floor, max = math.abs, math.floor, math.max
+local abs = math.abs
 
 local clock = {}
 
@@ -110,9 +110,9 @@ local function check_unit(fsm, number)
   local os = find_module("os")
   local is_day = os.time and abs(number - os.time()) < 86400
   if not (is_day or number > 0 and number < 1e6) then return end
-  rfsm.report(fsm, "warn", ("WARNING: the clock returned one number, %.14g, which "
+  rfsm.report(fsm, "warn", ("WARNING: the clock returned one number, %s, which "
     .. "means nanoseconds; seconds need two: function() return os.time(), 0 end")
-    :format(number))
+    :format(rfsm.text_of(number)))
 end
 
 -- Finds the function above that can read a clock, notes it, and reads the clock. If the
@@ -146,6 +146,9 @@ end
 
 local process = best
 
+-- Returns the present, if the clock of the process shows an earlier time.
+local present = nil
+
 local function inherited(fsm)
   local owner = fsm._owner
   return owner and (owner.gettime or inherited(owner))
@@ -168,10 +171,27 @@ function clock.read(fsm, is_relative)
 end
 
 --- Set the clock of the process; nil sets the best clock that is installed.
+--
+-- A host that catches up, so that machines see times of the past one by one, also gives
+-- a function that returns the present.
+--
 ---@param gettime? fun(id?: string): number, number?
-function clock.set_hook(gettime)
-  process = gettime or best
+---@param of_present? fun(): number, number seconds and nanoseconds
+function clock.set_hook(gettime, of_present)
+  process, present = gettime or best, of_present
   found[true], found[false] = nil, nil
+end
+
+--- Return the present, which is the time given unless a host catches up.
+---@param sec number the time that a machine sees, in seconds
+---@param nsec number nanoseconds in addition
+---@return number sec
+---@return number nsec
+function clock.present(sec, nsec)
+  if not present then return sec, nsec end
+  local now, now_nsec = present()
+  if now + now_nsec * 1e-9 < sec + nsec * 1e-9 then return sec, nsec end
+  return now, now_nsec
 end
 
 --- Return a function that returns how many seconds have passed since this call.
@@ -191,70 +211,11 @@ function clock.until_timer(fsm)
   return ok and seconds or nil
 end
 
--- Simulated clocks -------------------------------------------------------------------
-
-function Clock:read() return true, self.sec, self.nsec end
-
--- Adds seconds to a simulated clock. If `self` is no such clock, or the seconds are no
--- finite number, raises an error at the caller of the method `where`.
-local function add(self, where, seconds)
-  local is_clock = rawequal(getmetatable(self), Clock)
-  if not is_clock or type(seconds) ~= "number" or seconds - seconds ~= 0 then
-    error(("rfsm.clock.%s: %s expected, %s"):format(where,
-      is_clock and "finite number of seconds" or "simulated clock",
-      rfsm.got(is_clock and seconds or self)), 3)
-  end
-  local whole = floor(seconds)
-  local nsec = self.nsec + floor((seconds - whole) * 1e9 + 0.5)
-  self.sec, self.nsec = self.sec + whole + floor(nsec / 1e9), floor(nsec % 1e9)
-end
-
---- Let seconds pass. A number below 0 sets the clock back.
----@param seconds number
-function Clock:advance(seconds) return (add(self, "advance", seconds)) end
-
---- Return the time, as one number of seconds.
----@return number seconds
-function Clock:now()
-  add(self, "now", 0)
-  return self.sec + self.nsec / 1e9
-end
-
---- Go to the time at which the next timer of a machine or its regions fires.
--- @raise if the machine reads another clock
----@param fsm rfsm.Machine
----@return number? seconds that have passed; nil if no timer is armed
-function Clock:advance_to_timer(fsm)
-  add(self, "advance_to_timer", 0)
-  rfsm.check_machine(fsm, "rfsm.clock.advance_to_timer")
-  local seconds, sec, nsec = clock.until_timer(fsm), self.sec, self.nsec
-  if not seconds then return nil end
-  self:advance(max(floor(seconds) - 1, 0)) -- a float of many years is not exact
-  self:advance(clock.until_timer(fsm))
-  if clock.until_timer(fsm) == 0 then return seconds end
-  self.sec, self.nsec = sec, nsec
-  error("rfsm.clock.advance_to_timer: the machine reads another clock", 2)
-end
-
---- Make a clock for the field `gettime` of machines. It is exact to the nanosecond, and
--- its time passes only by calls of `advance` and `advance_to_timer`.
---
--- @usage
---    local now = clock.simulated { now = 0 }
---    fsm.gettime = now
---    now:advance(2.5)
---
----@param options? { now: number } the time at first, in seconds (0)
----@return rfsm.clock.Clock
----@nodiscard
-function clock.simulated(options)
-  local self, now = setmetatable({ sec = 0, nsec = 0 }, Clock), 0
-  for name, value in pairs(type(options) == "table" and options or { options }) do
-    if name ~= "now" then error("rfsm.clock.simulated: { now = 0 } expected", 2) end
-    now = value
-  end
-  add(self, "simulated: now", now)
-  return self
-end
+-- A simulated clock is made by a file of its own: a robot needs none.
+setmetatable(clock, { __index = function(_, name)
+  if name ~= "simulated" then return nil end
+  clock.simulated = require("rfsm.clock.simulated")(clock, Clock)
+  return clock.simulated
+end })
 
 return clock

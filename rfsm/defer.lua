@@ -2,8 +2,11 @@
 --
 -- Once this module is loaded, a state may have a list `defer` of events and predicates.
 -- Such an event is kept if it comes while the state is active and no transition takes
--- it. When no active state defers it any more, it is *recalled*: it becomes the only
--- event of an iteration, and the events that came later wait.
+-- it. After a path, a load or a merge the kept events are looked at. The first one that
+-- no active state defers, or that a transition of an active state accepts, is
+-- *recalled*: it becomes the only event of an iteration, and the events that came later
+-- wait. If nothing takes it and it is still deferred, it keeps its place until the next
+-- path.
 --
 -- @module rfsm.defer
 -- @license BSD-3-Clause
@@ -12,24 +15,37 @@ local rfsm = require "rfsm"
 local alphabet = require "rfsm.shared.alphabet"
 local match = require "rfsm.shared.match"
 
-local insert, ipairs, type = table.insert, ipairs, type
+local insert, ipairs, min = table.insert, ipairs, math.min
+local rawequal, type = rawequal, type
 
 local MOST = 64 -- events that a machine keeps, if `defer` of the state has no `max`
 
 --- The field `_deferred` of a machine.
 ---@class rfsm.defer.Own
 ---@field list any[] the events that are kept
+---@field at integer the place in the list where the next recall looks first
 ---@field is_done boolean the events of this iteration were looked at
----@field checked rfsm.State|false the leaf in which nothing was to be recalled
 ---@field turn integer|false the iteration in which events were kept last
 ---@field count integer the number of events kept before that iteration
----@field plan table|false the latest recall, to be done again after an interrupt
+---@field plan rfsm.defer.Plan|false the latest change of the current events
 ---@field told table<string, boolean> the warnings that were given
 ---@field known rfsm.Alphabet|false the alphabet of the machine
 
+--- What the current events of an iteration become: to be done again after an interrupt.
+---@class rfsm.defer.Plan
+---@field turn integer the iteration
+---@field events any[] the current events
+---@field queue any[] the queue
+---@field waiting integer how many events were in the queue before
+---@field at integer the place of the recalled event in the list
+---@field whole any[] the list with the recalled event
+---@field rest any[] the list without it; the same list if no event is recalled
+---@field again table|false the field `_again` of the machine
+
 local function reset(fsm)
-  fsm._deferred = { list = {}, is_done = false, checked = false, turn = false,
-    count = 0, plan = false, told = {}, known = false }
+  fsm._again = false
+  fsm._deferred = { list = {}, at = 1, is_done = false, turn = false, count = 0,
+    plan = false, told = {}, known = false }
 end
 
 local function warn(fsm, state, event, text)
@@ -65,61 +81,140 @@ local function keep(fsm, state, event)
   rfsm.report(fsm, "dbg", "DEFERRED", event)
 end
 
+-- Returns the recalled event of this iteration with its plan; nil if there is none.
+local function recalled(fsm)
+  local plan = fsm._deferred.plan
+  if not plan or plan.turn ~= fsm._turn or plan.whole == plan.rest then return nil end
+  return plan.events[1], plan
+end
+
+-- Does a state defer an event that `tr` does not take?
+local function is_kept(fsm, event, tr)
+  if tr and match.takes(tr.events, event) then return nil end
+  return deferrer(fsm, event)
+end
+
+-- Puts the recalled event back into its place if it is to be kept again.
+local function put_back(fsm, events, tr)
+  local event, plan = recalled(fsm)
+  if not (plan and match.has(events, event) and match.has(plan.whole, event)
+    and is_kept(fsm, event, tr)) then
+    return
+  end
+  fsm._deferred.list = plan.whole
+  fsm._deferred.at = plan.at + 1
+  rfsm.note_kept(fsm, event)
+  rfsm.report(fsm, "dbg", "DEFERRED", event)
+end
+
 -- Keeps the events of an iteration that a state defers, except those that `tr` takes.
 local function keep_others(fsm, events, tr)
-  local own, list = fsm._deferred, fsm._deferred.list
+  local own = fsm._deferred
   if own.turn ~= fsm._turn then
-    own.count = #list
+    put_back(fsm, events, tr)
+    own.count = #own.list
     own.turn = fsm._turn
   end
+  local list, event, plan = own.list, recalled(fsm)
   for i = #list, own.count + 1, -1 do list[i] = nil end -- after an interrupt
-  for _, event in ipairs(events) do
-    local state = not (tr and match.takes(tr.events, event)) and deferrer(fsm, event)
-    if state then keep(fsm, state, event) end
+  local is_back = plan and list == plan.whole
+  for i = 1, #events do
+    local state = is_kept(fsm, events[i], tr)
+    if is_back and rawequal(events[i], event) then
+      is_back = false
+    elseif state then
+      keep(fsm, state, events[i])
+    end
   end
 end
 
--- Does a recall; after an interrupt it is done again, and events that the program has
--- sent meanwhile go to the end of the queue.
-local function recall_by(fsm, plan, events)
-  local sent = fsm._intq
+-- Does a transition of an active state name the event, or none?
+local function is_accepted(fsm, event)
+  local state = fsm
+  while state do
+    for _, tr in ipairs(state._otrs) do
+      if match.is_any(tr) or match.takes(tr.events, event) then return true end
+    end
+    state = state._actchild
+  end
+  return false
+end
+
+-- Looks for the next event to recall, and returns its place in the list; nil if none is
+-- found before the next path.
+local function find_recall(fsm)
+  local own, last = fsm._deferred, nil
+  for at = own.at, fsm._act_leaf and #own.list or 0 do
+    local event = own.list[at]
+    local is_other = not rawequal(event, last)
+    last = event
+    if is_other and (not deferrer(fsm, event) or is_accepted(fsm, event)) then
+      return at
+    end
+  end
+  own.at = #own.list + 1
+end
+
+-- Plans an iteration with the first `count` of the current events only.
+local function plan_first(fsm, events, count)
+  local own, first, queue = fsm._deferred, {}, {}
+  local left = count - #events
+  for i = 1, #events do
+    local list = i <= count and first or queue
+    list[#list + 1] = events[i]
+  end
+  return { turn = fsm._turn, events = first, queue = match.joined(queue, fsm._intq),
+    waiting = #fsm._intq, at = own.at, whole = own.list, rest = own.list,
+    again = left > 0 and { turn = fsm._turn, count = left } }
+end
+
+-- Plans the current events: what comes again beside an internal transition is before a
+-- recalled event. Returns nil if the events stay.
+local function new_plan(fsm, events)
+  local own, again = fsm._deferred, fsm._again
+  local at = own.list[own.at] ~= nil and find_recall(fsm)
+  if not at then return nil end
+  if again and again.turn == fsm._turn - 1 then
+    return plan_first(fsm, events, again.count)
+  end
+  local rest = match.joined({}, own.list)
+  local event = table.remove(rest, at)
+  return { turn = fsm._turn, events = { event }, waiting = #fsm._intq, at = at,
+    queue = match.joined(match.joined({}, events), fsm._intq), whole = own.list,
+    rest = rest, again = false }
+end
+
+-- Does what is planned; after an interrupt it is done again, and events that the
+-- program has sent meanwhile go to the end of the queue.
+local function follow(fsm, plan, events)
+  local own, sent = fsm._deferred, fsm._intq
   if sent ~= plan.queue then
     for i = plan.waiting + 1, #sent do plan.queue[#plan.queue + 1] = sent[i] end
     fsm._intq = plan.queue
   end
-  for at = #events, 2, -1 do events[at] = nil end
-  events[1] = plan.event
-  fsm._deferred.list = plan.rest
-  rfsm.report(fsm, "dbg", "RECALLED", plan.event)
+  for at = #events, 1, -1 do events[at] = plan.events[at] end
+  own.list, own.at, fsm._again = plan.rest, plan.at, plan.again
+  for at = 1, #plan.events do events[at] = plan.events[at] end
+  if plan.whole ~= plan.rest then rfsm.report(fsm, "dbg", "RECALLED", events[1]) end
 end
 
--- The pre step hook: recalls the first event that no state defers any more. Only hooks
--- at the place "front" are called before it, such as the hook of timers.
+-- The pre step hook: recalls an event. Only hooks at the place "front" are called
+-- before it, such as the hook of timers.
 local function recall(fsm, events)
   local own = fsm._deferred
   own.is_done = not fsm._act_leaf
-  if own.plan and own.plan.turn == fsm._turn then
-    return recall_by(fsm, own.plan, events)
-  elseif own.checked and own.checked == fsm._act_leaf then
-    return
+  if not own.plan or own.plan.turn ~= fsm._turn then
+    own.plan = new_plan(fsm, events)
   end
-  for i, event in ipairs(own.list) do
-    if not deferrer(fsm, event) then
-      local rest = match.joined({}, own.list)
-      table.remove(rest, i)
-      own.plan = { turn = fsm._turn, event = event, rest = rest, waiting = #fsm._intq,
-        queue = match.joined(match.joined({}, events), fsm._intq) }
-      return recall_by(fsm, own.plan, events)
-    end
-  end
-  own.checked = fsm._act_leaf
+  if own.plan then return follow(fsm, own.plan, events) end
 end
 
 -- The path hook: keeps events before the path leaves the states that defer them.
 local function before_path(fsm, path)
-  fsm._deferred.is_done, fsm._deferred.checked = true, false
+  fsm._deferred.is_done = true
   local first = path[1] -- none if a root without states is entered
   if first and not match.is_any(first) then keep_others(fsm, fsm._curq, first) end
+  fsm._deferred.at = 1
 end
 
 local function end_iteration(fsm, events)
@@ -131,9 +226,19 @@ local function list_kept(fsm)
   return list[1] ~= nil and match.joined({}, list) or nil
 end
 
+-- Returns what snapshots contain: the list, with the number of events in the queue that
+-- come before it.
+local function save(fsm)
+  local list, again = list_kept(fsm), fsm._again
+  if not (list and again and again.turn == fsm._turn) then return list end
+  return { list = list, again = again.count }
+end
+
 local function load(fsm, kept)
   reset(fsm)
-  for i, event in ipairs(kept or {}) do fsm._deferred.list[i] = event end
+  kept = kept or {}
+  if kept.again then fsm._again = { turn = fsm._turn, count = kept.again } end
+  for i, event in ipairs(kept.list or kept) do fsm._deferred.list[i] = event end
 end
 
 -- The reaction hook: lists the events that a state defers.
@@ -153,7 +258,7 @@ local function prepare_machine(fsm)
   rfsm.path_hook_add(fsm, rfsm.repeatable(before_path))
   rfsm.post_step_hook_add(fsm, rfsm.repeatable(end_iteration), "before")
   rfsm.reset_hook_add(fsm, reset)
-  rfsm.snapshot_hook_add(fsm, "defer", list_kept, load, true)
+  rfsm.snapshot_hook_add(fsm, "defer", save, load, true)
   rfsm.reaction_hook_add(fsm, list_deferred)
   rfsm.waiting_hook_add(fsm, list_kept)
 end
@@ -180,7 +285,8 @@ local function prepare_state(fsm, state)
   local problem = problem_of(defer)
   if problem then return rfsm.location_of(state, "defer") .. problem end
   if not fsm._deferred then prepare_machine(fsm) end
-  state._defers = defer
+  state._defers = { max = defer.max }
+  for i, event in ipairs(defer) do state._defers[i] = event end
 end
 
 local function has_defer(obj)
@@ -195,9 +301,43 @@ insert(rfsm.preproc, 1, function(fsm, merged)
     problems[#problems + 1] = prepare_state(fsm, state)
   end
   if fsm._deferred then -- merged: there are more events
-    fsm._deferred.known, fsm._deferred.checked = false, false
+    fsm._deferred.known, fsm._deferred.at = false, 1
   end
   return problems
 end)
 
-return {}
+local defer = {}
+
+local function without(list, is_dropped)
+  local others = {}
+  for _, event in ipairs(list) do
+    if not match.takes(is_dropped, event) then others[#others + 1] = event end
+  end
+  return others
+end
+
+--- Drop the events that a machine keeps.
+--
+-- Its regions keep what they have.
+--
+-- @usage
+--    rfsm_defer.drop(fsm, "e_job")
+--
+---@param fsm rfsm.Machine
+---@param name? any only this event; a text is also the name of events with data
+---@return integer count how many events were dropped
+function defer.drop(fsm, name)
+  rfsm.check_machine(fsm, "rfsm.defer.drop")
+  local own = fsm._deferred
+  if not own then return 0 end
+  local names = { name, type(name) == "string" and rfsm.named(name) or nil }
+  local count, plan = #own.list, own.plan
+  own.list = name ~= nil and without(own.list, names) or {}
+  own.count, own.at = min(own.count, #own.list), 1
+  if plan and plan.whole ~= plan.rest then
+    plan.whole = name ~= nil and without(plan.whole, names) or {}
+  end
+  return count - #own.list
+end
+
+return defer

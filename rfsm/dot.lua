@@ -157,6 +157,11 @@ end
 
 local dot = diagram.exporter("rfsm.dot", "rfsm2dot", draw)
 
+-- Makes an SVG that is an image, or is opened alone, dark where its reader wants that:
+-- light is dark, and each colour keeps its hue. In another document it does nothing.
+local DARK = "\n<style>@media screen and (prefers-color-scheme: dark) "
+  .. "{ svg:root { filter: invert(.93) hue-rotate(180deg) } }</style>"
+
 --- Have Graphviz draw a graph.
 ---@param text string the graph
 ---@param format string "svg", "png", "pdf" or another format of Graphviz
@@ -175,6 +180,7 @@ function dot.render(text, format)
   end
   local result, complaint = take(picture), take(log)
   os.remove(graph)
+  if format == "svg" then result = result:gsub("<svg[^>]*>", "%0" .. DARK) end
   if ok and result ~= "" then return result end
   return nil, problem or "dot: " .. (complaint:match("[^\n]+") or "no picture")
 end
@@ -185,6 +191,7 @@ end
 ---@param run? rfsm.pictures.Run runs Graphviz on a host without the program `dot`
 ---@return string? graph with the position of everything in it
 ---@return string? problem in one line
+---@return number? text size of the text on the sheet, in points
 ---@nodiscard
 function dot.layout(fsm, options, run)
   local chart = diagram.read(fsm, "rfsm.dot.layout", options)

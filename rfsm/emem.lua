@@ -155,7 +155,7 @@ local function prepare_state(fsm, state)
   if not fsm._emem then prepare_machine(fsm) end
   if rfsm.is_fsmobj(state.emem) then
     fsm._emem.is_blocked[state] = true
-    return rfsm.report(fsm, "warn", ("WARNING: %s: 'emem' is a %s here, so that "
+    return rfsm.warn(fsm, "init", ("%s: 'emem' is a %s here, so that "
       .. "rfsm.emem cannot count"):format(rfsm.location_of(state),
       rfsm.kind_of(state.emem)))
   end

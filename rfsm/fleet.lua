@@ -22,7 +22,7 @@ local rfsm = require "rfsm"
 
 local error, ipairs, pcall = error, ipairs, try
 local pairs, rawget, rawset = pairs, rawget, rawset
-local setmetatable, tonumber, type = setmetatable, tonumber, type
+local setmetatable, type = setmetatable, type
 local concat, min = table.concat, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
@@ -134,10 +134,25 @@ function Fleet:history(id, count)
   if not list then return nil, problem end
   local moves = {}
   for i = 1, #list, 4 do
-    moves[#moves + 1] = { time = tonumber(list[i]), event = list[i + 1],
+    moves[#moves + 1] = { time = rfsm.number_of(list[i]), event = list[i + 1],
       from = list[i + 2], to = list[i + 3] }
   end
   return moves
+end
+
+--- Return the latest errors of a machine, the newest first.
+---@param id any
+---@param count? integer default 10
+---@return { time: number, error: string }[]? lines
+---@return string? problem
+function Fleet:log(id, count)
+  local list, problem = self:ask("rfsm_log", id, count or 10)
+  if not list then return nil, problem end
+  local lines = {}
+  for i = 1, #list, 2 do
+    lines[#lines + 1] = { time = tonumber(list[i]), error = list[i + 1] }
+  end
+  return lines
 end
 
 --- Call `f(leaf)` each time the active leaf of a machine changes, until `f` returns
@@ -152,30 +167,81 @@ end
 
 -- Workers ------------------------------------------------------------------------
 
+local function all_tags(self)
+  local tags = {}
+  for i = 1, self.tags do tags[i] = ("%d"):format(i - 1) end
+  return tags
+end
+
+-- Returns a call of a function of the loaded library for a hash tag. `keys` lists
+-- functions of `rfsm.server.keys`; each makes one key of the call.
+local function call_of(name, keys, tag, ...)
+  local call = { "FCALL", name, #keys }
+  for _, of in ipairs(keys) do call[#call + 1] = of("{" .. tag .. "}") end
+  for _, value in ipairs { ... } do call[#call + 1] = value end
+  return call
+end
+
 -- Calls a function of the loaded library for each hash tag, in parallel. Returns the
--- replies. `keys` lists functions of `rfsm.server.keys`; each makes one key of a call.
+-- replies.
 local function call_tags(self, name, keys, ...)
-  local tags, calls = {}, {}
-  for i = 1, self.tags do
-    local tag, call = ("%d"):format(i - 1), { "FCALL", name, #keys }
-    for _, of in ipairs(keys) do call[#call + 1] = of("{" .. tag .. "}") end
-    for _, value in ipairs { ... } do call[#call + 1] = value end
-    tags[i], calls[i] = tag, call
-  end
+  local tags, calls = all_tags(self), {}
+  for i, tag in ipairs(tags) do calls[i] = call_of(name, keys, tag, ...) end
   return self.connection:call_all(tags, calls)
 end
 
---- Run the machines whose timers are due. A failed machine is put aside for a minute.
+-- The keys of a call of rfsm_wake.
+local WAKE = { keys_of.due, keys_of.out, keys_of.aside, keys_of.lease }
+
+-- Calls rfsm_wake for each hash tag in a list, in which a tag may come again. Adds
+-- to the counts; returns a table hash tag -> how many machines are still due.
+local function wake_tags(self, tags, limit, counts)
+  local calls, left = {}, {}
+  for i, tag in ipairs(tags) do calls[i] = call_of("rfsm_wake", WAKE, tag, limit) end
+  for i, reply in ipairs(self.connection:call_all(tags, calls)) do
+    counts.woken, counts.failed = counts.woken + reply[1], counts.failed + reply[2]
+    counts[tags[i]] = (counts[tags[i]] or 0) + reply[1] + reply[2]
+    left[tags[i]] = reply[3] or 0 -- an older library has run all of them
+  end
+  return left
+end
+
+-- Calls rfsm_wake for each hash tag, and then for each machine that is still due.
+local function wake_all(self, limit, counts)
+  local more = {}
+  local left = wake_tags(self, all_tags(self), limit, counts)
+  for _, tag in ipairs(all_tags(self)) do
+    for _ = 1, min(left[tag], limit - counts[tag]) do more[#more + 1] = tag end
+  end
+  wake_tags(self, more, limit, counts)
+end
+
+--- Run the machines whose timers are due. Each call for a machine leases the next, so
+-- that a machine that comes to no end does not hold up the others. A failed machine is
+-- put aside for a minute.
 ---@param limit? integer greatest number of machines for each hash tag (100)
 ---@return integer count machines that ran
 ---@return integer failed machines that were put aside
+---@return string? problem the server is busy, or has no memory: the machines wait
 function Fleet:wake(limit)
-  local count, failed = 0, 0
-  for _, reply in ipairs(call_tags(self, "rfsm_wake", { keys_of.due, keys_of.out,
-    keys_of.aside }, limit or 100)) do
-    count, failed = count + reply[1], failed + reply[2]
+  local counts = { woken = 0, failed = 0 }
+  local ok, problem = pcall(wake_all, self, limit or 100, counts)
+  if not ok and not connection.has_to_wait(problem) then error(problem, 0) end
+  return counts.woken, counts.failed, problem
+end
+
+-- Calls a function for each hash tag; returns the first keys of all replies, at most
+-- `limit`, or nil and the problem.
+local function joined(self, limit, name, keys, ...)
+  local ok, replies = pcall(call_tags, self, name, keys, ...)
+  if not ok then return nil, replies end
+  local found = {}
+  for _, reply in ipairs(replies) do
+    for _, key in ipairs(reply) do
+      found[#found + 1] = #found < limit and key or nil
+    end
   end
-  return count, failed
+  return found
 end
 
 --- Return the keys of machines in a state. The library must be made with `--index`.
@@ -186,17 +252,71 @@ end
 ---@return string[]? keys
 ---@return string? problem
 function Fleet:find(chart, state, limit, seconds)
-  limit = limit or 100
-  local ok, replies = pcall(call_tags, self, "rfsm_find", { keys_of.index,
-    keys_of.since }, chart, state, limit, seconds)
-  if not ok then return nil, replies end
-  local found = {}
-  for _, reply in ipairs(replies) do
-    for _, key in ipairs(reply) do
-      found[#found + 1] = #found < limit and key or nil
+  return joined(self, limit or 100, "rfsm_find", { keys_of.index, keys_of.since },
+    chart, state, limit or 100, seconds)
+end
+
+--- Return the keys of machines that are due.
+---@param limit? integer default 100
+---@param time? number seconds; default: now
+---@return string[]? keys
+---@return string? problem
+function Fleet:due(limit, time)
+  return joined(self, limit or 100, "rfsm_due", { keys_of.due }, limit or 100, time)
+end
+
+-- Calls f(call, keys) for the keys of a server that may be machines, in groups with the
+-- same hash tag. call(name, ...) sends a command to the server.
+local function each_group(self, f)
+  self.connection:each_master(function(call)
+    local at = "0"
+    repeat
+      local reply = call("SCAN", at, "COUNT", 1000, "TYPE", "string")
+      at = reply[1]
+      local groups = {}
+      for _, key in ipairs(reply[2]) do
+        local ok, tag = pcall(keys_of.tag, key)
+        if ok and pcall(keys_of.machine, { key }) then
+          groups[tag] = groups[tag] or {}
+          groups[tag][#groups[tag] + 1] = key
+        end
+      end
+      for _, tag in ipairs(rfsm.sorted_keys(groups)) do f(call, groups[tag]) end
+    until at == "0"
+  end)
+end
+
+--- Put all machines into the index as they are, also those that have moved while the
+-- library was loaded without `--index`.
+---@return integer? count machines
+---@return string? problem
+function Fleet:reindex()
+  local count = 0
+  local ok, problem = pcall(each_group, self, function(call, keys)
+    count = count + call("FCALL", "rfsm_reindex", #keys, unpack(keys))
+  end)
+  return ok and count or nil, not ok and problem or nil
+end
+
+--- Count the machines of each version of each chart.
+---@return { chart: string, known: string, version: string, count: integer }[]? list
+--- `known` is "newest", "bundled" (in the library), or "gone"
+---@return string? problem
+function Fleet:versions()
+  local counts, list = {}, {}
+  local ok, problem = pcall(each_group, self, function(call, keys)
+    local reply = call("FCALL", "rfsm_versions", #keys, unpack(keys))
+    for i = 1, #reply, 4 do
+      local name = concat(reply, "\t", i, i + 2)
+      counts[name] = (counts[name] or 0) + reply[i + 3]
     end
+  end)
+  if not ok then return nil, problem end
+  for i, name in ipairs(rfsm.sorted_keys(counts)) do
+    local chart, known, version = name:match("^(.-)\t(.-)\t(.*)$")
+    list[i] = { chart = chart, known = known, version = version, count = counts[name] }
   end
-  return found
+  return list
 end
 
 -- Messages ------------------------------------------------------------------------
@@ -217,40 +337,80 @@ local function ask_stream(work, name, ...)
   return work.fleet:call(work.tag, name, work.stream, ...)
 end
 
--- Returns the entry that the callback of `Fleet:work` gets. The entry's id is unique
--- among all groups and streams, so that the callback may send an event with this id.
-local function entry_of(work, raw)
-  local entry = fields_of(raw[2])
-  entry.id = concat({ work.group, work.tag, raw[1] }, ":")
-  entry.data = entry.data and entry.data ~= "" and codec.decode(entry.data) or nil
+-- For each entry that a worker has: `work`, the `raw` entry, the connection by which it
+-- came, its `deliveries`. Entries are plain tables, which callbacks may print.
+local taken = setmetatable({}, { __mode = "k" })
+
+-- Returns an entry as workers get it. Its id is unique among all groups and streams, so
+-- that the worker may send an event with this id. An entry that was dead and is sent
+-- again has the id that it had at first.
+local function entry_of(work, raw, client, deliveries)
+  local fields = fields_of(raw[2])
+  local entry = { machine = fields.machine, what = fields.what,
+    id = concat({ work.group, work.tag, fields.id or raw[1] }, ":"),
+    data = fields.data and fields.data ~= "" and codec.decode(fields.data) or nil }
+  taken[entry] = { work = work, raw = raw, client = client, fields = fields,
+    deliveries = deliveries }
   return entry
 end
 
--- Moves an entry that has failed too often to the stream of dead entries.
-local function bury(work, raw, deliveries, problem)
-  local fields = { unpack(raw[2]) }
-  for _, text in ipairs { "group", work.group, "id", raw[1], "deliveries", deliveries,
-    "error", problem } do
-    fields[#fields + 1] = text
-  end
-  work.fleet:call(work.tag, "XADD", keys_of.dead("{" .. work.tag .. "}"), "*",
-    unpack(fields))
-  ask_stream(work, "XACK", work.group, raw[1])
+-- Sends a command about an entry by the connection by which the entry came. After a
+-- failover the answer to the entry may be lost, so the entry has to come again.
+local function ask_by(own, name, stream, ...)
+  return own.work.fleet.connection:call_by(own.client, name, stream, ...)
 end
 
--- Calls f with an entry. If f raises an error, the entry stays pending. After the last
--- try, or if a worker died in each try, the entry moves to the dead entries.
-local function handle(work, f, raw, deliveries)
-  local tries, ok, problem = work.options.tries, false, "no worker has finished it"
-  if deliveries <= tries then ok, problem = pcall(f, entry_of(work, raw)) end
-  if ok then
-    ask_stream(work, "XACK", work.group, raw[1])
-    work.count = work.count + 1
-    return
+local function acknowledge(own)
+  return (ask_by(own, "XACK", own.work.stream, own.work.group, own.raw[1]))
+end
+
+-- Moves an entry that has failed too often to the stream of dead entries.
+local function bury(own, problem)
+  local work, fields = own.work, own.fields
+  local dead = keys_of.dead("{" .. work.tag .. "}")
+  local is_there = ask_by(own, "XADD", dead, "*", "machine", fields.machine, "what",
+    fields.what, "data", fields.data, "group", work.group, "id",
+    fields.id or own.raw[1], "deliveries", min(own.deliveries, work.options.tries),
+    "error", problem)
+  return is_there and acknowledge(own)
+end
+
+local function own_of(self, entry, where)
+  local own = taken[entry]
+  if own and own.work.fleet == self then return own end
+  error("rfsm.fleet." .. where .. ": an entry of take expected, " .. opts.got(entry), 3)
+end
+
+--- An entry is done: its group does not get it again.
+---@param entry rfsm.fleet.Entry
+---@return boolean was_there false: the connection by which the entry came is lost, so
+--- the entry comes again
+function Fleet:done(entry)
+  return acknowledge(own_of(self, entry, "done"))
+end
+
+--- The try has failed: the entry comes again later, or, after the last try, moves to
+-- the stream of dead entries.
+---@param entry rfsm.fleet.Entry
+---@param reason string
+---@return boolean is_dead was it the last try?
+function Fleet:fail(entry, reason)
+  local own = own_of(self, entry, "fail")
+  return own.deliveries >= own.work.options.tries and bury(own, rfsm.text_of(reason))
+end
+
+-- Calls f with an entry that has a try left and is for this group.
+local function hand_on(work, f, raw, client, deliveries)
+  local entry = entry_of(work, raw, client, deliveries)
+  local own = taken[entry]
+  if own.fields.group and own.fields.group ~= work.group then
+    acknowledge(own)
+  elseif deliveries > work.options.tries then
+    work.failures[#work.failures + 1] = "no worker has finished it"
+    bury(own, "no worker has finished it")
+  else
+    f(entry)
   end
-  problem = rfsm.text_of(problem)
-  work.failures[#work.failures + 1] = problem
-  if deliveries >= tries then bury(work, raw, min(deliveries, tries), problem) end
 end
 
 -- Makes a group that gets all entries of the stream, unless another worker has made it.
@@ -271,17 +431,27 @@ local function pending(work)
   return {}
 end
 
--- Handles pending entries again, each after a wait that doubles with each try.
+-- Hands on pending entries again, each after a wait that doubles with each try.
 local function retry(work, f)
   for _, entry in ipairs(pending(work)) do
     local id, idle, deliveries = entry[1], entry[3], entry[4]
     local wait = work.options.idle * 2 ^ (deliveries - 1)
     if idle >= wait then
-      local claimed = ask_stream(work, "XCLAIM", work.group, work.worker,
+      local claimed, client = ask_stream(work, "XCLAIM", work.group, work.worker,
         ("%d"):format(wait), id)
-      for _, raw in ipairs(claimed) do handle(work, f, raw, deliveries + 1) end
+      for _, raw in ipairs(claimed) do
+        hand_on(work, f, raw, client, deliveries + 1)
+      end
     end
   end
+end
+
+-- Calls f with each entry of a stream that a worker may try now.
+local function each_entry(work, f)
+  retry(work, f)
+  local new, client = work.fleet:call(work.tag, "XREADGROUP", "GROUP", work.group,
+    work.worker, "COUNT", work.options.count, "STREAMS", work.stream, ">")
+  for _, raw in ipairs(new and new[1][2] or {}) do hand_on(work, f, raw, client, 1) end
 end
 
 -- Pads the numbers in the id of an entry with zeros, so that ids compare as texts.
@@ -311,34 +481,79 @@ local WORK = {
   tries = { "a whole number", opts.is_whole(1, 1000), 5 },
 }
 
+-- Returns a list with the work of a worker on each hash tag.
+local function works_of(self, where, group, worker, options)
+  local settings, problem = opts.read(WORK, options or {})
+  if not settings then error("rfsm.fleet." .. where .. ": " .. problem, 3) end
+  local works, failures = {}, {}
+  for i, tag in ipairs(all_tags(self)) do
+    works[i] = { fleet = self, tag = tag, stream = keys_of.out("{" .. tag .. "}"),
+      group = group, worker = worker, options = settings, count = 0,
+      failures = failures }
+  end
+  return works, failures
+end
+
+--- An event that a machine has emitted.
+---@class rfsm.fleet.Entry
+---@field id string for `answer` and `send_once`
+---@field machine string its key
+---@field what string
+---@field data any
+
+--- Take entries, each of which the caller ends by `done` or `fail`. Other workers of
+-- the group do not get them meanwhile, see `work`.
+---@param group string
+---@param worker string a name that no other worker of the group has
+---@param options? { count: integer?, idle: integer?, tries: integer? } as for `work`
+---@return rfsm.fleet.Entry[] entries
+---@return string[] failures a text for each entry that is dead now
+function Fleet:take(group, worker, options)
+  local works, failures = works_of(self, "take", group, worker, options)
+  local entries = {}
+  for _, work in ipairs(works) do
+    each_entry(work, function(entry) entries[#entries + 1] = entry end)
+  end
+  return entries, failures
+end
+
+-- Does what a worker can do now on one hash tag, and removes what all groups have done.
+local function run_worker(work, f)
+  local failures = work.failures
+  each_entry(work, function(entry)
+    local ok, problem = pcall(f, entry)
+    if not ok then
+      failures[#failures + 1] = rfsm.text_of(problem)
+      work.fleet:fail(entry, problem)
+    elseif work.fleet:done(entry) then
+      work.count = work.count + 1
+    end
+  end)
+  if work.count > 0 then trim(work) end
+end
+
 --- Call `f(entry)` for each event that machines have emitted, at least once in a group.
 --
--- An entry has `machine`, `what`, `data`, and an `id` for `send_once`. If `f` raises an
+-- An entry has `machine`, `what`, `data`, and an `id` for `answer`. If `f` raises an
 -- error, or the worker dies, a worker of the group gets the entry again: after `idle`
 -- milliseconds, then after twice as long, and so on. After `tries` calls it moves to
 -- the stream rfsm:dead:{tag}. An entry that all groups have finished leaves its stream.
+-- While a server is busy or has no memory, its entries wait.
 --
 ---@param group string
 ---@param worker string a name that no other worker of the group has
----@param f fun(entry: table)
+---@param f fun(entry: rfsm.fleet.Entry)
 ---@param options? { count: integer?, idle: integer?, tries: integer? } by default
 -- `count` is 100, `idle` is 30000, and `tries` is 5
 ---@return integer count entries that were handled
 ---@return string[] failures errors of `f`, and a text for each entry never finished
 function Fleet:work(group, worker, f, options)
-  local settings, problem = opts.read(WORK, options or {})
-  if not settings then error("rfsm.fleet.work: " .. problem, 2) end
-  local total, failures = 0, {}
-  for number = 0, self.tags - 1 do
-    local tag = ("%d"):format(number)
-    local work = { fleet = self, tag = tag, stream = keys_of.out("{" .. tag .. "}"),
-      group = group, worker = worker, options = settings, count = 0,
-      failures = failures }
-    retry(work, f)
-    local new = self:call(tag, "XREADGROUP", "GROUP", group, worker, "COUNT",
-      settings.count, "STREAMS", work.stream, ">")
-    for _, raw in ipairs(new and new[1][2] or {}) do handle(work, f, raw, 1) end
-    if work.count > 0 then trim(work) end
+  local works, failures = works_of(self, "work", group, worker, options)
+  local total = 0
+  for _, work in ipairs(works) do
+    local ok, problem = pcall(run_worker, work, f)
+    if not ok and not connection.has_to_wait(problem) then error(problem, 0) end
+    if not ok then failures[#failures + 1] = problem end
     total = total + work.count
   end
   return total, failures
@@ -382,7 +597,8 @@ function Fleet:drop(tag, id)
   return self:call(tag, "XDEL", keys_of.dead("{" .. tag .. "}"), id) == 1
 end
 
---- Put a dead entry back into its stream, for all groups.
+--- Put a dead entry back into its stream, for the group in which it has failed. It
+-- keeps its id, so that an answer which was sent before it failed counts once.
 ---@param tag string
 ---@param id string
 ---@return boolean was_there
@@ -392,7 +608,7 @@ function Fleet:again(tag, id)
   if not raw then return false end
   local entry = fields_of(raw[2])
   self:call(tag, "XADD", keys_of.out(key), "*", "machine", entry.machine, "what",
-    entry.what, "data", entry.data)
+    entry.what, "data", entry.data, "group", entry.group, "id", entry.id)
   return self:drop(tag, id)
 end
 

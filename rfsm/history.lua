@@ -6,7 +6,6 @@
 -- @module rfsm.history
 -- @license BSD-3-Clause
 
-local nearest_name = require("rfsm.advice").nearest_name
 local rfsm = require "rfsm"
 
 local function has_history(obj)
@@ -46,7 +45,7 @@ local function check(state)
   local value, where = state.history, rfsm.location_of(state, "history") .. ": "
   if value ~= "shallow" and value ~= "deep" then
     return where .. "'shallow' or 'deep' expected, " .. rfsm.got(value)
-      .. nearest_name(rfsm.text_of(value), { "shallow", "deep" })
+      .. require("rfsm.advice").nearest_name(rfsm.text_of(value), { "shallow", "deep" })
   elseif rfsm.is_leaf(state) then
     return where .. "only a composite can have a history"
   end

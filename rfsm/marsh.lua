@@ -17,7 +17,7 @@ local rfsm = require "rfsm"
 
 local io, ipairs, rawget, rawset = rawget(_G, "io"), ipairs, rawget, rawset
 local select, setmetatable = select, setmetatable
-local tonumber, type = tonumber, type
+local type = type
 local concat = table.concat
 local compile = rawget(_G, "loadstring") or rawget(_G, "load")
 local debug = rawget(_G, "debug")
@@ -325,9 +325,9 @@ end
 function marsh.words_of(text, fqn)
   if text:sub(-#fqn - 1) == "@" .. fqn then text = text:sub(1, -#fqn - 2) end
   if text == "e_done" then return "done" end
-  local kind, time = text:match("^e_(a%l+)%((.*)%)$")
-  if kind ~= "after" and kind ~= "at" then return text end
-  return kind .. " " .. time .. (tonumber(time) and " s" or "")
+  local kind, time = text:match("^e_(%l+)%((.*)%)$")
+  if kind ~= "after" and kind ~= "every" and kind ~= "at" then return text end
+  return kind .. " " .. time .. (rfsm.number_of(time) and " s" or "")
 end
 
 -- Tables ----------------------------------------------------------------------

@@ -56,7 +56,8 @@ local function build_merge(rfsm, engine, fsm, parent, obj, id)
   if rfsm.is_trans(obj) then
     engine.new_transition(build, obj, parent, id)
     if parent._is_leaf then
-      engine.add(build.warnings, parent, nil, "a transition inside a leaf state")
+      engine.add_warning(build.warnings, "misplaced", parent, nil,
+        "a transition inside a leaf state")
     end
   else
     local node = engine.new_node(build, rfsm.kind_of(obj), obj, parent, id)
@@ -126,7 +127,7 @@ local function try_merge(rfsm, engine, before, obj, id)
   end
   local problems = engine.lines_of(build.problems)
   if rfsm.is_trans(obj) and not fsm._transitions[before.transition] then
-    for _, line in ipairs(engine.lines_of(build.warnings)) do -- in a leaf a wrong end
+    for _, line in ipairs((engine.lines_of(build.warnings))) do -- in a leaf a wrong end
       problems[#problems + 1] = line
     end
   end

@@ -13,13 +13,16 @@
 local script = require "rfsm.postgres.script"
 local Base = require "rfsm.server.client"
 local host = require "rfsm.postgres.host"
+local lease = require "rfsm.server.lease"
 local codec = require "rfsm.server.codec"
+local digits_of = require("rfsm.shared.exact_json").digits_of
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 local sandbox = require "rfsm.server.sandbox"
 local try = require("rfsm.shared.calls").try
 
 local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
+local select = select
 local setmetatable, tonumber, tostring = setmetatable, tonumber, tostring
 local type = type
 
@@ -29,18 +32,19 @@ local postgres = {}
 
 -- Returns a statement that reads machines, and then the time, since it may have to wait
 -- for a lock. If there is no machine, it returns one row that has only the time.
-local function reading(columns, rows)
-  return ([[SELECT %s, (extract(epoch FROM clock_timestamp()) * 1e6)::text AS us
-    FROM (SELECT 1) one LEFT JOIN (SELECT key, value FROM rfsm.machines %s) m ON true]])
-    :format(columns, rows)
+local function reading(rows)
+  return ([[SELECT value::text, key,
+    (extract(epoch FROM clock_timestamp()) * 1e6)::text AS us
+    FROM (SELECT 1) one LEFT JOIN (SELECT key, value FROM rfsm.%s) m ON true]])
+    :format(rows)
 end
 
-local READ = reading("value::text", "WHERE key = $1")
-local LOCK = reading("value::text", "WHERE key = $1 FOR UPDATE")
-local DUE = reading("key, value::text", "WHERE due <= clock_timestamp() ORDER BY due "
-  .. "LIMIT %d FOR UPDATE SKIP LOCKED")
-local ASIDE = "UPDATE rfsm.machines SET due = clock_timestamp() + interval '1 minute' "
-  .. "WHERE key = $1"
+local READ = reading "machines WHERE key = $1"
+local LOCK = reading "machines WHERE key = $1 FOR UPDATE"
+local LEASED = reading "leased($1)"
+local LEASE = "SELECT key, leases FROM rfsm.lease()"
+local ASIDE = "UPDATE rfsm.machines SET due = clock_timestamp() + interval '1 minute', "
+  .. "leases = 0 WHERE key = $1"
 
 -- Charts --------------------------------------------------------------------------
 
@@ -84,7 +88,7 @@ local function of_luasql(connection)
     sql = sql:gsub("%$(%d+)", function(number)
       local value = values[tonumber(number)]
       if value == nil then return "NULL" end
-      value = tostring(value)
+      value = type(value) == "number" and digits_of(value) or tostring(value)
       local text = not value:find("\0", 1, true) and connection:escape(value) or nil
       is_text = is_text and text ~= nil
       return text and "'" .. text .. "'"
@@ -287,27 +291,51 @@ local function put_aside(self, key, problem)
   query(self, host.STATEMENTS.log, key, reason_of(problem))
 end
 
--- Runs machines that are due and that no other worker has locked. If a statement fails,
--- the transaction of all these machines fails, and `culprit` has the key of the machine
--- that caused this, and the problem.
-local function wake(self, limit, culprit)
-  local counts = { woken = 0, failed = 0 }
-  for _, row in ipairs(query(self, DUE:format(limit))) do
-    if row.key then
-      local ok, problem = try(answer, self, "rfsm_tick", row.key, {}, row)
-      if not ok then
-        culprit.key, culprit.problem = row.key, problem
-        if not try(put_aside, self, row.key, problem) then error(problem, 0) end
-      end
-      local name = ok and "woken" or "failed"
-      counts[name] = counts[name] + 1
-    end
-  end
-  culprit.key = nil
-  return counts
+-- Runs a leased machine, unless another session has it. Returns the name of a count;
+-- nil if it was not run.
+local function run_leased(self, key)
+  local row = key and query(self, LEASED, key)[1]
+  if not (row and row.key) then return nil end
+  local ok, problem = try(answer, self, "rfsm_tick", key, { "due" }, row)
+  if not ok and not try(put_aside, self, key, problem) then error(problem, 0) end
+  return ok and "woken" or "failed"
 end
 
---- Run the machines whose timers are due. A failed one is put aside for a minute.
+-- Leases the machine that is due first; returns its key, or nil. A machine that had too
+-- many leases is held.
+local function lease_next(self)
+  local key
+  repeat
+    local row = query(self, LEASE)[1]
+    key = row and row.key
+    local has_ended = not key or tonumber(row.leases) <= lease.MOST
+    if not has_ended then call(self, "rfsm_hold", key, lease.REASON) end
+  until has_ended
+  return key
+end
+
+-- Runs the machine that the transaction before has leased, and leases the next one.
+local function run_next(self, key, is_last)
+  local name = run_leased(self, key)
+  return { name = name, key = not is_last and lease_next(self) or nil }
+end
+
+-- The same in a transaction. If a statement fails, the transaction fails, and the
+-- machine is put aside in another one. Returns the name of a count or nil, and the key
+-- of the next machine.
+local function wake_one(self, key, is_last)
+  local ok, done = run(self, run_next, key, is_last)
+  if ok then return done.name, done.key end
+  local can_go_on = key and self.query and not self.is_open
+  if not (can_go_on and run(self, put_aside, key, done)) then
+    error("rfsm.postgres.wake: " .. reason_of(done), 0)
+  end
+  return "failed", select(2, wake_one(self, nil, is_last))
+end
+
+--- Run the machines whose timers are due, each in a transaction. It is leased in the
+-- one before, so that a machine that comes to no end does not hold up the others after
+-- this process has ended. A failed one is put aside for a minute.
 -- @raise if no server answers
 ---@param limit? integer how many machines are run at most (100)
 ---@return integer count machines that were run
@@ -317,16 +345,177 @@ function Client:wake(limit)
   if not is_limit(limit) then
     error("rfsm.postgres.wake: a whole number expected, " .. opts.got(limit), 2)
   end
-  local culprit, failed = {}, 0
-  local ok, counts = run(self, wake, limit, culprit)
-  while not ok and culprit.key and self.query and not self.is_open
-    and run(self, put_aside, culprit.key, culprit.problem) do
-    failed = failed + 1
-    culprit.key = nil
-    ok, counts = run(self, wake, limit, culprit)
+  local counts, key = { woken = 0, failed = 0 }, nil
+  for i = 0, limit do
+    local name, next_key = wake_one(self, key, i == limit)
+    if name then counts[name] = counts[name] + 1 end
+    if not next_key then break end
+    key = next_key
   end
-  if not ok then error("rfsm.postgres.wake: " .. reason_of(counts), 0) end
-  return counts.woken, counts.failed + failed
+  return counts.woken, counts.failed
 end
+
+-- Questions -----------------------------------------------------------------------
+
+-- Returns the rows of a statement, which is a transaction unless one is open.
+local function ask_rows(self, where, sql, ...)
+  local ok, rows = run(self, query, sql, ...)
+  if ok then return rows end
+  error("rfsm.postgres." .. where .. ": " .. reason_of(rows), 0)
+end
+
+--- Return the latest errors of a machine, the newest first.
+-- @raise if no server answers, as the methods below do
+---@param key any
+---@param count? integer default 10
+---@return { time: number, error: string }[] lines
+function Client:log(key, count)
+  local lines = ask_rows(self, "log", [[SELECT extract(epoch FROM at)::text AS time,
+    error FROM rfsm.log($1, $2::integer)]], rfsm.text_of(key), count or 10)
+  for _, line in ipairs(lines) do line.time = tonumber(line.time) end
+  return lines
+end
+
+local function keys_of(rows)
+  for i, row in ipairs(rows) do rows[i] = row.key end
+  return rows
+end
+
+--- Return the keys of machines that are due.
+---@param limit? integer default 100
+---@return string[] keys
+function Client:due(limit)
+  return keys_of(ask_rows(self, "due", "SELECT key FROM rfsm.due($1::integer)",
+    limit or 100))
+end
+
+--- Return the keys of machines in a state.
+---@param chart string
+---@param state string FQN of a leaf or composite
+---@param limit? integer default 100
+---@param seconds? number return only machines that are in their leaf for so long
+---@return string[] keys
+function Client:find(chart, state, limit, seconds)
+  return keys_of(ask_rows(self, "find", "SELECT key FROM rfsm.find($1, $2, "
+    .. "$3::integer, $4::interval) key", chart, state, limit or 100,
+    (seconds or 0) .. " s"))
+end
+
+--- Count the machines of each version of each chart.
+---@return { chart: string, version: string, count: integer }[] list
+function Client:versions()
+  local list = ask_rows(self, "versions", "SELECT chart, version, machines AS count "
+    .. "FROM rfsm.versions()")
+  for _, row in ipairs(list) do row.count = tonumber(row.count) end
+  return list
+end
+
+-- Entries -------------------------------------------------------------------------
+
+--- An event that a machine has emitted.
+---@class rfsm.postgres.Entry
+---@field id string for `answer` and `send_once`
+---@field number integer its id in the tables rfsm.out and rfsm.dead
+---@field machine string its key
+---@field what string
+---@field data any
+---@field tries integer how often a worker got it
+---@field error string? of a dead entry: the error of the last try
+
+local function entry_of(row)
+  return { id = "out-" .. row.id, number = tonumber(row.id), machine = row.key,
+    what = row.what, data = row.data and codec.decode(row.data),
+    tries = tonumber(row.tries), error = row.error }
+end
+
+local function ask_entries(self, where, sql, ...)
+  local entries = {}
+  for i, row in ipairs(ask_rows(self, where, sql, ...)) do
+    entries[i] = entry_of(row)
+  end
+  return entries
+end
+
+-- Calls a function of SQL for an entry; returns what it returns, a boolean.
+local function ask_about(self, name, number, ...)
+  local sql = ("SELECT rfsm.%s($1::bigint%s)::text AS answer"):format(name,
+    select("#", ...) > 0 and ", $2" or "")
+  return ask_rows(self, name, sql, ("%d"):format(number), ...)[1].answer == "true"
+end
+
+local WORK = {
+  count = { "a whole number", opts.is_whole(1, 1e6), 1 },
+  lease = { "seconds", opts.is_seconds, 30 },
+  tries = { "a whole number", opts.is_whole(1, 1000), 5 },
+}
+
+local function take(self, where, options)
+  local settings, problem = opts.read(WORK, options or {})
+  if not settings then error("rfsm.postgres." .. where .. ": " .. problem, 3) end
+  return ask_entries(self, where, [[SELECT id, key, what, data::text, try AS tries
+    FROM rfsm.take($1::integer, $2::interval, $3::integer)]], settings.count,
+    settings.lease .. " s", settings.tries)
+end
+
+--- Take entries, each of which the caller ends by `done` or `fail`. No other worker
+-- gets them until their lease is over: `lease` seconds, twice as long with each try.
+---@param options? { count: integer?, lease: number?, tries: integer? } by default
+--- `count` is 1, `lease` is 30, and `tries` is 5
+---@return rfsm.postgres.Entry[] entries
+function Client:take(options)
+  local entries = take(self, "take", options) -- no tail call: it blames the caller
+  return entries
+end
+
+--- An entry is done. Call it in the transaction that sends the answer.
+---@param entry rfsm.postgres.Entry
+---@return boolean was_there
+function Client:done(entry) return ask_about(self, "done", entry.number) end
+
+--- The try has failed: the entry comes again when its lease is over.
+---@param entry rfsm.postgres.Entry
+---@param reason string
+---@return boolean was_there
+function Client:fail(entry, reason)
+  return ask_about(self, "fail", entry.number, rfsm.text_of(reason))
+end
+
+--- Call `f(entry)` for each entry that no other worker has. If `f` raises an error, or
+-- the worker dies, the entry comes again, see `take`. After `tries` calls it is dead.
+---@param f fun(entry: rfsm.postgres.Entry)
+---@param options? { count: integer?, lease: number?, tries: integer? } as for `take`
+---@return integer count entries that are done
+---@return string[] failures errors of `f`
+function Client:work(f, options)
+  local count, failures = 0, {}
+  for _, entry in ipairs(take(self, "work", options)) do
+    local ok, problem = try(f, entry)
+    if ok then
+      count = count + (self:done(entry) and 1 or 0)
+    else
+      failures[#failures + 1] = rfsm.text_of(problem)
+      self:fail(entry, problem)
+    end
+  end
+  return count, failures
+end
+
+--- Return dead entries, the oldest first.
+---@param limit? integer greatest number of entries (100)
+---@return rfsm.postgres.Entry[] entries
+function Client:dead(limit)
+  return ask_entries(self, "dead", [[SELECT id, key, what, data::text, tries, error
+    FROM rfsm.dead ORDER BY id LIMIT $1::integer]], limit or 100)
+end
+
+--- Send a dead entry again; it keeps its id.
+---@param number integer
+---@return boolean was_there
+function Client:again(number) return ask_about(self, "again", number) end
+
+--- Drop a dead entry.
+---@param number integer
+---@return boolean was_there
+function Client:drop(number) return ask_about(self, "drop", number) end
 
 return postgres

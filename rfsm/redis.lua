@@ -7,6 +7,9 @@
 -- @license BSD-3-Clause
 
 local library = require "rfsm.server.library"
+local verbs = require "rfsm.server.verbs"
+
+local concat = table.concat
 
 local redis = {}
 
@@ -40,10 +43,9 @@ local function register(name, flag)
   }
 end
 
-local names = { "create", "send", "send_at", "cancel", "tick", "wake", "hold",
-  "release", "force", "remove", "get", "due", "why", "find", "stats", "history" }
-for i = 1, #names do register("rfsm_" .. names[i], i > 10 and "no-writes" or nil) end
 ]]
+
+local REGISTER = 'register("rfsm_%s", %s)\n'
 
 --- Return the name of a chart, and its file, from an argument of the command, such as
 -- `lamp.lua` or `lamp=old/lamp.lua`.
@@ -63,7 +65,10 @@ function redis.name_of(argument) return library.name_of(argument) end
 function redis.bundle(arguments, options)
   local text, warnings = library.text(arguments, "Redis", options or {},
     "rfsm.redis.store")
-  return HEAD .. text .. FOOT, warnings
+  local names = verbs.map(function(verb)
+    return REGISTER:format(verb.name, verb.reads and '"no-writes"' or "nil")
+  end)
+  return HEAD .. text .. FOOT .. concat(names), warnings
 end
 
 return redis

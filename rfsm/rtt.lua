@@ -16,7 +16,7 @@
 local collectgarbage, error, package = collectgarbage, error, package
 local ipairs, pcall, rawget, rawset = ipairs, pcall, rawget, rawset
 local require, select = require, select
-local setmetatable, tostring, type = setmetatable, tostring, type
+local setmetatable, type = setmetatable, type
 local min = math.min
 
 -- RTT's Lua 5.1 does not start a collection when memory is short, and a component fails
@@ -30,90 +30,59 @@ end
 local rfsm = require "rfsm"
 local held_port = require "rfsm.rtt.port"
 
+local info_of, new_variables = held_port.info_of, held_port.new_variables
+local port_problem = held_port.problem
+
+-- What the core keeps in place of rfsm/advice.lua in a pool, where that would take more
+-- than a chart of five states: it is loaded for problems, and dropped with the launch.
+-- Fields of a state that may be mistakes are left to `rfsm check`.
+local hints = setmetatable({ datum = function() return "" end }, {
+  __index = function(self, topic)
+    local loaded = package.loaded
+    if loaded["rfsm.advice"] == self then loaded["rfsm.advice"] = nil end
+    return require("rfsm.advice")[topic]
+  end,
+})
+
 -- rfsm/fast.lua would generate code that takes 2 KiB of the pool for each state.
-if rawget(_G, "tlsf") then rfsm.save_memory() end
+if rawget(_G, "tlsf") then
+  rfsm.save_memory()
+  package.loaded["rfsm.advice"] = hints
+end
 
 ---@class rfsm.rtt
 ---@field launched rfsm.rtt.Launched? the latest launch in this Lua
+---@field declared rfsm.rtt.Declared? what the latest call of `ports` has made
+---@field gen_raise_event fun(port: any, fsm?: rfsm.Machine): fun(...: any)
+---@field placeholders table? what stands for OCL's rttlib until it is used
 ---@field service_launch_rfsm fun(file: string, exec_str: function, ...): boolean
 ---@field component_launch_rfsm fun(args: rfsm.rtt.Launch): any
+---@field launch_system fun(file: string, options?: table): rfsm.rtt.LaunchedSystem
 ---@field service_halt_rfsm fun(component: any, seconds?: number): boolean
 ---@field service_resume_rfsm fun(exec_str: function)
 local rfsm_rtt = {}
 
--- Types: conversion between values of Lua and samples of RTT --------------------
-
-local LUA_TYPES = { bool = "boolean", char = "string", string = "string" }
-for name in ("double float int uint long int8 uint8 int16 uint16 int32 uint32 int64 "
-  .. "uint64 llong ullong"):gmatch("%S+") do
-  LUA_TYPES[name] = "number"
-end
-
--- Can `value:name(...)` be called? Reading a field of a Variable may raise an error.
-local function has_method(value, name)
-  local ok, method = pcall(function() return value[name] end)
-  return ok and rfsm.is_callable(method)
-end
-
--- Returns the table `port:info()`; an empty table if `port` is no port of RTT.
-local function info_of(port)
-  local ok, info = pcall(function() return port:info() end)
-  return ok and type(info) == "table" and info or {}
-end
-
--- Returns a Variable for the samples of a port; nil if RTT is not loaded, or if no type
--- of Lua matches the port's type. Also returns a second Variable, of type double, if
--- RTT-Lua converts the port's type only from and to such a Variable.
-local function new_variables(port)
-  local kind, rtt = info_of(port).type, package.loaded.rtt
-  if not (LUA_TYPES[kind] and rtt) then return nil end
-  return rtt.Variable.new(kind), kind:find("llong") and rtt.Variable.new("double")
-end
-
--- Ports: checks, reading, writing ------------------------------------------------
-
-local DIRECTIONS = { read = "input port", write = "output port" }
-local GOT = { ["in"] = "got an input port", out = "got an output port" }
-
--- Returns the problem if a port does not have the method "read" or "write", or is not
--- of type `kind` (nil: any type); nil if the port is right.
-local function port_problem(port, method, kind)
-  local info = info_of(port)
-  local got = not has_method(port, method) and (GOT[info.porttype] or rfsm.got(port))
-    or kind and info.type and info.type ~= kind and "got one of type " .. info.type
-  return got and ("%s%s expected, %s"):format(DIRECTIONS[method],
-    kind and " of type " .. kind or "", got) or nil
-end
+-- Reading ----------------------------------------------------------------------------
 
 -- Does the status of a read mean a new sample? RTT returns the status as a string. The
 -- keys of this table keep the three strings alive, so that no read allocates one.
 local IS_NEW = { NewData = true, OldData = false, NoData = false }
 
--- Returns a function that appends new samples of a port to a list until the list has
--- `most` events. The function returns true if the port may have more samples.
+-- Returns a function that appends new samples of a port to a list, at most as many as
+-- the list needs to have `most` events. It returns true if the port may have more.
 local function new_reader(port)
   local var, double = new_variables(port)
+  local convert = held_port.converter(port)
   return function(events, most)
     for _ = #events + 1, most do
       local status, event = port:read(var)
       if not IS_NEW[status] then return false end
       if double then double:assign(var) end
       if var then event = (double or var):tolua() end
+      if convert then event = convert(event) end
       events[#events + 1] = event
     end
     return true
-  end
-end
-
--- Returns a function that writes a value to a port. A Variable is written as it is.
-local function new_writer(port)
-  local var, double = new_variables(port)
-  local lua_type = LUA_TYPES[info_of(port).type]
-  return function(value)
-    if not var or type(value) ~= lua_type then return port:write(value) end
-    if double then double:assign(value) end
-    var:assign(double or value)
-    port:write(var)
   end
 end
 
@@ -189,53 +158,7 @@ function rfsm_rtt.gen_read_str_events(...)
   return (gen_reader("rfsm.rtt.gen_read_str_events", "string", ...))
 end
 
--- Returns the problem if a port of type `kind` cannot take an event; nil if it can.
-local function event_problem(kind, event)
-  if event == nil or not kind then return nil end
-  local wanted, actual = LUA_TYPES[kind], type(event)
-  if actual == wanted or kind == "bool" and actual == "number" then return nil end
-  actual = has_method(event, "getType") and event:getType()
-  if actual == kind then return nil end
-  return (wanted or "Variable of type " .. kind) .. " expected, "
-    .. (actual and "got a Variable of type " .. tostring(actual) or rfsm.got(event))
-end
-
---- Make a function that writes each of its arguments to an output port.
---
--- With `fsm`, the function also sends the arguments to this machine. It skips nil. If
--- the port cannot take one of the events, it raises an error and writes none.
---
--- @usage
---    local raise_event = rfsm_rtt.gen_raise_event(port)
---    raise_event("e_grasped", "e_ready")
---
--- @raise when the port is no output port, or `fsm` no machine
----@param port any output port
----@param fsm? rfsm.Machine
----@return fun(...: any) raise_event
----@nodiscard
-function rfsm_rtt.gen_raise_event(port, fsm)
-  local problem = port_problem(port, "write")
-  if problem then error("rfsm.rtt.gen_raise_event: " .. problem, 2) end
-  if fsm ~= nil then rfsm.check_machine(fsm, "rfsm.rtt.gen_raise_event") end
-  local kind, write = info_of(port).type, new_writer(port)
-  return function(...)
-    local n = select("#", ...)
-    for i = 1, n do
-      local obstacle = event_problem(kind, (select(i, ...)))
-      if obstacle then
-        error(("rfsm.rtt.raise_event: event %d: %s"):format(i, obstacle), 2)
-      end
-    end
-    for i = 1, n do
-      local event = select(i, ...)
-      if event ~= nil then
-        write(event)
-        if fsm then rfsm.send_events(fsm, event) end
-      end
-    end
-  end
-end
+-- Writing ----------------------------------------------------------------------------
 
 --- Make a post step hook that writes the FQN of the active leaf to a string port.
 --
@@ -253,7 +176,7 @@ function rfsm_rtt.gen_write_fqn(port)
   local problem = port_problem(port, "write", "string")
   if problem then error("rfsm.rtt.gen_write_fqn: " .. problem, 2) end
   local held = held_port.hold(port, info_of(port))
-  local write, written = new_writer(held), setmetatable({}, { __mode = "k" })
+  local write, written = held_port.new_writer(held), setmetatable({}, { __mode = "k" })
   local function write_change(fsm)
     local leaf = fsm._act_leaf
     local fqn = leaf and leaf._fqn or "<none>"
@@ -285,17 +208,42 @@ function rfsm_rtt.reason(problem)
   pcall(collectgarbage)
   local text = rfsm.text_of(problem)
   if not text:find("not enough memory", 1, true) then return text end
+  if not text:find(" KiB ", 1, true) then -- it was short before the launch began
+    text = ("%s while the library is loaded, %.0f KiB in use without that"):format(text,
+      collectgarbage("count"))
+  end
   return text .. ": enlarge the pool by `pool = KIB` of the launch; 'rfsm size' prints "
     .. "how much a chart needs"
 end
 
-local NOT_NEEDED = { "rtt.component", "rtt.update", "rtt.settings", "shared.options",
-  "shared.limit", "shared.calls", "advice" }
+local NOT_NEEDED = { "rtt.component", "rtt.update", "rtt.settings", "rtt.inputs",
+  "rtt.rttlib", "shared.options", "shared.limit", "shared.calls", "advice" }
 
 --- Forget the modules that a launch has loaded, so that they become garbage. A launch
 -- also calls this first: Lua 5.1 never loads a module again if loading it once failed.
 function rfsm_rtt.forget_modules()
   for _, name in ipairs(NOT_NEEDED) do package.loaded["rfsm." .. name] = nil end
+  if rawget(_G, "tlsf") then package.loaded["rfsm.advice"] = hints end
+end
+
+--- Make the input ports of a machine that this component will launch.
+--
+-- Say this where the file of the component begins. Then the ports are there before the
+-- component is configured, and can be connected. `launch` takes them without a word.
+--
+-- @usage
+--    rfsm_rtt.ports {
+--      { "stop_in" },
+--      { "arm_in", prefix = "arm" },
+--      { "force_in", type = "Force", event = is_contact, edge = true },
+--    }
+--
+-- @raise when an entry is wrong or a port cannot be made; then none is left
+---@param list rfsm.rtt.Input[]
+function rfsm_rtt.ports(list)
+  local ok, why = pcall(function() require("rfsm.rtt.inputs").declare(list) end)
+  rfsm_rtt.forget_modules()
+  if not ok then error("rfsm.rtt.ports: " .. rfsm.text_of(why), 2) end
 end
 
 --- Launch a machine in the component of this Lua, in its configureHook.
@@ -321,9 +269,15 @@ function rfsm_rtt.launch(args)
   return true
 end
 
+local FILES = { gen_raise_event = "rfsm.rtt.raise" }
+for _, name in ipairs { "service_launch", "service_halt", "service_resume",
+  "component_launch" } do
+  FILES[name .. "_rfsm"] = "rfsm.rtt.launch"
+end
+
 setmetatable(rfsm_rtt, { __index = function(_, name)
-  if type(name) ~= "string" or not name:find("_rfsm$") then return nil end
-  return require("rfsm.rtt.launch")[name]
+  if name == "launch_system" then return require("rfsm.rtt.launch_system").launch end
+  return FILES[name] and require(FILES[name])[name]
 end })
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_rtt", rfsm_rtt) end

@@ -14,6 +14,7 @@
 
 local try = require("rfsm.shared.calls").try
 local shape = require "rfsm.snapshot.shape"
+local match = require "rfsm.shared.match"
 local migrate = require "rfsm.snapshot.migrate"
 local order = require "rfsm.shared.order"
 local opts = require "rfsm.shared.options"
@@ -334,6 +335,7 @@ end
 ---@field data table<string, table> values of kept fields, by FQN of the state
 ---@field values table<string, table> data of extensions, by name
 ---@field how table argument for the hooks of extensions: what has changed in the chart
+---@field is_own boolean is the snapshot of this chart, under its present name?
 ---@field saved? table<string, { value: any }> results of `save`, by FQN
 ---@field targets? table<rfsm.Transition, table>
 
@@ -343,7 +345,7 @@ local function new_part(fsm, snap, how)
     mode = snap.done == true and "done" or "active", queue = unpack_queue(snap),
     data = snap.data and unpack_data(own, snap.data) or NONE,
     values = snap.ext and unpack_extensions(fsm, snap.ext, how.is_migrated) or NONE,
-    how = how }
+    how = how, is_own = snap.chart == nil or snap.chart == own.chart.name }
   if snap.saved then part.saved = unpack_saved(fsm, snap.saved) end
   if snap.targets then part.targets = unpack_targets(fsm, snap.targets) end
   return part
@@ -389,6 +391,23 @@ local function load_part(part)
   local hooks = rfsm.snapshot_hooks(part.fsm)
   for i = 1, #hooks do
     hooks[i].load(part.fsm, part.values[hooks[i].name], part.how)
+  end
+end
+
+local function is_of_other(part) return not part.is_own end
+
+-- Reports each event that waits in a machine of another chart, or is kept there by an
+-- extension, and that nothing takes any more.
+local function report_unwanted(parts)
+  local fsm = parts[1].fsm
+  for _, part in ipairs(parts) do
+    local waiting = match.joined(part.queue, rfsm.waiting(part.fsm))
+    for _, event in ipairs(part.is_own and NONE or waiting) do
+      if not match.maker_of(event) and not shape.wants(fsm, event) then
+        rfsm.report(fsm, "err", ("rfsm.snapshot: the event '%s' waits, but no "
+          .. "transition of the chart takes it"):format(rfsm.event_text(event)))
+      end
+    end
   end
 end
 
@@ -446,6 +465,7 @@ local function put(fsm, snap, options, may_reset)
     if has_before then pcall(set_parts, new_parts(fsm, before, NONE)) end
     error(failure, 0)
   end
+  if order.any(parts, is_of_other) then report_unwanted(parts) end
   for _, part in ipairs(options.entries and parts or NONE) do
     if part.leaf then rfsm.map_from_to(part.fsm, run_entry, part.fsm, part.leaf) end
   end

@@ -11,12 +11,13 @@
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
+local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 
 local getmetatable, ipairs, next, pairs = getmetatable, ipairs, next, pairs
-local rawequal, rawget, select = rawequal, rawget, select
-local tonumber, type = tonumber, type
+local rawequal, rawget, select, type = rawequal, rawget, select, type
+local concat = table.concat
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 local text_of = rfsm.text_of
 
@@ -33,6 +34,7 @@ local latest = nil
 ---@field count integer|false iterations since `rfsm.run` was called
 ---@field event any the first event of the last iteration that had events
 ---@field event_at integer the value of `count` in that iteration
+---@field chains table a list, and by machine: see `check_chain`
 ---@field structure table|false the structure to which `known` belongs
 ---@field known rfsm.Alphabet|false the events of the machine
 
@@ -59,7 +61,7 @@ end
 -- Returns the hint for an event that no transition names.
 local function hint_for(known, event)
   local names, named = names_of(known)
-  local other = tonumber(event)
+  local other = rfsm.number_of(event)
   if type(event) == "string" and other and known.set[other] then
     return (" (did you mean the number %s?)"):format(event)
   end
@@ -310,21 +312,88 @@ end
 -- Iterations ........................................................................
 
 local MANY = 10000 -- iterations of one run
+local LAST = 100 -- iterations of which the states and events are named
+local MOST = 6 -- names in a warning
+
+local function warn_of_end(fsm, names, reason)
+  warn(fsm, ("rfsm.run has made %d iterations and goes on, in %s: %s"):format(MANY,
+    names, reason))
+end
+
+-- Returns the names in a set as a text: "'root.a', 'root.b' and 3 more".
+local function text_of_names(is_name)
+  local list = rfsm.sorted_keys(is_name)
+  local more = #list - MOST
+  for i = #list, 1, -1 do list[i] = i <= MOST and "'" .. list[i] .. "'" or nil end
+  local text = concat(list, ", ")
+  return more > 0 and ("%s and %d more"):format(text, more) or text, list[2] ~= nil
+end
+
+-- Notes the leaf and the events of an iteration; events that no transition names do not
+-- count.
+local function note_names(fsm, at, chain, events)
+  local leaf = at.machine._act_leaf
+  if leaf then chain.states[location.path(leaf, at.prefix)] = true end
+  for _, event in ipairs(events) do
+    local is_known = may_accept(alphabet_of(fsm), event)
+    chain.events[rfsm.event_text(event)] = is_known or nil
+  end
+end
+
+-- The post step hook of a machine or region: warns of callbacks that send to each other
+-- without end. `chain.count` is the number of iterations that have ended with events in
+-- the queue, one after the other: only the machine itself has sent them.
+local function check_chain(fsm, at, chain, events)
+  chain.count = rfsm.check_events(at.machine) > 0 and chain.count + 1 or 0
+  if chain.count <= MANY - LAST or chain.count > MANY then return end
+  note_names(fsm, at, chain, events)
+  if chain.count < MANY then return end
+  local names, has_many = text_of_names(chain.events)
+  warn_of_end(fsm, (text_of_names(chain.states)), ("event%s %s come%s again and again")
+    :format(has_many and "s" or "", names, has_many and "" or "s"))
+  chain.states, chain.events = {}, {}
+end
+
+-- Adds this hook to a machine and its regions that do not have it.
+local function watch_chains(fsm)
+  local chains = fsm._strict.chains
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    if not chains[at.machine] then
+      local chain = { count = 0, states = {}, events = {} }
+      chains[at.machine], chains[#chains + 1] = chain, chain
+      rfsm.post_step_hook_add(at.machine, function(_, events)
+        check_chain(fsm, at, chain, events)
+      end)
+    end
+  end
+end
+
+local function is_chain(chain) return chain.count > MANY - LAST end
 
 -- Warns of a run that does not end, unless an idle hook shows that this is intended.
 local function check_end(fsm, events)
   local notes, leaf = fsm._strict, fsm._act_leaf
   notes.count = notes.count and notes.count + 1
   if events[1] ~= nil then notes.event, notes.event_at = events[1], notes.count or 0 end
-  if notes.count ~= MANY or fsm.idle_hook then return end
-  warn(fsm, ("rfsm.run has made %d iterations and goes on, in '%s': %s"):format(MANY,
-    leaf and leaf._fqn or "root", MANY - notes.event_at > 9
+  if notes.count ~= MANY or fsm.idle_hook or order.any(notes.chains, is_chain) then
+    return
+  end
+  warn_of_end(fsm, "'" .. (leaf and leaf._fqn or "root") .. "'",
+    MANY - notes.event_at > 9
     and "its doo is never idle (rfsm.yield(true) lets run return)"
-    or ("event '%s' comes again and again"):format(rfsm.event_text(notes.event, true))))
+    or ("event '%s' comes again and again"):format(rfsm.event_text(notes.event, true)))
 end
 
 -- The path hook: notes the path for the post step hook.
-local function note_path(fsm, path) fsm._strict.path = path end
+local function note_path(fsm, path)
+  local notes, tr = fsm._strict, path[1]
+  notes.path = path
+  notes.always = tr and tr.always == true and notes.always + 1 or 0
+  if notes.always == MANY then
+    warn(fsm, ("transitions that need no event are taken again and again, such as %s "
+      .. "(give one of them a guard)"):format(rfsm.location_of(tr)))
+  end
+end
 
 local function is_named_in(path, event)
   return order.any(path, function(tr) return match.triggers(tr, event) ~= false end)
@@ -361,9 +430,11 @@ end
 -- The pre step hook: checks the elements of the machine, and warns of events that come
 -- too early. For an event from `getevents` the sender's line is not known.
 local function check_machine(fsm, events)
+  fsm._strict.always = 0
   check_end(fsm, events)
   local count = fsm._strict.count or 0
   local is_due = count < 100 or count % 100 == 0 -- a long run is not slowed down
+  if is_due then watch_chains(fsm) end
   for _, obj in ipairs(is_due and rfsm.elements(fsm) or {}) do
     check_callbacks(fsm, obj)
     check_fields(fsm, obj)
@@ -387,7 +458,8 @@ function strict.watch(fsm)
   latest = fsm
   if fsm._strict then return end
   fsm._strict = { told = {}, models = {}, path = false, count = false,
-    event = false, event_at = 0, structure = false, known = false }
+    event = false, event_at = 0, always = 0, structure = false, known = false,
+    chains = {} }
   for _, obj in ipairs(rfsm.elements(fsm)) do check_model(fsm, obj) end
   rfsm.pre_step_hook_add(fsm, check_machine)
   rfsm.path_hook_add(fsm, note_path)

@@ -1,21 +1,24 @@
 --- Systems: several charts that talk over wires, and run side by side.
 --
 -- Each machine of a system is a machine as `rfsm.init` makes it. Its callbacks call
--- `fsm.emit` to put events into wires. A move of a machine reads its wires and takes
--- one step. The whole description of a system is checked before anything runs.
+-- `fsm.emit` to put events into wires. In a move a machine reads its wires, takes one
+-- step, and puts the first event that the step emits. Each further one is put by a move
+-- of its own, so others may move in between. The whole description of a system is
+-- checked before anything runs.
 --
 -- @module rfsm.system
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
 local description = require "rfsm.system.description"
+local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 local search = require "rfsm.shared.search"
 local wires = require "rfsm.system.wires"
 
 local error, getmetatable, ipairs, pcall = error, getmetatable, ipairs, pcall
 local rawget, rawset, setmetatable, type = rawget, rawset, setmetatable, type
-local floor, huge = math.floor, math.huge
+local floor, huge, remove = math.floor, math.huge, table.remove
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 
@@ -29,9 +32,16 @@ local system = {}
 ---@field wires rfsm.system.Wire[]
 ---@field queues any[][] for each wire the events that wait in it, the oldest first
 ---@field lost integer[] how many events each wire has lost, because it was full
+---@field unsent table<string, table[]> by machine, the events that it has emitted and
+-- that are not yet put into a wire, the oldest first: { wire = number, event = event }
 ---@field file string? the file that describes the system
+---@field files table<string, string> by machine, the file of its chart; only of charts
+-- that `system.load` has read
+---@field places table<string, string> where each machine is described: "cell.lua:5"
 ---@field state number|false random state for the order of moves; false: a fixed order
-local System = {}
+local System = { -- the hint is for who loads a system as a chart
+  rfsm_hint = " (it is a system, which rfsm check, rfsm sim and rfsm.system.load open)",
+}
 
 -- Raises an error that blames the caller of a method.
 local function check(is_right, method, expected, value)
@@ -42,13 +52,21 @@ end
 
 local function is_number(x) return type(x) == "number" and x - x == 0 end
 
--- Puts an event that a machine emits into each wire that carries it.
+-- Notes for each wire that carries an event that a machine has emitted it.
 local function emit(self, from, name, data)
+  local unsent = self.unsent[from]
   for i, wire in ipairs(self.wires) do
-    if wire.from == from and wire.event == name
-      and not wires.put(wire, self.queues[i], wires.event_of(name, data)) then
-      self.lost[i] = self.lost[i] + 1
+    if wire.from == from and match.has(wire.events, name) then
+      unsent[#unsent + 1] = { wire = i, event = wires.event_of(name, data) }
     end
+  end
+end
+
+-- Puts the oldest of the events that a machine has emitted into its wire.
+local function put_next(self, name)
+  local put = remove(self.unsent[name], 1)
+  if put and not wires.put(self.wires[put.wire], self.queues[put.wire], put.event) then
+    self.lost[put.wire] = self.lost[put.wire] + 1
   end
 end
 
@@ -66,34 +84,65 @@ function System:__index(key)
   return machines
 end
 
---- Have one machine read its wires and take one step.
+-- Returns a random number from 1 to n, the same on every Lua.
+local function draw(self, n)
+  self.state = self.state * 16807 % 2147483647
+  return floor(self.state / 2147483647 * n) + 1
+end
+
+-- Returns the position of the wire to `name` that carries an event of a sender.
+local function position_of(self, name, wanted)
+  for at, wire in ipairs(self.wires) do
+    if wire.to == name and wire.from == wanted.from
+      and match.has(wire.events, wanted.event) then
+      return at
+    end
+  end
+  error(("rfsm.system.move: no wire carries '%s' from '%s' to '%s'"):format(
+    rfsm.text_of(wanted.event), rfsm.text_of(wanted.from), name), 4)
+end
+
+-- Takes what a machine reads in a move. Before its entry, that is nothing. A machine
+-- that takes one event an iteration reads one, and none while one waits in itself.
+local function read_wires(self, name, fsm, wanted)
+  local waiting = wires.waiting(self.wires, self.queues, name)
+  if rfsm.get_sta_mode(fsm) == "inactive" then return {}, {} end
+  if fsm.read ~= "one" then return wires.take(self.wires, self.queues, waiting) end
+  if wanted == false or rfsm.check_events(fsm) > 0 or not waiting[1] then
+    return {}, {}
+  end
+  local at = wanted and position_of(self, name, wanted)
+    or waiting[waiting[2] and self.state and draw(self, #waiting) or 1]
+  return wires.take(self.wires, self.queues, { at }, true)
+end
+
+--- Have one machine move: read its wires, take one step, and put the first event that
+--- the step emits. If events of its last step are still to be put, it only puts one.
 --
 -- In its first move a machine is entered, and reads no wire, because the entry would
 -- lose the events. A component of Orocos with `enter = "start"` does the same.
 --
 ---@param name string
 ---@param events? any[] events from outside, queued after the events from the wires
----@return boolean idle the result of `rfsm.step`
+---@param wanted? { from: string, event: string }|false only if the machine takes one
+-- event an iteration: the sender and an event of the wire that it reads, or false to
+-- read none; default: the first wire in which an event waits
+---@param holds? boolean put nothing after the step, so that others move before that
+---@return boolean idle the result of `rfsm.step`; false if events are still to be put
 ---@return any[] came the events from the wires, then the events from outside
 ---@return rfsm.system.Wire[] by for each event that came from a wire, this wire
-function System:move(name, events)
+function System:move(name, events, wanted, holds)
   local is_name, problem = description.is_name(self.models, name)
   if not is_name then error("rfsm.system.move: " .. problem, 2) end
   check(events == nil or type(events) == "table", "move", "list of events", events)
-  local fsm = self.machines[name]
-  local came, by = {}, {}
-  if rfsm.get_sta_mode(fsm) ~= "inactive" then
-    came, by = wires.take(self.wires, self.queues, name)
-  end
+  local fsm, unsent = self.machines[name], self.unsent[name]
+  local has_to_put, came, by = unsent[1] ~= nil, {}, {}
+  if not has_to_put then came, by = read_wires(self, name, fsm, wanted) end
   for _, event in ipairs(events or {}) do came[#came + 1] = event end
   rfsm.send_events(fsm, unpack(came))
-  return rfsm.step(fsm), came, by
-end
-
--- Returns a random number from 1 to n, the same on every Lua.
-local function draw(self, n)
-  self.state = self.state * 16807 % 2147483647
-  return floor(self.state / 2147483647 * n) + 1
+  local is_idle = not has_to_put and rfsm.step(fsm)
+  if has_to_put or not holds then put_next(self, name) end
+  return is_idle and not unsent[1], came, by
 end
 
 --- Have the machines move in a new random order in each step. Without a seed, they move
@@ -143,8 +192,9 @@ function System:run(most)
 end
 
 local function empty_wires(self)
-  self.queues, self.lost = {}, {}
+  self.queues, self.lost, self.unsent = {}, {}, {}
   for i in ipairs(self.wires) do self.queues[i], self.lost[i] = {}, 0 end
+  for _, name in ipairs(self.names) do self.unsent[name] = {} end
 end
 
 --- Reset the machines and empty the wires.
@@ -169,8 +219,9 @@ end
 ---@return boolean
 function system.is_system(value) return getmetatable(value) == System end
 
--- The files that `load` is reading, the innermost last.
-local loading = {}
+-- The files that `load` is reading, the innermost last; the files of the charts that it
+-- has read.
+local loading, file_of = {}, setmetatable({}, { __mode = "k" })
 
 -- Returns the file that is being loaded; if there is none, the file that calls a
 -- function of this module. The stack alone does not show the file, if it ends with the
@@ -201,7 +252,9 @@ function system.load(file)
   loading[#loading + 1] = path
   local ok, value = pcall(rfsm.load, path, system.is_system)
   loading[#loading] = nil
-  return ok and value or error(value, 0)
+  if not ok then error(value, 0) end
+  if not system.is_system(value) then file_of[value] = path end
+  return value
 end
 
 -- Makes a system: `system { arm = model, wires = { ... } }`. Raises an error with all
@@ -209,7 +262,8 @@ end
 local function new(_, given)
   local self, text = description.read(given, calling_file())
   if not self then error(text, 0) end
-  self.state = false
+  self.state, self.files = false, {}
+  for _, name in ipairs(self.names) do self.files[name] = file_of[given[name]] end
   empty_wires(self)
   return setmetatable(self, System)
 end

@@ -5,8 +5,8 @@
 -- @module rfsm.tools
 -- @license BSD-3-Clause
 
-local error, ipairs, pairs, rawequal = error, ipairs, pairs, rawequal
-local rawset, type = rawset, type
+local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
+local rawequal, rawset, type = rawequal, rawset, type
 local max = math.max
 
 local NONE = {}
@@ -74,6 +74,8 @@ local function define_lists(rfsm)
   function rfsm.snapshot_hooks(fsm) return fsm._snapshot_hooks or NONE end
 end
 
+local check_state -- f(fsm, state, where, level): a state, given itself or by name
+
 local function define_questions(rfsm, engine)
   local check_machine, got = rfsm.check_machine, rfsm.got
   local is_node_of, line_to = engine.is_node_of, engine.line_to
@@ -87,19 +89,21 @@ local function define_questions(rfsm, engine)
     end
   end
 
+  function check_state(fsm, state, where, level)
+    local node = type(state) == "string" and find_by_name(fsm, state) or state
+    if rfsm.is_state(node) and node._mode then return node end
+    local hint = type(state) == "string" and engine.advise("state_name", fsm, state)
+    error(where .. ": state of the machine expected, " .. got(state) .. (hint or ""),
+      level + 1)
+  end
+
   --- Is a state of the machine, or of one of its regions, active?
   ---@param fsm rfsm.Machine
   ---@param state rfsm.State|string a state, or a name such as "root.par.left.a"
   ---@return boolean
   function rfsm.is_in(fsm, state)
     check_machine(fsm, "rfsm.is_in")
-    local node = type(state) == "string" and find_by_name(fsm, state) or state
-    if not rfsm.is_state(node) or not node._mode then
-      local hint = type(state) == "string" and engine.advise("state_name", fsm, state)
-      error("rfsm.is_in: state of the machine expected, " .. got(state) .. (hint or ""),
-        2)
-    end
-    return node._mode ~= "inactive"
+    return check_state(fsm, state, "rfsm.is_in", 2)._mode ~= "inactive"
   end
 
   --- Call `f(fsm, state)` for each state from `from` up or down to `to`, both included.
@@ -145,8 +149,10 @@ local function define_questions(rfsm, engine)
       error("rfsm.node_find_enabled: list of events expected, " .. got(events), 2)
     end
     local ways, number = fsm._ways, fsm._search -- a guard may call this
-    fsm._ways, fsm._search = {}, 1
-    local segment = engine.first_enabled(fsm, node._otrs, 1, events)
+    fsm._ways, fsm._search, fsm._is_asking = {}, 1, true
+    local ok, segment = pcall(engine.first_enabled, fsm, node._otrs, 1, events)
+    fsm._is_asking = false
+    if not ok then error(segment, 0) end
     local path = segment and { node = node, nextl = false } or false
     local at = path
     while segment do
@@ -325,6 +331,46 @@ local function define_moves(rfsm, engine)
       engine.reset_now(fsm)
     end
     fsm._intq, fsm._curq, fsm._path = queue, {}, false
+    engine.raise_failure(fsm)
+  end
+
+  -- Calls the entry hooks of extensions: those that may be repeated, which a program's
+  -- hooks are not.
+  local function call_entry_hooks(fsm, leaf)
+    for _, state in ipairs(fsm._entry_hooks and engine.line_to(leaf) or NONE) do
+      for _, hook in ipairs(fsm._entry_hooks[state] or NONE) do
+        if engine.may_repeat(hook) then engine.tell(fsm, { hook }, state) end
+      end
+    end
+  end
+
+  -- Returns the pending events of a machine, but `e_init_fsm`.
+  local function others_of(queue)
+    local others = {}
+    for i = 1, #queue do
+      if not rawequal(queue[i], "e_init_fsm") then others[#others + 1] = queue[i] end
+    end
+    return others
+  end
+
+  --- Have an inactive machine begin in a leaf, as if entered, for extensions.
+  --
+  -- No callback runs, but the entry hooks of extensions are called. A leaf without doo
+  -- is done.
+  --
+  ---@param fsm rfsm.Machine
+  ---@param state rfsm.State|string the leaf, or its name
+  ---@param where string the public function, for messages that blame its caller
+  function rfsm.begin_in(fsm, state, where)
+    local leaf = check_state(fsm, state, where, 3)
+    if not (engine.is_node_of(fsm, leaf) and leaf._is_leaf) then
+      error(where .. ": leaf of the machine expected, got '" .. leaf._fqn .. "'", 3)
+    elseif fsm._mode ~= "inactive" then
+      error(where .. ": the machine is active (rfsm.reset makes it inactive)", 3)
+    end
+    rfsm.place(fsm, leaf, leaf.doo and "active" or "done", others_of(fsm._intq))
+    call_entry_hooks(fsm, leaf)
+    if not leaf.doo then engine.complete(fsm, leaf) end
     engine.raise_failure(fsm)
   end
 

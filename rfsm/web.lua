@@ -136,7 +136,8 @@ end
 -- Pictures ------------------------------------------------------------------------
 
 -- Answers with the picture of a machine. The request lists the numbers of the
--- composites that are drawn folded. The page asks again until the picture is ready.
+-- composites that are drawn folded, and has the size of its panel in points, such as
+-- sheet=672x372, for a layout that fits it. The page asks again until it is ready.
 local function picture_reply(server, request, tab)
   local source, numbers = server.sources[tab],
     request.query:match("folded=([%d,]*)") or ""
@@ -294,7 +295,8 @@ local function open_server(sources, settings)
     painter = Painter.new(),
     token = token, id = files.random(4), name = settings.host, is_late = false,
   }, Server)
-  server.page = page:gsub("{{token}}", token)
+  -- A tenth of the page is indentation and comments.
+  server.page = page:gsub("\n +", "\n"):gsub("\n//[^\n]*", ""):gsub("{{token}}", token)
   server.policy = CSP:format(token)
   local listen = require("rfsm.web.http").listen
   local listener, problem = listen(settings.host, settings.port, function(request)

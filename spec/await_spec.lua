@@ -117,7 +117,8 @@ describe("an await that is wrong", function()
 
   it("with the e_done of a composite brings a warning", function()
     assert.equal("WARNING: root.trans[2].events (a -> b): 'e_done' never fires here, "
-      .. "'root.a' is no leaf state", first_warning(chart({ "await(e_x, e_done)" },
+      .. "'root.a' is no leaf, and has no final leaf", first_warning(chart(
+      { "await(e_x, e_done)" },
       { a = state { p = state {}, trans { src = "initial", tgt = "p" } } })))
   end)
 end)

@@ -1,5 +1,6 @@
 -- What `rfsm.init` does with the problems it found. Their texts are in mistakes_spec.
 
+local advice = require "rfsm.advice"
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 
@@ -332,5 +333,37 @@ describe("verify_early", function()
       "root.trans[2] (a -> a): a transition has no field 'event' (did you mean "
         .. "'events'?)",
     }, without_place(warnings))
+  end)
+end)
+
+describe("a field of an extension that is not loaded", function()
+  it("is told with its module, if the extension would take the value", function()
+    assert.equal([[
+root.m.x: a state has no field 'defer' (require "rfsm.defer")
+root.m: a state has no field 'history' (require "rfsm.history")
+root.trans[2] (m -> m): a transition has no field 'likely' (require "rfsm.preview")]],
+      (helper.output_of([[
+local rfsm = require "rfsm"
+local state, trans = rfsm.state, rfsm.trans
+local _, _, warnings = rfsm.verify_early(state {
+  m = state { history = "deep", x = state { defer = { "e_x" }, history = "deep" },
+    trans { src = "initial", tgt = "x" } },
+  data = state { history = {}, defer = {}, likely = print, label = "history",
+    y = state { history = "long", defer = "e_x" },
+    trans { src = "initial", tgt = "y" } },
+  trans { src = "initial", tgt = "m", likely = 5 },
+  trans { src = "m", tgt = "m", events = "e_x", likely = function() end },
+})
+print((table.concat(warnings, "\n"):gsub("[^\n]-:%d+: ", "")))]])))
+  end)
+
+  it("is named in the head of that module", function()
+    for _, kind in ipairs { "state", "transition", "connector" } do
+      for field, module in pairs(advice.extension_fields(kind)) do -- any order
+        local text = helper.content(module:gsub("%.", "/") .. ".lua")
+        local head = text:match("^.-@module")
+        assert.matches("`" .. field .. "%f[%W]", head)
+      end
+    end
   end)
 end)

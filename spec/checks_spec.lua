@@ -415,8 +415,8 @@ local CASES = {
       .. "state of this machine" },
   { "never-done", "the e_done of a composite, once",
     { c = x_in_c(), [4] = go("a", "c", "e"), [5] = go("c", "a", "e_done") },
-    "root.trans[5] (c -> a): event 'e_done@root.c' never comes, 'root.c' is no leaf "
-      .. "state of this machine" },
+    "root.trans[5] (c -> a): event 'e_done@root.c' never comes, no leaf right in "
+      .. "'root.c' is final (final = true)" },
   { "never-done", "none of a leaf", { [4] = go("a", "b", "e_done@root.b") } },
   { "never-called", "callbacks of a connector, a state and a transition", {
     k = conn { entry = yes }, [4] = go("a", "k", "e"), [5] = go("k", "a", nil,
@@ -475,9 +475,25 @@ local CASES = {
     [5] = go("b", "c d", "e_x") } },
   { "odd-event", "no event of an extension, and no object", { [4] = go("a", "b",
     { "await(e_a, e_b)", { x = 1 }, setmetatable({ "x" }, {}) }) } },
+  { "early-idle", "a region that waits for e_done",
+    { [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_a"),
+      c = rfsm.seqand { x = chart { [2] = go("a", "b", "e_done") } } },
+    "root.c: run returns while events of the region 'x' still wait" },
+  { "early-idle", "none with idle_doo, run, or a region of one step",
+    { [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_a"), [6] = go("c", "d", "e_d"),
+      [7] = go("d", "a", "e_a"), [8] = go("d", "e", "e_e"), [9] = go("e", "a", "e_a"),
+      c = rfsm.seqand { idle_doo = "auto", x = chart { [2] = go("a", "b", "e_done") } },
+      d = rfsm.seqand { run = true, x = chart { [2] = go("a", "b", "e_done") } },
+      e = rfsm.seqand { x = chart() } } },
+  { "once", "an e_after that an internal transition takes",
+    { [4] = go("a", "internal", "e_after(1)") },
+    "root.trans[4] (a -> internal): 'e_after(1)' comes once an entry, and an internal "
+      .. "transition enters nothing" },
+  { "once", "none of an e_every", { [4] = go("a", "internal", "e_every(1)") } },
   { "unknown-word", "an event that looks like a call",
     { [4] = go("a", "b", "every(1)") },
-    "root.trans[4].events (a -> b): no loaded extension knows 'every(1)'" },
+    "root.trans[4].events (a -> b): no loaded extension knows 'every(1)' (did you mean "
+      .. "'e_every(...)'?)" },
   { "unknown-word", "none with the text of a stub in it", { [4] = go("a", "b",
     "every(" .. stubs.new "config".seconds .. ")") } },
   { "unknown-word", "none of an extension", { [4] = go("a", "b", "e_after(1)") } },
@@ -623,6 +639,7 @@ describe("each code", function()
   local codes = require "rfsm.checks.codes"
   local OTHERS = { invalid = true, init = true, trap = true, violated = true,
     deadlock = true, overflow = true, untaken = true, ["idle-wire"] = true,
+    deployed = true,
     undefined = true, ["no-value"] = true, ["no-yield"] = true, ["busy-doo"] = true,
     ["doo-ends"] = true, called = true, lost = true, parameters = true,
     ["wrong-call"] = true }

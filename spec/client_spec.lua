@@ -252,10 +252,14 @@ describe("a worker", function()
     end, { tags = 2 })
     assert.same({ 4, 4, 2 }, sums)
     assert.same({
-      "h:6379 FCALL rfsm_wake 3 rfsm:due:{0} rfsm:out:{0} rfsm:aside:{0} 100",
-      "h:6379 FCALL rfsm_wake 3 rfsm:due:{1} rfsm:out:{1} rfsm:aside:{1} 100",
-      "h:6379 FCALL rfsm_wake 3 rfsm:due:{0} rfsm:out:{0} rfsm:aside:{0} 7",
-      "h:6379 FCALL rfsm_wake 3 rfsm:due:{1} rfsm:out:{1} rfsm:aside:{1} 7" }, sent)
+      "h:6379 FCALL rfsm_wake 4 rfsm:due:{0} rfsm:out:{0} rfsm:aside:{0} "
+        .. "rfsm:lease:{0} 100",
+      "h:6379 FCALL rfsm_wake 4 rfsm:due:{1} rfsm:out:{1} rfsm:aside:{1} "
+        .. "rfsm:lease:{1} 100",
+      "h:6379 FCALL rfsm_wake 4 rfsm:due:{0} rfsm:out:{0} rfsm:aside:{0} "
+        .. "rfsm:lease:{0} 7",
+      "h:6379 FCALL rfsm_wake 4 rfsm:due:{1} rfsm:out:{1} rfsm:aside:{1} "
+        .. "rfsm:lease:{1} 7" }, sent)
   end)
 
   it("finds machines in all tags, up to a limit", function()

@@ -5,8 +5,8 @@ local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local share = require "spec.support.share"
 local snapshot = require "rfsm.snapshot"
+local defer = require "rfsm.defer"
 require "rfsm.await"
-require "rfsm.defer"
 require "rfsm.emem"
 require "rfsm_timeevent"
 
@@ -158,6 +158,170 @@ describe("deferral", function()
       assert.same({ "e_x", "e_done@root.b e_after(1)@root.b e_done@root.c" }, fsm.trace)
     end)
   end
+
+  -- A switch: `free` and `left` take e_take and e_drop in turn; both defer e_take.
+  local function new_switch(members)
+    local model = { info = false, warn = false,
+      free = state { defer = { "e_take" } }, left = state { defer = { "e_take" } },
+      trans { src = "initial", tgt = "free" },
+      trans { src = "free", tgt = "left", events = { "e_take" } },
+      trans { src = "left", tgt = "free", events = { "e_drop" } } }
+    for key, value in pairs(members or {}) do model[key] = value end -- any order
+    local fsm = assert(rfsm.init(state(model)))
+    rfsm.run(fsm)
+    return send(fsm, "e_take")
+  end
+
+  it("recalls what a transition of an active state takes, though it is deferred",
+    function()
+      local fsm = send(new_switch(), "e_take", "e_drop")
+      assert.equal("root.left", at(fsm))
+      assert.equal("", join(rfsm.waiting(fsm)))
+    end)
+
+  it("recalls in the old order: no newer event overtakes", function()
+    local seen = {}
+    local first, second = { name = "e_take", n = 1 }, { name = "e_take", n = 2 }
+    local take = rfsm.named "e_take"
+    local fsm = new_switch { left = state { defer = { take } },
+      free = state { defer = { take } }, [2] = trans { src = "free", tgt = "left",
+        events = { "e_take", take },
+        effect = function(_, _, _, _, event) seen[#seen + 1] = event.n or event end } }
+    send(fsm, first, second)
+    send(send(fsm, "e_drop"), "e_drop")
+    assert.same({ "e_take", 1, 2 }, seen)
+  end)
+
+  it("recalls what a transition without events takes", function()
+    local fsm = new_switch { [2] = trans { src = "free", tgt = "left",
+      guard = function(tr) return tr._fsm.is_open end },
+      [4] = trans { src = "free", tgt = "internal", events = { "e_look" } } }
+    fsm.is_open = false
+    send(fsm, "e_take", "e_drop")
+    send(fsm, "e_take")
+    fsm.is_open = true
+    assert.equal("root.left", at(send(fsm, "e_look")))
+  end)
+
+  it("keeps the place of what nothing takes, until the next path", function()
+    local asked = {}
+    local function is_open(tr, _, event)
+      asked[#asked + 1] = event
+      return tr._fsm.is_open
+    end
+    local fsm = new { is_open = false, b = state { defer = { "e_x", "e_y" } },
+      a = state { defer = { "e_x", "e_y", "e_z" } },
+      [3] = trans { src = "b", tgt = "c", events = { "e_x" }, guard = is_open },
+      [5] = trans { src = "b", tgt = "internal", events = { "e_open", "e_look" },
+        effect = function(own, _, _, _, event) own.is_open = event == "e_open" end } }
+    send(fsm, "e_x", "e_y", "e_z")
+    send(fsm, "e_free")
+    assert.equal("e_x e_y", join(rfsm.waiting(fsm)))
+    assert.same({ "e_x" }, asked)
+    for _ = 1, 3 do rfsm.step(fsm) end
+    send(fsm, "e_odd")
+    assert.same({ "e_x" }, asked)
+    send(fsm, "e_look")
+    assert.same({ "e_x", "e_x" }, asked)
+    assert.equal("e_x e_y", join(rfsm.waiting(fsm)))
+    assert.equal("root.c", at(send(fsm, "e_open")))
+    assert.equal("", join(rfsm.waiting(fsm)))
+  end)
+
+  it("looks at what is kept after a path only", function()
+    local count = 0
+    local fsm = new { a = state { defer = { function(event)
+      count = count + 1
+      return event == "e_x"
+    end } } }
+    for _ = 1, 20 do rfsm.send_events(fsm, "e_x") end
+    rfsm.run(fsm)
+    count = 0
+    for _ = 1, 5 do rfsm.step(fsm) end
+    assert.equal(0, count)
+  end)
+
+  it("comes behind what comes again beside an internal transition", function()
+    local now = 0
+    local fsm = new { gettime = function() return now, 0 end,
+      b = state { defer = { "e_x" } },
+      [3] = trans { src = "b", tgt = "c", events = { "e_x" },
+        guard = function(tr) return tr._fsm.is_open end },
+      [5] = trans { src = "b", tgt = "internal", events = { "e_open" },
+        effect = function(own) own.is_open = true end },
+      [6] = trans { src = "b", tgt = "internal", events = { "e_after(1)" } } }
+    fsm.is_open = false
+    send(send(fsm, "e_x"), "e_free")
+    now, fsm.trace = 2, {}
+    send(fsm, "e_open", "e_late")
+    assert.equal("e_open e_late e_after(1)@root.b | e_after(1)@root.b | e_x"
+      .. " | e_done@root.c", table.concat(fsm.trace, " | "))
+    fsm = send(send(new { read = "one", gettime = function() return now, 0 end,
+      a = state { defer = { "e_x" } }, b = state { defer = { "e_x" } },
+      [3] = trans { src = "b", tgt = "internal", events = { "e_x" } } }, "e_x"),
+      "e_free")
+    assert.equal("", join(rfsm.waiting(fsm)))
+  end)
+
+  it("is looked at again after a snapshot, with what comes before it", function()
+    local now = 0
+    local fsm = new { gettime = function() return now, 0 end, is_open = false,
+      b = state { defer = { "e_x" } },
+      [3] = trans { src = "b", tgt = "c", events = { "e_x" },
+        guard = function(tr) return tr._fsm.is_open end },
+      [5] = trans { src = "b", tgt = "internal", events = { "e_open" } },
+      [6] = trans { src = "b", tgt = "internal", events = { "e_after(1)" } } }
+    send(send(fsm, "e_x"), "e_free")
+    local other = assert(snapshot.restore(fsm, snapshot.take(fsm)))
+    other.is_open = true
+    assert.equal("root.c", at(send(other)))
+    now = 2
+    rfsm.send_events(fsm, "e_open")
+    rfsm.step(fsm)
+    other = assert(snapshot.restore(fsm, snapshot.take(fsm)))
+    other.is_open, other.trace = true, {}
+    other.post_step_hook = function(_, events)
+      other.trace[#other.trace + 1] = join(events)
+    end
+    rfsm.step(other)
+    assert.same({ "e_after(1)@root.b" }, other.trace)
+  end)
+
+  it("is looked at again after a merge", function()
+    local fsm = send(new(), "e_x")
+    assert.is_true(rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = "c",
+      events = { "e_x" } }))
+    assert.equal("root.c", at(send(fsm)))
+  end)
+
+  it("belongs to the machine, not to the model", function()
+    local list = { "e_x", max = 1 }
+    local fsm = new { a = state { defer = list } }
+    list[1], list.max = "e_y", 9
+    assert.equal("e_x", join(rfsm.waiting(send(fsm, "e_x", "e_x", "e_y"))))
+  end)
+
+  for _, case in ipairs {
+    { "all", {}, 4 }, { "those of a name", { "e_x" }, 3 },
+    { "no other", { "e_z" }, 0 },
+  } do
+    it("drops " .. case[1], function()
+      local fsm = new { a = state { defer = { "e_x", "e_y", rfsm.named "e_x" } } }
+      send(fsm, "e_x", "e_y", { name = "e_x" }, "e_x")
+      assert.equal(4, #rfsm.waiting(fsm))
+      assert.equal(case[3], defer.drop(fsm, unpack(case[2])))
+      assert.equal(4 - case[3], #rfsm.waiting(fsm))
+    end)
+  end
+
+  it("drops in a callback, and in a machine that defers nothing", function()
+    local fsm = new { [2] = trans { src = "a", tgt = "b", events = { "e_free" },
+      effect = function(own) defer.drop(own) end } }
+    assert.equal("root.b", at(send(fsm, "e_x", "e_free")))
+    assert.equal(0, defer.drop(assert(rfsm.init(state { info = false }))))
+    assert.has_error(function() defer.drop {} end,
+      "rfsm.defer.drop: initialised fsm expected, got table")
+  end)
 
   it("is explored with events as often as they were sent", function()
     local result = rfsm_checks.explore(state { info = false, warn = false,

@@ -61,9 +61,12 @@ local function random_machines()
     next_seed = next_seed + 1
     local fsm = rfsm.init(bare.model_of(charts.generate(next_seed),
       { entry = callback, doo = callback, guard = callback, effect = callback }))
-    return fsm, #rfsm.mapfsm(function(tr)
-      return rfsm.target_of(tr) ~= "internal" or nil
+    local arrows = {}
+    rfsm.mapfsm(function(tr)
+      arrows[#arrows + 1] = rfsm.target_of(tr) ~= "internal" and {
+        src = tr.src._fqn, tgt = tr.tgt._fqn } or nil
     end, fsm, rfsm.is_trans)
+    return fsm, #pictures.drawn_arrows(arrows)
   end
 end
 
@@ -121,6 +124,19 @@ describe("utf8", function()
   end)
 end)
 
+-- Returns the lines of a label as a language has them.
+local function lines_by(before, between, after)
+  return function(...)
+    return before .. table.concat({ ... }, between) .. after
+  end
+end
+
+local LABEL = {
+  ["rfsm.plantuml"] = lines_by(" : ", "\\n", "\n"),
+  ["rfsm.mermaid"] = lines_by(" : ", "<br>", "\n"),
+  ["rfsm.dot"] = lines_by("", '<BR ALIGN="LEFT"/>', "<"),
+}
+
 for _, language in ipairs(LANGUAGES) do
   local exporter = require(language)
 
@@ -171,6 +187,7 @@ for _, language in ipairs(LANGUAGES) do
         ["coverage: table expected, got string 'x'"] = { coverage = "x" },
         ["trace: table expected, got string 'x'"] = { trace = "x" },
         ["direction: 'TB' or 'LR' expected, got string 'UP'"] = { direction = "UP" },
+        ["within: no state is named 'root.om'"] = { within = "root.om" },
         ["active: no state is named 'root.onn' (did you mean 'root.on'?)"] = {
           active = "root.onn" },
       } do
@@ -187,6 +204,70 @@ for _, language in ipairs(LANGUAGES) do
       local file = file_with("")
       exporter.save(lamp(), file, "T")
       assert.equal(exporter.encode(lamp(), "T"), content(file))
+    end)
+
+    it("has a line for each of three or more arrows with equal ends", function()
+      local model = state { a = state {}, b = state {}, c = state {},
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = "e_1", guard = yes, pn = 2 },
+        trans { src = "a", tgt = "c", events = "e_c" },
+        trans { src = "a", tgt = "b", events = "e_2" }, trans { src = "a", tgt = "b" },
+        trans { src = "c", tgt = "b", events = "e_x" },
+        trans { src = "c", tgt = "b", events = "e_y" } }
+      local label = LABEL[language]
+      contains(exporter.encode(helper.init(model)),
+        { label("e_1 [yes] (pn 2)", "e_2", "-"), label("e_x"), label("e_y") })
+    end)
+
+    it("ties arrows that end at one folded composite, and no loops", function()
+      local model = state { a = state {}, trans { src = "initial", tgt = "a" },
+        m = state { x = state {}, y = state {}, trans { src = "initial", tgt = "x" } },
+        trans { src = "a", tgt = "m.x", events = "e_1" },
+        trans { src = "a", tgt = "m.y", events = "e_2" },
+        trans { src = "a", tgt = "m", events = "e_3" } }
+      for i = 1, 3 do
+        model[#model + 1] = trans { src = "a", tgt = "a", events = "e_loop" .. i }
+      end
+      local label = LABEL[language]
+      local text = exporter.encode(helper.init(model), { folded = { "root.m" } })
+      contains(text, { label("e_1", "e_2", "e_3"), label("e_loop1"), label("e_loop3") })
+    end)
+
+    it("marks a bundle as missed only if all of its arrows are", function()
+      if language ~= "rfsm.dot" then return end
+      local model = state { a = state {}, b = state {},
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = "e_1" },
+        trans { src = "a", tgt = "b", events = "e_2" },
+        trans { src = "a", tgt = "b", events = "e_3" } }
+      local function class_of(counts)
+        local text = exporter.encode(helper.init(model),
+          { coverage = { states = {}, transitions = counts } })
+        return text:match('trans%[4%]/tgt", class="transition (%l+)"'), text
+      end
+      local class, text = class_of { ["root.trans[3]"] = 7 }
+      assert.equal("covered", class)
+      contains(text, { "e_1 (never)", "e_2 (7\195\151)" })
+      assert.equal("missed", (class_of {}))
+    end)
+
+    it("draws a composite alone, and the states outside that arrows lead to", function()
+      local model = state { off = state {}, k = conn {},
+        m = state { x = state {}, y = state {}, trans { src = "initial", tgt = "x" },
+          trans { src = "x", tgt = "y", events = "e_in" },
+          trans { src = "y", tgt = "root.off", events = "e_out" } },
+        n = state { z = state {}, trans { src = "initial", tgt = "z" } },
+        trans { src = "initial", tgt = "off" }, trans { src = "off", tgt = "m" },
+        trans { src = "off", tgt = ".m.y", events = "e_into" },
+        trans { src = ".m.y", tgt = "n", events = "e_n" },
+        trans { src = "m", tgt = "off", events = "e_all" } }
+      local text = exporter.encode(helper.init(model), { within = "root.m",
+        active = { "root.m.x", "root.off" } })
+      contains(text, { "e_in", "e_out", "e_into", "e_n", "root_m_x", "root_off",
+        "root_n" })
+      for _, part in ipairs { "root_k", "root_n_z", "e_all", "root_initial" } do
+        assert.is_nil(text:find(part, 1, true), part)
+      end
     end)
 
     it("lists internal transitions and callbacks in their state", function()
@@ -326,11 +407,11 @@ digraph "lamp" {
   node [shape=box, style="rounded,filled", height=0.4, margin="0.15,0.07"]
   edge [fontname="Helvetica,Arial,sans-serif", fontsize=10, color="#555555", arrowsize=0.7]
   subgraph cluster_root {
-    graph [id="root", label="lamp", margin=10, style="rounded,filled", fillcolor="white", color="#555555", penwidth=1, class="state"]
+    graph [id="root", label="lamp", margin=4, style="rounded,filled", fillcolor="#F4F6F8", color="#555555", penwidth=1, class="state", color=none]
     root_initial [id="root.initial", shape=circle, label="", width=0.15, height=0.15, color="#222222", fillcolor="#222222", class="initial"]
     root_off [id="root.off", label="off", class="state"]
     subgraph cluster_root_on {
-      graph [id="root.on", label="on", margin=10, style="rounded,filled", fillcolor="#F4F6F8", color="#555555", penwidth=1, class="state"]
+      graph [id="root.on", label="on", margin=10, style="rounded,filled", fillcolor="white", color="#555555", penwidth=1, class="state"]
       root_on_initial [id="root.on.initial", shape=circle, label="", width=0.15, height=0.15, color="#222222", fillcolor="#222222", class="initial"]
       root_on_bright [id="root.on.bright", label="bright", class="state"]
     }
@@ -429,10 +510,10 @@ describe("a picture by Graphviz", function()
       trans { src = "initial", tgt = "a" },
     }))
     local colours = {}
-    for colour in text:gmatch('margin=10[^\n]-fillcolor="([^"]*)"') do
+    for colour in text:gmatch('margin=%d+[^\n]-fillcolor="([^"]*)"') do
       colours[#colours + 1] = colour
     end
-    assert.same({ "white", "#F4F6F8", "white" }, colours)
+    assert.same({ "#F4F6F8", "white", "#F4F6F8" }, colours)
   end)
 
   it("marks what is final, cut off or a region", function()
@@ -558,5 +639,61 @@ stateDiagram-v2
       '"q#34;q"', '"l1<br>l2"', '"#60;b#62;"', '"a#58;b"', '"#37;#37; x"', '"#59;"',
       '"#38;amp#59;"', '"#45;#45;"', '"x#95;"', '"a_b"', '"#42;b#42;"', '"état"',
     })
+  end)
+end)
+
+describe("a state in a picture by Graphviz", function()
+  local function label_of(fields)
+    fields.id, fields.type = "a", "state"
+    local text = require("rfsm.dot").encode { id = "root", type = "state", subnodes = {
+      fields }, transitions = {} }
+    local label = text:match('id="root.a", label=(.-), class=')
+    return (label:gsub("<[^<]->", " "):gsub(" +", " "))
+  end
+
+  it("has a mark for each callback that has no row", function()
+    for expected, fields in pairs { -- any order: each stands alone
+      ['"a"'] = {}, ['"a •"'] = { entry = ".." }, ['"a •••"'] = { entry = "..",
+        doo = "..", exit = ".." },
+      ["< a entry / f >"] = { entry = "f" }, ["< a • entry / f >"] = { entry = "f",
+        exit = ".." }, ["< a •• (H) doo / g >"] = { entry = "..", doo = "g",
+        exit = "..", history = "shallow" },
+      ["< a what it is for >"] = { doc = "what it is for", entry = "..", exit = "f" },
+    } do
+      assert.equal(expected, label_of(fields))
+    end
+  end)
+
+  it("has them if it is a composite, and if a run is shown", function()
+    local function model()
+      return state { entry = print, m = state { exit = print, entry = yes, x = state {},
+        trans { src = "initial", tgt = "x" } }, trans { src = "initial", tgt = "m" } }
+    end
+    local text = require("rfsm.dot").encode(helper.init(model()),
+      { coverage = { states = {}, transitions = {} } })
+    contains(text, { ">m •<", ">root •<", ">x<" })
+  end)
+end)
+
+describe("the root in a picture by Graphviz", function()
+  -- m{ x }
+  local function frames_of(options)
+    local text = require("rfsm.dot").encode(helper.init(state {
+      m = state { x = state {}, trans { src = "initial", tgt = "x" } },
+      trans { src = "initial", tgt = "m" } }), options)
+    local frames = {}
+    local FRAME = 'margin=(%d+), [^\n]-fillcolor="(.-)"([^\n]*)'
+    for margin, fill, rest in text:gmatch(FRAME) do
+      local line = "" -- the last value of an attribute counts
+      for color in rest:gmatch(' color=([^],]+)') do line = color end
+      frames[#frames + 1] = ("%s %s %s"):format(margin, fill, line)
+    end
+    return frames
+  end
+
+  it("has a tint and its title, and no line, also while it is active", function()
+    assert.same({ "4 #F4F6F8 none", '10 white "#555555"' }, frames_of "title")
+    assert.same({ "4 #F4F6F8 none", '10 white "#0072B2"' },
+      frames_of { active = "root.m" })
   end)
 end)

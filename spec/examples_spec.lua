@@ -157,7 +157,7 @@ local SESSIONS = {
     "right open", "left open" }, "e_grasp", "e_stop", "e_start" },
   { "timeevent", "lights up in time", { "do not walk", "please wait", "walk",
     "do not walk", "dark", "do not walk", "dark" }, "e_button", wait(0.3), wait(1),
-    wait(59), wait(3), "e_fault" },
+    wait(59), wait(3), "e_short" },
 }
 
 describe("the example", function()
@@ -208,6 +208,28 @@ describe("the example", function()
       "please wait", "walk", "do not walk", "please wait", "walk", "do not walk",
       "please wait", "walk", "woken 9 times",
     }, lines)
+  end)
+
+  it("is played in LÖVE, where the guard gets no event but its own", function()
+    -- A game of which no picture is drawn: ten seconds of 20 frames each.
+    assert.equal("e_lost e_seen e_there", helper.output_of([[
+      local quiet = function() end
+      love = { window = { setMode = quiet }, event = { quit = quiet },
+        mouse = { isDown = function() return false end } }
+      package.path = "./?.lua;" .. package.path
+      local rfsm, print, sent = require "rfsm", print, {}
+      local send_events = rfsm.send_events
+      function rfsm.send_events(fsm, ...)
+        for i = 1, select("#", ...) do
+          local event = select(i, ...)
+          if event ~= nil then sent[tostring(event)] = true end
+        end
+        return send_events(fsm, ...)
+      end
+      _G.print = quiet
+      dofile "examples/hosts/love/main.lua"
+      for _ = 1, 200 do love.update(0.05) end
+      print(table.concat(rfsm.sorted_keys(sent), " ")) ]]))
   end)
 
   it("has a session or a spec here, each of them", function()

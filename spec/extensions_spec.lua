@@ -640,9 +640,9 @@ describe("a watch hook", function()
   end)
 
   it("is for something that there is", function()
-    assert.equal("rfsm.watch_hook_add: 'sent', 'failed', 'resumed', 'ended', "
-      .. "'merged' or 'discarded' expected, got string 'send'", helper.refusal(rfsm.watch_hook_add,
-      watched(), "send", print))
+    assert.equal("rfsm.watch_hook_add: 'sent', 'failed', 'failed_inside', 'resumed', "
+      .. "'ended', 'merged' or 'discarded' expected, got string 'send'",
+      helper.refusal(rfsm.watch_hook_add, watched(), "send", print))
   end)
 
   it("may ask if the machine is idle, in a step hook beside it", function()

@@ -107,6 +107,7 @@ return state { off = state {}, on = state { history = "shallow", x = state {},
   trans { src = "off", tgt = "on", events = { "e_pause" } } }
 --C :1: warning: root.on: a state has no field 'history' (require "rfsm.history")
     [unknown-field]
+--S WARNING: :1: root.on: a state has no field 'history' (require "rfsm.history")
 == history_true
 -- events: e_next e_pause e_pause
 return state { off = state {}, on = state { history = true, x = state {},
@@ -519,8 +520,8 @@ return state {
   trans { src = "a", tgt = "b", events = { "e_go" } },
   trans { src = "b", tgt = "a", events = { "e_back" } } }
 --C : ok
---S WARNING: rfsm.run has made 10000 iterations and goes on, in 'root.a': event 'e_go'
-    comes again and again
+--S WARNING: rfsm.run has made 10000 iterations and goes on, in 'root.a', 'root.b':
+    events 'e_back', 'e_go' come again and again
 --S raised: and goes on
 == doo_is_coroutine
 -- events: e_go

@@ -321,6 +321,86 @@ describe("consumer groups", function()
     assert.same({ 2, "root.b" }, { count_of(1), machines:get(1).leaf })
   end)
 
+  it("take entries, and end each by done or fail", function()
+    emit(2)
+    local entries = machines:take("g", "w")
+    local first, second = entries[1], entries[2]
+    assert.same({ {}, {} }, { machines:take("g", "v") })
+    assert.is_true(machines:done(first))
+    assert.is_false(machines:fail(second, "no stock"))
+    assert.same({ { second }, {} }, { machines:take("g", "v", { idle = 0 }) })
+    local again = machines:take("g", "v", { idle = 0, tries = 3 })[1]
+    assert.is_true(machines:fail(again, "no stock"))
+    assert.same({ second.machine, "no stock" }, { machines:dead()[1].machine,
+      machines:dead()[1].error })
+    assert.same({ "rfsm.fleet.done: an entry of take expected, got table" },
+      { (select(2, pcall(machines.done, machines, {})):gsub("^%S+:%d+: ", "")) })
+  end)
+
+  it("see that an answer was dropped", function()
+    emit(1)
+    local entry = machines:take("g", "w")[1]
+    assert.same({ nil, "rfsm.fleet.answer: dropped in root.a" },
+      { machines:answer(entry, "e_back") })
+    assert.equal("taken", machines:answer(entry, "e_b").outcome)
+    assert.equal("known", machines:answer(entry, "e_b").outcome)
+    assert.matches("no machine is at", select(2, machines:answer({ id = "x",
+      machine = "{0}gone" }, "e_b")))
+  end)
+
+  it("count an answer once, though its entry died and was sent again", function()
+    for _, group in ipairs { "g", "other" } do machines:work(group, "w", print) end
+    emit(1)
+    machines:work("g", "w", function(entry)
+      assert(machines:answer(entry, "e_emit"))
+      error("no mail", 0)
+    end, { tries = 1 })
+    local dead = machines:dead()[1]
+    assert.is_true(machines:again(dead.tag, dead.id))
+    for _ = 1, 2 do -- once more it dies
+      local ids = {}
+      machines:work("g", "w", function(entry)
+        ids[#ids + 1] = entry.id
+        if entry.data.n == 1 then assert(machines:answer(entry, "e_emit")) end
+        if #ids == 1 and entry.data.n == 1 then error("no mail", 0) end
+      end, { tries = 1 })
+      dead = machines:dead()[1] or dead
+      machines:again(dead.tag, dead.id)
+    end
+    assert.equal(2, count_of(1))
+    local others = {}
+    machines:work("other", "w", function(entry) others[#others + 1] = entry.data.n end)
+    assert.same({ 1, 2 }, others)
+    assert.equal("0\n", server:cli("XLEN rfsm:dead:{0}"))
+  end)
+
+  it("do not acknowledge an entry to a node that may not know the answer", function()
+    local master = servers.redis()
+    local replica = servers.redis("--repl-diskless-sync-delay 0 --replicaof 127.0.0.1 "
+      .. master.port)
+    local url = { master:url(), replica:url() }
+    local both = fleet.connect(url, { name = "m", tags = 1 })
+    assert(both:load(library()))
+    assert(both:create(1, "timed"))
+    assert(both:send(1, "e_emit"))
+    for _ = 1, 500 do
+      if both:call("0", "WAIT", 1, 1000) == 1
+        and replica:cli("GET m:{0}:1") == master:cli("GET m:{0}:1") then break end
+    end
+    local calls = 0
+    local function work(entry)
+      calls = calls + 1
+      if calls == 1 then replica:cli("REPLICAOF NO ONE") end
+      assert(both:send_once(entry.id, entry.machine, "e_b"))
+      if calls == 1 then servers.stop(master) end
+    end
+    assert.equal(0, (both:work("g", "w", work, { idle = 0 })))
+    assert.equal("root.a", both:get(1).leaf)
+    assert.equal(1, (both:work("g", "w", work, { idle = 0 })))
+    assert.equal("root.b", both:get(1).leaf)
+    servers.stop(replica)
+  end)
+
   it("report a stream of another type", function()
     server:cli("SET 'rfsm:out:{0}' x")
     local _, problem = pcall(machines.work, machines, "g", "w", print)
@@ -387,6 +467,77 @@ describe("machines that are due", function()
     server:cli("DEL " .. key_of(1))
     machines:wake()
     assert.equal("0\n", server:cli("ZCARD rfsm:due:{0}"))
+  end)
+end)
+
+describe("a callback that never ends", function()
+  local hung, worker
+
+  setup(function()
+    hung = servers.redis("--busy-reply-threshold 50")
+    worker = fleet.connect(hung:url(), { name = "m", tags = 1 })
+    assert(worker:load(servers.with_clock(library({ index = true },
+      { endless = servers.ENDLESS }))))
+  end)
+
+  before_each(function()
+    hung:cli("FLUSHALL")
+    hung:stop_clock(1000)
+    assert(worker:create("bad", "endless", { bad = true }))
+    for i = 1, 3 do assert(worker:create(i, "endless")) end
+    hung:stop_clock(1001)
+  end)
+
+  -- Calls rfsm_wake so many times, and kills each call that does not end.
+  local function wake(count)
+    servers.output_of(([[
+      for i in $(seq %d); do
+        timeout 20 redis-cli -p %s FCALL rfsm_wake 1 {0} & call=$!
+        for try in $(seq 500); do
+          kill -0 $call && redis-cli -p %s FUNCTION KILL || break
+        done
+        wait $call
+      done]]):format(count, hung.port, hung.port))
+  end
+
+  it("costs one machine one lease, not the others, and can be killed", function()
+    wake(6)
+    assert.same({ "m:{0}:1", "m:{0}:2", "m:{0}:3" }, worker:find("endless", "root.b"))
+    assert.equal("root.a", worker:get("bad").leaf)
+    assert.equal("1\n", hung:cli("ZSCORE rfsm:lease:{0} m:{0}:bad"))
+    assert.equal("1011\n", hung:cli("ZSCORE rfsm:due:{0} m:{0}:bad"))
+  end)
+
+  it("costs it three leases, then the machine is held", function()
+    for i = 1, 3 do
+      wake(6)
+      hung:stop_clock(1000 + 12 * i)
+    end
+    assert.same({ 0, 1 }, { worker:wake() })
+    assert.equal("yes", worker:get("bad").held)
+    assert.equal("1\n", hung:cli("ZCARD rfsm:aside:{0}"))
+    assert.matches("3 calls that ran what is due have not ended: held until it is "
+      .. "released", hung:cli("XRANGE m:{0}:bad:log - +"))
+    assert.equal("kept", worker:send("bad", "e_b").outcome)
+    assert.same({ 0, 0 }, { worker:wake() })
+    assert(worker:force("bad", "root.b"))
+  end)
+
+  it("costs the same if the server is killed in it", function()
+    local killed = servers.redis("--appendonly yes --appendfsync always")
+    local other = fleet.connect(killed:url(), { name = "m", tags = 1 })
+    assert(other:load(library({ index = true }, { endless = servers.ENDLESS })))
+    assert(other:create("bad", "endless", { bad = true }))
+    assert(other:create(1, "endless"))
+    killed:cli("FCALL rfsm_wake 1 {0}")
+    local finish = servers.beside(("timeout 20 redis-cli -p %s FCALL rfsm_wake 1 {0}")
+      :format(killed.port))
+    killed:kill()
+    finish()
+    killed:launch()
+    assert.same({ 1, 0 }, { other:wake() })
+    assert.same({ "m:{0}:1" }, other:find("endless", "root.b"))
+    servers.stop(killed)
   end)
 end)
 
@@ -583,9 +734,78 @@ describe("rfsm fleet", function()
     assert.same({ 1 }, seen)
   end)
 
+  it("shows the log, what is due, and the versions", function()
+    local old = { timed = TIMED }
+    assert(machines:load(library({ index = true }, old)))
+    for i = 1, 2 do assert(machines:create(i, "timed")) end
+    local version = machines:get(1).version
+    assert.equal("timed newest " .. version .. " 2\n", fleet_command("versions"))
+    assert(machines:load(redis.bundle { "timed=" .. helper.file_with(TIMED), "timed="
+      .. helper.file_with((TIMED:gsub("keep", "rename = {}, more = rfsm.state {}, keep")
+      )) }))
+    assert.equal("root.a done kept\n", fleet_command("move", "m:{0}:2"))
+    assert.equal(("timed bundled %s 1\ntimed newest %s 1\n"):format(version,
+      machines:get(2).version), fleet_command("versions"))
+    assert(machines:load(library(nil, { counter = COUNTER })))
+    assert.matches("timed gone " .. version, fleet_command("versions"), 1, true)
+    assert.equal("", fleet_command("due"))
+    assert.equal("m:{0}:1\nm:{0}:2\n", fleet_command("due", "10", "1e10"))
+    fleet_command("hold", "m:{0}:1", "'to be looked at'")
+    assert.matches("^%d+%.%d+ to be looked at\n$", fleet_command("log", "m:{0}:1"))
+  end)
+
+  it("sends an event with an id", function()
+    assert(machines:create(1, "counter"))
+    for _, outcome in ipairs { "taken", "known" } do
+      assert.equal("root.odd done " .. outcome .. "\n",
+        fleet_command("send", "m:{0}:1", "e_tick", "x"))
+    end
+  end)
+
   it("says what a verb needs", function()
     assert.matches("Error: force KEY STATE expected", fleet_command("force", "x"), 1,
       true)
+  end)
+end)
+
+describe("the index", function()
+  local MOVING = [[
+    local rfsm = require "rfsm"
+    return rfsm.state { rename = {}, a = rfsm.state {}, ["b\tc"] = rfsm.state {},
+      d = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" },
+      rfsm.trans { src = "a", tgt = "b\tc", events = { "e_b" } },
+      rfsm.trans { src = "b\tc", tgt = "d", events = { "e_d" } } }]]
+
+  it("finds machines that were there before it, and none where it was", function()
+    local charts = { moving = MOVING }
+    assert(machines:load(library(nil, charts)))
+    for i = 1, 3 do assert(machines:create(i, "moving")) end
+    assert(machines:load(library({ index = true }, charts)))
+    assert(machines:send(1, "e_b"))
+    assert.equal(3, machines:reindex())
+    assert.same({ "m:{0}:2", "m:{0}:3" }, machines:find("moving", "root.a"))
+    assert(machines:load(library(nil, charts)))
+    assert(machines:send(2, "e_b"))
+    assert(machines:load(library({ index = true }, charts)))
+    assert.same({ "m:{0}:2", "m:{0}:3" }, machines:find("moving", "root.a"))
+    assert.equal("3\n", server:cli("FCALL rfsm_reindex 1 {0}"))
+    assert.same({ "m:{0}:3" }, machines:find("moving", "root.a"))
+    assert.same({ "m:{0}:1", "m:{0}:2" }, machines:find("moving", "root.b\tc"))
+    assert.matches('state="root.b\tc"} 2\n', machines:stats(), 1, true)
+    assert(machines:send(2, "e_d"))
+    assert.same({ "m:{0}:1" }, machines:find("moving", "root.b\tc"))
+    assert.same({ nil, "ERR rfsm_reindex: the library was made without --index" },
+      { (function()
+        assert(machines:load(library(nil, charts)))
+        return machines:reindex()
+      end)() })
+  end)
+
+  it("finds machines that are in their state since nobody knows when", function()
+    assert(machines:create(1, "timed"))
+    assert.same({}, machines:find("timed", "root", 10, 100))
+    server:cli("DEL rfsm:since:{0}")
+    assert.same({ "m:{0}:1" }, machines:find("timed", "root", 10, 100))
   end)
 end)
 

@@ -258,10 +258,10 @@ function helper.lines_of(command)
   return lines
 end
 
---- Runs a text with a fresh Lua; returns its output.
-function helper.output_of(text)
-  local lines = helper.lines_of(("%s %s 2>&1"):format(helper.interpreter(),
-    helper.file_with(text)))
+--- Runs a text with a fresh Lua, with variables such as "A=b"; returns its output.
+function helper.output_of(text, variables)
+  local lines = helper.lines_of(("%s %s %s 2>&1"):format(variables or "",
+    helper.interpreter(), helper.file_with(text)))
   return (table.concat(lines, "\n"):gsub("%s+$", ""))
 end
 

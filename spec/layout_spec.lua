@@ -2,7 +2,6 @@
 
 local claim = require "spec.support.claims.pictures"
 local choice = require "rfsm.pictures.choice"
-local columns = require "rfsm.pictures.columns"
 local diagram = require "rfsm.pictures.diagram"
 local dot = require "rfsm.dot"
 local helper = require "spec.helper"
@@ -12,6 +11,7 @@ local marsh = require "rfsm.marsh"
 local Painter = require "rfsm.web.picture"
 local pictures = require "spec.support.pictures"
 local rfsm = require "rfsm"
+local rows = require "rfsm.pictures.rows"
 local share = require "spec.support.share"
 
 local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
@@ -263,115 +263,83 @@ describe("the shape of a picture", function()
     assert.is_true(width - (box.right - box.left) < 10)
     assert.is_true(height - (box.bottom - box.top) < 10)
   end)
-
-  local dense = chain(9)
-  for i = 1, 9 do
-    for j = 1, 9, 3 do
-      dense[#dense + 1] = trans { src = "s" .. i, tgt = "s" .. j, events = "e" }
-    end
-  end
-  local dense_chain = drawn(dense)
-
-  it("stays as it is if too many arrows would lead from column to column", function()
-    local shapes = dense_chain()
-    assert.is_true(shapes["root.s9"].box.top > shapes["root.s1"].box.bottom)
-  end)
 end)
 
-describe("columns", function()
-  local picture = drawn(chain(24))
-  local shapes, begins_column, channel = nil, {}, nil -- channel: the second column
+describe("rows", function()
+  for _, case in ipairs {
+    { direction = "TB", axis = 1, across = 2 },
+    { direction = "LR", axis = 2, across = 1 },
+  } do
+    local axis, across = case.axis, case.across
+    local model = linked(chain(30), { { "s3", "s2" }, { "s30", "s1" } })
+    local picture = drawn(model, { direction = case.direction })
+    local shapes, first_of_row
 
-  before_each(function()
-    shapes, channel = picture(), nil
-    for i = 2, 24 do
-      local here, before = shapes["root.s" .. i].box, shapes["root.s" .. i - 1].box
-      begins_column[i] = math.abs(middle(here) - middle(before)) > 30
-      channel = channel or begins_column[i] and i
+    local function at(i)
+      local box = shapes["root.s" .. i].box
+      return { middle(box), (box.top + box.bottom) / 2 }
     end
-  end)
 
-  it("are read from top to bottom, then from left to right", function()
-    local count = 1
-    for i = 2, 24 do
-      local here, before = shapes["root.s" .. i].box, shapes["root.s" .. i - 1].box
-      if begins_column[i] then
-        count = count + 1
-        assert.is_true(here.left > before.right)
-        assert.is_true(here.top < before.top)
-      else
-        assert.is_true(here.top > before.bottom)
+    before_each(function()
+      shapes, first_of_row = picture(), {}
+      for i = 2, 30 do
+        first_of_row[i] = math.abs(at(i)[across] - at(i - 1)[across]) > 5 and i or nil
       end
-    end
-    assert.is_true(count >= 4 and count <= 5, count)
-  end)
+    end)
 
-  it("have arrows between them with straight parts, and labels beside these", function()
-    local arrow = shapes["root.trans[" .. channel .. "]"]
-    local left, right = shapes["root.s" .. channel - 1].box,
-      shapes["root.s" .. channel].box
-    assert.is_true(arrow.ends[1][2] >= left.bottom - 1)
-    assert.is_true(arrow.tip[2] <= right.top + 1)
-    assert.is_true(arrow.label[1] > left.right and arrow.label[1] < right.left)
-    assert.is_true(pictures.sharpest_bend(arrow.path) < 2)
-    local bottom, top = -1e9, 1e9
-    for _, point in ipairs(arrow.path) do
-      bottom, top = math.max(bottom, point[2]), math.min(top, point[2])
-    end
-    for i = 1, 24 do
-      assert.is_true(shapes["root.s" .. i].box.bottom < bottom)
-      assert.is_true(shapes["root.s" .. i].box.top > top)
-    end
-  end)
-
-  local winding_chain = drawn(linked(chain(24),
-    { { "s22", "s1" }, { "s23", "s2" }, { "s24", "s3" } }))
-
-  it("have tracks of their own for arrows that meet", function()
-    local found, seen = winding_chain(), {}
-    for i = 25, 27 do
-      local lowest = -1e9
-      for _, point in ipairs(found["root.trans[" .. i .. "]"].path) do
-        lowest = math.max(lowest, math.floor(point[2] * 10 + 0.5))
+    it("run to and fro, each beyond the one before it, " .. case.direction, function()
+      local count, sign = 1, nil
+      for i = 2, 30 do
+        local step = at(i)[axis] - at(i - 1)[axis]
+        if first_of_row[i] then
+          assert.is_true(at(i)[across] > at(i - 1)[across])
+          count, sign = count + 1, -sign
+        else
+          sign = sign or step / math.abs(step)
+          assert.is_true(step * sign > 0, i)
+        end
       end
-      assert.is_nil(seen[lowest], "two arrows run at " .. lowest)
-      seen[lowest] = true
-    end
-  end)
+      assert.is_true(count >= 4 and count <= 8, count)
+    end)
 
-  it("are dealt by length, and not at all if two arrows would lead to one", function()
-    local function level(count, links)
-      local boxes, nodes = {}, {}
-      for i = 1, count do boxes[i], nodes[i] = { y = 65 * (count - i) + 30 }, {} end
-      return { direction = "TB", boxes = boxes, links = links, gates = {}, width = 50,
-        height = 65 * count, inner_height = 65 * count, composite = { nodes = nodes } }
-    end
-    local function link(i, j)
-      return { upper = { node = { index = i } }, lower = { node = { index = j } } }
-    end
-    assert.same({ 1, 1, 1, 2, 2, 2, 3, 3, 3 }, columns.plan(level(9, {})))
-    assert.same({ 1, 1, 1, 2, 2, 2, 3, 3, 3 },
-      columns.plan(level(9, { link(2, 4), link(6, 7) })))
-    for _, list in ipairs { { link(3, 4), link(2, 4) }, { link(3, 8) } } do
-      assert.same({ 1, 1, 1, 1, 2, 2, 2, 2, 2 }, columns.plan(level(9, list)))
-    end
-    assert.is_nil(columns.plan(level(9, { link(1, 9), link(2, 8) })))
-    assert.is_nil(columns.plan(level(1, {})))
-    local crossed = level(9, {})
-    crossed.gates[1] = {}
-    assert.is_nil(columns.plan(crossed))
-  end)
+    it("have straight arrows with labels beside them, " .. case.direction, function()
+      local seen = {}
+      for _, i in ipairs { 2, 3, 4, 5, 31 } do
+        local arrow = shapes["root.trans[" .. i .. "]"]
+        if i == 31 or not first_of_row[i] then
+          local height = arrow.ends[1][across]
+          assert.is_true(math.abs(arrow.tip[across] - height) < 0.1, i)
+          local gap = (arrow.label[across] - height) * (axis == 1 and -1 or 1)
+          assert.is_true(gap > 2, "the label of " .. i .. " is struck")
+          seen[i] = height
+        end
+      end
+      assert.is_true(math.abs(seen[3] - seen[31]) > 10)
+    end)
 
-  local long_chain = drawn(chain(30))
+    it("are not crossed by an arrow from the last one to the first, " .. case.direction,
+      function()
+        assert.equal(0, pictures.crossings(shapes))
+      end)
+  end
 
-  it("are as long as each other; an initial takes little room", function()
-    local found, counts, last = long_chain(), {}, nil
-    for i = 1, 30 do
-      local x = middle(found["root.s" .. i].box)
-      if x ~= last then counts[#counts + 1], last = 0, x end
-      counts[#counts] = counts[#counts] + 1
+  it("have no nodes that are linked across others, by gates or at marks", function()
+    local function level(links)
+      local nodes = {}
+      for i = 1, 6 do nodes[i] = { index = i, kind = "leaf" } end
+      nodes[4].kind = "connector"
+      local result = { direction = "TB", links = {}, composite = { nodes = nodes } }
+      for i, pair in ipairs(links) do
+        result.links[i] = { arrow = { parts = {} }, upper = { node = nodes[pair[1]],
+          gate = pair.gate }, lower = { node = nodes[pair[2]] } }
+      end
+      rows.prepare(result)
+      return result.bounds
     end
-    assert.same({ 6, 6, 6, 6, 6 }, counts)
+    assert.same({}, level { { 1, 2 }, { 2, 3 }, { 3, 2 }, { 5, 6 } })
+    assert.same({ [3] = 1 }, level { { 1, 2 }, { 1, 3 } })
+    assert.same({ [2] = 1 }, level { { 1, 2, gate = {} } })
+    assert.same({ [4] = 3 }, level { { 3, 4 }, { 5, 6 } })
   end)
 
   local frames = state { hub = state {}, trans { src = "initial", tgt = "hub" } }
@@ -383,17 +351,98 @@ describe("columns", function()
   end
   local framed_chain = drawn(frames)
 
-  it("have composites in one line", function()
-    local found, count, last = framed_chain(), 0, nil
-    for i = 1, 7 do
-      local box = found["root.m" .. i].box
-      if last and box.top > last.bottom then
-        assert.is_true(math.abs(middle(box) - middle(last)) < 1, i)
-        count = count + 1
-      end
-      last = box
+  it("make a chain of composites readable, whose arrows cross frames", function()
+    local _, width, height = framed_chain()
+    assert.is_true(math.max(math.min(510 / width, 757 / height),
+      math.min(757 / width, 510 / height)) >= 0.7, width .. " x " .. height)
+  end)
+end)
+
+describe("the sheet", function()
+  -- areas with three units of six states each
+  local function plant()
+    local model = state { trans { src = "initial", tgt = "area1" } }
+    for i = 1, 2 do
+      local area = state { trans { src = "initial", tgt = "unit1" } }
+      for k = 1, 3 do area["unit" .. k] = line(5) end
+      linked(area, { { "unit1", "unit2" }, { "unit2", "unit3" } })
+      model["area" .. i] = area
     end
-    assert.equal(3, count)
+    return linked(model, { { "area1", "area2" }, { "area2", "area1" } })
+  end
+
+  local pictures_for = {}
+  for _, name in ipairs { "a4", "slide", "300x3000" } do
+    pictures_for[name] = drawn(plant(), { sheet = name })
+  end
+  local tall = drawn(chain(12), { sheet = "300x3000" })
+
+  it("gives a picture its shape", function()
+    local ratios = {}
+    for name, picture in pairs(pictures_for) do -- any order
+      local _, width, height = picture()
+      ratios[name] = width / height
+    end
+    assert.is_true(ratios.slide > 1.3, ratios.slide)
+    assert.is_true(ratios["300x3000"] < 0.6, ratios["300x3000"])
+    local _, width, height = tall()
+    assert.is_true(width < 300 and height > 700, width .. " x " .. height)
+  end)
+
+  it("has equal composites in one shape", function()
+    local shapes, sizes, count = pictures_for.a4(), {}, 0
+    for i = 1, 2 do
+      for k = 1, 3 do
+        local box = shapes[("root.area%d.unit%d"):format(i, k)].box
+        local size = ("%.0fx%.0f"):format(box.right - box.left, box.bottom - box.top)
+        count, sizes[size] = count + (sizes[size] and 0 or 1), true
+      end
+    end
+    assert.equal(1, count)
+  end)
+
+  -- The rows of states, by the number of the state; of a new one by its name.
+  local function rows_of(graph)
+    local found = {}
+    for name, row in graph:gmatch('id="root.(%w+)"[^\n]- row(%d+)') do
+      found[name] = tonumber(row)
+    end
+    return found
+  end
+
+  local function like(model, graph)
+    return assert(dot.layout(helper.init(model),
+      { like = graph and assert(dot.render(graph, "svg")) }))
+  end
+
+  it("has the rows of a former picture, also with a new state or arrow", function()
+    local former = like(chain(30))
+    local expected = rows_of(former)
+    assert.equal(31, #rfsm.sorted_keys(expected))
+    local model = linked(chain(30), { { "s30", "new" } })
+    model.new = state {}
+    local found = rows_of(like(model, former))
+    assert.equal(expected.s30, found.new)
+    found.new = nil
+    assert.same(expected, found)
+    assert.same(expected, rows_of(like(linked(chain(30), { { "s30", "s1" } }), former)))
+    assert.not_same(expected, rows_of(like(chain(60), nil)))
+  end)
+
+  it("gives them up for a shape whose text is 15 % larger", function()
+    local former = like(chain(80))
+    local again, fresh = like(chain(18), former), like(chain(18))
+    assert.same(rows_of(fresh), rows_of(again))
+    assert.matches("class=sheet", former)
+  end)
+
+  it("is one that is known", function()
+    for _, name in ipairs { "a5", "10x", "0x10", 7 } do
+      local ok, problem = pcall(dot.encode, helper.init(chain(1)), { sheet = name })
+      assert.is_false(ok)
+      assert.matches("rfsm.dot.encode: sheet: 'a4', 'slide' or 'WIDTHxHEIGHT' "
+        .. "expected, got ", problem)
+    end
   end)
 end)
 
@@ -541,6 +590,49 @@ describe("an arrow across frames", function()
         assert.is_true(least < arrow.label[axis])
       end)
   end
+end)
+
+describe("a label", function()
+  -- a -e_1 ... e_20-> b, b -(pn 1)-> a
+  local function model(back)
+    local result = state { a = state {}, b = state {},
+      trans { src = "initial", tgt = "a" }, trans(back) }
+    for i = 1, 20 do
+      result[#result + 1] = trans { src = "a", tgt = "b", events = "e_" .. i }
+    end
+    return result
+  end
+
+  for _, case in ipairs {
+    { text = "a priority", half = 18, back = { src = "b", tgt = "a", pn = 1 } },
+    { text = "an event", half = 10, back = { src = "b", tgt = "a", events = "e_b" } },
+  } do
+    local picture = drawn(model(case.back))
+
+    it("is at its arrow where the arrow is bent: " .. case.text, function()
+      local arrow, least = picture()["root.trans[2]"], 1e9
+      for _, point in ipairs(pictures.points_on(arrow.path)) do
+        if math.abs(point[2] - arrow.label[2]) < 20 then
+          least = math.min(least, arrow.label[1] - case.half - point[1])
+        end
+      end
+      assert.is_true(least > 1 and least < 16, least)
+    end)
+  end
+
+  it("stays where it is if it is near, at its side of the line", function()
+    local function moved(x, y, text, axis)
+      local at, path = { x, y }, { { 0, 0 }, { 0, 30 }, { 0, 60 }, { 0, 90 } }
+      if axis == 2 then path = { { 0, 0 }, { 30, 0 }, { 60, 0 }, { 90, 0 } } end
+      lines.attract(at, text, path, axis)
+      return ("%.1f %.1f"):format(at[1], at[2])
+    end
+    assert.equal("29.0 50.0", moved(29, 50, "e_go!", 1))
+    assert.equal("21.8 50.0", moved(60, 50, "e_go!", 1))
+    assert.equal("21.8 50.0", moved(60, 50, "e_go!\ne", 1))
+    assert.equal("60.0 500.0", moved(60, 500, "e_go!", 1)) -- the line is elsewhere
+    assert.equal("50.0 18.0", moved(50, 60, "e_go!\ne", 2))
+  end)
 end)
 
 describe("dot.layout", function()

@@ -194,7 +194,8 @@ local MISTAKES = [[
 --W 6: root.k: a connector holds no state, 'x' is ignored
   c = rfsm.state { x = rfsm.state {}, rfsm.trans { src = "initial", tgt = "x" } },
   rfsm.trans { src = "c", tgt = "a", events = { "e_done" } },
---W 7: root.trans[4] (c -> a): 'e_done' never fires here, 'root.c' is no leaf state
+--W 7: root.trans[4] (c -> a): 'e_done' never fires here, no leaf right in 'root.c' is
+    final (final = true)
   c = rfsm.state { x = rfsm.state {},
     rfsm.trans { src = "initial", tgt = "x", events = { "e" } } },
 --W 7: root.c.initial: CLOSED'root.c' cannot be entered while none of them is enabled

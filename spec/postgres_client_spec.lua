@@ -328,14 +328,34 @@ describe("a worker", function()
     return client
   end
 
-  it("wakes machines that are due, in one transaction", function()
+  it("wakes each machine in a transaction, and leases it in the one before", function()
     local client = timed(3)
     assert.same({ 2, 0 }, { client:wake(2) })
-    local updates = "UPDATE rfsm.machines, INSERT INTO rfsm.out, WITH trimmed, "
-    assert.equal("BEGIN, SELECT key FOR UPDATE SKIP LOCKED, " .. updates .. updates
+    local runs = "BEGIN, SELECT value, UPDATE rfsm.machines, "
+      .. "INSERT INTO rfsm.out, WITH trimmed, "
+    assert.equal("BEGIN, SELECT key, COMMIT, " .. runs .. "SELECT key, COMMIT, " .. runs
       .. "COMMIT", table.concat(net.trace, ", "))
     assert.same({ 1, 0 }, { client:wake() })
     assert.same({ 0, 0 }, { client:wake() })
+  end)
+
+  it("goes on with the others when another one has come to no end", function()
+    local client = timed(2)
+    net.tables.machines["1"].leases = 1 -- by a process that was killed in it
+    net.tables.machines["1"].due = net.now + 10
+    assert.same({ 1, 0 }, { client:wake() })
+    net.now = net.now + 11
+    assert.same({ 1, 0 }, { client:wake() })
+  end)
+
+  it("holds one after three leases, with the reason", function()
+    local client = timed(2)
+    net.tables.machines["1"].leases = 3
+    assert.same({ 1, 0 }, { client:wake() })
+    assert.same({ "1", "3 calls that ran what is due have not ended: held until it is "
+      .. "released" }, net.tables.log[1])
+    assert.equal("kept", client:tick("1").outcome)
+    assert.equal("taken", client:release("1").outcome)
   end)
 
   it("puts one aside whose chart is gone", function()
@@ -359,7 +379,7 @@ describe("a worker", function()
       end
     end
     assert.same({ 2, 1 }, { client:wake() })
-    assert.same({ "2", "no such text" }, net.tables.log[1])
+    assert.same({ "2", "no such text" }, net.tables.log[2])
     assert.equal(1062, net.tables.machines["2"].due)
   end)
 

@@ -119,10 +119,11 @@ return rfsm.state {
     end },
 }]]
 
--- a --e_emit--> a, which emits its number
+-- a --e_emit--> a, which emits its number; no transition takes e_nothing
 local EMITTER = [[
 return rfsm.state {
-  keep = { "n" }, n = 0, a = rfsm.state {},
+  keep = { "n" }, n = 0, a = rfsm.state {}, b = rfsm.state {},
+  rfsm.trans { src = "b", tgt = "a", events = { "e_nothing" } },
   rfsm.trans { src = "initial", tgt = "a" },
   rfsm.trans { src = "a", tgt = "internal", events = { "e_emit" },
     effect = function(fsm)
@@ -382,6 +383,42 @@ SELECT event, src, tgt FROM rfsm.history ORDER BY id;]]))
     assert.same(sent, found)
   end)
 
+  -- Makes a machine that has emitted, and its client.
+  local function emitting()
+    make_tables()
+    local client = connect("emitter=" .. helper.file_with(EMITTER))
+    assert(client:create("1", "emitter"))
+    assert(client:send("1", "e_emit"))
+    return client
+  end
+
+  it("takes entries that no other worker has, and ends each by done or fail", function()
+    local client = emitting()
+    assert.equal("2\n", server:sql "SELECT count(*) + 1 FROM rfsm.take(1, '0');")
+    local entry = client:take({ lease = 0 })[1]
+    assert.same({ id = "out-1", number = 1, machine = "1", what = "emitted",
+      data = { n = 1 }, tries = 2 }, entry)
+    assert.is_true(client:fail(entry, "no stock"))
+    assert.equal("no stock\n", server:sql "SELECT error FROM rfsm.out;")
+    assert.same({ nil, "rfsm.postgres.answer: dropped in root.a" },
+      { client:answer(entry, "e_nothing") })
+    assert.same({ 0, { "no mail" } }, { client:work(function(taken)
+      assert(client:answer(taken, "e_emit"))
+      error("no mail", 0)
+    end, { lease = 0, tries = 3 }) })
+    client:done({ number = 2 })
+    assert.same({}, client:take({ tries = 3 }))
+    assert.equal("no mail", client:dead()[1].error)
+    assert.is_true(client:again(1))
+    assert.same({ 1, {} }, { client:work(function(taken)
+      assert.equal("known", assert(client:answer(taken, "e_emit")).outcome)
+    end) })
+    assert.equal(2, client:get("1").data.root.n)
+    assert.is_false(client:drop(1))
+    assert.same({ false, "rfsm.postgres.take: tries: a whole number expected, got 0" },
+      { false, (helper.refusal(client.take, client, { tries = 0 })) })
+  end)
+
   it("wakes each machine once beside another", function()
     make_tables()
     local chart = "due=" .. helper.file_with(DUE)
@@ -528,15 +565,39 @@ SELECT rfsm.wake();]]):gsub("COMMAND", function()
     end)))
   end)
 
-  it("is woken by a worker until that is cancelled", function()
-    assert.equal("ERROR:  canceling statement due to statement timeout\n"
-      .. "root.off|3\n", sql([[
+  it("is woken by a worker, which ends at half of a statement_timeout", function()
+    assert.equal("root.off|3\n", sql([[
 SET client_min_messages = error;
 SELECT rfsm.create(i::text, 'lamp') FROM generate_series(1, 3) i \g /dev/null
 SELECT rfsm.send(i::text, 'e_on') FROM generate_series(1, 3) i \g /dev/null
-SET statement_timeout = 300;
+SET statement_timeout = 600;
 CALL rfsm.work(0.01);
 SELECT state, count(*) FROM rfsm.machines GROUP BY state;]]))
+  end)
+
+  it("that never ends costs a worker one lease, and is held after three", function()
+    load_charts({}, "endless=" .. helper.file_with(servers.ENDLESS))
+    local hangs = "ERROR:  canceling statement due to statement timeout\n"
+    assert.equal(hangs .. "bad|root.a|1\nm1|root.b|0\nm2|root.b|0\n" .. hangs .. hangs
+      .. "t||3 calls that ran what is due have not ended: held until it is released\n"
+      .. "rfsm_aside|1\n", sql([[
+SET client_min_messages = error;
+SELECT rfsm.create('bad', 'endless', '{"bad": true}') \g /dev/null
+SELECT rfsm.create('m' || i, 'endless') FROM generate_series(1, 2) i \g /dev/null
+SET statement_timeout = 500;
+CALL rfsm.work(0.01);
+CALL rfsm.work(0.01);
+SELECT key, state, leases FROM rfsm.machines ORDER BY key;
+UPDATE rfsm.machines SET due = now() WHERE key = 'bad';
+CALL rfsm.work(0.01);
+UPDATE rfsm.machines SET due = now() WHERE key = 'bad';
+CALL rfsm.work(0.01);
+UPDATE rfsm.machines SET due = now() WHERE key = 'bad';
+CALL rfsm.work(0.01);
+SELECT (value->8)::text <> 'false', due, l.error FROM rfsm.machines m JOIN rfsm.log l
+  USING (key) WHERE key = 'bad';
+SELECT name, value FROM rfsm.stats() WHERE name = 'rfsm_aside';]]))
+    has_usual_charts = false
   end)
 
   it("waits for a minute if it cannot be woken", function()
@@ -712,6 +773,36 @@ SELECT count(*) FROM rfsm.machines;]]))
       .. "mean 'root.odd'?)\n", sql([[
 SELECT rfsm.create('1', 'counter') \gset
 SELECT rfsm.force('1', 'root.add');]]))
+  end)
+
+  it("sees what waits, the log, what is due, and the versions", function()
+    assert.equal([[
+WARNING:  1: looked at
+held|yes
+held_because|looked at
+kept|[]
+waiting|[{"events":["e_tick"],"id":"x"}]
+ids|["one"]
+t
+looked at
+counter|1
+1
+2|0
+]], (sql([[
+SELECT rfsm.create('1', 'counter', id => 'one') \gset
+SELECT rfsm.create('2', 'counter') \gset
+SELECT rfsm.call('rfsm_hold', '1', ARRAY['looked at'], NULL) \gset
+SELECT rfsm.send('1', 'e_tick', 'x') \gset
+SELECT name, regexp_replace(value, ',"time":[0-9.]+', '') FROM rfsm.get('1')
+  WHERE name IN ('held', 'held_because', 'kept', 'waiting', 'ids');
+SELECT why ~ '^held since ' FROM rfsm.why('1', 'e_tick') why LIMIT 1;
+SELECT error FROM rfsm.log('1');
+SELECT chart, machines - 1 FROM rfsm.versions();
+SELECT rfsm.send_at('2', now(), 'e_tick', 'y') \gset
+UPDATE rfsm.machines SET due = now() WHERE key = '2';
+SELECT count(*) FROM rfsm.due();
+SELECT count(*), (SELECT count(*) FROM rfsm.find('counter', 'root', 10, '1 h'))
+  FROM rfsm.find('counter', 'root');]])))
   end)
 
   it("sends dead entries again, drops them, and reads numbers", function()

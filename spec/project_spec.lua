@@ -124,7 +124,8 @@ describe("a core alone in a folder", function()
     assert(os.execute(("mkdir -p 'F/alone/rfsm' && cp -r spec 'F' && cp -r spec "
       .. "rfsm.lua 'F/alone' && cp rfsm/tools.lua rfsm/merge.lua rfsm/fates.lua "
       .. "'F/alone/rfsm' && '%s' tools/dist.lua rfsm rfsm.fast rfsm.advice "
-      .. "rfsm.tools rfsm.merge rfsm.fates >'F/rfsm.lua'"):gsub("F", folder):format(lua)))
+      .. "rfsm.tools rfsm.merge rfsm.fates >'F/rfsm.lua'"):gsub("F", folder)
+      :format(lua)))
   end)
 
   teardown(function() os.execute("rm -r '" .. folder .. "'") end)
@@ -201,14 +202,15 @@ describe("rfsm size", function()
     local rows, others = size("examples/on_off.lua", arg[-1])
     local chart = rows["on_off.lua: 2 states, 3 transitions"]
     local together, library = rows.together, rows["rfsm and rfsm.rtt"]
-    local base = rows["Lua with RTT, rttlib and a launch"]
+    local base = rows["Lua with RTT and a launch"]
     local modules = rows["modules that the chart loads"]
     for i, kib in ipairs(base) do
-      assert.equal(({ 195, 262, 187, 249 })[i], kib) -- measured once, as doc/rtt.md has
+      assert.equal(({ 114, 162, 104, 135 })[i], kib) -- measured once, as doc/rtt.md has
       local sum = kib + library[i] + modules[i] + chart[i]
       assert.is_true(math.abs(together[i] - sum) <= 2) -- they are rounded
     end
-    for _, name in ipairs { "+ rfsmpp", "+ rfsm.record", "+ rfsm.proto" } do
+    for _, name in ipairs { "+ rttlib and utils", "+ rfsmpp", "+ rfsm.record",
+      "+ rfsm.proto" } do
       assert.is_true(rows[name][1] > 0)
     end
     local pool = others[#others]:match("^launch { pool = (%d+) } leaves room for")
@@ -227,10 +229,10 @@ describe("rfsm size", function()
     end
   end)
 
-  it("shows that the library and a launch take 680 KiB, stripped 550", function()
+  it("shows that the library and a launch take 620 KiB, stripped 470", function()
     if not (has_program "lua5.1" and has_program "luac5.1") then return end -- of RTT
     local rows = size("examples/on_off.lua", "lua5.1")
-    assert.is_true(rows.together[2] <= 680 and rows.together[4] <= 550)
+    assert.is_true(rows.together[2] <= 620 and rows.together[4] <= 470)
     assert.is_true(rows.together[3] < rows.together[1])
   end)
 
@@ -243,7 +245,7 @@ describe("rfsm size", function()
 
   it("reports a chart with a problem, and a Lua that is not there", function()
     local file = helper.file_with("return 3")
-    for lua, text in pairs { [arg[-1]] = file, ["no-such-lua"] = "not found" } do
+    for lua, text in pairs { [arg[-1]] = file, ["no-such-lua"] = "no-such-lua: " } do
       local rows, others = size(file, lua)
       assert.same({}, rows)
       assert.is_truthy(others[1]:find(text, 1, true))
@@ -269,17 +271,19 @@ end)
 
 describe("the command", function()
   -- Returns which of these Luas runs it; those in `with` have argparse, those in `own`
-  -- the package of the command.
-  local function chosen(names, with, command, own)
+  -- the package of the command, those in `socket` luasocket, by default all.
+  local function chosen(names, with, command, own, socket)
     local folder = os.tmpname()
     os.remove(folder)
     os.execute("mkdir " .. folder .. "; ln -s $(command -v readlink) " .. folder)
     local function status(list, name) return list:find(name, 1, true) and 0 or 1 end
     for name in names:gmatch("%S+") do
       local text = "#!/bin/sh\n[ \"$1\" = -e ] || { echo %s; exit; }\ncase $2 in\n"
-        .. "*redis*) exit %d;;\n*argparse*) exit %d;;\nesac\n"
-      helper.write(folder .. "/" .. name, text:format(name, status(own or "", name),
-        status(with, name)))
+        .. "*redis*socket*) exit $((%d | %d));;\n*redis*) exit %d;;\n"
+        .. "*argparse*) exit %d;;\nesac\n"
+      local has_own = status(own or "", name)
+      helper.write(folder .. "/" .. name, text:format(name, has_own,
+        status(socket or names, name), has_own, status(with, name)))
       os.execute("chmod +x " .. folder .. "/" .. name)
     end
     local lines = lines_of(("LUA= PATH=%s /bin/sh tools/rfsm %s 2>&1"):format(folder,
@@ -298,9 +302,83 @@ describe("the command", function()
     assert.equal("lua5.3", chosen("lua5.1 lua5.3", "lua5.1 lua5.3", "redis", ""))
   end)
 
+  it("is run by one that has luasocket, too, for Redis", function()
+    for _, command in ipairs { "redis", "fleet" } do
+      assert.equal("lua5.1", chosen("lua5.1 lua5.3", "lua5.1 lua5.3", command,
+        "lua5.1 lua5.3", "lua5.1"))
+    end
+  end)
+
   it("is run by the newest one, which reports it, if none has", function()
     assert.equal("luajit", chosen("lua5.1 luajit", ""))
     assert.matches("^rfsm: no Lua found", chosen("", ""))
+  end)
+end)
+
+describe("on a machine where nothing is installed", function()
+  local folder = os.tmpname()
+
+  setup(function()
+    os.remove(folder)
+    os.execute("mkdir " .. folder .. "; for p in sh make dirname mkdir; do "
+      .. "ln -s $(command -v $p) " .. folder .. "; done")
+  end)
+
+  teardown(function() os.execute("rm -r " .. folder) end)
+
+  -- Returns what a command prints that finds these programs only, and its status.
+  local function output(command)
+    return table.concat(lines_of(("{ PATH=%s LUA= %s; echo $?; } 2>&1"):format(folder,
+      command)), "\n")
+  end
+
+  local NO_LUA = "no Lua is installed; please type: sudo apt-get install lua5.4\n"
+
+  it("tools/deps.sh lua prints the last Lua there, or what to type", function()
+    local lua = helper.interpreter()
+    os.execute(("ln -s $(command -v %s) %s/lua5.3"):format(lua, folder))
+    assert.equal("lua5.3\n0", output("tools/deps.sh lua lua5.3 lua5.4 tools/lua"))
+    os.remove(folder .. "/lua5.3")
+    assert.equal(NO_LUA .. "false\n0", output("tools/deps.sh lua lua5.1 lua5.3"))
+  end)
+
+  for _, target in ipairs { "house", "fuzz", "dist" } do
+    it("make " .. target .. " says what to type", function()
+      local text = output("make -s DIST=" .. folder .. "/dist " .. target)
+      assert.equal(NO_LUA, text:sub(1, #NO_LUA))
+      assert.matches("\n2$", text)
+    end)
+  end
+
+  for target, packages in pairs { -- any order: each stands alone
+    deb = "git build-essential dpkg-dev debhelper help2man lintian lua5.3 lua-argparse "
+      .. "lua-dkjson",
+    site = "lua-ldoc lua-discount lua-dkjson",
+  } do
+    it("make " .. target .. " lists the packages to type", function()
+      assert.equal("missing; please type: sudo apt-get install " .. packages .. "\n1",
+        output("tools/deps.sh " .. target))
+    end)
+  end
+
+  it("make rocks lists the headers that LuaRocks wants", function()
+    local text = output("tools/deps.sh rocks")
+    for _, version in ipairs { "5.1", "5.2", "5.3", "5.4" } do
+      local header = io.open("/usr/include/lua" .. version .. "/lua.h")
+      assert.equal(header == nil, text:find("liblua" .. version .. "-dev", 1, true)
+        ~= nil)
+      if header then header:close() end
+    end
+    assert.matches("git luarocks lua5.1 ", text, 1, true)
+  end)
+
+  it("the site needs a Lua, and says so", function()
+    for _, name in ipairs { "node", "npm" } do
+      helper.write(folder .. "/" .. name, "#!/bin/sh\n")
+      os.execute("chmod +x " .. folder .. "/" .. name)
+    end
+    assert.equal("make site: a Lua is missing (on Debian: apt-get install lua5.4)\n1",
+      output("tools/site/build.sh " .. folder .. "/x.html"))
   end)
 end)
 
@@ -308,9 +386,9 @@ describe("tools/test.sh", function()
   local FILES = "spec/[ab]*_spec.lua"
   local SPECS = #lines_of("ls " .. FILES)
 
-  -- Runs it with a busted that prints this; returns the lines, and those on stderr.
-  local function run(text, settings)
-    local busted = helper.file_with("#!/bin/sh\ncat <<EOF\n" .. text .. "EOF\n")
+  -- Runs it with a busted that does this; returns the lines, and those on stderr.
+  local function run_program(program, settings)
+    local busted = helper.file_with("#!/bin/sh\n" .. program)
     local messages = helper.file_with("")
     os.execute("chmod +x " .. busted)
     local command = "LINT= %s FILES='%s' BUSTED=%s tools/test.sh %s"
@@ -318,6 +396,36 @@ describe("tools/test.sh", function()
       :format(settings or "PENDING=", FILES, busted, arg[-1], messages)),
       lines_of("cat " .. messages)
   end
+
+  -- Runs it with a busted that prints this.
+  local function run(text, settings)
+    return run_program("cat <<EOF\n" .. text .. "EOF\n", settings)
+  end
+
+  local PASSED = "1 success / 0 failures / 0 errors / 0 pending : 0.1 seconds\n"
+
+  it("limits the time of the processor, not that in which others had it", function()
+    local lines = run_program("while :; do :; done\n", "LIMIT=1")
+    assert.same({ ("0 passed, %d failed, 0 pending"):format(SPECS), "1" },
+      { lines[#lines - 1], lines[#lines] })
+    assert.matches("spec/alloc_spec.lua used more than 1 s of the processor, did not "
+      .. "end within 10 s, or crashed", table.concat(lines, "\n"), 1, true)
+  end)
+
+  it("stops what waits without end after ten times as long", function()
+    local folder = os.tmpname()
+    os.remove(folder)
+    os.execute("mkdir " .. folder)
+    helper.write(folder .. "/timeout", '#!/bin/sh\necho "$1 $2 $3" >>' .. folder
+      .. '/seen\nshift 3\nexec "$@"\n')
+    os.execute("chmod +x " .. folder .. "/timeout")
+    local lines = run(PASSED, "LIMIT=7 PATH=" .. folder .. ":$PATH")
+    local seen = lines_of("sort -u " .. folder .. "/seen")
+    os.execute("rm -r " .. folder)
+    assert.same({ SPECS .. " passed, 0 failed, 0 pending", "0" },
+      { lines[#lines - 1], lines[#lines] })
+    assert.same({ "-k 5 70" }, seen)
+  end)
 
   it("prints a line as each interpreter ends, and the sum", function()
     local lines, messages = run("2 successes / 0 failures / 0 errors / 0 pending : 0.1 "
@@ -332,11 +440,10 @@ describe("tools/test.sh", function()
   end)
 
   it("runs another command beside the specs, and fails if that does", function()
-    local text = "1 success / 0 failures / 0 errors / 0 pending : 0.1 seconds\n"
-    local lines = run(text, "LINT='ls nowhere'")
+    local lines = run(PASSED, "LINT='ls nowhere'")
     assert.matches("nowhere", lines[2])
     assert.equal("1", lines[#lines])
-    lines = run(text, "LINT=true")
+    lines = run(PASSED, "LINT=true")
     assert.same({ SPECS .. " passed, 0 failed, 0 pending", "0" },
       { lines[2], lines[3] })
   end)
@@ -351,7 +458,7 @@ describe("tools/test.sh", function()
     for text, reason in pairs { -- any order: each stands alone
       ["0 successes / 0 failures / 0 errors / 0 pending : 0.1 seconds\n"]
         = "has no test",
-      ["● ●\n"] = "did not end within",
+      ["● ●\n"] = "used more than 300 s of the processor, did not end within 3000 s",
     } do
       local lines = run(text)
       assert.same({ ("0 passed, %d failed, 0 pending"):format(SPECS), "1" },

@@ -896,6 +896,15 @@ return rfsm.state { info = false, warn = false,
     assert.equal("false", evaluate(exec_str, "fsm._act_leaf"))
   end)
 
+  it("with timer = true knows time events that the chart does not require", function()
+    local _, exec_str = launched { timer = true, fsmfile = file_with [[
+      return rfsm.state { a = rfsm.state {}, b = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "b", events = { "e_after(1)" } } } ]] }
+    assert.equal("e_after(1)@root.a", evaluate(exec_str, "fsm[2].events[1]"))
+    assert.same({}, logged("no loaded extension"))
+  end)
+
   it("is woken exactly when a time event is due, without a period", function()
     local _, exec_str = launched { timer = true,
       prestr = "require('rfsm_timeevent').set_gettime_hook(rtt.getTime)",
@@ -1179,6 +1188,28 @@ describe("rfsm.rtt in a pool, and only there,", function()
       local fsm = rfsm.init(rfsm.state { info = false, warn = false,
         a = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" } })
       rfsm.prepare(fsm)]], "package.loaded['rfsm.fast'] ~= nil", "false", "true")
+  end)
+
+  -- Makes machines of a chart with data, and of one with a mistake.
+  local INIT = [[
+    require "rfsm.rtt"
+    local rfsm = require "rfsm"
+    local function root(initial)
+      return rfsm.state { info = false, warn = false, err = false, limits = { 1 },
+        a = rfsm.state { speeds = { 2 } },
+        rfsm.trans { src = "initial", tgt = initial } }
+    end
+    is_made = rfsm.init(root("a")) and true
+    text = select(2, rfsm.init(root("aa"))):match("did you mean '.-'")
+    local weak = setmetatable({ rawget(package.loaded["rfsm.advice"], "nearest_name") },
+      { __mode = "v" })
+    rfsm_rtt.forget_modules()
+    collectgarbage()
+    is_kept = weak[1] ~= nil]]
+
+  it("has hints for problems, and leaves none of them in memory", function()
+    compare(INIT, "is_made, text, is_kept", "true did you mean 'a' false",
+      "true did you mean 'a' true")
   end)
 end)
 

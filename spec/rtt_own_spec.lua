@@ -235,15 +235,43 @@ return rfsm.state { info = false, a = rfsm.state {}, b = rfsm.state {},
     { "the machine is connected", "poststr", SHORT },
     { "the machine is prepared", "poststr", "function rfsm.prepare() " .. SHORT
       .. " end" },
+    { "the library is loaded", "prestr", "",
+      "package.preload['rfsm.rtt.component'] = function() " .. SHORT .. " end" },
+    { "the launch begins", "prestr", "",
+      "local getTC = rtt.getTC function rtt.getTC() rtt.getTC = getTC " .. SHORT
+        .. " end" },
   } do
-    it("names the stage in which memory was short: " .. case[1], function()
-      local arm = own(("fsmfile = %q, %s = %q"):format(chart_file(), case[2], case[3]))
+    it("names the stage in which memory was short: " .. case[1]
+      .. (case[4] and ", anywhere" or ""), function()
+      local arm = own(("fsmfile = %q, %s = %q"):format(chart_file(), case[2], case[3]),
+        case[4])
       assert.is_false(arm:configure())
       assert.matches("not enough memory while " .. case[1] .. ", %d+ KiB in use "
         .. "without that: enlarge the pool by", logged("not enough memory")[1])
       assert.same({}, arm:getPortNames())
     end)
   end
+end)
+
+describe("a launch of rfsm.rtt.launch", function()
+  it("has the number of the active leaf in an attribute, their list in the log",
+    function()
+      local arm, exec_str = own(("fsmfile = %q"):format(file_with [[
+        return rfsm.state { a = rfsm.state {}, m = rfsm.state { b = rfsm.state {},
+          rfsm.trans { src = "initial", tgt = "b" } },
+          rfsm.trans { src = "initial", tgt = "a" },
+          rfsm.trans { src = "a", tgt = "m", events = { "e" } } } ]]))
+      assert(arm:configure())
+      assert.is_truthy(logged("rfsm.rtt: rfsm_state of 'arm': 0 <none>, 1 root.a, "
+        .. "2 root.m.b")[1])
+      local numbers = {}
+      for i, code in ipairs { "1", "rfsm.run(fsm)",
+        "rfsm.send_events(fsm, 'e'), rfsm.run(fsm)", "rfsm.reset(fsm)" } do
+        evaluate(exec_str, code)
+        numbers[i] = arm:getAttribute("rfsm_state"):get()
+      end
+      assert.same({ 0, 1, 2, 0 }, numbers)
+    end)
 end)
 
 describe("rfsm/rtt/program.lua as lua_file", function()

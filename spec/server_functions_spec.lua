@@ -614,43 +614,208 @@ describe("the last field of a reply", function()
   end)
 end)
 
-describe("machines that are due", function()
-  -- Has Redis find these keys due, and machines that were put aside.
-  local function with_due(keys, has_aside)
-    local outer = host.redis.call
-    function host.redis.call(name, key, ...)
-      if name == "ZRANGEBYSCORE" then return keys end
-      if name == "EXISTS" and key:find("^rfsm:aside") then
-        return has_aside and 1 or 0
+describe("an event that a machine keeps", function()
+  it("is told in the log if no transition of the new version takes it, once", function()
+    local function worker(name)
+      return function()
+        require "rfsm.defer"
+        return state { rename = {}, busy = state { defer = { rfsm.named(name) } },
+          idle = state {}, trans { src = "initial", tgt = "busy" },
+          trans { src = "busy", tgt = "idle", events = { "e_free" } },
+          trans { src = "idle", tgt = "busy", events = { rfsm.named(name) } } }
       end
-      return outer(name, key, ...)
+    end
+    local old, new = { name = "w", make = worker "e_job" },
+      { name = "w", make = worker "e_task" }
+    load_library { old }
+    f.rfsm_create({ "w" }, { "w" })
+    assert.same({ "root.busy", "done", "kept" },
+      f.rfsm_send({ "w" }, { '{"name":"e_job","k":7}' }))
+    load_library { old, new }
+    assert.same({ "root.busy", "done", "rfsm.snapshot: the event 'e_job' waits, but no "
+      .. "transition of the chart takes it", "kept" },
+      f.rfsm_send({ "w" }, { '{"name":"e_task","k":8}' }))
+    assert.same({ "root.busy", "done", "taken" }, f.rfsm_send({ "w" }, { "e_free" }))
+  end)
+end)
+
+describe("JSON that only some decoders take", function()
+  for _, odd in ipairs { "NaN", "nan", "-Infinity", "0x10", "01", "+1", "1.",
+    "\\u0000" } do
+    it("is refused: " .. odd, function()
+      open()
+      load_library { { name = "c", make = chart } }
+      local value = odd:find("u", 1, true) == 2 and '"' .. odd .. '"' or odd
+      assert.equal("ERR rfsm_create: data: a JSON object expected",
+        f.rfsm_create({ "k" }, { "c", '{"n":' .. value .. "}" }).err)
+    end)
+  end
+
+  it("is not what a text contains", function()
+    for _, text in ipairs { "NaN", "0x10", '\\"NaN', "\\\\u0000", "-1.5e+10" } do
+      f.rfsm_remove({ "k" })
+      local reply = f.rfsm_create({ "k" .. #text }, { "c", '{"n":["' .. text
+        .. '",-1.5e+10,true,null,0]}' })
+      assert.equal("root.a", reply[1])
+    end
+  end)
+end)
+
+describe("what waits in a machine", function()
+  -- Returns what rfsm_get says, by name.
+  local function view()
+    local list, found = call("get"), {}
+    for i = 1, #list, 2 do found[list[i]] = list[i + 1] end
+    return found
+  end
+
+  it("is shown: events for later, those of a held machine, and ids", function()
+    call("send", "e_b", "ID", "one")
+    call("send_at", "+9", "e_a", "ID", "two")
+    clock.now = 1003
+    call("hold", "looked at")
+    clock.now = 1004
+    call("send", "e_a", "e_b", "ID", "three")
+    local found = view()
+    assert.same({ '[{"events":["e_a"],"id":"two","time":1009}]',
+      '[{"events":["e_a","e_b"],"id":"three","time":1004}]', '["one"]', "[]", "yes",
+      "1003.000000", "looked at", "" }, { found.later, found.waiting, found.ids,
+      found.kept, found.held, found.held_since, found.held_because, found.due })
+    call("release")
+    found = view()
+    assert.same({ "[]", '["one","three"]', "", "", "" }, { found.waiting, found.ids,
+      found.held, found.held_since, found.held_because })
+  end)
+
+  it("is shown: events that it has deferred, also in regions", function()
+    require "rfsm.defer"
+    require "rfsm_seqand"
+    local function region()
+      return state { info = false, warn = false, x = state { defer = { "e_x" } },
+        trans { src = "initial", tgt = "x" }, trans { src = "x", tgt = "x",
+          events = { "e_go" } } }
+    end
+    load_library { { name = "c", make = function()
+      return state { a = require("rfsm_seqand").seqand {
+        defer = { rfsm.named "e_job" }, left = region() },
+        b = state {}, trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_b" } },
+        trans { src = "b", tgt = "a", events = { rfsm.named "e_job", "e_x" } } }
+    end } }
+    host.packs.unpack("m") -- of the chart before
+    f.rfsm_remove({ "m" })
+    f.rfsm_create({ "m2" }, { "c" })
+    f.rfsm_send({ "m2" }, { '{"name":"e_job","k":1}' })
+    f.rfsm_send({ "m2" }, { "e_x" })
+    local list = f.rfsm_get({ "m2" })
+    for i = 1, #list, 2 do
+      if list[i] == "kept" then
+        assert.equal('[{"k":1,"name":"e_job"},"e_x"]', list[i + 1])
+      end
+    end
+  end)
+
+  it("is explained: a held machine moves only when it is released", function()
+    call("hold")
+    clock.now = 1012
+    assert.same({ "held since 1000.000, for 12 s: events wait until it is released; "
+      .. "then:", "root.trans[2] (a -> b) would be taken on e_b in root.a" },
+      { call("why", "e_b")[1], call("why", "e_b")[2] })
+  end)
+end)
+
+describe("a machine that is moved to the newest version", function()
+  it("is woken in time for a shorter timer there", function()
+    local function waiting(seconds)
+      return { name = "w", make = function()
+        return state { rename = {}, keep = { "n" }, n = 0, a = state {}, b = state {},
+          trans { src = "initial", tgt = "a" },
+          trans { src = "a", tgt = "b", events = { ("e_after(%d)"):format(seconds) } } }
+      end }
+    end
+    load_library { waiting(60) }
+    f.rfsm_create({ "w" }, { "w" })
+    clock.now = 1005
+    load_library { waiting(60), waiting(8) }
+    assert.same({ "root.a", "done", "kept" }, f.rfsm_move({ "w" }))
+    assert.equal(1008, math.floor(host.packs.unpack("w")[6] + 0.5))
+    clock.now = 1009
+    assert.same({ "root.b", "done", "taken" }, f.rfsm_tick({ "w" }, { "due" }))
+  end)
+end)
+
+describe("machines that are due", function()
+  -- Has Redis find these keys due, the first one first, until another time is added for
+  -- them. `leases` has how often each was leased before.
+  local function with_due(keys, leases)
+    local outer, counts = host.redis.call, leases or {}
+    local function forget(key)
+      for i, due in ipairs(keys) do
+        if due == key then table.remove(keys, i) end
+      end
+    end
+    function host.redis.call(name, key, ...)
+      local arguments = { ... }
+      if name == "ZRANGEBYSCORE" then return { keys[1] } end
+      if name == "ZCOUNT" then return #keys end
+      if key == "rfsm:due:{m}" then forget(arguments[#arguments]) end
+      local reply = outer(name, key, ...)
+      if name ~= "ZINCRBY" then return reply end
+      counts[arguments[2]] = (counts[arguments[2]] or 0) + arguments[1]
+      return counts[arguments[2]]
     end
   end
 
-  it("are run, each with the time of the call", function()
+  it("are leased in one call, and run by the next, at its time", function()
     f.rfsm_create({ "k" }, { "c" })
     clock.now = 1006
-    with_due({ "m", "k", "gone" })
+    with_due { "m", "k", "gone" }
     written()
-    assert.same({ 3, 0 }, call("wake"))
-    assert.equal("ZREM XADD SET SPUBLISH ZREM XADD SET SPUBLISH ZREM", written())
+    assert.same({ 0, 0, 3 }, call("wake"))
+    assert.same({ "ZINCRBY {1=rfsm:lease:{m},2=1,3=m}",
+      "ZADD {1=rfsm:due:{m},2=1016.000000,3=m}" }, trace)
+    written()
+    assert.same({ 1, 0, 2 }, call("wake"))
+    assert.equal("ZREM XADD SET SPUBLISH ZREM ZREM ZINCRBY ZADD", written())
+    assert.same({ 1, 0, 1 }, call("wake"))
+    assert.same({ 1, 0, 0 }, call("wake"))
+    assert.same({ 0, 0, 0 }, call("wake"))
   end)
 
-  it("are taken off the list of those put aside, if there are some", function()
+  it("are not run if another call has done so meanwhile", function()
     clock.now = 1006
-    with_due({ "m" }, true)
+    with_due { "m" }
     call("wake")
-    assert.equal("ZREM XADD SET SPUBLISH ZREM", written())
+    call("send", "e_x")
+    call("send", "e_a")
+    written()
+    assert.same({ 1, 0, 0 }, call("wake"))
+    assert.equal("ZADD SET ZREM ZREM", written())
+  end)
+
+  it("are held after three leases that came to no end, with the reason", function()
+    clock.now = 1006
+    with_due({ "m", "k" }, { m = 3 })
+    written()
+    assert.same({ 0, 1, 1 }, call("wake"))
+    assert.matches("XADD {1={m}:log,2=MAXLEN,3=~,4=1000,5=*,6=error,7=3 calls that ran "
+      .. "what is due have not ended: held until it is released}",
+      table.concat(trace, "\n"), 1, true)
+    assert.equal("ZINCRBY ZREM XADD SET ZREM ZINCRBY", written())
+    assert.equal("kept", call("send", "e_b")[3])
+    assert.equal("taken", call("release")[3])
   end)
 
   it("wait a minute if they cannot be run, with the reason in their log", function()
-    with_due({ "bad", "m" })
+    with_due { "bad", "m" }
     local outer = host.redis.call
     function host.redis.call(name, key, ...)
       if name == "GET" and key == "bad" then error({ err = "ERR spoiled" }, 0) end
       return outer(name, key, ...)
     end
-    assert.same({ 1, 1 }, call("wake"))
+    assert.same({ 0, 0, 2 }, call("wake"))
+    assert.same({ 0, 1, 1 }, call("wake"))
+    assert.same({ 1, 0, 0 }, call("wake"))
     local lines = table.concat(trace, "\n")
     assert.matches("ZADD {1=rfsm:due:{m},2=1060.000000,3=bad}", lines, 1, true)
     assert.matches("ZINCRBY {1=rfsm:aside:{m},2=1,3=bad}", lines, 1, true)
@@ -664,7 +829,8 @@ describe("machines that are due", function()
     value[3].chart = "another"
     function host.packs.unpack() return encoding.copy_of(value) end
     clock.now = 1010
-    assert.same({ 0, 1 }, call("wake"))
+    call("wake")
+    assert.same({ 0, 1, 0 }, call("wake"))
     assert.matches("ZADD {1=rfsm:due:{m},2=1070.000000,3=m}", table.concat(trace, "\n"),
       1, true)
   end)
@@ -676,13 +842,15 @@ describe("machines that are due", function()
       if name == "GET" then error({ err = "ERR access to a non local key" }, 0) end
       return outer(name, key, ...)
     end
-    assert.same({ 0, 0 }, call("wake"))
+    call("wake")
+    written()
+    assert.same({ 0, 0, 0 }, call("wake"))
     assert.equal("", written())
   end)
 
   it("are none", function()
     with_due {}
-    assert.same({ 0, 0 }, call("wake"))
+    assert.same({ 0, 0, 0 }, call("wake"))
   end)
 end)
 

@@ -502,12 +502,12 @@ end)
 describe("replaced fields", function()
   it("are given back, unless a program has set them meanwhile", function()
     local changes, t = {}, { a = 1, b = 2 }
-    assert.same({ obj = t, field = "a", own = 1, new = 5 },
+    assert.same({ obj = t, field = "a", own = 1, was = 1, new = 5 },
       instrument.put(changes, t, "a", 5))
     instrument.put(changes, t, "a", 6)
     instrument.put(changes, t, "b", 7)
     instrument.put(changes, t, "c", 8)
-    assert.same({ a = 6, b = 7, c = 8 }, t)
+    assert.same({ 6, 7, 8, 1 }, { t.a, t.b, t.c, instrument.original(t, "a") })
     t.b = 9
     instrument.give_back(changes)
     assert.same({ a = 1, b = 9 }, t)

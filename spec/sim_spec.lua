@@ -351,8 +351,9 @@ local has_tmux = output_of("command -v tmux") ~= ""
 local sockets = {} -- of the terminals that are open
 local without = "package.preload['%s'] = function() error('none') end "
 
--- Opens a chart in a terminal of its own. `type_in` sends keys, as tmux calls them, and
--- waits until the screen shows a text.
+-- Opens a chart in a terminal of its own; without arguments, a shell. `type_in` sends
+-- keys, as tmux calls them, and waits until the screen shows a text; `await_prompt`
+-- waits until the last line is a prompt.
 local function open_terminal(arguments, lua_init)
   local socket = file_with("")
   os.remove(socket)
@@ -371,6 +372,12 @@ local function open_terminal(arguments, lua_init)
     assert.is_true(found ~= "", "no '" .. text .. "' in:\n" .. terminal.screen())
   end
 
+  function terminal.await_prompt()
+    local found = output_of(("timeout 30 sh -c 'until %s capture-pane -p | grep . "
+      .. "| tail -n 1 | grep \"^> *$\"; do sleep 0.02; done'"):format(tmux))
+    assert.is_true(found ~= "", "no prompt in:\n" .. terminal.screen())
+  end
+
   -- Types Control-D until the program has ended: at first readline may not be there.
   function terminal.close()
     os.execute(("timeout 30 sh -c 'until %s capture-pane -p "
@@ -382,9 +389,11 @@ local function open_terminal(arguments, lua_init)
 
   -- tmux asks $SHELL to run the command. Control-C reaches that shell, too.
   os.execute(("SHELL=/bin/sh LUA_INIT=\"%s\" HOME=/nowhere TERM=dumb LUA=%s %s "
-    .. "new-session -d -x 120 -y 50 'trap : INT; tools/rfsm-sim %s; echo ended with "
-    .. "status $?; sleep 100'"):format(lua_init or "", LUA, tmux, arguments))
-  terminal.type_in(">")
+    .. "new-session -d -x 120 -y 50 '%s'"):format(lua_init or "", LUA, tmux, arguments
+    and "trap : INT; tools/rfsm-sim " .. arguments
+      .. "; echo ended with status $?; sleep 100"
+    or 'env PS1="$ " ENV= sh -i'))
+  terminal.type_in(arguments and ">" or "$")
   return terminal
 end
 
@@ -447,6 +456,20 @@ describe("at a terminal", function()
     at.type_in("active: root.mute(done)", "C-c")
     at.type_in("root.mute -> root.idle", "ser e_stop", "Enter")
     at.close()
+  end)
+
+  it("Control-Z gives the terminal to the shell, and fg shows the prompt", function()
+    local at = open_terminal()
+    at.type_in("initial", "tools/rfsm-sim -q " .. HELLO, "Enter")
+    at.await_prompt()
+    at.type_in("> lost", "lost")
+    at.type_in("topped", "C-z")
+    at.type_in("shell 3", "echo shell $((1 + 2))", "Enter")
+    at.type_in("fg", "fg", "Enter")
+    at.await_prompt()
+    at.type_in("42", "6 * 7", "Enter")
+    at.type_in("shell 5", "quit", "Enter", "echo shell $((2 + 3))", "Enter")
+    assert.matches("\n> 6 %* 7\n42\n> quit\n", at.screen())
   end)
 
   it("has colours", function()

@@ -18,13 +18,23 @@ local function with_modules(modules, f)
   end)
 end
 
--- A luaposix of which `world.type_control_c` calls the handler.
+-- A luaposix of which `world.type_control_c` calls the handler. The program goes on as
+-- soon as it is stopped.
 local function new_posix(world)
+  local handlers = {}
+  function world.type_control_c() handlers[2]() end
+  function world.type_control_z() handlers[20]() end
   return {
-    ["posix.signal"] = { SIGINT = 2, signal = function(number, handler)
-      world.note("signal " .. number)
-      world.type_control_c = handler
-    end },
+    ["posix.signal"] = { SIGINT = 2, SIGTSTP = 20, SIGSTOP = 19, SIGCONT = 18,
+      signal = function(number, handler)
+        world.note("signal " .. number)
+        handlers[number] = handler
+      end,
+      kill = function(process, number)
+        world.note(("kill %d, %d"):format(process, number))
+        handlers[18]()
+      end },
+    ["posix.unistd"] = { getpid = function() return 7 end },
     ["posix.poll"] = { rpoll = function(descriptor, ms)
       world.note(("poll %d, %d ms"):format(descriptor, ms))
       return world.next_key() and 1 or 0
@@ -34,12 +44,13 @@ end
 
 -- A luv that calls the handler when it is run.
 local function new_luv(world)
-  local is_key, call_handler, is_typed = nil, nil, false
+  local is_key, handlers, typed = nil, {}, nil
   local signal, poll = {}, {}
-  function world.type_control_c() is_typed = true end
+  function world.type_control_c() typed = "sigint" end
+  function world.type_control_z() typed = "sigtstp" end
   function signal.start(_, name, handler)
     world.note("signal " .. name)
-    call_handler = handler
+    handlers[name] = handler
   end
   function poll.start(_, kind, f) world.note("start " .. kind) is_key = f end
   function poll.stop() world.note("stop") is_key = nil end
@@ -50,8 +61,13 @@ local function new_luv(world)
       if world.in_run then world.in_run() end
       if mode == "once" and world.next_key() then is_key() end
       assert(mode == "once" or mode == "nowait", mode)
-      if is_typed then call_handler() end
-      is_typed = false
+      if typed then handlers[typed]() end
+      typed = nil
+    end,
+    os_getpid = function() return 7 end,
+    kill = function(process, name)
+      world.note(("kill %d, %s"):format(process, name))
+      handlers.sigcont()
     end,
   } }
 end
@@ -91,6 +107,7 @@ end
 -- The modules that `world` has; those missing are false.
 local function modules_of(world)
   local modules = { ["posix.signal"] = false, ["posix.poll"] = false, luv = false,
+    ["posix.unistd"] = false,
     readline = world.readline and new_readline(world) or false }
   local counts = world.counts == "posix" and new_posix or world.counts and new_luv
   for name, module in pairs(counts and counts(world) or {}) do -- any order: a set
@@ -123,7 +140,8 @@ local function open(world)
   function world.next_key()
     world.key = assert(table.remove(world.keys, 1), "no key is left")
     if world.key == "Control-C" then world.type_control_c() end
-    return world.key ~= "Control-C" and world.key ~= "nothing"
+    if world.key == "Control-Z" then world.type_control_z() end
+    return not world.key:find("^Control%-[CZ]") and world.key ~= "nothing"
   end
   local modules = modules_of(world)
   function world.within(f) return with_modules(modules, f) end
@@ -156,10 +174,13 @@ end
 
 describe("Control-C", function()
   for _, case in ipairs {
-    { counts = "posix", expected = { "signal 2", "hook '' 10000" } },
+    { counts = "posix",
+      expected = { "signal 2", "signal 20", "signal 18", "hook '' 10000" } },
     { counts = "posix", jit = true,
-      expected = { "signal 2", "hook '' 10000", "jit off" } },
-    { counts = "luv", expected = { "signal sigint", "hook '' 10000" } },
+      expected = { "signal 2", "signal 20", "signal 18", "hook '' 10000",
+        "jit off" } },
+    { counts = "luv", expected = { "signal sigint", "signal sigtstp",
+      "signal sigcont", "hook '' 10000" } },
     { expected = {} },
     { counts = "posix", has_no_hooks = true, expected = {} },
   } do
@@ -275,9 +296,22 @@ local function read_line(terminal, world, terminals, line)
     read = function()
       world.note("read")
       if world.is_interrupted then world.type_control_c() end
+      if world.is_stopped then
+        world.is_stopped = false
+        world.type_control_z()
+        return nil
+      end
       return line
     end,
-  }, function() return { terminal.read(read, "> ") } end)
+    popen = function(command)
+      world.note(command)
+      return { read = function() return "500:5:bf" end, close = function() end }
+    end,
+  }, function()
+    return helper.with(os, { execute = world.note }, function()
+      return { terminal.read(read, "> ") }
+    end)
+  end)
 end
 
 describe("a line", function()
@@ -296,6 +330,9 @@ describe("a line", function()
     { does = "drops the lines before if Control-C was before it", terminals = STDIN,
       line = "x", is_interrupted = true,
       result = { "x", true }, expected = { "write > ", "flush", "read" } },
+    { does = "is asked for again after Control-Z", terminals = STDIN, line = "x",
+      is_stopped = true, result = { "x", false }, expected = { "write > ", "flush",
+        "read", "kill 7, 19", "write > ", "flush", "read" } },
     { does = "is the end of the input", terminals = STDIN,
       result = { nil, false }, expected = { "write > ", "flush", "read" } },
   } do
@@ -355,7 +392,8 @@ describe("a line of readline", function()
     os.execute("rm -r " .. home .. ".d")
     assert.same({ "file " .. world.home .. "/.rfsm_sim_history",
       "adds lines itself: false" }, { world.trace[1], world.trace[2] })
-    return result, table.concat(world.trace, ", ", 3), lines, terminal
+    local trace = table.concat(world.trace, ", ", 3):gsub("^stty %-g 2>/dev/null, ", "")
+    return result, trace, lines, terminal
   end
 
   after_each(helper.remove_files)
@@ -375,6 +413,17 @@ describe("a line of readline", function()
     { does = "is kept if there is no folder for it", counts = "posix",
       has_no_home = true, keys = { "o", "Enter" }, result = { "o", false }, lines = "",
       expected = "install > , poll 0, 1000 ms, poll 0, 1000 ms, remove, keep o" },
+    { does = "begins anew after Control-Z, with the modes of the shell in between",
+      counts = "posix", keys = { "o", "Control-Z", "n", "Enter" },
+      result = { "n", false }, lines = "n\n",
+      expected = "install > , poll 0, 1000 ms, poll 0, 1000 ms, stty 500:5:bf "
+        .. "2>/dev/null, kill 7, 19, stty -icanon -echo 2>/dev/null, install > , "
+        .. "poll 0, 1000 ms, poll 0, 1000 ms, remove, keep n" },
+    { does = "begins anew after Control-Z with luv", counts = "luv",
+      keys = { "o", "Control-Z", "n", "Enter" }, result = { "n", false }, lines = "n\n",
+      expected = "install > , watch 0, start r, stop, start r, stty 500:5:bf "
+        .. "2>/dev/null, kill 7, sigstop, stop, stty -icanon -echo 2>/dev/null, "
+        .. "install > , start r, stop, start r, stop, remove, keep n" },
     { does = "is not kept if it is blank", counts = "posix", keys = { " ", "Enter" },
       result = { " ", false }, lines = "",
       expected = "install > , poll 0, 1000 ms, poll 0, 1000 ms, remove" },

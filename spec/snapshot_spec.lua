@@ -242,7 +242,8 @@ describe("an event with data that is sent, deferred and kept at once", function(
     local other = assert(snapshot.restore(model(), snap))
     local same = { name = "e_x", by = { id = 3 } }
     assert.same({ same, same, last = same, same, same }, { other._intq[1],
-      other._intq[2], other._deferred[1], other._deferred[2], last = other.last })
+      other._intq[2], last = other.last, other._deferred.list[1],
+      other._deferred.list[2] })
     assert.same({ same, same, same, same }, rfsm.waiting(other))
     assert.same(snap.queue, snapshot.take(other).queue)
   end)

@@ -147,7 +147,6 @@ describe("the text of callbacks", function()
     helper.with(source, { is_there = false }, function()
       assert.same({}, found(CASES[1]))
       local model = helper.chart({ "e" })
-      model.b.final = true
       for _, all in ipairs { true, false } do
         local lines = require("rfsm.cli.review").of("x.lua", model, {}, {},
           { all = all, static = true })

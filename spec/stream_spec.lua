@@ -442,3 +442,37 @@ describe("the way back", function()
       helper.refusal(rewind.new, helper.init(chart()), { byte = 1 }))
   end)
 end)
+
+describe("a breakpoint at a state whose name occurs elsewhere", function()
+  -- A machine with as many units, each with the states `hold` and `go`.
+  local function plant(count)
+    local model = { trans { src = "initial", tgt = "area1" } }
+    for i = 1, count do
+      local area = state { trans { src = "initial", tgt = "unit1" } }
+      area.unit1 = state { hold = state {}, go = state {},
+        trans { src = "initial", tgt = "hold" },
+        trans { src = "hold", tgt = "go", events = { "e_go" } } }
+      model["area" .. i] = area
+    end
+    return helper.init(state(model))
+  end
+
+  local function problem_of(fsm, text)
+    local _, problem = pcall(breakpoints.add, { fsm = fsm, points = {} }, text)
+    return problem:match("got.*")
+  end
+
+  it("names the first one, and counts the others", function()
+    assert.equal("got 'hold', did you mean area1.unit1.hold (and 49 more)?",
+      problem_of(plant(50), "hold"))
+    assert.equal("got 'unit1.go', did you mean area1.unit1.go (and 1 more)?",
+      problem_of(plant(2), "unit1.go"))
+    assert.equal("got 'hold', did you mean area1.unit1.hold?", problem_of(plant(1),
+      "hold"))
+  end)
+
+  it("names a near one if there is none, and states if nothing is near", function()
+    assert.equal("got 'e_goo' (did you mean 'e_go'?)", problem_of(plant(2), "e_goo"))
+    assert.equal("got 'xyz', pp() shows the states", problem_of(plant(2), "xyz"))
+  end)
+end)

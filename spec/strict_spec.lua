@@ -188,3 +188,100 @@ end)
 it("a strict machine runs random charts as one that is not, with odd fields", function()
   assert.is_nil(share.problem(claim, 30))
 end)
+
+describe("a strict machine whose callbacks send to each other", function()
+  local trans, run = rfsm.trans, rfsm.run -- `run` before a strict machine replaces it
+  local HEAD = "WARNING: rfsm.run has made 10000 iterations and goes on, in "
+
+  -- Returns an entry that sends an event to the machine `of(fsm)`, 10,050 times in all.
+  local function sends(world, event, of)
+    return function(fsm)
+      world.count = (world.count or 0) + 1
+      if world.count > 10050 then return end
+      rfsm.send_events(of and of(fsm) or fsm, event)
+    end
+  end
+
+  -- s1 -e1-> s2 -e2-> .. s1: each entry sends the event that leaves its state.
+  local function ring(count, fields)
+    local world, model = {}, fields or {}
+    model[1] = trans { src = "initial", tgt = "s1" }
+    for i = 1, count do
+      model["s" .. i] = state { entry = sends(world, "e" .. i) }
+      model[i + 1] = trans { src = "s" .. i, tgt = "s" .. i % count + 1,
+        events = { "e" .. i } }
+    end
+    return state(model)
+  end
+
+  -- Makes a machine of the model strict, and lets `f` run it; returns the warnings.
+  local function warnings_of(model, f)
+    local warnings = {}
+    model.strict, model.info = true, false
+    model.warn = function(text) warnings[#warnings + 1] = helper.without_file(text) end
+    local fsm = assert(rfsm.init(model))
+    f(fsm)
+    return warnings
+  end
+
+  local TWO = HEAD .. "'root.s1', 'root.s2': events 'e1', 'e2' come again and again"
+
+  it("says so, with the states and the events", function()
+    assert.same({ TWO }, warnings_of(ring(2), rfsm.run))
+  end)
+
+  it("says so in a step, in a run that it does not know, and with an idle hook",
+    function()
+      assert.same({ TWO }, warnings_of(ring(2), function(fsm) rfsm.step(fsm, 2e4) end))
+      assert.same({ TWO }, warnings_of(ring(2), run))
+      assert.same({ TWO }, warnings_of(ring(2, { idle_hook = function(fsm)
+        fsm.idle_hook = nil
+      end }), rfsm.run))
+    end)
+
+  it("names at most six states, and counts the others", function()
+    local states, events = {}, {}
+    for i = 1, 6 do states[i], events[i] = "'root.s" .. i .. "'", "'e" .. i .. "'" end
+    local text = HEAD .. table.concat(states, ", ") .. " and 3 more: events "
+      .. table.concat(events, ", ") .. " and 3 more come again and again"
+    assert.same({ text }, warnings_of(ring(9), rfsm.run))
+  end)
+
+  it("says so of a transition that leads back, and of e_done", function()
+    local world = {}
+    assert.same({ HEAD .. "'root.s1': event 'e1' comes again and again" },
+      warnings_of(ring(1), rfsm.run))
+    assert.same({ HEAD .. "'root.a', 'root.b': events 'e_done@root.a', 'e_done@root.b' "
+      .. "come again and again" }, warnings_of(state {
+      a = state {}, b = state {},
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = { "e_done" } },
+      trans { src = "b", tgt = "a", events = { "e_done" }, guard = function()
+        world.count = (world.count or 0) + 1
+        return world.count < 5050
+      end } }, rfsm.run))
+  end)
+
+  for _, field in ipairs { "step", "run" } do
+    it("says so of a region that is advanced by " .. field, function()
+      local region = ring(2, { info = false, warn = false })
+      local model = state { par = rfsm.seqand { left = region, idle_doo = "auto",
+        [field] = field == "run" or nil }, a = state {},
+        trans { src = "initial", tgt = "par" },
+        trans { src = "par", tgt = "a", events = { "e_out" } },
+        trans { src = "a", tgt = "par", events = { "e_in" } } }
+      local text = HEAD .. "'root.par.left.s1', 'root.par.left.s2': events 'e1', 'e2' "
+        .. "come again and again"
+      assert.same({ text }, warnings_of(model, rfsm.run))
+    end)
+  end
+
+  it("says nothing of a host that sends from an idle hook", function()
+    local count = 0
+    assert.same({}, warnings_of(chart { idle_hook = function(fsm)
+      count = count + 1
+      if count > 10100 then fsm.idle_hook = nil return end
+      rfsm.send_events(fsm, "e_x")
+    end }, rfsm.run))
+  end)
+end)

@@ -268,6 +268,20 @@ describe("a chart of a robot", function()
     assert.is_table(json.decode_all(json.encode(machine_of(FILES))))
   end)
 
+  it("is drawn with one line for a stub, and none for what is in it", function()
+    local call = ('m.get("%s")'):format(("x"):rep(60))
+    local fsm = machine_of { ["chart.lua"] = ([[
+      local m = require "m"
+      return rfsm.state { a = %s.arm, b = m.b,
+        rfsm.trans { src = "initial", tgt = "a.low" },
+        rfsm.trans { src = "a.low", tgt = "b.x.y" } } ]]):format(call) }
+    local rows = {}
+    for row in mermaid.encode(fsm):gmatch(" : ([^\n]+)") do rows[#rows + 1] = row end
+    assert.same({ ".." .. ("x"):rep(22) .. "#34;).arm is a stub", "m.b is a stub" },
+      rows)
+    assert.is_not_nil(fsm.b.x.y)
+  end)
+
   it("runs, is recorded, replayed, saved and restored", function()
     local fsm, file = machine_of(FILES), folder .. "/recording"
     local recorder = record.record(fsm, file)
@@ -342,6 +356,44 @@ describe("loading a chart", function()
     debug.sethook()
     assert.same({ hook, "", 1000000 }, { found, mask, count })
     assert.is_true(not jit or jit.status())
+  end)
+
+  -- Calls `limit.load` with a clock that jumps at its reading number `at`, and in `f`.
+  -- Returns whether it came back, its results, and whether a hook stays set.
+  local function load_late(at, f)
+    local debug, count, is_late = rawget(_G, "debug"), 0, false
+    local function clock()
+      count = count + 1
+      return (is_late or count >= at) and 100 or 0
+    end
+    local ok, loaded, problem, was_late = pcall(limit.load, function()
+      if f then f() end
+      is_late = true
+    end, "x", { clock })
+    local stays = debug.gethook() ~= nil
+    debug.sethook()
+    return { ok, loaded, problem, was_late, stays }
+  end
+
+  it("leaves no hook if the time ends while the loading begins", function()
+    local late = load_late(2)
+    assert.same({ true, false, true, false }, { late[1], late[2], late[4], late[5] })
+    assert.matches("loading takes more than 5 s", late[3], 1, true)
+  end)
+
+  it("leaves no hook if the time ends at any instruction behind the loading", function()
+    local wrong = {}
+    for turns = 1, 60 do -- the 10,000th instruction is each of those that follow
+      local result = load_late(1 / 0, function()
+        for _ = 1, 4970 + turns do local _ = turns + 1 end
+      end)
+      if not result[1] or result[5] then wrong[#wrong + 1] = turns end
+      result = load_late(1 / 0, function()
+        for _ = 1, 9940 + turns do end
+      end)
+      if not result[1] or result[5] then wrong[#wrong + 1] = -turns end
+    end
+    assert.same({}, wrong)
   end)
 
   local seconds = limit.SECONDS

@@ -31,9 +31,23 @@ local function chart(...)
     rfsm.trans { src = "initial", tgt = "a" }, ... }
 end
 
+-- Such a chart that takes one event an iteration.
+local function one_by_one(...)
+  local model = chart(...)
+  model.read = "one"
+  return model
+end
+
 local DRY = { dry_run = true }
 
--- Explores a system of these charts: `wires` are texts "from event to", or tables.
+local function list_of(text)
+  local list = {}
+  for name in text:gmatch("[^,]+") do list[#list + 1] = name end
+  return list
+end
+
+-- Explores a system of these charts: `wires` are texts "from event to", or tables. The
+-- events of a wire that has several are joined by commas.
 local function explored(charts, wires, options)
   local given, list = {}, {}
   options = options or {}
@@ -44,6 +58,7 @@ local function explored(charts, wires, options)
   for i, wire in ipairs(wires) do
     if type(wire) == "string" then wire = { wire } end
     wire.from, wire.event, wire.to = wire[1]:match("(%S+) (%S+) (%S+)")
+    if wire.event:find(",") then wire.events, wire.event = list_of(wire.event), nil end
     list[i] = wire
     wire[1] = nil
   end
@@ -128,7 +143,7 @@ describe("cell:explore", function()
     local right = chart(go("b", "a", "e_x"), go("a", "a", "e_y"))
     right.a.final = true
     assert.same({
-      "warning wires[1] (left e_x -> right): 'right' never takes the event",
+      "warning wires[1] (left e_x -> right): 'right' never takes 'e_x'",
       "warning wires[2] (left e_y -> right): no event ever goes over it",
     }, lines_of(explored({ left = left, right = right }, { "left e_x right",
       "left e_y right" })))
@@ -174,7 +189,7 @@ describe("cell:explore", function()
       end }, rfsm.trans { src = "initial", tgt = "a" } }
     local wires = { "left e_x right", "left e_y right", "left e_go right" }
     local lines, count = counted({ left = left, right = deferring() }, wires)
-    assert.same({ "warning wires[2] (left e_y -> right): 'right' never takes the event",
+    assert.same({ "warning wires[2] (left e_y -> right): 'right' never takes 'e_y'",
       "warning right: root.wrong: active in no configuration of the "
       .. "system, though the chart alone reaches it" }, lines)
     assert.is_true(count < 10000)
@@ -188,16 +203,190 @@ describe("cell:explore", function()
     assert.same({ {}, 0 }, { lines, count })
   end)
 
-  it("reads all that waits, or one, as the wire says", function()
+  it("reads all that waits, or one, as the chart says", function()
     local function found(read)
       local left = chart(go("a", "b", "e_go", "e_x", "e_x"))
       local right = chart(go("a", "b", "e_x"), go("b", "c", "e_x"))
-      return explored({ left = left, right = right },
-        { { "left e_x right", read = read } },
+      right.read = read
+      return explored({ left = left, right = right }, { "left e_x right" },
         { properties = { after("left: e_go").reach("right: root.c") } })
     end
+    assert.is_false(found("some").properties[1].holds) -- user data
     assert.is_true(found("one").properties[1].holds)
     assert.is_false(found("all").properties[1].holds)
+  end)
+
+  -- left puts e_x and then e_y when it is entered; e_y is taken in b only.
+  local function told(...) return { left = chart(...), right = chart(
+    go("a", "b", "e_x"), go("b", "c", "e_y")) } end
+
+  it("has other machines move between two events of a step", function()
+    local charts = told()
+    charts.left.a = rfsm.state { final = true, entry = emits("e_x", "e_y") }
+    charts.right.c.final = true
+    local result = explored(charts, { "left e_x right", "left e_y right" },
+      { properties = { never "right: root.c" } })
+    assert.is_false(result.properties[1].holds)
+    assert.same({
+      "1. left: root.trans[1] -> root.a; sends e_x to right",
+      "2. right: root.trans[1] -> root.a",
+      "3. right gets e_x from left: root.trans[2] -> root.b",
+      "4. left: still in its step, sends e_y to right",
+      "5. right gets e_y from left: root.trans[3] -> root.c",
+    }, sequence.lines_of(result.findings[#result.findings].witness))
+  end)
+
+  -- Two that cross: each goes to b by an event from outside, and tells the other one,
+  -- which goes to c if it is not in b yet.
+  local function crossing()
+    return { left = chart(go("a", "c", "e_right"), go("a", "b", "e_go", "e_left")),
+      right = chart(go("a", "c", "e_left"), go("a", "b", "e_go", "e_right")) },
+      { "left e_left right", "right e_right left" }
+  end
+
+  it("has steps overlap if it is told so", function()
+    local function judged(overlap)
+      local charts, wires = crossing()
+      return explored(charts, wires, { overlap = overlap,
+        properties = { never { "left: root.b", "right: root.b" } } })
+    end
+    assert.is_true(judged(false).properties[1].holds)
+    local result, cell = judged(true)
+    assert.is_false(result.properties[1].holds)
+    assert.equal("steps overlap, and their events are put one by one",
+      result.premises[3])
+    local lines = sequence.lines_of(result.findings[#result.findings].witness)
+    assert.same({
+      "1. left: root.trans[1] -> root.a",
+      "2. left gets e_go from outside: root.trans[3] -> root.b; sends nothing yet",
+      "3. right: root.trans[1] -> root.a",
+      "4. right gets e_go from outside: root.trans[3] -> root.b; sends nothing yet",
+    }, lines)
+    for _, move in ipairs(sequence.read(table.concat(lines, "\n"))) do
+      cell:move(move.machine, move.events, move.wanted, move.holds)
+    end
+    assert.same({ "root.b", "root.b", 1, 1 }, {
+      rfsm.get_actleaf_fqn(cell.machines.left),
+      rfsm.get_actleaf_fqn(cell.machines.right), #cell.unsent.left,
+      #cell.unsent.right })
+  end)
+
+  it("has a step that emits nothing overlap nothing", function()
+    local function count(overlap)
+      return explored({ left = chart(go("a", "b", "e_go"), go("b", "a", "e_go", "e_z")),
+        right = chart(go("a", "b", "e_x"), go("b", "a", "e_y")) }, {},
+        { overlap = overlap }).configurations
+    end
+    assert.equal(count(false), count(true))
+  end)
+
+  it("has the sender do nothing else until all events of a step are put", function()
+    local left = chart(go("a", "b", "e_go", "e_x", "e_y"))
+    assert.is_true(explored({ left = left, right = one_by_one(go("a", "b", "e_y"),
+      go("a", "c", "e_x")) }, { "left e_x,e_y right" }, { properties = {
+        never { "left: root.a", "right: root.c" }, never "right: root.b" } })
+      .properties[2].holds)
+    local back = chart(go("a", "b", "e_x", "e_back"))
+    local sender = chart(go("a", "b", "e_go", "e_x", "e_y"), go("b", "c", "e_back",
+      "e_z"))
+    local taker = one_by_one(go("a", "b", "e_y"), go("a", "c", "e_z"))
+    assert.is_true(explored({ left = sender, mid = back, right = taker },
+      { "left e_x mid", "mid e_back left", "left e_y,e_z right" },
+      { properties = { never "right: root.c" } }).properties[1].holds)
+  end)
+
+  it("puts an event into several wires one by one", function()
+    local charts = { boss = chart(go("a", "b", "e_go", "e_x")),
+      one = chart(go("a", "b", "e_x", "e_told")),
+      two = chart(go("a", "b", "e_x"), go("a", "c", "e_told")) }
+    local result = explored(charts, { "boss e_x one", "boss e_x two",
+      "one e_told two" }, { properties = { never "two: root.c" } })
+    assert.is_false(result.properties[1].holds) -- one tells two before the boss does
+  end)
+
+  it("keeps the order of a sender in one wire, not in two", function()
+    local function holds(...)
+      local charts = { left = chart(go("a", "b", "e_go", "e_x", "e_y")),
+        right = one_by_one(go("a", "b", "e_x"), go("a", "c", "e_y")) }
+      return explored(charts, { ... },
+        { properties = { never "right: root.c" } }).properties[1].holds
+    end
+    assert.is_true(holds "left e_x,e_y right")
+    assert.is_true(holds "left e_y,e_x right")
+    assert.is_false(holds("left e_x right", "left e_y right"))
+  end)
+
+  it("has a machine that takes one event take those of each sender", function()
+    local function charts(read)
+      local to = chart(go("a", "b", "e_x"), go("a", "c", "e_y"), go("b", "c", "e_y"))
+      to.read = read
+      return { left = chart(go("a", "b", "e_go", "e_x")),
+        other = chart(go("a", "b", "e_go", "e_y")), to = to }
+    end
+    local function holds(read, ...)
+      return explored(charts(read), { "left e_x to", "other e_y to" },
+        { properties = { ... } }).properties[1].holds
+    end
+    assert.is_false(holds("one", never { "to: root.c", "left: root.b" }))
+    assert.is_true(holds("one", after("other: e_go").reach "to: root.c"))
+    assert.is_false(holds(nil, after("other: e_go").reach "to: root.c"))
+  end)
+
+  it("neglects no wire of a machine that takes one event", function()
+    local babbler = chart(rfsm.trans { src = "a", tgt = "a", events = { "e_done" },
+      effect = emits "e_x" })
+    local to = one_by_one(go("b", "c", "e_x"), go("c", "b", "e_x"),
+      rfsm.trans { src = "a", tgt = "b", events = { "e_x" } })
+    to.d = rfsm.state { final = true }
+    for _, src in ipairs { "a", "b", "c" } do to[#to + 1] = go(src, "d", "e_stop") end
+    local result = explored({ babbler = babbler, boss = chart(go("a", "b", "e_go",
+      "e_stop")), to = to }, { { "babbler e_x to", size = 2 }, "boss e_stop to" },
+      { properties = { after("boss: e_go").reach "to: root.d" } })
+    assert.is_true(result.properties[1].holds)
+  end)
+
+  it("knows that a machine which goes on by itself, or was not entered, reads nothing",
+    function()
+      local function holds(...)
+        local to = one_by_one(...)
+        to.d = rfsm.state { final = true }
+        to[#to + 1] = go("a", "d", "e_stop")
+        return explored({ boss = chart(go("a", "b", "e_go", "e_stop")), to = to },
+          { "boss e_stop to" }, { properties = {
+            after("boss: e_go").reach "to: root.d" } }).properties[1].holds
+      end
+      assert.is_true(holds())
+      assert.is_false(holds(go("a", "a", "e_done")))
+      assert.is_true(holds(go("b", "b", "e_done")))
+      local late = rfsm.state { info = false, warn = false, read = "one",
+        a = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a",
+          events = { "e_stop" } } }
+      assert.is_false(explored({ boss = chart(go("a", "b", "e_go", "e_stop")),
+        to = late }, { "boss e_stop to" }, { properties = {
+          after("boss: e_go").reach "to: root.a" } }).properties[1].holds)
+    end)
+
+  it("takes an event from outside alone, if the machine takes one", function()
+    local right = one_by_one(go("a", "b", "e_x"), go("a", "c", "e_out"))
+    local function holds(property)
+      return explored({ left = chart(go("a", "b", "e_go", "e_x")), right = right },
+        { "left e_x right" }, { properties = { property } }).properties[1].holds
+    end
+    assert.is_false(holds(never { "left: root.b", "right: root.c" }))
+    assert.is_false(holds(never "right: root.b"))
+  end)
+
+  it("tells of each event of a wire", function()
+    local left = chart(go("a", "b", "e_go", "e_x"), go("b", "c", "e_no", "e_y"))
+    left[3].guard = function() return false end
+    local right = chart(go("a", "b", "e_y"), go("c", "a", "e_x"))
+    right.a.final, right.b.final, left.b.final = true, true, true
+    local result = explored({ left = left, right = right }, { "left e_x,e_y right" },
+      { machines = { left = { dry_run = true, alphabet = { "e_go" } } } })
+    assert.same({
+      "warning wires[1] (left e_x, e_y -> right): 'right' never takes 'e_x'",
+      "warning wires[1] (left e_x, e_y -> right): no 'e_y' ever goes over it",
+    }, { lines_of(result)[1], lines_of(result)[2] })
   end)
 
   it("explores machines apart that nothing joins", function()
@@ -347,13 +536,16 @@ describe("cell:explore", function()
 
   it("names its premises", function()
     local result = explored({ left = chart(go("a", "a", "e_go", "e_x")),
-      right = chart(rfsm.trans { src = "a", tgt = "b", events = { "e_x", "e_y" },
+      right = one_by_one(rfsm.trans { src = "a", tgt = "b", events = { "e_x", "e_y" },
         guard = function() return false end }) },
-      { { "left e_x right", size = 2, read = "one" } },
+      { { "left e_x right", size = 2 } },
       { machines = { right = { alphabet = { "e_y" } } } })
     assert.same({ "any order, any time", "one event from outside in a move",
-      "right: guards free", "right: no event outside of the alphabet",
-      'wires[1] (left e_x -> right): buffer of 2, read = "one"' }, result.premises)
+      "events of a step are put one by one, the first within the move",
+      "a connection for each wire, all of them read at one moment",
+      "right: guards free", "right: one event an iteration",
+      "right: no event outside of the alphabet",
+      "wires[1] (left e_x -> right): buffer of 2" }, result.premises)
   end)
 end)
 
@@ -464,7 +656,7 @@ describe("a property of a system", function()
     assert.matches("machines.left: unknown option 'timers', expected: alphabet, ",
       refused(charts, wires, { machines = { left = { timers = "free" } } }), 1, true)
     assert.equal("rfsm.system.explore: unknown option 'timers', expected: "
-      .. "configurations, depth, machines, progress, properties, seconds",
+      .. "configurations, depth, machines, overlap, progress, properties, seconds",
       refused(charts, wires, { timers = "free" }))
   end)
 end)
@@ -475,7 +667,9 @@ describe("a witness of a system", function()
     local result, cell = explored(charts, wires)
     local witness = result.findings[1].witness
     local moves = sequence.read(table.concat(sequence.lines_of(witness), "\n"))
-    for _, move in ipairs(moves) do cell:move(move.machine, move.events) end
+    for _, move in ipairs(moves) do
+      cell:move(move.machine, move.events, move.wanted, move.holds)
+    end
     assert.equal("root.b", rfsm.get_actleaf_fqn(cell.machines.left))
     assert.equal("root.b", rfsm.get_actleaf_fqn(cell.machines.right))
     assert.equal([[
@@ -559,6 +753,12 @@ describe("rfsm check of a system", function()
         .. "left: 1 guard exclusive; right: guards free; right: 1 guard exclusive\n",
         out)
     end)
+
+  it("has steps overlap by an option of the command", function()
+    local out = checked("zone/cell_mended", "--overlap")
+    assert.matches("cell_mended.lua: ok\n.*one arm is inside: holds\n.*steps overlap",
+      out)
+  end)
 
   it("draws the run, and explores nothing if it need not", function()
     local file = helper.file_with("") .. ".mmd"

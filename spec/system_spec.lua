@@ -1,10 +1,9 @@
--- Systems: what callbacks emit, wires, moves, checks of a description, the examples,
--- also in components of the stand-in for RTT, and the simulator.
+-- Systems: what callbacks emit, wires, moves, checks of a description, examples, and
+-- the simulator.
 
 local commands = require "spec.support.commands"
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
-local rtt_helper = require "spec.support.rtt_helper"
 local system = require "rfsm.system"
 local wires = require "rfsm.system.wires"
 require "rfsm_seqand"
@@ -117,12 +116,16 @@ describe("a wire", function()
   end)
 
   it("is read whole or one event at a time, in the order of the wires", function()
-    local list = { { to = "x", read = "all" }, { to = "y", read = "all" },
-      { to = "x", read = "one" } }
-    local queues = { { 1, 2 }, { 3 }, { 4, 5 } }
-    local events, by = wires.take(list, queues, "x")
-    assert.same({ { 1, 2, 4 }, { {}, { 3 }, { 5 } } }, { events, queues })
-    assert.same({ list[1], list[1], list[3] }, by)
+    local list = { { to = "x" }, { to = "y" }, { to = "x" }, { to = "x" } }
+    local queues = { { 1, 2 }, { 3 }, {}, { 4, 5 } }
+    local waiting = wires.waiting(list, queues, "x")
+    assert.same({ 1, 4 }, waiting)
+    local one, by_one = wires.take(list, queues, { 4 }, true)
+    assert.same({ { 4 }, { list[4] } }, { one, by_one })
+    local events, by = wires.take(list, queues, waiting)
+    assert.same({ { 1, 2, 5 }, { {}, { 3 }, {}, {} } }, { events, queues })
+    assert.same({ list[1], list[1], list[4] }, by)
+    assert.same({ {}, {} }, { wires.take(list, queues, { 4 }, true) })
   end)
 
   it("carries a name, or a table with it and the data, which is a copy", function()
@@ -159,17 +162,115 @@ describe("a system", function()
     assert.equal(cell.wires[1], by[1])
   end)
 
+  -- A cell as `pair` makes it, whose reader takes one event an iteration.
+  local function one_by_one(...)
+    local to = reader()
+    to.read = "one"
+    return system { from = emitter(...), to = to,
+      wires = { { from = "from", event = "e_go", to = "to" } } }
+  end
+
   it("loses an event of a set that is read in one iteration", function()
-    local all, one = pair({}, "e_go", "e_go"), pair({ read = "one" }, "e_go", "e_go")
-    all:run()
-    one:run()
-    assert.equal("from a, to b", leaves(all))
-    assert.equal("from a, to c", leaves(one))
+    local function ending(cell)
+      for _ = 1, 3 do cell:move("from") end
+      cell:run()
+      return leaves(cell)
+    end
+    assert.equal("from a, to b", ending(pair({}, "e_go", "e_go")))
+    assert.equal("from a, to c", ending(one_by_one("e_go", "e_go")))
+  end)
+
+  it("puts what a step emits one by one, and takes no step meanwhile", function()
+    local cell = pair({}, "e_go", "e_other", "e_go", "e_go")
+    cell:move("to")
+    assert.is_false((cell:move("from")))
+    assert.same({ { "e_go" }, { { wire = 1, event = "e_go" },
+      { wire = 1, event = "e_go" } } }, { cell.queues[1], cell.unsent.from })
+    cell:move("to")
+    assert.equal("from a, to b", leaves(cell))
+    local waiting = rfsm.check_events(cell.machines.from)
+    assert.is_false((cell:move("from", { "e_late" })))
+    assert.same({ { "e_go" }, 1, waiting + 1 }, { cell.queues[1], #cell.unsent.from,
+      rfsm.check_events(cell.machines.from) })
+    assert.is_false((cell:move("from")))
+    assert.same({ { "e_go", "e_go" }, {} }, { cell.queues[1], cell.unsent.from })
+    assert.is_true((cell:move("from")))
+    cell:reset()
+    cell:move("from")
+    cell:reset()
+    assert.same({}, cell.unsent.from)
+  end)
+
+  it("puts an event into one wire after the other, in their order", function()
+    local cell = system { boss = emitter("e_go"), left = reader(), right = reader(),
+      wires = { { from = "boss", event = "e_go", to = "right" },
+        { from = "boss", event = "e_go", to = "left" } } }
+    cell:move("boss")
+    assert.same({ { "e_go" }, {} }, cell.queues)
+    cell:move("boss")
+    assert.same({ { "e_go" }, { "e_go" } }, cell.queues)
+  end)
+
+  it("keeps the order of a sender in a wire of several events", function()
+    local to = chart { b = rfsm.state {}, c = rfsm.state {}, read = "one",
+      rfsm.trans { src = "a", tgt = "b", events = { "e_go" } },
+      rfsm.trans { src = "b", tgt = "c", events = { "e_stop" } } }
+    local cell = system { from = emitter("e_go", "e_stop"), to = to,
+      wires = { { from = "from", events = { "e_stop", "e_go" }, to = "to" } } }
+    for _ = 1, 2 do cell:move("from") end
+    assert.same({ "e_go", "e_stop" }, cell.queues[1])
+    assert.is_true(cell:run())
+    assert.equal("from a, to c", leaves(cell))
+  end)
+
+  it("reads one wire in a move if the machine takes one event", function()
+    local function made()
+      local to = chart { read = "one", rfsm.trans { src = "a", tgt = "a",
+        events = { "e_x", "e_y", "e_z" } } }
+      local cell = system { from = emitter("e_x", "e_y", "e_x"), to = to, wires = {
+        { from = "from", event = "e_x", to = "to" },
+        { from = "from", events = { "e_y", "e_z" }, to = "to" } } }
+      for _ = 1, 2 do cell:move("to") end
+      for _ = 1, 3 do cell:move("from") end
+      return cell
+    end
+    local function came(cell, ...) return (select(2, cell:move("to", ...))) end
+    local cell = made()
+    local function came_alone(...)
+      local list = came(cell, ...)
+      cell:move("to", nil, false) -- takes e_done
+      return list
+    end
+    assert.same({ "e_x" }, came_alone())
+    assert.same({ "e_y" }, came_alone(nil, { from = "from", event = "e_z" }))
+    assert.same({}, came_alone(nil, { from = "from", event = "e_z" }))
+    assert.same({ "e_z" }, came_alone({ "e_z" }, false))
+    assert.same({ "e_x" }, cell.queues[1])
+    assert.equal("rfsm.system.move: no wire carries 'e_a' from 'from' to 'to'",
+      helper.refusal(cell.move, cell, "to", nil, { from = "from", event = "e_a" }))
+    local seen = {}
+    for seed = 1, 20 do
+      cell = made()
+      cell:shuffle(seed * 99999989)
+      seen[came(cell)[1]] = true
+    end
+    assert.same({ e_x = true, e_y = true }, seen)
+  end)
+
+  it("reads no wire while an event waits in a machine that takes one", function()
+    local cell = one_by_one("e_go")
+    cell:move("to")
+    cell:move("from")
+    rfsm.send_events(cell.machines.to, "e_own", "e_own")
+    assert.same({}, (select(2, cell:move("to"))))
+    assert.same({ "e_go" }, cell.queues[1])
   end)
 
   it("counts what a full buffer loses", function()
     local cell = pair({ size = 1 }, "e_go", "e_go", "e_go", "e_unnamed")
     cell:move("from")
+    assert.same({ { { "e_go" } }, { 0 } }, { cell.queues, cell.lost })
+    for _ = 1, 2 do cell:move("from") end
     assert.same({ { { "e_go" } }, { 2 } }, { cell.queues, cell.lost })
   end)
 
@@ -285,7 +386,7 @@ rfsm.system: the system has 12 problems
   cell.lua:11: wires[2].size: whole number from 1 expected, got 0
   cell.lua:11: wires[2].event: nothing in 'arm' emits 'e_hold' (did you mean 'e_held'?)
   cell.lua:11: wires[2].event: no transition of 'arm' has the event 'e_hold' (there is 'e_grasp')
-  cell.lua:12: wires[3]: unknown option 'form' (did you mean 'from'?), expected: event, from, kind, read, size, to
+  cell.lua:12: wires[3]: unknown option 'form' (did you mean 'from'?), expected: event, events, from, kind, size, to
   cell.lua:12: wires[3].from: name of a machine expected
   cell.lua:12: wires[3].size: data is one event, a buffer has a size]], problems_of [[
 local rfsm = require "rfsm"
@@ -327,7 +428,7 @@ rfsm.system: the system has 1 problem
 local list = {}
 for i, name in ipairs { "a", "b" } do
   list[i] = { from = "a", event = "e_held", to = name }
-  list[i].read = "one"
+  list[i].kind = "data"
 end
 local system = require "rfsm.system"
 local chart = system.load "ARM"
@@ -358,6 +459,49 @@ return system { a = chart, wires = list }]])
       list_of { a = reader(), wires = { "a", x = 5 } })
     assert.equal("rfsm.system: the system has 1 problem\n"
       .. "  a system has at least one chart", list_of {})
+  end)
+
+  -- What is wrong with wires from `boss`, which emits e_go and e_x, to a reader.
+  local function wrong(...)
+    local ok, problem = pcall(system, { boss = emitter("e_go", "e_x"), arm = reader(),
+      any = chart { rfsm.trans { src = "a", tgt = "a" } }, wires = { ... } })
+    return ok or (problem:gsub("^[^\n]*", ""):gsub("\n  ", "\n"):sub(2)
+      :gsub("%S-_spec%.lua: ", ""))
+  end
+
+  it("says where the number of events that are read at once went", function()
+    assert.equal("wires[1].read: how many events 'arm' takes at once is said by its "
+      .. "chart: read = \"one\" in the root, not by a wire", wrong({ from = "boss",
+      event = "e_go", to = "arm", read = "all" }))
+    assert.equal("wires[1].read: how many events 'a machine' takes at once is said by "
+      .. "its chart: read = \"one\" in the root, not by a wire\n"
+      .. "wires[1].to: name of a machine expected", wrong({ from = "boss",
+      event = "e_go", read = 5 }))
+  end)
+
+  it("has one event or several in a wire, and each in one wire of a pair", function()
+    local function between(wire)
+      wire.from, wire.to = "boss", "any"
+      return wire
+    end
+    assert.is_true(wrong(between { events = { "e_go", "e_x" } },
+      { from = "boss", event = "e_go", to = "arm" }))
+    assert.equal("wires[1].event: name of an event expected, or events = { ... }",
+      wrong(between {}))
+    assert.equal("wires[1].events: a wire has event or events, not both",
+      wrong(between { event = "e_go", events = { "e_x" } }))
+    assert.equal("wires[1].events: list of events expected, got table",
+      wrong(between { events = {} }))
+    assert.equal("wires[1].events: list of events expected, got string 'e_go'",
+      wrong(between { events = "e_go" }))
+    assert.equal("wires[1].events: [2]: name of an event expected, got 5",
+      wrong(between { events = { "e_go", 5 } }))
+    assert.equal("wires[1].events: [2]: 'e_go' is there twice",
+      wrong(between { events = { "e_go", "e_go" } }))
+    assert.equal("wires[2].event: wires[1] carries 'e_go' from 'boss' to 'any' already",
+      wrong(between { events = { "e_x", "e_go" } }, between { event = "e_go" }))
+    assert.equal("wires[1].event: no transition of 'arm' has the event 'e_x' (there is "
+      .. "'e_go')", wrong({ from = "boss", events = { "e_go", "e_x" }, to = "arm" }))
   end)
 
   it("knows what each callback emits, by its text and by functions that it names",
@@ -410,7 +554,7 @@ return rfsm.state { info = false, a = rfsm.state {},
         events = { function() return true end } } },
       wires = { { from = "from", event = "e_strange", to = "any" } },
     }
-    assert.equal("e_strange", cell.wires[1].event)
+    assert.same({ "e_strange" }, cell.wires[1].events)
   end)
 end)
 
@@ -477,61 +621,6 @@ describe("an example of a system", function()
   end
 end)
 
-describe("an example in components of RTT", function()
-  before_each(rtt_helper.reset)
-  after_each(rtt_helper.reset)
-
-  -- The leaves at the end, when each machine is in a component, of which the ports are
-  -- joined by buffers of 16; `samples`: how many events of a port a step reads.
-  local function leaves_in_components(name, files, samples, event)
-    local cell = system.load("examples/systems/" .. name .. "/cell_mended.lua")
-    local list, ports, is_connected = {}, {}, {}
-    for _, member in ipairs(cell.names) do
-      local component = rtt_helper.load(member)
-      component:getProperty("lua_string"):set(([[
-function configureHook()
-  return require("rfsm.rtt").launch { fsmfile = "examples/systems/%s/%s.lua",
-    ev_outport = true, enter = "start", samples = %d }
-end]]):format(name, files[member] or member, samples or 64))
-      assert.is_true(component:configure())
-      ports[member] = rtt_helper.listen(member .. ".fqn")
-    end
-    for _, wire in ipairs(cell.wires) do
-      local from, to = wire.from .. ".events_out", wire.to .. ".events_in"
-      if not is_connected[from .. to] then
-        assert(rtt_helper.deploy("connect", from, to, rtt_helper.policy(16)))
-      end
-      is_connected[from .. to] = true
-    end
-    local outside = event and rtt_helper.feed("supervisor.events_in")
-    for _, member in ipairs(cell.names) do
-      assert(rtt_helper.deployer():getPeer(member):start())
-    end
-    rtt_helper.spin()
-    if outside then outside:write(event) end
-    rtt_helper.spin()
-    for i, member in ipairs(cell.names) do
-      list[i] = member .. " " .. (rtt_helper.leaves(ports[member]):match("[%w_]*$"))
-    end
-    return table.concat(list, ", ")
-  end
-
-  it("ends as it should when it is mended", function()
-    assert.equal(GOALS.zone, leaves_in_components("zone", { zone = "turns" }))
-  end)
-
-  it("stops whatever it does", function()
-    assert.equal(GOALS.stop, leaves_in_components("stop", { arm = "arm_mended" }, nil,
-      "e_stop"))
-  end)
-
-  it("loses no message if a step reads one sample", function()
-    assert.equal(GOALS.protocol, leaves_in_components("protocol", {}, 1))
-    rtt_helper.reset()
-    assert.equal("receiver half, sender half", leaves_in_components("protocol", {}))
-  end)
-end)
-
 describe("rfsm sim of a system", function()
   -- What the commands print.
   local function said(file, ...)
@@ -562,12 +651,15 @@ wires[2]        1 waiting (e_halt_base from supervisor to base)
   it("goes back over all machines and wires", function()
     local out = said("protocol/cell", "step", "receiver", "back", "run")
     assert.equal([[
+sender          1 to send (e_item to receiver)
 receiver        root.empty
 sender          root.sending
-wires[1]        2 waiting (e_item from sender to receiver)
-receiver gets e_item from sender, e_item from sender: root.half
-sender gets e_received from receiver: root.half
-receiver        root.half
+wires[1]        1 waiting (e_item from sender to receiver)
+sender          1 to send (e_item to receiver)
+receiver gets e_item from sender: root.half
+receiver gets e_item from sender: root.full
+sender gets e_received from receiver, e_received from receiver: root.half
+receiver        root.full
 sender          root.half
 ]], (out:gsub("^.-wires%[2%][^\n]*\n", "")))
     assert.matches("back: nothing was done", (select(2, said("protocol/cell", "back"))))
@@ -592,7 +684,8 @@ receiver: root.empty
 sender gets e_received from outside: root.sending
 receiver        root.empty
 sender          root.sending
-wires[1]        2 waiting (e_item from sender to receiver)
+wires[1]        1 waiting (e_item from sender to receiver)
+sender          1 to send (e_item to receiver)
 receiver        root.empty
 sender          <none>
 ]], out)
@@ -624,17 +717,17 @@ return system {
   wires = { { from = "sender", event = "e_item", to = "receiver", size = 1 } },
 }]]
     text = text:gsub("CHECKOUT", helper.lines_of("pwd")[1])
-    local out = commands.run("sim -q -e step -e back -e step -e reset -e show -e quit "
-      .. "-e step " .. helper.file_with(text))
+    local out = commands.run("sim -q -e step -e sender -e back -e reset -e show "
+      .. "-e quit -e step " .. helper.file_with(text))
     assert.equal([[
 wires[1]        1 waiting, 1 lost (e_item from sender to receiver)
-]], out:match("wires[^\n]*\n"))
+]], out:match("wires[^\n]*lost[^\n]*\n"))
     assert.equal([[
 receiver        <none>
 sender          <none>
 receiver        <none>
 sender          <none>
-]], out:match("%(e_item[^(]*%)\n(.*)$"):match("%)\n(.*)$"))
+]], out:match(".*%(e_item[^(]*%)\n(.*)$"))
     helper.remove_files()
   end)
 
@@ -707,8 +800,8 @@ return require("rfsm.system") { a = rfsm.state { info = false, warn = false,
     assert.matches("sender          <none>\nreceiver        <none>\n"
       .. "sender          root.sending\nwires%[1%] .*\n$", out)
     out = said("protocol/cell", "step", "back", "forward")
-    assert.matches("sender          <none>\nreceiver        root.empty\n"
-      .. "sender          root.sending\nwires%[1%] [^\n]*\n$", out)
+    assert.matches("sender +<none>\nreceiver        root.empty\nsender          "
+      .. "root.sending\nwires%[1%] [^\n]*\nsender +1 to send [^\n]*\n$", out)
   end)
 
   it("names the nearest event, and what is wrong with the file", function()

@@ -548,8 +548,51 @@ describe("rfsm-check", function()
     assert.equal("rfsm viz: " .. line, err)
     assert.matches('title: "arm %(stubbed: armlib%)"', out)
     local picture = run("rfsm viz --stub -T svg " .. name)
-    assert.matches('font%-size="8.00">stubbed: armlib<', picture)
+    assert.matches('font%-size="10.00">stubbed: armlib<', picture)
     assert.not_matches("arm %(stubbed", picture)
+  end)
+
+  it("has one line for stubs in a picture, however many they are", function()
+    local lines = {}
+    for i = 1, 30 do lines[i] = ('require "robots.lib%d"\n'):format(i) end
+    local name = write_file("arm.lua", table.concat(lines) .. CHART)
+    local picture = run("rfsm viz --stub -T svg " .. name)
+    assert.equal("robots.lib1, robots.lib2, robots.lib3, robots.lib4 and 26 more",
+      picture:match(">stubbed: (.-)<"))
+  end)
+
+  it("draws a large chart in pages: an overview, sheets, links to each", function()
+    local parts = { "return rfsm.state { rfsm.trans { src = 'initial', tgt = 'a1' }," }
+    for i = 1, 4 do
+      parts[#parts + 1] = ("a%d = rfsm.state { rfsm.trans { src = 'initial', tgt = "
+        .. "'s1' },"):format(i)
+      for k = 1, 18 do
+        parts[#parts + 1] = ("s%d = rfsm.state {}, rfsm.trans { src = 's%d', tgt = "
+          .. "'s%d' },"):format(k, k, k % 18 + 1)
+      end
+      parts[#parts + 1] = "}, rfsm.trans { src = '.a" .. i .. ".s18', tgt = '.a"
+        .. i % 4 + 1 .. ".s9', events = { 'e_next' } },"
+    end
+    local name = write_file("plant.lua", table.concat(parts) .. "}")
+    local out = os.tmpname()
+    os.remove(out)
+    check("rfsm viz --pages -o " .. out .. " " .. name, "", "")
+    local files, links = {}, {}
+    for file in io.popen("cd " .. out .. " && ls"):lines() do
+      files[#files + 1] = file
+      for link in helper.content(out .. "/" .. file):gmatch('xlink:href="([^"]*)"') do
+        links[file] = (links[file] or "") .. link .. " "
+      end
+    end
+    os.execute("rm -r " .. out)
+    assert.same({ "01-root.svg", "02-root_a1.svg", "03-root_a2.svg", "04-root_a3.svg",
+      "05-root_a4.svg" }, files)
+    assert.equal("02-root_a1.svg 03-root_a2.svg 04-root_a3.svg 05-root_a4.svg ",
+      links["01-root.svg"])
+    assert.equal("03-root_a2.svg 05-root_a4.svg ", links["02-root_a1.svg"])
+    refuses("rfsm viz --pages " .. name,
+      "Error: --pages needs -o FOLDER, and a picture for -T: svg, png, pdf")
+    assert.not_matches("href", (run("rfsm viz --depth 1 -T svg " .. name)))
   end)
 
   it("reports the warnings of init, and undefined globals of the file, once", function()

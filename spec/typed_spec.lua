@@ -54,7 +54,8 @@ end)
 
 -- a -e_paid{..}-> b -e_x-> a
 local function machine()
-  local fsm = helper.init(state { info = false, warn = false, a = state {}, b = state {},
+  local fsm = helper.init(state { info = false, warn = false,
+    a = state {}, b = state {},
     trans { src = "initial", tgt = "a" },
     trans { src = "a", tgt = "b", events = { named "e_paid" } },
     trans { src = "b", tgt = "a", events = { "e_x" } } })
@@ -69,7 +70,7 @@ describe("the page", function()
   local local_view = LocalView.new(machine(), clock)
   local remote_view = View.create(View, marsh.jsontab(machine()), clock)
 
-  for where, view in pairs { here = local_view, elsewhere = remote_view } do -- any order
+  for where, view in pairs { here = local_view, elsewhere = remote_view } do -- any
     it("sends a table for the button of a name, to a machine " .. where, function()
       assert.is_true(view.outline.events[1].has_data)
       assert.same({ name = "e_paid" }, (view:event_of { event = 0 }))

@@ -7,6 +7,8 @@ local rfsm = require "rfsm"
 local share = require "spec.support.share"
 local snapshot = require "rfsm.snapshot"
 local timeevent = require "rfsm_timeevent"
+require "rfsm.await"
+require "rfsm.defer"
 require "rfsm.seqand"
 
 local state, trans = rfsm.state, rfsm.trans
@@ -728,6 +730,94 @@ describe("random charts", function()
   end
 end)
 
+describe("events that a machine keeps", function()
+  -- busy, which defers `deferred`, --e_free--> idle --`job`--> busy
+  local function worker(job, deferred)
+    return state { info = false, warn = false, emem = false, keep = { "n" }, n = 0,
+      busy = state { defer = deferred or nil }, idle = state { defer = { "e_other" } },
+      trans { src = "initial", tgt = "busy" },
+      trans { src = "busy", tgt = "idle", events = { "e_free" } },
+      trans { src = "idle", tgt = "busy", events = { job } } }
+  end
+
+  local NAMED, OTHER = rfsm.named "e_job", rfsm.named "e_task"
+  local KEPT = '{"chart":"81f5cb1c59f-2c59b6","data":{"root":["%t","n",0]},"done":true,'
+    .. '"ext":{"defer":[{"k":7,"name":"e_job"}]},"leaf":"root.busy","version":2}'
+
+  local function keeping()
+    local fsm = helper.started(worker(NAMED, { NAMED }))
+    rfsm.send_events(fsm, { name = "e_job", k = 7 })
+    rfsm.run(fsm)
+    return snapshot.take(fsm)
+  end
+
+  -- Restores a machine; returns what it reports, and the machine.
+  local function reported(model, snap, options)
+    local lines = {}
+    model.err = function(text) lines[#lines + 1] = text end
+    local fsm, problem, list = snapshot.restore(model, snap, options)
+    return lines, fsm, problem, list
+  end
+
+  local LOST = "rfsm.snapshot: the event 'e_job' waits, but no transition of the chart "
+    .. "takes it"
+
+  it("belong to the structure by their names, as what states defer does", function()
+    local lines = snapshot.structure(worker(NAMED, { NAMED, 7, "e_x" }))
+    assert.same({ "root.idle -> root.busy on e_job{..}", "state root.busy",
+      "root.busy defers e_job{..}, 7, e_x", "state root.idle",
+      "root.idle defers e_other" },
+      { lines[4], lines[5], lines[6], lines[7], lines[8] })
+    local _, ok, _, list = reported(worker(OTHER, false), keeping())
+    assert.is_false(ok)
+    assert.same({ "new: root.idle -> root.busy on e_task{..}",
+      "gone: root.idle -> root.busy on e_job{..}", "gone: root.busy defers e_job{..}" },
+      list)
+  end)
+
+  it("are reported if no transition of the new chart takes them", function()
+    for _, deferred in ipairs { false, { OTHER }, { NAMED } } do
+      assert.same({ LOST }, (reported(worker(OTHER, deferred), keeping(),
+        { rename = {} })))
+    end
+  end)
+
+  it("are not reported if something in the new chart takes them", function()
+    local plain = helper.started(worker("e_job", { "e_job" }))
+    rfsm.send_events(plain, "e_job")
+    rfsm.run(plain)
+    local snap = snapshot.take(plain)
+    for _, event in ipairs { "e_job", "await(e_job, e_x)",
+      function(e) return e == "e_job" end } do
+      local lines, fsm = reported(worker(event, false), snap, { rename = {} })
+      assert.same({}, lines)
+      assert.is_truthy(fsm)
+    end
+  end)
+
+  it("are those of a snapshot that an older release has taken", function()
+    local lines, fsm = reported(state { info = false, warn = false, keep = { "n" },
+      n = 0, busy = state { defer = { NAMED } }, idle = state {},
+      trans { src = "initial", tgt = "busy" },
+      trans { src = "busy", tgt = "idle", events = { "e_free" } },
+      trans { src = "idle", tgt = "busy", events = { NAMED } } }, json.decode(KEPT))
+    assert.same({}, lines)
+    rfsm.send_events(fsm, "e_free")
+    rfsm.run(fsm)
+    assert.equal("root.busy", rfsm.get_actleaf_fqn(fsm))
+    assert.not_equal("81f5cb1c59f-2c59b6", snapshot.take(fsm).chart)
+  end)
+
+  it("of an older release are reported, too, after a rename", function()
+    local lines = reported(state { info = false, warn = false, keep = { "n" }, n = 0,
+      busy = state { defer = { OTHER } }, idle = state {},
+      trans { src = "initial", tgt = "busy" },
+      trans { src = "busy", tgt = "idle", events = { "e_free" } },
+      trans { src = "idle", tgt = "busy", events = { OTHER } } }, json.decode(KEPT))
+    assert.same({ LOST }, lines)
+  end)
+end)
+
 describe("rfsm snapshot diff", function()
   after_each(helper.remove_files)
 
@@ -745,6 +835,23 @@ describe("rfsm snapshot diff", function()
     end
     return lines, status
   end
+
+  it("says which kept events are lost", function()
+    local old = [[require "rfsm.defer"
+      return rfsm.state { rename = {},
+      a = rfsm.state { defer = { rfsm.named "e_job" } }, b = rfsm.state {},
+      rfsm.trans { src = "initial", tgt = "a" },
+      rfsm.trans { src = "a", tgt = "b", events = { "e_free" } },
+      rfsm.trans { src = "b", tgt = "a", events = { rfsm.named "e_job" } } }]]
+    local new = old:gsub('e_job" } } }%]?', 'e_task" } } }')
+    assert.same({ { "new: root.b -> root.a on e_task{..}",
+      "gone: root.b -> root.a on e_job{..}", "in root.a: moves to root.a",
+      "  a kept e_job is reported and lost: no transition takes it",
+      "in root.b: moves to root.b" }, 0 }, { compare(new, old) })
+    new = old:gsub('{ defer = { rfsm.named "e_job" } }', "{}")
+    assert.same({ { "gone: root.a defers e_job{..}", "in root.a: moves to root.a",
+      "in root.b: moves to root.b" }, 0 }, { compare(new, old) })
+  end)
 
   it("says of each state what will happen", function()
     local new = OLD:gsub("3", "9"):gsub('b = ', 'c = ')

@@ -113,13 +113,15 @@ describe("a view", function()
     local view = new_view()
     view:see_nodes { 0, 2, 2 }
     view:see_edge(1)
-    view:note("step", "a", { "e_push", 7 }, { 0, 2 })
+    view:note("step", "a", { "e_push", 7 }, view:moment())
     local message, cursor = view:state(nil)
     assert.same({ true, { 0, 2 }, { 1 }, { 1 }, { 2, 3 }, { 1, 3 }, 0 },
       { message.is_full, message.seen_nodes, message.seen_edges, message.taken,
         message.states, message.transitions, message.skipped })
     assert.same({ { number = 1, at = 0, kind = "step", turn = 0, text = "a",
-      active = { 0, 2 }, events = { "e_push", "7" } } }, message.log)
+      active = { 0, 2 }, leaf = "root.off", mode = "done", queue = {}, taken = { 1 },
+      states = { 2, 3 }, transitions = { 1, 3 }, enabled = { 0 }, any = false,
+      failures = {}, events = { "e_push", "7" } } }, message.log)
     now = 2
     view:see_nodes { 3 }
     view:see_edge(2)

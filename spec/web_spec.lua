@@ -84,8 +84,49 @@ describe("the server", function()
       reply)
     assert.matches("\r\nX%-Content%-Type%-Options: nosniff\r\n", reply)
     assert.is_truthy(body:find('nonce="' .. server.token .. '"', 1, true))
+    assert.is_nil(body:find("\n ") or body:find("\n//")) -- they were a tenth of it
     for link in body:gmatch("https?://[%w.]+") do
       assert.equal("http://www.w3.org", link) -- the name of SVG
+    end
+  end)
+
+  -- A Lua zlib that packs a text to its length.
+  local function pack(level, bits)
+    return function(text, flush)
+      return ("\31\139 %d %d %d %s"):format(#text, level, bits, flush)
+    end
+  end
+
+  -- Returns what a server with this module replies to a request: the header fields of
+  -- a compression, if the body is as long as told, and if it is the packed page.
+  local function packing(zlib, path, accepted)
+    local found
+    helper.with(package.loaded, { zlib = zlib }, function()
+      local server = open()
+      local _, body, reply = http.request(server, "GET", path, { "Host: localhost",
+        accepted and "Accept-Encoding: " .. accepted })
+      found = { reply:match("\r\nContent%-Encoding: .-\r\nVary: .-\r\n") or "none",
+        #body == tonumber(reply:match("\r\nContent%-Length: (%d+)\r\n")),
+        body == ("\31\139 %d 6 31 finish"):format(#server.page) }
+    end)
+    return found
+  end
+
+  it("compresses what is long, if it can and the client takes that", function()
+    local packed = { "\r\nContent-Encoding: gzip\r\nVary: Accept-Encoding\r\n", true,
+      true }
+    for _, accepted in ipairs { "gzip", "deflate, GZIP;q=0.5, br", "gzip ; q = 1" } do
+      assert.same(packed, packing({ deflate = pack }, "/", accepted), accepted)
+    end
+    local plain = { "none", true, false }
+    for _, accepted in ipairs { "", "br", "x-gzip", "gzip;q=0", "gzip; q=0.00, br" } do
+      assert.same(plain, packing({ deflate = pack }, "/", accepted), accepted)
+    end
+    assert.same(plain, packing({ deflate = pack }, "/"))
+    assert.same(plain, packing({ deflate = pack }, "/none", "gzip"))
+    for _, zlib in ipairs { {}, { deflate = error }, { deflate = tostring },
+      { deflate = function() return function() return "x" end end } } do
+      assert.same(plain, packing(zlib, "/", "gzip"))
     end
   end)
 
@@ -322,6 +363,26 @@ describe("the server", function()
     assert.same({ "1 1 ", "", "1 1 3,99", "root.on", "1 1 ", "" }, asked)
   end)
 
+  -- Asks for the picture until it is there; returns the last reply.
+  local function picture_of(server)
+    local status, body
+    for _ = 1, 3000 do
+      status, body = http.request(server, "GET", "/picture.svg")
+      if status ~= 202 then break end
+      require("socket").select(nil, nil, 0.01) -- another process draws it
+    end
+    return { status, body:sub(1, 5) }
+  end
+
+  for name, head in pairs { -- any order: each stands alone
+    ["needs none"] = "", ["needs one"] = "local port = require 'no_such_module'\n",
+  } do
+    it("has a picture of a chart that is opened with stubs and " .. name, function()
+      assert.same({ 200, "<?xml" }, picture_of(opened(assert(web.open(
+        helper.file_with(head .. LAMP), { port = 0, stub = true })))))
+    end)
+  end
+
   it("asks for no picture before a page does, and draws none itself", function()
     local server = open()
     helper.with(Painter, { ask = error, start = error }, function()
@@ -549,6 +610,58 @@ describe("a page", function()
     assert.same({ "output: dark", "step: root.initial → root.off" },
       texts_of(message.log))
     assert.equal(400, (http.command(server, { command = "back" })))
+  end)
+
+  -- What a page is told of the moments after the steps in a message, and of now.
+  local function moments_of(message, chart)
+    local moments, all = {}, {}
+    for _, entry in ipairs(message.log) do
+      if entry.active then all[#all + 1] = entry end
+    end
+    all[#all + 1] = message
+    for i, about in ipairs(all) do
+      local events = {}
+      for j, number in ipairs(about.enabled) do
+        events[j] = chart.events[number + 1].text
+      end
+      moments[i] = { about.leaf, table.concat(events, " "),
+        table.concat(about.queue, " "), about.states[1], about.transitions[1],
+        #about.taken, about.failures[2] or 0,
+        about.timer and math.floor(about.timer) }
+    end
+    return moments
+  end
+
+  it("is told the moment after each step, as that of now", function()
+    local server = open([[
+      local rfsm = require "rfsm"
+      require "rfsm_timeevent"
+      return rfsm.state { err = false,
+        off = rfsm.state {
+          entry = function(fsm) rfsm.send_events(fsm, "e_on", "e_x") end },
+        on = rfsm.state { entry = function() error("no power", 0) end },
+        rfsm.trans { src = "initial", tgt = "off" },
+        rfsm.trans { src = "off", tgt = "on", events = { "e_on" } },
+        rfsm.trans { src = "on", tgt = "off", events = { "e_after(2)" } },
+      }
+    ]])
+    local _, first = http.page(server)
+    assert.same({
+      { "root.off", "e_on", "e_on e_x e_done@root.off", 2, 1, 1, 0, false },
+      { "root.on", "e_after(2)@root.on", "e_done@root.on", 3, 2, 1, 1, 2 },
+      { "root.on", "e_after(2)@root.on", "", 3, 2, 2, 1, 2 },
+    }, moments_of(first, http.chart(server)))
+  end)
+
+  it("is told the first 20 events of a queue, and how many more wait", function()
+    local server = open((LAMP:gsub('print%("dark"%)', [[
+      for i = 1, 30 do rfsm.send_events(fsm, "e_" .. i) end]]):gsub("function%(%)",
+      "function(fsm)")))
+    local _, first = http.page(server)
+    local queue = first.log[1].queue
+    assert.same({ 21, "e_1", "e_20", "11 more" },
+      { #queue, queue[1], queue[20], queue[21] })
+    assert.same({}, first.queue)
   end)
 
   it("goes back to any turn", function()

@@ -6,9 +6,12 @@
 #   tools/deps.sh web           for the tests of the page in a browser
 #   tools/deps.sh hosts         for the tests of the hosts in examples/hosts/
 #   tools/deps.sh doc           for the pages of the API
+#   tools/deps.sh site          for these pages and the playground, beside npm
 #   tools/deps.sh deb           for Debian packages
+#   tools/deps.sh rocks         for rocks
 #   tools/deps.sh fleet         for machines in Redis, with lua5.3
 #   tools/deps.sh postgres      for machines in PostgreSQL, with lua5.3
+#   tools/deps.sh lua LUA ...   prints the last of these that is installed
 #   tools/deps.sh axe           prints the file of axe-core, which npm fetches once
 #
 # Missing Debian packages are installed if you are root or have password-free sudo.
@@ -61,6 +64,7 @@ missing_for_test() { # missing_for_test LUA ...
   command -v redis-server >/dev/null 2>&1 || echo redis-server
   command -v dot >/dev/null 2>&1 || echo graphviz
   command -v tmux >/dev/null 2>&1 || echo tmux
+  [ -e /usr/share/i18n/locales/de_DE ] || echo locales # with a decimal comma
 }
 
 missing_for_fleet() {
@@ -82,6 +86,7 @@ missing_for_web() {
   command -v busted >/dev/null 2>&1 || echo lua-busted
   has_module lua5.1 dkjson || echo lua-dkjson
   has_module lua5.1 socket || echo lua-socket
+  has_module lua5.1 zlib || echo lua-zlib
   command -v dot >/dev/null 2>&1 || echo graphviz
   command -v chromium >/dev/null 2>&1 || echo chromium
   command -v chromedriver >/dev/null 2>&1 || echo chromium-driver
@@ -101,6 +106,8 @@ missing_for_hosts() {
 }
 
 missing_for_deb() {
+  command -v git >/dev/null 2>&1 || echo git
+  dpkg -s build-essential >/dev/null 2>&1 || echo build-essential # dpkg-buildpackage asks
   command -v dpkg-buildpackage >/dev/null 2>&1 || echo dpkg-dev
   command -v dh >/dev/null 2>&1 || echo debhelper
   command -v help2man >/dev/null 2>&1 || echo help2man
@@ -113,6 +120,37 @@ missing_for_deb() {
 missing_for_doc() {
   command -v ldoc >/dev/null 2>&1 || echo lua-ldoc
   has_module lua5.2 discount || has_module lua5.1 discount || echo lua-discount
+}
+
+missing_for_site() {
+  missing_for_doc
+  has_module "$(find_lua lua5.1 luajit lua5.2 lua5.3 lua5.4 2>/dev/null)" dkjson ||
+    echo lua-dkjson
+}
+
+# LuaRocks wants the headers of each Lua, also for modules in Lua.
+missing_for_rocks() {
+  command -v git >/dev/null 2>&1 || echo git
+  command -v luarocks >/dev/null 2>&1 || echo luarocks
+  for version in 5.1 5.2 5.3 5.4; do
+    command -v lua$version >/dev/null 2>&1 || echo lua$version
+    [ -e /usr/include/lua$version/lua.h ] || echo liblua$version-dev
+  done
+  command -v luajit >/dev/null 2>&1 || echo luajit
+  command -v busted >/dev/null 2>&1 || echo lua-busted
+  has_module lua5.1 argparse || echo lua-argparse
+}
+
+# Prints the last interpreter that is installed, of those that are not in a folder of
+# their own. If there is none, prints a command that fails, so that a recipe ends there.
+find_lua() { # find_lua LUA ...
+  found=
+  for lua in "$@"; do
+    case $lua in */*) continue ;; esac
+    command -v "$lua" >/dev/null 2>&1 && found=$lua
+  done
+  [ -n "$found" ] || echo "no Lua is installed; please type: sudo apt-get install lua5.4" >&2
+  echo "${found:-false}"
 }
 
 # Prints the prefix of commands that need root; fails if sudo would ask for a password.
@@ -159,7 +197,8 @@ find_axe() {
 
 case "${1:-}" in
   axe) find_axe ;;
-  sim | test | web | hosts | doc | deb | fleet | postgres)
+  lua) shift && find_lua "$@" ;;
+  sim | test | web | hosts | doc | site | deb | rocks | fleet | postgres)
     target=$1
     shift
     packages=$(missing_for_"$target" "$@")
@@ -168,5 +207,9 @@ case "${1:-}" in
     [ -z "$packages" ] || install_packages $packages ||
       { [ "$target" = sim ] && "$(dirname "$0")/rfsm" --version >/dev/null 2>&1; }
     ;;
-  *) echo "usage: tools/deps.sh sim|web|hosts|axe|doc|deb|fleet|postgres|test LUA ..." >&2; exit 2 ;;
+  *)
+    echo "usage: tools/deps.sh sim|web|hosts|axe|doc|site|deb|rocks|fleet|postgres" >&2
+    echo "       tools/deps.sh test|lua LUA ..." >&2
+    exit 2
+    ;;
 esac

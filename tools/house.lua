@@ -18,8 +18,8 @@ house.FLOORS = {
   { name = "engine", "engine" },
   { name = "extensions", "shared", "clock", "timeevent", "seqand", "pp" },
   { name = "rooms", "marsh", "pictures", "snapshot", "record", "checks", "explore",
-    "observe", "tests", "rfsm_checks", "server" }, -- and the exporters
-  { name = "hosts", "rtt", "proto", "redis", "postgres", "sim", "web", "system" },
+    "observe", "tests", "rfsm_checks", "server", "system" }, -- and the exporters
+  { name = "hosts", "rtt", "proto", "redis", "postgres", "sim", "web" },
   { name = "command", "cli" },
 }
 

@@ -8,7 +8,8 @@
 # the rest will take. With LINT, that command runs beside the specs.
 #
 # Each spec file is a process of its own: collecting garbage stays cheap, and no file
-# sees what another has loaded. It is stopped after LIMIT seconds (300).
+# sees what another has loaded. It is stopped after LIMIT seconds (300) of the processor,
+# whatever else the machine does meanwhile; if it waits, after ten times as long.
 # FILES names other spec files than spec/*_spec.lua. RFSM_SHARE tells the specs which
 # share of what is the same on all interpreters they have: see spec/support/share.lua.
 set -u
@@ -16,7 +17,7 @@ cd "$(dirname "$0")/.." || exit 1
 export FONTCONFIG_FILE="$PWD/tools/fonts.conf"
 
 busted=${BUSTED:-busted} limit=${LIMIT:-300}
-command -v timeout >/dev/null && timeout="timeout -k 5 $limit" || timeout=
+command -v timeout >/dev/null && timeout="timeout -k 5 ${limit}0" || timeout=
 
 # These files need modules in C, which the Lua 5.5 in tools/ cannot load. Without its
 # Python package it is skipped.
@@ -81,10 +82,13 @@ run_file() { # run_file LOGS LUA FILE
   [ -d "$logs/began" ] || { mkdir "$logs/began" 2>/dev/null && date +%s >"$logs/time"; }
   read -r RFSM_SHARE <"$logs/share"
   export RFSM_SHARE
-  $timeout $busted --lua="$(command -v "$2")" $options "$3" >"$log" 2>&1
+  (
+    ulimit -t "$limit"
+    exec $timeout $busted --lua="$(command -v "$2")" $options "$3"
+  ) >"$log" 2>&1
   status=$? why=
   case $(grep -E '^[0-9]+ success' "$log") in
-    "") why="did not end within $limit s, or crashed" ;;
+    "") why="used more than $limit s of the processor, did not end within ${limit}0 s, or crashed" ;;
     "0 successes / 0 failures / 0 errors / 0 pending"*) why="has no test" ;;
   esac
   if [ "$status" != 0 ] || [ -n "$why" ]; then

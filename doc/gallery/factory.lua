@@ -2,7 +2,7 @@
 --
 --   factory: (initial) --> closed --e_open--> waiting --e_order_N--> line N
 --   line:    (initial) --> station 1 --e_next--> ... --e_next--> out
---   station: (initial) --> empty --e_part--> work --e_fault--> fault --e_reset--> empty
+--   station: (initial) --> empty --e_part--> work --e_error--> fault --e_reset--> empty
 --   work:    (initial) --> load --> run --> check --> unload
 --
 -- Each line leaves by its connector `out`, back to waiting.
@@ -33,7 +33,7 @@ local function new_station()
     trans { src = "work", tgt = "paused", events = { "e_pause" } },
     trans { src = "paused", tgt = "work", events = { "e_resume" } },
     trans { src = ".work.unload", tgt = "empty", events = { "e_taken" } },
-    trans { src = "work", tgt = "fault", events = { "e_fault" } },
+    trans { src = "work", tgt = "fault", events = { "e_error" } },
     trans { src = "fault", tgt = "empty", events = { "e_reset" } },
   }
 end

@@ -36,7 +36,7 @@ local ANSWERS = {
 local function work(entry)
   local event = ANSWERS[entry.what](entry.data)
   print(("%-14s %s %s -> %s"):format(entry.machine, entry.what, entry.data.item, event))
-  assert(orders:send_once(entry.id, entry.machine, event))
+  assert(orders:answer(entry, event))
 end
 
 local function summary()

@@ -47,8 +47,8 @@ note conflict: two transitions of a node and of equal pn can be enabled at once
   give them different pn, or guards that exclude each other
 warning endless: run never becomes idle
   let a state of the cycle wait for an event, or have a doo
-warning never-done: an e_done that no leaf sends
-  name a leaf state, or a final event of your own
+warning never-done: an e_done that no state sends
+  name a leaf, or mark the last leaf of the composite or of each region: final = true
 warning never-called: a callback stands where none is called
   guard and effect belong to transitions; entry, exit and doo to states
 warning false-guard: a guard that was false while loading counts as absent
@@ -69,10 +69,14 @@ warning no-yield: a doo that never returns to the engine
   call rfsm.yield() in its loop
 note busy-doo: a doo that is never idle, so that run never returns
   yield true where there is nothing to do
+note early-idle: run may return while an event of a region still waits
+  write idle_doo = "auto", so that run goes on until all regions are idle
 note doo-ends: a doo ends, and nothing waits for its e_done
   add a transition on e_done, or let the doo go on
 note any-event: a transition of a state on any event; a warning if others come too late
   name its events, or e_done if it waits for none
+warning once: an internal transition takes an e_after, which comes once an entry
+  write e_every(T) if it is to come again
 warning empty-events: a list of events without any, so that any event matches
   see if a name in it is nil; leave `events` out if any event is meant
 warning typo: an event is one letter from another
@@ -101,6 +105,8 @@ warning untaken: an event of a wire that its reader never takes
   see in which states it comes: take it there, or defer it
 warning idle-wire: a wire over which no event goes
   see who should emit the event, or remove the wire
+warning deployed: a deployment is not as its system says
+  launch the system by rfsm_rtt.launch_system, or mend the deployment
 error violated: a property that does not hold
   mend the chart, or the property
 ]]
@@ -124,33 +130,6 @@ function codes.means(state, meaning)
   return order.any(MEANINGS[meaning], function(word)
     return name:find(" " .. word .. " ", 1, true)
   end)
-end
-
--- Parts of the core's warnings, and their codes; false: a check reports the problem in
--- more detail.
-local WARNINGS = {
-  { "no outgoing transitions from node", false },
-  { "'e_done' never fires here", false },
-  { "each transition from here has events or a guard", false },
-  { "a connector has no ", false },
-  { "has no field '", "unknown-field" },
-  { "a plain table that", "unmarked" },
-  { "a transition inside a leaf state", "misplaced" },
-  { "a transition in a sequential AND state", "misplaced" },
-  { "a connector holds no", "misplaced" },
-  { "never fires here", "never-done" },
-  { "no loaded extension knows", "unknown-word" },
-  { "its guard is false", "false-guard" },
-  { "any event triggers it (events", "unknown-field" },
-  { "an empty list, any event triggers it", "empty-events" },
-}
-
---- Return the code of a warning of the core; false if a check reports the same problem.
-function codes.of_warning(text)
-  for _, pair in ipairs(WARNINGS) do
-    if text:find(pair[1], 1, true) then return pair[2] end
-  end
-  return "init"
 end
 
 --- Return a hint with the code that is nearest to an unknown code; "" if none is near.

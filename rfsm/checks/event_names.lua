@@ -26,12 +26,23 @@ local function leaf_meant(name, leaves)
   return ""
 end
 
--- Finds events e_done@F where F is no leaf. `rfsm.init` warns only if the event is
--- written as e_done, without @F.
+-- Returns the place where a final leaf is missing.
+local function place_of_final(state)
+  local _, region = rfsm.can_be_done(state)
+  return region ~= nil and ("its region '%s'"):format(rfsm.text_of(region))
+    or "'" .. state._fqn .. "'"
+end
+
+-- Finds events e_done@F where F is no state that can be done. `rfsm.init` warns only if
+-- the event is written as e_done, without @F.
 local function check_e_done(tr, leaves, add)
   for _, event in ipairs(tr.events or {}) do
     local fqn = type(event) == "string" and event:match("^e_done@(.*)$")
-    if fqn and not leaves[fqn] then
+    local never_comes = fqn and not leaves[fqn]
+    if never_comes and fqn == tr.src._fqn and rfsm.is_state(tr.src) then
+      add("never-done", tr, ("event '%s' never comes, no leaf right in %s is final "
+        .. "(final = true)"):format(event, place_of_final(tr.src)))
+    elseif never_comes then
       add("never-done", tr, ("event '%s' never comes, '%s' is no %s of this machine%s")
         :format(event, fqn, fqn:find("^root") and "leaf state" or "FQN",
         leaf_meant(fqn, leaves)))
@@ -203,8 +214,8 @@ end
 ---@type rfsm_checks.Check
 function event_names.check(fsm, add)
   local leaves = {}
-  for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
-    leaves[leaf._fqn], leaves[#leaves + 1] = true, leaf._fqn
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.can_be_done)) do
+    leaves[state._fqn], leaves[#leaves + 1] = true, state._fqn
   end
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     check_e_done(tr, leaves, add)

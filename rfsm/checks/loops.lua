@@ -24,14 +24,30 @@ local function find_taken(transitions, event)
   end
 end
 
--- Returns the leaf to which e_done leads from a leaf without doo, and the transitions
--- on this path. Returns nil if there is no such path, or if a guard decides.
+-- Returns the first transition that needs no event; nil if there is none, or if a guard
+-- decides. The second result is true if there is one.
+local function find_always(transitions)
+  for _, tr in ipairs(transitions) do
+    if tr.always == true then return not tr.guard and tr or nil, true end
+  end
+end
+
+-- Returns the leaf to which a transition that needs no event, or e_done, leads from a
+-- leaf, and the transitions on this path; the third result is true for the former.
+-- Returns nil if there is no such path, or if a guard decides.
 local function follow(fsm, leaf)
   local event, path = "e_done@" .. leaf._fqn, {}
-  local tr = find_taken(location.transitions(fsm, leaf), event)
+  local tr, is_always = find_always(location.transitions(fsm, leaf))
+  if not is_always and not leaf.doo then
+    tr = find_taken(location.transitions(fsm, leaf), event)
+  end
+  if tr and is_always and rfsm.target_of(tr) == "internal" then
+    return leaf, { tr }, true
+  end
+  if is_always then event = nil end
   while tr and rfsm.target_of(tr) ~= "internal" do
     path[#path + 1] = tr
-    if not is_conn(tr.tgt) then return tr.tgt, path end
+    if not is_conn(tr.tgt) then return tr.tgt, path, is_always end
     if path[100] then return nil end -- connectors in a circle
     tr = find_taken(tr.tgt._otrs, event)
   end
@@ -53,17 +69,19 @@ local function may_be_left(fsm, leaves, taken)
 end
 
 -- Returns the leaves of a cycle that contains `start` and is never left, `start` first.
--- Returns nil or false if there is no such cycle.
+-- Returns nil or false if there is no such cycle. No event ends a cycle of transitions
+-- that need none.
 local function find_cycle(fsm, start)
-  local leaves, taken, leaf = {}, {}, start
+  local leaves, taken, leaf, needs_event = {}, {}, start, false
   repeat
-    if leaf.doo or taken[leaf] then return nil end
+    if taken[leaf] then return nil end
     leaves[#leaves + 1], taken[leaf] = leaf, true
-    local next_leaf, path = follow(fsm, leaf)
+    local next_leaf, path, is_always = follow(fsm, leaf)
+    needs_event = needs_event or not is_always
     for _, tr in ipairs(path or {}) do taken[tr] = true end
     leaf = next_leaf
   until not leaf or leaf == start
-  return leaf and not may_be_left(fsm, leaves, taken) and leaves
+  return leaf and not (needs_event and may_be_left(fsm, leaves, taken)) and leaves
 end
 
 --- Find cycles on which a machine never becomes idle.

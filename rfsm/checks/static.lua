@@ -188,46 +188,52 @@ local function elements_by_place(fsm)
   return found
 end
 
--- Appends a finding for each problem or warning of `rfsm.init` in `lines`. Without
--- `code`, the code follows from the text of a warning.
-local function add_lines(findings, lines, code, fsm, prefix)
+-- Appends a finding for each problem or warning of `rfsm.init` in `lines`. `code_of`
+-- has the codes by line; false: a check tells more.
+local function add_lines(findings, lines, code_of, fsm, prefix)
   local by_place = elements_by_place(fsm)
   for _, line in ipairs(lines) do
     local file, rest = location.split(line)
     local at, text = rest:match("^(root.-): (.*)$")
-    local obj, known = by_place[at], code or codes.of_warning(line)
-    if known then
-      findings:add(known, obj, obj and location.path(obj, prefix), text or rest,
+    local obj, code = by_place[at], code_of[line]
+    if code then
+      findings:add(code, obj, obj and location.path(obj, prefix), text or rest,
         location.prefix(prefix) .. (at or "root"), file)
     end
   end
 end
 
--- Initialises a model. Returns the machine, the problems, and the warnings; warnings
--- about regions are left out.
+-- Initialises a model. Returns the machine, the problems, the warnings, and their
+-- codes; warnings about regions are left out.
 local function init_and_listen(model)
-  local warnings = {}
-  local fsm, _, problems = static.init(model, function(text)
-    warnings[#warnings + 1] = rfsm.text_of(text):gsub("^WARNING: ", "")
-  end)
-  return fsm, problems, warnings
+  local warnings, code_of, outer = {}, {}, rfsm.warned
+  function rfsm.warned(fsm, code, text)
+    if rfsm.model_of(fsm) ~= model then return end
+    warnings[#warnings + 1], code_of[text] = text, code
+  end
+  local ok, fsm, _, problems = pcall(static.init, model, function() end)
+  rfsm.warned = outer
+  if not ok then error(fsm, 0) end
+  return fsm, problems, warnings, code_of
 end
+
+local IS_INVALID = setmetatable({}, { __index = function() return "invalid" end })
 
 -- Appends findings for the problems of a model and the warnings of init. Returns the
 -- machine; nil if there is none.
 local function check_model(findings, model)
-  local is_valid, problems, warnings = rfsm.verify_early(model)
+  local is_valid, problems, warnings, code_of = rfsm.verify_early(model)
   local fsm, regions = nil, {}
   if is_valid then
-    fsm, problems, warnings = init_and_listen(model)
+    fsm, problems, warnings, code_of = init_and_listen(model)
     regions = fsm and rfsm.machines(fsm) or {}
   end
-  add_lines(findings, problems or {}, "invalid", nil, "root")
-  add_lines(findings, warnings, nil, fsm, "root")
+  add_lines(findings, problems or {}, IS_INVALID, nil, "root")
+  add_lines(findings, warnings, code_of, fsm, "root")
   for i = 2, #regions do
     local region = regions[i].machine
-    local _, _, own = init_and_listen(rfsm.model_of(region))
-    add_lines(findings, own, nil, region, regions[i].prefix)
+    local _, _, own, codes_of_own = init_and_listen(rfsm.model_of(region))
+    add_lines(findings, own, codes_of_own, region, regions[i].prefix)
   end
   return fsm
 end

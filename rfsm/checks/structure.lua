@@ -97,6 +97,57 @@ local function check_node(fsm, node, reached, add)
   end
 end
 
+-- Returns the source text of a callback; "" if it cannot be read.
+local function text_of_body(callback)
+  local texts = {}
+  writes.each(callback, function(text) texts[#texts + 1] = text end, {})
+  return concat(texts, " ")
+end
+
+-- Does a region send events, or wait for an e_done? Then it needs several steps for one
+-- event.
+local function needs_steps(region)
+  for _, obj in ipairs(rfsm.elements(region)) do
+    for _, event in ipairs(rfsm.is_trans(obj) and obj.events or {}) do
+      if event == "e_done@" .. tostring(obj.src._fqn) then return true end
+    end
+    for _, field in ipairs { "entry", "exit", "doo", "effect" } do
+      local callback = rawget(obj, field)
+      if callback and text_of_body(callback):find("send_events", 1, true) then
+        return true
+      end
+    end
+  end
+  return false
+end
+
+-- Finds regions that may have work when `run` returns, since nothing says whether the
+-- doo that steps them is idle.
+local function check_regions(node, add)
+  local regions, own = rfsm.regions(node)
+  if not own or node.run or node.idle_doo ~= nil or node["idle.doo"] ~= nil then
+    return
+  end
+  for i, region in ipairs(regions) do
+    if needs_steps(region) then
+      add("early-idle", node, ("run returns while events of the region '%s' still wait")
+        :format(rfsm.text_of(own.names[i])))
+    end
+  end
+end
+
+-- Finds `final` where it says nothing, or the contrary of the transitions.
+local function check_final(fsm, node, add)
+  if node.final ~= true then return end
+  if not is_leaf(node) then
+    add("misplaced", node, "final = true in a composite says nothing (mark the leaf in "
+      .. "it that ends it)")
+  elseif node ~= fsm and node._otrs[1] then
+    add("misplaced", node, "final = true, but a transition leaves it (remove one of "
+      .. "them)")
+  end
+end
+
 local NEVER_CALLED = {
   state = { "guard", "effect" }, transition = { "entry", "exit", "doo" },
   connector = { "entry", "exit", "doo", "guard", "effect" },
@@ -128,13 +179,11 @@ local function check_flags(state, flags, add)
   end
 end
 
-local HISTORIES = { shallow = true, deep = true, [true] = true }
-
 -- Returns the name of a field that only another library, or an extension that is not
 -- loaded, would read, and the remedy; nil if the state has no such field.
 local function foreign_field(state, loaded)
-  local has_history = HISTORIES[state.history] and rfsm.is_composite(state)
-  if has_history and not loaded["rfsm.history"] then
+  local has_history = state.history == true and rfsm.is_composite(state)
+  if has_history and not loaded["rfsm.history"] then -- init tells of a text
     return "history", "require \"rfsm.history\""
   elseif state.type == "final" and not state.final then
     return "type", "did you mean final = true?"
@@ -158,13 +207,11 @@ end
 
 -- Does a callback end at once and send no event, as far as its source text shows?
 local function ends_at_once(doo)
-  local texts = {}
-  writes.each(doo, function(text) texts[#texts + 1] = text end, {})
-  local text = concat(texts, " ")
+  local text = text_of_body(doo)
   for _, word in ipairs { "while", "repeat", "for", "goto", "yield", "send_events" } do
     if text:find("%f[%w_]" .. word .. "%f[^%w_]") then return false end
   end
-  return texts[1] ~= nil
+  return text ~= ""
 end
 
 -- Returns a transition from the same leaf that is never taken, because `tr` has no
@@ -181,7 +228,19 @@ local function find_outrun(tr)
   end
 end
 
+-- Finds an e_after that an internal transition takes: the timer is not armed again.
+local function check_repeated(tr, add)
+  for _, timer in ipairs(rfsm.target_of(tr) == "internal" and tr.src._timers or {}) do
+    local event = timer.event
+    if event.is_relative and not event.is_repeated and match.names(tr, timer.name) then
+      add("once", tr, ("'%s' comes once an entry, and an internal transition enters "
+        .. "nothing"):format(event.name))
+    end
+  end
+end
+
 local function check_transition(tr, add)
+  check_repeated(tr, add)
   if not match.begins_on_any(tr) then return end
   local other = find_outrun(tr)
   add("any-event", tr, "it has no events, and is taken on any" .. (other
@@ -283,7 +342,11 @@ end
 ---@type rfsm_checks.Check
 function structure.check(fsm, add, reached)
   for _, obj in ipairs(rfsm.elements(fsm)) do
-    if rfsm.is_node(obj) then check_node(fsm, obj, reached, add) end
+    if rfsm.is_node(obj) then
+      check_node(fsm, obj, reached, add)
+      check_final(fsm, obj, add)
+      check_regions(obj, add)
+    end
     if rfsm.is_trans(obj) then check_transition(obj, add) end
     if rfsm.is_state(obj) then
       check_flags(obj, rfsm.is_root(obj) and ROOT_FLAGS or FLAGS, add)

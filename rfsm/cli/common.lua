@@ -58,6 +58,9 @@ function common.try(result, problem)
   return result or common.fail(problem)
 end
 
+-- Returns a text as a word of the shell.
+function common.quoted(text) return "'" .. text:gsub("'", "'\\''") .. "'" end
+
 -- Returns the results of f(...), and discards the text that it prints. An error in `f`
 -- ends the program with a message that names the file.
 function common.call(file, f, ...)
@@ -101,13 +104,25 @@ function common.add_stub(command)
     :init(false)
 end
 
--- Returns the text of a problem. If a module is missing, such as one of a robot, and
--- the option --stub was not given (`has_stubs` is false), the text names the option.
--- The text does not change if the command has no such option (`has_stubs` is nil).
+-- What ends a problem if a module or a global of a robot is missing: Lua 5.1 and LuaJIT
+-- name it in another order. `rtt` is often copied into a local variable.
+local MISSING = {
+  "module '([^']*)' not found$", "%(global '([^']*)'%)$", "%(%a+ '(rtt)'%)$",
+  "global '([^']*)' %(a nil value%)$", "%a+ '(rtt)' %(a nil value%)$",
+}
+
+-- Returns the text of a problem. If a module or a global is missing, such as those of a
+-- robot, and the option --stub was not given (`has_stubs` is false), the text names the
+-- option. The text does not change if the command has no such option (`has_stubs` is
+-- nil), or if the global is probably a misspelt `rfsm`.
 function common.with_hint(problem, has_stubs)
-  if has_stubs ~= false then return problem end
-  return (problem:gsub("module '[^']*' not found$",
-    "%0 (the option --stub loads the chart without it)"))
+  for _, pattern in ipairs(has_stubs == false and MISSING or {}) do
+    local name = problem:match(pattern)
+    if name and not require("rfsm.advice").is_near(name, "rfsm") then
+      return problem .. " (the option --stub loads the chart without it)"
+    end
+  end
+  return problem
 end
 
 -- Adds the option --machine. It is for files that are programs with several machines.
@@ -152,7 +167,7 @@ local is_count = opts.is_whole(1, math.huge)
 function common.add_number(command, names, description, is_right, expected)
   local add = names:find(" ") and common.add_option or command.option
   return add(command, names, description):argname("N"):convert(function(text)
-    local number = tonumber(text)
+    local number = rfsm.number_of(text)
     if number and (is_right or is_count)(number) then return number end
     return nil, ("%s: %s expected, got '%s'"):format(names:match("%S+$"),
       expected or "whole number above 0", text)
@@ -205,6 +220,20 @@ function common.write(file, text)
   if not ok then common.fail(problem) end
 end
 
+local WIDEST = 60 -- bytes of the line about stubs in a picture
+
+-- Returns a line that names stubs; the last ones are counted if the line is too long.
+local function line_of(names)
+  local line = "stubbed: " .. names[1]
+  for i = 2, #names do
+    if #line + #names[i] > WIDEST then
+      return ("%s and %d more"):format(line, #names - i + 1)
+    end
+    line = line .. ", " .. names[i]
+  end
+  return line
+end
+
 -- Calls encode(fsm, title, foot) for the chart in each file, and returns the list of
 -- texts. So nothing is written before all charts are encoded. `foot` is a line that
 -- names the stubs; nil without stubs.
@@ -213,8 +242,7 @@ function common.encode_all(options, encode)
   for i, file in ipairs(options.files) do
     local title = (chart.name_of(file):match("[^/]+$") or file):gsub("%.lua$", "")
     local fsm, names = load_machine(file, options.stub, options.machine)
-    local text = common.call(file, encode, fsm, title,
-      names[1] and "stubbed: " .. concat(names, ", "))
+    local text = common.call(file, encode, fsm, title, names[1] and line_of(names))
     texts[i] = text:sub(-1) == "\n" and text or text .. "\n"
   end
   return texts

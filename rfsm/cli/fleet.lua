@@ -3,11 +3,13 @@
 -- @module rfsm.cli.fleet
 -- @license BSD-3-Clause
 
+local advice = require "rfsm.advice"
 local chart = require "rfsm.shared.chart"
 local codec = require "rfsm.server.codec"
 local common = require "rfsm.cli.common"
 local rfsm = require "rfsm"
 local typed = require "rfsm.shared.typed"
+local verbs = require "rfsm.server.verbs"
 
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -48,8 +50,9 @@ local function view_lines(fleet, key)
   local lines = {}
   for _, name in ipairs(rfsm.sorted_keys(view)) do
     local value = view[name]
-    lines[#lines + 1] = name .. ": " .. (type(value) == "table" and codec.encode(value)
-      or rfsm.text_of(value))
+    local is_empty = type(value) == "table" and next(value) == nil and name ~= "data"
+    lines[#lines + 1] = name .. ": " .. (is_empty and "[]"
+      or type(value) == "table" and codec.encode(value) or rfsm.text_of(value))
   end
   return lines
 end
@@ -57,7 +60,8 @@ end
 local function history_lines(fleet, key, count)
   local moves, problem = fleet:history(key, count)
   for i, move in ipairs(moves or {}) do
-    moves[i] = ("%.3f %s: %s -> %s"):format(move.time, move.event, move.from, move.to)
+    moves[i] = ("%s %s: %s -> %s"):format(rfsm.number_text(move.time, "%.3f"),
+      move.event, move.from, move.to)
   end
   return moves, problem
 end
@@ -70,28 +74,60 @@ local function was_there(name)
   end
 end
 
--- For each verb: its arguments, how many of them are needed, and the function, which
--- returns lines to print, or nil and the problem.
-local VERBS = {
-  find = { "CHART STATE [LIMIT [SECONDS]]", 2, function(fleet, name, state, limit, s)
-    return fleet:find(name, state, tonumber(limit), s)
-  end },
-  get = { "KEY", 1, view_lines }, history = { "KEY [COUNT]", 1, history_lines },
-  why = { "KEY EVENT", 2, function(fleet, key, text)
-    return fleet:why(key, event_of(text))
-  end },
-  send = { "KEY EVENT", 2, function(fleet, key, ...)
-    local events = { ... }
-    for i, text in ipairs(events) do events[i] = event_of(text) end
-    return reply_lines "send"(fleet, key, unpack(events))
-  end },
-  hold = { "KEY", 1, reply_lines "hold" },
-  release = { "KEY", 1, reply_lines "release" },
-  force = { "KEY STATE", 2, reply_lines "force" },
-  remove = { "KEY", 1, was_there "remove" },
-  dead = { "[LIMIT]", 0, list_dead },
-  again = { "TAG ID", 2, was_there "again" }, drop = { "TAG ID", 2, was_there "drop" },
+local function log_lines(fleet, key, count)
+  local lines, problem = fleet:log(key, count)
+  for i, line in ipairs(lines or {}) do
+    lines[i] = rfsm.number_text(line.time, "%.3f") .. " " .. line.error
+  end
+  return lines, problem
+end
+
+local function version_lines(fleet)
+  local lines, problem = fleet:versions()
+  for i, version in ipairs(lines or {}) do
+    lines[i] = ("%s %s %s %d"):format(version.chart, version.known, version.version,
+      version.count)
+  end
+  return lines, problem
+end
+
+local function send_lines(fleet, key, event, id)
+  local reply, problem
+  event = event_of(event)
+  if id then
+    reply, problem = fleet:send_once(id, key, event)
+  else
+    reply, problem = fleet:send(key, event)
+  end
+  if not reply then return nil, problem end
+  return lines_of(reply)
+end
+
+-- For each verb a function that returns lines to print, or nil and the problem.
+local LINES = {
+  find = function(fleet, name, state, limit, s)
+    return fleet:find(name, state, rfsm.number_of(limit), s)
+  end,
+  due = function(fleet, limit, time)
+    return fleet:due(rfsm.number_of(limit), rfsm.number_of(time))
+  end,
+  get = view_lines, history = history_lines, log = log_lines, versions = version_lines,
+  why = function(fleet, key, text) return fleet:why(key, event_of(text)) end,
+  send = send_lines, hold = reply_lines "hold", release = reply_lines "release",
+  force = reply_lines "force", move = reply_lines "move", remove = was_there "remove",
+  reindex = function(fleet)
+    local count, problem = fleet:reindex()
+    return count and { ("%d machines"):format(count) }, problem
+  end,
+  dead = list_dead, again = was_there "again", drop = was_there "drop",
 }
+
+-- The verbs of both servers, and those for entries, which only this command has.
+local VERBS = { dead = { "[LIMIT]", 0 }, again = { "TAG ID", 2 },
+  drop = { "TAG ID", 2 } }
+verbs.map(function(verb)
+  if verb.usage then VERBS[verb.name] = { verb.usage, verb.needs } end
+end)
 
 -- Returns the list of verbs, two in a line, so that the help fits a terminal.
 local function help()
@@ -109,9 +145,17 @@ local command = {
   epilog = help(),
 }
 
+-- Returns a verb; nil and the problem if there is no such verb. (A list of choices
+-- would be one long line of the help.)
+local function verb_of(word)
+  if VERBS[word] then return word end
+  return nil, ("there is no verb '%s'%s"):format(word,
+    advice.nearest_name(word, rfsm.sorted_keys(VERBS)))
+end
+
 function command.add_arguments(parser)
   parser:argument("url", "of the server, or a node of the cluster"):argname("URL")
-  parser:argument("verb", "what to do"):choices(rfsm.sorted_keys(VERBS)):argname("VERB")
+  parser:argument("verb", "what to do, see below"):convert(verb_of):argname("VERB")
   parser:argument("arguments", "of the verb; KEY is a whole key, with its {tag}")
     :args("*"):argname("ARGUMENT")
   common.add_number(parser, "--tags", "hash tags of the machines (64)")
@@ -136,7 +180,7 @@ function command.run(options, parser)
     parser:error(options.verb .. " " .. verb[1] .. " expected")
   end
   local fleet = command.connect(options.url, { tags = options.tags })
-  for _, line in ipairs(command.ask(verb[3], fleet, unpack(list))) do
+  for _, line in ipairs(command.ask(LINES[options.verb], fleet, unpack(list))) do
     common.write("-", line .. "\n")
   end
 end

@@ -5,6 +5,8 @@
 --   LUA measure.lua source|stripped PATH chart FILE [stub]
 
 local form, path, kind, name, has_stubs = ...
+if form ~= "source" and form ~= "stripped" then return {} end -- it is required
+
 local version = _VERSION:match("[%d.]+$")
 local execute, loadfile = os.execute, loadfile -- charts may get stubs for them later
 
@@ -49,7 +51,8 @@ local before = kib()
 
 local function report(what)
   local now = kib()
-  print(("%s %.1f"):format(what, now - before))
+  -- below 0 if the table of LuaJIT's texts has become smaller meanwhile
+  print(("%s %.1f"):format(what, math.max(now - before, 0)))
   before = now
 end
 
@@ -107,4 +110,5 @@ end
 
 local all = make_machine()
 local modules = math.max(kib() - before, 0) -- they stay when the machine is garbage
-print(("modules %.1f\nchart %.1f"):format(modules, all - modules))
+print("modules " .. rfsm.number_text(modules, "%.1f"))
+print("chart " .. rfsm.number_text(all - modules, "%.1f"))

@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local common = require "rfsm.cli.common"
+local files = require "rfsm.shared.files"
 
 local postgres = {
   summary = "Bundle charts as SQL for PostgreSQL.",
@@ -12,11 +13,28 @@ local postgres = {
 
 function postgres.add_arguments(command)
   common.add_charts(command)
-  common.add_option(command, "-o --output", "file to write; - is stdout", "-")
+  common.add_option(command, "-o --output", "file to write; - is stdout")
     :argname("FILE")
+  common.add_option(command, "-l --load", "load it there, by psql")
+    :argname("DATABASE")
   command:flag("--client", "only tables, for rfsm.postgres, without PL/Lua")
   command:flag("--history", "keep the moves of each machine in a table")
   command:flag("--notify", "report moves to those who LISTEN")
+end
+
+-- Loads SQL into a database: a name, or the address that psql takes. If it is refused,
+-- nothing was loaded, and the program ends with status 2 and the reason in one line.
+local function load(sql, database)
+  local script, log = os.tmpname(), os.tmpname()
+  common.try(files.write(script, sql))
+  local status = os.execute(("psql -XAqt -v ON_ERROR_STOP=1 -v VERBOSITY=terse -f '%s' "
+    .. "-d %s >'%s' 2>&1"):format(script, common.quoted(database), log))
+  local output = files.read(log) or ""
+  os.remove(script)
+  os.remove(log)
+  if status == true or status == 0 then return end
+  common.fail(output:match("ERROR: *([^\n]*)") or output:match("[^\n]+")
+    or "psql failed", 2)
 end
 
 function postgres.run(options, parser)
@@ -29,7 +47,10 @@ function postgres.run(options, parser)
   else
     text = script.tables(settings)
   end
-  common.write(options.output, text)
+  if options.load then load(text, options.load) end
+  if options.output or not options.load then
+    common.write(options.output or "-", text)
+  end
 end
 
 return postgres

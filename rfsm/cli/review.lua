@@ -189,6 +189,7 @@ local function explore_system(file, cell, options)
     machines[name] = machine_options(cell, name, machines[name] or {})
   end
   own.machines = machines
+  if options.overlap then own.overlap = true end
   return run_explore(file, cell, own, options, report.explore,
     MANY_TOGETHER)
 end
@@ -245,7 +246,14 @@ end
 local function find_all(file, model, settings, options)
   if system.is_system(model) then
     local result = not options.static and explore_system(file, model, options)
-    return static.apply(result and result.findings or {}, settings), result or nil
+    local findings = result and result.findings or static.new_list()
+    if options.deployed then
+      require("rfsm.rtt.launch_system_deployed").check(model,
+        require("rfsm.rtt.launch_system_files").read(options.deployed), findings)
+    end
+    return static.apply(findings, settings), result or nil
+  elseif options.deployed then
+    error("--deployed is for a system, not for a chart", 0)
   end
   local findings, fsm = static.collect(model, static.OF_FILES)
   if gravest_of(findings) == "error" then return static.apply(findings, settings) end

@@ -32,6 +32,18 @@ Side.__index = Side
 
 local function leaf_of(fsm) return rfsm.get_actleaf_fqn(fsm) or "<none>" end
 
+-- Prints what a machine has emitted and has yet to put into wires.
+local function show_unsent(cell, name)
+  local texts = {}
+  for i, put in ipairs(cell.unsent[name]) do
+    local to = cell.wires[put.wire].to
+    texts[i] = ("%s to %s"):format(rfsm.event_text(put.event, true), to)
+  end
+  if texts[1] then
+    print(("%-15s %d to send (%s)"):format(name, #texts, concat(texts, ", ")))
+  end
+end
+
 function Side:show()
   local cell = self.cell
   for _, name in ipairs(cell.names) do
@@ -41,10 +53,11 @@ function Side:show()
     local waiting, lost = #cell.queues[i], cell.lost[i]
     if waiting + lost > 0 then
       print(("%-15s %d waiting%s (%s from %s to %s)"):format("wires[" .. i .. "]",
-        waiting, lost > 0 and ", " .. lost .. " lost" or "", wire.event, wire.from,
-        wire.to))
+        waiting, lost > 0 and ", " .. lost .. " lost" or "",
+        concat(wire.events, ", "), wire.from, wire.to))
     end
   end
+  for _, name in ipairs(cell.names) do show_unsent(cell, name) end
 end
 
 -- Prints the events that a machine got in a move, and the leaf to which they have led.
@@ -61,9 +74,9 @@ local function print_move(cell, name, came, by)
 end
 
 -- Has one machine move, with events from outside.
-function Side:move(name, events)
+function Side:move(name, events, wanted, holds)
   history.mark(self)
-  print_move(self.cell, name, select(2, self.cell:move(name, events)))
+  print_move(self.cell, name, select(2, self.cell:move(name, events, wanted, holds)))
 end
 
 local MAX_RUN = 10000 -- steps: a system may have no end
@@ -88,7 +101,9 @@ function Side:replay(file)
   local text, problem = files.read(file)
   if not text then error(problem, 0) end
   local moves = require("rfsm.system.sequence").read(text)
-  for _, each in ipairs(moves) do self:move(each.machine, each.events) end
+  for _, each in ipairs(moves) do
+    self:move(each.machine, each.events, each.wanted, each.holds)
+  end
   return #moves, not moves[1] and "no line is a move" or nil
 end
 
@@ -152,7 +167,8 @@ end
 -- Returns a snapshot of the wires and of all machines but the first. Its field
 -- `problem` is set if a machine cannot be saved.
 local function place_of(cell)
-  local place = encoding.copy_of { queues = cell.queues, lost = cell.lost, snaps = {} }
+  local place = encoding.copy_of { queues = cell.queues, lost = cell.lost,
+    unsent = cell.unsent, snaps = {} }
   for i = 2, #cell.names do
     local snap, problem = snapshot.try_take(cell.machines[cell.names[i]])
     place.snaps[i], place.problem = snap, place.problem or problem
@@ -164,8 +180,9 @@ end
 -- machine cannot be put there.
 local function put_in_place(cell, place)
   if place.problem then return place.problem end
-  local queued = encoding.copy_of { queues = place.queues, lost = place.lost }
-  cell.queues, cell.lost = queued.queues, queued.lost
+  local queued = encoding.copy_of { queues = place.queues, lost = place.lost,
+    unsent = place.unsent }
+  cell.queues, cell.lost, cell.unsent = queued.queues, queued.lost, queued.unsent
   for i = 2, #cell.names do
     local _, problem = snapshot.put(cell.machines[cell.names[i]], place.snaps[i])
     if problem then return problem end

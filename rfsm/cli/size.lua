@@ -5,9 +5,9 @@
 
 local common = require "rfsm.cli.common"
 local files = require "rfsm.shared.files"
+local rfsm = require "rfsm"
 
 local io, ipairs, package = io, ipairs, package
-local tonumber = tonumber
 local ceil, concat = math.ceil, table.concat
 
 local size = { summary = "Print the memory that a chart needs on a robot.",
@@ -30,17 +30,16 @@ local EXTRAS = { "rfsmpp", "rfsm.record", "rfsm.proto" }
 local CODE, DATA = 1.29, 1.12
 local FACTORS = { library = CODE, modules = CODE, module = CODE, chart = DATA }
 
--- KiB by form: first the memory of a Lua with RTT 2.10 and rttlib, then the memory that
--- a launch adds for good.
+-- KiB by form: the memory of a Lua with RTT 2.10, and what a launch adds for good.
+-- RTTLIB comes on top if a chart uses rttlib or utils, which OCL installs as source.
 local BASE = {
-  source = { heap = 155 + 40, pool = 210 + 52 },
-  stripped = { heap = 155 + 32, pool = 210 + 39 },
+  source = { heap = 114, pool = 162 },
+  stripped = { heap = 104, pool = 135 },
 }
+local RTTLIB = { heap = 94, pool = 117 }
 
 -- A pool needs room for garbage: it is larger than the memory in use by this factor.
 local ROOM = 1.2
-
-local function quoted(text) return "'" .. text:gsub("'", "'\\''") .. "'" end
 
 -- Returns the name of the Lua file that measures.
 local function find_program()
@@ -53,7 +52,8 @@ end
 -- Notes a value that rfsm/cli/measure.lua prints. A value with a factor is KiB of heap.
 local function note(values, key, value)
   local factor, sum = FACTORS[key], values.together
-  values[key] = factor and { heap = tonumber(value), pool = value * factor } or value
+  if factor then value = rfsm.number_of(value) end
+  values[key] = factor and { heap = value, pool = value * factor } or value
   if not factor then return end
   sum.heap, sum.pool = sum.heap + values[key].heap, sum.pool + values[key].pool
 end
@@ -61,10 +61,11 @@ end
 -- Returns the measured values of a form by name; nil if the Lua loads no stripped code.
 local function measure(options, form, kind, name)
   local pipe = io.popen(("%s %s %s %s %s %s %s 2>&1"):format(options.lua,
-    quoted(find_program()), form, quoted(package.path), kind, quoted(name),
-    options.stub and "stub" or ""))
+    common.quoted(find_program()), form, common.quoted(package.path), kind,
+    common.quoted(name), options.stub and "stub" or ""))
   local base, last = BASE[form], "nothing"
-  local values = { base = base, together = { heap = base.heap, pool = base.pool } }
+  local values = { base = base, rttlib = RTTLIB,
+    together = { heap = base.heap, pool = base.pool } }
   for line in pipe:lines() do
     local key, value = line:match("^(%l+) (.*)$")
     if key then note(values, key, value) end
@@ -98,12 +99,13 @@ function size.run(options)
   io.stdout:write(("%-36s"):format("KiB, " .. options.lua),
     ("%14s%14s"):format("from source", "stripped"):sub(1, 14 * #results),
     "\n", (" "):rep(36), ("   heap   pool"):rep(#results), "\n")
-  write_row("Lua with RTT, rttlib and a launch", results, "base")
+  write_row("Lua with RTT and a launch", results, "base")
   write_row("rfsm and rfsm.rtt", results, "library")
   write_row("modules that the chart loads", results, "modules")
   write_row(("%s: %s states, %s transitions"):format(options.file:match("[^/]*$"),
     source.states, source.transitions), results, "chart")
   write_row("together", results, "together")
+  write_row("+ rttlib and utils", results, "rttlib")
   for _, name in ipairs(EXTRAS) do
     write_row("+ " .. name, measure_all(options, "module", name), "module")
   end

@@ -5,7 +5,9 @@
 
 local common = require "rfsm.cli.common"
 local exporters = require "rfsm.cli.exporters"
+local dot = require "rfsm.dot"
 local files = require "rfsm.shared.files"
+local pages = require "rfsm.cli.pages"
 
 local concat = table.concat
 
@@ -36,8 +38,11 @@ function viz.add_arguments(command)
     :argname("JSON")
   command:option("--trace", "number the steps of a recording (JSON lines)")
     :argname("JSON")
-  command:option("--direction", "TB (down) or LR (to the right)"):argname("DIRECTION")
+  command:option("--direction", "TB (down) or LR (to the right)"):argname("DIR")
     :choices { "TB", "LR" }
+  command:option("--for", "a4 (default), slide or WIDTHxHEIGHT in points")
+    :argname("SHEET"):target("sheet")
+  command:flag("--pages", "several pictures in the folder of -o, with links")
   command:option("--like", "keep the order of states in a former picture")
     :argname("SVG")
 end
@@ -78,21 +83,40 @@ local function format_of(options, parser)
   return format
 end
 
-function viz.run(options, parser)
-  local format = format_of(options, parser)
-  local exporter = require("rfsm." .. (IS_TEXT[format] and format or "dot"))
-  local looks = {
-    depth = options.depth, direction = options.direction,
+-- Writes pictures into a folder.
+local function write_pages(folder, machine, looks, format)
+  local tab = require("rfsm.marsh").model2tab(machine, true)
+  local ok, list = pcall(pages.of, tab, looks, format)
+  if not ok then common.fail(list) end
+  os.execute("mkdir -p '" .. folder:gsub("'", "'\\''") .. "'")
+  for _, page in ipairs(list) do
+    common.write(folder .. "/" .. page.file, common.try(dot.render(page.graph, format)))
+  end
+end
+
+local function looks_of(options)
+  return {
+    depth = options.depth, direction = options.direction, sheet = options.sheet,
     active = options.active[1] and options.active,
     coverage = options.coverage and read_coverage(options.coverage),
     trace = options.trace and read_trace(options.trace),
     like = options.like and common.try(files.read(options.like)),
   }
-  local machine
+end
+
+function viz.run(options, parser)
+  if options.pages then options.format = options.format or "svg" end
+  local format = format_of(options, parser)
+  if options.pages and (IS_TEXT[format] or options.output == "-") then
+    parser:error("--pages needs -o FOLDER, and a picture for -T: svg, png, pdf")
+  end
+  local exporter = require("rfsm." .. (IS_TEXT[format] and format or "dot"))
+  local looks, machine = looks_of(options), nil
   local text = concat(common.encode_all(options, function(fsm, title, foot)
     looks.title, looks.foot, machine = title, foot or nil, fsm
     return exporter.encode(fsm, looks)
   end))
+  if options.pages then return write_pages(options.output, machine, looks, format) end
   if not IS_TEXT[format] then
     -- if Graphviz cannot lay out a chart, it may still draw the text of `encode`
     local graph = exporter.layout(machine, looks) or text

@@ -374,9 +374,22 @@ local function add_wanted(own, wanted, list)
   end
 end
 
+-- Lists the sets of events from outside with which steps are taken: those of up to
+-- `walk.together` events, and the larger ones that paths through connectors need. A
+-- machine that takes one event an iteration takes such paths with no set.
+local function sets_from_outside(walk, list, needed)
+  local sets = sets_of(walk, list, walk.together)
+  local is_one = walk.subject.keeps_order
+  for _, set in ipairs(is_one and {} or needed) do
+    if #set > walk.together then sets[#sets + 1] = set end
+  end
+  return sets
+end
+
 -- Takes a step from a configuration for each set of events and each group of deadlines.
--- If events `read` are given, each step gets them before its own events.
-local function each_try(walk, from, f, read)
+-- If events `read` are given, each step gets them before its own events; if `is_alone`,
+-- in place of its own events.
+local function each_try(walk, from, f, read, is_alone)
   local conf = walk:configuration(from)
   local list, needed, is_cut = reactions.that_may_come(walk.subject, conf)
   if is_cut then
@@ -384,10 +397,7 @@ local function each_try(walk, from, f, read)
       :format(conf[1].leaf and conf[1].leaf._fqn or "root.initial"))
   end
   add_wanted(walk.subject, walk.wanted, list)
-  local sets = sets_of(walk, list, walk.together)
-  for _, set in ipairs(needed) do
-    if #set > walk.together then sets[#sets + 1] = set end
-  end
+  local sets = is_alone and { {} } or sets_from_outside(walk, list, needed)
   for i, set in ipairs(read and sets or {}) do sets[i] = match.joined(read, set) end
   for _, group in ipairs(groups_of(walk, from, conf)) do
     each_set(walk, from, conf, group, sets, f)
@@ -405,8 +415,9 @@ end
 ---@param from integer
 ---@param f function see the field `f` of `rfsm_checks.Try`
 ---@param read? rfsm_checks.Occurrence[] events that come first in each step
-function Walk:each_step(from, f, read)
-  each_try(self, from, f, read)
+---@param is_alone? boolean no event comes from outside
+function Walk:each_step(from, f, read, is_alone)
+  each_try(self, from, f, read, is_alone)
   data.rest(self.subject)
 end
 
@@ -597,7 +608,7 @@ end
 local function text_of_event(occurrence)
   local text, part = rfsm.event_text(occurrence.event), occurrence.part
   if occurrence.after then
-    text = ("after %.9g s: %s"):format(occurrence.after, text)
+    text = ("after %s s: %s"):format(rfsm.number_text(occurrence.after, "%.9g"), text)
   end
   return part.owner and text .. " in " .. part.prefix or text
 end

@@ -35,7 +35,7 @@ end
 local function text_of(value, event_numbers)
   local kind = type(value)
   if kind == "string" then return #value .. ":" .. value end
-  if kind == "number" then return ("%.17g"):format(value) end
+  if kind == "number" then return rfsm.number_text(value, "%.17g") end
   if value ~= nil and event_numbers[value] then
     return "event " .. event_numbers[value]
   elseif kind ~= "table" then

@@ -239,7 +239,7 @@ function properties.list_of(where, given)
     local name = type(key) == "string" and key or Property.__tostring(property)
     list[#list + 1] = { name = name, property = property, holds = nil }
   end
-  sort(list, function(a, b) return a.name < b.name end)
+  sort(list, function(a, b) return rfsm.text_before(a.name, b.name) end)
   return list
 end
 

@@ -75,6 +75,7 @@ local subject = {}
 ---@field leaves_out boolean steps do not advance regions in which nothing would happen
 ---@field trimmed rfsm.State|false the state whose quiet regions are removed for now
 ---@field notes_events boolean `last_events` gets the events of all iterations of a step
+---@field keeps_order boolean configurations have the order of waiting events
 ---@field choices boolean[] the choices of the last step, in the order of the questions
 ---@field askers string[] for each choice the path of the transition or leaf
 ---@field is_doo boolean[] for each choice: is it about the end of a doo?
@@ -128,6 +129,7 @@ Subject.__index = Subject
 ---@field path string path of the leaf
 ---@field paths string[] paths of the leaf and of the states around it
 ---@field reactions rfsm_checks.Reactions|false false until they are asked for
+---@field needs_no_event? boolean a transition that needs no event may be taken in it
 ---@field positions table<string, rfsm_checks.Position> by a text of mode, events, data
 
 --- The state of one part: its leaf, the mode, waiting events, data of extensions.
@@ -196,7 +198,7 @@ function Subject:number_of_event(event)
 end
 
 --- Return the maker of an event, as `match.maker_of` does; nil if the event comes from
---- outside. An event e_done@F comes from outside, too, if no leaf has the FQN F.
+--- outside. An event e_done@F comes from outside, too, if F can not be done.
 function Subject:maker_of(event)
   local maker, fqn = match.maker_of(event)
   if maker == "engine" and event ~= "e_init_fsm" and not self.done[event] then
@@ -373,9 +375,9 @@ local function add_part(self, part)
     end
   end
   add_leaf(part, false)
-  for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
-    self.done["e_done@" .. leaf._fqn] = true
-    add_leaf(part, leaf)
+  for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do add_leaf(part, leaf) end
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.can_be_done)) do
+    self.done["e_done@" .. state._fqn] = true
   end
   rfsm.pre_step_hook_add(fsm, new_hook(self, part))
 end
@@ -384,10 +386,10 @@ end
 
 -- Lists the waiting events to which the leaf can react, each once. If there are none,
 -- and the leaf reacts to any event, the first waiting event is listed alone. If an
--- extension may keep events for another leaf, all waiting events are listed.
+-- extension may keep events for another leaf, or the machine takes one event an
+-- iteration, all waiting events are listed.
 local function relevant(self, part, leaf, events)
-  for i = 1, #events do events[i] = self:event_of(events[i]) end
-  if part.may_keep then return match.joined({}, events) end
+  if part.may_keep or self.keeps_order then return match.joined({}, events) end
   local found, list, other = reactions.of(part, leaf), NOTHING, nil
   for i = 1, #events do
     local event = events[i]
@@ -406,7 +408,7 @@ local function text_of_waiting(self, part, waiting)
   if waiting[1] == nil then return "" end
   local numbers = {}
   for i, event in ipairs(waiting) do numbers[i] = self:number_of_event(event) end
-  if not part.may_keep then sort(numbers) end
+  if not (part.may_keep or self.keeps_order) then sort(numbers) end
   return concat(numbers, ",")
 end
 
@@ -414,7 +416,9 @@ end
 local function read_position(self, part)
   local leaf, values, data_text = part.fsm._act_leaf, false, ""
   local known, mode = part.known[leaf], leaf and leaf._mode or "inactive"
-  local waiting = relevant(self, part, leaf, part.fsm._intq)
+  local queue = part.fsm._intq
+  for i = 1, #queue do queue[i] = self:event_of(queue[i]) end
+  local waiting = relevant(self, part, leaf, queue)
   if part.kept then
     values, data_text = kept.read(part.kept, part.fsm, self.event_numbers)
     data_text = ":" .. data_text
@@ -473,10 +477,26 @@ local function put_position(part, position)
   end
 end
 
+-- Does a transition that may be taken in a leaf need no event?
+local function needs_no_event(known)
+  if known.needs_no_event == nil then
+    known.needs_no_event = false
+    local state = known.state
+    while state do
+      for _, tr in ipairs(state._otrs) do
+        known.needs_no_event = known.needs_no_event or tr.always == true
+      end
+      state = state._parent ~= state and state._parent
+    end
+  end
+  return known.needs_no_event
+end
+
 -- Is no event waiting, and does the machine ignore all of `events`? Its regions may
 -- react to them.
 local function is_deaf(self, part, position, events)
-  local own = #position.waiting == 0 and reactions.of(part, position.leaf).own
+  local own = #position.waiting == 0 and not needs_no_event(position.known)
+    and reactions.of(part, position.leaf).own
   for i = 1, own and #events or 0 do
     if own[events[i].event] or self.wanted[events[i].event] ~= nil then return false end
   end
@@ -505,11 +525,13 @@ local function is_quiet(self, part, position, leaf, events)
 end
 
 -- Marks regions as quiet if a step would change nothing in them. The engine does not
--- advance quiet regions. If the step may leave the active leaf, no region is quiet.
+-- advance quiet regions. If the step may leave the active leaf, or end it because the
+-- regions are joined, no region is quiet.
 local function leave_out_quiet(self, conf, events)
   local leaf = self.leaves_out and conf[1].leaf
   local _, own = rfsm.regions(leaf)
-  local stays = own and is_deaf(self, self.parts[1], conf[1], events)
+  local stays = own and not rfsm.names_done(leaf)
+    and is_deaf(self, self.parts[1], conf[1], events)
   if self.trimmed and not (stays and self.trimmed == leaf) then
     set_regions(self, self.trimmed, true)
   end
@@ -691,11 +713,13 @@ function subject.is_busy(conf)
 end
 
 --- May a step without events from outside change something? It may if the machine is
---- busy, or if an extension has data, such as an event that it will send.
+--- busy, if a transition needs no event, or if an extension has data, such as an event
+--- that it will send.
 function subject.may_act(conf)
   local is_data = false
   for _, position in ipairs(conf) do
     is_data = is_data or position.kept and position.kept.is_data
+      or needs_no_event(position.known)
   end
   return is_data or subject.is_busy(conf)
 end
@@ -824,8 +848,8 @@ function subject.new(model, options, way)
     taken = {}, passed = {}, last_events = {}, ids = {}, entered = {}, values = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
     alphabet = nil, time = clock.simulated(), is_endless = false,
-    notes_events = false, leaves_out = false, trimmed = false, is_touched = false,
-    changed = nil, unfollowed = false, ran = false }, Subject)
+    notes_events = false, keeps_order = false, leaves_out = false, trimmed = false,
+    is_touched = false, changed = nil, unfollowed = false, ran = false }, Subject)
   local fsm = new_machine(self, model)
   rfsm.set_emit(fsm, function(event, value)
     self.emitted[#self.emitted + 1] = { emit = event, data = value ~= nil }

@@ -11,9 +11,10 @@
 -- If timers are free, the clocks of events that are sent later are free, too: their
 -- deadlines may be over at any time.
 --
--- A step takes no time. An e_at, or a timer whose seconds come from a function, has no
--- clock: its event may come at any time. Zones need no extrapolation, since a clock is
--- dropped when its last deadline is over: so its deadlines bound its value.
+-- A step takes no time. An e_at, an e_every, or a timer whose seconds come from a
+-- function, has no clock: its event may come at any time. Zones need no extrapolation,
+-- since a clock is dropped when its last deadline is over: so its deadlines bound its
+-- value.
 --
 -- @module rfsm.explore.timing
 -- @license BSD-3-Clause
@@ -88,7 +89,7 @@ local function nanoseconds(seconds) return floor(seconds * BILLION + 0.5) end
 -- of `timer.event` are defined in `rfsm_timeevent`.
 local function duration_of(timer)
   local event = timer.event
-  if not event.is_relative or event.timeout then return nil end
+  if not event.is_relative or event.is_repeated or event.timeout then return nil end
   local duration = event.sec * BILLION + event.nsec
   return duration < MOST and duration or nil
 end

@@ -447,8 +447,9 @@ function verdict.lines_of(witness)
   for i, step in ipairs(witness) do
     local events = step.events[1] and concat(step.events, ", ") or "no event"
     local wait = i > 1 and step.at and step.at - witness[i - 1].at or 0
-    lines[i] = ("%d. %s%s%s: %s"):format(i, wait > 0 and ("+%.9g s, "):format(wait)
-      or "", events, verdict.choices_text(step), subject.outcome(step.taken, step.leaf))
+    local text = wait > 0 and "+" .. rfsm.number_text(wait, "%.9g") .. " s, " or ""
+    lines[i] = ("%d. %s%s%s: %s"):format(i, text, events, verdict.choices_text(step),
+      subject.outcome(step.taken, step.leaf))
   end
   if witness.again then
     lines[#lines + 1] = ("and again from %d on"):format(witness.again)

@@ -49,12 +49,12 @@ local function at_transitions(fsm, is_meant)
 end
 
 local function fail(fsm, text)
-  local list = names.events(fsm)
-  for _, name in ipairs((names.nodes(fsm))) do
+  local list, nodes = names.events(fsm), names.nodes(fsm)
+  for _, name in ipairs(nodes) do
     list[#list + 1] = name
     list[#list + 1] = name:gsub("^root%.", "")
   end
-  local hint = names.hint(text, list)
+  local hint = names.elsewhere(text, nodes) or names.hint(text, list)
   error(("breakpoint: state, event or transition (off -> on) expected, got '%s'%s")
     :format(text, hint ~= "" and hint or ", pp() shows the states"), 0)
 end

@@ -64,4 +64,15 @@ end
 --- if no name is near.
 function names.hint(name, list) return (advice.nearest_name(name, list)) end
 
+--- Return a hint with the first name in a list that ends in a path, and the number of
+--- the others: ", did you mean a.b.hold (and 2 more)?"; nil if there is none.
+function names.elsewhere(path, list)
+  local tail, first, count = "." .. path, nil, 0
+  for _, name in ipairs(list) do
+    if name:sub(-#tail) == tail then first, count = first or name, count + 1 end
+  end
+  local more = count > 1 and (" (and %d more)"):format(count - 1) or ""
+  return first and (", did you mean %s%s?"):format(first:gsub("^root%.", ""), more)
+end
+
 return names

@@ -108,16 +108,18 @@ local function note_step(own, events)
   if #own.trace > LONG then remove(own.trace, 1) end
 end
 
+local function seconds(wait) return rfsm.number_text(wait, "%.3g") .. " s" end
+
 local function report(own, monitor)
   local lines, before = {}, own.trace[1] and own.trace[1].at
   for i, step in ipairs(own.trace) do
     local wait = step.at and step.at - before or 0
-    lines[i] = ("  %d. %s%s"):format(i, wait > 0 and ("+%.3g s "):format(wait) or "",
+    lines[i] = ("  %d. %s%s"):format(i, wait > 0 and "+" .. seconds(wait) .. " " or "",
       step.text)
     before = step.at
   end
   local wait = own.is_timed and before and own.now - before or 0
-  if wait > 0 then lines[#lines + 1] = ("  and then %.3g s"):format(wait) end
+  if wait > 0 then lines[#lines + 1] = "  and then " .. seconds(wait) end
   rfsm.report(own.fsm, "err", ("property '%s' does not hold\n%s"):format(monitor.name,
     concat(lines, "\n")))
 end

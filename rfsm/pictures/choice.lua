@@ -8,29 +8,22 @@
 -- @module rfsm.pictures.choice
 -- @license BSD-3-Clause
 
+local lines = require "rfsm.pictures.lines"
+
 local ipairs, sort = ipairs, table.sort
-local max, min, sqrt = math.max, math.min, math.sqrt
+local huge, max, min, sqrt = math.huge, math.max, math.min, math.sqrt
+local tonumber = tonumber
 
 local choice = {}
-
-local PIECES = 8 -- how many straight pieces replace a curve
 
 -- Appends the straight pieces of a line to a list, each with its lower end first.
 -- Returns the length of the line.
 local function add_pieces(list, line)
-  local points, length = line.points, 0
-  local x, y = points[1][1], points[1][2]
-  for i = 1, #points - 3, 3 do
-    local a, b, c, d = points[i], points[i + 1], points[i + 2], points[i + 3]
-    for k = 1, PIECES do
-      local t, u = k / PIECES, 1 - k / PIECES
-      local p, q, r, s = u * u * u, 3 * u * u * t, 3 * u * t * t, t * t * t
-      local x2 = p * a[1] + q * b[1] + r * c[1] + s * d[1]
-      local y2 = p * a[2] + q * b[2] + r * c[2] + s * d[2]
-      length = length + sqrt((x2 - x) * (x2 - x) + (y2 - y) * (y2 - y))
-      list[#list + 1] = y < y2 and { x, y, x2, y2, line } or { x2, y2, x, y, line }
-      x, y = x2, y2
-    end
+  local length, flat = 0, lines.flat(line.points)
+  for i = 2, #flat do
+    local x, y, x2, y2 = flat[i - 1][1], flat[i - 1][2], flat[i][1], flat[i][2]
+    length = length + sqrt((x2 - x) * (x2 - x) + (y2 - y) * (y2 - y))
+    list[#list + 1] = y < y2 and { x, y, x2, y2, line } or { x2, y2, x, y, line }
   end
   return length
 end
@@ -64,14 +57,33 @@ local function count_crossings(pieces)
   return count
 end
 
-local SHORT, LONG = 523, 770 -- points: width and height of A4 within its margins
 local READABLE = 0.7 -- scale: labels of 10 pt become 7 pt, just readable
 
--- Returns the scale of a picture on paper, at most READABLE: more is of no advantage.
-local function scale_of(layout)
-  local width, height = layout.width, layout.height
-  return min(READABLE, max(min(SHORT / width, LONG / height),
-    min(LONG / width, SHORT / height)))
+--- A sheet: width and height in points within its margins. Can it be turned?
+---@class rfsm.pictures.Size
+---@field width number
+---@field height number
+---@field can_turn boolean
+local SIZES = { a4 = { width = 510, height = 757, can_turn = true },
+  slide = { width = 720, height = 380, can_turn = false } }
+
+--- Return the size of a sheet by its name, or of "1200x800"; nil if there is none.
+function choice.size_of(name)
+  local width, height = name:match("^([1-9]%d*)x([1-9]%d*)$")
+  return SIZES[name] or width and { can_turn = false, width = tonumber(width),
+    height = tonumber(height) } or nil
+end
+
+--- Return the scale at which a picture fits a sheet.
+function choice.scale(size, width, height)
+  local scale = min(size.width / width, size.height / height)
+  return size.can_turn and max(scale, min(size.height / width, size.width / height))
+    or scale
+end
+
+-- Returns the scale of a picture on a sheet, at most READABLE: more is of no advantage.
+local function scale_of(layout, size)
+  return min(READABLE, choice.scale(size, layout.width, layout.height))
 end
 
 --- Count the crossings of the arrows in a layout. Return the length of all arrows, too.
@@ -91,17 +103,53 @@ local MORE, LONGER = 2, 1.25 -- "much better" below: crossings, factor of length
 ---@param levels rfsm.pictures.Layout
 ---@param plain rfsm.pictures.Layout
 ---@param kind? "levels"|"plain" the layout of the former picture
+---@param size? rfsm.pictures.Size of the sheet; default: A4
 ---@return rfsm.pictures.Layout
-function choice.of(levels, plain, kind)
+function choice.of(levels, plain, kind, size)
   local own, own_length = choice.measure(levels)
   local other, other_length = choice.measure(plain)
-  local scale, other_scale = scale_of(levels), scale_of(plain)
+  size = size or SIZES.a4
+  local scale, other_scale = scale_of(levels, size), scale_of(plain, size)
   if scale < other_scale then return plain end
   if kind == "plain" then own, own_length = own + MORE, own_length * LONGER end
   if kind == "levels" then other, other_length = other + MORE, other_length * LONGER end
   local is_better = own < other
     or own == other and (scale > other_scale or own_length <= other_length)
   return is_better and levels or plain
+end
+
+--- Is the text of a layout readable on a sheet?
+function choice.is_readable(layout, size)
+  return choice.scale(size, layout.width, layout.height) >= READABLE
+end
+
+local FEW = 3 -- crossings more than in a layout are allowed if text is much larger
+local LARGER, MUCH_LARGER = 1.02, 1.2 -- factors of the scale
+
+--- Return the best of some shapes for a sheet, or nil if a layout is better. A shape
+-- has to have larger text; if it has more crossings, much larger text.
+function choice.for_sheet(shapes, layout, size, limits)
+  local best, value = nil, choice.scale(size, layout.width, layout.height)
+  for _, shape in ipairs(shapes) do
+    local factor = shape.crossings <= limits.same and LARGER or MUCH_LARGER
+    local one = choice.scale(size, shape.width, shape.height) / factor
+    if shape.crossings <= limits.more and one > value then best, value = shape, one end
+  end
+  return best
+end
+
+--- Return how much larger the text of a shape or layout is than that of another one.
+function choice.gain(shape, other, size)
+  return choice.scale(size, shape.width, shape.height)
+    / choice.scale(size, other.width, other.height)
+end
+
+--- Return the most crossings of a shape in place of a layout, and the most if its text
+-- is much larger: never more than plain Graphviz has.
+function choice.limits(layout, plain)
+  local same = choice.measure(layout)
+  local other = plain and choice.measure(plain) or huge
+  return { same = same, more = max(same, min(same + FEW, other)) }
 end
 
 return choice

@@ -8,13 +8,14 @@
 -- @license BSD-3-Clause
 
 local advice = require "rfsm.advice"
+local choice = require "rfsm.pictures.choice"
 local files = require "rfsm.shared.files"
 local marsh = require "rfsm.marsh"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 
-local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
-local rawset, select = rawset, select
+local assert, error, ipairs, pcall = assert, error, ipairs, pcall
+local rawget, rawset, select = rawget, rawset, select
 local tonumber, tostring, type = tonumber, tostring, type
 local concat, max, sort = table.concat, math.max, table.sort
 
@@ -23,14 +24,17 @@ local diagram = {}
 --- The options of a picture. A string in place of this table is the title.
 ---@class rfsm.pictures.Options
 ---@field title? string
----@field foot? string a note in small letters below a picture
+---@field foot? string a note below a picture
 ---@field active? string|string[] FQNs of active states; default: those of the machine
 ---@field depth? integer levels of states to draw; deeper states are left out
 ---@field folded? string[] FQNs of composites that are drawn without the nodes in them
+---@field within? string FQN of a composite: only this one is drawn. An arrow that leads
+-- out of it, or into it, ends at a box with the name of the state outside
 ---@field direction? "TB"|"LR" from top to bottom, or from left to right
 ---@field coverage? rfsm.pictures.Coverage
 ---@field trace? (string|rfsm.pictures.Step)[] steps of a run; a string is the FQN of a
 -- state or the key of a transition
+---@field sheet? string "a4", "slide", or width and height in points, such as "1200x800"
 ---@field like? string a former picture (SVG): the order of its nodes is kept
 
 --- A step of a run: from a witness of `rfsm_checks.explore`, or from a recording.
@@ -57,6 +61,7 @@ local diagram = {}
 ---@field nodes rfsm.pictures.Node[] its regions, or the nodes in it, `initial` first
 ---@field arrows rfsm.pictures.Arrow[] arrows whose `home` is this composite
 ---@field rows string[] lines below the name: "entry / f", internal transitions
+---@field marks? string "•" for each callback that has no row
 ---@field at string file and line of callbacks
 ---@field mode? "active"|"done"
 ---@field mark? "covered"|"missed"|"traced"
@@ -64,17 +69,21 @@ local diagram = {}
 ---@field is_region? true
 ---@field is_on_border? true an arrow leads from or to it across the frame around it
 ---@field is_cut? true a composite that is drawn without the nodes in it
+---@field is_outside? true a state outside of the composite that is drawn
+---@field is_linked? boolean another picture shows it if it is cut or outside
+---@field row? integer its row, if its level is in rows, or was in a former picture
+---@field is_turned? true the nodes in it run, or have run, from left to right
 ---@field least? string an attribute for Graphviz: the least width or height of its box
 
 --- A transition.
 ---@class rfsm.pictures.Arrow
----@field key string such as "root.trans[2]"
+---@field key string such as "root.trans[2]"; of a bundle the keys of all, in lines
 ---@field src rfsm.pictures.Node
 ---@field tgt rfsm.pictures.Node an `initial` only if `src` is in its composite
 ---@field home? rfsm.pictures.Node the innermost composite around both ends
 ---@field at string file and line of guard and effect
 ---@field parts string[] of the label: "e1, e2", "[guard]", "/ effect" and "(pn 1)", as
--- far as the transition has them
+-- far as the transition has them; of a bundle one text, with a line for each transition
 ---@field mark? "covered"|"missed"|"traced"
 
 --- All that is drawn of a machine.
@@ -82,7 +91,9 @@ local diagram = {}
 ---@field title? string
 ---@field foot? string
 ---@field direction string
----@field kind? "levels"|"plain" the layout of the former picture in the option `like`
+---@field sheet rfsm.pictures.Size
+---@field kind? "levels"|"plain"|"sheet" the layout of the former picture in the option
+-- `like`
 ---@field root rfsm.pictures.Node
 ---@field nodes rfsm.pictures.Node[] all nodes, parents before children
 ---@field by_fqn table<string, rfsm.pictures.Node>
@@ -90,6 +101,8 @@ local diagram = {}
 ---@field all rfsm.pictures.Arrow[] all arrows
 ---@field taken table<string, boolean> identifiers that are in use
 ---@field folded table<string, boolean> FQNs of the composites in the option `folded`
+---@field outside table<string, rfsm.pictures.Node> FQN -> a state outside
+---@field has_links boolean other pictures show what is in folded composites
 
 -- Text ------------------------------------------------------------------------
 
@@ -209,18 +222,21 @@ end
 
 local HISTORY = { shallow = "(H)", deep = "(H*)" }
 
+-- Returns the rows of a state, and a mark for each callback that has no row.
 local function rows_of(tab)
-  local rows = { HISTORY[tab.history] }
+  local rows, marks = { HISTORY[tab.history] }, ""
   rows[#rows + 1] = tab.doc and clean(tab.doc)
   for _, field in ipairs(tab.doc and {} or { "entry", "doo", "exit" }) do
-    if tab[field] and tab[field] ~= marsh.UNKNOWN then
+    if tab[field] == marsh.UNKNOWN then
+      marks = marks .. "•"
+    elseif tab[field] then
       rows[#rows + 1] = field .. " / " .. clean(tab[field])
     end
   end
   for _, reaction in ipairs(tab.reactions or {}) do
     rows[#rows + 1] = clean(concat(reaction.words, ", ") .. " / " .. reaction.word)
   end
-  return rows
+  return rows, marks ~= "" and marks or nil
 end
 
 local function at_of(tab) return clean(tab.at or "") end
@@ -233,10 +249,12 @@ local function is_closed(chart, fqn, depth) return depth == 0 or chart.folded[fq
 local function read_node(chart, tab, parent, fqn, depth)
   local kind, id = diagram.kind_of(tab), fqn:gsub("%W", "_")
   local is_cut = kind == "composite" and is_closed(chart, fqn, depth)
+  local rows, marks = rows_of(tab)
   local node = {
     name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, id), parent = parent,
     kind = is_cut and "leaf" or kind, is_cut = is_cut or nil,
-    nodes = {}, arrows = {}, rows = rows_of(tab), at = at_of(tab),
+    is_linked = chart.has_links,
+    nodes = {}, arrows = {}, rows = rows, marks = marks, at = at_of(tab),
     mode = MODES[tab.mode], depth = parent and parent.depth + 1 or 0,
     is_final = tab.final, index = 1,
   }
@@ -297,31 +315,102 @@ local function parts_of(tr, words)
   return parts
 end
 
-local function add_arrow(chart, arrow)
-  local src, tgt = arrow.src, arrow.tgt
-  local home = diagram.find_home(src, tgt)
-  arrow.home = home
-  src.is_on_border = src.is_on_border or home ~= src.parent or nil
-  tgt.is_on_border = tgt.is_on_border or home ~= tgt.parent or nil
-  local arrows = (home or chart).arrows
-  arrows[#arrows + 1] = arrow
-  chart.all[#chart.all + 1] = arrow
+-- Returns the node for a state outside of the drawn composite; the first call adds it.
+local function outside_node(chart, fqn)
+  fqn = fqn:gsub("%.initial$", "")
+  local root, node = chart.root, chart.outside[fqn]
+  if node then return node end
+  node = { name = clean(fqn:gsub("^root%.", "")), fqn = fqn, kind = "leaf",
+    parent = root, id = diagram.new_id(chart, fqn:gsub("%W", "_")), nodes = {},
+    arrows = {}, rows = {}, at = "", depth = root.depth + 1, index = #root.nodes + 1,
+    is_outside = true, is_linked = true }
+  chart.outside[fqn], root.nodes[node.index] = node, node
+  chart.nodes[#chart.nodes + 1] = node
+  return node
+end
+
+-- Returns the ends of a transition; nil if none of them is in the drawn composite.
+local function ends_of(chart, tr)
+  local src, tgt = find_node(chart, tr.src), find_node(chart, tr.tgt)
+  if src and tgt then return src, tgt end
+  assert(chart.root.fqn ~= "root", "a state is missing")
+  local inner = src or tgt
+  if not inner or inner == chart.root or inner.parent == chart.root
+    and inner.kind == "initial" then return nil end
+  return src or outside_node(chart, tr.src), tgt or outside_node(chart, tr.tgt)
 end
 
 -- Adds an arrow for a transition; an internal transition is a row in the box of its
 -- state. Adds nothing if both ends are in one composite drawn without its nodes. If an
 -- arrow leads from outside of a composite to its initial, it ends at the frame.
 local function read_transition(chart, tr, key, words)
-  local src, tgt = find_node(chart, tr.src), find_node(chart, tr.tgt)
-  if src == tgt and src.fqn ~= tr.src then return end
+  local src, tgt = ends_of(chart, tr)
+  if not src or src == tgt and src.fqn ~= tr.src then return end
   local parts = parts_of(tr, words)
   if tr.internal then
     src.rows[#src.rows + 1] = concat(parts, " ")
     return
   end
   local is_inner = tgt.kind ~= "initial" or is_inside(src, tgt.parent)
-  add_arrow(chart, { key = key, src = src, tgt = is_inner and tgt or tgt.parent,
-    parts = parts, at = at_of(tr) })
+  chart.all[#chart.all + 1] = { key = key, src = src,
+    tgt = is_inner and tgt or tgt.parent, parts = parts, at = at_of(tr) }
+end
+
+-- Bundles: arrows with equal ends become one, with a line for each in its label --
+
+local FEWEST = 3 -- arrows in a bundle
+
+-- Returns a table from each arrow to the list of all arrows with its ends. A loop is
+-- alone in its list.
+local function groups_of(arrows)
+  local groups, by_ends = {}, {}
+  for _, arrow in ipairs(arrows) do
+    local ends = arrow.src.id .. " " .. arrow.tgt.id
+    local group = arrow.src ~= arrow.tgt and by_ends[ends] or {}
+    group[#group + 1] = arrow
+    groups[arrow], by_ends[ends] = group, group
+  end
+  return groups
+end
+
+-- Returns the bundle of some arrows. It is marked as missed only if all of them are.
+local function bundle_of(arrows)
+  local first, keys, texts, places, marks = arrows[1], {}, {}, {}, {}
+  for i, arrow in ipairs(arrows) do
+    keys[i], texts[i] = arrow.key, arrow.parts[1] and concat(arrow.parts, " ") or "-"
+    places[#places + 1] = arrow.at ~= "" and arrow.at or nil
+    marks[arrow.mark or ""] = arrow.mark
+  end
+  return { key = concat(keys, "\n"), src = first.src, tgt = first.tgt,
+    parts = { concat(texts, "\n") }, at = concat(places, "\n"),
+    mark = marks.traced or marks.covered or marks.missed }
+end
+
+-- Returns the arrows of a picture. A bundle is where its first arrow was.
+local function tied(arrows)
+  local groups, list = groups_of(arrows), {}
+  for _, arrow in ipairs(arrows) do
+    local group = groups[arrow]
+    if not group[FEWEST] then
+      list[#list + 1] = arrow
+    elseif group[1] == arrow then
+      list[#list + 1] = bundle_of(group)
+    end
+  end
+  return list
+end
+
+local function place_arrows(chart)
+  chart.all = tied(chart.all)
+  for _, arrow in ipairs(chart.all) do
+    local src, tgt = arrow.src, arrow.tgt
+    local home = diagram.find_home(src, tgt)
+    arrow.home = home
+    src.is_on_border = src.is_on_border or home ~= src.parent or nil
+    tgt.is_on_border = tgt.is_on_border or home ~= tgt.parent or nil
+    local arrows = (home or chart).arrows
+    arrows[#arrows + 1] = arrow
+  end
 end
 
 -- Order of nodes, as in a former picture ----------------------------------------
@@ -343,11 +432,23 @@ local function numbers_in(svg)
   return numbers
 end
 
+-- Gives nodes the shapes that a former picture for a sheet has noted in its classes.
+local function keep_shapes(chart, svg)
+  for id, class in svg:gmatch('<g id="([^"]*)" class="%l+ ([^"]*)"') do
+    local node = chart.by_fqn[id:gsub("&(#?%w+);", ENTITIES) .. ""]
+    if node then
+      node.row = tonumber(class:match(" row(%d+)"))
+      node.is_turned = class:find(" turned", 1, true) and true or nil
+    end
+  end
+end
+
 -- Sorts the nodes of each composite as in a former picture. A new node stays behind the
 -- node that precedes it now. Regions stay in the order in which they are stepped.
 local function keep_order(chart, svg)
   local numbers, number_of = numbers_in(svg), {}
   chart.kind = svg:match('class="graph (%l+)"')
+  if chart.kind == "sheet" then keep_shapes(chart, svg) end
   for _, composite in ipairs(chart.nodes) do
     local number, nodes = 0, composite.nodes
     for _, node in ipairs(nodes) do
@@ -380,7 +481,8 @@ end
 local function mark_active(chart, active, where)
   for _, node in ipairs(chart.nodes) do node.mode = nil end
   for _, fqn in ipairs(type(active) == "table" and active or { active }) do
-    local node = find_state(chart, fqn, where)
+    local is_drawn = chart.root.fqn == "root" or find_node(chart, fqn)
+    local node = is_drawn and find_state(chart, fqn, where)
     while node do node.mode, node = "active", node.parent end
   end
 end
@@ -444,23 +546,49 @@ end
 local OPTIONS = {
   title = { "string", is_a("string", "number") }, foot = { "string", is_a "string" },
   depth = { "number", is_a "number" },
-  active = { "string", is_a("string", "table") }, folded = { "list", is_a "table" },
+  active = { "string", is_a("string", "table") },
+  within = { "string", is_a "string" }, folded = { "list", is_a "table" },
   coverage = { "table", is_a "table" },
   trace = { "table", is_a "table" }, like = { "string", is_a "string" },
   direction = { "'TB' or 'LR'", function(x) return x == "TB" or x == "LR" end, "TB" },
+  sheet = { "'a4', 'slide' or 'WIDTHxHEIGHT'", function(x)
+    return type(x) == "string" and choice.size_of(x)
+  end, "a4" },
 }
 
 local function is_description(value)
   return type(value) == "table" and type(value.id) == "string" and value.type == "state"
 end
 
+-- Returns what a description has at an FQN; nil if there is nothing.
+local function part_of(tab, fqn)
+  for id in fqn:gmatch("%.([^.]+)") do
+    local found
+    for _, member in ipairs(tab and members(tab) or {}) do
+      found = member.id == id and member or found
+    end
+    tab = found
+  end
+  return tab
+end
+
+-- Reads a description; returns false if it lacks the state in the option `within`.
 local function read_description(chart, tab, settings)
-  for _, fqn in ipairs(settings.folded or {}) do chart.folded[fqn] = true end
-  chart.root = read_node(chart, tab, nil, "root", settings.depth or 1 / 0)
+  local fqn = settings.within or "root"
+  local top = part_of(tab, fqn)
+  if not top then return false end
+  for _, name in ipairs(settings.folded or {}) do chart.folded[name] = true end
+  chart.root = read_node(chart, top, nil, fqn, settings.depth or 1 / 0)
   if settings.like then keep_order(chart, settings.like) end
   diagram.each_transition(tab, marsh.gen_event_text(), function(...)
     read_transition(chart, ...)
   end)
+  return true
+end
+
+local function title_of(value)
+  local title = clean(tostring(value or ""))
+  return title ~= "" and title or nil
 end
 
 --- Return the chart of a machine or of a description. An error names the public
@@ -471,18 +599,22 @@ function diagram.read(source, where, options)
   local settings, problem = opts.read(OPTIONS,
     type(options) == "table" and options or { title = options })
   if not settings then error(where .. ": " .. problem, 3) end
-  local title = tostring(settings.title or "")
   local chart = {
-    title = title ~= "" and clean(title) or nil, direction = settings.direction,
-    foot = settings.foot,
+    title = title_of(settings.title), direction = settings.direction,
+    foot = settings.foot, sheet = choice.size_of(settings.sheet),
     nodes = {}, arrows = {}, all = {}, by_fqn = {}, taken = {}, folded = {},
+    outside = {}, has_links = settings.within ~= nil,
   }
   local tab = is_read and source or marsh.model2tab(source, true)
-  if not pcall(read_description, chart, tab, settings) then
+  local ok, found = pcall(read_description, chart, tab, settings)
+  if not ok then
     error(where .. ": description by rfsm.marsh expected, got another table", 3)
+  elseif not found then
+    error(("%s: within: no state is named '%s'"):format(where, settings.within), 3)
   end
   if settings.active then mark_active(chart, settings.active, where) end
   mark_run(chart, settings.coverage, settings.trace)
+  place_arrows(chart)
   return chart
 end
 

@@ -10,10 +10,13 @@
 -- @license BSD-3-Clause
 
 local diagram = require "rfsm.pictures.diagram"
+local curves = require "rfsm.pictures.lines"
 local looks = require "rfsm.pictures.looks"
+local rfsm = require "rfsm"
 
 local ceil, floor, max, min = math.ceil, math.floor, math.max, math.min
 local ipairs, tonumber = ipairs, tonumber
+local number_of = rfsm.number_of
 local concat, sort, add = table.concat, table.sort, diagram.add
 
 local graphs = {}
@@ -122,11 +125,19 @@ end
 local HIDDEN = '  n%d -> n%d [style=invis, label=<<TABLE BORDER="0" CELLPADDING="0">'
   .. '<TR><TD FIXEDSIZE="TRUE" WIDTH="%d" HEIGHT="%d"></TD></TR></TABLE>>]'
 
+-- Returns the name of node i in a graph, or the name of its run.
+local function id_of(level, i)
+  local run = level.run_of and level.run_of[i]
+  return run and run.id or "n" .. i
+end
+
 local function add_nodes(lines, level)
   for i, node in ipairs(level.composite.nodes) do
-    local room = node.loops
-    add(lines, 1, ("n%d [%s]"):format(i, node.level and box_text(node.level)
-      or looks.leaf_text(node)))
+    local room, run = node.loops, level.run_of and level.run_of[i]
+    if not run or run.first == i then
+      add(lines, 1, ("%s [%s]"):format(id_of(level, i), run and box_text(run)
+        or node.level and box_text(node.level) or looks.leaf_text(node)))
+    end
     if room then
       lines[#lines + 1] = HIDDEN:format(i, i, ceil(room.width), ceil(room.height))
     end
@@ -142,7 +153,7 @@ local function add_order(lines, level)
   end
   for i, node in ipairs(level.composite.nodes) do
     if not is_lower[node] then
-      add(lines, 1, ("h -> n%d [style=invis, weight=0]"):format(i))
+      add(lines, 1, ("h -> %s [style=invis, weight=0]"):format(id_of(level, i)))
     end
   end
 end
@@ -171,14 +182,40 @@ local function add_regions(lines, composite)
   add(lines, 1, ("{ rank=same; %s [style=invis] }"):format(concat(ids, " -> ")))
 end
 
+-- Puts the nodes of each row into one rank, below the row before it, and all rows
+-- between the upper gates and the lower ones.
+local function add_rows(lines, level)
+  local function add_below(upper, lower)
+    add(lines, 1, ("%s -> %s [style=invis, weight=0]"):format(upper, lower))
+  end
+  local before
+  for _, row in ipairs(level.rows or {}) do
+    local ids = {}
+    for i, run in ipairs(row) do ids[i] = id_of(level, run.first) end
+    add(lines, 1, ("{ rank=same; %s }"):format(concat(ids, "; ")))
+    if before then add_below(before, ids[1]) end
+    before = ids[1]
+  end
+  for _, gate in ipairs(before and level.gates or {}) do
+    if gate.is_upper then
+      add_below(gate.id, id_of(level, level.rows[1][1].first))
+    else
+      add_below(before, gate.id)
+    end
+  end
+end
+
 local COMPASS = { TB = { "s", "n" }, LR = { "e", "w" } }
 
 -- Returns the text of an end of an edge. Its compass point makes the line meet a frame
 -- at a right angle.
-local function end_text(level, finish, is_tail)
+local function end_text(level, link, is_tail)
+  local finish = is_tail and link.upper or link.lower
   local compass = COMPASS[level.direction][is_tail and 1 or 2]
   if not finish.node then return finish.gate.id .. ":" .. compass end
-  local id = "n" .. finish.node.index
+  local id, run = id_of(level, finish.node.index), level.run_of
+    and level.run_of[finish.node.index]
+  if run then return ("%s:%s:%s"):format(id, run.gate_of[link][is_tail].id, compass) end
   if finish.gate then return ("%s:%s:%s"):format(id, finish.gate.id, compass) end
   return finish.node.kind == "connector" and id .. ":p" or id
 end
@@ -188,15 +225,21 @@ local function dir_of(link)
   return link.is_turned and "back" or "forward"
 end
 
+-- Returns how many points of room are around a label.
+local function room_of(level)
+  if not level.is_tight then return 3 end
+  return level.direction == "TB" and 2 or 1
+end
+
 local function add_link(lines, level, link)
   local arch = link.arch
   local tail = arch and ("a%d:%s:%s"):format(arch.id, link.foot,
-    COMPASS[level.direction][1]) or end_text(level, link.upper, true)
+    COMPASS[level.direction][1]) or end_text(level, link, true)
   local has_label = link.is_home and not arch and link.arrow.parts[1]
   add(lines, 1, ("%s -> %s [id=%d, dir=%s%s%s]"):format(tail,
-    end_text(level, link.lower, false), link.id, dir_of(link),
+    end_text(level, link, false), link.id, dir_of(link),
     arch and ", weight=8" or "",
-    has_label and ", label=" .. looks.roomy_label(link.arrow) or ""))
+    has_label and ", label=" .. looks.roomy_label(link.arrow, room_of(level)) or ""))
 end
 
 local LARGE = 100 -- links; a level with more is laid out with less effort
@@ -208,18 +251,20 @@ local function graph_of(level)
   if #level.links > LARGE then
     add(lines, 1, "graph [nslimit=2, nslimit1=2, mclimit=0.5]")
   end
+  if level.is_tight then add(lines, 1, "graph [ranksep=0.15]") end
   if level.is_spread then add(lines, 1, "graph [ranksep=1, nodesep=0.1]") end
   add_border(lines, level)
   add_nodes(lines, level)
   if has_header_rank(level) then add_order(lines, level) end
   add_arches(lines, level)
   add_regions(lines, composite)
+  add_rows(lines, level)
   for _, link in ipairs(level.links) do
-    if not link.is_loop then add_link(lines, level, link) end
+    if not (link.is_loop or link.is_straight) then add_link(lines, level, link) end
     local twin = link.upper and link.upper.gate and link.upper.gate.twin
     if twin and not link.upper.node then -- the two gates shall be beside each other
       add(lines, 1, ("%s -> %s [style=invis]"):format(twin.id,
-        end_text(level, link.lower, false)))
+        end_text(level, link, false)))
     end
   end
   lines[#lines + 1] = "}\n"
@@ -256,7 +301,7 @@ end
 --- Return the numbers in a text.
 function graphs.numbers_in(text)
   local list = {}
-  for number in text:gmatch("[%d.e+-]+") do list[#list + 1] = tonumber(number) end
+  for number in text:gmatch("[%d.e+-]+") do list[#list + 1] = number_of(number) end
   return list
 end
 
@@ -265,8 +310,8 @@ local numbers_in = graphs.numbers_in
 --- Return the middle of a node and its size, in points.
 function graphs.box_of(attributes)
   local point = numbers_in(attributes.pos)
-  return { x = point[1], y = point[2], width = attributes.width * 72,
-    height = attributes.height * 72 }
+  return { x = point[1], y = point[2], width = number_of(attributes.width) * 72,
+    height = number_of(attributes.height) * 72 }
 end
 
 --- Return the points of a line, and the tip of its arrowhead. `is_turned` is true if
@@ -287,6 +332,10 @@ local function read_link(link, attributes)
   local line = graphs.line_of(attributes.pos)
   link.points, link.tip = line.points, line.tip
   link.label_at = attributes.lp and numbers_in(attributes.lp)
+  if link.label_at then
+    curves.attract(link.label_at, diagram.label_of(link.arrow), line.points,
+      link.level.direction == "TB" and 1 or 2)
+  end
 end
 
 local function read_node(level, id, attributes)
@@ -295,9 +344,11 @@ local function read_node(level, id, attributes)
     level.header = box
   elseif kind == "n" then
     level.boxes[number] = box
+  elseif kind == "r" then
+    level.run_boxes[number] = box
   elseif kind == "a" then
     level.arches[number] = box
-  elseif kind ~= "r" then
+  else
     level.gates[number].at = { box.x, box.y }
   end
 end
@@ -311,9 +362,9 @@ local function read_size(level, attributes)
   end
 end
 
-local function read_element(level, id, attributes)
+local function read_element(level, id, attributes, cluster)
   if id == "graph" then
-    if attributes.bb then read_size(level, attributes) end
+    if attributes.bb and not cluster then read_size(level, attributes) end
   elseif id:find("->", 1, true) then
     local link = level.links[tonumber(attributes.id)]
     if link then read_link(link, attributes) end
@@ -348,15 +399,11 @@ function graphs.read(text, position, f)
 end
 
 local function read_level(level, text, position)
-  level.boxes, level.arches, level.header = {}, {}, nil
-  return graphs.read(text, position, function(id, attributes)
-    read_element(level, id, attributes)
-  end)
+  level.boxes, level.run_boxes, level.arches, level.header = {}, {}, {}, nil
+  return graphs.read(text, position, function(...) read_element(level, ...) end)
 end
 
 -- Public functions ------------------------------------------------------------
-
-local MARGIN = 10 -- points between a frame and the nodes in it
 
 local function place_gate(level, gate)
   local x, y = gate.at[1] + level.x, gate.at[2] + level.y
@@ -371,7 +418,8 @@ end
 --- Give a level its size, and its gates their positions.
 function graphs.measure(level)
   local composite = level.composite
-  local margin = composite.is_column and 0 or MARGIN
+  local margin = composite.fqn and looks.margin_of(composite) or 0
+  if level.is_tight then margin = min(margin, 6) end
   local least = composite.loops and composite.loops.length or 0
   level.width, level.height = ceil(level.inner_width) + 2 * margin,
     max(ceil(level.inner_height) + 2 * margin, ceil(least))
@@ -384,16 +432,29 @@ function graphs.measure(level)
   if is_centred then level.header.x = level.inner_width / 2 end
 end
 
---- Have Graphviz lay out levels; return a problem if there is one.
-function graphs.lay_out(list, run)
-  local texts = {}
-  for i, level in ipairs(list) do texts[i] = graph_of(level) end
-  local answer, problem = run(concat(texts))
+--- Have Graphviz lay out jobs, each with a level; return a problem if there is one.
+-- prepare(job) makes the level what the job wants, before its graph is made and again
+-- before the answer is read. Then done(job) is called. Equal graphs are laid out once.
+function graphs.lay_out(jobs, run, prepare, done)
+  local texts, unique, starts = {}, {}, {}
+  for i, job in ipairs(jobs) do
+    prepare(job)
+    texts[i] = graph_of(job.level)
+    if not starts[texts[i]] then
+      unique[#unique + 1], starts[texts[i]] = texts[i], true
+    end
+  end
+  local answer, problem = run(concat(unique))
   if not answer then return problem end
   local position = 1
-  for _, level in ipairs(list) do
-    position = read_level(level, answer, position)
-    graphs.measure(level)
+  for i, job in ipairs(jobs) do
+    local start = starts[texts[i]]
+    if start == true then start, starts[texts[i]] = position, position end
+    prepare(job)
+    local stop = read_level(job.level, answer, start)
+    position = max(position, stop)
+    graphs.measure(job.level)
+    done(job)
   end
 end
 

@@ -12,6 +12,7 @@ local levels = require "rfsm.pictures.levels"
 local lines = require "rfsm.pictures.lines"
 local looks = require "rfsm.pictures.looks"
 local plain = require "rfsm.pictures.plain"
+local sheet = require "rfsm.pictures.sheet"
 
 local ipairs = ipairs
 local concat, add = table.concat, diagram.add
@@ -20,13 +21,14 @@ local layout = {}
 
 --- A layout: the position of everything, in points from the lower left corner.
 ---@class rfsm.pictures.Layout
----@field kind "levels"|"plain"
+---@field kind "levels"|"plain"|"sheet"
 ---@field left number
 ---@field bottom number
 ---@field width number
 ---@field height number
 ---@field places table<rfsm.pictures.Node, rfsm.pictures.Place>
 ---@field lines { points: number[][], tip: number[], label?: number[] }[] one per arrow
+---@field leasts table<rfsm.pictures.Node, string> the fields `least` of nodes
 
 --- The place of a node. Only a composite has a frame.
 ---@class rfsm.pictures.Place
@@ -43,12 +45,12 @@ local layout = {}
 local function move(places, composite, left, bottom)
   local level = composite.level
   local header = level.header or { x = 0, y = 0 }
-  level.x, level.y = left + level.x, bottom + level.y
+  level.left, level.bottom = left + level.x, bottom + level.y
   places[composite] = { left = left, bottom = bottom, width = level.width,
-    height = level.height, x = level.x + header.x, y = level.y + header.y }
+    height = level.height, x = level.left + header.x, y = level.bottom + header.y }
   for i, node in ipairs(composite.nodes) do
     local box, inner = level.boxes[i], node.level
-    local x, y = level.x + box.x, level.y + box.y
+    local x, y = level.left + box.x, level.bottom + box.y
     if inner then
       move(places, node, x - inner.width / 2, y - inner.height / 2)
     else
@@ -62,8 +64,10 @@ local function line_of(arrow, direction)
   local line, tip, label, axis = {}, nil, nil, direction == "TB" and 1 or 2
   for _, link in ipairs(arrow.links) do
     local level, arch = link.level, link.arch
-    local function place(point) return { level.x + point[1], level.y + point[2] } end
-    local points = lines.moved(link.points, level.x, level.y, link.is_turned)
+    local function place(point)
+      return { level.left + point[1], level.bottom + point[2] }
+    end
+    local points = lines.moved(link.points, level.left, level.bottom, link.is_turned)
     if arch and link == arch.legs[2] then
       local box = level.arches[arch.id]
       label = place { box.x, box.y }
@@ -78,15 +82,14 @@ local function line_of(arrow, direction)
   return { points = line, tip = tip, label = label }
 end
 
--- Returns the layout that `rfsm.pictures.levels` makes, or nil and the problem.
-local function lay_out(chart, run)
-  local problem = levels.lay_out(chart, run)
-  if problem then return nil, problem end
-  local places, arrows, top = {}, {}, chart.top.level
+-- Returns the layout of a chart whose levels are laid out.
+local function layout_of(chart, kind)
+  local places, arrows, leasts, top = {}, {}, {}, chart.top.level
   move(places, chart.top, 0, 0)
   for i, arrow in ipairs(chart.all) do arrows[i] = line_of(arrow, chart.direction) end
-  return { kind = "levels", left = 0, bottom = 0, width = top.width,
-    height = top.height, places = places, lines = arrows }
+  for _, node in ipairs(chart.nodes) do leasts[node] = node.least end
+  return { kind = kind, left = 0, bottom = 0, width = top.width,
+    height = top.height, places = places, lines = arrows, leasts = leasts }
 end
 
 -- The graph -------------------------------------------------------------------
@@ -130,10 +133,11 @@ local function add_arrow(texts, arrow, line, frame)
       looks.arrow_label(arrow)) or ""))
 end
 
-local FOOT = 8 -- points from the picture down to the text below it
+local FOOT = 10 -- points from the picture down to the text below it
 
 local function graph_of(chart, positions)
   local root, places = chart.root, positions.places
+  for _, node in ipairs(chart.nodes) do node.least = positions.leasts[node] end
   local frame = places[root].left and places[root] or positions
   local texts = { "digraph " .. looks.quoted(root.name) .. " {",
     looks.head(chart.direction), ('  graph [layout=nop2, outputorder=nodesfirst, '
@@ -143,7 +147,7 @@ local function graph_of(chart, positions)
     add_arrow(texts, arrow, positions.lines[i], frame)
   end
   if chart.foot then
-    add(texts, 1, ('foot [shape=plain, style="", fontsize=8, label=%s, pos="%s"]')
+    add(texts, 1, ('foot [shape=plain, style="", fontsize=10, label=%s, pos="%s"]')
       :format(looks.quoted(diagram.clean(chart.foot)), point_text(positions.left
       + positions.width / 2, positions.bottom - FOOT)))
   end
@@ -153,7 +157,55 @@ end
 
 local MOST = 1000 -- nodes; Graphviz needs about a second to lay out so many
 
---- Return the graph of a chart, with positions; nil and the problem if that fails.
+-- Returns Graphviz' layout of a chart; nil if there is none.
+local function plain_layout(chart, graph, run)
+  local answer = #chart.nodes <= MOST and run((graph:gsub("^[^\n]*", "digraph {", 1)))
+  return answer and plain.read(chart, answer) or nil
+end
+
+local ALIKE, NEW = 0.9, 1.15 -- gains: least for equal shapes, to give up a former shape
+
+local function nothing() end
+
+-- Returns the best shape of a chart for a sheet, nil if `best` is better; or a problem.
+-- Levels with the same states have the same shape if that costs little.
+local function shape_for(chart, best, limits, run)
+  local size = chart.sheet
+  local problem, shapes = sheet.shapes_of(chart, limits, run, nothing)
+  local shape = shapes and choice.for_sheet(shapes, best, size, limits)
+  local fixed = shape and sheet.alike(shape)
+  if not fixed then return shape, problem end
+  problem, shapes = sheet.shapes_of(chart, limits, run, fixed)
+  local other = shapes and choice.for_sheet(shapes, best, size, limits)
+  return other and choice.gain(other, shape, size) >= ALIKE and other or shape, problem
+end
+
+-- Returns a problem if there is one, then the shape of the former picture, unless the
+-- layout `best` or another shape is much larger, or the former one is not right now.
+local function keep_former(chart, best, shape, limits, run)
+  local problem, formers = sheet.shapes_of(chart, limits, run, sheet.former)
+  if problem then return problem end
+  local former = formers[#formers]
+  local is_kept = former.crossings <= limits.more
+    and choice.gain(shape or best, former, chart.sheet) < NEW
+  return nil, is_kept and former or shape
+end
+
+-- Returns the best layout for a sheet, which may be `best`; or nil and the problem.
+local function layout_for(chart, best, whole, run)
+  local limits = choice.limits(best, whole)
+  local shape, problem = shape_for(chart, best, limits, run)
+  if chart.kind == "sheet" and not problem then
+    problem, shape = keep_former(chart, best, shape, limits, run)
+  end
+  if problem then return nil, problem end
+  if not shape then return best end
+  sheet.put(chart, shape)
+  return layout_of(chart, "sheet")
+end
+
+--- Return the graph of a chart, with positions, then nil and the size of its text on
+-- the sheet, in points. Return nil and the problem if that fails.
 -- `graph` is the result of `rfsm.dot.encode`, which the plain layout needs. `run(text)`
 -- has Graphviz lay out a graph.
 function layout.draw(chart, graph, run)
@@ -161,14 +213,16 @@ function layout.draw(chart, graph, run)
     local answer, problem = run(text)
     return answer and answer:gsub("\\\r?\n", "") or nil, problem
   end
-  local best, problem = lay_out(chart, ask)
+  local problem = levels.lay_out(chart, ask)
+  if problem then return nil, problem end
+  local best, whole = layout_of(chart, "levels"), plain_layout(chart, graph, ask)
+  best = whole and choice.of(best, whole, chart.kind, chart.sheet) or best
+  if chart.kind == "sheet" or not choice.is_readable(best, chart.sheet) then
+    best, problem = layout_for(chart, best, whole, ask)
+  end
   if not best then return nil, problem end
-  local answer = #chart.nodes <= MOST
-    and ask((graph:gsub("^[^\n]*", "digraph {", 1)))
-  local whole = answer and plain.read(chart, answer)
-  best = whole and choice.of(best, whole, chart.kind) or best
-  for _, node in ipairs(best == whole and chart.nodes or {}) do node.least = nil end
-  return graph_of(chart, best)
+  local scale = choice.scale(chart.sheet, best.width, best.height)
+  return graph_of(chart, best), nil, 10 * scale
 end
 
 return layout

@@ -1,18 +1,17 @@
 --- The layout of a chart: level by level, the innermost ones first.
 --
--- Graphviz lays out each level. A chain that is too long is put into columns. A level
--- with too many nodes beside each other is laid out again, from left to right. Leaves
--- linked to one node only are put at both sides of it. Loops at states are drawn here.
+-- Graphviz lays out each level. A level with too many nodes beside each other is laid
+-- out again, from left to right. Leaves linked to one node only are put at both sides
+-- of it. Loops at states are drawn here. Other shapes are in `rfsm.pictures.sheet`.
 --
 -- @module rfsm.pictures.levels
 -- @license BSD-3-Clause
 
-local columns = require "rfsm.pictures.columns"
 local graphs = require "rfsm.pictures.graphs"
 local links = require "rfsm.pictures.links"
 local looks = require "rfsm.pictures.looks"
 
-local ipairs, log, max = ipairs, math.log, math.max
+local abs, ipairs, log, max = math.abs, ipairs, math.log, math.max
 
 local levels = {}
 
@@ -28,36 +27,30 @@ end
 
 local function add_loop(link)
   local node, box = link.upper.node, link.arrow.label_box
-  local is_down, room = link.level.direction == "TB",
-    node.loops or { length = 0, width = 2, height = 2 }
+  local direction = link.level.direction
+  local room = node.loops or { length = 0, width = 2, height = 2 }
   node.loops, room.length = room, room.length + step_of(link)
-  local field = is_down and "width" or "height"
+  local field = direction == "TB" and "width" or "height"
   room[field] = max(room[field], box[field] + DEPTH - 8)
-  node.least = (is_down and ", height=" or ", width=")
-    .. looks.number_text(max(is_down and 0.4 or 0.75, room.length / 72))
+  node.least = looks.least_text(direction, room.length)
 end
 
--- Sets the field `label_box` of arrows or levels to the size of their label. Returns a
--- problem if there is one.
-local function measure_labels(owners, run)
-  local labels = {}
-  for i, owner in ipairs(owners) do
-    labels[i] = owner.parts and "fontsize=10, label=" .. looks.arrow_label(owner)
-      or "label=" .. looks.state_label(owner.composite)
-  end
-  if not labels[1] then return nil end
-  local boxes, problem = graphs.sizes_of(labels, run)
-  for i, box in ipairs(boxes or {}) do owners[i].label_box = box end
-  return problem
-end
-
+-- Finds the arrows that are loops, and has Graphviz measure their labels. Returns
+-- a problem if there is one.
 local function find_loops(chart, run)
-  local list = {}
+  local loops, labels = {}, {}
   for _, arrow in ipairs(chart.all) do
-    list[#list + 1] = arrow.links[1].is_loop and arrow or nil
+    loops[#loops + 1] = arrow.links[1].is_loop and arrow or nil
   end
-  local problem = measure_labels(list, run)
-  for _, arrow in ipairs(problem and {} or list) do add_loop(arrow.links[1]) end
+  for i, arrow in ipairs(loops) do
+    labels[i] = "fontsize=10, label=" .. looks.arrow_label(arrow)
+  end
+  if not loops[1] then return nil end
+  local boxes, problem = graphs.sizes_of(labels, run)
+  for i, box in ipairs(boxes or {}) do
+    loops[i].label_box = box
+    add_loop(loops[i].links[1])
+  end
   return problem
 end
 
@@ -79,7 +72,8 @@ local function draw_loop(link, x, y)
   link.label_at = at { DEPTH + (is_down and box.width or box.height) / 2 - 1, 0 }
 end
 
-local function draw_loops(level)
+--- Draw the loops at the nodes of a level.
+function levels.draw_loops(level)
   local offsets = {}
   for _, link in ipairs(level.links) do
     local node = link.is_loop and link.upper.node
@@ -98,54 +92,33 @@ local function draw_loops(level)
 end
 
 local function lay_out(list, run)
-  local problem = list[1] and graphs.lay_out(list, run)
-  for _, level in ipairs(problem and {} or list) do draw_loops(level) end
-  return problem
+  local jobs = {}
+  for i, level in ipairs(list) do jobs[i] = { level = level } end
+  return jobs[1] and graphs.lay_out(jobs, run, function() end, function(job)
+    levels.draw_loops(job.level)
+  end)
 end
 
 -- Levels that do not fit ------------------------------------------------------
 
-local FEWEST, MANY = 6, 8 -- least numbers of nodes to change a level, to divide it
+local FEWEST = 6 -- nodes of a level that is turned
 local TALLEST, WIDEST = 420, 800 -- points: smaller inner levels keep their direction
-local LONGEST = 1000 -- points: shorter levels are readable on A4, and not divided
-local MISFIT = log(1.7)
+local RATIO, MISFIT = 4 / 3, log(1.7) -- of width to height: the best, and how far off
 
--- Returns the size of a level along its arrows.
-local function length_of(level)
-  return level.direction == "TB" and level.height or level.width
-end
-
--- Is a level longer along its arrows than across? If not, many nodes are side by side.
-local function is_long(level)
-  return length_of(level) == max(level.width, level.height)
-end
-
-local function divide(list, run)
-  local parts, owners = {}, {}
-  for _, level in ipairs(list) do
-    for _, part in ipairs(columns.split(level, level.plan)) do
-      parts[#parts + 1] = part
-    end
-    owners[#owners + 1] = level
-    for _, link in ipairs(level.links) do
-      owners[#owners + 1] = link.is_home and link.arrow.parts[1] and link.arrow or nil
-    end
-  end
-  local problem = lay_out(parts, run) or measure_labels(owners, run)
-  if problem then return problem end
-  for _, level in ipairs(list) do
-    columns.arrange(level, level.label_box)
-    graphs.measure(level)
-  end
-end
-
--- Returns true if no arrow crosses the frame of a level or of a composite in it, and no
--- arrow in the level is a loop.
-local function is_closed(level)
+--- Return true if no arrow crosses the frame of a level or of a composite in it, and no
+-- arrow in the level is a loop at a composite.
+function levels.is_closed(level)
   for _, node in ipairs(level.composite.nodes) do
-    if node.loops or node.level and node.level.gates[1] then return false end
+    if node.level and (node.loops or node.level.gates[1]) then return false end
   end
   return not level.gates[1]
+end
+
+local function has_loop(level)
+  for _, link in ipairs(level.links) do
+    if link.is_loop then return true end
+  end
+  return false
 end
 
 local function swap(link)
@@ -187,52 +160,62 @@ local function spread(level)
     for i, list in ipairs(#leaves > FEW and leaves or {}) do
       count, level.is_spread = count + #list, true
       for _, link in ipairs(i % 2 == 0 and list or {}) do swap(link) end
-      hub.least = ", height=" .. looks.number_text(max(0.75, count / 2 * BESIDE))
+      hub.least = (hub.least or "") .. ", height="
+        .. looks.number_text(max(0.75, count / 2 * BESIDE))
     end
   end
 end
 
--- Lays levels out from left to right.
-local function turn(list, run)
-  for _, level in ipairs(list) do
-    level.direction = "LR"
-    spread(level)
+--- Have a level that was not laid out run from left to right.
+function levels.turn(level)
+  level.direction = "LR"
+  spread(level)
+end
+
+--- Put a level back as it was before it was laid out.
+function levels.reset(level, direction)
+  level.direction, level.is_spread = direction, nil
+  level.rows, level.run_of = nil, nil
+  for _, link in ipairs(level.links) do
+    local upper, lower = link.upper and link.upper.node, link.lower.node
+    if upper and lower and upper.index > lower.index then swap(link) end
+    link.is_straight = nil
   end
-  return lay_out(list, run)
+  for _, node in ipairs(level.composite.nodes) do node.loops, node.least = nil, nil end
+  for _, link in ipairs(level.links) do
+    if link.is_loop then add_loop(link) end
+  end
 end
 
 local function is_misfit(level)
-  return #level.boxes >= FEWEST and columns.misfit(level) >= MISFIT
+  return #level.boxes >= FEWEST
+    and abs(log(level.width / level.height / RATIO)) >= MISFIT
     and not level.composite.nodes[1].is_region -- all nodes are regions, or none is
 end
 
--- Returns how a level is changed: "turn" or "divide"; nil if it stays as it is.
-local function change_of(chart, level)
-  if not is_misfit(level) then return nil end
-  if is_long(level) then
-    level.plan = length_of(level) > LONGEST and #level.boxes >= MANY
-      and columns.plan(level)
-    return level.plan and "divide" or nil
-  end
-  local is_large = level.composite == chart.root or level.height > TALLEST
-    or level.width > WIDEST
-  return is_large and is_closed(level) and "turn" or nil
+-- Are too many nodes of a level side by side?
+local function is_wide(level)
+  if level.direction == "TB" then return level.width > level.height end
+  return level.height > level.width
 end
 
 local function mend(chart, list, run)
-  local levels_for = { turn = {}, divide = {} }
+  local wide = {}
   for _, level in ipairs(list) do
-    local group = levels_for[change_of(chart, level) or false] or {}
-    group[#group + 1] = level
+    local is_large = level.composite == chart.root or level.height > TALLEST
+      or level.width > WIDEST
+    wide[#wide + 1] = is_large and is_misfit(level) and is_wide(level)
+      and levels.is_closed(level) and not has_loop(level) and level or nil
   end
-  return turn(levels_for.turn, run) or divide(levels_for.divide, run)
+  for _, level in ipairs(wide) do levels.turn(level) end
+  return lay_out(wide, run)
 end
 
 -- Layout ----------------------------------------------------------------------
 
--- Makes the regions in a composite equally high, or equally wide if their arrows lead
+--- Make the regions in a composite equally high, or equally wide if their arrows lead
 -- from left to right.
-local function align_regions(composite)
+function levels.align_regions(composite)
   local height, width, regions = 0, 0, {}
   for _, node in ipairs(composite.nodes) do
     regions[#regions + 1] = node.is_region and node.level or nil
@@ -250,9 +233,9 @@ local function align_regions(composite)
   end
 end
 
--- Returns lists of levels. A level in the first list contains no other level; a level
+--- Return lists of levels. A level in the first list contains no other level; a level
 -- in the second list contains only levels of the first list, and so on.
-local function levels_by_height(chart)
+function levels.by_height(chart)
   local list = {}
   local function visit(composite)
     local height = 1
@@ -267,13 +250,26 @@ local function levels_by_height(chart)
   return list
 end
 
+--- Lay out a level that has one composite in it, and no link, without Graphviz.
+function levels.enclose(level)
+  local inner = level.composite.nodes[1].level
+  local width, height = inner.width, inner.height
+  level.boxes = { { x = width / 2, y = height / 2, width = width, height = height } }
+  level.x, level.y, level.width, level.height = 0, 0, width, height
+  level.inner_width, level.inner_height, level.header = width, height, nil
+end
+
 --- Lay out all levels of a chart; return a problem if there is one.
 function levels.lay_out(chart, run)
   links.prepare(chart)
-  local problem = find_loops(chart, run)
-  for _, list in ipairs(levels_by_height(chart)) do
-    for _, level in ipairs(list) do align_regions(level.composite) end
-    problem = problem or lay_out(list, run) or mend(chart, list, run)
+  local problem, top = find_loops(chart, run), chart.top.level
+  for _, list in ipairs(levels.by_height(chart)) do
+    for _, level in ipairs(list) do levels.align_regions(level.composite) end
+    if list[1] == top and chart.root.level and not top.links[1] then
+      levels.enclose(top)
+    else
+      problem = problem or lay_out(list, run) or mend(chart, list, run)
+    end
   end
   return problem
 end

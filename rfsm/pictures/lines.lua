@@ -100,6 +100,49 @@ function lines.inside(line, frame)
   return result
 end
 
+local PIECES = 8 -- how many straight pieces replace a curve
+
+--- Return points on a line: its start, and PIECES points on each curve.
+function lines.flat(line)
+  local flat = { line[1] }
+  for i = 1, #line - 3, 3 do
+    local a, b, c, d = line[i], line[i + 1], line[i + 2], line[i + 3]
+    for k = 1, PIECES do
+      local t, u = k / PIECES, 1 - k / PIECES
+      local p, q, r, s = u * u * u, 3 * u * u * t, 3 * u * t * t, t * t * t
+      flat[#flat + 1] = { p * a[1] + q * b[1] + r * c[1] + s * d[1],
+        p * a[2] + q * b[2] + r * c[2] + s * d[2] }
+    end
+  end
+  return flat
+end
+
+local CHARACTER, HEIGHT = 6.3, 12 -- points: of a label, about
+
+--- Return the size of a label, estimated from above: x, then y.
+function lines.size_of(text)
+  local width, height = 0, 0
+  for row in text:gmatch("[^\n]+") do
+    width, height = max(width, #row * CHARACTER), height + HEIGHT
+  end
+  return { width, height }
+end
+
+local FAR, BESIDE = 14, 6 -- points: distances between a line and its label
+
+--- Move a label to its line if it is far from it. Graphviz bends a line away from its
+-- label if there is room. `axis` (1: x, 2: y) is the axis across the arrows.
+function lines.attract(at, text, line, axis)
+  local size, other, reach = lines.size_of(text), 3 - axis, nil
+  local side = at[axis] - size[axis] / 2
+  for _, point in ipairs(lines.flat(line)) do
+    if abs(point[other] - at[other]) <= size[other] / 2 + BESIDE then
+      reach = max(reach or point[axis], point[axis])
+    end
+  end
+  if reach and side - reach > FAR then at[axis] = at[axis] - (side - reach) + BESIDE end
+end
+
 --- Return a line moved by x and y; if `is_turned`, its points are in reverse order.
 function lines.moved(line, x, y, is_turned)
   local moved = {}

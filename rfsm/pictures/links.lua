@@ -186,11 +186,4 @@ function links.prepare(chart)
   for _, arrow in ipairs(chart.all) do link_arrow(arrow) end
 end
 
---- Make the links of a level again after its nodes were moved to other parents.
-function links.renew(level)
-  local old = level.links
-  level.links, level.link_of = {}, {}
-  for _, link in ipairs(old) do link_arrow(link.arrow) end
-end
-
 return links

@@ -4,8 +4,9 @@
 -- @license BSD-3-Clause
 
 local diagram = require "rfsm.pictures.diagram"
+local rfsm = require "rfsm"
 
-local floor, ipairs = math.floor, ipairs
+local floor, ipairs, max = math.floor, ipairs, math.max
 local concat, add = table.concat, diagram.add
 
 local looks = {}
@@ -27,16 +28,19 @@ function looks.head(direction) return (HEAD:gsub("DIRECTION", direction)) end
 --- Return a number with at most two decimals, the same text on each Lua: `%.2f` alone
 -- rounds 0.125 up on LuaJIT, down on the others.
 function looks.number_text(number)
-  local text = ("%.2f"):format(floor(number * 100 + 0.5) / 100):gsub("%.?0+$", "")
+  local rounded = floor(number * 100 + 0.5) / 100
+  local text = rfsm.number_text(rounded, "%.2f"):gsub("%.?0+$", "")
   return text == "-0" and "0" or text
 end
 
 local CODES = { ["&"] = "&amp;", ["<"] = "&lt;", [">"] = "&gt;", ['"'] = "&quot;" }
 
 --- Return a text as a quoted string for Graphviz, which reads "&amp;" in it as "&".
-function looks.quoted(text)
+-- `ending` replaces a line feed; by default it is "\\n".
+function looks.quoted(text, ending)
   if not text:find('[&\\"\n]') then return '"' .. text .. '"' end
-  return '"' .. text:gsub("&", "&amp;"):gsub('[\\"]', "\\%0"):gsub("\n", "\\n") .. '"'
+  return '"' .. text:gsub("&", "&amp;"):gsub('[\\"]', "\\%0")
+    :gsub("\n", ending or "\\n") .. '"'
 end
 
 local quoted = looks.quoted
@@ -73,11 +77,9 @@ end
 -- <HR/> in a PNG.
 local RULE = '<TR><TD CELLPADDING="0" HEIGHT="1" BGCOLOR="#555555"></TD></TR>'
 
---- Return the label of a state: its name, and rows such as "entry / f" below it. If a
--- state has callbacks but no rows, a mark follows its name.
+--- Return the label of a state: its name and marks, and rows such as "entry / f" below.
 function looks.state_label(node)
-  local has_mark = node.at ~= "" and not node.rows[1]
-  local name = lines_of(node.name .. (has_mark and " •" or "")
+  local name = lines_of(node.name .. (node.marks and " " .. node.marks or "")
     .. (node.is_cut and " …" or ""), 28)
   if not node.rows[1] then return quoted(name) end
   local rows = {}
@@ -87,13 +89,20 @@ function looks.state_label(node)
     .. html(concat(rows, "\n")) .. '<BR ALIGN="LEFT"/></FONT></TD></TR>')
 end
 
---- Return the label of an arrow.
-function looks.arrow_label(arrow) return quoted(diagram.label_of(arrow)) end
+-- Returns the label of an arrow. Each of several lines ends in a line feed, so that all
+-- of them are aligned at the left.
+local function label_of(arrow)
+  local text = diagram.label_of(arrow)
+  return text:find("\n", 1, true) and text .. "\n" or text
+end
 
---- Return the label of an arrow, with room around it.
-function looks.roomy_label(arrow)
-  return table_of("<TR><TD>" .. centred(diagram.label_of(arrow)) .. "</TD></TR>",
-    ' CELLPADDING="3"')
+--- Return the label of an arrow.
+function looks.arrow_label(arrow) return quoted(label_of(arrow), "\\l") end
+
+--- Return the label of an arrow, with so many points of room around it.
+function looks.roomy_label(arrow, room)
+  return table_of("<TR><TD>" .. html(label_of(arrow)) .. "</TD></TR>",
+    (' CELLPADDING="%d"'):format(room))
 end
 
 -- Nodes -----------------------------------------------------------------------
@@ -103,7 +112,7 @@ local INITIAL = 'shape=circle, label="", width=0.15, height=0.15, color="#222222
 local CONNECTOR = 'shape=plain, style="", label=<<TABLE BORDER="0" CELLBORDER="0" '
   .. 'CELLSPACING="0" CELLPADDING="0"><TR><TD PORT="p" BORDER="1" STYLE="ROUNDED" '
   .. 'FIXEDSIZE="TRUE" WIDTH="10" HEIGHT="10" BGCOLOR="%s"></TD><TD>'
-  .. '<FONT POINT-SIZE="9">&#160;%s</FONT></TD></TR></TABLE>>'
+  .. '<FONT POINT-SIZE="10">&#160;%s</FONT></TD></TR></TABLE>>'
 -- Looks of active and of marked elements. No two of them differ only in red and green,
 -- for colour-blind readers.
 local LOOKS = {
@@ -112,49 +121,75 @@ local LOOKS = {
   traced = ', color="#D55E00", penwidth=2',
 }
 
+--- The address of a state that is drawn in another picture begins so, before its FQN.
+looks.URL = "#"
+
 local function tooltip_of(element)
   return element.at ~= "" and ", tooltip=" .. quoted(element.at) or ""
 end
 
+-- Returns classes that note the shape of a state on a sheet, for the next picture.
+local function shape_of(node)
+  return (node.row and " row" .. node.row or "") .. (node.is_turned and " turned" or "")
+end
+
 local function look_of(element, kind)
-  return ('class="%s%s%s%s"%s%s%s'):format(kind, element.is_region and " region" or "",
+  return ('class="%s%s%s%s%s"%s%s%s'):format(kind,
+    element.is_region and " region" or "", shape_of(element),
     element.mode and " " .. element.mode or "",
     element.mark and " " .. element.mark or "",
     element.mode and LOOKS.active or "", element.mark and LOOKS[element.mark] or "",
     tooltip_of(element))
 end
 
+--- Return the attribute `least` of a node whose side is at least so long, in points.
+function looks.least_text(direction, length)
+  if direction == "TB" then
+    return ", height=" .. looks.number_text(max(0.4, length / 72))
+  end
+  return ", width=" .. looks.number_text(max(0.75, length / 72))
+end
+
+-- Returns the attributes of a state that another picture shows, if there is one.
+local function address_of(node)
+  local is_elsewhere = node.is_linked and (node.is_cut or node.is_outside)
+  return (node.is_outside and ', style="rounded,dashed"' or "")
+    .. (is_elsewhere and ", URL=" .. quoted(looks.URL .. node.fqn) or "")
+end
+
 --- Return the attributes of a node that is not a composite.
 function looks.leaf_text(node)
-  if node.kind == "initial" then return INITIAL .. ', class="initial"' end
+  if node.kind == "initial" then
+    return INITIAL .. (', class="initial%s"'):format(shape_of(node))
+  end
   if node.kind == "connector" then
     return CONNECTOR:format(node.is_on_border and "white" or "#555555", html(node.name))
-      .. ', class="connector"'
+      .. (', class="connector%s"'):format(shape_of(node))
   end
-  return ("label=%s, %s%s%s%s%s"):format(looks.state_label(node),
+  return ("label=%s, %s%s%s%s%s%s"):format(looks.state_label(node),
     look_of(node, "state"), node.least or "",
     node.is_final and ", peripheries=2" or "",
     node.is_region and ', style="filled,dashed"' or "",
-    node.mode and ', fillcolor="#D6EAF8"' or "")
+    node.mode and ', fillcolor="#D6EAF8"' or "",
+    address_of(node))
 end
 
---- Return the attributes of the frame of a composite.
+--- Return the distance in points from the frame of a composite to what is in it.
+function looks.margin_of(node) return node.depth > 0 and 10 or 4 end
+
+--- Return the attributes of the frame of a composite. The root has a tint, and no line.
 function looks.frame_text(node)
-  return ('label=%s, margin=10, style="%s,filled", fillcolor="%s"%s, %s'):format(
-    looks.state_label(node), node.is_region and "dashed" or "rounded",
-    node.depth % 2 == 0 and "white" or "#F4F6F8", LOOKS.plain, look_of(node, "state"))
+  local style = node.is_region and "dashed" or "rounded"
+  return ('label=%s, margin=%d, style="%s,filled", fillcolor="%s"%s, %s%s'):format(
+    looks.state_label(node), looks.margin_of(node), style,
+    node.depth % 2 == 1 and "white" or "#F4F6F8", LOOKS.plain, look_of(node, "state"),
+    node.depth == 0 and ", color=none" or "")
 end
 
---- Append the lines of a node and of the nodes in it. A composite is a cluster; a
--- column has no frame. `position_of(node)` returns further attributes of a node, and
+--- Append the lines of a node and of the nodes in it. A composite is a cluster.
+-- `position_of(node)` returns further attributes of a node, and
 -- `add_labels(lines, depth, node)` appends further lines in a composite.
 function looks.add_node(lines, depth, node, position_of, add_labels)
-  local function add_members(inner)
-    for _, subnode in ipairs(node.nodes) do
-      looks.add_node(lines, inner, subnode, position_of, add_labels)
-    end
-  end
-  if node.is_column then return add_members(depth) end
   local id, position = looks.id_of(node.fqn), position_of and position_of(node) or ""
   if node.kind ~= "composite" then
     return add(lines, depth, ("%s [%s, %s%s]"):format(node.id, id,
@@ -163,7 +198,9 @@ function looks.add_node(lines, depth, node, position_of, add_labels)
   add(lines, depth, "subgraph cluster_" .. node.id .. " {")
   add(lines, depth + 1, ("graph [%s, %s%s]"):format(id, looks.frame_text(node),
     position))
-  add_members(depth + 1)
+  for _, subnode in ipairs(node.nodes) do
+    looks.add_node(lines, depth + 1, subnode, position_of, add_labels)
+  end
   if add_labels then add_labels(lines, depth + 1, node) end
   add(lines, depth, "}")
 end
@@ -180,7 +217,7 @@ local function label_node(arrow, direction, feet, sides)
   local cells = {}
   local text = ('<TD CELLPADDING="4"%s>%s</TD>'):format(sides
     and (' BORDER="1" SIDES="%s"'):format(sides) or "",
-    centred(arrow.parts[1] and diagram.label_of(arrow) or " "))
+    html(arrow.parts[1] and label_of(arrow) or " "))
   for i, foot in ipairs(feet) do
     cells[i] = foot == "text" and text or FOOT:format(foot)
   end

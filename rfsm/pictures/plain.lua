@@ -72,7 +72,7 @@ end
 function plain.read(chart, answer)
   local frames, boxes, halves = elements_of(answer)
   local layout = frames[""]
-  layout.kind, layout.places, layout.lines = "plain", {}, {}
+  layout.kind, layout.places, layout.lines, layout.leasts = "plain", {}, {}, {}
   for _, node in ipairs(chart.nodes) do
     layout.places[node] = frames["cluster_" .. node.id] or boxes[node.id]
     if not layout.places[node] then return nil end

@@ -9,6 +9,9 @@
 -- @module rfsm.postgres.host
 -- @license BSD-3-Clause
 
+local rfsm = require "rfsm"
+local verbs_of = require "rfsm.server.verbs"
+
 local ipairs = ipairs
 local floor = math.floor
 
@@ -40,7 +43,10 @@ local floor = math.floor
 local host = {}
 
 --- Functions that only read the machine, so that its row needs no lock.
-host.READ_ONLY = { rfsm_get = true, rfsm_why = true }
+host.READ_ONLY = {}
+for _, verb in ipairs(verbs_of) do
+  host.READ_ONLY["rfsm_" .. verb.name] = verb.reads
+end
 
 --- Statements by their names. A statement that writes a machine returns a row if it has
 -- written one. The casts are for drivers that give all parameters the type text.
@@ -55,7 +61,7 @@ host.STATEMENTS = {
     ON CONFLICT (key) DO NOTHING RETURNING key]],
   update = [[UPDATE rfsm.machines SET chart = $2, version = $3, state = $4, mode = $5,
     event = coalesce($6, event), due = to_timestamp($7::text::float8),
-    data = $8::jsonb, value = $9::jsonb,
+    data = $8::jsonb, value = $9::jsonb, leases = 0,
     since = CASE WHEN state = $4 THEN since ELSE clock_timestamp() END
     WHERE key = $1 RETURNING key]],
   move = [[UPDATE rfsm.machines SET state = $2, event = $3, since = clock_timestamp()
@@ -99,7 +105,7 @@ local function save(server, execute, key, change)
   end
   local written = execute(is_new and "insert" or "update", key, machine.chart.name,
     machine.list[3].chart, machine.at, machine.mode, by,
-    change.due and ("%.6f"):format(change.due) or nil,
+    change.due and rfsm.number_text(change.due, "%.6f") or nil,
     server.json.datum(change.data), server.json.datum(machine.value))
   if written[1] then save_effects(server, execute, key, change) end
   return written[1] ~= nil

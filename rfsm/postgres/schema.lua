@@ -1,22 +1,95 @@
 --- The schema `rfsm` as texts of SQL: tables, a function in PL/Lua, functions in SQL.
 --
--- When the script is loaded, tables that exist are kept, and functions are replaced.
--- Tables that do not change are not locked, so clients need not wait for the load.
--- $TAG, $CODE, $ID, $LOG, $OWNER, $HISTORY and $NOTIFY are replaced by
--- `rfsm.postgres.script`.
+-- When the script is loaded, tables that exist are kept, and functions are replaced. A
+-- schema of an older release is altered step by step. Tables that do not change are not
+-- locked, so clients need not wait for the load. `rfsm.postgres.script` replaces words
+-- such as $TAG.
 --
 -- @module rfsm.postgres.schema
 -- @license BSD-3-Clause
 
+local verbs = require "rfsm.server.verbs"
+
 local ipairs, concat = ipairs, table.concat
 
 local schema = {}
+
+-- The steps from one version of the schema to the next. Each has the table that it
+-- changes, and the statement. A schema without a version is of the first one or of the
+-- second, so these steps must do no harm to a schema that needs them not.
+local STEPS = {
+  { "rfsm.out", "ALTER TABLE rfsm.out ADD COLUMN IF NOT EXISTS due timestamptz, "
+    .. "ADD COLUMN IF NOT EXISTS tries integer NOT NULL DEFAULT 0, "
+    .. "ADD COLUMN IF NOT EXISTS error text; "
+    .. "DROP PROCEDURE IF EXISTS rfsm.work(double precision);" },
+  { "rfsm.machines", "ALTER TABLE rfsm.machines "
+    .. "ADD COLUMN IF NOT EXISTS leases integer NOT NULL DEFAULT 0;" },
+}
+
+--- The version of the schema that the script makes.
+schema.VERSION = #STEPS + 1
+
+-- The version is in the comment of the schema, which a dump keeps.
+local OWN = ("rfsm schema %d"):format(schema.VERSION)
+
+--- SQL that returns the version of the schema as a text; NULL if it has none.
+schema.FOUND = [[SELECT substring(obj_description(to_regnamespace('rfsm'),
+  'pg_namespace') FROM '^rfsm schema (\d+)$') AS version]]
+
+-- Locks a table that is to change. Clients have to wait behind a session that waits for
+-- a lock, so it gives up soon, lets them pass, and tries again.
+local LOCK = [[
+
+CREATE OR REPLACE FUNCTION rfsm.lock_table(name text) RETURNS void
+  LANGUAGE plpgsql AS $$
+BEGIN
+  FOR try IN 1..5 LOOP
+    BEGIN
+      SET LOCAL lock_timeout = '500ms';
+      EXECUTE 'LOCK TABLE ' || name;
+      RETURN;
+    EXCEPTION WHEN lock_not_available THEN
+      IF try = 5 THEN
+        RAISE EXCEPTION 'rfsm: nothing was loaded: other sessions hold tables that '
+          'are to change (pid %); load again when their transactions have ended',
+          (SELECT string_agg(DISTINCT pid::text, ', ') FROM pg_locks
+            WHERE granted AND pid <> pg_backend_pid() AND relation = name::regclass);
+      END IF;
+      PERFORM pg_sleep(0.5);
+    END;
+  END LOOP;
+END $$;
+]]
+
+local steps = {}
+for i, step in ipairs(STEPS) do
+  steps[i] = ([[
+  IF found <= %d THEN
+    PERFORM rfsm.lock_table('%s');
+    %s
+  END IF;
+]]):format(i, step[1], step[2])
+end
 
 schema.HEAD = [[
 -- Made by: rfsm postgres. All of it, or nothing: one transaction.
 BEGIN;
 SET LOCAL client_min_messages = warning;
 CREATE SCHEMA IF NOT EXISTS rfsm;
+]] .. LOCK .. [[
+
+-- Alters the tables of an older release.
+DO $$
+DECLARE found integer := coalesce((]] .. schema.FOUND .. [[)::integer, 1);
+BEGIN
+  IF found > ]] .. schema.VERSION .. [[ THEN
+    RAISE EXCEPTION 'rfsm: nothing was loaded: the schema is of version %, this script '
+      'knows ]] .. schema.VERSION .. [[ (load one of the rfsm that made it)', found;
+  END IF;
+  IF to_regclass('rfsm.machines') IS NULL THEN RETURN; END IF;
+]] .. concat(steps) .. [[
+END $$;
+COMMENT ON SCHEMA rfsm IS ']] .. OWN .. [[';
 
 CREATE TABLE IF NOT EXISTS rfsm.machines (
   key text COLLATE "C" PRIMARY KEY,
@@ -26,9 +99,10 @@ CREATE TABLE IF NOT EXISTS rfsm.machines (
   mode text NOT NULL,           -- active, done, inactive
   since timestamptz NOT NULL,   -- when it came to the state
   event text NOT NULL,          -- by which it came
-  due timestamptz,              -- when it is to be woken
+  due timestamptz,              -- when it is to be woken; leased: the end of the lease
   data jsonb NOT NULL,          -- what the chart keeps, by state
-  value jsonb NOT NULL          -- snapshot, ids of the latest events, events to come
+  value jsonb NOT NULL,         -- snapshot, ids of the latest events, events to come
+  leases integer NOT NULL DEFAULT 0 -- by workers, since it last came to an end
 ) WITH (fillfactor = 80);
 
 -- What machines have emitted, for workers: rfsm.take, then rfsm.done or rfsm.fail.
@@ -78,40 +152,30 @@ CREATE OR REPLACE FUNCTION rfsm.is_in(state text, other text)
 $$;
 ]]
 
--- The functions in SQL for one machine: name, parameters after `key`, type of the
--- result, and the arguments `args` and `id` for `rfsm.call` (NULL, NULL if absent).
-local VERBS = {
-  { "create", ", chart text, data jsonb DEFAULT '{}', id text DEFAULT NULL", "text",
-    "ARRAY[chart, coalesce(data, '{}')::text], id" },
-  { "send", ", events text[], id text DEFAULT NULL", "text", "events, id" },
-  { "send", ", event text, id text DEFAULT NULL", "text", "ARRAY[event], id" },
-  { "send_at", ", at timestamptz, event text, id text", "text",
-    "ARRAY[extract(epoch FROM at)::text, event], id" },
-  { "cancel", ", id text", "boolean", "ARRAY[id], NULL" },
-  { "why", ", event text", "SETOF text", "ARRAY[event], NULL" },
-  { "force", ", state text", "text", "ARRAY[state], NULL" },
-  { "tick", "", "text" }, { "hold", "", "text" }, { "release", "", "text" },
-  { "remove", "", "boolean" },
-}
-
 -- For each type of result, the SQL expression that makes it; %s is a list of texts.
 local RESULTS = { text = "(%s)[1]", boolean = "(%s)[1] = '1'",
-  ["SETOF text"] = "unnest(%s)" }
+  ["SETOF text"] = "unnest(%s)", ["TABLE (name text, value text)"] =
+  "l[i], l[i + 1] FROM %s l, generate_series(1, cardinality(l), 2) i" }
 
 -- The functions in SQL. A role that has USAGE of the schema may call them, except those
 -- that are revoked below. They run with the rights of the owner ($OWNER).
-local calls = {}
-for i, verb in ipairs(VERBS) do
-  local name, arguments, kind = verb[1], verb[2], verb[3]
-  local call = ("rfsm.call('rfsm_%s', key, %s)"):format(name, verb[4] or "NULL, NULL")
-  calls[i] = ([[
+local function function_of(name, sql)
+  local call = ("rfsm.call('rfsm_%s', key, %s)"):format(name, sql[3] or "NULL, NULL")
+  return ([[
 CREATE OR REPLACE FUNCTION rfsm.%s(key text%s)
   RETURNS %s $OWNER AS $$
   SELECT %s
 $$;
 
-]]):format(name, arguments, kind, RESULTS[kind]:format(call))
+]]):format(name, sql[1], sql[2], RESULTS[sql[2]]:format(call))
 end
+
+local calls = verbs.map(function(verb)
+  local more = verb.more_sql and function_of(verb.name, verb.more_sql) or ""
+  return verb.sql and function_of(verb.name, verb.sql) .. more
+end)
+
+local revoked = verbs.map(function(verb) return verb.by and "rfsm." .. verb.name end)
 
 schema.FUNCTIONS = [[
 
@@ -133,10 +197,31 @@ CREATE OR REPLACE FUNCTION rfsm.reply(key text, events text[], id text DEFAULT N
 $$;
 
 ]] .. concat(calls) .. [[
-REVOKE EXECUTE ON FUNCTION rfsm.hold, rfsm.release, rfsm.force, rfsm.remove FROM PUBLIC;
+REVOKE EXECUTE ON FUNCTION ]] .. concat(revoked, ", ") .. [[ FROM PUBLIC;
 
--- Runs machines that are due and that no other session has locked; returns how many. A
--- machine that cannot run waits for a minute, and the log has the reason.
+-- Runs a machine that is due, unless another session has locked it; returns whether it
+-- ran. A machine that cannot run waits for a minute, and the log has the reason.
+CREATE OR REPLACE FUNCTION rfsm.run_due(key text)
+  RETURNS boolean LANGUAGE plpgsql SECURITY DEFINER
+  SET search_path = pg_catalog, pg_temp AS $$
+#variable_conflict use_column
+DECLARE each text := key;
+BEGIN
+  PERFORM FROM rfsm.leased(each);
+  IF NOT FOUND THEN RETURN false; END IF;
+  PERFORM rfsm.call('rfsm_tick', each, '{due}', NULL);
+  RETURN true;
+EXCEPTION
+  WHEN lock_not_available OR deadlock_detected OR serialization_failure THEN
+    RETURN false;
+  WHEN OTHERS THEN
+    UPDATE rfsm.machines SET due = now() + interval '1 minute', leases = 0
+      WHERE key = each;
+    $LOG;
+    RETURN false;
+END $$;
+
+-- Runs machines that are due, all in one transaction; returns how many.
 CREATE OR REPLACE FUNCTION rfsm.wake(most integer DEFAULT 100)
   RETURNS integer LANGUAGE plpgsql SECURITY DEFINER
   SET search_path = pg_catalog, pg_temp AS $$
@@ -147,45 +232,65 @@ BEGIN
   FOREACH each IN ARRAY ARRAY(SELECT m.key FROM rfsm.machines m WHERE m.due <= now()
     ORDER BY m.due LIMIT most FOR UPDATE SKIP LOCKED)
   LOOP
-    BEGIN
-      PERFORM rfsm.tick(each);
-      woken := woken + 1;
-    EXCEPTION
-      WHEN lock_not_available OR deadlock_detected OR serialization_failure THEN
-        NULL;
-      WHEN OTHERS THEN
-        UPDATE rfsm.machines SET due = now() + interval '1 minute' WHERE key = each;
-        $LOG;
-    END;
+    IF rfsm.run_due(each) THEN woken := woken + 1; END IF;
   END LOOP;
   RETURN woken;
 END $$;
 
--- A worker: it wakes machines until it is cancelled, each batch in a transaction. It
+-- Runs the machine that the transaction before has leased, if any, and leases the next
+-- one. A machine that had too many leases is held.
+CREATE OR REPLACE FUNCTION rfsm.next_due(INOUT leased text, OUT has_run boolean)
+  LANGUAGE plpgsql SECURITY DEFINER SET search_path = pg_catalog, pg_temp AS $$
+DECLARE count integer;
+BEGIN
+  has_run := leased IS NOT NULL AND rfsm.run_due(leased);
+  LOOP
+    SELECT l.key, l.leases INTO leased, count FROM rfsm.lease() l;
+    EXIT WHEN leased IS NULL OR count <= $MOST;
+    BEGIN
+      PERFORM rfsm.call('rfsm_hold', leased, ARRAY['$REASON'], NULL);
+    EXCEPTION WHEN OTHERS THEN
+      UPDATE rfsm.machines SET due = now() + interval '1 minute' WHERE key = leased;
+    END;
+  END LOOP;
+END $$;
+
+-- A worker: it runs machines that are due, each in a transaction, and leases each in
+-- the transaction before, until it is cancelled. If there is a statement_timeout, it
+-- ends when half of it has passed, so that the other half is there for each machine. It
 -- sends a line to its client now and then: the server ends the session if the client is
 -- gone.
 CREATE OR REPLACE PROCEDURE rfsm.work(pause double precision DEFAULT 0.1,
   report interval DEFAULT '30 seconds') LANGUAGE plpgsql AS $$
 DECLARE
-  woken integer;
+  leased text;
+  has_run boolean;
   total bigint := 0;
   next_report timestamptz := clock_timestamp() + report;
+  last timestamptz := statement_timestamp() + (SELECT nullif(setting, '0')::integer / 2
+    * interval '1 ms' FROM pg_settings WHERE name = 'statement_timeout');
 BEGIN
   LOOP
     COMMIT;
     SET TRANSACTION ISOLATION LEVEL READ COMMITTED;
     BEGIN
-      woken := rfsm.wake();
+      SELECT * INTO leased, has_run FROM rfsm.next_due(leased);
     EXCEPTION
       WHEN lock_not_available OR deadlock_detected OR serialization_failure THEN
-        woken := 0;
+        leased := NULL;
+        has_run := false;
     END;
-    total := total + woken;
+    total := total + has_run::integer;
     IF clock_timestamp() >= next_report THEN
       RAISE INFO 'rfsm.work: % machines were woken', total;
       next_report := clock_timestamp() + report;
     END IF;
-    IF woken = 0 THEN
+    IF clock_timestamp() >= last THEN
+      COMMIT;
+      has_run := leased IS NOT NULL AND rfsm.run_due(leased);
+      EXIT;
+    END IF;
+    IF leased IS NULL THEN
       COMMIT;
       PERFORM pg_sleep(pause);
     END IF;
@@ -194,6 +299,28 @@ END $$;
 ]]
 
 schema.OUTBOX = [[
+
+-- Leases the machine that is due first: no other worker runs it until the lease is
+-- over. `leases` counts the leases since the machine last came to an end.
+CREATE OR REPLACE FUNCTION rfsm.lease(OUT key text, OUT leases integer) $OWNER AS $$
+  UPDATE rfsm.machines m SET leases = m.leases + 1,
+    due = clock_timestamp() + interval '$SECONDS s'
+  WHERE m.key = (SELECT n.key FROM rfsm.machines n WHERE n.due <= now()
+    ORDER BY n.due LIMIT 1 FOR UPDATE SKIP LOCKED)
+  RETURNING m.key, m.leases
+$$;
+
+-- Locks a leased machine. Another worker that looks for one may hold it for a moment.
+-- If a session holds it for longer, there is no row, and the lease passes.
+CREATE OR REPLACE FUNCTION rfsm.leased(machine text)
+  RETURNS TABLE (key text, value jsonb) LANGUAGE plpgsql
+  SET search_path = pg_catalog, pg_temp SET lock_timeout = '1s' AS $$
+BEGIN
+  RETURN QUERY SELECT m.key, m.value FROM rfsm.machines m WHERE m.key = machine
+    FOR UPDATE;
+EXCEPTION WHEN lock_not_available OR deadlock_detected OR serialization_failure THEN
+  RETURN;
+END $$;
 
 -- Returns entries that no other worker has, and counts the try. A worker has an entry
 -- for the time of the lease, twice as long with each further try; then another worker
@@ -230,17 +357,45 @@ CREATE OR REPLACE FUNCTION rfsm.fail(id bigint, reason text)
   SELECT EXISTS (SELECT FROM failed)
 $$;
 
--- Sends a dead entry again, or drops it. Returns whether the entry was there.
+-- Sends a dead entry again, or drops it. Returns whether the entry was there. It keeps
+-- its id, so that an answer which was sent before it failed counts once.
 CREATE OR REPLACE FUNCTION rfsm.again(id bigint) RETURNS boolean $OWNER AS $$
   WITH gone AS (DELETE FROM rfsm.dead d WHERE d.id = again.id RETURNING *),
-    sent AS (INSERT INTO rfsm.out (key, what, data)
-      SELECT key, what, data FROM gone RETURNING 1)
+    sent AS (INSERT INTO rfsm.out (id, at, key, what, data) OVERRIDING SYSTEM VALUE
+      SELECT g.id, g.at, g.key, g.what, g.data FROM gone g RETURNING 1)
   SELECT EXISTS (SELECT FROM sent)
 $$;
 
 CREATE OR REPLACE FUNCTION rfsm.drop(id bigint) RETURNS boolean $OWNER AS $$
   WITH gone AS (DELETE FROM rfsm.dead d WHERE d.id = "drop".id RETURNING 1)
   SELECT EXISTS (SELECT FROM gone)
+$$;
+
+-- What an operator asks: the latest errors of a machine, the machines that are due, how
+-- many machines there are of each version, and those that are in a state, for so long.
+CREATE OR REPLACE FUNCTION rfsm.log(key text, most integer DEFAULT 10)
+  RETURNS TABLE (at timestamptz, error text) $OWNER AS $$
+  SELECT l.at, l.error FROM rfsm.log l WHERE l.key = log.key ORDER BY l.id DESC
+  LIMIT most
+$$;
+
+CREATE OR REPLACE FUNCTION rfsm.due(most integer DEFAULT 100,
+  until timestamptz DEFAULT clock_timestamp())
+  RETURNS TABLE (key text, due timestamptz) $OWNER AS $$
+  SELECT m.key, m.due FROM rfsm.machines m WHERE m.due <= until ORDER BY m.due
+  LIMIT most
+$$;
+
+CREATE OR REPLACE FUNCTION rfsm.versions()
+  RETURNS TABLE (chart text, version text, machines bigint) $OWNER AS $$
+  SELECT m.chart, m.version, count(*) FROM rfsm.machines m GROUP BY 1, 2 ORDER BY 1, 2
+$$;
+
+CREATE OR REPLACE FUNCTION rfsm.find(chart text, state text, most integer DEFAULT 100,
+  age interval DEFAULT '0') RETURNS SETOF text $OWNER AS $$
+  SELECT m.key FROM rfsm.machines m WHERE m.chart = find.chart
+    AND rfsm.is_in(m.state, find.state) AND m.since <= clock_timestamp() - age
+  ORDER BY m.since LIMIT most
 $$;
 
 -- Numbers for monitoring.
@@ -251,13 +406,15 @@ CREATE OR REPLACE FUNCTION rfsm.stats()
   UNION ALL SELECT 'rfsm_timers', NULL, NULL, count(due) FROM rfsm.machines
   UNION ALL SELECT 'rfsm_overdue', NULL, NULL, count(*) FROM rfsm.machines
     WHERE due < clock_timestamp() - interval '1 minute'
+  UNION ALL SELECT 'rfsm_aside', NULL, NULL, count(*) FROM rfsm.machines m
+    WHERE m.value->9->1 IS NOT NULL HAVING count(*) > 0 -- held by a worker
   UNION ALL SELECT 'rfsm_entries', NULL, NULL, count(*) FROM rfsm.out
   UNION ALL SELECT 'rfsm_dead', NULL, NULL, count(*) FROM rfsm.dead
   ORDER BY 1, 2, 3
 $$;
 
 REVOKE EXECUTE ON FUNCTION rfsm.take, rfsm.done, rfsm.fail, rfsm.again, rfsm.drop,
-  rfsm.stats FROM PUBLIC;
+  rfsm.stats, rfsm.log, rfsm.due, rfsm.versions, rfsm.find FROM PUBLIC;
 ]]
 
 schema.HISTORY = [[
@@ -303,8 +460,7 @@ END $$;
 schema.TRIGGERS = [[
 
 -- Makes the triggers that are absent or different, and drops those that are not wanted.
--- Both need a lock of the table. Clients have to wait behind a session that waits for a
--- lock, so it gives up soon, lets them pass, and tries again.
+-- Both need a lock of the table.
 DO $$
 DECLARE
   moved text := 'WHEN ((old.state <> new.state)) ';
@@ -324,28 +480,13 @@ BEGIN
     LEFT JOIN pg_trigger t ON tgrelid = 'rfsm.machines'::regclass AND tgname = name
   LOOP
     CONTINUE WHEN each.found IS NOT DISTINCT FROM each.wanted;
-    FOR try IN 1..5 LOOP
-      BEGIN
-        SET LOCAL lock_timeout = '500ms';
-        LOCK TABLE rfsm.machines;
-        EXIT;
-      EXCEPTION WHEN lock_not_available THEN
-        IF try = 5 THEN
-          RAISE EXCEPTION 'rfsm: nothing was loaded: other sessions hold tables that '
-            'are to change (pid %); load again when their transactions have ended',
-            (SELECT string_agg(DISTINCT pid::text, ', ') FROM pg_locks
-              WHERE granted AND pid <> pg_backend_pid()
-              AND relation = 'rfsm.machines'::regclass);
-        END IF;
-        PERFORM pg_sleep(0.5);
-      END;
-    END LOOP;
+    PERFORM rfsm.lock_table('rfsm.machines');
     EXECUTE format('DROP TRIGGER IF EXISTS %s ON rfsm.machines', each.name);
     IF each.wanted IS NOT NULL THEN EXECUTE each.wanted; END IF;
   END LOOP;
 END $$;
 ]]
 
-schema.FOOT = "\nCOMMIT;\n"
+schema.FOOT = "\nDROP FUNCTION rfsm.lock_table;\nCOMMIT;\n"
 
 return schema

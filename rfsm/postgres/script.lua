@@ -7,6 +7,7 @@
 
 local add_module = require("rfsm.server.bundle").add
 local host = require "rfsm.postgres.host"
+local lease = require "rfsm.server.lease"
 local library = require "rfsm.server.library"
 local schema = require "rfsm.postgres.schema"
 
@@ -22,7 +23,10 @@ local script = {}
 local HEAD = [[
 local globals, sandbox
 do
-  local bundled, load, pcall = {}, load, lpcall
+  local bundled, load, pcall, outer_require = {}, load, lpcall, require
+  local function require(name)
+    return bundled[name] and bundled[name]() or outer_require(name)
+  end
   %s
   self.serve = bundled["rfsm.postgres.pllua"]()(
     bundled["rfsm.postgres.host"](), spi, pgtype, "$ID")
@@ -85,15 +89,16 @@ function script.library(arguments, options)
   return library.text(arguments, "PostgreSQL", options)
 end
 
--- Functions in SQL run with the rights of their owner, not of their caller.
-local OWNER = { OWNER =
-  "LANGUAGE sql SECURITY DEFINER SET search_path = pg_catalog, pg_temp" }
+-- Words of the schema. Functions in SQL run with the rights of their owner, not of
+-- their caller.
+local WORDS = { SECONDS = lease.SECONDS, MOST = lease.MOST, REASON = lease.REASON,
+  OWNER = "LANGUAGE sql SECURITY DEFINER SET search_path = pg_catalog, pg_temp" }
 
 local function schema_of(functions, options)
   local triggers = schema.TRIGGERS:gsub("%$(%u+)", {
     HISTORY = options.history and "true" or "false",
     NOTIFY = options.notify and "true" or "false" })
-  local outbox = schema.OUTBOX:gsub("%$(OWNER)", OWNER)
+  local outbox = schema.OUTBOX:gsub("%$(%u+)", WORDS)
   return concat { schema.HEAD, functions, outbox,
     options.history and schema.HISTORY or "", options.notify and schema.NOTIFY or "",
     triggers, schema.FOOT }
@@ -109,13 +114,14 @@ function script.sql(arguments, options)
   options = options or {}
   local text, warnings = script.library(arguments, options)
   local parts = {}
+  add_module(parts, "rfsm.server.verbs")
   add_module(parts, "rfsm.postgres.host")
   add_module(parts, "rfsm.postgres.pllua")
   local code = HEAD:format(concat(parts)) .. text .. FOOT
   local id = id_of(code)
   local values = { TAG = quote_for(code), CODE = code:gsub("%$ID", id, 1), ID = id,
     LOG = (host.STATEMENTS.log:gsub("%$%d", { ["$1"] = "each", ["$2"] = "SQLERRM" })) }
-  local functions = schema.FUNCTIONS:gsub("%$(OWNER)", OWNER):gsub("%$(%u+)", values)
+  local functions = schema.FUNCTIONS:gsub("%$(%u+)", WORDS):gsub("%$(%u+)", values)
   return schema_of(functions, options), warnings
 end
 

@@ -10,6 +10,7 @@ local encoding = require "rfsm.snapshot.encoding"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 local instrument = require "rfsm.shared.instrument"
+local match = require "rfsm.shared.match"
 local tracks = require "rfsm.record.track"
 
 local error, ipairs, pcall = error, ipairs, pcall
@@ -43,15 +44,24 @@ end
 
 -- Replaces the items of a list by recorded events, which are unpacked. If an event
 -- cannot be replayed, the replay departs from the recording.
+local function add_event(session, list, packed)
+  local event = encoding.unpack(packed, 0)
+  if encoding.is_scalar(event) or encoding.is_event(event) then
+    list[#list + 1] = event
+  else
+    depart(session, "%s cannot be replayed", list_text({ packed }))
+  end
+end
+
 local function fill(session, list, events)
   for i = #list, 1, -1 do list[i] = nil end
-  for i = 1, events and #events or 0 do
-    local event = encoding.unpack(events[i], 0)
-    if encoding.is_scalar(event) or encoding.is_event(event) then
-      list[i] = event
-    else
-      depart(session, "%s cannot be replayed", list_text({ events[i] }))
-    end
+  for i = 1, events and #events or 0 do add_event(session, list, events[i]) end
+end
+
+-- Appends the events that a dry run lacks: callbacks had sent them for a later time.
+local function add_sends(session, list, added)
+  for i = 1, added and #added or 0 do
+    if not match.maker_of(added[i]) then add_event(session, list, added[i]) end
   end
 end
 
@@ -98,6 +108,7 @@ function listener.began(session, track, events)
   track.rec, track.guard_at = rec, 0
   fill(session, events, rec.events)
   fill(session, track.fsm._intq, nil) -- what is read later is in later records
+  if session.is_dry then add_sends(session, events, rec.added) end
   if rec.had then snapshot.put_data(track.fsm, rec.had) end
   if track.m == nil then
     session.readings = { unpack(rec.clock or {}) }

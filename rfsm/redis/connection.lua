@@ -9,6 +9,7 @@
 local try = require("rfsm.shared.calls").try
 local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
+local rfsm = require "rfsm"
 
 local error, ipairs, next, pairs = error, ipairs, next, pairs
 local pcall, rawget, setmetatable = try, rawget, setmetatable
@@ -67,6 +68,12 @@ local function is_lost(text)
   return text:find("^connection error") or text:find("closed$")
     or text:find("^timeout") or text:find("cannot connect", 1, true)
     or text:find("^LOADING")
+end
+
+--- Is an error one that passes, and that changes nothing: the server is busy with a
+-- call, or has no memory left?
+function connection.has_to_wait(text)
+  return (text:find("BUSY Redis is busy", 1, true) or text:find "OOM command") ~= nil
 end
 
 local function secured(self, socket)
@@ -187,7 +194,8 @@ local function redirected(self, tag, address, text)
     if host == "" then host = address:match("^(.*):") end
     if kind == "MOVED" then self.node_of[tag] = host .. ":" .. port end
     return host .. ":" .. port, kind == "ASK"
-  elseif text:find("^TRYAGAIN") or text:find("^CLUSTERDOWN") then
+  elseif text:find("^TRYAGAIN") or text:find("^CLUSTERDOWN")
+    or text:find("^BUSY ") then
     return address, false
   elseif is_lost(text) or text:find("^READONLY") or text:find("^MASTERDOWN") then
     drop(self, address)
@@ -195,8 +203,8 @@ local function redirected(self, tag, address, text)
   end
 end
 
--- Sends a command to one node, and ASKING before it if `is_asked`. Returns true and the
--- reply, or false and the error.
+-- Sends a command to one node, and ASKING before it if `is_asked`. Returns true, the
+-- reply and the connection, or false and the error.
 local function ask(self, address, is_asked, name, ...)
   local found, client = pcall(node, self, address)
   if not found then return false, client end
@@ -204,18 +212,19 @@ local function ask(self, address, is_asked, name, ...)
     local ok, problem = pcall(command, client, "ASKING")
     if not ok then return false, problem end
   end
-  return pcall(command, client, name, ...)
+  local ok, reply = pcall(command, client, name, ...)
+  return ok, reply, client
 end
 
---- Send a command to the node that has the keys of a hash tag; return the reply. If the
--- node is not reached, the command is sent again for `patience` seconds, also to other
--- nodes. Raises the error of the server.
+--- Send a command to the node that has the keys of a hash tag; return the reply, and
+-- the connection to the node. If the node is not reached, the command is sent again for
+-- `patience` seconds, also to other nodes. Raises the error of the server.
 function Connection:call(tag, name, ...)
   local address, is_asked = self.node_of[tag] or self.seeds[1], false
   local started, tries, seed = time(), 0, 1
   repeat
-    local ok, reply = ask(self, address, is_asked, name, ...)
-    if ok then return reply end
+    local ok, reply, client = ask(self, address, is_asked, name, ...)
+    if ok then return reply, client end
     local other
     other, is_asked = redirected(self, tag, address, reply)
     if other == nil then error(reply, 0) end
@@ -227,10 +236,24 @@ function Connection:call(tag, name, ...)
     if other == address or tries > 2 then sleep(min(0.01 * tries, 0.2)) end
     address = other
     if time() - started > self.options.patience then
-      error(("rfsm.fleet: no answer for {%s} in %g s: %s"):format(tag,
-        self.options.patience, reply), 0)
+      error(("rfsm.fleet: no answer for {%s} in %s s: %s"):format(tag,
+        rfsm.text_of(self.options.patience), reply), 0)
     end
   until false
+end
+
+--- Send a command by a connection that `call` has returned; return whether it was
+-- done, and the reply. It is not done if the connection is lost: another one may reach
+-- a node that does not know what was sent before.
+function Connection:call_by(client, name, ...)
+  for address, open_client in order.each(self.nodes) do -- any order: one is found
+    if open_client == client then
+      local ok, reply = pcall(command, client, name, ...)
+      if not ok and is_lost(reply) then drop(self, address) end
+      return ok, ok and reply or nil
+    end
+  end
+  return false
 end
 
 local function read(client)

@@ -11,11 +11,14 @@
 local charts = require "rfsm.server.charts"
 local encoding = require "rfsm.snapshot.encoding"
 local keys_of = require "rfsm.server.keys"
+local lease = require "rfsm.server.lease"
+local rfsm = require "rfsm"
 local times = require "rfsm.server.times"
 
 local ipairs, pairs, pcall, rawget = ipairs, pairs, pcall, rawget
 local tonumber, type = tonumber, type
 local char, huge, min = string.char, math.huge, math.min
+local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local fail, now, reason_of, shown = encoding.fail, times.now, charts.reason_of,
   keys_of.shown
@@ -24,13 +27,14 @@ local MAX_LOG = 1000
 local OVERDUE = 60 -- seconds; a machine that is due for longer counts as overdue
 local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 
--- The objects that Redis passes to libraries, the function rfsm_tick, and the options
--- of the library. They are locals of the module, since a server runs one such library.
-local redis, call, cmsgpack, tick_machine, options
+-- The objects that Redis passes to libraries, the functions rfsm_tick and rfsm_hold, a
+-- function that tells of which version a snapshot is, and the options of the library.
+-- They are locals of the module, since a server runs one such library.
+local redis, call, cmsgpack, tick_machine, hold_machine, version_of, options
 
 local store = {}
 
-local function score(time) return ("%.6f"):format(time) end
+local function score(time) return rfsm.number_text(time, "%.6f") end
 
 -- One machine ----------------------------------------------------------------------
 
@@ -158,6 +162,7 @@ function store.remove(key)
   if call("DEL", key) == 0 then return false end
   call("ZREM", keys_of.due(key), key)
   call("ZREM", keys_of.aside(key), key)
+  call("ZREM", keys_of.lease(key), key)
   call("DEL", keys_of.log(key), keys_of.history(key))
   if options.index then
     local members = members_of(key)
@@ -172,30 +177,32 @@ end
 local more = {}
 
 local function whole_of(text, default, most)
-  local number = tonumber(text or default)
+  local number = rfsm.number_of(text or default)
   if not number or number < 1 or number > most or number % 1 ~= 0 then
     fail("a whole number from 1 to %d expected, got '%s'", most, shown(text))
   end
   return number
 end
 
--- Runs a machine that is due. If `may_be_aside`, the machine is no longer put aside. If
--- the machine does not exist, its key is removed from the keys of due machines.
-local function tick(key, may_be_aside)
-  local reply = tick_machine({ key })
+-- Runs a machine. It is no longer put aside, and its lease ends. If the machine does
+-- not exist, its key is removed from the keys of due machines.
+local function tick(key, arguments)
+  local reply = tick_machine({ key }, arguments)
   if not reply then call("ZREM", keys_of.due(key), key) end
-  if may_be_aside then call("ZREM", keys_of.aside(key), key) end
+  call("ZREM", keys_of.aside(key), key)
+  call("ZREM", keys_of.lease(key), key)
   return reply
 end
 
 -- rfsm_tick KEY: runs a machine, because it is due.
-function more.rfsm_tick(keys) return tick(keys[1], true) end
+function more.rfsm_tick(keys, args) return tick(keys[1], args) end
 
 -- Has a machine that cannot be run wait for a minute, so that others are not held up.
 -- The failure is counted, and the reason is added to the log of the machine.
 local function put_aside(due, key, problem)
   local text = "rfsm_wake: " .. reason_of(problem)
   call("ZADD", due, score(now() + ASIDE), key)
+  call("ZREM", keys_of.lease(due), key)
   call("ZINCRBY", keys_of.aside(due), 1, key)
   pcall(call, "XADD", keys_of.log(key), "MAXLEN", "~", MAX_LOG, "*", "error", text)
 end
@@ -205,29 +212,59 @@ local function is_elsewhere(problem)
   return reason_of(problem):find("non local key", 1, true) ~= nil
 end
 
--- rfsm_wake KEY [limit]: runs the due machines whose keys have the {hash tag} of
--- KEY; returns how many ran, and how many failed.
+-- Calls f(key, argument). Returns 1 and 0; if it fails, puts the machine aside and
+-- returns 0 and 1.
+local function try(f, due, key, argument)
+  local ok, problem = pcall(f, key, { argument })
+  if ok then return 1, 0 end
+  if is_elsewhere(problem) then return 0, 0 end
+  put_aside(due, key, problem)
+  return 0, 1
+end
+
+-- Holds a machine because of its leases.
+local function hold(key, arguments)
+  hold_machine({ key }, arguments)
+  call("ZREM", keys_of.lease(key), key)
+  call("ZINCRBY", keys_of.aside(key), 1, key)
+end
+
+-- Leases the machine that is due first. Returns its key; nil if none is due. If it had
+-- too many leases, it is held, and the second result is 1.
+local function lease_next(due)
+  local key = call("ZRANGEBYSCORE", due, "-inf", score(now()), "LIMIT", 0, 1)[1]
+  if not key then return nil, 0 end
+  if tonumber(call("ZINCRBY", keys_of.lease(due), 1, key)) > lease.MOST then
+    try(hold, due, key, lease.REASON)
+    return nil, 1
+  end
+  call("ZADD", due, score(now() + lease.SECONDS), key)
+  return key, 0
+end
+
+-- The machine that the call before has leased, by the key of its due machines. It is
+-- not written, since a call that is killed cannot write that it has begun.
+local leased = {}
+
+-- rfsm_wake KEY [limit]: runs the machine that the call before has leased, and leases
+-- the one that is due first, among those with the {hash tag} of KEY. Returns how many
+-- ran, how many failed, and how many are still due, at most `limit`. No call runs two,
+-- since a call that has written cannot be killed.
 function more.rfsm_wake(keys, args)
   local due, limit = keys_of.due(keys[1]), whole_of(args[1], 100, 10000)
-  local list = call("ZRANGEBYSCORE", due, "-inf", score(now()), "LIMIT", 0, limit)
-  if not list[1] then return { 0, 0 } end
-  local has_aside, count, failed = call("EXISTS", keys_of.aside(due)) == 1, 0, 0
-  for _, key in ipairs(list) do
-    local ok, problem = pcall(tick, key, has_aside)
-    if ok then
-      count = count + 1
-    elseif not is_elsewhere(problem) then
-      failed = failed + 1
-      put_aside(due, key, problem)
-    end
-  end
-  return { count, failed }
+  local key, count, failed = leased[due], 0, 0
+  leased[due] = nil
+  if key then count, failed = try(tick, due, key, "due") end
+  local next_key, held = lease_next(due)
+  leased[due] = next_key
+  local left = call("ZCOUNT", due, "-inf", score(now())) + (next_key and 1 or 0)
+  return { count, failed + held, min(limit, left) }
 end
 
 -- rfsm_due KEY [limit [seconds]]: returns the keys of machines that are due now, or
 -- at a time in seconds, and that have the {hash tag} of KEY.
 function more.rfsm_due(keys, args)
-  local limit, at = tonumber(args[1] or 100), tonumber(args[2] or now())
+  local limit, at = rfsm.number_of(args[1] or 100), rfsm.number_of(args[2] or now())
   if not limit or not at then fail("a number expected") end
   return call("ZRANGEBYSCORE", keys_of.due(keys[1]), "-inf", score(at), "LIMIT", 0,
     limit)
@@ -242,9 +279,10 @@ local function is_there(key)
 end
 
 -- Has a machine been in its active leaf since a time, or longer? Without a time: yes.
+-- If it is not known since when, yes: it came there before times were noted.
 local function is_since(key, time)
   local since = time and call("ZSCORE", keys_of.since(key), key)
-  return not time or since and tonumber(since) <= time
+  return not since or rfsm.number_of(since) <= time
 end
 
 -- Lists at most `limit` keys of machines whose members of the index begin with `head`,
@@ -271,13 +309,24 @@ function more.rfsm_find(keys, args)
   if not options.index then fail("the library was made without --index") end
   local index, limit = keys_of.index(keys[1]), whole_of(args[3], 100, 100000)
   if not args[2] then fail("a chart and a state expected") end
-  local head, time = args[1] .. "\t" .. args[2], nil
+  local head, time = keys_of.head(args[1], args[2]), nil
   if args[4] then time = now() - whole_of(args[4], 0, 1e9) end
   local found = keys_with(index, head .. "\t", limit, time) -- the state itself
   for _, key in ipairs(keys_with(index, head .. ".", limit - #found, time)) do
     found[#found + 1] = key
   end
   return found
+end
+
+-- Lists the newest entries of a stream: the time of each, and its values.
+local function list_stream(stream, count)
+  local reply = {}
+  for _, entry in ipairs(call("XREVRANGE", stream, "+", "-", "COUNT",
+    whole_of(count, 10, 10000))) do
+    reply[#reply + 1] = rfsm.number_text(entry[1]:match("^%d+") / 1000, "%.3f")
+    for i = 2, #entry[2], 2 do reply[#reply + 1] = entry[2][i] end
+  end
+  return reply
 end
 
 -- rfsm_stats KEY: returns six results for the machines with the {hash tag} of KEY: a
@@ -287,7 +336,7 @@ function more.rfsm_stats(keys)
   local key, reply = keys[1], {}
   local index, due = keys_of.index(key), keys_of.due(key)
   for _, head in ipairs(options.index and heads_of(index) or {}) do
-    local name, leaf = head:match("^([^\t]*)\t([^\t]*)")
+    local name, leaf = keys_of.read_head(head)
     local count = #keys_with(index, head, huge)
     for _, value in ipairs(count > 0 and { name, leaf, count } or {}) do
       reply[#reply + 1] = value
@@ -298,26 +347,76 @@ function more.rfsm_stats(keys)
     call("XLEN", keys_of.dead(key)) }
 end
 
--- rfsm_history KEY [count]: returns the latest moves of a machine, the newest first,
--- each as four items: time, events, from, to.
-function more.rfsm_history(keys, args)
-  if not options.history then fail("the library was made without --history") end
-  local reply, count = {}, whole_of(args[1], 10, 10000)
-  local entries = call("XREVRANGE", keys_of.history(keys_of.machine(keys)), "+", "-",
-    "COUNT", count)
-  for _, entry in ipairs(entries) do
-    local ms, fields = entry[1]:match("^%d+"), entry[2]
-    for _, value in ipairs { ("%.3f"):format(ms / 1000), fields[2], fields[4],
-      fields[6] } do
-      reply[#reply + 1] = value
-    end
+-- Calls f(key, list) for each machine in a list of keys. If there is no machine at the
+-- first key, calls it for all machines with its hash tag. Returns how many there are.
+local function each_machine(keys, f)
+  local count, found = 0, keys
+  local function see(key)
+    local ok, list = pcall(store.read, key)
+    if not (ok and list) then return end
+    count = count + 1
+    f(key, list)
+  end
+  if call("TYPE", keys[1]).ok ~= "string" then
+    local tag, at = keys_of.tag(keys[1]), "0"
+    found = { tag }
+    repeat
+      local page = call("SCAN", at, "MATCH", "*{" .. tag:gsub("[%[%]*?\\]", "\\%0")
+        .. "}*", "COUNT", 1000, "TYPE", "string")
+      at = page[1]
+      for _, key in ipairs(page[2]) do found[#found + 1] = key end
+    until at == "0"
+  end
+  for _, key in ipairs(found) do see(key) end
+  return count
+end
+
+-- rfsm_reindex KEY...: puts machines into the index as they are, also those that have
+-- moved while the library was loaded without --index. Returns how many.
+function more.rfsm_reindex(keys)
+  if not options.index then fail("the library was made without --index") end
+  return each_machine(keys, function(key, list)
+    local old = members_of(key)
+    if old[1] then call("ZREM", keys_of.index(key), unpack(old)) end
+    local member = keys_of.member(list[2], list[3].leaf or "", key)
+    call("ZADD", keys_of.index(key), 0, member)
+  end)
+end
+
+-- rfsm_versions KEY...: returns four items for each version of a chart: its name, how
+-- the version is known ("newest", "bundled", "gone"), its fingerprint, and how many
+-- machines are of this version.
+function more.rfsm_versions(keys)
+  local counts, reply = {}, {}
+  each_machine(keys, function(_, list)
+    local snap = list[3]
+    local name = concat({ list[2], version_of(list[2], snap), snap.chart }, "\t")
+    counts[name] = (counts[name] or 0) + 1
+  end)
+  for _, name in ipairs(rfsm.sorted_keys(counts)) do
+    for text in name:gmatch("[^\t]+") do reply[#reply + 1] = text end
+    reply[#reply + 1] = counts[name]
   end
   return reply
 end
 
+-- rfsm_log KEY [count]: returns the latest errors of a machine, the newest first, each
+-- as two items: time and text.
+function more.rfsm_log(keys, args)
+  return list_stream(keys_of.log(keys_of.machine(keys)), args[1])
+end
+
+-- rfsm_history KEY [count]: returns the latest moves of a machine, the newest first,
+-- each as four items: time, events, from, to.
+function more.rfsm_history(keys, args)
+  if not options.history then fail("the library was made without --history") end
+  return list_stream(keys_of.history(keys_of.machine(keys)), args[1])
+end
+
 --- Add the functions for many machines to `all`. A call checks types and rights anew.
-function store.add(all, settings)
-  tick_machine, options = all.rfsm_tick, settings
+function store.add(all, settings, find_version)
+  tick_machine, hold_machine, options = all.rfsm_tick, all.rfsm_hold, settings
+  version_of = find_version
   for name, f in pairs(more) do all[name] = f end -- any order: a copy
   for name, f in pairs(all) do -- any order: they are independent
     all[name] = function(keys, args)

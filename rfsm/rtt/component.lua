@@ -8,9 +8,11 @@ local rfsm_rtt = require "rfsm.rtt" -- first: it adapts Lua to a TLSF pool
 local rfsm = require "rfsm"
 local held_port = require "rfsm.rtt.port"
 local limit = require "rfsm.shared.limit"
+local match = require "rfsm.shared.match"
 local update = require "rfsm.rtt.update"
 
 local assert, collectgarbage, coroutine = assert, collectgarbage, coroutine
+local debug = debug
 local error, ipairs, loadfile, package = error, ipairs, loadfile, package
 local os, pairs, pcall, rawequal = os, pairs, pcall, rawequal
 local rawget, rawset, require = rawget, rawset, require
@@ -34,6 +36,11 @@ local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 ---@field rtt table the module of RTT
 ---@field component any the TaskContext
 ---@field ports table<string, rfsm.rtt.Port> ports, by the setting that asks for them
+---@field held rfsm.rtt.Port[] these and those in `ports`, in the order of their making
+---@field inputs? rfsm.rtt.Input[] what is to be known of the ports in `ports`
+---@field sources? rfsm.rtt.Port[] those ports, then all that are read
+---@field is_declared? boolean are they those that `rfsm.rtt.ports` has made?
+---@field log_as fun(key: any, level: string, ...) likewise; one line for each key
 ---@field extra rfsm.rtt.Port[] the ports in the global `extra_in_ports`
 ---@field variables table<string, any> the values of the attributes, by name
 ---@field attributes string[] names of the attributes that this launch has added
@@ -52,55 +59,68 @@ end
 -- For each setting of a launch that asks for a port: the class of the port, its default
 -- name, the name of its global variable, its description, and its type if not string.
 local PORTS = {
-  fqn_port = { "OutputPort", "fqn", "fqn", "FQN of the active leaf" },
-  ev_outport = { "OutputPort", "events_out", "ev_outport", "events of the machine" },
-  ev_inport = { "InputPort", "events_in", "ev_inport", "events for the machine" },
-  timer = { "InputPort", "rfsm_timer", "rfsm_timer", "wakes for time events", "int" },
+  fqn_port = { "out", "fqn", "fqn", "FQN of the active leaf" },
+  ev_outport = { "out", "events_out", "ev_outport", "events of the machine" },
+  ev_inport = { "in", "events_in", "ev_inport", "events for the machine" },
+  timer = { "in", "rfsm_timer", "rfsm_timer", "wakes for time events", "int" },
 }
-local FIELDS = { "fqn_port", "ev_outport", "ev_inport", "timer" }
 
-local function new_port(launch, field, held)
-  local facts, class = held.facts, PORTS[field][1]
-  local real = launch.rtt[class].new(facts.type, facts.name, facts.desc)
-  local is_trigger = class == "InputPort" and launch.is_component
-  launch.component[is_trigger and "addEventPort" or "addPort"](launch.component, real)
-  held.real, held.is_made = real, true
-  if held.last and field == "fqn_port" then real:write(held.last) end
-  if field ~= "timer" then return end
-  real:connect(launch.component:getPeer(launch.timer):getPort("timer_0"))
+--- Remove a port that `make` has made: Lua does not collect ports.
+---@param held rfsm.rtt.Port
+function component.remove_port(held)
+  if not (held.is_made and held.real) then return end
+  held.component:removePort(held.name) -- else `delete` ends the process
+  held.real:delete()
 end
 
--- Raises if a port that was found has not the direction and type that the launch needs.
-local function check_port(held)
-  local wanted, found = held.facts, held.real:info()
-  if found.porttype == wanted.porttype and found.type == wanted.type then return end
-  error(("port '%s': %sput port of type %s expected, got an %sput port of type %s")
-    :format(held.name, wanted.porttype, wanted.type, found.porttype, found.type), 0)
-end
-
--- Makes a port. A component that launches by itself keeps a port that it already has,
--- such as from its last launch. In other launches this is an error: RTT would replace
--- the port.
-local function provide_port(launch, field, held)
-  if launch.is_own and held:find() then return check_port(held) end
-  if held_port.of(held.component, held.name) then
-    error(("'%s' has a port '%s' already"):format(held.component:getName(), held.name),
-      0)
+--- Make a port. With `is_kept` a port that the component has already is taken, such as
+-- that of its last launch. Otherwise it is an error: RTT would replace the port.
+---@param held rfsm.rtt.Port
+---@param is_kept boolean
+function component.provide_port(held, is_kept)
+  if is_kept and held:find() then return held:check() end
+  local owner, name = held.component, held.name
+  if held_port.of(owner, name) then
+    error(("'%s' has a port '%s' already"):format(owner:getName(), name), 0)
   end
-  new_port(launch, field, held)
+  held:make()
 end
 
--- Makes the port that a setting of the launch asks for, by true or by a name. With
--- `ports = "configure"` the port is made later, when the component is configured.
+-- Adds a port to the launch. With `ports = "configure"` it is made later, when the
+-- component is configured.
+local function add(launch, facts, is_kept)
+  local held = held_port.reserve(launch.component, facts)
+  held.is_trigger = facts.porttype == "in" and launch.is_component
+  launch.held[#launch.held + 1] = held
+  held.timer = facts.name == "rfsm_timer" and launch.timer or nil
+  if launch.ports_at ~= "configure" then component.provide_port(held, is_kept) end
+  return held
+end
+
+-- Returns the module that few launches need.
+local function inputs() return require("rfsm.rtt.inputs") end
+
+-- Adds the ports in `ports`, or those that `rfsm.rtt.ports` has made before.
+local function add_inputs(launch)
+  local declared = rfsm_rtt.declared
+  if declared and launch.inputs and not launch.is_declared then
+    error("ports: expected once, rfsm_rtt.ports has made some", 0)
+  end
+  launch.inputs = launch.inputs or declared and declared.inputs
+  launch.sources = launch.inputs and inputs().make(launch.component, launch.inputs,
+    launch.is_component, launch.is_own or declared ~= nil) or {}
+  for _, held in ipairs(launch.sources) do launch.held[#launch.held + 1] = held end
+end
+
+-- Adds the port that a setting of the launch asks for, by true or by a name.
 local function add_port(launch, field)
   local wanted = launch[field]
   if not wanted then return nil end
-  local class, name, global, text, kind = unpack(PORTS[field], 1, 5)
+  local way, name, global, text, kind = unpack(PORTS[field], 1, 5)
   if wanted ~= true and field ~= "timer" then name = wanted end
-  local held = held_port.reserve(launch.component, { name = name,
-    type = kind or "string", desc = text,
-    porttype = class == "InputPort" and "in" or "out" })
-  if launch.ports_at ~= "configure" then provide_port(launch, field, held) end
+  local held = add(launch, { name = name, type = kind or "string", desc = text,
+    porttype = way }, launch.is_own)
+  held.keeps_last, held.global = field == "fqn_port", global
   launch.ports[field] = held
   rawset(_G, global, held.real or nil)
   return held
@@ -108,14 +128,13 @@ end
 
 -- Looks the ports of the launch up again. With `is_made`, missing ports are made.
 local function find_ports(launch, is_made)
-  for _, field in ipairs(FIELDS) do
-    local held = launch.ports[field]
-    if held and held:find() then
-      check_port(held)
-    elseif held and is_made then
-      new_port(launch, field, held)
+  for _, held in ipairs(launch.held) do
+    if held:find() then
+      held:check()
+    elseif is_made then
+      held:make()
     end
-    if held then rawset(_G, PORTS[field][3], held.real or nil) end
+    if held.global then rawset(_G, held.global, held.real or nil) end
   end
   for _, held in ipairs(launch.extra) do held:find() end
 end
@@ -143,22 +162,38 @@ local function hold_extra_ports(launch)
   end
 end
 
--- Sets the function `getevents` of the machine, which reads ports. If the launch has a
--- port for events, the function `getevents` of the chart is not called.
-local function add_getevents(launch, fsm, getevents)
+-- Adds the port for events, unless it is one of the ports in `ports`. Returns what is
+-- read after those: the port, or the function `getevents` of the chart in its place.
+local function add_event_port(launch, getevents)
   if launch.ev_inport == nil and not getevents then
     launch.ev_inport = launch.is_own or not held_port.of(launch.component, "events_in")
   end
+  local name = launch.ev_inport == true and PORTS.ev_inport[2] or launch.ev_inport
+  for _, held in ipairs(launch.sources) do
+    if held.name == name then return nil end
+  end
+  return add_port(launch, "ev_inport") or getevents and port_of(getevents) or nil
+end
+
+-- Sets the function `getevents` of the machine, which reads ports. If the launch has a
+-- port for events, the function `getevents` of the chart is not called.
+local function add_getevents(launch, fsm, getevents)
+  local sources, make = launch.sources, launch.inputs and inputs().converter
+  for i, held in ipairs(sources) do
+    held.convert = make(launch, fsm, launch.inputs[i])
+  end
   hold_extra_ports(launch)
-  local input = add_port(launch, "ev_inport")
-  if not input and not launch.extra[1] then return end
-  local first = input or getevents and port_of(getevents)
-  local sources = first and { first, unpack(launch.extra) } or launch.extra
+  sources[#sources + 1] = add_event_port(launch, getevents)
+  for _, held in ipairs(launch.extra) do sources[#sources + 1] = held end
+  local has_port = launch.inputs or launch.extra[1] or launch.ev_inport
+  launch.inputs, launch.sources = nil, nil
+  if not has_port then return end
   fsm.getevents = rfsm_rtt.gen_read_events(launch.samples, unpack(sources))
 end
 
 -- Returns the machine, and the getevents of the chart.
 local function load_machine(launch)
+  if launch.timer then require "rfsm_timeevent" end -- the chart may not require it
   local ok, model = limit.load(rfsm.load, launch.fsmfile, { os.time })
   if not ok then error(model, 0) end
   local log = launch.log
@@ -196,7 +231,7 @@ local function warn_of_timers(launch)
   for _, tr in ipairs(rfsm.elements(launch.fsm, rfsm.is_trans)) do
     for _, event in ipairs(tr.events or {}) do
       local name = rfsm.text_of(event)
-      if name:find("^e_after%(") or name:find("^e_at%(") then
+      if match.maker_of(event) == "timer" then
         local text = "%s is late: a component without a period needs timer = true"
         return launch.log("Warning", text:format(name))
       end
@@ -324,10 +359,31 @@ end
 local function add_outputs(launch)
   local fqn, out = add_port(launch, "fqn_port"), add_port(launch, "ev_outport")
   add_port(launch, "timer")
+  add_inputs(launch)
   local write_fqn = rfsm_rtt.gen_write_fqn(fqn)
   launch.emit = out and rfsm_rtt.gen_raise_event(out)
   set_globals { setfqn = write_fqn, emit_event = launch.emit }
   return write_fqn
+end
+
+-- Has the attribute `rfsm_state` follow the active leaf, as a number, because OCL's
+-- reporters write a text with a column for each letter. The log has the list.
+local function number_states(launch, fsm)
+  local variable, numbers, texts = launch.variables.rfsm_state, {}, { "0 <none>" }
+  for i, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
+    numbers[leaf], texts[i + 1] = i, ("%d %s"):format(i, leaf._fqn)
+  end
+  launch.rtt.logl("Info", ("rfsm.rtt: rfsm_state of '%s': %s"):format(
+    launch.component:getName(), concat(texts, ", ")))
+  local last = 0
+  local follow = rfsm.borrows(function(machine)
+    local number = numbers[machine._act_leaf] or 0
+    if number ~= last then variable:assign(number) end
+    last = number
+  end)
+  variable:assign(0)
+  rfsm.post_step_hook_add(fsm, follow)
+  rfsm.reset_hook_add(fsm, follow)
 end
 
 -- Connects the machine with its ports. FQNs are converted to Variables once, here.
@@ -341,6 +397,7 @@ local function connect(launch, fsm, getevents, write_fqn)
   end
   add_getevents(launch, fsm, getevents)
   add_attributes(launch, ATTRIBUTES)
+  number_states(launch, fsm)
   if launch.is_component then return end
   add_attributes(launch, update.OF_SERVICE)
   launch.variables.rfsm_halted:assign(not launch.eehook)
@@ -374,7 +431,11 @@ local function set_up(launch)
 end
 
 -- Returns why nothing can be launched in this Lua; nil if it can.
-local function obstacle()
+local function obstacle(launch)
+  if launch.stripped and debug.getinfo(rfsm.init, "S").source ~= "=?" then
+    return "stripped: no modules in rfsm/stripped beside the library, or it was loaded "
+      .. "before from source"
+  end
   if not rfsm.prepare then return "another rfsm is loaded in this Lua" end
   if not package.loaded.rtt then return "no module 'rtt' in this Lua" end
   if not rfsm.is_initialized_root(rawget(_G, "fsm")) then return nil end
@@ -395,13 +456,7 @@ end
 
 -- Removes what a launch has made: Lua does not collect ports and attributes.
 local function undo(launch)
-  for _, field in ipairs(FIELDS) do
-    local held = launch.ports[field]
-    if held and held.is_made and held.real then
-      launch.component:removePort(held.name) -- else `delete` ends the process
-      held.real:delete()
-    end
-  end
+  for _, held in ipairs(launch.held) do component.remove_port(held) end
   for _, name in ipairs(launch.attributes) do
     launch.component:removeAttribute(name)
   end
@@ -409,10 +464,22 @@ local function undo(launch)
   launch:forget()
 end
 
+-- Logs that rttlib is loaded after the launch.
+local function warn_of_use()
+  local launched = rfsm_rtt.launched
+  if not launched or launched.finish then return end
+  pcall(launched.log, "Warning", "rfsm.rtt: rttlib is loaded now, after the "
+    .. "launch; with rttlib = true the launch loads it")
+end
+
 -- Charts rely on utils, and on rttlib, which makes constructors callable and operations
--- methods. Both are loaded if they are installed, unless the launch has rttlib = false.
+-- methods. Both are loaded if they are installed, in a pool when they are first used.
 local function load_libraries(launch)
   if launch.rttlib == false then return end
+  if launch.rttlib == nil and rawget(_G, "tlsf") then
+    if rawget(_G, "rttlib") then return end
+    return require("rfsm.rtt.rttlib").put(launch.rtt, warn_of_use)
+  end
   pcall(require, "rttlib")
   local has_utils, utils = pcall(require, "utils")
   if has_utils and not rawget(_G, "utils") then set_globals { utils = utils } end
@@ -422,12 +489,13 @@ end
 local function begin(launch)
   local rtt = package.loaded.rtt
   launch.rtt, launch.component = rtt, rtt.getTC()
-  launch.hooks, launch.theirs, launch.stage = {}, {}, "the launch begins"
+  launch.hooks, launch.theirs = {}, {}
   launch.ports_at, launch.ports, launch.extra = launch.ports, {}, {}
+  launch.held = {}
   launch.variables, launch.attributes = {}, {}
   launch.counts = { rfsm_errors = 0, rfsm_failures = 0, rfsm_overruns = 0 }
   launch.is_ready = launch.is_own or not launch.is_component
-  launch.log, launch.flush = update.new_log(rtt)
+  launch.log, launch.flush, launch.log_as = update.new_log(rtt)
   launch.make_ready, launch.forget = make_ready, forget
   launch.undo, launch.finish = undo, update.finish
 end
@@ -438,12 +506,15 @@ end
 ---@param launch rfsm.rtt.Launched
 function component.start(launch)
   launch.where = "launch of '" .. launch.fsmfile .. "': "
-  local problem = obstacle()
+  local problem = obstacle(launch)
   if problem then error(launch.where .. problem, 0) end
-  load_libraries(launch)
-  begin(launch)
-  rfsm_rtt.launched = launch -- now: an exception of C++ may end the launch
-  local ok, result = pcall(set_up, launch)
+  launch.stage = "the launch begins"
+  local ok, result = pcall(function()
+    begin(launch)
+    load_libraries(launch)
+    rfsm_rtt.launched = launch -- now: an exception of C++ may end the launch
+    return set_up(launch)
+  end)
   rfsm_rtt.forget_modules()
   if not ok then update.fail(launch, result) end
   return result
@@ -453,6 +524,8 @@ end
 ---@param args rfsm.rtt.Launch
 function component.launch(args)
   local launch = require("rfsm.rtt.settings").read("own", args)
+  local declared = rfsm_rtt.declared
+  launch.is_declared = declared and declared.list == args.ports
   rfsm_rtt.forget_modules() -- the settings module is garbage from here on
   set_globals(launch.env)
   component.start(launch)

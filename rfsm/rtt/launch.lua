@@ -17,18 +17,43 @@ local settings = require "rfsm.rtt.settings"
 local debug, error, ipairs, os = debug, error, ipairs, os
 local package, pairs, pcall, tostring = package, pairs, pcall, tostring
 local type = type
-local concat = table.concat
+local concat, dump = table.concat, string.dump
 
 local rtt_launch = {}
 
+-- Where `make install` puts the modules without debug information.
+local STRIPPED = "rfsm/stripped/?.lua"
+
 -- The text that the other Lua executes ---------------------------------------------
 
--- Returns a value as Lua source. Raises an error for functions, userdata, NaN.
+-- Returns the upvalue of a function, but for the table of globals, which a function has
+-- as an upvalue since Lua 5.2.
+local function upvalue_of(f)
+  local name = debug.getupvalue(f, 1)
+  if name == "_ENV" then name = debug.getupvalue(f, 2) end
+  return name
+end
+
+-- Returns a function as Lua source. The other Lua has none of its upvalues.
+local function code_of(f, where)
+  local ok, code = pcall(dump, f)
+  if not ok then error(where .. "function in Lua expected, " .. rfsm.got(f), 0) end
+  local name = upvalue_of(f)
+  if not name then return ("assert((loadstring or load)(%q))"):format(code) end
+  error(("%sfunction that uses no local of its surroundings expected, it uses '%s'")
+    :format(where, name), 0)
+end
+
+-- Returns a value as Lua source. Raises an error for userdata, NaN, and functions but
+-- those in `ports`.
 local function to_text(value, path)
-  local kind = type(value)
+  local kind, number = type(value), path:match("^%.inputs%.(%d+)%.event$")
   if kind == "string" then return ("%q"):format(value) end
+  if number then return code_of(value, "ports[" .. number .. "]: event: ") end
   if kind == "boolean" then return tostring(value) end
-  if kind == "number" and value - value == 0 then return ("%.17g"):format(value) end
+  if kind == "number" and value - value == 0 then
+    return rfsm.number_text(value, "%.17g")
+  end
   if kind ~= "table" or #path > 100 then
     error(("%s: string, finite number, boolean or table of these expected, %s"):format(
       path:sub(2), rfsm.got(value)), 0)
@@ -66,10 +91,12 @@ if hook then hook:enable() end
 ]]
 
 -- Returns the part of package.path for this library's modules; "" if it is not known.
-local function own_template()
+-- With `is_stripped`, the modules without debug information come first.
+local function own_template(is_stripped)
   local source = debug and debug.getinfo(1, "S").source
   local folder = source and source:match("^@(.*)rfsm[/\\]rtt[/\\]launch%.lua$")
-  return folder and folder .. "?.lua;" or ""
+  if not folder then return "" end
+  return (is_stripped and folder .. STRIPPED .. ";" or "") .. folder .. "?.lua;"
 end
 
 -- Launch ----------------------------------------------------------------------------
@@ -79,7 +106,8 @@ local NO_REASON = "RTT's log has the reason"
 -- Executes PROGRAM through the operation `exec_str`. If it fails, raises the reason.
 local function execute(exec_str, launch)
   local fields, file = to_text(launch, ""), os.tmpname()
-  local program = PROGRAM:format(fields, own_template(), ";" .. package.path, file)
+  local program = PROGRAM:format(fields, own_template(launch.stripped),
+    ";" .. package.path, file)
   local is_called, is_done = pcall(exec_str, program)
   local reason = files.read(file)
   os.remove(file)

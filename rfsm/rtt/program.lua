@@ -11,14 +11,30 @@
 
 local source = debug.getinfo(1, "S").source
 
-local function launch()
+-- Returns rfsm.rtt, which is found beside this file, or in the folder of the modules
+-- without debug information.
+local function library(fields)
   local folder = source:match("^@(.*)rfsm[/\\]rtt[/\\]program%.lua$")
   if folder and not package.loaded.rfsm then
-    package.path = folder .. "?.lua;" .. folder .. "compat/?.lua;" .. package.path
+    local is_stripped = type(fields) == "table" and fields.stripped
+    local first = is_stripped and folder .. "rfsm/stripped/?.lua;" or ""
+    package.path = first .. folder .. "?.lua;" .. folder .. "compat/?.lua;"
+      .. package.path
   end
+  return require("rfsm.rtt")
+end
+
+local function launch()
   local fields = rawget(_G, "rfsm_launch")
     or { fsmfile = rawget(_G, "rtt").getTC():getName() .. ".lua" }
-  return require("rfsm.rtt").launch(fields)
+  return library(fields).launch(fields)
+end
+
+-- Executed before the component is configured, this file makes the ports that can be
+-- connected then. The configureHook reports what is wrong with them.
+local fields = rawget(_G, "rfsm_launch")
+if type(fields) == "table" and fields.ports ~= nil then
+  pcall(function() library(fields).ports(fields.ports) end)
 end
 
 rawset(_G, "configureHook", function()

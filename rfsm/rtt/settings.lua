@@ -5,20 +5,22 @@
 
 local options = require "rfsm.shared.options"
 
-local error, ipairs, loadfile, type = error, ipairs, loadfile, type
+local error, ipairs, loadfile, require = error, ipairs, loadfile, require
+local type = type
 local huge = math.huge
 
 local settings = {}
 
 --- The arguments of a launch, with defaults in parentheses. Only the launch of a new
--- component takes `name`, `luatype` and `ports`. The launch of a service takes none of
--- the first seven arguments, `name` to `pool`.
+-- component takes `name`, `luatype` and "configure" as `ports`. The launch of a service
+-- takes no `name`, `deployer`, `luatype`, `enter`, `timer` and `pool`.
 ---@class rfsm.rtt.Launch
 ---@field name? string name of a new component
 ---@field deployer? any the deployer, or the name under which it is a peer ("Deployer")
 ---@field luatype? string type of a new component ("OCL::LuaComponent")
 ---@field enter? "start" enter the machine in startHook; default: in the first update
----@field ports? "configure" make ports in configureHook; default: during the launch
+---@field ports? "configure"|rfsm.rtt.Input[] input ports whose samples become events,
+-- in the order in which they are read; "configure": make ports in configureHook
 ---@field timer? boolean wake an event-driven component when a time event is due
 ---@field pool? integer the least size of a TLSF pool in KiB
 ---@field fsmfile string file of the chart
@@ -36,7 +38,10 @@ local settings = {}
 ---@field poststr? string Lua code to run after `postfile`
 ---@field env? table<string, any> globals to set: strings, numbers, booleans, or tables
 -- of these
----@field rttlib? boolean load rttlib and utils, which charts rely on (true)
+---@field stripped? boolean have the library without its debug information, which takes
+-- a third less memory, from where `make install` puts it
+---@field rttlib? boolean load rttlib and utils, which charts rely on (true; in a pool
+-- at their first use)
 ---@field sync? boolean older name of `steps = 1`
 ---@field run? boolean older name of `steps = 1000`
 
@@ -50,6 +55,9 @@ local function is_word(word)
   return function(value) return value == word end
 end
 
+local function is_list(value) return type(value) == "table" end
+local function is_list_or_word(value) return value == "configure" or is_list(value) end
+
 local BOOLEAN = { "boolean", options.is_a "boolean" }
 local STRING = { "string", options.is_a "string" }
 local FILE, NAME = { "file name", is_file }, { "name", is_anything }
@@ -58,12 +66,13 @@ local COUNT = { "whole number, at least 1", options.is_whole(1, huge) }
 -- Adds the settings of every launch to a table for `options.read`.
 local function with_common(fields)
   fields.env = { "table of globals by name", is_env, {} }
+  fields.ports = fields.ports or { "list of ports", is_list }
   fields.fqn_port = { "string", options.is_a "string", "fqn" }
   fields.fsmfile, fields.prefile, fields.postfile = FILE, FILE, FILE
   fields.prestr, fields.poststr = STRING, STRING
   fields.ev_inport, fields.ev_outport = NAME, NAME
   fields.run, fields.sync, fields.error = BOOLEAN, BOOLEAN, BOOLEAN
-  fields.running_only, fields.rttlib = BOOLEAN, BOOLEAN
+  fields.running_only, fields.rttlib, fields.stripped = BOOLEAN, BOOLEAN, BOOLEAN
   fields.steps, fields.samples = COUNT, COUNT
   return fields
 end
@@ -81,7 +90,8 @@ local FIELDS = {
     exec_str = { "operation exec_str", is_anything }, eehook = BOOLEAN,
   },
   component = with_own {
-    name = STRING, luatype = STRING, ports = { "'configure'", is_word "configure" },
+    name = STRING, luatype = STRING,
+    ports = { "list of ports", is_list_or_word },
   },
   own = with_own {},
 }
@@ -98,6 +108,12 @@ local function set_steps(launch)
   launch.steps = launch.steps or runs and STEPS or 1
 end
 
+-- Sets `inputs`, the list of the ports in `ports`.
+local function set_inputs(launch)
+  if type(launch.ports) ~= "table" then return end
+  launch.inputs, launch.ports = require("rfsm.rtt.inputs").read(launch.ports), nil
+end
+
 --- Return the settings of a launch; raise an error if one is wrong or is missing.
 ---@param kind "service"|"component"|"own"
 function settings.read(kind, args)
@@ -111,6 +127,7 @@ function settings.read(kind, args)
   end
   launch.is_component, launch.is_own = kind ~= "service", kind == "own"
   set_steps(launch)
+  set_inputs(launch)
   launch.samples = launch.samples or 64
   return launch
 end

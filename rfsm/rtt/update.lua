@@ -92,10 +92,10 @@ end
 -- message also has the stage of the launch and the memory in use.
 function update.fail(launch, problem)
   collect() -- otherwise undoing would fail, too
-  launch:undo()
-  local text, memory = rfsm.text_of(problem), memory_text()
+  if launch.undo then launch:undo() end
+  local text = rfsm.text_of(problem)
   if text:find("not enough memory", 1, true) then
-    text = ("%s while %s, %s without that"):format(text, launch.stage, memory)
+    text = ("%s while %s, %s without that"):format(text, launch.stage, memory_text())
   end
   error(launch.where .. text, 0)
 end
@@ -121,7 +121,7 @@ end
 --- Name of an attribute -> its type. OF_SERVICE: attributes that only a service adds.
 update.ATTRIBUTES = {
   rfsm_errors = "uint", rfsm_overruns = "uint", rfsm_failures = "uint",
-  rfsm_live = "double", rfsm_peak = "double",
+  rfsm_live = "double", rfsm_peak = "double", rfsm_state = "uint",
 }
 update.OF_SERVICE = { rfsm_halt = "bool", rfsm_halted = "bool" }
 
@@ -161,33 +161,38 @@ local function write(rtt, line)
   line.second, line.count = rtt.getTime(), 0
 end
 
---- Return two functions. log(level, ...) writes a line to RTT's log; a line that was
--- written in the same second already is only counted. The other function, to be called
--- now and then, writes the lines that were counted, with their counts.
+--- Return three functions. log(level, ...) writes a line to RTT's log; a line that was
+-- written in the same second already is only counted. The second function, to be called
+-- now and then, writes the lines that were counted, with their counts. The third one
+-- is log with a key in front: lines of one key count as the same one, the last of them.
 --
 -- Arguments become texts, since OCL mutes the log of the whole process if an error is
 -- not a text.
 function update.new_log(rtt)
   local lines, is_behind = {}, false
 
-  -- Returns the line with a level and a text. A new line replaces the oldest one.
-  local function find(level, text)
+  -- Returns the line with a level and a key. A new line replaces the oldest one.
+  local function find(level, key)
     for i = 1, #lines do
-      if lines[i].text == text and lines[i].level == level then return lines[i] end
+      if lines[i].key == key and lines[i].level == level then return lines[i] end
     end
     local oldest = lines[MOST_LINES] and remove(lines, 1)
     if oldest and oldest.count > 0 then write(rtt, oldest) end
-    lines[#lines + 1] = { level = level, text = text, count = 0, second = false }
+    lines[#lines + 1] = { level = level, key = key, text = key, count = 0,
+      second = false }
     return lines[#lines]
   end
 
-  local function log(level, ...)
+  local function log_as(key, level, ...)
     for i = 1, select("#", ...) do make_room((select(i, ...))) end
-    local line = find(level, text_of(" ", ...))
-    line.count = line.count + 1
+    local text = text_of(" ", ...)
+    local line = find(level, key or text)
+    line.text, line.count = text, line.count + 1
     if line.second ~= rtt.getTime() then return write(rtt, line) end
     is_behind = true
   end
+
+  local function log(level, ...) return log_as(nil, level, ...) end
 
   return log, function()
     if not is_behind then return end
@@ -198,7 +203,7 @@ function update.new_log(rtt)
       if line.count > 0 and line.second ~= second then write(rtt, line) end
       is_behind = is_behind or line.count > 0
     end
-  end
+  end, log_as
 end
 
 -- Adds one to the count in an attribute, and calls error() of the component if the

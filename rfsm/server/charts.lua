@@ -160,6 +160,25 @@ end
 --- Return data as JSON. Keys that are numbers become texts, as do infinity and NaN.
 function charts.json_of(data) return exact_json.encode(encoding.to_json(data)) end
 
+local WORDS = { ["true"] = true, ["false"] = true, ["null"] = true }
+
+local function is_number(word)
+  local whole, rest = word:match("^%-?(%d+)(.*)$")
+  if not whole or whole:find("^0%d") then return false end
+  rest = rest:gsub("^%.%d+", "")
+  return rest == "" or rest:find("^[eE][+-]?%d+$") ~= nil
+end
+
+-- Does a text have what some decoders of JSON take, and others refuse: a number such as
+-- NaN or 0x10, or a zero byte in a text?
+local function is_odd(text)
+  text = text:gsub("\\\\", "")
+  for word in text:gsub("\\.", ""):gsub('"[^"]*"', " "):gmatch("[%w.+-]+") do
+    if not (WORDS[word] or is_number(word)) then return true end
+  end
+  return text:find("\\u0000", 1, true) ~= nil
+end
+
 --- Decode a JSON object and return it as a table. Fields that are null are left out.
 ---@param owner string the name of the object in messages
 ---@param text string
@@ -169,7 +188,9 @@ function charts.read_json(owner, text, most)
     fail("%s: at most %d bytes expected, got %d", owner, most, #text)
   end
   local ok, data = pcall(decode, text)
-  if not ok or type(data) ~= "table" then fail("%s: a JSON object expected", owner) end
+  if not ok or is_odd(text) or type(data) ~= "table" then
+    fail("%s: a JSON object expected", owner)
+  end
   local inexact = exact_json.find_inexact(text)
   if inexact then
     fail("%s: the number %s: whole numbers below 2^53 expected", owner, inexact)
@@ -219,8 +240,8 @@ end
 
 --- Is a snapshot of this version of a chart? The charts of regions count, too.
 function charts.is_of(chart, snap)
-  if snap.chart ~= chart.blank.chart then return false end
-  return not snap.regions or migrate.is_own(chart.fsm, snap)
+  local is_same = snap.chart == chart.blank.chart and not snap.regions
+  return is_same or migrate.is_own(chart.fsm, snap)
 end
 
 --- Put a snapshot into the machine of a chart.

@@ -11,8 +11,8 @@ local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 local try = require("rfsm.shared.calls").try
 
-local error, os, select = error, os, select
-local rawget, tonumber, tostring, type = rawget, tonumber, tostring, type
+local error, ipairs, os, select = error, ipairs, os, select
+local rawget, tostring, type = rawget, tostring, type
 local insert = table.insert
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
@@ -77,6 +77,16 @@ local function ask_with(self, name, id, arguments, ...)
   return self:ask(name, id, unpack(arguments))
 end
 
+-- An error blames the caller of the method, so this is not called as a tail call.
+local function send_later(self, where, ticket, id, seconds, ...)
+  if not opts.is_seconds(seconds) then
+    error(self.where .. "." .. where .. ": seconds expected, " .. opts.got(seconds), 3)
+  end
+  local time = "+" .. rfsm.number_text(seconds, "%.6f")
+  local reply, problem = ask_with(self, "rfsm_send_at", id, { time, "ID", ticket }, ...)
+  return reply and ticket, problem
+end
+
 --- Send events to a machine, and run it. The events are applied only once, even if they
 -- must be sent again because the connection was lost.
 ---@param id any
@@ -95,6 +105,18 @@ function Client:send_once(event_id, id, ...)
   return reply_of(ask_with(self, "rfsm_send", id, { "ID", event_id }, ...))
 end
 
+--- Send the answer to an entry. It is applied only once, also if the entry comes again.
+---@param entry { id: string, machine: string }
+---@param ... any events
+---@return rfsm.server.Reply? reply
+---@return string? problem also if no transition took the events: then the entry has to
+--- fail, so that it comes again
+function Client:answer(entry, ...)
+  local reply, problem = self:send_once(entry.id, entry.machine, ...)
+  if not reply or reply.outcome ~= "dropped" then return reply, problem end
+  return nil, ("%s.answer: dropped in %s"):format(self.where, reply.leaf)
+end
+
 --- Send events to a machine after a delay. They are applied when a worker wakes it.
 ---@param id any
 ---@param seconds number the delay
@@ -102,13 +124,22 @@ end
 ---@return string? ticket the argument with which `cancel` finds these events
 ---@return string? problem
 function Client:send_after(id, seconds, ...)
-  if not opts.is_seconds(seconds) then
-    error(self.where .. ".send_after: seconds expected, " .. opts.got(seconds), 2)
-  end
-  local ticket = next_id(self)
-  local time = "+" .. ("%.6f"):format(seconds)
-  local reply, problem = ask_with(self, "rfsm_send_at", id, { time, "ID", ticket }, ...)
-  return reply and ticket, problem
+  local ticket, problem = send_later(self, "send_after", next_id(self), id, seconds,
+    ...)
+  return ticket, problem
+end
+
+--- Send events after a delay, with your own id.
+---@param event_id string the machine applies events with this id only once
+---@param id any id of the machine
+---@param seconds number the delay
+---@param ... any events
+---@return string? ticket `event_id`
+---@return string? problem
+function Client:send_once_after(event_id, id, seconds, ...)
+  local ticket, problem = send_later(self, "send_once_after", event_id, id, seconds,
+    ...)
+  return ticket, problem
 end
 
 --- Cancel events of `send_after` that have not been applied yet.
@@ -129,9 +160,12 @@ function Client:tick(id) return reply_of(self:ask("rfsm_tick", id)) end
 
 --- Hold a machine: its events and timers wait until `release`.
 ---@param id any
+---@param reason? string it is in the log of the machine
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
-function Client:hold(id) return reply_of(self:ask("rfsm_hold", id)) end
+function Client:hold(id, reason)
+  return reply_of(self:ask("rfsm_hold", id, reason))
+end
 
 --- Release a held machine. Events and timers that came due meanwhile run in order.
 ---@param id any
@@ -157,17 +191,27 @@ end
 
 --- Return a table that describes a machine.
 ---@param id any
----@return table? view chart, version, leaf, mode, configuration, data, queue, due
+---@return table? view chart, version, leaf, mode, configuration, data, queue, due;
+--- held, held_since, held_because; events: kept (deferred), later, waiting (for the
+--- release); ids that the machine knows
 ---@return string? problem
 function Client:get(id)
   local list, problem = self:ask("rfsm_get", id)
   if not list then return nil, problem end
   local view = {}
   for i = 1, #list, 2 do view[list[i]] = list[i + 1] end
-  view.data, view.queue, view.due = codec.decode(view.data), codec.decode(view.queue),
-    tonumber(view.due)
+  for _, name in ipairs { "data", "queue", "kept", "later", "waiting", "ids" } do
+    view[name] = view[name] and codec.decode(view[name]) -- an old library lacks some
+  end
+  view.due, view.held_since = rfsm.number_of(view.due), rfsm.number_of(view.held_since)
   return view
 end
+
+--- Move a machine to the newest version of its chart, without running it.
+---@param id any
+---@return rfsm.server.Reply? reply
+---@return string? problem
+function Client:move(id) return reply_of(self:ask("rfsm_move", id)) end
 
 --- Explain which transitions an event would trigger in a machine, and why not others.
 ---@param id any

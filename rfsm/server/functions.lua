@@ -98,7 +98,7 @@ end
 local function time_of(text)
   local offset, number = text:match("^(%+?)(%d+%.?%d*)$")
   if not number then fail("seconds, or +seconds expected, got '%s'", shown(text)) end
-  return tonumber(number) + (offset == "+" and now() or 0)
+  return rfsm.number_of(number) + (offset == "+" and now() or 0)
 end
 
 -- Load: the value of a key becomes a machine ----------------------------------------
@@ -108,8 +108,9 @@ end
 -- be woken. IDS: the ids of the latest events, the oldest first; with `ids_for` each is
 -- followed by its time. LATER: the waiting events in the order in which they will be
 -- sent, each { time, id, event, ... }. HELD: the time at which the machine was held, or
--- at which it last kept an event while it was held.
-local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD = 2, 3, 4, 5, 6, 7, 8, 9
+-- at which it last kept an event while it was held. HOLD: { the time at which it was
+-- held, the reason if a worker has held it }.
+local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD, HOLD = 2, 3, 4, 5, 6, 7, 8, 9, 10
 
 --- A machine that a call works on.
 ---@class rfsm.server.Machine
@@ -132,7 +133,6 @@ local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD = 2, 3, 4, 5, 6, 7, 8, 9
 local NONE = {}
 
 local function new_machine(key, chart, list, leaf)
-  charts.forget_effects()
   return { key = key, chart = chart, fsm = chart.fsm, list = list, leaf = leaf,
     at = leaf or "", mode = "inactive", was_due = list[DUE], value = false, moves = {},
     is_idle = true, outcome = false, has_run = false }
@@ -175,6 +175,7 @@ end
 
 -- Loads a machine. Its clock shows the time at which it was saved.
 local function load_machine(key, list)
+  charts.forget_effects()
   times.set(list[SEC], list[NSEC])
   local chart, ok, problem, has_moved = place(versions_of(list[NAME]), list[SNAP])
   if not ok then fail("the machine at '%s': %s", shown(key), problem) end
@@ -313,13 +314,17 @@ local function run_due(machine)
   return budget > 0
 end
 
+local function is_due(list)
+  local due = earliest(list[DUE], list)
+  return due and due <= now() + SAME
+end
+
 -- Runs the due timers and events until the clock of the machine shows the present.
 -- Returns false if the machine is held, or if too much was due for one call.
 local function catch_up(machine)
   local list = machine.list
   if list[HELD] then return false end
-  local due = earliest(list[DUE], list)
-  if due and due <= now() + SAME then return run_due(machine) end
+  if is_due(list) then return run_due(machine) end
   times.set(false)
   return true
 end
@@ -378,7 +383,7 @@ local function pack_machine(machine, due)
   list[SEC], list[NSEC], list[DUE] = false, false, due
   if due then list[SEC], list[NSEC] = times.get() end
   if list[LATER] and not list[LATER][1] then list[LATER] = false end
-  for i = HELD, SEC, -1 do
+  for i = HOLD, SEC, -1 do
     if not list[i] then list[i] = nil end
     if list[i] == nil and list[i + 1] ~= nil then list[i] = false end
   end
@@ -433,6 +438,15 @@ local function reply_of(list, ...)
     or "inactive", ... }
 end
 
+local function time_text(time) return time and rfsm.number_text(time, "%.6f") or "" end
+
+local function list_json(list)
+  return list[1] ~= nil and charts.json_of(list) or "[]"
+end
+
+-- A machine that an older release has held does not know since when.
+local function held_since(list) return (list[HOLD] or NONE)[1] or list[HELD] end
+
 -- rfsm_create KEY chart [data] [ID id]: makes a machine and runs it.
 function functions.rfsm_create(keys, args)
   local key, id = key_of(keys), take_id(args)
@@ -442,6 +456,7 @@ function functions.rfsm_create(keys, args)
   if list and id and has_id(list, id) then return reply_of(list, "known") end
   if list then fail("something is at '%s'", shown(key)) end
   times.set(false)
+  charts.forget_effects()
   local ok, problem = put(chart, chart.blank)
   if not ok then fail("%s", problem) end
   set_data(chart.fsm, args[2])
@@ -490,13 +505,62 @@ function functions.rfsm_cancel(keys, args)
   return at and 1 or 0
 end
 
--- rfsm_tick KEY: runs a machine that is due. Returns false if there is no machine.
-function functions.rfsm_tick(keys)
+-- rfsm_tick KEY ["due"]: runs a machine, with "due" only if something is due, since
+-- another call may have run that meanwhile. Returns false if there is no machine.
+function functions.rfsm_tick(keys, args)
   local key = key_of(keys)
   local list = host.read(key)
   if not list then return false end
   local machine = load_machine(key, list)
-  run(machine)
+  if args[1] == "due" and not is_due(list) then
+    machine.outcome = "kept"
+  else
+    run(machine)
+  end
+  return save(machine)
+end
+
+-- Returns the events of `later` that came before a time, or after it, as JSON.
+local function later_json(list, is_past)
+  local entries = {}
+  for _, entry in ipairs(list[LATER] or NONE) do
+    if (entry[1] <= now()) == is_past then
+      entries[#entries + 1] = { time = entry[1], id = entry[2],
+        events = { select(3, unpack(entry)) } }
+    end
+  end
+  return list_json(entries)
+end
+
+-- Returns the ids that a machine knows, the oldest first.
+local function ids_of(list)
+  local ids = {}
+  for _, id in ipairs(list[IDS] or NONE) do
+    if type(id) == "string" then ids[#ids + 1] = id end
+  end
+  return ids
+end
+
+-- Returns the events that a machine and its regions have deferred.
+local function kept_of(snap)
+  local events = {}
+  local function add(part)
+    local kept = part.ext and part.ext.defer and encoding.unpack(part.ext.defer, 0)
+    for _, event in ipairs(kept or NONE) do events[#events + 1] = event end
+  end
+  add(snap)
+  for _, prefix in ipairs(rfsm.sorted_keys(snap.regions or NONE)) do
+    add(snap.regions[prefix])
+  end
+  return events
+end
+
+-- rfsm_move KEY: moves a machine to the newest version of its chart without running it,
+-- so that it is woken in time for the timers of this version.
+function functions.rfsm_move(keys)
+  local key = key_of(keys)
+  local machine = load_machine(key, read(key))
+  machine.outcome = "kept"
   return save(machine)
 end
 
@@ -508,25 +572,30 @@ function functions.rfsm_get(keys)
   for i, event in ipairs(snap.queue or {}) do queue[i] = encoding.unpack(event, 0) end
   for i in leaf:gmatch("()%.") do names[#names + 1] = leaf:sub(1, i - 1) end
   names[#names + 1] = snap.leaf
-  local due = list[DUE] and not list[HELD] and ("%.6f"):format(list[DUE]) or ""
   return { "chart", list[NAME], "version", snap.chart, "leaf", leaf,
     "mode", reply_of(list)[2],
     "configuration", concat(names, " "), "data", charts.data_of(snap),
-    "queue", queue[1] ~= nil and charts.json_of(queue) or "[]", "due", due,
-    "held", list[HELD] and "yes" or "" }
+    "queue", list_json(queue), "due", time_text(not list[HELD] and list[DUE]),
+    "held", list[HELD] and "yes" or "", "held_since", time_text(held_since(list)),
+    "held_because", (list[HOLD] or NONE)[2] or "",
+    "kept", list_json(kept_of(snap)), "later", later_json(list, false),
+    "waiting", later_json(list, true), "ids", list_json(ids_of(list)) }
 end
 
 -- Functions for an operator: hold, release, force, remove, why.
 
--- rfsm_hold KEY: holds a machine: from now on its events and timers wait, also those
--- that are due. No machine is loaded, since one of its callbacks may never end.
-function functions.rfsm_hold(keys)
+-- rfsm_hold KEY [reason]: holds a machine: from now on its events and timers wait, also
+-- those that are due. No machine is loaded, since one of its callbacks may never end.
+-- The reason goes to the log.
+function functions.rfsm_hold(keys, args)
   local key = key_of(keys)
   local list = read(key)
   if list[HELD] then fail("the machine at '%s' is held already", shown(key)) end
   local reply = reply_of(list, "kept")
   local machine = new_machine(key, { name = list[NAME] }, list, list[SNAP].leaf)
-  machine.mode, list[HELD] = reply[2], now()
+  charts.forget_effects()
+  if args[1] then charts.note(args[1]) end
+  machine.mode, list[HELD], list[HOLD] = reply[2], now(), { now(), args[1] }
   times.set(list[SEC], list[NSEC])
   pack_machine(machine, list[DUE])
   host.write(machine, nil, charts.effects())
@@ -539,7 +608,7 @@ function functions.rfsm_release(keys)
   local list = read(key)
   if not list[HELD] then fail("the machine at '%s' is not held", shown(key)) end
   keep_due(list)
-  list[HELD] = nil
+  list[HELD], list[HOLD] = nil, nil
   local machine = load_machine(key, list)
   run(machine)
   return save(machine)
@@ -564,11 +633,27 @@ function functions.rfsm_remove(keys) return host.remove(key_of(keys)) and 1 or 0
 function functions.rfsm_why(keys, args)
   if #args ~= 1 then fail("one event expected, got %d", #args) end
   local key, lines = key_of(keys), {}
-  local machine = load_machine(key, read(key))
+  local list = read(key)
+  local machine = load_machine(key, list)
   times.set(false)
+  if list[HELD] then
+    lines[1] = ("held since %.3f, for %.0f s: events wait until it is released; then:")
+      :format(held_since(list), now() - held_since(list))
+  end
   local _, text = why.why(machine.fsm, charts.events(machine.chart, args)[1])
   for line in text:gmatch("[^\n]+") do lines[#lines + 1] = line end
   return lines
+end
+
+-- Returns of which version of a chart a snapshot is: "newest", "bundled" or "gone".
+local function version_of(name, snap)
+  local list = versions[name] or NONE
+  for i = #list, 1, -1 do
+    if charts.is_of(open(list[i]), snap) then
+      return i == #list and "newest" or "bundled"
+    end
+  end
+  return "gone"
 end
 
 --- Return the functions by name. Each takes a list of keys and a list of arguments.
@@ -586,11 +671,11 @@ return function(server, list, settings)
     versions[chart.name] = versions[chart.name] or {}
     versions[chart.name][#versions[chart.name] + 1] = chart
   end
-  if host.add then host.add(functions, options) end
+  if host.add then host.add(functions, options, version_of) end
   for name, f in pairs(functions) do -- any order: each stands alone
     made[name] = function(keys, args)
       times.begin()
-      local ok, reply = pcall(f, keys, args)
+      local ok, reply = pcall(f, keys, args or NONE)
       if ok then return reply end
       return host.refuse(name, charts.reason_of(reply))
     end

@@ -49,6 +49,7 @@ end
 -- the given key share it.
 keys.due, keys.out, keys.index = of_tag "due", of_tag "out", of_tag "in"
 keys.aside, keys.dead, keys.since = of_tag "aside", of_tag "dead", of_tag "since"
+keys.lease = of_tag "lease"
 
 local function of_machine(suffix)
   return function(key)
@@ -62,7 +63,21 @@ keys.log, keys.history = of_machine ":log", of_machine ":history"
 --- Return the channel on which the active leaf of a machine is published.
 function keys.channel(key) return "rfsm:{" .. keys.tag(key) .. "}:" .. key end
 
+-- A tab separates the parts of a member. No name has a backslash, so \t stands for one.
+local function with_tabs(text) return (text:gsub("\\t", "\t")) end
+
+--- Return the beginning of an entry of the index: the chart and a state.
+function keys.head(chart, state)
+  return chart:gsub("\t", "\\t") .. "\t" .. state:gsub("\t", "\\t")
+end
+
 --- Return an entry of the index: the chart, its active leaf, the key of the machine.
-function keys.member(chart, leaf, key) return chart .. "\t" .. leaf .. "\t" .. key end
+function keys.member(chart, leaf, key) return keys.head(chart, leaf) .. "\t" .. key end
+
+--- Return the chart and the state of an entry, or of its beginning.
+function keys.read_head(member)
+  local chart, leaf = member:match("^([^\t]*)\t([^\t]*)")
+  return with_tabs(chart), with_tabs(leaf)
+end
 
 return keys

@@ -65,7 +65,7 @@ function times.begin() call_sec, sec = false, false end
 --- Have all machines use this clock, and read the times of calls from a server.
 function times.open(server)
   host = server
-  clock.set_hook(times.get)
+  clock.set_hook(times.get, read)
 end
 
 return times

@@ -30,7 +30,8 @@ end
 
 local function add_transition(known, tr)
   local own = tr.events or {}
-  if own[1] == nil and rfsm.is_state(tr.src) then known.takes_any = true end
+  local is_any = own[1] == nil and tr.always ~= true
+  if is_any and rfsm.is_state(tr.src) then known.takes_any = true end
   add_all(known, known.list, own)
 end
 

@@ -13,7 +13,7 @@ local pcall, rawget, tonumber, tostring = pcall, rawget, tonumber, tostring
 local type = type
 local floor = math.floor
 local concat, sort = table.concat, table.sort
-local text_of = rfsm.text_of
+local number_text, text_of = rfsm.number_text, rfsm.text_of
 local jit, math_type = rawget(_G, "jit"), rawget(math, "type")
 
 local exact_json = {}
@@ -35,20 +35,19 @@ end
 exact_json.is_null = is_null
 
 --- Return the digits of a number, enough of them to read it back. They are the same on
---- every Lua (5.3 prints 5.0) and in every locale (some print a comma). An infinite
---- number is an error.
+--- every Lua (5.3 prints 5.0) and in every locale. An infinite number is an error.
 ---@param n number
 ---@return string digits
 function exact_json.digits_of(n)
   if n - n ~= 0 then error("the number " .. tostring(n) .. " has no JSON", 0) end
   if math_type and math_type(n) == "integer" then return ("%d"):format(n) end
   if floor(n) == n and n <= EXACT and n >= -EXACT then return ("%.0f"):format(n) end
-  local text
+  local format
   for digits = 14, 17 do
-    text = ("%." .. digits .. "g"):format(n)
-    if tonumber(text) == n then break end
+    format = "%." .. digits .. "g"
+    if tonumber(format:format(n)) == n then break end -- both have the host's point
   end
-  return (text:gsub(",", "."))
+  return number_text(n, format)
 end
 
 local ESCAPES = { ['"'] = '\\"', ["\\"] = "\\\\", ["\n"] = "\\n", ["\t"] = "\\t" }
@@ -75,7 +74,7 @@ local function keys_of(object)
     count = count + 1
     keys[count] = key
   end
-  sort(keys)
+  sort(keys, rfsm.text_before)
   return keys
 end
 
@@ -131,7 +130,7 @@ function exact_json.encode(value) return encode(value, 0) end
 function exact_json.find_inexact(text)
   text = text:gsub("\\.", ""):gsub('"[^"]*"', "")
   for digits in text:gmatch("[%d.eE+-]+") do
-    local number = tonumber(digits) or 0
+    local number = rfsm.number_of(digits) or 0
     local is_whole = digits:find("^-?%d+$") ~= nil
     if number - number ~= 0 or is_whole and (number >= EXACT or number <= -EXACT) then
       return digits

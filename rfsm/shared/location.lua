@@ -132,7 +132,7 @@ end
 local function transition_name(tr, prefix)
   local texts = {}
   for i, event in ipairs(tr.events or {}) do texts[i] = short_name(event, tr) end
-  sort(texts)
+  sort(texts, rfsm.text_before)
   return location.name_of(tr.src, prefix) .. " -" .. concat(texts, ", ") .. "-> "
     .. (rfsm.target_of(tr) == "internal" and "internal"
       or location.name_of(tr.tgt, prefix, true))

@@ -70,8 +70,11 @@ end
 --- Return a copy of a list with one event more.
 function match.with(list, event) return match.joined(list, { event }) end
 
---- Does any event trigger the transition, because it names no event?
-function match.is_any(tr) return not tr.events or tr.events[1] == nil end
+--- Does any event trigger the transition, because it names no event? One that needs no
+--- event (`always`) is triggered by none.
+function match.is_any(tr)
+  return (not tr.events or tr.events[1] == nil) and tr.always ~= true
+end
 
 --- Can a path begin with the transition on any event? No path begins at a connector.
 function match.begins_on_any(tr)
@@ -116,6 +119,7 @@ end
 ---@return string? maker "engine" or an extension; nil: the event comes from outside
 ---@return string? fqn for a time event, the FQN of the state that has to be active
 function match.maker_of(event)
+  event = match.name_of(event) or event
   if type(event) ~= "string" then return nil end
   if event == "e_init_fsm" or event:find("^e_done@root") then return "engine" end
   for _, maker in ipairs(rfsm.makers) do

@@ -126,10 +126,13 @@ Stub.__lt, Stub.__le = no, no
 -- States that replace stubs, with the substates that transitions name --------------
 
 local MARK = " is a stub" -- the end of `doc` in states that replace stubs
+local WIDEST = 30 -- bytes of a name in `doc`, so that a picture has one line for it
+
+local is_inner = setmetatable({}, { __mode = "k" }) -- substates of such states
 
 local function is_stubbed(state)
   local doc = rawget(state, "doc")
-  return type(doc) == "string" and doc:sub(-#MARK) == MARK
+  return is_inner[state] or type(doc) == "string" and doc:sub(-#MARK) == MARK
 end
 
 -- Returns a constructor that notes no location, since it would be a line of this file.
@@ -141,14 +144,18 @@ end
 local new_state, new_trans, new_conn = without_location(rfsm.state),
   without_location(rfsm.trans), without_location(rfsm.conn)
 
---- Return a state that replaces the stub of this name.
+--- Return a state that replaces the stub of this name. A long name loses its beginning.
 function stubs.new_state(name)
+  if #name > WIDEST then
+    name = ".." .. name:sub(2 - WIDEST):gsub("^[\128-\191]+", "")
+  end
   return new_state { doc = name .. MARK }
 end
 
 -- Adds a substate to a state that replaces a stub. The first substate is initial.
 local function add_substate(state, name)
-  state[name] = name == "initial" and new_conn {} or stubs.new_state(name)
+  state[name] = name == "initial" and new_conn {} or new_state {}
+  is_inner[state[name]] = true
   if not state.initial and not state[1] then
     state[1] = new_trans { src = "initial", tgt = name }
   end

@@ -61,8 +61,8 @@ local function join_pair(a, b, c, d)
     + (c:byte() - 176) * 64 + d:byte() - 128)
 end
 
--- Returns the meaning of a backslash and the character behind it. The digits that
--- follow may belong to them.
+-- Returns what a backslash and the character behind it mean. The digits behind both
+-- may belong to them.
 local function meaning_of(character, digits)
   if character == "u" and #digits == 4 then return utf8_of(tonumber(digits, 16)) end
   local number, rest = (character .. digits):match("^(%d%d?%d?)(.*)$")

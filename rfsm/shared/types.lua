@@ -11,7 +11,7 @@
 ---@field entry? rfsm.StateCallback
 ---@field exit? rfsm.StateCallback
 ---@field doo? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "doo"): boolean?
----@field final? boolean a leaf that is meant to be the end
+---@field final? boolean a leaf that ends its composite or region
 ---@field getevents? false|fun(): any[]? root only, as all fields below
 ---@field dbg? boolean|fun(id: string, ...)
 ---@field info? boolean|fun(...)
@@ -32,6 +32,7 @@
 ---@field src string|rfsm.State|rfsm.Connector source; after init always a node
 ---@field tgt string|rfsm.State|rfsm.Connector target; after init always a node
 ---@field events? false|any[]|string each one triggers it; none: any event does
+---@field always? boolean true: it needs no event, and has none
 ---@field guard? rfsm.Guard
 ---@field effect? rfsm.Effect
 ---@field pn? number priority among the transitions of a node, larger first (0)
@@ -72,7 +73,8 @@
 ---@alias rfsm.Effect false|fun(fsm, tr, what: "effect", events: any[], event: any)
 
 --- An occasion on which a watch hook is called, see `rfsm.watch_hook_add`.
----@alias rfsm.Watched "sent"|"failed"|"resumed"|"ended"|"merged"|"discarded"
+---@alias rfsm.Watched "sent"|"failed"|"failed_inside"|"resumed"|"ended"|"merged"
+---|"discarded"
 
 --- What became of an event: the first of these words that is true.
 ---@alias rfsm.Fate "taken"|"kept"|"forwarded"|"discarded"
@@ -105,7 +107,7 @@
 ---@field source_hook_add fun(fsm: rfsm.Machine, hook: rfsm.StepHook) the hook appends
 -- events to the list of current events, before all other hooks and before one is taken
 ---@field pre_step_hook_add fun(fsm: rfsm.Machine, hook: rfsm.StepHook, place?: string)
--- in each iteration before a transition is chosen; the hook may change the list of events
+-- in each iteration before a transition is chosen; the hook may change the events
 ---@field post_step_hook_add fun(fsm: rfsm.Machine, hook: rfsm.StepHook, place?: string)
 -- at the end of each iteration
 ---@field path_hook_add fun(fsm: rfsm.Machine, hook: fun(fsm, path: any[], event: any))

@@ -16,7 +16,7 @@ local values = require "rfsm.observe.values"
 local rfsm = require "rfsm"
 
 local _G, error, ipairs, pairs, pcall = _G, error, ipairs, pairs, pcall
-local rawget, setmetatable, tonumber, type = rawget, setmetatable, tonumber, type
+local rawget, setmetatable, type = rawget, setmetatable, type
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local load = rawget(_G, "loadstring") or rawget(_G, "load")
 local complain, first_line = terminal.complain, chart.first_line
@@ -55,7 +55,7 @@ local VALUES = { ["true"] = true, ["false"] = false }
 
 local function value_of_word(word)
   if VALUES[word] ~= nil then return VALUES[word] end
-  if not word:find("{", 1, true) then return tonumber(word) or word end
+  if not word:find("{", 1, true) then return rfsm.number_of(word) or word end
   local event, problem = typed.read(word)
   return event or error(problem, 0)
 end

@@ -33,6 +33,8 @@ local PERIOD = 10000 -- VM instructions between two checks for Control-C
 local counter -- a table made with luaposix or luv; nil until interrupts are caught
 local count, seen = 0, 0 -- how many Control-Cs were typed, and how many were noticed
 local is_busy = false -- true while C code calls Lua: the hook must not raise an error
+local is_resumed = false -- true if the program goes on after Control-Z
+local modes = false -- how the shell wants the terminal, while a line is read by keys
 
 --- A counter of Control-C, made with luaposix or luv.
 ---@class rfsm.sim.Counter
@@ -41,17 +43,33 @@ local is_busy = false -- true while C code calls Lua: the hook must not raise an
 
 local poll
 
+-- Stops the program for Control-Z, by `halt`. Shells such as dash do not set up the
+-- terminal themselves, so it gets the modes in which the shell left it.
+local function stop(halt)
+  if modes then os.execute("stty " .. modes .. " 2>/dev/null") end
+  halt()
+end
+
+local function go_on() is_resumed = true end
+
 -- luaposix calls the handler from a debug hook of the coroutine that has loaded
 -- luaposix. So a coroutine only for this purpose loads it, and `look` resumes the
 -- coroutine. LuaJIT has one debug hook for all coroutines: luaposix replaces our hook,
 -- and the handler sets it again.
 local function posix_counter()
   local listener = coroutine.create(function()
-    local signal = require "posix.signal"
-    signal.signal(signal.SIGINT, function()
-      count = count + 1
-      if jit then sethook(poll, "", PERIOD) end
+    local signal, unistd = require "posix.signal", require "posix.unistd"
+    local function catch(number, handler)
+      signal.signal(number, function()
+        handler()
+        if jit then sethook(poll, "", PERIOD) end
+      end)
+    end
+    catch(signal.SIGINT, function() count = count + 1 end)
+    catch(signal.SIGTSTP, function()
+      stop(function() signal.kill(unistd.getpid(), signal.SIGSTOP) end)
     end)
+    catch(signal.SIGCONT, go_on)
     while true do coroutine.yield() end
   end)
   if not coroutine.resume(listener) then return nil end
@@ -66,6 +84,10 @@ local function luv_counter()
   local ok, uv = pcall(require, "luv")
   if not ok then return nil end
   uv.new_signal():start("sigint", function() count = count + 1 end)
+  uv.new_signal():start("sigtstp", function()
+    stop(function() uv.kill(uv.os_getpid(), "sigstop") end)
+  end)
+  uv.new_signal():start("sigcont", go_on)
   local keys = nil
   return {
     look = function() uv.run("nowait") end,
@@ -130,22 +152,42 @@ function terminal.is_terminal(descriptor)
   return result == true or result == 0
 end
 
+local shell_modes = nil -- as `stty` prints them
+
+-- Returns the modes that the terminal has while the shell reads a line.
+local function read_modes()
+  if shell_modes then return shell_modes end
+  local pipe = io.popen("stty -g 2>/dev/null")
+  shell_modes = pipe:read("*l")
+  pipe:close()
+  return shell_modes
+end
+
 -- Reads a line key by key, so that Control-C is noticed at once. Meanwhile `is_busy` is
 -- true, so that the debug hook does not interrupt readline by an error. After Control-C
 -- the handler of this line is not removed, because lua-readline 3.2 would then write to
 -- a closed stream. The handler of the next line replaces it.
 local function read_keys(readline, prompt)
   local line, is_done = nil, false
-  readline.handler_install(prompt, function(text)
-    line, is_done = text, true
-    readline.handler_remove()
-  end)
+  local function install()
+    readline.handler_install(prompt, function(text)
+      line, is_done, modes = text, true, false
+      readline.handler_remove()
+    end)
+  end
+  modes, is_resumed = read_modes(), false
+  install()
   is_busy = true -- up to the end of `terminal.read`
   while not is_done do
     local has_key = counter.wait()
     if terminal.is_interrupted() then -- a later key belongs to the next line
       print()
       return false
+    end
+    if is_resumed then -- what was typed before is lost
+      os.execute("stty -icanon -echo 2>/dev/null") -- as `handler_install` does once
+      is_resumed = false
+      install()
     end
     if has_key then readline.read_char() end
   end
@@ -188,12 +230,14 @@ end
 local function prompting_reader(prompt)
   io.write(prompt)
   io.flush()
+  is_resumed = false
   local line = io.read()
-  if line == nil and terminal.is_interrupted() then
+  if line ~= nil then return line end
+  if terminal.is_interrupted() then
     print()
     return false -- the signal has ended the read, not the input
   end
-  return line
+  if is_resumed then return prompting_reader(prompt) end
 end
 
 local function piped_reader() return io.read() end

@@ -57,8 +57,8 @@ end
 
 --- Return a number of seconds as a text for a person.
 function time.text(seconds)
-  if seconds < 1 then return ("%.6g s"):format(seconds) end
-  return (("%.3f"):format(seconds):gsub("%.?0+$", "")) .. " s"
+  if seconds < 1 then return rfsm.number_text(seconds, "%.6g") .. " s" end
+  return (rfsm.number_text(seconds, "%.3f"):gsub("%.?0+$", "")) .. " s"
 end
 
 --- Print the simulated time, or that the clock is real.

@@ -77,6 +77,20 @@ local function note_timers(notes, list, others, text)
   end
 end
 
+-- Notes each event that may be kept in a leaf, and that nothing in the new chart takes.
+local function note_deferred(notes, leaf, fsm)
+  local state = leaf
+  while rfsm.is_state(state) do
+    for _, event in ipairs(shape.samples(state)) do
+      if not shape.wants(fsm, event) then
+        notes[#notes + 1] = ("a kept %s is reported and lost: no transition takes it")
+          :format(rfsm.event_text(event))
+      end
+    end
+    state = not rfsm.is_root(state) and state._parent
+  end
+end
+
 --- The result for machines of the old chart that are in one leaf.
 ---@class rfsm.snapshot.Fate
 ---@field leaf string location in the old chart
@@ -121,6 +135,7 @@ local function fate_of(places, at, leaf, model, options)
     local old_timers, timers = timers_of(at.machine, leaf), timers_of(new.machine, to)
     note_timers(fate.notes, old_timers, timers, " is dropped")
     note_timers(fate.notes, timers, old_timers, " begins, with its whole time")
+    note_deferred(fate.notes, leaf, fsm)
   end
   return fate
 end

@@ -126,7 +126,7 @@ local function digits_of(n)
   if n ~= n then return "nan" end
   if n - n ~= 0 then return n > 0 and "inf" or "-inf" end
   if math_type and math_type(n) == "integer" then return ("%d"):format(n) end
-  local digits = ("%.17g"):format(n)
+  local digits = rfsm.number_text(n, "%.17g")
   return digits:find("[.e]") and digits or digits .. ".0"
 end
 
@@ -230,7 +230,8 @@ end
 local NUMBERS = { nan = 0 / 0, inf = huge, ["-inf"] = -huge }
 
 local function unpack_number(digits)
-  local number = NUMBERS[digits] or type(digits) == "string" and tonumber(digits)
+  local number = NUMBERS[digits] or type(digits) == "string"
+    and rfsm.number_of(digits)
   if not number then fail("a number as text expected, got %s", type(digits)) end
   local is_whole = not math_type and digits:find("^%-?%d+$")
   if is_whole and ("%.0f"):format(number) ~= digits then

@@ -87,13 +87,11 @@ end
 -- Returns how the chart of a machine differs from the chart of a part: "kept" if only
 -- the kept fields differ, "structure" if the structure does, nil if they are the same.
 local function change_of(machine, part)
-  local chart = shape.of(machine).chart
-  if part.chart == nil or part.chart == chart.name then return nil end
-  local structure, rest = part.chart:match("^([^-]*)(.*)$")
-  if structure ~= chart.structure and structure ~= chart.older then
-    return "structure"
-  end
-  return chart.structure .. rest ~= chart.name and "kept" or nil
+  local chart, name = shape.of(machine).chart, part.chart
+  if name == nil or name == chart.name or name == chart.name_before then return nil end
+  local structure = name:match("^[^-]*")
+  local is_kept = structure == chart.structure or structure == chart.structure_before
+  return is_kept and "kept" or "structure"
 end
 
 --- Is a snapshot of the chart of a machine, and its regions of those of the machine?

@@ -7,9 +7,11 @@
 local calls = require "rfsm.shared.calls"
 local encoding = require "rfsm.snapshot.encoding"
 local match = require "rfsm.shared.match"
+local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
-local ipairs, rawget, setmetatable, type = ipairs, rawget, setmetatable, type
+local getmetatable, ipairs, pairs = getmetatable, ipairs, pairs
+local rawequal, rawget, setmetatable, type = rawequal, rawget, setmetatable, type
 local floor = math.floor
 local concat, sort = table.concat, table.sort
 local fail, is_scalar, text_of = encoding.fail, encoding.is_scalar, rfsm.text_of
@@ -18,27 +20,62 @@ local shape = {}
 
 -- Lines: one for each element -------------------------------------------------------
 
--- Returns the text of an event of a transition. In a machine that is explored, an event
--- takes the place of the predicate of its name.
-local function new_text(event)
-  local name = match.name_of(event)
-  return rfsm.event_text(name and rfsm.named(name) or event, true)
+-- Returns an event or predicate as a text. Once it had no names of events with data.
+local function event_text_before(event)
+  return is_scalar(event) and text_of(event) or "a " .. type(event)
 end
 
--- Snapshots of an older form have fingerprints in which an event that is no text,
--- number or boolean was only its type.
-local function older_text(event)
-  return is_scalar(event) and new_text(event) or "a " .. type(event)
+local function event_text(event)
+  local name = rfsm.event_name(event) or match.name_of(event)
+  return name and rfsm.event_text(rfsm.named(name), true) or event_text_before(event)
 end
 
-local function line_of(obj, text_of_event)
+local function texts_of(events, text)
+  local texts = {}
+  for i, event in ipairs(events) do texts[i] = text(event) end
+  return concat(texts, ", ")
+end
+
+local function line_of(obj, text)
   if rfsm.is_conn(obj) then return "connector " .. obj._fqn end
   if rfsm.is_state(obj) then return "state " .. obj._fqn end
-  local texts = {}
-  for i, event in ipairs(obj.events) do texts[i] = text_of_event(event) end
   return ("%s -> %s%s%s"):format(obj.src._fqn, rfsm.target_of(obj),
-    texts[1] and " on " .. concat(texts, ", ") or "",
+    obj.events[1] ~= nil and " on " .. texts_of(obj.events, text) or "",
     obj.pn and " pn " .. text_of(obj.pn) or "")
+end
+
+local NONE = {}
+
+-- Returns the list `defer` of a state, from its model; an empty list if it has none.
+local function deferred(state)
+  local list = rfsm.model_of(state).defer
+  return type(list) == "table" and not rfsm.is_fsmobj(list) and list or NONE
+end
+
+--- Does a transition of a machine or its regions take an event, or does an extension
+-- wait for it? A state that defers it does not count.
+function shape.wants(fsm, event)
+  return order.any(rfsm.machines(fsm), function(at)
+    return order.any(rfsm.elements(at.machine), function(obj)
+      if rfsm.is_trans(obj) then
+        return match.begins_on_any(obj) or match.takes(obj.events or NONE, event)
+      end
+      return rfsm.is_state(obj) and not match.takes(deferred(obj), event)
+        and match.has(rfsm.reactions(at.machine, obj), event)
+    end)
+  end)
+end
+
+--- List the events that a state defers, as samples, except those that only a predicate
+-- describes.
+function shape.samples(state)
+  local events = {}
+  for _, event in ipairs(deferred(state)) do
+    local name = rfsm.event_name(event)
+    events[#events + 1] = name and { name = name }
+      or type(event) ~= "function" and event or nil
+  end
+  return events
 end
 
 --- Does `line` describe a transition that has `event`, a text, among its events?
@@ -125,10 +162,13 @@ end
 ---@field lines string[] a line for each state, connector and transition
 ---@field fields string[] a line for each kept field, `save` and region
 ---@field structure string fingerprint of `lines`
----@field older string the fingerprint that older snapshots have
 ---@field name string `structure`, with the fingerprint of `fields` if there are any
+---@field structure_before string|false `structure` as it was before names of events
+--- with data, and deferred events, were in `lines`; false: it is the same
+---@field name_before string|false `name` as it was then
 ---@field keepers rfsm.snapshot.Keeper[]
 ---@field keeper table<string, rfsm.snapshot.Keeper> the keepers by the FQN of the state
+---@field defers table<string, any[]> the lists `defer` by the FQN of the state
 ---@field has_load boolean some state has functions `save` and `load`
 ---@field has_regions boolean
 ---@field leaves table<string, true> set of the FQNs of leaves
@@ -169,31 +209,84 @@ local function add_element(self, obj)
   if rfsm.is_state(obj) then add_keeper(self, obj) end
 end
 
-local function chart_of(fsm)
-  local key = rfsm.structure_of(fsm)
-  if charts[key] then return charts[key] end
+-- Sets the fingerprints of a chart from its lines, and from those of before.
+local function set_names(self, before)
+  local fields = self.fields[1] and "-" .. fingerprint_of(self.fields):sub(-6) or ""
+  self.structure = fingerprint_of(self.lines)
+  self.name = self.structure .. fields
+  if concat(before, "\n") == concat(self.lines, "\n") then return end
+  self.structure_before = fingerprint_of(before)
+  self.name_before = self.structure_before .. fields
+end
+
+local function describe(fsm, key)
   local places = rfsm.machines(fsm)
-  local self = { lines = {}, fields = {}, structure = false, older = false,
-    name = false, keepers = {}, keeper = {}, has_load = false,
-    has_regions = places[2] ~= nil, leaves = {}, nodes = {}, transitions = {} }
-  local older = {}
+  local self = { lines = {}, fields = {}, structure = false, name = false,
+    structure_before = false, name_before = false, keepers = {}, keeper = {},
+    has_load = false, has_regions = places[2] ~= nil, leaves = {}, nodes = {},
+    transitions = {}, defers = {} }
+  local before = {}
   for i, obj in ipairs(rfsm.elements(fsm)) do
-    self.lines[i], older[i] = line_of(obj, new_text), line_of(obj, older_text)
+    before[i] = line_of(obj, event_text_before)
+    self.lines[#self.lines + 1] = line_of(obj, event_text)
+    if rfsm.is_state(obj) and deferred(obj)[1] ~= nil then
+      self.defers[obj._fqn] = encoding.copy_of(deferred(obj))
+      self.lines[#self.lines + 1] = obj._fqn .. " defers " .. texts_of(deferred(obj),
+        event_text)
+    end
     add_element(self, obj)
   end
   for _, at in ipairs(places) do
     if at.owner == fsm then self.fields[#self.fields + 1] = "region " .. at.prefix end
   end
-  sort(self.fields)
-  self.structure, self.older = fingerprint_of(self.lines), fingerprint_of(older)
-  self.name = self.structure
-  if self.fields[1] then
-    self.name = self.name .. "-" .. fingerprint_of(self.fields):sub(-6)
-  end
+  sort(self.fields, rfsm.text_before)
+  set_names(self, before)
   charts[key], by_name[self.name] = self, self
+  by_name[self.name_before or self.name] = self
   count = count % MAX_LATEST + 1
   shape.latest[count] = self
   return self
+end
+
+local DEEPEST = 20 -- levels of tables that are compared
+
+-- Are two values equal? Plain tables are compared by their contents.
+local function are_equal(a, b, level)
+  if type(a) ~= "table" or type(b) ~= "table" then return rawequal(a, b) end
+  if getmetatable(a) ~= nil or getmetatable(b) ~= nil then return rawequal(a, b) end
+  level = (level or 0) + 1
+  if level > DEEPEST then return false end -- a table may contain itself
+  for key, value in pairs(a) do -- any order: one difference decides
+    if not are_equal(value, b[key], level) then return false end
+  end
+  for key in pairs(b) do -- any order: one difference decides
+    if a[key] == nil then return false end
+  end
+  return true
+end
+
+-- Does a state keep what the description says? Its model may have changed since then.
+local function is_described(self, state)
+  local keeper, model = self.keeper[state._fqn], rfsm.model_of(state)
+  local defers = self.defers[state._fqn] or NONE
+  if model.defer ~= nil and not are_equal(deferred(state), defers) then return false end
+  if not keeper then
+    local keeps = model.keep ~= nil and kept_names(state)[1] ~= nil
+    return not keeps and type(state.save) ~= "function"
+  end
+  for _, name in ipairs(keeper.names) do
+    if not are_equal(model[name], keeper.first[name]) then return false end
+  end
+  return are_equal(kept_names(state), keeper.names)
+    and keeper.has_load == (type(state.save) == "function")
+end
+
+-- Is the description of a structure that of a machine, whose nodes are given by FQN?
+local function is_of(self, nodes)
+  for _, node in pairs(nodes) do -- any order: one difference decides
+    if rfsm.is_state(node) and not is_described(self, node) then return false end
+  end
+  return true
 end
 
 --- Return the description with a name (the field `chart` of a snapshot), or nil.
@@ -218,12 +311,16 @@ function shape.named(name) return by_name[name] end
 function shape.of(fsm)
   local own, key = fsm._kept, rfsm.structure_of(fsm)
   if own and own.key == key then return own end
-  local known, nodes = chart_of(fsm), { [fsm._fqn] = fsm }
+  local known, nodes = charts[key] or describe(fsm, key), { [fsm._fqn] = fsm }
   own = { key = key, chart = known, places = { { machine = fsm, prefix = "root" } },
     states = {}, nodes = nodes, transitions = {}, targets = {},
     path = { owner = "", keeper = false, prefix = "root", seen = false } }
   if known.has_regions then own.places = rfsm.machines(fsm) end
   for _, at in ipairs(known.nodes) do nodes[at.fqn] = nodes[at.parent][at.id] end
+  if not is_of(known, nodes) then
+    known = describe(fsm, key)
+    own.chart = known
+  end
   for i, keeper in ipairs(known.keepers) do own.states[i] = nodes[keeper.fqn] end
   for i, at in ipairs(known.transitions) do
     own.transitions[i], own.targets[i] = nodes[at.parent][at.id], nodes[at.target]

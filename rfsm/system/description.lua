@@ -136,19 +136,51 @@ local function one_of(a, b)
   return function(x) return x == a or x == b end
 end
 
+-- Is the value a list of names, at least one, each of them once?
+local function is_event_list(x)
+  local seen = {}
+  for i, name in ipairs(type(x) == "table" and x or {}) do
+    if not opts.is_text(name) then
+      return false, ("[%d]: name of an event expected, %s"):format(i, opts.got(name))
+    elseif seen[name] then
+      return false, ("[%d]: '%s' is there twice"):format(i, name)
+    end
+    seen[name] = true
+  end
+  return next(seen) ~= nil
+end
+
+local READ = "how many events '%s' takes at once is said by its chart: %s = \"one\" in "
+  .. "the root, not by a wire"
+
 -- Returns a table: for each field of a wire a description, a test, and the default.
 local function fields_of(draft)
   local function is_name(x) return description.is_name(draft.models, x) end
   return {
     from = { "name of a machine", is_name }, to = { "name of a machine", is_name },
     event = { "name of an event", opts.is_text },
+    events = { "list of events", is_event_list },
     kind = { "'buffer' or 'data'", one_of("buffer", "data"), "buffer" },
     size = { "whole number from 1", opts.is_whole(1, huge), 16 },
-    read = { "'all' or 'one'", one_of("all", "one"), "all" },
   }
 end
 
-local NEEDED = { "from", "event", "to" }
+-- Reports the fields that are missing, or that exclude each other.
+local function check_together(report, fields, wire, given)
+  for _, name in ipairs { "from", "to" } do
+    if given[name] == nil then
+      report((".%s: %s expected"):format(name, fields[name][1]))
+    end
+  end
+  if given.event == nil and given.events == nil then
+    report(".event: name of an event expected, or events = { ... }")
+  elseif given.event ~= nil and given.events ~= nil then
+    report(".events: a wire has event or events, not both")
+  end
+  if wire.kind == "data" and given.size ~= nil then
+    report(".size: data is one event, a buffer has a size")
+  end
+end
 
 -- Returns a wire with its defaults. Wrong fields are reported and left out.
 local function read_wire(report, fields, given)
@@ -157,20 +189,43 @@ local function read_wire(report, fields, given)
     local right, problem = opts.read(fields, { [name] = given[name] })
     if right then
       wire[name] = right[name]
+    elseif name == "read" then
+      report(".read: " .. READ:format(rfsm.text_of(given.to or "a machine"), name))
     else
       report((fields[name] and "." or ": ") .. problem)
     end
   end
-  for _, name in ipairs(NEEDED) do
-    if given[name] == nil then
-      report(("%s: %s expected"):format("." .. name, fields[name][1]))
+  check_together(report, fields, wire, given)
+  if wire.kind == "data" then wire.size = 1 end
+  wire.events, wire.event = wire.events or { wire.event }, nil
+  return wire
+end
+
+-- Reports an event that the sender does not emit, or to which the reader has nothing.
+local function check_event(draft, report, wire, event)
+  local sender, reader = draft.machines[wire.from], draft.machines[wire.to]
+  if not (sender and reader) then return end
+  local emitted = replacements.emitted_by(sender)
+  if emitted and not match.has(emitted, event) then
+    report((".event: nothing in '%s' emits '%s'%s"):format(wire.from, event,
+      names.hint(event, emitted)))
+  end
+  if not (alphabet.of_all(reader).takes_any or names.is_event(reader, event)) then
+    report((".event: no transition of '%s' has the event '%s'%s"):format(wire.to,
+      event, names.hint(event, names.events(reader))))
+  end
+end
+
+-- Reports an event that another wire carries between the same two machines: it would
+-- come twice.
+local function check_pair(draft, report, wire, event)
+  for _, other in ipairs(draft.wires) do
+    if other.from == wire.from and other.to == wire.to
+      and match.has(other.events, event) then
+      report((".event: wires[%s] carries '%s' from '%s' to '%s' already"):format(
+        rfsm.text_of(other.number), event, wire.from, wire.to))
     end
   end
-  if wire.kind == "data" and given.size ~= nil then
-    report(".size: data is one event, a buffer has a size")
-  end
-  if wire.kind == "data" then wire.size = 1 end
-  return wire
 end
 
 local function check_wire(draft, fields, i, given)
@@ -182,18 +237,11 @@ local function check_wire(draft, fields, i, given)
   end
   local wire = read_wire(report, fields, given)
   wire.number, wire.location = i, place_of(draft, i)
+  for _, event in ipairs(wire.from and wire.to and wire.events or {}) do
+    check_event(draft, report, wire, event)
+    check_pair(draft, report, wire, event)
+  end
   draft.wires[#draft.wires + 1] = wire
-  local sender, reader = draft.machines[wire.from], draft.machines[wire.to]
-  if not (wire.event and sender and reader) then return end
-  local emitted = replacements.emitted_by(sender)
-  if emitted and not match.has(emitted, wire.event) then
-    report((".event: nothing in '%s' emits '%s'%s"):format(wire.from, wire.event,
-      names.hint(wire.event, emitted)))
-  end
-  if not (alphabet.of_all(reader).takes_any or names.is_event(reader, wire.event)) then
-    report((".event: no transition of '%s' has the event '%s'%s"):format(wire.to,
-      wire.event, names.hint(wire.event, names.events(reader))))
-  end
 end
 
 local function check_wires(draft, list)
@@ -209,7 +257,7 @@ end
 --- Read a description. If it is wrong, return nil and all its problems as one text.
 ---@param given any
 ---@param file? string file that has the description
----@return table? parts the fields names, models, wires and file
+---@return table? parts the fields names, models, wires, file and places
 ---@return string? text the problems
 function description.read(given, file)
   if type(given) ~= "table" or rfsm.is_fsmobj(given) then
@@ -225,8 +273,10 @@ function description.read(given, file)
     return nil, ("rfsm.system: the system has %d problem%s\n  %s"):format(
       #draft.problems, draft.problems[2] and "s" or "", concat(draft.problems, "\n  "))
   end
-  return { names = rfsm.sorted_keys(draft.models), models = draft.models,
-    wires = draft.wires, file = file }
+  local names_of, places = rfsm.sorted_keys(draft.models), {}
+  for _, name in ipairs(names_of) do places[name] = place_of(draft, name) end
+  return { names = names_of, models = draft.models, wires = draft.wires, file = file,
+    places = places }
 end
 
 return description

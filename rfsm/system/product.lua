@@ -1,9 +1,15 @@
 --- Products: the configurations that the machines of a system reach together.
 --
 -- In a move, a machine reads its wires. Then it takes one step with the events that it
--- has read and at most one event from outside. Any machine may move at any time. Each
--- machine has a walk (`rfsm.explore.explore`), which takes equal steps only once: the
--- outcomes are kept by the configuration of the machine and the list of events read.
+-- has read and at most one event from outside, and puts the first event that the step
+-- emits into its wire. Each further one is a move of its own, and before that the
+-- machine does nothing else. If steps overlap, the first one is a move of its own, too.
+-- Any machine may move at any time. A machine that takes one event an iteration takes
+-- one: from any of its wires, or from outside.
+--
+-- Each machine has a walk (`rfsm.explore.explore`), which takes equal steps only once.
+-- The outcomes are kept by the configuration of the machine and the list of what it has
+-- read.
 --
 -- A product also has the fields of a walk that graphs and properties read.
 --
@@ -17,6 +23,7 @@ local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 local properties = require "rfsm.explore.properties"
 local rfsm = require "rfsm"
+local subject = require "rfsm.explore.subject"
 local wires = require "rfsm.system.wires"
 
 local error, ipairs, rawget = error, ipairs, rawget
@@ -31,15 +38,18 @@ local product = {}
 ---@field members rfsm.system.Member[]
 ---@field wires rfsm.system.Wire[] wires between the members
 ---@field keys table[] configurations: `numbers` has the configuration of each machine,
--- `queues` has the queue of each wire
+-- `queues` the queue of each wire, `unsent` for each machine what it has yet to put
 ---@field numbers table<string, integer> number of a configuration by its text
----@field labels string[] by configuration, the move that first led to it: "2:7" is
--- outcome 7 of member 2
+---@field labels string[] by configuration, the move that first led to it: "2:1:7" is
+-- outcome 7 of what member 2 may read first
 ---@field steps integer[] targets of moves; negative: without an event from outside
----@field movers integer[] by index of `steps`, the number of the member that moved
+---@field movers integer[] by index of `steps`, the number of the member that moved; if
+-- it has read one wire of several, the number of members and the position of the wire
 ---@field lost table<rfsm.system.Wire, table> the first move that loses the wire's event
----@field carries table<rfsm.system.Wire, true> wires over which an event goes
+---@field carries table<rfsm.system.Wire, table> for each wire the set of events that go
+-- over it
 ---@field is_partial boolean some steps of a machine were not tried
+---@field overlap boolean a step puts nothing, so others may move before its first event
 local Product = { note_untried = explore.note_untried }
 Product.__index = Product
 
@@ -51,7 +61,17 @@ Product.__index = Product
 ---@field moves table<integer, table> outcomes by configuration, then by events read
 ---@field wired table<string, boolean> events of wires; true: they come only by wires
 ---@field takes table<string, true> events that transitions have taken
----@field outgoing table<string, integer[]> by event, numbers of the wires that carry it
+---@field outgoing table<string, rfsm.system.Put[]> by event, the puts that it needs,
+-- without and with data
+---@field reads_one boolean it takes one event an iteration
+
+--- An event that is put into a wire.
+---@class rfsm.system.Put
+---@field at integer position of the wire
+---@field name string name of the event
+---@field letter string text of the event in a queue: different for each event, and with
+-- data
+---@field text string the position and the letter
 
 -- Steps of one machine ..............................................................
 
@@ -75,12 +95,23 @@ local function events_of(member)
   return came
 end
 
+-- Lists what the last step of a machine has to put into wires.
+local function puts_of(member)
+  local puts = {}
+  for _, item in ipairs(member.subject.emitted) do
+    for _, pair in ipairs(member.outgoing[item.emit] or {}) do
+      puts[#puts + 1] = item.data and pair.with_data or pair.plain
+    end
+  end
+  return puts
+end
+
 -- Returns the outcome of a machine's last step: the configuration to which the step has
--- led, the events from outside, and the events that were emitted.
+-- led, the events from outside, and what has to be put into wires.
 local function new_outcome(member, try, tgt, outside)
   local own = member.subject
   local outcome = { tgt = tgt, outside = outside,
-    emitted = match.joined({}, own.emitted), passed = match.joined({}, own.passed),
+    puts = puts_of(member), passed = match.joined({}, own.passed),
     came = try.conf[1].leaf and events_of(member) or {} }
   for _, moment in ipairs(outcome.passed) do
     member.passed[#member.passed + 1] = { moment = moment }
@@ -94,9 +125,7 @@ local function text_of(outcome)
   local texts = { outcome.tgt, concat(outcome.taken, ","),
     outcome.outside[1] and "outside" or "",
     concat(rfsm.sorted_keys(outcome.came), ",") }
-  for _, item in ipairs(outcome.emitted) do
-    texts[#texts + 1] = item.emit .. (item.data and "+" or "")
-  end
+  for _, put in ipairs(outcome.puts) do texts[#texts + 1] = put.text end
   return concat(texts, " ")
 end
 
@@ -115,35 +144,46 @@ local function add_outcome(member, list, try, key, label, count)
 end
 
 -- Returns the outcomes of the steps of a machine with the events that it has read: one
--- outcome for each choice that makes a difference.
-local function outcomes_of(member, number, read)
+-- outcome for each choice that makes a difference. If `is_alone`, none comes from
+-- outside.
+local function outcomes_of(member, number, read, is_alone)
   local known, numbers = member.moves[number] or {}, {}
   member.moves[number] = known
   for i, occurrence in ipairs(read) do numbers[i] = occurrence.number end
-  local key = concat(numbers, ",")
+  local key = concat(numbers, ",") .. (is_alone and "." or "")
   if not known[key] then
     known[key] = {}
     member:each_step(number, function(_, try, tgt, label)
       add_outcome(member, known[key], try, tgt, label, #read)
-    end, read)
+    end, read, is_alone)
   end
   return known[key]
 end
 
 -- Moves .............................................................................
 
--- All events of a wire have one name. So a queue is a list of letters: "d" is an event
--- with data, "e" is an event without data.
-local function copy(queue) return match.joined({}, queue) end
+local NOTHING = {}
+
+local function copy(list) return match.joined({}, list) end
+
+-- Returns a list without its first item; equal results for equal lists.
+local function rest_of(list)
+  if not list[2] then return NOTHING end
+  list.rest = list.rest or { unpack(list, 2) }
+  return list.rest
+end
 
 --- Return a configuration by its number.
 function Product:configuration(number) return self.keys[number] end
 
 -- Returns the number of a configuration. A new one is added, and is expanded later. Its
 -- first item has `leaf`, for properties: it is true if all machines were entered.
-local function find_configuration(self, numbers, queues, from, label)
+local function find_configuration(self, numbers, queues, unsent, from, label)
   local texts = { concat(numbers, ",") }
   for i, queue in ipairs(queues) do texts[i + 1] = concat(queue) end
+  for i, puts in ipairs(unsent) do
+    for _, put in ipairs(puts) do texts[#texts + 1] = i .. ">" .. put.text end
+  end
   local key = concat(texts, "|")
   local number = self.numbers[key]
   if number then return number end
@@ -151,63 +191,111 @@ local function find_configuration(self, numbers, queues, from, label)
     return member.confs[numbers[member.number]][1].leaf
   end)
   number = #self.keys + 1
-  self.keys[number] = { { leaf = are_entered }, numbers = numbers, queues = queues }
+  self.keys[number] = { { leaf = are_entered }, numbers = numbers, queues = queues,
+    unsent = unsent }
   self.numbers[key], self.from[number], self.labels[number] = number, from, label
   return number
 end
 
--- Returns the outcomes of a move, the queues after the wires were read, and for each
--- event that was read the wire by which it came.
-local function moves_of(self, member, conf)
-  local number, queues, read = conf.numbers[member.number], {}, {}
-  if not member.confs[number][1].leaf then
-    return outcomes_of(member, number, read), conf.queues, read
-  end
-  for at, wire in ipairs(self.wires) do
-    queues[at] = wire.to == member.name and copy(conf.queues[at]) or conf.queues[at]
-  end
-  local letters, by = wires.take(self.wires, queues, member.name)
+--- What a machine may read in a move.
+---@class rfsm.system.Reading
+---@field outcomes table[] the outcomes of a step with the events that are read
+---@field queues string[][] the queues after that
+---@field by rfsm.system.Wire[] for each event that was read, the wire it came from
+---@field mover integer see the field `movers` of `rfsm.system.Product`
+
+-- Returns the reading of the wires at some positions.
+local function read_wires(self, member, conf, positions, is_alone)
+  local queues, read = conf.queues, {}
+  if positions[1] then queues = copy(queues) end
+  for _, at in ipairs(positions) do queues[at] = copy(queues[at]) end
+  local letters, by = wires.take(self.wires, queues, positions, member.reads_one)
   for i, letter in ipairs(letters) do
-    local event = letter == "d" and by[i].with_data or by[i].event
-    read[i] = member.subject:occurrence(member.subject.parts[1], event)
+    read[i] = member.subject:occurrence(member.subject.parts[1], by[i].event_of[letter])
   end
-  return outcomes_of(member, number, read), queues, by
+  return { queues = queues, by = by, mover = member.number,
+    outcomes = outcomes_of(member, conf.numbers[member.number], read, is_alone) }
 end
 
--- Returns the queues after the emitted events of a step were put into them, and a list
--- that has for each event and wire whether the event was lost.
-local function send(self, member, queues, emitted)
-  local after, sent = emitted[1] and copy(queues) or queues, {}
-  for _, item in ipairs(emitted) do
-    for _, at in ipairs(member.outgoing[item.emit] or {}) do
-      after[at] = copy(after[at])
-      local is_put = wires.put(self.wires[at], after[at], item.data and "d" or "e")
-      sent[#sent + 1] = { wire = self.wires[at], is_lost = not is_put }
-    end
+-- Returns the readings of a machine that takes one event: none while an event waits in
+-- itself, or else one of a wire, or one from outside. An event from outside to which
+-- the machine does not react makes it move, too: its doo goes on.
+local function read_one(self, member, conf, waiting)
+  if subject.is_driven(member.confs[conf.numbers[member.number]]) then
+    return { read_wires(self, member, conf, NOTHING, true) }
   end
-  return after, sent
+  local list = { read_wires(self, member, conf, NOTHING) }
+  for i, at in ipairs(waiting) do
+    list[i + 1] = read_wires(self, member, conf, { at }, true)
+    list[i + 1].mover = #self.members + at
+  end
+  return list
+end
+
+-- The outcome of a move that only puts an event into a wire.
+local GOES_ON = { outside = NOTHING, puts = NOTHING, passed = NOTHING, came = NOTHING,
+  taken = NOTHING, choices = NOTHING, leaf = false, unfollowed = false, ran = false }
+
+-- Lists what a machine may read in a move. While it has events to put it reads nothing,
+-- and before its entry neither.
+local function readings_of(self, member, conf)
+  if conf.unsent[member.number][1] then
+    return { { queues = conf.queues, by = NOTHING, mover = member.number,
+      outcomes = { GOES_ON } } }
+  elseif not member.confs[conf.numbers[member.number]][1].leaf then
+    return { read_wires(self, member, conf, NOTHING) }
+  end
+  local waiting = wires.waiting(self.wires, conf.queues, member.name)
+  if member.reads_one then return read_one(self, member, conf, waiting) end
+  return { read_wires(self, member, conf, waiting) }
+end
+
+-- Returns the queues after a put, and what was put: nil if there is no put.
+local function put_into(self, queues, put)
+  if not put then return queues, nil end
+  local after, wire = copy(queues), self.wires[put.at]
+  after[put.at] = copy(after[put.at])
+  local is_put = wires.put(wire, after[put.at], put.letter)
+  return after, { wire = wire, event = put.name, is_lost = not is_put }
+end
+
+-- Returns what a move has to put: now, or nil, and later.
+local function puts_of_move(self, conf, member, outcome)
+  local puts = conf.unsent[member.number]
+  if outcome ~= GOES_ON then puts = outcome.puts end
+  if self.overlap and outcome ~= GOES_ON and puts[1] then return nil, puts end
+  return puts[1], rest_of(puts)
+end
+
+-- Returns what all machines have to put if one of them has `rest` to put.
+local function unsent_with(conf, number, rest)
+  if rest == conf.unsent[number] then return conf.unsent end
+  local unsent = copy(conf.unsent)
+  unsent[number] = rest
+  return unsent
 end
 
 -- Notes a move. A move that changes nothing counts only if it took a transition without
 -- an event from outside: then the machine goes on for ever.
-local function add_step(self, from, tgt, member, outcome, label)
+local function add_step(self, from, tgt, mover, outcome, label)
   local is_internal = not outcome.outside[1]
   if tgt == from and not (is_internal and outcome.taken[1]) then return end
   local step = is_internal and -tgt or tgt
   for at = self.first[from], #self.steps do
-    if self.steps[at] == step and self.movers[at] == member.number then return end
+    if self.steps[at] == step and self.movers[at] == mover then return end
   end
   local at = #self.steps + 1
-  self.steps[at], self.movers[at], self.step_labels[at] = step, member.number, label
+  self.steps[at], self.movers[at], self.step_labels[at] = step, mover, label
 end
 
 -- Notes which wires carry or lose events in a move, and which states the move passes.
 -- If an event of a property came, notes the target of the move for the property.
 local function note_move(self, move, member, outcome, sent)
-  for _, each in ipairs(sent) do
-    self.carries[each.wire] = true
-    self.lost[each.wire] = self.lost[each.wire]
-      or each.is_lost and { at = move.from, label = move.label } or nil
+  if sent then
+    local wire = sent.wire
+    self.carries[wire][sent.event] = true
+    self.lost[wire] = self.lost[wire]
+      or sent.is_lost and { at = move.from, label = move.label } or nil
   end
   for _, moment in ipairs(outcome.passed) do
     self.passed[#self.passed + 1] = { from = move.from, tgt = move.tgt,
@@ -223,20 +311,32 @@ local function note_move(self, move, member, outcome, sent)
   end
 end
 
+-- Takes a move. Returns true if it changes something, or takes a transition.
+local function take_move(self, from, member, reading, outcome, label)
+  local conf, numbers = self.keys[from], nil
+  local put, rest = puts_of_move(self, conf, member, outcome)
+  local queues, sent = put_into(self, reading.queues, put)
+  if outcome ~= GOES_ON then
+    numbers = copy(conf.numbers)
+    numbers[member.number] = outcome.tgt
+  end
+  local tgt = find_configuration(self, numbers or conf.numbers, queues,
+    unsent_with(conf, member.number, rest), from, label)
+  add_step(self, from, tgt, reading.mover, outcome, label)
+  note_move(self, { from = from, tgt = tgt, label = label }, member, outcome, sent)
+  return tgt ~= from or outcome.taken[1] ~= nil or reading.by[1] ~= nil
+end
+
 --- Take all moves from a configuration.
 function Product:expand(from)
-  local conf, has_moved = self.keys[from], false
+  local has_moved = false
   self.first[from] = #self.steps + 1
   for _, member in ipairs(self.members) do
-    local list, left, by = moves_of(self, member, conf)
-    for index, outcome in ipairs(list) do
-      local queues, sent = send(self, member, left, outcome.emitted)
-      local numbers, label = copy(conf.numbers), member.number .. ":" .. index
-      numbers[member.number] = outcome.tgt
-      local tgt = find_configuration(self, numbers, queues, from, label)
-      add_step(self, from, tgt, member, outcome, label)
-      note_move(self, { from = from, tgt = tgt, label = label }, member, outcome, sent)
-      has_moved = has_moved or tgt ~= from or outcome.taken[1] ~= nil or by[1] ~= nil
+    for at, reading in ipairs(readings_of(self, member, self.keys[from])) do
+      for index, outcome in ipairs(reading.outcomes) do
+        local label = ("%d:%d:%d"):format(member.number, at, index)
+        has_moved = take_move(self, from, member, reading, outcome, label) or has_moved
+      end
     end
   end
   if not has_moved then self.stuck[#self.stuck + 1] = from end
@@ -290,7 +390,8 @@ end
 
 -- Notes in `is_fair` which machines a run does not neglect if it stays in the strongly
 -- connected component of a configuration: a machine has nothing to do in the
--- configuration, or it has a move that stays in the component.
+-- configuration, or it has a move that stays in the component. Behind the machines it
+-- notes which wires are read, if the reader reads one wire at a time.
 local function note_fair(self, number, index_of, is_fair)
   local is_busy = {}
   graph.each_step(self, number, function(tgt, is_internal, at)
@@ -301,6 +402,53 @@ local function note_fair(self, number, index_of, is_fair)
   for i in ipairs(self.members) do is_fair[i] = is_fair[i] or not is_busy[i] end
 end
 
+-- Could a machine that reads one wire at a time read the wire in a configuration?
+local function is_readable(self, number, at)
+  local conf, member = self.keys[number], self.wires[at].reader
+  if not member.reads_one or conf.queues[at][1] == nil
+    or conf.unsent[member.number][1] then return false end
+  local own = member.confs[conf.numbers[member.number]]
+  return own[1].leaf and not subject.is_driven(own)
+end
+
+-- Does a run neglect a wire if it comes to a configuration again and again? It does if
+-- the wire could be read there, and is never read.
+local function is_neglected(self, number, is_fair)
+  for at in ipairs(self.wires) do
+    if not is_fair[#self.members + at] and is_readable(self, number, at) then
+      return true
+    end
+  end
+  return false
+end
+
+-- Adds the configurations of a component to the set `staying`, if a run that stays in
+-- the component neglects neither a machine nor a wire. If it neglects a wire, adds to
+-- the set `parts` those in which the wire cannot be read.
+local function note_component(self, numbers, index_of, staying, parts)
+  local is_fair, rest = {}, {}
+  for _, number in ipairs(numbers) do note_fair(self, number, index_of, is_fair) end
+  for _, member in ipairs(self.members) do
+    if not is_fair[member.number] then return end
+  end
+  for _, number in ipairs(numbers) do
+    if not is_neglected(self, number, is_fair) then rest[#rest + 1] = number end
+  end
+  local set = #rest == #numbers and staying or parts
+  for _, number in ipairs(rest) do set[number] = true end
+end
+
+-- Adds to the set `staying` the configurations of the set `open` between which a run
+-- may stay for ever, without neglecting a machine or a wire.
+local function note_staying(self, open, staying)
+  local components, index_of = graph.components_in(self, open, true)
+  local parts = {}
+  for _, numbers in ipairs(components) do
+    note_component(self, numbers, index_of, staying, parts)
+  end
+  if not order.is_empty(parts) then note_staying(self, parts, staying) end
+end
+
 --- Return the set of configurations from which moves without events from outside always
 --- lead to one of `goals`, if doos end and each machine moves again and again.
 ---@param goals table<integer, boolean> set of configurations
@@ -308,17 +456,7 @@ end
 function Product:must_reach(goals)
   local set, staying, open = {}, {}, {}
   for number = 1, self.expanded do open[number] = not goals[number] end
-  local components, index_of = graph.components_in(self, open, true)
-  for _, numbers in ipairs(components) do
-    local is_fair = {}
-    for _, number in ipairs(numbers) do
-      note_fair(self, number, index_of, is_fair)
-    end
-    local stays = order.all(self.members, function(member)
-      return is_fair[member.number]
-    end)
-    for _, number in ipairs(numbers) do staying[number] = stays end
-  end
+  note_staying(self, open, staying)
   self.open, self.staying = open, staying
   local can_stay = graph.can_reach(self, staying, true, open)
   for number = 1, #self.keys do
@@ -350,8 +488,11 @@ end
 ---@class rfsm.system.Move
 ---@field machine string name of the machine that moves
 ---@field events string[] events from outside
----@field read rfsm.system.Wire[] for each event that was read, the wire it came from
----@field sent { wire: rfsm.system.Wire, is_lost: boolean }[] events put into wires
+---@field read { event: string, from: string }[] the events from wires
+---@field sent? { wire: rfsm.system.Wire, event: string, is_lost: boolean } the event
+-- that was put into a wire
+---@field is_put boolean nothing else is done: the event is one of the step before
+---@field holds boolean the step emits, but nothing is put yet
 ---@field choices { who: string, answer: boolean, is_doo: boolean }[] tried answers of
 -- callbacks; for a doo, whether it ends
 ---@field taken string[] paths of the transitions that were taken
@@ -359,14 +500,28 @@ end
 ---@field unfollowed false|"data"|"targets" see `rfsm_checks.WitnessStep`
 ---@field ran false|"before"|"after"
 
+-- Lists the events that a reading takes from the queues of a configuration.
+local function events_read(conf, reading)
+  local list, next_of = {}, {}
+  for i, wire in ipairs(reading.by) do
+    next_of[wire] = (next_of[wire] or 0) + 1
+    local letter = conf.queues[wire.position][next_of[wire]]
+    list[i] = { event = wire.name_of[letter], from = wire.from }
+  end
+  return list
+end
+
 -- Returns the move with this label from the configuration `from`, as a witness has it.
 local function move_of(self, from, label)
-  local number, index = label:match("^(%d+):(%d+)$")
-  local member = self.members[tonumber(number)]
-  local list, left, by = moves_of(self, member, self.keys[from])
-  local outcome = list[tonumber(index)]
-  local _, sent = send(self, member, left, outcome.emitted)
-  local move = { machine = member.name, events = {}, read = by, sent = sent,
+  local number, at, index = label:match("^(%d+):(%d+):(%d+)$")
+  local member, conf = self.members[tonumber(number)], self.keys[from]
+  local reading = readings_of(self, member, conf)[tonumber(at)]
+  local outcome = reading.outcomes[tonumber(index)]
+  local put, rest = puts_of_move(self, conf, member, outcome)
+  local _, sent = put_into(self, reading.queues, put)
+  local move = { machine = member.name, events = {}, is_put = outcome == GOES_ON,
+    sent = sent, holds = not put and rest[1] ~= nil,
+    read = events_read(conf, reading),
     choices = outcome.choices, taken = outcome.taken, leaf = outcome.leaf,
     occurrences = outcome.outside, unfollowed = outcome.unfollowed, ran = outcome.ran }
   for i, occurrence in ipairs(outcome.outside) do
@@ -392,6 +547,41 @@ end
 
 local EMITS = "events that the %s may emit, which sends does not name"
 
+-- Makes the put of an event into a wire, and notes the letter of the event.
+local function new_put(wire, letter, name, event)
+  wire.event_of[letter], wire.name_of[letter] = event, name
+  return { at = wire.position, letter = letter, name = name,
+    text = wire.position .. ":" .. letter }
+end
+
+-- Makes the copy of a wire that a product has. `position` is that in the product,
+-- `event_of` and `name_of` have the events and their names by letter. `puts` has two
+-- puts for each event, without data and with it.
+local function new_wire(self, wire)
+  local own = setmetatable({ position = #self.wires + 1, event_of = {}, name_of = {},
+    puts = {} }, { __index = wire })
+  for i, event in ipairs(wire.events) do
+    own.puts[i] = { plain = new_put(own, i .. "e", event, event),
+      with_data = new_put(own, i .. "d", event, { name = event }) }
+  end
+  return own
+end
+
+-- Connects a machine to its wires.
+local function join_wires(self, member, options)
+  for _, wire in ipairs(self.wires) do
+    for i, event in ipairs(wire.events) do
+      if wire.to == member.name then
+        member.wired[event] = not match.has(options.alphabet or {}, event)
+        wire.reader = member
+      end
+      if wire.from == member.name then
+        member.outgoing[event] = match.with(member.outgoing[event] or {}, wire.puts[i])
+      end
+    end
+  end
+end
+
 -- Adds a machine. In its subject each event that only comes by wires gets a maker, so
 -- that the walk of the machine does not send it from outside.
 local function add_member(self, cell, name, options)
@@ -400,15 +590,9 @@ local function add_member(self, cell, name, options)
   self.members[#self.members + 1] = member
   member.name, member.number, member.confs, member.moves = name, #self.members, {}, {}
   member.wired, member.takes, member.outgoing = {}, {}, {}
-  own.notes_events = true
-  for at, wire in ipairs(self.wires) do
-    if wire.to == name then
-      member.wired[wire.event] = not match.has(options.alphabet or {}, wire.event)
-    end
-    if wire.from == name then
-      member.outgoing[wire.event] = match.with(member.outgoing[wire.event] or {}, at)
-    end
-  end
+  member.reads_one = own.parts[1].fsm.read == "one"
+  own.notes_events, own.keeps_order = true, member.reads_one
+  join_wires(self, member, options)
   function own.maker_of(_, event)
     return maker_of(own, event) or member.wired[match.name_of(event) or event]
   end
@@ -427,27 +611,30 @@ end
 ---@param group_of table<string, string> the group of each machine
 ---@param group string the product has the machines of this group
 ---@param settings table<string, rfsm_checks.Options> the options of each machine
+---@param overlap boolean steps overlap
 ---@return rfsm.system.Product
-function product.new(cell, group_of, group, settings)
+function product.new(cell, group_of, group, settings, overlap)
   local self = setmetatable({ members = {}, wires = {}, keys = {}, numbers = {},
     from = {}, labels = {}, first = {}, steps = {}, movers = {}, step_labels = {},
     expanded = 0, depth = 0, level_end = 1, stuck = {}, passed = {}, lost = {},
     carries = {}, afters = {}, untried = {}, unsure = {}, cut = {},
-    monitor = false, bound = nil, is_partial = false }, Product)
+    monitor = false, bound = nil, is_partial = false, overlap = overlap }, Product)
   self.subject = self
   for _, wire in ipairs(cell.wires) do
     if group_of[wire.to] == group then
-      self.wires[#self.wires + 1] = setmetatable({ with_data = { name = wire.event } },
-        { __index = wire })
+      local own = new_wire(self, wire)
+      self.wires[own.position], self.carries[own] = own, {}
     end
   end
   for _, name in ipairs(cell.names) do
     if group_of[name] == group then add_member(self, cell, name, settings[name]) end
   end
-  local numbers, queues = {}, {}
-  for i, member in ipairs(self.members) do numbers[i] = add_configuration(member, 1) end
-  for at in ipairs(self.wires) do queues[at] = {} end
-  find_configuration(self, numbers, queues, 0, "")
+  local numbers, queues, unsent = {}, {}, {}
+  for i, member in ipairs(self.members) do
+    numbers[i], unsent[i] = add_configuration(member, 1), NOTHING
+  end
+  for at in ipairs(self.wires) do queues[at] = NOTHING end
+  find_configuration(self, numbers, queues, unsent, 0, "")
   return self
 end
 

@@ -131,7 +131,8 @@ local function add_deadlock(walk, findings, number)
 end
 
 local function wire_text(wire)
-  return ("wires[%d] (%s %s -> %s)"):format(wire.number, wire.from, wire.event, wire.to)
+  return ("wires[%d] (%s %s -> %s)"):format(wire.number, wire.from,
+    concat(wire.events, ", "), wire.to)
 end
 
 -- Does a transition or an extension ever take an event?
@@ -140,7 +141,23 @@ local function takes(member, event)
     or match.has(alphabet.of_all(member.subject.parts[1].fsm).reactions, event)
 end
 
--- Adds findings about a wire whose event can be lost, is never sent, or is never taken.
+-- Adds findings about the events of a wire that are never sent, or are never taken.
+local function find_in_events(walk, wire, findings, place, where)
+  local function add(code, text) findings:add(code, nil, place, text, nil, where) end
+  local carried, reader = walk.carries[wire], walk:split(wire.to .. ":")
+  if order.is_empty(carried) then
+    return add("idle-wire", "no event ever goes over it")
+  end
+  for _, event in ipairs(wire.events) do
+    if not carried[event] then
+      add("idle-wire", ("no '%s' ever goes over it"):format(event))
+    elseif not takes(reader, event) then
+      add("untaken", ("'%s' never takes '%s'"):format(wire.to, event))
+    end
+  end
+end
+
+-- Adds findings about a wire: its events can be lost, are never sent, or never taken.
 local function find_in_wire(walk, wire, findings)
   local place = wire_text(wire)
   local where = wire.location ~= "" and wire.location .. ": " or ""
@@ -148,13 +165,7 @@ local function find_in_wire(walk, wire, findings)
     add_run(walk, findings, "overflow", place, ("the buffer of %d can be full, the new "
       .. "event is lost"):format(wire.size), walk.lost[wire], where)
   end
-  if walk.bound then return end
-  if not walk.carries[wire] then
-    findings:add("idle-wire", nil, place, "no event ever goes over it", nil, where)
-  elseif not takes(walk:split(wire.to .. ":"), wire.event) then
-    findings:add("untaken", nil, place, ("'%s' never takes the event"):format(wire.to),
-      nil, where)
-  end
+  if not walk.bound then find_in_events(walk, wire, findings, place, where) end
 end
 
 local MANY_ALONE = 1000 -- most configurations of a chart that is explored alone
@@ -216,6 +227,7 @@ local function add_premises(result, walk, settings)
     local own = member.subject
     local free = rfsm.sorted_keys(own.free)
     if free[1] then add(member.name .. ": " .. concat(free, ", ") .. " free") end
+    if member.reads_one then add(member.name .. ": one event an iteration") end
     if settings[member.name].alphabet then
       add(member.name .. ": no event outside of the alphabet")
     end
@@ -224,8 +236,8 @@ local function add_premises(result, walk, settings)
     end
   end
   for _, wire in ipairs(walk.wires) do
-    add(("%s: %s, read = \"%s\""):format(wire_text(wire), wire.kind == "data" and "data"
-      or "buffer of " .. wire.size, wire.read))
+    add(("%s: %s"):format(wire_text(wire), wire.kind == "data" and "data"
+      or "buffer of " .. wire.size))
   end
 end
 
@@ -271,12 +283,12 @@ local function read_settings(cell, given)
 end
 
 -- Returns the products of the groups of machines, in a list and by group.
-local function walks_of(cell, group_of, settings)
+local function walks_of(cell, group_of, settings, overlap)
   local walks, by_group = {}, {}
   for _, name in ipairs(cell.names) do
     local group = group_of[name]
     if not by_group[group] then
-      by_group[group] = product.new(cell, group_of, group, settings)
+      by_group[group] = product.new(cell, group_of, group, settings, overlap)
       walks[#walks + 1] = by_group[group]
     end
   end
@@ -288,10 +300,13 @@ local function explored(cell, options)
   local settings = read_settings(cell, options.machines)
   local list = properties.list_of("rfsm.system", options.properties)
   local group_of = groups_of(cell, list)
-  local walks, by_group = walks_of(cell, group_of, settings)
+  local walks, by_group = walks_of(cell, group_of, settings, options.overlap)
   local result = setmetatable({ configurations = 0, steps = 0, walks = walks,
     findings = static.new_list(), properties = list, untried = {},
-    premises = { "any order, any time", "one event from outside in a move" } }, Report)
+    premises = { "any order, any time", "one event from outside in a move",
+      options.overlap and "steps overlap, and their events are put one by one"
+        or "events of a step are put one by one, the first within the move",
+      "a connection for each wire, all of them read at one moment" } }, Report)
   for _, judged in ipairs(list) do
     judged.walk = by_group[group_of[judged.first]] or walks[1]
     watch(judged.walk, judged)
@@ -306,11 +321,13 @@ end
 -- @raise if an option is wrong
 ---@param cell rfsm.System
 ---@param options? table `machines`: options of `rfsm_checks.explore` by machine;
--- `properties`, `configurations`, `depth`, `seconds`, `progress`
+-- `properties`, `configurations`, `depth`, `seconds`, `progress`; `overlap`: others may
+-- also move between what a machine reads and the first event that it emits then
 ---@return rfsm.system.Report
 function report.explore(cell, options)
-  local settings, problem = explore.settings(options or {}, OF_SYSTEM, { machines =
-    { "table of options by machine", opts.is_a("table"), {} } })
+  local settings, problem = explore.settings(options or {}, OF_SYSTEM, {
+    machines = { "table of options by machine", opts.is_a("table"), {} },
+    overlap = { "boolean", opts.is_a("boolean"), false } })
   local ok, result = settings ~= nil, problem
   if ok then ok, result = pcall(explored, cell, settings) end
   if not ok then error("rfsm.system.explore: " .. rfsm.text_of(result), 2) end

@@ -23,7 +23,7 @@ local reactions = require "rfsm.explore.reactions"
 local rehearsal = require "rfsm.tests.rehearsal"
 
 local error, ipairs, pairs = error, ipairs, pairs
-local tonumber, type = tonumber, type
+local type = type
 local concat = table.concat
 
 local tests = {}
@@ -133,9 +133,10 @@ end
 
 -- Steps for the rehearsal ...........................................................
 
--- Returns the seconds in a timer event such as "e_after(3)@root.a"; else nil or false.
+-- Returns the seconds in a timer event such as "e_every(3)@root.a"; else nil or false.
 local function seconds_of(event)
-  return type(event) == "string" and tonumber(event:match("^e_after%(([%d.]+)%)@"))
+  return type(event) == "string" and rfsm.number_of(event:match("^e_after%(([%d.]+)%)@")
+    or event:match("^e_every%(([%d.]+)%)@"))
 end
 
 local MARGIN = 0.001 -- seconds to wait longer: a timer expires only after its time

@@ -125,7 +125,7 @@ end
 -- machine is put into that state; otherwise it runs from the start.
 local function begin(session, fsm, snap)
   session.view = LocalView.new(fsm, function() return session.time:now() end)
-  session.view.points = session.points
+  session.view.points, session.view.has_timer = session.points, true
   breakpoints.renew(session.view, function(line) tell(session, "warning", line) end)
   session.view:observe(true)
   for _, entry in ipairs(session.early) do session.view:note(entry[1], entry[2]) end
@@ -223,8 +223,8 @@ local function pass(session, seconds)
     if seconds <= 0 or session.stopped then return start_clock(session) end
   end
   start_clock(session)
-  session.view:note("note", ("%.6g s are left after %d timers"):format(seconds,
-    Driven.MAX_STEPS))
+  session.view:note("note", ("%s s are left after %d timers"):format(
+    rfsm.number_text(seconds, "%.6g"), Driven.MAX_STEPS))
 end
 
 function commands.wait(session, message)
@@ -287,7 +287,6 @@ end
 --- Add to a message: the clock, the breakpoints, and whether the page can go back.
 function Driven:describe(message)
   message.clock, message.live = self.time:now(), self.is_live
-  message.timer = next_timer(self) or false
   message.stopped, message.points = self.stopped, {}
   for i, point in ipairs(self.points) do
     message.points[i] = utf8(point.name)

@@ -2,17 +2,19 @@
 --
 -- One `step` reads and writes as far as it can without waiting. Each connection carries
 -- one request. Time, bytes and connections are limited, so that no client can hold up
--- another. This needs the package luasocket.
+-- another. This needs the package luasocket. If a Lua zlib is installed (lua-zlib),
+-- replies are compressed for clients that take that.
 --
 -- The file reads in this order: limits, requests, replies, connections, the server.
 --
 -- @module rfsm.web.http
 -- @license BSD-3-Clause
 
+local opts = require "rfsm.shared.options"
 local socket = require "socket"
 
-local ipairs, setmetatable = ipairs, setmetatable
-local tonumber, tostring = tonumber, tostring
+local ipairs, pcall, setmetatable = ipairs, pcall, setmetatable
+local tonumber, tostring, type = tonumber, tostring, type
 local huge, max, remove = math.huge, math.max, table.remove
 
 local http = {}
@@ -24,6 +26,7 @@ local MAX_DESCRIPTOR = 1023 -- the greatest file descriptor that `select` takes
 local MAX_ACCEPTED = 50 -- new connections in one step
 local MAX_STREAMS = 32
 local MAX_HEAD, MAX_BODY = 8192, 16384
+local MIN_PACKED = 1400 -- bytes; a smaller body fits in one packet
 local BEAT_TIME = 15 -- seconds without a message until a heartbeat
 
 -- Seconds that a phase of a connection may take. "reading" ends when the request is
@@ -108,12 +111,37 @@ local REASONS = {
 local COMMON = "Cache-Control: no-store\r\nConnection: close\r\n"
   .. "Referrer-Policy: no-referrer\r\nX-Content-Type-Options: nosniff\r\n"
 
-local function reply_text(reply)
+-- Returns a function that compresses a text; false if no Lua zlib does.
+local function find_gzip()
+  local zlib = opts.find_package("zlib")
+  local function gzip(text) return (zlib.deflate(6, 31)(text, "finish")) end
+  local ok, packed = pcall(gzip, "")
+  return ok and type(packed) == "string" and packed:sub(1, 2) == "\31\139" and gzip
+end
+
+local function takes_gzip(request)
+  local names = request and request.headers["accept-encoding"] or ""
+  for name, rest in names:lower():gmatch("([%w*-]+)([^,]*)") do
+    if name == "gzip" then return not rest:find("q%s*=%s*0%.?0*%s*$") end
+  end
+  return false
+end
+
+-- Returns the body of a reply, and the header fields about it.
+local function body_of(reply, gzip)
   local status = reply.status or 200
   local body = reply.body or (status ~= 204 and REASONS[status] .. "\n" or "")
-  local length = reply.stream and "" or ("Content-Length: %d\r\n"):format(#body)
+  if reply.stream then return body, "" end
+  local is_packed = gzip and #body >= MIN_PACKED
+  if is_packed then body = gzip(body) end
+  return body, ("Content-Length: %d\r\n"):format(#body)
+    .. (is_packed and "Content-Encoding: gzip\r\nVary: Accept-Encoding\r\n" or "")
+end
+
+local function reply_text(reply, gzip)
+  local status, body, fields = reply.status or 200, body_of(reply, gzip)
   return ("HTTP/1.1 %d %s\r\nContent-Type: %s; charset=utf-8\r\n"):format(status,
-    REASONS[status], reply.type or "text/plain") .. length .. COMMON .. (reply.policy
+    REASONS[status], reply.type or "text/plain") .. fields .. COMMON .. (reply.policy
     and "Content-Security-Policy: " .. reply.policy .. "\r\n" or "") .. "\r\n" .. body
 end
 
@@ -167,11 +195,12 @@ local function begin_message(connection, text, now)
   connection.pending, connection.sent, connection.since = text, 0, now
 end
 
-local function begin_reply(server, connection, reply)
+local function begin_reply(server, connection, reply, request)
   if reply.stream then make_room(server) end
   connection.phase = reply.stream and "stream" or "writing"
   connection.stream = reply.stream
-  begin_message(connection, reply_text(reply), server.clock())
+  local gzip = takes_gzip(request) and server.gzip
+  begin_message(connection, reply_text(reply, gzip), server.clock())
 end
 
 -- Sends as much as the client takes. If the client is gone, `read` will notice.
@@ -199,7 +228,7 @@ local function read(server, connection)
   local request, status = parse_request(connection.received)
   if not (request or status) then return data ~= nil or problem == "timeout" end
   begin_reply(server, connection, request and server.handle(request) or
-    { status = status })
+    { status = status }, request)
   write(server, connection)
   return true
 end
@@ -303,6 +332,7 @@ function http.listen(host, port, handle, clock)
   return setmetatable({
     socket = listening, host = address, port = tonumber(own_port),
     handle = handle, clock = clock or socket.gettime, connections = {},
+    gzip = find_gzip(),
   }, Server)
 end
 

@@ -15,6 +15,7 @@ local calls = require "rfsm.shared.calls"
 local marsh = require "rfsm.marsh"
 local location = require "rfsm.shared.location"
 local breakpoints = require "rfsm.observe.breakpoints"
+local clock = require "rfsm.clock"
 local instrument = require "rfsm.shared.instrument"
 local stream = require "rfsm.observe.stream"
 local values = require "rfsm.observe.values"
@@ -23,11 +24,12 @@ local View = require "rfsm.web.view"
 
 local ipairs, rawget = ipairs, rawget
 local setmetatable, type = setmetatable, type
-local concat = table.concat
+local concat, min = table.concat, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local utf8 = marsh.utf8
 
 local MAX_LOST = 20 -- how many events without an effect are noted, at most
+local MAX_QUEUED = 20 -- how many waiting events a moment has, at most
 
 --- A machine that is observed.
 ---@class rfsm.web.LocalView : rfsm.web.View
@@ -44,6 +46,7 @@ local MAX_LOST = 20 -- how many events without an effect are noted, at most
 ---@field changes table[] hooks and printers that `close` removes from the machine
 ---@field points rfsm.observe.Breakpoint[] breakpoints
 ---@field hit string|false name of the last breakpoint reached; the caller resets it
+---@field has_timer boolean moments have the time until the next timer; default false
 local LocalView = setmetatable({}, { __index = View })
 LocalView.__index = LocalView
 
@@ -129,7 +132,7 @@ local function note_step(view, fsm, events)
     check_points(view, "event", events[i])
   end
   if path then
-    view:note("step", path, { unpack(events) }, active_numbers(view))
+    view:note("step", path, { unpack(events) }, view:moment())
     view.path[fsm] = nil
   end
   view:touch()
@@ -176,25 +179,32 @@ end
 
 -- The present state ----------------------------------------------------------------
 
--- Returns the events in the queue of each machine, or those that extensions keep.
+-- Returns the texts of the first events in the queues of all machines, or of those that
+-- extensions keep, and how many more there are: a moment is noted at each step, also if
+-- 10,000 events wait.
 local function texts_in(view, events_of)
-  local texts = {}
+  local texts, more = {}, 0
   for _, at in ipairs(view.machines) do
-    for _, text in ipairs(view:texts_of(events_of(at.machine))) do
+    local queue = events_of(at.machine)
+    local room = min(#queue, MAX_QUEUED - #texts)
+    for _, text in ipairs(view:texts_of { unpack(queue, 1, room) }) do
       texts[#texts + 1] = location.prefix(at.prefix) .. text
     end
+    more = more + #queue - room
   end
+  if more > 0 then texts[#texts + 1] = ("%d more"):format(more) end
   return texts
 end
 
 local function queue_of(fsm) return fsm._intq end
 
 function LocalView:now()
-  local leaf = self.fsm._act_leaf
+  local leaf, timer = self.fsm._act_leaf, nil
+  if self.has_timer then timer = clock.until_timer(self.fsm) or false end
   return {
     active = active_numbers(self), leaf = leaf and utf8(leaf._fqn) or false,
     mode = leaf and leaf._mode or "inactive", queue = texts_in(self, queue_of),
-    waiting = texts_in(self, rfsm.waiting),
+    waiting = texts_in(self, rfsm.waiting), timer = timer,
   }
 end
 
@@ -254,13 +264,14 @@ function LocalView.answer_inspect(source, message)
   return not about and "node: number of a state expected" or nil, about
 end
 
---- Make a view of a machine. It does not observe the machine yet. `clock` is a function
+--- Make a view of a machine. It does not observe the machine yet. `time` is a function
 -- that returns the time of an entry in the log, in seconds.
-function LocalView.new(fsm, clock)
-  local view = View.create(LocalView, marsh.model2tab(fsm, true), clock)
+function LocalView.new(fsm, time)
+  local view = View.create(LocalView, marsh.model2tab(fsm, true), time)
   view.fsm, view.machines, view.numbers, view.node_of = fsm, rfsm.machines(fsm), {}, {}
   view.lost, view.last_lost, view.entered, view.path = {}, {}, {}, {}
   view.points, view.hit, view.stream, view.changes = {}, false, false, {}
+  view.has_timer = false
   for _, at in ipairs(view.machines) do
     add_machine(view, at)
     count_failures(view, at.machine)

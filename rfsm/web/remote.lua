@@ -73,7 +73,7 @@ local function take_state(view, message)
   if not (has_moved or path) and message.act_leaf_state == view.mode then return end
   local text = path and take_path(view, path) or has_moved and text_of_leaf(leaf)
   view.leaf, view.mode = leaf, message.act_leaf_state or "inactive"
-  if text then view:note("step", text, nil, active_numbers(view)) end
+  if text then view:note("step", text, nil, view:moment()) end
   view:touch()
 end
 

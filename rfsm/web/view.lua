@@ -15,7 +15,7 @@ local outline = require "rfsm.observe.outline"
 local rfsm = require "rfsm"
 local typed = require "rfsm.shared.typed"
 
-local ipairs, next, rawget = ipairs, next, rawget
+local ipairs, rawget = ipairs, rawget
 local setmetatable, type = setmetatable, type
 local max = math.max
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -24,12 +24,16 @@ local MAX_LOG = 500 -- how many entries, the newest ones, are always kept
 local MAX_SENT = 60 -- entries in a message to a page that has a cursor
 local MAX_TEXT = 2000 -- bytes of the text of an entry in a message
 
---- The state of a machine as a page shows it.
----@class rfsm.web.Now
+--- What a page shows of a moment: of now, or of the moment after a step in the log.
+---@class rfsm.web.Moment
 ---@field active integer[] numbers of nodes, from the root down
 ---@field leaf string|false FQN of the active leaf
 ---@field mode string mode of the leaf
 ---@field queue string[]
+---@field timer? number|false seconds until the next timer; false if none runs
+---@field nodes integer how many nodes of the list `seen_nodes` were seen until then
+---@field edges integer how many transitions of the list `seen_edges` were taken
+---@field failures integer[] node, count, node, count, ...
 
 --- How much of a view a page knows.
 ---@class rfsm.web.Cursor
@@ -43,13 +47,15 @@ local MAX_TEXT = 2000 -- bytes of the text of an entry in a message
 ---@field description rfsm.marsh.Node
 ---@field outline rfsm.observe.Outline
 ---@field clock fun(): number seconds, for the entries of the log
----@field now fun(self: rfsm.web.View): rfsm.web.Now
+---@field now fun(self: rfsm.web.View): rfsm.web.Moment the first five fields
 ---@field log table[]
 ---@field turn integer number of the present turn: all that one command or timer does
 ---@field taken integer[] numbers of the transitions that are shown as taken
 ---@field revision integer counts the changes of the view
 ---@field rewrites integer counts the calls of `go_back`, which drop entries of the log
 ---@field failures table<integer, integer> how many callbacks failed, by node number
+---@field failure_list integer[]|false the same as a list; false if it is out of date
+---@field step_edges integer[] numbers of the transitions taken since the last step
 local View = {}
 View.__index = View
 
@@ -69,7 +75,8 @@ function View.create(class, description, clock)
   return setmetatable({
     description = description, outline = lists, clock = clock, log = {}, count = 0,
     turn = 0, taken = {}, is_taken_shown = true, revision = 1, rewrites = 0,
-    state_count = count_states(lists.nodes), failures = {},
+    state_count = count_states(lists.nodes), failures = {}, failure_list = {},
+    step_edges = {},
     seen_nodes = new_marks(), seen_edges = new_marks(),
   }, class)
 end
@@ -97,18 +104,39 @@ function View:see_nodes(numbers)
   for _, number in ipairs(numbers) do mark(self.seen_nodes, number) end
 end
 
+-- Returns the counts of failed callbacks as a list { node, count, node, count, ... }.
+local function failure_list(view)
+  local list = {}
+  for number = 0, #view.outline.nodes - 1 do
+    if view.failures[number] then
+      list[#list + 1], list[#list + 2] = number, view.failures[number]
+    end
+  end
+  return list
+end
+
+--- Return the present moment. Its active states count for the coverage.
+---@return rfsm.web.Moment
+function View:moment()
+  local moment = self:now()
+  self:see_nodes(moment.active)
+  self.failure_list = self.failure_list or failure_list(self)
+  moment.nodes, moment.edges = #self.seen_nodes.list, #self.seen_edges.list
+  moment.failures = self.failure_list
+  return moment
+end
+
 --- Add an entry to the log, of the kind "step", "lost", "error", "warning", "output" or
--- "note". A step has events, and the states that are active after it, which count for
--- the coverage. Events become texts only when an entry is sent, since most entries of a
--- fast machine are never sent.
-function View:note(kind, text, events, active)
+-- "note". A step has events, and the moment after it. Events become texts only when an
+-- entry is sent, since most entries of a fast machine are never sent.
+function View:note(kind, text, events, moment)
   self.count = self.count + 1
   self.log[#self.log + 1] = {
     number = self.count, at = self.clock(), kind = kind, events = events,
-    turn = self.turn, text = text, active = active,
+    turn = self.turn, text = text, moment = moment, taken = moment and self.step_edges,
   }
+  if moment then self.step_edges = {} end
   trim(self)
-  self:see_nodes(active or {})
   self:touch()
 end
 
@@ -117,12 +145,14 @@ end
 function View:see_edge(number)
   if self.is_taken_shown then self.taken, self.is_taken_shown = {}, false end
   mark(self.seen_edges, number)
-  if #self.taken < MAX_SENT then self.taken[#self.taken + 1] = number end
+  for _, list in ipairs { self.taken, self.step_edges } do
+    if #list < MAX_SENT then list[#list + 1] = number end
+  end
 end
 
 --- Note that a callback has failed, by the number of its node.
 function View:add_failure(number)
-  self.failures[number] = (self.failures[number] or 0) + 1
+  self.failures[number], self.failure_list = (self.failures[number] or 0) + 1, false
   self:touch()
 end
 
@@ -178,10 +208,25 @@ function View:chart()
   return { nodes = lists.nodes, edges = lists.edges, events = lists.events }
 end
 
+-- Adds a moment to a message, or to an entry of the log in a message.
+local function add_moment(view, message, moment, taken)
+  local lists = view.outline
+  message.active, message.leaf, message.mode = moment.active, moment.leaf, moment.mode
+  message.queue, message.timer, message.taken = moment.queue, moment.timer, taken
+  message.waiting = moment.waiting
+  message.states = { moment.nodes, view.state_count }
+  message.transitions = { moment.edges, #lists.edges }
+  message.enabled, message.any = outline.possible(lists, moment.active)
+  message.failures = moment.failures
+  return message
+end
+
 local function sent(view, entry)
-  return { number = entry.number, at = entry.at, kind = entry.kind, turn = entry.turn,
-    active = entry.active, text = marsh.utf8(entry.text:sub(1, MAX_TEXT)),
+  local message = { number = entry.number, at = entry.at, kind = entry.kind,
+    turn = entry.turn, text = marsh.utf8(entry.text:sub(1, MAX_TEXT)),
     events = entry.events and view:texts_of(entry.events) }
+  return entry.moment and add_moment(view, message, entry.moment, entry.taken)
+    or message
 end
 
 -- Returns the entries after number `last`, or only the last `most` of them.
@@ -193,34 +238,19 @@ local function entries_after(view, last, most)
   return entries
 end
 
--- Returns the counts of failed callbacks as a list { node, count, node, count, ... }.
-local function failure_list(view)
-  local list = {}
-  for number = 0, #view.outline.nodes - 1 do
-    if view.failures[number] then
-      list[#list + 1], list[#list + 2] = number, view.failures[number]
-    end
-  end
-  return list
-end
-
 --- Return a message for a page, with the present state and the changes since its last
 -- cursor, and the new cursor of the page. For a page without a cursor all is new.
 function View:state(cursor)
-  local message, lists = self:now(), self.outline
+  local message = add_moment(self, {}, self:moment(), self.taken)
   message.is_full = not cursor or cursor.rewrites ~= self.rewrites
   if message.is_full then cursor = { log = 0, nodes = 0, edges = 0 } end
   local nodes, edges = self.seen_nodes.list, self.seen_edges.list
-  message.taken, self.is_taken_shown = self.taken, true
-  message.states = { #nodes, self.state_count }
-  message.transitions = { #edges, #lists.edges }
-  message.enabled, message.any = outline.possible(lists, message.active)
+  self.is_taken_shown = true
   message.log = entries_after(self, cursor.log, message.is_full and MAX_LOG or MAX_SENT)
   local first = message.log[1]
   message.skipped = not message.is_full and first and first.number - cursor.log - 1 or 0
   message.seen_nodes = { unpack(nodes, cursor.nodes + 1) }
   message.seen_edges = { unpack(edges, cursor.edges + 1) }
-  message.failures = next(self.failures) and failure_list(self) or {}
   return message, { log = self.count, nodes = #nodes, edges = #edges,
     rewrites = self.rewrites }
 end

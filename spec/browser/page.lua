@@ -1,13 +1,17 @@
 -- The page in headless Chromium: `make test-web`. The server lives in this process and
 -- goes on while the browser is asked something. SHOTS=folder keeps screenshots there.
 
+local dot = require "rfsm.dot"
 local helper = require "spec.helper"
 local marsh = require "rfsm.marsh"
+local Painter = require "rfsm.web.picture"
 local proto = require "rfsm.proto"
 local rfsm = require "rfsm"
 local socket = require "socket"
 local web = require "rfsm.web"
 local webdriver = require "spec.support.webdriver"
+
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local CHART = "examples/ball_tracking.lua"
 
@@ -97,6 +101,26 @@ after_each(function()
   proto.uninstall()
   helper.remove_files()
 end)
+
+-- Composites in composites, side by side: never are all of them active.
+local NESTED = [[
+local rfsm = require "rfsm"
+local seqand = require "rfsm_seqand"
+local state, trans = rfsm.state, rfsm.trans
+
+local function nest(depth)
+  if depth == 0 then return state { entry = print } end
+  return state { entry = print, info = false, warn = false,
+    way = rfsm.conn {}, inner = nest(depth - 1),
+    trans { src = "initial", tgt = "way" }, trans { src = "way", tgt = "inner" },
+    trans { src = "inner", tgt = "inner", events = { "e_again" } } }
+end
+
+return state { a = nest(3), b = nest(3), c = seqand { l = nest(1), r = nest(1) },
+  trans { src = "initial", tgt = "a" },
+  trans { src = "a", tgt = "b", events = { "e_b" } },
+  trans { src = "b", tgt = "c", events = { "e_c" } } }
+]]
 
 describe("the page", function()
   it("shows where the machine stands, lights it, and marks its events", function()
@@ -208,6 +232,18 @@ describe("the page", function()
     window:type "1"
     window:wait "now.leaf == 'root.b'"
     assert.same({}, texts "img, #evil")
+  end)
+
+  it("comes compressed where the server can: chart and picture, too", function()
+    if not pcall(require, "zlib") then return pending("lua-zlib is missing") end
+    visit_picture(helper.file_with(NESTED))
+    assert.same({}, window:run [[
+      return [...performance.getEntriesByType("navigation"),
+        ...performance.getEntriesByType("resource")].filter(e =>
+          e.decodedBodySize > 1400 && e.encodedBodySize > e.decodedBodySize / 2.5)
+        .map(e => e.name)]])
+    assert.is_true(window:run [[
+      return performance.getEntriesByType("navigation")[0].decodedBodySize > 5e4]])
   end)
 
   it("shows two browsers the same", function()
@@ -382,6 +418,82 @@ describe("the diagram", function()
       return $("view").firstElementChild.getBoundingClientRect().width]]
   end
 
+  -- What is seen where the picture will be: the text, how many states of the tree, and
+  -- if the active one is in view.
+  local PANEL = [=[
+    const isSeen = e => {
+      const r = e.getBoundingClientRect();
+      const at = document.elementFromPoint(r.x + 3, r.y + 3);
+      return r.width > 2 && (e.contains(at) || e == at);
+    };
+    const items = [...document.querySelectorAll("#tree [role=treeitem] > span")];
+    const active = $("tree").querySelectorAll("[aria-selected=true] > span");
+    return [isSeen($("drawing")) && $("drawing").textContent,
+      items.filter(isSeen).length,
+      active.length ? isSeen([...active].at(-1)) : "none"]]=]
+
+  for name, case in pairs { -- any order: each stands alone
+    ["2 states"] = { fsm = function() return helper.ring(2) end, least = 3 },
+    ["500 states"] = { fsm = function() return helper.ring(500) end, least = 10,
+      leaf = 400 },
+  } do
+    it("is a tree with the active state until there is a picture: " .. name, function()
+      local fsm, svg = case.fsm(), nil
+      rfsm.run(fsm)
+      for _ = 2, case.leaf or 1 do helper.post_and_run(fsm, "e_push") end
+      helper.with(Painter, { ask = function() return svg end }, function()
+        window:open(keep(web.serve(fsm, { port = 0 })).url)
+        window:wait "document.querySelector('#tree [aria-selected=true]')"
+        local found = window:run(PANEL)
+        assert.same({ "Drawing ..", true, true },
+          { found[1], found[2] >= case.least, found[3] })
+        window:keep_shot("drawing-" .. name)
+        assert.same({}, window:faint_words()[2])
+        svg = "<svg xmlns='http://www.w3.org/2000/svg' width='9pt' height='9pt'/>"
+        window:wait "document.querySelector('#view > svg')"
+        assert.same({ false, 0 }, { unpack(window:run(PANEL), 1, 2) })
+      end)
+    end)
+  end
+
+  it("is asked for with the size of its panel, in points", function()
+    visit_picture(CHART)
+    assert.same({ true, true }, window:run [=[
+      const { name } = performance.getEntriesByType("resource")
+        .findLast(e => e.name.includes("picture.svg"));
+      const [width, height] = new URL(name).searchParams.get("sheet").split("x");
+      return [Math.abs(width / 0.75 - $("view").clientWidth) < 1,
+        Math.abs(height / 0.75 - $("view").clientHeight) < 1]]=])
+  end)
+
+  it("is drawn by the page at once if there is no picture", function()
+    helper.with(Painter, { ask = function() return false end }, function()
+      visit(CHART)
+      window:wait "document.querySelector('#boxes .active')"
+      assert.same({ false, 0 }, { unpack(window:run(PANEL), 1, 2) })
+    end)
+  end)
+
+  for name, size in pairs { -- any order: each stands alone
+    ["a zoom of 200 %"] = { 640, 400 }, ["a phone"] = { 390, 844 },
+    ["a phone on its side"] = { 844, 390 }, ["a low window"] = { 1280, 440 },
+  } do
+    it("has half of the window, with nothing above it: " .. name, function()
+      window:resize(unpack(size))
+      visit_picture "doc/gallery/factory.lua"
+      window:run "$('view').scrollIntoView({ block: 'center' })"
+      window:keep_shot("half-" .. size[1])
+      local seen = window:run [=[ // the part of the height in which all is of it
+        const view = $("view"), { x, width } = view.getBoundingClientRect();
+        const isOfIt = y => [0.25, 0.5, 0.9, 0.96].every(part =>
+          view.contains(document.elementFromPoint(x + part * width, y)));
+        const heights = [...Array(100).keys()].map(i => (i + 0.5) / 100 * innerHeight);
+        return heights.filter(isOfIt).length / 100]=]
+      assert.is_true(seen >= 0.5, seen)
+      assert.equal(size[1], window:run "return document.documentElement.scrollWidth")
+    end)
+  end
+
   it("fits, is zoomed by wheel, fingers and buttons, and dragged", function()
     visit(helper.file_with(LARGE))
     show_boxes()
@@ -499,6 +611,95 @@ describe("the diagram", function()
     end)
   end
 
+  -- Ten groups of ten states. e_next goes on within a group, e_jump to the next group.
+  local function groups()
+    local model = rfsm.state { info = false, warn = false,
+      rfsm.trans { src = "initial", tgt = "g0" } }
+    for g = 0, 9 do
+      local group = rfsm.state { rfsm.trans { src = "initial", tgt = "s0" } }
+      for i = 0, 9 do
+        group["s" .. i] = rfsm.state {}
+        group[#group + 1] = rfsm.trans { src = "s" .. i, tgt = "s" .. (i + 1) % 10,
+          events = { "e_next" } }
+      end
+      model["g" .. g] = group
+      model[#model + 1] = rfsm.trans { src = "g" .. g, tgt = "g" .. (g + 1) % 10,
+        events = { "e_jump" } }
+    end
+    local fsm = helper.init(model)
+    rfsm.run(fsm)
+    return fsm
+  end
+
+  for _, case in ipairs {
+    { each = 1, state = "root.g0" }, { each = 20, state = "root.g0" },
+    { each = 1, state = "root", event = "e_jump" },
+    { each = 20, state = "root", event = "e_jump" },
+    { each = 20, state = "root.g0", boxes = true },
+  } do
+    it(("follows %s while the machine is fast, then the leaf; %d changes a look%s")
+      :format(case.state, case.each, case.boxes and ", boxes" or ""), function()
+      local fsm = groups()
+      visit_served(fsm)
+      window:wait "document.querySelector('#view > svg .active')"
+      if case.boxes then show_boxes() end
+      local state, is_in_view
+      for i = 1, 400 do
+        for _ = 1, case.each do
+          helper.post_and_run(fsm, i % 5 == 0 and case.event or "e_next")
+        end
+        state, is_in_view = unpack(window:run [=[
+          const v = $("view").getBoundingClientRect();
+          const leaf = drawnOf(now.active.at(-1)).getBoundingClientRect();
+          return [chart.nodes[followed.state].fqn, leaf.left >= v.left - 2
+            && leaf.right <= v.right + 2 && leaf.top >= v.top - 2
+            && leaf.bottom <= v.bottom + 2]]=])
+        assert.is_true(is_in_view, i)
+        if i > 40 and state == case.state then break end
+      end
+      assert.equal(case.state, state)
+      window:keep_shot("fast-" .. case.each .. case.state)
+      window:wait "followed.state == now.active.at(-1) && !isDrawing"
+      assert.is_true(select(2, looks()))
+    end)
+  end
+
+  it("is where it was put while the machine is fast", function()
+    local fsm = groups()
+    visit_served(fsm)
+    window:wait "document.querySelector('#view > svg .active')"
+    window:click "#larger"
+    local before = width()
+    for _ = 1, 40 do
+      helper.post_and_run(fsm, "e_next")
+      window:run "return 1"
+    end
+    assert.equal(before, width())
+  end)
+
+  it("follows the region that has changed", function()
+    local function region(name)
+      local model = rfsm.state { rfsm.trans { src = "initial", tgt = "s0" } }
+      for i = 0, 19 do
+        model["s" .. i] = rfsm.state {}
+        model[#model + 1] = rfsm.trans { src = "s" .. i, tgt = "s" .. (i + 1) % 20,
+          events = { "e_" .. name } }
+      end
+      return helper.init(model)
+    end
+    local fsm = helper.init(rfsm.state { both = require "rfsm_seqand" {
+      left = region "left", right = region "right" },
+      rfsm.trans { src = "initial", tgt = "both" } })
+    rfsm.run(fsm)
+    visit_served(fsm)
+    window:wait "document.querySelector('#view > svg .active')"
+    for _, name in ipairs { "left", "right", "left" } do
+      helper.post_and_run(fsm, "e_" .. name)
+      window:wait(("chart.nodes[followed.state].fqn.startsWith('root.both.%s.')")
+        :format(name))
+    end
+  end)
+
   it("describes a state: callbacks, line, data, how often it was entered", function()
     local file = helper.file_with [[
 local rfsm = require "rfsm"
@@ -544,26 +745,6 @@ return rfsm.state {
   end)
 end)
 
--- Composites in composites, side by side: never are all of them active.
-local NESTED = [[
-local rfsm = require "rfsm"
-local seqand = require "rfsm_seqand"
-local state, trans = rfsm.state, rfsm.trans
-
-local function nest(depth)
-  if depth == 0 then return state { entry = print } end
-  return state { entry = print, info = false, warn = false,
-    way = rfsm.conn {}, inner = nest(depth - 1),
-    trans { src = "initial", tgt = "way" }, trans { src = "way", tgt = "inner" },
-    trans { src = "inner", tgt = "inner", events = { "e_again" } } }
-end
-
-return state { a = nest(3), b = nest(3), c = seqand { l = nest(1), r = nest(1) },
-  trans { src = "initial", tgt = "a" },
-  trans { src = "a", tgt = "b", events = { "e_b" } },
-  trans { src = "b", tgt = "c", events = { "e_c" } } }
-]]
-
 describe("a text of the picture", function()
   local DEEP = ".inner.inner.inner"
 
@@ -588,6 +769,71 @@ describe("a text of the picture", function()
         window:click "#coverage"
       end
     end
+  end)
+end)
+
+describe("a picture in a file", function()
+  -- Draws an SVG as a README does. Returns the luminance of its darkest, of its median
+  -- and of its lightest point, and how many points are blue, and how many orange.
+  local PIXELS = [==[
+    const [svg, done] = arguments, image = new Image();
+    image.onload = () => {
+      const { width, height } = image, lights = [], counts = [0, 0];
+      const canvas = Object.assign(document.createElement("canvas"), { width, height });
+      const pen = canvas.getContext("2d");
+      pen.drawImage(image, 0, 0);
+      const { data } = pen.getImageData(0, 0, width, height);
+      for (let i = 0; i < data.length; i += 4) {
+        const [r, g, b] = data.slice(i, i + 3);
+        lights.push(0.2126 * r + 0.7152 * g + 0.0722 * b);
+        if (b - r > 60) counts[0]++; else if (r - b > 60) counts[1]++;
+      }
+      lights.sort((a, b) => a - b);
+      done([lights[0], lights[lights.length >> 1], lights.at(-1), ...counts]);
+    };
+    image.src = "data:image/svg+xml;base64," + btoa(svg)]==]
+
+  local function picture()
+    local fsm = helper.init(rfsm.state { a = rfsm.state {}, b = rfsm.state {},
+      rfsm.trans { src = "initial", tgt = "a" },
+      rfsm.trans { src = "a", tgt = "b", events = { "e_go" } } })
+    local looks = { active = { "root.b" } }
+    return assert(dot.render(assert(dot.layout(fsm, looks)), "svg"))
+  end
+
+  local PICTURES = {
+    chart = picture, -- what is active is blue
+    graph = function()
+      return assert(dot.render('digraph { a [color="#D55E00", penwidth=9] }', "svg"))
+    end,
+    ["moving picture of the README"] = function()
+      return helper.content "doc/gallery/walk.svg"
+    end,
+  }
+
+  for name, svg_of in pairs(PICTURES) do -- any order: each stands alone
+    it("is dark where its page is, in the same hues: " .. name, function()
+      window:open "data:text/html,<body>"
+      prefer "light"
+      local dark, common, light, blue, orange = unpack(window:run_async(PIXELS,
+        svg_of()))
+      assert.same({ true, true, true, true, name == "graph" },
+        { dark < 30, common > 230, light > 250, blue + orange > 100, orange > blue })
+      prefer "dark"
+      local new = window:run_async(PIXELS, svg_of())
+      assert.same({ true, true, true, name == "graph" },
+        { new[1] < 30, new[2] < 40, new[3] > 220, new[5] > new[4] })
+      assert.is_true(math.abs(new[4] + new[5] - blue - orange) < 0.2 * (blue + orange))
+    end)
+  end
+
+  it("leaves a document alone that has it inside", function()
+    prefer "dark"
+    window:open "data:text/html,<body>"
+    window:run("document.body.innerHTML = arguments[0]", picture())
+    assert.same({ "none", "none", "none" }, window:run [[
+      return ["html", "body", "svg"]
+        .map(name => getComputedStyle(document.querySelector(name)).filter)]])
   end)
 end)
 
@@ -649,6 +895,106 @@ describe("the history", function()
     assert.not_equal(before, colour_now())
   end)
 
+  -- Returns the names in the legend, and their colours.
+  local function legend()
+    return unpack(window:run [=[
+      const items = [...$("legend").children];
+      return [items.map(e => e.textContent),
+        items.map(e => getComputedStyle(e.firstChild).backgroundColor)]]=])
+  end
+
+  it("has names that are as short as no other in its legend", function()
+    local function unit()
+      return rfsm.state { wait = rfsm.state {}, run = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "wait" },
+        rfsm.trans { src = "wait", tgt = "run", events = { "e_run" } } }
+    end
+    local fsm = helper.init(rfsm.state {
+      a = rfsm.state { u1 = unit(), u2 = unit(),
+        rfsm.trans { src = "initial", tgt = "u1" },
+        rfsm.trans { src = "u1", tgt = "u2", events = { "e_unit" } } },
+      b = rfsm.state { u1 = unit(), rfsm.trans { src = "initial", tgt = "u1" } },
+      rfsm.trans { src = "initial", tgt = "a" },
+      rfsm.trans { src = "a", tgt = "b", events = { "e_area" } },
+    })
+    rfsm.run(fsm)
+    visit_served(fsm, { history = true })
+    helper.post_and_run(fsm, "e_run")
+    window:wait "$('legend').textContent == 'run'"
+    helper.post_and_run(fsm, "e_unit")
+    window:wait "now.leaf.endsWith('u2.wait') && $('legend').childElementCount == 2"
+    assert.same({ "run", "wait" }, (legend()))
+    helper.post_and_run(fsm, "e_run")
+    window:wait "$('legend').childElementCount == 3"
+    assert.same({ "u1.run", "wait", "u2.run" }, (legend()))
+    helper.post_and_run(fsm, "e_area")
+    helper.post_and_run(fsm, "e_run")
+    window:wait "$('legend').childElementCount == 5"
+    assert.same({ "a.u1.run", "u2.wait", "u2.run", "u1.wait", "b.u1.run" }, (legend()))
+  end)
+
+  -- The least distance in CIELAB of two colours of a list, for all who see colours and
+  -- for those blind to red, green or blue (Machado, Oliveira, Fernandes 2009).
+  local LEAST = [=[
+    const SIGHTS = [[[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+      [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216],
+        [-0.003882, -0.048116, 1.051998]],
+      [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413],
+        [-0.011820, 0.042940, 0.968881]],
+      [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602],
+        [0.004733, 0.691367, 0.303900]]];
+    const XYZ = [[0.433953, 0.376219, 0.189828], [0.212673, 0.715152, 0.072175],
+      [0.017758, 0.109477, 0.872766]]; // of white: 1, 1, 1
+    const times = (matrix, [a, b, c]) =>
+      matrix.map(row => row[0] * a + row[1] * b + row[2] * c);
+    const root = v => v > 0.008856 ? Math.cbrt(v) : 7.787 * v + 16 / 116;
+    const lab = (colour, sight) => {
+      const linear = colour.match(/\d+/g).map(v => v / 255)
+        .map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+      const seen = times(sight, linear).map(v => Math.min(1, Math.max(0, v)));
+      const [x, y, z] = times(XYZ, seen).map(root);
+      return [116 * y - 16, 500 * (x - y), 200 * (y - z)];
+    };
+    const list = arguments[0];
+    return Math.min(...SIGHTS.flatMap(sight => list.flatMap((a, i) => list.slice(0, i)
+      .map(b => Math.hypot(...lab(a, sight).map((v, j) => v - lab(b, sight)[j]))))))]=]
+
+  for _, scheme in ipairs { "light", "dark" } do
+    it("has distinct colours for all eyes, which stay: " .. scheme, function()
+      prefer(scheme)
+      local fsm = helper.ring(40)
+      rfsm.run(fsm)
+      visit_served(fsm)
+      local before
+      for count = 2, 40 do
+        helper.post_and_run(fsm, "e_push")
+        if count == 10 then
+          window:wait "$('legend').childElementCount == 9"
+          before = select(2, legend())
+        elseif count == 11 then
+          window:wait "$('legend').childElementCount == 10"
+          local colours = select(2, legend())
+          assert.same(before, { unpack(colours, 1, 9) })
+        end
+      end
+      window:wait "now.leaf == 'root.s40' && withStates().length == 39"
+      local names, colours = legend()
+      table.sort(names)
+      assert.same({ "s29", "s30", "s31", "s32", "s33", "s34", "s35", "s36", "s37",
+        "s38", "s39", "s40" }, names)
+      local least = window:run(LEAST, unpack { colours })
+      assert.is_true(least > 19, least)
+    end)
+  end
+
+  it("has the leaves of all regions in its legend", function()
+    visit "examples/seqand.lua"
+    window:wait "$('legend').childElementCount == 2"
+    assert.same({ "right.open", "left.open" }, (legend()))
+    window:run "return send('e_grasp')"
+    window:wait "$('legend').childElementCount == 4"
+  end)
+
   it("has a contrast of 4.5:1 in each bar, light and dark", function()
     for _, scheme in ipairs { "light", "dark" } do
       prefer(scheme)
@@ -670,6 +1016,138 @@ describe("the history", function()
         }
         return faint]])
     end
+  end)
+end)
+
+-- What the page shows of its moment: the path, the lit leaf, the enabled events, the
+-- queue, the coverage, the first row of the log, the time.
+local SHOWN = [=[
+  const texts = (selector, not) => [...document.querySelectorAll(selector)]
+    .filter(e => e.checkVisibility() && !e.matches(not || "none"))
+    .map(e => (e.firstChild ?? e).textContent);
+  const names = selector => texts(selector).filter(text => !text.includes("/"));
+  return { path: texts("#path > *", "#mode").filter(t => !"›‖".includes(t)).join("."),
+    lit: names(".node.state.active > text"), enabled: texts("#events .enabled"),
+    queue: texts("#queue span"), states: texts("#states")[0],
+    log: texts("#log td:nth-child(3)")[0], failed: names(".failed > text"),
+    why: texts("#why h2").length,
+    said: $("said").textContent.replace(/[\d.]+ s/, "0 s") }]=]
+
+describe("a moment of the past", function()
+  local STOVE = [[
+local rfsm = require "rfsm"
+local state, trans = rfsm.state, rfsm.trans
+return state { info = false, warn = false, err = false,
+  off = state {}, hot = state { entry = function() error("no gas", 0) end },
+  on = state { entry = function(fsm) rfsm.send_events(fsm, "e_warm") end },
+  trans { src = "initial", tgt = "off" },
+  trans { src = "off", tgt = "on", events = { "e_on" } },
+  trans { src = "on", tgt = "hot", events = { "e_heat" } },
+  trans { src = "hot", tgt = "off", events = { "e_off" } } }
+]]
+
+  -- Looks at the step before the last `count` ones.
+  local function look_back(count)
+    window:run("$('scrub').value -= arguments[0]; $('scrub').oninput()", count)
+  end
+
+  it("is all that the page shows", function()
+    visit_picture(helper.file_with(STOVE))
+    window:type "12"
+    window:wait "now.leaf == 'root.hot'"
+    window:run "return send('e_heat')"
+    window:wait "!$('why').hidden && document.querySelector('#diagram .failed')"
+    look_back(1)
+    assert.same({ path = "root.on", lit = { "on" }, enabled = { "e_heat" },
+      queue = { "e_warm", "e_done@root.on" }, states = "3 of 4",
+      log = "root.off → root.on", failed = {}, why = 0, said = "at 0 s in root.on" },
+      window:run(SHOWN))
+    window:wait "document.querySelector('.edge.taken')"
+    look_back(1)
+    assert.same({ path = "root.off", lit = { "off" }, enabled = { "e_on" },
+      queue = { "e_done@root.off" }, states = "2 of 4", log = "root.initial → root.off",
+      failed = {}, why = 0, said = "at 0 s in root.off" }, window:run(SHOWN))
+    window:keep_shot "past"
+    window:click "#to-now"
+    assert.same({ path = "root.hot", lit = { "hot" }, enabled = { "e_off" },
+      queue = { "empty" }, states = "4 of 4", log = "no transition", failed = { "hot" },
+      why = 1, said = "in root.hot" }, window:run(SHOWN))
+  end)
+
+  it("is the time of the clock and of the next timer", function()
+    visit_picture(helper.file_with [[
+local rfsm = require "rfsm"
+require "rfsm_timeevent"
+return rfsm.state { info = false, red = rfsm.state {}, green = rfsm.state {},
+  rfsm.trans { src = "initial", tgt = "red" },
+  rfsm.trans { src = "red", tgt = "green", events = { "e_after(2)" } },
+  rfsm.trans { src = "green", tgt = "red", events = { "e_after(3)" } } }
+]])
+    window:click "#live"
+    window:wait "!now.live"
+    window:click "[data-do=next]"
+    window:wait "now.leaf == 'root.green'"
+    window:click "[data-wait='1']"
+    window:wait "$('timer').textContent.startsWith('next timer in 2.0')"
+    look_back(1)
+    assert.same({ "0.000 s", "next timer in 2.000 s" },
+      window:run "return [$('clock').textContent, $('timer').textContent]")
+  end)
+
+  it("has the states of all regions", function()
+    visit_picture "examples/seqand.lua"
+    window:run "return send('e_grasp')"
+    window:wait(LIT .. ".join() == 'closed,closed'")
+    look_back(2)
+    assert.same({ "open", "open" }, lit())
+    assert.same({ "open", "open" }, texts "#path b")
+  end)
+
+  for name, act in pairs { -- any order: each stands alone
+    event = function() window:type "2" end, button = function() window:type "r" end,
+    typed = function() window:type "/e_heatt\n" end,
+    line = function() window:click "#log tr:not([hidden]) button" end,
+  } do
+    it("ends with a command, and the page says so: " .. name, function()
+      visit_picture(helper.file_with(STOVE))
+      window:type "12"
+      window:wait "now.leaf == 'root.hot'"
+      look_back(1)
+      assert.equal("on", texts("#path b")[1])
+      act()
+      window:wait "!past && document.querySelector('#to-now').hidden"
+      assert.equal("The page shows now again. Commands go to the machine as it is now.",
+        window:run "return $('refused').innerText.split('\\n')[0]")
+      if name == "typed" then
+        window:wait "$('refused').innerText.includes(\"did you mean 'e_heat'\")"
+      end
+      window:wait "$('path').innerText.includes(now.leaf.split('.').at(-1))"
+    end)
+  end
+
+  it("stays, in the bar and in the log, however fast the machine goes on", function()
+    local fsm = helper.ring(5)
+    rfsm.run(fsm)
+    visit_served(fsm)
+    for _ = 1, 6 do helper.post_and_run(fsm, "e_push") end
+    window:wait "withStates().length == 6"
+    window:wait "document.querySelector('#view > svg .active')"
+    look_back(2)
+    local before = window:run(SHOWN)
+    assert.same({ "root.s5", { "s5" } }, { before.path, before.lit })
+    for i = 1, 3000 do
+      helper.post_and_run(fsm, "e_push")
+      if i % 100 == 0 then window:run "return 1" end -- and the page gets a message
+    end
+    window:wait "$('past-text').textContent.endsWith('Now is 3000 entries later')"
+    assert.same(before, window:run(SHOWN))
+    assert.same({ true, true }, window:run [=[
+      return [drawnSteps().includes(past), [...$("log").querySelectorAll("tr")]
+        .find(e => !e.hidden).dataset.number == past.number]]=])
+    window:click "#to-now"
+    window:wait "document.querySelector('#path b').textContent == now.leaf.slice(5)"
+    assert.equal(fsm._act_leaf._fqn, window:run "return now.leaf")
+    assert.is_true(window:run "return steps.at(-1).number == 3006")
   end)
 end)
 
@@ -696,6 +1174,90 @@ describe("a keyboard", function()
     window:wait "!document.querySelector('#about').hidden"
     assert.matches("^root%.", texts("#about dd")[1])
     window:wait "document.querySelector('#tree [aria-selected=true]')"
+  end)
+
+  -- Presses the key of a name at what has the focus; returns the text there.
+  local function press(key)
+    return window:run([=[
+      const event = new KeyboardEvent("keydown",
+        { key: arguments[0], bubbles: true, cancelable: true });
+      document.activeElement.dispatchEvent(event);
+      return (document.activeElement.querySelector(":scope > span")
+        ?? document.activeElement).firstChild.textContent]=], key)
+  end
+
+  -- The tab stops in an element.
+  local function stops_in(selector)
+    return window:run([[
+      return [...document.querySelector(arguments[0]).querySelectorAll("button, li")]
+        .filter(e => e.tabIndex == 0 && e.checkVisibility())
+        .map(e => (e.querySelector(":scope > span") ?? e).firstChild.textContent)]],
+      selector)
+  end
+
+  it("has one tab stop for all events, and arrow keys among them", function()
+    local model = rfsm.state { info = false, a = rfsm.state {},
+      rfsm.trans { src = "initial", tgt = "a" } }
+    for i = 1, 31 do
+      model[#model + 1] = rfsm.trans { src = "a", tgt = "a",
+        events = { ("e_%02d"):format(i) } }
+    end
+    local fsm = helper.init(model)
+    rfsm.run(fsm)
+    visit_served(fsm, { allow_send = true })
+    assert.same({ "e_01" }, stops_in "#events")
+    assert.same({ "toolbar", "Events" },
+      window:run "return [$('events').role, $('events').ariaLabel]")
+    window:run "$('events').firstElementChild.focus()"
+    local seen = {}
+    for i, key in ipairs { "ArrowRight", "ArrowDown", "ArrowLeft", "End", "ArrowRight",
+      "ArrowUp", "Home", "ArrowLeft" } do
+      seen[i] = press(key)
+    end
+    assert.same({ "e_02", "e_03", "e_02", "e_31", "e_31", "e_30", "e_01", "e_01" },
+      seen)
+    press "End"
+    assert.same({ "e_31" }, stops_in "#events")
+    window:type "\n"
+    host = fsm
+    window:wait "now.log.some(entry => entry.events?.includes('e_31'))"
+    assert.same({ "e_31" }, stops_in "#events")
+    window:run "$('send').event.value = 'e_1'; filterEvents()"
+    window:wait "document.querySelector('#events button[tabindex=\"0\"]:not([hidden])')"
+    assert.same({ "e_10" }, stops_in "#events")
+  end)
+
+  it("has one tab stop for each other list of buttons, too", function()
+    visit(CHART)
+    for _, at in ipairs { "stopped", "setup", "e_start" } do
+      window:run("return command('breakpoint', { at: arguments[0], on: true })", at)
+    end
+    window:wait "document.querySelectorAll('#points .chips button').length == 3"
+    window:type "452"
+    window:wait "document.querySelectorAll('#log button').length > 3"
+    for _, selector in ipairs { "#points .chips", "#log", "#tree" } do
+      assert.equal(1, #stops_in(selector), selector)
+    end
+    window:run "document.querySelector('#points .chips button').focus()"
+    assert.equal("root.setup ×", press "ArrowRight")
+    window:run "document.querySelector('#log button').focus()"
+    press "End"
+    window:type "4" -- a new row comes above
+    window:wait "$('log').querySelector('tr.lost')"
+    assert.same({ true, 1 }, window:run [[
+      const stops = [...$("log").querySelectorAll("button[tabindex='0']")];
+      return [stops[0] == document.activeElement, stops.length] ]])
+  end)
+
+  it("has one tab stop for the tabs of machines", function()
+    visit_served({ helper.ring(2), helper.ring(3), helper.ring(4) },
+      { title = { "left", "middle", "right" } })
+    assert.same({ "left" }, stops_in "#machines")
+    window:run "$('machines').firstElementChild.focus()"
+    assert.equal("middle", press "ArrowRight")
+    window:type "\n"
+    window:wait "chart.title == 'middle' && now.active"
+    assert.equal(1, #stops_in "#machines")
   end)
 
   it("finds no fault by axe", function()

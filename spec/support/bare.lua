@@ -31,6 +31,7 @@ function bare.model_of(chart, make)
       src = tr.src_ref, tgt = tr.tgt_ref, pn = tr.pn, events = events_of(tr, i, make),
       guard = tr.guard and make.guard and make.guard(i) or nil,
       effect = make.effect and make.effect(i) or nil, number = i,
+      always = tr.always and (tr.events_ref or {})[1] == nil or nil,
     }
   end)
   root.info, root.warn, root.err = false, false, false

@@ -323,7 +323,7 @@ local function add_merge(chart, random, n)
   local function transition(src, tgt, key)
     local events = { random:pick(EVENTS), random:chance(30) and "e_done" or nil }
     local is_leaf = src == fqn or chart.nodes[src].is_leaf
-    if not is_leaf then events[2] = nil end
+    if not is_leaf and random:chance(50) then events[2] = nil end
     return {
       owner = "root", key = id .. key, src = src, tgt = tgt, src_ref = src,
       tgt_ref = tgt, events_ref = events, events = expand(events, src),
@@ -352,6 +352,24 @@ local function random_op(chart, random)
   return { "step", random:chance(60) and 1 or random:below(12) }
 end
 
+-- Makes some leaves final; composites with one may be done.
+local function add_finals(chart, random)
+  for _, fqn in ipairs(chart.names) do
+    local node = chart.nodes[fqn]
+    if node.is_leaf and node.kind == "state" then
+      node.final = random:chance(25) or nil
+    end
+  end
+end
+
+-- Has some transitions from states need no event. A tame chart becomes idle.
+local function add_always(chart, random)
+  for _, tr in ipairs(chart.is_tame and {} or chart.transitions) do
+    local is_any = chart.nodes[tr.src].kind == "state" and #tr.events == 0
+    tr.always = is_any and random:chance(50) or nil
+  end
+end
+
 --- The chart of `seed`.
 function charts.generate(seed)
   local random = new_random(seed)
@@ -367,6 +385,8 @@ function charts.generate(seed)
     add_transitions(chart, random)
   end
   add_programs(chart, random)
+  add_finals(chart, new_random(seed + 14))
+  add_always(chart, new_random(seed + 15))
   chart.ops = { { "step", 1 } }
   for i = 2, 4 + random:below(16) do chart.ops[i] = random_op(chart, random) end
   local may_merge = not (chart.nodes.root.is_leaf or chart.is_tame) -- which may `run`
@@ -394,7 +414,7 @@ function charts.add_histories(chart)
   for _, fqn in ipairs(chart.names) do
     local node = chart.nodes[fqn]
     if node.kind == "state" and node.is_leaf then
-      node.final = random:chance(15) or nil
+      node.final = random:chance(15) or node.final
     elseif node.kind == "state" and random:chance(70) then
       node.history = (random:chance(40) or has_closed_child(chart, fqn)) and "deep"
         or "shallow"

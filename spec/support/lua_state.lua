@@ -124,10 +124,12 @@ local function add_loaders(globals)
   function globals.loadfile(name) return load_file(globals, name) end
   function globals.dofile(name) return assert(load_file(globals, name))() end
   if setfenv then -- Lua 5.1
-    function globals.loadstring(text, name) return compile(globals, text, name) end
+    function globals.loadstring(text, name)
+      return compile(globals, text, name, "bt")
+    end
   else
-    function globals.load(text, name, _, env)
-      return compile(env or globals, text, name)
+    function globals.load(text, name, mode, env)
+      return compile(env or globals, text, name, mode or "bt")
     end
   end
 end

@@ -117,6 +117,24 @@ function pictures.odd()
   return model
 end
 
+--- The transitions in a list that have arrows of their own: the first of three or more
+-- with equal ends stands for all of them, but each loop is drawn.
+function pictures.drawn_arrows(transitions)
+  local counts, seen, list = {}, {}, {}
+  local function ends_of(tr) return tr.src .. "\0" .. tr.tgt end
+  for _, tr in ipairs(transitions) do
+    counts[ends_of(tr)] = (counts[ends_of(tr)] or 0) + 1
+  end
+  for _, tr in ipairs(transitions) do
+    local ends = ends_of(tr)
+    local is_loop = tr.src == tr.tgt or tr.src .. ".initial" == tr.tgt
+    local is_bundle = counts[ends] > 2 and not is_loop
+    if not (is_bundle and seen[ends]) then list[#list + 1] = tr end
+    seen[ends] = true
+  end
+  return list
+end
+
 -- Drawing: many charts with few runs of Graphviz, whose start takes longest ----------
 
 -- Runs Graphviz once for several lists of graphs; returns an answer for each.
@@ -181,24 +199,39 @@ end
 local ENTITIES = { amp = "&", lt = "<", gt = ">", quot = '"', ["#45"] = "-",
   ["#39"] = "'" }
 
+-- All points of an element, then those of its line and of its last polygon.
+local function all_points_in(body)
+  local all, path, head = {}, body:match(' d="([^"]*)"'), nil
+  for points in body:gmatch('points="([^"]*)"') do head = points_in(points) end
+  path = path and points_in(path)
+  for _, list in ipairs { path or {}, head or {} } do
+    for _, point in ipairs(list) do all[#all + 1] = point end
+  end
+  local cx, cy, rx = body:match('<ellipse [^>]*cx="(%S+)" cy="(%S+)" rx="(%S+)"')
+  if cx then all = { { cx - rx, cy - rx }, { cx + rx, cy + rx } } end
+  return all, path, head
+end
+
+-- The keys in the id of an element: a bundle has several.
+local function keys_in(id)
+  local keys = {}
+  id = id:gsub("&(#?%w+);", ENTITIES):gsub("]\\n", "]\1")
+  for key in id:gmatch("[^\1]+") do keys[#keys + 1] = key end
+  return keys
+end
+
 --- The elements of a picture by id, each with a box; edges also with their ends, the
--- tip of its arrowhead, and the position of its label.
+-- tip of its arrowhead, and the position of its label. A bundle is there by each key.
 function pictures.shapes_of(svg)
   local shapes = {}
   svg = svg:gsub('<g id="a_[^>]*><a [^>]*>\n', ""):gsub("</a>\n</g>\n", "")
   for id, body in svg:gmatch('<g id="([^"]*)" class="%l+ [^"]*">(.-)</g>') do
-    local all, path, head = {}, body:match(' d="([^"]*)"'), nil
-    for points in body:gmatch('points="([^"]*)"') do head = points_in(points) end
-    path = path and points_in(path)
-    for _, list in ipairs { path or {}, head or {} } do
-      for _, point in ipairs(list) do all[#all + 1] = point end
-    end
-    local cx, cy, rx = body:match('<ellipse [^>]*cx="(%S+)" cy="(%S+)" rx="(%S+)"')
-    if cx then all = { { cx - rx, cy - rx }, { cx + rx, cy + rx } } end
+    local all, path, head = all_points_in(body)
     local x, y = body:match('<text [^>]*x="(%-?[%d.]+)" y="(%-?[%d.]+)"')
-    shapes[id:gsub("&(#?%w+);", ENTITIES)] = { box = box_of(all), path = path,
+    local shape = { box = box_of(all), path = path,
       ends = path and { path[1], path[#path] }, tip = head and head[2],
       label = x and { tonumber(x), tonumber(y) } }
+    for _, key in ipairs(keys_in(id)) do shapes[key] = shape end
   end
   return shapes
 end

@@ -29,16 +29,21 @@ function statements.read(self, tables, key)
   return { { value = row and row.value, us = ("%.6f"):format(self.now * 1e6) } }
 end
 
-function statements.due(self, tables, limit)
-  local rows = {}
+function statements.leased(self, tables, key)
+  local row = statements.read(self, tables, key)[1]
+  row.key = row.value and key
+  return { row }
+end
+
+function statements.lease(self, tables)
   for _, key in ipairs(rfsm.sorted_keys(tables.machines)) do
     local row = tables.machines[key]
-    if row.due and tonumber(row.due) <= self.now and #rows < limit then
-      rows[#rows + 1] = { key = key, value = row.value,
-        us = ("%.6f"):format(self.now * 1e6) }
+    if row.due and tonumber(row.due) <= self.now then
+      row.leases, row.due = (row.leases or 0) + 1, self.now + 10
+      return { { key = key, leases = row.leases } }
     end
   end
-  return rows[1] and rows or { { us = "0" } }
+  return { {} }
 end
 
 function statements.write(_, tables, is_new, ...)
@@ -62,14 +67,14 @@ end
 -- No spec looks at what this changes.
 function statements.move() return {} end
 
-local IS_READING = { read = true, due = true }
+local IS_READING = { read = true, leased = true }
 
 -- Returns what a statement does.
 local function find(sql)
   if sql:find("^UPDATE rfsm.machines SET state") then return "move" end
   if sql:find("^WITH trimmed") then return "note", "log" end
-  local limit = sql:match("LIMIT (%d+)")
-  if limit then return "due", tonumber(limit) end
+  if sql:find("rfsm.lease()", 1, true) then return "lease" end
+  if sql:find("rfsm.leased", 1, true) then return "leased" end
   if sql:find("^SELECT value") then return "read" end
   if sql:find("^INSERT INTO rfsm.machines") then return "write", true end
   if sql:find("^UPDATE rfsm.machines SET chart") then return "write", false end

@@ -18,7 +18,7 @@ local rtt = { standin = standin }
 
 local now = 0         -- nanoseconds
 local components = {} -- in the order of their making
-local current         -- the Lua that runs: { has_rttlib, ... }
+local current         -- the Lua that runs: { registry, globals, ... }
 
 -- Log -------------------------------------------------------------------------
 
@@ -202,15 +202,10 @@ function Variable.__newindex(var, member, value)
   rawget(var, 2)[member] = from_lua(type_of_member(var, member), value)
 end
 
--- Makes rtt.X with X.new, which can be called where rttlib was loaded.
-local function class(name, new)
-  return setmetatable({ new = new }, { __call = function(_, ...)
-    if current.has_rttlib then return new(...) end
-    error("attempt to call field '" .. name .. "' (a table value)", 2)
-  end })
-end
+-- Makes rtt.X with X.new, which rttlib makes callable. Each Lua has its own.
+local function class(new) return { new = new } end
 
-rtt.Variable = class("Variable", function(name, value)
+rtt.Variable = class(function(name, value)
   local var = new_variable(name, default_of(name, "Variable.new"))
   if value ~= nil then methods.assign(var, value) end
   return var
@@ -288,7 +283,7 @@ end
 
 -- Makes rtt.InputPort or rtt.OutputPort. `last` is nil as long as there is none.
 local function port_class(name, metatable)
-  return class(name, function(kind, port_name, desc)
+  return class(function(kind, port_name, desc)
     default_of(kind, name .. ".new")
     return setmetatable({
       type = kind, name = port_name or "", desc = desc or "", connections = {},
@@ -403,7 +398,7 @@ function Attribute:set(value) methods.assign(self.value, value) end
 
 function Attribute:getRaw() return self.value end
 
-rtt.Attribute = class("Attribute", function(kind, name)
+rtt.Attribute = class(function(kind, name)
   return setmetatable({ name = name or "", value = rtt.Variable.new(kind) }, Attribute)
 end)
 
@@ -438,22 +433,23 @@ function Service.getOperation(service, name)
     name), 2)
 end
 
--- Finds methods first; then operations, as methods, in a Lua that has rttlib.
-local function new_metatable(class_methods)
+-- In each Lua the class of a kind is in the registry. Its `__index` finds methods, and
+-- with rttlib operations, too.
+local function new_metatable(kind)
   return { __index = function(owner, name)
-    local method = class_methods[name] or Service[name]
-    if method then return method end
-    local call = current.has_rttlib and rawget(owner, "operations")[name]
-    return call and function(_, ...) return call(...) end or nil
+    return current.registry[kind].__index(owner, name)
+  end, __tostring = function(owner)
+    local to_text = current.registry[kind].__tostring
+    return to_text and to_text(owner) or kind
   end }
 end
 
-local SERVICE = new_metatable(Service)
+local SERVICE = new_metatable("Service")
 
 -- TaskContext: ports, properties, peers ----------------------------------------
 
 local TaskContext = {}
-local TASK_CONTEXT = new_metatable(TaskContext)
+local TASK_CONTEXT = new_metatable("TaskContext")
 
 local function new_component(name)
   local component = setmetatable({
@@ -773,7 +769,7 @@ local function eehook_class(component, lua)
     end
     return true
   end
-  return class("EEHook", function(name)
+  return class(function(name)
     name = check_string(name, "EEHook")
     return setmetatable({ name = name, run = function()
       if lua.globals[name] == nil then
@@ -784,10 +780,33 @@ local function eehook_class(component, lua)
   end)
 end
 
+local CLASSES = { "Variable", "Attribute", "InputPort", "OutputPort", "EEHook" }
+
+local function find_method(owner, name)
+  local methods_of = getmetatable(owner) == TASK_CONTEXT and TaskContext or Service
+  return methods_of[name] or Service[name]
+end
+
+local function new_registry()
+  local function class_of() return { __index = find_method } end
+  return { TaskContext = class_of(), Service = class_of() }
+end
+
 -- Stands in for rttlib: what its loading does, and the functions that charts use.
 local function new_rttlib(lua)
   local rttlib, globals = {}, lua.globals
-  lua.has_rttlib = true
+  for _, class_of in pairs(lua.registry) do -- any order: two
+    class_of.__index = function(owner, name)
+      local method, call = find_method(owner, name), rawget(owner, "operations")[name]
+      return method or call and function(_, ...) return call(...) end or nil
+    end
+    class_of.__tostring = function(owner) return "rttlib: " .. owner.name end
+  end
+  for _, name in ipairs(CLASSES) do
+    setmetatable(globals.rtt[name], { __call = function(self, ...)
+      return self.new(...)
+    end })
+  end
 
   function rttlib.port_clone_conn(port, suffix, name)
     local info = port:info()
@@ -809,6 +828,7 @@ local function new_rttlib(lua)
     end
   end
 
+  assert(not globals.rttlib, "module() would change the table that is there")
   globals.rttlib, globals.utils = rttlib, { tab2str = tostring }
   globals.package.loaded.utils = globals.utils
   globals.rtt.globals = setmetatable({}, { __index = function(_, name)
@@ -823,7 +843,12 @@ local function new_lua(component)
   local bound = setmetatable({
     getTC = function() return component end, EEHook = eehook_class(component, lua),
   }, { __index = rtt })
-  lua.has_rttlib = false
+  for _, name in ipairs(CLASSES) do
+    rawset(bound, name, rawget(bound, name)
+      or class(function(...) return rtt[name].new(...) end))
+  end
+  lua.registry = new_registry()
+  lua.globals.debug.getregistry = function() return lua.registry end
   lua.globals.rtt, lua.globals.package.loaded.rtt = bound, bound
   lua.globals.package.preload.rttlib = function() return new_rttlib(lua) end
   return lua
@@ -978,7 +1003,7 @@ function rtt.getTC() return main end
 function standin.reset()
   now, components, standin.has_exceptions = 0, {}, false
   standin.log, log_is_dead, pending, standin.death = {}, false, "", nil
-  current = { has_rttlib = false, globals = { rtt = rtt, package = package } }
+  current = { registry = new_registry(), globals = { rtt = rtt, package = package } }
   default_policy = new_variable("ConnPolicy", default_of("ConnPolicy"))
   main = new_component("lua")
   local this_lua = current

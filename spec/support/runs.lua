@@ -229,6 +229,7 @@ end
 local function model_transition(world, tr)
   return rfsm.trans {
     src = tr.src_ref, tgt = tr.tgt_ref, pn = tr.pn, events = tr.events_ref,
+    always = tr.always,
     guard = tr.guard and guard_of(world, tr.index) or nil,
     effect = tr.effect and effect_of(world, tr.index) or nil,
   }
@@ -513,7 +514,7 @@ function runs.on_oracle(chart, extend)
     send = world.send, reset = world.reset, wait = world.wait,
     merge = function(n)
       add_merged(world, chart.merges[n])
-      machine.mode[chart.merges[n].fqn] = "inactive"
+      machine.mode[chart.merges[n].fqn], machine.look = "inactive", 1
     end,
     step = function(n) return reference.step(machine, n) end,
     run = function() return reference.step(machine, 1e9) end,

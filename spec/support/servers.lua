@@ -47,6 +47,15 @@ return rfsm.state {
 }]]):format(seconds, more or "")
 end
 
+-- a --at once--> b, whose entry never ends if the machine has `bad`
+servers.ENDLESS = [[
+return rfsm.state {
+  keep = { "bad" }, bad = false, a = rfsm.state {},
+  b = rfsm.state { entry = function(fsm) repeat until not fsm.bad end },
+  rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "b", events = { "e_after(0)", "e_b" } },
+}]]
+
 -- RFSM_EVENTS=100000 makes the storms longer. They run under one Lua: what matters is
 -- that many come at once.
 servers.EVENTS = tonumber(os.getenv("RFSM_EVENTS"))

@@ -2,7 +2,7 @@
 # Builds the playground: build.sh TARGET LUA. The npm packages of package-lock.json are
 # kept in the user's cache.
 set -eu
-target=$1 lua=$2
+target=$1 lua=${2:-}
 cd "$(dirname "$0")/../.."
 
 fail() { echo "make site: $*" >&2; exit 1; }
@@ -10,6 +10,7 @@ fail() { echo "make site: $*" >&2; exit 1; }
 for program in node npm; do
   command -v $program >/dev/null || fail "$program is missing (on Debian: apt-get install npm)"
 done
+[ -n "$lua" ] || fail "a Lua is missing (on Debian: apt-get install lua5.4)"
 dkjson=$("$lua" -e 'for template in package.path:gmatch("[^;]+") do
   local name = template:gsub("%?", "dkjson")
   if io.open(name) then print(name) break end

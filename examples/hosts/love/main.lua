@@ -39,7 +39,7 @@ function love.update(dt)
   local is_seen = distance(at.guard, at.thief) < 110
   if is_seen then at.trace.x, at.trace.y = at.thief.x, at.thief.y end
   local is_there = distance(at.guard, at[fsm.goal]) < 9
-  rfsm.send_events(fsm, is_seen and "e_seen" or "e_lost", is_there and "e_there")
+  rfsm.send_events(fsm, is_seen and "e_seen" or "e_lost", is_there and "e_there" or nil)
   rfsm.run(fsm)
   walk(at.guard, at[fsm.goal].x, at[fsm.goal].y, 100 * dt)
   leaf = rfsm.get_actleaf_fqn(fsm)

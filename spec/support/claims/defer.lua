@@ -15,11 +15,15 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 -- Charts -----------------------------------------------------------------------------
 
--- Gives some transitions a time event.
+-- Gives some transitions a time event. Those of a state have the same, since events of
+-- one state that come at one time have the order of its transitions.
 local function add_timers(chart, random)
+  local event_of = {}
   for _, tr in ipairs(chart.transitions) do
     if chart.nodes[tr.src].kind == "state" and tr.events[1] and random:chance(30) then
-      local event = ("e_after(%.1f)"):format(random:below(4) / 2)
+      local event = event_of[tr.src] or ("e_%s(%.1f)"):format(
+        random:pick { "after", "every" }, random:below(4) / 2)
+      event_of[tr.src] = event
       tr.events_ref = { event, unpack(tr.events_ref) }
       tr.events = { event .. "@" .. tr.src, unpack(tr.events) }
     end
@@ -89,10 +93,13 @@ local function add_timer_model(calls, chart, world)
   local function add_over(list, fqn)
     for _, tr in ipairs(chart.transitions) do
       for _, event in ipairs(tr.src == fqn and tr.events or {}) do
-        local seconds = type(event) == "string" and event:match("^e_after%((.-)%)@")
-        local at = seconds and since[fqn].at + tonumber(seconds)
-        if at and at < world.clock.now and not since[fqn][event] then
-          since[fqn][event] = true
+        local kind, seconds = tostring(event):match("^e_(%l+)%((.-)%)@")
+        local at = seconds and (since[fqn][event] or since[fqn].at + tonumber(seconds))
+        if at and at < world.clock.now then
+          since[fqn][event] = kind == "after" and math.huge or at
+          while since[fqn][event] < world.clock.now do
+            since[fqn][event] = since[fqn][event] + tonumber(seconds)
+          end
           list[#list + 1] = { event = event, at = at, depth = depth[fqn] }
         end
       end
@@ -136,7 +143,15 @@ local function add_region_model(calls, _, world)
     is_forwarded = true
   end
 
-  behind(calls, "pre_hook", function(events) current = events end)
+  local function is_joined(fqn)
+    local regions = {}
+    each(function(region) regions[#regions + 1] = region end)
+    return reference.is_joined(machine, fqn, regions)
+  end
+
+  behind(calls, "pre_hook", function(events)
+    current, is_forwarded = events, false
+  end)
   local entry, exit, doo = calls.entry, calls.exit, calls.doo
   local post_hook = calls.post_hook
   function calls.entry(fqn, leaf, event)
@@ -160,11 +175,13 @@ local function add_region_model(calls, _, world)
     while true do
       forward()
       advance()
+      if is_joined(fqn) then return true end
       coroutine.yield(true)
     end
   end
   function calls.post_hook(events)
-    if active and not is_forwarded then forward() end
+    local is_open = active and machine.mode[active] == "active"
+    if is_open and not is_forwarded then forward() end
     is_forwarded = false
     if post_hook then post_hook(events) end
   end

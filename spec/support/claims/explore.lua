@@ -31,6 +31,8 @@ local EVENTS = { "e1", "e2", "e3", "e4" }
 local function extra_event(random, i, is_timed)
   if is_timed and random:chance(50) then
     return ("e_after(%.1f)"):format((random:below(5) - 1) / 2)
+  elseif not is_timed and random:chance(5) then
+    return ("e_every(%d)"):format(random:below(3))
   end
   if random:chance(15) and not is_timed then
     return ("e_after(%d.%03d)"):format(random:below(3), i)

@@ -46,7 +46,7 @@ local function graph_of(tab)
     add_node(graph, ids[fqn], parent and ids[parent],
       node.type == "state" and diagram.clean(node.id) or false)
     for _, tr in ipairs(node.transitions or {}) do
-      transitions[#transitions + 1] = tr
+      if not tr.internal then transitions[#transitions + 1] = tr end
     end
     for _, field in ipairs { "subnodes", "regions" } do
       for _, subnode in ipairs(node[field] or {}) do
@@ -55,12 +55,10 @@ local function graph_of(tab)
     end
   end
   visit(tab, "root", nil)
-  for _, tr in ipairs(transitions) do
-    if not tr.internal then
-      local composite = tr.tgt:match("^(.*)%.initial$")
-      local is_outer = composite and not is_inside(tr.src, composite)
-      add_arrow(graph, ids[tr.src], ids[is_outer and composite or tr.tgt])
-    end
+  for _, tr in ipairs(pictures.drawn_arrows(transitions)) do
+    local composite = tr.tgt:match("^(.*)%.initial$")
+    local is_outer = composite and not is_inside(tr.src, composite)
+    add_arrow(graph, ids[tr.src], ids[is_outer and composite or tr.tgt])
   end
   return graph, ids
 end

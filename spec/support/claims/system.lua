@@ -1,7 +1,8 @@
 -- Systems against brute force: two or three random charts with timers, predicates,
 -- deferred events and sequential AND states, joined by random wires. Whatever random
 -- runs of the real machines reach was reached, no verdict is refuted by one, and each
--- witness leads to its end on real machines.
+-- witness leads to its end on real machines. A callback may emit several events, which
+-- go one by one into wires of several events; some machines take one event at once.
 
 local alphabet = require "rfsm.shared.alphabet"
 local charts = require "spec.support.claims.explore"
@@ -30,11 +31,11 @@ local function emitting(make, emits)
   for name, f in pairs(make) do own[name] = f end -- any order: a copy
   for _, field in ipairs { "effect", "entry" } do
     own[field] = function(id)
-      local f, event = make[field] and make[field](id), emits[field .. " " .. id]
-      if not event then return f end
+      local f, events = make[field] and make[field](id), emits[field .. " " .. id]
+      if not events then return f end
       return function(fsm, ...)
         if f then f(fsm, ...) end
-        fsm.emit(event)
+        for _, event in ipairs(events) do fsm.emit(event) end
       end
     end
   end
@@ -45,19 +46,23 @@ end
 local function new_member(random, name)
   local seed = random:below(100000)
   local chart = charts.chart(seed, random:chance(80) and 2 or nil)
-  local member = { name = name, chart = chart, emits = {}, sends = {} }
+  local member = { name = name, chart = chart, emits = {}, sends = {},
+    read = random:chance(40) and "one" or nil }
+  local function add_emits(field, id, path)
+    local events, sends = {}, {}
+    for i = 1, random:chance(60) and 1 or random(3) do
+      events[i] = "e" .. random(4)
+      sends[i] = { emit = events[i] }
+    end
+    member.emits[field .. " " .. id], member.sends[field .. " " .. path] = events, sends
+  end
   local path_of = charts.paths_of(chart)
   for _, number in ipairs(rfsm.sorted_keys(path_of)) do
-    if random:chance(40) then
-      member.emits["effect " .. number] = "e" .. random(4)
-      member.sends["effect " .. path_of[number]] =
-        { { emit = member.emits["effect " .. number] } }
-    end
+    if random:chance(40) then add_emits("effect", number, path_of[number]) end
   end
   for _, fqn in ipairs(chart.names) do
     if chart.nodes[fqn].kind == "state" and random:chance(10) then
-      member.emits["entry " .. fqn] = "e" .. random(4)
-      member.sends["entry " .. fqn] = { { emit = member.emits["entry " .. fqn] } }
+      add_emits("entry", fqn, fqn)
     end
   end
   member.fsm = rfsm.init(charts.model_of(chart, {}, ""))
@@ -71,23 +76,32 @@ local function takes(member, event)
 end
 
 local function does_emit(member, event)
-  for _, other in pairs(member.emits) do -- any order: is it there?
-    if other == event then return true end
+  for _, events in pairs(member.emits) do -- any order: is it there?
+    if match.has(events, event) then return true end
   end
 end
 
+-- Adds an event to the last wire between two machines, or in a wire of its own.
+local function add_event(random, wires, last, from, event, to)
+  if last and random:chance(50) then
+    table.insert(last.events, event)
+    return last
+  end
+  local kind = random:chance(30) and "data" or "buffer"
+  wires[#wires + 1] = { from = from.name, events = { event }, to = to.name,
+    kind = kind, size = kind == "buffer" and random(3) or nil }
+  return wires[#wires]
+end
+
 local function new_wires(random, members)
-  local wires, is_there = {}, {}
+  local wires, is_there, last = {}, {}, {}
   for _ = 1, 2 + random(6) do
     local from, to = random:pick(members), random:pick(members)
     local event = "e" .. random(4)
-    local key = from.name .. event .. to.name
-    if takes(to, event) and does_emit(from, event) and not is_there[key] then
-      is_there[key] = true
-      local kind = random:chance(30) and "data" or "buffer"
-      wires[#wires + 1] = { from = from.name, event = event, to = to.name, kind = kind,
-        size = kind == "buffer" and random(3) or nil,
-        read = random:chance(50) and "all" or "one" }
+    local pair = from.name .. to.name
+    if takes(to, event) and does_emit(from, event) and not is_there[pair .. event] then
+      is_there[pair .. event] = true
+      last[pair] = add_event(random, wires, last[pair], from, event, to)
     end
   end
   return wires
@@ -102,7 +116,8 @@ local function new_system(seed)
     members[i] = new_member(random, NAMES[i])
     members[NAMES[i]] = members[i]
   end
-  local options = { machines = {}, configurations = BOUND, properties = {} }
+  local options = { machines = {}, configurations = BOUND, properties = {},
+    overlap = random:chance(40) }
   for _, member in ipairs(members) do
     options.machines[member.name] = random:chance(25) and { dry_run = true }
       or { sends = member.sends }
@@ -117,6 +132,7 @@ local function cell_of(own, make_of)
   for _, member in ipairs(own.members) do
     given[member.name] = charts.model_of(member.chart,
       emitting(make_of(member), member.emits), "")
+    given[member.name].read = member.read
   end
   return system(given)
 end
@@ -162,6 +178,7 @@ local function new_run(own, seed)
     run.worlds[member.name] = world
     return charts.wanderer(world, function() end)
   end)
+  run.cell:shuffle(run.random(100000) * 9973)
   for _, member in ipairs(own.members) do
     for _, entry in ipairs(rfsm.machines(run.cell.machines[member.name])) do
       entry.machine.gettime = function() return run.now, 0 end
@@ -186,7 +203,14 @@ local function stand_of(run)
     local stands = charts.stands_of(run.cell.machines[member.name], {})
     texts[i] = member.name .. " " .. stands[#stands]
   end
-  for i, queue in ipairs(run.cell.queues) do texts[#texts + 1] = i .. ":" .. #queue end
+  for i, queue in ipairs(run.cell.queues) do
+    texts[#texts + 1] = i .. ":" .. table.concat(queue, ",")
+  end
+  for _, member in ipairs(run.own.members) do
+    for _, put in ipairs(run.cell.unsent[member.name]) do
+      texts[#texts + 1] = put.wire .. ">" .. put.event
+    end
+  end
   return table.concat(texts, "; ")
 end
 
@@ -213,7 +237,13 @@ local function move(run, is_alone)
     events[1] = random:pick(member.outside)
   end
   run.worlds[member.name].steps = run.worlds[member.name].steps + 1
-  run.cell:move(member.name, events)
+  local is_busy = run.cell.unsent[member.name][1]
+    or member.read == "one" and rfsm.check_events(fsm) > 0
+  if is_busy then events = {} end
+  local wanted = nil
+  if events[1] and member.read == "one" then wanted = false end
+  local holds = run.own.options.overlap and random:chance(50)
+  run.cell:move(member.name, events, wanted, holds)
   return run.fired + #events > 1
 end
 
@@ -322,7 +352,16 @@ local function stand_in(own, walk, number)
       end
     end
   end
-  for at, queue in ipairs(conf.queues) do texts[#texts + 1] = at .. ":" .. #queue end
+  for at, queue in ipairs(conf.queues) do
+    local names = {}
+    for i, letter in ipairs(queue) do names[i] = walk.wires[at].name_of[letter] end
+    texts[#texts + 1] = at .. ":" .. table.concat(names, ",")
+  end
+  for i in ipairs(own.members) do
+    for _, put in ipairs(conf.unsent[i]) do
+      texts[#texts + 1] = put.at .. ">" .. put.name
+    end
+  end
   return table.concat(texts, "; ")
 end
 
@@ -366,7 +405,7 @@ local function follow(own, witness, fail)
       end
     end
     run.before = { unpack(run.cell.lost) }
-    run.cell:move(step.machine, events)
+    run.cell:move(step.machine, events, step.read[1] or false, step.holds)
   end
   return run
 end
@@ -441,7 +480,7 @@ end
 -- Adds what a product of all machines shows.
 local function add_whole(own, walk, shown)
   for i, wire in ipairs(walk.wires) do
-    shown["carries " .. i] = walk.carries[wire]
+    shown["carries " .. i] = next(walk.carries[wire]) and true
     shown["lost " .. i] = walk.lost[wire] and true
   end
   for number = 1, #walk.keys do shown[stand_in(own, walk, number)] = true end

@@ -3,6 +3,8 @@
 -- fails.
 
 local driven = require "spec.support.driven"
+local match = require "rfsm.shared.match"
+local rfsm = require "rfsm"
 local timeevent = require "rfsm_timeevent"
 
 local BILLION = 1000000000
@@ -95,6 +97,34 @@ local function check_event(run, timer, due, last)
   end
 end
 
+-- May the event trigger a transition of an active state? A predicate may.
+local function is_awaited(run, event)
+  for _, tr in ipairs(rfsm.elements(run.fsm, rfsm.is_trans)) do
+    local is_from_active = tr.src == run.fsm or run.active[tr.src._fqn]
+    for _, wanted in ipairs(is_from_active and tr.events or {}) do
+      if wanted == event or type(wanted) == "function" then return true end
+    end
+    if is_from_active and match.is_any(tr) then return true end
+  end
+  return false
+end
+
+-- The path hook: notes the time events that an internal transition lets go. They come
+-- again, first, in the next iteration.
+local function note_again(run, path)
+  local tr = path[1]
+  if not tr or rfsm.target_of(tr) ~= "internal" or tr.tgt ~= tr.src
+    or match.is_any(tr) then
+    return
+  end
+  for _, event in ipairs(run.current) do
+    local is_timer = type(event) == "string" and run.chart.timers[event]
+    if is_timer and not match.takes(tr.events, event) and is_awaited(run, event) then
+      run.again[event] = true
+    end
+  end
+end
+
 -- Compares the time events among `events` with the timers that have expired: those of
 -- e_after first, each kind in the order of deadlines.
 local function check_events(run, events, now)
@@ -102,14 +132,19 @@ local function check_events(run, events, now)
   for _, timer in ipairs(list_active(run, now)) do
     if now and timer.deadline < now then due[timer] = true end
   end
+  local again = run.again
+  run.current, run.again = events, {}
   for _, event in ipairs(events) do
     local timer = type(event) == "string" and run.chart.timers[event]
-    if timer then
+    if timer and again[event] then
+      again[event] = nil
+    elseif timer then
       check_event(run, timer, due, last)
       last, due[timer] = { kind = timer.kind, deadline = timer.deadline }, nil
       timer.deadline = math.huge
     end
   end
+  if next(again) then fail(run, "%s did not come again", next(again)) end
   local missed = next(due)
   if missed then fail(run, "%s did not come", missed.name) end
 end
@@ -164,6 +199,9 @@ end
 return { name = "time events and deadlines", run = driven.claim(function(seed)
   local run, clock = driven.new(seed, add_timers), { now = START }
   run.fsm.gettime = reader(clock, run.random)
+  run.current, run.again = {}, {}
+  rfsm.path_hook_add(run.fsm, function(_, path) note_again(run, path) end)
+  function run.reset() run.again = {} end
   function run.enter(fqn)
     for _, timer in ipairs(run.chart.timers) do
       if timer.fqn == fqn then arm(timer, clock.now) end

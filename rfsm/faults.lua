@@ -1,0 +1,119 @@
+--- Faults: an event that comes when a callback fails.
+--
+-- Once this module is loaded, `e_fault` in a transition from a state is the event that
+-- a callback of this state, of a state in it, or of a transition from these has failed.
+-- The event has data, see `rfsm.faults.Fault`. Machines that do not name it are as
+-- before.
+--
+-- @module rfsm.faults
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+
+local ipairs, rawequal, rawget = ipairs, rawequal, rawget
+local tostring, type = tostring, type
+
+--- The event of a fault.
+---@class rfsm.faults.Fault
+---@field name string "e_fault@F": F is the FQN of the state whose transition names it
+---@field callback "entry"|"exit"|"doo"|"guard"|"effect"
+---@field element string what has failed: the FQN of a state, or a transition as text
+---@field message string
+---@field traceback? string if there is the library `debug`
+
+local function name_of(state) return "e_fault@" .. state._fqn end
+
+-- Is a fault of an element current in a machine, or waiting?
+local function is_known(fsm, element)
+  for _, list in ipairs { fsm._curq, fsm._intq } do
+    for _, event in ipairs(list) do
+      local name = type(event) == "table" and rawget(event, "name")
+      if type(name) == "string" and name:find("^e_fault@")
+        and rawget(event, "element") == element then
+        return true
+      end
+    end
+  end
+  return false
+end
+
+-- Lists the active states that name `e_fault`, from a node outwards.
+local function naming(node)
+  local states = {}
+  while true do
+    local is_active = node._mode and node._mode ~= "inactive"
+    if is_active and node._names_fault then states[#states + 1] = node end
+    if node._parent == node then return states end
+    node = node._parent
+  end
+end
+
+-- Returns the state of a machine that runs a region.
+local function state_of(fsm, region)
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    if at.machine == region then return at.state end
+  end
+end
+
+local function traceback(owner)
+  local debug = rawget(_G, "debug")
+  local thread = rawget(owner, "_doo_co")
+  if type(debug) ~= "table" or not debug.traceback then return nil end
+  return thread and debug.traceback(thread) or debug.traceback("", 3)
+end
+
+local function send(fsm, states, owner, callback, failure)
+  local element = owner._fqn or tostring(owner)
+  if not states[1] or is_known(fsm, element) then return end
+  local trace = traceback(owner)
+  for _, state in ipairs(states) do
+    local fault = { name = name_of(state), callback = callback, element = element,
+      message = rfsm.text_of(failure), traceback = trace }
+    fsm._intq[#fsm._intq + 1] = fault
+    rfsm.report(fsm, "dbg", "RAISED", fault)
+  end
+end
+
+-- The watch hook: sends the events of a callback that has failed in this machine or in
+-- one inside it, unless an active state there, or nearer to it, names them.
+local function note_failure(fsm, failing, owner, callback, failure, f)
+  local is_own = callback == "doo" or rawequal(owner[callback], f)
+  local is_asked = callback == "guard"
+    and (failing._phase == "idle" or failing._is_asking)
+  if is_asked or not is_own then return end -- a tool asks, or a guard hook failed
+  local node = rfsm.is_trans(owner) and owner.src or owner
+  while true do
+    local states = naming(node)
+    if failing == fsm then return send(fsm, states, owner, callback, failure) end
+    local parent = rfsm.parent(failing)
+    if states[1] then return end
+    node, failing = state_of(parent, failing), parent
+  end
+end
+
+-- Has a transition from a state take the event of its source.
+local function expand(fsm, tr, i)
+  if not rfsm.is_state(tr.src) then
+    return rfsm.report(fsm, "warn", ("WARNING: %s: 'e_fault' never fires here, '%s' is "
+      .. "no state"):format(rfsm.location_of(tr, "events"), tr.src._fqn))
+  end
+  tr.events[i], tr.src._names_fault = rfsm.named(name_of(tr.src)), true
+  if fsm._has_faults then return end
+  fsm._has_faults = true
+  rfsm.watch_hook_add(fsm, "failed_inside", note_failure)
+end
+
+rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
+  for _, tr in ipairs(rfsm.elements(merged or fsm, rfsm.is_trans)) do
+    for i, event in ipairs(tr.events) do
+      if event == "e_fault" then expand(fsm, tr, i) end
+    end
+  end
+end
+
+rfsm.makers[#rfsm.makers + 1] = function(event)
+  local fqn = event:match("^e_fault@(root.*)$")
+  if fqn then return "fault", fqn end
+end
+
+return {}

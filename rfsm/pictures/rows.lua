@@ -1,0 +1,337 @@
+--- Rows: the nodes of a level in rows, one below the other, as words on a page.
+--
+-- Every second row runs backward, so that a chain goes to and fro. Only neighbours in a
+-- row may be linked, and only without gates. Linked neighbours are a *run*: arrows
+-- between them are straight, each with its label above it. For Graphviz a run is one
+-- box, with a port for each other link, which leads to another row. If the direction is
+-- LR, rows are columns, and a label is at the right of its arrow.
+--
+-- Axes: x is 1, y is 2. `run` is the axis along which rows run.
+--
+-- @module rfsm.pictures.rows
+-- @license BSD-3-Clause
+
+local diagram = require "rfsm.pictures.diagram"
+local lines = require "rfsm.pictures.lines"
+local looks = require "rfsm.pictures.looks"
+
+local abs, ipairs, log, max, min = math.abs, ipairs, math.log, math.max, math.min
+local ceil, concat, huge, insert = math.ceil, table.concat, math.huge, table.insert
+
+local rows = {}
+
+--- The room between two neighbours in a row.
+---@class rfsm.pictures.Room
+---@field links rfsm.pictures.Link[]
+---@field offsets number[] how far each line is from the middle of the row
+---@field span number points from the first line to the last
+---@field length number along the row
+---@field depth number across the row
+
+--- Linked neighbours in a row.
+---@class rfsm.pictures.RunOfNodes
+---@field id string
+---@field first integer the first node
+---@field nodes integer[] from left to right, or from the top
+---@field width number
+---@field height number
+---@field gates rfsm.pictures.Gate[] ports for links; `offset` as in gates of a level
+---@field gate_of table<rfsm.pictures.Link, table<boolean, rfsm.pictures.Gate>> link ->
+-- is the end the upper one? -> its port
+---@field at number[] how far the middle of each node is from the beginning of the run
+
+local function axis_of(level) return level.direction == "TB" and 1 or 2 end
+
+-- Returns two sizes of a box: along a row, and across it.
+local function size_of(box, run)
+  if run == 1 then return box.width, box.height end
+  return box.height, box.width
+end
+
+-- Rooms: what can be straight -------------------------------------------------
+
+-- Returns the two nodes of a link, in their order; nil if it ends at a gate outside.
+local function nodes_of(link)
+  local a, b = link.upper and link.upper.node, link.lower.node
+  if not (a and b) or a == b then return nil end
+  if a.index > b.index then a, b = b, a end
+  return a, b
+end
+
+local function can_be_straight(link, a, b)
+  return b.index == a.index + 1 and not (link.upper.gate or link.lower.gate)
+    and a.kind ~= "connector" and b.kind ~= "connector" and not (a.loops or b.loops)
+end
+
+-- Returns the size of the label of a link: along a row, and across it.
+local function label_of(link, axis)
+  local size = lines.size_of(diagram.label_of(link.arrow))
+  return size[axis], size[3 - axis]
+end
+
+local PAD, GAP = 14, 4 -- points: beside a label, between a line and the next label
+
+-- Returns the room for links, with a label for each above its line.
+local function room_of(list, run)
+  local offsets, span, longest, first = {}, 0, 0, 0
+  for i, link in ipairs(list) do
+    local length, depth = label_of(link, run)
+    span, first = i > 1 and span + depth + GAP or 0, i == 1 and depth or first
+    offsets[i], longest = -span, max(longest, length)
+  end
+  for i, offset in ipairs(offsets) do offsets[i] = offset + span / 2 end
+  return { links = list, offsets = offsets, span = span, length = longest + 2 * PAD,
+    depth = span + 2 * first + GAP }
+end
+
+--- Give a level the fields `bounds`, `rooms` and `bent`. bounds[i] is the last node
+-- before node i that cannot be in one row with it, rooms[i] the room for links between
+-- the nodes i and i + 1. `bent` counts the links that can never be straight.
+function rows.prepare(level)
+  local pairs_of = {}
+  level.bounds, level.rooms, level.bent = {}, {}, 0
+  for _, link in ipairs(level.links) do
+    local a, b = nodes_of(link)
+    if a and can_be_straight(link, a, b) then
+      pairs_of[a.index] = pairs_of[a.index] or {}
+      pairs_of[a.index][#pairs_of[a.index] + 1] = link
+    elseif a then
+      level.bounds[b.index] = max(level.bounds[b.index] or 0, a.index)
+      level.bent = level.bent + 1
+    end
+  end
+  for i = 1, #level.composite.nodes - 1 do
+    level.rooms[i] = room_of(pairs_of[i] or {}, axis_of(level))
+  end
+end
+
+-- Deal: which node is in which row --------------------------------------------
+
+local BETWEEN = 36 -- points between rows, about
+
+-- Deals nodes to rows that are not longer than `most` if possible. sizes[i] has the
+-- length of node i with the room before it, and its size across the row. Returns the
+-- row of each node, then the length and the depth of all rows.
+local function deal(sizes, bounds, most)
+  local numbers, number, first = {}, 1, 1
+  local length, depth, longest, total = 0, 0, 0, 0
+  for i, size in ipairs(sizes) do
+    if i > 1 and (length + size[1] > most or (bounds[i] or 0) >= first) then
+      number, first, total, length, depth = number + 1, i, total + depth + BETWEEN, 0, 0
+    end
+    numbers[i], length, depth = number, length + size[1], max(depth, size[2])
+    longest = max(longest, length)
+  end
+  return numbers, longest, total + depth
+end
+
+-- Returns deals with one row, two rows, and so on, and the log of width to height.
+local function all_deals(level, boxes)
+  local run, sizes, total, list = axis_of(level), {}, 0, {}
+  for i, box in ipairs(boxes) do
+    local length, depth = size_of(box, run)
+    sizes[i] = { length + (i > 1 and level.rooms[i - 1].length or 0), depth }
+    total = total + sizes[i][1]
+  end
+  for count = 1, min(#boxes - 1, 24) do
+    local numbers, length, depth = deal(sizes, level.bounds, total / count * 1.1)
+    list[count] = { numbers = numbers, shape = log(length / depth) * (3 - 2 * run) }
+  end
+  return list
+end
+
+local RATIOS = { 0.35, 0.5, 0.7, 1, 1.4, 2, 3 } -- of width to height
+
+--- Return a few ways to deal the nodes of a level to rows, with different ratios of
+-- width to height. Each is a list with the row of each node.
+function rows.deals(level, boxes)
+  local found, seen, all = {}, {}, all_deals(level, boxes)
+  for _, ratio in ipairs(RATIOS) do
+    local best, least = nil, huge
+    for _, one in ipairs(all) do
+      local misfit = abs(one.shape - log(ratio))
+      if misfit < least then best, least = one.numbers, misfit end
+    end
+    local key = concat(best, " ")
+    found[#found + 1], seen[key] = not seen[key] and best or nil, true
+  end
+  return found
+end
+
+-- Runs: what is where in a row ------------------------------------------------
+
+-- Returns the links of node i that are not straight, at one of its sides: those whose
+-- upper end it is, or those whose lower end it is.
+local function links_at(level, i, is_upper_end)
+  local list = {}
+  for _, link in ipairs(level.links) do
+    local finish = is_upper_end and link.upper or not is_upper_end and link.lower
+    local is_here = finish and finish.node and finish.node.index == i
+    list[#list + 1] = is_here and not (link.is_straight or link.is_loop) and link or nil
+  end
+  return list
+end
+
+local APART = 14 -- points between ports of a node, at most
+
+-- Adds a port to a run for each link of node i at one of its sides. `from` is where the
+-- node begins in the run, `length` its length.
+local function add_ports(level, run, i, from, length, is_upper_end)
+  local list = links_at(level, i, is_upper_end)
+  local step = min(APART, (length - 12) / max(1, #list - 1))
+  for k, link in ipairs(list) do
+    local inner = (is_upper_end and link.upper or link.lower).gate
+    local offset = inner and inner.offset or length / 2 + (k - (#list + 1) / 2) * step
+    local gate = { id = (is_upper_end and "u" or "l") .. link.id,
+      is_upper = not is_upper_end, offset = from + offset }
+    run.gates[#run.gates + 1] = gate
+    run.gate_of[link] = run.gate_of[link] or {}
+    run.gate_of[link][is_upper_end] = gate
+  end
+end
+
+-- Sets the size of a run, the places of its nodes, and its ports.
+local function measure(level, run, boxes)
+  local axis, length, depth, last = axis_of(level), 0, 0, nil
+  for _, i in ipairs(run.nodes) do
+    local room = last and level.rooms[min(last, i)]
+    local size, across = size_of(boxes[i], axis)
+    length, last = length + (room and room.length or 0), i
+    run.at[i], depth = length + size / 2, max(depth, across, room and room.depth or 0)
+    add_ports(level, run, i, length, size, true)
+    add_ports(level, run, i, length, size, false)
+    length = length + size
+  end
+  run.width, run.height, run.direction = ceil(length), ceil(depth), level.direction
+  if axis == 2 then run.width, run.height = run.height, run.width end
+end
+
+-- Makes the links from node i to the next one straight, and both nodes large enough.
+local function straighten(level, boxes, i)
+  local room, direction = level.rooms[i], level.direction
+  for _, link in ipairs(room.links) do link.is_straight = true end
+  local least = room.span + 3 * GAP
+  for k = i, i + 1 do
+    local box = boxes[k]
+    local _, depth = size_of(box, axis_of(level))
+    if depth < least and level.composite.nodes[k].kind == "leaf" then
+      level.composite.nodes[k].least = looks.least_text(direction, least)
+      boxes[k] = direction == "TB" and { width = box.width, height = least }
+        or { width = least, height = box.height }
+    end
+  end
+end
+
+--- Put the nodes of a level into rows: numbers[i] is the row of node i, boxes[i] its
+-- size. `level.rows` lists the runs of each row, `level.run_of` has the run of each
+-- node that has neighbours in it.
+function rows.apply(level, numbers, boxes)
+  local sizes, run = {}, nil
+  level.rows, level.run_of = {}, {}
+  for i, box in ipairs(boxes) do sizes[i] = box end
+  for i, number in ipairs(numbers) do
+    local row = level.rows[number] or {}
+    level.rows[number] = row
+    if numbers[i - 1] == number and level.rooms[i - 1].links[1] then
+      level.run_of[run.first], level.run_of[i] = run, run
+      straighten(level, sizes, i - 1)
+    else
+      run = { id = "r" .. i, first = i, nodes = {}, at = {}, gates = {}, gate_of = {} }
+      row[#row + 1] = run
+    end
+    insert(run.nodes, number % 2 == 1 and #run.nodes + 1 or 1, i)
+  end
+  for _, row in ipairs(level.rows) do
+    for _, each in ipairs(row) do
+      if each.nodes[2] then measure(level, each, sizes) end
+    end
+  end
+  level.sizes = sizes
+end
+
+-- Lines -----------------------------------------------------------------------
+
+local HEAD = 7 -- points: the length of an arrowhead
+
+-- Draws a straight link between two boxes.
+local function draw_straight(link, boxes, axis, offset)
+  local src, tgt = boxes[link.upper.node.index], boxes[link.lower.node.index]
+  if link.is_turned then src, tgt = tgt, src end
+  local from, to = ({ src.x, src.y })[axis], ({ tgt.x, tgt.y })[axis]
+  local middle, sign = ({ src.y, src.x })[axis] + offset, from < to and 1 or -1
+  from, to = from + sign * size_of(src, axis) / 2, to - sign * size_of(tgt, axis) / 2
+  local function at(along, across)
+    return axis == 1 and { along, across } or { across, along }
+  end
+  local line = {}
+  lines.join(line, { at(from, middle) })
+  lines.join(line, { at(to - sign * HEAD, middle) })
+  link.points, link.tip = lines.moved(line, 0, 0, link.is_turned), at(to, middle)
+  local _, depth = label_of(link, axis)
+  link.label_at = at((from + to) / 2, middle + depth / 2 + 1)
+end
+
+-- Makes an end of a link longer along an axis, so that it reaches its node in the run.
+local function extend(link, is_upper_end, axis, length)
+  local points, more = link.points, { 0, 0 }
+  local count = #points
+  local last, control = count, count - 1
+  if is_upper_end then last, control = 1, 2 end
+  local from, bent = points[last], points[control]
+  local bend = abs(bent[1] - from[1]) + abs(bent[2] - from[2])
+  more[axis] = length
+  local sign = length > 0 and 1 or -1
+  points[control] = { from[1], from[2] } -- the line turns into the new part
+  points[control][axis] = from[axis] - sign * bend
+  local part = { { from[1] + more[1], from[2] + more[2] } }
+  local line = is_upper_end and part or points
+  lines.join(line, is_upper_end and points or part)
+  link.points = line
+  if link.has_head and link.is_turned == is_upper_end then
+    link.tip = { link.tip[1] + more[1], link.tip[2] + more[2] }
+  end
+end
+
+-- Makes the ends of links in a run longer.
+local function extend_all(level, run, axis)
+  local _, depth = size_of(run, axis)
+  for link, gates in pairs(run.gate_of) do -- any order
+    for is_upper_end in pairs(gates) do
+      local finish = is_upper_end and link.upper or link.lower
+      local _, inner = size_of(level.boxes[finish.node.index], axis)
+      local sign = is_upper_end == (axis == 1) and 1 or -1
+      local length = (depth - inner) / 2
+      if length >= 1 then extend(link, is_upper_end, 3 - axis, sign * length) end
+    end
+  end
+end
+
+-- Sets the boxes of the nodes in a run whose box is given, and their lines.
+local function draw_run(level, run, box)
+  local axis = axis_of(level)
+  for _, i in ipairs(run.nodes) do
+    local size = level.sizes[i]
+    level.boxes[i] = { width = size.width, height = size.height,
+      x = axis == 1 and box.x - run.width / 2 + run.at[i] or box.x,
+      y = axis == 1 and box.y or box.y + run.height / 2 - run.at[i] }
+  end
+  extend_all(level, run, axis)
+end
+
+--- Set the boxes of nodes in runs, and the lines of their links.
+function rows.draw(level)
+  for _, row in ipairs(level.rows or {}) do
+    for _, run in ipairs(row) do
+      if run.nodes[2] then draw_run(level, run, level.run_boxes[run.first]) end
+    end
+  end
+  for _, room in ipairs(level.rows and level.rooms or {}) do
+    for j, link in ipairs(room.links) do
+      if link.is_straight then
+        draw_straight(link, level.boxes, axis_of(level), room.offsets[j])
+      end
+    end
+  end
+end
+
+return rows

@@ -1,0 +1,422 @@
+--- A system launched in Orocos: each machine in a component, each wire a connection.
+--
+-- So the deployment is the one that `rfsm check` of the system judges. Each machine is
+-- entered in startHook, so it loses no event that comes before its first update. What
+-- is wrong is reported at its line in the system's file. A launch that fails leaves no
+-- component, port or connection.
+--
+-- @submodule rfsm.rtt
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
+local alphabet = require "rfsm.shared.alphabet"
+local json = require "rfsm.json"
+local match = require "rfsm.shared.match"
+local opts = require "rfsm.shared.options"
+local order = require "rfsm.shared.order"
+local replacements = require "rfsm.explore.replacements"
+local rfsm_rtt = require "rfsm.rtt"
+local static = require "rfsm.checks.static"
+local system = require "rfsm.system"
+local writes = require "rfsm.shared.writes"
+
+local error, ipairs, package, pairs = error, ipairs, package, pairs
+local pcall, setmetatable, tostring, type = pcall, setmetatable, tostring, type
+local concat, insert, remove = table.concat, table.insert, table.remove
+
+local launch_system = {}
+
+--- A system that runs in components.
+---@class rfsm.rtt.LaunchedSystem
+---@field cell rfsm.System its description; the machines of this table do not run
+---@field components table<string, any> the component of each machine, configured
+---@field order string[] machines in the order in which `start` starts them
+---@field deployer any
+---@field made fun()[] undo what the launch has made, the first first
+local Launched = {}
+Launched.__index = Launched
+
+-- The settings of a machine that are not settings of its launch.
+local OWN = {
+  component = { "boolean", opts.is_a "boolean", false },
+  after = { "list of machines", opts.is_a "table", {} },
+  period = { "seconds", opts.is_seconds, false },
+  priority = { "number", opts.is_a "number", 0 },
+  scheduler = { "number", opts.is_a "number", 0 },
+}
+
+-- What the launch of a system sets itself.
+local TAKEN = { name = "the name of the machine", fsmfile = "the file of its chart",
+  deployer = "the option deployer of the system", enter = "always 'start'",
+  ev_outport = "the wires", samples = "the wires" }
+
+-- Check: every problem with its place, before anything is made -----------------------
+
+local function add(launch, place, text)
+  insert(launch.problems, (place ~= "" and place .. ": " or "") .. text)
+end
+
+-- Returns the settings of a machine, and the table of options for its launch.
+local function read_machine(launch, name, given)
+  local function report(text)
+    add(launch, launch.cell.places[name], name .. ": " .. text)
+  end
+  local own, args = opts.read(OWN, {}), {}
+  launch.own[name], launch.args[name] = own, args
+  if type(given) ~= "table" then
+    return report("table of options expected, " .. opts.got(given))
+  end
+  for _, field in ipairs(rfsm.sorted_keys(given)) do
+    local right, problem = opts.read(OWN, { [field] = given[field] })
+    if TAKEN[field] then
+      report(("%s: not an option here, it is %s"):format(field, TAKEN[field]))
+    elseif not OWN[field] then
+      args[field] = given[field]
+    elseif right then
+      own[field] = right[field]
+    else
+      report(problem)
+    end
+  end
+end
+
+local function text_of_chart(model)
+  local fsm = static.init(model, false)
+  return fsm and json.encode(fsm) .. tostring(fsm.read)
+end
+
+-- The component loads the chart from its file, so the file has to be the chart.
+local function check_file(launch, name)
+  local cell, file = launch.cell, launch.cell.files[name]
+  if not file then
+    return add(launch, cell.places[name], name .. ": its component loads the chart, "
+      .. "expected system.load 'FILE'")
+  end
+  local ok, model = pcall(rfsm.load, file)
+  if not ok or text_of_chart(model) ~= text_of_chart(cell.models[name]) then
+    add(launch, cell.places[name], ("%s: the system has changed the chart of %s, which "
+      .. "its component loads"):format(name, file))
+  end
+end
+
+local LARGEST = 2147483647 -- the field `size` of a ConnPolicy is an int
+
+-- Does the text of a callback emit an event with data?
+local function emits_data(fsm, event)
+  local pattern = "%f[%w_]emit%s*%(%s*[\"']" .. event:gsub("%p", "%%%0") .. "[\"']%s*,"
+  for _, callback in pairs(replacements.named(fsm)) do -- any order: is there one?
+    local has_data = writes.each(callback, function(text)
+      return text:find(pattern) ~= nil
+    end, {})
+    if has_data then return true end
+  end
+  return false
+end
+
+-- Does a machine take an event only with its data?
+local function needs_data(fsm, event)
+  local known = alphabet.of_all(fsm)
+  return not (known.takes_any or known.set[event])
+    and order.any(known.predicates, function(predicate)
+      return rfsm.event_name(predicate) == event
+    end)
+end
+
+local function check_wire(launch, wire)
+  local function report(text)
+    add(launch, wire.location, ("wires[%d]%s"):format(wire.number, text))
+  end
+  if wire.size > LARGEST then
+    report((".size: a policy of RTT has at most %d, got %.0f"):format(LARGEST,
+      wire.size))
+  end
+  for _, event in ipairs(wire.events) do
+    if needs_data(launch.machines[wire.to], event) then
+      report((": a string port carries no data, and '%s' takes '%s' with data only")
+        :format(wire.to, event))
+    elseif emits_data(launch.machines[wire.from], event) then
+      report((": a string port carries no data, and '%s' emits '%s' with data"):format(
+        wire.from, event))
+    end
+  end
+end
+
+-- Appends a machine and before it those that it starts after.
+local function add_to_order(launch, name, path)
+  if match.has(launch.order, name) then return end
+  if match.has(path, name) then
+    return add(launch, launch.cell.places[name], ("%s: after: a cycle, %s"):format(name,
+      concat(match.with(path, name), " after ")))
+  end
+  for _, other in ipairs(launch.own[name].after) do
+    if launch.cell.models[other] then
+      add_to_order(launch, other, match.with(path, name))
+    else
+      add(launch, launch.cell.places[name], ("%s: after: no machine is named '%s'%s")
+        :format(name, rfsm.text_of(other), advice.nearest_name(rfsm.text_of(other),
+          launch.cell.names)))
+    end
+  end
+  if not match.has(launch.order, name) then insert(launch.order, name) end
+end
+
+local function peer_of(owner, name)
+  local ok, found = pcall(function() return owner:getPeer(name) end)
+  return ok and found or nil
+end
+
+-- Is there a component for a machine, if and only if the options say so?
+local function check_component(launch, name)
+  local function report(text)
+    add(launch, launch.cell.places[name], name .. ": " .. text)
+  end
+  local found = peer_of(launch.deployer, name)
+  local is_wanted = launch.own[name].component
+  if found and not is_wanted then
+    report(("the deployer has a component '%s' (component = true takes it)"):format(
+      name))
+  elseif is_wanted and not (found and found:hasOperation("exec_str")) then
+    report(("component: the deployer has no %s '%s'"):format(
+      found and "Lua component" or "component", name))
+  end
+end
+
+local function find_deployer(wanted)
+  wanted = wanted or "Deployer"
+  local found = type(wanted) == "string"
+    and peer_of(package.loaded.rtt.getTC(), wanted) or wanted
+  local is_deployer = pcall(function() found:getOperation("loadComponent") end)
+  return is_deployer and found or error("deployer: a deployer or the name of a peer "
+    .. "expected, " .. rfsm.got(wanted), 0)
+end
+
+local function check(launch, machines)
+  local cell = launch.cell
+  for _, name in ipairs(rfsm.sorted_keys(machines)) do
+    if not cell.models[name] then
+      add(launch, cell.file or "", ("machines: no machine is named '%s'%s"):format(
+        rfsm.text_of(name), advice.nearest_name(rfsm.text_of(name), cell.names)))
+    end
+  end
+  for _, name in ipairs(cell.names) do
+    read_machine(launch, name, machines[name] or {})
+    launch.machines[name] = static.init(cell.models[name], false)
+    check_file(launch, name)
+    check_component(launch, name)
+  end
+  for _, name in ipairs(cell.names) do add_to_order(launch, name, {}) end
+  for _, wire in ipairs(cell.wires) do check_wire(launch, wire) end
+  if launch.problems[1] then
+    error("the system is not launched\n  " .. concat(launch.problems, "\n  "), 0)
+  end
+end
+
+-- Make: components, ports, connections -----------------------------------------------
+
+local function quoted(list)
+  local texts = {}
+  for i, text in ipairs(list) do texts[i] = ("%q"):format(text) end
+  return "{ " .. concat(texts, ", ") .. " }"
+end
+
+local function port_name(wire, is_in)
+  return ("wire%d_%s"):format(wire.number, is_in and "in" or "out")
+end
+
+-- Returns the text of a list of wires for `launch_system_ports.join`.
+local function wires_text(cell, name, is_in)
+  local texts = {}
+  for _, wire in ipairs(cell.wires) do
+    if wire[is_in and "to" or "from"] == name then
+      insert(texts, ("{ port = %q, desc = %q, kind = %q, size = %d, events = %s }")
+        :format(port_name(wire, is_in), ("%s from %s to %s"):format(
+          concat(wire.events, ", "), wire.from, wire.to), wire.kind, wire.size,
+          quoted(wire.events)))
+    end
+  end
+  return "{ " .. concat(texts, ", ") .. " }"
+end
+
+-- Does the machine react to time events, which must wake its component?
+local function has_timers(fsm)
+  return order.any(rfsm.machines(fsm), function(entry)
+    return order.any(rfsm.elements(entry.machine, rfsm.is_trans), function(tr)
+      return order.any(tr.events or {}, function(event)
+        return advice.module_for(event) == "rfsm_timeevent"
+      end)
+    end)
+  end)
+end
+
+-- Completes the arguments of the launch of a machine.
+local function arguments(launch, name)
+  local args, cell = launch.args[name], launch.cell
+  args.fsmfile, args.enter = cell.files[name], "start"
+  if args.ev_inport == nil then args.ev_inport = true end
+  if args.timer == nil and not launch.own[name].period then
+    args.timer = has_timers(launch.machines[name]) or nil
+  end
+  args.poststr = ("%s\nrequire('rfsm.rtt.launch_system_ports').join(%s, %s)"):format(
+    args.poststr or "", wires_text(cell, name, false), wires_text(cell, name, true))
+  return args
+end
+
+-- Launches a machine in a component of its own.
+local function make_component(launch, name, args)
+  args.name, args.deployer = name, launch.deployer
+  launch.components[name] = rfsm_rtt.component_launch_rfsm(args)
+  insert(launch.made, function()
+    launch.components[name]:stop()
+    launch.deployer:getOperation("unloadComponent")(name)
+    if args.timer and peer_of(launch.deployer, name .. "_timer") then
+      peer_of(launch.deployer, name .. "_timer"):stop()
+      launch.deployer:getOperation("unloadComponent")(name .. "_timer")
+    end
+  end)
+end
+
+local FORGET = "local launched = require('rfsm.rtt').launched\n"
+  .. "if launched then launched:forget() end"
+
+-- Launches a machine in a component that is there.
+local function take_component(launch, name, args)
+  local component = launch.deployer:getPeer(name)
+  local run = component:getOperation("exec_str")
+  local names, texts = component:getPortNames(), {}
+  insert(launch.made, function()
+    component:stop()
+    run(FORGET)
+    for _, port in ipairs(component:getPortNames()) do
+      if not match.has(names, port) then component:removePort(port) end
+    end
+  end)
+  component:addPeer(launch.deployer)
+  for i, field in ipairs(rfsm.sorted_keys(args)) do
+    local value = args[field]
+    local text = type(value) == "string" and ("%q"):format(value) or tostring(value)
+    texts[i] = field .. " = " .. text
+  end
+  local program = "require('rfsm.rtt').launch { " .. concat(texts, ", ") .. " }"
+  if run(program) == false then error("RTT's log has the reason", 0) end
+  launch.components[name] = component
+end
+
+local function make_machine(launch, name)
+  local own, args = launch.own[name], arguments(launch, name)
+  local make = own.component and take_component or make_component
+  make(launch, name, args)
+  if own.period and not launch.deployer:getOperation("setActivity")(name, own.period,
+    own.priority, own.scheduler) then
+    error("period: the deployer does not set the activity", 0)
+  end
+end
+
+local function connect(launch, wire)
+  local policy = package.loaded.rtt.Variable.new("ConnPolicy")
+  policy.type, policy.size = wire.kind == "data" and 0 or 1, wire.size
+  policy.init = false
+  local from = wire.from .. "." .. port_name(wire, false)
+  local into = wire.to .. "." .. port_name(wire, true)
+  if not launch.deployer:getOperation("connect")(from, into, policy) then
+    error(("the deployer does not connect %s to %s"):format(from, into), 0)
+  end
+end
+
+-- Calls f(launch, item), with the place in front of its error.
+local function at(place, f, launch, item, label)
+  local ok, problem = pcall(f, launch, item)
+  if ok then return end
+  problem = rfsm.text_of(problem):gsub("^%S-:%d+: rfsm%.rtt%.[%w_]+: ", "")
+  error(("%s%s: %s"):format(place ~= "" and place .. ": " or "", label, problem), 0)
+end
+
+local function configure(launch, name)
+  if not launch.components[name]:configure() then
+    error("the component is not configured, RTT's log has the reason", 0)
+  end
+end
+
+local function make(launch)
+  local cell = launch.cell
+  for _, name in ipairs(launch.order) do
+    at(cell.places[name], make_machine, launch, name, name)
+  end
+  for _, wire in ipairs(cell.wires) do
+    at(wire.location, connect, launch, wire, ("wires[%d]"):format(wire.number))
+  end
+  for _, name in ipairs(launch.order) do
+    at(cell.places[name], configure, launch, name, name)
+  end
+end
+
+-- Public functions -------------------------------------------------------------------
+
+--- Start the components, in their order. Each machine is entered then.
+--
+-- @raise if a component does not start; then those that were started are stopped
+function Launched:start()
+  for i, name in ipairs(self.order) do
+    if not self.components[name]:start() then
+      for n = i - 1, 1, -1 do self.components[self.order[n]]:stop() end
+      error(("rfsm.rtt.launch_system: %s: '%s' does not start"):format(
+        self.cell.places[name], name), 2)
+    end
+  end
+end
+
+--- Stop the components, the last started first.
+function Launched:stop()
+  for i = #self.order, 1, -1 do self.components[self.order[i]]:stop() end
+end
+
+--- Stop the components, and unload those that the launch has loaded.
+function Launched:unload()
+  while self.made[1] do remove(self.made)() end
+end
+
+local OPTIONS = {
+  deployer = { "deployer or the name of a peer", function() return true end },
+  machines = { "table of options by machine", opts.is_a "table", {} },
+}
+
+local function launch_cell(file, options)
+  local settings, problem = opts.read(OPTIONS, options or {})
+  if not settings then error(problem, 0) end
+  if not package.loaded.rtt then error("no module 'rtt' in this Lua", 0) end
+  local cell = system.load(file)
+  if not system.is_system(cell) then
+    error(("file of a system expected, '%s' returns a chart"):format(file), 0)
+  end
+  local self = setmetatable({ cell = cell, components = {}, order = {}, made = {},
+    deployer = find_deployer(settings.deployer), own = {}, args = {}, machines = {},
+    problems = {} }, Launched)
+  check(self, settings.machines)
+  local ok, why = pcall(make, self)
+  if not ok then self:unload() end
+  self.own, self.args, self.machines, self.problems = nil, nil, nil, nil
+  return ok and self or error(why, 0)
+end
+
+--- Launch a system: a component for each machine, a pair of ports and a connection for
+-- each wire. Call `start` of the result.
+--
+-- @usage
+--    local cell = rfsm_rtt.launch_system("cell.lua", {
+--      machines = { arm = { luatype = "OCL::LuaTLSFComponent", pool = 600 } },
+--    })
+--    cell:start()
+--
+-- @raise when the system or an option is wrong, or the launch fails; nothing is left
+---@param file string the system, whose charts are loaded by `system.load`
+---@param options? table `deployer`; `machines`: by name the fields of rfsm.rtt.Launch,
+-- and `component` (true: it is there), `after` (machines that start before it), and
+-- `period`, `priority`, `scheduler` of its activity
+---@return rfsm.rtt.LaunchedSystem launched
+function launch_system.launch(file, options)
+  local ok, result = pcall(launch_cell, file, options)
+  if ok then return result end
+  error("rfsm.rtt.launch_system: " .. rfsm.text_of(result), 2)
+end
+
+return launch_system

@@ -1,0 +1,59 @@
+--- The verbs of a fleet in both servers: FCALL rfsm_NAME in Redis, rfsm.NAME in
+--- PostgreSQL, `rfsm fleet URL NAME`.
+--
+-- @module rfsm.server.verbs
+-- @license BSD-3-Clause
+
+local ipairs = ipairs
+
+--- A verb.
+---@class rfsm.server.Verb
+---@field name string
+---@field reads? true it changes nothing
+---@field many? true it is about many machines, and PostgreSQL has a statement for it
+---@field sql? string[] PostgreSQL: parameters after `key`, type of the result, and the
+--- arguments `args` and `id` for `rfsm.call` (NULL, NULL if absent)
+---@field more_sql? string[] the same for other parameters
+---@field usage? string its arguments in the command
+---@field needs? integer how many of them are needed
+---@field by? true in PostgreSQL only an operator may call it
+
+local verbs = {
+  { name = "create", sql = { ", chart text, data jsonb DEFAULT '{}', id text DEFAULT "
+    .. "NULL", "text", "ARRAY[chart, coalesce(data, '{}')::text], id" } },
+  { name = "send", sql = { ", event text, id text DEFAULT NULL", "text",
+    "ARRAY[event], id" }, more_sql = { ", events text[], id text DEFAULT NULL", "text",
+    "events, id" }, usage = "KEY EVENT [ID]", needs = 2 },
+  { name = "send_at", sql = { ", at timestamptz, event text, id text", "text",
+    "ARRAY[extract(epoch FROM at)::text, event], id" } },
+  { name = "cancel", sql = { ", id text", "boolean", "ARRAY[id], NULL" } },
+  { name = "why", reads = true, sql = { ", event text", "SETOF text",
+    "ARRAY[event], NULL" }, usage = "KEY EVENT", needs = 2 },
+  { name = "get", reads = true, sql = { "", "TABLE (name text, value text)" },
+    usage = "KEY", needs = 1, by = true },
+  { name = "tick", sql = { "", "text" } },
+  { name = "move", sql = { "", "text" }, usage = "KEY", needs = 1, by = true },
+  { name = "hold", sql = { "", "text" }, usage = "KEY [REASON]", needs = 1, by = true },
+  { name = "release", sql = { "", "text" }, usage = "KEY", needs = 1, by = true },
+  { name = "force", sql = { ", state text", "text", "ARRAY[state], NULL" },
+    usage = "KEY STATE", needs = 2, by = true },
+  { name = "remove", sql = { "", "boolean" }, usage = "KEY", needs = 1, by = true },
+  { name = "log", reads = true, many = true, usage = "KEY [COUNT]", needs = 1 },
+  { name = "history", reads = true, many = true, usage = "KEY [COUNT]", needs = 1 },
+  { name = "wake", many = true },
+  { name = "reindex", many = true, usage = "", needs = 0 },
+  { name = "due", reads = true, many = true, usage = "[LIMIT [SECONDS]]", needs = 0 },
+  { name = "find", reads = true, many = true, usage = "CHART STATE [LIMIT [SECONDS]]",
+    needs = 2 },
+  { name = "versions", reads = true, many = true, usage = "", needs = 0 },
+  { name = "stats", reads = true, many = true },
+}
+
+--- Call f(verb) for each verb; return the list of what it returns, without nil.
+function verbs.map(f)
+  local list = {}
+  for _, verb in ipairs(verbs) do list[#list + 1] = f(verb) end
+  return list
+end
+
+return verbs

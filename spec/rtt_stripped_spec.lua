@@ -1,0 +1,130 @@
+-- Modules without debug information, which `make install` makes for robots: a launch
+-- with `stripped = true`. On the stand-in in spec/support/rtt.lua, in a Lua 5.1.
+
+local helper = require "spec.helper"
+
+local function lines_of(command)
+  local pipe, lines = io.popen(command .. " 2>&1"), {}
+  for line in pipe:lines() do lines[#lines + 1] = line end
+  pipe:close()
+  return lines
+end
+
+-- Prints from which source the library is, and fails in a callback of the chart.
+local CHART = [[
+local rfsm = require "rfsm"
+return rfsm.state { info = false, a = rfsm.state { entry = function(fsm)
+  print((debug.getinfo(rfsm.step, "S").source:match("[^/]*$")))
+  rfsm.gen_nothing(fsm)
+end }, rfsm.trans { src = "initial", tgt = "a" } }
+]]
+
+-- The deployer's program: `launch(fields)` launches the chart in a component, `show`
+-- has its machine entered, and prints the errors in the log.
+local PROGRAM = [[
+package.path = %q .. "/?.lua;./?.lua"
+local FOLDER, CHART = %q, %q
+rtt = require "spec.support.rtt"
+package.loaded.rtt = rtt
+local deployer = rtt.getTC():getPeer("Deployer")
+local function launch(fields)
+  local launched = require("rfsm.rtt").component_launch_rfsm
+  fields.name, fields.fsmfile, fields.deployer = "arm", CHART, deployer
+  return select(2, pcall(launched, fields))
+end
+local function component()
+  deployer:getOperation("loadComponent")("arm", "OCL::LuaComponent")
+  return deployer:getPeer("arm")
+end
+local function show(arm)
+  arm:getOperation("exec_str")("trigger()")
+  for _, line in ipairs(rtt.standin.log) do
+    if line:find("^Error") then print((line:gsub(CHART, "CHART"))) end
+  end
+end
+%s]]
+
+describe("stripped modules", function()
+  local folder
+
+  setup(function()
+    local name = os.tmpname()
+    os.remove(name)
+    if not lines_of("command -v luac5.1 && command -v lua5.1")[2] then return end
+    folder = name .. "/share/lua/5.1"
+    lines_of(("make -s install PREFIX=%s LUADIRS=%s"):format(name, folder))
+  end)
+
+  teardown(function()
+    if folder then os.execute("rm -rf " .. folder:match("^(.*)/share/")) end
+  end)
+  after_each(helper.remove_files)
+
+  -- The lines that a program of the deployer prints, nil without a Lua 5.1.
+  local function printed(program, path)
+    if not folder then return nil end
+    local chart = helper.file_with(CHART)
+    local text = PROGRAM:format(path or folder, folder, chart, program)
+    return lines_of("lua5.1 " .. helper.file_with(text))
+  end
+
+  local FAILED = "Error: ENTRY error executing entry of root.a:  CHART:4: attempt to "
+    .. "call field 'gen_nothing' (a nil value)"
+
+  local function check(expected, program, path)
+    local lines = printed(program, path)
+    if lines then assert.same(expected, lines) end
+  end
+
+  it("are those of a launch that asks for them; lines of the chart stay", function()
+    check({ "=?", FAILED }, "show(launch { stripped = true })")
+    check({ "rfsm.lua", FAILED }, "show(launch {})")
+  end)
+
+  it("are those of a service, and of program.lua", function()
+    check({ "=?", FAILED }, [[
+local arm = component()
+deployer:getOperation("loadService")("arm", "Lua")
+local exec_str = arm:provides("Lua"):getOperation("exec_str")
+require("rfsm.rtt").service_launch_rfsm(CHART, exec_str, false, nil,
+  { stripped = true })
+exec_str("trigger()")
+show { getOperation = function() return exec_str end }]])
+    check({ "=?", FAILED }, [[
+local arm = component()
+arm:getProperty("lua_file"):set(FOLDER .. "/rfsm/rtt/program.lua")
+arm:getProperty("lua_string"):set(("rfsm_launch = { fsmfile = %q, stripped = true }")
+  :format(CHART))
+arm:configure()
+show(arm)]])
+  end)
+
+  local NONE = "stripped: no modules in rfsm/stripped beside the library, or it was "
+    .. "loaded before from source"
+
+  it("are missed in a checkout, or if the library is loaded already", function()
+    check({ NONE, "nil" }, ([[
+local why = launch { stripped = true }
+print(why:match("stripped: .*"))
+print(deployer.peers.arm)]]), ".")
+    check({ NONE }, [[
+local arm = component()
+local exec_str = arm:getOperation("exec_str")
+exec_str(("function configureHook() return require('rfsm.rtt').launch { fsmfile = %q, "
+  .. "stripped = true } end"):format(CHART))
+print(arm:configure() or rtt.standin.log[#rtt.standin.log]:match("stripped: .*"))]])
+  end)
+
+  it("are removed by make uninstall, and not made with STRIP=0", function()
+    if not folder then return end
+    local prefix = folder:match("^(.*)/share/")
+    local function stripped()
+      return lines_of(("test -e %s/rfsm/stripped && echo yes"):format(folder))[1]
+    end
+    assert.equal("yes", stripped())
+    lines_of(("make -s uninstall PREFIX=%s LUADIRS=%s"):format(prefix, folder))
+    assert.is_nil(stripped())
+    lines_of(("make -s install STRIP=0 PREFIX=%s LUADIRS=%s"):format(prefix, folder))
+    assert.is_nil(stripped())
+  end)
+end)
