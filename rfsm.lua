@@ -2179,21 +2179,18 @@ function actions.be_done(fsm, leaf, at)
   fsm._at = at
 end
 
--- The name of the event that tells that a composite is done, if a leaf in it is; nil if
--- the leaf is not final, or no transition of the composite waits for it.
-local function done_around(leaf)
-  local around = leaf._parent
-  if rawequal(leaf.final, true) and around ~= leaf and rfsm.names_done(around) then
-    return done_event(around)
-  end
+-- Queues the e_done of the composite around a leaf that is done, if the leaf is final
+-- and a transition of the composite waits for it.
+local function complete_around(fsm, leaf, at)
+  local queue, around = fsm._intq, leaf._parent
+  local is_last = rawequal(leaf.final, true) and around ~= leaf
+  if not (is_last and rfsm.names_done(around)) then return end
+  queue[#queue + 1] = done_event(around)
+  recorders.done(fsm, around, at)
 end
 
--- Queues the e_done of the composite around a final leaf that is done.
 function actions.be_done_around(fsm, leaf, at)
-  local queue, event = fsm._intq, leaf._mode == "done" and done_around(leaf)
-  if not event then return end
-  queue[#queue + 1] = event
-  recorders.done(fsm, leaf._parent, at)
+  if leaf._mode == "done" then complete_around(fsm, leaf, at) end
 end
 
 -- Has the machine, or an extension, made the event?
@@ -2529,8 +2526,8 @@ do
     local queue, event = fsm._intq, done_event(leaf)
     if is_traced(fsm) then report(fsm, "dbg", "RAISED", event) end
     queue[#queue + 1] = event
-    leaf._mode = "done"
-    if leaf.final then actions.be_done_around(fsm, leaf, fsm._at) end
+    if leaf.final then complete_around(fsm, leaf, fsm._at) end
+    leaf._mode = "done" -- last: after an interrupt the events are queued again
   end
 
   local function end_doo(fsm, leaf)

@@ -16,7 +16,8 @@ local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 
 local getmetatable, ipairs, next, pairs = getmetatable, ipairs, next, pairs
-local rawequal, rawget, select, type = rawequal, rawget, select, type
+local rawequal, rawget, select = rawequal, rawget, select
+local type = type
 local concat = table.concat
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 local text_of = rfsm.text_of

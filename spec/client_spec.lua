@@ -64,6 +64,10 @@ describe("the client of a fleet", function()
     { name = "send", call = function(c) return c:send(1, { name = "e", n = { 1 } }) end,
       sent = fcall("rfsm_send", ' {"n":[1],"name":"e"} ID me-1'),
       answer = STANDING, reply = REPLY },
+    { name = "send_once_after", call = function(c)
+        return c:send_once_after("mine", 1, 2.5, "e")
+      end, sent = fcall("rfsm_send_at", " +2.500000 e ID mine"), answer = STANDING,
+      reply = "mine" },
     { name = "send_after", call = function(c) return c:send_after(1, 2.5, "e") end,
       sent = fcall("rfsm_send_at", " +2.500000 e ID me-1"), answer = STANDING,
       reply = "me-1" },
@@ -294,6 +298,49 @@ describe("a worker", function()
 
   local PENDING = "h:6379 XPENDING rfsm:out:{0} g IDLE 30000 - + 100"
   local READ = "h:6379 XREADGROUP GROUP g w COUNT 100 STREAMS rfsm:out:{0} >"
+
+  local BUSY = "BUSY Redis is busy running a script. You can only call FUNCTION KILL"
+  local FULL = "OOM command not allowed when used memory > 'maxmemory'."
+
+  it("waits while the server is busy, and does nothing if that lasts", function()
+    local tries = 0
+    local function busy(words)
+      if words[1] ~= "XACK" then return { err = BUSY } end
+      return true
+    end
+    local _, result, ok = work { XPENDING = busy }
+    assert.same({ true, { 0, { "rfsm.fleet: no answer for {0} in 10 s: " .. BUSY } } },
+      { ok, result })
+    _, result = work { XPENDING = function()
+      tries = tries + 1
+      return tries < 3 and { err = BUSY } or {}
+    end, XREADGROUP = { { "s", { ENTRY } } }, XINFO = {} }
+    assert.same({ 1, {} }, result)
+  end)
+
+  it("does nothing while the server has no memory", function()
+    local _, result = work { XPENDING = {}, XREADGROUP = { err = FULL } }
+    assert.same({ 0, { FULL } }, result)
+    local _, sums = with_client(always { err = FULL }, function(client)
+      return { client:wake() }
+    end)
+    assert.same({ 0, 0, FULL }, sums)
+    local _, problem, ok = with_client(always { err = "ERR no" }, function(client)
+      client:wake()
+    end)
+    assert.same({ false, "ERR no" }, { ok, problem })
+  end)
+
+  it("does not acknowledge an entry by another connection", function()
+    local sent, result = with_client(working { XPENDING = {}, XREADGROUP = { { "s",
+      { ENTRY } } } }, function(client, net)
+      return { client:work("g", "w", function()
+        for _, socket in ipairs(net.sockets) do socket.is_lost = true end
+      end) }
+    end)
+    assert.same({ 0, {} }, result)
+    assert.same({ PENDING, READ, "h:6379 close" }, sent)
+  end)
 
   it("makes its group, which sees all entries that are there", function()
     local sent, result = work { XPENDING = { err = "NOGROUP No such key" },

@@ -1,6 +1,7 @@
 -- Completion: composites and sequential AND states that are done.
 
 local await = require "rfsm.await"
+local interrupts = require "spec.support.interrupts"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local snapshot = require "rfsm.snapshot"
@@ -140,6 +141,35 @@ describe("a composite", function()
     end })
     assert.same({ "e_done@root.c.x", "e_done@root.c.e", "e_done@root.c",
       "e_done@root.z" }, trace)
+  end)
+end)
+
+describe("an interrupt", function()
+  it("loses no e_done of a composite", function()
+    for instruction = 1, 600 do
+      local fsm = around(region("e_1", { e = state { final = true, doo = function()
+        rfsm.yield(true)
+      end } }))
+      send(fsm, "e_1")
+      interrupts.raise(instruction, interrupts.VALUES[1], rfsm.step, fsm)
+      rfsm.run(fsm)
+      assert.equal("root.z", at(fsm))
+      fsm = around(region "e_1")
+      rfsm.send_events(fsm, "e_1")
+      interrupts.raise(instruction, interrupts.VALUES[1], rfsm.run, fsm)
+      rfsm.run(fsm)
+      assert.equal("root.z", at(fsm))
+    end
+  end)
+
+  it("loses no e_done of a sequential AND state", function()
+    for instruction = 1, 2500, 7 do
+      local fsm = around(rfsm.seqand { idle_doo = "auto", l = region "e_1" })
+      rfsm.send_events(fsm, "e_1")
+      interrupts.raise(instruction, interrupts.VALUES[1], rfsm.run, fsm)
+      rfsm.run(fsm)
+      assert.equal("root.z", at(fsm))
+    end
   end)
 end)
 

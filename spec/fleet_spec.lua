@@ -950,6 +950,24 @@ describe("an operator who types what doc/redis.md prints", function()
     assert.same({ "", "" }, { printed[10], printed[11] })
     assert.same({}, machines:dead())
   end)
+
+  it("sees what the other questions answer", function()
+    assert(machines:create("m:{7}:42", "order", { item = "cog" }))
+    assert(machines:send("m:{7}:42", "e_paid"))
+    assert(machines:hold("m:{7}:42", "no paper"))
+    local printed = {}
+    for i, line in ipairs(lines_of "rfsm fleet redis://localhost why") do
+      printed[i] = servers.output_of("tools/" .. line:gsub("[^ ]*{7}[^ ]*", "'%0'"))
+    end
+    assert.matches("^held since [%d.]+, for %d+ s: events wait until it is released; "
+      .. "then:\nroot.trans.4. .picking %-> packing. would be taken on e_picked in ",
+      printed[1])
+    assert.matches("^[%d.]+ no paper\n$", printed[2])
+    assert.equal("", printed[3])
+    assert.matches("^order newest %S+ 1\n$", printed[4])
+    assert.same({ "root.picking done kept\n", "1 machines\n",
+      "root.picking done kept\n" }, { printed[5], printed[6], printed[7] })
+  end)
 end)
 
 describe("a chart that cannot run in Redis", function()

@@ -241,9 +241,9 @@ describe("an event with data that is sent, deferred and kept at once", function(
     event.by.id = 4
     local other = assert(snapshot.restore(model(), snap))
     local same = { name = "e_x", by = { id = 3 } }
+    local list = other._deferred.list
     assert.same({ same, same, last = same, same, same }, { other._intq[1],
-      other._intq[2], last = other.last, other._deferred.list[1],
-      other._deferred.list[2] })
+      other._intq[2], list[1], list[2], last = other.last })
     assert.same({ same, same, same, same }, rfsm.waiting(other))
     assert.same(snap.queue, snapshot.take(other).queue)
   end)

@@ -32,9 +32,18 @@ function is_always_enabled(tr, seen)
 end
 
 local ANY = {} -- stands for any event
+local NONE = {} -- stands for no event, which `always = true` needs
+
+-- Lists the events of a transition, or what stands for them.
+local function events_of(tr)
+  if tr.always == true then return { NONE } end
+  return match.is_any(tr) and { ANY } or tr.events
+end
 
 -- Does the event trigger `tr` for certain? If a predicate decides, the answer is no.
+-- What needs no event is taken before any event comes.
 local function is_enabled_by(tr, event)
+  if event == NONE or tr.always == true then return tr.always == true end
   return match.is_any(tr) or type(event) ~= "function" and match.triggers(tr, event)
 end
 
@@ -42,11 +51,13 @@ end
 local ALL = setmetatable({}, { __index = function() return true end })
 
 -- Returns the first transition in a list that comes before `tr` and is always taken on
--- the event; nil if there is none.
+-- the event; nil if there is none. One that needs no event comes before those that do.
 local function find_shadow(list, tr, event)
+  local is_later = false
   for _, other in ipairs(list) do
-    if other == tr then return nil end
-    if is_enabled_by(other, event)
+    is_later = is_later or other == tr
+    if other ~= tr and (not is_later or other.always == true and event ~= NONE)
+      and is_enabled_by(other, event)
       and is_always_enabled(other, is_conn(tr.src) and ALL or {}) then
       return other
     end
@@ -58,7 +69,7 @@ end
 local function find_shadows(fsm, tr)
   local list, is_listed = {}, {}
   local tried = is_conn(tr.src) and tr.src._otrs or location.transitions(fsm, tr.src)
-  for _, event in ipairs(match.is_any(tr) and { ANY } or tr.events) do
+  for _, event in ipairs(events_of(tr)) do
     local shadow = find_shadow(tried, tr, event)
     if not shadow then return nil end
     if not is_listed[shadow] then list[#list + 1] = shadow end
@@ -88,6 +99,8 @@ end
 -- Returns the text of an event that enables both transitions; nil if there is none.
 local function shared_event(tr, other)
   if match.is_any(tr) and match.is_any(other) then return "any event" end
+  if (tr.always == true) ~= (other.always == true) then return nil end
+  if tr.always == true then return "no event" end
   for _, event in ipairs(match.is_any(tr) and other.events or tr.events) do
     if type(event) ~= "function" and is_enabled_by(other, event) then
       return rfsm.event_text(event)

@@ -12,8 +12,7 @@ local concat = table.concat
 
 local check = {
   summary = "Report problems and suspicious parts of charts.",
-  epilog = "FILE: a Lua file that returns a chart or a system; - is stdin. The status "
-    .. "is 0 without a problem, 1 with one, 2 if a file cannot be read.",
+  epilog = "FILE: chart or system, - is stdin. Status: 0, 1 (problem), 2 (no file).",
 }
 
 local function print_codes()
@@ -38,7 +37,7 @@ function check.add_arguments(command)
   common.add_number(command, "--configurations", "explore so many, at most (10000)")
   common.add_number(command, "--seconds", "explore so long, at most", opts.is_seconds,
     "seconds")
-  command:flag("--overlap", "a system: others move before a step sends, too")
+  command:flag("--overlap", "a system: others move before a step sends"):hidden(true)
   command:option("--deployed", "what is not as a system says: .xml, .ops, .lua")
     :argname("FILE")
   command:option("--record", "write runs that show findings: FILE, FILE.2 ...")

@@ -198,7 +198,8 @@ function Subject:number_of_event(event)
 end
 
 --- Return the maker of an event, as `match.maker_of` does; nil if the event comes from
---- outside. An event e_done@F comes from outside, too, if F can not be done.
+--- outside. An event e_done@F comes from outside, too, if F is no leaf and cannot be
+--- done.
 function Subject:maker_of(event)
   local maker, fqn = match.maker_of(event)
   if maker == "engine" and event ~= "e_init_fsm" and not self.done[event] then
@@ -375,7 +376,10 @@ local function add_part(self, part)
     end
   end
   add_leaf(part, false)
-  for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do add_leaf(part, leaf) end
+  for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
+    self.done["e_done@" .. leaf._fqn] = true
+    add_leaf(part, leaf)
+  end
   for _, state in ipairs(rfsm.elements(fsm, rfsm.can_be_done)) do
     self.done["e_done@" .. state._fqn] = true
   end

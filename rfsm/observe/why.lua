@@ -65,9 +65,11 @@ end
 -- Search: as in the engine, but with an answer for each transition -----------------
 
 -- Do the events trigger a transition? Without events, only a machine that was not
--- entered takes a transition. Also returns the event that counts for its guard. `first`
--- is the event that counts for the first transition of the path.
+-- entered takes a transition, or one that needs no event is taken. Also returns the
+-- event that counts for its guard. `first` is the event that counts for the first
+-- transition of the path.
 local function matches(search, tr, first)
+  if tr.always == true then return search.needs_none end
   if match.is_any(tr) then
     if first == nil then first = search.events[1] end
     return not search.is_mute, first
@@ -151,13 +153,13 @@ function ask_connector(search, connector, first)
   return found, ways
 end
 
-local function answers_of(fsm, events)
-  events = match.joined(events, select(2, rfsm.foretell(fsm, events)))
-  local search, answers, winner = { events = events, found = {} }, {}, false
-  search.is_mute = fsm._act_leaf and events[1] == nil
+-- Asks the transitions that need no event, or the others: those come later. Returns the
+-- name of the transition that would be taken, and the transition.
+local function add_answers_of(fsm, search, answers, winner)
   for _, node in ipairs(location.tried(fsm, fsm._act_leaf)) do
     for _, tr in ipairs(node._otrs) do
-      local answer = ask(search, tr)
+      local is_asked = (tr.always == true) == search.needs_none
+      local answer = is_asked and ask(search, tr) or {}
       if answer.verdict == "enabled" and winner then
         answer.verdict, answer.reason, answer.winner = "lost", "loses to " .. winner,
           winner
@@ -165,10 +167,22 @@ local function answers_of(fsm, events)
         answer.verdict, answer.reason = "fires", "would be taken"
         winner, search.taker = answer.place, tr
       end
-      answers[#answers + 1] = answer
+      answers[#answers + 1] = is_asked and answer or nil
     end
   end
-  return answers, winner, search.taker
+  return winner, search.taker
+end
+
+local function answers_of(fsm, events)
+  events = match.joined(events, select(2, rfsm.foretell(fsm, events)))
+  local answers, winner, first, taker = {}, false
+  if fsm._act_leaf then
+    winner, first = add_answers_of(fsm, { events = {}, found = {}, needs_none = true },
+      answers, winner)
+  end
+  winner, taker = add_answers_of(fsm, { events = events, found = {},
+    needs_none = false, is_mute = fsm._act_leaf and events[1] == nil }, answers, winner)
+  return answers, winner, first or taker
 end
 
 -- Lists the events that an extension would keep, as texts, since the transition that

@@ -107,8 +107,8 @@ function listener.began(session, track, events)
   local rec = next_record(session, track)
   track.rec, track.guard_at = rec, 0
   fill(session, events, rec.events)
-  fill(session, track.fsm._intq, nil) -- what is read later is in later records
   if session.is_dry then add_sends(session, events, rec.added) end
+  fill(session, track.fsm._intq, nil) -- what is read later is in later records
   if rec.had then snapshot.put_data(track.fsm, rec.had) end
   if track.m == nil then
     session.readings = { unpack(rec.clock or {}) }

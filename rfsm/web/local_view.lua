@@ -179,13 +179,13 @@ end
 
 -- The present state ----------------------------------------------------------------
 
--- Returns the texts of the first events in the queues of all machines, or of those that
--- extensions keep, and how many more there are: a moment is noted at each step, also if
--- 10,000 events wait.
-local function texts_in(view, events_of)
+-- Returns the texts of the first events in all queues, and how many more there are: a
+-- moment is noted at each step, also if 10,000 events wait. With `events_of` these are
+-- the events that it returns for each machine.
+local function queue_texts(view, events_of)
   local texts, more = {}, 0
   for _, at in ipairs(view.machines) do
-    local queue = events_of(at.machine)
+    local queue = events_of and events_of(at.machine) or at.machine._intq
     local room = min(#queue, MAX_QUEUED - #texts)
     for _, text in ipairs(view:texts_of { unpack(queue, 1, room) }) do
       texts[#texts + 1] = location.prefix(at.prefix) .. text
@@ -196,15 +196,13 @@ local function texts_in(view, events_of)
   return texts
 end
 
-local function queue_of(fsm) return fsm._intq end
-
 function LocalView:now()
   local leaf, timer = self.fsm._act_leaf, nil
   if self.has_timer then timer = clock.until_timer(self.fsm) or false end
   return {
     active = active_numbers(self), leaf = leaf and utf8(leaf._fqn) or false,
-    mode = leaf and leaf._mode or "inactive", queue = texts_in(self, queue_of),
-    waiting = texts_in(self, rfsm.waiting), timer = timer,
+    mode = leaf and leaf._mode or "inactive", queue = queue_texts(self),
+    waiting = queue_texts(self, rfsm.waiting), timer = timer,
   }
 end
 
