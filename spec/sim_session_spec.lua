@@ -86,6 +86,13 @@ return rfsm.state { warn = false, info = false, a = rfsm.state {}, b = rfsm.stat
 
 describe("an event with data", function()
   check {
+    { does = "is asked for where a text is sent, at a terminal", chart = PAID,
+      follows = true, input = [=[
+se e_paid
+]=], output = [=[
+! no transition names the event 'e_paid' (did you mean 'e_paid{}'?)
+queue:  e_init_fsm, e_paid
+]=] },
     { does = "is sent as it is shown", chart = PAID, input = [=[
 run
 ser e_paid{amount = 1} e_paid{"amount": 12}

@@ -186,7 +186,7 @@ function Session:check_event(event, i, fsm)
       names.hint(name, names.events(fsm))))
   elseif event == nil then
     complain(("event %d is nil"):format(i))
-  elseif names.form_meant(fsm, event) then
+  elseif self.follows and names.form_meant(fsm, event) then
     complain(("no transition names the event '%s' (did you mean '%s'?)"):format(
       rfsm.event_text(event, true), names.form_meant(fsm, event)))
   elseif not names.is_event(fsm, event) then

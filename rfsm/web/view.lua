@@ -213,6 +213,7 @@ local function add_moment(view, message, moment, taken)
   local lists = view.outline
   message.active, message.leaf, message.mode = moment.active, moment.leaf, moment.mode
   message.queue, message.timer, message.taken = moment.queue, moment.timer, taken
+  message.waiting = moment.waiting
   message.states = { moment.nodes, view.state_count }
   message.transitions = { moment.edges, #lists.edges }
   message.enabled, message.any = outline.possible(lists, moment.active)
