@@ -144,8 +144,8 @@ end
 local function answers_of(fsm, events)
   local answers, winner = {}, false
   if fsm._act_leaf then
-    winner = add_answers_of(fsm, { events = {}, found = {}, needs_none = true }, answers,
-      winner)
+    local search = { events = {}, found = {}, needs_none = true }
+    winner = add_answers_of(fsm, search, answers, winner)
   end
   winner = add_answers_of(fsm, { events = events, found = {}, needs_none = false,
     is_mute = fsm._act_leaf and events[1] == nil }, answers, winner)
