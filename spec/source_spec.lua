@@ -138,6 +138,9 @@ local CASES = {
     state = "doo = function(x)\n while true do rfsm.yield(x) end end" },
   { name = "as a note, a doo whose end nobody waits for", lines = { ENDS },
     state = "doo = function()\n print(1) end" },
+  { name = "no doo of a leaf that ends its composite", lines = {},
+    transition = "}, trans { src = 'root', tgt = '.a', events = { 'e_done' }",
+    state = "final = true, doo = function()\n print(1) end" },
   { name = "no doo whose end is waited for", lines = {}, event = "e_done",
     state = "doo = function()\n print(1) end" },
 }

@@ -179,7 +179,8 @@ local function check_doo(func, state, add)
   local waits = order.any(state._otrs, function(tr)
     return match.triggers(tr, "e_done@" .. state._fqn) ~= false
   end)
-  if not (seen.has_loop or waits) then
+  local is_last = state.final == true and rfsm.names_done(state._parent)
+  if not (seen.has_loop or waits or is_last) then
     add("doo-ends", "the doo ends, and no transition waits for e_done")
   end
 end
