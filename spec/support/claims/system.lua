@@ -224,7 +224,8 @@ local function is_active(run, name)
   return false
 end
 
--- Moves a random machine. Returns whether more than one event came from outside.
+-- Moves a random machine. Returns whether more than one event came from outside; if the
+-- machine takes one event an iteration, whether the move may have had two iterations.
 local function move(run, is_alone)
   local random = run.random
   local member, events = random:pick(run.own.members), {}
@@ -243,8 +244,8 @@ local function move(run, is_alone)
   local wanted = nil
   if events[1] and member.read == "one" then wanted = false end
   local holds = run.own.options.overlap and random:chance(50)
-  run.cell:move(member.name, events, wanted, holds)
-  return run.fired + #events > 1
+  local _, came = run.cell:move(member.name, events, wanted, holds)
+  return run.fired + (member.read == "one" and #came or #events) > 1
 end
 
 local function note(run)
