@@ -224,7 +224,21 @@ local function is_active(run, name)
   return false
 end
 
--- Moves a random machine. Returns whether more than one event came from outside.
+-- Moves a machine with events from outside, unless it is busy with events of its own.
+-- Returns how many events have come, those of wires included if it takes them alone.
+local function move_with(run, member, events)
+  local fsm, is_one, wanted = run.cell.machines[member.name], member.read == "one", nil
+  local is_busy = run.cell.unsent[member.name][1]
+    or is_one and rfsm.check_events(fsm) > 0
+  if is_busy then events = {} end
+  if events[1] and is_one then wanted = false end
+  local holds = run.own.options.overlap and run.random:chance(50)
+  local _, came = run.cell:move(member.name, events, wanted, holds)
+  return is_one and #came or #events
+end
+
+-- Moves a random machine. Returns whether more than one event came from outside; if the
+-- machine takes one event an iteration, whether the move may have had two iterations.
 local function move(run, is_alone)
   local random = run.random
   local member, events = random:pick(run.own.members), {}
@@ -237,14 +251,8 @@ local function move(run, is_alone)
     events[1] = random:pick(member.outside)
   end
   run.worlds[member.name].steps = run.worlds[member.name].steps + 1
-  local is_busy = run.cell.unsent[member.name][1]
-    or member.read == "one" and rfsm.check_events(fsm) > 0
-  if is_busy then events = {} end
-  local wanted = nil
-  if events[1] and member.read == "one" then wanted = false end
-  local holds = run.own.options.overlap and random:chance(50)
-  run.cell:move(member.name, events, wanted, holds)
-  return run.fired + #events > 1
+  local count = move_with(run, member, events)
+  return run.fired + count > 1
 end
 
 local function note(run)
