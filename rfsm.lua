@@ -2204,15 +2204,18 @@ local function is_made(event)
   return false
 end
 
--- May one of some candidates take an event that the machine has made? Such an event is
--- a text, which no predicate of `rfsm.named` accepts.
+-- May one of some candidates take an event that the machine has made? A predicate of
+-- `rfsm.named` accepts only a table, such as a fault.
 local function may_be_taken(candidates, event)
+  local name = type(event) == "table" and event.name or nil
   for i = 1, #candidates do
     local events = candidates[i].events
     if events[1] == nil then return true end
     for n = 1, #events do
       local other = events[n]
-      if other == event or is_callable(other) and not rfsm.event_name(other) then
+      local named = rfsm.event_name(other)
+      if rawequal(other, event) or is_callable(other) and (not named or named == name)
+      then
         return true
       end
     end

@@ -74,8 +74,14 @@ local function hint_for(known, event)
 end
 
 -- Returns the name that a table has in another field than `name`: { type = "e_go" } or
--- { "e_go", n = 1 }. It counts if a transition names it.
+-- { "e_go", n = 1 }. It counts if a transition names it. A large table is no event that
+-- was written by hand; it is not looked at, because it may come often.
 local function name_meant(known, event)
+  local count = 0
+  for _ in next, event do -- any order: counted
+    count = count + 1
+    if count > 20 then return nil end
+  end
   for _, key in ipairs(rfsm.sorted_keys(event)) do
     local value = event[key]
     local is_known = type(value) == "string"
@@ -349,6 +355,11 @@ local function check_chain(fsm, at, chain, events)
   if chain.count <= MANY - LAST or chain.count > MANY then return end
   note_names(fsm, at, chain, events)
   if chain.count < MANY then return end
+  if next(chain.events) == nil then -- no transition names what comes
+    for _, event in ipairs(events) do
+      chain.events[rfsm.event_text(event, true)] = true
+    end
+  end
   local names, has_many = text_of_names(chain.events)
   warn_of_end(fsm, (text_of_names(chain.states)), ("event%s %s come%s again and again")
     :format(has_many and "s" or "", names, has_many and "" or "s"))

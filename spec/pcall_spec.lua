@@ -54,6 +54,7 @@ local REASONS = {
   ["rfsm/shared/exact_json.lua"] = { 1, "input" },
   ["rfsm/shared/limit.lua"] = { 2, "input after" },
   ["rfsm/shared/options.lua"] = { 1, "package" },
+  ["rfsm/shared/typed.lua"] = { 2, "input" },
   ["rfsm/sim/prompt.lua"] = { 3, "user" },
   ["rfsm/sim/session.lua"] = { 1, "after" },
   ["rfsm/sim/terminal.lua"] = { 5, "package after interrupt user" },

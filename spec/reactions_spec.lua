@@ -134,7 +134,7 @@ describe("an extension that counts an event and makes another", function()
     local fsm = new_machine()
     rfsm.reaction_hook_add(fsm, function() return { "e_last" } end)
     assert.same({ { "e_coin", "e_last" }, { "e_last" } },
-      { rfsm.reactions(fsm, fsm.wait), rfsm.reactions(fsm, fsm.open) })
+      { (rfsm.reactions(fsm, fsm.wait)), (rfsm.reactions(fsm, fsm.open)) })
   end)
 
   it("may react to what a predicate accepts", function()
