@@ -46,8 +46,8 @@ end
 local function lines_of(text)
   local lines = {}
   local BLOCK = "\n *(%-%-%-[^%-\n][^\n]*\n.-)\n *([^%-\n ][^\n]*)"
-  for comment, rest in text:gmatch(BLOCK) do
-    comment = comment:gsub("\n +", "\n"):gsub("^.*\n\n", "")
+  for block, rest in text:gmatch(BLOCK) do
+    local comment = block:gsub("\n +", "\n"):gsub("^.*\n\n", "")
     local name, arguments = rest:match("^function ([%w_]+[.:][%w_]+)(%b())")
     local field = rest:match("^([%w_]+%.[%w_]+) =")
     local kind = comment:match("@type ([^\n]*)") or ""

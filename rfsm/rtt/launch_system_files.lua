@@ -171,8 +171,9 @@ end
 
 local function read_ops(found, text)
   local policies, number = {}, 0
-  for line in (text .. "\n"):gmatch("(.-)\n") do
-    line, number = code_of(line), number + 1
+  for whole_line in (text .. "\n"):gmatch("(.-)\n") do
+    local line = code_of(whole_line)
+    number = number + 1
     local variable, field, value = line:match("([%w_]+)%.(%w+)%s*=%s*([%w_]+)")
     if field == "type" or field == "size" then
       policies[variable] = policies[variable] or {}
