@@ -42,7 +42,7 @@ local function found(wires, deployed, ending)
   local file = file_with(deployed, ending)
   local out = commands.run(("check --static --deployed %s %s"):format(file,
     system_file(wires)))
-  return (out:gsub("[^%s]*lua_%w+", "FILE"):gsub(" %(launch the system[^\n]*", ""))
+  return (out:gsub("%S*/tmp/[%w_]+", "FILE"):gsub(" %(launch the system[^\n]*", ""))
 end
 
 local OPS = [[
@@ -143,7 +143,7 @@ FILE.lua:1: warning: wires[1]: no connection leads from 'boss' to 'arm'
     local function said(file, chart)
       local out, err = commands.run("check --static --deployed " .. file .. " "
         .. (chart or system_file(ONE)))
-      return ((out .. err):gsub("[^%s]*lua_%w+", "FILE"))
+      return ((out .. err):gsub("%S*/tmp/[%w_]+", "FILE"))
     end
     assert.matches("FILE.txt: a file .xml, .cpf, .ops or .lua expected",
       said(file_with("", ".txt")))

@@ -70,7 +70,7 @@ end
 local function refusal(...)
   local ok, problem = pcall(rfsm_rtt.launch_system, ...)
   assert.is_false(ok)
-  return (problem:gsub("^%S+:%d+: ", ""):gsub("[^%s']*lua_[^%s':,]*", "FILE"))
+  return (problem:gsub("^%S+:%d+: ", ""):gsub("[^%s']*/tmp/[^%s':,]*", "FILE"))
 end
 
 describe("rfsm.rtt.launch_system", function()
