@@ -21,7 +21,7 @@ command -v timeout >/dev/null && timeout="timeout -k 5 ${limit}0" || timeout=
 
 # These files need modules in C, which the Lua 5.5 in tools/ cannot load. Without its
 # Python package it is skipped.
-NEEDS_C='spec/(bench|documents|extensions|fleet|painter|project|proto|redis|web)_spec'
+NEEDS_C='spec/(bench|documents|extensions|fleet|older|painter|project|proto|redis|web)_spec'
 
 # This one is about LuaJIT's compiler.
 NEEDS_JIT='spec/jit_spec'
