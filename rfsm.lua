@@ -2954,8 +2954,7 @@ do
   interpret(set_hooks)
 end
 
-
---- A function `f(fsm, code, text)` that is called for each warning, or false.
+-- A function `f(fsm, code, text)` that is called for each warning, or false.
 rfsm.warned = false
 
 --- Warn of something in a chart, for extensions.
