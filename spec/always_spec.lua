@@ -9,6 +9,7 @@ local snapshot = require "rfsm.snapshot"
 require "rfsm_seqand"
 
 local conn, state, trans = rfsm.conn, rfsm.state, rfsm.trans
+local send = helper.moved
 
 local function at(fsm) return rfsm.get_actleaf_fqn(fsm) end
 
@@ -36,12 +37,6 @@ local function new(members, is_open)
   for key, value in pairs(members or {}) do model[key] = value end -- any order: a copy
   fsm = assert(rfsm.init(state(model)))
   fsm.is_open, fsm.log = is_open or false, log
-  rfsm.run(fsm)
-  return fsm
-end
-
-local function send(fsm, ...)
-  rfsm.send_events(fsm, ...)
   rfsm.run(fsm)
   return fsm
 end

@@ -2,6 +2,7 @@
 
 local await = require "rfsm.await"
 local interrupts = require "spec.support.interrupts"
+local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local snapshot = require "rfsm.snapshot"
@@ -11,6 +12,7 @@ require "rfsm_seqand"
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
+local send = helper.moved
 
 local function at(fsm) return rfsm.get_actleaf_fqn(fsm) end
 
@@ -24,12 +26,6 @@ local function new(members)
   local fsm = assert(rfsm.init(state(model)))
   rfsm.run(fsm)
   return fsm, warned
-end
-
-local function send(fsm, ...)
-  rfsm.send_events(fsm, ...)
-  rfsm.run(fsm)
-  return fsm
 end
 
 -- A region: x, then the final leaf e on an event.

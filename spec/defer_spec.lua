@@ -1,6 +1,7 @@
 -- Deferral: events that a state keeps until the machine has left it.
 
 local calls = require "rfsm.shared.calls"
+local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local share = require "spec.support.share"
@@ -13,6 +14,7 @@ require "rfsm_timeevent"
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local state, trans = rfsm.state, rfsm.trans
+local send = helper.moved
 
 local function idle()
   while true do rfsm.yield(true) end
@@ -39,12 +41,6 @@ local function new(members)
   end
   rfsm.run(fsm)
   fsm.trace = {}
-  return fsm
-end
-
-local function send(fsm, ...)
-  rfsm.send_events(fsm, ...)
-  rfsm.run(fsm)
   return fsm
 end
 

@@ -9,6 +9,7 @@ require "rfsm.history"
 require "rfsm_seqand"
 
 local state, trans = rfsm.state, rfsm.trans
+local send = helper.moved
 local enter_at, time_in = timeevent.enter_at, timeevent.time_in
 
 local function idle()
@@ -38,12 +39,6 @@ local function new(members)
 end
 
 local function at(fsm) return rfsm.get_actleaf_fqn(fsm) end
-
-local function send(fsm, ...)
-  rfsm.send_events(fsm, ...)
-  rfsm.run(fsm)
-  return fsm
-end
 
 local function pass(fsm, seconds)
   fsm.gettime:advance(seconds)

@@ -9,6 +9,7 @@ require "rfsm.await"
 require "rfsm.defer"
 
 local state, trans, conn, named = rfsm.state, rfsm.trans, rfsm.conn, rfsm.named
+local send = helper.post_and_run
 
 -- Returns a machine, and a list with a line for each fate.
 local function followed(model)
@@ -24,11 +25,6 @@ local function followed(model)
   end
   rfsm.run(fsm)
   return fsm, lines
-end
-
-local function send(fsm, ...)
-  rfsm.send_events(fsm, ...)
-  rfsm.run(fsm)
 end
 
 -- warming -e_warm-> ready -e_job, e_print{..}-> busy; e_job is deferred

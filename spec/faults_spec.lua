@@ -1,6 +1,7 @@
 -- Faults: events that come when a callback fails.
 
 local defer = require "rfsm.defer"
+local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local snapshot = require "rfsm.snapshot"
@@ -8,6 +9,7 @@ require "rfsm.faults"
 require "rfsm_seqand"
 
 local conn, state, trans = rfsm.conn, rfsm.state, rfsm.trans
+local send = helper.moved
 
 local function fail() error("on purpose", 0) end
 
@@ -29,12 +31,6 @@ local function new(members, inner)
   for key, value in pairs(members or {}) do model[key] = value end -- any order: a copy
   local fsm = assert(rfsm.init(state(model)))
   fsm.faults, fsm.reported = faults, reported
-  rfsm.run(fsm)
-  return fsm
-end
-
-local function send(fsm, ...)
-  rfsm.send_events(fsm, ...)
   rfsm.run(fsm)
   return fsm
 end

@@ -161,6 +161,12 @@ function helper.post_and_run(fsm, ...)
   return rfsm.run(fsm)
 end
 
+--- Does that, and returns the machine.
+function helper.moved(fsm, ...)
+  helper.post_and_run(fsm, ...)
+  return fsm
+end
+
 --- Does that, and returns the FQN of the leaf.
 function helper.leaf_after(fsm, ...)
   helper.post_and_run(fsm, ...)

@@ -11,6 +11,7 @@ require "rfsm.history"
 require "rfsm_timeevent"
 
 local state, trans = rfsm.state, rfsm.trans
+local send = helper.leaf_after
 
 -- An extension: of a state with `coins = 3` the event e_paid comes with the third
 -- e_coin. The state need not have a transition that names e_coin.
@@ -61,12 +62,6 @@ local function model()
     trans { src = "wait", tgt = "open", events = { "e_paid@root.wait" } },
     trans { src = "open", tgt = "wait", events = { "e_close" } },
   }
-end
-
-local function send(fsm, ...)
-  rfsm.send_events(fsm, ...)
-  rfsm.run(fsm)
-  return rfsm.get_actleaf_fqn(fsm)
 end
 
 describe("an extension that counts an event and makes another", function()
