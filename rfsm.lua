@@ -265,6 +265,14 @@ local is_callable, text_of = rfsm.is_callable, rfsm.text_of
 
 local list_text
 
+-- Returns the name of an event with data, a plain table with a text `name`; nil for any
+-- other event.
+local function name_with_data(event)
+  if type(event) ~= "table" or getmetatable(event) then return nil end
+  local name = rawget(event, "name")
+  return type(name) == "string" and name or nil
+end
+
 do
   -- The predicates that `rfsm.named` has made: predicate -> name, name -> predicate.
   local event_names = setmetatable({}, { __mode = "k" })
@@ -318,8 +326,7 @@ do
     if type(event) ~= "table" or getmetatable(event) then
       return identity_text(event)
     end
-    name = rawget(event, "name")
-    if type(name) ~= "string" then name = false end
+    name = name_with_data(event)
     local pp = has_room and rfsm.pp
     if pp then return pp.short_text(event, name) end
     return name or identity_text(event)
@@ -2195,7 +2202,7 @@ end
 
 -- Has the machine, or an extension, made the event?
 local function is_made(event)
-  if type(event) == "table" and not getmetatable(event) then event = event.name end
+  event = name_with_data(event) or event
   if type(event) ~= "string" then return false end
   if event == "e_init_fsm" or event:find("^e_done@root") then return true end
   for _, maker in ipairs(rfsm.makers) do
@@ -2207,7 +2214,7 @@ end
 -- May one of some candidates take an event that the machine has made? A predicate of
 -- `rfsm.named` accepts only a table, such as a fault.
 local function may_be_taken(candidates, event)
-  local name = type(event) == "table" and event.name or nil
+  local name = name_with_data(event)
   for i = 1, #candidates do
     local events = candidates[i].events
     if events[1] == nil then return true end
