@@ -193,22 +193,26 @@ function rtt_launch.service_resume_rfsm(exec_str)
   error("rfsm.rtt.service_resume_rfsm: RTT's log has the reason", 2)
 end
 
+-- Returns the peer of a component that has the given name; nil if there is none.
+function rtt_launch.peer_of(owner, name)
+  local ok, found = pcall(function() return owner:getPeer(name) end)
+  return ok and found or nil
+end
+
 -- Returns the deployer: the given component, or the peer that has the given name.
-local function find_deployer(wanted)
-  local found, peer = true, wanted
-  if type(wanted) == "string" then
-    local own = package.loaded.rtt.getTC()
-    found, peer = pcall(function() return own:getPeer(wanted) end)
-  end
-  local is_deployer = found and pcall(function() peer:getOperation("loadComponent") end)
-  if is_deployer then return peer end
-  error("deployer: a deployer or the name of a peer expected, " .. rfsm.got(wanted), 0)
+function rtt_launch.find_deployer(wanted)
+  wanted = wanted or "Deployer"
+  local found = type(wanted) == "string"
+    and rtt_launch.peer_of(package.loaded.rtt.getTC(), wanted) or wanted
+  local is_deployer = pcall(function() found:getOperation("loadComponent") end)
+  return is_deployer and found or error("deployer: a deployer or the name of a peer "
+    .. "expected, " .. rfsm.got(wanted), 0)
 end
 
 local function launch_component(args)
   local launch = settings.read("component", args)
   local name, kind = launch.name, launch.luatype or "OCL::LuaComponent"
-  local deployer = find_deployer(launch.deployer or "Deployer")
+  local deployer = rtt_launch.find_deployer(launch.deployer)
   launch.deployer = deployer:getName()
   to_text(launch, "") -- raises an error before anything is loaded
   if not deployer:getOperation("loadComponent")(name, kind) then

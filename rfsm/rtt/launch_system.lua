@@ -17,6 +17,7 @@ local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 local replacements = require "rfsm.explore.replacements"
 local rfsm_rtt = require "rfsm.rtt"
+local rtt_launch = require "rfsm.rtt.launch"
 local static = require "rfsm.checks.static"
 local system = require "rfsm.system"
 local writes = require "rfsm.shared.writes"
@@ -161,17 +162,12 @@ local function add_to_order(launch, name, path)
   if not match.has(launch.order, name) then insert(launch.order, name) end
 end
 
-local function peer_of(owner, name)
-  local ok, found = pcall(function() return owner:getPeer(name) end)
-  return ok and found or nil
-end
-
 -- Is there a component for a machine, if and only if the options say so?
 local function check_component(launch, name)
   local function report(text)
     add(launch, launch.cell.places[name], name .. ": " .. text)
   end
-  local found = peer_of(launch.deployer, name)
+  local found = rtt_launch.peer_of(launch.deployer, name)
   local is_wanted = launch.own[name].component
   if found and not is_wanted then
     report(("the deployer has a component '%s' (component = true takes it)"):format(
@@ -180,15 +176,6 @@ local function check_component(launch, name)
     report(("component: the deployer has no %s '%s'"):format(
       found and "Lua component" or "component", name))
   end
-end
-
-local function find_deployer(wanted)
-  wanted = wanted or "Deployer"
-  local found = type(wanted) == "string"
-    and peer_of(package.loaded.rtt.getTC(), wanted) or wanted
-  local is_deployer = pcall(function() found:getOperation("loadComponent") end)
-  return is_deployer and found or error("deployer: a deployer or the name of a peer "
-    .. "expected, " .. rfsm.got(wanted), 0)
 end
 
 local function check(launch, machines)
@@ -269,8 +256,8 @@ local function make_component(launch, name, args)
   insert(launch.made, function()
     launch.components[name]:stop()
     launch.deployer:getOperation("unloadComponent")(name)
-    if args.timer and peer_of(launch.deployer, name .. "_timer") then
-      peer_of(launch.deployer, name .. "_timer"):stop()
+    if args.timer and rtt_launch.peer_of(launch.deployer, name .. "_timer") then
+      rtt_launch.peer_of(launch.deployer, name .. "_timer"):stop()
       launch.deployer:getOperation("unloadComponent")(name .. "_timer")
     end
   end)
@@ -389,8 +376,8 @@ local function launch_cell(file, options)
     error(("file of a system expected, '%s' returns a chart"):format(file), 0)
   end
   local self = setmetatable({ cell = cell, components = {}, order = {}, made = {},
-    deployer = find_deployer(settings.deployer), own = {}, args = {}, machines = {},
-    problems = {} }, Launched)
+    deployer = rtt_launch.find_deployer(settings.deployer), own = {}, args = {},
+    machines = {}, problems = {} }, Launched)
   check(self, settings.machines)
   local ok, why = pcall(make, self)
   if not ok then self:unload() end
