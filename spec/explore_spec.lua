@@ -6,6 +6,7 @@ local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local share = require "spec.support.share"
 require "rfsm.await"
+require "rfsm.defer"
 require "rfsm_timeevent"
 local claim = require "spec.support.claims.explore"
 
@@ -199,7 +200,7 @@ describe("explore", function()
     { { seconds = -1 }, "rfsm_checks.explore: seconds: number expected, got %-1$" },
     { { dept = 3 }, "explore_spec.lua:%d+: rfsm_checks.explore: unknown option 'dept' "
       .. "%(did you mean 'depth'%?%), expected: alphabet, complementary, "
-      .. "configurations, depth, dry_run, " },
+      .. "configurations, deferred, depth, dry_run, " },
     { { sends = { ["entry root.bb"] = { "e" } } },
       "^sends: no callback 'entry root.bb' %(did you mean 'entry root.b'%?%)$" },
     { { flags = { lit = { on = { "enter root.b" } } } }, "^flags: no callback 'enter "
@@ -544,6 +545,71 @@ describe("a state whose name is a word of an extension", function()
     model = chart { b = state { c = state {}, d = state {}, go("initial", "c"),
       prepare = go("c", "d", "e_c"), [2] = go("d", "c", "e_c") } }
     assert.equal("", report(model))
+  end)
+end)
+
+-- A printer: it warms up, then prints, and both times keeps jobs.
+local function printer(members)
+  local model = { info = false, warn = false,
+    warming = state { defer = { "e_job", "e_clean" } }, ready = state {},
+    printing = state { defer = { "e_job", "e_clean" } },
+    cleaning = state { defer = { "e_job" } },
+    go("initial", "warming"), go("warming", "ready", "e_warm"),
+    go("ready", "printing", "e_job"), go("printing", "ready", "e_printed"),
+    go("ready", "cleaning", "e_clean"), go("cleaning", "ready", "e_cleaned") }
+  for key, value in pairs(members or {}) do model[key] = value end -- any order: a set
+  return state(model)
+end
+
+describe("deferred events", function()
+  local leads = from("root").can_reach "root.ready"
+
+  it("are at most 4 at a time, which is a premise", function()
+    local result = rfsm_checks.explore(printer(), { properties = { leads } })
+    assert.same({ true, "trap", nil, "note" }, { result.properties[1].holds,
+      result.findings[1].code, result.bound, result.findings[1].severity })
+    assert.equal("one event a step; at most 4 deferred events",
+      result.properties[1].premises)
+    assert.is_true(result.configurations < 250, result.configurations)
+  end)
+
+  it("are as many as the option allows, and no premise if there never are more",
+    function()
+    local one = rfsm_checks.explore(printer(), { deferred = 1 })
+    assert.equal("one event a step; at most 1 deferred event", one.premises)
+    local few = { max = 2, "e_job" }
+    local exact = rfsm_checks.explore(chart { a = state { defer = few },
+      [4] = go("b", "a", "e_job") })
+    assert.equal("one event a step", exact.premises)
+  end)
+
+  it("are no dead end where one more would be deferred", function()
+    local result = rfsm_checks.explore(state { info = false, warn = false,
+      a = state { defer = { "e_x" } }, b = state {},
+      go("initial", "a"), go("a", "b", "e_y"), go("b", "a", "e_x") },
+      { alphabet = { "e_x" }, deferred = 1 })
+    for _, finding in ipairs(result.findings) do
+      assert.not_equal("dead-end", finding.code)
+    end
+  end)
+
+  it("are not known if callbacks send them and there are too many", function()
+    local model = printer { [2] = go("warming", "warming", "e_more", {
+      effect = function() end }), [7] = go("warming", "ready", "e_warm") }
+    local result = rfsm_checks.explore(model, { alphabet = { "e_more", "e_warm" },
+      sends = { ["effect root.trans[2]"] = { "e_job" } }, properties = { leads } })
+    assert.same({ "deferred" }, { result.bound, result.properties[1].holds })
+    assert.same({ "more than 4 deferred events" }, result.untried)
+  end)
+end)
+
+describe("the choices of a step", function()
+  it("are listed up to 20", function()
+    local choice = { who = "g", answer = true }
+    local step = { choices = {} }
+    for i = 1, 21 do step.choices[i] = choice end
+    local text = require("rfsm.explore.verdict").choices_text(step)
+    assert.equal(" (" .. ("g true, "):rep(19) .. "g true and on and on)", text)
   end)
 end)
 

@@ -42,6 +42,7 @@ local explore = {}
 ---@field sends? table<string, any[]> what callbacks send: ["entry root.a"] = { "e_x" };
 -- { "e_x", after = 2 } is sent 2 s later, { cancel = "e_x" } cancels such an event
 ---@field pending? integer most events that wait to be sent later (4)
+---@field deferred? integer most events that states defer at a time (4): a premise
 ---@field dry_run? boolean call entries, exits and effects once, to note what they send
 ---@field flags? table<string, { on?: string[], off?: string[] }> name of a flag -> the
 -- callbacks that set it (`on`) and the callbacks that clear it (`off`)
@@ -78,6 +79,7 @@ local explore = {}
 ---@field has_moved boolean the configuration expanded now is not known to be stuck: a
 -- step leaves it or takes a transition, or some step was not tried
 ---@field expanded integer number of configurations from which all steps were taken
+---@field is_limited boolean a step was left out since too many events are deferred
 ---@field endless table? the first step in which a region never becomes idle
 ---@field bound string? the name of the first bound that was hit
 ---@field untried string[] texts that say what was not tried
@@ -253,6 +255,17 @@ end
 ---@field f fun(walk: rfsm_checks.Walk, try: rfsm_checks.Try, key: string|nil,
 -- label: fun()) called after the step; `key` is nil if the step never ends
 
+-- Notes that a step has led to more deferred events than the options allow. If all of
+-- them come from outside, it is a premise that they do not.
+local function note_limited(walk, try)
+  walk.has_moved, walk.is_limited = true, true
+  walk.cut[try.from] = walk.cut[try.from] or not try.is_from_outside
+  if walk.subject.has_senders then
+    walk:note_untried("deferred", ("more than %d deferred events"):format(
+      walk.options.deferred))
+  end
+end
+
 -- Returns two results: the key of the configuration to which the last step has led (nil
 -- if it is not explored), and for each clock there the number that it had before.
 local function key_after(walk, try, label)
@@ -268,6 +281,9 @@ local function key_after(walk, try, label)
     return nil, sources
   elseif problem then
     note_cut(walk, try.from, try.is_from_outside, "values", problem)
+    return nil, sources
+  elseif walk.subject.deferred > walk.options.deferred then
+    note_limited(walk, try)
     return nil, sources
   end
   return in_context(walk, key, state, time), sources
@@ -496,6 +512,7 @@ local KNOWN = {
   alphabet = { "list", replacements.check_list },
   sends = { "table of lists", replacements.check_sends, {} },
   pending = { "whole number above 0", is_count, 4 },
+  deferred = { "whole number above 0", is_count, 4 },
   dry_run = { "boolean", is_boolean, false },
   multiply = { "boolean", is_boolean, false },
   flags = { "table of flags", replacements.check_flags, {} },
@@ -555,7 +572,7 @@ function explore.new(model, options, way)
     untried = {}, passed = {},
     keys = {}, numbers = {}, from = {}, labels = {}, depth = 0, level_end = 1,
     first = {}, steps = {}, taken = {}, endless = nil,
-    bound = nil, stuck = {}, has_moved = false, count = 0, expanded = 0, wanted = {},
+    bound = nil, stuck = {}, has_moved = false, is_limited = false, count = 0, expanded = 0, wanted = {},
     ends = huge, is_late = false,
     monitor = false, contexts = {}, context_ids = {}, kin = {},
     unsure = {}, cut = {}, timing = false }, Walk)

@@ -350,6 +350,7 @@ end
 -- Returns a function f(fsm) for an item of `sends`: it sends, delays, cancels or emits.
 local function new_send(self, part, item)
   local kind = kind_of(item)
+  self.has_senders = self.has_senders or not kind or kind == "after"
   if kind == "after" then
     local later = self:new_occurrence(part, item[1], item.after)
     self.later[#self.later + 1] = later
@@ -369,7 +370,10 @@ end
 -- flags, then sends events. Returns nil if there is nothing to do.
 local function new_replacement(self, part, name, run, flags, events)
   if not (flags[1] or events[1] ~= nil or run) then return nil end
-  if run then part.is_bound = true end
+  if run then
+    part.is_bound = true
+    self.has_senders = self.has_senders or may_call(run, rfsm, "send_events")
+  end
   local sends, reads_event = {}, run and writes.may_read(run, replacements.EVENTS)
   for i, item in ipairs(events) do sends[i] = new_send(self, part, item) end
   return function(own, ...)

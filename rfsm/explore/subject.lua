@@ -65,6 +65,8 @@ local subject = {}
 ---@field sent_later rfsm_checks.Occurrence[] events of `later` that the last step sent
 ---@field dropped table<rfsm_checks.Occurrence, boolean> events of `later` that a reset
 -- or a `cancel` has dropped in the last step
+---@field deferred integer how many events extensions keep for later, after `read`
+---@field has_senders boolean not all events come from outside: callbacks send some
 ---@field late_senders string[] callbacks that may send more events later
 ---@field cancellers string[] callbacks that may cancel events that are to be sent later
 ---@field called string[] names of the callbacks that the last step called, the events
@@ -140,6 +142,7 @@ Subject.__index = Subject
 ---@field mode string mode of the leaf: "active" or "done"; "inactive" without a leaf
 ---@field waiting any[] the events in the queue
 ---@field kept any[]|false data of extensions, and changed targets
+---@field deferred integer how many events extensions keep for later
 
 --- The positions of all parts. It has two more fields: `flags`, a text with a sign for
 --- each flag, and `values`, the values of the fields that callbacks may set.
@@ -431,7 +434,8 @@ local function read_position(self, part)
   local position = known.positions[text]
   if not position then
     position = { id = #part.positions + 1, leaf = leaf, known = known, mode = mode,
-      waiting = waiting, kept = values }
+      waiting = waiting, kept = values,
+      deferred = part.kept and #rfsm.waiting(part.fsm) or 0 }
     part.positions[position.id], known.positions[text] = position, position
   end
   return position
@@ -443,9 +447,11 @@ end
 ---@return string? problem names data that the exploration does not follow
 function Subject:read()
   local parts, ids = self.parts, self.ids
+  self.deferred = 0
   for i = 1, #parts do
     local part = parts[i]
-    ids[i] = (part.is_quiet and part.position or read_position(self, part)).id
+    local position = part.is_quiet and part.position or read_position(self, part)
+    ids[i], self.deferred = position.id, self.deferred + position.deferred
   end
   local key = concat(ids, ",") .. concat(self.flags)
   if not self.memory then return key end
@@ -685,16 +691,23 @@ function Subject:each_choice(conf, events, owner, f)
   until not next_choices(self, choices)
 end
 
-local MANY_PATHS = 20 -- a step with more transitions is shown in part
+local MANY = 20 -- a step with more transitions or choices is shown in part
+
+--- Return what a step did as a text: "root.trans[1], root.trans[3]".
+---@param texts string[]
+---@return string
+function subject.listed(texts)
+  local text = concat(texts, ", ", 1, min(#texts, MANY))
+  return #texts > MANY and text .. " and on and on" or text
+end
 
 --- Return the outcome of a step as a text: the transitions taken and the active leaf.
 ---@param paths string[]
 ---@param leaf? string|false
 ---@return string text "root.trans[2] -> root.b"
 function subject.outcome(paths, leaf)
-  local text = concat(paths, ", ", 1, min(#paths, MANY_PATHS))
-  if #paths > MANY_PATHS then text = text .. " and on and on" end
-  return (paths[1] and text or "no transition") .. " -> " .. (leaf or "not entered")
+  return (paths[1] and subject.listed(paths) or "no transition") .. " -> "
+    .. (leaf or "not entered")
 end
 
 --- List the paths of the transitions that the last step took.
@@ -844,7 +857,7 @@ function subject.new(model, options, way)
     names = {}, paths = {}, part_of = {}, callbacks = {}, writers = {},
     unknown = {}, data_writers = {}, unsure_senders = {}, names_with_data = {},
     free = {}, sent = {}, later = {}, sent_later = {}, dropped = {}, late_senders = {},
-    cancellers = {}, emitted = {}, emitters = {}, dry_sends = {},
+    cancellers = {}, deferred = 0, has_senders = false, emitted = {}, emitters = {}, dry_sends = {},
     runs = {},
     flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
     calls_callbacks = options.callbacks, called = {},

@@ -33,7 +33,7 @@ local verdict = {}
 ---@field transitions integer number of transitions of the chart
 ---@field taken integer number of transitions that at least one step takes
 ---@field bound? "configurations"|"depth"|"seconds"|"choices"|"sets"|"targets"|"values"
--- |"pending"|"texts"|"sends" a limit that the exploration reached
+-- |"pending"|"deferred"|"texts"|"sends" a limit that the exploration reached
 ---@field untried string[] texts about parts that were not tried; empty without a bound
 ---@field premises string the assumptions: "one event a step; guards and timers free"
 ---@field findings rfsm_checks.Finding[] a finding about a run has a field `witness`
@@ -374,6 +374,10 @@ local function premises_of(walks, options)
   end
   local texts = { (NUMBERS[walk.together] or walk.together .. " events") .. " a step" }
   if options.alphabet then texts[#texts + 1] = "no event outside of the alphabet" end
+  if any(walks, function(each) return each.is_limited end) then
+    texts[#texts + 1] = ("at most %d deferred %s"):format(options.deferred,
+      options.deferred == 1 and "event" or "events")
+  end
   if walk.way then texts[#texts + 1] = "independent regions one by one" end
   add_times(texts, walks, options.period)
   for _, list in ipairs { walk.subject.rule_texts, data.premises(walk.subject) } do
@@ -436,7 +440,7 @@ function verdict.choices_text(step)
     if choice.is_doo then word = choice.answer and "ends" or "goes on" end
     texts[i] = choice.who .. " " .. word
   end
-  return texts[1] and " (" .. concat(texts, ", ") .. ")" or ""
+  return texts[1] and " (" .. subject.listed(texts) .. ")" or ""
 end
 
 --- Return the steps of a witness as lines.

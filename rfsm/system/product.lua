@@ -592,6 +592,7 @@ local function add_member(self, cell, name, options)
   member.wired, member.takes, member.outgoing = {}, {}, {}
   member.reads_one = own.parts[1].fsm.read == "one"
   own.notes_events, own.keeps_order = true, member.reads_one
+  own.has_senders = true -- the other machines
   join_wires(self, member, options)
   function own.maker_of(_, event)
     return maker_of(own, event) or member.wired[match.name_of(event) or event]
