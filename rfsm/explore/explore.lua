@@ -572,7 +572,8 @@ function explore.new(model, options, way)
     untried = {}, passed = {},
     keys = {}, numbers = {}, from = {}, labels = {}, depth = 0, level_end = 1,
     first = {}, steps = {}, taken = {}, endless = nil,
-    bound = nil, stuck = {}, has_moved = false, is_limited = false, count = 0, expanded = 0, wanted = {},
+    bound = nil, stuck = {}, has_moved = false,
+    is_limited = false, count = 0, expanded = 0, wanted = {},
     ends = huge, is_late = false,
     monitor = false, contexts = {}, context_ids = {}, kin = {},
     unsure = {}, cut = {}, timing = false }, Walk)

@@ -366,6 +366,13 @@ local function add_times(texts, walks, period)
   texts[#texts + 1] = "steps take no time"
 end
 
+-- Returns the premise that no more events are deferred, if a walk left out such a step.
+local function limit_of(walks, deferred)
+  if not any(walks, function(walk) return walk.is_limited end) then return nil end
+  return ("at most %d deferred %s"):format(deferred, deferred == 1 and "event"
+    or "events")
+end
+
 -- Returns the premises of walks as a text: "one event a step; guards and timers free".
 local function premises_of(walks, options)
   local walk, free = walks[1], {}
@@ -374,10 +381,7 @@ local function premises_of(walks, options)
   end
   local texts = { (NUMBERS[walk.together] or walk.together .. " events") .. " a step" }
   if options.alphabet then texts[#texts + 1] = "no event outside of the alphabet" end
-  if any(walks, function(each) return each.is_limited end) then
-    texts[#texts + 1] = ("at most %d deferred %s"):format(options.deferred,
-      options.deferred == 1 and "event" or "events")
-  end
+  texts[#texts + 1] = limit_of(walks, options.deferred)
   if walk.way then texts[#texts + 1] = "independent regions one by one" end
   add_times(texts, walks, options.period)
   for _, list in ipairs { walk.subject.rule_texts, data.premises(walk.subject) } do
