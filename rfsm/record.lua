@@ -329,22 +329,39 @@ function record.record(fsm, sink)
   return recorder
 end
 
--- Returns the records of a recording, which is a list or the name of a file. If the
--- records are not valid, returns nil and the problem.
-local function records_of(recording)
-  if type(recording) == "string" then recording = record.read(recording) end
-  local header = type(recording) == "table" and recording[1]
-  local version = type(header) == "table" and header.record
-  if version ~= record.VERSION then
-    return nil, "rfsm.record: a recording of format 1 expected"
-  end
-  for i = 2, #recording do
-    if type(recording[i]) ~= "table" then
-      return nil, ("rfsm.record: record %d: table expected, got %s"):format(i,
-        type(recording[i]))
+-- Returns f(...), which reads a file. Its error names the file.
+local function reading(file, f, ...)
+  local ok, result, more, about = pcall(f, ...)
+  if ok then return result, more, about end
+  local problem = text_of(result)
+  if problem:sub(1, #file) ~= file then problem = file .. ": " .. problem end
+  error("rfsm.record: " .. problem, 0)
+end
+
+-- Returns what is wrong with the records of a list; nil if nothing is.
+local function problem_of(list)
+  for i = 2, #list do
+    if type(list[i]) ~= "table" then
+      return ("rfsm.record: record %d: table expected, got %s"):format(i, type(list[i]))
     end
   end
-  return recording
+end
+
+-- Returns the header of a recording, which is a list or the name of a file, and a
+-- function that returns the next record; nil and the problem if it is none.
+local function open(recording)
+  local header, next_record, problem
+  if type(recording) == "string" then
+    header, next_record = record.open(recording)
+  elseif type(recording) == "table" then
+    header, next_record = journal.reader_of(recording)
+    problem = problem_of(recording)
+  end
+  if type(header) ~= "table" or header.record ~= record.VERSION then
+    return nil, "rfsm.record: a recording of format 1 expected"
+  end
+  if problem then return nil, problem end
+  return header, next_record
 end
 
 -- Returns the machine at the end of a replay, with its own clock.
@@ -369,7 +386,8 @@ end
 --- Run a machine through a recording.
 --
 -- Its callbacks run, unless the option `dry` is set. The events, the readings of the
--- clock and the results of guards are taken from the recording.
+-- clock and the results of guards are taken from the recording. A file is read line by
+-- line. If a line is damaged, the replay goes up to it.
 --
 ---@param model rfsm.State the chart that was recorded
 ---@param recording table[]|string records, or the name of a file
@@ -383,9 +401,9 @@ function record.replay(model, recording, options)
     error("rfsm.record.replay: state expected, got " .. type(model), 2)
   end
   model = rfsm.model_of(model)
-  local records, problem = records_of(recording)
-  if not records then return false, problem end
-  local session = replay(model, records, options or {})
+  local header, next_record = open(recording)
+  if not header then return false, next_record end
+  local session = replay(model, header, next_record, options or {})
   if session.problem then
     return false, session.problem, session.fsm and session.at
   end
@@ -403,11 +421,22 @@ end
 -- `has_end`: the recorder was stopped, and no line is missing
 ---@nodiscard
 function record.read(file, run)
-  local ok, recording, about = pcall(journal.read, file, run)
-  if ok then return recording, about end
-  local problem = text_of(recording)
-  if problem:sub(1, #file) ~= file then problem = file .. ": " .. problem end
-  error("rfsm.record: " .. problem, 0)
+  local recording, about = reading(file, journal.read, file, run)
+  return recording, about
+end
+
+--- Open a run in a file that may be larger than the memory.
+-- @raise as `read`; `next_record` raises if it comes to a damaged line
+---@param file string
+---@param run? integer number of the run; default: the last run in the file
+---@return rfsm.record.Header header
+---@return fun(): rfsm.record.Record? next_record returns nil at the end
+---@return { runs: integer, is_cut: boolean, has_end: boolean } about as in `read`, when
+-- the end is reached
+---@nodiscard
+function record.open(file, run)
+  local header, next_record, about = reading(file, journal.reader, file, run)
+  return header, function() return (reading(file, next_record)) end, about
 end
 
 local SPEC = [[
@@ -440,11 +469,12 @@ end)
 ---@nodiscard
 function record.to_spec(recording, options)
   options = options or {}
-  local records, problem = records_of(recording)
-  if not records then error(problem, 0) end
-  local chart, texts, mark = options.chart or records[1].file, {}, "="
+  local header, next_record = open(recording)
+  if not header then error(next_record, 0) end
+  local chart, texts, mark = options.chart or header.file, {}, "="
   if not chart then error("rfsm.record.to_spec: the file of the chart expected", 2) end
-  for i, rec in ipairs(records) do texts[i] = journal.encode(rec) end
+  texts[1] = journal.encode(header)
+  for rec in next_record do texts[#texts + 1] = journal.encode(rec) end
   local text = concat(texts, "\n")
   while text:find("]" .. mark .. "]", 1, true) do mark = mark .. "=" end
   return SPEC:format(chart, ("[%s[\n%s\n]%s]"):format(mark, text, mark),

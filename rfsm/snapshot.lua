@@ -603,6 +603,41 @@ function snapshot.restore(model, snap, options)
   return false, problem, list
 end
 
+local function in_files() return opts.need("rfsm.snapshot", "rfsm.snapshot.file") end
+
+--- Save a machine in a file, which then has a check sum. It is written beside the old
+-- one, and replaces it.
+-- @raise as `take`
+---@param fsm rfsm.Machine
+---@param file string
+---@return boolean ok
+---@return string? problem the file cannot be written; it is as it was
+function snapshot.save(fsm, file)
+  rfsm.check_between_steps(fsm, "rfsm.snapshot.save")
+  local ok, snap = try(take, fsm)
+  if not ok then error("rfsm.snapshot.save: " .. reason(snap), 2) end
+  local is_written, problem = in_files().write(file, snap)
+  return is_written, problem and "rfsm.snapshot: " .. problem
+end
+
+--- Make a machine from a file of `save`, or of `encode`. Needs the package dkjson.
+-- @raise if `model` is no state
+---@param model rfsm.State
+---@param file string
+---@param options? rfsm.snapshot.Options
+---@return rfsm.Machine? fsm false if the file is damaged, or as for `restore`
+---@return string? problem
+---@return string[]? difference if the snapshot is of another chart
+---@nodiscard
+function snapshot.load(model, file, options)
+  if not rfsm.is_state(model) then
+    error("rfsm.snapshot.load: state expected, got " .. type(model), 2)
+  end
+  local snap, problem = in_files().snapshot(file)
+  if not snap then return false, "rfsm.snapshot: " .. problem end
+  return snapshot.restore(model, snap, options)
+end
+
 --- Return, even during a step, the part of a snapshot that callbacks may change.
 -- @raise if something cannot be saved
 ---@param fsm rfsm.Machine

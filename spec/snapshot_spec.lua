@@ -509,6 +509,58 @@ describe("a snapshot that is wrong", function()
   end)
 end)
 
+describe("a file of a snapshot", function()
+  local function saved(file)
+    local fsm = lit()
+    assert.is_true(snapshot.save(fsm, file))
+    return helper.content(file), snapshot.take(fsm)
+  end
+
+  it("has the machine", function()
+    local file = helper.file_with("what was there before")
+    local text, snap = saved(file)
+    assert.equal(snapshot.encode(snap):sub(1, -2), text:match('^(.*),"sum":"%x+"}\n$'))
+    assert.same(snap, snapshot.take(assert(snapshot.load(lamp(), file))))
+    assert.is_nil(io.open(file .. ".part"))
+    helper.write(file, snapshot.encode(snap)) -- of an older release
+    assert.same(snap, snapshot.take(assert(snapshot.load(lamp(), file))))
+    local other = state { info = false, warn = false, err = false, a = state {} }
+    assert.is_false((snapshot.load(other, file)))
+  end)
+
+  it("that is damaged is not taken, whatever bit or end is wrong", function()
+    local file, model = helper.file_with(""), lamp()
+    local text = saved(file):sub(1, -2)
+    local function is_refused(changed)
+      helper.write(file, changed)
+      local fsm, problem = snapshot.load(model, file)
+      assert.is_false(fsm)
+      assert.equal("rfsm.snapshot: " .. file, problem:match("^rfsm.snapshot: [^:]*"))
+    end
+    for at = 1, #text do
+      local byte, bit = text:byte(at), 2 ^ (at % 8)
+      byte = byte + (byte % (2 * bit) < bit and bit or -bit)
+      is_refused(text:sub(1, at - 1) .. string.char(byte) .. text:sub(at + 1))
+      is_refused(text:sub(1, at - 1))
+    end
+  end)
+
+  it("that cannot be written or read is told in one line", function()
+    local fsm = helper.init(lamp())
+    assert.same({ false, "rfsm.snapshot: /nowhere/m.json.part: No such file or "
+      .. "directory" }, { snapshot.save(fsm, "/nowhere/m.json") })
+    assert.same({ false, "rfsm.snapshot: /nowhere/m.json: No such file or directory" },
+      { snapshot.load(lamp(), "/nowhere/m.json") })
+    assert.equal("rfsm.snapshot.load: state expected, got nil",
+      helper.refusal(snapshot.load, nil, "m"))
+    fsm.on.count = print
+    local file = helper.file_with("old")
+    assert.equal("rfsm.snapshot.save: root.on.count: a function cannot be saved",
+      helper.refusal(snapshot.save, fsm, file))
+    assert.equal("old", helper.content(file))
+  end)
+end)
+
 describe("a machine restored in the middle of a random run", function()
   local function each_case(f)
     for seed = FIRST, FIRST + N - 1 do

@@ -3,19 +3,20 @@
 -- A line omits the fields that follow from the lines before: queued events, a leaf that
 -- has not changed, the completion of a leaf. This makes the file a third as long. Each
 -- line has a number `n`, and the line that ends a run has the last number, so that a
--- missing line is noticed. The last line of a run may be incomplete.
+-- missing line is noticed, and a check sum. The last line of a run may be incomplete.
+-- A file is read line by line, so that it may be larger than the memory.
 --
 -- @module rfsm.record.journal
 -- @license BSD-3-Clause
 
 local exact_json = require "rfsm.shared.exact_json"
-local files = require "rfsm.shared.files"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
+local sums = require "rfsm.shared.sums"
 local tracks = require "rfsm.record.track"
 local order = require "rfsm.shared.order"
 
-local error, io, ipairs = error, io, ipairs
+local error, io, ipairs, select = error, io, ipairs, select
 local type = type
 local same = tracks.same
 
@@ -104,7 +105,7 @@ function journal.writer(stream)
       line, number = shorten(rec, before), number + 1
       line.n = number
     end
-    stream:write(journal.encode(line), "\n")
+    stream:write(sums.add(journal.encode(line)), "\n")
     if stream.flush then stream:flush() end
   end
 end
@@ -121,75 +122,150 @@ end
 
 -- Read ----------------------------------------------------------------------------
 
---- A run in a file.
----@class rfsm.record.Run
----@field [integer] table the decoded lines of the run
----@field is_cut boolean true if the last line is incomplete
----@field has_end boolean true if the run was stopped and no line is missing
+--- How the reading of a run has ended.
+---@class rfsm.record.About
+---@field runs integer how many runs the file has
+---@field is_cut boolean the last line is incomplete, and was left out
+---@field has_end boolean the run was stopped and no line is missing
 
--- Adds a decoded line to a run: a record, or the end of the run.
-local function add_record(run, value)
+local function fail(form, ...) error(form:format(...), 0) end
+
+local function decode(text)
+  local value, _, problem = opts.need("rfsm.record", "dkjson").decode(text, 1, nil)
+  return value, problem
+end
+
+-- Returns the header in a line; nil if it is another line. A line of a run has the
+-- field `record` only in its data.
+local function header_of(line)
+  local value = line:find('"record":', 1, true) and decode(line)
+  return type(value) == "table" and value.record and value or nil
+end
+
+-- Returns a function that returns the next line of a file that is not empty, and its
+-- number; nil at the end. It begins in line `first`.
+local function lines_of(file, first)
+  local number = 0
+  file:seek("set")
+  return function()
+    local line, problem
+    repeat
+      line, problem = file:read("*l")
+      number = number + 1
+    until not line or number >= first and line:find("%S")
+    if problem then error(problem, 0) end
+    return line, number
+  end
+end
+
+-- Returns the numbers of the lines in which the runs of a file begin.
+local function find_runs(file)
+  local runs = {}
+  for line, number in lines_of(file, 1) do
+    if header_of(line) then runs[#runs + 1] = number end
+  end
+  if runs[1] then return runs end
+  local line, number = lines_of(file, 1)()
+  local problem = line and select(2, decode(line))
+  if problem then fail("no JSON: %s at line %d", problem, number) end
+  fail(line and "line %d: header expected" or "no recording", number)
+end
+
+-- Returns the value of a line, and whether the line has a check sum. If the line is
+-- damaged, returns nil and the problem.
+local function value_of(line, number)
+  local text, has_sum = sums.remove(line)
+  if not text then return nil, ("line %d: %s"):format(number, has_sum) end
+  local value, problem = decode(text)
+  if problem then return nil, ("no JSON: %s at line %d"):format(problem, number) end
+  return value, has_sum
+end
+
+-- Checks the value of a line, which has to be record `count`, or the end of the run.
+-- Returns the record; nil at the end.
+local function record_of(value, count)
   if type(value) ~= "table" then
-    error(("record %d: table expected, got %s"):format(#run + 1, type(value)), 0)
+    fail("record %d: table expected, got %s", count + 1, type(value))
   end
   local last = value["end"]
   local number = last and last + 1 or value.n
-  if number ~= #run then
-    error(("record %d is missing: record %s comes in its place"):format(#run,
-      rfsm.text_of(number)), 0)
+  if number ~= count then
+    fail("record %d is missing: record %s comes in its place", count,
+      rfsm.text_of(number))
   end
   value.n = nil
-  if last then run.has_end = true else run[#run + 1] = value end
+  return not last and value or nil
 end
 
--- Adds a line to the runs. After a line that is no JSON only a header may follow.
-local function add_line(runs, line, number)
-  local json = opts.need("rfsm.record", "dkjson")
-  local value, _, problem = json.decode(line, 1, nil)
-  local run = runs[#runs]
-  if type(value) == "table" and value.record then
-    runs[#runs + 1] = { value, is_cut = false, has_end = false }
-  elseif runs.problem or not (problem or run) then
-    error(runs.problem or ("line %d: header expected"):format(number), 0)
-  elseif problem then
-    runs.problem = ("no JSON: %s at line %d"):format(problem, number)
-    if run then run.is_cut = true end
-    return
-  else
-    add_record(run, value)
+-- Returns the value of the next line of a run; nil if the run has ended. A damaged line
+-- is the last one if it was cut off.
+local function next_value(run)
+  local line, number = run.next_line()
+  if not line or header_of(line) then return nil end
+  local value, has_sum = value_of(line, number)
+  if value ~= nil and has_sum == run.has_sums then return value end
+  local problem = value == nil and has_sum or ("line %d: a check sum %s"):format(number,
+    has_sum and "in a run without them" or "expected")
+  local after = run.next_line()
+  if after and not header_of(after) or value ~= nil then error(problem, 0) end
+  run.about.is_cut = true
+end
+
+-- Returns the header of a run, and a function that returns the next record.
+local function open_run(run)
+  local before, count = {}, 0
+  local header, has_sums = value_of(run.next_line())
+  if not header then error(has_sums, 0) end
+  run.has_sums = has_sums
+  return header, function()
+    local value = next_value(run)
+    if value == nil then return nil end
+    count = count + 1
+    local rec = record_of(value, count)
+    run.about.has_end = not rec
+    if rec then return lengthen(rec, before) end
+    local line, number = run.next_line()
+    if line and not header_of(line) then fail("line %d: header expected", number) end
   end
-  runs.problem = nil
 end
 
-local function split(text)
-  local runs, number = {}, 0
-  for line in (text .. "\n"):gmatch("(.-)\r?\n") do
-    number = number + 1
-    if line:find("%S") then add_line(runs, line, number) end
+local function choose(runs, number)
+  return runs[number or #runs] or fail("run: number from 1 to %d expected, got %s",
+    #runs, rfsm.text_of(number))
+end
+
+--- Return the header of run `number` (default: the last run) in a file, a function that
+--- returns the next record, or nil at the end, and what it has found out about the run.
+--- Both raise an error if the file cannot be read, a line is damaged or missing.
+function journal.reader(name, number)
+  local file, problem = io.open(name, "rb")
+  if not file then error(problem, 0) end
+  local runs = find_runs(file)
+  local about = { runs = #runs, is_cut = false, has_end = false }
+  local run = { about = about, next_line = lines_of(file, choose(runs, number)) }
+  local header, next_record = open_run(run)
+  return header, function()
+    local rec = file and next_record()
+    if not rec and file then file = file:close() and nil end
+    return rec or nil
+  end, about
+end
+
+--- Return the same of a recording that is a list.
+function journal.reader_of(recording)
+  local at = 1
+  return recording[1], function()
+    at = at + 1
+    return recording[at]
   end
-  if not runs[1] then error(runs.problem or "no recording", 0) end
-  return runs
 end
 
-local function expand(run)
-  local before, list = {}, {}
-  for i, rec in ipairs(run) do list[i] = i > 1 and lengthen(rec, before) or rec end
-  return list
-end
-
---- Return the records of run `number` (default: the last run) in a file. Raises an
--- error if the file cannot be read, a line is no record, or there is no such run.
+--- Return the records of a run in a list, and what is known about it.
 function journal.read(name, number)
-  local text, problem = files.read(name)
-  if not text then error(problem, 0) end
-  local runs = split(text)
-  local run = runs[number or #runs]
-  if not run then
-    error(("run: number from 1 to %d expected, got %s"):format(#runs,
-      rfsm.text_of(number)), 0)
-  end
-  return expand(run), { runs = #runs, is_cut = run.is_cut,
-    has_end = run.has_end }
+  local header, next_record, about = journal.reader(name, number)
+  local list = { header }
+  for rec in next_record do list[#list + 1] = rec end
+  return list, about
 end
 
 return journal

@@ -15,16 +15,19 @@ local tracks = require "rfsm.record.track"
 
 local error, ipairs, pcall = error, ipairs, pcall
 local rawequal, rawget, tostring, type = rawequal, rawget, tostring, type
-local max, min, remove = math.max, math.min, table.remove
+local huge, remove = math.huge, table.remove
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local reason, text_of = encoding.reason, rfsm.text_of
 local list_text, leaf_text, same = tracks.list_text, tracks.leaf_text, tracks.same
 
 --- A machine that is being replayed.
 ---@class rfsm.record.Session
----@field records rfsm.record.Record[] the records of the outermost machine
+---@field next_record fun(): rfsm.record.Record? the next record of the outermost
+--- machine; nil at the end
+---@field ahead rfsm.record.Record|nil the record that is replayed next
+---@field taken rfsm.record.Record[] the records that the present step has replayed
 ---@field at integer how many records have been replayed
----@field last integer how many records are to be replayed
+---@field last integer how many records are to be replayed at most
 ---@field is_dry boolean the functions of the chart are not called
 ---@field fsm rfsm.Machine|nil nil if `init` or the load of the first snapshot failed
 ---@field problem string|nil why there is no machine, or how it departs from the records
@@ -74,13 +77,25 @@ local function read_again(session)
   return true, encoding.unpack(now[1], 0), encoding.unpack(now[2], 0)
 end
 
+-- Reads the next record. A damaged recording is replayed up to the damage.
+local function look_ahead(session)
+  local ok, rec = calls.try(session.next_record)
+  session.ahead = ok and rec or nil
+  if not ok then session.problem = text_of(rec) end
+end
+
+local function is_over(session)
+  return session.problem or session.at >= session.last or not session.ahead
+end
+
 -- Returns the record of the iteration that begins; raises STOP if there is none.
 local function next_record(session, track)
   local rec = track.records[track.at + 1]
   if track.m == nil then
-    local is_over = session.problem or session.at >= session.last
-    if is_over or rec.from and not track.is_put then error(STOP, 0) end
+    rec = session.ahead
+    if is_over(session) or rec.from and not track.is_put then error(STOP, 0) end
     track.is_put = false
+    return rec
   elseif not rec then
     depart(session, "machine %d in a sequential AND state takes a step that was not "
       .. "recorded", track.m)
@@ -187,7 +202,10 @@ function listener.finished(session, track)
     end
   end
   track.rec = false
-  if track.m == nil and not session.problem then session.at = session.at + 1 end
+  if track.m ~= nil or session.problem then return end
+  session.at = session.at + 1
+  session.taken[#session.taken + 1] = rec
+  look_ahead(session)
 end
 
 -- Returns the recorded result of a guard. With the option `guards`, the guard is also
@@ -241,7 +259,7 @@ end
 function listener.attached(session, track)
   track.numbers = numbers_of(track, session)
   track.at, track.guard_at = 0, 0
-  track.records = track.m and {} or session.records
+  track.records = {}
   if not session.is_dry then return end
   for _, state in ipairs(instrument.take_functions(track.changes, track.fsm)) do
     instrument.put(track.changes, state, "doo", doo_again(track))
@@ -265,7 +283,7 @@ end
 
 -- Takes a step. Returns whether it went as recorded.
 local function take_step(session, track)
-  local before, from = session.at, session.records[session.at + 1].from
+  local before, from = session.at, session.ahead.from
   local ok, failure = true, nil
   if from then ok, failure = put(session, track.fsm, from) end
   track.is_put = ok
@@ -280,19 +298,17 @@ end
 
 -- Advances the machine until the recording ends, or the machine departs from it.
 local function run(session, track)
-  local each, before = session.options.each or function() end, 0
-  while session.at < session.last and take_step(session, track) do
-    each(track.fsm, { unpack(session.records, before + 1, session.at) })
-    before = session.at
+  local each = session.options.each or function() end
+  while not is_over(session) and take_step(session, track) do
+    each(track.fsm, session.taken)
+    session.taken = {}
   end
 end
 
-local function new_session(recording, options)
-  local count = #recording - 1
-  local session = { records = {}, at = 0, options = options,
-    last = min(max(options.to or count, 0), count),
-    is_dry = options.dry and true or false, guards = recording[1].guards }
-  for i = 1, count do session.records[i] = recording[i + 1] end
+local function new_session(header, next_record_of, options)
+  local session = { next_record = next_record_of, taken = {}, at = 0,
+    options = options, last = options.to or huge,
+    is_dry = options.dry and true or false, guards = header.guards }
   session.clock = clock.new(function() return read_again(session) end)
   return session
 end
@@ -309,20 +325,22 @@ local function go_through(session, header)
     return
   end
   if session.options.watch then session.options.watch(session.fsm) end
+  look_ahead(session)
   run(session, session.tracks[1])
   if session.problem then return end
   session.snap, session.unsaved = snapshot.try_take(session.fsm)
 end
 
---- Run a machine through a recording that was checked. The session that is returned has
--- the machine and a snapshot of it at the end, or a problem.
-return function(model, recording, options)
-  local session = new_session(recording, options)
+--- Run a machine through a recording: its header, and a function that returns the next
+-- record. The session that is returned has the machine and a snapshot of it at the end,
+-- or a problem.
+return function(model, header, next_of, options)
+  local session = new_session(header, next_of, options)
   local fsm, problem = make(model, session.is_dry)
   session.problem = problem
   if not fsm then return session end
   session.fsm, session.tracks = fsm, tracks.attach(fsm, listener, session)
-  local is_whole, failure = pcall(go_through, session, recording[1])
+  local is_whole, failure = pcall(go_through, session, header)
   tracks.detach(session.tracks)
   if not is_whole then error(failure, 0) end
   return session

@@ -3,7 +3,8 @@
 -- @module rfsm.shared.files
 -- @license BSD-3-Clause
 
-local io, package = rawget(_G, "io"), rawget(_G, "package") -- no `io` in a browser
+local io, os, package = rawget(_G, "io"), rawget(_G, "os"), rawget(_G, "package")
+-- a browser has no `io`
 
 local files = {}
 
@@ -24,6 +25,24 @@ function files.write(name, text)
   local is_closed, why_not = handle:close()
   if is_written and is_closed then return true end
   return false, name .. ": " .. (why or why_not)
+end
+
+-- Gives a file another name, also on a system that refuses to replace a file.
+local function rename(old, new)
+  if os.rename(old, new) then return true end
+  os.remove(new)
+  return os.rename(old, new)
+end
+
+--- Put a text into a file, in which at any time there is the whole old text, or the
+-- whole new one. Return true, or false and the problem in one line.
+function files.replace(name, text)
+  local part = name .. ".part"
+  local ok, problem = files.write(part, text)
+  if ok then ok, problem = rename(part, name) end
+  if ok then return true end
+  os.remove(part)
+  return false, problem
 end
 
 --- Search `package.path` for a file that is not bytecode; return its text or nil.

@@ -127,12 +127,12 @@ end
 --- Run the chart through the recording in a file. Each step counts as an advance.
 -- Return the number of steps, and a problem if the chart departs from the recording.
 function history.replay(sim, name)
-  local list, run = record.read(name)
+  local header, next_record, run = record.open(name)
   local model = sim.model
   local info, warn = model.info, model.warn
   model.info, model.warn = false, false
-  local ok, session = calls.try(replay, model, list, { dry = sim.saved ~= nil,
-    migrate = true, each = function(fsm, records)
+  local ok, session = calls.try(replay, model, header, next_record, {
+    dry = sim.saved ~= nil, migrate = true, each = function(fsm, records)
       history.mark(sim)
       for _, rec in ipairs(records) do
         note_packed(sim, rec.events)
