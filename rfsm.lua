@@ -2243,9 +2243,13 @@ function actions.keep_made(fsm, segment)
     end
   end
   if not made[1] then return end
-  fsm._again = { turn = fsm._turn, count = #made } -- for extensions
-  -- after an interrupt they are there already
-  if fsm._intq[1] ~= made[1] then fsm._intq = append(made, fsm._intq) end
+  local again = fsm._again -- for extensions
+  if not again or again.turn ~= fsm._turn or not again.before then
+    again = { turn = fsm._turn, count = #made, before = fsm._intq }
+    fsm._again = again
+  end
+  -- after an interrupt they may be there already
+  if fsm._intq == again.before then fsm._intq = append(made, fsm._intq) end
 end
 
 

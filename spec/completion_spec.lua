@@ -272,6 +272,21 @@ describe("a sequential AND state", function()
   end)
 end)
 
+it("e_done comes again beside an internal transition, also if another one waits",
+  function()
+    local fsm = assert(rfsm.init(state { info = false, warn = false, read = "one",
+      a = state {}, z = state { final = true },
+      trans { src = "initial", tgt = "a" }, trans { src = "a", tgt = "a",
+        events = { "e_again" } }, trans { src = "a", tgt = "internal",
+        events = { "e_in" } }, trans { src = "a", tgt = "z", events = { "e_done" },
+        guard = function() return false end } }))
+    rfsm.step(fsm)
+    rfsm.send_events(fsm, "e_done@root.a")
+    fsm.pre_step_hook = function(_, events) events[2] = "e_in" end
+    rfsm.step(fsm)
+    assert.equal(2, rfsm.check_events(fsm))
+  end)
+
 describe("e_done that never comes", function()
   local LEAF = state {}
   for _, case in ipairs {
