@@ -2244,8 +2244,9 @@ function actions.keep_made(fsm, segment)
   end
   if not made[1] then return end
   local again = fsm._again -- for extensions
-  if not again or again.turn ~= fsm._turn or not again.before then
-    again = { turn = fsm._turn, count = #made, before = fsm._intq }
+  if not again or again.of ~= fsm._curq then
+    fsm._is_lent = true -- no other iteration gets this list
+    again = { turn = fsm._turn, count = #made, of = fsm._curq, before = fsm._intq }
     fsm._again = again
   end
   -- after an interrupt they may be there already

@@ -272,20 +272,34 @@ describe("a sequential AND state", function()
   end)
 end)
 
-it("e_done comes again beside an internal transition, also if another one waits",
-  function()
-    local fsm = assert(rfsm.init(state { info = false, warn = false, read = "one",
+describe("e_done beside an internal transition that does not name it", function()
+  local function entered(read)
+    local fsm = assert(rfsm.init(state { info = false, warn = false, read = read,
       a = state {}, z = state { final = true },
-      trans { src = "initial", tgt = "a" }, trans { src = "a", tgt = "a",
-        events = { "e_again" } }, trans { src = "a", tgt = "internal",
+      trans { src = "initial", tgt = "a" }, trans { src = "a", tgt = "internal",
         events = { "e_in" } }, trans { src = "a", tgt = "z", events = { "e_done" },
         guard = function() return false end } }))
     rfsm.step(fsm)
+    return fsm
+  end
+
+  it("comes again, also if another one waits", function()
+    local fsm = entered "one"
     rfsm.send_events(fsm, "e_done@root.a")
     fsm.pre_step_hook = function(_, events) events[2] = "e_in" end
     rfsm.step(fsm)
     assert.equal(2, rfsm.check_events(fsm))
   end)
+
+  it("comes again each time", function()
+    local fsm = entered "all"
+    for _ = 1, 5 do
+      rfsm.send_events(fsm, "e_in")
+      rfsm.step(fsm)
+      assert.equal(1, rfsm.check_events(fsm))
+    end
+  end)
+end)
 
 describe("e_done that never comes", function()
   local LEAF = state {}
