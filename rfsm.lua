@@ -1722,6 +1722,7 @@ local function matches(tr, events)
       if rawequal(wanted[j], event) then return true, event end
       if type(wanted[j]) == "function" then
         local ok, answer = pcall(wanted[j], event)
+        if not ok and rfsm.is_interrupt(answer) then error(answer, 0) end
         if ok and answer then return true, event end
       end
     end
@@ -3754,7 +3755,7 @@ function rfsm.forward(fsm, region, events)
   end
   for i = had.count + 1, #events do
     had.length = #queue
-    if fsm._fates then fsm._fates:forward(region, events[i]) end
+    if fsm._fates then fsm._fates:forward(region, events[i], i) end
     rfsm.send_events(region, events[i])
     had.count = i
   end

@@ -9,22 +9,38 @@
 -- @module rfsm.fates
 -- @license BSD-3-Clause
 
-local ipairs, rawequal, remove = ipairs, rawequal, table.remove
+local ipairs, next, rawequal = ipairs, next, rawequal
+local remove, setmetatable = table.remove, setmetatable
 
---- An event that regions have got, and that none of them has used yet.
----@class rfsm.fates.Entry
+--- What is known of an event of an iteration.
+---@class rfsm.fates.Note
+---@field is_told boolean? its fate was told
+---@field is_known boolean? it came from the parent machine
+
+--- An event of an iteration that regions have got; its fate is theirs if the machine
+--- has not used the event.
+---@class rfsm.fates.Entry : rfsm.fates.Note
 ---@field event any
 ---@field state rfsm.State the state that has the regions
----@field waits table<rfsm.Machine, boolean> set of the regions that still have it
----@field count integer number of these regions
----@field is_used boolean the machine or a region has taken or kept it
+---@field open table<rfsm.fates.Copy, boolean> set of what regions have not looked at
+---@field region rfsm.Machine|false the first region that has used the event
+---@field size integer how often the event was current
 
---- The field `_fates` of a machine.
+--- An event that a region has got.
+---@class rfsm.fates.Copy
+---@field entry rfsm.fates.Entry
+---@field place integer its place among the current events of the parent machine
+
+--- The field `_fates` of a machine. `used`, `forwarded` and `notes` are about events
+--- of the iteration number `turn`.
 ---@class rfsm.fates.Own
 ---@field fsm rfsm.Machine
----@field used table<any, rfsm.Use> the events taken or kept in this iteration
----@field forwarded table<any, rfsm.fates.Entry> events that regions got in it
----@field entries rfsm.fates.Entry[]
+---@field turn integer
+---@field used table<any, rfsm.Use> taken or kept
+---@field forwarded table<any, rfsm.fates.Entry> sent to regions
+---@field notes table<any, rfsm.fates.Note>
+---@field entries rfsm.fates.Entry[] those whose fate regions decide
+---@field copies rfsm.fates.Copy[] the events from the parent machine that wait
 
 ---@param rfsm rfsm the core
 ---@param engine table<string, function> functions of the core
@@ -32,28 +48,45 @@ return function(rfsm, engine)
   local Own = {}
   Own.__index = Own
 
-  -- Notes that an extension keeps a current event.
-  function Own:keep(event, state, word)
-    if self.used[event] then return end
-    self.used[event] = { fate = "kept", state = state, word = word }
+  -- An interrupt may cut short what notes and tells. It is done again in the same
+  -- iteration; so nothing is told twice, and what was not yet told is.
+
+  local function new_own(fsm)
+    return setmetatable({ fsm = fsm, turn = -1, used = {}, forwarded = {}, notes = {},
+      entries = {}, copies = {} }, Own)
   end
 
-  -- Notes that a region gets an event.
-  function Own:forward(region, event)
-    rfsm.follow_fates(region)
-    local entry = self.forwarded[event]
-    if not entry then
-      entry = { event = event, state = self.fsm._act_leaf, waits = {}, count = 0,
-        is_used = self.used[event] ~= nil }
-      self.forwarded[event], self.entries[#self.entries + 1] = entry, entry
+  -- Returns the notes of a machine, which are about this iteration from now on.
+  local function current(own)
+    if own.turn ~= own.fsm._turn then
+      own.used, own.forwarded, own.notes = {}, {}, {}
+      own.turn = own.fsm._turn
     end
-    if entry.waits[region] then return end
-    entry.waits[region], entry.count = true, entry.count + 1
+    return own
+  end
+
+  -- Notes that an extension keeps a current event.
+  function Own:keep(event, state, word)
+    local used = current(self).used
+    used[event] = used[event] or { fate = "kept", state = state, word = word }
+  end
+
+  -- Notes that a region gets the current event at a place.
+  function Own:forward(region, event, place)
+    rfsm.follow_fates(region)
+    local forwarded, copies = current(self).forwarded, region._fates.copies
+    local entry = forwarded[event] or { event = event, state = self.fsm._act_leaf,
+      open = {}, region = false, size = 0 }
+    forwarded[event] = entry
+    local copy = copies[#copies]
+    if not copy or copy.entry ~= entry or copy.place ~= place then
+      copy = { entry = entry, place = place }
+      copies[#copies + 1] = copy
+    end
+    entry.open[copy] = true
   end
 
   local DISCARDED = { fate = "discarded" }
-
-  local settle
 
   local function tell_discarded(fsm, event)
     while rfsm.parent(fsm) do fsm = rfsm.parent(fsm) end
@@ -61,34 +94,70 @@ return function(rfsm, engine)
     engine.tell(fsm, fsm._fate_hooks, event, "discarded", DISCARDED)
   end
 
-  -- Tells what became of an event in a machine, and notes it in the entries of its
-  -- parent machine. An event without an entry was sent to the region alone. `use` is
-  -- false if the event was not used.
-  local function conclude(fsm, event, use)
-    if use then engine.tell(fsm, fsm._fate_hooks, event, use.fate, use) end
-    local around, is_known = rfsm.parent(fsm), false
-    local own = around and around._fates
-    for i = own and #own.entries or 0, 1, -1 do
-      local entry = own.entries[i]
-      if rawequal(entry.event, event) and entry.waits[fsm] then
-        is_known = true
-        settle(own, i, fsm, use)
-      end
+  local function count_of(events, event)
+    local count = 0
+    for i = 1, #events do
+      if rawequal(events[i], event) then count = count + 1 end
     end
-    if not (use or is_known) then tell_discarded(fsm, event) end
+    return count
   end
 
-  -- Notes in entry number `i` of `own` that a region is through with the event.
-  function settle(own, i, region, use)
-    local entry = own.entries[i]
-    entry.waits[region], entry.count = nil, entry.count - 1
-    if entry.count == 0 then remove(own.entries, i) end
-    if use and not entry.is_used then
-      entry.is_used = true
-      conclude(own.fsm, entry.event, { fate = "forwarded", region = region,
-        state = entry.state })
-    elseif entry.count == 0 and not entry.is_used then
-      conclude(own.fsm, entry.event, false)
+  -- Closes the copies of an event that a region has looked at: all but the last, as
+  -- many as wait in its queue or are open in its own regions.
+  local function close_copies(fsm, event, is_used, note)
+    local own, waiting = fsm._fates, count_of(fsm._intq, event)
+    for _, entry in ipairs(own.entries) do
+      if rawequal(entry.event, event) and entry ~= note then
+        waiting = waiting + entry.size
+      end
+    end
+    for i = #own.copies, 1, -1 do
+      local copy = own.copies[i]
+      if rawequal(copy.entry.event, event) then
+        waiting = waiting - 1
+        if waiting < 0 then
+          note.is_known = true
+          if is_used then copy.entry.region = copy.entry.region or fsm end
+          copy.entry.open[copy] = nil
+          remove(own.copies, i)
+        end
+      end
+    end
+  end
+
+  local judge
+
+  -- Tells what became of an event in a machine, and notes it for the parent machine. An
+  -- event that did not come from there was sent to the region alone. `use` is false if
+  -- the event was not used.
+  local function conclude(fsm, event, use, note)
+    local around = rfsm.parent(fsm)
+    if use and not note.is_told then
+      note.is_told = true
+      engine.tell(fsm, fsm._fate_hooks, event, use.fate, use)
+    end
+    if around and around._fates then
+      close_copies(fsm, event, use, note)
+      judge(around._fates)
+    end
+    if not (note.is_known or note.is_told) then
+      note.is_told = true
+      tell_discarded(fsm, event)
+    end
+  end
+
+  -- Concludes on the events that a region has used or all regions have discarded.
+  function judge(own)
+    local entries, i = own.entries, 1
+    while entries[i] do
+      local entry = entries[i]
+      if entry.region or next(entry.open) == nil then
+        conclude(own.fsm, entry.event, entry.region and { fate = "forwarded",
+          region = entry.region, state = entry.state }, entry)
+        remove(entries, i)
+      else
+        i = i + 1
+      end
     end
   end
 
@@ -108,41 +177,44 @@ return function(rfsm, engine)
 
   -- The path hook: notes the current events that the path takes.
   local function note_taken(fsm, path)
-    local takes_all = not names_events(path)
+    local takes_all, used = not names_events(path), current(fsm._fates).used
     for _, event in ipairs(fsm._curq) do
       local tr = takes_all and path[1] or taker_in(path, event)
       if (tr or takes_all) and event == event then
-        fsm._fates.used[event] = { fate = "taken", transition = tr }
+        used[event] = { fate = "taken", transition = tr }
       end
     end
+  end
+
+  -- Has the regions decide on an event of this iteration.
+  local function leave_to_regions(own, entry, events)
+    if entry.size > 0 then return end
+    own.entries[#own.entries + 1] = entry
+    entry.size = count_of(events, entry.event)
   end
 
   -- The last post step hook: concludes on the events that no region has got.
   local function end_iteration(fsm, events)
-    local own, used, is_told = fsm._fates, fsm._fates.used, {}
-    local forwarded = own.forwarded
-    own.used, own.forwarded = {}, {}
+    local own = current(fsm._fates)
     for i = 1, #events do
       local event = events[i]
-      if event == event and not (is_told[event] or engine.is_made(event)) then
-        is_told[event] = true
-        local use = used[event] or false
-        if use or not forwarded[event] then conclude(fsm, event, use) end
+      if event == event and not engine.is_made(event) then
+        local use, entry = own.used[event] or false, own.forwarded[event]
+        if entry and not use then
+          leave_to_regions(own, entry, events)
+        else
+          own.notes[event] = own.notes[event] or {}
+          conclude(fsm, event, use, own.notes[event])
+        end
       end
     end
+    judge(own)
   end
 
-  -- The reset hook of a region: what it has not looked at is lost if its state was
-  -- left.
+  -- The reset hook: a region whose state was left has lost what it has not looked at.
   local function reset(fsm)
-    local around = rfsm.parent(fsm)
-    local own = around and around._fates
-    for i = own and #own.entries or 0, 1, -1 do
-      if own.entries[i].waits[fsm] and around._phase ~= "idle" then
-        settle(own, i, fsm, false)
-      end
-    end
-    fsm._fates.entries, fsm._fates.used, fsm._fates.forwarded = {}, {}, {}
+    for _, copy in ipairs(fsm._fates.copies) do copy.entry.open[copy] = nil end
+    fsm._fates = new_own(fsm)
   end
 
   local function is_followed(at)
@@ -172,10 +244,9 @@ return function(rfsm, engine)
   ---@param fsm rfsm.Machine
   function rfsm.follow_fates(fsm)
     if fsm._fates then return end
-    fsm._fates = setmetatable({ fsm = fsm, used = {}, forwarded = {}, entries = {} },
-      Own)
+    fsm._fates = new_own(fsm)
     rfsm.path_hook_add(fsm, rfsm.repeatable(note_taken))
-    rfsm.post_step_hook_add(fsm, rfsm.borrows(end_iteration))
+    rfsm.post_step_hook_add(fsm, rfsm.repeatable(end_iteration))
     rfsm.reset_hook_add(fsm, reset)
     for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
       for _, region in ipairs(rfsm.regions(leaf)) do rfsm.follow_fates(region) end

@@ -110,6 +110,39 @@ describe("a fate hook", function()
       "root e_job forwarded root.par region" }, lines)
   end)
 
+  it("is told of each of two events that are the same, if one is taken a step",
+    function()
+      local fsm, lines = followed(parallel { info = false, warn = false, read = "one",
+        x = state {}, y = state {}, trans { src = "initial", tgt = "x" },
+        trans { src = "x", tgt = "y", events = { "e_in" } } })
+      send(fsm, "e_go")
+      rfsm.send_events(fsm, "e_in")
+      rfsm.step(fsm)
+      send(fsm, "e_in")
+      assert.same({ "root e_go taken root.a", "root.par.r e_in taken root.x",
+        "root e_in forwarded root.par region", "root e_in discarded" }, lines)
+    end)
+
+  it("is told what the machine keeps, whatever a region does with it", function()
+    local model = parallel()
+    model.par.defer = { "e_in", "e_no" }
+    local fsm, lines = followed(model)
+    send(fsm, "e_go")
+    send(fsm, "e_in", "e_no")
+    assert.same({ "root e_go taken root.a", "root e_in kept root.par defers",
+      "root e_no kept root.par defers", "root.par.r e_in taken root.x" }, lines)
+  end)
+
+  it("is told of nothing that the machine makes, also if a region loses it", function()
+    local model = parallel()
+    model[3] = trans { src = "par", tgt = "a", events = { "e_out" } }
+    local fsm, lines = followed(model)
+    rfsm.send_events(fsm, "e_done@root.a", "e_go")
+    rfsm.step(fsm)
+    send(fsm, "e_out")
+    assert.same({ "root e_go taken root.a", "root e_out taken root.par" }, lines)
+  end)
+
   it("leaves nothing behind when it is removed", function()
     local fsm = helper.init(state(parallel()))
     local before = { fsm._path_hooks, fsm._fates, #(fsm._post_hooks or {}) }
@@ -184,7 +217,8 @@ it("the page shows what is kept, and what is discarded", function()
   assert.same({ { "e_job" }, {} }, { view:now().waiting, view:now().queue })
 end)
 
-it("the fates of random runs with deferral are those of the definition", function()
-  local claim = require "spec.support.claims.fates"
-  assert.is_nil(require("spec.support.share").problem(claim, 300, true))
-end)
+it("the fates of random runs, also interrupted ones, are those of the definition",
+  function()
+    local claim = require "spec.support.claims.fates"
+    assert.is_nil(require("spec.support.share").problem(claim, 300, true))
+  end)
