@@ -1,7 +1,7 @@
 -- What fate hooks are told of random runs with regions, deferral and awaits, a third of
 -- them observed, beside what follows from the definition: the events of each iteration,
 -- its path, what waits before and after, what awaits have received, and what became of
--- the events in regions. An interrupt anywhere takes at most the fate that is told then.
+-- the events in regions. An interrupt takes at most the fate that is being told.
 
 local charts = require "spec.support.charts"
 local coverage = require "rfsm.observe.coverage"
@@ -266,7 +266,7 @@ local function is_waiting(fsm)
   return false
 end
 
--- Steps a machine until it and its regions have nothing to do; false if that takes long.
+-- Steps a machine until it and its regions have nothing to do; false if that is long.
 local function settle(fsm)
   for _ = 1, 60 do
     if rfsm.step(fsm) and not is_waiting(fsm) then return true end
@@ -309,11 +309,12 @@ end
 local function interrupt(seed, expected)
   local random = new_random(seed + 2)
   local fsm, told = new_machine(seed)
-  local step, at, is_raised = random(STEPS), random(3000), nil
+  local step, at, is_raised = random(STEPS), random(3000), false
   run(fsm, seed, function(i, f, ...)
     if i ~= step then return f(...) end
     local ok, failure
-    _, is_raised, ok, failure = interrupts.raise_anywhere(at, "interrupted!", f, ...)
+    local results = { interrupts.raise_anywhere(at, "interrupted!", f, ...) }
+    is_raised, ok, failure = results[2], results[3], results[4]
     if not ok and failure ~= "interrupted!" then error(failure, 0) end
   end)
   if is_raised then claim.interrupted = claim.interrupted + 1 end
