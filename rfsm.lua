@@ -2231,6 +2231,18 @@ local function may_be_taken(candidates, event)
   return false
 end
 
+-- Puts events ahead of the queue; twice in an iteration is as good as once.
+local function put_in_front(fsm, made)
+  local again = fsm._again -- for extensions
+  if not again or again.of ~= fsm._curq then
+    fsm._is_lent = true -- no other iteration gets this list
+    again = { turn = fsm._turn, count = #made, of = fsm._curq, before = fsm._intq }
+    fsm._again = again
+  end
+  -- after an interrupt they may be there already
+  if fsm._intq == again.before then fsm._intq = append(made, fsm._intq) end
+end
+
 -- Makes events pending again, ahead of the queue, that the machine itself has made,
 -- such as the event of a timer, if an internal transition was taken that does not name
 -- them: nothing was left, so they would never come again.
@@ -2243,15 +2255,7 @@ function actions.keep_made(fsm, segment)
       made[#made + 1] = event
     end
   end
-  if not made[1] then return end
-  local again = fsm._again -- for extensions
-  if not again or again.of ~= fsm._curq then
-    fsm._is_lent = true -- no other iteration gets this list
-    again = { turn = fsm._turn, count = #made, of = fsm._curq, before = fsm._intq }
-    fsm._again = again
-  end
-  -- after an interrupt they may be there already
-  if fsm._intq == again.before then fsm._intq = append(made, fsm._intq) end
+  if made[1] then put_in_front(fsm, made) end
 end
 
 
