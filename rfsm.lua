@@ -6,7 +6,7 @@
 -- The machine advances only in calls of `rfsm.step` and `rfsm.run`; no call waits.
 --
 -- The file reads in the order the data flows: model elements, load, check, clone,
--- resolve, compile, machine, report, run, build, use, merge, names. An FQN is a fully
+-- resolve, index, machine, report, run, build, use, regions, names. An FQN is a fully
 -- qualified name ("root.a.b"). An iteration is one turn of the loop inside `step`. The
 -- file is complete: rfsm/fast.lua only makes machines faster.
 --
@@ -65,7 +65,8 @@ do
   function rfsm.kind_of(value)
     local class = getmetatable(value)
     if class == nil then return nil end
-    if KINDS[class] then return KINDS[class] end
+    local known = KINDS[class]
+    if known then return known end
     local mark = type(class) == "table" and rawget(class, "rfsm")
     if not mark then return nil end
     if CLASSES[mark] then return mark end
@@ -89,9 +90,14 @@ do
   -- The texts of places: source -> line -> "file:line". A source may be a long text.
   local places = setmetatable({}, { __mode = "v" })
 
-  -- Records the line that called the constructor at stack level `level`. After a tail
-  -- call nothing is recorded, because the stack frame of the caller is gone.
-  local function note_caller(t, level)
+  --- Record where an element was made, for constructors in extensions.
+  --
+  -- Nothing is recorded after a tail call: the stack frame of the caller is gone.
+  --
+  ---@param t table the element
+  ---@param level integer stack level, as for `error`: 2 is the constructor's caller
+  function rfsm.note_location(t, level)
+    made_at[t] = nil
     if not getinfo then return end
     if knows_tail_calls and getinfo(level, "t").istailcall then return end
     local caller = getinfo(level + 1, "Sl")
@@ -104,14 +110,6 @@ do
       end
       made_at[t] = texts[line]
     end
-  end
-
-  --- Record where an element was made, for constructors in extensions.
-  ---@param t table the element
-  ---@param level integer stack level, as for `error`: 2 is the constructor's caller
-  function rfsm.note_location(t, level)
-    made_at[t] = nil
-    note_caller(t, level + 1)
   end
 
   -- Returns a metatable for elements that inherit from `base`, a state or transition.
@@ -131,7 +129,7 @@ do
         error("rfsm." .. name .. ": table expected, got " .. type(t), level + 1)
       end
       if rawget(t, "_parent") ~= nil and kind_of(t) then return t end -- in a machine
-      note_caller(t, level + 1)
+      rfsm.note_location(t, level + 1)
       return setmetatable(t, base == class and class or heir_class(base))
     end
     class.__index = class
@@ -239,8 +237,7 @@ end
 ---@param b string
 ---@return boolean
 function rfsm.text_before(a, b)
-  local small, capital = "a", "B"
-  if capital < small then return a < b end -- as bytes
+  if "B" < "a" then return a < b end -- bytes decide here, too
   for i = 1, #a do
     local byte, other = a:byte(i), b:byte(i)
     if byte ~= other then return other ~= nil and byte < other end
@@ -440,30 +437,33 @@ end
 
 -- Load ------------------------------------------------------------------------
 
-local run_chunk
-
-do
-  -- Returns the hint for the result of a chart that is no state. The metatable of a
-  -- system has one of its own.
-  local function chart_hint(model)
-    if model == nil then return " (a chart ends with: return rfsm.state{...})" end
-    if type(model) ~= "table" then return "" end
-    local class = getmetatable(model)
-    return type(class) == "table" and rawget(class, "rfsm_hint")
-      or " (did you mean: return rfsm.state{...}?)"
+-- Returns a module; nil if it is not installed.
+local function find_module(name)
+  if type(require) ~= "function" then return nil end
+  local ok, module = pcall(require, name)
+  if ok then return module end
+  if not text_of(module):find("module '" .. name .. "' not found", 1, true) then
+    error(module, 0)
   end
+end
 
-  -- Runs the chunk of a chart and returns its root state. After a tail call, as in
-  -- `return rfsm.state{...}`, the line of the root is not known: line 1 is recorded.
-  function run_chunk(chunk, file, where, accepts)
-    local model = chunk(file)
-    if accepts and accepts(model) then return model end
-    if is_state(model) then
-      made_at[model] = made_at[model] or file and file .. ":1"
-      return model
-    end
-    error(where .. " found." .. chart_hint(model), 0)
-  end
+local advice
+
+-- Returns the hint of rfsm/advice.lua on a topic, or "" if this file is missing.
+local function advise(topic, ...)
+  if advice == nil then advice = find_module("rfsm.advice") or false end
+  if not advice then return "" end
+  return advice[topic](...)
+end
+
+-- Runs the chunk of a chart and returns its root state. After a tail call, as in
+-- `return rfsm.state{...}`, the line of the root is not known: line 1 is recorded.
+local function run_chunk(chunk, file, where, accepts)
+  local model = chunk(file)
+  if accepts and accepts(model) then return model end
+  if not is_state(model) then error(where .. " found." .. advise("chart", model), 0) end
+  made_at[model] = made_at[model] or file and file .. ":1"
+  return model
 end
 
 --- Load a model from a file that returns it.
@@ -511,34 +511,7 @@ end
 -- A check never raises an error. It appends to one of two lists of the `rfsm.Build`:
 -- `problems`, which make `init` fail, or `warnings`. `init` sorts both by location.
 
--- Returns a module; nil if it is not installed.
-local function find_module(name)
-  if type(require) ~= "function" then return nil end
-  local ok, module = pcall(require, name)
-  if ok then return module end
-  if not text_of(module):find("module '" .. name .. "' not found", 1, true) then
-    error(module, 0)
-  end
-end
-
-local advice
-
--- Returns the hint of rfsm/advice.lua on a topic, or "" if this file is missing.
-local function advise(topic, ...)
-  if advice == nil then advice = find_module("rfsm.advice") or false end
-  if not advice then return "" end
-  return advice[topic](...)
-end
-
---- What one call of `init` or `fsm_merge` finds while it builds elements.
----@class rfsm.Build
----@field fsm rfsm.Machine the machine, or the one that `fsm_merge` extends
----@field problems { file?: string, line: string }[]
----@field warnings { file?: string, line: string }[]
----@field created { line: string }[] a message for each `initial` that was created
----@field mounts table<table, table[]> node of the model -> the nodes made of it
----@field copies table<table, table> plain table in the user's data -> its copy
-
+-- Returns an empty rfsm.Build, for what `init` or `fsm_merge` finds.
 local function new_build(fsm)
   return {
     fsm = fsm, problems = {}, warnings = {}, created = {}, mounts = {}, copies = {},
@@ -1168,14 +1141,7 @@ do
     for _, tr in ipairs(fsm._transitions) do tr._segments = nil end
   end
 
-  --- A transition with the target that it has now.
-  ---@class rfsm.Segment
-  ---@field tr rfsm.Transition
-  ---@field tgt rfsm.State|rfsm.Connector a leaf or a connector
-  ---@field connector rfsm.Connector|false the target, if it is a connector
-  ---@field lca rfsm.State the innermost state that contains both ends and stays active
-  ---@field entries rfsm.State[] the states that are entered, the outermost first
-
+  -- Returns an rfsm.Segment: a transition with the target that it has now.
   local function new_segment(tr, tgt)
     local is_internal = tr._is_internal and tr.src == tgt
     local lca, entries = find_lca(tr.src._parent, tgt._parent), {}
@@ -1232,6 +1198,7 @@ local DEFAULTS = {
   _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
   _fate_hooks = false, _snapshot_hooks = false, _failure = false,
   _reset_wanted = false, _preparing = false,
+  _elements = false, -- for `elements`, while preproc functions run
   _emit = false, -- the function given to `set_emit`
   _has_always = false, -- has a transition that needs no event: no iteration is usual
   _again = false, -- the events that `keep_made` has put ahead of the queue
@@ -1469,7 +1436,12 @@ end
 -- callback is called at most once, and changes of the machine may be repeated. Only
 -- guards may be called again.
 
-local compiled, conclude, path_of, perform
+-- Functions of rfsm/fast.lua, which turn paths into functions. `path.run` takes a path
+-- after a search. `choice.run` takes the only path that an event may enable, or returns
+-- false if a guard or a changed target requires a search.
+local fast = { compile = silent, compiled = silent, quick_run = silent }
+
+local conclude, path_of, perform
 local PHASES, search = {}, nil
 
 -- Gather ..........................................................................
@@ -2024,7 +1996,7 @@ do
   -- Takes a path. `leaf` is the active leaf, or nil at the first entry; `event` is the
   -- event that counts for the first segment.
   local function take_path(fsm, leaf, path, event)
-    local run = leaf and fsm.dbg == silent and (path.run or compiled(path))
+    local run = leaf and fsm.dbg == silent and (path.run or fast.compiled(path))
     fsm._at = 0
     if run then
       run(fsm, event, true)
@@ -2442,90 +2414,21 @@ function PHASES.take(fsm)
   return conclude(fsm, "counted")
 end
 
-local compile_path, drop_fast, load_fast, quick_run
-
-do
-  local fast -- the functions of rfsm/fast.lua, false without it
-
-  local function make_fast()
-    return loadstring and require("rfsm.fast") {
-      loadstring = loadstring, silent = silent, promises = promises, actions = actions,
-      perform = perform, failed = report_callback,
-    }
+-- Loads rfsm/fast.lua. If that fails, for example for lack of memory, machines work
+-- without this file.
+local function load_fast()
+  if fast.is_loaded then return end
+  fast.is_loaded = true
+  local ok, make = pcall(require, "rfsm.fast")
+  if ok and loadstring then
+    ok, make = pcall(make, fast, { loadstring = loadstring, silent = silent,
+      promises = promises, actions = actions, perform = perform,
+      failed = report_callback, is_node_of = is_node_of, segment_of = segment_of,
+      path_of = path_of })
   end
-
-  -- Loads rfsm/fast.lua. If that fails, for example for lack of memory, machines work
-  -- without this file.
-  function load_fast()
-    if fast ~= nil then return end
-    local ok, made = pcall(make_fast)
-    if rfsm.is_interrupt(made) then error(made, 0) end
-    fast = ok and made or false
-  end
-
-  function drop_fast() fast = false end
-
-  local OFTEN = 3 -- a path that is used more often is compiled
-
-  -- Has rfsm/fast.lua make the function `path.run`, which takes the path; false if none
-  -- can be made. `run(fsm, event)` does nothing and returns false if a guard or a
-  -- changed target requires a search; `run(fsm, event, true)` is called after the
-  -- search.
-  function compile_path(path)
-    local ok, run = pcall(fast or silent, path)
-    if not ok and run ~= "not enough memory" then error(run, 0) end
-    path.run = ok and run or false
-    return path.run
-  end
-
-  -- Returns the function of a path. It is compiled after OFTEN calls; until then the
-  -- result is false.
-  function compiled(path)
-    if path.run ~= nil then return path.run end
-    path.used = (path.used or 0) + 1
-    if fast and path.used <= OFTEN then return false end
-    return compile_path(path)
-  end
-
-  local function is_hooked(fsm, tr) return fsm._guard_hooks and fsm._guard_hooks[tr] end
-
-  -- Returns the segment of a transition; if its target is wrong, nil without a report.
-  local function known_segment(fsm, tr)
-    return is_node_of(fsm, tr.tgt) and segment_of(fsm, tr)
-  end
-
-  -- Returns the only path that can begin with the transition: each connector on it has
-  -- a single transition, without events. (The function compiled from the path checks
-  -- guards and changed targets.) Returns nil if there is no such path, or if it has
-  -- more than ten segments, because connectors may form a cycle.
-  local function straight_path(fsm, leaf, tr)
-    local first = known_segment(fsm, tr)
-    if not first then return nil end
-    if not first.connector then return path_of(fsm, leaf, first) end
-    local segment, ways, count = first, {}, 1
-    while segment and segment.connector do
-      local otrs = segment.connector._otrs
-      if #otrs ~= 1 or otrs[1].events[1] ~= nil or count == 10
-        or is_hooked(fsm, otrs[1]) then
-        return nil
-      end
-      local next_one = known_segment(fsm, otrs[1])
-      ways[segment.connector] = { way = next_one }
-      segment, count = next_one, count + 1
-    end
-    return segment and path_of(fsm, leaf, first, ways)
-  end
-
-  -- Returns the function that takes a path without a search, if `choice` has only one
-  -- candidate and this candidate has only one path. Otherwise, or if the function is
-  -- not compiled yet, returns false. `choice` keeps the result when it is final.
-  function quick_run(fsm, leaf, choice)
-    local tr = choice[1]
-    local path = tr and not (choice[2] or tr._is_asked or is_hooked(fsm, tr))
-      and straight_path(fsm, leaf, tr)
-    local run = path and compiled(path) or false
-    if not path or path.run ~= nil then choice.run = run end
-    return run
+  if not ok and rfsm.is_interrupt(make) then
+    fast.is_loaded = false
+    error(make, 0)
   end
 end
 
@@ -2711,7 +2614,7 @@ do
     elseif more == nil then
       choice = leaf._choices[event] or choice_of(leaf, event)
       local run = choice.run
-      if run == nil then run = quick_run(fsm, leaf, choice) end
+      if run == nil then run = fast.quick_run(fsm, leaf, choice) end
       if run and run(fsm, event) then
         if not fsm._is_usual then return conclude(fsm, "counted") end
         outcome = "counted"
@@ -2791,7 +2694,7 @@ do
     if more == nil then
       choice = leaf._choices[event] or choice_of(leaf, event)
       local run = choice.run
-      if run == nil then run = quick_run(fsm, leaf, choice) end
+      if run == nil then run = fast.quick_run(fsm, leaf, choice) end
       local is_taken = run and run(fsm, event)
       if not is_taken and choice[1] then
         fsm._phase = "search"
@@ -3120,12 +3023,13 @@ do
   function preprocess(fsm, merged)
     local problems, outer = {}, fsm._preparing
     local last = outer and outer - 1 or #rfsm.preproc
+    fsm._elements = false
     for i = 1, last do
       fsm._preparing = i
       local found = rfsm.preproc[i](fsm, merged)
       append(problems, type(found) == "table" and found or {})
     end
-    fsm._preparing = outer
+    fsm._preparing, fsm._elements = outer, false
     if not outer then check_transitions(fsm, last > 0, problems) end
     sort(problems, function(a, b) return text_before(natural(a), natural(b)) end)
     return problems
@@ -3398,20 +3302,21 @@ end
 function rfsm.mapfsm(f, fsm, pred, depth)
   check_function(f, "rfsm.mapfsm")
   if type(fsm) ~= "table" then error("rfsm.mapfsm: state expected, " .. got(fsm), 2) end
-  pred = pred or rfsm.is_fsmobj
   local results = {}
   local function is_member(value, key)
-    return rfsm.is_fsmobj(value) and not is_meta(key)
+    return type(value) == "table" and not is_meta(key) and kind_of(value) ~= nil
   end
   local function map_members(state, levels)
     if levels < 1 then return end
     for _, key in ipairs(sorted_keys(state, is_member)) do
       local obj = state[key]
-      if pred(obj) then results[#results + 1] = f(obj, state, key) end
+      if not pred or pred(obj) then results[#results + 1] = f(obj, state, key) end
       if is_state(obj) then map_members(obj, levels - 1) end
     end
   end
-  if rfsm.is_root(fsm) and pred(fsm) then results[1] = f(fsm, fsm, "root") end
+  if rfsm.is_root(fsm) and (not pred or pred(fsm)) then
+    results[1] = f(fsm, fsm, "root")
+  end
   map_members(fsm, depth or huge)
   return results
 end
@@ -3424,10 +3329,18 @@ end
 ---@param pred? fun(obj: any): boolean default is_fsmobj
 ---@return table[] elements parents before children
 function rfsm.elements(obj, pred)
-  local function itself(element) return element end
-  local list = not rfsm.is_root(obj) and (not pred or pred(obj)) and { obj } or {}
-  if rfsm.is_trans(obj) then return list end
-  return append(list, rfsm.mapfsm(itself, obj, pred)) -- `mapfsm` lists a root
+  local is_root, list = rfsm.is_root(obj), {}
+  local all = is_root and obj._elements
+  if not all then
+    local function itself(element) return element end
+    all = is_root and {} or { obj } -- `mapfsm` lists a root
+    if not rfsm.is_trans(obj) then append(all, rfsm.mapfsm(itself, obj)) end
+    if is_root and obj._preparing then obj._elements = all end
+  end
+  for i = 1, #all do
+    if not pred or pred(all[i]) then list[#list + 1] = all[i] end
+  end
+  return list
 end
 
 --- Exit a state and the active states below it, the innermost first.
@@ -3464,14 +3377,7 @@ do
 
   local function is_watched(_, what) return WATCHED[what] end
 
-  --- A kind of hooks: rfsm.<kind>_hook_add and _rm.
-  ---@class rfsm.HookKind
-  ---@field list string the field of the machine that has the hooks
-  ---@field is_subject? fun(fsm, subject): boolean hooks are for parts of the machine
-  ---@field expected? string text of a message, if `is_subject` returns false
-  ---@field own? string the field in which a program may set one hook of this kind
-  ---@field is_step? boolean called in each iteration
-  ---@field is_path? boolean the lists of actions contain these hooks
+  -- The kinds of hooks, rfsm.HookKind by name: rfsm.<kind>_hook_add and _rm.
   local KINDS_OF_HOOKS = {
     pre_step = { list = "_pre_hooks", own = "pre_step_hook", is_step = true },
     post_step = { list = "_post_hooks", own = "post_step_hook", is_step = true },
@@ -3624,50 +3530,23 @@ function rfsm.is_idle(fsm)
   return fsm._outcome == "idle" and fsm._intq[1] == nil
 end
 
---- Has the machine taken a path since the last call of this function?
+--- List the events to which extensions react while a state is active.
 --
--- A host that calls this between steps needs no path hook.
+-- `rfsm.foretell` asks the same hooks about events that may come now.
 --
 ---@param fsm rfsm.Machine
----@return boolean
-function rfsm.took_path(fsm)
-  check_machine(fsm, "rfsm.took_path")
-  local path = fsm._path
-  if fsm._phase ~= "take" then fsm._path = false end
-  return path ~= false
-end
-
-do
-  -- Calls all hooks of a list, and joins the lists that they return.
-  local function collect(hooks, ...)
-    local list = {}
-    for _, hook in ipairs(hooks or NONE) do append(list, hook(...) or NONE) end
-    return list
+---@param state rfsm.State
+---@return any[] events
+---@return { events: any[], word: string }[] shown those of extensions that want them
+-- to be drawn in the state, as "e_job / defer"
+function rfsm.reactions(fsm, state)
+  local list, shown = {}, {}
+  for _, hook in ipairs(fsm._reaction_hooks or NONE) do
+    local events, word = hook(fsm, state)
+    append(list, events or NONE)
+    if word and events then shown[#shown + 1] = { events = events, word = word } end
   end
-
-  --- List the events to which extensions react while a state is active.
-  --
-  -- `rfsm.foretell` asks the same hooks about events that may come now.
-  --
-  ---@param fsm rfsm.Machine
-  ---@param state rfsm.State
-  ---@return any[] events
-  ---@return { events: any[], word: string }[] shown those of extensions that want them
-  -- to be drawn in the state, as "e_job / defer"
-  function rfsm.reactions(fsm, state)
-    local list, shown = {}, {}
-    for _, hook in ipairs(fsm._reaction_hooks or NONE) do
-      local events, word = hook(fsm, state)
-      append(list, events or NONE)
-      if word and events then shown[#shown + 1] = { events = events, word = word } end
-    end
-    return list, shown
-  end
-
-  --- List the events that extensions keep for later.
-  ---@param fsm rfsm.Machine
-  ---@return any[] events
-  function rfsm.waiting(fsm) return collect(fsm._waiting_hooks, fsm) end
+  return list, shown
 end
 
 --- Have snapshots of a machine include data of an extension, under `name`.
@@ -3690,13 +3569,6 @@ function rfsm.snapshot_hook_add(fsm, name, save, load, is_explored)
 end
 
 -- Regions: machines in a state of another machine ----------------------------------
-
---- The field `_regions` of a state in which an extension runs machines.
----@class rfsm.Regions
----@field [integer] rfsm.Machine the machines, in the order in which they are stepped
----@field names any[] the names of these machines, in the same order
----@field entry? function the user's entry, if the extension has replaced it
----@field exit? function the user's exit, if the extension has replaced it
 
 --- List the machines that run in a state, in the order in which they are stepped.
 ---@param state rfsm.State a state of a machine
@@ -3728,7 +3600,7 @@ function rfsm.set_parent(region, fsm, name)
   check_machine(region, "rfsm.set_parent")
   rawset(region, "_owner", fsm)
   rawset(region, "_region_name", name)
-  rawset(region, "_got", { turn = 0, count = 0, length = huge })
+  rawset(region, "_got", { turn = 0, count = 0, length = huge }) -- see `forward`
   list_hooks(region)
 end
 
@@ -3741,39 +3613,16 @@ function rfsm.parent(fsm)
   return fsm._owner or nil, fsm._region_name
 end
 
---- Send the events of an iteration to a region, for extensions.
---
--- After an interrupt this may be called again in the same iteration: then the region
--- gets only the events that it has not got yet.
---
----@param fsm rfsm.Machine the parent machine
----@param region rfsm.Machine
----@param events any[]
-function rfsm.forward(fsm, region, events)
-  local queue, had = region._intq, region._got
-  if had.turn ~= fsm._turn then
-    had.count = 0
-    had.turn = fsm._turn
-  elseif #queue > had.length and rawequal(queue[#queue], events[had.count + 1]) then
-    had.count = had.count + 1
-  end
-  for i = had.count + 1, #events do
-    had.length = #queue
-    if fsm._fates then fsm._fates:forward(region, events[i], i) end
-    rfsm.send_events(region, events[i])
-    had.count = i
-  end
-end
-
 -- Names: files that are loaded when one of their names is first read ----------------
 
 do
-  local PARTS = { seqand = "rfsm_seqand", pp = "rfsmpp", fsm_merge = "rfsm.merge",
-    follow_fates = "rfsm.fates", foretell = "rfsm.fates" }
+  local PARTS = { seqand = "rfsm_seqand", forward = "rfsm_seqand", pp = "rfsmpp",
+    fsm_merge = "rfsm.merge", follow_fates = "rfsm.fates", foretell = "rfsm.fates" }
 
   for name in ([[check_between_steps check_no_otrs is_in machines map_from_to
     node_find_enabled note_cut place prepare save_memory set_emit set_sta_mode
-    begin_in snapshot_hooks structure_of target_of targets]]):gmatch("%S+") do
+    begin_in snapshot_hooks structure_of target_of targets took_path waiting
+    ]]):gmatch("%S+") do
     PARTS[name] = "rfsm.tools"
   end
 
@@ -3782,15 +3631,14 @@ do
     add = add, add_warning = add_warning, advise = advise,
     check_function = check_function,
     check_no_step = check_no_step, clone_below = clone_below,
-    check_ways_in = check_ways_in, compile_path = compile_path, cut = cut,
-    drop_fast = drop_fast, entrance_of = entrance_of,
+    check_ways_in = check_ways_in, cut = cut, entrance_of = entrance_of, fast = fast,
     find_entrance = find_entrance, find_lca = find_lca, first_enabled = first_enabled,
     forget = forget, is_made = is_made, is_node_of = is_node_of, line_to = line_to,
     lines_of = lines_of, list_choices = list_choices, list_otrs = list_otrs,
     matches = matches, may_repeat = may_repeat, new_build = new_build,
     new_node = new_node, new_path = new_path,
     new_transition = new_transition, note_mount = note_mount, note_of = note_of,
-    path_of = path_of, preprocess = preprocess, quick_run = quick_run,
+    path_of = path_of, preprocess = preprocess,
     raise_failure = raise_failure, report_dead_ends = report_dead_ends,
     report_findings = report_findings, report_lines = report_lines,
     reset_now = reset_now, resolve = resolve, segment_of = segment_of,
@@ -3807,15 +3655,13 @@ do
   end
 
   -- Loads the file with the function of a name. Files named rfsm.<part> return a
-  -- function that adds theirs to this table.
+  -- function that adds theirs to this table. Any other is a module of the user's.
   local function load_part(name)
     local module = PARTS[name]
     local part = find_module(module)
-    if module:find("^rfsm%.") then
-      if part then part(rfsm, engine) else rfsm[name] = missing(name, module) end
-    else
-      rfsm[name] = part
-    end
+    if part and module:find("^rfsm%.") then part(rfsm, engine) end
+    if not part and module ~= "rfsmpp" then part = missing(name, module) end
+    rfsm[name] = rawget(rfsm, name) or part
     return rawget(rfsm, name)
   end
 
@@ -3829,40 +3675,31 @@ do
   local prefix = tostring((...)):match("^(.+[./])rfsm$")
   local source = (find_global("debug", "getinfo") or tostring)(1, "S")
   local folder = type(source) == "table" and source.source:match("^@(.-)[^/\\]*$")
-  local searchers, find_beside
+  local searchers
 
-  -- Asks other searchers for a module beside this file; they may look into archives.
-  local function find_by_others(name)
-    for i = 1, prefix and #searchers or 0 do
+  -- Finds a module beside this file. The other searchers may look into archives.
+  local function find_module_of(name)
+    for i = 1, #searchers do
       local chunk, where = nil, nil
-      if searchers[i] ~= find_beside then
-        chunk, where = searchers[i](prefix .. name)
+      if searchers[i] ~= searchers.rfsm then
+        chunk, where = searchers[i]((prefix or "") .. name)
       end
       if type(chunk) == "function" then return chunk, where end
     end
-  end
-
-  local function find_file(name)
-    local file, folders = name:gsub("%.", "/") .. ".lua", {}
-    if folder then folders = { folder, folder .. "compat/" } end
-    for other in rawget(_G, "package").path:gmatch("([^;]*)%?%.lua") do
-      folders[#folders + 1] = other .. "compat/"
-    end
-    for _, at in ipairs(folders) do
-      local chunk = loadfile(at .. file)
-      if chunk then return chunk, at .. file end
-    end
+    local file = folder and folder .. name:gsub("%.", "/") .. ".lua"
+    return file and loadfile(file), file
   end
 
   -- Searcher for `require`: finds the modules beside this file, and in compat/ their
   -- older names (rfsm_emem for rfsm.emem). A name with the prefix is the same module.
-  function find_beside(name)
+  local function find_beside(name)
     local plain = prefix and name:sub(1, #prefix) == prefix and name:sub(#prefix + 1)
     if not (plain or name):find("^rfsm[%w_.]") then return nil end
     if plain then return function() return require(plain) end, name end
-    local chunk, where = find_by_others(name)
-    if not chunk then chunk, where = find_file(name) end
-    return chunk and function() return chunk(name, where) end, where
+    for _, at in ipairs { name, "compat." .. name } do
+      local chunk, where = find_module_of(at)
+      if chunk then return chunk, where end
+    end
   end
 
   -- Takes the modules of an earlier copy of the core out of `package.loaded`: they know

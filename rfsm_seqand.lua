@@ -101,6 +101,30 @@ end
 ---@field turn integer|false the iteration whose events the regions have got last
 ---@field is_restored boolean the entry is called again, because a snapshot was restored
 
+--- Send the events of an iteration to a region, for extensions.
+--
+-- After an interrupt this may be called again in the same iteration: then the region
+-- gets only the events that it has not got yet.
+--
+---@param fsm rfsm.Machine the parent machine
+---@param region rfsm.Machine
+---@param events any[]
+function rfsm.forward(fsm, region, events)
+  local queue, had = region._intq, region._got
+  if had.turn ~= fsm._turn then
+    had.count = 0
+    had.turn = fsm._turn
+  elseif #queue > had.length and rawequal(queue[#queue], events[had.count + 1]) then
+    had.count = had.count + 1
+  end
+  for i = had.count + 1, #events do
+    had.length = #queue
+    if fsm._fates then fsm._fates:forward(region, events[i], i) end
+    rfsm.send_events(region, events[i])
+    had.count = i
+  end
+end
+
 -- Calls f(...) and returns the result. An error is raised later, after the
 -- iteration of the parent machine.
 local function try(fsm, f, ...)

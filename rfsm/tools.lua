@@ -68,6 +68,30 @@ local function define_lists(rfsm)
     return tr._is_internal and "internal" or tr._target._fqn
   end
 
+  --- Has the machine taken a path since the last call of this function?
+  --
+  -- A host that calls this between steps needs no path hook.
+  --
+  ---@param fsm rfsm.Machine
+  ---@return boolean
+  function rfsm.took_path(fsm)
+    rfsm.check_machine(fsm, "rfsm.took_path")
+    local path = fsm._path
+    if fsm._phase ~= "take" then fsm._path = false end
+    return path ~= false
+  end
+
+  --- List the events that extensions keep for later.
+  ---@param fsm rfsm.Machine
+  ---@return any[] events
+  function rfsm.waiting(fsm)
+    local list = {}
+    for _, hook in ipairs(fsm._waiting_hooks or NONE) do
+      for _, event in ipairs(hook(fsm) or NONE) do list[#list + 1] = event end
+    end
+    return list
+  end
+
   --- List the arguments of all calls of `snapshot_hook_add`, in order, for extensions.
   ---@param fsm rfsm.Machine
   ---@return { name: string, save: function, load: function, is_explored?: boolean }[]
@@ -404,7 +428,7 @@ local function define_prepare(rfsm, engine)
     local path = at._paths and at._paths[segment] or engine.new_path(at, segment)
     if not segment.connector then
       paths_left = paths_left - 1
-      engine.compile_path(engine.path_of(fsm, path))
+      engine.fast.compile(engine.path_of(fsm, path))
       return
     end
     local is_long = #path.segments >= MOST_SEGMENTS
@@ -422,7 +446,7 @@ local function define_prepare(rfsm, engine)
   local function prepare_leaf(fsm, leaf)
     for _, choice in pairs(engine.list_choices(leaf)) do -- any order: independent
       prepare_list(fsm, leaf, choice)
-      engine.quick_run(fsm, leaf, choice)
+      engine.fast.quick_run(fsm, leaf, choice)
     end
   end
 
@@ -446,7 +470,11 @@ local function define_prepare(rfsm, engine)
   end
 
   --- Use less memory and more time from now on: rfsm/fast.lua compiles nothing more.
-  function rfsm.save_memory() engine.drop_fast() end
+  function rfsm.save_memory()
+    local function none() end
+    for name in pairs(engine.fast) do engine.fast[name] = none end -- any order: a set
+    engine.fast.is_loaded = true
+  end
 end
 
 ---@param rfsm rfsm the core

@@ -133,6 +133,40 @@
 ---@field waiting_hook_add fun(fsm: rfsm.Machine, hook: fun(fsm): any[]?)
 -- lists the events that an extension keeps for later
 
+--- The field `_regions` of a state in which an extension runs machines.
+---@class rfsm.Regions
+---@field [integer] rfsm.Machine the machines, in the order in which they are stepped
+---@field names any[] the names of these machines, in the same order
+---@field entry? function the user's entry, if the extension has replaced it
+---@field exit? function the user's exit, if the extension has replaced it
+
+--- What one call of `init` or `fsm_merge` finds while it builds elements.
+---@class rfsm.Build
+---@field fsm rfsm.Machine the machine, or the one that `fsm_merge` extends
+---@field problems { file?: string, line: string }[]
+---@field warnings { file?: string, line: string }[]
+---@field created { line: string }[] a message for each `initial` that was created
+---@field mounts table<table, table[]> node of the model -> the nodes made of it
+---@field copies table<table, table> plain table in the user's data -> its copy
+
+--- A transition with the target that it has now, a part of a path.
+---@class rfsm.Segment
+---@field tr rfsm.Transition
+---@field tgt rfsm.State|rfsm.Connector a leaf or a connector
+---@field connector rfsm.Connector|false the target, if it is a connector
+---@field is_internal boolean nothing is left or entered
+---@field lca rfsm.State the innermost state that contains both ends and stays active
+---@field entries rfsm.State[] the states that are entered, the outermost first
+
+--- A kind of hooks: rfsm.<kind>_hook_add and _rm.
+---@class rfsm.HookKind
+---@field list string the field of the machine that has the hooks
+---@field is_subject? fun(fsm, subject): boolean hooks are for parts of the machine
+---@field expected? string text of a message, if `is_subject` returns false
+---@field own? string the field in which a program may set one hook of this kind
+---@field is_step? boolean called in each iteration
+---@field is_path? boolean the lists of actions contain these hooks
+
 --- Predicates: any value may be asked about.
 ---@class rfsm
 ---@field is_meta fun(key: any): boolean
