@@ -23,6 +23,69 @@ local function verdict(model, property, options)
   return judged.holds, tostring(result):match("\n(p: [^\n]*)"), result
 end
 
+-- The functions that a line of Lua returns.
+local function functions_of(line) return { load_text(line)() } end
+
+describe("functions in one line", function()
+  local syntax = require "rfsm.shared.syntax"
+
+  -- What tells them apart, and the line; it returns the functions in its order.
+  local APART = {
+    { "upvalues", "local f, g = {}, {} return function() return f end, "
+      .. "function() return g end" },
+    { "fields", "return function(tr) return tr.src.n == 0 end, "
+      .. "function(fsm) fsm.tries = 3 end" },
+    { "globals", "return function(x) may(x) end, function(x) send_after(x) end" },
+    { "strings", "return function(x) x 'a' end, function(x) x 'b' end" },
+    { "what one has more", "return function(x) return x.n end, "
+      .. "function(x) return x.n, x.m end" },
+    { "methods", "return function(x) return x:go() end, function(x) x:stop() end" },
+  }
+  for _, case in ipairs(syntax.is_there and APART or {}) do
+    it("are told apart by " .. case[1], function()
+      local texts = {}
+      for i, f in ipairs(functions_of(case[2])) do
+        local text, is_shared = writes.text_of(f)
+        assert.is_false(is_shared)
+        texts[i] = text
+        assert.truthy(case[2]:find(text, 1, true))
+        assert.matches("^function.*end$", text)
+      end
+      assert.not_equal(texts[1], texts[2])
+      assert.is_true(#texts[1] + #texts[2] < #case[2])
+    end)
+  end
+
+  it("that nothing tells apart share their text", function()
+    local line = "return function(x) x.n = 1 end, function(x) x.n = 2 end"
+    for _, f in ipairs(functions_of(line)) do
+      local text, is_shared = writes.text_of(f)
+      assert.same({ line:sub(8), true }, { text, is_shared })
+    end
+    local twins = "return function(x) x.n = 1 end, function(x) x.n = 1 end"
+    assert.equal(not syntax.is_there, (select(2, writes.text_of(
+      functions_of(twins)[1]))))
+  end)
+
+  -- (initial) -> a --e_x--> b --e_late--> a: guard and effect in one line
+  local function model() return chart { n = 0,
+    [2] = go("a", "b", "e_x", { guard = function(tr) return tr._fsm.n < 1 end, effect = function(fsm) fsm.m = 1 end }), -- luacheck: no max line length
+  } end
+
+  it("are read each for itself, or are a premise", function()
+    local options = { vars = { n = { 0, 3 } }, run = { "guard root.trans[2]" },
+      properties = { never { "root.a", "root.b" } } }
+    local result = rfsm_checks.explore(model(), options)
+    assert.is_nil(result.bound)
+    assert.equal("one event a step; 1 callback not run", result.premises)
+    helper.with(syntax, { is_there = false }, function()
+      result = rfsm_checks.explore(model(), options)
+      assert.matches("callbacks of one line read together %(luacheck is not "
+        .. "installed%)", result.premises)
+    end)
+  end)
+end)
+
 describe("fields that are followed", function()
   local function count(fsm) fsm.tries = fsm.tries + 1 end
   local function reset(fsm) fsm.tries = 0 end

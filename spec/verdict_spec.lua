@@ -198,8 +198,9 @@ describe("a verdict", function()
     local members = { dead = state {}, [4] = go("dead", "a", "e_q") }
     assert.equal("p: holds vacuously, no configuration has root.dead (one event a "
       .. "step)", verdict(chart(members), from "root.dead".can_reach "root.b"))
-    assert.equal("p: holds vacuously, no transition takes e_nobody (two events a "
-      .. "step)", verdict(chart(members), after "e_nobody".reach "root"))
+    assert.equal("p: holds vacuously, no transition names e_nobody (there are 'e_x', "
+      .. "'e_q') (two events a step)",
+      verdict(chart(members), after "e_nobody".reach "root"))
     assert.equal("p: holds vacuously, e_done@root.dead never comes (two events a "
       .. "step)", verdict(chart(members), after "e_done@root.dead".reach "root.b"))
     assert.equal("p: holds (two events a step)",

@@ -13,36 +13,23 @@ local bodies = require "rfsm.checks.bodies"
 local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
+local syntax = require "rfsm.shared.syntax"
 
-local ipairs, package, pcall, rawget = ipairs, package, pcall, rawget
-local require, select, setmetatable, table = require, select, setmetatable, table
+local ipairs, package, rawget = ipairs, package, rawget
+local select, setmetatable, table = select, setmetatable, table
 local tonumber, type = tonumber, type
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 
 local source = {}
 
--- Returns a module of luacheck, or false. Debian installs luacheck for Lua 5.1 only,
--- but it runs on each Lua.
-local function find(name)
-  local path = package.path
-  package.path = path .. ";" .. path:gsub("/5%.%d/", "/5.1/")
-  local ok, module = pcall(require, name)
-  package.path = path
-  return ok and module
-end
-
-local luacheck, parser = find "luacheck", find "luacheck.parser"
-local decoder = find "luacheck.decoder"
-
 --- Can texts be read? This needs luacheck and Lua's debug library.
-source.is_there = luacheck and parser and decoder and getinfo ~= nil
+source.is_there = syntax.is_there
 
 -- Files ...........................................................................
 
 --- A file that was read.
 ---@class rfsm_checks.File
----@field functions table<integer, table|false> first line -> the function
--- that begins there; false: several functions begin there
+---@field functions rfsm.syntax.Function[]
 ---@field undefined { name: string, line: integer }[] globals that the file reads
 ---@field tested table<string, true> names whose existence is tested
 ---@field lost table<integer, table[]> line of a table -> keys that the table has twice
@@ -65,19 +52,16 @@ local function read_file(name)
   local text = name ~= "" and read(name)
   if not text then return nil end
   text = text:gsub("^#[^\n]*", "")
-  local ok, tree = pcall(function() return parser.parse(decoder.decode(text)) end)
-  if not ok then return nil end
-  local file = { functions = {}, undefined = {}, tested = {}, lost = {},
+  local tree, functions = syntax.parse(text)
+  if not tree then return nil end
+  local file = { functions = functions, undefined = {}, tested = {}, lost = {},
     called = {} }
   walk(tree, function(node)
-    if node.tag == "Function" then
-      file.functions[node.line] = file.functions[node.line] == nil and node or false
-    end
     if node.tag == "Table" then bodies.note_table(file, node) end
     note_tested(node, file.tested)
   end)
   local options = { std = "min", allow_defined = true }
-  for _, warning in ipairs(luacheck.check_strings({ text }, options)[1]) do
+  for _, warning in ipairs(syntax.luacheck.check_strings({ text }, options)[1]) do
     if warning.code == "113" then
       file.undefined[#file.undefined + 1] = { name = warning.name, line = warning.line }
     end
@@ -195,7 +179,8 @@ local function check_callback(files, fsm, obj, field, add)
   if not file then return end
   local function report(code, text, severity) add(code, obj, text, severity) end
   check_globals(file, info, report)
-  local func = file.functions[info.linedefined]
+  local own = syntax.find(file.functions, callback)
+  local func = own and own.node
   if func then bodies.check(func, field, fsm, report) end
   if func and field == "doo" then check_doo(func, obj, report) end
 end

@@ -290,6 +290,11 @@ local function lines_of_all(file, findings, warnings, has_notes)
   return lines
 end
 
+-- Returns a text if a chart was explored, but no property was found to judge.
+local function judged_in(result)
+  return result and not result.properties[1] and " (0 properties judged)" or ""
+end
+
 --- Return the findings about a chart in lines: errors first, then warnings and notes.
 --- Lines with the summary of the exploration follow.
 ---@param warnings string[] texts about the file of the chart
@@ -302,7 +307,7 @@ function review.of(file, model, warnings, settings, options)
   local gravest = gravest_of(findings) or warnings[1] and "warning" or nil
   if options.record then write_witnesses(model, findings, options.record) end
   local lines = lines_of_all(file, findings, warnings, options.all)
-  if not lines[1] then lines[1] = chart.name_of(file) .. ": ok" end
+  if not lines[1] then lines[1] = chart.name_of(file) .. ": ok" .. judged_in(result) end
   for _, line in ipairs(result and result:summary(options.explore) or {}) do
     lines[#lines + 1] = chart.name_of(file) .. ": " .. line
   end

@@ -18,6 +18,7 @@ local memory = require "rfsm.explore.memory"
 local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 local replacements = require "rfsm.explore.replacements"
+local syntax = require "rfsm.shared.syntax"
 local writes = require "rfsm.shared.writes"
 
 local coroutine, error, ipairs = coroutine, error, ipairs
@@ -147,7 +148,7 @@ local function note_others(self, named, names, variables)
   end
 end
 
---- Return the premises of a verdict that are about data.
+--- Return the premises of a verdict that are about data and texts.
 ---@param self rfsm_checks.Subject
 ---@return string[] texts
 function data.premises(self)
@@ -156,6 +157,8 @@ function data.premises(self)
     texts[1] = ("%d %s not run"):format(count, count == 1 and "callback" or "callbacks")
   end
   texts[#texts + 1] = self.memory and self.memory:premise() or nil
+  texts[#texts + 1] = self.shares_text and "callbacks of one line read together"
+    .. (syntax.is_there and "" or " (luacheck is not installed)") or nil
   return texts
 end
 

@@ -214,6 +214,7 @@ end
 ---@field name string
 ---@field property rfsm_checks.Property
 ---@field event any the event that the property means in the chart
+---@field unnamed? string a text that no transition names the event
 ---@field holds boolean|nil nil: not known, since something was not tried
 ---@field vacuous? string the reason why nothing tests the property
 ---@field way rfsm_checks.Way the parts of the machine that its walk explores
@@ -355,6 +356,19 @@ local function check_maker(own, judged)
     :format(judged.name, event, advice.nearest_name(event, own:named_texts())), 0)
 end
 
+-- Returns a text if no transition of a chart names an event, or could take it.
+local function text_of_unnamed(own, event)
+  if event == nil or own.event_numbers[event] or own.done[event]
+    or own.free.predicates or order.any(own.transitions, function(entry)
+      return match.begins_on_any(entry.tr)
+    end) then
+    return nil
+  end
+  local name = rfsm.event_text(event)
+  return ("no transition names %s%s"):format(name, advice.nearest_name(name,
+    own:named_texts()))
+end
+
 --- Has the last step taken a transition that names the event, or that takes any event?
 function properties.is_taken(own, event)
   for _, number in ipairs(own.taken) do
@@ -405,6 +419,7 @@ function properties.list_for(own, given)
     properties.check_names(where, judged, active)
     judged.event = own:event_meant(judged.property.event)
     if judged.event ~= nil then check_maker(own, judged) end
+    judged.unnamed = text_of_unnamed(own, judged.event)
   end
   return list
 end
@@ -455,6 +470,7 @@ function properties.judge(walk, judged)
   if judged.holds == nil and not (walk.bound or judged.is_open) then
     judged.holds = true
   end
+  judged.vacuous = judged.unnamed or judged.vacuous
 end
 
 return properties

@@ -187,6 +187,13 @@ function replacements.emitted_by(fsm)
   return is_certain and not match.has(emitted, false) and emitted or nil
 end
 
+-- Notes that the text of a callback is not known, or may be that of others, too.
+local function note_text(self, name, callback)
+  local _, is_shared = writes.text_of(callback)
+  self.shares_text = self.shares_text or is_shared or false
+  if not writes.is_known(callback) then self.unknown[#self.unknown + 1] = name end
+end
+
 --- Note what a callback may do that the exploration does not follow: it may write the
 --- target of a transition; it may also emit, delay or cancel events, unless the option
 --- `sends` lists the events of the callback. Without text it may do anything.
@@ -195,7 +202,7 @@ function replacements.note_writer(self, name, callback)
   local is_run = self.runs[callback]
   local is_listed = is_run or self.sends[name] or self.dry_sends[name]
   local function note(list) list[#list + 1] = name end
-  if not writes.is_known(callback) then note(self.unknown) end
+  note_text(self, name, callback)
   if writes.may_write(callback, { "tgt" }) then note(self.writers) end
   if not is_listed and may_emit(callback) then note(self.emitters) end
   if self.sends[name] and not is_run then return end

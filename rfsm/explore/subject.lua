@@ -50,6 +50,7 @@ local subject = {}
 ---@field writers string[] callbacks that may write the targets of transitions
 ---@field unknown string[] callbacks whose text, or that of a function they call, is not
 -- known
+---@field shares_text boolean a callback may have the text of others in its line
 ---@field unsure_senders string[] callbacks that may send what a dry run does not show
 ---@field names_with_data table<any, true> names in predicates of `rfsm.named`
 ---@field free table<string, true> the kinds of choices that the chart has: "guards",
@@ -805,7 +806,8 @@ end
 function Subject:named_texts()
   local list = {}
   for _, event in ipairs(self.event_list) do
-    if type(event) == "string" then list[#list + 1] = event end
+    local is_name = type(event) == "string" and event ~= "e_init_fsm"
+    if is_name then list[#list + 1] = event end
   end
   return list
 end
@@ -855,7 +857,8 @@ end
 function subject.new(model, options, way)
   local self = setmetatable({ parts = {}, transitions = {}, number_of = {},
     names = {}, paths = {}, part_of = {}, callbacks = {}, writers = {},
-    unknown = {}, data_writers = {}, unsure_senders = {}, names_with_data = {},
+    unknown = {}, shares_text = false, data_writers = {}, unsure_senders = {},
+    names_with_data = {},
     free = {}, sent = {}, later = {}, sent_later = {}, dropped = {}, late_senders = {},
     cancellers = {}, deferred = 0, has_senders = false,
     emitted = {}, emitters = {}, dry_sends = {},

@@ -424,7 +424,8 @@ local function judge(result, judged, options)
   if judged.holds == nil then note_bound(result, walk) end
   if judged.holds == false then
     witness.rests = judged.rests
-    local finding = result.findings:add("violated", nil, judged.name, "does not hold")
+    local finding = result.findings:add("violated", nil, judged.name, "does not hold"
+      .. (judged.unnamed and ", " .. judged.unnamed or ""))
     if finding then finding.witness = witness end -- nil: the property is given twice
   end
   return { name = judged.name, holds = judged.holds,

@@ -1,10 +1,12 @@
 --- Find in the text of functions the fields and variables to which they assign; for
 --- checks, and for explorations, which do not call most callbacks.
 --
--- The text of a function is the text of its lines, without comments. Functions whose
--- names occur in it are searched, too. An assignment to a computed key, and `rawset`,
--- may write any field. Nothing is known of a function without text, such as one whose
--- file is not there; functions of Lua and of this library write nothing.
+-- The text of a function has no comments. If several functions stand in its lines, the
+-- parser of luacheck finds it; without luacheck, it is the text of all of them.
+-- Functions whose names occur in a text are searched, too. An assignment to a computed
+-- key, and `rawset`, may write any field. Nothing is known of a function without text,
+-- such as one whose file is not there; functions of Lua and of this library write
+-- nothing.
 --
 -- @module rfsm.shared.writes
 -- @license BSD-3-Clause
@@ -15,9 +17,11 @@ local code = require "rfsm.shared.code"
 local files = require "rfsm.shared.files"
 local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
+local syntax = require "rfsm.shared.syntax"
 
 local _G, getmetatable, io, ipairs = _G, getmetatable, io, ipairs
-local rawequal, rawget, setmetatable, type = rawequal, rawget, setmetatable, type
+local rawequal, rawget, select = rawequal, rawget, select
+local setmetatable, type = setmetatable, type
 local concat = table.concat
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 local getupvalue = (rawget(_G, "debug") or {}).getupvalue
@@ -27,6 +31,7 @@ local writes = {}
 -- Texts .............................................................................
 
 -- Lists of lines by the field `source` of debug.getinfo; false: the text is not known.
+-- Their field `functions` has the functions in them; nil: they are not parsed yet.
 local sources = {}
 
 local function keep_text(source, text)
@@ -35,6 +40,15 @@ local function keep_text(source, text)
     lines[#lines + 1] = line
   end
   sources[source] = lines
+end
+
+-- Returns the functions in some lines; an empty list if they cannot be parsed.
+local function functions_in(lines)
+  if not lines.functions then
+    local _, functions = syntax.parse((concat(lines, "\n"):gsub("^#[^\n]*", "")))
+    lines.functions = functions or {}
+  end
+  return lines.functions
 end
 
 --- Keep the text of a chunk that has no file, such as "=stdin".
@@ -116,30 +130,37 @@ local function function_of(value)
   return type(class) == "table" and rawget(class, "__call") or nil
 end
 
+local FUNCTION = "%f[%w_]function%f[^%w_]"
+
 -- Returns the text of a function in the lines of its source; nil if the lines have no
--- such function. A file may have changed, and a chunk may have the name of a file.
+-- such function. A file may have changed, and a chunk may have the name of a file. The
+-- second result is true if other functions of these lines may be in the text.
 local function text_in(lines, f, info)
   local last = lines[info.lastlinedefined] and info.lastlinedefined or 0
   local text = concat(lines, "\n", info.linedefined, last)
-    :match("%f[%w_]function%f[^%w_].*%f[%w_]end%f[^%w_]")
+    :match(FUNCTION .. ".*%f[%w_]end%f[^%w_]")
   local has_names = order.all(writes.upvalues_of(f), function(upvalue)
     return upvalue.name == "_ENV" or text and upvalue.name:find("^[%w_]+$")
       and text:find("%f[%w_]" .. upvalue.name .. "%f[^%w_]")
   end)
-  return has_names and text or nil
+  if not (has_names and text) then return nil end
+  if select(2, text:gsub(FUNCTION, "")) < 2 then return text, false end
+  local own = syntax.is_there and syntax.find(functions_in(lines), f)
+  return own and own.text or text, not own
 end
 
 --- Return the text of a function of the chart; nil if the text is not known, or if the
 --- function is of C or of this library.
 ---@param callback any
----@return string?
+---@return string? text
+---@return boolean? is_shared the text may be that of several functions of a line
 function writes.text_of(callback)
   local f = function_of(callback)
   local info = getinfo and type(f) == "function" and getinfo(f, "S")
   if not info or info.what == "C" or is_own(info.source) then return nil end
   local lines = lines_of(info.source)
   if lines and info.what == "main" then return concat(lines, "\n") end
-  return lines and text_in(lines, f, info) or nil
+  if lines then return text_in(lines, f, info) end
 end
 
 --- List the names of variables in a text, each once: names without a point or colon in

@@ -120,7 +120,7 @@ function mark(lines) {
 transport.observe(async chart => {
   if (chart.problems.length) return mark(chart.problems);
   const text = String(await transport.check());
-  mark(text.split("\n").filter(line => line && !line.startsWith("  ") && line != name + ": ok"));
+  mark(text.split("\n").filter(line => line && !line.startsWith("  ") && !line.startsWith(name + ": ok")));
 });
 
 find("#examples").append(...examples.map(({ name, brief }) =>
