@@ -173,6 +173,7 @@ build = {
     ["rfsm.shared.search"] = "rfsm/shared/search.lua",
     ["rfsm.shared.stubs"] = "rfsm/shared/stubs.lua",
     ["rfsm.shared.sums"] = "rfsm/shared/sums.lua",
+    ["rfsm.shared.syntax"] = "rfsm/shared/syntax.lua",
     ["rfsm.shared.typed"] = "rfsm/shared/typed.lua",
     ["rfsm.shared.types"] = "rfsm/shared/types.lua",
     ["rfsm.shared.writes"] = "rfsm/shared/writes.lua",
