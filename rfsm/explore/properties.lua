@@ -364,9 +364,11 @@ local function text_of_unnamed(own, event)
     end) then
     return nil
   end
-  local name = rfsm.event_text(event)
-  return ("no transition names %s%s"):format(name, advice.nearest_name(name,
-    own:named_texts()))
+  local name, others = rfsm.event_text(event), {}
+  for _, other in ipairs(own:named_texts()) do
+    if not own:maker_of(other) then others[#others + 1] = other end
+  end
+  return ("no transition names %s%s"):format(name, advice.nearest_name(name, others))
 end
 
 --- Has the last step taken a transition that names the event, or that takes any event?

@@ -806,8 +806,7 @@ end
 function Subject:named_texts()
   local list = {}
   for _, event in ipairs(self.event_list) do
-    local is_name = type(event) == "string" and event ~= "e_init_fsm"
-    if is_name then list[#list + 1] = event end
+    if type(event) == "string" then list[#list + 1] = event end
   end
   return list
 end
