@@ -3553,11 +3553,12 @@ end
 --
 -- `save(fsm)` returns plain data, or nil. `load(fsm, data, how)` restores the result of
 -- `save` or raises an error; the table `how` describes changes of the chart since then.
--- `is_explored` is true if transitions depend on the data: explorations keep it, too.
+-- `is_explored` is true if transitions depend on the data: explorations keep it, too,
+-- and call `save(fsm, true)`.
 --
 ---@param fsm rfsm.Machine
 ---@param name string
----@param save fun(fsm: rfsm.Machine): any
+---@param save fun(fsm: rfsm.Machine, is_explored?: boolean): any
 ---@param load fun(fsm: rfsm.Machine, data: any, how: table)
 ---@param is_explored? boolean
 function rfsm.snapshot_hook_add(fsm, name, save, load, is_explored)

@@ -227,11 +227,13 @@ local function list_kept(fsm)
 end
 
 -- Returns what snapshots contain: the list, with the number of events in the queue that
--- come before it.
-local function save(fsm)
+-- come before it. An exploration also keeps where the next recall looks first, and so
+-- goes on as the machine does.
+local function save(fsm, is_explored)
   local list, again = list_kept(fsm), fsm._again
-  if not (list and again and again.turn == fsm._turn) then return list end
-  return { list = list, again = again.count }
+  local count = list and again and again.turn == fsm._turn and again.count or nil
+  if not (count or list and is_explored) then return list end
+  return { list = list, again = count, at = is_explored and fsm._deferred.at or nil }
 end
 
 local function load(fsm, kept)
@@ -239,6 +241,7 @@ local function load(fsm, kept)
   kept = kept or {}
   if kept.again then fsm._again = { turn = fsm._turn, count = kept.again } end
   for i, event in ipairs(kept.list or kept) do fsm._deferred.list[i] = event end
+  fsm._deferred.at = kept.at or 1
 end
 
 -- The reaction hook: lists the events that a state defers.

@@ -370,6 +370,82 @@ describe("an await that is complete", function()
   end)
 end)
 
+describe("what a machine keeps and what waits in it", function()
+  local function judged(model, options)
+    local result = rfsm_checks.explore(model, options)
+    return result.properties[1].holds
+  end
+
+  -- In s e_x is deferred, and in `a` a guard may refuse it: then nothing asks again.
+  it("is not asked about again before the next path", function()
+    require "rfsm.defer"
+    for _, read in ipairs { "all", "one" } do
+      local model = state { warn = false, info = false, defer = { "e_x" }, read = read,
+        s = state { entry = yes }, a = state {}, b = state { final = true },
+        go("initial", "s"), go("s", "a", "e_go"), go("a", "b", "e_x", { guard = yes }) }
+      assert.is_false(judged(model, { sends = { ["entry root.s"] = { "e_x" } },
+        alphabet = { "e_go" }, properties = { after("e_go").reach("root.b") } }))
+    end
+  end)
+
+  for _, case in ipairs {
+    { "twice, if it came twice", { "e_x", "e_x" }, "one", false },
+    { "once for a machine that takes all", { "e_x", "e_x" }, "all", true },
+    { "in its order", { "e_x", "e_y", "e_z" }, "one", true, "e_x", "e_z" },
+    { "also if the leaf does not name it", { "e_x", "e_y", "e_z" }, "one", false,
+      "e_y", "e_z" },
+  } do
+    it("comes " .. case[1], function()
+      local model = state { warn = false, info = false, read = case[3],
+        a = state { entry = yes }, b = state {}, c = state { final = true },
+        go("initial", "a"), go("a", "b", case[5] or "e_x"),
+        go("b", "c", case[6] or "e_x"), go("b", "a", "e_y", { pn = 1 }) }
+      assert.equal(case[4], judged(model, { alphabet = {}, properties = {
+        never "root.c" }, sends = { ["entry root.a"] = case[2] } }))
+    end)
+  end
+
+  it("comes before what is sent from outside", function()
+    local model = state { warn = false, info = false, read = "one",
+      a = state { entry = yes }, b = state {}, c = state {}, go("initial", "a"),
+      go("a", "b", "e_x"), go("a", "c", "e_y") }
+    local options = { sends = { ["entry root.a"] = { "e_x" } },
+      properties = { never "root.c" } }
+    assert.is_true(judged(model, options))
+    assert.truthy(tostring(rfsm_checks.explore(model, options)):find(
+      "holds (one event a step; none while one waits)", 1, true))
+  end)
+
+  it("comes in every order, if two are sent in a step", function()
+    local model = state { warn = false, info = false, read = "one", a = state {},
+      b = state { entry = yes }, c = state {}, go("initial", "a"),
+      go("a", "b", "e_y"), go("b", "c", "e_x"), go("b", "a", "e_z") }
+    assert.is_false(judged(model, { together = 2, properties = { never "root.c" },
+      sends = { ["entry root.b"] = { "e_z" } } }))
+  end)
+end)
+
+describe("a transition that needs no event", function()
+  it("may be refused by its guard for ever", function()
+    local function judged(guard)
+      return rfsm_checks.explore(chart { c = state { final = true },
+        [4] = rfsm.trans { src = "b", tgt = "c", always = true,
+          guard = guard } }, { properties = { after("e_x").reach("root.c") } })
+        .properties[1].holds
+    end
+    assert.is_false(judged(yes))
+    assert.is_true(judged(nil))
+  end)
+
+  it("is taken some time, if a doo has to end before", function()
+    local result = rfsm_checks.explore(chart { c = state { final = true },
+      b = state { doo = yes }, [3] = go("b", "c", "e_done"),
+      [5] = rfsm.trans { src = "b", tgt = "c", always = true, guard = yes } },
+      { properties = { after("e_x").reach("root.c") } })
+    assert.is_true(result.properties[1].holds)
+  end)
+end)
+
 describe("machines in a sequential AND state", function()
   -- (initial) -> open --e_close--> closed --e_open--> open
   local function arm(members)

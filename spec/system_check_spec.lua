@@ -216,6 +216,35 @@ describe("cell:explore", function()
     assert.is_false(found("all").properties[1].holds)
   end)
 
+  -- In c right defers e_x, and in `a` its guard may refuse it: then nothing asks again.
+  it("does not look again at what a machine keeps before the next path", function()
+    require "rfsm.defer"
+    for _, read in ipairs { "all", "one" } do
+      for _, overlap in ipairs { true, false } do
+        local left, right = chart(), chart(go("c", "a", "e_go"), go("a", "b", "e_x"))
+        left.a.final, left.a.entry = true, emits("e_x")
+        right[1].tgt, right.defer, right.read = "c", { "e_x" }, read
+        right[3].guard, right.b.final = function() return true end, true
+        local result = explored({ left = left, right = right }, { "left e_x right" },
+          { overlap = overlap, machines = { right = { alphabet = { "e_go" } } },
+            properties = { after("right: e_go").reach("right: root.b") } })
+        assert.is_false(result.properties[1].holds)
+      end
+    end
+  end)
+
+  it("may refuse a transition that needs no event for ever", function()
+    local function judged(guard)
+      local left, right = chart(go("a", "b", "e_go", "e_x")), chart(go("a", "b", "e_x"))
+      right[3] = rfsm.trans { src = "b", tgt = "c", always = true, guard = guard }
+      return explored({ left = left, right = right }, { "left e_x right" }, {
+        properties = { after("left: e_go").reach("right: root.c") } })
+        .properties[1].holds
+    end
+    assert.is_true(judged(nil))
+    assert.is_false(judged(function() return true end))
+  end)
+
   -- left puts e_x and then e_y when it is entered; e_y is taken in b only.
   local function told(...) return { left = chart(...), right = chart(
     go("a", "b", "e_x"), go("b", "c", "e_y")) } end

@@ -229,11 +229,16 @@ local function note_passed(walk, from, tgt, label)
   end
 end
 
+-- May a step that stays in its configuration be taken again and again? It may if an
+-- event waits, or if the machine goes on without events and no doo ends at some time.
+local function may_repeat(walk, try)
+  return subject.is_driven(try.conf) or try.is_internal and walk.subject:may_rest()
+end
+
 -- Appends the target of a step, unless the configuration in which it begins has another
--- step to this target with the same `unsure` deadlines. A step that stays in its
--- configuration counts only if waiting events make the machine take it.
+-- step to this target with the same `unsure` deadlines.
 local function add_step(walk, try, tgt)
-  if tgt == try.from and not subject.is_driven(try.conf) then return end
+  if tgt == try.from and not may_repeat(walk, try) then return end
   local step, unsure = try.is_internal and -tgt or tgt, walk.unsure
   local group = try.group and not try.group.is_sure and try.group or nil
   local steps, count = walk.steps, #walk.steps
@@ -324,13 +329,14 @@ local function note_step(walk, try, key, label)
 end
 
 -- Lists the sets of up to `most` events of a list, smaller sets first, as long as there
--- is time.
+-- is time; if the machine takes one event an iteration, each set in every order.
 local function sets_of(walk, list, most)
   local sets, last, at = { {} }, { 0 }, 1
+  local is_one = walk.subject.parts[1].reads_one
   while sets[at] and #sets[at] < most and not walk.is_late do
     for i = last[at] + 1, #list do
       local set = at == 1 and list[i].alone or match.with(sets[at], list[i])
-      sets[#sets + 1], last[#sets + 1] = set, i
+      sets[#sets + 1], last[#sets + 1] = set, is_one and 0 or i
     end
     walk.is_late = at % EVERY == 0 and now() > walk.ends
     at = at + 1
@@ -392,10 +398,15 @@ end
 
 -- Lists the sets of events from outside with which steps are taken: those of up to
 -- `walk.together` events, and the larger ones that paths through connectors need. A
--- machine that takes one event an iteration takes such paths with no set.
-local function sets_from_outside(walk, list, needed)
+-- machine that takes one event an iteration gets none while one waits. It takes such
+-- paths with no set, and of several events the later ones in another leaf.
+local function sets_from_outside(walk, conf, list, needed)
+  local own, is_one = walk.subject, walk.subject.parts[1].reads_one
+  if is_one and subject.is_driven(conf) then return { {} } end
+  if is_one and walk.together > 1 then
+    add_wanted(own, own.alphabet or own.event_list, list)
+  end
   local sets = sets_of(walk, list, walk.together)
-  local is_one = walk.subject.keeps_order
   for _, set in ipairs(is_one and {} or needed) do
     if #set > walk.together then sets[#sets + 1] = set end
   end
@@ -413,7 +424,7 @@ local function each_try(walk, from, f, read, is_alone)
       :format(conf[1].leaf and conf[1].leaf._fqn or "root.initial"))
   end
   add_wanted(walk.subject, walk.wanted, list)
-  local sets = is_alone and { {} } or sets_from_outside(walk, list, needed)
+  local sets = is_alone and { {} } or sets_from_outside(walk, conf, list, needed)
   for i, set in ipairs(read and sets or {}) do sets[i] = match.joined(read, set) end
   for _, group in ipairs(groups_of(walk, from, conf)) do
     each_set(walk, from, conf, group, sets, f)

@@ -56,7 +56,7 @@ end
 function kept.read(own, fsm, event_numbers)
   local values, texts, n = {}, {}, #own.hooks
   for i, hook in ipairs(own.hooks) do
-    values[i] = hook.save(fsm)
+    values[i] = hook.save(fsm, true)
     values.is_data = values.is_data or values[i] ~= nil
     texts[i] = text_of(values[i], event_numbers)
   end

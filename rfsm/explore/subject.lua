@@ -78,7 +78,6 @@ local subject = {}
 ---@field leaves_out boolean steps do not advance regions in which nothing would happen
 ---@field trimmed rfsm.State|false the state whose quiet regions are removed for now
 ---@field notes_events boolean `last_events` gets the events of all iterations of a step
----@field keeps_order boolean configurations have the order of waiting events
 ---@field choices boolean[] the choices of the last step, in the order of the questions
 ---@field askers string[] for each choice the path of the transition or leaf
 ---@field is_doo boolean[] for each choice: is it about the end of a doo?
@@ -98,7 +97,9 @@ Subject.__index = Subject
 ---@field prefix string "root", or the name of the region: "root.arms.left"
 ---@field owner rfsm_checks.Part|false the part of the parent machine
 ---@field kept rfsm_checks.Kept|false where its kept data is; false if there is none
----@field may_keep boolean an extension may keep events in its data
+---@field reads_one boolean it takes one event an iteration
+---@field keeps_order boolean all waiting events are kept, in their order: it takes one
+-- event an iteration, or an extension may keep events in its data
 ---@field leaf rfsm.State|false the state of the parent machine that runs the region
 ---@field is_bound boolean a step may call one of its callbacks, or a guard has a rule
 ---@field known table<rfsm.State|false, rfsm_checks.Leaf> what is known of each
@@ -354,12 +355,19 @@ local function is_single(part)
   return part.owner.is_single and not part.leaf.run and steps < 2
 end
 
+-- Does a machine take one event an iteration? Without `read` it does as its owner.
+local function reads_one(part)
+  local read = part.fsm.read
+  return read == "one" or read ~= "all" and part.owner and part.owner.reads_one or false
+end
+
 -- Makes a machine a part of the subject.
 local function add_part(self, part)
   local fsm = part.fsm
   part.known, part.positions, part.inner, part.position = {}, {}, {}, false
   part.is_bound, part.is_quiet, part.is_single = false, false, is_single(part)
-  part.kept, part.may_keep = kept.of(fsm), false
+  part.reads_one = reads_one(part)
+  part.kept, part.keeps_order = kept.of(fsm), part.reads_one
   if part.owner then table.insert(part.owner.inner, part) end
   part.occurrences, part.timed, part.rounds = {}, {}, 0
   self.parts[#self.parts + 1] = part
@@ -375,7 +383,7 @@ local function add_part(self, part)
   end
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
     for _, event in ipairs(rfsm.reactions(fsm, state)) do
-      part.may_keep = part.kept and part.kept.hooks[1] ~= nil
+      if part.kept and part.kept.hooks[1] then part.keeps_order = true end
       if type(event) ~= "function" then self:number_of_event(event) end
     end
   end
@@ -397,7 +405,7 @@ end
 -- extension may keep events for another leaf, or the machine takes one event an
 -- iteration, all waiting events are listed.
 local function relevant(self, part, leaf, events)
-  if part.may_keep or self.keeps_order then return match.joined({}, events) end
+  if part.keeps_order then return match.joined({}, events) end
   local found, list, other = reactions.of(part, leaf), NOTHING, nil
   for i = 1, #events do
     local event = events[i]
@@ -416,7 +424,7 @@ local function text_of_waiting(self, part, waiting)
   if waiting[1] == nil then return "" end
   local numbers = {}
   for i, event in ipairs(waiting) do numbers[i] = self:number_of_event(event) end
-  if not (part.may_keep or self.keeps_order) then sort(numbers) end
+  if not part.keeps_order then sort(numbers) end
   return concat(numbers, ",")
 end
 
@@ -711,6 +719,15 @@ function subject.outcome(paths, leaf)
     .. (leaf or "not entered")
 end
 
+--- May the machine do again and again what the last step did, if the step changed
+--- nothing? It may not if the step lets a doo go on, since each doo ends at some time.
+function Subject:may_rest()
+  for i = 1, self.asked do
+    if self.is_doo[i] and not self.choices[i] then return false end
+  end
+  return true
+end
+
 --- List the paths of the transitions that the last step took.
 ---@return string[] paths
 function Subject:paths_of()
@@ -868,7 +885,7 @@ function subject.new(model, options, way)
     taken = {}, passed = {}, last_events = {}, ids = {}, entered = {}, values = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
     alphabet = nil, time = clock.simulated(), is_endless = false,
-    notes_events = false, keeps_order = false, leaves_out = false, trimmed = false,
+    notes_events = false, leaves_out = false, trimmed = false,
     is_touched = false, changed = nil, unfollowed = false, ran = false }, Subject)
   local fsm = new_machine(self, model)
   rfsm.set_emit(fsm, function(event, value)

@@ -112,6 +112,7 @@ local function new_outcome(member, try, tgt, outside)
   local own = member.subject
   local outcome = { tgt = tgt, outside = outside,
     puts = puts_of(member), passed = match.joined({}, own.passed),
+    may_rest = own.taken[1] ~= nil or own:may_rest(),
     came = try.conf[1].leaf and events_of(member) or {} }
   for _, moment in ipairs(outcome.passed) do
     member.passed[#member.passed + 1] = { moment = moment }
@@ -123,7 +124,7 @@ end
 -- Returns a text that is different for different outcomes.
 local function text_of(outcome)
   local texts = { outcome.tgt, concat(outcome.taken, ","),
-    outcome.outside[1] and "outside" or "",
+    outcome.outside[1] and "outside" or "", outcome.may_rest and "may rest" or "",
     concat(rfsm.sorted_keys(outcome.came), ",") }
   for _, put in ipairs(outcome.puts) do texts[#texts + 1] = put.text end
   return concat(texts, " ")
@@ -275,11 +276,11 @@ local function unsent_with(conf, number, rest)
   return unsent
 end
 
--- Notes a move. A move that changes nothing counts only if it took a transition without
--- an event from outside: then the machine goes on for ever.
+-- Notes a move. A move that changes nothing counts only without an event from outside,
+-- and if no doo goes on: then the machine goes on so for ever.
 local function add_step(self, from, tgt, mover, outcome, label)
   local is_internal = not outcome.outside[1]
-  if tgt == from and not (is_internal and outcome.taken[1]) then return end
+  if tgt == from and not (is_internal and outcome.may_rest) then return end
   local step = is_internal and -tgt or tgt
   for at = self.first[from], #self.steps do
     if self.steps[at] == step and self.movers[at] == mover then return end
@@ -590,8 +591,7 @@ local function add_member(self, cell, name, options)
   self.members[#self.members + 1] = member
   member.name, member.number, member.confs, member.moves = name, #self.members, {}, {}
   member.wired, member.takes, member.outgoing = {}, {}, {}
-  member.reads_one = own.parts[1].fsm.read == "one"
-  own.notes_events, own.keeps_order = true, member.reads_one
+  member.reads_one, own.notes_events = own.parts[1].reads_one, true
   own.has_senders = true -- the other machines
   join_wires(self, member, options)
   function own.maker_of(_, event)

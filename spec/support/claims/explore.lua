@@ -73,6 +73,7 @@ function claim.chart(seed, depth, is_timed)
   add_events(chart, random, is_timed)
   if seed % 3 == 0 then charts.add_histories(chart) end
   if seed % 4 == 0 then charts.add_deferrals(chart, EVENTS, 2) end
+  chart.read = seed % 5 == 0 and "one" or nil
   add_regions(chart, random, depth or 0, is_timed)
   return chart
 end
@@ -85,6 +86,7 @@ local function model_of(chart, make, prefix)
     own[name] = function(at) return f(prefix .. at) end
   end
   local model = bare.model_of(chart, own)
+  model.read = chart.read
   rfsm.mapfsm(function(tr) tr.number = prefix .. tr.number end, model, rfsm.is_trans)
   for fqn, regions in pairs(chart.regions) do -- any order: each stands alone
     local fields = { step = regions.step, warn = false, info = false,
@@ -195,10 +197,11 @@ local LENGTH = 6 -- steps of a run, on average
 local function wander_on(fsm, world, events, clock, most)
   local random = world.random
   local fired = 0
+  local is_busy = fsm.read == "one" and rfsm.check_events(fsm) > 0
   for _, entry in ipairs(rfsm.machines(fsm)) do
     entry.machine.dbg = function(id) if id == "TIMEEVENT" then fired = fired + 1 end end
   end
-  for _ = 1, random(most) do
+  for _ = 1, is_busy and 0 or random(most) do
     local choice = random(4)
     local wait = choice == 1 and rfsm_timeevent.next_deadline(fsm)
     if wait and clock.now == clock.last then

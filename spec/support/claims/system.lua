@@ -9,7 +9,6 @@ local charts = require "spec.support.claims.explore"
 local match = require "rfsm.shared.match"
 local reactions = require "rfsm.explore.reactions"
 local new_random = require "spec.support.random"
-local order = require "rfsm.shared.order"
 local report = require "rfsm.system.report"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
@@ -68,10 +67,6 @@ local function new_member(random, name)
   end
   member.fsm = rfsm.init(charts.model_of(chart, {}, ""))
   member.known = alphabet.of_all(member.fsm)
-  -- Known gap: seed 34 of a machine that does both reaches what the product does not.
-  local function defers(state) return state._defers end
-  local states = rfsm.elements(member.fsm, rfsm.is_state)
-  if order.any(states, defers) then member.read = nil end
   return member
 end
 
