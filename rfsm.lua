@@ -1128,7 +1128,6 @@ do
   -- Drops the candidates and paths of a machine.
   function drop_paths(fsm)
     fsm._entrance, fsm._has_paths = false, false
-    if fsm._phase == "idle" then fsm._path = fsm._path and NONE end
     for _, node in ipairs(fsm._nodes) do
       node._choices, node._paths, node._ignored, node._always = nil, nil, nil, nil
     end
@@ -1447,7 +1446,7 @@ local PHASES, search = {}, nil
 -- Gather ..........................................................................
 
 -- Makes the current events pending again, ahead of the queue. The phase becomes idle
--- first, so that after an interrupt here `take_queue` finds the events in either list.
+-- first: then `PHASES.begin` finds the events in either list after an interrupt here.
 local function put_back(fsm)
   fsm._outcome = "refused"
   fsm._phase = "idle"
@@ -1653,15 +1652,15 @@ end
 -- `_curq`, an empty list. After an interrupt both fields may have the same list, or
 -- `_curq` may have events, which come first.
 function PHASES.begin(fsm, after_free)
-  local queue, spare = fsm._intq, fsm._curq
   if fsm._reset_wanted then
     fsm._curq = {}
     reset_now(fsm)
-    queue, spare = fsm._intq, fsm._curq
   end
-  if rawequal(queue, spare) or spare[1] ~= nil then
-    queue = rawequal(queue, spare) and queue or append(append({}, spare), queue)
+  local queue, spare = fsm._intq, fsm._curq
+  if rawequal(queue, spare) then
     spare = {}
+  elseif spare[1] ~= nil then
+    queue, spare = append(append({}, spare), queue), {}
   end
   fsm._curq = queue
   fsm._intq = spare
@@ -1766,7 +1765,8 @@ do
     local tr, way = note.otrs[i], note.found
     if not tr or way and (tr.pn or 0) ~= (way.tr.pn or 0) then
       if note.others then warn_of_conflict(fsm, note.others) end
-      note.way, note.others = way, false
+      note.others = false
+      note.way = way
       return
     end
     local is_triggered, event = true, first
@@ -1801,8 +1801,12 @@ do
     if not note then return segment end
     note = fsm._ways[note] or note_of(fsm, note)
     if note.search ~= fsm._search then
-      note.search, note.first, note.asked = fsm._search, first, false
-      note.way, note.found, note.others = false, false, false
+      note.search = fsm._search -- one by one: fewer instructions
+      note.first = first
+      note.asked = false
+      note.way = false
+      note.found = false
+      note.others = false
       find_way(fsm, note, 1, events, first)
     elseif not (rawequal(note.first, first) or turn_to(note, first)) then
       find_way(fsm, note, 1, events, first)
@@ -2229,7 +2233,6 @@ function actions.keep_made(fsm, segment)
   end
   if made[1] then put_in_front(fsm, made) end
 end
-
 
 do
   local function label_of(node)
@@ -2676,7 +2679,7 @@ do
   -- Makes one iteration. Returns whether it counts as a step and whether the machine is
   -- idle, or only nil if the machine cannot be entered. `after_free` is true if the
   -- last iteration did not count. The two lists of events are swapped. If an interrupt
-  -- cuts the swap short, `take_queue` repairs it in the next iteration.
+  -- cuts the swap short, `PHASES.begin` repairs it in the next iteration.
   function iterate(fsm, after_free) -- luacheck: ignore 561 (a call costs time)
     local leaf = fsm._act_leaf
     if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
@@ -2759,7 +2762,6 @@ function rfsm.check_machine(fsm, where, level)
 end
 
 local check_machine = rfsm.check_machine
-
 
 local function check_function(f, where)
   if not is_callable(f) then error(where .. ": function expected, " .. got(f), 3) end
@@ -3111,7 +3113,6 @@ function rfsm.verify_early(model)
   return not build.problems[1], (lines_of(build.problems)), warnings, codes
 end
 
-
 -- Use: what a program does with a machine --------------------------------------------
 
 do
@@ -3154,7 +3155,6 @@ local function try(fsm, after_free)
   if not ok then raise_cut(fsm, counted) end
   return counted, idle
 end
-
 
 -- Iterates until `left` iterations have counted as steps or the machine is idle. The
 -- result is true if it is idle. `counted` and `idle` come from the last iteration.
