@@ -262,13 +262,17 @@ local is_callable, text_of = rfsm.is_callable, rfsm.text_of
 
 local list_text
 
--- Returns the name of an event with data, a plain table with a text `name`; nil for any
--- other event.
-local function name_with_data(event)
+--- Return the name of an event with data, a plain table with a text `name`; nil for any
+--- other event.
+---@param event any
+---@return string? name
+function rfsm.name_with_data(event)
   if type(event) ~= "table" or getmetatable(event) then return nil end
   local name = rawget(event, "name")
   return type(name) == "string" and name or nil
 end
+
+local name_with_data = rfsm.name_with_data
 
 do
   -- The predicates that `rfsm.named` has made: predicate -> name, name -> predicate.

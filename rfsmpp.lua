@@ -185,6 +185,15 @@ end
 -- Returns an argument of a record as a text.
 local function argument_text(value) return to_text(value, RECORD, {}, 0) end
 
+-- The records whose arguments are events.
+local OF_EVENTS = { RAISED = true, DEFERRED = true, RECALLED = true }
+
+-- Returns an event as a text; one with data as all tools show it.
+local function event_text(event)
+  local name = rfsm.name_with_data(event)
+  return name and rfsmpp.short_text(event, name) or argument_text(event)
+end
+
 -- Trace: one record, one line ---------------------------------------------------
 
 local function prefix_of(is_coloured, name)
@@ -193,7 +202,8 @@ end
 
 local function line_of(is_coloured, prefix, id, ...)
   local padded, texts = ("%-20s"):format(argument_text(id)), {}
-  for i = 1, select("#", ...) do texts[i] = argument_text((select(i, ...))) end
+  local to_line = OF_EVENTS[id] and event_text or argument_text
+  for i = 1, select("#", ...) do texts[i] = to_line((select(i, ...))) end
   return prefix .. paint(is_coloured, ID[id], padded) .. concat(texts, " ")
 end
 

@@ -77,7 +77,7 @@ end
 
 -- Sets count number k of an iteration. After an interrupt it is set again.
 local function count_event(fsm, state, event, k)
-  if type(event) == "table" then event = match.name_of(event) or event end
+  if type(event) == "table" then event = rfsm.name_with_data(event) or event end
   local own, n = fsm._emem, state.emem[event]
   if k == own.at then
     state.emem[event] = own.values[k]

@@ -307,7 +307,7 @@ end
 function marsh.gen_event_text()
   local texts, counts = {}, {}
   return function(event)
-    local name = rfsm.event_name(event) or match.name_of(event)
+    local name = rfsm.event_name(event) or rfsm.name_with_data(event)
     local text = texts[event] or name or text_without_address(event)
     if text then return text end
     local kind = type(event)

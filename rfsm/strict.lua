@@ -109,7 +109,7 @@ end
 -- is an event with data.
 local function oddness_of_table(known, event)
   local _, named = names_of(known)
-  local name = match.name_of(event)
+  local name = rfsm.name_with_data(event)
   if not name or event[1] ~= nil then return oddness_of_nameless(known, event) end
   if not (known.set[name] or named[1]) then
     return "a table is an event of its own, as each argument is"

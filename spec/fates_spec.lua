@@ -212,7 +212,7 @@ it("the page shows what is kept, and what is discarded", function()
       .. table.concat(entry.events or {}, ", ")
   end
   assert.same({ "step: root.initial \226\134\146 root.warming e_init_fsm",
-    "note: kept: e_job (root.warming defers it) e_job", "lost: no transition e_x" },
+    "note: kept: e_job (root.warming defers it) e_job", "lost: discarded e_x" },
     lines)
   assert.same({ { "e_job" }, {} }, { view:now().waiting, view:now().queue })
 end)

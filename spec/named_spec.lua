@@ -55,7 +55,8 @@ describe("an exploration of events with data", function()
     assert.equal("p: holds (one event a step; no event outside of the alphabet)",
       never_c("e_coin", "e_cancel"))
     local ok, problem = pcall(never_c, { name = "e_coins" })
-    assert.same({ false, "alphabet: no transition names the event 'e_coins'" },
+    assert.same({ false, "alphabet: no transition names the event 'e_coins' "
+      .. "(did you mean 'e_coin'?)" },
       { ok, (problem:gsub("^.*explore: ", "")) })
   end)
 

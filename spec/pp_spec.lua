@@ -145,6 +145,16 @@ describe("a record", function()
     assert.matches("^arm:\tX                   {1,table: [%w]+}$", line)
   end)
 
+  it("shows an event with data as all tools do, and other tables with their contents",
+    function()
+      local event, lines = { name = "e_paid", amount = 12 }, {}
+      for i, id in ipairs { "RAISED", "WORD" } do
+        lines[i] = with(nil, {}, function(pp) return printed(pp, id, event, { 1 }) end)
+      end
+      assert.same({ "arm:\tRAISED              e_paid{amount=12} {1}",
+        'arm:\tWORD                {amount=12,name="e_paid"} {1}' }, lines)
+    end)
+
   it("has no blank between a long id and its arguments, and no name if there is none",
     function()
       assert.equal(("I"):rep(25) .. "a b", with(nil, {}, function(pp)

@@ -811,19 +811,21 @@ end
 local function check_alphabet(self, alphabet)
   for _, event in ipairs(self.free.predicates and {} or alphabet or {}) do
     if not self.event_numbers[self:event_meant(event)] then
+      local text = rfsm.name_with_data(event) or event
       error(("alphabet: no transition names the event '%s'%s"):format(
-        rfsm.event_text(event), type(event) == "string"
-        and advice.nearest_name(event, self:named_texts()) or ""), 0)
+        rfsm.event_text(event), type(text) == "string"
+        and advice.nearest_name(text, self:named_texts()) or ""), 0)
     end
   end
 end
 
---- List all texts that are events of transitions.
+--- List the texts, and the names of events with data, that transitions name.
 ---@return string[] names
 function Subject:named_texts()
   local list = {}
   for _, event in ipairs(self.event_list) do
-    if type(event) == "string" then list[#list + 1] = event end
+    local text = rfsm.name_with_data(event) or event
+    if type(text) == "string" then list[#list + 1] = text end
   end
   return list
 end

@@ -95,7 +95,7 @@ end
 -- `value`: the name of a state entered, a transition taken, or an event received.
 function breakpoints.each_reached(list, kind, value, f)
   for i, point in ipairs(list) do
-    local is_named = kind == "event" and match.name_of(value) == point.value
+    local is_named = kind == "event" and rfsm.name_with_data(value) == point.value
     if point.kind == kind and (rawequal(point.value, value) or is_named
       or kind == "transition" and point.value[value]) then
       f(i, point)

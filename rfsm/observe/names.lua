@@ -10,7 +10,6 @@ local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
 local location = require "rfsm.shared.location"
-local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 
 local ipairs, type = ipairs, type
@@ -42,7 +41,7 @@ end
 --- Return the text of the event that a person has meant, who has sent a text in place
 --- of an event with data, or the reverse; nil if the event is right.
 function names.form_meant(fsm, event)
-  local set, name = alphabet.of_all(fsm).set, match.name_of(event)
+  local set, name = alphabet.of_all(fsm).set, rfsm.name_with_data(event)
   if name and set[name] and not set[rfsm.named(name)] then return name end
   local is_text = type(event) == "string" and not set[event]
   return is_text and set[rfsm.named(event)] and event .. "{}" or nil

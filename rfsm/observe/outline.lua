@@ -78,7 +78,7 @@ local function add_edge(list, tr, key, words)
 end
 
 local function is_named(list, event)
-  local name = match.name_of(event)
+  local name = rfsm.name_with_data(event)
   return list.event_of[name and rfsm.named(name) or event] ~= nil
 end
 
@@ -86,7 +86,7 @@ end
 ---@param event any
 ---@return string?
 function outline.hint_for(list, event)
-  local name, texts = match.name_of(event), {}
+  local name, texts = rfsm.name_with_data(event), {}
   local text = name or event
   if type(text) ~= "string" or is_named(list, event) then return nil end
   for i, about in ipairs(list.events) do texts[i] = about.text end

@@ -159,7 +159,7 @@ end
 
 local function has_come(own, event, events)
   local wanted = meant(own, event)
-  return match.has(events, event) or match.name_of(wanted) ~= nil
+  return match.has(events, event) or rfsm.name_with_data(wanted) ~= nil
     and order.any(events, function(other) return match.example_of(other) == wanted end)
 end
 

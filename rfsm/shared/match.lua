@@ -9,19 +9,9 @@
 local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 
-local getmetatable, ipairs, rawequal = getmetatable, ipairs, rawequal
-local setmetatable, type = setmetatable, type
+local ipairs, rawequal, setmetatable, type = ipairs, rawequal, setmetatable, type
 
 local match = {}
-
---- Return the name of an event with data, a plain table with a text `name`; nil for any
---- other event.
----@param event any
----@return string? name
-function match.name_of(event)
-  if type(event) ~= "table" or getmetatable(event) ~= nil then return nil end
-  return type(event.name) == "string" and event.name or nil
-end
 
 -- name -> the event that stands for all events with data of this name
 local examples = setmetatable({}, { __mode = "v" })
@@ -31,7 +21,7 @@ local examples = setmetatable({}, { __mode = "v" })
 ---@param event any
 ---@return any example
 function match.example_of(event)
-  local name = rfsm.event_name(event) or match.name_of(event)
+  local name = rfsm.event_name(event) or rfsm.name_with_data(event)
   if not name then return event end
   local example = examples[name] or { name = name }
   examples[name] = example
@@ -119,7 +109,7 @@ end
 ---@return string? maker "engine" or an extension; nil: the event comes from outside
 ---@return string? fqn for a time event, the FQN of the state that has to be active
 function match.maker_of(event)
-  event = match.name_of(event) or event
+  event = rfsm.name_with_data(event) or event
   if type(event) ~= "string" then return nil end
   if event == "e_init_fsm" or event:find("^e_done@root") then return "engine" end
   for _, maker in ipairs(rfsm.makers) do

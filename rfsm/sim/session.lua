@@ -190,9 +190,10 @@ function Session:check_event(event, i, fsm)
     complain(("no transition names the event '%s' (did you mean '%s'?)"):format(
       rfsm.event_text(event, true), names.form_meant(fsm, event)))
   elseif not names.is_event(fsm, event) then
+    local text = rfsm.name_with_data(event) or event
     complain(("no transition names the event '%s'%s"):format(
-      rfsm.event_text(event, true), type(event) == "string"
-        and names.hint(event, names.events(fsm)) or ""))
+      rfsm.event_text(event, true), type(text) == "string"
+        and names.hint(text, names.events(fsm)) or ""))
   end
 end
 

@@ -14,7 +14,6 @@
 local calls = require "rfsm.shared.calls"
 local exact_json = require "rfsm.shared.exact_json"
 local each = require("rfsm.shared.order").each
-local match = require "rfsm.shared.match"
 local rfsm = require "rfsm"
 
 local error, getmetatable, ipairs, pcall = error, getmetatable, ipairs, pcall
@@ -89,7 +88,7 @@ end
 
 --- Can an event be kept? A text, a number and a boolean can, and an event with data.
 local function is_event(value)
-  return is_scalar(value) and value == value or match.name_of(value) ~= nil
+  return is_scalar(value) and value == value or rfsm.name_with_data(value) ~= nil
 end
 
 --- Return a copy of a value, in which tables without metatables are copied at any

@@ -26,7 +26,7 @@ local function event_text_before(event)
 end
 
 local function event_text(event)
-  local name = rfsm.event_name(event) or match.name_of(event)
+  local name = rfsm.event_name(event) or rfsm.name_with_data(event)
   return name and rfsm.event_text(rfsm.named(name), true) or event_text_before(event)
 end
 

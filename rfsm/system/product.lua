@@ -595,7 +595,7 @@ local function add_member(self, cell, name, options)
   own.has_senders = true -- the other machines
   join_wires(self, member, options)
   function own.maker_of(_, event)
-    return maker_of(own, event) or member.wired[match.name_of(event) or event]
+    return maker_of(own, event) or member.wired[rfsm.name_with_data(event) or event]
   end
   function member.note_untried(_, bound, text)
     self.is_partial = true

@@ -53,7 +53,7 @@ end
 
 -- Can an event be written in a spec? It must be a plain value or have a name.
 local function is_writable(event)
-  return encoding.is_scalar(event) or match.name_of(event) ~= nil
+  return encoding.is_scalar(event) or rfsm.name_with_data(event) ~= nil
 end
 
 -- Can an event of a step be written? It must not go to a region.
@@ -175,7 +175,7 @@ local function steps_at_rest(walk, number)
   local goes_on = conf[1].mode == "active" and { location.name_of(leaf, "root") } or nil
   local list = { { goes_on = goes_on }, { "e_unknown" } }
   for _, event in ipairs(own.event_list) do
-    local is_named = type(event) == "string" or match.name_of(event)
+    local is_named = type(event) == "string" or rfsm.name_with_data(event)
     if is_named and not (found.set[event] or own:maker_of(event)) then
       list[3] = { event }
       break
@@ -264,7 +264,7 @@ end
 -- Text ..............................................................................
 
 local function quoted(value)
-  local name = match.name_of(value)
+  local name = rfsm.name_with_data(value)
   if name then return ("{ name = %q }"):format(name) end
   return type(value) == "string" and ("%q"):format(value) or rfsm.text_of(value)
 end

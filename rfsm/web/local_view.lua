@@ -210,7 +210,7 @@ end
 function LocalView:settle()
   if self.lost[1] == nil then return end
   self.last_lost, self.lost = self.lost, {}
-  self:note("lost", "no transition", self.last_lost)
+  self:note("lost", "discarded", self.last_lost)
 end
 
 function LocalView:go_back(turn)

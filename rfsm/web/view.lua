@@ -10,7 +10,6 @@
 
 local diagram = require "rfsm.pictures.diagram"
 local marsh = require "rfsm.marsh"
-local match = require "rfsm.shared.match"
 local outline = require "rfsm.observe.outline"
 local rfsm = require "rfsm"
 local typed = require "rfsm.shared.typed"
@@ -161,7 +160,7 @@ function View:texts_of(events)
   local texts = {}
   for i = 1, #events do
     local event = events[i]
-    texts[i] = marsh.utf8(match.name_of(event) and rfsm.event_text(event, true)
+    texts[i] = marsh.utf8(rfsm.name_with_data(event) and rfsm.event_text(event, true)
       or self.outline.event_text(event))
   end
   return texts

@@ -1070,7 +1070,7 @@ return state { info = false, warn = false, err = false,
     window:keep_shot "past"
     window:click "#to-now"
     assert.same({ path = "root.hot", lit = { "hot" }, enabled = { "e_off" },
-      queue = { "empty" }, states = "4 of 4", log = "no transition", failed = { "hot" },
+      queue = { "empty" }, states = "4 of 4", log = "discarded", failed = { "hot" },
       why = 1, said = "in root.hot" }, window:run(SHOWN))
   end)
 
