@@ -15,7 +15,6 @@
 
 local rfsm = require "rfsm"
 local alphabet = require "rfsm.shared.alphabet"
-local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 
 local error, ipairs = error, ipairs

@@ -12,7 +12,6 @@
 local digits_of = require("rfsm.shared.exact_json").digits_of
 local files = require "rfsm.shared.files"
 local instrument = require "rfsm.shared.instrument"
-local match = require "rfsm.shared.match"
 local rfsm = require "rfsm"
 
 local io, ipairs, rawget, rawset = rawget(_G, "io"), ipairs, rawget, rawset

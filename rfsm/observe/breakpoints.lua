@@ -9,7 +9,6 @@
 
 local rfsm = require "rfsm"
 local location = require "rfsm.shared.location"
-local match = require "rfsm.shared.match"
 local names = require "rfsm.observe.names"
 local values = require "rfsm.observe.values"
 
