@@ -1,8 +1,8 @@
 # make sim [lamp.lua]     open a chart in the simulator
-# make test               lint, then every spec on every interpreter
+# make test               lint and the specs on the newest Lua, in a minute
 # make help               list the targets
 #
-# sim, fleet, fleet-postgres, test, test-web, test-site, test-hosts, doc, site, rocks and deb
+# sim, fleet, fleet-postgres, test, test-all, test-web, test-site, test-hosts, doc, site, rocks and deb
 # install missing Debian packages if you are root or have password-free sudo. Otherwise they print the
 # command to type. site and test-site need npm.
 
@@ -20,11 +20,14 @@ PREFIX   ?= /usr/local
 LUADIRS  ?= $(foreach v,5.1 5.2 5.3 5.4 5.5,$(PREFIX)/share/lua/$(v))
 STRIP    ?=
 STRIPPED := rfsm/stripped
-BUNDLE   ?= rfsm rfsm.fast rfsm.advice rfsm.tools rfsm.merge rfsm.fates
-# time events, sequential AND states, the printed machine, history, checks
-ALL      ?= rfsm_timeevent rfsm.clock rfsm_seqand rfsmpp rfsm.history rfsm_checks \
-            rfsm.checkevents $(addprefix rfsm.observe.,coverage watch_properties why) \
-            $(subst /,.,$(basename $(wildcard $(ROOMS:%=rfsm/%/*.lua))))
+# the core with hints, time events, sequential AND states, the printed machine, strict, why
+BUNDLE   ?= rfsm rfsm.fast rfsm.advice rfsm.tools rfsm.merge rfsm.fates rfsm_timeevent \
+            rfsm.clock rfsm_seqand rfsmpp rfsm.strict rfsm_checks rfsm.observe.why \
+            $(addprefix rfsm.shared.,alphabet calls location match order)
+# and checks, exploration, written tests, history
+ALL      ?= rfsm.history rfsm.checkevents rfsm.observe.coverage \
+            rfsm.observe.watch_properties $(filter-out $(BUNDLE), \
+            $(subst /,.,$(basename $(wildcard $(ROOMS:%=rfsm/%/*.lua)))))
 ROOMS    := shared clock checks explore tests
 DIST     ?= dist
 ifneq ($(word 2,x$(DESTDIR)$(PREFIX)),)
@@ -43,7 +46,7 @@ EXAMPLES := $(wildcard examples/*.lua)
 LINT     := $(MAKE) --no-print-directory lint
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/*/*.lua bench/*.lua)
 
-TARGETS  := all help help-all sim fleet fleet-postgres test test-web test-site test-hosts \
+TARGETS  := all help help-all sim fleet fleet-postgres test check test-all test-web test-site test-hosts \
             lint fuzz torture mutants bench soak day examples doc site gallery functions \
             deps transcript house rockspec rocks dist deb size install uninstall clean
 .DEFAULT_GOAL := all
@@ -79,9 +82,15 @@ fleet-postgres:         ## the same warehouse in a PostgreSQL server of its own
 	@tools/deps.sh postgres
 	@examples/warehouse/postgres.sh lua5.3
 
-test:                   ## lint, then every spec on each of LUAS
+test:                   ## lint, and the specs on the newest Lua, in a minute
 	@tools/deps.sh test $(LUAS)
-	@BUSTED="$(BUSTED)" LINT="$(LINT)" tools/test.sh $(LUAS)
+	@BUSTED="$(BUSTED)" LINT="$(LINT)" tools/test.sh --quick $(LUA)
+
+check: test             ## the same as test
+
+test-all:               ## lint, then every spec on each of LUAS
+	@tools/deps.sh test-all $(LUAS)
+	@SERVERS="$(SERVERS)" BUSTED="$(BUSTED)" LINT="$(LINT)" tools/test.sh $(LUAS)
 
 test-web:               ## the page in headless Chromium, with LUA
 	@tools/deps.sh web
@@ -160,7 +169,7 @@ gallery:                ### doc/gallery/: pictures of the examples and of larger
 	for f in $(EXAMPLES) doc/gallery/*.lua; do \
 	  $(LUA) tools/rfsm viz $$f -o doc/gallery/$$(basename $$f .lua).svg; \
 	done; \
-	$(LUA) tools/walk.lua examples/lamp.lua e_switch e_go e_halt e_switch > doc/gallery/walk.svg; \
+	$(LUA) tools/walk.lua examples/lamp.lua e_switch e_more e_less e_switch > doc/gallery/walk.svg; \
 	for n in loops recipe; do \
 	  $(LUA) tools/rfsm viz --direction LR doc/gallery/$$n.lua -o doc/gallery/$${n}_lr.svg; \
 	done
@@ -170,7 +179,7 @@ functions:              ### doc/functions.md: a line for each public function, w
 
 deps:                   ## install the packages for sim, test and doc
 	@tools/deps.sh sim
-	@tools/deps.sh test $(LUAS)
+	@tools/deps.sh test-all $(LUAS)
 	@tools/deps.sh doc
 
 house:                  ### print the floors of the library, its rooms, and who requires whom
@@ -179,7 +188,7 @@ house:                  ### print the floors of the library, its rooms, and who 
 rockspec:               ### the lists of the dev rockspec; with VERSION, the rockspec of a release
 	$(LUA) tools/rockspec.lua $(if $(VERSION),$(VERSION) $(URL) > rockspec/rfsm-$(VERSION)-1.rockspec)
 
-dist:                   ## dist/rfsm.lua: BUNDLE in one file; rfsm-all.lua: with ALL; their hashes
+dist:                   ## dist/rfsm.lua: one file to copy; rfsm-all.lua: with exploration; their hashes
 	@mkdir -p $(DIST)
 	$(LUA) tools/dist.lua $(BUNDLE) > $(DIST)/rfsm.lua
 	@$(LUA) tools/dist.lua $(BUNDLE) $(ALL) > $(DIST)/rfsm-all.lua

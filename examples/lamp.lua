@@ -7,14 +7,13 @@ local function says(text) return function() print(text) end end
 return state {
   info = false, -- print no notes
 
-  off = state { entry = says "off" },
-  on = state {
-    entry = says "power on", exit = says "power off",
-    idle = state {},
-    moving = state { entry = says "motor starts", exit = says "motor stops" },
-    trans { src = "initial", tgt = "idle" },
-    trans { src = "idle", tgt = "moving", events = { "e_go" } },
-    trans { src = "moving", tgt = "idle", events = { "e_halt" } },
+  off = state { entry = says "light off" },
+  on = state { entry = says "light on",
+    dim = state {},
+    bright = state { entry = says "full light" },
+    trans { src = "initial", tgt = "dim" },
+    trans { src = "dim", tgt = "bright", events = { "e_more" } },
+    trans { src = "bright", tgt = "dim", events = { "e_less" } },
   },
   trans { src = "initial", tgt = "off" },
   trans { src = "off", tgt = "on", events = { "e_switch" } },

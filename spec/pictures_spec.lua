@@ -245,8 +245,7 @@ describe("a picture", function()
   for _, robot in ipairs(robots) do
     list[#list + 1] = { name = robot.name, fsm = helper.init(robots.model(robot)) }
   end
-  local own, plain = {}, {}
-  for i, job in ipairs(list) do own[#own + 1] = share.has(i) and job or nil end
+  local own, plain = share.of(list), {}
   for i, job in ipairs(own) do plain[i] = dot.encode(job.fsm) end
   local svgs, others = pictures.svgs_of(pictures.layouts_of(own)),
     pictures.svgs_of(plain)
@@ -423,8 +422,7 @@ describe("doc/gallery", function()
     if not is_of_gallery() then
       return pending("not the Graphviz, or the fonts, of make test")
     end
-    local own = {}
-    for i, job in ipairs(list) do own[#own + 1] = share.has(i) and job or nil end
+    local own = share.of(list)
     local svgs = pictures.svgs_of(pictures.layouts_of(own))
     for i, job in ipairs(own) do
       local file = "doc/gallery/" .. job.name .. ".svg"

@@ -133,11 +133,9 @@ describe("a core alone in a folder", function()
   -- Runs the share of the specs there; returns what fails, and the hints.
   local function results_in(place)
     local names, hints, failed, count = {}, {}, {}, 0
-    for i, spec in ipairs(SPECS) do
-      if share.has(i) then
-        names[#names + 1] = "spec/" .. spec.name .. "_spec.lua"
-        hints[#hints + 1] = spec.hint
-      end
+    for i, spec in ipairs(share.of(SPECS)) do
+      names[i] = "spec/" .. spec.name .. "_spec.lua"
+      hints[#hints + 1] = spec.hint
     end
     for _, line in ipairs(lines_of(("cd '%s' && busted --lua=$(command -v '%s') "
       .. "--lpath=./?.lua -o TAP %s 2>&1"):format(place, lua,
@@ -261,12 +259,16 @@ describe("make help", function()
   end)
 end)
 
-describe("make -sn test", function()
-  it("prints the commands, and runs none", function()
-    local lines = lines_of("make -sn test LUAS=no-such-lua 2>&1; echo $?")
-    assert.matches("tools/test.sh no%-such%-lua$", lines[2])
-    assert.same({ "0" }, { lines[3], lines[4] })
-  end)
+describe("make -sn", function()
+  for target, options in pairs { ["test-all"] = "", test = "--quick ", -- any order
+    check = "--quick " } do
+    it(target .. " prints the commands, and runs none", function()
+      local lines = lines_of("make -sn " .. target .. " LUA=no-such-lua "
+        .. "LUAS=no-such-lua 2>&1; echo $?")
+      assert.matches("tools/test.sh " .. options .. "no-such-lua", lines[2], 1, true)
+      assert.same({ "0" }, { lines[3], lines[4] })
+    end)
+  end
 end)
 
 describe("the command", function()
@@ -383,17 +385,17 @@ describe("on a machine where nothing is installed", function()
 end)
 
 describe("tools/test.sh", function()
-  local FILES = "spec/[ab]*_spec.lua"
+  local FILES = "spec/[ab]*_spec.lua" -- none of them needs a server
   local SPECS = #lines_of("ls " .. FILES)
 
   -- Runs it with a busted that does this; returns the lines, and those on stderr.
-  local function run_program(program, settings)
+  local function run_program(program, settings, arguments)
     local busted = helper.file_with("#!/bin/sh\n" .. program)
     local messages = helper.file_with("")
     os.execute("chmod +x " .. busted)
-    local command = "LINT= %s FILES='%s' BUSTED=%s tools/test.sh %s"
+    local command = "LINT= FILES='%s' %s BUSTED=%s tools/test.sh %s"
     return lines_of(("{ " .. command .. "; echo $?; } 2>%s")
-      :format(settings or "PENDING=", FILES, busted, arg[-1], messages)),
+      :format(FILES, settings or "PENDING=", busted, arguments or arg[-1], messages)),
       lines_of("cat " .. messages)
   end
 
@@ -433,9 +435,36 @@ describe("tools/test.sh", function()
     local sum = 2 * SPECS .. " passed, 0 failed, 0 pending"
     assert.matches("^%S+: " .. sum .. ", %d+ s$", lines[1])
     assert.same({ sum, "0" }, { lines[2], lines[3] })
-    assert.is_truthy(messages[1]) -- one each 8 seconds, the first one at once
+    assert.is_truthy(messages[1]) -- one each 10 seconds, the first one at once
     for _, line in ipairs(messages) do
       assert.matches("^%d+ of " .. SPECS .. " files", line)
+    end
+  end)
+
+  local TWO = "FILES='spec/await_spec.lua spec/rtt_spec.lua' PENDING="
+
+  it("leaves out the files of servers and Orocos, or has them only", function()
+    for setting, sum in pairs { -- any order: each stands alone
+      no = "1 passed, 0 failed, 0 pending", only = "0 passed, 1 failed, 0 pending",
+      [""] = "1 passed, 1 failed, 0 pending",
+    } do
+      local lines = run_program('case "$*" in *await*) echo "' .. PASSED:sub(1, -2)
+        .. '" ;; esac', TWO .. " SERVERS=" .. setting)
+      assert.equal(sum, lines[#lines - 1])
+    end
+  end)
+
+  it("has a small share in a quick run, and names what was not tried", function()
+    local program = 'echo "1 success / 0 failures / 0 errors / %d pending : 0.1 '
+      .. 'seconds"\n[ "$RFSM_SHARE" = 1/30 ]'
+    for pending, lack in pairs { -- any order: each stands alone
+      [0] = "", ", what lacks a package (1)",
+    } do
+      local lines = run_program(program:format(pending), TWO, "--quick " .. arg[-1])
+      assert.same({ "not tried: servers and Orocos (1 files), browsers, other Luas, "
+        .. "most random charts" .. lack .. ": make test-all",
+        "1 passed, 0 failed, " .. pending .. " pending", "0" },
+        { lines[2], lines[3], lines[4] })
     end
   end)
 
@@ -516,7 +545,7 @@ describe("doc/config.ld", function()
       listed[#listed + 1] = ("doc/" .. file):gsub("^doc/%.%./", "")
     end
     table.sort(listed)
-    assert.same(files("*.md", "doc/*.md"), listed)
+    assert.same(files("*.md", ".github/*.md", "doc/*.md"), listed)
   end)
 end)
 

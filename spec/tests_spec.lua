@@ -99,11 +99,7 @@ local function run_spec(text, file)
 end
 
 local function example_files()
-  local files = {}
-  for i, file in ipairs(helper.lines_of("ls examples/*.lua")) do
-    if share.has(i) then files[#files + 1] = file end
-  end
-  return files
+  return share.of(helper.lines_of("ls examples/*.lua"))
 end
 
 describe("tests of an example", function()

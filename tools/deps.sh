@@ -2,7 +2,8 @@
 # Makes sure that the programs for a target are installed.
 #
 #   tools/deps.sh sim           for the simulator
-#   tools/deps.sh test LUA ...  for the tests, on these interpreters
+#   tools/deps.sh test LUA ...  for the tests, on the last of these that is installed
+#   tools/deps.sh test-all LUA ...  for all tests, on each of these
 #   tools/deps.sh web           for the tests of the page in a browser
 #   tools/deps.sh hosts         for the tests of the hosts in examples/hosts/
 #   tools/deps.sh doc           for the pages of the API
@@ -42,19 +43,30 @@ missing_for_sim() {
   echo "lua5.4 lua-argparse lua-ansicolors lua-readline lua-luv lua-dkjson"
 }
 
-# Interpreters in a folder of their own, such as tools/lua5.5, are not Debian's.
+missing_for_specs() { # missing_for_specs LUA
+  command -v busted >/dev/null 2>&1 || echo lua-busted
+  command -v luacheck >/dev/null 2>&1 || echo lua-check
+  has_module "$1" argparse || echo lua-argparse
+  has_module "$1" dkjson || echo lua-dkjson
+  has_module "$1" socket || echo lua-socket
+  command -v dot >/dev/null 2>&1 || echo graphviz
+}
+
 missing_for_test() { # missing_for_test LUA ...
+  lua=$(find_lua "$@" 2>/dev/null)
+  [ "$lua" != false ] || { lua=lua5.4 && echo "$lua"; }
+  missing_for_specs "$lua"
+}
+
+# Interpreters in a folder of their own, such as tools/lua5.5, are not Debian's.
+missing_for_test_all() { # missing_for_test_all LUA ...
   for lua in "$@"; do
     case $lua in */*) continue ;; esac
     command -v "$lua" >/dev/null 2>&1 || echo "$lua"
   done
   command -v luac5.1 >/dev/null 2>&1 || echo lua5.1
-  command -v busted >/dev/null 2>&1 || echo lua-busted
-  command -v luacheck >/dev/null 2>&1 || echo lua-check
-  has_module lua5.1 argparse || echo lua-argparse
+  missing_for_specs lua5.1
   has_module lua5.1 ansicolors || echo lua-ansicolors
-  has_module lua5.1 dkjson || echo lua-dkjson
-  has_module lua5.1 socket || echo lua-socket
   has_module lua5.1 luv || echo lua-luv
   has_module lua5.1 posix || echo lua-posix
   has_module lua5.1 readline || echo lua-readline
@@ -62,7 +74,6 @@ missing_for_test() { # missing_for_test LUA ...
   has_module lua5.1 redis || echo lua-redis
   has_module lua5.1 luasql.postgres || echo lua-sql-postgres
   command -v redis-server >/dev/null 2>&1 || echo redis-server
-  command -v dot >/dev/null 2>&1 || echo graphviz
   command -v tmux >/dev/null 2>&1 || echo tmux
   [ -e /usr/share/i18n/locales/de_DE ] || echo locales # with a decimal comma
 }
@@ -198,8 +209,9 @@ find_axe() {
 case "${1:-}" in
   axe) find_axe ;;
   lua) shift && find_lua "$@" ;;
-  sim | test | web | hosts | doc | site | deb | rocks | fleet | postgres)
+  sim | test | test-all | web | hosts | doc | site | deb | rocks | fleet | postgres)
     target=$1
+    [ "$target" != test-all ] || target=test_all
     shift
     packages=$(missing_for_"$target" "$@")
     # One word, one package.
@@ -209,7 +221,7 @@ case "${1:-}" in
     ;;
   *)
     echo "usage: tools/deps.sh sim|web|hosts|axe|doc|site|deb|rocks|fleet|postgres" >&2
-    echo "       tools/deps.sh test|lua LUA ..." >&2
+    echo "       tools/deps.sh test|test-all|lua LUA ..." >&2
     exit 2
     ;;
 esac

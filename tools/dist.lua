@@ -24,7 +24,10 @@ for name in pairs(type(preload) == "table" and bundled or {}) do -- any order
   end
 end
 
-return require %q
+---@type %s
+local module = require %q
+
+return module
 ]]
 
 local names, parts, version = {}, {}, nil
@@ -38,4 +41,4 @@ for _, name in ipairs(arg) do
   end
 end
 io.write(HEAD:format(version, table.concat(names, ", ")), bundle.HEAD,
-  table.concat(parts, "\n"), "\n", FOOT:format(names[1], names[1]))
+  table.concat(parts, "\n"), "\n", FOOT:format(names[1], names[1], names[1]))

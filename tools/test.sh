@@ -1,11 +1,18 @@
 #!/bin/sh
-# Runs the specs on each interpreter named, two spec files at a time for each core,
-# because some wait for what they started. A line is printed as an interpreter ends,
-# after the output of its failures. The last line is the sum: "N passed, N failed,
-# N pending". What is pending lacks a program or a package; each is listed before the
-# sum. With PENDING=no they count as failures.
-# On stderr, a line comes every 8 seconds: how many files are through, and the time that
+# tools/test.sh LUA ...        the specs on each of these interpreters
+# tools/test.sh --quick LUA    what a minute has room for
+#
+# Two spec files run at a time for each core, because some wait for what they started. A
+# line is printed as an interpreter ends, after the output of its failures. The last line
+# is the sum: "N passed, N failed, N pending". What is pending lacks a program or a
+# package; each is listed before the sum. With PENDING=no they count as failures.
+# On stderr, a line comes every 10 seconds: how many files are through, and the time that
 # the rest will take. With LINT, that command runs beside the specs.
+#
+# With SERVERS=no, the files are left out that require the module that starts servers, or
+# the stand-in for Orocos; with SERVERS=only, all others. A quick run has none of them, and
+# a small share of what is the same on all interpreters. The line before its sum names what
+# was not tried.
 #
 # Each spec file is a process of its own: collecting garbage stays cheap, and no file
 # sees what another has loaded. It is stopped after LIMIT seconds (300) of the processor,
@@ -19,6 +26,10 @@ export FONTCONFIG_FILE="$PWD/tools/fonts.conf"
 busted=${BUSTED:-busted} limit=${LIMIT:-300}
 command -v timeout >/dev/null && timeout="timeout -k 5 ${limit}0" || timeout=
 
+# Specs that require one of these take long.
+SERVER_MODULES='spec\.support\.(servers|rtt)'
+QUICK_SHARE=1/30
+
 # These files need modules in C, which the Lua 5.5 in tools/ cannot load. Without its
 # Python package it is skipped.
 NEEDS_C='spec/(bench|documents|extensions|fleet|older|painter|project|proto|redis|web)_spec'
@@ -30,6 +41,11 @@ NEEDS_JIT='spec/jit_spec'
 list_files() { # list_files LUA
   # shellcheck disable=SC2086
   files=$(ls ${FILES:-spec/*_spec.lua})
+  # shellcheck disable=SC2086
+  case $servers in
+    no) files=$(grep -LE "$SERVER_MODULES" $files) ;;
+    only) files=$(grep -lE "$SERVER_MODULES" $files) ;;
+  esac
   if [ "$1" = tools/lua5.5 ]; then
     why=$("$1" -e '' 2>&1) || { echo "$1: skipped, $why" >&2; return 0; }
     files=$(echo "$files" | grep -vE "$NEEDS_C")
@@ -52,6 +68,16 @@ list_pending() { # list_pending LOG ...
     print "pending: " $0 " (" folders[n - 1] ")" }' "$@" | sort
 }
 
+# Prints what a quick run did not try.
+name_rest() { # name_rest PENDING
+  lack=
+  [ "$1" = 0 ] || lack=", what lacks a package ($1)"
+  # shellcheck disable=SC2086
+  left=$(grep -lE "$SERVER_MODULES" ${FILES:-spec/*_spec.lua} | wc -l)
+  echo "not tried: servers and Orocos ($left files), browsers, other Luas, most random" \
+    "charts$lack: make test-all"
+}
+
 # Announces how many files are through, and the time that the rest will take, once a
 # twentieth is: the first ones tell too little.
 announce() { # announce LOGS
@@ -69,7 +95,7 @@ go_on_announcing() { # go_on_announcing LOGS PROCESS
   trap 'kill $pause 2>/dev/null; exit' TERM
   while kill -0 "$2" 2>/dev/null; do
     (announce "$1")
-    sleep 8 &
+    sleep 10 &
     pause=$!
     wait "$pause"
   done
@@ -115,6 +141,8 @@ if [ "${1:-}" = --one ]; then
   exit
 fi
 
+quick= servers=${SERVERS:-}
+[ "${1:-}" = --quick ] && quick=yes servers=no && shift
 logs=$(mktemp -d)
 trap 'rm -rf "$logs"' EXIT
 number=0
@@ -122,7 +150,7 @@ for lua in "$@"; do
   command -v "$lua" >/dev/null || { echo "$lua: not installed" >&2; exit 1; }
   own=$logs/${lua##*/} number=$((number + 1))
   mkdir "$own"
-  echo "$number/$#" >"$own/share"
+  if [ -n "$quick" ]; then echo "$QUICK_SHARE"; else echo "$number/$#"; fi >"$own/share"
   list_files "$lua" >"$own/files"
   grep -c . "$own/files" >"$own/count"
   cat "$own/files"
@@ -138,8 +166,9 @@ xargs -P "$(($(getconf _NPROCESSORS_ONLN || echo 2) * 2))" -n 2 "$0" --one "$log
 wait "$linter"
 read -r lint_status <"$logs/lint-status"
 [ "$lint_status" = 0 ] || cat "$logs/lint"
-list_pending "$logs"/*/*.done
+[ -n "$quick" ] || list_pending "$logs"/*/*.done
 # shellcheck disable=SC2046
 set -- $(count "$logs"/*/*.done)
+[ -z "$quick" ] || name_rest "$3"
 echo "$1 passed, $2 failed, $3 pending"
 [ "$lint_status" = 0 ] && [ "$2" = 0 ] && [ "$1" != 0 ] && { [ "$3" = 0 ] || [ "${PENDING:-}" != no ]; }

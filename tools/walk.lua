@@ -76,8 +76,8 @@ local function captions(frames, width, height)
     texts[i] = ('<g display="%s" text-anchor="middle" font-family="Helvetica,Arial,'
       .. 'sans-serif"><text x="%d" y="%d" font-size="13" fill="#0072b2">%s</text>'
       .. '<text x="%d" y="%d" font-size="11">%s</text>%s</g>'):format(values[1],
-      width / 2, height + 16, escape(frame.event), width / 2, height + 32,
-      escape(frame.text), animate("display", values))
+      math.floor(width / 2), height + 16, escape(frame.event), math.floor(width / 2),
+      height + 32, escape(frame.text), animate("display", values))
   end
   return table.concat(texts, "\n")
 end

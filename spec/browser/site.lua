@@ -88,10 +88,10 @@ describe("the playground", function()
       end
       window:keep_shot("playground-" .. origin)
 
-      go_behind '"moving"'
+      go_behind '"bright"'
       window:type(webdriver.BACKSPACE .. 's"')
       window:wait "document.querySelector('#problems li')"
-      assert.same({ "lamp.lua:16" }, texts "#problems code")
+      assert.same({ "lamp.lua:15" }, texts "#problems code")
       assert.equal("1 problem", texts("#verdict")[1])
       assert.is_true(window:run [[ // the last picture stays beside it
         const problem = $("problems").getBoundingClientRect(), view = $("view");
@@ -103,8 +103,8 @@ describe("the playground", function()
       window:wait(DRAWN .. " && document.querySelector('#problems').hidden")
 
       window:click "#events .enabled"
-      window:wait "now.leaf == 'root.on.idle'"
-      wait_for_line "power on"
+      window:wait "now.leaf == 'root.on.dim'"
+      wait_for_line "light on"
       window:run "document.activeElement.blur()"
       window:type "3"
       window:wait "!document.querySelector('#why').hidden"
@@ -144,11 +144,11 @@ describe("the playground", function()
   it("keeps the state while the chart is changed", function()
     visit()
     window:click "#events .enabled"
-    window:wait "now.leaf == 'root.on.idle'"
-    go_behind 'idle = state {'
+    window:wait "now.leaf == 'root.on.dim'"
+    go_behind 'dim = state {'
     window:type " data = 42 "
     window:wait "chart.version && !now.can_back"
-    assert.equal("root.on.idle", window:run "return now.leaf")
+    assert.equal("root.on.dim", window:run "return now.leaf")
   end)
 
   it("opens a chart whose robot is not here, and says what is missing", function()
