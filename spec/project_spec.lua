@@ -599,7 +599,7 @@ local function leads_somewhere(file, link)
 end
 
 describe("a link", function()
-  for _, file in ipairs(files("*.md", "doc/*.md")) do
+  for _, file in ipairs(files("*.md", ".github/*.md", "doc/*.md")) do
     it("in " .. file .. " leads somewhere", function()
       local dead = {}
       for link in content(file):gmatch("%]%(([^)%s]+)%)") do
@@ -625,7 +625,7 @@ end
 
 -- The blocks of one document share their globals, as at one prompt.
 describe("each block of code", function()
-  for _, file in ipairs(files("*.md", "doc/*.md")) do
+  for _, file in ipairs(files("*.md", ".github/*.md", "doc/*.md")) do
     it("in " .. file .. " runs, and prints what it says", function()
       local env = setmetatable({}, { __index = _G })
       for _, block in ipairs(lua_blocks(file)) do
