@@ -274,26 +274,43 @@ local function time_left(sec, nsec, now, now_nsec)
   return floor((sec - now) * 1e9 + (nsec - now_nsec) + 0.5)
 end
 
--- Lists the expired timers of one kind, e_after or e_at, the earliest first. A timer
--- without a known deadline is armed. Also returns the nanoseconds to the next expiry.
-local function find_expired(fsm, is_relative, now, now_nsec)
-  local list, count, least = list_timers(fsm), 0, huge
-  for rank = 1, #list do
-    local timer = list[rank]
-    list[rank] = nil
-    if timer.event.is_relative == is_relative then
-      local sec, nsec = deadline_of(timer)
-      if not sec then sec, nsec = arm(fsm, timer, now, now_nsec) end
-      local left = time_left(sec, nsec, now, now_nsec)
-      if left >= 0 then
-        least = min(least, left)
-      else
-        count = count + 1
-        timer.left, timer.rank, list[count] = left, rank, timer
-      end
+-- Returns the nanoseconds until a timer expires. One without a known deadline is armed.
+local function left_of(fsm, timer, now, now_nsec)
+  local sec, nsec = deadline_of(timer)
+  if not sec then sec, nsec = arm(fsm, timer, now, now_nsec) end
+  return time_left(sec, nsec, now, now_nsec)
+end
+
+-- An expiry has no loop: LuaJIT would give up a host's loop around loops that mostly
+-- turn once. So the functions from here to `raise_expired` recurse.
+
+-- Appends the expired timers of one kind to a list: those of a state from number `i`
+-- on, then of its active child. Returns the least of `least` and the nanoseconds that
+-- others have left.
+local function append_expired(list, state, i, least, fsm, is_relative, now, now_nsec)
+  local timers, child = state._timers, state._actchild
+  local timer = timers and timers[i]
+  if not timer then
+    if not child then return least end
+    return append_expired(list, child, 1, least, fsm, is_relative, now, now_nsec)
+  elseif timer.event.is_relative == is_relative then
+    local left = left_of(fsm, timer, now, now_nsec)
+    if left >= 0 then
+      least = min(least, left)
+    else
+      timer.left, timer.rank, list[#list + 1] = left, #list, timer
     end
   end
-  sort(list, expires_before)
+  return append_expired(list, state, i + 1, least, fsm, is_relative, now, now_nsec)
+end
+
+-- Lists the expired timers of one kind, e_after or e_at, the earliest first. Also
+-- returns the nanoseconds to the next expiry.
+local function find_expired(fsm, is_relative, now, now_nsec)
+  if fsm._mode == "inactive" then return {}, huge end
+  local list = {}
+  local least = append_expired(list, fsm, 1, huge, fsm, is_relative, now, now_nsec)
+  if list[2] then sort(list, expires_before) end
   return list, least
 end
 
@@ -307,16 +324,13 @@ end
 -- Moves due sends to the list `events`. Returns the nanoseconds until the next send. A
 -- send notes its position there, so that after an interrupt it comes once.
 local function raise_sends(fsm, events, sec, nsec)
-  local sends = fsm._timeevent.sends
   local send, left = next_send(fsm, sec, nsec)
-  while left < 0 do
-    send.at = send.at or #events + 1
-    events[send.at] = send.event
-    remove(sends)
-    report(fsm, "dbg", "TIMEEVENT", send.event)
-    send, left = next_send(fsm, sec, nsec)
-  end
-  return left
+  if left >= 0 then return left end
+  send.at = send.at or #events + 1
+  events[send.at] = send.event
+  remove(fsm._timeevent.sends)
+  report(fsm, "dbg", "TIMEEVENT", send.event)
+  return raise_sends(fsm, events, sec, nsec)
 end
 
 -- Arms an expired timer for its next time, if it is repeated. Times that have passed
@@ -331,18 +345,26 @@ local function arm_again(fsm, timer, now, now_nsec)
   return set(fsm, timer, normalise(sec + count * period, nsec + count * rest))
 end
 
+-- Appends the events of a list of expired timers, from number `i` on, to the current
+-- events, and arms them again. Returns the least of `least` and the nanoseconds that
+-- these have left. After an interrupt the event of the timer that was under way may be
+-- there already.
+local function raise_timers(fsm, expired, i, least, sec, nsec)
+  local timer, events = expired[i], fsm._curq
+  if not timer then return least end
+  if events[#events] ~= timer.name then events[#events + 1] = timer.name end
+  local again, rest = arm_again(fsm, timer, clock.present(sec, nsec))
+  if again < huge then least = min(least, time_left(again, rest, sec, nsec)) end
+  report(fsm, "dbg", "TIMEEVENT", timer.name)
+  return raise_timers(fsm, expired, i + 1, least, sec, nsec)
+end
+
 -- Appends the events of expired timers, and sends that are due, to the current events.
--- After an interrupt the event of the timer that was under way may be there already.
 local function raise_expired(fsm, is_relative, time, sec, nsec)
   if not time then return report_clock(fsm, sec) end
-  local events, expired, least = fsm._curq, find_expired(fsm, is_relative, sec, nsec)
-  for _, timer in ipairs(expired) do
-    if events[#events] ~= timer.name then events[#events + 1] = timer.name end
-    local again, rest = arm_again(fsm, timer, clock.present(sec, nsec))
-    if again < huge then least = min(least, time_left(again, rest, sec, nsec)) end
-    report(fsm, "dbg", "TIMEEVENT", timer.name)
-  end
-  if is_relative then least = min(least, raise_sends(fsm, events, sec, nsec)) end
+  local expired, least = find_expired(fsm, is_relative, sec, nsec)
+  least = raise_timers(fsm, expired, 1, least, sec, nsec)
+  if is_relative then least = min(least, raise_sends(fsm, fsm._curq, sec, nsec)) end
   fsm._timeevent[is_relative] = time + least * 1e-9 - MARGIN
 end
 
