@@ -1212,7 +1212,8 @@ local DEFAULTS = {
 local function new_emit(f)
   return function(name, data)
     if type(name) ~= "string" then
-      error("emit: name expected, got " .. type(name), 2)
+      error("emit: name expected, got " .. (is_state(name)
+        and "state (call it with a dot: fsm.emit)" or type(name)), 2)
     end
     f(name, data)
   end

@@ -96,7 +96,7 @@ local function oddness_of_nameless(known, event)
   local _, named = names_of(known)
   if event[1] ~= nil and not (key == 1 and next(event, 1) ~= nil) then
     return "a list is one event (did you mean rfsm.send_events(fsm, unpack(list))?)"
-  elseif key == 1 or key ~= nil and not named[1] then
+  elseif key ~= nil then
     return ("the table has no field 'name' (did you mean name = '%s' in place of %s?)")
       :format(value, key == 1 and "the first item" or "'" .. text_of(key) .. "'")
   elseif named[1] then
@@ -214,6 +214,16 @@ end
 local METHODS = { run = true, step = true, send_events = true, reset = true,
   is_in = true, is_idle = true }
 
+-- Fields in which other libraries have the active state.
+local STATE_FIELDS = { state = true, current = true, current_state = true,
+  currentState = true, active_state = true, active = true }
+
+-- Returns the function that was meant by a field that a machine does not have.
+local function function_for(name)
+  return METHODS[name] and ("rfsm.%s(fsm)"):format(name)
+    or STATE_FIELDS[name] and "rfsm.get_actleaf_fqn(fsm)"
+end
+
 -- Warns of reads of functions that do not exist: rfsm.send_event, fsm:run().
 local function watch_reads()
   local Library, Machine = getmetatable(rfsm), getmetatable(latest)
@@ -229,9 +239,10 @@ local function watch_reads()
   end
   function Machine.__index(machine, name)
     local value = defaults[name]
-    if value == nil and METHODS[name] and rawget(machine, "_strict") then
-      warn(machine, ("%sa machine has no field '%s' (did you mean rfsm.%s(fsm)?)")
-        :format(caller(), name, name))
+    local meant = value == nil and function_for(name)
+    if meant and rawget(machine, "_strict") then
+      warn(machine, ("%sa machine has no field '%s' (did you mean %s?)"):format(
+        caller(), name, meant))
     end
     return value
   end
@@ -422,12 +433,31 @@ local function waiting_for(fsm, event)
   end
 end
 
+-- Warns if no path was taken, although a transition of an active state names an event:
+-- no way on is open behind the connector to which it leads.
+local function check_closed(fsm, events)
+  local state = fsm._act_leaf
+  while state do
+    for _, tr in ipairs(state._otrs) do
+      for _, event in ipairs(rfsm.is_conn(tr.tgt) and not tr.guard and events or {}) do
+        if match.names(tr, event) then
+          warn(fsm, ("event '%s' is discarded, no transition from '%s' is enabled (add "
+            .. "one without a guard, of the least pn)"):format(rfsm.event_text(event),
+            tr.tgt._fqn))
+        end
+      end
+    end
+    state = state._parent ~= state and state._parent
+  end
+end
+
 -- The post step hook: warns if an event was discarded because it came together with the
 -- event of the path, and a state that is active now has a transition for it.
 local function check_lost(fsm, events)
   local path = fsm._strict.path
   fsm._strict.path = false
-  local first = path and path[1] -- none if the root is a leaf
+  if not path then return check_closed(fsm, events) end
+  local first = path[1] -- none if the root is a leaf
   if not first or rfsm.is_conn(first.src) then return end
   for _, event in ipairs(events) do
     local fqn = type(event) == "string" and not event:find("@", 1, true)

@@ -43,6 +43,13 @@ local System = { -- the hint is for who loads a system as a chart
   rfsm_hint = " (it is a system, which rfsm check, rfsm sim and rfsm.system.load open)",
 }
 
+-- Raises an error if a method was called with a dot.
+local function check_self(self, method)
+  if getmetatable(self) == System then return end
+  error(("rfsm.system.%s: system expected, got %s (cell:%s(...), with a colon)"):format(
+    method, type(self), method), 3)
+end
+
 -- Raises an error that blames the caller of a method.
 local function check(is_right, method, expected, value)
   if is_right then return end
@@ -132,6 +139,7 @@ end
 ---@return any[] came the events from the wires, then the events from outside
 ---@return rfsm.system.Wire[] by for each event that came from a wire, this wire
 function System:move(name, events, wanted, holds)
+  check_self(self, "move")
   local is_name, problem = description.is_name(self.models, name)
   if not is_name then error("rfsm.system.move: " .. problem, 2) end
   check(events == nil or type(events) == "table", "move", "list of events", events)
@@ -149,6 +157,7 @@ end
 --- in the fixed order again.
 ---@param seed? integer
 function System:shuffle(seed)
+  check_self(self, "shuffle")
   check(seed == nil or is_number(seed), "shuffle", "number", seed)
   self.state = seed and floor(seed) % 2147483646 + 1 or false
 end
@@ -171,6 +180,7 @@ local function has_event(queue) return queue[1] ~= nil end
 -- each move, with its results
 ---@return boolean idle true if no machine has anything left to do, and no event waits
 function System:step(watch)
+  check_self(self, "step")
   local are_idle = true
   for _, name in ipairs(order_of(self)) do
     local is_idle, came, by = self:move(name)
@@ -184,6 +194,7 @@ end
 ---@param most? integer greatest number of steps; default: no limit
 ---@return boolean idle false if something is left to do after `most` steps
 function System:run(most)
+  check_self(self, "run")
   check(most == nil or is_number(most), "run", "number of steps", most)
   for _ = 1, most or huge do
     if self:step() then return true end
@@ -201,6 +212,7 @@ end
 --
 -- After that no machine is entered, and no event waits.
 function System:reset()
+  check_self(self, "reset")
   for _, name in ipairs(self.names) do rfsm.reset(self.machines[name]) end
   empty_wires(self)
 end
@@ -209,6 +221,7 @@ end
 ---@param options? table the options of `explore` in `rfsm.system.report`
 ---@return rfsm.system.Report
 function System:explore(options)
+  check_self(self, "explore")
   return require("rfsm.system.report").explore(self, options)
 end
 

@@ -642,7 +642,8 @@ describe("each code", function()
     deployed = true,
     undefined = true, ["no-value"] = true, ["no-yield"] = true, ["busy-doo"] = true,
     ["doo-ends"] = true, called = true, lost = true, parameters = true,
-    ["wrong-call"] = true }
+    ["wrong-call"] = true, ["idle-hook"] = true, ["idle-reaction"] = true,
+    unwired = true }
   for _, entry in ipairs(codes.list) do
     if not OTHERS[entry.code] then
       it("has a chart that shows it, and one that does not: " .. entry.code, function()

@@ -112,6 +112,15 @@ describe("the usage of rfsm", function()
       = "Error: --history: whole number above 0 expected, got '1.5'",
     ["postgres --ids-for x y"]
       = "Error: --ids-for: whole number above 0 expected, got 'x'",
+    ["web x.lua 8080"] = "Error: one FILE expected, got '8080', too (the port is an "
+      .. "option: -p 8080)",
+    ["web x.lua y.lua"] = "Error: one FILE expected, got 'y.lua', too",
+    ["viz x.lua x.svg"]
+      = "Error: 'x.svg' is no chart, a picture is written by -o x.svg",
+    ["run x.lua"] = "Error: no command is named 'run' (did you mean 'sim'?), rfsm "
+      .. "lists them",
+    ["chekc x.lua"] = "Error: no command is named 'chekc' (did you mean 'check'?), "
+      .. "rfsm lists them",
     ["x.lua"] = "rfsm: 'x.lua' is no command. To step through that chart, type: rfsm "
       .. "sim x.lua",
   } do

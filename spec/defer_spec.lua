@@ -486,6 +486,27 @@ describe("deferral", function()
     end)
   end
 
+  for _, case in ipairs {
+    { { "e_yx" }, "defer 'e_yx', but no transition takes it (did you mean 'e_xy'?)" },
+    { { "e_go" }, "defer 'e_go' has no effect, root.trans[2] (a -> b) takes it" },
+    { { "e_xy", rfsm.named "e_z" } },
+    { { "e_go" }, guard = print },
+    { { "e_zz" }, event = rfsm.named "e_z" },
+  } do
+    it("is checked for events that nothing takes, or the state itself: "
+      .. (case[2] or "none"), function()
+      local found = {}
+      for _, finding in ipairs(require("rfsm_checks").findings(state { info = false,
+        warn = false, a = state { defer = case[1] }, b = state {},
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_go" }, guard = case.guard },
+        trans { src = "b", tgt = "a", events = { "e_xy", case.event } } })) do
+        if finding.code == "idle-reaction" then found[#found + 1] = finding.text end
+      end
+      assert.same({ case[2] }, found)
+    end)
+  end
+
   it("leaves the trace of the oracle on random charts", function()
     assert.is_nil(share.problem(dofile "spec/support/claims/defer.lua", 100))
   end)

@@ -40,9 +40,9 @@ return state { a = state {}, b = state {},
   trans { src = "b", tgt = "a", events = { "e_go" }, guard = function(fsm, events)
     return fsm.speed < 3 end } }
 --C :3: warning: root.trans[2] (a -> b): parameter 1 of the effect, 'events', is the
-    machine (effect(fsm, tr, _, events)) [parameters]
+    machine (effect(fsm, tr, _, events, event)) [parameters]
 --C :5: warning: root.trans[3] (b -> a): parameter 1 of the guard, 'fsm', is the
-    transition (guard(tr, events)) [parameters]
+    transition (guard(tr, events, event)) [parameters]
 --S GUARD error executing guard of T={ src='root.b', tgt='root.a', events='e_go' }:
     :6: attempt to compare nil with number
 == event_done
@@ -538,7 +538,7 @@ return state { a = state {}, b = state { entry = function(state)
   trans { src = "a", tgt = "b", events = { "e_go" } },
   BACK }
 --C :1: warning: root.b: parameter 1 of the entry, 'state', is the machine (entry(fsm,
-    state)) [parameters]
+    state, _, event)) [parameters]
 == transition_named_by_event
 -- events: e_go
 return state { a = state { on = { e_go = "b" } }, b = state {},
@@ -611,7 +611,8 @@ local fsm = strict(rfsm.state { a = rfsm.state {}, b = rfsm.state { final = true
   rfsm.trans { src = "initial", tgt = "a" },
   rfsm.trans { src = "a", tgt = "b", events = { rfsm.named "e_paid" } } })
 rfsm.send_events(fsm, { event = "e_paid", amount = 12 })
---S WARNING: main.lua:4: the table has no field 'name' (there is 'e_paid')
+--S WARNING: main.lua:4: the table has no field 'name' (did you
+    mean name = 'e_paid' in place of 'event'?)
 ]==]
 
 -- Returns the lines of `rfsm check`, without exploration.

@@ -125,6 +125,36 @@ local MISTAKES = [[
 --W 6: root.c: a state has no field 'leave' (did you mean 'exit'?)
   c = rfsm.state { enrty = function() end },
 --W 6: root.c: a state has no field 'enrty' (did you mean 'entry'?)
+  c = rfsm.state { on_enter_idle = function() end },
+--W 6: root.c: a state has no field 'on_enter_idle' (did you mean 'entry'?)
+  c = rfsm.state { onLeaveIdle = function() end },
+--W 6: root.c: a state has no field 'onLeaveIdle' (did you mean 'exit'?)
+  c = rfsm.state { always = { { target = "b", cond = "isHot" } } },
+--W 6: root.c: a state has no field 'always' (a transition beside the state: rfsm.trans{
+    src, tgt, always = true })
+  c = rfsm.state { after = { [1000] = "b" } },
+--W 6: root.c: a state has no field 'after' (a transition beside the state: events = {
+    'e_after(SECONDS)' })
+  c = rfsm.state { before = function() end },
+--W 6: root.c: a state has no field 'before' (the effect of a transition runs before the
+    entry)
+  c = rfsm.state { conditions = { function() end } },
+--W 6: root.c: a state has no field 'conditions' (guard = function() ... end, of a
+    transition)
+  c = rfsm.state { unless = function() end },
+--W 6: root.c: a state has no field 'unless' (guard = function() ... end, of a
+    transition)
+  c = rfsm.state { validators = function() end },
+--W 6: root.c: a state has no field 'validators' (guard = function() ... end, of a
+    transition)
+  c = rfsm.state { invoke = { src = function() end, onDone = "b" } },
+--W 6: root.c: a state has no field 'invoke' (did you mean 'doo'?)
+  c = rfsm.state { always = true, after = 5, before = "noon", invoke = {} },
+-->
+  rfsm.trans { src = "a", tgt = "b", events = { "e" }, before = function() end },
+--W T (a -> b): a transition has no field 'before' (did you mean 'effect'?)
+  rfsm.trans { src = "a", tgt = "b", events = { "e" }, validators = function() end },
+--W T (a -> b): a transition has no field 'validators' (did you mean 'guard'?)
   rfsm.trans { src = "a", tgt = "b", event = "e" },
 --W T (a -> b): a transition has no field 'event' (did you mean 'events'?)
   rfsm.trans { src = "a", tgt = "b", Events = { "e" } },
@@ -236,6 +266,9 @@ return { a = {} }
 return rfsm.trans { src = "a", tgt = "b" }
 --> raises rfsm.load: no valid rfsm in file 'chart.lua' found. (did you mean: return
     rfsm.state{...}?)
+return function() return rfsm.state { a = rfsm.state {} } end
+--> raises rfsm.load: no valid rfsm in file 'chart.lua' found. (return the state that it
+    makes)
 local chart = rfsm.state { a = rfsm.state {} }
 --> raises rfsm.load: no valid rfsm in file 'chart.lua' found. (a chart ends with:
     return rfsm.state{...})

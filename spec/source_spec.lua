@@ -42,6 +42,9 @@ local NO_YIELD = "no-yield: root.b: a loop in the doo has no end and no yield"
 local BUSY = "note busy-doo: root.b: the doo is never idle, it yields nothing"
 local ENDS = "note doo-ends: root.b: the doo ends, and no transition waits for e_done"
 
+local IDLE = "an idle machine calls its idle_hook again and again, so that run returns "
+  .. "only after an error"
+
 local function undefined(line, name, hint)
   return ("undefined: root.b: line %d reads the global '%s', which is not defined%s")
     :format(line, name, hint)
@@ -83,11 +86,58 @@ local CASES = {
   { name = "parameters in another order", state = "entry = function(state, fsm)\n"
     .. "return state, fsm end", lines = {
     "parameters: root.b: parameter 1 of the entry, 'state', is the machine (entry(fsm, "
-      .. "state))",
+      .. "state, _, event))",
     "parameters: root.b: parameter 2 of the entry, 'fsm', is the state (entry(fsm, "
-      .. "state))" } },
+      .. "state, _, event))" } },
   { name = "no parameter that is not used, nor one of another name", lines = {},
     state = "entry = function(state) end,\n exit = function(o, a) return o, a end" },
+  { name = "a first parameter that is read as the state", lines = {
+    "parameters: root.b: parameter 1 of the entry, 'self', is the machine, which has "
+      .. "no field 'n' (entry(fsm, state, _, event))" },
+    state = "n = 0, entry = function(self) self.n = self.n + 1 end" },
+  { name = "one of an effect that is read as the transition", lines = {
+    "parameters: root.trans[2] (a -> b): parameter 1 of the effect, 'o', is the "
+      .. "machine, which has no field 'speed' (effect(fsm, tr, _, events, event))" },
+    transition = "speed = 3, effect = function(o) print(o.speed) end" },
+  { name = "one of a guard that is read as the machine", lines = {
+    "parameters: root.trans[2] (a -> b): parameter 1 of the guard, 'm', is the "
+      .. "transition, which has no field 'info' (guard(tr, events, event))" },
+    transition = "guard = function(m) return m.info end" },
+  { name = "no field of the machine, and none that is only written", lines = {},
+    state = "info = 1, n = 0, entry = function(m) m.n = 1 return m.info, m._fqn end" },
+  { name = "a method that gets the machine in place of its object", lines = {
+    "parameters: root.b: parameter 1 of the entry, 'self', is the machine, which has "
+      .. "no field 'sound' (entry = function() robot:beep() end)" },
+    state = "entry = (function() local robot = {}\nfunction robot:beep() print(self."
+      .. "sound) end\nreturn robot.beep end)()" },
+  { name = "no method that reads what the machine has", lines = {},
+    state = "entry = (function() local robot = {}\nfunction robot:beep() print(self."
+      .. "info) end\nreturn robot.beep end)()" },
+  { name = "a guard that reads the list as one event", lines = {
+    "parameters: root.trans[2] (a -> b): parameter 2 of the guard, 'e', is the list of "
+      .. "events (guard(tr, events, event))" },
+    transition = "guard = function(_, e) return e.n > 0 end" },
+  { name = "a guard that compares the list with a text", lines = {
+    "parameters: root.trans[2] (a -> b): parameter 2 of the guard, 'event', is the "
+      .. "list of events (guard(tr, events, event))" },
+    transition = "guard = function(_, event) return 'e_x' == event end" },
+  { name = "an entry that reads the word as an event", lines = {
+    "parameters: root.b: parameter 3 of the entry, 'e', is the word (entry(fsm, state, "
+      .. "_, event))" },
+    state = "entry = function(_, _, e) print(e.n) end" },
+  { name = "no list that is read as one, or whose name is given to another value",
+    transition = "guard = function(_, e) for _, e in ipairs(e) do if e.n then return "
+      .. "false end end end,\n effect = function(_, _, _, events) print(events[1], "
+      .. "#events) end", lines = {},
+    state = "entry = function(_, _, word, event) print(word:upper(), event.n) end" },
+  { name = "an emit with a colon", lines = {
+    "wrong-call: root.b: emit gets the event first (m.emit(...), with a dot)" },
+    state = "entry = function(m) m:emit('e_on') end" },
+  { name = "as a note, an idle hook that may wait", lines = {
+    "note idle-hook: root: " .. IDLE },
+    transition = "}, idle_hook = function() print() end, datum = {" },
+  { name = "an idle hook that calls nothing", lines = { "idle-hook: root: " .. IDLE },
+    transition = "}, idle_hook = function() local n = 1 return n end, datum = {" },
   { name = "a yield outside of a doo", state = "exit = function() yield() end,\n"
     .. "entry = function() coroutine.yield() end", lines = {
     "wrong-call: root.b: the entry calls coroutine.yield (only a doo may yield)" } },
@@ -169,6 +219,29 @@ describe("the text of callbacks", function()
   for _, case in ipairs(CASES) do
     it("shows " .. case.name, function() assert.same(case.lines, found(case)) end)
   end
+
+  it("shows an event that a region sends to itself, and only others know", function()
+    local file = helper.file_with([[
+local rfsm = require "rfsm"
+local state, trans = rfsm.state, rfsm.trans
+local function region(entry)
+  return state { info = false, warn = false, w = state { entry = entry }, r = state {},
+    trans { src = "initial", tgt = "w" } }
+end
+local left, right = region(), region(function(fsm)
+  rfsm.send_events(fsm, "e_left", "e_own")
+end)
+left[2] = trans { src = "w", tgt = "r", events = { "e_left" } }
+right[2] = trans { src = "w", tgt = "r", events = { "e_own" } }
+return state { info = false, warn = false, trans { src = "initial", tgt = "both" },
+  both = rfsm.seqand { left = left, right = right, idle_doo = "auto" } }
+]])
+    local findings = static.collect(rfsm.load(file), { "rfsm.checks.source" })
+    assert.equal(1, #findings)
+    assert.equal("root.both.right: root.w: the entry sends 'e_left' to its own region, "
+      .. "where no transition names it (rfsm.send_events(rfsm.parent(fsm), ...))",
+      findings[1].place .. ": " .. findings[1].text)
+  end)
 
   it("is left alone where it cannot be read, or begins twice in a line", function()
     local model = rfsm.load_str("local rfsm = require 'rfsm' return rfsm.state { "

@@ -8,7 +8,7 @@ local share = require "spec.support.share"
 local strict = require "rfsm.strict"
 require "rfsm.await"
 
-local state = rfsm.state
+local state, trans = rfsm.state, rfsm.trans
 local chart, go = ab.chart, ab.go
 
 -- A strict machine of more members, and the list of its warnings.
@@ -24,6 +24,34 @@ local function started(members)
   rfsm.run(fsm)
   return fsm, warnings
 end
+
+describe("a strict machine", function()
+  it("warns of fields that have the active state in other libraries", function()
+    local fsm, warnings = started {}
+    assert.is_nil(fsm.state)
+    assert.is_nil(fsm.current)
+    assert.is_nil(fsm.speed)
+    assert.equal(2, #warnings)
+    assert.equal("WARNING: a machine has no field 'state' (did you mean "
+      .. "rfsm.get_actleaf_fqn(fsm)?)", warnings[1])
+  end)
+
+  it("warns of an event whose path is closed behind a connector", function()
+    local is_open = false
+    local fsm, warnings = started { k = rfsm.conn {}, c = state {},
+      [4] = go("a", "k", { "e_k" }), [5] = trans { src = "k", tgt = "c", guard =
+      function() return is_open end }, [6] = go("c", "a", { "e_a" }) }
+    rfsm.run(fsm)
+    rfsm.send_events(fsm, "e_k")
+    rfsm.run(fsm)
+    assert.same({ "WARNING: event 'e_k' is discarded, no transition from 'root.k' is "
+      .. "enabled (add one without a guard, of the least pn)" }, warnings)
+    is_open = true
+    rfsm.send_events(fsm, "e_k")
+    rfsm.run(fsm)
+    assert.equal("root.c", rfsm.get_actleaf_fqn(fsm))
+  end)
+end)
 
 describe("a strict machine", function()
   local HERE = "WARNING: "
@@ -55,7 +83,7 @@ describe("a strict machine", function()
     { events = { { name = "e_pay" } }, predicate = rfsm.named "e_paid", text = "no "
       .. "transition names the event { name = 'e_pay' } (did you mean 'e_paid'?)" },
     { events = { { e = "e_paid" } }, predicate = rfsm.named "e_paid", text = "the "
-      .. "table has no field 'name' (there is 'e_paid')" },
+      .. "table has no field 'name' (did you mean name = 'e_paid' in place of 'e'?)" },
     { events = { "e_paid" }, predicate = rfsm.named "e_paid", text = "no transition "
       .. "names the event 'e_paid' (did you mean { name = 'e_paid' }?)" },
     { events = { "await_me", "and_me" } },
@@ -190,7 +218,7 @@ it("a strict machine runs random charts as one that is not, with odd fields", fu
 end)
 
 describe("a strict machine whose callbacks send to each other", function()
-  local trans, run = rfsm.trans, rfsm.run -- `run` before a strict machine replaces it
+  local run = rfsm.run -- `run` before a strict machine replaces it
   local HEAD = "WARNING: rfsm.run has made 10000 iterations and goes on, in "
 
   -- Returns an entry that sends an event to the machine `of(fsm)`, 10,050 times in all.

@@ -783,6 +783,58 @@ describe("rfsm check of a system", function()
         out)
     end)
 
+  -- Charts by name: one emits in its entry, the other takes this event.
+  local function pair(entry, event)
+    local emitter = rfsm.state { info = false, warn = false,
+      a = rfsm.state { final = true, entry = entry },
+      rfsm.trans { src = "initial", tgt = "a" } }
+    local taker = rfsm.state { info = false, warn = false, a = rfsm.state {},
+      b = rfsm.state { final = true }, rfsm.trans { src = "initial", tgt = "a" },
+      go("a", "b", event) }
+    return { one = emitter, other = taker }
+  end
+
+  local function findings_of(entry, event)
+    local found = lines_of((explored(pair(entry, event), { "one e_ok other" }, {
+      machines = { one = {} } })))
+    for i = #found, 1, -1 do
+      if not found[i]:find("emits") then table.remove(found, i) end
+    end
+    return found
+  end
+
+  it("compares what is emitted with what is taken, data and names", function()
+    local function plain(fsm) fsm.emit "e_ok" end
+    local function with_data(fsm) fsm.emit("e_ok", { n = 1 }) end
+    local head = "warning wires[1] (one e_ok -> other): 'one' emits 'e_ok' "
+    assert.same({}, findings_of(plain, "e_ok"))
+    assert.same({}, findings_of(with_data, rfsm.named "e_ok"))
+    assert.same({ head .. "with data, 'other' takes the text only (events = { rfsm."
+      .. "named 'e_ok' })" }, findings_of(with_data, "e_ok"))
+    assert.same({ head .. "without data, 'other' takes it with data only (events = { "
+      .. "'e_ok' })" }, findings_of(plain, rfsm.named "e_ok"))
+    assert.same({ "warning one: it emits 'e_okk', which no wire from it carries (did "
+      .. "you mean 'e_ok'?)" }, findings_of(function(fsm)
+      fsm.emit "e_ok"
+      fsm.emit "e_okk"
+    end, "e_ok"))
+    local result = explored(pair(function(fsm)
+      fsm.emit "e_ok"
+      fsm.emit "e_light"
+    end, "e_ok"), { "one e_ok other" }, { machines = { one = {} } })
+    assert.matches("; one: 'e_light' goes nowhere, no wire from it carries it;",
+      table.concat(result:summary(), "\n"))
+  end)
+
+  it("refuses a method that is called with a dot", function()
+    local cell = system(pair(print, "e_ok"))
+    for _, method in ipairs { "run", "step", "move", "reset", "shuffle", "explore" } do
+      assert.error_matches(function() cell[method]() end, ("^rfsm.system.%s: system"
+        .. " expected, got nil %%(cell:%s%%(%%.%%.%%.%%), with a colon%%)$"):format(
+        method, method))
+    end
+  end)
+
   it("has steps overlap by an option of the command", function()
     local out = checked("zone/cell_mended", "--overlap")
     assert.matches("cell_mended.lua: ok\n.*one arm is inside: holds\n.*steps overlap",

@@ -439,7 +439,9 @@ describe("rfsm-check", function()
       .. "function(is) %s end) } }"
     for text, problem in pairs { -- any order: each stands alone
       ["return 7"] = "FILE_properties.lua: table with the field 'properties' "
-        .. "expected, got number\n",
+        .. "expected, got number (return { properties = { ... } })\n",
+      ["return { 7 }"] = "FILE_properties.lua: table with the field 'properties' "
+        .. "expected, got a list (return { properties = { ... } })\n",
       ["return { properties = { 7 } }"] = "FILE_properties.lua:1: properties: "
         .. "never(...), after(...).reach(...) or another property expected, got "
         .. "number\n",
@@ -464,6 +466,21 @@ describe("rfsm-check", function()
       assert.equal(1, status)
     end
     os.remove(folder .. "/chart_properties.lua")
+  end)
+
+  it("names a file of properties that is not read, because it has another name",
+    function()
+    local chart = [[
+      local rfsm = require "rfsm"
+      return rfsm.state { a = rfsm.state {}, trans_to_a = rfsm.trans { src = "initial",
+        tgt = "a" }, rfsm.trans { src = "a", tgt = "a", events = { "e_go" } } }
+    ]]
+    for _, name in ipairs { "properties.lua", "chart.properties.lua" } do
+      write_file(name, "return { properties = {} }")
+      checks(chart, ("FILE: warning: %s/%s is not read, its name would be %s/"
+        .. "chart_properties.lua\n"):format(folder, name, folder), 0)
+      os.remove(folder .. "/" .. name)
+    end
   end)
 
   it("finds a silence whose reason is gone", function()

@@ -7,6 +7,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local alphabet = require "rfsm.shared.alphabet"
 
 local ipairs, rawget, type = ipairs, rawget, type
 
@@ -46,43 +47,139 @@ end
 
 -- Parameters ......................................................................
 
-local OF_STATES = { "machine", "state", "word" }
+local OF_STATES = { "machine", "state", "word", "event" }
 
 local EXPECTED = {
-  entry = OF_STATES, exit = OF_STATES, doo = OF_STATES,
-  guard = { "transition", "list of events" },
-  effect = { "machine", "transition", "word", "list of events" },
+  entry = OF_STATES, exit = OF_STATES, doo = { "machine", "state", "word" },
+  guard = { "transition", "list of events", "event" },
+  effect = { "machine", "transition", "word", "list of events", "event" },
 }
 
 local SIGNATURES = {
-  entry = "entry(fsm, state)", exit = "exit(fsm, state)", doo = "doo(fsm, state)",
-  guard = "guard(tr, events)", effect = "effect(fsm, tr, _, events)",
+  entry = "entry(fsm, state, _, event)", exit = "exit(fsm, state, _, event)",
+  doo = "doo(fsm, state)", guard = "guard(tr, events, event)",
+  effect = "effect(fsm, tr, _, events, event)",
 }
 
--- Names of parameters, and the value that an author expects under such a name.
+-- Names of parameters, and the value that an author expects under such a name. One that
+-- is named `event` may well be the list.
 local MEANINGS = {
   fsm = "machine", machine = "machine", tr = "transition", trans = "transition",
-  transition = "transition", state = "state", event = "list of events",
+  transition = "transition", state = "state", event = "event",
   events = "list of events", evs = "list of events",
 }
 
+local function is_name(node, name) return node.tag == "Id" and node[1] == name end
+
 local function is_used(func, name)
   local found = false
+  walk(func[2], function(node) found = found or is_name(node, name) end)
+  return found
+end
+
+local DECLARES = { Local = true, Localrec = true, Set = true, Forin = true,
+  Fornum = true, Function = true }
+
+-- Does the code of a function give another value to the name of a parameter?
+local function is_replaced(func, name)
+  local found = false
   walk(func[2], function(node)
-    found = found or node.tag == "Id" and node[1] == name
+    local names = DECLARES[node.tag] and node[1] or {}
+    for _, target in ipairs(names.tag and { names } or names) do
+      found = found or is_name(target, name)
+    end
   end)
   return found
 end
 
-local function check_parameters(func, field, add)
+-- Calls f(key, node) for each field that the code of a function reads from a parameter;
+-- a method that it calls counts.
+local function each_read(func, name, f)
+  local is_written = {}
+  walk(func[2], function(node)
+    for _, target in ipairs(node.tag == "Set" and node[1] or {}) do
+      is_written[target] = true
+    end
+    local is_field = node.tag == "Index" or node.tag == "Invoke"
+    if is_field and not is_written[node] and is_name(node[1], name)
+      and node[2].tag == "String" then
+      f(node[2][1], node)
+    end
+  end)
+end
+
+-- Is a list of events read as if it was one event, or is the word indexed? Then the
+-- result is always nil or false.
+local function is_misread(func, name, expected)
+  if is_replaced(func, name) then return false end
+  local found = false
+  local is_list = expected == "list of events"
+  each_read(func, name, function(_, node)
+    found = found or is_list or expected == "word" and node.tag == "Index"
+  end)
+  walk(is_list and func[2], function(node)
+    local is_compared = node.tag == "Op" and (node[1] == "eq" or node[1] == "ne")
+    found = found or is_compared and (is_name(node[2], name) and node[3].tag == "String"
+      or is_name(node[3], name) and node[2].tag == "String")
+  end)
+  return found
+end
+
+-- Is the parameter at a position named for another value, or read as another one?
+local function is_mistaken(func, name, expected)
+  local meaning = MEANINGS[name]
+  local is_other = meaning and meaning ~= expected
+    and not (meaning == "event" and expected == "list of events")
+  return is_other and is_used(func, name) or is_misread(func, name, expected)
+end
+
+-- Returns the first field that the code reads from its first parameter, and that the
+-- value of the parameter does not have; `others` are the elements that may have it.
+local function missing_field(func, value, others)
+  local name, found = func[1][1] and func[1][1][1], nil
+  if not name or is_replaced(func, name) then return nil end
+  each_read(func, name, function(key)
+    local is_there = rfsm.is_meta(key) or value[key] ~= nil
+    for _, other in ipairs(not is_there and others or {}) do
+      found = found or rawget(other, key) ~= nil and key
+    end
+    found = found or not is_there and func.owner and key
+  end)
+  return found
+end
+
+-- Finds a callback that takes its first parameter for another value: for its state, or,
+-- in a method, for its object.
+local function check_first(func, field, obj, machine, add)
+  local is_guard = field == "guard"
+  local key = missing_field(func, is_guard and obj or machine,
+    is_guard and { machine, obj.src } or { obj })
+  if not key then return end
+  local owner = func[1][1].implicit and func.owner
+  add("parameters", ("parameter 1 of the %s, '%s', is the %s, which has no field '%s' "
+    .. "(%s)"):format(field, func[1][1][1], EXPECTED[field][1], key, owner
+    and ("%s = function() %s() end"):format(field, owner) or SIGNATURES[field]))
+end
+
+local function check_parameters(func, field, obj, machine, add)
   for i, parameter in ipairs(func[1]) do
     local name, expected = parameter[1], EXPECTED[field][i]
-    local meaning = MEANINGS[name]
-    if expected and meaning and meaning ~= expected and is_used(func, name) then
+    if expected and is_mistaken(func, name, expected) then
       add("parameters", ("parameter %d of the %s, '%s', is the %s (%s)"):format(i,
         field, name, expected, SIGNATURES[field]))
     end
   end
+  check_first(func, field, obj, machine, add)
+end
+
+--- Note the method that a node defines: `function robot:beep()` is "robot:beep".
+function bodies.note_method(node)
+  local func = node.tag == "Set" and node[2] and node[2][1]
+  if not func or func.tag ~= "Function" or not (func[1][1] and func[1][1].implicit) then
+    return
+  end
+  local target = node[1][1]
+  func.owner = name_of(target[1], "Id") .. ":" .. name_of(target[2], "String")
 end
 
 -- Guards ..........................................................................
@@ -128,12 +225,30 @@ local function problem_of_drive(name, first, field, fsm)
   end
 end
 
+-- Returns the first event in a call of rfsm.send_events that a region sends to itself,
+-- and that only the machine around it knows, or another region.
+local function event_astray(node, fsm, machine)
+  local around = rfsm.parent(machine)
+  local own = around and is_name(node[2], fsm) and alphabet.of_all(machine)
+  if not own or own.predicates[1] or own.takes_any then return nil end
+  local known = alphabet.of_all(around)
+  for i = 3, #node do
+    local event = name_of(node[i], "String")
+    if known.set[event] and not own.set[event] then return event end
+  end
+end
+
 -- Returns the mistake in a call in a callback that has a machine parameter named `fsm`.
-local function problem_of_call(node, field, fsm)
+local function problem_of_call(node, field, fsm, machine)
   local name, library = bodies.called_name(node)
   if YIELDS[library or ""] and name == "yield" and field ~= "doo" then
     return ("the %s calls %s.yield (only a doo may yield)"):format(field, library)
   elseif library == "rfsm" and DRIVES[name] and node[2] then
+    local event = fsm and name == "send_events" and event_astray(node, fsm, machine)
+    if event then
+      return ("the %s sends '%s' to its own region, where no transition names it ("
+        .. "rfsm.send_events(rfsm.parent(%s), ...))"):format(field, event, fsm)
+    end
     return problem_of_drive(name, node[2], field, fsm)
   end
 end
@@ -141,9 +256,11 @@ end
 -- Returns the mistake in a call of a method, such as fsm:send_events(...).
 local function problem_of_method(node, fsm, machine)
   local name = node[2][1]
-  local is_machine = fsm and node[1].tag == "Id" and node[1][1] == fsm
+  local is_machine = fsm and is_name(node[1], fsm)
   local is_function = type(rawget(rfsm, name)) == "function"
-  if is_machine and is_function and machine[name] == nil then
+  if is_machine and name == "emit" then
+    return ("emit gets the event first (%s.emit(...), with a dot)"):format(fsm)
+  elseif is_machine and is_function and machine[name] == nil then
     return ("a machine has no method '%s' (rfsm.%s(%s, ...))"):format(name, name, fsm)
   end
 end
@@ -152,7 +269,7 @@ local function check_calls(func, field, machine, add)
   local first = EXPECTED[field][1] == "machine" and func[1][1]
   local fsm = first and first[1] or nil
   each_node(func, function(node)
-    local problem = node.tag == "Call" and problem_of_call(node, field, fsm)
+    local problem = node.tag == "Call" and problem_of_call(node, field, fsm, machine)
       or node.tag == "Invoke" and problem_of_method(node, fsm, machine)
     if problem then add("wrong-call", problem) end
   end)
@@ -187,10 +304,11 @@ end
 --- Find what is wrong with a callback.
 ---@param func table the node of its function
 ---@param field string "entry", "guard" ...
+---@param obj rfsm.State|rfsm.Transition the element that has the callback
 ---@param machine rfsm.Machine
 ---@param add fun(code: string, text: string)
-function bodies.check(func, field, machine, add)
-  check_parameters(func, field, add)
+function bodies.check(func, field, obj, machine, add)
+  check_parameters(func, field, obj, machine, add)
   check_calls(func, field, machine, add)
   if field == "guard" then check_guard(func, add) end
 end

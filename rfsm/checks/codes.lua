@@ -60,7 +60,7 @@ warning called: a callback was called while the chart was loaded, nothing is lef
 warning lost: a key stands twice in a table, the first value is lost
   give one of them another name
 warning parameters: a callback takes other parameters than it is given
-  guard(tr, events), effect(fsm, tr, _, events), entry(fsm, state)
+  guard(tr, events, event), effect(fsm, tr, _, events, event), entry(fsm, state)
 warning wrong-call: a callback calls a function in a way that always fails
   see what the text names
 warning undefined: a callback reads a global that is not defined; a note if the host may
@@ -69,6 +69,8 @@ warning no-yield: a doo that never returns to the engine
   call rfsm.yield() in its loop
 note busy-doo: a doo that is never idle, so that run never returns
   yield true where there is nothing to do
+note idle-hook: the root has an idle_hook, so that run does not return
+  leave it out, and wait in the loop that calls run
 note early-idle: run may return while an event of a region still waits
   write idle_doo = "auto", so that run goes on until all regions are idle
 note doo-ends: a doo ends, and nothing waits for its e_done
@@ -81,6 +83,8 @@ warning empty-events: a list of events without any, so that any event matches
   see if a name in it is nil; leave `events` out if any event is meant
 warning typo: an event is one letter from another
   use one name; or silence the finding at this transition
+warning idle-reaction: an extension reacts to an event, and that changes nothing
+  see what the text names
 warning odd-event: an event that looks like several, or like a list
   write a string for each: events = { "e_a", "e_b" }
 warning unknown-word: an event such as word(...) that no extension knows
@@ -105,6 +109,8 @@ warning untaken: an event of a wire that its reader never takes
   see in which states it comes: take it there, or defer it
 warning idle-wire: a wire over which no event goes
   see who should emit the event, or remove the wire
+warning unwired: a machine emits an event that no wire carries
+  add a wire, or correct the name
 warning deployed: a deployment is not as its system says
   launch the system by rfsm_rtt.launch_system, or mend the deployment
 error violated: a property that does not hold

@@ -5,6 +5,7 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local alphabet = require "rfsm.shared.alphabet"
 local match = require "rfsm.shared.match"
 
 local getmetatable, ipairs, package = getmetatable, ipairs, package
@@ -210,6 +211,43 @@ local function check_typos(fsm, add)
   end
 end
 
+-- Events of extensions ...........................................................
+
+-- Returns the first transition of a state without a guard that names an event.
+local function taker_of(state, event)
+  for _, tr in ipairs(state._otrs) do
+    if match.names(tr, event) and not tr.guard then return tr end
+  end
+end
+
+-- Finds events that an extension would keep for later, as `defer` does, although no
+-- transition takes them, or although the same state takes them always.
+local function check_reaction(state, reaction, known, add)
+  for _, event in ipairs(reaction.events) do
+    local tr = type(event) ~= "function" and taker_of(state, event)
+    if tr then
+      add("idle-reaction", state, ("%s '%s' has no effect, %s takes it"):format(
+        reaction.word, rfsm.event_text(event), rfsm.location_of(tr):match("root.*$")))
+    elseif not (known.takes_any or known.predicates[1] or match.has(known.list, event)
+      or type(event) == "function") then
+      add("idle-reaction", state, ("%s '%s', but no transition takes it%s"):format(
+        reaction.word, rfsm.event_text(event),
+        advice.nearest_name(rfsm.event_text(event), known.list)))
+    end
+  end
+end
+
+local function check_reactions(fsm, add)
+  local known
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
+    local _, shown = rfsm.reactions(fsm, state)
+    for _, reaction in ipairs(shown) do
+      known = known or alphabet.of_all(fsm)
+      check_reaction(state, reaction, known, add)
+    end
+  end
+end
+
 --- Find odd and misspelt events of transitions, and e_done events that never come.
 ---@type rfsm_checks.Check
 function event_names.check(fsm, add)
@@ -222,6 +260,7 @@ function event_names.check(fsm, add)
     check_odd_events(tr, add)
   end
   check_typos(fsm, add)
+  check_reactions(fsm, add)
 end
 
 return event_names

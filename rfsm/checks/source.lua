@@ -58,6 +58,7 @@ local function read_file(name)
     called = {} }
   walk(tree, function(node)
     if node.tag == "Table" then bodies.note_table(file, node) end
+    bodies.note_method(node)
     note_tested(node, file.tested)
   end)
   local options = { std = "min", allow_defined = true }
@@ -171,18 +172,35 @@ end
 
 local FIELDS = { "entry", "exit", "doo", "guard", "effect" }
 
--- Checks a callback of an element.
-local function check_callback(files, fsm, obj, field, add)
-  local callback = obj[field]
+-- Returns the node of a function, its file, and where it is defined in it.
+local function find_function(files, callback)
   local info = type(callback) == "function" and getinfo(callback, "S")
   local file = info and files[info.source:match("^@(.*)") or ""]
+  local own = file and syntax.find(file.functions, callback)
+  return own and own.node, file, info
+end
+
+-- Checks a callback of an element.
+local function check_callback(files, fsm, obj, field, add)
+  local func, file, info = find_function(files, obj[field])
   if not file then return end
   local function report(code, text, severity) add(code, obj, text, severity) end
   check_globals(file, info, report)
-  local own = syntax.find(file.functions, callback)
-  local func = own and own.node
-  if func then bodies.check(func, field, fsm, report) end
+  if func then bodies.check(func, field, obj, fsm, report) end
   if func and field == "doo" then check_doo(func, obj, report) end
+end
+
+-- Finds an idle hook. One that calls nothing can neither wait nor end the run.
+local function check_idle_hook(files, fsm, add)
+  if not fsm.idle_hook or rfsm.parent(fsm) then return end
+  local func, does_call = find_function(files, fsm.idle_hook), false
+  if func then
+    each_node(func, function(node)
+      does_call = does_call or node.tag == "Call" or node.tag == "Invoke"
+    end)
+  end
+  add("idle-hook", fsm, "an idle machine calls its idle_hook again and again, so that "
+    .. "run returns only after an error", func and not does_call and "warning")
 end
 
 -- Returns for each line of code that calls constructors a list of the elements that
@@ -243,6 +261,7 @@ function source.check(fsm, add)
       check_callback(files, fsm, obj, field, add)
     end
   end
+  check_idle_hook(files, fsm, add)
 end
 
 return source

@@ -37,23 +37,38 @@ local function prepare(parser, is_hidden)
     :hidden(is_hidden)
 end
 
-local function print_help(parser, parsers, argv)
-  local command = argv[2] and parsers[argv[2]]
-  if argv[2] and not command then
-    parser:error(("no command is named '%s'%s, rfsm lists them"):format(argv[2],
-      advice.nearest_name(argv[2], rfsm.sorted_keys(parsers))))
-  end
-  print((command or parser):get_help())
-  return 0
-end
+-- Words that other programs have for commands.
+local OTHERS = {
+  run = "sim", simulate = "sim", start = "sim", play = "sim", step = "sim",
+  test = "check", lint = "check", verify = "check", explore = "check",
+  validate = "check", draw = "viz", dot = "viz", show = "viz", graph = "viz",
+  render = "viz", picture = "viz", export = "viz", serve = "web", server = "web",
+  open = "web", monitor = "watch", version = "--version",
+}
 
--- If the name of a chart is given in place of a command, prints the right command and
--- ends the program.
-local function refuse_file(commands, name)
-  if commands[name] or not name:find("%.lua$") then return end
+-- If a chart is named in place of a command, prints the right command and ends the
+-- program.
+local function refuse_file(name)
+  if not name:find("%.lua$") then return end
   io.stderr:write("rfsm: '", name, "' is no command. To step through that chart, ",
     "type: rfsm sim ", name, "\n")
   os.exit(2)
+end
+
+-- Ends the program if no command has a name.
+local function check_command(parser, parsers, name)
+  if parsers[name] or name:find("^%-") then return end
+  refuse_file(name)
+  local other = OTHERS[name]
+  parser:error(("no command is named '%s'%s, rfsm lists them"):format(name,
+    other and (" (did you mean '%s'?)"):format(other)
+    or advice.nearest_name(name, rfsm.sorted_keys(parsers))))
+end
+
+local function print_help(parser, parsers, argv)
+  if argv[2] then check_command(parser, parsers, argv[2]) end
+  print((parsers[argv[2]] or parser):get_help())
+  return 0
 end
 
 --- Run the command that a list of arguments names; return the exit status.
@@ -80,7 +95,7 @@ function cli.main(argv)
   if argv[1] == nil or argv[1] == "help" then
     return print_help(parser, parsers, argv)
   end
-  refuse_file(commands, argv[1])
+  check_command(parser, parsers, argv[1])
   local options = parser:parse(argv)
   common.command = options.command
   return commands[options.command].run(options, parsers[options.command]) or 0

@@ -12,6 +12,7 @@ local exists = require("rfsm.shared.search").exists
 local codes = require "rfsm.checks.codes"
 local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
+local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local report = require "rfsm.system.report"
@@ -82,15 +83,33 @@ function review.properties_of(file)
   return file:gsub("%.lua$", "") .. "_properties.lua"
 end
 
+-- Names that a file of declarations for the chart `x.lua` may have by mistake.
+local MISNAMED = { "x.properties.lua", "x-properties.lua", "xproperties.lua",
+  "x_property.lua", "x_props.lua", "properties_x.lua", "properties.lua" }
+
+-- Returns a warning of a file of declarations that is not read because of its name.
+local function misnamed_beside(file)
+  local name = review.properties_of(file)
+  local folder, stem = file:match("^(.-)([^/]*)%.lua$")
+  for _, other in ipairs(stem and not exists(name) and MISNAMED or {}) do
+    other = folder .. other:gsub("%f[%w]x", (stem:gsub("%%", "%%%%")))
+    if exists(other) and other ~= file then
+      return ("%s: warning: %s is not read, its name would be %s"):format(
+        chart.name_of(file), other, name)
+    end
+  end
+end
+
 -- Returns the table of declarations for a chart, which is empty if no file has them.
 local function declared_for(file)
   local name = review.properties_of(file)
   if file == "-" or not exists(name) then return {} end
   local chunk, problem = loadfile(name)
   local declared = (chunk or error(problem, 0))()
-  if type(declared) ~= "table" then
-    error(name .. ": table with the field 'properties' expected, got "
-      .. type(declared), 0)
+  if type(declared) ~= "table" or declared[1] ~= nil then
+    error(("%s: table with the field 'properties' expected, got %s (return { "
+      .. "properties = { ... } })"):format(name, type(declared) == "table" and "a list"
+      or type(declared)), 0)
   end
   return declared
 end
@@ -295,6 +314,12 @@ local function judged_in(result)
   return result and not result.properties[1] and " (0 properties judged)" or ""
 end
 
+-- Returns a line if the text of callbacks was not read.
+local function line_of_source(file)
+  return not source.is_there and chart.name_of(file) .. ": the text of callbacks was "
+    .. "not read, luacheck is not installed"
+end
+
 --- Return the findings about a chart in lines: errors first, then warnings and notes.
 --- Lines with the summary of the exploration follow.
 ---@param warnings string[] texts about the file of the chart
@@ -304,6 +329,7 @@ end
 ---@return "error"|"warning"|nil gravest severity; nil if there are only notes
 function review.of(file, model, warnings, settings, options)
   local findings, result = find_all(file, model, settings, options)
+  warnings = match.with(warnings, misnamed_beside(file))
   local gravest = gravest_of(findings) or warnings[1] and "warning" or nil
   if options.record then write_witnesses(model, findings, options.record) end
   local lines = lines_of_all(file, findings, warnings, options.all)
@@ -311,10 +337,7 @@ function review.of(file, model, warnings, settings, options)
   for _, line in ipairs(result and result:summary(options.explore) or {}) do
     lines[#lines + 1] = chart.name_of(file) .. ": " .. line
   end
-  if options.all and not source.is_there then
-    lines[#lines + 1] = chart.name_of(file) .. ": the text of callbacks was not read, "
-      .. "luacheck is not installed"
-  end
+  lines[#lines + 1] = options.all and line_of_source(file) or nil
   return lines, gravest
 end
 

@@ -104,7 +104,18 @@ local function looks_of(options)
   }
 end
 
+-- Ends the program if the file of the picture stands where a chart is expected.
+local function refuse_picture(options, parser)
+  local last = options.files[#options.files]
+  local ending = last:match("%.(%w+)$") or ""
+  local is_picture = IS_TEXT[BY_ENDING[ending] or ending] ~= nil
+  if options.output == "-" and is_picture then
+    parser:error(("'%s' is no chart, a picture is written by -o %s"):format(last, last))
+  end
+end
+
 function viz.run(options, parser)
+  refuse_picture(options, parser)
   if options.pages then options.format = options.format or "svg" end
   local format = format_of(options, parser)
   if options.pages and (IS_TEXT[format] or options.output == "-") then

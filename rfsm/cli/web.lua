@@ -12,6 +12,7 @@ local web = {
 
 function web.add_arguments(command)
   common.add_file(command):args("?")
+  command:argument("more"):args("?"):hidden(true)
   common.add_stub(command)
   common.add_option(command, "-a --attach", "a machine that answers by rfsm.proto")
     :argname("HOST:PORT")
@@ -22,7 +23,15 @@ function web.add_arguments(command)
   command:option("--host", "the address of the page", "127.0.0.1"):argname("HOST")
 end
 
+-- Ends the program if there is a second argument, which may be a port.
+local function refuse_more(more, parser)
+  if not more then return end
+  parser:error(("one FILE expected, got '%s', too%s"):format(more, more:find("^%d+$")
+    and (" (the port is an option: -p %s)"):format(more) or ""))
+end
+
 function web.run(options, parser)
+  refuse_more(options.more, parser)
   if (options.file == nil) == (options.attach == nil) then
     parser:error("FILE or --attach expected")
   end

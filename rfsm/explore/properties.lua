@@ -96,6 +96,9 @@ local function ending(where, kind, parts, last)
   end
 end
 
+-- The first halves of properties: table -> "after(...) alone (after(...).reach(...))".
+local halves = setmetatable({}, { __mode = "k" })
+
 -- Returns a table of functions. Each takes the last part of a property and returns the
 -- property: `from(c)` returns such a table, and `from(c).stays(2)` is the property.
 -- `endings`: name of a function -> kind of the property, and name of its last part.
@@ -104,6 +107,8 @@ local function first_half(where, parts, endings)
   for name, rest in order.each(endings) do -- any order: they are independent
     functions[name] = ending(where .. "." .. name, rest[1], parts, rest[2])
   end
+  halves[functions] = ("%s alone (%s.%s(...))"):format(where, where,
+    concat(rfsm.sorted_keys(functions), "(...), ."))
   return setmetatable(functions, { __index = function(_, name)
     error(("rfsm_checks.%s: no '%s'%s, expected: %s"):format(where, rfsm.text_of(name),
       advice.nearest_name(rfsm.text_of(name), rfsm.sorted_keys(functions)),
@@ -234,8 +239,9 @@ function properties.list_of(where, given)
   local list = {}
   for key, property in order.each(given) do -- any order: the list is sorted below
     if getmetatable(property) ~= Property then
+      local half = halves[property]
       error(where .. ": properties: never(...), after(...).reach(...) or another "
-        .. "property expected, got " .. type(property), 0)
+        .. "property expected, got " .. (half or type(property)), 0)
     end
     local name = type(key) == "string" and key or Property.__tostring(property)
     list[#list + 1] = { name = name, property = property, holds = nil }

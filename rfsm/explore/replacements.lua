@@ -187,6 +187,21 @@ function replacements.emitted_by(fsm)
   return is_certain and not match.has(emitted, false) and emitted or nil
 end
 
+--- Does the text of a callback of a machine emit an event with data?
+---@param fsm rfsm.Machine
+---@param event string
+---@return boolean
+function replacements.emits_data(fsm, event)
+  local pattern = "%f[%w_]emit%s*%(%s*[\"']" .. event:gsub("%p", "%%%0") .. "[\"']%s*,"
+  local found = false
+  each_callback(fsm, function(_, callback)
+    found = found or writes.each(callback, function(text)
+      return text:find(pattern) ~= nil
+    end, {})
+  end)
+  return found
+end
+
 -- Notes that the text of a callback is not known, or may be that of others, too.
 local function note_text(self, name, callback)
   local _, is_shared = writes.text_of(callback)

@@ -20,9 +20,8 @@ local rfsm_rtt = require "rfsm.rtt"
 local rtt_launch = require "rfsm.rtt.launch"
 local static = require "rfsm.checks.static"
 local system = require "rfsm.system"
-local writes = require "rfsm.shared.writes"
 
-local error, ipairs, package, pairs = error, ipairs, package, pairs
+local error, ipairs, package = error, ipairs, package
 local pcall, setmetatable, tostring, type = pcall, setmetatable, tostring, type
 local concat, insert, remove = table.concat, table.insert, table.remove
 
@@ -103,27 +102,6 @@ end
 
 local LARGEST = 2147483647 -- the field `size` of a ConnPolicy is an int
 
--- Does the text of a callback emit an event with data?
-local function emits_data(fsm, event)
-  local pattern = "%f[%w_]emit%s*%(%s*[\"']" .. event:gsub("%p", "%%%0") .. "[\"']%s*,"
-  for _, callback in pairs(replacements.named(fsm)) do -- any order: is there one?
-    local has_data = writes.each(callback, function(text)
-      return text:find(pattern) ~= nil
-    end, {})
-    if has_data then return true end
-  end
-  return false
-end
-
--- Does a machine take an event only with its data?
-local function needs_data(fsm, event)
-  local known = alphabet.of_all(fsm)
-  return not (known.takes_any or known.set[event])
-    and order.any(known.predicates, function(predicate)
-      return rfsm.event_name(predicate) == event
-    end)
-end
-
 local function check_wire(launch, wire)
   local function report(text)
     add(launch, wire.location, ("wires[%d]%s"):format(wire.number, text))
@@ -133,10 +111,10 @@ local function check_wire(launch, wire)
       wire.size))
   end
   for _, event in ipairs(wire.events) do
-    if needs_data(launch.machines[wire.to], event) then
+    if alphabet.needs_data(launch.machines[wire.to], event) then
       report((": a string port carries no data, and '%s' takes '%s' with data only")
         :format(wire.to, event))
-    elseif emits_data(launch.machines[wire.from], event) then
+    elseif replacements.emits_data(launch.machines[wire.from], event) then
       report((": a string port carries no data, and '%s' emits '%s' with data"):format(
         wire.from, event))
     end

@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local order = require "rfsm.shared.order"
 
 local ipairs, type = ipairs, type
 
@@ -56,5 +57,17 @@ function alphabet.of(fsm) return collect { { machine = fsm } } end
 
 --- Collect the events that the transitions of a machine and its regions name.
 function alphabet.of_all(fsm) return collect(rfsm.machines(fsm)) end
+
+--- Does a machine take an event only with data?
+---@param fsm rfsm.Machine
+---@param event string
+---@return boolean
+function alphabet.needs_data(fsm, event)
+  local known = alphabet.of_all(fsm)
+  return not (known.takes_any or known.set[event])
+    and order.any(known.predicates, function(predicate)
+      return rfsm.event_name(predicate) == event
+    end)
+end
 
 return alphabet

@@ -82,7 +82,15 @@ local function call_of(sim, text)
 end
 
 -- Words of other programs for commands of the simulator.
-local OTHERS = { bye = "quit", exit = "quit", q = "quit", send = "se", undo = "back" }
+local OTHERS = {
+  bye = "quit", exit = "quit", q = "quit", undo = "back", redo = "forward",
+  send = "se", event = "ser", fire = "ser", emit = "ser", post = "ser",
+  state = "pp", states = "pp", status = "pp", where = "pp", active = "pp",
+  print = "pp", show = "pp", current = "pp", list = "tree", chart = "tree", ls = "tree",
+  transitions = "events", queue = "showeq", ["break"] = "breakpoint", bp = "breakpoint",
+  s = "step", n = "step", next_step = "step", continue = "run", c = "run", r = "run",
+  trace = "dbg", debug = "dbg", time = "clock", commands = "help", h = "help",
+}
 
 -- Returns the complaint about a name that does not exist.
 local function problem_of_missing(sim, name, list)
@@ -151,6 +159,7 @@ function prompt.evaluate(sim, text, chunkname)
     chunk = chunk or not is_incomplete(problem) and call_of(sim, text)
   end
   if chunk then return call(sim, chunk) end
+  if text:find("^%s*%?") then return false, "help() lists the commands", false end
   if is_incomplete(problem) then return false, first_line(problem), true end
   return false, problem_of_words(sim, text) or first_line(problem), false
 end

@@ -273,7 +273,8 @@ end
 local function missing(lost)
   local list = {}
   for i, text in ipairs(lost) do list[i] = "gone: " .. text end
-  list[#list + 1] = "the snapshot holds no structure: that is all that is known"
+  list[#list + 1] = "the snapshot holds no structure, that is all that is known (pass "
+    .. "the chart of its time: restore(model, snap, { old = model_of_then }))"
   return list
 end
 

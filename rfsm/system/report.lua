@@ -18,6 +18,7 @@ local order = require "rfsm.shared.order"
 local product = require "rfsm.system.product"
 local properties = require "rfsm.explore.properties"
 local reactions = require "rfsm.explore.reactions"
+local replacements = require "rfsm.explore.replacements"
 local rfsm = require "rfsm"
 local sequence = require "rfsm.system.sequence"
 local static = require "rfsm.checks.static"
@@ -168,6 +169,77 @@ local function find_in_wire(walk, wire, findings)
   if not walk.bound then find_in_events(walk, wire, findings, place, where) end
 end
 
+local WITHOUT_DATA = "'%s' emits '%s' without data, '%s' takes it with data only "
+  .. "(events = { '%s' })"
+local WITH_DATA = "'%s' emits '%s' with data, '%s' takes the text only (events = { "
+  .. "rfsm.named '%s' })"
+
+-- Returns a text if a machine emits an event in another form than a reader takes.
+local function other_form(sender, reader, event)
+  local known = alphabet.of_all(reader)
+  if known.takes_any then return nil end
+  if replacements.emits_data(sender, event) then
+    return known.set[event] and not known.predicates[1] and WITH_DATA or nil
+  end
+  return alphabet.needs_data(reader, event) and replacements.emitted_by(sender)
+    and WITHOUT_DATA or nil
+end
+
+-- Finds events whose data the reader of a wire does not take, or waits for in vain.
+local function find_in_data(cell, machines, findings)
+  for _, wire in ipairs(cell.wires) do
+    for _, event in ipairs(wire.events) do
+      local text = other_form(machines[wire.from], machines[wire.to], event)
+      if text then
+        findings:add("untaken", nil, wire_text(wire), text:format(wire.from, event,
+          wire.to, event), nil, wire.location ~= "" and wire.location .. ": " or "")
+      end
+    end
+  end
+end
+
+-- Lists the events that a machine emits and that no wire from it carries.
+local function unwired_of(cell, name, fsm)
+  local wired, list = {}, {}
+  for _, wire in ipairs(cell.wires) do
+    if wire.from == name then wired = match.joined(wired, wire.events) end
+  end
+  for _, event in ipairs(replacements.emitted_by(fsm) or {}) do
+    local is_new = not match.has(wired, event) and not match.has(list, event)
+    if is_new then list[#list + 1] = event end
+  end
+  return list, wired
+end
+
+-- Finds events that no wire carries. A system may leave out a wire, so that such an
+-- event is a premise, unless it looks like one that a wire carries.
+local function find_unwired(cell, machines, result)
+  for _, name in ipairs(cell.names) do
+    local list, wired = unwired_of(cell, name, machines[name])
+    for _, event in ipairs(list) do
+      local hint = advice.nearest_name(event, wired)
+      if hint:find("did you mean", 1, true) then
+        result.findings:add("unwired", nil, name, ("it emits '%s', which no wire from "
+          .. "it carries%s"):format(event, hint), nil,
+          cell.places[name] and cell.places[name] .. ": " or "")
+      else
+        result.premises[#result.premises + 1] = ("%s: '%s' goes nowhere, no wire from "
+          .. "it carries it"):format(name, event)
+      end
+    end
+  end
+end
+
+-- Finds what is wrong before anything moves, in machines that are never run.
+local function find_in_texts(cell, result)
+  local machines = {}
+  for _, name in ipairs(cell.names) do
+    machines[name] = static.init(cell.models[name], false)
+  end
+  find_in_data(cell, machines, result.findings)
+  find_unwired(cell, machines, result)
+end
+
 local MANY_ALONE = 1000 -- most configurations of a chart that is explored alone
 
 -- Explores a chart alone. Returns the set of the paths of states that are active then.
@@ -311,6 +383,7 @@ local function explored(cell, options)
     judged.walk = by_group[group_of[judged.first]] or walks[1]
     watch(judged.walk, judged)
   end
+  find_in_texts(cell, result)
   for _, walk in ipairs(walks) do add_walk(result, walk, cell, settings, rest) end
   for _, judged in ipairs(list) do judge(result, judged) end
   return result
