@@ -12,7 +12,6 @@ local exists = require("rfsm.shared.search").exists
 local codes = require "rfsm.checks.codes"
 local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
-local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local report = require "rfsm.system.report"
