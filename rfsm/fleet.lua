@@ -23,7 +23,7 @@ local rfsm = require "rfsm"
 local error, ipairs, pcall = error, ipairs, try
 local pairs, rawget, rawset = pairs, rawget, rawset
 local setmetatable, type = setmetatable, type
-local concat, min = table.concat, math.min
+local concat, sort, min = table.concat, table.sort, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local fleet = {}
@@ -317,6 +317,50 @@ function Fleet:versions()
     list[i] = { chart = chart, known = known, version = version, count = counts[name] }
   end
   return list
+end
+
+--- What a machine has to be, for `select`. An absent field stands for any.
+---@class rfsm.fleet.Filter
+---@field chart? string
+---@field state? string FQN of its leaf, or of a state around it
+---@field version? string "newest", "bundled", "gone", or a fingerprint
+---@field age? integer seconds in its leaf, at least; the library needs `--index`
+
+--- A machine that `select` has found.
+---@class rfsm.fleet.Found
+---@field key string
+---@field chart string
+---@field leaf string
+---@field known string of which version it is: "newest", "bundled", "gone"
+---@field seconds? integer how long it has been in its leaf
+
+local function add_found(found, reply)
+  for i = 1, #reply, 5 do
+    found[#found + 1] = { key = reply[i], chart = reply[i + 1], leaf = reply[i + 2],
+      known = reply[i + 3], seconds = rfsm.number_of(reply[i + 4]) }
+  end
+end
+
+local function by_key(a, b) return rfsm.text_before(a.key, b.key) end
+
+--- Return the machines that a filter lets through, in the order of their keys. All
+-- machines of the server are read for it.
+---@param filter rfsm.fleet.Filter
+---@return rfsm.fleet.Found[]? found
+---@return string? problem
+function Fleet:select(filter)
+  local found = {}
+  local ok, problem = pcall(each_group, self, function(call, keys)
+    local command = { "FCALL", "rfsm_select", #keys }
+    for _, key in ipairs(keys) do command[#command + 1] = key end
+    for _, name in ipairs { "chart", "state", "version", "age" } do
+      command[#command + 1] = filter[name] or ""
+    end
+    add_found(found, call(unpack(command)))
+  end)
+  if not ok then return nil, problem end
+  sort(found, by_key)
+  return found
 end
 
 -- Messages ------------------------------------------------------------------------

@@ -633,9 +633,13 @@ function snapshot.load(model, file, options)
   if not rfsm.is_state(model) then
     error("rfsm.snapshot.load: state expected, got " .. type(model), 2)
   end
-  local snap, problem = in_files().snapshot(file)
+  local snap, problem = in_files().read(file)
   if not snap then return false, "rfsm.snapshot: " .. problem end
-  return snapshot.restore(model, snap, options)
+  snap.fleet = nil -- of which machine in a fleet it is
+  local fsm, reason_of, list = snapshot.restore(model, snap, options)
+  if fsm then return fsm end
+  return false, reason_of:gsub("^rfsm.snapshot: ", "%0" .. file:gsub("%%", "%%%%")
+    .. ": ", 1) .. "", list
 end
 
 --- Return, even during a step, the part of a snapshot that callbacks may change.

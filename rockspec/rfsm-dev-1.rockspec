@@ -151,6 +151,7 @@ build = {
     ["rfsm.server.charts"] = "rfsm/server/charts.lua",
     ["rfsm.server.client"] = "rfsm/server/client.lua",
     ["rfsm.server.codec"] = "rfsm/server/codec.lua",
+    ["rfsm.server.desk"] = "rfsm/server/desk.lua",
     ["rfsm.server.functions"] = "rfsm/server/functions.lua",
     ["rfsm.server.keys"] = "rfsm/server/keys.lua",
     ["rfsm.server.lease"] = "rfsm/server/lease.lua",

@@ -24,7 +24,7 @@ local function last_line(text) return text:match("([^\n]*)\n$") end
 describe("the usage of rfsm", function()
   local USAGES = {
     check = "[OPTION] ... FILE [FILE] ...",
-    sim = "[--stub] [-e CODE] [-i] [-r FILE] [-d] [-q] FILE",
+    sim = "[--stub] [-e CODE] [-i] [-r FILE] [--from FILE] [-d] [-q] FILE",
     viz = "[--stub] [--machine N] [-T FORMAT] [-o FILE] [--active FQN] [--depth N] "
       .. "[--coverage JSON] [--trace JSON] [--direction DIR] [--for SHEET] "
       .. "[--pages] [--like SVG] FILE [FILE] ...",
@@ -39,7 +39,8 @@ describe("the usage of rfsm", function()
     mermaid = "[--stub] [--machine N] [-o FILE] FILE [FILE] ...",
     web = "[--stub] [-a HOST:PORT] [-m N] [-p N] [--host HOST] [FILE]",
     watch = "[-m N] [-n N] HOST[:PORT]",
-    fleet = "[--tags N] URL VERB [ARGUMENT] ...",
+    fleet = "[--tags N] [--where FILTER] [--dry-run] [--if-version N] [--by NAME] URL "
+      .. "VERB [ARGUMENT] ...",
     size = "[--stub] [--lua LUA] FILE",
   }
   for name, usage in pairs(USAGES) do -- any order: each stands alone
@@ -344,6 +345,15 @@ describe("rfsm fleet", function()
     ["dead 9"] = { called = { "9" }, result = { { tag = 0, id = "1-0", machine = "k",
       what = "done", data = "{}", deliveries = 3, error = "no stock" } },
       out = "0 1-0 k done {} x3 no stock\n" },
+    ["tick k"] = { called = { "k" }, result = REPLY, out = REPLIED },
+    ["pull k"] = { called = { "k" }, result = "{}\n", out = "{}\n" },
+    ["set k a=x --by ann"] = { called = { "k", "a", "x", "ann" }, result = REPLY,
+      out = REPLIED, refused = 2 },
+    ["set k root.b.a=[1] --by ann"] = { called = { "k", "root.b.a", { 1 }, "ann" },
+      result = REPLY, out = REPLIED, refused = 2 },
+    ["push k README.md --if-version 3000000000 --by ann"] = { called = { "k",
+      helper.content "README.md", 3000000000, "ann" }, result = REPLY, out = REPLIED,
+      refused = 2 },
     ["again 0 1-0"] = { called = { "0", "1-0" }, result = true, out = "" },
     ["drop 0 1-0"] = { called = { "0", "1-0" }, result = true, out = "" },
   } do
@@ -371,7 +381,8 @@ describe("rfsm fleet", function()
       local function fail() error("no server\nhere", 0) end
       local function refuse() return nil, "no server" end
       for _, act in ipairs { fail, verb ~= "dead" and refuse or nil } do
-        assert.same({ "", "rfsm fleet: no server\n", 1 }, with_client(act))
+        assert.same({ "", "rfsm fleet: no server\n", act == refuse and case.refused
+          or 1 }, with_client(act))
       end
     end)
 
@@ -398,17 +409,96 @@ describe("rfsm fleet", function()
     end)
   end
 
-  it("lists the verbs with their arguments, two in a line", function()
+  for arguments, problem in pairs { -- any order: each stands alone
+    ["get --where chart=c"] = "get takes no --where, but KEY",
+    ["hold k --dry-run"] = "--dry-run: --where expected",
+    ["release k --where chart=c"] = "release: --where or KEY expected, not both",
+    ["hold --where age=x"] = "--where: age=SECONDS expected, got 'x'",
+    ["hold --where ,"] = "--where: a filter expected",
+    ["hold --where chart=c,stat=x"] = "--where: chart=, state=, version= or age= "
+      .. "expected, got 'stat=x' (did you mean 'state'?)",
+    ["hold --where c"] = "--where: chart=, state=, version= or age= expected, got 'c'",
+  } do
+    it("refuses " .. arguments, function()
+      local out, err, status = run("fleet redis://x " .. arguments)
+      assert.same({ "", "Error: " .. problem, 2 }, { out, last_line(err), status })
+    end)
+  end
+
+  -- Runs the command with a client that finds two machines and three dead entries.
+  local function with_many(arguments, calls)
+    local client = {
+      select = function(_, filter)
+        calls[#calls + 1] = filter
+        if filter.chart == "none" then return {} end
+        return { { key = "k1", chart = "c", leaf = "root.a", known = "newest",
+          seconds = 7 }, { key = "k2", chart = "c", leaf = "root.a", known = "gone" } }
+      end,
+      dead = function()
+        local list = {}
+        for i = 1, 3 do
+          list[i] = { tag = "0", id = i .. "-0", machine = "k" .. i, what = "pick" }
+        end
+        return list
+      end,
+    }
+    for _, name in ipairs { "hold", "release", "again", "remove", "tick" } do
+      client[name] = function(_, ...)
+        calls[#calls + 1] = { name, ... }
+        if ({ ... })[1] == "k2" then return nil, "ERR rfsm_hold: it is held already" end
+        return (name == "remove" or name == "again") or helper.copy_of(REPLY)
+      end
+    end
+    return { run("fleet redis://x " .. arguments,
+      { ["rfsm.fleet"] = { connect = function() return client end } }) }
+  end
+
+  it("does a verb for many machines, or shows them", function()
+    local calls, is_one = {}, "k1 c root.a newest 7 s\n"
+    assert.same({ is_one .. "k2 c root.a gone\n", "rfsm fleet: 2 found, nothing was "
+      .. "done\n", 0 }, with_many("hold --dry-run --where chart=c,d,state=root.a,"
+      .. "version=gone,age=60", calls))
+    assert.same({ { chart = "c,d", state = "root.a", version = "gone", age = "60" } },
+      calls)
+    calls = {}
+    assert.same({ "k1 root.a done failed; error: no arm; error: no leg\n",
+      "rfsm fleet: k2 c root.a gone: ERR rfsm_hold: it is held already\n"
+      .. "rfsm fleet: 1 of 2 done\n", 1 }, with_many("hold why --where chart=c", calls))
+    assert.same({ { chart = "c" }, { "hold", "k1", "why" }, { "hold", "k2", "why" } },
+      calls)
+    assert.same({ "", "rfsm fleet: no machine is like that, so nothing was done\n", 2 },
+      with_many("remove --where chart=none", calls))
+  end)
+
+  it("sends dead entries of many machines again", function()
+    local calls = {}
+    assert.same({ "1-0\n2-0\n", "rfsm fleet: 2 of 2 done\n", 0 },
+      with_many("again --where chart=c", calls))
+    assert.same({ { chart = "c" }, { "again", "0", "1-0" }, { "again", "0", "2-0" } },
+      calls)
+    assert.same({ "1-0\n2-0\n3-0\n", "rfsm fleet: 3 of 3 done\n", 0 },
+      with_many("again --where age=60", calls))
+    assert.same({ "", "rfsm fleet: no entry is like that, so nothing was done\n", 2 },
+      with_many("again --where chart=none", calls))
+  end)
+
+  it("sets a value, or says why it is none", function()
+    for text, problem in pairs { -- any order: each stands alone
+      ["set k a"] = "FIELD=VALUE expected, got 'a'",
+      ["set k a=[1"] = "data: ',' or ']' expected, got the end",
+      ["push k nothing.json"] = "nothing.json: No such file or directory",
+    } do
+      assert.same({ "", "rfsm fleet: " .. problem .. "\n", 2 }, with_many(text, {}))
+    end
+  end)
+
+  it("lists the verbs by their arguments", function()
     assert.equal([=[
-   again TAG ID                         dead [LIMIT]
-   drop TAG ID                          due [LIMIT [SECONDS]]
+   again drop TAG ID   dead [LIMIT]   due [LIMIT [SECONDS]]
    find CHART STATE [LIMIT [SECONDS]]   force KEY STATE
-   get KEY                              history KEY [COUNT]
-   hold KEY [REASON]                    log KEY [COUNT]
-   move KEY                             reindex
-   release KEY                          remove KEY
-   send KEY EVENT [ID]                  versions
-   why KEY EVENT
+   get move pull release remove tick KEY   history log KEY [COUNT]
+   hold KEY [REASON]   push KEY FILE   reindex versions   send KEY EVENT [ID]
+   set KEY FIELD=VALUE   why KEY EVENT
 ]=], run("help fleet"):match("Verbs:\n(.*)"))
   end)
 end)

@@ -8,9 +8,12 @@ if missing then return it("serves a fleet", function() pending(missing) end) end
 
 local fleet = require "rfsm.fleet"
 local helper = require "spec.helper"
+local json = require "rfsm.server.codec"
 local load_text = require("rfsm.shared.calls").load
 local redis = require "rfsm.redis"
+local rfsm = require "rfsm"
 local share = require "spec.support.share"
+local snapshot = require "rfsm.snapshot"
 
 teardown(servers.stop_all)
 after_each(helper.remove_files)
@@ -752,6 +755,54 @@ describe("rfsm fleet", function()
     assert.equal("m:{0}:1\nm:{0}:2\n", fleet_command("due", "10", "1e10"))
     fleet_command("hold", "m:{0}:1", "'to be looked at'")
     assert.matches("^%d+%.%d+ to be looked at\n$", fleet_command("log", "m:{0}:1"))
+  end)
+
+  it("pulls a machine, and pushes what was repaired", function()
+    local key, file = key_of(1), helper.file_with("")
+    assert(machines:create(1, "timed"))
+    assert(machines:send(1, "e_emit"))
+    assert.equal("root.a done kept\n", fleet_command("set", key, "n=7", "--by ann"))
+    helper.write(file, fleet_command("pull", key))
+    local fsm = assert(snapshot.load(rfsm.load(helper.file_with(TIMED)), file))
+    assert.same({ "root.a", 7 }, { rfsm.get_actleaf_fqn(fsm), fsm.n })
+    local read = json.decode((helper.content(file))).fleet
+    assert.same({ "m:{0}:1", "timed", 3 }, { read.machine, read.chart, #read.history })
+    assert.same({ "(set n=7) by ann", "root.a", "root.a" }, { read.history[3].event,
+      read.history[3].from, read.history[3].to })
+    assert.equal("root.a done kept\n", fleet_command("push", key, file, "--by ann"))
+    assert.matches("^%S+ %(push%) by ann: root.a %-> root.a\n",
+      fleet_command("history", key))
+    assert(machines:send(1, "e_b"))
+    assert.matches("^rfsm fleet: ERR rfsm_push: the machine at 'm:{0}:1' has moved on: "
+      .. "version %d+ expected, it has %d+\n$", fleet_command("push", key, file))
+    helper.write(file, helper.content(file):sub(1, 90))
+    assert.equal("rfsm fleet: ERR rfsm_push: file: a JSON object expected\n",
+      fleet_command("push", key, file))
+    assert.equal("root.b", machines:get(1).leaf)
+  end)
+
+  it("does a verb for many machines", function()
+    for i = 1, 3 do assert(machines:create(i, i < 3 and "timed" or "counter")) end
+    assert(machines:send(2, "e_long"))
+    assert.matches("^m:{0}:1 timed root.a newest %d+ s\nm:{0}:2 timed root.c.d newest "
+      .. "%d+ s\nrfsm fleet: 2 found, nothing was done\n$",
+      fleet_command("hold --dry-run --where chart=timed"))
+    assert.equal("m:{0}:2 root.c.d done kept\nrfsm fleet: 1 of 1 done\n",
+      fleet_command("hold --where state=root.c,version=newest broken"))
+    assert.equal("broken", machines:get(2).held_because)
+    assert.equal("rfsm fleet: no machine is like that, so nothing was done\n",
+      fleet_command("remove --where version=gone"))
+    assert.equal("m:{0}:1\nm:{0}:2\nrfsm fleet: 2 of 2 done\n",
+      fleet_command("remove --where chart=timed"))
+    assert.equal("m:{0}:3", assert(machines:select {})[1].key)
+    assert(machines:create(1, "timed"))
+    for _ = 1, 2 do assert(machines:send(1, "e_emit")) end
+    machines:work("g", "w", function() error("no stock", 0) end, { tries = 1 })
+    assert.equal("rfsm fleet: no entry is like that, so nothing was done\n",
+      fleet_command("again --where chart=counter"))
+    assert.matches("^[%d-]+\n[%d-]+\nrfsm fleet: 2 of 2 done\n$",
+      fleet_command("again --where chart=timed"))
+    assert.same({}, machines:dead())
   end)
 
   it("sends an event with an id", function()

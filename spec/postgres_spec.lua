@@ -775,6 +775,33 @@ SELECT rfsm.create('1', 'counter') \gset
 SELECT rfsm.force('1', 'root.add');]]))
   end)
 
+  it("pulls a machine, and pushes what was repaired", function()
+    local output = sql([[
+SELECT rfsm.create('1', 'counter');
+SELECT rfsm.pull('1') AS old \gset
+SELECT rfsm.send('1', 'e_tick');
+SELECT rfsm.push('1', :'old');
+SELECT value AS now FROM rfsm.get('1') WHERE name = 'revision' \gset
+SELECT rfsm.push('1', :'old', :now, 'ann');
+SELECT rfsm.set('1', 'n', '7', 'ann');
+SELECT rfsm.set('1', 'm', '7');
+SELECT event, src, tgt FROM rfsm.history ORDER BY id;
+SELECT jsonb_array_length((rfsm.pull('1')::jsonb)->'fleet'->'history');]])
+    assert.equal([[
+root.even
+root.odd
+ERROR:  rfsm.push: the machine at '1' has moved on: version N expected, it has N
+root.even
+root.even
+ERROR:  rfsm.set: no state of chart 'counter' keeps the field 'm'
+||root.even
+e_tick|root.even|root.odd
+(push) by ann|root.odd|root.even
+(set n=7) by ann|root.even|root.even
+4
+]], (output:gsub("%d%d%d%d+", "N"):gsub(" %(did you mean.-%)", "")))
+  end)
+
   it("sees what waits, the log, what is due, and the versions", function()
     assert.equal([[
 WARNING:  1: looked at
@@ -840,6 +867,8 @@ describe("a role that may use the schema", function()
     "SELECT rfsm.call('rfsm_send', '1', ARRAY['e_tick'], NULL)",
     "SELECT rfsm.hold('1')", "SELECT rfsm.release('1')", "SELECT rfsm.remove('1')",
     "SELECT rfsm.force('1', 'root.odd')", "SELECT rfsm.drop(1)",
+    "SELECT rfsm.pull('1')", "SELECT rfsm.push('1', '')",
+    "SELECT rfsm.set('1', '', '1')",
     "SELECT rfsm.take()", "SELECT rfsm.done(1)", "SELECT rfsm.fail(1, 'x')",
     "CREATE TABLE rfsm.x (y int)", "CREATE FUNCTION rfsm.f() RETURNS int LANGUAGE sql "
       .. "AS 'SELECT 1'",

@@ -2,13 +2,18 @@
 -- written, what is refused.
 
 local host_of = require "spec.support.server_host"
+local helper = require "spec.helper"
 local encoding = require "rfsm.snapshot.encoding"
+local json = require "rfsm.server.codec"
 local rfsm = require "rfsm"
+local snapshot = require "rfsm.snapshot"
 local share = require "spec.support.share"
 local timeevent = require "rfsm_timeevent"
 
 local state, trans = rfsm.state, rfsm.trans
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+after_each(helper.remove_files)
 
 teardown(function() timeevent.set_gettime_hook(nil) end)
 
@@ -1492,5 +1497,184 @@ describe("versions of a chart", function()
     end)
     assert.matches("^ERR rfsm_create: chart 'v': .*tgt 'x'",
       f.rfsm_create({ "w" }, { "v" }).err)
+  end)
+end)
+
+describe("the desk", function()
+  -- a --e_b, after 5 s--> b --e_a--> a
+  local function plain()
+    return state { keep = { "count" }, count = 0, a = state {}, b = state {
+      entry = function(fsm) fsm.count = fsm.count + 1 end },
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = { "e_b", "e_after(5)" } },
+      trans { src = "b", tgt = "a", events = { "e_a" } } }
+  end
+
+  -- a --e_b--> b { left: x --e_y, after 3 s--> y, right: u --e_v--> v } --10 s--> a
+  local function regions()
+    return state { a = state {},
+      b = rfsm.seqand {
+        left = state { keep = { "list" }, x = state {}, y = state {},
+          trans { src = "initial", tgt = "x" },
+          trans { src = "x", tgt = "y", events = { "e_y", "e_after(3)" } } },
+        right = state { u = state {}, v = state {},
+          trans { src = "initial", tgt = "u" },
+          trans { src = "u", tgt = "v", events = { "e_v" } } } },
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = { "e_b" } },
+      trans { src = "b", tgt = "a", events = { "e_after(10)" } } }
+  end
+
+  local function library(options)
+    clock, trace = { now = 1000 }, {}
+    host = host_of.new(trace, clock)
+    load_library({ { name = "c", make = plain }, { name = "r", make = regions },
+      { name = "any", make = any } }, options)
+    f.rfsm_create({ "m" }, { "c" })
+    written()
+  end
+
+  before_each(function() library() end)
+
+  local function pull(key)
+    local text = f.rfsm_pull({ key })
+    return text, json.decode(text)
+  end
+
+  local function refusal(name, ...)
+    local before = f.rfsm_pull({ "m" })
+    written()
+    local reply = f["rfsm_" .. name]({ "m" }, { ... })
+    assert.equal("", written())
+    assert.equal(before, f.rfsm_pull({ "m" }))
+    return reply.err
+  end
+
+  it("pulls a machine, and puts it back as it was", function()
+    call("send", "e_b")
+    local text, file = pull "m"
+    assert.same({ machine = "m", chart = "c", revision = file.fleet.revision },
+      file.fleet)
+    assert.equal(("%d"):format(file.fleet.revision), f.rfsm_get({ "m" })[24])
+    assert.equal("root.b", file.leaf)
+    assert.equal("kept", call("push", text)[3])
+    assert.same(file.data, select(2, pull "m").data)
+    local name = helper.file_with(text)
+    assert.equal("root.b", rfsm.get_actleaf_fqn(assert(snapshot.load(
+      plain(), name))))
+  end)
+
+  it("pushes what a person has changed, to a machine that has not moved", function()
+    local old, file = pull "m"
+    file.sum, file.data.root.count = nil, 7
+    local text = json.encode(file)
+    call("send", "e_b")
+    assert.matches("^ERR rfsm_push: the machine at 'm' has moved on: version %d+ "
+      .. "expected, it has %d+$", refusal("push", old))
+    local revision = ("%d"):format(select(2, pull "m").fleet.revision)
+    assert.same({ "root.a", "done", "kept" }, call("push", text, revision, "ann"))
+    assert.equal(7, select(2, pull "m").data.root.count)
+    call("send", "e_b")
+    assert.equal(8, select(2, pull "m").data.root.count)
+    f.rfsm_create({ "k" }, { "c" })
+    assert.equal("ERR rfsm_push: the file has the machine at 'm' (to put it into 'k', "
+      .. "give its revision)", f.rfsm_push({ "k" }, { text }).err)
+    local own = ("%d"):format(select(2, pull "k").fleet.revision)
+    assert.same({ "root.a", "done", "kept" }, f.rfsm_push({ "k" }, { text, own }))
+  end)
+
+  it("has timers that go on, or begin when the simulator has saved the file", function()
+    clock.now = 1002
+    local text, file = pull "m"
+    assert.same({ 1000, 0 }, file.fleet.time)
+    clock.now = 1004
+    call("push", text)
+    assert.equal("1005.000000", call("get")[16])
+    file.fleet.time, file.sum = nil, nil
+    file.fleet.revision = select(2, pull "m").fleet.revision
+    call("push", json.encode(file))
+    assert.equal("1009.000000", call("get")[16])
+    clock.now = 1009
+    assert.same({ "root.b", "done", "taken" }, call("tick"))
+  end)
+
+  it("runs events that wait in a file when the machine is woken", function()
+    local _, file = pull "m"
+    file.sum, file.queue = nil, { "e_b" }
+    assert.same({ "root.a", "done", "kept" }, call("push", json.encode(file)))
+    assert.same({ "root.b", "done", "taken" }, call("tick", "due"))
+  end)
+
+  it("refuses a file that is cut, damaged or of another chart", function()
+    local text, file = pull "m"
+    f.rfsm_create({ "r" }, { "any" })
+    local other = f.rfsm_pull({ "r" })
+    file.sum = nil
+    local function changed(field, value)
+      local copy = json.decode(json.encode(file))
+      copy[field] = value
+      return json.encode(copy)
+    end
+    for problem, wrong in pairs { -- any order: each stands alone
+      ["file: a JSON object expected"] = text:sub(1, 60),
+      ["file: the check sum is wrong: the text has changed since it was written (a "
+        .. "person who changes the file removes its field 'sum')"] =
+        text:gsub('"count":0', '"count":1') .. "",
+      ["file: a machine that was pulled expected"] = '{"version":2}',
+      ["the file has a machine of chart 'any', the one at 'm' is of 'c'"] = other,
+      ["file: rfsm.snapshot: leaf: no state is 'root.q'"] = changed("leaf", "root.q"),
+      ["file: rfsm.snapshot: data: no state 'root' keeps a field 'q'"] =
+        changed("data", { root = { q = 1 } }),
+      ["file: rfsm.snapshot: no snapshot has a field 'sun'"] = changed("sun", "1"),
+    } do
+      assert.equal("ERR rfsm_push: " .. problem, refusal("push", wrong))
+    end
+    assert.equal("ERR rfsm_push: no machine is at 'z' (rfsm_create makes one)",
+      f.rfsm_push({ "z" }, { text }).err)
+  end)
+
+  it("sets fields that states keep, and says who did it", function()
+    assert.same({ "root.a", "done", "kept" }, call("set", "count", "7", "ann"))
+    assert.matches("XADD .*{m}:log.*=%(set count=7%) by ann",
+      table.concat(trace, "\n"))
+    assert.equal(7, select(2, pull "m").data.root.count)
+    for text, value in pairs { ['"x"'] = "x", ["[1,2]"] = { 1, 2 }, ["true"] = true,
+      ["null"] = { "%z" } } do -- any order: each stands alone
+      call("set", "root.count", text)
+      assert.same(value, select(2, pull "m").data.root.count)
+    end
+    library { history = 10 }
+    trace[1] = nil
+    call("set", "count", "1", "ann")
+    assert.matches("{m}:history.*,5=event,6=%(set count=1%) by ann,7=from,8=root.a,",
+      table.concat(trace, "\n"))
+  end)
+
+  it("refuses to set what is not kept, or no value", function()
+    assert.equal("ERR rfsm_set: no state of chart 'c' keeps the field 'cont' (did you "
+      .. "mean 'root.count'?)", refusal("set", "cont", "7"))
+    assert.equal("ERR rfsm_set: value: a JSON object expected",
+      refusal("set", "count", "x"))
+    assert.equal("ERR rfsm_set: value: one value expected",
+      refusal("set", "count", '1,"other":2'))
+  end)
+
+  it("forces and sets in regions", function()
+    f.rfsm_create({ "r" }, { "r" })
+    assert.equal("root.b", f.rfsm_force({ "r" }, { "root.b.left.y" })[1])
+    local _, file = pull "r"
+    assert.same({ "root.y", "root.u" }, { file.regions["root.b.left"].leaf,
+      file.regions["root.b.right"].leaf })
+    f.rfsm_send({ "r" }, { "e_v" })
+    f.rfsm_force({ "r" }, { "root.b.left.x" }) -- the region beside it stays
+    _, file = pull "r"
+    assert.same({ "root.x", "root.v" }, { file.regions["root.b.left"].leaf,
+      file.regions["root.b.right"].leaf })
+    assert.equal("1003.000000", f.rfsm_get({ "r" })[16]) -- e_after(3)
+    f.rfsm_set({ "r" }, { "root.b.left.list", "5" })
+    assert.same({ list = 5 }, select(2, pull "r").regions["root.b.left"].data.root)
+    assert.matches("has no leaf 'root.b.left.z' %(did you mean 'root.b.left",
+      f.rfsm_force({ "r" }, { "root.b.left.z" }).err)
+    assert.equal("root.a", f.rfsm_force({ "r" }, { "root.a" })[1])
   end)
 end)

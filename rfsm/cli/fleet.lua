@@ -7,12 +7,26 @@ local advice = require "rfsm.advice"
 local chart = require "rfsm.shared.chart"
 local codec = require "rfsm.server.codec"
 local common = require "rfsm.cli.common"
+local files = require "rfsm.shared.files"
 local rfsm = require "rfsm"
 local typed = require "rfsm.shared.typed"
 local verbs = require "rfsm.server.verbs"
 
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+local command = {}
+
+--- Return the result of f(...), which asks a server. If it fails, end the program with
+-- the reason in one line; with this status if f returns nil or false and the problem.
+function command.ask_or_end(status, f, ...)
+  local ok, result, problem = pcall(f, ...)
+  if not ok then common.fail(chart.first_line(result)) end
+  return result or common.fail(chart.first_line(problem), status)
+end
+
+--- Return the same with status 1.
+function command.ask(f, ...) return command.ask_or_end(1, f, ...) end
 
 -- Returns the lines of a reply: one with leaf, mode and outcome, then one per error.
 local function lines_of(reply)
@@ -103,6 +117,147 @@ local function send_lines(fleet, key, event, id)
   return lines_of(reply)
 end
 
+-- One machine as a file ------------------------------------------------------------
+
+local function pull_lines(fleet, key)
+  local text, problem = fleet:pull(key)
+  return text and { (text:gsub("\n$", "")) }, problem
+end
+
+-- Returns the lines of a reply. If the server refuses, ends the program with status 2:
+-- nothing was moved.
+local function moved_lines(f, ...)
+  return lines_of(command.ask_or_end(2, f, ...))
+end
+
+local function push_lines(fleet, options, key, file)
+  common.check_readable(file)
+  return moved_lines(fleet.push, fleet, key, files.read(file), options.if_version,
+    options.by)
+end
+
+local function set_lines(fleet, options, key, assignment)
+  local field, text = assignment:match("^%s*([^=]-)%s*=(.*)$")
+  if not field then
+    common.fail(("FIELD=VALUE expected, got '%s'"):format(assignment), 2)
+  end
+  local value, problem = typed.value(text)
+  if problem then common.fail(problem, 2) end
+  return moved_lines(fleet.set, fleet, key, field, value, options.by)
+end
+
+-- Many machines --------------------------------------------------------------------
+
+local FILTERS = { age = true, chart = true, state = true, version = true }
+
+-- Returns the filter that a text such as "chart=order,age=60" means; nil and the
+-- problem if it is wrong. A comma may be in a value.
+local function filter_of(text)
+  local filter, name = {}, nil
+  for part in text:gmatch("[^,]+") do
+    local found, value = part:match("^%s*(%a+)=(.*)$")
+    if FILTERS[found] then
+      name, filter[found] = found, value
+    elseif found or not name then
+      return nil, ("--where: chart=, state=, version= or age= expected, got '%s'%s")
+        :format(part, found and advice.nearest_name(found, rfsm.sorted_keys(FILTERS))
+          or "")
+    else
+      filter[name] = filter[name] .. "," .. part
+    end
+  end
+  if filter.age and not filter.age:find("^[1-9]%d*$") then
+    return nil, ("--where: age=SECONDS expected, got '%s'"):format(filter.age)
+  end
+  return next(filter) and filter or nil, "--where: a filter expected"
+end
+
+-- Returns the machines that a filter lets through, each with a text for a line.
+local function find_machines(fleet, filter)
+  local found, problem = fleet:select(filter)
+  for _, one in ipairs(found or {}) do
+    one.text = ("%s %s %s %s%s"):format(one.key, one.chart, one.leaf, one.known,
+      one.seconds and " " .. rfsm.number_text(one.seconds, "%d") .. " s" or "")
+  end
+  return found, problem
+end
+
+-- Returns the keys of the machines whose entries are meant; nil if all are.
+local function keys_for(fleet, filter)
+  local keys, of = {}, { chart = filter.chart, state = filter.state,
+    version = filter.version }
+  if not next(of) then return nil end
+  local found, problem = fleet:select(of)
+  if not found then error(problem, 0) end
+  for _, one in ipairs(found) do keys[one.key] = true end
+  return keys
+end
+
+-- Returns the dead entries of machines that a filter lets through. They are so old.
+local function find_dead(fleet, filter)
+  local found, keys = {}, keys_for(fleet, filter)
+  local time = os.time() - (filter.age or 0)
+  for _, entry in ipairs(fleet:dead(1000000)) do
+    if (not keys or keys[entry.machine])
+      and tonumber(entry.id:match("^%d+")) / 1000 <= time then
+      entry.text = concat({ entry.tag, entry.id, entry.machine, entry.what }, " ")
+      found[#found + 1] = entry
+    end
+  end
+  return found
+end
+
+-- For each verb that takes filters how the items are found, and what is done with one.
+local MANY = {}
+verbs.map(function(verb)
+  if not verb.bulk then return end
+  MANY[verb.name] = { find_machines, function(fleet, one, ...)
+    return fleet[verb.name](fleet, one.key, ...)
+  end }
+end)
+for _, name in ipairs { "again", "drop" } do
+  MANY[name] = { find_dead, function(fleet, entry)
+    return fleet[name](fleet, entry.tag, entry.id)
+  end }
+end
+
+-- Does a verb for one item, and prints the result. Returns whether it was done. If the
+-- server is lost the program ends.
+local function do_one(fleet, act, one, ...)
+  local ok, result, problem = pcall(act, fleet, one, ...)
+  if not ok then problem = chart.first_line(result) end
+  if ok and result then
+    local text = type(result) == "table" and " " .. concat(lines_of(result), "; ") or ""
+    common.write("-", (one.key or one.id) .. text .. "\n")
+    return true
+  end
+  problem = problem or "it is not there"
+  if ok and (problem:find("^ERR rfsm_") or not result) then
+    common.warn(one.text .. ": " .. problem)
+    return false
+  end
+  return common.fail(problem)
+end
+
+-- Does a verb for all machines or entries that a filter lets through, or, dry, shows
+-- them. Returns the status: 1 if one was refused.
+local function do_many(fleet, options, filter)
+  local find, act = MANY[options.verb][1], MANY[options.verb][2]
+  local found, count = command.ask(find, fleet, filter), 0
+  if not found[1] then common.fail("no " .. (find == find_dead and "entry" or "machine")
+    .. " is like that, so nothing was done", 2) end
+  for _, one in ipairs(found) do
+    if options.dry_run then
+      common.write("-", one.text .. "\n")
+    elseif do_one(fleet, act, one, unpack(options.arguments)) then
+      count = count + 1
+    end
+  end
+  common.warn(options.dry_run and ("%d found, nothing was done"):format(#found)
+    or ("%d of %d done"):format(count, #found))
+  return not options.dry_run and count < #found and 1 or 0
+end
+
 -- For each verb a function that returns lines to print, or nil and the problem.
 local LINES = {
   find = function(fleet, name, state, limit, s)
@@ -120,7 +275,11 @@ local LINES = {
     return count and { ("%d machines"):format(count) }, problem
   end,
   dead = list_dead, again = was_there "again", drop = was_there "drop",
+  tick = reply_lines "tick", pull = pull_lines,
 }
+
+-- The same for those that get the options, and end the program themselves.
+local WITH_OPTIONS = { push = push_lines, set = set_lines }
 
 -- The verbs of both servers, and those for entries, which only this command has.
 local VERBS = { dead = { "[LIMIT]", 0 }, again = { "TAG ID", 2 },
@@ -129,21 +288,31 @@ verbs.map(function(verb)
   if verb.usage then VERBS[verb.name] = { verb.usage, verb.needs } end
 end)
 
--- Returns the list of verbs, two in a line, so that the help fits a terminal.
+-- Returns the verbs with their arguments, those with the same ones together, in as few
+-- lines as possible, so that the help fits a terminal.
 local function help()
-  local lines, names = { "Verbs:" }, rfsm.sorted_keys(VERBS)
-  for i = 1, #names, 2 do
-    local name, other = names[i], names[i + 1]
-    lines[#lines + 1] = ("   %-36s %s"):format(name .. " " .. VERBS[name][1],
-      other and other .. " " .. VERBS[other][1] or "")
+  local groups, by_usage, lines = {}, {}, { "Verbs:" }
+  for _, name in ipairs(rfsm.sorted_keys(VERBS)) do
+    local usage = VERBS[name][1]
+    if not by_usage[usage] then
+      by_usage[usage] = { usage = usage }
+      groups[#groups + 1] = by_usage[usage]
+    end
+    local group = by_usage[usage]
+    group[#group + 1] = name
+  end
+  for _, group in ipairs(groups) do
+    local text = "   " .. concat(group, " ") .. (group.usage ~= "" and " " or "")
+      .. group.usage
+    local is_first = not lines[2] or #lines[#lines] + #text > 79
+    lines[is_first and #lines + 1 or #lines] = (is_first and "" or lines[#lines])
+      .. text
   end
   return concat(lines, "\n")
 end
 
-local command = {
-  summary = "Look after machines in Redis.",
-  epilog = help(),
-}
+command.summary = "Look after machines in Redis."
+command.epilog = help()
 
 -- Returns a verb; nil and the problem if there is no such verb. (A list of choices
 -- would be one long line of the help.)
@@ -159,14 +328,13 @@ function command.add_arguments(parser)
   parser:argument("arguments", "of the verb; KEY is a whole key, with its {tag}")
     :args("*"):argname("ARGUMENT")
   common.add_number(parser, "--tags", "hash tags of the machines (64)")
-end
-
---- Return the result of f(...), which asks a server. If it fails, or returns nil or
--- false and the problem, end the program with the reason in one line.
-function command.ask(f, ...)
-  local ok, result, problem = pcall(f, ...)
-  if not ok then common.fail(chart.first_line(result)) end
-  return common.try(result, problem)
+  parser:option("--where", "in place of KEY: chart=C,state=FQN,version=V,age=S")
+    :argname("FILTER"):convert(filter_of)
+  parser:flag("--dry-run", "show what --where means, do nothing")
+  common.add_number(parser, "--if-version", "push: refuse another revision",
+    function(number) return number >= 0 and number % 1 == 0 end)
+  parser:option("--by", "push, set: a name for the history")
+    :argname("NAME"):default(os.getenv("USER") or os.getenv("LOGNAME"))
 end
 
 --- Return the client of a fleet, or end the program if there is no server.
@@ -174,15 +342,27 @@ function command.connect(url, options)
   return command.ask(require("rfsm.fleet").connect, url, options)
 end
 
+local function check(options, parser)
+  local name, verb, list = options.verb, VERBS[options.verb], options.arguments
+  if options.where and not MANY[name] then
+    parser:error(name .. " takes no --where, but " .. verb[1])
+  elseif options.dry_run and not options.where then
+    parser:error("--dry-run: --where expected")
+  elseif options.where and #list > (name == "hold" and 1 or 0) then
+    parser:error(name .. ": --where or " .. verb[1] .. " expected, not both")
+  elseif not options.where and #list < verb[2] then
+    parser:error(name .. " " .. verb[1] .. " expected")
+  end
+end
+
 function command.run(options, parser)
-  local verb, list = VERBS[options.verb], options.arguments
-  if #list < verb[2] then
-    parser:error(options.verb .. " " .. verb[1] .. " expected")
-  end
+  local name, list = options.verb, options.arguments
+  check(options, parser)
   local fleet = command.connect(options.url, { tags = options.tags })
-  for _, line in ipairs(command.ask(LINES[options.verb], fleet, unpack(list))) do
-    common.write("-", line .. "\n")
-  end
+  if options.where then return do_many(fleet, options, options.where) end
+  local lines = WITH_OPTIONS[name] and WITH_OPTIONS[name](fleet, options, unpack(list))
+    or command.ask(LINES[name], fleet, unpack(list))
+  for _, line in ipairs(lines) do common.write("-", line .. "\n") end
 end
 
 return command

@@ -71,6 +71,9 @@ host.STATEMENTS = {
     WHERE key = $1 RETURNING key]],
   move = [[UPDATE rfsm.machines SET state = $2, event = $3, since = clock_timestamp()
     WHERE key = $1]],
+  history = [[SELECT extract(epoch FROM at)::text AS time, coalesce(event, '') AS event,
+    coalesce(src, '') AS src, coalesce(tgt, '') AS tgt FROM rfsm.history
+    WHERE key = $1 ORDER BY id DESC LIMIT $2::integer]],
   note = "INSERT INTO rfsm.history (key, event, src, tgt) VALUES ($1, $3, $2, $2)",
   remove = [[WITH log AS (DELETE FROM rfsm.log WHERE key = $1)
     DELETE FROM rfsm.machines WHERE key = $1 RETURNING key]],
@@ -147,6 +150,16 @@ function host.new(server, require, charts, options)
   function verbs.write(machine, due, emitted, errors)
     row.change = { machine = machine, due = due, emitted = emitted, errors = errors,
       data = data_of(machine.list[3]) }
+  end
+
+  function verbs.history(key, count)
+    local items = {}
+    for _, move in ipairs(row.execute("history", key, count)) do
+      local n = #items
+      items[n + 1], items[n + 2] = move.time, move.event
+      items[n + 3], items[n + 4] = move.src, move.tgt
+    end
+    return items
   end
 
   function verbs.remove(key)

@@ -69,7 +69,9 @@ return function(host, spi, pgtype, id)
       local args = list and list { null = "" } or {}
       if event_id then args[#args + 1], args[#args + 2] = "ID", event_id end
       local reply = answer(name, key, args)
-      if type(reply) == "number" then return { tostring(reply) } end
+      if type(reply) == "number" or type(reply) == "string" then
+        return { tostring(reply) }
+      end
       return reply or nil -- a table, or what the newer library has returned
     end
   end

@@ -329,6 +329,9 @@ local function list_stream(stream, count)
   return reply
 end
 
+--- Return the latest moves of a machine, the newest first.
+function store.history(key, count) return list_stream(keys_of.history(key), count) end
+
 -- rfsm_stats KEY: returns six results for the machines with the {hash tag} of KEY: a
 -- list (chart, state, number of machines, chart ...), and five numbers: machines with a
 -- deadline, machines put aside, events in the stream, overdue machines, dead events.
@@ -400,6 +403,49 @@ function more.rfsm_versions(keys)
   return reply
 end
 
+local function is_in(leaf, state)
+  return leaf == state or leaf:sub(1, #state + 1) == state .. "."
+end
+
+-- Returns a function that tells if a list of a machine is what the arguments of
+-- `rfsm_select` ask for, and how its version is known. An empty text stands for any.
+local function filter_of(args)
+  local name, state, version = unpack(args, 1, 3)
+  return function(list)
+    if name ~= "" and name ~= list[2] then return false end
+    if state ~= "" and not is_in(list[3].leaf or "", state) then return false end
+    local known = version_of(list[2], list[3])
+    return version == "" or version == known or version == list[3].chart, known
+  end
+end
+
+-- Returns for how long a machine has been in its leaf, as a text; "" if that is not
+-- known.
+local function age_of(key)
+  local since = options.index and call("ZSCORE", keys_of.since(key), key)
+  return since and ("%.0f"):format(now() - rfsm.number_of(since)) or ""
+end
+
+-- rfsm_select KEY... chart state version seconds: returns five items for each machine
+-- that is of the chart, in the state, of the version (how it is known, or its
+-- fingerprint) and so long in its leaf: its key, chart, leaf, how its version is known,
+-- seconds in the leaf.
+function more.rfsm_select(keys, args)
+  local is_wanted, time, reply = filter_of(args), nil, {}
+  if args[4] ~= "" then
+    if not options.index then fail("age: the library was made without --index") end
+    time = now() - whole_of(args[4], 0, 1e9)
+  end
+  each_machine(keys, function(key, list)
+    local is_one, known = is_wanted(list)
+    if not is_one or not is_since(key, time) then return end
+    local n = #reply
+    reply[n + 1], reply[n + 2], reply[n + 3] = key, list[2], list[3].leaf or ""
+    reply[n + 4], reply[n + 5] = known, age_of(key)
+  end)
+  return reply
+end
+
 -- rfsm_log KEY [count]: returns the latest errors of a machine, the newest first, each
 -- as two items: time and text.
 function more.rfsm_log(keys, args)
@@ -410,7 +456,7 @@ end
 -- each as four items: time, events, from, to.
 function more.rfsm_history(keys, args)
   if not options.history then fail("the library was made without --history") end
-  return list_stream(keys_of.history(keys_of.machine(keys)), args[1])
+  return store.history(keys_of.machine(keys), args[1])
 end
 
 --- Add the functions for many machines to `all`. A call checks types and rights anew.

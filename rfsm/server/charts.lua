@@ -14,7 +14,7 @@ local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 
 local getmetatable, ipairs, pairs = getmetatable, ipairs, pairs
-local pcall, rawget, rawset = pcall, rawget, rawset
+local pcall, rawequal, rawget, rawset = pcall, rawequal, rawget, rawset
 local setmetatable, type = setmetatable, type
 local copy_of, fail, is_meta, text_of = encoding.copy_of, encoding.fail, rfsm.is_meta,
   rfsm.text_of
@@ -179,14 +179,10 @@ local function is_odd(text)
   return text:find("\\u0000", 1, true) ~= nil
 end
 
---- Decode a JSON object and return it as a table. Fields that are null are left out.
+--- Decode a JSON object. It has what the host's decoder returns for null.
 ---@param owner string the name of the object in messages
 ---@param text string
----@param most integer the greatest length of `text` in bytes
-function charts.read_json(owner, text, most)
-  if #text > most then
-    fail("%s: at most %d bytes expected, got %d", owner, most, #text)
-  end
+function charts.decode_json(owner, text)
   local ok, data = pcall(decode, text)
   if not ok or is_odd(text) or type(data) ~= "table" then
     fail("%s: a JSON object expected", owner)
@@ -195,6 +191,18 @@ function charts.read_json(owner, text, most)
   if inexact then
     fail("%s: the number %s: whole numbers below 2^53 expected", owner, inexact)
   end
+  return data
+end
+
+--- Decode a JSON object and return it as a table. Fields that are null are left out.
+---@param owner string the name of the object in messages
+---@param text string
+---@param most integer the greatest length of `text` in bytes
+function charts.read_json(owner, text, most)
+  if #text > most then
+    fail("%s: at most %d bytes expected, got %d", owner, most, #text)
+  end
+  local data = charts.decode_json(owner, text)
   local about = { owner = owner, base = 0, seen = {} }
   return encoding.unpack(encoding.pack(data, about, 0), 0)
 end
@@ -244,9 +252,10 @@ function charts.is_of(chart, snap)
   return is_same or migrate.is_own(chart.fsm, snap)
 end
 
---- Put a snapshot into the machine of a chart.
-function charts.put(chart, snap)
+--- Put a snapshot into the machine of a chart. It is checked if it `is_foreign`.
+function charts.put(chart, snap, is_foreign)
   clean(chart)
+  chart.options.trusted = not is_foreign
   local ok, problem = snapshot.put(chart.fsm, snap, chart.options)
   chart.options.is_tidy = false
   return ok, problem
@@ -265,23 +274,54 @@ function charts.step(chart, steps)
   return is_idle, is_taken
 end
 
---- Put the machine of a chart into a leaf and arm the timers there, as if the leaf had
---- been entered, but call no callback. Regions are reset.
-function charts.force(chart, fqn)
-  local fsm, leaves = chart.fsm, {}
-  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
-    leaves[state._fqn] = state
+-- Returns a table: path of a leaf, also of one in a region -> the leaf, and the machine
+-- that has it, as `rfsm.machines` lists it.
+local function leaves_of(fsm)
+  local leaves = {}
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    for _, leaf in ipairs(rfsm.elements(at.machine, rfsm.is_leaf)) do
+      leaves[at.prefix .. leaf._fqn:sub(5)] = { at = at, leaf = leaf }
+    end
   end
-  local leaf = leaves[fqn] or fail("chart '%s' has no leaf '%s'%s", chart.name, fqn,
-    advice.nearest_name(fqn, rfsm.sorted_keys(leaves)))
-  for _, region in ipairs(chart.regions) do rfsm.reset(region) end
+  return leaves
+end
+
+-- Puts one machine into a leaf, and resets the regions in this machine.
+local function force_into(machines, at, leaf)
+  local fsm, head = at.machine, at.prefix .. "."
+  for _, other in ipairs(machines) do
+    if other.prefix:sub(1, #head) == head then rfsm.reset(other.machine) end
+  end
   local mode = leaf.doo and "active" or "done"
-  rfsm.place(fsm, leaf, mode, leaf.doo and {} or { "e_done@" .. fqn })
+  rfsm.place(fsm, leaf, mode, leaf.doo and {} or { "e_done@" .. leaf._fqn })
   rfsm.map_from_to(fsm, function(_, state)
     for _, hook in ipairs(fsm._entry_hooks and fsm._entry_hooks[state] or {}) do
       hook(fsm, state)
     end
   end, fsm, leaf)
+end
+
+-- Puts the machine around a region into the state that runs the region, if it is not
+-- there.
+local function force_around(machines, at)
+  if not at.owner or rawequal(at.owner._act_leaf, at.state) then return end
+  for _, other in ipairs(machines) do
+    if rawequal(other.machine, at.owner) then
+      force_around(machines, other)
+      force_into(machines, other, at.state)
+    end
+  end
+end
+
+--- Put the machine of a chart into a leaf and arm the timers there, as if the leaf had
+--- been entered, but call no callback. Regions are reset. If the leaf is in a region,
+--- the other regions beside it stay as they are, or begin anew.
+function charts.force(chart, path)
+  local leaves, machines = leaves_of(chart.fsm), rfsm.machines(chart.fsm)
+  local found = leaves[path] or fail("chart '%s' has no leaf '%s'%s", chart.name, path,
+    advice.nearest_name(path, rfsm.sorted_keys(leaves)))
+  force_around(machines, found.at)
+  force_into(machines, found.at, found.leaf)
 end
 
 --- Return the text of an error in one line. Errors of Redis are tables.

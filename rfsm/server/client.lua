@@ -207,6 +207,43 @@ function Client:get(id)
   return view
 end
 
+--- Return a machine as the text of a file for `push` and `rfsm.snapshot.load`.
+---@param id any
+---@return string? text the snapshot; in its field `fleet` the key, the name of the
+--- chart, the revision, and the history, if the library keeps one
+---@return string? problem
+function Client:pull(id)
+  local text, problem = self:ask("rfsm_pull", id)
+  return type(text) == "table" and text[1] or text, problem
+end
+
+--- Put the machine of a file of `pull` back. Its timers have gone on meanwhile; those
+-- in a file that the simulator has saved go on from now.
+---@param id any
+---@param text string
+---@param revision? integer that of the machine; default: that in the file
+---@param who? string for the history
+---@return rfsm.server.Reply? reply
+---@return string? problem also if the machine has moved on meanwhile
+function Client:push(id, text, revision, who)
+  local number = revision and ("%.0f"):format(revision) or ""
+  return reply_of(self:ask("rfsm_push", id, text, number, who or ""))
+end
+
+--- Give a field that a state keeps another value.
+---@param id any
+---@param field string its path, such as root.on.count; without a path one of the root
+---@param value any
+---@param who? string for the history
+---@return rfsm.server.Reply? reply
+---@return string? problem
+function Client:set(id, field, value, who)
+  local ok, text = true, ""
+  if value ~= nil then ok, text = try(codec.encode, { value }) end
+  if not ok then return nil, self.where .. ".set: value: " .. text end
+  return reply_of(self:ask("rfsm_set", id, field, text:sub(2, -2), who or ""))
+end
+
 --- Move a machine to the newest version of its chart, without running it.
 ---@param id any
 ---@return rfsm.server.Reply? reply

@@ -18,6 +18,7 @@
 
 local advice = require "rfsm.advice"
 local charts = require "rfsm.server.charts"
+local desk = require "rfsm.server.desk"
 local encoding = require "rfsm.snapshot.encoding"
 local keys_of = require "rfsm.server.keys"
 local rfsm = require "rfsm"
@@ -58,6 +59,8 @@ local MAX_ID, MAX_LATER = 64, 100 -- bytes of an id; waiting events of a machine
 ---@field remove fun(key: string): boolean removes a machine; returns whether it existed
 ---@field decode fun(text: string): any decodes JSON
 ---@field refuse fun(name: string, reason: string): any returns the reply of an error
+---@field history? fun(key: string, count: integer): any[] the latest moves, the newest
+--- first, each as four items: time, events, from, to; absent if the library keeps none
 ---@field add? fun(functions: table, options: rfsm.server.Options) adds functions that
 --- only this server has
 
@@ -129,13 +132,14 @@ local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD, HOLD = 2, 3, 4, 5, 6, 7, 8, 
 ---@field outcome string|false what became of the events: "taken", "kept" or "dropped";
 --- false: no transition took them, and it is not yet known if they were kept or dropped
 ---@field has_run boolean did due timers or events run in this call?
+---@field said string|false what a person has done, for the log
 
 local NONE = {}
 
 local function new_machine(key, chart, list, leaf)
   return { key = key, chart = chart, fsm = chart.fsm, list = list, leaf = leaf,
     at = leaf or "", mode = "inactive", was_due = list[DUE], value = false, moves = {},
-    is_idle = true, outcome = false, has_run = false }
+    is_idle = true, outcome = false, has_run = false, said = false }
 end
 
 local function read(key)
@@ -145,8 +149,9 @@ end
 
 -- Puts a snapshot into the newest version of its chart. If it does not fit there, it is
 -- put into the version from which it was taken. Returns the version that was used, the
--- results of `put`, and whether this version is not the one of the snapshot.
-local function place(list, snap)
+-- results of `put`, and whether this version is not the one of the snapshot. A snapshot
+-- that `is_foreign` is checked.
+local function place(list, snap, is_foreign)
   local newest, own = open(list[#list]), nil
   local is_other = not charts.is_of(newest, snap)
   if is_other then
@@ -155,9 +160,9 @@ local function place(list, snap)
     end
     newest.options.old = own and own.fsm
   end
-  local ok, problem = put(newest, snap)
+  local ok, problem = put(newest, snap, is_foreign)
   if ok or not own then return newest, ok, problem, is_other end
-  return own, put(own, snap)
+  return own, put(own, snap, is_foreign)
 end
 
 -- A machine that has moved to another version may have other timers, which may be due
@@ -183,6 +188,13 @@ local function load_machine(key, list)
   machine.is_idle = not was_restless(list)
   if has_moved then note_new_timers(machine) end
   return machine
+end
+
+-- Puts a snapshot that a person has changed into the machine at a key.
+local function place_at(key, list, snap)
+  local chart, ok, problem = place(versions_of(list[NAME]), snap, true)
+  if not ok then fail("file: %s", problem) end
+  return new_machine(key, chart, list, list[SNAP].leaf)
 end
 
 -- Move: first run what is due, then send new events ---------------------------------
@@ -235,6 +247,18 @@ local function step(machine, by)
     machine.at = at
   end
   return is_taken
+end
+
+-- Notes what a person has done with a machine in its history, if there is one; else in
+-- its log.
+local function note(machine, what)
+  local leaf = machine.fsm._act_leaf
+  local from, to = machine.at, leaf and leaf._fqn or ""
+  machine.at = to
+  if options.history or from ~= to then
+    machine.moves[#machine.moves + 1] = { by = what, from = from, to = to }
+  end
+  if not options.history then machine.said = what end
 end
 
 local function send(machine, events)
@@ -408,7 +432,8 @@ local function save(machine, id)
   list[SNAP] = snap
   if machine.outcome ~= "dropped" then add_id(machine, id) end
   pack_machine(machine, due)
-  host.write(machine, not list[HELD] and due or nil, emitted, errors)
+  host.write(machine, not list[HELD] and due or nil, emitted,
+    machine.said and { machine.said, unpack(errors) } or errors)
   local reply = { machine.at, machine.mode }
   for i = 1, #errors do reply[i + 2] = errors[i] end
   reply[#reply + 1] = machine.outcome
@@ -578,6 +603,7 @@ function functions.rfsm_get(keys)
     "queue", list_json(queue), "due", time_text(not list[HELD] and list[DUE]),
     "held", list[HELD] and "yes" or "", "held_since", time_text(held_since(list)),
     "held_because", (list[HOLD] or NONE)[2] or "",
+    "revision", ("%d"):format(desk.revision_of(list)),
     "kept", list_json(kept_of(snap)), "later", later_json(list, false),
     "waiting", later_json(list, true), "ids", list_json(ids_of(list)) }
 end
@@ -615,6 +641,7 @@ function functions.rfsm_release(keys)
 end
 
 -- rfsm_force KEY state: puts a machine into a leaf without calling entries and exits.
+-- The leaf may be in a region.
 function functions.rfsm_force(keys, args)
   local key = key_of(keys)
   local machine = load_machine(key, read(key))
@@ -671,6 +698,9 @@ return function(server, list, settings)
     versions[chart.name] = versions[chart.name] or {}
     versions[chart.name][#versions[chart.name] + 1] = chart
   end
+  desk.add(functions, { key_of = key_of, read = read, load_machine = load_machine,
+    place_at = place_at, note = note, save = save, NAME = NAME, SNAP = SNAP, SEC = SEC,
+    NSEC = NSEC, history = options.history and host.history })
   if host.add then host.add(functions, options, version_of) end
   for name, f in pairs(functions) do -- any order: each stands alone
     made[name] = function(keys, args)

@@ -16,6 +16,7 @@ local ipairs = ipairs
 ---@field more_sql? string[] the same for other parameters
 ---@field usage? string its arguments in the command
 ---@field needs? integer how many of them are needed
+---@field bulk? true the command takes filters in place of KEY, for many machines
 ---@field by? true in PostgreSQL only an operator may call it
 
 local verbs = {
@@ -31,13 +32,25 @@ local verbs = {
     "ARRAY[event], NULL" }, usage = "KEY EVENT", needs = 2 },
   { name = "get", reads = true, sql = { "", "TABLE (name text, value text)" },
     usage = "KEY", needs = 1, by = true },
-  { name = "tick", sql = { "", "text" } },
+  { name = "tick", sql = { "", "text" }, usage = "KEY", needs = 1, bulk = true },
   { name = "move", sql = { "", "text" }, usage = "KEY", needs = 1, by = true },
-  { name = "hold", sql = { "", "text" }, usage = "KEY [REASON]", needs = 1, by = true },
-  { name = "release", sql = { "", "text" }, usage = "KEY", needs = 1, by = true },
+  { name = "hold", sql = { "", "text" }, usage = "KEY [REASON]", needs = 1, by = true,
+    bulk = true },
+  { name = "release", sql = { "", "text" }, usage = "KEY", needs = 1, by = true,
+    bulk = true },
   { name = "force", sql = { ", state text", "text", "ARRAY[state], NULL" },
     usage = "KEY STATE", needs = 2, by = true },
-  { name = "remove", sql = { "", "boolean" }, usage = "KEY", needs = 1, by = true },
+  { name = "remove", sql = { "", "boolean" }, usage = "KEY", needs = 1, by = true,
+    bulk = true },
+  { name = "pull", reads = true, sql = { "", "text" }, usage = "KEY", needs = 1,
+    by = true },
+  { name = "push", sql = { ", file text, if_version bigint DEFAULT NULL, "
+    .. "who text DEFAULT session_user", "text", "ARRAY[file, "
+    .. "coalesce(if_version::text, ''), who], NULL" }, usage = "KEY FILE", needs = 2,
+    by = true },
+  { name = "set", sql = { ", field text, value jsonb, who text DEFAULT session_user",
+    "text", "ARRAY[field, coalesce(value::text, ''), who], NULL" },
+    usage = "KEY FIELD=VALUE", needs = 2, by = true },
   { name = "log", reads = true, many = true, usage = "KEY [COUNT]", needs = 1 },
   { name = "history", reads = true, many = true, usage = "KEY [COUNT]", needs = 1 },
   { name = "wake", many = true },
@@ -46,6 +59,7 @@ local verbs = {
   { name = "find", reads = true, many = true, usage = "CHART STATE [LIMIT [SECONDS]]",
     needs = 2 },
   { name = "versions", reads = true, many = true, usage = "", needs = 0 },
+  { name = "select", reads = true, many = true },
   { name = "stats", reads = true, many = true },
 }
 

@@ -188,6 +188,21 @@ function typed.data(text)
   end)
 end
 
+--- Read a value; a text without quotes that is no other value is itself.
+---@param text string
+---@return any value
+function typed.value(text)
+  local ok, problem
+  local value = nil
+  ok, problem = read_all(text, function(reader)
+    value = read_value(reader, 1)
+    return true
+  end)
+  if ok then return value end
+  if text:find("^%s*[%[{\"']") then return nil, problem end
+  return text
+end
+
 --- Return the event with a name and data; nil and the problem if it cannot be read.
 ---@param name string
 ---@param text? string the data; without it the event has none

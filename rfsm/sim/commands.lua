@@ -244,6 +244,13 @@ function(sim, file)
   history.save(sim, file or nil)
 end, { takes_line = true })
 
+add("save(file)", "write the machine, for `rfsm fleet URL push`", [[
+`rfsm sim --from file` goes on with it, and so does snapshot.load.
+Example: save m.json]],
+function(sim, file)
+  history.keep(sim, check("save", file, "string", "name of a file"))
+end, { takes_line = true })
+
 topic "machine"
 
 add("dry(on)", "leave the functions of the chart out", [[

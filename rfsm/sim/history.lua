@@ -8,14 +8,15 @@
 
 local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
+local files_of = require "rfsm.snapshot.file"
 local record = require "rfsm.record"
 local replay = require "rfsm.record.replay"
 local rewind = require "rfsm.observe.rewind"
 local snapshot = require "rfsm.snapshot"
 local tracks = require "rfsm.record.track"
 
-local error, io, ipairs, type = error, io, ipairs, type
-local max, min = math.max, math.min
+local error, io, ipairs, os, type = error, io, ipairs, os, type
+local floor, max, min = math.floor, math.max, math.min
 local print, select = print, select
 local concat = table.concat
 local text_of = rfsm.text_of
@@ -146,6 +147,69 @@ function history.replay(sim, name)
   if not ok then error(session, 0) end
   return session.at, session.problem or session.unsaved
     or run.is_cut and "the last line was cut off" or nil
+end
+
+-- Machines of a fleet -------------------------------------------------------------
+
+-- Puts the machine into a snapshot, as a server does. Raises an error if it cannot.
+local function put(sim, snap)
+  local fsm = sim.fsm
+  local ok, problem = snapshot.put(fsm, snap,
+    { migrate = fsm.migrate, rename = fsm.rename })
+  if not ok then error(problem, 0) end
+end
+
+-- Returns what is known of the machine of a snapshot when it was in another leaf: its
+-- data then are not.
+local function snap_in(snap, leaf)
+  return { version = snap.version, chart = snap.chart, data = snap.data,
+    leaf = leaf ~= "" and leaf or nil, done = leaf ~= "" or nil }
+end
+
+-- Goes through the moves in a history, the oldest first. If the chart does not know a
+-- state of one, this move and those before are left out. Returns how many were taken.
+local function go_through(sim, snap, moves)
+  local count = 0
+  for _, move in ipairs(moves) do
+    if calls.try(put, sim, snap_in(snap, move.from)) then
+      history.mark(sim)
+      sim.came = { os.date("!%Y-%m-%d %H:%M:%S ", floor(move.time)) .. move.event }
+      count = count + 1
+    else
+      history.start(sim)
+      count = 0
+    end
+  end
+  return count
+end
+
+--- Put the machine where a file has it that a fleet has returned, or `history.keep`.
+-- Each move that the file tells of is an advance. Return how many there are, and the
+-- key of the machine. The error of a wrong file names it.
+function history.from(sim, name)
+  local snap, problem = files_of.read(name)
+  if not snap then error(problem, 0) end
+  local fleet = snap.fleet or {}
+  snap.fleet = nil
+  local ok, count = calls.try(function()
+    put(sim, snap)
+    local taken = go_through(sim, snap, fleet.history or {})
+    put(sim, snap)
+    return taken
+  end)
+  if not ok then error(name .. ": " .. text_of(count), 0) end
+  sim.fleet = { machine = fleet.machine, chart = fleet.chart,
+    revision = fleet.revision }
+  return count, fleet.machine
+end
+
+--- Write the machine into a file, which `history.from` and `rfsm fleet` read. Timers go
+-- on from the moment at which it is put into a fleet.
+function history.keep(sim, name)
+  local snap = snapshot.take(sim.fsm)
+  snap.fleet = sim.fleet
+  local ok, problem = files_of.write(name, snap)
+  if not ok then error("save: " .. problem, 0) end
 end
 
 -- Show ----------------------------------------------------------------------------

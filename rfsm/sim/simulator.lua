@@ -49,6 +49,20 @@ local function replay(sim, file)
   return not problem or count > 0
 end
 
+-- Puts the machine where a file of a fleet has it. Returns false if that is wrong.
+local function begin_from(sim, file)
+  local ok, count, key = false, "--from is for a chart, not for a system", nil
+  if not sim.cell then ok, count, key = calls.try(history.from, sim, file) end
+  if not ok then
+    complain("rfsm sim: " .. rfsm.text_of(count))
+    return false
+  end
+  print(("%s: %d moves in its history%s"):format(key or file, count, count > 0
+    and " ('back' goes there; the data there are those of now)" or ""))
+  sim:show()
+  return true
+end
+
 local function greet(sim, is_terminal)
   print("rFSM simulator v" .. rfsm_sim.VERSION
     .. ", type 'help()' to list available commands")
@@ -64,6 +78,7 @@ end
 ---@class rfsm.sim.Options
 ---@field file string file of the chart
 ---@field execute? string[] Lua texts to run at the beginning
+---@field from? string file of a machine in which to begin
 ---@field replay? string recording to replay at the beginning
 ---@field stub? boolean modules and globals that are missing do nothing
 ---@field dry? boolean call no functions of the chart; guards count as true
@@ -74,6 +89,7 @@ end
 local function prepare(sim, options)
   prompt.install(sim)
   if options.dry then sim:set_dry(true) end
+  if options.from and not begin_from(sim, options.from) then return 2 end
   if options.replay and not replay(sim, options.replay) then return 1 end
   local code = options.execute or {}
   if not run_code(sim, code) then return 1 end

@@ -1,0 +1,171 @@
+--- The desk of an operator: a machine as a file, and repairs in its data.
+--
+-- `rfsm_pull` returns a file: the snapshot, and in its field `fleet` the machine's key,
+-- chart, revision and history. `rfsm_push` puts such a file back. It is in the format
+-- of `rfsm.snapshot.save`, so `rfsm.snapshot.load` reads it.
+--
+-- @module rfsm.server.desk
+-- @license BSD-3-Clause
+
+local advice = require "rfsm.advice"
+local charts = require "rfsm.server.charts"
+local encoding = require "rfsm.snapshot.encoding"
+local exact_json = require "rfsm.shared.exact_json"
+local keys_of = require "rfsm.server.keys"
+local rfsm = require "rfsm"
+local sums = require "rfsm.shared.sums"
+local times = require "rfsm.server.times"
+
+local ipairs, next, pairs, type = ipairs, next, pairs, type
+local fail, shown = encoding.fail, keys_of.shown
+
+local MAX_VALUE, MAX_FILE = 65536, 2097152 -- bytes
+local MAX_HISTORY = 1000
+
+local desk = {}
+
+--- Return a number that is another one as soon as the saved list of a machine is.
+function desk.revision_of(list)
+  return sums.of(exact_json.encode(list))
+end
+
+-- Returns an argument that may be absent; a server without nil has an empty text.
+local function optional(text) return text ~= "" and text or nil end
+
+local function by(who) return who and " by " .. shown(who) or "" end
+
+-- Pull -----------------------------------------------------------------------------
+
+-- Returns the history in the order of time; nil if the library keeps none.
+local function history_of(items)
+  local moves = {}
+  for i = #items - 3, 1, -4 do
+    moves[#moves + 1] = { time = rfsm.number_of(items[i]), event = items[i + 1],
+      from = items[i + 2], to = items[i + 3] }
+  end
+  return moves
+end
+
+-- Push -----------------------------------------------------------------------------
+
+-- Returns the snapshot in the text of a file, and what the file tells of its machine.
+local function read_file(text)
+  if #text > MAX_FILE then
+    fail("file: at most %d bytes expected, got %d", MAX_FILE, #text)
+  end
+  local whole, problem = sums.remove(text)
+  if not whole then
+    fail("file: %s (a person who changes the file removes its field 'sum')", problem)
+  end
+  local snap = charts.decode_json("file", whole)
+  local about = snap.fleet
+  snap.fleet = nil
+  if type(about) ~= "table" or type(snap.version) ~= "number" then
+    fail("file: a machine that was pulled expected")
+  end
+  return snap, about
+end
+
+-- Checks that a file is of the machine at a key, and that the machine has not moved on
+-- since it was pulled.
+local function check(key, list, about, revision)
+  if about.chart ~= list[2] then
+    fail("the file has a machine of chart '%s', the one at '%s' is of '%s'",
+      shown(about.chart), shown(key), shown(list[2]))
+  end
+  if about.machine ~= key and not revision then
+    fail("the file has the machine at '%s' (to put it into '%s', give its revision)",
+      shown(about.machine), shown(key))
+  end
+  local expected, found = revision or about.revision, desk.revision_of(list)
+  if rfsm.number_of(expected) ~= found then
+    fail("the machine at '%s' has moved on: version %s expected, it has %d",
+      shown(key), shown(expected), found)
+  end
+end
+
+-- Set ------------------------------------------------------------------------------
+
+-- Returns a table: the path of each kept field -> its state and its name.
+local function kept_fields(fsm)
+  local fields = {}
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    for _, state in ipairs(rfsm.elements(at.machine, rfsm.is_state)) do
+      for _, name in ipairs(type(state.keep) == "table" and state.keep or {}) do
+        local path = at.prefix .. state._fqn:sub(5) .. "." .. rfsm.text_of(name)
+        fields[path] = { state = state, name = name }
+      end
+    end
+  end
+  return fields
+end
+
+-- Returns a kept field. A name without a path is a field of the root.
+local function find_field(chart, text)
+  local fields = kept_fields(chart.fsm)
+  local found = fields[text] or fields["root." .. text]
+  if found then return found end
+  fail("no state of chart '%s' keeps the field '%s'%s", chart.name, shown(text),
+    advice.nearest_name(text:find("^root%.") and text or "root." .. shown(text),
+      rfsm.sorted_keys(fields)))
+end
+
+-- Returns the value in a JSON text; nil for null or an absent text.
+local function value_of(text)
+  if not text then return nil end
+  local data = charts.read_json("value", '{"value":' .. text .. "}", MAX_VALUE)
+  local value = data.value
+  data.value = nil
+  if next(data) ~= nil then fail("value: one value expected") end
+  return value
+end
+
+-- Functions ------------------------------------------------------------------------
+
+--- Add the functions of the desk. `own` has the functions of `rfsm.server.functions`
+-- that load, note and save machines.
+function desk.add(functions, own)
+  -- rfsm_pull KEY: returns the text of a file.
+  function functions.rfsm_pull(keys)
+    local key = own.key_of(keys)
+    local list = own.read(key)
+    local file = {}
+    for name, value in pairs(list[own.SNAP]) do file[name] = value end -- any order
+    local time = list[own.SEC] and { list[own.SEC], list[own.NSEC] }
+    file.fleet = { machine = key, chart = list[own.NAME], time = time or nil,
+      revision = desk.revision_of(list),
+      history = own.history and history_of(own.history(key, MAX_HISTORY)) }
+    return sums.add(exact_json.encode(file)) .. "\n"
+  end
+
+  -- rfsm_push KEY file [revision [who]]: puts the machine of a file at a key. Its
+  -- timers count from the time that the file tells, else from now.
+  function functions.rfsm_push(keys, args)
+    local key, snap, about = own.key_of(keys), read_file(args[1] or "")
+    local list = own.read(key)
+    check(key, list, about, optional(args[2]))
+    local time = about.time
+    times.set(time and time[1] or false, time and time[2])
+    charts.forget_effects()
+    local machine = own.place_at(key, list, snap)
+    machine.is_idle = snap.queue == nil
+    own.note(machine, "(push)" .. by(optional(args[3])))
+    machine.outcome = "kept"
+    return own.save(machine)
+  end
+
+  -- rfsm_set KEY field value [who]: gives a kept field a value, in JSON.
+  function functions.rfsm_set(keys, args)
+    local key = own.key_of(keys)
+    local value = value_of(optional(args[2]))
+    local machine = own.load_machine(key, own.read(key))
+    local field = find_field(machine.chart, args[1] or "")
+    field.state[field.name] = value
+    own.note(machine, ("(set %s=%s)%s"):format(shown(args[1]),
+      shown(optional(args[2]) or "null"), by(optional(args[3]))))
+    machine.outcome = "kept"
+    return own.save(machine)
+  end
+end
+
+return desk
