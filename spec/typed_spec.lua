@@ -88,7 +88,7 @@ describe("the page", function()
   it("refuses data that cannot be read, in one line", function()
     local event, problem = local_view:event_of { event = 0, data = "amount 12" }
     assert.same({ nil, "data: a text in quotes, a number, true, false or a table "
-      .. "expected, got 'amount 12}'" }, { event, problem })
+      .. "expected, got 'amount 12'" }, { event, problem })
     assert.same({ nil, "data: text expected" },
       { local_view:event_of { event = 0, data = 7 } })
   end)

@@ -18,10 +18,12 @@ local LEVELS = 9 -- tables inside each other, as in snapshots
 ---@class rfsm.shared.Reader
 ---@field text string
 ---@field at integer
+---@field last integer the end of what a person has typed
 
 -- Raises the problem in one line: what is expected, and what is there.
 local function fail(reader, expected)
-  local rest = reader.text:match("^%s*(.-)%s*$", reader.at):gsub("%c", " ")
+  local rest = reader.text:sub(reader.at, reader.last)
+  rest = rest:match("^%s*(.-)%s*$"):gsub("%c", " ")
   rest = #rest > 20 and rest:sub(1, 20):gsub("[\194-\244]?[\128-\191]*$", "") .. ".."
     or rest
   error({ ("data: %s expected, got %s"):format(expected,
@@ -163,9 +165,9 @@ end
 -- Public functions ..................................................................
 
 -- Reads a whole text by a function of a reader; returns nil and the problem if it is
--- wrong.
-local function read_all(text, f)
-  local reader = { text = text, at = 1 }
+-- wrong. `last` is the end of what a person has typed.
+local function read_all(text, last, f)
+  local reader = { text = text, at = 1, last = last }
   local ok, result = pcall(function()
     local value = f(reader)
     if reader.text:find("%S", reader.at) then fail(reader, "the end") end
@@ -181,8 +183,12 @@ end
 ---@return table? data
 ---@return string? problem one line
 function typed.data(text)
-  if not text:find("^%s*{") then text = "{" .. text .. "}" end
-  return read_all(text, function(reader)
+  local last = #text
+  if not text:find("^%s*{") then
+    text = "{" .. text .. "}"
+    last = last + 1
+  end
+  return read_all(text, last, function(reader)
     take(reader, "{")
     return read_fields(reader, 1)
   end)

@@ -185,6 +185,56 @@ describe("the page", function()
     assert.same({ "searching" }, lit())
   end)
 
+  it("sends events with data: a Lua table, its fields, JSON; bad data is one line there",
+    function()
+      visit(helper.file_with [[
+        local rfsm = require "rfsm"
+        return rfsm.state { read = "one",
+          open = rfsm.state {}, paid = rfsm.state {},
+          rfsm.trans { src = "initial", tgt = "open" },
+          rfsm.trans { src = "open", tgt = "paid", events = { rfsm.named "e_paid" },
+            guard = function(_, _, event) return event.amount == 12 end },
+          rfsm.trans { src = "paid", tgt = "open", events = { "e_back" } },
+        }
+      ]])
+      local function send(event, data)
+        window:run("$('send').event.value = arguments[0], "
+          .. "$('send').data.value = arguments[1]", event or "", data)
+        window:click(event and "#send button" or "#events button:nth-of-type(1)")
+      end
+      assert.same({ "e_paid", "e_back" }, texts "#events button")
+      for _, case in ipairs { { nil, "amount = 12" }, { nil, "{ amount = 12 }" },
+        { nil, '{"amount": 12}' }, { "e_paid", '"amount": 12' },
+        { "e_paid{amount=12}", "" }, { '{"name": "e_paid", "amount": 12}', "" } } do
+        send(case[1], case[2])
+        window:wait "now.leaf == 'root.paid'"
+        send("e_back", "")
+        window:wait "now.leaf == 'root.open'"
+      end
+      assert.same({ "e_back", "e_init_fsm", "e_paid{amount=12}" }, window:run [[
+        return [...new Set([...document.querySelectorAll("tr.step td:nth-child(2)")]
+          .map(e => e.textContent))].sort()]])
+      for data, problem in pairs { ["amount"] = "data: a text in quotes, a number, true, "
+        .. "false or a table expected, got 'amount'", ['{"amount": 12'] = "data: ',' or "
+        .. "'}' expected, got the end" } do -- any order: each stands alone
+        send(nil, data)
+        window:wait("!$('wrong').hidden && $('wrong').textContent.includes(\"data: \")")
+        assert.same({ problem }, texts "#wrong")
+        assert.equal("root.open", window:run "return now.leaf")
+      end
+      send(nil, "amount = 11")
+      window:wait "document.querySelector('tr.lost')"
+      assert.same({ true, { "e_paid{amount=11}" } }, { window:run
+        "return $('wrong').hidden", texts "#lost" })
+      window:type "w"
+      window:wait "document.querySelector('#why li')"
+      assert.matches("its guard returns false", table.concat(texts "#why li"))
+      window:click "#auto input"
+      send(nil, "amount = 12")
+      window:wait "now.queue.length == 1"
+      assert.same({ "e_paid{amount=12}" }, texts "#queue span")
+    end)
+
   it("shows an error of a callback", function()
     local file = helper.file_with [[
       local rfsm = require "rfsm"

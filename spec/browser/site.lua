@@ -141,6 +141,32 @@ describe("the playground", function()
       { offline = false, latency = 0, downloadThroughput = -1, uploadThroughput = -1 })
   end)
 
+  it("sends events with data, and says what is wrong with data", function()
+    visit(nil, [[
+      local rfsm = require "rfsm"
+      return rfsm.state { open = rfsm.state {}, paid = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "open" },
+        rfsm.trans { src = "open", tgt = "paid", events = { rfsm.named "e_paid" },
+          guard = function(_, _, event) return event.amount == 12 end },
+        rfsm.trans { src = "paid", tgt = "open", events = { "e_back" } } }
+    ]])
+    window:wait "now.leaf == 'root.open'"
+    window:run "$('send').data.value = 'amount'"
+    window:click "#events button"
+    window:wait "!$('wrong').hidden"
+    assert.same({ "data: a text in quotes, a number, true, false or a table expected, "
+      .. "got 'amount'" }, texts "#wrong")
+    for _, data in ipairs { "amount = 12", '{"amount": 12}' } do
+      window:run("$('send').data.value = arguments[0]", data)
+      window:click "#events button"
+      window:wait "now.leaf == 'root.paid' && $('wrong').hidden"
+      wait_for_line "e_paid{amount=12}"
+      window:run "document.activeElement.blur()"
+      window:type "b"
+      window:wait "now.leaf == 'root.open'"
+    end
+  end)
+
   it("keeps the state while the chart is changed", function()
     visit()
     window:click "#events .enabled"
