@@ -185,7 +185,7 @@ describe("the page", function()
     assert.same({ "searching" }, lit())
   end)
 
-  it("sends events with data: a Lua table, its fields, JSON; bad data is one line there",
+  it("sends events with data, as fields, Lua table or JSON; bad data is one line there",
     function()
       visit(helper.file_with [[
         local rfsm = require "rfsm"
@@ -214,9 +214,11 @@ describe("the page", function()
       assert.same({ "e_back", "e_init_fsm", "e_paid{amount=12}" }, window:run [[
         return [...new Set([...document.querySelectorAll("tr.step td:nth-child(2)")]
           .map(e => e.textContent))].sort()]])
-      for data, problem in pairs { ["amount"] = "data: a text in quotes, a number, true, "
-        .. "false or a table expected, got 'amount'", ['{"amount": 12'] = "data: ',' or "
-        .. "'}' expected, got the end" } do -- any order: each stands alone
+      for data, problem in pairs { -- any order: each stands alone
+        ["amount"] = "data: a text in quotes, a number, true, false or a table "
+          .. "expected, got 'amount'",
+        ['{"amount": 12'] = "data: ',' or '}' expected, got the end",
+      } do
         send(nil, data)
         window:wait("!$('wrong').hidden && $('wrong').textContent.includes(\"data: \")")
         assert.same({ problem }, texts "#wrong")
