@@ -1139,9 +1139,13 @@ do
 
   -- Drops all that was made of the structure while the machine ran.
   function forget(fsm)
-    fsm._merges, fsm._structure, fsm._ways = fsm._merges + 1, false, {}
+    fsm._merges, fsm._structure = fsm._merges + 1, false
     drop_paths(fsm)
     for _, tr in ipairs(fsm._transitions) do tr._segments = nil end
+    for _, node in ipairs(fsm._nodes) do -- a path that is being taken reads the notes
+      local note = fsm._ways[node]
+      if note then note.otrs = node._otrs end
+    end
   end
 
   -- Returns an rfsm.Segment: a transition with the target that it has now.

@@ -613,6 +613,24 @@ describe("a node of another machine", function()
   end
 end)
 
+describe("a merge in an effect", function()
+  it("leaves the rest of the path the event that counts", function()
+    for _, is_prepared in ipairs { false, true } do
+      local notes, count = {}, 0
+      local fsm = started { k = conn {},
+        [8] = trans { src = "a", tgt = "k", events = "go", effect = function(fsm)
+          count = count + 1
+          assert.is_true((rfsm.fsm_merge(fsm, fsm, state {}, "m" .. count)))
+        end },
+        [9] = trans { src = "k", tgt = "b", events = "go",
+          effect = function(_, _, _, _, event) notes[#notes + 1] = event end } }
+      if is_prepared then rfsm.prepare(fsm) end
+      assert.equal("root.b", leaf_after(fsm, "go"))
+      assert.same({ "go" }, notes)
+    end
+  end)
+end)
+
 describe("a merge that a preproc function refuses", function()
   it("leaves each transition its target", function()
     local fsm = started { err = false }
