@@ -28,6 +28,8 @@ local LIAR, OTHER_LIAR = setmetatable({ name = "LIAR" }, Liar),
   setmetatable({ name = "OTHER_LIAR" }, Liar)
 local EVENTS = { "e1", "e2", "e3", "e4", 7, false, OBJECT, LIAR, OTHER_LIAR }
 
+charts.OBJECTS = { OBJECT, LIAR, OTHER_LIAR }
+
 -- Matches itself, and each event with a 2 in it; fails for numbers.
 local function predicate(event)
   if event == 7 then error("no number") end

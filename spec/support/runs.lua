@@ -335,9 +335,9 @@ local function add_state_hooks(world, fsm)
   for _, fqn in ipairs(world.chart.names) do
     for i = 1, world.chart.nodes[fqn].hooks or 0 do
       for _, what in ipairs({ "entry_hook", "exit_hook" }) do
-        rfsm[what .. "_add"](fsm, node_of(fsm, fqn), function(_, state, event)
+        rfsm[what .. "_add"](fsm, node_of(fsm, fqn), function(machine, state, event)
           if is_muted(world) then return end
-          note(world, what, i, state._fqn, "leaf", leaf_name(fsm), "on", event)
+          note(world, what, i, state._fqn, "leaf", leaf_name(machine), "on", event)
           act(world, ("%s %d %s"):format(what, i, fqn))
         end)
       end
@@ -410,8 +410,10 @@ end
 -- Both ------------------------------------------------------------------------
 
 -- Runs the operations; after each one the trace has its result and what can be seen.
-local function drive(world, engine)
+-- `between(engine, world)` is called before each one.
+local function drive(world, engine, between)
   for _, op in ipairs(world.chart.ops) do
+    if between then between(engine, world) end
     local results = { pcall(engine[op[1]], op[2], op[3], op[4]) }
     note(world, "=", op[1], results[1] and "ok" or "raised", results[2])
     note(world, "active", engine.active(), "queue", engine.queue())
@@ -430,15 +432,20 @@ local function but_undeclared(warn)
   end
 end
 
--- Has the programs of a world act on a machine.
-local function join_core(world, fsm)
+-- Has the programs of a world act on a machine, which may be a copy of one.
+local function join_core(world, fsm, is_copy)
   local chart, nodes = world.chart, {}
-  fsm.warn = but_undeclared(outside(world, "warn"))
-  add_state_hooks(world, fsm)
+  if not is_copy then
+    fsm.warn = but_undeclared(outside(world, "warn"))
+    add_state_hooks(world, fsm)
+  end
   world.send = function(...) rfsm.send_events(fsm, ...) end
   world.reset = function() rfsm.reset(fsm) end
   world.replace = function(id) replace(world, fsm, id) end
-  world.switch_trace = function(on) fsm.dbg = on and outside(world, "dbg") end
+  world.switch_trace = function(on)
+    world.is_changed = true
+    fsm.dbg = on and outside(world, "dbg")
+  end
   for _, fqn in ipairs(chart.names) do nodes[fqn] = node_of(fsm, fqn) end
   world.mode_of = function(fqn) return rfsm.get_sta_mode(nodes[fqn]) end
   world.retarget = function(n, m)
@@ -447,7 +454,9 @@ local function join_core(world, fsm)
     node_of(fsm, tr.owner)[tr.key].tgt = nodes[tgt]
   end
   for fqn, regions in pairs(world.regions) do -- any order: each stands alone
-    for i, region in ipairs(regions) do join_core(region, nodes[fqn].substates[i]) end
+    for i, region in ipairs(regions) do
+      join_core(region, nodes[fqn].substates[i], is_copy)
+    end
   end
   return nodes
 end
@@ -460,12 +469,14 @@ local function core_engine(world, model)
   if not fsm then return nil, problems end
   local nodes = join_core(world, fsm)
   if (chart.seed or 1) % 5 == 0 then rfsm.prepare(fsm) end -- merges may come later
-  return {
-    fsm = fsm, send = world.send, reset = world.reset, twin = twin, wait = world.wait,
+  local engine = {
+    fsm = fsm, twin = twin, wait = world.wait,
+    send = function(...) world.send(...) end, reset = function() world.reset() end,
     merge = function(n)
       local merge = chart.merges[n]
       nodes[merge.fqn] = merge_into_core(world, fsm, merge)
       add_merged(world, merge)
+      world.is_changed = true
     end,
     step = function(n) return rfsm.step(fsm, n) end,
     run = function() return rfsm.run(fsm) end,
@@ -473,15 +484,22 @@ local function core_engine(world, model)
     queue = function() return waiting_in(fsm) end,
     modes = function() return core_modes(world, fsm) end,
   }
+  -- Another machine takes the place: a copy of all tables, or one of the same model.
+  function engine.replace_by(other, is_copy)
+    engine.fsm, fsm = other, other
+    nodes = join_core(world, other, is_copy)
+  end
+  return engine
 end
 
 --- The trace of the core; nil and the problems when init refuses the chart.
-function runs.on_core(chart)
+-- `between(engine, world)` is called before each operation.
+function runs.on_core(chart, between)
   local world = new_world(chart)
   local model = model_of(world)
   local engine, problems = core_engine(world, model)
   if not engine then return nil, problems end
-  return drive(world, engine)
+  return drive(world, engine, between)
 end
 
 -- The oracle of a world, its field `machine`, with those of its regions.
@@ -534,9 +552,9 @@ local function first_difference(expected, actual)
 end
 
 --- The first line in which both differ; nil when they agree.
-function runs.compare(chart, extend)
+function runs.compare(chart, extend, between)
   local expected = runs.on_oracle(chart, extend)
-  local actual, problems = runs.on_core(chart)
+  local actual, problems = runs.on_core(chart, between)
   if not actual then
     return 0, expected, { [0] = "init: " .. table.concat(problems, "; ") }
   end
