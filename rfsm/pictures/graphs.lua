@@ -458,15 +458,20 @@ function graphs.lay_out(jobs, run, prepare, done)
   end
 end
 
---- Have Graphviz measure labels. Return their boxes, or nil and a problem.
-function graphs.sizes_of(labels, run)
-  local lines = { "digraph {", looks.head("TB"), '  node [shape=plain, style=""]' }
-  for i, label in ipairs(labels) do add(lines, 1, ("n%d [%s]"):format(i, label)) end
-  local answer, problem = run(concat(lines, "\n") .. "\n}\n")
+--- Have Graphviz measure nodes, of which the attributes are given, and lay out another
+-- graph in the same run if that does not fail. Return the boxes of the nodes and the
+-- answer for this graph, if there is one; or nil and a problem.
+function graphs.sizes_of(nodes, graph, run)
+  local lines = { "digraph {", looks.head("TB") }
+  for i, node in ipairs(nodes) do add(lines, 1, ("n%d [%s]"):format(i, node)) end
+  lines[#lines + 1] = "}\n"
+  local sizes, level = concat(lines, "\n"), { gates = {}, links = {} }
+  local answer, problem = run(sizes .. graph)
+  local has_graph = answer and graph ~= ""
+  if not answer and graph ~= "" then answer, problem = run(sizes) end
   if not answer then return nil, problem end
-  local level = { gates = {}, links = {} }
-  read_level(level, answer, 1)
-  return level.boxes
+  local position = read_level(level, answer, 1)
+  return level.boxes, has_graph and answer:sub(position) or nil
 end
 
 return graphs

@@ -1,6 +1,6 @@
 --- Charts as graphs in which everything has its position, so that Graphviz only draws.
 --
--- There are two layouts. `rfsm.pictures.levels` lays out composite by composite, and
+-- There are two layouts. `rfsm.pictures.sheet` lays out composite by composite, and
 -- `rfsm.pictures.plain` reads Graphviz' layout of the chart. The better one is drawn.
 --
 -- @module rfsm.pictures.layout
@@ -8,8 +8,9 @@
 
 local choice = require "rfsm.pictures.choice"
 local diagram = require "rfsm.pictures.diagram"
-local levels = require "rfsm.pictures.levels"
+local graphs = require "rfsm.pictures.graphs"
 local lines = require "rfsm.pictures.lines"
+local links = require "rfsm.pictures.links"
 local looks = require "rfsm.pictures.looks"
 local plain = require "rfsm.pictures.plain"
 local sheet = require "rfsm.pictures.sheet"
@@ -155,53 +156,31 @@ local function graph_of(chart, positions)
   return concat(texts, "\n") .. "\n"
 end
 
+-- Layouts ---------------------------------------------------------------------
+
 local MOST = 1000 -- nodes; Graphviz needs about a second to lay out so many
 
--- Returns Graphviz' layout of a chart; nil if there is none.
-local function plain_layout(chart, graph, run)
-  local answer = #chart.nodes <= MOST and run((graph:gsub("^[^\n]*", "digraph {", 1)))
-  return answer and plain.read(chart, answer) or nil
-end
-
-local ALIKE, NEW = 0.9, 1.15 -- gains: least for equal shapes, to give up a former shape
-
-local function nothing() end
-
--- Returns the best shape of a chart for a sheet, nil if `best` is better; or a problem.
--- Levels with the same states have the same shape if that costs little.
-local function shape_for(chart, best, limits, run)
-  local size = chart.sheet
-  local problem, shapes = sheet.shapes_of(chart, limits, run, nothing)
-  local shape = shapes and choice.for_sheet(shapes, best, size, limits)
-  local fixed = shape and sheet.alike(shape)
-  if not fixed then return shape, problem end
-  problem, shapes = sheet.shapes_of(chart, limits, run, fixed)
-  local other = shapes and choice.for_sheet(shapes, best, size, limits)
-  return other and choice.gain(other, shape, size) >= ALIKE and other or shape, problem
-end
-
--- Returns a problem if there is one, then the shape of the former picture, unless the
--- layout `best` or another shape is much larger, or the former one is not right now.
-local function keep_former(chart, best, shape, limits, run)
-  local problem, formers = sheet.shapes_of(chart, limits, run, sheet.former)
-  if problem then return problem end
-  local former = formers[#formers]
-  local is_kept = former.crossings <= limits.more
-    and choice.gain(shape or best, former, chart.sheet) < NEW
-  return nil, is_kept and former or shape
-end
-
--- Returns the best layout for a sheet, which may be `best`; or nil and the problem.
-local function layout_for(chart, best, whole, run)
-  local limits = choice.limits(best, whole)
-  local shape, problem = shape_for(chart, best, limits, run)
-  if chart.kind == "sheet" and not problem then
-    problem, shape = keep_former(chart, best, shape, limits, run)
+-- Has Graphviz measure leaves and the labels of loops and, in the same run, lay out the
+-- chart. Returns a problem if there is one, then this layout; nil if there is none.
+local function measure(chart, graph, run)
+  local elements, labels = {}, {}
+  local function add_label(element, label)
+    elements[#elements + 1], labels[#labels + 1] = element, label
   end
-  if problem then return nil, problem end
-  if not shape then return best end
-  sheet.put(chart, shape)
-  return layout_of(chart, "sheet")
+  for _, node in ipairs(chart.nodes) do
+    if not node.level then add_label(node, looks.leaf_text(node)) end
+  end
+  for _, arrow in ipairs(chart.all) do
+    if arrow.links[1].is_loop then
+      add_label(arrow, 'shape=plain, style="", fontsize=10, label='
+        .. looks.arrow_label(arrow))
+    end
+  end
+  graph = #chart.nodes <= MOST and graph:gsub("^[^\n]*", "digraph {", 1) or ""
+  local boxes, rest = graphs.sizes_of(labels, graph, run)
+  for i, box in ipairs(boxes or {}) do elements[i].size = box end
+  if not boxes then return rest end
+  return nil, rest and plain.read(chart, rest)
 end
 
 --- Return the graph of a chart, with positions, then nil and the size of its text on
@@ -213,16 +192,23 @@ function layout.draw(chart, graph, run)
     local answer, problem = run(text)
     return answer and answer:gsub("\\\r?\n", "") or nil, problem
   end
-  local problem = levels.lay_out(chart, ask)
+  local size, was_sheet = chart.sheet, chart.kind == "sheet"
+  links.prepare(chart)
+  local problem, whole = measure(chart, graph, ask)
+  local is_large = was_sheet or not (whole and choice.is_readable(whole, size))
+  problem = problem or sheet.lay_out(chart, is_large, ask)
   if problem then return nil, problem end
-  local best, whole = layout_of(chart, "levels"), plain_layout(chart, graph, ask)
-  best = whole and choice.of(best, whole, chart.kind, chart.sheet) or best
-  if chart.kind == "sheet" or not choice.is_readable(best, chart.sheet) then
-    best, problem = layout_for(chart, best, whole, ask)
+  sheet.put(chart)
+  local best = layout_of(chart, "levels")
+  best = whole and choice.of(best, whole, chart.kind, size) or best
+  if is_large and (was_sheet or not choice.is_readable(best, size)) then
+    local shape = sheet.best(chart, best, whole)
+    if shape then
+      sheet.put(chart, shape)
+      best = layout_of(chart, "sheet")
+    end
   end
-  if not best then return nil, problem end
-  local scale = choice.scale(chart.sheet, best.width, best.height)
-  return graph_of(chart, best), nil, 10 * scale
+  return graph_of(chart, best), nil, 10 * choice.scale(size, best.width, best.height)
 end
 
 return layout

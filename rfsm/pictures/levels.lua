@@ -1,14 +1,11 @@
---- The layout of a chart: level by level, the innermost ones first.
+--- What is done to a level before and after Graphviz lays it out.
 --
--- Graphviz lays out each level. A level with too many nodes beside each other is laid
--- out again, from left to right. Leaves linked to one node only are put at both sides
--- of it. Loops at states are drawn here. Other shapes are in `rfsm.pictures.sheet`.
+-- A level with too many nodes beside each other runs from left to right, and leaves
+-- linked to one node only are put at both sides of it. Loops at states are drawn here.
 --
 -- @module rfsm.pictures.levels
 -- @license BSD-3-Clause
 
-local graphs = require "rfsm.pictures.graphs"
-local links = require "rfsm.pictures.links"
 local looks = require "rfsm.pictures.looks"
 
 local abs, ipairs, log, max = math.abs, ipairs, math.log, math.max
@@ -21,37 +18,18 @@ local DEPTH, LEAST = 22, 18 -- points: extent of a loop, least distance of two l
 
 -- Returns the length that a loop and its label take along the side of a node.
 local function step_of(link)
-  local box = link.arrow.label_box
+  local box = link.arrow.size
   return max(LEAST, link.level.direction == "TB" and box.height + 4 or box.width + 10)
 end
 
 local function add_loop(link)
-  local node, box = link.upper.node, link.arrow.label_box
+  local node, box = link.upper.node, link.arrow.size
   local direction = link.level.direction
   local room = node.loops or { length = 0, width = 2, height = 2 }
   node.loops, room.length = room, room.length + step_of(link)
   local field = direction == "TB" and "width" or "height"
   room[field] = max(room[field], box[field] + DEPTH - 8)
   node.least = looks.least_text(direction, room.length)
-end
-
--- Finds the arrows that are loops, and has Graphviz measure their labels. Returns
--- a problem if there is one.
-local function find_loops(chart, run)
-  local loops, labels = {}, {}
-  for _, arrow in ipairs(chart.all) do
-    loops[#loops + 1] = arrow.links[1].is_loop and arrow or nil
-  end
-  for i, arrow in ipairs(loops) do
-    labels[i] = "fontsize=10, label=" .. looks.arrow_label(arrow)
-  end
-  if not loops[1] then return nil end
-  local boxes, problem = graphs.sizes_of(labels, run)
-  for i, box in ipairs(boxes or {}) do
-    loops[i].label_box = box
-    add_loop(loops[i].links[1])
-  end
-  return problem
 end
 
 -- The points of a loop at the right side of a box, from its upper end to its lower one.
@@ -61,7 +39,7 @@ local LOOP = { { 0, 5 }, { 12, 8 }, { 18, 7 }, { 18, 0 }, { 18, -6 }, { 14, -8 }
 local TIP = { 0, -4.5 }
 
 local function draw_loop(link, x, y)
-  local is_down, box = link.level.direction == "TB", link.arrow.label_box
+  local is_down, box = link.level.direction == "TB", link.arrow.size
   local function at(point)
     if is_down then return { x + point[1], y + point[2] } end
     return { x - point[2], y + point[1] }
@@ -89,14 +67,6 @@ function levels.draw_loops(level)
       end
     end
   end
-end
-
-local function lay_out(list, run)
-  local jobs = {}
-  for i, level in ipairs(list) do jobs[i] = { level = level } end
-  return jobs[1] and graphs.lay_out(jobs, run, function() end, function(job)
-    levels.draw_loops(job.level)
-  end)
 end
 
 -- Levels that do not fit ------------------------------------------------------
@@ -187,28 +157,20 @@ function levels.reset(level, direction)
   end
 end
 
-local function is_misfit(level)
-  return #level.boxes >= FEWEST
-    and abs(log(level.width / level.height / RATIO)) >= MISFIT
-    and not level.composite.nodes[1].is_region -- all nodes are regions, or none is
+-- Is a shape of a level far from the best ratio, with too many nodes side by side?
+local function is_wide(shape)
+  local width, height = shape.width, shape.height
+  if shape.direction ~= "TB" then width, height = height, width end
+  return width > height and abs(log(shape.width / shape.height / RATIO)) >= MISFIT
 end
 
--- Are too many nodes of a level side by side?
-local function is_wide(level)
-  if level.direction == "TB" then return level.width > level.height end
-  return level.height > level.width
-end
-
-local function mend(chart, list, run)
-  local wide = {}
-  for _, level in ipairs(list) do
-    local is_large = level.composite == chart.root or level.height > TALLEST
-      or level.width > WIDEST
-    wide[#wide + 1] = is_large and is_misfit(level) and is_wide(level)
-      and levels.is_closed(level) and not has_loop(level) and level or nil
-  end
-  for _, level in ipairs(wide) do levels.turn(level) end
-  return lay_out(wide, run)
+--- Shall a level run from left to right, in place of a shape of it?
+function levels.is_misfit(level, shape)
+  local nodes = level.composite.nodes
+  local is_large = level.composite.depth == 0 or shape.height > TALLEST
+    or shape.width > WIDEST
+  return is_large and nodes[FEWEST] and is_wide(shape) and levels.is_closed(level)
+    and not has_loop(level) and not nodes[1].is_region -- then all are
 end
 
 -- Layout ----------------------------------------------------------------------
@@ -234,7 +196,8 @@ function levels.align_regions(composite)
 end
 
 --- Return lists of levels. A level in the first list contains no other level; a level
--- in the second list contains only levels of the first list, and so on.
+-- in the second list contains only levels of the first list, and so on. The level
+-- around the root is there if an arrow is in it, or if the root is a leaf.
 function levels.by_height(chart)
   local list = {}
   local function visit(composite)
@@ -246,7 +209,7 @@ function levels.by_height(chart)
     list[height][#list[height] + 1] = composite.level
     return height
   end
-  visit(chart.top)
+  visit(chart.root.level and not chart.top.level.links[1] and chart.root or chart.top)
   return list
 end
 
@@ -257,21 +220,6 @@ function levels.enclose(level)
   level.boxes = { { x = width / 2, y = height / 2, width = width, height = height } }
   level.x, level.y, level.width, level.height = 0, 0, width, height
   level.inner_width, level.inner_height, level.header = width, height, nil
-end
-
---- Lay out all levels of a chart; return a problem if there is one.
-function levels.lay_out(chart, run)
-  links.prepare(chart)
-  local problem, top = find_loops(chart, run), chart.top.level
-  for _, list in ipairs(levels.by_height(chart)) do
-    for _, level in ipairs(list) do levels.align_regions(level.composite) end
-    if list[1] == top and chart.root.level and not top.links[1] then
-      levels.enclose(top)
-    else
-      problem = problem or lay_out(list, run) or mend(chart, list, run)
-    end
-  end
-  return problem
 end
 
 return levels

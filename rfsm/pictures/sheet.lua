@@ -1,9 +1,10 @@
---- A layout for a sheet: several shapes of each level, and the best combination.
+--- The shapes of levels: how they may be laid out, and which shapes make a picture.
 --
--- Bottom-up, each level gets *shapes*: the one of `rfsm.pictures.levels`, then rows of
--- different ratios. One shape is kept for each aim: little area, a large scale on the
--- sheet, little height, little width. The shapes of all levels of one height are laid
--- out in one run of Graphviz. Levels with the same states have the same shapes.
+-- Bottom-up, each level is laid out as Graphviz does it: its *first* shape. If a chart
+-- is too large for its sheet, there are tight shapes, most of them with rows. One is
+-- kept for each *aim*: little area, a large scale, little height, little width; all
+-- composites in a level have shapes for one aim. The shapes of all levels of one height
+-- are laid out in one run of Graphviz.
 --
 -- @module rfsm.pictures.sheet
 -- @license BSD-3-Clause
@@ -23,7 +24,7 @@ local sheet = {}
 ---@class rfsm.pictures.Shape
 ---@field level rfsm.pictures.Level
 ---@field kids table<integer, rfsm.pictures.Shape> the shapes of the composites in it
----@field deal integer[]|"first"|"plain"|"turned" the row of each node, or no rows
+---@field deal integer[]|"plain"|"turned" the row of each node, or no rows
 ---@field key string the same for shapes with the same rows
 ---@field crossings number in the level and in its kids; huge if a line covers a box
 
@@ -64,23 +65,8 @@ local function put(shape)
   copy_all(shape.nodes, { "least" }, level.composite.nodes)
 end
 
-local function put_all(shape)
-  put(shape)
-  for _, kid in pairs(shape.kids) do put_all(kid) end -- any order
-  levels.align_regions(shape.level.composite)
-end
-
 local function text_of(deal)
   return type(deal) == "table" and concat(deal, " ") or deal
-end
-
--- Returns a shape that is not laid out yet. `deal` is the row of each node; or a word.
-local function new_shape(level, kids, deal)
-  local texts = { text_of(deal) }
-  for i in ipairs(level.composite.nodes) do
-    texts[#texts + 1] = kids[i] and kids[i].key
-  end
-  return { level = level, kids = kids, deal = deal, key = concat(texts, "(") .. ")" }
 end
 
 -- Judging ---------------------------------------------------------------------
@@ -129,7 +115,7 @@ local function count_crossings(shape)
   return count
 end
 
--- Choosing --------------------------------------------------------------------
+-- Aims ------------------------------------------------------------------------
 
 local AIMS = { "area", "scale", "more", "height", "width" }
 
@@ -144,40 +130,52 @@ local MISFITS = { scale = misfit_of_scale, more = misfit_of_scale,
   width = function(shape) return shape.width + shape.height / 50 end,
 }
 
-local SLACK = 2 -- crossings that the aim "more" allows in an inner level
+local SLACK = 2 -- crossings that the aim "more" allows
 
--- Returns the most crossings of a level for an aim; `limits` are those of the picture.
-local function most_of(level, aim, limits)
-  local is_outer = (level.composite.depth or 0) == 0
-  if is_outer then return aim == "more" and limits.more or limits.same end
-  return level.first.crossings + (aim == "more" and SLACK or 0)
-end
-
--- Sets the field `kept` of a level: for each aim the shape that serves it best. It is
--- the last one if that is fixed.
-local function keep_best(level, size, limits, is_fixed)
-  local only = is_fixed and level.shapes[#level.shapes]
-  for _, aim in ipairs(AIMS) do
-    local best, least = level.first, huge
-    if only and only.crossings < huge then best, least = only, -huge end
-    for _, shape in ipairs(level.shapes) do
-      local misfit = MISFITS[aim](shape, size)
-      if shape.crossings <= most_of(level, aim, limits) and misfit < least - 0.001 then
-        best, least = shape, misfit
-      end
-    end
-    level.kept[aim] = best
+-- Returns the shape of a level that serves an aim best: one with the given deal if it
+-- has one. No shape has many more crossings than the first.
+local function best_for(aim, level, size, deal)
+  local best, least, most = level.kept.first, huge, level.kept.first.crossings
+  if aim == "more" then most = most + SLACK end
+  for _, shape in ipairs(level.shapes) do
+    local misfit = text_of(shape.deal) == deal and -huge or MISFITS[aim](shape, size)
+    local is_clear = shape.crossings < huge and shape.crossings <= most
+    if is_clear and misfit < least - 0.001 then best, least = shape, misfit end
   end
+  return best
 end
 
--- Jobs: shapes that are not laid out yet --------------------------------------
+-- Returns the same text for levels with the same states and as many arrows; nil if
+-- there is a composite in a level.
+local function text_of_level(level)
+  local texts = { #level.links }
+  for i, node in ipairs(level.composite.nodes) do
+    if node.level then return nil end
+    texts[i + 1] = node.name
+  end
+  return concat(texts, "\n")
+end
+
+-- Sets the field `kept` of a level: for each aim the shape that serves it best. `deals`
+-- has the deals of former levels, for each aim and text of a level.
+local function keep_best(level, size, deals)
+  local kept, text = level.kept, text_of_level(level)
+  for _, aim in ipairs(AIMS) do
+    local key = text and aim .. text
+    kept[aim] = best_for(aim, level, size, deals[key or false])
+    if key then deals[key] = deals[key] or text_of(kept[aim].deal) end
+  end
+  if kept.former and kept.former.crossings == huge then kept.former = kept.first end
+end
+
+-- Deals: the rows of a level --------------------------------------------------
 
 local LARGE = 100 -- bent links; a level with more is not put into rows
 
--- Returns a box for each node of a level, with the given shapes in it.
+-- Returns the boxes of the nodes in a level, with the given shapes in it.
 local function boxes_of(level, kids)
   local boxes = {}
-  for i, box in ipairs(level.first.boxes) do boxes[i] = kids[i] or box end
+  for i, node in ipairs(level.composite.nodes) do boxes[i] = kids[i] or node.size end
   return boxes
 end
 
@@ -186,154 +184,6 @@ local function can_be_turned(level)
   local composite = level.composite
   return level.base == "TB" and levels.is_closed(level)
     and not (composite.is_region or composite.nodes[1].is_region)
-end
-
--- Returns the deals that are tried for a level with the given shapes in it. `fixed` is
--- the only one if it is given.
-local function deals_of(level, kids, fixed)
-  local can_turn = can_be_turned(level)
-  if fixed then return { fixed == "turned" and not can_turn and "plain" or fixed } end
-  local nodes, deals = level.composite.nodes, {}
-  if nodes[2] and not nodes[1].is_region and level.bent <= LARGE then
-    deals = rows.deals(level, boxes_of(level, kids))
-  end
-  deals[#deals + 1], deals[#deals + 2] = "plain", can_turn and "turned" or nil
-  return deals
-end
-
-local function kids_of(level, f)
-  local kids = {}
-  for i, node in ipairs(level.composite.nodes) do
-    kids[i] = node.level and f(node.level)
-  end
-  return kids
-end
-
--- Returns the shape that a level has got from `rfsm.pictures.levels`.
-local function first_shape(level)
-  local kids = kids_of(level, function(kid) return kid.first end)
-  local shape = new_shape(level, kids, "first")
-  take(shape)
-  shape.crossings = count_crossings(shape)
-  return shape
-end
-
--- Adds the jobs of a level, of which fixed(level) may be the only deal.
-local function add_jobs(jobs, level, fixed)
-  local seen = {}
-  level.shapes, level.kept = { level.first }, {}
-  for _, aim in ipairs(AIMS) do
-    local kids = kids_of(level, function(kid) return kid.kept[aim] end)
-    for _, deal in ipairs(deals_of(level, kids, fixed(level))) do
-      local job = new_shape(level, kids, deal)
-      if not seen[job.key] and deal ~= "first" then jobs[#jobs + 1] = job end
-      seen[job.key] = true
-    end
-  end
-end
-
-local function prepare(job)
-  local level, deal = job.level, job.deal
-  for _, kid in pairs(job.kids) do put(kid) end -- any order
-  levels.align_regions(level.composite)
-  levels.reset(level, level.base)
-  level.is_tight = true
-  if deal == "turned" then
-    levels.turn(level)
-  elseif deal ~= "plain" then
-    rows.apply(level, deal, boxes_of(level, job.kids))
-  end
-end
-
--- Lays out jobs, and adds their shapes to those of their levels.
-local function lay_out(jobs, run)
-  return jobs[1] and graphs.lay_out(jobs, run, prepare, function(job)
-    local level = job.level
-    levels.draw_loops(level)
-    rows.draw(level)
-    take(job)
-    job.crossings = count_crossings(job)
-    level.shapes[#level.shapes + 1] = job
-  end)
-end
-
--- Same states, same shape -----------------------------------------------------
-
--- Returns the names of the states in a level; nil if there is a composite in it.
-local function names_in(level)
-  local names = {}
-  for i, node in ipairs(level.composite.nodes) do
-    if node.level then return nil end
-    names[i] = node.name
-  end
-  return concat(names, "\n")
-end
-
--- Lists the deals in a shape, by the names of the states that are dealt.
-local function list_deals(shape, lists)
-  local names = names_in(shape.level)
-  if names then
-    lists[names] = lists[names] or {}
-    lists[names][#lists[names] + 1] = shape.deal
-  end
-  for i in ipairs(shape.level.composite.nodes) do
-    if shape.kids[i] then list_deals(shape.kids[i], lists) end
-  end
-  return lists
-end
-
--- Returns the deal that is most often in a list.
-local function most_common(list)
-  local counts, best = {}, list[1]
-  for _, deal in ipairs(list) do
-    local text = text_of(deal)
-    counts[text] = (counts[text] or 0) + 1
-    if counts[text] > counts[text_of(best)] then best = deal end
-  end
-  return best
-end
-
--- Public functions ------------------------------------------------------------
-
---- Lay out a chart that `rfsm.pictures.levels` has laid out. `limits.same` and
--- `limits.more` are the most crossings, and the most if the text is larger.
--- fixed(level) may return the only deal of a level. Return a problem if there is one,
--- else the shapes of the picture.
----@return string? problem
----@return rfsm.pictures.Shape[] shapes
-function sheet.shapes_of(chart, limits, run, fixed)
-  local top, heights = chart.top.level, levels.by_height(chart)
-  if not top.links[1] then heights[#heights] = nil end
-  for _, list in ipairs(heights) do
-    local jobs = {}
-    for _, level in ipairs(list) do
-      level.base, level.first = chart.direction, level.first or first_shape(level)
-      levels.reset(level, chart.direction)
-      rows.prepare(level)
-      add_jobs(jobs, level, fixed)
-    end
-    local problem = lay_out(jobs, run)
-    if problem then return problem end
-    for _, level in ipairs(list) do
-      keep_best(level, chart.sheet, limits, fixed(level))
-    end
-  end
-  return nil, heights[#heights][1].shapes
-end
-
---- Return a function for `fixed` that gives levels with the same states the deal that
--- most of them have in a shape; nil if all of them have it.
-function sheet.alike(shape)
-  local lists, are_alike = list_deals(shape, {}), true
-  for _, list in pairs(lists) do -- any order
-    for _, deal in ipairs(list) do
-      are_alike = are_alike and text_of(deal) == text_of(list[1])
-    end
-  end
-  return not are_alike and function(level)
-    local list = lists[names_in(level) or false]
-    return list and list[2] and most_common(list)
-  end or nil
 end
 
 -- Returns the rows of a level in a former picture. A new node is in the row of the node
@@ -351,30 +201,144 @@ local function former_rows(level)
   return numbers
 end
 
---- Return the deal that a level has in a former picture, for `fixed`.
-function sheet.former(level)
-  if level.composite.is_turned then return "turned" end
+-- Returns the deal that a level has in a former picture.
+local function former_deal(level)
+  if level.composite.is_turned and can_be_turned(level) then return "turned" end
   for _, node in ipairs(level.composite.nodes) do
     if node.row then return former_rows(level) end
   end
   return "plain"
 end
 
--- Notes the shapes in the nodes, so that the picture has them.
-local function note(shape)
-  local composite, deal = shape.level.composite, shape.deal
-  composite.is_turned = deal == "turned" or nil
-  for i, node in ipairs(composite.nodes) do
-    node.row = type(deal) == "table" and deal[i] or nil
-    if shape.kids[i] then note(shape.kids[i]) end
+-- Returns the deals that are tried for a level with the shapes `kids` in it.
+local function deals_of(level, aim, kids)
+  if aim == "first" then return { "plain" } end
+  if aim == "former" then return { former_deal(level) } end
+  local nodes, deals = level.composite.nodes, {}
+  if nodes[2] and not nodes[1].is_region and level.bent <= LARGE then
+    deals = rows.deals(level, boxes_of(level, kids))
+  end
+  deals[#deals + 1] = "plain"
+  deals[#deals + 1] = can_be_turned(level) and "turned" or nil
+  return deals
+end
+
+-- Layout ----------------------------------------------------------------------
+
+-- Adds a shape to a level, and to the jobs. Returns it, or the equal one that is there.
+local function add_shape(jobs, level, aim, deal, kids)
+  local texts = { aim == "first" and "loose" or "tight", text_of(deal) }
+  for i in ipairs(level.composite.nodes) do
+    texts[#texts + 1] = kids[i] and kids[i].key
+  end
+  local key, shapes = concat(texts, "(") .. ")", level.shapes
+  if not shapes[key] then
+    local shape = { level = level, kids = kids, deal = deal, key = key,
+      is_tight = aim ~= "first" }
+    shapes[key], shapes[#shapes + 1], jobs[#jobs + 1] = shape, shape, shape
+  end
+  return shapes[key]
+end
+
+-- Adds the shapes that are tried for an aim.
+local function add_shapes(jobs, level, aim)
+  local kids = {}
+  for i, node in ipairs(level.composite.nodes) do
+    kids[i] = node.level and node.level.kept[aim]
+  end
+  for _, deal in ipairs(deals_of(level, aim, kids)) do
+    level.kept[aim] = add_shape(jobs, level, aim, deal, kids)
   end
 end
 
---- Lay out a chart as in a shape of it.
+local function prepare(job)
+  local level, deal = job.level, job.deal
+  for _, kid in pairs(job.kids) do put(kid) end -- any order
+  levels.align_regions(level.composite)
+  levels.reset(level, level.base)
+  level.is_tight = job.is_tight
+  if deal == "turned" then
+    levels.turn(level)
+  elseif deal ~= "plain" then
+    rows.apply(level, deal, boxes_of(level, job.kids))
+  end
+end
+
+local function lay_out(jobs, run)
+  return jobs[1] and graphs.lay_out(jobs, run, prepare, function(job)
+    levels.draw_loops(job.level)
+    rows.draw(job.level)
+    take(job)
+    job.crossings = count_crossings(job)
+  end)
+end
+
+-- Lays out levels of one height in the shapes for some aims. The first shape of a level
+-- is turned if it does not fit.
+local function lay_out_height(chart, list, aims, run)
+  local jobs, turned = {}, {}
+  for _, level in ipairs(list) do
+    level.base, level.shapes, level.kept = chart.direction, {}, {}
+    levels.reset(level, chart.direction)
+    rows.prepare(level)
+    for _, aim in ipairs(aims) do add_shapes(jobs, level, aim) end
+  end
+  local problem = lay_out(jobs, run)
+  for _, level in ipairs(problem and {} or list) do
+    local first = level.kept.first
+    if levels.is_misfit(level, first) then
+      level.kept.first = add_shape(turned, level, "first", "turned", first.kids)
+    end
+  end
+  return problem or lay_out(turned, run)
+end
+
+-- Public functions ------------------------------------------------------------
+
+--- Lay out all levels of a chart, each in its first shape, or in several shapes if
+-- `is_large`. Return a problem if there is one.
+---@return string? problem
+function sheet.lay_out(chart, is_large, run)
+  local deals, heights, aims = {}, levels.by_height(chart), { "first" }
+  for i, aim in ipairs(is_large and AIMS or {}) do aims[i + 1] = aim end
+  aims[#aims + 1] = chart.kind == "sheet" and "former" or nil
+  for _, list in ipairs(heights) do
+    local problem = lay_out_height(chart, list, aims, run)
+    if problem then return problem end
+    for _, level in ipairs(list) do keep_best(level, chart.sheet, deals) end
+  end
+  chart.outer = heights[#heights][1]
+end
+
+local NEW = 1.15 -- gain that a shape needs to replace that of a former picture
+
+--- Return the best shape of a chart for its sheet; nil if the layout `best` is better.
+-- The shape of the former picture stays unless another one is much larger.
+function sheet.best(chart, best, whole)
+  local limits, outer, size = choice.limits(best, whole), chart.outer, chart.sheet
+  local shape, former = choice.for_sheet(outer.shapes, best, size, limits),
+    outer.kept.former
+  local is_kept = former and former.crossings <= limits.more
+    and choice.gain(shape or best, former, size) < NEW
+  return is_kept and former or shape
+end
+
+-- Puts a shape and those in it. The nodes note them, so that the picture has them.
+local function put_all(shape)
+  local composite, deal = shape.level.composite, shape.deal
+  put(shape)
+  composite.is_turned = deal == "turned" or nil
+  for i, node in ipairs(composite.nodes) do
+    node.row = type(deal) == "table" and deal[i] or nil
+    if shape.kids[i] then put_all(shape.kids[i]) end
+  end
+  levels.align_regions(composite)
+end
+
+--- Lay out a chart in a shape of it, by default the first one.
 function sheet.put(chart, shape)
-  put_all(shape)
-  note(shape)
-  if shape.level ~= chart.top.level then levels.enclose(chart.top.level) end
+  put_all(shape or chart.outer.kept.first)
+  if chart.outer ~= chart.top.level then levels.enclose(chart.top.level) end
 end
 
 return sheet
