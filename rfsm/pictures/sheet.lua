@@ -132,38 +132,37 @@ local MISFITS = { scale = misfit_of_scale, more = misfit_of_scale,
 
 local SLACK = 2 -- crossings that the aim "more" allows
 
--- Returns the shape of a level that serves an aim best: one with the given deal if it
+-- Returns the shape of a level that serves an aim best: the one with a given key if it
 -- has one. No shape has many more crossings than the first.
-local function best_for(aim, level, size, deal)
+local function best_for(aim, level, size, key)
   local best, least, most = level.kept.first, huge, level.kept.first.crossings
   if aim == "more" then most = most + SLACK end
   for _, shape in ipairs(level.shapes) do
-    local misfit = text_of(shape.deal) == deal and -huge or MISFITS[aim](shape, size)
+    local misfit = shape.key == key and -huge or MISFITS[aim](shape, size)
     local is_clear = shape.crossings < huge and shape.crossings <= most
     if is_clear and misfit < least - 0.001 then best, least = shape, misfit end
   end
   return best
 end
 
--- Returns the same text for levels with the same states and as many arrows; nil if
--- there is a composite in a level.
+-- Returns a text that is the same for levels with the same states and as many links.
 local function text_of_level(level)
   local texts = { #level.links }
   for i, node in ipairs(level.composite.nodes) do
-    if node.level then return nil end
-    texts[i + 1] = node.name
+    texts[i + 1] = node.name .. (node.level and text_of_level(node.level) or "")
   end
   return concat(texts, "\n")
 end
 
--- Sets the field `kept` of a level: for each aim the shape that serves it best. `deals`
--- has the deals of former levels, for each aim and text of a level.
-local function keep_best(level, size, deals)
+-- Sets the field `kept` of a level: for each aim the shape that serves it best. `keys`
+-- has the keys of shapes of other levels, for each aim and text of a level: levels with
+-- the same states are alike.
+local function keep_best(level, size, keys)
   local kept, text = level.kept, text_of_level(level)
   for _, aim in ipairs(AIMS) do
-    local key = text and aim .. text
-    kept[aim] = best_for(aim, level, size, deals[key or false])
-    if key then deals[key] = deals[key] or text_of(kept[aim].deal) end
+    local same = aim .. text
+    kept[aim] = best_for(aim, level, size, keys[same])
+    keys[same] = keys[same] or kept[aim].key
   end
   if kept.former and kept.former.crossings == huge then kept.former = kept.first end
 end
@@ -299,13 +298,13 @@ end
 -- `is_large`. Return a problem if there is one.
 ---@return string? problem
 function sheet.lay_out(chart, is_large, run)
-  local deals, heights, aims = {}, levels.by_height(chart), { "first" }
+  local keys, heights, aims = {}, levels.by_height(chart), { "first" }
   for i, aim in ipairs(is_large and AIMS or {}) do aims[i + 1] = aim end
   aims[#aims + 1] = chart.kind == "sheet" and "former" or nil
   for _, list in ipairs(heights) do
     local problem = lay_out_height(chart, list, aims, run)
     if problem then return problem end
-    for _, level in ipairs(list) do keep_best(level, chart.sheet, deals) end
+    for _, level in ipairs(list) do keep_best(level, chart.sheet, keys) end
   end
   chart.outer = heights[#heights][1]
 end
