@@ -117,29 +117,25 @@ end
 
 -- Aims ------------------------------------------------------------------------
 
-local AIMS = { "area", "scale", "more", "height", "width" }
+local AIMS = { "area", "scale", "height", "width" }
 
-local function misfit_of_scale(shape, size)
-  return -choice.scale(size, shape.width, shape.height)
-end
-
--- How badly a shape serves an aim. "more" is a scale at the price of crossings.
-local MISFITS = { scale = misfit_of_scale, more = misfit_of_scale,
+-- How badly a shape serves an aim.
+local MISFITS = {
+  scale = function(shape, size)
+    return -choice.scale(size, shape.width, shape.height)
+  end,
   area = function(shape) return shape.width * shape.height end,
   height = function(shape) return shape.height + shape.width / 50 end,
   width = function(shape) return shape.width + shape.height / 50 end,
 }
 
-local SLACK = 2 -- crossings that the aim "more" allows
-
 -- Returns the shape of a level that serves an aim best: the one with a given key if it
--- has one. No shape has many more crossings than the first.
+-- has one. No shape has more crossings than the first.
 local function best_for(aim, level, size, key)
-  local best, least, most = level.kept.first, huge, level.kept.first.crossings
-  if aim == "more" then most = most + SLACK end
+  local first, best, least = level.kept.first, level.kept.first, huge
   for _, shape in ipairs(level.shapes) do
     local misfit = shape.key == key and -huge or MISFITS[aim](shape, size)
-    local is_clear = shape.crossings < huge and shape.crossings <= most
+    local is_clear = shape.crossings < huge and shape.crossings <= first.crossings
     if is_clear and misfit < least - 0.001 then best, least = shape, misfit end
   end
   return best
