@@ -4,6 +4,7 @@ local alphabet = require "rfsm.shared.alphabet"
 local helper = require "spec.helper"
 local match = require "rfsm.shared.match"
 local rfsm = require "rfsm"
+local reactions = require "rfsm.explore.reactions"
 local rfsm_checks = require "rfsm_checks"
 local snapshot = require "rfsm.snapshot"
 require "rfsm.await"
@@ -276,4 +277,73 @@ describe("rfsm.targets", function()
       assert.same({ "root.on", "root.on.a", "root.on.b", "root.on.initial",
         "root.on.initial" }, list)
     end)
+end)
+
+describe("the guard hook of an extension", function()
+  local function hot(guard)
+    return state { info = false, warn = false, a = state {}, b = state { final = true },
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = { "e_x" }, guard = guard, is_hot = true } }
+  end
+
+  -- Says what an exploration finds while an extension forbids transitions that are hot.
+  local function said(guard, options)
+    local asked = 0
+    local text = helper.with_preproc(function(fsm)
+      for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+        if tr.is_hot then
+          rfsm.guard_hook_add(fsm, tr, function() asked = asked + 1 return false end)
+        end
+      end
+    end, function()
+      options.properties = { p = rfsm_checks.never "root.b",
+        q = rfsm_checks.after("e_x").reach "root.b" }
+      return helper.without_file(tostring(rfsm_checks.explore(hot(guard), options)))
+    end)
+    assert.equal(0, asked)
+    return text
+  end
+
+  it("is explored with both answers, and not asked", function()
+    local function yes() return true end
+    for _, case in ipairs { { nil, {} }, { yes, {} }, { yes, { run = { yes } } } } do
+      local text = said(case[1], case[2])
+      assert.matches("e_x %(root%.trans%[2%] true[^)]*%): root%.trans%[2%] %-> root%.b",
+        text)
+      assert.matches("e_x %(root%.trans%[2%] false%): no transition %-> root%.a", text)
+    end
+  end)
+end)
+
+describe("the sets of events that paths need", function()
+  -- Connectors in a row, with two transitions from each to the next.
+  local function row(count, events)
+    local chart = { info = false, warn = false, a = state {}, z = state {},
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "k1", events = { "e_a" } } }
+    for i = 1, count do
+      chart["k" .. i] = rfsm.conn {}
+      for way = 1, 2 do
+        chart[#chart + 1] = trans { src = "k" .. i, tgt = i < count and "k" .. i + 1
+          or "z", events = events and { ("e_%d_%d"):format(i, way) } }
+      end
+    end
+    local fsm = helper.init(state(chart))
+    rfsm.run(fsm)
+    return reactions.collect(fsm, fsm.a)
+  end
+
+  it("are found in one look at each transition, if these name no events", function()
+    assert.same({ {}, false, 2 * 16 + 1 }, { row(16).sets, row(16).is_cut,
+      row(16).count })
+  end)
+
+  it("are all found if they are few", function()
+    assert.same({ 8, false }, { #row(3, true).sets, row(3, true).is_cut })
+  end)
+
+  it("are cut if they are many, however deep a path is", function()
+    assert.same({ true, true, true }, { row(12, true).is_cut, row(30, true).is_cut,
+      row(30, true).count <= 20001 })
+  end)
 end)

@@ -58,6 +58,19 @@ describe("why", function()
     }, "\n"), text_of(machine(), "e_k"))
   end)
 
+  it("asks the guard hooks of extensions before the guard", function()
+    for _, case in ipairs {
+      { no, "the guard hook of an extension returns false" },
+      { function() error("hot", 0) end, "the guard hook of an extension fails: hot" },
+      { function(_, events, event) return events[1] == event end, "would be taken" },
+    } do
+      local fsm = machine()
+      rfsm.guard_hook_add(fsm, fsm[2], case[1])
+      assert.equal("  root.trans[2] (a -> b): " .. case[2] .. "\n"
+        .. "  root.trans[3] (a -> k): waits for e_k", rest_of(fsm, "e_b"))
+    end
+  end)
+
   local CASES = {
     { "a guard that fails", trans { src = "a", tgt = "b", events = { "e_x" },
       guard = function() error("no", 0) end }, "its guard fails: no" },

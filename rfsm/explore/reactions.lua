@@ -26,7 +26,9 @@ local reactions = {}
 ---@field has_predicate boolean a predicate may accept any event; `any` is true, too
 ---@field timers string[] time events of states that are active
 ---@field sets any[][] sets of several events that a path through connectors needs
----@field is_cut boolean there are more than MANY_SETS of these sets
+---@field is_cut boolean there are more than MANY_SETS of these sets, or it took more
+-- than MANY_SEGMENTS to look for them
+---@field count integer how many segments were looked at
 ---@field outside rfsm_checks.Occurrence[]|false events from outside; false: no list yet
 ---@field own table<any, boolean>|false the set of the events that count for the leaf
 -- itself, without events of its regions; false: all events count
@@ -123,12 +125,25 @@ local function extend(set, tr)
 end
 
 local MANY_SETS = 1000 -- most sets of one leaf; others are not tried
+local MANY_SEGMENTS = 20000 -- most segments of its paths that are looked at for them
+
+-- Begins to look at a transition of a path. `seen` has the transitions of the path, and
+-- for each set those that were looked at with it. Returns false if there is no need.
+local function begin(found, tr, set, seen)
+  local looked = seen[set] or {}
+  seen[set] = looked
+  if seen[tr] or looked[tr] or found.is_cut then return false end
+  seen[tr], looked[tr] = true, true
+  found.count = found.count + 1
+  found.is_cut = found.count > MANY_SEGMENTS
+  return true
+end
 
 -- Adds the sets of several events that are needed by paths through a transition. `set`
--- is the set of events that the segments before it need.
+-- is the set of events that the segments before it need. Paths that meet again with the
+-- same set are not followed twice.
 local function add_sets(found, tr, set, seen)
-  if seen[tr] or found.is_cut then return end
-  seen[tr] = true
+  if not begin(found, tr, set, seen) then return end
   for _, longer in ipairs(extend(set, tr)) do
     local is_end = false
     for _, tgt in ipairs(rfsm.targets(tr)) do
@@ -152,7 +167,7 @@ end
 ---@return rfsm_checks.Reactions reactions
 function reactions.collect(fsm, leaf)
   local found = { set = {}, any = false, has_predicate = false, timers = {}, sets = {},
-    is_cut = false, own = false, outside = false }
+    is_cut = false, count = 0, own = false, outside = false }
   local seen, nodes = {}, location.tried(fsm, leaf)
   if not leaf then found.set.e_init_fsm = true end
   for i = #nodes, 1, -1 do

@@ -289,12 +289,28 @@ local function note_events(self, tr)
   end
 end
 
+-- Frees a transition of the guard hooks of extensions, whose data are not followed. They
+-- may forbid it at any time, as a guard may that is not called.
+local function free_guard_hooks(self, part, tr, path)
+  local hooks = part.fsm._guard_hooks and part.fsm._guard_hooks[tr] or {}
+  for _, hook in ipairs(hooks) do
+    replacements.note_writer(self, "guard " .. path, hook)
+    rfsm.guard_hook_rm(part.fsm, tr, hook)
+  end
+  if not hooks[1] then return end
+  self.free.guards = true
+  if not tr.guard or self.runs[tr.guard] or self.rules[tr.guard] then
+    rfsm.guard_hook_add(part.fsm, tr, function() return self:choose(path) end)
+  end
+end
+
 local function make_transition(self, part, tr)
   local number, path = #self.transitions + 1, location.path(tr, part.prefix)
   self.number_of[tr] = number
   self.transitions[number] = { tr = tr, path = path, prefix = part.prefix,
     part = part }
   note_events(self, tr)
+  free_guard_hooks(self, part, tr, path)
   if tr.guard then
     replacements.note_writer(self, "guard " .. path, tr.guard)
     if not self.runs[tr.guard] then self.free.guards = true end

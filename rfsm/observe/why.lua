@@ -91,6 +91,18 @@ end
 
 local function name_of(tgt) return rfsm.is_node(tgt) and tgt._fqn or text_of(tgt) end
 
+-- Calls the guard hooks of extensions, then the guard. Returns the verdict and the
+-- reason in words if one of them forbids the transition; else nil.
+local function ask_guards(search, tr, event)
+  local hooks = search.fsm._guard_hooks and search.fsm._guard_hooks[tr] or {}
+  for i = 1, #hooks + (tr.guard and 1 or 0) do
+    local ok, answer = calls.try(hooks[i] or tr.guard, tr, search.events, event)
+    local who = hooks[i] and "the guard hook of an extension" or "its guard"
+    if not ok then return "failed", who .. " fails: " .. text_of(answer) end
+    if answer == false then return "guard", who .. " returns false" end
+  end
+end
+
 local ask_connector
 
 -- Returns the verdict on a transition and the reason in words. If the path ends at a
@@ -101,10 +113,8 @@ local function judge(search, tr, first)
     local wanted = concat(texts_of(tr.events or {}, false), ", ")
     return "event", "waits for " .. (wanted == "" and "any event" or wanted)
   end
-  local ok, answer = true, true
-  if tr.guard then ok, answer = calls.try(tr.guard, tr, search.events, event) end
-  if not ok then return "failed", "its guard fails: " .. text_of(answer) end
-  if answer == false then return "guard", "its guard returns false" end
+  local verdict, reason = ask_guards(search, tr, event)
+  if verdict then return verdict, reason end
   local tgt = target_of(tr)
   if not tgt then
     return "closed", "its target is " .. name_of(tr.tgt) .. ", which cannot be entered"
@@ -177,10 +187,10 @@ local function answers_of(fsm, events)
   events = match.joined(events, select(2, rfsm.foretell(fsm, events)))
   local answers, winner, first, taker = {}, false
   if fsm._act_leaf then
-    winner, first = add_answers_of(fsm, { events = {}, found = {}, needs_none = true },
-      answers, winner)
+    winner, first = add_answers_of(fsm, { fsm = fsm, events = {}, found = {},
+      needs_none = true }, answers, winner)
   end
-  winner, taker = add_answers_of(fsm, { events = events, found = {},
+  winner, taker = add_answers_of(fsm, { fsm = fsm, events = events, found = {},
     needs_none = false, is_mute = fsm._act_leaf and events[1] == nil }, answers, winner)
   return answers, winner, first or taker
 end
