@@ -289,8 +289,8 @@ local function note_events(self, tr)
   end
 end
 
--- Frees a transition of the guard hooks of extensions, whose data are not followed. They
--- may forbid it at any time, as a guard may that is not called.
+-- Frees a transition of the guard hooks of extensions, whose data are not followed.
+-- They may forbid it at any time, as a guard may that is not called.
 local function free_guard_hooks(self, part, tr, path)
   local hooks = part.fsm._guard_hooks and part.fsm._guard_hooks[tr] or {}
   for _, hook in ipairs(hooks) do
