@@ -38,7 +38,7 @@ local require = select(2, pcall(function() return require end))
 local interpret = find_global("jit", "off") or function() end
 
 ---@class rfsm
----@field seqand fun(t: table): rfsm.State
+---@field seqand fun(t: rfsm_seqand.Fields): rfsm.State
 ---@field pp table the module rfsmpp
 local rfsm = { _VERSION = "rfsm 1.0.0" }
 
@@ -266,6 +266,7 @@ local list_text
 --- other event.
 ---@param event any
 ---@return string? name
+---@package
 function rfsm.name_with_data(event)
   if type(event) ~= "table" or getmetatable(event) then return nil end
   local name = rawget(event, "name")
@@ -421,6 +422,7 @@ do
   ---@param node rfsm.State|rfsm.Connector
   ---@return boolean
   ---@return any region the name of a region without such a leaf
+  ---@package
   function rfsm.can_be_done(node)
     if not is_state(node) then return false end
     if not node._is_leaf then return has_final(node) end
@@ -2886,6 +2888,7 @@ do
 end
 
 -- A function `f(fsm, code, text)` that is called for each warning, or false.
+---@package
 rfsm.warned = false
 
 --- Warn of something in a chart, for extensions.
@@ -3593,6 +3596,7 @@ end
 --- Does a transition from a state wait for its e_done? For extensions.
 ---@param state rfsm.State a state of a machine
 ---@return boolean
+---@package
 function rfsm.names_done(state)
   for _, tr in ipairs(state._otrs) do
     for _, event in ipairs(tr.events) do

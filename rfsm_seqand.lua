@@ -36,6 +36,7 @@ local step, run = rfsm.step, rfsm.run
 ---@field seqanddbg? boolean|fun(text: string) print the order once, then each advance
 ---@field entry? function called before the regions are entered
 ---@field exit? function called after the regions were left
+---@field [any] any a region, or data of the user
 
 -- The metatable of `substates`, a table of the regions by name: models in a model,
 -- machines in an instance. The core does not look into a table with a metatable, so
@@ -451,6 +452,7 @@ local rfsm_seqand = {}
 -- @function new
 -- @raise if a field is wrong
 ---@param fields rfsm_seqand.Fields
+---@param more? rfsm_seqand.Fields the fields, if it is called with a colon
 ---@return rfsm.State state a leaf state, to be mounted any number of times
 function rfsm_seqand.new(fields, more)
   if fields == rfsm_seqand then fields = more end -- called as rfsm.seqand:new(fields)

@@ -42,9 +42,12 @@ local remove, setmetatable = table.remove, setmetatable
 ---@field entries rfsm.fates.Entry[] those whose fate regions decide
 ---@field copies rfsm.fates.Copy[] the events from the parent machine that wait
 
----@param rfsm rfsm the core
+---@param core rfsm
 ---@param engine table<string, function> functions of the core
-return function(rfsm, engine)
+return function(core, engine)
+  ---@class rfsm
+  local rfsm = core
+
   local Own = {}
   Own.__index = Own
 
@@ -225,6 +228,7 @@ return function(rfsm, engine)
   --- Note nothing more, if neither the machine nor one around it or in it has a hook
   --- that is told of fates.
   ---@param fsm rfsm.Machine
+  ---@package
   function rfsm.leave_fates(fsm)
     while rfsm.parent(fsm) do fsm = rfsm.parent(fsm) end
     local machines = rfsm.machines(fsm)
@@ -242,6 +246,7 @@ return function(rfsm, engine)
 
   --- Note what becomes of the events of a machine and its regions from now on.
   ---@param fsm rfsm.Machine
+  ---@package
   function rfsm.follow_fates(fsm)
     if fsm._fates then return end
     fsm._fates = new_own(fsm)

@@ -136,9 +136,12 @@ local function try_merge(rfsm, engine, before, obj, id)
   return build, engine.preprocess(fsm, parent[id])
 end
 
----@param rfsm rfsm the core
+---@param core rfsm
 ---@param engine table<string, function> functions of the core
-return function(rfsm, engine)
+return function(core, engine)
+  ---@class rfsm
+  local rfsm = core
+
   local function refuse(fsm, reason)
     rfsm.report(fsm, "err", reason)
     return false, reason

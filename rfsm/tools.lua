@@ -13,7 +13,10 @@ local NONE = {}
 
 -- Inspect ---------------------------------------------------------------------------
 
-local function define_lists(rfsm)
+local function define_lists(core)
+  ---@class rfsm
+  local rfsm = core
+
   --- A machine, and where it runs.
   ---@class rfsm.Place
   ---@field machine rfsm.Machine
@@ -100,7 +103,10 @@ end
 
 local check_state -- f(fsm, state, where, level): a state, given itself or by name
 
-local function define_questions(rfsm, engine)
+local function define_questions(core, engine)
+  ---@class rfsm
+  local rfsm = core
+
   local check_machine, got = rfsm.check_machine, rfsm.got
   local is_node_of, line_to = engine.is_node_of, engine.line_to
 
@@ -236,7 +242,10 @@ local function are_alike(fsm, other)
     and have_same_events(transitions, other._transitions)
 end
 
-local function define_structure(rfsm)
+local function define_structure(core)
+  ---@class rfsm
+  local rfsm = core
+
   --- Return a table that stands for the structure of a machine, for extensions.
   --
   -- A machine gets another table from `fsm_merge`. Machines of one model have the same
@@ -284,7 +293,10 @@ local function move_to(state, mode)
   end
 end
 
-local function define_moves(rfsm, engine)
+local function define_moves(core, engine)
+  ---@class rfsm
+  local rfsm = core
+
   --- Raise an error if a step is under way, for extensions.
   --
   -- The error blames the caller's caller. A step that was cut short is finished first.
@@ -385,6 +397,7 @@ local function define_moves(rfsm, engine)
   ---@param fsm rfsm.Machine
   ---@param state rfsm.State|string the leaf, or its name
   ---@param where string the public function, for messages that blame its caller
+  ---@package
   function rfsm.begin_in(fsm, state, where)
     local leaf = check_state(fsm, state, where, 3)
     if not (engine.is_node_of(fsm, leaf) and leaf._is_leaf) then
@@ -418,7 +431,10 @@ end
 
 local MOST_PATHS, MOST_SEGMENTS = 50, 6 -- for a leaf and an event; in a path
 
-local function define_prepare(rfsm, engine)
+local function define_prepare(core, engine)
+  ---@class rfsm
+  local rfsm = core
+
   local paths_left = 0
 
   -- Makes the paths that continue `at` with a transition, and compiles them.

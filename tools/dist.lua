@@ -7,6 +7,7 @@
 package.path = "./?.lua;./compat/?.lua;" .. package.path
 
 local bundle = require "rfsm.server.bundle"
+local files = require "rfsm.shared.files"
 
 local HEAD = [[
 -- %s in one file: %s.
@@ -15,6 +16,10 @@ local HEAD = [[
 -- The global of this name, which a sandbox may lack.
 local _, outer_require = pcall(function() return require end)
 ]]
+
+-- The types are comments: nothing loads them.
+local TYPES = assert(files.read("rfsm/shared/types.lua"))
+  :gsub("^%-%-%-@meta\n.-\n\n", "")
 
 local FOOT = [[
 local _, preload = pcall(function() return package.preload end)
@@ -41,4 +46,5 @@ for _, name in ipairs(arg) do
   end
 end
 io.write(HEAD:format(version, table.concat(names, ", ")), bundle.HEAD,
-  table.concat(parts, "\n"), "\n", FOOT:format(names[1], names[1], names[1]))
+  table.concat(parts, "\n"), "\n", TYPES, "\n",
+  FOOT:format(names[1], names[1], names[1]))

@@ -27,7 +27,7 @@ end
 
 -- Appends the line of a function: "name(arguments)".
 local function add(lines, name, arguments, comment)
-  if lines[name] or comment:find("@local") then return end
+  if lines[name] or comment:find("@package") then return end
   lines[name] = ("- `%s%s`: %s"):format(name, arguments, sentence_of(comment))
   lines[#lines + 1] = name
 end

@@ -286,6 +286,7 @@ end
 
 --- Note keys that occur twice in a table node, and callbacks whose value is a call.
 ---@param file { lost: table, called: table } lists of { name = key, ... } by line
+---@param node table
 function bodies.note_table(file, node)
   local seen = {}
   local function note(list, entry)

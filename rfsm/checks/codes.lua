@@ -129,6 +129,7 @@ local MEANINGS = {
 }
 
 --- Does the name of a leaf contain a word that means an end, or a fault?
+---@param state rfsm.State
 ---@param meaning "an end"|"a fault"
 ---@return boolean
 function codes.means(state, meaning)

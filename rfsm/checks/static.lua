@@ -76,6 +76,7 @@ end
 ---@param code string
 ---@param obj rfsm.State|rfsm.Transition|rfsm.Connector|nil
 ---@param path string path of the element, as `location.path` returns it
+---@param text string
 ---@param at? string location of the element, shown in place of the path
 ---@param file? string
 ---@return rfsm_checks.Finding? finding
@@ -254,6 +255,7 @@ end
 
 --- Give findings the severity that a project has set. Drop findings set to "off".
 ---@param findings rfsm_checks.Finding[]
+---@param settings table<string, string>
 ---@return rfsm_checks.Finding[] kept
 function static.apply(findings, settings)
   local kept = {}

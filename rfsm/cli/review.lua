@@ -321,7 +321,10 @@ end
 
 --- Return the findings about a chart in lines: errors first, then warnings and notes.
 --- Lines with the summary of the exploration follow.
+---@param file string
+---@param model rfsm.Model|rfsm.System
 ---@param warnings string[] texts about the file of the chart
+---@param settings table<string, string> see `review.settings_for`
 ---@param options table options of the command, such as `all` and `static`; `required`
 -- is the first result of `review.noting_extensions`
 ---@return string[] lines "chart.lua: ok" if there is nothing to report

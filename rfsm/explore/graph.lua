@@ -70,6 +70,7 @@ local function spread(walk, goals, is_internal, joins)
 end
 
 --- Return the set of configurations from which one of `goals` can be reached.
+---@param walk rfsm_checks.Walk
 ---@param goals table<integer, boolean>
 ---@param is_internal boolean? use only steps that need no event from outside
 ---@param within? table<integer, boolean> use only these configurations on the way
@@ -120,6 +121,7 @@ end
 
 --- Return the set of configurations from which the machine always comes to one of
 --- `goals` without events from outside. Each doo is assumed to end at some time.
+---@param walk rfsm_checks.Walk
 ---@param goals table<integer, boolean>
 ---@return table<integer, boolean> set
 function graph.must_reach(walk, goals)

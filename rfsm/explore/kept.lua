@@ -50,6 +50,7 @@ end
 
 --- Return the kept data as they are now, and the data as a text.
 ---@param own rfsm_checks.Kept
+---@param fsm rfsm.Machine
 ---@param event_numbers table<any, integer>
 ---@return any[] values the field `is_data` is true if an extension has data
 ---@return string key the text

@@ -83,6 +83,7 @@ local function is_named(list, event)
 end
 
 --- Return a hint if no transition names an event, a text or with data; otherwise nil.
+---@param list table the events of the outline
 ---@param event any
 ---@return string?
 function outline.hint_for(list, event)

@@ -129,6 +129,9 @@ end
 -- for the machine at a key. If the row was read before, `found` has its `list`, `us`
 -- and `execute`. `require`, `charts` and `options` come from the bundled library.
 ---@param server rfsm.postgres.Server
+---@param require fun(name: string): any
+---@param charts table
+---@param options table
 function host.new(server, require, charts, options)
   local data_of = require("rfsm.server.charts").data_of
   local row ---@type rfsm.postgres.Row

@@ -111,6 +111,7 @@ end
 
 --- Make the ports in a component; return a list of objects of rfsm.rtt.port. If one
 -- cannot be made, none is left.
+---@param owner any the component
 ---@param read rfsm.rtt.Input[]
 ---@param is_trigger boolean does a sample trigger an update of the component?
 ---@param is_kept boolean are ports taken that the component has already?

@@ -116,6 +116,7 @@ end
 
 --- Return the settings of a launch; raise an error if one is wrong or is missing.
 ---@param kind "service"|"component"|"own"
+---@param args table
 function settings.read(kind, args)
   local fields = FIELDS[kind]
   local launch, problem = options.read(fields, args)

@@ -687,6 +687,7 @@ end
 -- Charts in `list` ({ name =, make = }) that have the same name are versions of one
 -- chart, the newest last.
 ---@param server rfsm.server.Host
+---@param list table
 ---@param settings? rfsm.server.Options
 return function(server, list, settings)
   local made = {}

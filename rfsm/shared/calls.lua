@@ -44,6 +44,8 @@ end
 local PRINTERS = { "dbg", "info", "warn", "err" }
 
 --- Return make(model), such as rfsm.init(model), with the model's printers off.
+---@param make fun(model: rfsm.Model): any, any, any
+---@param model rfsm.Model
 ---@param warn? function|false a printer for warnings; default: they are not printed
 function calls.silently(make, model, warn)
   local own = {}

@@ -284,6 +284,9 @@ end
 -- is a program that returns no state, the model of the first machine that it makes is
 -- returned, or the model of machine `number`.
 --
+---@param file string
+---@param has_stubs? boolean
+---@param number? integer
 ---@param load? fun(file: string): any in place of `rfsm.load`
 ---@return any model a state, or what `load` returns; nil if there is none
 ---@return string[]|string warnings a line for each undefined global; the problem if

@@ -189,7 +189,9 @@ end
 -- Public functions ----------------------------------------------------------------
 
 --- Begin to load a chart, and return its world. `search.leave` ends the loading.
+---@param file string
 ---@param source string the `source` that debug.getinfo has for functions in the file
+---@param has_stubs? boolean
 function search.enter(file, source, has_stubs)
   install()
   stubs.forget()

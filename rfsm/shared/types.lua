@@ -12,6 +12,14 @@
 ---@field exit? rfsm.StateCallback
 ---@field doo? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "doo"): boolean?
 ---@field final? boolean a leaf that ends its composite or region
+---@field history? "shallow"|"deep" needs `rfsm.history`; of a composite
+---@field defer? any[] events that wait while no transition takes them (`rfsm.defer`)
+---@field timed? boolean `rfsm_timeevent.time_in` knows the state
+---@field prepare? fun(fsm: rfsm.Machine) called when the state is likely next
+---@field keep? string[] names of the fields that snapshots and fleets save
+---@field save? fun(fsm: rfsm.Machine, state: rfsm.State): any data for snapshots
+---@field load? fun(fsm: rfsm.Machine, state: rfsm.State, data: any) takes these data
+---@field checks? table<string, string> code of a finding -> reason why it is silenced
 ---@field getevents? false|fun(): any[]? root only, as all fields below
 ---@field dbg? boolean|fun(id: string, ...)
 ---@field info? boolean|fun(...)
@@ -21,6 +29,8 @@
 ---@field pre_step_hook? false|fun(fsm: rfsm.Machine, events: any[])
 ---@field post_step_hook? false|fun(fsm: rfsm.Machine, events: any[])
 ---@field read? "all"|"one" "one": an iteration takes only the first pending event
+---@field strict? boolean warn of what is probably a mistake
+---@field properties? table<any, rfsm_checks.Property> what must hold
 ---@field gettime? false|fun(): number, number the machine's clock: seconds, nanoseconds
 ---@field [string|integer] any
 
@@ -36,6 +46,8 @@
 ---@field guard? rfsm.Guard
 ---@field effect? rfsm.Effect
 ---@field pn? number priority among the transitions of a node, larger first (0)
+---@field likely? fun(fsm: rfsm.Machine): boolean? its target is prepared if true
+---@field checks? table<string, string> code of a finding -> reason why it is silenced
 ---@field [string] any
 
 --- A transition of a machine.
@@ -45,6 +57,8 @@
 --- A connector joins transitions into a path. It is never active.
 ---@class rfsm.Connector
 ---@field [string] any
+
+---@alias rfsm.Node rfsm.State|rfsm.Connector
 
 --- A machine, which `rfsm.init` makes from a model. It is also its root state.
 ---@class rfsm.Machine : rfsm.State

@@ -19,6 +19,8 @@ local rawequal, setmetatable = rawequal, setmetatable
 local concat = table.concat
 local text_of = rfsm.text_of
 
+--- Follows a session while a command advances its machine.
+---@class rfsm.sim.Observer
 local Observer = {}
 Observer.__index = Observer
 

@@ -229,6 +229,7 @@ local function does_repeat(steps, options)
 end
 
 --- Plan runs that take every transition of a model that can be taken.
+---@param model rfsm.Model
 ---@param options? rfsm_checks.TestOptions
 ---@return rfsm_checks.Tests
 function tests.plan(model, options)
@@ -382,6 +383,7 @@ end
 
 --- Write the runs of a chart as a spec for busted.
 ---@param file string the file of the chart
+---@param model rfsm.Model
 ---@param options? rfsm_checks.TestOptions
 ---@param output? string the file of the spec; the chart is loaded relative to it
 ---@param old? string the present text of `output`; its marked lines are replaced

@@ -320,7 +320,10 @@ end
 
 --- Open a port, or any free port if `port` is 0. Return the server; nil and the problem
 -- if that fails. `clock()` returns the seconds for the limits of time.
+---@param host string
+---@param port integer
 ---@param handle fun(request: rfsm.web.Request): rfsm.web.Reply
+---@param clock fun(): number
 function http.listen(host, port, handle, clock)
   local listening, problem = socket.bind(host, port, 128)
   if not listening then
