@@ -3710,7 +3710,7 @@ do
     local plain = prefix and name:sub(1, #prefix) == prefix and name:sub(#prefix + 1)
     if not (plain or name):find("^rfsm[%w_.]") then return nil end
     if plain then return function() return require(plain) end, name end
-    for _, at in ipairs { name, "compat." .. name } do
+    for _, at in ipairs { "compat." .. name, name } do -- a chart may have such a file
       local chunk, where = find_module_of(at)
       if chunk then return chunk, where end
     end

@@ -58,7 +58,8 @@ describe("a strict machine tells of", function()
       "the table has no field 'name' (did you mean name = 'e_go' in place of the "
         .. "first item?)" },
     { "another field", named "e_go", { type = "e_go" },
-      "the table has no field 'name' (there is 'e_go')" },
+      "the table has no field 'name' (did you mean name = 'e_go' in place of "
+        .. "'type'?)" },
     { "another field, though the chart has the text", "e_go", { event = "e_go", n = 1 },
       "the table has no field 'name' (did you mean name = 'e_go' in place of "
         .. "'event'?)" },

@@ -200,7 +200,7 @@ end
 function typed.value(text)
   local ok, problem
   local value = nil
-  ok, problem = read_all(text, function(reader)
+  ok, problem = read_all(text, #text, function(reader)
     value = read_value(reader, 1)
     return true
   end)
