@@ -3631,11 +3631,12 @@ end
 
 do
   local PARTS = { seqand = "rfsm_seqand", forward = "rfsm_seqand", pp = "rfsmpp",
-    fsm_merge = "rfsm.merge", follow_fates = "rfsm.fates", foretell = "rfsm.fates" }
+    fsm_merge = "rfsm.merge", follow_fates = "rfsm.fates", foretell = "rfsm.fates",
+    prepare = "rfsm.prepare", save_memory = "rfsm.prepare" }
 
   for name in ([[check_between_steps check_no_otrs is_in machines map_from_to
-    node_find_enabled note_cut place prepare save_memory set_emit set_sta_mode
-    begin_in snapshot_hooks structure_of target_of targets took_path waiting
+    node_find_enabled note_cut place set_emit set_sta_mode begin_in snapshot_hooks
+    structure_of target_of targets took_path waiting
     ]]):gmatch("%S+") do
     PARTS[name] = "rfsm.tools"
   end

@@ -5,7 +5,7 @@
 -- @module rfsm.tools
 -- @license BSD-3-Clause
 
-local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
+local error, ipairs, pcall = error, ipairs, pcall
 local rawequal, rawset, type = rawequal, rawset, type
 local max = math.max
 
@@ -427,72 +427,6 @@ local function define_moves(core, engine)
   end
 end
 
--- Prepare: compile what would be compiled while the machine runs ----------------------
-
-local MOST_PATHS, MOST_SEGMENTS = 50, 6 -- for a leaf and an event; in a path
-
-local function define_prepare(core, engine)
-  ---@class rfsm
-  local rfsm = core
-
-  local paths_left = 0
-
-  -- Makes the paths that continue `at` with a transition, and compiles them.
-  local function prepare_paths(fsm, at, tr)
-    local segment = engine.segment_of(fsm, tr)
-    if not segment then return end
-    local path = at._paths and at._paths[segment] or engine.new_path(at, segment)
-    if not segment.connector then
-      paths_left = paths_left - 1
-      engine.fast.compile(engine.path_of(fsm, path))
-      return
-    end
-    local is_long = #path.segments >= MOST_SEGMENTS
-    for _, way in ipairs(is_long and NONE or segment.connector._otrs) do
-      if paths_left > 0 then prepare_paths(fsm, path, way) end
-    end
-  end
-
-  -- Makes and compiles the paths that continue `at` with each transition of a list.
-  local function prepare_list(fsm, at, list)
-    paths_left = MOST_PATHS
-    for _, tr in ipairs(list) do prepare_paths(fsm, at, tr) end
-  end
-
-  local function prepare_leaf(fsm, leaf)
-    for _, choice in pairs(engine.list_choices(leaf)) do -- any order: independent
-      prepare_list(fsm, leaf, choice)
-      engine.fast.quick_run(fsm, leaf, choice)
-    end
-  end
-
-  --- Compile a machine completely now, not while it runs.
-  --
-  -- Without this call a path is compiled when it has been taken a few times. This is
-  -- also true of paths that change later, by `fsm_merge` or because a hook is added.
-  --
-  ---@param fsm rfsm.Machine
-  function rfsm.prepare(fsm)
-    rfsm.check_machine(fsm, "rfsm.prepare")
-    for _, at in ipairs(rfsm.machines(fsm)) do
-      local machine = at.machine
-      prepare_list(machine, engine.entrance_of(machine),
-        machine._is_leaf and NONE or machine.initial._otrs)
-      for _, node in ipairs(machine._nodes) do
-        if not node._mode then engine.note_of(machine, node) end
-        if node._is_leaf then prepare_leaf(machine, node) end
-      end
-    end
-  end
-
-  --- Use less memory and more time from now on: rfsm/fast.lua compiles nothing more.
-  function rfsm.save_memory()
-    local function none() end
-    for name in pairs(engine.fast) do engine.fast[name] = none end -- any order: a set
-    engine.fast.is_loaded = true
-  end
-end
-
 ---@param rfsm rfsm the core
 ---@param engine table<string, function> functions of the core
 return function(rfsm, engine)
@@ -500,5 +434,4 @@ return function(rfsm, engine)
   define_questions(rfsm, engine)
   define_structure(rfsm)
   define_moves(rfsm, engine)
-  define_prepare(rfsm, engine)
 end

@@ -120,6 +120,7 @@ build = {
     ["rfsm.postgres.schema"] = "rfsm/postgres/schema.lua",
     ["rfsm.postgres.script"] = "rfsm/postgres/script.lua",
     ["rfsm.pp"] = "rfsm/pp.lua",
+    ["rfsm.prepare"] = "rfsm/prepare.lua",
     ["rfsm.preview"] = "rfsm/preview.lua",
     ["rfsm.proto"] = "rfsm/proto.lua",
     ["rfsm.proto.follow"] = "rfsm/proto/follow.lua",

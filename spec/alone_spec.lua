@@ -68,7 +68,7 @@ print((tostring(problem):gsub("^.-:%d+: ", "")))
     assert.equal([[
 root.b
 rfsm.is_in: rfsm/tools.lua is not installed beside rfsm.lua
-rfsm.prepare: rfsm/tools.lua is not installed beside rfsm.lua
+rfsm.prepare: rfsm/prepare.lua is not installed beside rfsm.lua
 rfsm.fsm_merge: rfsm/merge.lua is not installed beside rfsm.lua
 rfsm.follow_fates: rfsm/fates.lua is not installed beside rfsm.lua
 nil]], output_with({ "rfsm" }, [[

@@ -436,7 +436,7 @@ local function obstacle(launch)
     return "stripped: no modules in rfsm/stripped beside the library, or it was loaded "
       .. "before from source"
   end
-  if not rfsm.prepare then return "another rfsm is loaded in this Lua" end
+  if not rfsm.got then return "another rfsm is loaded in this Lua" end
   if not package.loaded.rtt then return "no module 'rtt' in this Lua" end
   if not rfsm.is_initialized_root(rawget(_G, "fsm")) then return nil end
   return "a machine was launched here before, it is the global 'fsm'"
