@@ -36,6 +36,7 @@ local elements, text_of = rfsm.elements, rfsm.text_of
 ---@field until_ fun(first: any, second: any): rfsm_checks.Property
 ---@field at_most fun(count: integer, event: any): table at_most(n, event).within(s)
 ---@field at_least fun(count: integer, event: any): table
+---@field observer fun(chart: rfsm.State): rfsm_checks.Property
 ---@field watch_properties fun(fsm: rfsm.Machine, given?: table): fun()
 local rfsm_checks = {}
 
@@ -120,6 +121,7 @@ local ELSEWHERE = {
   after = "rfsm.explore.properties", from = "rfsm.explore.properties",
   precedes = "rfsm.explore.properties", until_ = "rfsm.explore.properties",
   at_most = "rfsm.explore.properties", at_least = "rfsm.explore.properties",
+  observer = "rfsm.explore.properties",
   watch_properties = "rfsm.observe.watch_properties",
 }
 

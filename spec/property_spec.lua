@@ -141,7 +141,7 @@ describe("a property of runs", function()
           .. "expected: leads_to, never, reach" },
       { f = function() return from "root.a".left_with(2) end,
         text = "rfsm_checks.from(...): no 'left_with' (did you mean 'left_within'?), "
-          .. "expected: can_reach, left_within, stays" },
+          .. "expected: after, can_reach, left_within, stays" },
       { f = function() return (precedes("root.a")) end,
         text = "rfsm_checks.precedes: path of a state, name of a flag, list of them or "
           .. "function expected, got nil" },

@@ -44,8 +44,8 @@ local explore = {}
 ---@field pending? integer most events that wait to be sent later (4)
 ---@field deferred? integer most events that states defer at a time (4): a premise
 ---@field dry_run? boolean call entries, exits and effects once, to note what they send
----@field flags? table<string, { on?: string[], off?: string[] }> name of a flag -> the
--- callbacks that set it (`on`) and the callbacks that clear it (`off`)
+---@field flags? table<string, { on?: any[], off?: any[] }> name of a flag -> the
+-- callbacks and events that set it (`on`), and those that clear it (`off`)
 ---@field vars? table<string, any> fields that callbacks in `run` read and set
 ---@field run? (function|string)[] callbacks that are called: "effect root.trans[2]"
 ---@field exclusive? any[] guards, or lists of guards: in a step at most one is true
@@ -310,6 +310,14 @@ local function after_choice(walk, has_ended)
   return walk.is_late
 end
 
+-- Do two configurations differ only in flags, which events have switched?
+local function differ_in_flags(walk, one, other)
+  if order.is_empty(walk.subject.flags_of_event) then return false end
+  local _, key = split(walk.keys[one])
+  local _, other_key = split(walk.keys[other])
+  return key:gsub("[+-]+", "", 1) == other_key:gsub("[+-]+", "", 1)
+end
+
 -- Notes the outcome of a step in the walk.
 local function note_step(walk, try, key, label)
   local from = try.from
@@ -323,7 +331,8 @@ local function note_step(walk, try, key, label)
   end
   local tgt = walk:find_configuration(key, from, label)
   add_step(walk, try, tgt)
-  walk.has_moved = walk.has_moved or tgt ~= from or walk.subject.taken[1] ~= nil
+  walk.has_moved = walk.has_moved or walk.subject.taken[1] ~= nil
+    or tgt ~= from and not differ_in_flags(walk, from, tgt)
   note_passed(walk, from, tgt, label)
   walk:look(from, tgt, try.events, label)
 end
@@ -588,8 +597,20 @@ function explore.new(model, options, way)
     ends = huge, is_late = false,
     monitor = false, contexts = {}, context_ids = {}, kin = {},
     unsure = {}, cut = {}, timing = false }, Walk)
+  for _, event in ipairs(rfsm.sorted_keys(own.flags_of_event)) do
+    walk:want(own:event_meant(event))
+  end
   function walk.label() return label_of(walk.try, own.choices, own.asked) end
   return walk
+end
+
+--- Have a walk try an event from each configuration, also one that nothing takes.
+---@param event any
+function Walk:want(event)
+  local is_allowed = not self.subject.alphabet
+    or match.has(self.subject.alphabet, event)
+  if is_allowed then self.wanted[#self.wanted + 1] = event end
+  self.subject.wanted[event] = false
 end
 
 --- Have a walk begin with the configuration that its subject is in.

@@ -243,13 +243,33 @@ local function add_reacting(self, parts, event)
   end
 end
 
+-- Appends the parts of which an observer hears or asks. Returns false if these may be
+-- all parts.
+local function add_heard(self, parts, observer)
+  local own = self.own
+  for _, word in ipairs(observer.words) do
+    local kind, path = rfsm.event_text(word):match("^(%l+) (root.*)$")
+    if own:maker_of(word) or kind == "taken" then return false end
+    parts[#parts + 1] = kind and own.part_of[path] or nil
+    add_reacting(self, parts, word)
+  end
+  for _, condition in ipairs(observer.conditions) do
+    if not add_named(own, parts, condition) then return false end
+  end
+  return true
+end
+
 -- Returns the way of the walk on which a property is judged. It has all parts if the
 -- property has a function, or an event that machines make themselves.
 local function way_for(self, judged)
   local own, parts, event = self.own, {}, judged.event
   local property = judged.property
+  if judged.observer then
+    return add_heard(self, parts, judged.observer) and way_of(self, parts)
+  end
   local are_known = add_named(own, parts, property.what)
     and add_named(own, parts, property.goal)
+    and add_named(own, parts, property.scope)
   if not are_known or event ~= nil and own:maker_of(event) then return false end
   if event ~= nil then add_reacting(self, parts, event) end
   return way_of(self, parts)

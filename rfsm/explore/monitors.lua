@@ -21,6 +21,8 @@ local monitors = {}
 ---@field expired integer how many clocks have expired
 ---@field count integer how many clocks there are
 ---@field is_idle? boolean for running machines: nothing happens before an event comes
+---@field observer? rfsm_checks.Observer the observer that judges the property
+---@field heard? rfsm_checks.Heard[] the words of the step that it has not heard yet
 ---@field is_at_rest? boolean for running machines: it is idle, and no timer is armed
 
 --- Does a condition hold?
@@ -68,7 +70,10 @@ local kinds = {
   from = { text = "from {what} can reach {goal}" },
   leads_to = { text = "after {event} leads to {goal}", owes = "owed" },
   after_never = { text = "after {event} never {goal}", passes = true },
-  precedes = { text = "{what} precedes {goal}", passes = true, next = "done" },
+  observer = { text = "observer", passes = true },
+  never_until = { text = "after {event} never {goal}", passes = true },
+  unless = { text = "always {what}", passes = true },
+  precedes = { text = "{what} precedes {goal}", passes = true, next = "root.seen" },
   ["until"] = { text = "{what} until {goal}", owes = "first", next = "done" },
   reach_within = { text = "after {event} reach {goal} within {seconds} s" },
   left_within = { text = "from {what} left within {seconds} s" },
@@ -104,9 +109,16 @@ function kinds.after_never.see(property, state, look)
   return "violated"
 end
 
-function kinds.precedes.see(property, state, look)
-  if state == "done" or holds(property.what, look.active) then return "done" end
-  return holds(property.goal, look.active) and "violated" or state
+-- The state is the leaf of an observer, which hears of the step what is new.
+local function observe(_, state, look)
+  look.heard[#look.heard + 1] = { word = look.is_end and "step" or "pass",
+    active = look.active }
+  state, look.heard = look.observer:next(state, look.heard), {}
+  return state
+end
+
+for _, kind in ipairs { "observer", "never_until", "unless", "precedes" } do
+  kinds[kind].see = observe
 end
 
 kinds["until"].see = function(property, state, look)
@@ -194,6 +206,7 @@ local function look_at(walk, judged, state, try, view)
   local own, property = walk.subject, judged.property
   local look = { came = false, is_end = false }
   look.count, look.expired = count_clocks(try, judged)
+  look.observer, look.heard = judged.observer, own:heard_words()
   for _, moment in ipairs(own.passed) do
     look.active = own:view_of_moment(moment)
     if state ~= "violated" then state = monitors.look(property, state, look) end
@@ -202,6 +215,9 @@ local function look_at(walk, judged, state, try, view)
   look.active, look.is_end = view, true
   look.came = judged.event ~= nil and own.parts[1].position.leaf
     and own.wanted[judged.event] or false
+  if look.came and property.scope then
+    look.came = holds(property.scope, own:view(try.conf))
+  end
   judged.has_come = judged.has_come or look.came
   return monitors.look(property, state, look)
 end

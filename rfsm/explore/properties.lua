@@ -13,6 +13,7 @@ local fairness = require "rfsm.explore.fairness"
 local graph = require "rfsm.explore.graph"
 local match = require "rfsm.shared.match"
 local monitors = require "rfsm.explore.monitors"
+local observers = require "rfsm.explore.observers"
 local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 
@@ -29,6 +30,13 @@ local properties = {}
 ---@field what? any the condition
 ---@field event? any the event that the property is about
 ---@field goal? any the second condition, such as the one to be reached
+---@field scope? any the condition that holds when the event comes
+---@field ending? any the condition or event with which a bond ends
+---@field again? any the condition or event with which a bond begins anew
+---@field chart? rfsm.State the chart of an observer
+---@field until_? fun(ending: any): rfsm_checks.Property for `after(...).never(...)`
+---@field since? fun(event: any): rfsm_checks.Property for `never` and `precedes`
+---@field unless? fun(ending: any): rfsm_checks.Property for `always`
 ---@field seconds? number the time limit or time span
 ---@field count? integer how many events at most, or at least
 ---@field within? fun(seconds: number): rfsm_checks.Property for `after(...).reach(...)`
@@ -47,11 +55,17 @@ function PROBLEMS.what(what)
     .. type(what)
 end
 
-PROBLEMS.goal = PROBLEMS.what
+PROBLEMS.goal, PROBLEMS.scope = PROBLEMS.what, PROBLEMS.what
 
 function PROBLEMS.event(event)
   return event == nil and "event expected, got nil" or nil
 end
+
+function PROBLEMS.ending(thing)
+  return thing == nil and "event or condition expected, got nil" or nil
+end
+
+PROBLEMS.again = PROBLEMS.ending
 
 local is_count = opts.is_whole(1, 100)
 
@@ -82,19 +96,24 @@ local function new(kind, parts)
 end
 
 -- Returns a function that takes the last part of a property and returns the property.
--- The property of `after(...).reach(...)` also has a function `within`, which returns a
--- property with a time limit.
+-- MORE[kind] gives a property of a kind functions that return another property.
+local MORE
+
 local function ending(where, kind, parts, last)
   return function(value)
-    local property = new(kind, parts)
-    property[last] = checked(where, last, value)
-    if kind == "after" then
-      property.within = ending("after(...).reach(...).within", "reach_within",
-        { event = parts.event, goal = value }, "seconds")
+    local own = { [last] = checked(where, last, value) }
+    for part, other in order.each(parts) do own[part] = other end -- any order
+    local property = new(kind, own)
+    for name, rest in order.each(MORE[kind] or {}) do -- any order: independent
+      property[name] = ending(("%s(...).%s"):format(where, name), rest[1], own, rest[2])
     end
     return property
   end
 end
+
+MORE = { after = { within = { "reach_within", "seconds" } },
+  after_never = { until_ = { "never_until", "ending" } },
+  never_until = { until_ = { "never_until", "ending" } } }
 
 -- The first halves of properties: table -> "after(...) alone (after(...).reach(...))".
 local halves = setmetatable({}, { __mode = "k" })
@@ -117,17 +136,36 @@ local function first_half(where, parts, endings)
 end
 
 --- Declare that a condition holds in no configuration.
+--
+-- `never("root.moving").since("e_stop")` is `after("e_stop").never("root.moving")`.
+--
 ---@param condition string|string[]|fun(active: fun(name: string): boolean): boolean
 ---@return rfsm_checks.Property
 function properties.never(condition)
-  return new("never", { what = checked("never", "what", condition) })
+  local property = new("never", { what = checked("never", "what", condition) })
+  property.since = ending("never(...).since", "after_never", { goal = condition },
+    "event")
+  return property
 end
 
 --- Declare that a condition holds in each configuration after the first entry.
+--
+-- `always("root.homing").unless("e_homed")`: it holds until the event has come, or a
+-- condition has held. Neither has to come.
+--
 ---@param condition string|string[]|fun(active: fun(name: string): boolean): boolean
 ---@return rfsm_checks.Property
 function properties.always(condition)
-  return new("always", { what = checked("always", "what", condition) })
+  local parts = { what = checked("always", "what", condition) }
+  local property = new("always", parts)
+  property.unless = ending("always(...).unless", "unless", parts, "ending")
+  return property
+end
+
+local function after(where, event, scope)
+  return first_half(where, { event = event, scope = scope },
+    { reach = { "after", "goal" }, leads_to = { "leads_to", "goal" },
+      never = { scope ~= nil and "never_until" or "after_never", "goal" } })
 end
 
 --- Declare the consequence of an event that comes after the first entry.
@@ -135,14 +173,13 @@ end
 -- `after("e_stop").reach("root.stopped")`: the condition holds after the step with the
 -- event, or after one of the next steps without events from outside, whatever guards
 -- answer. `.within(5)`: it holds within 5 seconds, whatever other events come.
--- `leads_to`: it holds eventually. `never`: after that step it never holds.
+-- `leads_to`: it holds eventually. `never`: after that step it never holds, or with
+-- `.until_("e_reset")` not before that event has come, or a condition has held.
 --
 ---@param event any
 ---@return table of `reach(condition)`, `leads_to(condition)`, `never(condition)`
 function properties.after(event)
-  return first_half("after(...)", { event = checked("after", "event", event) },
-    { reach = { "after", "goal" }, leads_to = { "leads_to", "goal" },
-      never = { "after_never", "goal" } })
+  return after("after(...)", checked("after", "event", event))
 end
 
 --- Declare how long a condition holds, or what can follow it.
@@ -150,22 +187,34 @@ end
 -- `from("root.fault").can_reach("root.ready")`: from each configuration in `root.fault`
 -- some run leads to `root.ready`. `left_within(2)`: each time the condition begins to
 -- hold, it ends within 2 seconds. `stays(2)`: it then holds for at least 2 seconds.
+-- `after(event)`: as `after(event)`, if the condition holds when the event comes.
 --
 ---@param condition any
----@return table of `can_reach(condition)`, `left_within(seconds)`, `stays(seconds)`
+---@return table of `can_reach(condition)`, `left_within(seconds)`, `stays(seconds)`,
+-- `after(event)`
 function properties.from(condition)
-  return first_half("from(...)", { what = checked("from", "what", condition) },
+  local half = first_half("from(...)", { what = checked("from", "what", condition) },
     { can_reach = { "from", "goal" }, left_within = { "left_within", "seconds" },
       stays = { "stays", "seconds" } })
+  function half.after(event)
+    return after("from(...).after(...)", checked("from(...).after", "event", event),
+      condition)
+  end
+  return half
 end
 
---- Declare that the second condition does not hold before the first one has held.
+--- Declare that the second thing does not happen before the first one has. Each is a
+--- condition or an event. With `.since(event)`, the first one must happen again after
+--- each such event.
 ---@param first any
 ---@param second any
 ---@return rfsm_checks.Property
 function properties.precedes(first, second)
-  return new("precedes", { what = checked("precedes", "what", first),
-    goal = checked("precedes", "goal", second) })
+  local parts = { what = checked("precedes", "what", first),
+    goal = checked("precedes", "goal", second) }
+  local property = new("precedes", parts)
+  property.since = ending("precedes(...).since", "precedes", parts, "again")
+  return property
 end
 
 --- Declare that, from the first entry on, the first condition holds until the second
@@ -176,6 +225,28 @@ end
 function properties.until_(first, second)
   return new("until", { what = checked("until_", "what", first),
     goal = checked("until_", "goal", second) })
+end
+
+--- Declare that an observer is never in a leaf named `bad`.
+--
+-- An observer is a chart that hears the events of the machine, `entry root.a`,
+-- `exit root.a`, `taken root.trans[2]`, and `step` after each step.
+--
+-- @usage
+--    rfsm_checks.observer(rfsm.state {
+--      free = rfsm.state {}, asked = rfsm.state {}, bad = rfsm.state {},
+--      rfsm.trans { src = "initial", tgt = "free" },
+--      rfsm.trans { src = "free", tgt = "asked", events = { "e_request" } },
+--      rfsm.trans { src = "asked", tgt = "free", events = { "entry root.answered" } },
+--      rfsm.trans { src = "asked", tgt = "bad", events = { "e_request" } } })
+--
+---@param chart rfsm.State
+---@return rfsm_checks.Property
+function properties.observer(chart)
+  if not rfsm.is_state(chart) then
+    error("rfsm_checks.observer: state expected, " .. opts.got(chart), 2)
+  end
+  return new("observer", { chart = chart })
 end
 
 --- Declare that an event comes at most `count` times in any time span of a given
@@ -204,11 +275,22 @@ local function text_of(what)
   return type(what) == "table" and concat(what, " and ") or rfsm.text_of(what)
 end
 
+-- The texts around the parts that a property of any kind may have.
+local AROUND = { { "scope", "from {scope} ", "" }, { "again", "", " since {again}" },
+  { "ending", "", " until {ending}" } }
+
 function Property:__tostring()
-  return (kinds[self.kind].text:gsub("{(%l+)}", function(field)
+  local text = kinds[self.kind].text
+  for _, part in ipairs(AROUND) do
+    if self[part[1]] ~= nil then text = part[2] .. text .. part[3] end
+  end
+  return (text:gsub("{(%l+)}", function(field)
     local value = self[field]
-    local is_event = field == "event" and type(value) ~= "function"
-    return (is_event and rfsm.event_text or text_of)(value)
+    local is_event = type(value) ~= "string" and rfsm.event_name(value)
+    if type(value) ~= "function" and field == "event" then
+      is_event = rfsm.event_text(value)
+    end
+    return is_event or text_of(value)
   end))
 end
 
@@ -219,6 +301,7 @@ end
 ---@field name string
 ---@field property rfsm_checks.Property
 ---@field event any the event that the property means in the chart
+---@field observer? rfsm_checks.Observer the observer that judges the property
 ---@field unnamed? string a text that no transition names the event
 ---@field holds boolean|nil nil: not known, since something was not tried
 ---@field vacuous? string the reason why nothing tests the property
@@ -339,12 +422,14 @@ end
 ---@param where string name of the function that was called
 ---@param judged rfsm_checks.Judged
 ---@param active fun(name: string): boolean
-function properties.check_names(where, judged, active)
+---@param is_condition? fun(thing: any): boolean
+function properties.check_names(where, judged, active, is_condition)
   local property = judged.property
-  for _, field in ipairs { "what", "goal" } do
+  for _, field in ipairs { "what", "goal", "scope", "ending", "again" } do
     local condition = property[field]
-    local ok, problem = pcall(holds, type(condition) ~= "function" and condition
-      or {}, active)
+    local is_asked = condition ~= nil and type(condition) ~= "function"
+      and (not is_condition or is_condition(condition))
+    local ok, problem = pcall(holds, is_asked and condition or {}, active)
     if not ok then
       error(("%s: property '%s': %s"):format(where, judged.name, problem), 0)
     end
@@ -395,8 +480,9 @@ local function watch_steps(walk, afters)
   function walk.look(_, from, tgt, _, label)
     if not own.parts[1].position.leaf then return end -- before the first entry
     for _, judged in ipairs(afters) do
-      local owed, event = judged.owed, judged.event
-      if own.wanted[event] then
+      local owed, event, scope = judged.owed, judged.event, judged.property.scope
+      local is_there = scope == nil or holds(scope, own:view(walk:configuration(from)))
+      if own.wanted[event] and is_there then
         judged.has_come = true
         judged.is_taken = judged.is_taken or properties.is_taken(own, event)
         owed[tgt] = owed[tgt] or { from = from, label = label() }
@@ -414,6 +500,21 @@ local function want_event(walk, judged)
   end
 end
 
+-- Makes the observer of a property. The chart of an observer may be wrong: then the
+-- error begins with its file.
+local function add_observer(where, judged, audible, is_condition)
+  local ok, observer = pcall(observers.of, judged.property, audible, is_condition)
+  if ok then
+    judged.observer = observer
+  elseif judged.property.chart then
+    error(observer, 0)
+  else
+    error(("%s: property '%s': %s"):format(where, judged.name, observer), 0)
+  end
+end
+
+properties.add_observer = add_observer
+
 --- List the properties of an exploration.
 -- @raise if a property names a state, a flag or an event that does not exist
 ---@param own rfsm_checks.Subject
@@ -422,9 +523,11 @@ end
 function properties.list_for(own, given)
   local where = "rfsm_checks.explore"
   local list = properties.list_of(where, given)
-  local active = own:view(own:configuration(own:read()))
+  local audible = own:audible()
+  local function is_condition(thing) return own:is_condition(thing) end
   for _, judged in ipairs(list) do
-    properties.check_names(where, judged, active)
+    properties.check_names(where, judged, audible.active, is_condition)
+    add_observer(where, judged, audible, is_condition)
     judged.event = own:event_meant(judged.property.event)
     if judged.event ~= nil then check_maker(own, judged) end
     judged.unnamed = text_of_unnamed(own, judged.event)
@@ -449,12 +552,25 @@ function properties.watch(walk, list)
   if afters[1] then watch_steps(walk, afters) end
 end
 
+-- Has a walk note the words that an observer hears, and take steps with the events.
+local function watch_words(walk, judged)
+  local own, words = walk.subject, judged.observer.words
+  own:hear(words)
+  if judged.event ~= nil then own.wanted[judged.event] = false end
+  for _, word in ipairs(words) do
+    local is_event = not (word == "step" or word == "pass" or type(word) == "string"
+      and word:find("^%l+ root"))
+    if is_event then walk:want(own:event_meant(word)) end
+  end
+end
+
 --- Prepare a walk for the monitor of a property. Monitors do not share a walk, since
 --- the state of the monitor is a part of each configuration.
 ---@param walk rfsm_checks.Walk
 ---@param judged rfsm_checks.Judged
 function properties.monitor(walk, judged)
   walk.monitor = judged
+  if judged.observer then return watch_words(walk, judged) end
   if judged.event ~= nil then want_event(walk, judged) end
 end
 

@@ -50,7 +50,7 @@ local function check_flag(where, flag)
     end
   end
   if not (flag.on and flag.on[1]) then
-    return where .. ".on: callbacks that switch it on expected, got none"
+    return where .. ".on: callbacks or events that switch it on expected, got none"
   end
 end
 
@@ -428,16 +428,34 @@ function replacements.new(self, what, path, part, callback)
     new_replacement(self, part, name, run, self.flags_of[name] or {}, events))
 end
 
--- Notes that the replacements of the callbacks `names` set a flag to a value.
+-- Is it the name of a callback, such as "entry root.a", and not an event?
+local function is_callback_name(name)
+  return type(name) == "string" and name:find("^%l+ ") ~= nil
+end
+
+-- Notes that the replacements of the callbacks, or the events, in `names` set a flag to
+-- a value. An event with data is given by its name.
 local function set_flag(self, names, number, value)
   for _, name in ipairs(names or {}) do
-    self.flags_of[name] = self.flags_of[name] or {}
-    table.insert(self.flags_of[name], { number = number, value = value })
+    local of = is_callback_name(name) and self.flags_of or self.flags_of_event
+    name = not is_callback_name(name) and rfsm.event_name(name) or name
+    of[name] = of[name] or {}
+    table.insert(of[name], { number = number, value = value })
   end
 end
 
---- Number the flags of { motor = { on = { "entry root.a" }, off = { ... } } }. List the
---- flags that each callback's replacement sets, by the callback's name.
+--- Set the flags that an event switches.
+---@param self rfsm_checks.Subject
+---@param event any
+function replacements.switch_flags(self, event)
+  local name = match.name_of(event) or event
+  for _, flag in ipairs(self.flags_of_event[name] or {}) do
+    self.flags[flag.number] = flag.value
+  end
+end
+
+--- Number the flags of { motor = { on = { "entry root.a" }, off = { "e_off" } } }. List
+--- the flags that each callback's replacement sets, and each event, by its name.
 function replacements.read_flags(self, flags)
   for number, name in ipairs(rfsm.sorted_keys(flags)) do
     self.flag_numbers[name], self.flags[number] = number, "-"

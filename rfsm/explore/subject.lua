@@ -19,6 +19,7 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local alphabet_of = require("rfsm.shared.alphabet").of
 local clock = require "rfsm.clock"
 local data = require "rfsm.explore.data"
 local instrument = require "rfsm.shared.instrument"
@@ -57,6 +58,9 @@ local subject = {}
 -- "predicates", "timers", "doos"
 ---@field wanted table<any, boolean> event of a property -> did the last step have it?
 ---@field passed rfsm_checks.Moment[] entries of states that the last step left again
+---@field hears table<any, true> the words that an observer hears
+---@field has_observer boolean
+---@field heard rfsm_checks.Moment[] the words of the last step, in the field `word`
 ---@field entered table<rfsm.State, boolean> states with a doo or timers that the last
 -- step has entered
 ---@field sent { prefix: string, event: any }[] sent by replacements in the last step
@@ -230,8 +234,8 @@ function Subject:occurrence(part, event)
   return part.occurrences[event]
 end
 
--- Notes which states and flags are active when a state is entered.
-local function note_moment(self, state)
+-- Notes in a list which states and flags are active now.
+local function note_moment(self, list, state, word)
   local active = {}
   for _, part in ipairs(self.parts) do
     for _, path in ipairs(part.is_quiet and part.position.known.paths or NOTHING) do
@@ -243,7 +247,7 @@ local function note_moment(self, state)
       node = rfsm.actchild_get(node)
     end
   end
-  self.passed[#self.passed + 1] = { state = state, active = active,
+  list[#list + 1] = { state = state, word = word, active = active,
     flags = self.flags[1] and concat(self.flags) or "" }
 end
 
@@ -268,7 +272,7 @@ local function make_state(self, part, state)
     and location.is_passable(state) then
     function own.entry(...)
       if entry then entry(...) end
-      note_moment(self, state)
+      note_moment(self, self.passed, state)
     end
   end
   own.exit = replacements.new(self, "exit", path, part, own.exit)
@@ -336,6 +340,16 @@ local function count_round(self, part)
   end
 end
 
+-- Notes an event that an observer hears. It comes to the machine, or is made by a
+-- region that alone knows it.
+local function note_event(self, part, event)
+  local word = match.name_of(event) or event
+  if self.hears[word] and (not part.owner or match.maker_of(event)
+    and not alphabet_of(self.parts[1].fsm).set[event]) then
+    note_moment(self, self.heard, nil, word)
+  end
+end
+
 -- Returns a step hook that counts the iterations of a step, and notes their events. An
 -- event with data that a callback has sent becomes the event of its name.
 local function new_hook(self, part)
@@ -345,6 +359,8 @@ local function new_hook(self, part)
       local event = self:event_of(events[i])
       events[i] = event
       if self.notes_events then self.last_events[#self.last_events + 1] = event end
+      if not part.owner then replacements.switch_flags(self, event) end
+      if self.has_observer then note_event(self, part, event) end
       if self.wanted[event] ~= nil and (not part.owner or match.maker_of(event)) then
         self.wanted[event] = true
       end
@@ -635,11 +651,73 @@ function Subject:view_of_moment(moment)
   return new_view(self, moment.active, moment.flags)
 end
 
+-- What observers hear ...............................................................
+
+-- Has the subject note when a machine takes a transition, in the order of paths.
+local function hear_paths(self, part)
+  rfsm.path_hook_add(part.fsm, function(_, path)
+    for _, tr in ipairs(path) do
+      local word = "taken " .. self.transitions[self.number_of[tr]].path
+      if self.hears[word] then note_moment(self, self.heard, nil, word) end
+    end
+  end)
+end
+
+--- Have the steps note the words of an observer, with what is active then. A machine
+--- keeps the events among them in its queue, whatever its leaf.
+---@param words any[]
+function Subject:hear(words)
+  for _, word in ipairs(words) do
+    local kind, path = rfsm.event_text(word):match("^(%l+) (root.*)$")
+    local state = (kind == "entry" or kind == "exit") and self.names[path]
+    self.hears[word], self.has_observer = true, true
+    if state then
+      rfsm[kind .. "_hook_add"](self.part_of[path].fsm, state, function()
+        note_moment(self, self.heard, state, word)
+      end)
+    end
+  end
+  for _, part in ipairs(self.parts) do hear_paths(self, part) end
+end
+
+--- Return the words of the last step, each with a view of the machine.
+---@return rfsm_checks.Heard[]
+function Subject:heard_words()
+  local list = {}
+  for i, moment in ipairs(self.heard) do
+    list[i] = { word = moment.word, active = self:view_of_moment(moment) }
+  end
+  return list
+end
+
+--- Return what an observer may hear, and ask of the machine.
+---@return rfsm_checks.Audible
+function Subject:audible()
+  local events, made, transitions = {}, rfsm.sorted_keys(self.done), {}
+  for _, list in ipairs { self.event_list, self.alphabet or NOTHING } do
+    for _, event in ipairs(list) do
+      local kind = self:maker_of(event) and made or events
+      kind[#kind + 1] = match.name_of(event) or event
+    end
+  end
+  for i, entry in ipairs(self.transitions) do transitions[i] = entry.path end
+  return { events = events, made = made, states = self.paths,
+    transitions = transitions, active = self:view(self:configuration((self:read()))) }
+end
+
+--- Is a thing a condition, and not an event? A text is one if it is the path of a state
+--- or the name of a flag, or could be a path.
+function Subject:is_condition(thing)
+  if rfsm.event_name(thing) or match.name_of(thing) then return false end
+  return type(thing) ~= "string" or self.flag_numbers[thing] ~= nil
+    or (thing .. "."):find("^root%.") ~= nil
+end
+
 -- Steps ...........................................................................
 
 -- The fields with lists of what a step did. They are emptied when the next step begins.
-local OF_STEP = { "taken", "passed", "last_events", "sent", "sent_later", "emitted",
-  "called" }
+local OF_STEP = { "taken", "passed", "heard", "last_events", "sent", "sent_later",
+  "emitted", "called" }
 
 local function clear(list)
   for i = #list, 1, -1 do list[i] = nil end
@@ -897,10 +975,12 @@ function subject.new(model, options, way)
     cancellers = {}, deferred = 0, has_senders = false,
     emitted = {}, emitters = {}, dry_sends = {},
     runs = {},
-    flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
+    flags = {}, flags_of = {}, flags_of_event = {},
+    flag_numbers = {}, sends = options.sends or {},
     calls_callbacks = options.callbacks, called = {},
     choices = {}, is_known = {}, askers = {}, is_doo = {}, asked = 0,
-    taken = {}, passed = {}, last_events = {}, ids = {}, entered = {}, values = {},
+    taken = {}, passed = {}, hears = {}, heard = {}, has_observer = false,
+    last_events = {}, ids = {}, entered = {}, values = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
     alphabet = nil, time = clock.simulated(), is_endless = false,
     notes_events = false, leaves_out = false, trimmed = false,

@@ -6,7 +6,7 @@
 --    began(at, events)                    an iteration begins, before other hooks
 --    guard(at, tr, own, events, event)    called in place of the guard `own`
 --    taken(at, path, events)              the transitions in `path` will be taken
---    entered(at, state)                   a state is entered, before its entry
+--    entered(at, state), left(at, state)  a state is entered, before its entry; is left
 --    failed(at, element, name, failure)   the callback `name` of an element has failed
 --    sent(at, event, ...)                 events were sent
 --    resumed(at, leaf), ended(at, leaf)   the doo of a leaf is resumed, has ended
@@ -41,12 +41,18 @@ Stream.__index = Stream
 
 local stream = {}
 
+local function attach_state(own, at, state, kind, f)
+  if not f then return end
+  instrument.hook_of(own.changes, at.machine, kind, state, function(_, element)
+    f(at, element)
+  end)
+end
+
 local function attach_element(own, at, element)
   local listener = own.listener
-  if rfsm.is_state(element) and listener.entered then
-    instrument.hook_of(own.changes, at.machine, "entry", element, function(_, state)
-      listener.entered(at, state)
-    end)
+  if rfsm.is_state(element) then
+    attach_state(own, at, element, "entry", listener.entered)
+    attach_state(own, at, element, "exit", listener.left)
   elseif rfsm.is_trans(element) and listener.guard and element.guard then
     local done
     done = instrument.put(own.changes, element, "guard", function(_, events, event)

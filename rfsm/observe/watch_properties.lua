@@ -30,6 +30,9 @@ local watch_properties = {}
 ---@field property rfsm_checks.Property
 ---@field state string of the monitor: a word such as "first", for `monitors.look`
 ---@field clocks number[] the times at which the clocks were started
+---@field observer? rfsm_checks.Observer
+---@field unheard rfsm_checks.Heard[] words that the observer has not heard yet
+---@field is_in_scope boolean does the condition of the property hold before the step?
 ---@field is_told boolean the last step broke the property, and was reported
 
 --- A machine that is watched, and the state of the watch.
@@ -42,6 +45,11 @@ local watch_properties = {}
 ---@field leaf rfsm.State|false the active leaf when the iteration began
 ---@field meant table<any, any> event of a property -> the event that it means
 ---@field forwarded any[] events of earlier iterations that belong to this step
+---@field snapshot fun(): fun(name: string): boolean `active`, whose answers stay
+---@field hears table<any, true> the words that observers hear
+---@field heard rfsm_checks.Heard[] the words of this step
+---@field is_heard boolean the events of this iteration were heard
+---@field path_of table<table, string> transition -> its path
 ---@field moments { state: rfsm.State, active: fun(name: string): boolean }[] entries of
 -- states that this step may leave again, and what was active at each entry
 ---@field stream rfsm.observe.Stream
@@ -168,18 +176,51 @@ local function look_at(own, monitor, look, events)
   local property = monitor.property
   look.came = property.event ~= nil and own.leaf
     and has_come(own, property.event, events) or false
+  look.came = look.came and monitor.is_in_scope
   look.expired, look.count = count_expired(own, monitor), #monitor.clocks
+  look.observer, look.heard = monitor.observer, monitor.unheard
   local state, clocks = monitors.look(property, monitor.state, look)
   if clocks then set_clocks(monitor, clocks, look.now) end
   local is_violated = state == "violated"
+  monitor.unheard = look.heard
   monitor.state = is_violated and (kinds[property.kind].next or "first") or state
   if is_violated and not monitor.is_told then report(own, monitor) end
   monitor.is_told = is_violated
 end
 
 local function begin_iteration(own, at)
+  own.is_heard = false
   if at.machine ~= own.fsm then return end
   own.now, own.leaf = read_clock(own), own.fsm._act_leaf or false
+  for _, monitor in ipairs(own.forwarded[1] == nil and own.monitors or NOTHING) do
+    local scope = monitor.property.scope
+    monitor.is_in_scope = scope == nil or monitors.holds(scope, own.active)
+  end
+end
+
+-- Notes a word if an observer hears it.
+local function note_word(own, word)
+  if not own.hears[word] then return end
+  own.heard[#own.heard + 1] = { word = word, active = own.snapshot() }
+end
+
+-- Notes the events of an iteration once: before a path is taken, or at its end. Of a
+-- region, these are the events that it makes and that it alone knows.
+local function note_events(own, at, events)
+  if own.is_heard or order.is_empty(own.hears) then return end
+  own.is_heard = true
+  local is_region = at.machine ~= own.fsm
+  for i = 1, #events do
+    local event = events[i]
+    local is_own = is_region and match.maker_of(event)
+      and not alphabet.of(own.fsm).set[event]
+    if is_own or not is_region then note_word(own, match.name_of(event) or event) end
+  end
+end
+
+local function note_path(own, at, path, events)
+  note_events(own, at, events)
+  for _, tr in ipairs(path) do note_word(own, "taken " .. own.path_of[tr]) end
 end
 
 -- Does the next iteration have the events of this one again, so that both count as one
@@ -190,6 +231,7 @@ local function are_forwarded(fsm)
 end
 
 local function end_iteration(own, at, events)
+  note_events(own, at, events)
   if at.machine ~= own.fsm or not own.fsm._act_leaf then return end
   note_step(own, events)
   if are_forwarded(own.fsm) then
@@ -197,6 +239,9 @@ local function end_iteration(own, at, events)
     return
   end
   events, own.forwarded = match.joined(own.forwarded, events), {}
+  for _, monitor in ipairs(own.monitors) do
+    monitor.unheard = monitor.observer and match.joined({}, own.heard)
+  end
   for _, moment in ipairs(own.moments) do
     local look = { active = moment.active, is_end = false, now = own.now }
     local is_passed = moment.state._mode == "inactive"
@@ -204,19 +249,50 @@ local function end_iteration(own, at, events)
       look_at(own, monitor, look, NOTHING)
     end
   end
-  own.moments = {}
+  own.moments, own.heard = {}, {}
   local look = { active = own.active, is_end = true, now = read_clock(own),
     is_idle = is_idle(own.fsm) }
   look.is_at_rest = look.is_idle and not clock.until_timer(own.fsm)
   for _, monitor in ipairs(own.monitors) do look_at(own, monitor, look, events) end
 end
 
+-- Is a thing a condition, and not an event? A text is one if it could be a path.
+local function is_condition(thing)
+  if rfsm.event_name(thing) or match.name_of(thing) then return false end
+  return type(thing) ~= "string" or (thing .. "."):find("^root%.") ~= nil
+end
+
+-- Returns what an observer may hear, and ask of the machine.
+local function audible_of(own)
+  local audible = { events = {}, made = {}, states = {}, transitions = {},
+    active = own.active }
+  for _, event in ipairs(alphabet.of_all(own.fsm).list) do
+    local list = match.maker_of(event) and audible.made or audible.events
+    list[#list + 1] = match.name_of(event) or event
+  end
+  for _, at in ipairs(rfsm.machines(own.fsm)) do
+    for _, state in ipairs(rfsm.elements(at.machine, rfsm.is_state)) do
+      audible.states[#audible.states + 1] = location.path(state, at.prefix)
+      audible.made[#audible.made + 1] = "e_done@" .. state._fqn
+    end
+    for _, tr in ipairs(rfsm.elements(at.machine, rfsm.is_trans)) do
+      own.path_of[tr] = location.path(tr, at.prefix)
+      audible.transitions[#audible.transitions + 1] = own.path_of[tr]
+    end
+  end
+  return audible
+end
+
 -- Returns a monitor for each of the given properties. An error names the function
 -- `where`.
-local function monitors_of(where, given, active)
-  local list = properties.list_of(where, given)
+local function monitors_of(own, where, given)
+  local list, audible = properties.list_of(where, given), audible_of(own)
   for _, monitor in ipairs(list) do
-    properties.check_names(where, monitor, active)
+    properties.check_names(where, monitor, own.active, is_condition)
+    properties.add_observer(where, monitor, audible, is_condition)
+    for _, word in ipairs(monitor.observer and monitor.observer.words or NOTHING) do
+      own.hears[word] = true
+    end
     if not kinds[monitor.property.kind].see then
       error(("%s: property '%s' is about runs that might be: explore it"):format(where,
         monitor.name), 0)
@@ -239,9 +315,10 @@ end
 
 -- Sets all monitors to their first state, in which no clock runs.
 local function begin(own)
-  own.trace, own.forwarded, own.moments = {}, {}, {}
+  own.trace, own.forwarded, own.moments, own.heard = {}, {}, {}, {}
   for _, monitor in ipairs(own.monitors) do
     monitor.state, monitor.clocks, monitor.is_told = "first", {}, false
+    monitor.is_in_scope, monitor.unheard = false, false
   end
 end
 
@@ -260,6 +337,23 @@ function Watched:next_deadline()
     end
   end
   return least
+end
+
+-- Adds what the monitors need to a listener: entries of states that a step may leave
+-- again, and what observers hear.
+local function listen(own, listener)
+  local hears_more = not order.is_empty(own.hears)
+  local sees_more = order.any(own.monitors, sees_passages)
+  function listener.entered(at, state)
+    if sees_more then note_moment(own, state, own.snapshot) end
+    if hears_more then note_word(own, "entry " .. location.path(state, at.prefix)) end
+  end
+  if not (hears_more or sees_more) then listener.entered = nil end
+  if not hears_more then return end
+  function listener.left(at, state)
+    note_word(own, "exit " .. location.path(state, at.prefix))
+  end
+  function listener.taken(at, path, events) note_path(own, at, path, events) end
 end
 
 --- Have a machine report to `err` if a property does not hold, with the latest steps.
@@ -282,8 +376,9 @@ function watch_properties.watch_properties(fsm, given)
   end
   local active, snapshot = views_of(fsm)
   local own = setmetatable({ fsm = fsm, active = active, now = 0, leaf = false,
-    is_timed = false, meant = {} }, Watched)
-  own.monitors = monitors_of(where, given, own.active)
+    is_timed = false, meant = {}, snapshot = snapshot, hears = {}, heard = {},
+    is_heard = false, path_of = {}, forwarded = {} }, Watched)
+  own.monitors = monitors_of(own, where, given)
   own.is_timed = order.any(own.monitors, is_timed)
   begin(own)
   local listener = {
@@ -291,9 +386,7 @@ function watch_properties.watch_properties(fsm, given)
     passed = function(at, events) end_iteration(own, at, events) end,
     reset = function(at) if at.machine == fsm then begin(own) end end,
   }
-  if order.any(own.monitors, sees_passages) then
-    function listener.entered(_, state) note_moment(own, state, snapshot) end
-  end
+  listen(own, listener)
   own.stream = stream.follow(fsm, listener)
   return own
 end

@@ -1,0 +1,289 @@
+--- Observers: charts that hear what a machine does, and must never be in a leaf `bad`.
+--
+-- An observer hears one word after the other. In a step of the machine these are the
+-- events that come, `taken root.trans[2]` for each transition of a path, then
+-- `exit root.a` and `entry root.b` in their order. It hears `pass` in a composite that
+-- the step enters and leaves again, and `step` when the step is over. A transition may
+-- have a field `when`, a condition on the machine; without events it hears `step`.
+--
+-- The leaf of the observer is the state of its monitor. The engine takes each of its
+-- steps, once for each leaf, word and truth of its conditions.
+--
+-- @module rfsm.explore.observers
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
+local match = require "rfsm.shared.match"
+local monitors = require "rfsm.explore.monitors"
+local order = require "rfsm.shared.order"
+local static = require "rfsm.checks.static"
+
+local error, ipairs, pcall = error, ipairs, pcall
+local setmetatable, type = setmetatable, type
+local concat, remove = table.concat, table.remove
+
+local observers = {}
+
+--- What an observer may hear from a machine, and ask of it.
+---@class rfsm_checks.Audible
+---@field events any[] the events from outside, those with data by their names
+---@field made any[] the events that the machine makes itself
+---@field states string[] paths of states
+---@field transitions string[] paths of transitions
+---@field active fun(name: string): boolean raises an error if no state or flag has the
+-- name
+
+--- A word that an observer hears, and what is active then.
+---@class rfsm_checks.Heard
+---@field word any
+---@field active fun(name: string): boolean
+
+--- The machine of an observer.
+---@class rfsm_checks.Observer
+---@field fsm rfsm.Machine
+---@field leaves table<string, rfsm.State> by FQN
+---@field first string FQN of the leaf in which it begins
+---@field words any[] all words that its transitions name
+---@field conditions any[] all conditions of its transitions
+---@field truth boolean[] does each condition hold now?
+---@field known table<any, table<string, string>> word -> leaf and truth -> next leaf
+local Observer = {}
+Observer.__index = Observer
+
+local STEP = "step"
+
+-- The machine .......................................................................
+
+local CALLBACKS = { "entry", "exit", "doo", "guard", "effect" }
+
+local function refuse(obj, text)
+  error(rfsm.location_of(obj) .. ": " .. text, 0)
+end
+
+local function check_element(obj)
+  for _, field in ipairs(CALLBACKS) do
+    if obj[field] then
+      refuse(obj, ("an observer has no %s (a transition may have a condition, when = "
+        .. "...)"):format(field))
+    end
+  end
+  if rfsm.is_state(obj) and rfsm.regions(obj)[1] then
+    refuse(obj, "an observer has no regions")
+  end
+end
+
+-- Has a transition hear `step` if it names only a condition, and names of events in
+-- place of the predicates of `rfsm.named`.
+local function prepare_transition(tr)
+  local events = tr.events or {}
+  for i, event in ipairs(events) do events[i] = rfsm.event_name(event) or event end
+  if tr.when ~= nil and not events[1] then tr.events = { STEP } end
+end
+
+-- Makes the silent machine of a chart.
+local function new_machine(chart)
+  local preproc, at = rfsm.preproc, #rfsm.preproc + 1
+  preproc[at] = function(fsm)
+    for _, obj in ipairs(rfsm.elements(fsm)) do
+      check_element(obj)
+      if rfsm.is_trans(obj) then prepare_transition(obj) end
+    end
+  end
+  local ok, fsm, _, problems = pcall(static.init, chart, false)
+  remove(preproc, at)
+  if not ok then error(fsm, 0) end
+  if not fsm then
+    error("the observer has problems\n  " .. concat(problems, "\n  "), 0)
+  end
+  fsm.info, fsm.warn, fsm.err = false, false, false
+  return fsm
+end
+
+local function add_leaves(self)
+  local has_bad = false
+  for _, leaf in ipairs(rfsm.elements(self.fsm, rfsm.is_leaf)) do
+    self.leaves[leaf._fqn] = leaf
+    has_bad = has_bad or leaf._id == "bad"
+  end
+  if not has_bad then refuse(self.fsm, "no leaf of the observer is named 'bad'") end
+  rfsm.run(self.fsm)
+  if not self.fsm._act_leaf then refuse(self.fsm, "the observer cannot be entered") end
+  self.first = self.fsm._act_leaf._fqn
+end
+
+local OF_ELEMENTS = { entry = "states", exit = "states", taken = "transitions" }
+
+local function texts_of(events)
+  local texts = {}
+  for i, event in ipairs(events) do texts[i] = rfsm.event_text(event) end
+  return texts
+end
+
+--- Return the problem of a word; nil if the machine can say it.
+---@param word any
+---@param audible rfsm_checks.Audible
+---@return string?
+function observers.problem_of(word, audible)
+  if word == STEP or word == "pass" or match.has(audible.events, word)
+    or match.has(audible.made, word) then
+    return nil
+  end
+  local text = rfsm.event_text(word)
+  local kind, path = text:match("^(%l+) (root.*)$")
+  local names = audible[OF_ELEMENTS[kind]]
+  if names then
+    return not match.has(names, path) and ("no %s is named '%s'%s"):format(
+      kind == "taken" and "transition" or "state", path,
+      advice.nearest_name(path, names)) or nil
+  end
+  return ("no transition of the machine names '%s'%s"):format(text,
+    advice.nearest_name(text, texts_of(audible.events)))
+end
+
+-- Notes the words and the condition of a transition, and checks them.
+local function add_transition(self, tr, audible)
+  for _, word in ipairs(tr.events or {}) do
+    local problem = match.maker_of(word) == "timer"
+      and "an observer has no timers (say `.within(seconds)`)"
+      or observers.problem_of(word, audible)
+    if problem then refuse(tr, problem) end
+    if not match.has(self.words, word) then self.words[#self.words + 1] = word end
+  end
+  if tr.when == nil then return end
+  local n = #self.conditions + 1
+  local ok, problem = pcall(monitors.holds, tr.when, audible.active)
+  if not ok and type(tr.when) ~= "function" then refuse(tr, "when: " .. problem) end
+  self.conditions[n] = tr.when
+  tr.guard = function() return self.truth[n] end
+end
+
+--- Make the machine of an observer.
+-- @raise if the chart is no observer, or hears what the machine never says; the error
+-- begins with file and line of the element
+---@param chart rfsm.State
+---@param audible rfsm_checks.Audible
+---@return rfsm_checks.Observer
+function observers.new(chart, audible)
+  local self = setmetatable({ fsm = new_machine(chart), leaves = {}, first = "",
+    words = {}, conditions = {}, truth = {}, known = {} }, Observer)
+  add_leaves(self)
+  for _, tr in ipairs(rfsm.elements(self.fsm, rfsm.is_trans)) do
+    if rfsm.is_state(tr.src) then add_transition(self, tr, audible) end
+  end
+  return self
+end
+
+-- Takes a step of the machine. Returns the FQN of the next leaf.
+local function take_step(self, leaf, word)
+  rfsm.place(self.fsm, self.leaves[leaf], "done", { word })
+  rfsm.step(self.fsm)
+  local next_leaf = self.fsm._act_leaf
+  return next_leaf._id == "bad" and "violated" or next_leaf._fqn
+end
+
+-- Hears a word. Returns the FQN of the next leaf; "violated" for a leaf named `bad`.
+local function hear(self, leaf, word, active)
+  local key = leaf
+  for i, condition in ipairs(self.conditions) do
+    self.truth[i] = monitors.holds(condition, active)
+    key = key .. (self.truth[i] and "+" or "-")
+  end
+  local known = self.known[word] or {}
+  self.known[word] = known
+  known[key] = known[key] or take_step(self, leaf, word)
+  return known[key]
+end
+
+--- Hear the words of a step, or of a part of it.
+---@param state string the FQN of the leaf; "first" in the beginning
+---@param heard rfsm_checks.Heard[]
+---@return string state "violated" if it has come into a leaf named `bad`
+function Observer:next(state, heard)
+  if state == "first" then state = self.first end
+  for _, each in ipairs(heard) do
+    if state == "violated" then break end
+    state = hear(self, state, each.word, each.active)
+  end
+  return state
+end
+
+-- Patterns: charts of the words of properties ........................................
+
+local IN_STEP, AT_END = { "pass", STEP }, { STEP }
+
+-- Returns a transition for a thing: a condition, or an event.
+local function go(src, tgt, thing, fields)
+  local all = { src = src, tgt = tgt, events = thing.events, when = thing.when }
+  for name, value in order.each(fields or {}) do all[name] = value end -- any order
+  return rfsm.trans(all)
+end
+
+-- Returns a chart with a leaf `bad`, two more leaves, and some transitions.
+local function chart_of(first, second, transitions)
+  transitions[#transitions + 1] = rfsm.trans { src = "initial", tgt = first }
+  transitions.bad, transitions[first] = rfsm.state {}, rfsm.state {}
+  transitions[second] = rfsm.state {}
+  return rfsm.state(transitions)
+end
+
+local patterns = {}
+
+-- After an event, in a scope, something does not happen until something else does.
+function patterns.never_until(property, thing)
+  local ending = property.ending
+  return chart_of("free", "held", {
+    go("free", "held", thing(property.event), { when = property.scope }),
+    go("held", "bad", thing(property.goal)),
+    ending ~= nil and go("held", "free", thing(ending), { pn = 1 }) or nil })
+end
+
+-- The second thing does not happen before the first one: from the first entry on, and
+-- again since each event.
+function patterns.precedes(property, thing)
+  local again = property.again
+  return chart_of("none", "seen", {
+    go("none", "seen", thing(property.what), { pn = 1 }),
+    go("none", "bad", thing(property.goal)),
+    again ~= nil and go("seen", "none", thing(again)) or nil })
+end
+
+-- A condition holds from the first entry on, unless something has happened.
+function patterns.unless(property, thing)
+  local condition = property.what
+  return chart_of("bound", "free", {
+    go("bound", "free", thing(property.ending), { pn = 1 }),
+    go("bound", "bad", { events = AT_END, when = function(active)
+      return not monitors.holds(condition, active)
+    end }) })
+end
+
+-- The parts of a property that are conditions or events.
+local THINGS = { "event", "what", "goal", "ending", "again", "scope" }
+
+--- Make the observer that judges a property; return nil if no observer does.
+-- @raise if the property, or its chart, names what the machine does not have
+---@param property rfsm_checks.Property
+---@param audible rfsm_checks.Audible
+---@param is_condition fun(thing: any): boolean is it a condition? Otherwise an event
+---@return rfsm_checks.Observer?
+function observers.of(property, audible, is_condition)
+  if property.chart then return observers.new(property.chart, audible) end
+  local pattern = patterns[property.kind]
+  if not pattern then return nil end
+  local function word_of(thing)
+    return rfsm.event_name(thing) or match.name_of(thing) or thing
+  end
+  for _, field in ipairs(THINGS) do
+    local thing = property[field]
+    local problem = thing ~= nil and not is_condition(thing)
+      and observers.problem_of(word_of(thing), audible)
+    if problem then error(problem, 0) end
+  end
+  return observers.new(pattern(property, function(thing)
+    if is_condition(thing) then return { events = IN_STEP, when = thing } end
+    return { events = { word_of(thing) } }
+  end), audible)
+end
+
+return observers
