@@ -199,7 +199,7 @@ describe("explore", function()
     { { sends = { ["entry root.b"] = 7 } }, "rfsm_checks.explore: sends: " },
     { { seconds = -1 }, "rfsm_checks.explore: seconds: number expected, got %-1$" },
     { { dept = 3 }, "explore_spec.lua:%d+: rfsm_checks.explore: unknown option 'dept' "
-      .. "%(did you mean 'depth'%?%), expected: alphabet, complementary, "
+      .. "%(did you mean 'depth'%?%), expected: alphabet, classes, complementary, "
       .. "configurations, deferred, depth, dry_run, " },
     { { sends = { ["entry root.bb"] = { "e" } } },
       "^sends: no callback 'entry root.bb' %(did you mean 'entry root.b'%?%)$" },

@@ -148,6 +148,15 @@ local function note_others(self, named, names, variables)
   end
 end
 
+-- Appends how many examples there are of each event in `classes`.
+local function add_examples(self, texts)
+  for _, name in ipairs(rfsm.sorted_keys(self.classes)) do
+    local count = #self.classes[name]
+    texts[#texts + 1] = ("%d %s of %s"):format(count, count == 1 and "example"
+      or "examples", name)
+  end
+end
+
 --- Return the premises of a verdict that are about data and texts.
 ---@param self rfsm_checks.Subject
 ---@return string[] texts
@@ -156,6 +165,7 @@ function data.premises(self)
   if count > 0 then
     texts[1] = ("%d %s not run"):format(count, count == 1 and "callback" or "callbacks")
   end
+  add_examples(self, texts)
   texts[#texts + 1] = self.memory and self.memory:premise() or nil
   texts[#texts + 1] = self.shares_text and "callbacks of one line read together"
     .. (syntax.is_there and "" or " (luacheck is not installed)") or nil
@@ -217,6 +227,22 @@ local function add_rules(self, kind, list, named)
   end
 end
 
+-- Adds the guards that get an example of `classes`, if they only read: their answer is
+-- known.
+local function add_guards(self, fsm)
+  for _, entry in ipairs(order.is_empty(self.classes) and {} or rfsm.machines(fsm)) do
+    for _, tr in ipairs(rfsm.elements(entry.machine, rfsm.is_trans)) do
+      local has_example = order.any(tr.events or {}, function(event)
+        return self.is_example[event]
+      end)
+      if has_example and tr.guard and writes.only_reads(tr.guard)
+        and not match.has(self.run_list, tr.guard) then
+        self.run_list[#self.run_list + 1] = tr.guard
+      end
+    end
+  end
+end
+
 --- Read the options `vars` and `run`, and the options with rules for guards.
 ---@param self rfsm_checks.Subject
 ---@param options rfsm_checks.Options
@@ -226,6 +252,7 @@ function data.read_options(self, options, fsm)
   self.vars, self.var_names = options.vars or {}, rfsm.sorted_keys(options.vars or {})
   self.runs, self.rules, self.rule_texts, self.answers = {}, {}, {}, {}
   self.run_list = found_in(named, options.run or {}, "run")
+  add_guards(self, fsm)
   for _, f in ipairs(self.run_list) do self.runs[f] = true end
   for _, kind in ipairs { "exclusive", "complementary", "same" } do
     add_rules(self, kind, options[kind], named)

@@ -44,6 +44,8 @@ local explore = {}
 ---@field pending? integer most events that wait to be sent later (4)
 ---@field deferred? integer most events that states defer at a time (4): a premise
 ---@field dry_run? boolean call entries, exits and effects once, to note what they send
+---@field classes? table<string, table[]> name of an event with data -> the examples of
+-- its data that come: { e_reading = { { celsius = 20 }, { celsius = 90 } } }
 ---@field flags? table<string, { on?: any[], off?: any[] }> name of a flag -> the
 -- callbacks and events that set it (`on`), and those that clear it (`off`)
 ---@field vars? table<string, any> fields that callbacks in `run` read and set
@@ -524,6 +526,30 @@ local function is_order(x)
     :format(x, advice.nearest_name(x, rfsm.sorted_keys(TIMERS))) or nil
 end
 
+-- Returns the problem of the examples of an event.
+local function problem_of_examples(name, list)
+  if type(name) ~= "string" then
+    return "name of an event expected, " .. opts.got(name)
+  elseif type(list) ~= "table" or list[1] == nil then
+    return name .. ": list of tables with data expected, such as { { x = 1 } }"
+  end
+  for i, example in ipairs(list) do
+    if type(example) ~= "table" or getmetatable(example) then
+      return ("%s[%d]: table with data expected, %s"):format(name, i, opts.got(example))
+    end
+  end
+end
+
+-- Is the option right, such as { e_reading = { { celsius = 20 }, { celsius = 90 } } }?
+local function check_classes(classes)
+  if type(classes) ~= "table" then return false end
+  for _, name in ipairs(rfsm.sorted_keys(classes)) do
+    local problem = problem_of_examples(name, classes[name])
+    if problem then return false, problem end
+  end
+  return true
+end
+
 local KNOWN = {
   together = { "whole number above 0", is_count },
   configurations = { "whole number above 0", is_count, 1e6 },
@@ -535,6 +561,7 @@ local KNOWN = {
   deferred = { "whole number above 0", is_count, 4 },
   dry_run = { "boolean", is_boolean, false },
   multiply = { "boolean", is_boolean, false },
+  classes = { "table of lists", check_classes },
   flags = { "table of flags", replacements.check_flags, {} },
   vars = { "table of ranges", data.check_vars },
   run = { "list of callbacks", data.check_functions },
@@ -606,11 +633,15 @@ end
 
 --- Have a walk try an event from each configuration, also one that nothing takes.
 ---@param event any
-function Walk:want(event)
-  local is_allowed = not self.subject.alphabet
-    or match.has(self.subject.alphabet, event)
-  if is_allowed then self.wanted[#self.wanted + 1] = event end
-  self.subject.wanted[event] = false
+---@param is_certain? boolean also if the alphabet has no such event
+function Walk:want(event, is_certain)
+  local own = self.subject
+  own.wanted[event] = false
+  for _, each in ipairs(own:examples_of(event)) do
+    local is_allowed = is_certain or not own.alphabet or match.has(own.alphabet, each)
+    if is_allowed then self.wanted[#self.wanted + 1] = each end
+    own.wanted[each] = false
+  end
 end
 
 --- Have a walk begin with the configuration that its subject is in.
@@ -656,7 +687,8 @@ end
 ---@field ran false|"before"|"after"
 
 local function text_of_event(occurrence)
-  local text, part = rfsm.event_text(occurrence.event), occurrence.part
+  local part, event = occurrence.part, occurrence.event
+  local text = rfsm.event_text(event, occurrence.has_data)
   if occurrence.after then
     text = ("after %s s: %s"):format(rfsm.number_text(occurrence.after, "%.9g"), text)
   end

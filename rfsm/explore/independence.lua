@@ -20,6 +20,7 @@
 local rfsm = require "rfsm"
 local alphabet = require "rfsm.shared.alphabet"
 local match = require "rfsm.shared.match"
+local observers = require "rfsm.explore.observers"
 local order = require "rfsm.shared.order"
 
 local ipairs, type = ipairs, type
@@ -270,7 +271,10 @@ local function way_for(self, judged)
   local are_known = add_named(own, parts, property.what)
     and add_named(own, parts, property.goal)
     and add_named(own, parts, property.scope)
-  if not are_known or event ~= nil and own:maker_of(event) then return false end
+  if not are_known or event ~= nil and (own:maker_of(event)
+    or observers.is_of_element(event)) then
+    return false
+  end
   if event ~= nil then add_reacting(self, parts, event) end
   return way_of(self, parts)
 end

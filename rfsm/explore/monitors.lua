@@ -76,6 +76,7 @@ local kinds = {
   precedes = { text = "{what} precedes {goal}", passes = true, next = "root.seen" },
   ["until"] = { text = "{what} until {goal}", owes = "first", next = "done" },
   reach_within = { text = "after {event} reach {goal} within {seconds} s" },
+  never_within = { text = "after {event} never {goal} within {seconds} s" },
   left_within = { text = "from {what} left within {seconds} s" },
   stays = { text = "from {what} stays {seconds} s" },
   at_most = { text = "at most {count} {event} within {seconds} s" },
@@ -133,6 +134,13 @@ function kinds.reach_within.see(property, state, look)
   if look.expired > 0 then return "violated", NONE end
   if state == "first" and look.came then return "owed", NEW end
   return state
+end
+
+function kinds.never_within.see(property, state, look)
+  local is_bound = look.came or state == "owed" and look.expired == 0
+  if is_bound and holds(property.goal, look.active) then return "violated", NONE end
+  if look.came then return "owed", NEW end
+  return is_bound and state or "first", not is_bound and NONE or nil
 end
 
 function kinds.left_within.see(property, state, look)
@@ -214,7 +222,7 @@ local function look_at(walk, judged, state, try, view)
   if state == "violated" then return state, {} end
   look.active, look.is_end = view, true
   look.came = judged.event ~= nil and own.parts[1].position.leaf
-    and own.wanted[judged.event] or false
+    and own:has_come(judged.event) or false
   if look.came and property.scope then
     look.came = holds(property.scope, own:view(try.conf))
   end

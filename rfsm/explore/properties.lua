@@ -112,8 +112,10 @@ local function ending(where, kind, parts, last)
 end
 
 MORE = { after = { within = { "reach_within", "seconds" } },
-  after_never = { until_ = { "never_until", "ending" } },
-  never_until = { until_ = { "never_until", "ending" } } }
+  after_never = { until_ = { "never_until", "ending" },
+    within = { "never_within", "seconds" } },
+  never_until = { until_ = { "never_until", "ending" },
+    within = { "never_within", "seconds" } } }
 
 -- The first halves of properties: table -> "after(...) alone (after(...).reach(...))".
 local halves = setmetatable({}, { __mode = "k" })
@@ -173,8 +175,10 @@ end
 -- `after("e_stop").reach("root.stopped")`: the condition holds after the step with the
 -- event, or after one of the next steps without events from outside, whatever guards
 -- answer. `.within(5)`: it holds within 5 seconds, whatever other events come.
--- `leads_to`: it holds eventually. `never`: after that step it never holds, or with
--- `.until_("e_reset")` not before that event has come, or a condition has held.
+-- `leads_to`: it holds eventually. `never`: after that step it never holds; with
+-- `.until_("e_reset")` not before that event has come, or a condition has held; with
+-- `.within(2)` not for 2 seconds. The event may be `entry root.a`, `exit root.a` or
+-- `taken root.trans[2]`, too.
 --
 ---@param event any
 ---@return table of `reach(condition)`, `leads_to(condition)`, `never(condition)`
@@ -418,6 +422,16 @@ function kinds.after.judge(walk, judged)
   end
 end
 
+--- List the words that a property has to hear: those of its observer, or its event, if
+--- that is a word about an element.
+---@param judged rfsm_checks.Judged
+---@return any[] words
+function properties.words_of(judged)
+  local event = judged.property.event
+  if judged.observer then return judged.observer.words end
+  return event ~= nil and observers.is_of_element(event) and { event } or NONE
+end
+
 --- Raise an error if a condition names a state or flag that does not exist.
 ---@param where string name of the function that was called
 ---@param judged rfsm_checks.Judged
@@ -462,6 +476,16 @@ local function text_of_unnamed(own, event)
   return ("no transition names %s%s"):format(name, advice.nearest_name(name, others))
 end
 
+-- Finds the event of a property in the chart, unless an observer hears it.
+local function add_event(own, judged)
+  local event = judged.property.event
+  if event == nil or judged.observer then return end
+  judged.event = own:event_meant(event)
+  if observers.is_of_element(event) then return end
+  check_maker(own, judged)
+  judged.unnamed = text_of_unnamed(own, judged.event)
+end
+
 --- Has the last step taken a transition that names the event, or that takes any event?
 function properties.is_taken(own, event)
   for _, number in ipairs(own.taken) do
@@ -482,7 +506,7 @@ local function watch_steps(walk, afters)
     for _, judged in ipairs(afters) do
       local owed, event, scope = judged.owed, judged.event, judged.property.scope
       local is_there = scope == nil or holds(scope, own:view(walk:configuration(from)))
-      if own.wanted[event] and is_there then
+      if own:has_come(event) and is_there then
         judged.has_come = true
         judged.is_taken = judged.is_taken or properties.is_taken(own, event)
         owed[tgt] = owed[tgt] or { from = from, label = label() }
@@ -491,29 +515,40 @@ local function watch_steps(walk, afters)
   end
 end
 
--- Has a walk take steps with the event of a property.
+-- Has a walk take steps with the event of a property, or note when the word is said.
 local function want_event(walk, judged)
   local event = judged.event
-  walk.wanted[#walk.wanted + 1], walk.subject.wanted[event] = event, false
+  if observers.is_of_element(event) then
+    walk.subject:hear { event }
+  else
+    walk:want(event, true)
+  end
   if judged.property.goal and not walk.options.together then
     walk.together = 2
   end
 end
 
--- Makes the observer of a property. The chart of an observer may be wrong: then the
--- error begins with its file.
-local function add_observer(where, judged, audible, is_condition)
-  local ok, observer = pcall(observers.of, judged.property, audible, is_condition)
-  if ok then
+--- Make the observer of a property, if one judges it.
+-- @raise if the property or its observer names what the machine does not have; the
+-- error begins with the file of the observer, or the name of the property
+---@param where string name of the function that was called
+---@param judged rfsm_checks.Judged
+---@param audible rfsm_checks.Audible
+---@param is_condition fun(thing: any): boolean
+function properties.add_observer(where, judged, audible, is_condition)
+  local property = judged.property
+  local ok, observer = pcall(observers.of, property, audible, is_condition)
+  local problem = not ok and observer
+    or property.event ~= nil and observers.is_of_element(property.event)
+    and observers.problem_of(property.event, audible) or nil
+  if not problem then
     judged.observer = observer
-  elseif judged.property.chart then
-    error(observer, 0)
+  elseif property.chart then
+    error(problem, 0)
   else
-    error(("%s: property '%s': %s"):format(where, judged.name, observer), 0)
+    error(("%s: property '%s': %s"):format(where, judged.name, problem), 0)
   end
 end
-
-properties.add_observer = add_observer
 
 --- List the properties of an exploration.
 -- @raise if a property names a state, a flag or an event that does not exist
@@ -527,10 +562,8 @@ function properties.list_for(own, given)
   local function is_condition(thing) return own:is_condition(thing) end
   for _, judged in ipairs(list) do
     properties.check_names(where, judged, audible.active, is_condition)
-    add_observer(where, judged, audible, is_condition)
-    judged.event = own:event_meant(judged.property.event)
-    if judged.event ~= nil then check_maker(own, judged) end
-    judged.unnamed = text_of_unnamed(own, judged.event)
+    properties.add_observer(where, judged, audible, is_condition)
+    add_event(own, judged)
   end
   return list
 end
@@ -556,10 +589,9 @@ end
 local function watch_words(walk, judged)
   local own, words = walk.subject, judged.observer.words
   own:hear(words)
-  if judged.event ~= nil then own.wanted[judged.event] = false end
   for _, word in ipairs(words) do
-    local is_event = not (word == "step" or word == "pass" or type(word) == "string"
-      and word:find("^%l+ root"))
+    local is_event = word ~= "step" and word ~= "pass"
+      and not observers.is_of_element(word)
     if is_event then walk:want(own:event_meant(word)) end
   end
 end
@@ -574,10 +606,18 @@ function properties.monitor(walk, judged)
   if judged.event ~= nil then want_event(walk, judged) end
 end
 
+-- Has the event of a property come? Then an observer has left its first leaf.
+local function has_begun(walk, judged)
+  local observer = judged.observer
+  return judged.has_come or observer and order.any(walk.contexts, function(context)
+    return context.state ~= "first" and context.state ~= observer.first
+  end)
+end
+
 -- Judges a property whose monitor has looked at each step of the walk. The monitor has
 -- noted violations already. If a condition must hold eventually, it is judged here.
 local function judge_monitored(walk, judged)
-  if judged.property.event ~= nil and not judged.has_come then
+  if judged.property.event ~= nil and not has_begun(walk, judged) then
     judged.vacuous = rfsm.event_text(judged.property.event) .. " never comes"
   end
   local owes = kinds[judged.property.kind].owes

@@ -200,9 +200,11 @@ local function outside_of(self, found)
   if found.outside then return found.outside end
   local list, is_listed = {}, {}
   local function add(event)
-    if not (is_listed[event] or self:maker_of(event)) and is_allowed(self, event) then
-      is_listed[event] = true
-      list[#list + 1] = self:occurrence(self.parts[1], event)
+    for _, each in ipairs(self:examples_of(event)) do
+      if not (is_listed[each] or self:maker_of(each)) and is_allowed(self, each) then
+        is_listed[each] = true
+        list[#list + 1] = self:occurrence(self.parts[1], each)
+      end
     end
   end
   for _, event in ipairs(found) do add(event) end
@@ -222,7 +224,9 @@ local function add_set(self, part, sets, set, timers)
       if not (part.timed[event] or match.has(timers, event)) then return end
       if not part.timed[event] then kept[#kept + 1] = self:occurrence(part, event) end
     elseif not maker then
-      if not is_allowed(self, event) then return end
+      if not is_allowed(self, event) or self:examples_of(event)[1] ~= event then
+        return
+      end
       kept[#kept + 1] = self:occurrence(self.parts[1], event)
     end
   end

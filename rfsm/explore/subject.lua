@@ -54,6 +54,8 @@ local subject = {}
 ---@field shares_text boolean a callback may have the text of others in its line
 ---@field unsure_senders string[] callbacks that may send what a dry run does not show
 ---@field names_with_data table<any, true> names in predicates of `rfsm.named`
+---@field classes table<string, table[]> name of an event with data -> its examples
+---@field is_example table<any, true> the events in `classes`
 ---@field free table<string, true> the kinds of choices that the chart has: "guards",
 -- "predicates", "timers", "doos"
 ---@field wanted table<any, boolean> event of a property -> did the last step have it?
@@ -122,6 +124,7 @@ Subject.__index = Subject
 ---@field part rfsm_checks.Part
 ---@field event any
 ---@field after? number seconds of delay, if a replacement sends the event later
+---@field has_data boolean the event is an example of the option `classes`
 ---@field number integer position in the list of all occurrences
 ---@field alone rfsm_checks.Occurrence[] a list that has this occurrence only
 
@@ -182,17 +185,38 @@ local function new_doo(self, part, who)
 end
 
 --- Return an event as the transitions of the subject name it. All events with data of
---- one name are the same event, unless a transition names the table itself.
+--- one name are the same event, unless a transition names the table itself, or the
+--- option `classes` has an example with the same data.
 function Subject:event_of(event)
   if type(event) ~= "table" and type(event) ~= "function" then return event end
-  return self.event_numbers[event] and event or match.example_of(event)
+  if self.event_numbers[event] then return event end
+  local name = match.name_of(event)
+  for _, other in ipairs(name and self.classes[name] or NOTHING) do
+    local is_same = rfsm.event_text(other, true) == rfsm.event_text(event, true)
+    if is_same then return other end
+  end
+  return match.example_of(event)
+end
+
+--- Return the event that stands for all events of its name, if an event is an example
+--- of `classes`; otherwise the event.
+function Subject:any_of(event)
+  return self.is_example[event] and match.example_of(rfsm.named(event.name)) or event
+end
+
+--- List the events that come from outside as an event: the examples of its name in the
+--- option `classes`, or else the event itself.
+function Subject:examples_of(event)
+  local name = not self.is_example[event] and match.name_of(event)
+  return name and self.classes[name] or { event }
 end
 
 --- Return the event that an option or property means. It may give only the name of an
 --- event with data, if no transition has a text of that name.
 function Subject:event_meant(event)
   local is_name = self.names_with_data[event] and not self.event_numbers[event]
-  return self:event_of(is_name and rfsm.named(event) or event)
+  if is_name then return match.example_of(rfsm.named(event)) end
+  return self:event_of(event)
 end
 
 -- Returns the number of an event; a new event gets the next number.
@@ -220,8 +244,10 @@ end
 --- Make an occurrence of an event, with the next number.
 ---@return rfsm_checks.Occurrence
 function Subject:new_occurrence(part, event, after)
-  local new = { part = part, event = self:event_of(event), after = after,
-    number = #self.occurrences + 1, alone = {} }
+  event = self:event_of(event)
+  local new = { part = part, event = event, after = after,
+    has_data = self.is_example[event] or false, number = #self.occurrences + 1,
+    alone = {} }
   new.alone[1], self.occurrences[new.number] = new, new
   return new
 end
@@ -362,7 +388,7 @@ local function new_hook(self, part)
       if not part.owner then replacements.switch_flags(self, event) end
       if self.has_observer then note_event(self, part, event) end
       if self.wanted[event] ~= nil and (not part.owner or match.maker_of(event)) then
-        self.wanted[event] = true
+        self.wanted[event], self.wanted[self:any_of(event)] = true, true
       end
     end
   end
@@ -441,7 +467,8 @@ local function relevant(self, part, leaf, events)
   local found, list, other = reactions.of(part, leaf), NOTHING, nil
   for i = 1, #events do
     local event = events[i]
-    if not (found.has_predicate or found.set[event] or self.wanted[event] ~= nil) then
+    if not (found.has_predicate or found.set[self:any_of(event)]
+      or self.wanted[event] ~= nil) then
       if other == nil then other = event end
     elseif not match.has(list, event) then
       list = match.with(list, event)
@@ -549,7 +576,8 @@ local function is_deaf(self, part, position, events)
   local own = #position.waiting == 0 and not needs_no_event(position.known)
     and reactions.of(part, position.leaf).own
   for i = 1, own and #events or 0 do
-    if own[events[i].event] or self.wanted[events[i].event] ~= nil then return false end
+    local event = events[i].event
+    if own[self:any_of(event)] or self.wanted[event] ~= nil then return false end
   end
   return own and not part.kept
 end
@@ -678,6 +706,12 @@ function Subject:hear(words)
     end
   end
   for _, part in ipairs(self.parts) do hear_paths(self, part) end
+end
+
+--- Has an event come in the last step, or was the word said?
+function Subject:has_come(event)
+  return self.wanted[event] or self.hears[event] and order.any(self.heard,
+    function(each) return each.word == event end)
 end
 
 --- Return the words of the last step, each with a view of the machine.
@@ -869,6 +903,34 @@ local function new_predicate(self, tr)
   return predicate
 end
 
+-- Has a transition accept the examples of an event with data, too.
+local function add_classes(self, tr, name)
+  for _, event in ipairs(self.classes[name] or NOTHING) do
+    if not match.has(tr.events, event) then tr.events[#tr.events + 1] = event end
+  end
+end
+
+-- Makes the events of the option `classes`.
+local function read_classes(self, given)
+  for _, name in ipairs(rfsm.sorted_keys(given)) do
+    self.classes[name] = {}
+    for i, example in ipairs(given[name]) do
+      self.classes[name][i] = match.event_with(name, example)
+      self.is_example[self.classes[name][i]] = true
+    end
+  end
+end
+
+-- Raises an error if an event of the option `classes` is taken by no transition.
+local function check_classes(self)
+  for _, name in ipairs(rfsm.sorted_keys(self.classes)) do
+    if not (self.names_with_data[name] or self.free.predicates) then
+      error(("classes: no transition takes '%s' with data%s"):format(name,
+        advice.nearest_name(name, rfsm.sorted_keys(self.names_with_data))), 0)
+    end
+  end
+end
+
 -- Replaces the predicates of transitions: those of `rfsm.named` by the event that
 -- stands for all events of the name, others by functions that answer with a choice.
 local function free_predicates(self, fsm)
@@ -877,6 +939,7 @@ local function free_predicates(self, fsm)
       if rfsm.event_name(event) then
         self.names_with_data[rfsm.event_name(event)] = true
         tr.events[i] = match.example_of(event)
+        add_classes(self, tr, rfsm.event_name(event))
       elseif type(event) == "function" then
         local name = "predicate of " .. rfsm.location_of(tr)
         self.free.predicates = true
@@ -957,6 +1020,7 @@ local function check_options(self, options)
   replacements.check_names(self, self.flags_of, "flags")
   replacements.check_names(self, self.sends, "sends")
   check_alphabet(self, options.alphabet)
+  check_classes(self)
 end
 
 --- Make a subject of a model, in the configuration before the first entry.
@@ -970,7 +1034,7 @@ function subject.new(model, options, way)
   local self = setmetatable({ parts = {}, transitions = {}, number_of = {},
     names = {}, paths = {}, part_of = {}, callbacks = {}, writers = {},
     unknown = {}, shares_text = false, data_writers = {}, unsure_senders = {},
-    names_with_data = {},
+    names_with_data = {}, classes = {}, is_example = {},
     free = {}, sent = {}, later = {}, sent_later = {}, dropped = {}, late_senders = {},
     cancellers = {}, deferred = 0, has_senders = false,
     emitted = {}, emitters = {}, dry_sends = {},
@@ -985,6 +1049,7 @@ function subject.new(model, options, way)
     alphabet = nil, time = clock.simulated(), is_endless = false,
     notes_events = false, leaves_out = false, trimmed = false,
     is_touched = false, changed = nil, unfollowed = false, ran = false }, Subject)
+  read_classes(self, options.classes or {})
   local fsm = new_machine(self, model)
   rfsm.set_emit(fsm, function(event, value)
     self.emitted[#self.emitted + 1] = { emit = event, data = value ~= nil }
@@ -995,8 +1060,9 @@ function subject.new(model, options, way)
   data.read_options(self, options, fsm)
   add_parts(self, fsm, way)
   self.alphabet = options.alphabet and {}
-  for i, event in ipairs(options.alphabet or {}) do
-    self.alphabet[i] = self:event_meant(event)
+  for _, event in ipairs(options.alphabet or {}) do
+    self.alphabet = match.joined(self.alphabet,
+      self:examples_of(self:event_meant(event)))
   end
   if not way then check_options(self, options) end
   data.check_first(self)

@@ -230,6 +230,15 @@ local function are_forwarded(fsm)
   return rfsm.is_free(fsm) and (rfsm.regions(fsm._act_leaf)[1] or fsm._intq[1] ~= nil)
 end
 
+-- Hands the words of a step to the observers. Returns the events with these words.
+local function hand_words(own, events)
+  for _, monitor in ipairs(own.monitors) do
+    monitor.unheard = monitor.observer and match.joined({}, own.heard)
+  end
+  for _, each in ipairs(own.heard) do events = match.with(events, each.word) end
+  return events
+end
+
 local function end_iteration(own, at, events)
   note_events(own, at, events)
   if at.machine ~= own.fsm or not own.fsm._act_leaf then return end
@@ -238,10 +247,8 @@ local function end_iteration(own, at, events)
     own.forwarded = match.joined(own.forwarded, events)
     return
   end
-  events, own.forwarded = match.joined(own.forwarded, events), {}
-  for _, monitor in ipairs(own.monitors) do
-    monitor.unheard = monitor.observer and match.joined({}, own.heard)
-  end
+  events = hand_words(own, match.joined(own.forwarded, events))
+  own.forwarded = {}
   for _, moment in ipairs(own.moments) do
     local look = { active = moment.active, is_end = false, now = own.now }
     local is_passed = moment.state._mode == "inactive"
@@ -290,9 +297,7 @@ local function monitors_of(own, where, given)
   for _, monitor in ipairs(list) do
     properties.check_names(where, monitor, own.active, is_condition)
     properties.add_observer(where, monitor, audible, is_condition)
-    for _, word in ipairs(monitor.observer and monitor.observer.words or NOTHING) do
-      own.hears[word] = true
-    end
+    for _, word in ipairs(properties.words_of(monitor)) do own.hears[word] = true end
     if not kinds[monitor.property.kind].see then
       error(("%s: property '%s' is about runs that might be: explore it"):format(where,
         monitor.name), 0)

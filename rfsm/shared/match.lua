@@ -7,6 +7,7 @@
 -- @license BSD-3-Clause
 
 local calls = require "rfsm.shared.calls"
+local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
 local ipairs, rawequal, setmetatable, type = ipairs, rawequal, setmetatable, type
@@ -16,11 +17,30 @@ local match = {}
 -- name -> the event that stands for all events with data of this name
 local examples = setmetatable({}, { __mode = "v" })
 
+-- Events with data that stand for themselves alone, and the data of each -> its events.
+local alone = setmetatable({}, { __mode = "k" })
+local events_of = setmetatable({}, { __mode = "k" })
+
+--- Return a copy of some data as an event that stands for no other event of its name. It
+--- is the same one at each call.
+---@param name string
+---@param data table
+---@return table event
+function match.event_with(name, data)
+  local events = events_of[data] or {}
+  local event = events[name] or {}
+  for key, value in order.each(data) do event[key] = value end -- any order: a copy
+  event.name = name
+  events_of[data], events[name], alone[event] = events, event, true
+  return event
+end
+
 --- Return the event that stands for all events with data of one name, given one of them
 --- or its predicate; return any other event as it is.
 ---@param event any
 ---@return any example
 function match.example_of(event)
+  if alone[event or alone] then return event end
   local name = rfsm.event_name(event) or rfsm.name_with_data(event)
   if not name then return event end
   local example = examples[name] or { name = name }
