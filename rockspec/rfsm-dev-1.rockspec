@@ -74,6 +74,7 @@ build = {
     ["rfsm.explore.kept"] = "rfsm/explore/kept.lua",
     ["rfsm.explore.memory"] = "rfsm/explore/memory.lua",
     ["rfsm.explore.monitors"] = "rfsm/explore/monitors.lua",
+    ["rfsm.explore.observers"] = "rfsm/explore/observers.lua",
     ["rfsm.explore.properties"] = "rfsm/explore/properties.lua",
     ["rfsm.explore.reactions"] = "rfsm/explore/reactions.lua",
     ["rfsm.explore.replacements"] = "rfsm/explore/replacements.lua",

@@ -405,9 +405,11 @@ describe("options of an exploration", function()
       text = "flags: lit: table with the lists 'on' and 'off' expected, got string "
         .. "'on'" },
     { options = { flags = { lit = { off = { "entry root.b" } } } },
-      text = "flags: lit.on: callbacks or events that switch it on expected, got none" },
+      text = "flags: lit.on: callbacks or events that switch it on expected, got "
+        .. "none" },
     { options = { flags = { lit = { on = {} } } },
-      text = "flags: lit.on: callbacks or events that switch it on expected, got none" },
+      text = "flags: lit.on: callbacks or events that switch it on expected, got "
+        .. "none" },
     { options = { sends = { ["entry root.b"] = "e_x" } },
       text = "sends: ['entry root.b']: list of events expected, got string 'e_x'" },
     { options = { alphabet = { e_x = true } }, text = "alphabet: list expected, got "

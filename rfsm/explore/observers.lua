@@ -1,10 +1,11 @@
 --- Observers: charts that hear what a machine does, and must never be in a leaf `bad`.
 --
 -- An observer hears one word after the other. In a step of the machine these are the
--- events that come, `taken root.trans[2]` for each transition of a path, then
--- `exit root.a` and `entry root.b` in their order. It hears `pass` in a composite that
--- the step enters and leaves again, and `step` when the step is over. A transition may
--- have a field `when`, a condition on the machine; without events it hears `step`.
+-- events that come, unless the step enters the machine, `taken root.trans[2]` for each
+-- transition of a path, then `exit root.a` and `entry root.b` in their order. It hears
+-- `pass` in a composite that the step enters and leaves again, and `step` when the step
+-- is over. A transition may have a field `when`, a condition on the machine; without
+-- events it hears `step`.
 --
 -- The leaf of the observer is the state of its monitor. The engine takes each of its
 -- steps, once for each leaf, word and truth of its conditions.
@@ -62,14 +63,14 @@ local function refuse(obj, text)
 end
 
 local function check_element(obj)
+  if rfsm.is_state(obj) and rfsm.regions(obj)[1] then
+    refuse(obj, "an observer has no regions")
+  end
   for _, field in ipairs(CALLBACKS) do
     if obj[field] then
       refuse(obj, ("an observer has no %s (a transition may have a condition, when = "
         .. "...)"):format(field))
     end
-  end
-  if rfsm.is_state(obj) and rfsm.regions(obj)[1] then
-    refuse(obj, "an observer has no regions")
   end
 end
 
@@ -153,9 +154,10 @@ end
 -- Notes the words and the condition of a transition, and checks them.
 local function add_transition(self, tr, audible)
   for _, word in ipairs(tr.events or {}) do
-    local problem = match.maker_of(word) == "timer"
-      and "an observer has no timers (say `.within(seconds)`)"
-      or observers.problem_of(word, audible)
+    local problem = observers.problem_of(word, audible)
+    if problem and match.maker_of(word) == "timer" then
+      problem = "an observer has no timers (say `.within(seconds)`)"
+    end
     if problem then refuse(tr, problem) end
     if not match.has(self.words, word) then self.words[#self.words + 1] = word end
   end
@@ -269,6 +271,24 @@ end
 
 -- The parts of a property that are conditions or events.
 local THINGS = { "event", "what", "goal", "ending", "again", "scope" }
+
+--- Does a property name an event, or does its chart?
+---@param property any
+---@param event any
+---@return boolean
+function observers.name(property, event)
+  if type(property) ~= "table" then return false end
+  local is_named = order.any(THINGS, function(field)
+    return property[field] == event
+  end)
+  if rfsm.is_state(property.chart) then
+    rfsm.mapfsm(function(tr)
+      local events = type(tr.events) == "table" and tr.events or { tr.events }
+      is_named = is_named or match.has(events, event)
+    end, property.chart, rfsm.is_trans)
+  end
+  return is_named
+end
 
 --- Make the observer that judges a property; return nil if no observer does.
 -- @raise if the property, or its chart, names what the machine does not have

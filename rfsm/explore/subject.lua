@@ -27,6 +27,7 @@ local kept = require "rfsm.explore.kept"
 local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
 local reactions = require "rfsm.explore.reactions"
+local observers = require "rfsm.explore.observers"
 local order = require "rfsm.shared.order"
 local static = require "rfsm.checks.static"
 local replacements = require "rfsm.explore.replacements"
@@ -367,13 +368,12 @@ local function count_round(self, part)
 end
 
 -- Notes an event that an observer hears. It comes to the machine, or is made by a
--- region that alone knows it.
+-- region that alone knows it, and not before the machine was entered.
 local function note_event(self, part, event)
   local word = match.name_of(event) or event
-  if self.hears[word] and (not part.owner or match.maker_of(event)
-    and not alphabet_of(self.parts[1].fsm).set[event]) then
-    note_moment(self, self.heard, nil, word)
-  end
+  local is_own = not part.owner or match.maker_of(event)
+    and not alphabet_of(self.parts[1].fsm).set[event]
+  if self.hears[word] and is_own then note_moment(self, self.heard, nil, word) end
 end
 
 -- Returns a step hook that counts the iterations of a step, and notes their events. An
@@ -385,8 +385,9 @@ local function new_hook(self, part)
       local event = self:event_of(events[i])
       events[i] = event
       if self.notes_events then self.last_events[#self.last_events + 1] = event end
-      if not part.owner then replacements.switch_flags(self, event) end
-      if self.has_observer then note_event(self, part, event) end
+      local is_entered = self.parts[1].position and self.parts[1].position.leaf
+      if is_entered and not part.owner then replacements.switch_flags(self, event) end
+      if is_entered and self.has_observer then note_event(self, part, event) end
       if self.wanted[event] ~= nil and (not part.owner or match.maker_of(event)) then
         self.wanted[event], self.wanted[self:any_of(event)] = true, true
       end
@@ -963,11 +964,22 @@ local function new_machine(self, model)
   return fsm or error("the model has problems\n  " .. concat(problems, "\n  "), 0)
 end
 
--- Raises an error if the alphabet has an event that is in no transition. If the chart
--- has predicates, any event is allowed, since a predicate may accept it.
-local function check_alphabet(self, alphabet)
-  for _, event in ipairs(self.free.predicates and {} or alphabet or {}) do
-    if not self.event_numbers[self:event_meant(event)] then
+-- Does a property of the options name an event? An observer hears it.
+local function is_heard(options, event)
+  for _, property in order.each(options.properties or {}) do -- any order: one is enough
+    if observers.name(property, event) then return true end
+  end
+  return false
+end
+
+-- Raises an error if the alphabet has an event that is in no transition, property or
+-- flag. If the chart has predicates, any event is allowed, since a predicate may accept
+-- it.
+local function check_alphabet(self, options)
+  local alphabet = not self.free.predicates and options.alphabet or {}
+  for _, event in ipairs(alphabet) do
+    if not (self.event_numbers[self:event_meant(event)] or self.flags_of_event[event]
+      or is_heard(options, event)) then
       local text = rfsm.name_with_data(event) or event
       error(("alphabet: no transition names the event '%s'%s"):format(
         rfsm.event_text(event), type(text) == "string"
@@ -1019,7 +1031,7 @@ local function check_options(self, options)
   replacements.check_flag_names(self)
   replacements.check_names(self, self.flags_of, "flags")
   replacements.check_names(self, self.sends, "sends")
-  check_alphabet(self, options.alphabet)
+  check_alphabet(self, options)
   check_classes(self)
 end
 

@@ -41,7 +41,8 @@ local verdict = {}
 local Exploration = {}
 Exploration.__index = Exploration
 
---- The verdict on a property.
+--- The verdict on a property. `tostring(verdict)` has at most three lines: the verdict,
+--- the run that violates the property, and the premises.
 ---@class rfsm_checks.Verdict
 ---@field name string
 ---@field holds boolean|nil nil if the exploration cannot decide it
@@ -49,6 +50,8 @@ Exploration.__index = Exploration
 ---@field witness? rfsm_checks.WitnessStep[] the run that shows that it does not hold
 ---@field premises string the assumptions of the exploration
 ---@field reason string why `holds` is nil although everything was tried; else empty
+local Verdict = {}
+Verdict.__index = Verdict
 
 -- Findings ........................................................................
 
@@ -429,11 +432,11 @@ local function judge(result, judged, options)
       .. (judged.unnamed and ", " .. judged.unnamed or ""))
     if finding then finding.witness = witness end -- nil: the property is given twice
   end
-  return { name = judged.name, holds = judged.holds,
+  return setmetatable({ name = judged.name, holds = judged.holds,
     vacuous = judged.holds and judged.vacuous or nil, witness = witness,
     reason = reason_of(walk, judged),
     premises = premises_of({ walk }, options)
-      .. (monitors.kinds[judged.property.kind].owes and "; doos end" or "") }
+      .. (monitors.kinds[judged.property.kind].owes and "; doos end" or "") }, Verdict)
 end
 
 -- Text ............................................................................
@@ -469,6 +472,24 @@ function verdict.lines_of(witness)
   return lines
 end
 
+-- Returns a run as one line: "off -e_power-> homing -+1 s, e_homed-> ready".
+local function run_text(witness)
+  local parts, before = {}, 0
+  for i, step in ipairs(witness) do
+    local texts, at = {}, step.at or before
+    if i > 1 and at > before then
+      texts[1] = "+" .. rfsm.number_text(at - before, "%.9g") .. " s"
+    end
+    for _, event in ipairs(step.events) do
+      texts[#texts + 1] = event:gsub("@root[^%s]*", "")
+    end
+    local leaf = (step.leaf or "not entered"):gsub("^root%.", "")
+    before = at
+    parts[i] = i > 1 and ("-%s-> %s"):format(concat(texts, ", "), leaf) or leaf
+  end
+  return concat(parts, " ")
+end
+
 local UNKNOWN = "not tried: %s; unreached states, transitions not taken and whether "
   .. "properties hold are not known"
 
@@ -476,6 +497,16 @@ local function property_text(judged)
   if judged.holds == nil then return judged.name .. ": not known" .. judged.reason end
   local how = judged.vacuous and " vacuously, " .. judged.vacuous or ""
   return ("%s: holds%s (%s)"):format(judged.name, how, judged.premises)
+end
+
+function Verdict:__tostring()
+  local word = self.holds and "holds" or self.holds == false and "does not hold"
+    or "not known" .. self.reason
+  local lines = { self.name .. ": " .. word
+    .. (self.vacuous and " vacuously, " .. self.vacuous or "") }
+  if self.witness then lines[2] = "  " .. run_text(self.witness) end
+  lines[#lines + 1] = "  (" .. self.premises .. ")"
+  return concat(lines, "\n")
 end
 
 local function add_finding_lines(lines, finding)

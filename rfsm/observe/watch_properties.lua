@@ -207,7 +207,7 @@ end
 -- Notes the events of an iteration once: before a path is taken, or at its end. Of a
 -- region, these are the events that it makes and that it alone knows.
 local function note_events(own, at, events)
-  if own.is_heard or order.is_empty(own.hears) then return end
+  if own.is_heard or not own.leaf or order.is_empty(own.hears) then return end
   own.is_heard = true
   local is_region = at.machine ~= own.fsm
   for i = 1, #events do
@@ -273,9 +273,10 @@ end
 local function audible_of(own)
   local audible = { events = {}, made = {}, states = {}, transitions = {},
     active = own.active }
-  for _, event in ipairs(alphabet.of_all(own.fsm).list) do
+  local known = alphabet.of_all(own.fsm)
+  for _, event in ipairs(match.joined(known.list, known.predicates)) do
     local list = match.maker_of(event) and audible.made or audible.events
-    list[#list + 1] = match.name_of(event) or event
+    list[#list + 1] = rfsm.event_name(event) or match.name_of(event) or event
   end
   for _, at in ipairs(rfsm.machines(own.fsm)) do
     for _, state in ipairs(rfsm.elements(at.machine, rfsm.is_state)) do

@@ -17,12 +17,12 @@ local match = {}
 -- name -> the event that stands for all events with data of this name
 local examples = setmetatable({}, { __mode = "v" })
 
--- Events with data that stand for themselves alone, and the data of each -> its events.
+-- Events with data that stand for themselves alone; data -> its events, by name.
 local alone = setmetatable({}, { __mode = "k" })
 local events_of = setmetatable({}, { __mode = "k" })
 
---- Return a copy of some data as an event that stands for no other event of its name. It
---- is the same one at each call.
+--- Return a copy of some data as an event that stands for no other event of its name.
+--- It is the same one at each call.
 ---@param name string
 ---@param data table
 ---@return table event
