@@ -301,7 +301,7 @@ function observers.of(property, audible, is_condition)
   local pattern = patterns[property.kind]
   if not pattern then return nil end
   local function word_of(thing)
-    return rfsm.event_name(thing) or match.name_of(thing) or thing
+    return rfsm.event_name(thing) or rfsm.name_with_data(thing) or thing
   end
   for _, field in ipairs(THINGS) do
     local thing = property[field]

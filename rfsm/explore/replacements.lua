@@ -449,7 +449,7 @@ end
 ---@param self rfsm_checks.Subject
 ---@param event any
 function replacements.switch_flags(self, event)
-  local name = match.name_of(event) or event
+  local name = rfsm.name_with_data(event) or event
   for _, flag in ipairs(self.flags_of_event[name] or {}) do
     self.flags[flag.number] = flag.value
   end

@@ -191,7 +191,7 @@ end
 function Subject:event_of(event)
   if type(event) ~= "table" and type(event) ~= "function" then return event end
   if self.event_numbers[event] then return event end
-  local name = match.name_of(event)
+  local name = rfsm.name_with_data(event)
   for _, other in ipairs(name and self.classes[name] or NOTHING) do
     local is_same = rfsm.event_text(other, true) == rfsm.event_text(event, true)
     if is_same then return other end
@@ -208,7 +208,7 @@ end
 --- List the events that come from outside as an event: the examples of its name in the
 --- option `classes`, or else the event itself.
 function Subject:examples_of(event)
-  local name = not self.is_example[event] and match.name_of(event)
+  local name = not self.is_example[event] and rfsm.name_with_data(event)
   return name and self.classes[name] or { event }
 end
 
@@ -370,7 +370,7 @@ end
 -- Notes an event that an observer hears. It comes to the machine, or is made by a
 -- region that alone knows it, and not before the machine was entered.
 local function note_event(self, part, event)
-  local word = match.name_of(event) or event
+  local word = rfsm.name_with_data(event) or event
   local is_own = not part.owner or match.maker_of(event)
     and not alphabet_of(self.parts[1].fsm).set[event]
   if self.hears[word] and is_own then note_moment(self, self.heard, nil, word) end
@@ -732,7 +732,7 @@ function Subject:audible()
   for _, list in ipairs { self.event_list, self.alphabet or NOTHING } do
     for _, event in ipairs(list) do
       local kind = self:maker_of(event) and made or events
-      kind[#kind + 1] = match.name_of(event) or event
+      kind[#kind + 1] = rfsm.name_with_data(event) or event
     end
   end
   for i, entry in ipairs(self.transitions) do transitions[i] = entry.path end
@@ -743,7 +743,7 @@ end
 --- Is a thing a condition, and not an event? A text is one if it is the path of a state
 --- or the name of a flag, or could be a path.
 function Subject:is_condition(thing)
-  if rfsm.event_name(thing) or match.name_of(thing) then return false end
+  if rfsm.event_name(thing) or rfsm.name_with_data(thing) then return false end
   return type(thing) ~= "string" or self.flag_numbers[thing] ~= nil
     or (thing .. "."):find("^root%.") ~= nil
 end

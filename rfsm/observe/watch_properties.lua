@@ -214,7 +214,9 @@ local function note_events(own, at, events)
     local event = events[i]
     local is_own = is_region and match.maker_of(event)
       and not alphabet.of(own.fsm).set[event]
-    if is_own or not is_region then note_word(own, match.name_of(event) or event) end
+    if is_own or not is_region then
+      note_word(own, rfsm.name_with_data(event) or event)
+    end
   end
 end
 
@@ -265,7 +267,7 @@ end
 
 -- Is a thing a condition, and not an event? A text is one if it could be a path.
 local function is_condition(thing)
-  if rfsm.event_name(thing) or match.name_of(thing) then return false end
+  if rfsm.event_name(thing) or rfsm.name_with_data(thing) then return false end
   return type(thing) ~= "string" or (thing .. "."):find("^root%.") ~= nil
 end
 
@@ -276,7 +278,7 @@ local function audible_of(own)
   local known = alphabet.of_all(own.fsm)
   for _, event in ipairs(match.joined(known.list, known.predicates)) do
     local list = match.maker_of(event) and audible.made or audible.events
-    list[#list + 1] = rfsm.event_name(event) or match.name_of(event) or event
+    list[#list + 1] = rfsm.event_name(event) or rfsm.name_with_data(event) or event
   end
   for _, at in ipairs(rfsm.machines(own.fsm)) do
     for _, state in ipairs(rfsm.elements(at.machine, rfsm.is_state)) do
