@@ -252,7 +252,7 @@ local function end_iteration(fsm)
 end
 
 local function reset(fsm)
-  for _, state in ipairs(rfsm.elements(fsm, has_regions)) do
+  for _, state in ipairs(fsm._seqands) do
     local regions = state._regions
     for i = 1, #regions do try(fsm, rfsm.reset, regions[i]) end
   end
@@ -264,7 +264,7 @@ local function save() return nil end
 -- Notes the state whose entry is called again after a restore: that call shall not
 -- advance the regions.
 local function load(fsm, _, how)
-  for _, state in ipairs(rfsm.elements(fsm, has_regions)) do
+  for _, state in ipairs(fsm._seqands) do
     state._regions.is_restored = how.entries and state == fsm._act_leaf or false
   end
 end
@@ -388,8 +388,11 @@ local function prepare_state(fsm, state, problems)
   state._regions, state.entry, state.exit = regions, enter_all, leave_all
   rfsm.exit_hook_add(fsm, state, rfsm.repeatable(leave_others))
   warn_of_e_done(fsm, state)
-  if fsm._has_seqand then return end
-  fsm._has_seqand = true
+  if fsm._seqands then
+    fsm._seqands[#fsm._seqands + 1] = state
+    return
+  end
+  fsm._seqands = { state } -- the states with regions
   rfsm.post_step_hook_add(fsm, rfsm.repeatable(end_iteration), "before")
   rfsm.reset_hook_add(fsm, reset)
   rfsm.snapshot_hook_add(fsm, "seqand", save, load)

@@ -780,9 +780,8 @@ local function earliest(fsm)
     least = min(remaining(fsm, true), remaining(fsm, false), until_send(fsm))
   end
   while state do
-    for _, region in ipairs((rfsm.regions(state))) do
-      least = min(least, earliest(region))
-    end
+    local regions = state._regions
+    for i = 1, regions and #regions or 0 do least = min(least, earliest(regions[i])) end
     state = state._actchild
   end
   return least

@@ -17,15 +17,22 @@ local function is_inside(node, composite)
   return rfsm.is_node(node) and node._fqn:sub(1, #fqn) == fqn
 end
 
--- Sets the targets of the transitions into a composite (nil: into each composite) to a
--- node in the composite (nil: to its `initial`). A target outside of the composite was
--- set by the program, and is not changed.
-local function lead_to(fsm, composite, node)
-  for _, tr in ipairs(fsm._history) do
-    local own = tr._initial._parent
-    local is_meant = own == (composite or own) and is_inside(tr.tgt, own)
-    if is_meant then tr.tgt = node or tr._initial end
+-- Sets the target of a transition into a composite to a node in the composite. A target
+-- outside of the composite was set by the program, and is not changed.
+local function lead_to(tr, node)
+  if tr.tgt ~= node and is_inside(tr.tgt, tr._initial._parent) then tr.tgt = node end
+end
+
+-- The reset hook: each composite is entered by its `initial` again.
+local function forget(fsm)
+  local list = fsm._history
+  for i = 1, #list do
+    if list[i].tgt ~= list[i]._initial then lead_to(list[i], list[i]._initial) end
   end
+end
+
+local function lead_all(into, node)
+  for i = 1, into and #into or 0 do lead_to(into[i], node) end
 end
 
 -- The entry hook of a leaf: for each composite around the leaf, sets the node at which
@@ -37,7 +44,7 @@ local function remember(fsm, leaf)
   while node ~= fsm do
     node = node._parent
     way = node.history == "deep" and deep or node.history == "shallow" and way or node
-    lead_to(fsm, node, way.initial or way)
+    lead_all(fsm._history[node], way.initial or way)
   end
 end
 
@@ -62,7 +69,10 @@ local function note(fsm, obj)
   if rfsm.is_leaf(obj) then
     rfsm.entry_hook_add(fsm, obj, rfsm.repeatable(remember))
   elseif composite and has_history(composite) and not is_inside(obj.src, composite) then
-    obj._initial, fsm._history[#fsm._history + 1] = obj.tgt, obj
+    local list = fsm._history
+    local into = list[composite] or {}
+    obj._initial, list[composite] = obj.tgt, into
+    list[#list + 1], into[#into + 1] = obj, obj
   end
 end
 
@@ -70,8 +80,9 @@ rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
   local problems = {}
   for _, state in ipairs(rfsm.elements(merged or fsm, has_history)) do
     problems[#problems + 1] = check(state)
-    if not fsm._history then rfsm.reset_hook_add(fsm, lead_to) end
-    fsm._history = fsm._history or {} -- the transitions into composites with a history
+    if not fsm._history then rfsm.reset_hook_add(fsm, forget) end
+    -- the transitions into composites with a history, and the list of those into each
+    fsm._history = fsm._history or {}
   end
   local elements = fsm._history and rfsm.elements(merged or fsm) or {}
   for _, obj in ipairs(elements) do note(fsm, obj) end

@@ -24,7 +24,7 @@ local rfsm = require "rfsm"
 
 local each, error, ipairs, pcall = order.each, error, ipairs, pcall
 local rawequal, rawget, rawset, type = rawequal, rawget, rawset, type
-local concat = table.concat
+local concat, sort = table.concat, table.sort
 local fail, pack = encoding.fail, encoding.pack
 local copy_of, location_of = encoding.copy_of, encoding.location_of
 local reason = encoding.reason
@@ -88,7 +88,9 @@ local function pack_fields(state, keeper, path)
 end
 
 local function take_data(fsm, own, snap, path)
-  for i, keeper in ipairs(own.chart.keepers) do
+  local keepers = own.chart.keepers
+  for i = 1, #keepers do
+    local keeper = keepers[i]
     local state, fqn = own.states[i], keeper.fqn
     local fields = pack_fields(state, keeper, path)
     if fields then
@@ -114,15 +116,28 @@ local function check_target(own, tr)
     rfsm.got(tgt))
 end
 
+-- Appends the target of a transition to a list (nil: none yet) if it was changed.
+-- Returns the list.
+local function add_target(own, i, list)
+  local tr = own.transitions[i]
+  if tr.tgt == own.targets[i] then return list end
+  check_target(own, tr)
+  list = list or {}
+  local n = #list
+  list[n + 1], list[n + 2], list[n + 3] = tr._parent._fqn, tr._id, tr.tgt._fqn
+  return list
+end
+
 local function take_targets(own, snap)
-  local first, transitions, list = own.targets, own.transitions, nil
-  for i = 1, #transitions do
-    local tr = transitions[i]
-    if tr.tgt ~= first[i] then
-      check_target(own, tr)
-      list = list or {}
-      local n = #list
-      list[n + 1], list[n + 2], list[n + 3] = tr._parent._fqn, tr._id, tr.tgt._fqn
+  local first, transitions, noted, list = own.targets, own.transitions, own.noted, nil
+  if noted then
+    if noted[2] then sort(noted) end
+    for i = 1, #noted do
+      if noted[i] ~= noted[i - 1] then list = add_target(own, noted[i], list) end
+    end
+  else
+    for i = 1, #transitions do
+      if transitions[i].tgt ~= first[i] then list = add_target(own, i, list) end
     end
   end
   snap.targets = list
@@ -293,8 +308,12 @@ local function unpack_targets(fsm, list)
 end
 
 local function set_targets(own, targets)
-  local first, transitions = own.targets, own.transitions
-  for i = 1, #transitions do
+  local first, transitions, noted = own.targets, own.transitions, own.noted
+  for i = noted and #noted or 0, 1, -1 do
+    own.forget(noted[i])
+    noted[i] = nil
+  end
+  for i = 1, noted and 0 or #transitions do
     if transitions[i].tgt ~= first[i] then transitions[i].tgt = first[i] end
   end
   for tr, node in each(targets) do tr.tgt = node end -- any order
@@ -314,8 +333,9 @@ end
 -- Gives the states of a machine their data in a snapshot. A kept field for which there
 -- is no value in the snapshot gets the value that it has in the chart.
 local function set_data(part)
-  local own = part.own
-  for i, keeper in ipairs(own.chart.keepers) do
+  local own, keepers = part.own, part.own.chart.keepers
+  for i = 1, #keepers do
+    local keeper = keepers[i]
     local state, value = own.states[i], (part.saved or NONE)[keeper.fqn]
     set_fields(state, keeper, part.data[keeper.fqn] or NONE)
     if keeper.has_load and (value or not part.how.has_changed) then
@@ -335,6 +355,7 @@ end
 ---@field data table<string, table> values of kept fields, by FQN of the state
 ---@field values table<string, table> data of extensions, by name
 ---@field how table argument for the hooks of extensions: what has changed in the chart
+---@field is_waiting boolean has the snapshot a queue?
 ---@field is_own boolean is the snapshot of this chart, under its present name?
 ---@field saved? table<string, { value: any }> results of `save`, by FQN
 ---@field targets? table<rfsm.Transition, table>
@@ -345,7 +366,8 @@ local function new_part(fsm, snap, how)
     mode = snap.done == true and "done" or "active", queue = unpack_queue(snap),
     data = snap.data and unpack_data(own, snap.data) or NONE,
     values = snap.ext and unpack_extensions(fsm, snap.ext, how.is_migrated) or NONE,
-    how = how, is_own = snap.chart == nil or snap.chart == own.chart.name }
+    how = how, is_waiting = snap.queue ~= nil,
+    is_own = snap.chart == nil or snap.chart == own.chart.name }
   if snap.saved then part.saved = unpack_saved(fsm, snap.saved) end
   if snap.targets then part.targets = unpack_targets(fsm, snap.targets) end
   return part
@@ -412,8 +434,10 @@ local function report_unwanted(parts)
 end
 
 local function set_parts(parts)
-  for _, part in ipairs(parts) do
-    rfsm.place(part.fsm, part.leaf, part.mode, part.queue)
+  for i, part in ipairs(parts) do
+    if i == 1 or part.leaf or part.is_waiting then -- the first one resets the regions
+      rfsm.place(part.fsm, part.leaf, part.mode, part.queue)
+    end
     set_targets(part.own, part.targets or NONE)
   end
   for _, part in ipairs(parts) do load_part(part) end
@@ -423,23 +447,30 @@ local function can_fail(part)
   return part.own.chart.has_load or rfsm.snapshot_hooks(part.fsm)[1]
 end
 
--- Is `put_directly` possible? The snapshot must be of this chart, without queue,
--- `saved`, targets and regions, and the chart must have no `load` and no regions.
+-- Is `put_directly` possible? The snapshot must be of this chart, without `saved` and
+-- regions, and the chart must have no `load` and no regions.
 local function is_usual(own, snap)
   return own.chart.leaves[snap.leaf] and snap.chart == own.chart.name
-    and snap.version == migrate.VERSION and not (snap.queue or snap.saved
-    or snap.targets or snap.regions) and not (own.chart.has_load or own.places[2])
+    and snap.version == migrate.VERSION and not (snap.saved or snap.regions)
+    and not (own.chart.has_load or own.places[2])
+end
+
+-- Puts the leaf, the queue and the targets of a snapshot into a machine.
+local function put_place(fsm, own, snap)
+  local targets = snap.targets and unpack_targets(fsm, snap.targets) or NONE
+  rfsm.place(fsm, own.nodes[snap.leaf], snap.done and "done" or "active",
+    snap.queue and unpack_queue(snap) or {})
+  set_targets(own, targets)
 end
 
 -- Puts a trusted snapshot without the checks and tables of `put`, if `is_usual` accepts
 -- it; else changes nothing and returns false. This is for speed: a host may put one
 -- snapshot after another into a machine.
-local function put_directly(fsm, snap, is_tidy)
+local function put_directly(fsm, snap)
   local own, data, ext = shape.of(fsm), snap.data or NONE, snap.ext or NONE
   local keepers, hooks = own.chart.keepers, rfsm.snapshot_hooks(fsm)
   if not is_usual(own, snap) then return false end
-  rfsm.place(fsm, own.nodes[snap.leaf], snap.done and "done" or "active", {})
-  if not is_tidy then set_targets(own, NONE) end
+  put_place(fsm, own, snap)
   for i = 1, #keepers do
     local fqn = keepers[i].fqn
     local fields = data[fqn] and unpack_table("data", fqn, data[fqn])
@@ -516,7 +547,6 @@ function snapshot.encode(snap) return exact_json.encode(snap) end
 ---@field old? rfsm.State|string[] the chart of the snapshot, or its structure
 ---@field trusted? boolean the caller promises that the snapshot is as `take` made it.
 --- This makes `put` faster. A wrong snapshot may then reset or partly change a machine.
----@field is_tidy? boolean the caller promises that the machine has no changed targets
 
 local is_boolean, is_table = opts.is_a "boolean", opts.is_a "table"
 
@@ -530,7 +560,6 @@ end
 
 local OPTIONS = {
   entries = { "boolean", is_boolean },
-  is_tidy = { "boolean", is_boolean },
   migrate = { "function", rfsm.is_callable },
   old = { "model or list of lines", is_table },
   rename = { "table of old and new FQN", is_renaming },
@@ -551,7 +580,7 @@ end
 local function try_put(fsm, snap, options, may_reset)
   local ok, failure = true, false
   if options.trusted then
-    ok, failure = try(put_directly, fsm, snap, options.is_tidy)
+    ok, failure = try(put_directly, fsm, snap)
   end
   if not ok then rfsm.reset(fsm) end
   if ok and not failure then ok, failure = try(put, fsm, snap, options, may_reset) end

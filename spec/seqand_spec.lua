@@ -692,7 +692,7 @@ end)
 
 it("a machine without sequential AND states has nothing of this extension", function()
   local fsm = init(region({}, "plain"))
-  assert.same({}, { fsm._has_seqand, fsm.a._seqand })
+  assert.same({}, { fsm._seqands, fsm.a._seqand })
 end)
 
 describe("the machines of a machine", function()

@@ -1,10 +1,12 @@
 -- The functions that run inside Redis, with tables in place of it: arguments, what is
 -- written, what is refused.
 
+local charts_of = require "rfsm.server.charts"
 local host_of = require "spec.support.server_host"
 local helper = require "spec.helper"
 local encoding = require "rfsm.snapshot.encoding"
 local json = require "rfsm.server.codec"
+local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 local share = require "spec.support.share"
@@ -1486,6 +1488,134 @@ describe("versions of a chart", function()
     clock.now = 1000.5
     assert.same({ "root.live", "active", "taken" }, f.rfsm_send({ "w" }, { "e_pay" }))
     assert.equal('{"root":{"log":"pay "}}', f.rfsm_get({ "w" })[12])
+  end)
+
+  it("give back whatever a callback changes, in any element", function()
+    local function show(fsm)
+      fsm.emit("fields", { fsm.a.limit or "nil", fsm.a.list and #fsm.a.list or "nil",
+        fsm.b.more or "nil", fsm[2].weight, #fsm[2].events, fsm.a.hit or "nil" })
+    end
+    library(function()
+      return state { b = state {}, a = state { limit = 5, list = { 1, 2 } },
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "a", weight = 1, events = { "e_turn" },
+          effect = function(fsm, tr)
+            tr.weight, fsm.b.more, fsm.a.list[3] = tr.weight + 1, 7, 3
+            tr.events[2], fsm.a.hit = "e_more", true
+            show(fsm)
+            fsm.a.limit, fsm.a.list = nil, nil
+            show(fsm)
+            fsm.a.limit, fsm.a.list = nil, { 9 }
+            show(fsm)
+            tr.effect, tr.tgt, fsm.a.entry = print, fsm.b, print
+          end },
+      }
+    end)
+    for _, key in ipairs { "w", "x" } do
+      f.rfsm_create({ key }, { "v" })
+      f.rfsm_send({ key }, { "e_turn" })
+      assert.matches('%[5,3,7,2,2,true%].*%["nil","nil",7,2,2,true%].*'
+        .. '%["nil",1,7,2,2,true%]', table.concat(trace, " "))
+      for i = #trace, 1, -1 do trace[i] = nil end
+    end
+  end)
+
+  -- A chart whose callbacks change fields that are not kept, in any element; `random`
+  -- decides which, and with what. Each entry tells what it sees.
+  local function changing(random)
+    local model = { keep = { "n" }, n = 0, cfg = { k = 1 }, limit = 1,
+      trans { src = "initial", tgt = "s1" } }
+    local set = {
+      function(obj, key) obj[key] = nil end,
+      function(obj, key) obj[key] = random(9) end,
+      function(obj, key) obj[key] = { random(9) } end,
+      function(obj) if type(obj.list) == "table" then obj.list[2] = random(9) end end,
+      function(_, _, fsm, name) fsm[5].tgt = fsm[name] end,
+    }
+    local function change(fsm)
+      local name = "s" .. random(4)
+      local obj = random:pick { fsm, fsm[name], fsm[random(9) + 1], fsm[name].x or fsm }
+      local key = random:pick { "limit", "list", "weight", "fresh" }
+      random:pick(set)(obj, key, fsm, name)
+      fsm.n = fsm.n + 1
+    end
+    local function show(fsm, self)
+      change(fsm)
+      fsm.emit("seen", { fsm.limit or false, fsm.cfg.k, self.limit or false,
+        type(self.list) == "table" and self.list[2] or false, fsm.s2.fresh or false,
+        fsm[3].weight or false, fsm[5].tgt._fqn, self.events and 1 or 0 })
+    end
+    for i = 1, 2 do
+      model["s" .. i] = state { limit = i, list = { 1, 2 }, entry = show }
+      model["s" .. i + 2] = state { limit = i, list = { 1, 2 }, entry = show,
+        history = "deep", x = state { list = {} }, y = state {},
+        trans { src = "initial", tgt = "x" },
+        trans { src = "x", tgt = "y", events = { "e_3" } } }
+    end
+    for i = 2, 10 do
+      model[i] = trans { src = "s" .. i % 4 + 1, tgt = "s" .. (i * 3) % 4 + 1,
+        weight = i, events = { "e_" .. i % 3 + 1, i % 4 == 0 and "e_after(5)" or nil },
+        effect = i % 2 == 0 and change or nil }
+    end
+    return state(model)
+  end
+
+  -- Returns all that random calls reply and write.
+  local function story_of(seed, compares)
+    local random, lines = new_random(seed), {}
+    charts_of.compares = compares
+    clock, trace = { now = 1000 }, {}
+    host = host_of.new(trace, clock)
+    load_library({ { name = "v", make = function() return changing(random) end } },
+      { history = true, index = true })
+    for i = 1, 3 do f.rfsm_create({ "m" .. i }, { "v" }) end
+    for _ = 1, 60 do
+      clock.now = clock.now + random(4)
+      local key, event = "m" .. random(3), "e_" .. random(3)
+      local name = random:pick { "send", "send", "send", "tick", "get", "force" }
+      local reply = f["rfsm_" .. name]({ key }, { name == "force" and "root.s1"
+        or name == "send" and event or nil })
+      lines[#lines + 1] = host_of.sorted(reply)
+    end
+    charts_of.compares = rawget(_G, "jit") ~= nil
+    return table.concat(lines, "\n") .. table.concat(trace, "\n")
+  end
+
+  it("write the same whether changes are noted or all fields compared", function()
+    require "rfsm.history"
+    if rawget(_G, "jit") then return end -- there only the second way works
+    for seed = share.seed(20), share.seed(20) + share.count(20) - 1 do
+      assert.equal(story_of(seed, true), story_of(seed, false), "seed " .. seed)
+    end
+  end)
+
+  it("cost what is active, however large the chart is", function()
+    if rawget(_G, "jit") then return end -- there all fields are compared
+    require "rfsm.history"
+    local function instructions(count)
+      local key = "n" .. count
+      library(function()
+        local model = { keep = { "n" }, n = 0, trans { src = "initial", tgt = "s1" } }
+        for i = 1, count do
+          model["s" .. i] = state { history = i > 3 and "deep" or nil,
+            entry = function(fsm) fsm.n = fsm.n + 1 end,
+            x = i > 3 and state {} or nil,
+            i > 3 and trans { src = "initial", tgt = "x" } or nil }
+          model[i + 1] = trans { src = "s" .. i, tgt = "s" .. i % 3 + 1,
+            events = { "e_next", "e_after(60)" }, effect = function() end }
+        end
+        return state(model)
+      end)
+      f.rfsm_create({ key }, { "v" })
+      for _ = 1, 12 do f.rfsm_send({ key }, { "e_next" }) end
+      local found = 0
+      debug.sethook(function() found = found + 1 end, "", 1)
+      for _ = 1, 12 do f.rfsm_send({ key }, { "e_next" }) end
+      debug.sethook()
+      return found
+    end
+    local few = instructions(10)
+    assert.is_true(instructions(300) < 1.05 * few)
   end)
 
   it("that fail are reported with their name", function()

@@ -400,7 +400,7 @@ describe("an option", function()
   for _, case in ipairs {
     { what = "that is not known", options = { migrat = itself },
       text = "unknown option 'migrat' (did you mean 'migrate'?), "
-      .. "expected: entries, is_tidy, migrate, old, rename, trusted" },
+      .. "expected: entries, migrate, old, rename, trusted" },
     { what = "of another type", options = { rename = 7 },
       text = "rename: table of old and new FQN expected, got 7" },
     { what = "with other names", options = { rename = { ["root.a"] = 7 } },

@@ -11,9 +11,10 @@ local encoding = require "rfsm.snapshot.encoding"
 local exact_json = require "rfsm.shared.exact_json"
 local migrate = require "rfsm.snapshot.migrate"
 local rfsm = require "rfsm"
+local shape = require "rfsm.snapshot.shape"
 local snapshot = require "rfsm.snapshot"
 
-local getmetatable, ipairs, pairs = getmetatable, ipairs, pairs
+local getmetatable, ipairs, next, pairs = getmetatable, ipairs, next, pairs
 local pcall, rawequal, rawget, rawset = pcall, rawequal, rawget, rawset
 local setmetatable, type = setmetatable, type
 local copy_of, fail, is_meta, text_of = encoding.copy_of, encoding.fail, rfsm.is_meta,
@@ -98,16 +99,102 @@ for _, name in ipairs(rfsm.sorted_keys(rfsm)) do
 end
 
 -- The machine of a chart runs one saved machine after the other. A callback may change
--- fields that snapshots do not save. `clean` undoes such changes before each call: it
--- removes the fields in `added`, and gives the other fields their first values.
+-- fields that snapshots do not save. `clean` undoes such changes before each call. Its
+-- cost follows the number of changes: an element below a root has a metatable of its
+-- own, which has the first values of the fields, so that each assignment is noted. A
+-- root has few fields, which are compared.
 
--- `added` lists elements and their new fields in turns: { element, key, ... }.
--- `known_of` has for each element the set of the fields that it had at first.
-local added, known_of = {}, setmetatable({}, { __mode = "k" })
+-- `changed` lists elements and their fields that were set, in turns.
+local changed = {}
 
--- Changes the metatable of elements so that new fields of an element are put in
--- `added`.
-local function watch(class)
+--- An element below a root.
+---@class rfsm.server.Element
+---@field others table<any, true> fields that are not noted: those that snapshots save
+---@field first table what is read in place of absent fields: their first values
+---@field plain table the first values that are plain tables, which are copied when read
+---@field moved table<any, { value: any, place: table }> first values and where they are
+---@field noted? integer[] of a transition: the list for changed targets
+---@field number? integer the position of the transition for this list
+local element_of = setmetatable({}, { __mode = "k" }) ---@type rfsm.server.Element[]
+
+-- Sets a field of an element. Nil may be the new value, so the first one has to go.
+local function set_field(obj, key, value)
+  rawset(obj, key, value)
+  local own = element_of[obj]
+  if own.others[key] or is_meta(key) then return end
+  local moved = own.moved[key]
+  if moved then rawset(moved.place, key, nil) end
+  if key == "tgt" and own.noted then
+    own.noted[#own.noted + 1] = own.number
+  else
+    changed[#changed + 1], changed[#changed + 2] = obj, key
+  end
+end
+
+-- Gives a field of an element its first value back.
+local function reset_field(obj, key)
+  local own = element_of[obj]
+  local moved = own and own.moved[key]
+  rawset(obj, key, nil)
+  if moved then rawset(moved.place, key, moved.value) end
+end
+
+-- Returns what is read in place of absent fields of an element. Inherited are those of
+-- its class.
+local function first_values(obj, own, inherited)
+  local first, plain = {}, own.plain
+  for key, moved in pairs(own.moved) do -- any order: each stands alone
+    moved.place = type(moved.value) == "table" and getmetatable(moved.value) == nil
+      and plain or first
+    moved.place[key] = moved.value
+    rawset(obj, key, nil)
+  end
+  for _, name in ipairs(rfsm.is_trans(obj) and { "guard", "effect" } or {}) do
+    if first[name] == nil then first[name] = inherited[name] end
+  end
+  if next(plain) == nil then return setmetatable(first, { __index = inherited }) end
+  return setmetatable(first, { __index = function(_, key)
+    if plain[key] == nil then return inherited[key] end
+    obj[key] = copy_of(own.moved[key].value)
+    return rawget(obj, key)
+  end })
+end
+
+-- Gives an element a metatable of its own, to which the fields in `moved` go.
+local function watch_element(obj, moved, others)
+  local class = getmetatable(obj)
+  local own = { others = others, plain = {}, moved = moved }
+  element_of[obj] = own
+  own.first = first_values(obj, own, class.__index)
+  local watched = { __index = own.first, __newindex = set_field }
+  for key, value in pairs(class) do -- any order: a copy
+    if watched[key] == nil then watched[key] = value end
+  end
+  setmetatable(obj, watched)
+end
+
+-- Has the machine of a region, or the outermost one, note each target that is set, so
+-- that a snapshot need not compare all of them.
+local function watch_targets(fsm)
+  local own = shape.of(fsm)
+  own.noted = {}
+  function own.forget(number)
+    reset_field(own.transitions[number], "tgt")
+  end
+  for i, tr in ipairs(own.transitions) do
+    local element = element_of[tr]
+    element.noted, element.number = own.noted, i
+    element.moved.tgt = { value = tr.tgt, place = element.first }
+    element.first.tgt, element.others.tgt = tr.tgt, nil
+    rawset(tr, "tgt", nil)
+  end
+end
+
+-- `known_of` has for each root the set of the fields that it had at first.
+local known_of = setmetatable({}, { __mode = "k" })
+
+-- Changes the metatable of machines so that new fields of a root are put in `changed`.
+local function watch_root(class)
   if rawget(class, "is_watched") then return end
   local set = class.__newindex or rawset
   class.is_watched = true
@@ -115,7 +202,7 @@ local function watch(class)
     set(obj, key, value)
     local known = known_of[obj]
     if known and not (known[key] or is_meta(key)) then
-      added[#added + 1], added[#added + 2] = obj, key
+      changed[#changed + 1], changed[#changed + 2] = obj, key
     end
   end
 end
@@ -127,25 +214,58 @@ end
 ---@field key any
 ---@field value any
 
-local function note_fields(fields, obj)
-  local known, is_kept = { _actchild = true }, { keep = true }
+-- Calls f(key, value) for each field of an element that snapshots do not save. Returns
+-- the set of all others.
+local function each_field(obj, f)
+  local others, is_kept = { _actchild = true }, { keep = true }
   for _, name in ipairs(obj.keep or {}) do is_kept[name] = true end
   for key, value in pairs(obj) do -- any order: each stands alone
-    known[key] = true
-    if not (is_meta(key) or rfsm.is_fsmobj(value) or is_kept[key]) then
-      fields[#fields + 1] = { obj = obj, key = key, value = copy_of(value) }
+    if is_meta(key) or rfsm.is_fsmobj(value) or is_kept[key] then
+      others[key] = true
+    else
+      f(key, value)
     end
   end
-  for name in pairs(is_kept) do known[name] = true end -- any order: a set
-  known_of[obj] = known
-  watch(getmetatable(obj))
+  for name in pairs(is_kept) do others[name] = true end -- any order: a set
+  return others
+end
+
+-- Has the fields of an element compared in each call.
+local function compare_fields(fields, obj)
+  local names = {}
+  known_of[obj] = each_field(obj, function(key, value)
+    names[#names + 1] = key
+    fields[#fields + 1] = { obj = obj, key = key, value = copy_of(value) }
+  end)
+  for _, name in ipairs(names) do known_of[obj][name] = true end
+  watch_root(getmetatable(obj))
+end
+
+--- Are the fields of all elements compared in each call? The code that is written for
+--- LuaJIT reads callbacks by `rawget`, so it is so there. Specs compare the two ways.
+charts.compares = rawget(_G, "jit") ~= nil
+
+-- Notes the fields of the elements of a machine.
+local function note_fields(fields, fsm)
+  for _, obj in ipairs(rfsm.elements(fsm)) do
+    if charts.compares or rfsm.is_root(obj) then
+      compare_fields(fields, obj)
+    else
+      local moved = {}
+      local others = each_field(obj, function(key, value)
+        moved[key] = { value = copy_of(value) }
+      end)
+      watch_element(obj, moved, others)
+    end
+  end
+  if not charts.compares then watch_targets(fsm) end
 end
 
 -- Gives the fields of all elements their first values back. This runs in each call.
 local function clean(chart)
-  for i = #added, 2, -2 do
-    rawset(added[i - 1], added[i], nil)
-    added[i - 1], added[i] = nil, nil
+  for i = #changed, 2, -2 do
+    reset_field(changed[i - 1], changed[i])
+    changed[i - 1], changed[i] = nil, nil
   end
   local fields = chart.fields
   for i = 1, #fields do
@@ -238,9 +358,7 @@ function charts.open(chart)
   for i, at in ipairs(rfsm.machines(fsm)) do
     chart.regions[i - 1] = i > 1 and at.machine or nil
     is_shared[at.machine] = true
-    for _, obj in ipairs(rfsm.elements(at.machine)) do
-      note_fields(chart.fields, obj)
-    end
+    note_fields(chart.fields, at.machine)
   end
   chart.fsm = fsm
   return chart
@@ -256,9 +374,7 @@ end
 function charts.put(chart, snap, is_foreign)
   clean(chart)
   chart.options.trusted = not is_foreign
-  local ok, problem = snapshot.put(chart.fsm, snap, chart.options)
-  chart.options.is_tidy = false
-  return ok, problem
+  return snapshot.put(chart.fsm, snap, chart.options)
 end
 
 --- Step the machine of a chart until it is idle, at most `steps` times. Return whether

@@ -400,6 +400,14 @@ local function due_of(machine, snap)
   return earliest(left and times.seen() + left or nil, machine.list)
 end
 
+-- Returns the position of the last value in the list of a machine.
+local function last_of(list)
+  for i = HOLD, SEC, -1 do
+    if list[i] then return i end
+  end
+  return SNAP
+end
+
 -- Packs the list of a machine. Empty positions are false; those behind the last value
 -- are nil.
 local function pack_machine(machine, due)
@@ -407,10 +415,9 @@ local function pack_machine(machine, due)
   list[SEC], list[NSEC], list[DUE] = false, false, due
   if due then list[SEC], list[NSEC] = times.get() end
   if list[LATER] and not list[LATER][1] then list[LATER] = false end
-  for i = HOLD, SEC, -1 do
-    if not list[i] then list[i] = nil end
-    if list[i] == nil and list[i + 1] ~= nil then list[i] = false end
-  end
+  local last = last_of(list)
+  for i = SEC, last do list[i] = list[i] or false end
+  for i = last + 1, HOLD do list[i] = nil end
   machine.value = host.pack(list)
   local size = #tostring(machine.value)
   if size > MAX_VALUE then
@@ -421,9 +428,8 @@ end
 -- Calls the host to write all changes, and returns the reply: leaf, mode, errors,
 -- outcome. The id of dropped events is not kept, so that they may be sent again.
 local function save(machine, id)
-  local chart, list, leaf = machine.chart, machine.list, machine.fsm._act_leaf
+  local list, leaf = machine.list, machine.fsm._act_leaf
   local snap = snapshot.take(machine.fsm)
-  chart.options.is_tidy = snap.targets == nil
   local due, emitted, errors = due_of(machine, snap), charts.effects()
   machine.mode = leaf and leaf._mode or "inactive"
   if not machine.outcome then

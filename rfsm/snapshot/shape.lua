@@ -304,13 +304,17 @@ function shape.named(name) return by_name[name] end
 ---@field nodes table<string, table> states and connectors of the machine by FQN
 ---@field transitions rfsm.Transition[]
 ---@field targets table[] the target that each transition has in the model
+---@field noted? integer[] positions in `transitions` of those whose target was set;
+--- nil: any target may have been set
+---@field forget? fun(number: integer) gives such a transition its first target
 ---@field path rfsm.snapshot.Path a table that each call of `take` reuses
 
 --- Return the `rfsm.snapshot.Own` of a machine; make a new one if the structure
 -- changed.
 function shape.of(fsm)
-  local own, key = fsm._kept, rfsm.structure_of(fsm)
-  if own and own.key == key then return own end
+  local own = fsm._kept
+  if own and own.key == fsm._structure then return own end
+  local key = rfsm.structure_of(fsm)
   local known, nodes = charts[key] or describe(fsm, key), { [fsm._fqn] = fsm }
   own = { key = key, chart = known, places = { { machine = fsm, prefix = "root" } },
     states = {}, nodes = nodes, transitions = {}, targets = {},
