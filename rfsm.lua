@@ -2343,17 +2343,15 @@ do
     add_action(list, recorders.entry, state)
   end
 
-  local shapes = {} -- a tree of all lists of actions, with one action per level
+  local shapes = setmetatable({}, { __mode = "v" }) -- text of a list of actions -> list
 
   -- Returns an equal list of actions. All paths with the same actions share this list.
   local function shared(list)
-    local at = shapes
-    for _, action in ipairs(list) do
-      at[action] = at[action] or {}
-      at = at[action]
-    end
-    at.list = at.list or list
-    return at.list
+    local texts = {}
+    for i, action in ipairs(list) do texts[i] = tostring(action) end
+    local shape = concat(texts)
+    shapes[shape] = shapes[shape] or list
+    return shapes[shape]
   end
 
   -- Does a segment behind a connector name events, so that another event counts for it?

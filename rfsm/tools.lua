@@ -205,7 +205,7 @@ end
 
 -- Structure: machines of equal structure share what is known of it --------------------
 
-local latest = setmetatable({}, { __mode = "v" }) -- model -> a machine of it
+local latest = setmetatable({}, { __mode = "kv" }) -- model -> a machine of it
 
 -- Have the elements of two lists equal values in some fields? Nodes are compared by
 -- FQN.

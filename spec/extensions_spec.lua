@@ -379,6 +379,21 @@ describe("an extension may ask", function()
     assert.not_equal(structure, rfsm.structure_of(second))
   end)
 
+  it("for that also if callbacks know their machine, which is collected", function()
+    local weak = setmetatable({}, { __mode = "k" })
+    for i = 1, 20 do
+      local fsm
+      fsm = assert(rfsm.init(state { info = false, warn = false, number = i,
+        entry = function() rfsm.send_events(fsm, "e") end }))
+      weak[rfsm.structure_of(fsm) and fsm] = true
+    end
+    collectgarbage()
+    collectgarbage()
+    local count = 0
+    for _ in pairs(weak) do count = count + 1 end -- any order: counted
+    assert.is_true(count <= 1, count .. " machines are left")
+  end)
+
   it("for the target that the model names, whatever it is now", function()
     local fsm, names = assert(rfsm.init(model)), {}
     fsm[2].tgt = fsm.a
