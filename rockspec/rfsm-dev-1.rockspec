@@ -198,6 +198,7 @@ build = {
     ["rfsm.strict"] = "rfsm/strict.lua",
     ["rfsm.system"] = "rfsm/system.lua",
     ["rfsm.system.description"] = "rfsm/system/description.lua",
+    ["rfsm.system.liveness"] = "rfsm/system/liveness.lua",
     ["rfsm.system.product"] = "rfsm/system/product.lua",
     ["rfsm.system.report"] = "rfsm/system/report.lua",
     ["rfsm.system.sequence"] = "rfsm/system/sequence.lua",

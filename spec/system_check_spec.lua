@@ -273,40 +273,62 @@ describe("cell:explore", function()
       { "left e_left right", "right e_right left" }
   end
 
-  it("has steps overlap if it is told so", function()
-    local function judged(overlap)
-      local charts, wires = crossing()
-      return explored(charts, wires, { overlap = overlap,
-        properties = { never { "left: root.b", "right: root.b" } } })
-    end
-    assert.is_true(judged(false).properties[1].holds)
-    local result, cell = judged(true)
+  local function judged_crossing(overlap, most)
+    local charts, wires = crossing()
+    return explored(charts, wires, { overlap = overlap, configurations = most,
+      properties = { never { "left: root.b", "right: root.b" } } })
+  end
+
+  it("has moves cross unless it is told that they do not", function()
+    local plain = judged_crossing(false)
+    assert.same({ true, false }, { plain.properties[1].holds, plain.crossing })
+    assert.matches("b: holds if moves do not cross\npremises: ", tostring(plain), 1,
+      true)
+    local result, cell = judged_crossing()
     assert.is_false(result.properties[1].holds)
-    assert.equal("steps overlap, and their events are put one by one",
-      result.premises[3])
+    assert.is_true(result.crossing > result.configurations)
+    assert.equal(plain.configurations, result.configurations)
+    assert.matches((" configurations, %d with moves that cross, "):format(
+      result.crossing), tostring(result), 1, true)
     local lines = sequence.lines_of(result.findings[#result.findings].witness)
     assert.same({
       "1. left: root.trans[1] -> root.a",
       "2. left gets e_go from outside: root.trans[3] -> root.b; sends nothing yet",
       "3. right: root.trans[1] -> root.a",
-      "4. right gets e_go from outside: root.trans[3] -> root.b; sends nothing yet",
+      "4. right gets e_go from outside: root.trans[3] -> root.b; sends e_right to left",
     }, lines)
     for _, move in ipairs(sequence.read(table.concat(lines, "\n"))) do
       cell:move(move.machine, move.events, move.wanted, move.holds)
     end
-    assert.same({ "root.b", "root.b", 1, 1 }, {
+    assert.same({ "root.b", "root.b", 1, 0 }, {
       rfsm.get_actleaf_fqn(cell.machines.left),
       rfsm.get_actleaf_fqn(cell.machines.right), #cell.unsent.left,
       #cell.unsent.right })
   end)
 
+  it("says that moves do not cross, if they would need too many configurations",
+    function()
+      local most = judged_crossing(false).configurations
+      local result = judged_crossing(nil, most)
+      assert.same({ true, nil, false }, { result.properties[1].holds, result.bound,
+        result.crossing })
+      assert.matches("p: holds if moves do not cross\n", (tostring(result):gsub(
+        "never left: root.b and right: root.b", "p")), 1, true)
+      assert.matches("; not tried with moves that cross: what lies behind the bound on "
+        .. "configurations; ", tostring(result), 1, true)
+      result = judged_crossing(true, most)
+      assert.same({ "configurations" }, { result.bound, result.properties[1].holds })
+    end)
+
   it("has a step that emits nothing overlap nothing", function()
     local function count(overlap)
       return explored({ left = chart(go("a", "b", "e_go"), go("b", "a", "e_go", "e_z")),
         right = chart(go("a", "b", "e_x"), go("b", "a", "e_y")) }, {},
-        { overlap = overlap }).configurations
+        { overlap = overlap })
     end
-    assert.equal(count(false), count(true))
+    local result = count(true)
+    assert.equal(count(false).configurations, result.configurations)
+    assert.equal(result.configurations, result.crossing)
   end)
 
   it("has the sender do nothing else until all events of a step are put", function()
@@ -570,7 +592,8 @@ describe("cell:explore", function()
       { { "left e_x right", size = 2 } },
       { machines = { right = { alphabet = { "e_y" } } } })
     assert.same({ "any order, any time", "one event from outside in a move",
-      "events of a step are put one by one, the first within the move",
+      "moves cross: others move also between what a machine reads and the events that "
+        .. "it emits then, which are put one by one",
       "a connection for each wire, all of them read at one moment",
       "right: guards free", "right: one event an iteration",
       "right: no event outside of the alphabet",
@@ -835,10 +858,12 @@ describe("rfsm check of a system", function()
     end
   end)
 
-  it("has steps overlap by an option of the command", function()
-    local out = checked("zone/cell_mended", "--overlap")
-    assert.matches("cell_mended.lua: ok\n.*one arm is inside: holds\n.*steps overlap",
-      out)
+  it("has no moves cross by an option of the command", function()
+    assert.matches("cell_mended.lua: ok\n.*one arm is inside: holds if moves do not "
+      .. "cross\n.*; moves do not cross: ", (checked("zone/cell_mended",
+      "--no-overlap")))
+    assert.matches("one arm is inside: holds\n.*; moves cross: ",
+      (checked "zone/cell_mended"))
   end)
 
   it("draws the run, and explores nothing if it need not", function()

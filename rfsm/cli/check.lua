@@ -37,7 +37,7 @@ function check.add_arguments(command)
   common.add_number(command, "--configurations", "explore so many, at most (10000)")
   common.add_number(command, "--seconds", "explore so long, at most", opts.is_seconds,
     "seconds")
-  command:flag("--overlap", "a system: others move before a step sends"):hidden(true)
+  command:flag("--no-overlap", "a system: moves do not cross"):hidden(true)
   command:option("--deployed", "what is not as a system says: .xml, .ops, .lua")
     :argname("FILE")
   command:option("--record", "write runs that show findings: FILE, FILE.2 ...")

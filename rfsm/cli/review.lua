@@ -207,7 +207,7 @@ local function explore_system(file, cell, options)
     machines[name] = machine_options(cell, name, machines[name] or {})
   end
   own.machines = machines
-  if options.overlap then own.overlap = true end
+  if options.no_overlap then own.overlap = false end
   return run_explore(file, cell, own, options, report.explore,
     MANY_TOGETHER)
 end

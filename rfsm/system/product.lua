@@ -3,9 +3,11 @@
 -- In a move, a machine reads its wires. Then it takes one step with the events that it
 -- has read and at most one event from outside, and puts the first event that the step
 -- emits into its wire. Each further one is a move of its own, and before that the
--- machine does nothing else. If steps overlap, the first one is a move of its own, too.
--- Any machine may move at any time. A machine that takes one event an iteration takes
--- one: from any of its wires, or from outside.
+-- machine does nothing else. Any machine may move at any time. A machine that takes one
+-- event an iteration takes one: from any of its wires, or from outside.
+--
+-- If moves may cross, the first put may be a move of its own, too. A machine that reads
+-- no wire needs no such move: it could as well take its step later.
 --
 -- Each machine has a walk (`rfsm.explore.explore`), which takes equal steps only once.
 -- The outcomes are kept by the configuration of the machine and the list of what it has
@@ -17,7 +19,7 @@
 -- @license BSD-3-Clause
 
 local explore = require "rfsm.explore.explore"
-local graph = require "rfsm.explore.graph"
+local liveness = require "rfsm.system.liveness"
 local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
@@ -39,9 +41,10 @@ local product = {}
 ---@field wires rfsm.system.Wire[] wires between the members
 ---@field keys table[] configurations: `numbers` has the configuration of each machine,
 -- `queues` the queue of each wire, `unsent` for each machine what it has yet to put
+---@field kept table<string, table> these parts of configurations by their texts
 ---@field numbers table<string, integer> number of a configuration by its text
 ---@field labels string[] by configuration, the move that first led to it: "2:1:7" is
--- outcome 7 of what member 2 may read first
+-- outcome 7 of what member 2 may read first; "2:1:7 holds": nothing is put yet
 ---@field steps integer[] targets of moves; negative: without an event from outside
 ---@field movers integer[] by index of `steps`, the number of the member that moved; if
 -- it has read one wire of several, the number of members and the position of the wire
@@ -49,8 +52,9 @@ local product = {}
 ---@field carries table<rfsm.system.Wire, table> for each wire the set of events that go
 -- over it
 ---@field is_partial boolean some steps of a machine were not tried
----@field overlap boolean a step puts nothing, so others may move before its first event
-local Product = { note_untried = explore.note_untried }
+---@field overlap boolean moves may cross
+local Product = { note_untried = explore.note_untried,
+  must_reach = liveness.must_reach }
 Product.__index = Product
 
 --- A machine of a product: its walk, and fields that the product needs.
@@ -64,14 +68,14 @@ Product.__index = Product
 ---@field outgoing table<string, rfsm.system.Put[]> by event, the puts that it needs,
 -- without and with data
 ---@field reads_one boolean it takes one event an iteration
+---@field hears boolean it reads some wire
 
---- An event that is put into a wire.
+--- An event that is put into a wire: an item of a queue, or of what is yet to be put.
 ---@class rfsm.system.Put
 ---@field at integer position of the wire
 ---@field name string name of the event
----@field letter string text of the event in a queue: different for each event, and with
--- data
----@field text string the position and the letter
+---@field event any the event that the reader gets
+---@field text string different for each wire and event, with and without data
 
 -- Steps of one machine ..............................................................
 
@@ -147,10 +151,13 @@ end
 -- Returns the outcomes of the steps of a machine with the events that it has read: one
 -- outcome for each choice that makes a difference. If `is_alone`, none comes from
 -- outside.
-local function outcomes_of(member, number, read, is_alone)
-  local known, numbers = member.moves[number] or {}, {}
+local function outcomes_of(member, number, puts, is_alone)
+  local known, read, numbers = member.moves[number] or {}, {}, {}
   member.moves[number] = known
-  for i, occurrence in ipairs(read) do numbers[i] = occurrence.number end
+  for i, put in ipairs(puts) do
+    read[i] = member.subject:occurrence(member.subject.parts[1], put.event)
+    numbers[i] = read[i].number
+  end
   local key = concat(numbers, ",") .. (is_alone and "." or "")
   if not known[key] then
     known[key] = {}
@@ -177,23 +184,40 @@ end
 --- Return a configuration by its number.
 function Product:configuration(number) return self.keys[number] end
 
+-- Returns the text of some lists of puts.
+local function text_of_puts(lists)
+  local texts = {}
+  for _, list in ipairs(lists) do
+    for _, put in ipairs(list) do texts[#texts + 1] = put.text end
+  end
+  return concat(texts)
+end
+
+-- Returns the first value that was kept under a text, so that equal parts of different
+-- configurations are one table.
+local function kept(self, text, value)
+  local values = self.kept
+  if values[text] == nil then values[text] = value end
+  return values[text]
+end
+
+local ENTERED, NOT_ENTERED = { leaf = true }, { leaf = false }
+
 -- Returns the number of a configuration. A new one is added, and is expanded later. Its
 -- first item has `leaf`, for properties: it is true if all machines were entered.
 local function find_configuration(self, numbers, queues, unsent, from, label)
-  local texts = { concat(numbers, ",") }
-  for i, queue in ipairs(queues) do texts[i + 1] = concat(queue) end
-  for i, puts in ipairs(unsent) do
-    for _, put in ipairs(puts) do texts[#texts + 1] = i .. ">" .. put.text end
-  end
-  local key = concat(texts, "|")
+  local own = concat(numbers, ",")
+  local waiting, rest = "queues" .. text_of_puts(queues), "rest" .. text_of_puts(unsent)
+  local key = own .. waiting .. rest
   local number = self.numbers[key]
   if number then return number end
   local are_entered = order.all(self.members, function(member)
     return member.confs[numbers[member.number]][1].leaf
   end)
   number = #self.keys + 1
-  self.keys[number] = { { leaf = are_entered }, numbers = numbers, queues = queues,
-    unsent = unsent }
+  self.keys[number] = { are_entered and ENTERED or NOT_ENTERED,
+    numbers = kept(self, own, numbers), queues = kept(self, waiting, queues),
+    unsent = kept(self, rest, unsent) }
   self.numbers[key], self.from[number], self.labels[number] = number, from, label
   return number
 end
@@ -201,20 +225,16 @@ end
 --- What a machine may read in a move.
 ---@class rfsm.system.Reading
 ---@field outcomes table[] the outcomes of a step with the events that are read
----@field queues string[][] the queues after that
----@field by rfsm.system.Wire[] for each event that was read, the wire it came from
+---@field queues rfsm.system.Put[][] the queues after that
+---@field read rfsm.system.Put[] the events that are read
 ---@field mover integer see the field `movers` of `rfsm.system.Product`
 
 -- Returns the reading of the wires at some positions.
 local function read_wires(self, member, conf, positions, is_alone)
-  local queues, read = conf.queues, {}
-  if positions[1] then queues = copy(queues) end
+  local queues = positions[1] and copy(conf.queues) or conf.queues
   for _, at in ipairs(positions) do queues[at] = copy(queues[at]) end
-  local letters, by = wires.take(self.wires, queues, positions, member.reads_one)
-  for i, letter in ipairs(letters) do
-    read[i] = member.subject:occurrence(member.subject.parts[1], by[i].event_of[letter])
-  end
-  return { queues = queues, by = by, mover = member.number,
+  local read = wires.take(self.wires, queues, positions, member.reads_one)
+  return { queues = queues, read = read, mover = member.number,
     outcomes = outcomes_of(member, conf.numbers[member.number], read, is_alone) }
 end
 
@@ -233,16 +253,19 @@ local function read_one(self, member, conf, waiting)
   return list
 end
 
--- The outcome of a move that only puts an event into a wire.
-local GOES_ON = { outside = NOTHING, puts = NOTHING, passed = NOTHING, came = NOTHING,
-  taken = NOTHING, choices = NOTHING, leaf = false, unfollowed = false, ran = false }
+-- Returns the outcome of a move that only puts an event into a wire.
+local function putting(conf, member)
+  return { is_put = true, tgt = conf.numbers[member.number], outside = NOTHING,
+    puts = conf.unsent[member.number], passed = NOTHING, came = NOTHING,
+    taken = NOTHING, choices = NOTHING, leaf = false, unfollowed = false, ran = false }
+end
 
 -- Lists what a machine may read in a move. While it has events to put it reads nothing,
 -- and before its entry neither.
 local function readings_of(self, member, conf)
   if conf.unsent[member.number][1] then
-    return { { queues = conf.queues, by = NOTHING, mover = member.number,
-      outcomes = { GOES_ON } } }
+    return { { queues = conf.queues, read = NOTHING, mover = member.number,
+      outcomes = { putting(conf, member) } } }
   elseif not member.confs[conf.numbers[member.number]][1].leaf then
     return { read_wires(self, member, conf, NOTHING) }
   end
@@ -251,29 +274,21 @@ local function readings_of(self, member, conf)
   return { read_wires(self, member, conf, waiting) }
 end
 
+-- Returns a list with another item in one place.
+local function with(list, place, item)
+  if list[place] == item then return list end
+  local other = copy(list)
+  other[place] = item
+  return other
+end
+
 -- Returns the queues after a put, and what was put: nil if there is no put.
 local function put_into(self, queues, put)
   if not put then return queues, nil end
-  local after, wire = copy(queues), self.wires[put.at]
-  after[put.at] = copy(after[put.at])
-  local is_put = wires.put(wire, after[put.at], put.letter)
-  return after, { wire = wire, event = put.name, is_lost = not is_put }
-end
-
--- Returns what a move has to put: now, or nil, and later.
-local function puts_of_move(self, conf, member, outcome)
-  local puts = conf.unsent[member.number]
-  if outcome ~= GOES_ON then puts = outcome.puts end
-  if self.overlap and outcome ~= GOES_ON and puts[1] then return nil, puts end
-  return puts[1], rest_of(puts)
-end
-
--- Returns what all machines have to put if one of them has `rest` to put.
-local function unsent_with(conf, number, rest)
-  if rest == conf.unsent[number] then return conf.unsent end
-  local unsent = copy(conf.unsent)
-  unsent[number] = rest
-  return unsent
+  local queue, wire = copy(queues[put.at]), self.wires[put.at]
+  local is_lost = not wires.put(wire, queue, put)
+  return with(queues, put.at, queue),
+    { wire = wire, event = put.name, is_lost = is_lost }
 end
 
 -- Notes a move. A move that changes nothing counts only without an event from outside,
@@ -312,31 +327,32 @@ local function note_move(self, move, member, outcome, sent)
   end
 end
 
--- Takes a move. Returns true if it changes something, or takes a transition.
-local function take_move(self, from, member, reading, outcome, label)
-  local conf, numbers = self.keys[from], nil
-  local put, rest = puts_of_move(self, conf, member, outcome)
-  local queues, sent = put_into(self, reading.queues, put)
-  if outcome ~= GOES_ON then
-    numbers = copy(conf.numbers)
-    numbers[member.number] = outcome.tgt
-  end
-  local tgt = find_configuration(self, numbers or conf.numbers, queues,
-    unsent_with(conf, member.number, rest), from, label)
+-- Takes a move, which puts nothing yet if it `holds`. Returns true if it changes
+-- something, or takes a transition.
+local function take_move(self, from, member, reading, outcome, label, holds)
+  local conf, puts = self.keys[from], outcome.puts
+  local queues, sent = put_into(self, reading.queues, not holds and puts[1])
+  local tgt = find_configuration(self, with(conf.numbers, member.number, outcome.tgt),
+    queues, with(conf.unsent, member.number, holds and puts or rest_of(puts)), from,
+    label)
   add_step(self, from, tgt, reading.mover, outcome, label)
   note_move(self, { from = from, tgt = tgt, label = label }, member, outcome, sent)
-  return tgt ~= from or outcome.taken[1] ~= nil or reading.by[1] ~= nil
+  return tgt ~= from or outcome.taken[1] ~= nil or reading.read[1] ~= nil
 end
 
 --- Take all moves from a configuration.
 function Product:expand(from)
-  local has_moved = false
+  local has_moved, conf = false, self.keys[from]
   self.first[from] = #self.steps + 1
   for _, member in ipairs(self.members) do
-    for at, reading in ipairs(readings_of(self, member, self.keys[from])) do
+    local may_hold = self.overlap and member.hears and not conf.unsent[member.number][1]
+    for at, reading in ipairs(readings_of(self, member, conf)) do
       for index, outcome in ipairs(reading.outcomes) do
         local label = ("%d:%d:%d"):format(member.number, at, index)
         has_moved = take_move(self, from, member, reading, outcome, label) or has_moved
+        if may_hold and outcome.puts[1] then
+          take_move(self, from, member, reading, outcome, label .. " holds", true)
+        end
       end
     end
   end
@@ -387,102 +403,6 @@ function Product:view_of_moment(passed)
   return self:view(self.keys[passed.number], passed)
 end
 
--- Runs that stay ....................................................................
-
--- Notes in `is_fair` which machines a run does not neglect if it stays in the strongly
--- connected component of a configuration: a machine has nothing to do in the
--- configuration, or it has a move that stays in the component. Behind the machines it
--- notes which wires are read, if the reader reads one wire at a time.
-local function note_fair(self, number, index_of, is_fair)
-  local is_busy = {}
-  graph.each_step(self, number, function(tgt, is_internal, at)
-    local mover, stays = self.movers[at], index_of[tgt] == index_of[number]
-    is_busy[mover] = is_busy[mover] or is_internal and tgt ~= number
-    is_fair[mover] = is_fair[mover] or is_internal and stays
-  end)
-  for i in ipairs(self.members) do is_fair[i] = is_fair[i] or not is_busy[i] end
-end
-
--- Could a machine that reads one wire at a time read the wire in a configuration?
-local function is_readable(self, number, at)
-  local conf, member = self.keys[number], self.wires[at].reader
-  if not member.reads_one or conf.queues[at][1] == nil
-    or conf.unsent[member.number][1] then return false end
-  local own = member.confs[conf.numbers[member.number]]
-  return own[1].leaf and not subject.is_driven(own)
-end
-
--- Does a run neglect a wire if it comes to a configuration again and again? It does if
--- the wire could be read there, and is never read.
-local function is_neglected(self, number, is_fair)
-  for at in ipairs(self.wires) do
-    if not is_fair[#self.members + at] and is_readable(self, number, at) then
-      return true
-    end
-  end
-  return false
-end
-
--- Adds the configurations of a component to the set `staying`, if a run that stays in
--- the component neglects neither a machine nor a wire. If it neglects a wire, adds to
--- the set `parts` those in which the wire cannot be read.
-local function note_component(self, numbers, index_of, staying, parts)
-  local is_fair, rest = {}, {}
-  for _, number in ipairs(numbers) do note_fair(self, number, index_of, is_fair) end
-  for _, member in ipairs(self.members) do
-    if not is_fair[member.number] then return end
-  end
-  for _, number in ipairs(numbers) do
-    if not is_neglected(self, number, is_fair) then rest[#rest + 1] = number end
-  end
-  local set = #rest == #numbers and staying or parts
-  for _, number in ipairs(rest) do set[number] = true end
-end
-
--- Adds to the set `staying` the configurations of the set `open` between which a run
--- may stay for ever, without neglecting a machine or a wire.
-local function note_staying(self, open, staying)
-  local components, index_of = graph.components_in(self, open, true)
-  local parts = {}
-  for _, numbers in ipairs(components) do
-    note_component(self, numbers, index_of, staying, parts)
-  end
-  if not order.is_empty(parts) then note_staying(self, parts, staying) end
-end
-
---- Return the set of configurations from which moves without events from outside always
---- lead to one of `goals`, if doos end and each machine moves again and again.
----@param goals table<integer, boolean> set of configurations
----@return table<integer, boolean> set
-function Product:must_reach(goals)
-  local set, staying, open = {}, {}, {}
-  for number = 1, self.expanded do open[number] = not goals[number] end
-  note_staying(self, open, staying)
-  self.open, self.staying = open, staying
-  local can_stay = graph.can_reach(self, staying, true, open)
-  for number = 1, #self.keys do
-    set[number] = self.is_partial or not can_stay[number]
-  end
-  return set
-end
-
--- Returns the moves from a configuration to the nearest one in which a run may stay, as
--- the last call of `must_reach` has found.
-local function way_to_stay(self, start)
-  if self.staying[start] then return {} end
-  local edges = setmetatable({}, { __index = function(_, number)
-    local list = {}
-    graph.each_step(self, number, function(tgt, is_internal, at)
-      if is_internal and self.open[tgt] then
-        list[#list + 1] = { from = number, tgt = tgt, label = self.step_labels[at] }
-      end
-    end)
-    return list
-  end })
-  return graph.find_way(edges, start, function(edge) return self.staying[edge.tgt] end)
-    or {}
-end
-
 -- Witnesses .........................................................................
 
 --- A move of a witness.
@@ -501,30 +421,20 @@ end
 ---@field unfollowed false|"data"|"targets" see `rfsm_checks.WitnessStep`
 ---@field ran false|"before"|"after"
 
--- Lists the events that a reading takes from the queues of a configuration.
-local function events_read(conf, reading)
-  local list, next_of = {}, {}
-  for i, wire in ipairs(reading.by) do
-    next_of[wire] = (next_of[wire] or 0) + 1
-    local letter = conf.queues[wire.position][next_of[wire]]
-    list[i] = { event = wire.name_of[letter], from = wire.from }
-  end
-  return list
-end
-
 -- Returns the move with this label from the configuration `from`, as a witness has it.
 local function move_of(self, from, label)
-  local number, at, index = label:match("^(%d+):(%d+):(%d+)$")
+  local number, at, index, holds = label:match("^(%d+):(%d+):(%d+)(.*)$")
   local member, conf = self.members[tonumber(number)], self.keys[from]
   local reading = readings_of(self, member, conf)[tonumber(at)]
   local outcome = reading.outcomes[tonumber(index)]
-  local put, rest = puts_of_move(self, conf, member, outcome)
-  local _, sent = put_into(self, reading.queues, put)
-  local move = { machine = member.name, events = {}, is_put = outcome == GOES_ON,
-    sent = sent, holds = not put and rest[1] ~= nil,
-    read = events_read(conf, reading),
-    choices = outcome.choices, taken = outcome.taken, leaf = outcome.leaf,
+  local _, sent = put_into(self, reading.queues, holds == "" and outcome.puts[1])
+  local move = { machine = member.name, events = {}, is_put = outcome.is_put or false,
+    sent = sent, holds = holds ~= "",
+    read = {}, choices = outcome.choices, taken = outcome.taken, leaf = outcome.leaf,
     occurrences = outcome.outside, unfollowed = outcome.unfollowed, ran = outcome.ran }
+  for i, put in ipairs(reading.read) do
+    move.read[i] = { event = put.name, from = self.wires[put.at].from }
+  end
   for i, occurrence in ipairs(outcome.outside) do
     move.events[i] = rfsm.event_text(occurrence.event)
   end
@@ -539,7 +449,7 @@ end
 ---@return rfsm.system.Move[] witness
 function Product:witness(number, label, stays)
   local way, moves = explore.way_to(self, number, label), {}
-  if stays then way = match.joined(way, way_to_stay(self, stays)) end
+  if stays then way = match.joined(way, liveness.way_to_stay(self, stays)) end
   for i, step in ipairs(way) do moves[i] = move_of(self, step.from, step.label) end
   return moves
 end
@@ -548,22 +458,16 @@ end
 
 local EMITS = "events that the %s may emit, which sends does not name"
 
--- Makes the put of an event into a wire, and notes the letter of the event.
-local function new_put(wire, letter, name, event)
-  wire.event_of[letter], wire.name_of[letter] = event, name
-  return { at = wire.position, letter = letter, name = name,
-    text = wire.position .. ":" .. letter }
-end
-
 -- Makes the copy of a wire that a product has. `position` is that in the product,
--- `event_of` and `name_of` have the events and their names by letter. `puts` has two
--- puts for each event, without data and with it.
-local function new_wire(self, wire)
-  local own = setmetatable({ position = #self.wires + 1, event_of = {}, name_of = {},
-    puts = {} }, { __index = wire })
-  for i, event in ipairs(wire.events) do
-    own.puts[i] = { plain = new_put(own, i .. "e", event, event),
-      with_data = new_put(own, i .. "d", event, { name = event }) }
+-- `puts` has two puts for each event, without data and with it.
+local function new_wire(position, wire)
+  local own = setmetatable({ position = position, puts = {} }, { __index = wire })
+  for i, name in ipairs(wire.events) do
+    local function put(kind, event)
+      return { at = position, name = name, event = event,
+        text = ("%d:%d%s"):format(position, i, kind) }
+    end
+    own.puts[i] = { plain = put("e", name), with_data = put("d", { name = name }) }
   end
   return own
 end
@@ -574,7 +478,7 @@ local function join_wires(self, member, options)
     for i, event in ipairs(wire.events) do
       if wire.to == member.name then
         member.wired[event] = not match.has(options.alphabet or {}, event)
-        wire.reader = member
+        wire.reader, member.hears = member, true
       end
       if wire.from == member.name then
         member.outgoing[event] = match.with(member.outgoing[event] or {}, wire.puts[i])
@@ -612,18 +516,18 @@ end
 ---@param group_of table<string, string> the group of each machine
 ---@param group string the product has the machines of this group
 ---@param settings table<string, rfsm_checks.Options> the options of each machine
----@param overlap boolean steps overlap
+---@param overlap boolean moves may cross
 ---@return rfsm.system.Product
 function product.new(cell, group_of, group, settings, overlap)
   local self = setmetatable({ members = {}, wires = {}, keys = {}, numbers = {},
-    from = {}, labels = {}, first = {}, steps = {}, movers = {}, step_labels = {},
-    expanded = 0, depth = 0, level_end = 1, stuck = {}, passed = {}, lost = {},
-    carries = {}, afters = {}, untried = {}, unsure = {}, cut = {},
+    kept = {}, from = {}, labels = {}, first = {}, steps = {}, movers = {},
+    step_labels = {}, expanded = 0, depth = 0, level_end = 1, stuck = {}, passed = {},
+    lost = {}, carries = {}, afters = {}, untried = {}, unsure = {}, cut = {},
     monitor = false, bound = nil, is_partial = false, overlap = overlap }, Product)
   self.subject = self
   for _, wire in ipairs(cell.wires) do
     if group_of[wire.to] == group then
-      local own = new_wire(self, wire)
+      local own = new_wire(#self.wires + 1, wire)
       self.wires[own.position], self.carries[own] = own, {}
     end
   end

@@ -39,7 +39,8 @@ local OF_SYSTEM = { "configurations", "depth", "progress", "properties", "second
 
 --- The results of exploring a system; `tostring` returns them as a text.
 ---@class rfsm.system.Report
----@field configurations integer
+---@field configurations integer those that are reached if moves do not cross
+---@field crossing integer|false those that are reached if they may; false: not tried
 ---@field walks rfsm.system.Product[] one for each group of machines
 ---@field steps integer steps that the engine took
 ---@field findings rfsm_checks.Finding[] the field `witness` is the run to a finding
@@ -367,17 +368,20 @@ local function walks_of(cell, group_of, settings, overlap)
   return walks, by_group
 end
 
-local function explored(cell, options)
-  local rest = explore.one_bound(options)
+local CROSSING = "moves cross: others move also between what a machine reads and the "
+  .. "events that it emits then, which are put one by one"
+local NOT_CROSSING = "moves do not cross: the first event that a machine emits is put "
+  .. "in the move that reads, others one by one"
+
+local function explored(cell, options, rest, overlap)
   local settings = read_settings(cell, options.machines)
   local list = properties.list_of("rfsm.system", options.properties)
   local group_of = groups_of(cell, list)
-  local walks, by_group = walks_of(cell, group_of, settings, options.overlap)
+  local walks, by_group = walks_of(cell, group_of, settings, overlap)
   local result = setmetatable({ configurations = 0, steps = 0, walks = walks,
-    findings = static.new_list(), properties = list, untried = {},
+    crossing = false, findings = static.new_list(), properties = list, untried = {},
     premises = { "any order, any time", "one event from outside in a move",
-      options.overlap and "steps overlap, and their events are put one by one"
-        or "events of a step are put one by one, the first within the move",
+      overlap and CROSSING or NOT_CROSSING,
       "a connection for each wire, all of them read at one moment" } }, Report)
   for _, judged in ipairs(list) do
     judged.walk = by_group[group_of[judged.first]] or walks[1]
@@ -389,20 +393,44 @@ local function explored(cell, options)
   return result
 end
 
+local MANY_CROSSING = 200000 -- most configurations, unless `overlap` is true
+
+-- Explores a system without moves that cross, and then with them. If the second walk
+-- comes to a bound, the first one counts, and its verdicts say so.
+local function explored_twice(cell, options)
+  local rest = explore.one_bound(options)
+  local first = explored(cell, options, rest, false)
+  if options.overlap == false or first.bound then return first end
+  if not options.overlap then
+    options.configurations = min(options.configurations, MANY_CROSSING)
+  end
+  local result = explored(cell, options, rest, true)
+  if result.bound and options.overlap == nil then
+    first.premises[3] = NOT_CROSSING .. "; not tried with moves that cross: "
+      .. concat(result.untried, "; ")
+    return first
+  end
+  result.crossing = result.configurations
+  result.configurations = first.configurations
+  result.steps = result.steps + first.steps
+  return result
+end
+
 --- Explore a system: every configuration that its machines can reach together.
 --
 -- @raise if an option is wrong
 ---@param cell rfsm.System
 ---@param options? table `machines`: options of `rfsm_checks.explore` by machine;
--- `properties`, `configurations`, `depth`, `seconds`, `progress`; `overlap`: others may
--- also move between what a machine reads and the first event that it emits then
+-- `properties`, `configurations`, `depth`, `seconds`, `progress`; `overlap`: may others
+-- move between what a machine reads and the first event that it emits then? By default
+-- they may, if that stays within the bounds
 ---@return rfsm.system.Report
 function report.explore(cell, options)
   local settings, problem = explore.settings(options or {}, OF_SYSTEM, {
     machines = { "table of options by machine", opts.is_a("table"), {} },
-    overlap = { "boolean", opts.is_a("boolean"), false } })
+    overlap = { "boolean", opts.is_a("boolean") } })
   local ok, result = settings ~= nil, problem
-  if ok then ok, result = pcall(explored, cell, settings) end
+  if ok then ok, result = pcall(explored_twice, cell, settings) end
   if not ok then error("rfsm.system.explore: " .. rfsm.text_of(result), 2) end
   return result
 end
@@ -411,9 +439,10 @@ end
 
 local FAIR = " (each machine moves again and again, doos end)"
 
-local function property_line(judged)
+local function property_line(judged, are_crossing)
   if judged.holds == nil then return judged.name .. ": not known" end
-  return judged.name .. ": holds" .. (judged.event and FAIR or "")
+  return judged.name .. ": holds" .. (are_crossing and "" or " if moves do not cross")
+    .. (judged.event and FAIR or "")
     .. (judged.vacuous and " vacuously, " .. judged.vacuous or "")
 end
 
@@ -423,7 +452,8 @@ end
 function Report:summary(has_numbers)
   local lines = {}
   if has_numbers or self.bound then
-    lines[1] = ("%d configurations, %d steps run"):format(self.configurations,
+    lines[1] = ("%d configurations%s, %d steps run"):format(self.configurations,
+      self.crossing and (", %d with moves that cross"):format(self.crossing) or "",
       self.steps)
   end
   if self.bound then
@@ -431,7 +461,9 @@ function Report:summary(has_numbers)
       .. "not known"
   end
   for _, judged in ipairs(self.properties) do
-    if judged.holds ~= false then lines[#lines + 1] = property_line(judged) end
+    if judged.holds ~= false then
+      lines[#lines + 1] = property_line(judged, self.crossing)
+    end
   end
   lines[#lines + 1] = "premises: " .. concat(self.premises, "; ")
   return lines

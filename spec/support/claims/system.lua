@@ -171,7 +171,7 @@ end
 -- The machines of a system that run, with a clock and random answers.
 local function new_run(own, seed)
   local run = { own = own, random = new_random(seed), worlds = {}, now = 0, seen = {},
-    came = {} }
+    came = {}, late = {} }
   run.cell = cell_of(own, function(member)
     local world = { random = run.random, seen = {}, sends = {}, flags = {}, sets = {},
       steps = 0 }
@@ -196,13 +196,19 @@ local function new_run(own, seed)
   return run
 end
 
--- Returns the configuration as a text; those of the machines as texts, too.
-local function stand_of(run)
+-- Returns the states of all machines as a text.
+local function states_in(run)
   local texts = {}
   for i, member in ipairs(run.own.members) do
     local stands = charts.stands_of(run.cell.machines[member.name], {})
     texts[i] = member.name .. " " .. stands[#stands]
   end
+  return table.concat(texts, "; ")
+end
+
+-- Returns the configuration as a text.
+local function stand_of(run)
+  local texts = { states_in(run) }
   for i, queue in ipairs(run.cell.queues) do
     texts[#texts + 1] = i .. ":" .. table.concat(queue, ",")
   end
@@ -234,6 +240,9 @@ local function move_with(run, member, events)
   if events[1] and is_one then wanted = false end
   local holds = run.own.options.overlap and run.random:chance(50)
   local _, came = run.cell:move(member.name, events, wanted, holds)
+  if holds and not match.has(run.own.readers, member.name) then
+    run.late[member.name] = true
+  end
   return is_one and #came or #events
 end
 
@@ -255,8 +264,14 @@ local function move(run, is_alone)
   return run.fired + count > 1
 end
 
+-- Notes what is seen. A machine that reads no wire never waits in the product before it
+-- puts its first event, so then only the states of the machines are noted.
 local function note(run)
-  run.seen[stand_of(run)] = true
+  for name in pairs(run.late) do -- any order: each stands alone
+    if not run.cell.unsent[name][1] then run.late[name] = nil end
+  end
+  run.seen["states " .. states_in(run)] = true
+  if next(run.late) == nil then run.seen[stand_of(run)] = true end
   for i in ipairs(run.cell.wires) do
     if run.cell.lost[i] > 0 then run.seen["lost " .. i] = true end
     if run.cell.queues[i][1] then run.seen["carries " .. i] = true end
@@ -307,6 +322,7 @@ local function run_at_random(own, seed, result, fail)
       end
     end
     run.cell:reset()
+    run.late = {}
     for _, world in pairs(run.worlds) do world.steps = world.steps + 1 end
   end
   return run.seen
@@ -345,7 +361,8 @@ local function shown_by(result)
   return shown
 end
 
--- Returns the text of a configuration as `stand_of`; one walk has all machines.
+-- Returns the text of a configuration as `stand_of`, and as `states_in`; one walk has
+-- all machines.
 local function stand_in(own, walk, number)
   local conf, texts = walk:configuration(number), {}
   for i, member in ipairs(own.members) do
@@ -360,9 +377,11 @@ local function stand_in(own, walk, number)
       end
     end
   end
+  local states = table.concat(texts, "; ")
+  texts = { states }
   for at, queue in ipairs(conf.queues) do
     local names = {}
-    for i, letter in ipairs(queue) do names[i] = walk.wires[at].name_of[letter] end
+    for i, put in ipairs(queue) do names[i] = put.name end
     texts[#texts + 1] = at .. ":" .. table.concat(names, ",")
   end
   for i in ipairs(own.members) do
@@ -370,7 +389,7 @@ local function stand_in(own, walk, number)
       texts[#texts + 1] = put.at .. ">" .. put.name
     end
   end
-  return table.concat(texts, "; ")
+  return table.concat(texts, "; "), states
 end
 
 -- Calls `fail` if what comes to a machine comes by a wire alone.
@@ -491,7 +510,10 @@ local function add_whole(own, walk, shown)
     shown["carries " .. i] = next(walk.carries[wire]) and true
     shown["lost " .. i] = walk.lost[wire] and true
   end
-  for number = 1, #walk.keys do shown[stand_in(own, walk, number)] = true end
+  for number = 1, #walk.keys do
+    local text, states = stand_in(own, walk, number)
+    shown[text], shown["states " .. states] = true, true
+  end
 end
 
 -- Appends what was seen and is not shown.
@@ -512,6 +534,8 @@ local function explore(own)
     return { guard = yes, predicate = yes, doo = yes }
   end)
   local result = report.explore(cell, own.options)
+  own.readers = {}
+  for i, wire in ipairs(own.wires) do own.readers[i] = wire.to end
   if result.bound ~= "configurations" or not table.remove(own.wires) then
     return result
   end
