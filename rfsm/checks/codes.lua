@@ -124,7 +124,10 @@ end
 
 -- Words that mean an end or a fault in the name of a leaf.
 local MEANINGS = {
-  ["an end"] = { "OK", "FAILED", "FINI", "FATAL", "FINISHED", "FINAL", "END" },
+  ["an end"] = { "OK", "FAILED", "FINI", "FATAL", "FINISHED", "FINAL", "END", "EXIT",
+    "STOP", "STOPPED", "FAILURE", "FAIL", "ERROR", "ABORT", "ABORTED", "DONE", "QUIT",
+    "SUCCESS", "COMPLETE", "COMPLETED", "TERMINATED", "SHUTDOWN", "CLOSE", "CLOSED",
+    "DEAD", "CANCELLED", "CANCELED", "BYE" },
   ["a fault"] = { "FAULT", "ERROR", "FAILURE", "FAILED", "ALARM", "EMERGENCY" },
 }
 

@@ -13,6 +13,7 @@ local bodies = require "rfsm.checks.bodies"
 local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
+local stubs = require "rfsm.shared.stubs"
 local syntax = require "rfsm.shared.syntax"
 
 local ipairs, package, rawget = ipairs, package, rawget
@@ -32,6 +33,7 @@ source.is_there = syntax.is_there
 ---@field functions rfsm.syntax.Function[]
 ---@field undefined { name: string, line: integer }[] globals that the file reads
 ---@field tested table<string, true> names whose existence is tested
+---@field told table<string, true> undefined names that were reported
 ---@field lost table<integer, table[]> line of a table -> keys that the table has twice
 ---@field called table<integer, table[]> line of a table -> calls in place of callbacks
 
@@ -54,8 +56,8 @@ local function read_file(name)
   text = text:gsub("^#[^\n]*", "")
   local tree, functions = syntax.parse(text)
   if not tree then return nil end
-  local file = { functions = functions, undefined = {}, tested = {}, lost = {},
-    called = {} }
+  local file = { functions = functions, undefined = {}, tested = {}, told = {},
+    lost = {}, called = {} }
   walk(tree, function(node)
     if node.tag == "Table" then bodies.note_table(file, node) end
     bodies.note_method(node)
@@ -86,16 +88,25 @@ local function meant(name)
   end
 end
 
--- Finds globals that are not defined after the chart was loaded. The host may define
--- them later, so only a name that looks like another one is a warning.
+-- Does a function use a global that was not reported before, and is neither defined nor
+-- tested for?
+local function is_new(file, info, global)
+  local line, name = global.line, global.name
+  return line >= info.linedefined and line <= info.lastlinedefined
+    and not (file.tested[name] or file.told[name]) and rawget(_G, name) == nil
+end
+
+-- Finds globals that are not defined after the chart was loaded, each once. The host
+-- may define them later, so only a name that looks like another one is a warning. If
+-- stubs are in place of modules, other names are left out: modules may define them.
 local function check_globals(file, info, add)
   for _, global in ipairs(file.undefined) do
-    local line = global.line
-    local is_here = line >= info.linedefined and line <= info.lastlinedefined
-    if is_here and rawget(_G, global.name) == nil and not file.tested[global.name] then
-      local other = meant(global.name)
+    local name = global.name
+    local other = is_new(file, info, global) and meant(name)
+    if other or is_new(file, info, global) and not stubs.are_used then
+      file.told[name] = true
       add("undefined", ("line %d reads the global '%s', which is not defined%s"):format(
-        line, global.name, other and " (did you mean '" .. other .. "'?)" or ""),
+        global.line, name, other and " (did you mean '" .. other .. "'?)" or ""),
         not other and "note")
     end
   end

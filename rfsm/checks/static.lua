@@ -84,8 +84,9 @@ function Findings:add(code, obj, path, text, at, file)
   if obj and is_silenced(obj, code) then
     self.silenced[path .. " " .. code] = true
     return nil
-  elseif codes.of[code].severity ~= "error" and stubs.is_in(text) then
-    return nil -- the text has the name of a stub, whose real value is not known
+  elseif codes.of[code].severity ~= "error"
+    and (stubs.is_in(text) or stubs.is_invented(obj, code == "unreachable")) then
+    return nil -- it is about a stub, whose real value is not known
   end
   local known, key = codes.of[code], concat({ code, path or at, text }, " ")
   if self.told[key] then return nil end
@@ -198,8 +199,12 @@ local function add_lines(findings, lines, code_of, fsm, prefix)
     local at, text = rest:match("^(root.-): (.*)$")
     local obj, code = by_place[at], code_of[line]
     if code then
-      findings:add(code, obj, obj and location.path(obj, prefix), text or rest,
+      local path = obj and location.path(obj, prefix)
+      local finding = findings:add(code, obj, path, text or rest,
         location.prefix(prefix) .. (at or "root"), file)
+      if finding and code == "empty-events" and rfsm.is_conn(obj.src) then
+        finding.severity = "note" -- a path has its events before the connector
+      end
     end
   end
 end

@@ -9,6 +9,7 @@ local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local files = require "rfsm.shared.files"
 local exists = require("rfsm.shared.search").exists
+local code = require "rfsm.shared.code"
 local codes = require "rfsm.checks.codes"
 local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
@@ -242,17 +243,22 @@ function review.noting_extensions(f, ...)
   return required, unpack(results, 2, 4)
 end
 
--- Adds a finding for each event of an extension that the chart does not require.
-local function add_missing_extensions(findings, fsm, required)
+-- Adds a finding for each event of an extension that the chart does not require. If the
+-- file requires no module at all, its host does so, and the findings are notes.
+local function add_missing_extensions(findings, fsm, required, file)
+  local requires_any = code.of(files.read(file) or "require"):find(
+    "%f[%w_]require%f[^%w_]")
   for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, tr in ipairs(rfsm.elements(entry.machine, rfsm.is_trans)) do
       for _, event in ipairs(tr.events or {}) do
         local module = match.maker_of(event) and advice.module_for(event)
         if module and not required[module] then
-          findings:add("unknown-word", tr, location.path(tr, entry.prefix),
-            ("the chart does not load the extension that knows '%s' (require %q)")
-              :format(event:gsub("@root.*$", ""), module),
-            location.in_words(tr, entry.prefix))
+          local text = "the chart does not load the extension that knows '%s' "
+            .. "(require %q)"
+          local finding = findings:add("unknown-word", tr,
+            location.path(tr, entry.prefix), text:format(event:gsub("@root.*$", ""),
+            module), location.in_words(tr, entry.prefix))
+          if finding and not requires_any then finding.severity = "note" end
         end
       end
     end
@@ -275,7 +281,8 @@ local function find_all(file, model, settings, options)
   end
   local findings, fsm = static.collect(model, static.OF_FILES)
   if gravest_of(findings) == "error" then return static.apply(findings, settings) end
-  add_missing_extensions(findings, fsm, options.required or {})
+  add_missing_extensions(findings, fsm, options.required or {},
+    file)
   if options.static then return static.apply(findings, settings) end
   local result = run_explore(file, model, declared_for(file), options,
     rfsm_checks.explore, MANY)

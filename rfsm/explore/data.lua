@@ -22,7 +22,8 @@ local syntax = require "rfsm.shared.syntax"
 local writes = require "rfsm.shared.writes"
 
 local coroutine, error, ipairs = coroutine, error, ipairs
-local rawget, rawset, table, type = rawget, rawset, table, type
+local rawequal, rawget, rawset = rawequal, rawget, rawset
+local table, type = table, type
 local concat = table.concat
 
 local data = {}
@@ -106,9 +107,23 @@ function data.put(self, values)
   end
 end
 
+-- Restores the targets of transitions, except those that an extension changes. Returns
+-- a text about the first one that a callback in `run` has changed.
+local function put_targets_back(self)
+  local text
+  for _, entry in ipairs(self.transitions) do
+    local tr = entry.tr
+    local is_changed = not rawequal(tr.tgt, entry.tgt)
+    if is_changed and not rfsm.targets(tr)[2] then
+      tr.tgt, text = entry.tgt, text or "the target of " .. entry.path
+    end
+  end
+  return text
+end
+
 --- Restore the data that callbacks of a step have changed, except fields in `vars`.
 function data.put_back(self)
-  local text = self.memory:put_back()
+  local text = self.memory:put_back() or put_targets_back(self)
   self.is_touched = false
   self.changed = self.changed or text and text .. ", which vars does not name"
 end

@@ -218,7 +218,7 @@ function replacements.note_writer(self, name, callback)
   local is_listed = is_run or self.sends[name] or self.dry_sends[name]
   local function note(list) list[#list + 1] = name end
   note_text(self, name, callback)
-  if writes.may_write(callback, { "tgt" }) then note(self.writers) end
+  if not is_run and writes.may_write(callback, { "tgt" }) then note(self.writers) end
   if not is_listed and may_emit(callback) then note(self.emitters) end
   if self.sends[name] and not is_run then return end
   local timeevent = package.loaded.rfsm_timeevent

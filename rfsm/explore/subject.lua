@@ -44,7 +44,7 @@ local subject = {}
 --- The machines of a model, and what they did in the last step.
 ---@class rfsm_checks.Subject
 ---@field parts rfsm_checks.Part[] the machine itself first
----@field transitions table[] { tr, path, part, prefix } for each transition of a part
+---@field transitions table[] { tr, path, part, prefix, tgt } for each transition
 ---@field names table<string, rfsm.State> the states of all parts, by path
 ---@field part_of table<string, rfsm_checks.Part> path of a state -> the part it is in
 ---@field paths string[] the paths of all states, in the order of the tree
@@ -339,7 +339,7 @@ local function make_transition(self, part, tr)
   local number, path = #self.transitions + 1, location.path(tr, part.prefix)
   self.number_of[tr] = number
   self.transitions[number] = { tr = tr, path = path, prefix = part.prefix,
-    part = part }
+    part = part, tgt = tr.tgt }
   note_events(self, tr)
   free_guard_hooks(self, part, tr, path)
   if tr.guard then

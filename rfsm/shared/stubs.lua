@@ -16,7 +16,8 @@ local rawget, rawset = rawget, rawset
 local select, setmetatable, type = select, setmetatable, type
 local concat = table.concat
 
-local stubs = {}
+--- The field `are_used` is true if a stub was made since `forget`.
+local stubs = { are_used = false }
 
 local Stub = {}
 -- Name, fields and listener of each stub. The stub itself is an empty table.
@@ -29,6 +30,7 @@ local listeners = setmetatable({}, { __mode = "k" })
 function stubs.new(name, listener)
   local stub = setmetatable({}, Stub)
   names[stub], fields[stub], listeners[stub] = name, {}, listener
+  stubs.are_used = true
   return stub
 end
 
@@ -100,8 +102,8 @@ end
 
 function Stub.__concat(a, b) return rfsm.text_of(a) .. rfsm.text_of(b) end
 
---- Forget which stubs were converted to texts, before another chart is loaded.
-function stubs.forget() shown = {} end
+--- Forget which stubs were made and converted to texts, before another chart is loaded.
+function stubs.forget() shown, stubs.are_used = {}, false end
 
 --- Does a text contain the name of a stub that was converted to a text?
 ---@param text string
@@ -171,6 +173,27 @@ local function complete_path(root, state, path)
     state = rawget(state, name)
     if not rfsm.is_state(state) then return end
   end
+end
+
+-- Returns the model of a node, or the node itself if it stands in a model.
+local function model_of(node) return rfsm.model_of(node) or node end
+
+--- Does a finding about an element depend on what is in a state that replaces a stub?
+--- That nothing leads to the state is certain.
+---@param element rfsm.State|rfsm.Transition|rfsm.Connector|nil
+---@param is_reach boolean the finding is that nothing leads to the element
+---@return boolean
+function stubs.is_invented(element, is_reach)
+  local node = rfsm.is_trans(element) and element.src or element
+  while rfsm.is_node(node) do
+    if is_inner[model_of(node)] then return true end
+    if rfsm.is_state(node) and is_stubbed(model_of(node))
+      and not (node == element and is_reach) then
+      return true
+    end
+    node = node._parent ~= node and node._parent or nil
+  end
+  return false
 end
 
 --- Replace the stubs that are sources or targets of transitions by states.
