@@ -47,7 +47,7 @@ LINT     := $(MAKE) --no-print-directory lint
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/*/*.lua bench/*.lua)
 
 TARGETS  := all help help-all sim fleet fleet-postgres test check test-all test-web test-site test-hosts \
-            lint fuzz torture mutants bench soak day examples doc site gallery functions \
+            lint fuzz torture mutants figures bench soak day examples doc site gallery functions \
             deps transcript house rockspec rocks dist deb size install uninstall clean
 .DEFAULT_GOAL := all
 
@@ -121,6 +121,9 @@ mutants: N = 100
 mutants: LUA = $(shell command -v luajit || command -v lua5.4)
 mutants:                ### change ROOM's files N times from SEED: do its specs notice?
 	@$(LUA) tools/mutants.lua "$(ROOM)" $(N) $(SEED)
+
+figures:                ### renew the figures in CONTRIBUTING.md, or those with WORD, with LUA
+	@$(LUA) tools/figures.lua "$(WORD)"
 
 bench:                  ### run the measurements in bench/, with LUA
 	$(LUA) bench/run.lua

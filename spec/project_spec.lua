@@ -509,6 +509,34 @@ describe("tools/test.sh", function()
   end)
 end)
 
+describe("make figures", function()
+  local file
+
+  before_each(function()
+    local makefile = helper.file_with("all:\n\t@echo working; echo $(N) of 9\n")
+    file = helper.file_with(("| `make -sf F N=7` | - |\n| `make -sf F N=8` | old |\n")
+      :gsub("F", makefile))
+  end)
+
+  local function renew(word)
+    return helper.output_of(("arg = { '%s', '%s' } dofile 'tools/figures.lua'"):format(
+      word, file))
+  end
+
+  it("puts the last line beside each command, or those with a word", function()
+    renew "N=7"
+    assert.matches("^| [^|]* | 7 of 9 |\n| [^|]* | old |\n$", content(file))
+    renew ""
+    assert.matches("^| [^|]* | 7 of 9 |\n| [^|]* | 8 of 9 |\n$", content(file))
+  end)
+
+  it("says that no command has the word, and changes nothing", function()
+    local before = content(file)
+    assert.equal("figures: no command in " .. file .. " contains 'N=9'", renew "N=9")
+    assert.equal(before, content(file))
+  end)
+end)
+
 describe("the version of the core", function()
   it("is in the changelog", function()
     local version = rfsm._VERSION:match("[%d.]+$")
