@@ -17,11 +17,11 @@
 -- @license BSD-3-Clause
 
 local diagram = require "rfsm.pictures.diagram"
-local files = require "rfsm.shared.files"
 local layout = require "rfsm.pictures.layout"
 local looks = require "rfsm.pictures.looks"
+local programs = require "rfsm.shared.programs"
 
-local ipairs, os = ipairs, rawget(_G, "os")
+local ipairs = ipairs
 local concat, add = table.concat, diagram.add
 local id_of = looks.id_of
 
@@ -139,20 +139,6 @@ local function draw(chart)
   return concat(lines, "\n") .. "\n"
 end
 
--- Pictures: Graphviz makes them -----------------------------------------------
-
-local function succeeds(command)
-  local status = os.execute(command)
-  return status == true or status == 0
-end
-
--- Returns the content of a temporary file, and removes it.
-local function take(file)
-  local text = files.read(file)
-  os.remove(file)
-  return text or ""
-end
-
 -- Public functions ------------------------------------------------------------
 
 local dot = diagram.exporter("rfsm.dot", "rfsm2dot", draw)
@@ -162,6 +148,8 @@ local dot = diagram.exporter("rfsm.dot", "rfsm2dot", draw)
 local DARK = "\n<style>@media screen and (prefers-color-scheme: dark) "
   .. "{ svg:root { filter: invert(.93) hue-rotate(180deg) } }</style>"
 
+local HELP = "; another direction or depth, or another version of Graphviz may help"
+
 --- Have Graphviz draw a graph.
 ---@param text string the graph
 ---@param format string "svg", "png", "pdf" or another format of Graphviz
@@ -169,20 +157,12 @@ local DARK = "\n<style>@media screen and (prefers-color-scheme: dark) "
 ---@return string? problem in one line
 ---@nodiscard
 function dot.render(text, format)
-  if not succeeds("command -v dot >/dev/null 2>&1") then
-    return nil, "Graphviz is missing (on Debian: apt-get install graphviz)"
+  local picture, problem = programs.filter("dot -T" .. format .. " %s", text,
+    "Graphviz is missing (on Debian: apt-get install graphviz)")
+  if not picture then
+    return nil, problem:find("killed by", 1, true) and problem .. HELP or problem
   end
-  local graph, picture, log = os.tmpname(), os.tmpname(), os.tmpname()
-  local ok, problem = files.write(graph, text)
-  if ok then
-    ok = succeeds(("dot -T%s '%s' >'%s' 2>'%s' </dev/null"):format(format, graph,
-      picture, log))
-  end
-  local result, complaint = take(picture), take(log)
-  os.remove(graph)
-  if format == "svg" then result = result:gsub("<svg[^>]*>", "%0" .. DARK) end
-  if ok and result ~= "" then return result end
-  return nil, problem or "dot: " .. (complaint:match("[^\n]+") or "no picture")
+  return format == "svg" and picture:gsub("<svg[^>]*>", "%0" .. DARK) or picture
 end
 
 --- Have Graphviz lay out a machine, or a description.

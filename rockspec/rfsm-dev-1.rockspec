@@ -173,6 +173,7 @@ build = {
     ["rfsm.shared.match"] = "rfsm/shared/match.lua",
     ["rfsm.shared.options"] = "rfsm/shared/options.lua",
     ["rfsm.shared.order"] = "rfsm/shared/order.lua",
+    ["rfsm.shared.programs"] = "rfsm/shared/programs.lua",
     ["rfsm.shared.search"] = "rfsm/shared/search.lua",
     ["rfsm.shared.stubs"] = "rfsm/shared/stubs.lua",
     ["rfsm.shared.sums"] = "rfsm/shared/sums.lua",

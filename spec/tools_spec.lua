@@ -313,7 +313,12 @@ describe("rfsm-viz", function()
     os.execute("chmod +x '" .. write_file("bin/dot",
       "#!/bin/sh\necho 'out of ink' >&2\nexit 3\n") .. "'")
     with_lua(lua .. " PATH='" .. bin .. "':\"$PATH\"", function()
-      fails("rfsm-viz examples/on_off.lua -T svg", "rfsm viz: dot: out of ink\n")
+      fails("rfsm-viz examples/on_off.lua -T svg",
+        "rfsm viz: examples/on_off.lua: dot: out of ink\n")
+      write_file("bin/dot", "#!/bin/sh\nkill -SEGV $$\n")
+      fails("rfsm-viz examples/on_off.lua -T svg",
+        "rfsm viz: examples/on_off.lua: dot: killed by signal 11; another direction or "
+        .. "depth, or another version of Graphviz may help\n")
     end)
   end)
 end)
@@ -581,7 +586,8 @@ describe("rfsm-check", function()
       picture:match(">stubbed: (.-)<"))
   end)
 
-  it("draws a large chart in pages: an overview, sheets, links to each", function()
+  -- Writes a chart: four composites with 18 states each.
+  local function write_plant()
     local parts = { "return rfsm.state { rfsm.trans { src = 'initial', tgt = 'a1' }," }
     for i = 1, 4 do
       parts[#parts + 1] = ("a%d = rfsm.state { rfsm.trans { src = 'initial', tgt = "
@@ -593,8 +599,11 @@ describe("rfsm-check", function()
       parts[#parts + 1] = "}, rfsm.trans { src = '.a" .. i .. ".s18', tgt = '.a"
         .. i % 4 + 1 .. ".s9', events = { 'e_next' } },"
     end
-    local name = write_file("plant.lua", table.concat(parts) .. "}")
-    local out = os.tmpname()
+    return write_file("plant.lua", table.concat(parts) .. "}")
+  end
+
+  it("draws a large chart in pages: an overview, sheets, links to each", function()
+    local name, out = write_plant(), os.tmpname()
     os.remove(out)
     check("rfsm viz --pages -o " .. out .. " " .. name, "", "")
     local files, links = {}, {}
@@ -611,8 +620,25 @@ describe("rfsm-check", function()
       links["01-root.svg"])
     assert.equal("03-root_a2.svg 05-root_a4.svg ", links["02-root_a1.svg"])
     refuses("rfsm viz --pages " .. name,
-      "Error: --pages needs -o FOLDER, and a picture for -T: svg, png, pdf")
+      "Error: --pages needs -o FOLDER or FILE.pdf, and no text for -T")
     assert.not_matches("href", (run("rfsm viz --depth 1 -T svg " .. name)))
+  end)
+
+  it("draws a large chart in one PDF with links to its pages", function()
+    if not helper.lines_of("command -v qpdf")[1] then return pending("no qpdf") end
+    local out = os.tmpname() .. ".pdf"
+    check("rfsm viz --pages -o " .. out .. " " .. write_plant(), "", "")
+    local text = helper.text_of("qpdf --qdf --object-streams=disable " .. out .. " -")
+    os.remove(out)
+    local pages, goals = {}, {}
+    for page, object in text:gmatch("%% Page (%d+)\n%%[^\n]*\n(%d+) 0 obj") do
+      pages[object] = page
+    end
+    for object in text:gmatch("/D %[%s+(%d+) 0 R%s+/Fit") do
+      goals[#goals + 1] = pages[object]
+    end
+    assert.equal("2 3 4 5 3 5 2 4 3 5 4 2", table.concat(goals, " "))
+    assert.not_matches("/URI", text)
   end)
 
   it("reports the warnings of init, and undefined globals of the file, once", function()

@@ -50,6 +50,7 @@ missing_for_specs() { # missing_for_specs LUA
   has_module "$1" dkjson || echo lua-dkjson
   has_module "$1" socket || echo lua-socket
   command -v dot >/dev/null 2>&1 || echo graphviz
+  command -v qpdf >/dev/null 2>&1 || echo qpdf
 }
 
 missing_for_test() { # missing_for_test LUA ...

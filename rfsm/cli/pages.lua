@@ -8,9 +8,12 @@
 
 local diagram = require "rfsm.pictures.diagram"
 local dot = require "rfsm.dot"
+local files = require "rfsm.shared.files"
 local looks = require "rfsm.pictures.looks"
+local programs = require "rfsm.shared.programs"
 
-local ipairs, pairs = ipairs, pairs
+local assert, ipairs, pairs, tonumber = assert, ipairs, pairs, tonumber
+local concat, os = table.concat, os
 
 local pages = {}
 
@@ -96,6 +99,38 @@ function pages.of(tab, options, ending)
     end)
   end
   return list
+end
+
+-- One PDF ---------------------------------------------------------------------
+
+-- Prints a PDF, also as text. It repairs PDFs that Graphviz made with links.
+local QPDF = "qpdf --no-warn --warning-exit-0 "
+local HINT = "one PDF of all pages needs qpdf (on Debian: apt-get install qpdf)"
+
+-- Returns the text of a PDF with links to pages in place of links to their files, whose
+-- names begin with the number of the page.
+local function linked(text)
+  local objects = {}
+  for page, object in text:gmatch("\n%%%% Page (%d+)\n%%%%[^\n]*\n(%d+) 0 obj\n") do
+    objects[tonumber(page)] = object
+  end
+  return (text:gsub("/S /URI%s+/Type /Action%s+/URI %((%d+)[^\n]*%)", function(page)
+    return "/S /GoTo /Type /Action /D [ " .. objects[tonumber(page)] .. " 0 R /Fit ]"
+  end))
+end
+
+--- Join the PDFs of pages. Return one PDF, or nil and the problem.
+function pages.join(pictures)
+  local names = {}
+  for i, picture in ipairs(pictures) do
+    names[i] = os.tmpname()
+    assert(files.write(names[i], picture))
+  end
+  local text, problem = programs.filter(QPDF .. "--empty --pages " .. concat(names, " ")
+    .. " -- --qdf --object-streams=disable -", "", HINT)
+  for _, name in ipairs(names) do os.remove(name) end
+  if not text then return nil, problem end
+  return programs.filter(QPDF .. "%s -", linked(text), HINT)
 end
 
 return pages

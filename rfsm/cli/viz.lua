@@ -42,7 +42,7 @@ function viz.add_arguments(command)
     :choices { "TB", "LR" }
   command:option("--for", "a4 (default), slide or WIDTHxHEIGHT in points")
     :argname("SHEET"):target("sheet")
-  command:flag("--pages", "several pictures in the folder of -o, with links")
+  command:flag("--pages", "several pictures with links, in the folder or PDF of -o")
   command:option("--like", "keep the order of states in a former picture")
     :argname("SVG")
 end
@@ -83,14 +83,28 @@ local function format_of(options, parser)
   return format
 end
 
--- Writes pictures into a folder.
-local function write_pages(folder, machine, looks, format)
+-- Ends the program if Graphviz fails; the message names the chart.
+local function try(options, result, problem)
+  return result or common.fail((problem:gsub("^dot: ", function(words)
+    return options.files[1] .. ": " .. words
+  end)))
+end
+
+-- Writes pictures into a folder, or as pages of one PDF.
+local function write_pages(options, machine, looks, format)
   local tab = require("rfsm.marsh").model2tab(machine, true)
   local ok, list = pcall(pages.of, tab, looks, format)
-  if not ok then common.fail(list) end
-  os.execute("mkdir -p '" .. folder:gsub("'", "'\\''") .. "'")
-  for _, page in ipairs(list) do
-    common.write(folder .. "/" .. page.file, common.try(dot.render(page.graph, format)))
+  list = try(options, ok and list, list)
+  local pictures, output = {}, options.output
+  for i, page in ipairs(list) do
+    pictures[i] = try(options, dot.render(page.graph, format))
+  end
+  if format == "pdf" and output:find("%.pdf$") then
+    return common.write(output, common.try(pages.join(pictures)))
+  end
+  os.execute("mkdir -p " .. common.quoted(output))
+  for i, page in ipairs(list) do
+    common.write(output .. "/" .. page.file, pictures[i])
   end
 end
 
@@ -116,10 +130,12 @@ end
 
 function viz.run(options, parser)
   refuse_picture(options, parser)
-  if options.pages then options.format = options.format or "svg" end
+  if options.pages and not options.output:find("%.pdf$") then
+    options.format = options.format or "svg"
+  end
   local format = format_of(options, parser)
   if options.pages and (IS_TEXT[format] or options.output == "-") then
-    parser:error("--pages needs -o FOLDER, and a picture for -T: svg, png, pdf")
+    parser:error("--pages needs -o FOLDER or FILE.pdf, and no text for -T")
   end
   local exporter = require("rfsm." .. (IS_TEXT[format] and format or "dot"))
   local looks, machine = looks_of(options), nil
@@ -127,11 +143,11 @@ function viz.run(options, parser)
     looks.title, looks.foot, machine = title, foot or nil, fsm
     return exporter.encode(fsm, looks)
   end))
-  if options.pages then return write_pages(options.output, machine, looks, format) end
+  if options.pages then return write_pages(options, machine, looks, format) end
   if not IS_TEXT[format] then
     -- if Graphviz cannot lay out a chart, it may still draw the text of `encode`
     local graph = exporter.layout(machine, looks) or text
-    text = common.try(exporter.render(graph, format))
+    text = try(options, exporter.render(graph, format))
   end
   common.write(options.output, text)
 end

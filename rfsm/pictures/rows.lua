@@ -15,8 +15,8 @@ local diagram = require "rfsm.pictures.diagram"
 local lines = require "rfsm.pictures.lines"
 local looks = require "rfsm.pictures.looks"
 
-local abs, ipairs, log, max, min = math.abs, ipairs, math.log, math.max, math.min
-local ceil, concat, huge, insert = math.ceil, table.concat, math.huge, table.insert
+local abs, ceil, ipairs, max, min = math.abs, math.ceil, ipairs, math.max, math.min
+local concat, insert, sqrt = table.concat, table.insert, math.sqrt
 
 local rows = {}
 
@@ -109,35 +109,17 @@ end
 
 local BETWEEN = 36 -- points between rows, about
 
--- Deals nodes to rows that are not longer than `most` if possible. sizes[i] has the
--- length of node i with the room before it, and its size across the row. Returns the
--- row of each node, then the length and the depth of all rows.
-local function deal(sizes, bounds, most)
-  local numbers, number, first = {}, 1, 1
-  local length, depth, longest, total = 0, 0, 0, 0
-  for i, size in ipairs(sizes) do
-    if i > 1 and (length + size[1] > most or (bounds[i] or 0) >= first) then
-      number, first, total, length, depth = number + 1, i, total + depth + BETWEEN, 0, 0
+-- Deals nodes to rows that are not longer than `most` if possible. lengths[i] is the
+-- length of node i with the room before it. Returns the row of each node.
+local function deal(lengths, bounds, most)
+  local numbers, number, first, sum = {}, 1, 1, 0
+  for i, length in ipairs(lengths) do
+    if i > 1 and (sum + length > most or (bounds[i] or 0) >= first) then
+      number, first, sum = number + 1, i, 0
     end
-    numbers[i], length, depth = number, length + size[1], max(depth, size[2])
-    longest = max(longest, length)
+    numbers[i], sum = number, sum + length
   end
-  return numbers, longest, total + depth
-end
-
--- Returns deals with one row, two rows, and so on, and the log of width to height.
-local function all_deals(level, boxes)
-  local run, sizes, total, list = axis_of(level), {}, 0, {}
-  for i, box in ipairs(boxes) do
-    local length, depth = size_of(box, run)
-    sizes[i] = { length + (i > 1 and level.rooms[i - 1].length or 0), depth }
-    total = total + sizes[i][1]
-  end
-  for count = 1, min(#boxes - 1, 24) do
-    local numbers, length, depth = deal(sizes, level.bounds, total / count * 1.1)
-    list[count] = { numbers = numbers, shape = log(length / depth) * (3 - 2 * run) }
-  end
-  return list
+  return numbers
 end
 
 local RATIOS = { 0.35, 0.5, 0.7, 1, 1.4, 2, 3 } -- of width to height
@@ -145,15 +127,17 @@ local RATIOS = { 0.35, 0.5, 0.7, 1, 1.4, 2, 3 } -- of width to height
 --- Return a few ways to deal the nodes of a level to rows, with different ratios of
 -- width to height. Each is a list with the row of each node.
 function rows.deals(level, boxes)
-  local found, seen, all = {}, {}, all_deals(level, boxes)
+  local found, seen, lengths, area, run = {}, {}, {}, 0, axis_of(level)
+  for i, box in ipairs(boxes) do
+    local length, depth = size_of(box, run)
+    lengths[i] = length + (i > 1 and level.rooms[i - 1].length or 0)
+    area = area + lengths[i] * (depth + BETWEEN)
+  end
   for _, ratio in ipairs(RATIOS) do
-    local best, least = nil, huge
-    for _, one in ipairs(all) do
-      local misfit = abs(one.shape - log(ratio))
-      if misfit < least then best, least = one.numbers, misfit end
-    end
-    local key = concat(best, " ")
-    found[#found + 1], seen[key] = not seen[key] and best or nil, true
+    local most = sqrt(area * (run == 1 and ratio or 1 / ratio))
+    local numbers = deal(lengths, level.bounds, most)
+    local key = concat(numbers, " ")
+    found[#found + 1], seen[key] = not seen[key] and numbers or nil, true
   end
   return found
 end
