@@ -207,7 +207,7 @@ describe("the shape of a picture", function()
 
     it("is that of a page for a long chain of " .. case.name, function()
       local _, width, height = picture()
-      assert.is_true(width / height > 0.8 and width / height < 2.1,
+      assert.is_true(width / height > 0.65 and width / height < 2.1,
         width .. " x " .. height)
     end)
   end
