@@ -3253,18 +3253,6 @@ function rfsm.reset(fsm)
   raise_failure(fsm)
 end
 
---- Call getevents and append its events to the queue.
----@param fsm rfsm.Machine
----@return integer waiting length of the queue
-function rfsm.check_events(fsm)
-  check_machine(fsm, "rfsm.check_events")
-  local events, failure = ask_getevents(fsm)
-  if not events then error(failure, 0) end
-  append(fsm._intq, events)
-  fsm._given = false
-  return #fsm._intq
-end
-
 --- Return the name of the active leaf.
 ---@param fsm rfsm.Machine
 ---@return string|false fqn false when no leaf is active
@@ -3524,22 +3512,6 @@ function rfsm.note_kept(fsm, event, state, word)
   if fsm._fates then fsm._fates:keep(event, state, word) end
 end
 
---- For post step hooks: will `step` iterate again, because no transition was enabled?
----@param fsm rfsm.Machine
----@return boolean
-function rfsm.is_free(fsm)
-  check_machine(fsm, "rfsm.is_free")
-  return fsm._outcome == "free"
-end
-
---- For post step hooks: is nothing left to do, unless an event comes?
----@param fsm rfsm.Machine
----@return boolean
-function rfsm.is_idle(fsm)
-  check_machine(fsm, "rfsm.is_idle")
-  return fsm._outcome == "idle" and fsm._intq[1] == nil
-end
-
 --- List the events to which extensions react while a state is active.
 --
 -- `rfsm.foretell` asks the same hooks about events that may come now.
@@ -3634,14 +3606,15 @@ do
 
   for name in ([[check_between_steps check_no_otrs is_in machines map_from_to
     node_find_enabled note_cut place set_emit set_sta_mode begin_in snapshot_hooks
-    structure_of target_of targets took_path waiting
+    structure_of target_of targets took_path waiting check_events is_free is_idle
     ]]):gmatch("%S+") do
     PARTS[name] = "rfsm.tools"
   end
 
   -- Functions of the engine for the files of the library beside this one.
   local engine = {
-    add = add, add_warning = add_warning, advise = advise,
+    add = add, add_warning = add_warning, advise = advise, append = append,
+    ask_getevents = ask_getevents,
     check_function = check_function,
     check_no_step = check_no_step, clone_below = clone_below,
     check_ways_in = check_ways_in, cut = cut, entrance_of = entrance_of, fast = fast,

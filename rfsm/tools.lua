@@ -84,6 +84,22 @@ local function define_lists(core)
     return path ~= false
   end
 
+  --- For post step hooks: will `step` iterate again, because no transition was enabled?
+  ---@param fsm rfsm.Machine
+  ---@return boolean
+  function rfsm.is_free(fsm)
+    rfsm.check_machine(fsm, "rfsm.is_free")
+    return fsm._outcome == "free"
+  end
+
+  --- For post step hooks: is nothing left to do, unless an event comes?
+  ---@param fsm rfsm.Machine
+  ---@return boolean
+  function rfsm.is_idle(fsm)
+    rfsm.check_machine(fsm, "rfsm.is_idle")
+    return fsm._outcome == "idle" and fsm._intq[1] == nil
+  end
+
   --- List the events that extensions keep for later.
   ---@param fsm rfsm.Machine
   ---@return any[] events
@@ -296,6 +312,18 @@ end
 local function define_moves(core, engine)
   ---@class rfsm
   local rfsm = core
+
+  --- Call getevents and append its events to the queue.
+  ---@param fsm rfsm.Machine
+  ---@return integer waiting length of the queue
+  function rfsm.check_events(fsm)
+    rfsm.check_machine(fsm, "rfsm.check_events")
+    local events, failure = engine.ask_getevents(fsm)
+    if not events then error(failure, 0) end
+    engine.append(fsm._intq, events)
+    fsm._given = false
+    return #fsm._intq
+  end
 
   --- Raise an error if a step is under way, for extensions.
   --
