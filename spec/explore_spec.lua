@@ -437,6 +437,19 @@ describe("a transition that needs no event", function()
     assert.is_true(judged(nil))
   end)
 
+  it("is asked for again after an event that nothing takes", function()
+    local result = rfsm_checks.explore(state { warn = false, info = false,
+      a = state { entry = yes, doo = yes }, b = state { final = true },
+      c = state { final = true }, go("initial", "a"), go("a", "c", "e_done"),
+      rfsm.trans { src = "a", tgt = "b", always = true, guard = yes } }, {
+      sends = { ["entry root.a"] = { "e_other" } }, properties = { never "root.c" } })
+    local names = {}
+    for i, choice in ipairs(result.properties[1].witness[2].choices) do
+      names[i] = choice.who .. " " .. tostring(choice.answer)
+    end
+    assert.same({ "root.trans[3] false", "root.trans[3] false" }, names)
+  end)
+
   it("is taken some time, if a doo has to end before", function()
     local result = rfsm_checks.explore(chart { c = state { final = true },
       b = state { doo = yes }, [3] = go("b", "c", "e_done"),

@@ -459,8 +459,27 @@ end
 
 -- Configurations ..................................................................
 
+-- Does a transition that may be taken in a leaf need no event?
+local function needs_no_event(known)
+  if known.needs_no_event == nil then
+    known.needs_no_event = false
+    local state = known.state
+    while state do
+      for _, tr in ipairs(state._otrs) do
+        known.needs_no_event = known.needs_no_event or tr.always == true
+      end
+      state = state._parent ~= state and state._parent
+    end
+  end
+  return known.needs_no_event
+end
+
+-- Does any event make a difference in a leaf?
+local function takes_any(known, found) return found.any or needs_no_event(known) end
+
 -- Lists the waiting events to which the leaf can react, each once. If there are none,
--- and the leaf reacts to any event, the first waiting event is listed alone. If an
+-- and the leaf reacts to any event, the first waiting event is listed alone; also if a
+-- transition needs no event, since its guard is asked again after any event. If an
 -- extension may keep events for another leaf, or the machine takes one event an
 -- iteration, all waiting events are listed.
 local function relevant(self, part, leaf, events)
@@ -475,8 +494,8 @@ local function relevant(self, part, leaf, events)
       list = match.with(list, event)
     end
   end
-  if leaf and found.any and list[1] == nil then return { other } end
-  return list
+  return list[1] == nil and leaf and takes_any(part.known[leaf], found) and { other }
+    or list
 end
 
 -- Returns a text with the numbers of the waiting events; empty if no event waits.
@@ -554,21 +573,6 @@ local function put_position(part, position)
     rfsm.place(fsm, leaf, position.mode, { unpack(waiting) })
     if part.kept then kept.put(part.kept, fsm, position.kept) end
   end
-end
-
--- Does a transition that may be taken in a leaf need no event?
-local function needs_no_event(known)
-  if known.needs_no_event == nil then
-    known.needs_no_event = false
-    local state = known.state
-    while state do
-      for _, tr in ipairs(state._otrs) do
-        known.needs_no_event = known.needs_no_event or tr.always == true
-      end
-      state = state._parent ~= state and state._parent
-    end
-  end
-  return known.needs_no_event
 end
 
 -- Is no event waiting, and does the machine ignore all of `events`? Its regions may
