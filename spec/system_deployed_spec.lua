@@ -94,6 +94,7 @@ FILE.ops:13: warning: boss.events_out -> ui.events_in: 'e_halt' goes to 'ui', an
   end)
 
   it("reads XML", function()
+    if not pcall(require, "lxp") then return pending("lua-expat is missing") end
     local function component(name, port, connection, launch)
       return ([[<struct name="%s" type="OCL::LuaComponent">
   <struct name="Properties" type="PropertyBag">
@@ -108,12 +109,26 @@ FILE.ops:13: warning: boss.events_out -> ui.events_in: 'e_halt' goes to 'ui', an
 FILE.xml:7: warning: arm: it is entered in its first update, and loses what comes before that
 FILE.xml:1: warning: wires[1]: boss.told -> arm.events_in is buffer of 8, not buffer of 4
 FILE.xml:1: warning: boss.told -> arm.events_in: 'e_shown' goes to 'arm', and no wire carries it
-]], found(ONE, component("boss", "told", "c", "enter = &quot;start&quot;, ev_outport = "
+]], found(ONE, "<properties>" .. component("boss", "told", "c", "enter = &quot;start&quot;, ev_outport = "
       .. "'told'") .. component("arm", "events_in", "c", "") .. "<!-- "
       .. component("cam", "events_in", "c", "") .. " -->"
       .. component("ui", "x", "d", "enter = 'start'") .. [[
 <struct name="c" type="ConnPolicy"><simple name="type" type="short"><value>1</value>
-</simple><simple name="size" type="short"><value>8</value></simple></struct>]], ".xml"))
+</simple><simple name="size" type="short"><value>8</value></simple></struct>
+</properties>]], ".xml"))
+    assert.matches("FILE.xml:2: mismatched tag", found(ONE, "<properties>\n</struct>",
+      ".xml"))
+  end)
+
+  it("names the package that it needs for XML", function()
+    local file = file_with("<properties/>", ".xml")
+    assert.equal("rfsm check --deployed: the package luaexpat is missing (on Debian: "
+      .. "apt-get install lua-expat)", helper.with(package.preload, { lxp = error },
+      function()
+        return helper.with(package.loaded, { lxp = false }, function()
+          return select(2, pcall(deployments.read, file))
+        end)
+      end))
   end)
 
   it("reads a table, and has nothing to say of a deployment that is right", function()

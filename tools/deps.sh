@@ -49,6 +49,7 @@ missing_for_specs() { # missing_for_specs LUA
   has_module "$1" argparse || echo lua-argparse
   has_module "$1" dkjson || echo lua-dkjson
   has_module "$1" socket || echo lua-socket
+  has_module "$1" lxp || echo lua-expat
   command -v dot >/dev/null 2>&1 || echo graphviz
   command -v qpdf >/dev/null 2>&1 || echo qpdf
 }

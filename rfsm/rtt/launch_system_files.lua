@@ -1,7 +1,7 @@
 --- Deployments by hand: what a file of Orocos deploys, as far as its text shows.
 --
--- XML (`.xml`, `.cpf`) and scripts (`.ops`) of the deployer are read, and Lua files
--- that return the table. Nothing of XML and scripts is run.
+-- XML (`.xml`, `.cpf`, with lua-expat) and scripts (`.ops`) of the deployer are read,
+-- and Lua files that return the table. Nothing of XML and scripts is run.
 --
 -- @module rfsm.rtt.launch_system_files
 -- @license BSD-3-Clause
@@ -10,8 +10,9 @@ local files = require "rfsm.shared.files"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 
-local error, ipairs, loadfile, select = error, ipairs, loadfile, select
+local error, ipairs, loadfile = error, ipairs, loadfile
 local tonumber, type = tonumber, type
+local insert, remove = table.insert, table.remove
 
 local launch_system_files = {}
 
@@ -77,47 +78,49 @@ end
 
 -- XML ................................................................................
 
-local VALUE = "<simple[^>]-name=\"([^\"]+)\"[^>]*>%s*<value>%s*(.-)%s*</value>"
-
-local ENTITIES = { lt = "<", gt = ">", quot = '"', apos = "'", amp = "&" }
-
-local function line_at(text, at)
-  return select(2, text:sub(1, at - 1):gsub("\n", "")) + 1
+-- Returns the outermost element of a file: { tag =, name =, type =, line =, text = },
+-- with the elements in it as items.
+local function read_elements(file, text)
+  local lxp, parser = opts.need("rfsm check --deployed", "lxp"), nil
+  local around = { { text = "" } }
+  parser = lxp.new {
+    StartElement = function(_, tag, fields)
+      local element = { tag = tag, name = fields.name, type = fields.type, text = "",
+        line = (parser:pos()) }
+      insert(around[#around], element)
+      insert(around, element)
+    end,
+    CharacterData = function(_, part)
+      around[#around].text = around[#around].text .. part
+    end,
+    EndElement = function() remove(around) end,
+  }
+  local is_read, problem, line = parser:parse(text)
+  if is_read then is_read, problem, line = parser:parse() end
+  return is_read and around[1][1] or error(("%s:%d: %s"):format(file, line, problem), 0)
 end
 
-local function blank(text) return (text:gsub("[^\n]", " ")) end
-
--- Calls f(name, type, text, line) for each outermost struct of a text.
-local function each_struct(text, f)
-  local depth, name, kind, from = 0, nil, nil, nil
-  for at, slash, fields, behind in text:gmatch("()<(/?)struct([^>]*)>()") do
-    if slash == "/" then depth = depth - 1 else depth = depth + 1 end
-    if depth == 1 and slash == "" then
-      name, kind, from = fields:match("name=\"([^\"]*)\""),
-        fields:match("type=\"([^\"]*)\""), behind
-    elseif depth == 0 and slash == "/" and name then
-      f(name, kind, text:sub(from, at - 1), line_at(text, from))
+-- Returns the values of the simple properties of a struct, by name and as a list.
+local function values_of(struct)
+  local values, list = {}, {}
+  for _, simple in ipairs(struct) do
+    for _, element in ipairs(simple.tag == "simple" and simple or {}) do
+      if element.tag == "value" then
+        values[simple.name] = element.text:match("^%s*(.-)%s*$")
+        insert(list, { port = simple.name, connection = values[simple.name] })
+      end
     end
   end
+  return values, list
 end
 
-local function values_of(text)
-  local values = {}
-  for name, value in text:gmatch(VALUE) do
-    values[name] = value:gsub("&(%a+);", ENTITIES)
+local function read_component(found, struct)
+  local component = component_of(found, struct.name, struct.line)
+  for _, bag in ipairs(struct) do
+    local values, list = values_of(bag)
+    add_text(found, struct.name, values.lua_string or "")
+    if bag.name == "Ports" then component.ports = list end
   end
-  return values
-end
-
-local function read_component(found, name, text, line)
-  local component = component_of(found, name, line)
-  local values = values_of(text)
-  add_text(found, name, values.lua_string or "")
-  each_struct(text, function(bag, _, inner)
-    for port, connection in (bag == "Ports" and inner or ""):gmatch(VALUE) do
-      component.ports[#component.ports + 1] = { port = port, connection = connection }
-    end
-  end)
 end
 
 -- Lists all ports as { path =, connection =, is_out = }.
@@ -150,13 +153,13 @@ end
 
 local function read_xml(found, text)
   local policies = {}
-  each_struct((text:gsub("<!%-%-.-%-%->", blank)), function(name, kind, inner, line)
-    if kind == "ConnPolicy" then
-      policies[name] = values_of(inner)
-    elseif kind ~= "PropertyBag" then
-      read_component(found, name, inner, line)
+  for _, struct in ipairs(read_elements(found.file, text)) do
+    if struct.type == "ConnPolicy" then
+      policies[struct.name] = values_of(struct)
+    elseif struct.tag == "struct" and struct.type ~= "PropertyBag" then
+      read_component(found, struct)
     end
-  end)
+  end
   join_ports(found, policies)
 end
 

@@ -64,13 +64,16 @@ function options.read(known, given)
   return settings
 end
 
+-- The names of packages whose modules have other names: of rocks, and of Debian.
+local ROCKS, DEBIAN = { socket = "luasocket", lxp = "luaexpat" }, { lxp = "expat" }
+
 --- Load the modules of one or two packages, and return them. If a package is missing,
 -- return nil and the problem.
 function options.find_package(name, other)
   local ok, module = pcall(require, name)
   if not ok or type(module) ~= "table" then
     return nil, ("the package %s is missing (on Debian: apt-get install lua-%s)")
-      :format(name == "socket" and "luasocket" or name, name)
+      :format(ROCKS[name] or name, DEBIAN[name] or name)
   elseif other == nil then
     return module
   end
