@@ -229,6 +229,7 @@ describe("a host with the locale", function()
         local function output(own)
           local text = helper.output_of(("assert(os.setlocale '%s')\n"):format(own)
             .. HEAD .. case[2], variables)
+          text = text:gsub('"sum":"%x+"', "") -- of a line with the file's name
           return (text:gsub("0x%x+", ""):gsub("/tmp/[%w_]+", ""))
         end
         local expected = output("C")
