@@ -561,6 +561,10 @@ describe("took_path", function()
     end)
   end
 
+  it("tells of none before the first step", function()
+    assert.is_false(rfsm.took_path(flip_flop()))
+  end)
+
   it("tells of a path before an element was merged, not before a snapshot is put",
     function()
       local fsm = flip_flop()
