@@ -600,6 +600,38 @@ SELECT name, value FROM rfsm.stats() WHERE name = 'rfsm_aside';]]))
     has_usual_charts = false
   end)
 
+  it("that never ends does not keep rfsm.wake from the others", function()
+    load_charts({}, "endless=" .. helper.file_with(servers.ENDLESS))
+    assert.equal([[
+WARNING:  rfsm.wake: bad was cancelled, so nothing has run: call it again
+0
+bad|root.a|1|t
+m1|root.a|0|f
+m2|root.a|0|f
+2
+0
+2|
+0|3 calls that ran what is due have not ended: held until it is released
+]], (sql([[
+SET client_min_messages = error;
+SELECT rfsm.create('bad', 'endless', '{"bad": true}') \g /dev/null
+SELECT rfsm.create('m' || i, 'endless') FROM generate_series(1, 2) i \g /dev/null
+RESET client_min_messages;
+SET statement_timeout = 300;
+SELECT rfsm.wake();
+SELECT key, state, leases, due > now() + interval '5 s' FROM rfsm.machines ORDER BY key;
+SELECT rfsm.wake();
+SELECT rfsm.wake();
+SET client_min_messages = error;
+UPDATE rfsm.machines SET due = now() WHERE key = 'bad';
+SELECT rfsm.wake() \g /dev/null
+SELECT leases, (SELECT error FROM rfsm.log) FROM rfsm.machines WHERE key = 'bad';
+UPDATE rfsm.machines SET due = now() WHERE key = 'bad';
+SELECT rfsm.wake() \g /dev/null
+SELECT leases, (SELECT error FROM rfsm.log) FROM rfsm.machines WHERE key = 'bad';]])))
+    has_usual_charts = false
+  end)
+
   it("waits for a minute if it cannot be woken", function()
     assert.equal([[
 root.even

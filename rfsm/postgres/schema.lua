@@ -221,13 +221,16 @@ EXCEPTION
     RETURN false;
 END $$;
 
--- Runs machines that are due, all in one transaction; returns how many.
+-- Runs machines that are due, all in one transaction; returns how many. If a statement
+-- timeout or a user ends a machine that comes to no end, nothing has run, and this
+-- machine gets a lease as from a worker, so that the next call runs the others.
 CREATE OR REPLACE FUNCTION rfsm.wake(most integer DEFAULT 100)
   RETURNS integer LANGUAGE plpgsql SECURITY DEFINER
   SET search_path = pg_catalog, pg_temp AS $$
 DECLARE
   each text;
   woken integer := 0;
+  count integer;
 BEGIN
   FOREACH each IN ARRAY ARRAY(SELECT m.key FROM rfsm.machines m WHERE m.due <= now()
     ORDER BY m.due LIMIT most FOR UPDATE SKIP LOCKED)
@@ -235,6 +238,16 @@ BEGIN
     IF rfsm.run_due(each) THEN woken := woken + 1; END IF;
   END LOOP;
   RETURN woken;
+EXCEPTION WHEN query_canceled THEN
+  UPDATE rfsm.machines m SET leases = m.leases + 1,
+    due = clock_timestamp() + interval '$SECONDS s'
+  WHERE m.key = each RETURNING m.leases INTO count;
+  RAISE WARNING 'rfsm.wake: % was cancelled, so nothing has run: call it again',
+    coalesce(each, 'the search');
+  IF count >= $MOST THEN
+    PERFORM rfsm.call('rfsm_hold', each, ARRAY['$REASON'], NULL);
+  END IF;
+  RETURN 0;
 END $$;
 
 -- Runs the machine that the transaction before has leased, if any, and leases the next
