@@ -23,7 +23,7 @@ local rfsm = require "rfsm"
 local error, ipairs, pcall = error, ipairs, try
 local pairs, rawget, rawset = pairs, rawget, rawset
 local setmetatable, type = setmetatable, type
-local concat, sort, min = table.concat, table.sort, math.min
+local concat, sort, max, min = table.concat, table.sort, math.max, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local fleet = {}
@@ -686,32 +686,81 @@ end
 local function label(text) return (text:gsub('[\\"\n]', { ["\\"] = "\\\\",
   ['"'] = '\\"', ["\n"] = "\\n" })) end
 
---- Return statistics of the fleet in the text format of Prometheus. They count stream
--- entries, dead entries, and machines: with a timer, put aside, overdue for a minute,
--- and in each state of each chart (if the library was made with `--index`).
+-- Adds to the number of a metric with labels, such as { chart = "c" }.
+local function add_number(metrics, name, labels, number)
+  local texts = {}
+  for _, key in ipairs(rfsm.sorted_keys(labels)) do
+    texts[#texts + 1] = ('%s="%s"'):format(key, label(labels[key]))
+  end
+  local text = name .. (texts[1] and "{" .. concat(texts, ",") .. "}" or "")
+  metrics[text] = (metrics[text] or 0) + number
+end
+
+-- The numbers in the reply of rfsm_stats, from the second result on.
+local GAUGES = { "rfsm_timers", "rfsm_aside", "rfsm_entries", "rfsm_overdue",
+  "rfsm_dead" }
+
+local function set_most(metrics, name, seconds)
+  metrics[name] = max(metrics[name] or 0, rfsm.number_of(seconds) or 0)
+end
+
+local function add_tag(metrics, reply)
+  for i = 1, #reply[1], 3 do
+    add_number(metrics, "rfsm_machines", { chart = reply[1][i],
+      state = reply[1][i + 1] }, reply[1][i + 2])
+  end
+  for i, name in ipairs(GAUGES) do add_number(metrics, name, {}, reply[i + 1] or 0) end
+  set_most(metrics, "rfsm_oldest_entry_seconds", reply[7])
+  set_most(metrics, "rfsm_oldest_timer_seconds", reply[8])
+end
+
+-- Adds the counters of a server, which each of its replies has.
+local function add_counters(metrics, list)
+  for i = 1, #list, 3 do
+    add_number(metrics, list[i], { chart = list[i + 1] }, list[i + 2])
+  end
+end
+
+-- Returns the lines of metrics, those with one name together, behind a line that tells
+-- what they are.
+local function metric_lines(metrics)
+  local lines, last = {}, nil
+  for _, text in ipairs(rfsm.sorted_keys(metrics)) do
+    local name = text:match("^[%w_]+")
+    if name ~= last then
+      lines[#lines + 1] = ("# TYPE %s %s"):format(name, name:find("_total$")
+        and "counter" or "gauge")
+    end
+    lines[#lines + 1] = text .. " " .. rfsm.number_text(metrics[text], "%.14g")
+    last = name
+  end
+  return lines
+end
+
+--- Return statistics of the fleet in the text format of Prometheus: machines by
+-- version and, if the library was made with `--index`, by state; those with a timer,
+-- put aside, overdue for a minute; entries and dead entries; the age of the oldest
+-- entry and of the latest timer; counters of events, of dropped ones, of errors.
 ---@return string text
 function Fleet:stats()
-  local states, sums = {}, { 0, 0, 0, 0, 0 }
+  local metrics = {}
+  for _, name in ipairs(GAUGES) do metrics[name] = 0 end
   self.connection:each_master(function(call)
+    local counters
     scan_tags(call, function(tag)
       local reply = call("FCALL", "rfsm_stats", 1, keys_of.index("{" .. tag .. "}"))
-      for i = 1, #reply[1], 3 do
-        local name = ('rfsm_machines{chart="%s",state="%s"}'):format(label(reply[1][i]),
-          label(reply[1][i + 1]))
-        states[name] = (states[name] or 0) + reply[1][i + 2]
-      end
-      for i = 1, #sums do sums[i] = sums[i] + (reply[i + 1] or 0) end
+      add_tag(metrics, reply)
+      counters = reply[9]
     end)
+    add_counters(metrics, counters or {})
   end)
-  local lines = { "# TYPE rfsm_machines gauge" }
-  for _, name in ipairs(rfsm.sorted_keys(states)) do
-    lines[#lines + 1] = ("%s %d"):format(name, states[name])
+  local versions, problem = self:versions()
+  if not versions then error(problem, 0) end
+  for _, version in ipairs(versions) do
+    add_number(metrics, "rfsm_version_machines", { chart = version.chart,
+      known = version.known, version = version.version }, version.count)
   end
-  for i, name in ipairs { "rfsm_timers", "rfsm_aside", "rfsm_entries", "rfsm_overdue",
-    "rfsm_dead" } do
-    lines[#lines + 1] = ("# TYPE %s gauge\n%s %d"):format(name, name, sums[i])
-  end
-  return concat(lines, "\n") .. "\n"
+  return concat(metric_lines(metrics), "\n") .. "\n"
 end
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_fleet", fleet) end

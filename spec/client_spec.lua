@@ -460,21 +460,43 @@ end)
 describe("the numbers of a fleet", function()
   it("are those of all tags of all masters, each once", function()
     local scans = { { "7", { "rfsm:due:{0}", "rfsm:in:{1}", "rfsm:due:{1}" } },
-      { "0", { "rfsm:in:{0}" } } }
+      { "0", { "rfsm:in:{0}" } }, { "0", { "m:{0}:1", "rfsm:in:{0}" } } }
     local sent, text = with_client(function(words)
       if words[1] == "SCAN" then return table.remove(scans, 1) end
-      return { { "c", 'root."a\\\n', 2, "c", "root.b", 1 }, 3, 4, 5, 6, 7 }
+      if words[2] == "rfsm_versions" then return { "c", "gone", "1f-2", 3 } end
+      local is_first = words[4] == "rfsm:in:{0}"
+      return { { "c", 'root."a\\\n', 2, "c", "root.b", 1 }, 3, 4, 5, 6, 7,
+        is_first and "1.5" or "0.5", is_first and "0" or "7.25",
+        { "rfsm_events_total", "c", 9 } }
     end, function(client) return client:stats() end)
     assert.same({ "h:6379 CLUSTER NODES", "h:6379 SCAN 0 MATCH rfsm:*:{*} COUNT 1000",
       "h:6379 FCALL rfsm_stats 1 rfsm:in:{0}", "h:6379 FCALL rfsm_stats 1 rfsm:in:{1}",
-      "h:6379 SCAN 7 MATCH rfsm:*:{*} COUNT 1000" }, sent)
-    assert.equal('# TYPE rfsm_machines gauge\n'
-      .. 'rfsm_machines{chart="c",state="root.\\"a\\\\\\n"} 4\n'
-      .. 'rfsm_machines{chart="c",state="root.b"} 2\n# TYPE rfsm_timers gauge\n'
-      .. "rfsm_timers 6\n# TYPE rfsm_aside gauge\nrfsm_aside 8\n"
-      .. "# TYPE rfsm_entries gauge\nrfsm_entries 10\n"
-      .. "# TYPE rfsm_overdue gauge\nrfsm_overdue 12\n"
-      .. "# TYPE rfsm_dead gauge\nrfsm_dead 14\n", text)
+      "h:6379 SCAN 7 MATCH rfsm:*:{*} COUNT 1000", "h:6379 CLUSTER NODES",
+      "h:6379 SCAN 0 COUNT 1000 TYPE string", "h:6379 FCALL rfsm_versions 1 m:{0}:1" },
+      sent)
+    assert.equal([[
+# TYPE rfsm_aside gauge
+rfsm_aside 8
+# TYPE rfsm_dead gauge
+rfsm_dead 14
+# TYPE rfsm_entries gauge
+rfsm_entries 10
+# TYPE rfsm_events_total counter
+rfsm_events_total{chart="c"} 9
+# TYPE rfsm_machines gauge
+rfsm_machines{chart="c",state="root.\"a\\\n"} 4
+rfsm_machines{chart="c",state="root.b"} 2
+# TYPE rfsm_oldest_entry_seconds gauge
+rfsm_oldest_entry_seconds 1.5
+# TYPE rfsm_oldest_timer_seconds gauge
+rfsm_oldest_timer_seconds 7.25
+# TYPE rfsm_overdue gauge
+rfsm_overdue 12
+# TYPE rfsm_timers gauge
+rfsm_timers 6
+# TYPE rfsm_version_machines gauge
+rfsm_version_machines{chart="c",known="gone",version="1f-2"} 3
+]], text)
   end)
 
   it("need a server, as loading a library does", function()

@@ -807,6 +807,63 @@ SELECT rfsm.create('1', 'counter') \gset
 SELECT rfsm.force('1', 'root.add');]]))
   end)
 
+  it("has numbers for Prometheus, counters too", function()
+    local function metrics()
+      return servers.output_of(("PGHOST=%s PGUSER=postgres %s tools/rfsm postgres "
+        .. "--stats postgres"):format(server.folder, helper.interpreter()))
+    end
+    sql([[
+SELECT rfsm.create('1', 'counter'), rfsm.create('2', 'lamp');
+SELECT rfsm.create('3', 'emitter');]])
+    local before = metrics()
+    server:sql("SELECT rfsm.send('1', 'e_tick'), rfsm.send('2', 'e_off') \\gset")
+    local text = metrics()
+    local function raised(name)
+      local pattern = "\nrfsm_" .. name .. "_total (%d+)"
+      return text:match(pattern) - before:match(pattern)
+    end
+    assert.same({ 2, 1 }, { raised "events", raised "dropped" })
+    assert.equal([[
+# TYPE rfsm_dead gauge
+rfsm_dead 0
+# TYPE rfsm_dropped_total counter
+rfsm_dropped_total N
+# TYPE rfsm_entries gauge
+rfsm_entries N
+# TYPE rfsm_errors_total counter
+rfsm_errors_total N
+# TYPE rfsm_events_total counter
+rfsm_events_total N
+# TYPE rfsm_machines gauge
+rfsm_machines{chart="counter",state="root.odd"} 1
+rfsm_machines{chart="emitter",state="root.a"} 1
+rfsm_machines{chart="lamp",state="root.off"} 1
+# TYPE rfsm_oldest_entry_seconds gauge
+rfsm_oldest_entry_seconds N
+# TYPE rfsm_oldest_timer_seconds gauge
+rfsm_oldest_timer_seconds N
+# TYPE rfsm_overdue gauge
+rfsm_overdue 0
+# TYPE rfsm_timers gauge
+rfsm_timers 0
+# TYPE rfsm_version_machines gauge
+rfsm_version_machines{chart="counter",version="V"} 1
+rfsm_version_machines{chart="emitter",version="V"} 1
+rfsm_version_machines{chart="lamp",version="V"} 1
+]], (text:gsub("(_total) %d+", "%1 N"):gsub("(_seconds) [%d.]+", "%1 N")
+      :gsub("(entries) %d+", "%1 N"):gsub('version="[%x-]+"', 'version="V"')))
+  end)
+
+  it("keeps a history for a time", function()
+    assert.equal("2|2\n1|1\n", sql([[
+SELECT rfsm.create('1', 'counter'), rfsm.send('1', 'e_tick') \gset
+UPDATE rfsm.history SET at = at - interval '1 day' WHERE src IS NULL;
+SELECT count(*), 2 FROM rfsm.history;
+SELECT rfsm.trim('1 hour'), count(*) - 1 FROM rfsm.history;]]))
+    assert.matches("PERFORM rfsm.trim('30 days');", script.sql({ "c="
+      .. helper.file_with(COUNTER) }, { history = true, history_days = 30 }), 1, true)
+  end)
+
   it("pulls a machine, and pushes what was repaired", function()
     local output = sql([[
 SELECT rfsm.create('1', 'counter');
@@ -899,6 +956,7 @@ describe("a role that may use the schema", function()
     "SELECT rfsm.call('rfsm_send', '1', ARRAY['e_tick'], NULL)",
     "SELECT rfsm.hold('1')", "SELECT rfsm.release('1')", "SELECT rfsm.remove('1')",
     "SELECT rfsm.force('1', 'root.odd')", "SELECT rfsm.drop(1)",
+    "SELECT rfsm.metrics()", "SELECT rfsm.trim('1 day')",
     "SELECT rfsm.pull('1')", "SELECT rfsm.push('1', '')",
     "SELECT rfsm.set('1', '', '1')",
     "SELECT rfsm.take()", "SELECT rfsm.done(1)", "SELECT rfsm.fail(1, 'x')",

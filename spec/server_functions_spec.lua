@@ -916,19 +916,28 @@ describe("what an operator asks", function()
     open { index = true }
     local asked = answering { EXISTS = 1, ZRANGEBYLEX = { each = { { "c\troot.a\tk1" },
       { "c\troot.b\tk2" }, {}, { "c\troot.a\tk1" }, { "c\troot.b\tk2",
-        "c\troot.b\tk3" } } }, ZCARD = 4, XLEN = 5, ZCOUNT = 3 }
-    assert.same({ { "c", "root.a", 1, "c", "root.b", 2 }, 4, 4, 5, 3, 5 },
-      call("stats"))
+        "c\troot.b\tk3" } } }, ZCARD = 4, XLEN = 5, ZCOUNT = 3,
+      XRANGE = { { "990500-0", {} } }, ZRANGE = { "k1", "997.25" } }
+    call("send", "e_a")
+    for i = #asked, 1, -1 do asked[i] = nil end
+    local reply = call("stats")
+    local counters = table.concat(table.remove(reply), " ")
+    assert.same({ { "c", "root.a", 1, "c", "root.b", 2 }, 4, 4, 5, 3, 5, "9.500",
+      "2.750" }, reply)
+    for _, name in ipairs { "dropped", "errors", "events" } do
+      assert.matches("rfsm_" .. name .. "_total c %d+", counters)
+    end
     assert.same({ "ZRANGEBYLEX rfsm:in:{m} [ + LIMIT 0 1",
       "ZRANGEBYLEX rfsm:in:{m} [c\troot.a\n + LIMIT 0 1",
       "ZRANGEBYLEX rfsm:in:{m} [c\troot.b\n + LIMIT 0 1",
       "ZRANGEBYLEX rfsm:in:{m} [c\troot.a\t (c\troot.a\n LIMIT 0 1000", "EXISTS k1",
       "ZRANGEBYLEX rfsm:in:{m} [c\troot.b\t (c\troot.b\n LIMIT 0 1000", "EXISTS k2",
       "EXISTS k3", "ZCARD rfsm:due:{m}", "ZCARD rfsm:aside:{m}", "XLEN rfsm:out:{m}",
-      "ZCOUNT rfsm:due:{m} -inf 940.000000", "XLEN rfsm:dead:{m}" }, asked)
+      "ZCOUNT rfsm:due:{m} -inf 940.000000", "XLEN rfsm:dead:{m}",
+      "XRANGE rfsm:out:{m} - + COUNT 1", "ZRANGE rfsm:due:{m} 0 0 WITHSCORES" }, asked)
     open()
-    answering { ZCARD = 4, XLEN = 5, ZCOUNT = 3 }
-    assert.same({ {}, 4, 4, 5, 3, 5 }, call("stats"))
+    answering { ZCARD = 4, XLEN = 5, ZCOUNT = 3, XRANGE = {}, ZRANGE = {} }
+    assert.same({ {}, 4, 4, 5, 3, 5, "0", "0.000" }, { unpack(call("stats"), 1, 8) })
   end)
 
   it("is the history, the newest first", function()

@@ -196,7 +196,7 @@ end
 -- Returns the dead entries of machines that a filter lets through. They are so old.
 local function find_dead(fleet, filter)
   local found, keys = {}, keys_for(fleet, filter)
-  local time = os.time() - (filter.age or 0)
+  local time = filter.age and os.time() - filter.age or math.huge
   for _, entry in ipairs(fleet:dead(1000000)) do
     if (not keys or keys[entry.machine])
       and tonumber(entry.id:match("^%d+")) / 1000 <= time then

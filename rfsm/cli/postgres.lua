@@ -17,29 +17,47 @@ function postgres.add_arguments(command)
     :argname("FILE")
   common.add_option(command, "-l --load", "load it there, by psql")
     :argname("DATABASE")
+  command:option("--stats", "print the numbers there, for Prometheus")
+    :argname("DATABASE")
   command:flag("--client", "only tables, for rfsm.postgres, without PL/Lua")
   command:flag("--history", "keep the moves of each machine in a table")
+  common.add_number(command, "--history-days", "workers remove moves that are older")
   command:flag("--notify", "report moves to those who LISTEN")
 end
 
--- Loads SQL into a database: a name, or the address that psql takes. If it is refused,
--- nothing was loaded, and the program ends with status 2 and the reason in one line.
-local function load(sql, database)
-  local script, log = os.tmpname(), os.tmpname()
-  common.try(files.write(script, sql))
-  local status = os.execute(("psql -XAqt -v ON_ERROR_STOP=1 -v VERBOSITY=terse -f '%s' "
-    .. "-d %s >'%s' 2>&1"):format(script, common.quoted(database), log))
+-- Runs psql for a database: a name, or the address that psql takes. Returns its output;
+-- nil and the reason in one line if it fails.
+local function run(arguments, database)
+  local log = os.tmpname()
+  local status = os.execute(("psql -XAqt -v ON_ERROR_STOP=1 -v VERBOSITY=terse %s "
+    .. "-d %s >'%s' 2>&1"):format(arguments, common.quoted(database), log))
   local output = files.read(log) or ""
-  os.remove(script)
   os.remove(log)
-  if status == true or status == 0 then return end
-  common.fail(output:match("ERROR: *([^\n]*)") or output:match("[^\n]+")
-    or "psql failed", 2)
+  if status == true or status == 0 then return output end
+  return nil, output:match("ERROR: *([^\n]*)") or output:match("[^\n]+")
+    or "psql failed"
+end
+
+-- Loads SQL into a database. If it is refused, nothing was loaded, and the program
+-- ends with status 2.
+local function load(sql, database)
+  local script = os.tmpname()
+  common.try(files.write(script, sql))
+  local output, problem = run(("-f '%s'"):format(script), database)
+  os.remove(script)
+  if not output then common.fail(problem, 2) end
+end
+
+-- Returns the numbers of a database for Prometheus.
+local function stats(database)
+  return common.try(run("-c 'SELECT * FROM rfsm.metrics()'", database))
 end
 
 function postgres.run(options, parser)
   local script, text = require "rfsm.postgres.script", nil
-  local settings = { history = options.history, notify = options.notify }
+  if options.stats then return common.write("-", stats(options.stats)) end
+  local settings = { history = options.history or options.history_days ~= nil,
+    notify = options.notify, history_days = options.history_days }
   if not options.client then
     text = common.library_of(script.sql, options, parser, settings)
   elseif options.files[1] or options.ids or options.ids_for then

@@ -35,6 +35,7 @@ end
 ---@field emitted string[][] each { name, data }, where data is JSON or ""
 ---@field errors string[] texts of errors
 ---@field data string JSON for the column `data`
+---@field counter? string the sequence that counts the call
 
 --- Functions of the server, or of a client, that the host uses.
 ---@class rfsm.postgres.Server
@@ -54,19 +55,22 @@ for _, verb in ipairs(verbs_of) do
 end
 
 --- Statements by their names. A statement that writes a machine returns a row if it has
--- written one. The casts are for drivers that give all parameters the type text.
+-- written one, and counts the call in the sequence $10, if there is one. The casts are
+-- for drivers that give all parameters the type text.
 host.STATEMENTS = {
   read = "SELECT value FROM rfsm.machines WHERE key = $1",
   lock = "SELECT value FROM rfsm.machines WHERE key = $1 FOR UPDATE",
   time = "SELECT extract(epoch FROM clock_timestamp())::float8 * 1e6 AS us",
   insert = [[INSERT INTO rfsm.machines
-    (key, chart, version, state, mode, event, due, data, value, since)
+    (key, chart, version, state, mode, event, due, data, value, leases, since)
     VALUES ($1, $2, $3, $4, $5, coalesce($6, ''), to_timestamp($7::text::float8),
-      $8::jsonb, $9::jsonb, clock_timestamp())
+      $8::jsonb, $9::jsonb, coalesce(0 * nextval($10::text::regclass), 0),
+      clock_timestamp())
     ON CONFLICT (key) DO NOTHING RETURNING key]],
   update = [[UPDATE rfsm.machines SET chart = $2, version = $3, state = $4, mode = $5,
     event = coalesce($6, event), due = to_timestamp($7::text::float8),
-    data = $8::jsonb, value = $9::jsonb, leases = 0,
+    data = $8::jsonb, value = $9::jsonb,
+    leases = coalesce(0 * nextval($10::text::regclass), 0),
     since = CASE WHEN state = $4 THEN since ELSE clock_timestamp() END
     WHERE key = $1 RETURNING key]],
   move = [[UPDATE rfsm.machines SET state = $2, event = $3, since = clock_timestamp()
@@ -100,8 +104,8 @@ end
 -- Writes the row of a machine. Returns false if a new machine's key is taken. Each
 -- move is an UPDATE, so that triggers see it. Events that moved nothing are noted.
 local function save(server, execute, key, change)
-  local machine = change.machine
-  local is_new, by = machine.leaf == false, nil
+  local machine, by = change.machine, nil
+  local is_new, due = machine.leaf == false, change.due and seconds_text(change.due)
   for i, move in ipairs(machine.moves) do
     if is_new or move.from ~= move.to and not machine.moves[i + 1] then
       by = move.by
@@ -113,8 +117,8 @@ local function save(server, execute, key, change)
   end
   local written = execute(is_new and "insert" or "update", key, machine.chart.name,
     machine.list[3].chart, machine.at, machine.mode, by,
-    change.due and seconds_text(change.due) or nil,
-    server.json.datum(change.data), server.json.datum(machine.value))
+    due or nil, server.json.datum(change.data), server.json.datum(machine.value),
+    change.counter)
   if written[1] then save_effects(server, execute, key, change) end
   return written[1] ~= nil
 end
@@ -167,6 +171,13 @@ function host.new(server, require, charts, options)
 
   function verbs.remove(key)
     return row.execute("remove", key)[1] ~= nil
+  end
+
+  -- Notes which counter the UPDATE of the row is to raise.
+  function verbs.count(machine)
+    if not machine.is_sent_to then return end
+    row.change.counter = machine.outcome == "dropped" and "rfsm.dropped"
+      or "rfsm.events"
   end
 
   function verbs.refuse(name, reason)

@@ -24,6 +24,7 @@ local STEPS = {
     .. "DROP PROCEDURE IF EXISTS rfsm.work(double precision);" },
   { "rfsm.machines", "ALTER TABLE rfsm.machines "
     .. "ADD COLUMN IF NOT EXISTS leases integer NOT NULL DEFAULT 0;" },
+  { "rfsm.history", "CREATE INDEX IF NOT EXISTS history_at ON rfsm.history (at);" },
 }
 
 --- The version of the schema that the script makes.
@@ -64,11 +65,11 @@ END $$;
 local steps = {}
 for i, step in ipairs(STEPS) do
   steps[i] = ([[
-  IF found <= %d THEN
+  IF found <= %d AND to_regclass('%s') IS NOT NULL THEN
     PERFORM rfsm.lock_table('%s');
     %s
   END IF;
-]]):format(i, step[1], step[2])
+]]):format(i, step[1], step[1], step[2])
 end
 
 schema.HEAD = [[
@@ -135,6 +136,11 @@ CREATE TABLE IF NOT EXISTS rfsm.log (
   key text COLLATE "C" NOT NULL,
   error text NOT NULL
 );
+
+-- Counters of calls that send events, those whose events were dropped apart.
+CREATE SEQUENCE IF NOT EXISTS rfsm.events;
+CREATE SEQUENCE IF NOT EXISTS rfsm.dropped;
+GRANT USAGE ON SEQUENCE rfsm.events, rfsm.dropped TO PUBLIC;
 
 -- CREATE INDEX IF NOT EXISTS would lock the table even if the index exists.
 DO $$ BEGIN
@@ -296,6 +302,7 @@ BEGIN
     total := total + has_run::integer;
     IF clock_timestamp() >= next_report THEN
       RAISE INFO 'rfsm.work: % machines were woken', total;
+      $TRIM
       next_report := clock_timestamp() + report;
     END IF;
     IF clock_timestamp() >= last THEN
@@ -426,8 +433,49 @@ CREATE OR REPLACE FUNCTION rfsm.stats()
   ORDER BY 1, 2, 3
 $$;
 
+-- The same and more for Prometheus, as lines. Counters are those of sequences, which no
+-- transaction takes back. Labels are in quotes as in JSON.
+CREATE OR REPLACE FUNCTION rfsm.metrics() RETURNS SETOF text $OWNER AS $$
+  WITH found (name, labels, value) AS (
+    SELECT s.name, CASE WHEN s.chart IS NOT NULL THEN format('{chart=%s,state=%s}',
+      to_json(s.chart), to_json(s.state)) END, s.value::numeric FROM rfsm.stats() s
+    UNION ALL SELECT 'rfsm_version_machines', format('{chart=%s,version=%s}',
+      to_json(v.chart), to_json(v.version)), v.machines FROM rfsm.versions() v
+    UNION ALL SELECT 'rfsm_oldest_entry_seconds', NULL, coalesce(round(extract(
+      epoch FROM clock_timestamp() - min(at))::numeric, 3), 0) FROM rfsm.out
+    UNION ALL SELECT 'rfsm_oldest_timer_seconds', NULL, greatest(coalesce(round(extract(
+      epoch FROM clock_timestamp() - min(due))::numeric, 3), 0), 0) FROM rfsm.machines
+    UNION ALL SELECT 'rfsm_events_total', NULL,
+      coalesce(pg_sequence_last_value('rfsm.events'), 0)
+      + coalesce(pg_sequence_last_value('rfsm.dropped'), 0)
+    UNION ALL SELECT 'rfsm_dropped_total', NULL,
+      coalesce(pg_sequence_last_value('rfsm.dropped'), 0)
+    UNION ALL SELECT 'rfsm_errors_total', NULL,
+      coalesce(pg_sequence_last_value(pg_get_serial_sequence('rfsm.log',
+        'id')::regclass), 0)),
+  lines AS (
+    SELECT DISTINCT name, 0 AS rank, NULL AS labels, '# TYPE ' || name
+      || CASE WHEN name LIKE '%\_total' THEN ' counter' ELSE ' gauge' END AS line
+      FROM found
+    UNION ALL SELECT name, 1, labels, concat(name, labels, ' ', value) FROM found)
+  SELECT line FROM lines ORDER BY name COLLATE "C", rank, labels COLLATE "C"
+$$;
+
+-- Removes what is older from the history, if there is one; returns how many moves.
+CREATE OR REPLACE FUNCTION rfsm.trim(age interval) RETURNS bigint LANGUAGE plpgsql
+  SECURITY DEFINER SET search_path = pg_catalog, pg_temp AS $$
+DECLARE count bigint := 0;
+BEGIN
+  IF to_regclass('rfsm.history') IS NOT NULL THEN
+    DELETE FROM rfsm.history WHERE at < clock_timestamp() - age;
+    GET DIAGNOSTICS count = ROW_COUNT;
+  END IF;
+  RETURN count;
+END $$;
+
 REVOKE EXECUTE ON FUNCTION rfsm.take, rfsm.done, rfsm.fail, rfsm.again, rfsm.drop,
-  rfsm.stats, rfsm.log, rfsm.due, rfsm.versions, rfsm.find FROM PUBLIC;
+  rfsm.metrics, rfsm.trim, rfsm.stats, rfsm.log, rfsm.due, rfsm.versions, rfsm.find
+  FROM PUBLIC;
 ]]
 
 schema.HISTORY = [[
@@ -443,6 +491,7 @@ CREATE TABLE IF NOT EXISTS rfsm.history (
 DO $$ BEGIN
   IF to_regclass('rfsm.history_key') IS NULL THEN
     CREATE INDEX history_key ON rfsm.history (key, id);
+    CREATE INDEX history_at ON rfsm.history (at);
   END IF;
 END $$;
 

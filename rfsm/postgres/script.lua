@@ -79,6 +79,7 @@ end
 ---@class rfsm.postgres.Options
 ---@field history? boolean moves, and events that moved nothing, are noted in the table
 --- rfsm.history
+---@field history_days? integer workers remove what is older from rfsm.history
 ---@field notify? boolean a trigger reports each move to sessions that LISTEN to rfsm
 ---@field ids? integer how many ids of events are kept for each machine (16)
 ---@field ids_for? integer for how many seconds ids are kept (1000)
@@ -121,6 +122,8 @@ function script.sql(arguments, options)
   local id = id_of(code)
   local values = { TAG = quote_for(code), CODE = code:gsub("%$ID", id, 1), ID = id,
     LOG = (host.STATEMENTS.log:gsub("%$%d", { ["$1"] = "each", ["$2"] = "SQLERRM" })) }
+  values.TRIM = options.history_days and ("PERFORM rfsm.trim('%d days');"):format(
+    options.history_days) or ""
   local functions = schema.FUNCTIONS:gsub("%$(%u+)", WORDS):gsub("%$(%u+)", values)
   return schema_of(functions, options), warnings
 end

@@ -172,6 +172,23 @@ function store.remove(key)
   return true
 end
 
+-- Counters: text such as "rfsm_events_total TAB chart" -> number. They begin anew when
+-- the server or the library does, as counters may, and cost no write.
+local counters = {}
+
+local function add_count(name, chart, number)
+  local text = name .. "\t" .. chart
+  counters[text] = (counters[text] or 0) + number
+end
+
+--- Count a call for monitoring.
+function store.count(machine, errors)
+  local name = machine.chart.name
+  if machine.is_sent_to then add_count("rfsm_events_total", name, 1) end
+  if machine.outcome == "dropped" then add_count("rfsm_dropped_total", name, 1) end
+  if errors > 0 then add_count("rfsm_errors_total", name, errors) end
+end
+
 -- Many machines --------------------------------------------------------------------
 
 local more = {}
@@ -332,9 +349,36 @@ end
 --- Return the latest moves of a machine, the newest first.
 function store.history(key, count) return list_stream(keys_of.history(key), count) end
 
--- rfsm_stats KEY: returns six results for the machines with the {hash tag} of KEY: a
--- list (chart, state, number of machines, chart ...), and five numbers: machines with a
--- deadline, machines put aside, events in the stream, overdue machines, dead events.
+-- Returns for how many seconds the first entry of a stream is there, as a text.
+local function age_of_entry(stream)
+  local first = call("XRANGE", stream, "-", "+", "COUNT", 1)[1]
+  if not first then return "0" end
+  return rfsm.number_text(now() - first[1]:match("^%d+") / 1000, "%.3f")
+end
+
+-- Returns for how many seconds the first due machine is late, as a text.
+local function age_of_timer(due)
+  local first = call("ZRANGE", due, 0, 0, "WITHSCORES")[2]
+  local late = first and now() - rfsm.number_of(first) or 0
+  return rfsm.number_text(late > 0 and late or 0, "%.3f")
+end
+
+-- Lists the counters: name, chart, number, name ...
+local function list_counters()
+  local list = {}
+  for _, text in ipairs(rfsm.sorted_keys(counters)) do
+    local n = #list
+    list[n + 1], list[n + 2] = text:match("^(.-)\t(.*)$")
+    list[n + 3] = counters[text]
+  end
+  return list
+end
+
+-- rfsm_stats KEY: returns nine results for the machines with the {hash tag} of KEY: a
+-- list (chart, state, number of machines, chart ...); five numbers: machines with a
+-- deadline, machines put aside, events in the stream, overdue machines, dead events;
+-- two texts: seconds since the oldest event came into the stream, seconds by which the
+-- first machine is late; the counters of the server: name, chart, number, name ...
 function more.rfsm_stats(keys)
   local key, reply = keys[1], {}
   local index, due = keys_of.index(key), keys_of.due(key)
@@ -347,7 +391,8 @@ function more.rfsm_stats(keys)
   end
   return { reply, call("ZCARD", due), call("ZCARD", keys_of.aside(key)),
     call("XLEN", keys_of.out(key)), call("ZCOUNT", due, "-inf", score(now() - OVERDUE)),
-    call("XLEN", keys_of.dead(key)) }
+    call("XLEN", keys_of.dead(key)), age_of_entry(keys_of.out(key)), age_of_timer(due),
+    list_counters() }
 end
 
 -- Calls f(key, list) for each machine in a list of keys. If there is no machine at the

@@ -61,6 +61,8 @@ local MAX_ID, MAX_LATER = 64, 100 -- bytes of an id; waiting events of a machine
 ---@field refuse fun(name: string, reason: string): any returns the reply of an error
 ---@field history? fun(key: string, count: integer): any[] the latest moves, the newest
 --- first, each as four items: time, events, from, to; absent if the library keeps none
+---@field count fun(machine: rfsm.server.Machine, errors: integer) counts a call for
+--- monitoring, after it was written
 ---@field add? fun(functions: table, options: rfsm.server.Options) adds functions that
 --- only this server has
 
@@ -132,6 +134,7 @@ local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD, HOLD = 2, 3, 4, 5, 6, 7, 8, 
 ---@field outcome string|false what became of the events: "taken", "kept" or "dropped";
 --- false: no transition took them, and it is not yet known if they were kept or dropped
 ---@field has_run boolean did due timers or events run in this call?
+---@field is_sent_to boolean is this a call that sends events?
 ---@field said string|false what a person has done, for the log
 
 local NONE = {}
@@ -139,7 +142,8 @@ local NONE = {}
 local function new_machine(key, chart, list, leaf)
   return { key = key, chart = chart, fsm = chart.fsm, list = list, leaf = leaf,
     at = leaf or "", mode = "inactive", was_due = list[DUE], value = false, moves = {},
-    is_idle = true, outcome = false, has_run = false, said = false }
+    is_idle = true, outcome = false, has_run = false, said = false,
+    is_sent_to = false }
 end
 
 local function read(key)
@@ -440,6 +444,7 @@ local function save(machine, id)
   pack_machine(machine, due)
   host.write(machine, not list[HELD] and due or nil, emitted,
     machine.said and { machine.said, unpack(errors) } or errors)
+  host.count(machine, #errors)
   local reply = { machine.at, machine.mode }
   for i = 1, #errors do reply[i + 2] = errors[i] end
   reply[#reply + 1] = machine.outcome
@@ -503,6 +508,7 @@ function functions.rfsm_send(keys, args)
   local list = read(key)
   if id and has_id(list, id) then return reply_of(list, "known") end
   local machine = load_machine(key, list)
+  machine.is_sent_to = true
   move(machine, args, id)
   return save(machine, machine.outcome ~= "kept" and id)
 end
