@@ -164,6 +164,8 @@ end
 ---@field nsec number nanoseconds in addition to `sec`
 ---@field left number nanoseconds until the deadline, at the latest search
 ---@field rank integer position of the timer in the list of the latest search
+---@field turn integer the iteration in which its event came last
+---@field at integer the place of that event among the current events
 
 local MARGIN = 0.001 -- seconds; above the rounding error of a time stored as a float
 
@@ -345,17 +347,34 @@ local function arm_again(fsm, timer, now, now_nsec)
   return set(fsm, timer, normalise(sec + count * period, nsec + count * rest))
 end
 
+local function has(events, i, name)
+  if events[i] == nil then return false end
+  return events[i] == name or has(events, i + 1, name)
+end
+
+-- Appends the event of an expired timer to the current events, after an interrupt at
+-- the same place again. A time of an e_every is missed while the event of one waits.
+local function raise_timer(fsm, timer)
+  local events = fsm._curq
+  if timer.event.is_repeated and has(events, 1, timer.name) then return false end
+  if timer.turn ~= fsm._turn then
+    timer.at = #events + 1
+    timer.turn = fsm._turn
+  end
+  events[timer.at] = timer.name
+  return true
+end
+
 -- Appends the events of a list of expired timers, from number `i` on, to the current
 -- events, and arms them again. Returns the least of `least` and the nanoseconds that
--- these have left. After an interrupt the event of the timer that was under way may be
--- there already.
+-- these have left.
 local function raise_timers(fsm, expired, i, least, sec, nsec)
-  local timer, events = expired[i], fsm._curq
+  local timer = expired[i]
   if not timer then return least end
-  if events[#events] ~= timer.name then events[#events + 1] = timer.name end
+  local is_raised = raise_timer(fsm, timer)
   local again, rest = arm_again(fsm, timer, clock.present(sec, nsec))
   if again < huge then least = min(least, time_left(again, rest, sec, nsec)) end
-  report(fsm, "dbg", "TIMEEVENT", timer.name)
+  if is_raised then report(fsm, "dbg", "TIMEEVENT", timer.name) end
   return raise_timers(fsm, expired, i + 1, least, sec, nsec)
 end
 
@@ -631,7 +650,7 @@ end
 local function add_timer(fsm, state, name, event)
   local own, timers = fsm._timeevent, state._timers
   local timer = { name = name, event = event, timers = timers, entry = false,
-    sec = false, nsec = 0, left = 0, rank = 0 }
+    sec = false, nsec = 0, left = 0, rank = 0, turn = -1, at = 0 }
   timers[#timers + 1] = timer
   if is_usual(event) then
     timers.delay = min(timers.delay, event.sec + event.nsec * 1e-9 - MARGIN)

@@ -91,6 +91,20 @@ describe("a transition that needs no event", function()
       or fsm._intq[1])
   end)
 
+  it("is judged by the moment at which it is taken", function()
+    for seconds, count in pairs { [0.5] = 1, [1.5] = 0 } do -- any order
+      local time, told = require("rfsm.clock").simulated(), {}
+      local fsm = new { gettime = time,
+        err = function(text) told[#told + 1] = text end }
+      rfsm_checks.watch_properties(fsm, { p = rfsm_checks.from "root.a".stays(1) })
+      rfsm.step(fsm)
+      time:advance(seconds)
+      fsm.is_open = true
+      rfsm.step(fsm)
+      assert.same({ "root.b", count }, { at(fsm), #told })
+    end
+  end)
+
   it("lets segments without events be open behind it, others be closed", function()
     local k = { k = conn {}, c = state {}, [2] = trans { src = "a", tgt = "k",
       always = true }, [4] = trans { src = "k", tgt = "c", events = { "e_x" }, pn = 1 },

@@ -100,6 +100,18 @@ describe("e_every", function()
       .. "e_at(2.5)@root.on", table.concat(seen, " "))
   end)
 
+  it("is missed while one waits, so that no queue grows", function()
+    local fsm = new("e_every(1)", { read = "one", [5] = internal("e_x") })
+    for _ = 1, 9 do rfsm.send_events(fsm, "e_x") end
+    for _ = 1, 5 do
+      fsm.gettime:advance(1.5)
+      rfsm.step(fsm)
+    end
+    assert.equal(4 + 1, rfsm.check_events(fsm))
+    rfsm.run(fsm)
+    assert.equal(10, #fsm.times)
+  end)
+
   it("comes again beside an internal transition that does not name it", function()
     local fsm = new("e_every(1)", { [5] = internal("e_tick", { pn = 1 }) })
     rfsm.send_events(fsm, "e_tick")

@@ -659,3 +659,37 @@ describe(claim.name, function()
     assert.is_nil(select(2, whole.run(1, 2570)))
   end)
 end)
+
+describe("an e_every", function()
+  -- p { t0 -e_tick-> .. t4 } ticks each second, and is left after some seconds
+  local function ticking(seconds, more)
+    local model = { info = false, warn = false, off = state { final = true },
+      p = state { go("initial", "t0") }, go("initial", "p"),
+      go("p", "internal", "e_every(1)"),
+      go("p", "off", ("e_after(%g)"):format(seconds)) }
+    for i = 0, 4 do
+      model.p["t" .. i] = state {}
+      if i > 0 then model.p[i + 1] = go("t" .. i - 1, "t" .. i, "e_tick") end
+    end
+    for key, value in pairs(more or {}) do model[key] = value end -- any order: a set
+    return state(model)
+  end
+
+  local function said(name, seconds, options, more)
+    options = options or {}
+    options.sends, options.alphabet = { ["effect root.trans[2]"] = { "e_tick" } }, {}
+    return verdict(ticking(seconds, more), never(name), options)
+  end
+
+  it("comes each T seconds, and not sooner", function()
+    assert.equal("p: holds (one event a step; no event outside of the alphabet; "
+      .. "stepped between any two deadlines; steps take no time)",
+      said("root.p.t3", 2.5))
+    assert.equal(lines("p",
+      "1. no event: root.trans[1], root.p.trans[1] -> root.p.t0",
+      "2. +1.001 s, e_every(1)@root.p: root.trans[2] -> root.p.t0",
+      "3. no event: root.p.trans[2] -> root.p.t1",
+      "4. +1 s, e_every(1)@root.p: root.trans[2] -> root.p.t1",
+      "5. no event: root.p.trans[3] -> root.p.t2"), said("root.p.t2", 2.5))
+  end)
+end)

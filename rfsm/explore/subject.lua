@@ -127,6 +127,7 @@ Subject.__index = Subject
 ---@field after? number seconds of delay, if a replacement sends the event later
 ---@field has_data boolean the event is an example of the option `classes`
 ---@field number integer position in the list of all occurrences
+---@field is_repeated boolean of a timer that comes again: not while its event waits
 ---@field alone rfsm_checks.Occurrence[] a list that has this occurrence only
 
 --- A moment in a step: the entry of a state that the same step leaves again.
@@ -242,13 +243,23 @@ function Subject:maker_of(event)
   return maker, fqn
 end
 
+-- Is the event that of a timer which comes again and again?
+local function is_repeated(part, event)
+  for _, state in ipairs(rfsm.elements(part.fsm, rfsm.is_state)) do
+    for _, timer in ipairs(state._timers or NOTHING) do
+      if timer.name == event then return timer.event.is_repeated end
+    end
+  end
+  return false
+end
+
 --- Make an occurrence of an event, with the next number.
 ---@return rfsm_checks.Occurrence
 function Subject:new_occurrence(part, event, after)
   event = self:event_of(event)
   local new = { part = part, event = event, after = after,
     has_data = self.is_example[event] or false, number = #self.occurrences + 1,
-    alone = {} }
+    is_repeated = not after and is_repeated(part, event), alone = {} }
   new.alone[1], self.occurrences[new.number] = new, new
   return new
 end
@@ -769,6 +780,15 @@ local function keep_passed(self)
   end
 end
 
+local function send(occurrences)
+  for _, occurrence in ipairs(occurrences) do
+    local queue, event = occurrence.part.fsm._intq, occurrence.event
+    if not (occurrence.is_repeated and match.has(queue, event)) then
+      queue[#queue + 1] = event
+    end
+  end
+end
+
 --- Take one step with events and with choices. After it, `read` returns the key of the
 --- new configuration. The result is nil if a region never becomes idle.
 ---@param events rfsm_checks.Occurrence[]
@@ -782,10 +802,7 @@ function Subject:step(events, choices)
   if not order.is_empty(self.answers) then self.answers = {} end
   if not order.is_empty(self.entered) then self.entered = {} end
   for event in order.each(self.wanted) do self.wanted[event] = false end
-  for i = 1, #events do
-    local queue = events[i].part.fsm._intq
-    queue[#queue + 1] = events[i].event
-  end
+  send(events)
   local ok, failure = pcall(rfsm.step, self.parts[1].fsm)
   if self.is_touched then data.put_back(self) end
   if ok then

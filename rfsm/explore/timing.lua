@@ -11,10 +11,11 @@
 -- If timers are free, the clocks of events that are sent later are free, too: their
 -- deadlines may be over at any time.
 --
--- A step takes no time. An e_at, an e_every, or a timer whose seconds come from a
--- function, has no clock: its event may come at any time. Zones need no extrapolation,
--- since a clock is dropped when its last deadline is over: so its deadlines bound its
--- value.
+-- An e_every has a clock of its own, which goes back when its event has come.
+--
+-- A step takes no time. An e_at, or a timer whose seconds come from a function, has no
+-- clock: its event may come at any time. Zones need no extrapolation, since a clock is
+-- dropped when its last deadline is over, or goes back: so its deadlines bound it.
 --
 -- @module rfsm.explore.timing
 -- @license BSD-3-Clause
@@ -24,7 +25,8 @@ local match = require "rfsm.shared.match"
 local zones = require "rfsm.explore.zones"
 
 local ipairs, math, setmetatable, table = ipairs, math, setmetatable, table
-local concat, floor, huge, max = table.concat, math.floor, math.huge, math.max
+local ceil, concat, floor = math.ceil, table.concat, math.floor
+local huge, max = math.huge, math.max
 
 local timing = {}
 
@@ -53,6 +55,8 @@ Timing.__index = Timing
 ---@field judged? rfsm_checks.Judged the property whose time this clock measures
 ---@field later? rfsm_checks.Occurrence the event whose delay this clock measures
 ---@field is_free boolean|nil its deadline may be over at any time, or never
+---@field is_repeated boolean|nil of an e_every: deadlines are multiples of the first
+-- one, and the last of them is never over after one step
 ---@field deadlines number[] in rising order, in units
 ---@field events rfsm_checks.Occurrence[][] for each deadline, the events that come then
 
@@ -89,7 +93,7 @@ local function nanoseconds(seconds) return floor(seconds * BILLION + 0.5) end
 -- of `timer.event` are defined in `rfsm_timeevent`.
 local function duration_of(timer)
   local event = timer.event
-  if not event.is_relative or event.is_repeated or event.timeout then return nil end
+  if not event.is_relative or event.timeout then return nil end
   local duration = event.sec * BILLION + event.nsec
   return duration < MOST and duration or nil
 end
@@ -101,12 +105,30 @@ local function add_clock(self, clock)
   return clock
 end
 
--- Adds the clock of a state, if it has a timer whose time is known.
-local function add_state_clock(self, part, state)
+local MANY_TIMES = 20 -- most times of an e_every that a clock counts between two steps
+
+-- Adds the clock of an e_every, which is over `most` times between two steps at most.
+-- Its event comes once then. Returns false if that is too often for a clock.
+local function add_repeated(self, part, state, timer, duration)
+  local most = max(ceil(1 + (self.period or 0) / duration) - 1, 1)
+  if most > MANY_TIMES then return false end
+  local deadlines, lists = {}, {}
+  for i = 1, most + 1 do deadlines[i], lists[i] = i * duration, {} end
+  lists[1][1] = self.subject:occurrence(part, timer.name)
+  add_clock(self, { state = state, is_repeated = true, deadlines = deadlines,
+    events = lists })
+  return true
+end
+
+-- Adds the clocks of a state for the timers whose time is known: one for all of its
+-- e_after.
+local function add_state_clocks(self, part, state)
   local events = {} -- by deadline
   for _, timer in ipairs(state._timers or {}) do
     local duration = duration_of(timer)
-    if duration then
+    if duration and timer.event.is_repeated then
+      part.timed[timer.name] = add_repeated(self, part, state, timer, duration)
+    elseif duration then
       part.timed[timer.name] = true
       events[duration] = match.with(events[duration] or {},
         self.subject:occurrence(part, timer.name))
@@ -142,7 +164,7 @@ end
 local function add_clocks(self, judged, are_free)
   for _, part in ipairs(are_free and {} or self.subject.parts) do
     for _, state in ipairs(rfsm.elements(part.fsm, rfsm.is_state)) do
-      add_state_clock(self, part, state)
+      add_state_clocks(self, part, state)
     end
   end
   if judged and judged.property.seconds then
@@ -326,7 +348,9 @@ local function add_groups(self, groups, entries, count, found)
     return add_orders(self, groups, entries, count, found,
       numbers_of(self, entries, found.over))
   end
-  for over = 0, self.period and #entry.clock.deadlines - entry.passed or 1 do
+  local clock = entry.clock
+  local last = #clock.deadlines - entry.passed - (clock.is_repeated and 1 or 0)
+  for over = 0, self.period and last or 1 do
     local longer = extended(self, entries, count, found, over)
     if longer then add_groups(self, groups, entries, count, longer) end
   end
@@ -379,17 +403,27 @@ local function find_entry(entries, clock)
   end
 end
 
+-- Returns for the clock of a state how many of its deadlines are over, and its number
+-- before the step, 0 for a new clock. Also returns by how much the clock of an e_every
+-- goes back. Returns nil if the clock does not run.
+local function passed_of(self, time, group, clock)
+  if not clock.state or clock.state._mode == "inactive" then return nil end
+  if self.subject.entered[clock.state] then return 0, 0, 0 end
+  local i = find_entry(time.entries, clock)
+  if not i then return nil end
+  local over = group.over[i]
+  if clock.is_repeated then return 0, i, clock.deadlines[over] or 0 end
+  local passed = time.entries[i].passed + over
+  if passed < #clock.deadlines then return passed, i, 0 end
+end
+
 -- Adds the clocks of the states that are active now.
 local function add_states(self, time, group, entries, sources)
   for _, clock in ipairs(self.clocks) do
-    local state = clock.state
-    local is_active = state and state._mode ~= "inactive"
-    local i = is_active and find_entry(time.entries, clock)
-    local is_new = is_active and self.subject.entered[state]
-    local passed = is_new and 0 or i and time.entries[i].passed + group.over[i]
-    if passed and passed < #clock.deadlines then
+    local passed, source, back = passed_of(self, time, group, clock)
+    if passed then
       entries[#entries + 1] = { clock = clock, passed = passed }
-      sources[#sources + 1] = is_new and 0 or i
+      sources[#sources + 1], sources.back[#entries] = source, back
     end
   end
 end
@@ -431,34 +465,41 @@ end
 ---@param walk rfsm_checks.Walk
 ---@param clocks integer[]? numbers of clocks of the monitor, from `monitors.look`
 ---@return rfsm_checks.Time|nil time nil if too many events wait to be sent
----@return integer[] sources for each clock its number before the step; 0: a new clock
+---@return integer[] sources for each clock its number before the step; 0: a new clock.
+-- `sources.back[i]`, if there is one, is by how much it has gone back
 function Timing:after(time, group, walk, clocks)
-  local entries, sources = {}, {}
+  local entries, sources = {}, { back = {} }
   add_states(self, time, group, entries, sources)
   if add_pending(self, time, group, entries, sources) > self.pending then
     return nil, sources
   end
   local clock = self.of[walk.monitor]
   if clock then add_monitor(time, clock, clocks, entries, sources) end
-  return find_time(self, entries, zones.project(group.zone, #time.entries, sources)),
-    sources
+  local zone = zones.project(group.zone, #time.entries, sources)
+  for i = 1, #sources do zone = zones.back(zone, #sources, i, sources.back[i] or 0) end
+  return find_time(self, entries, zone), sources
 end
 
 -- Times of a run ....................................................................
 
 -- Adds the bounds that the step with the number `now` sets on the times between steps.
--- Returns for each clock the number of the step in which it began.
+-- Returns for each clock the number of the step in which it began; `back` has by how
+-- much it has gone back since.
 local function add_bounds(bounds, began, now, step)
-  local began_then = {}
+  local began_then = { back = {} }
   local function of(i) return i == 0 and now or began[i] or now - 1 end
+  local function back(i) return began.back and began.back[i] or 0 end
   if now > 1 then
     for _, bound in ipairs(step.group.bounds) do
-      bounds[#bounds + 1] = { of(bound[2]), of(bound[1]), bound[3] }
+      local i, j = bound[1], bound[2]
+      bounds[#bounds + 1] = { of(j), of(i), zones.later(bound[3], back(i) - back(j)) }
     end
     bounds[#bounds + 1] = { now - 1, now, zones.at_most(0) }
   end
   for i, source in ipairs(step.sources) do
     began_then[i] = source == 0 and now or began[source]
+    began_then.back[i] = (source == 0 and 0 or back(source))
+      + (step.sources.back[i] or 0)
   end
   return began_then
 end

@@ -19,6 +19,9 @@ function zones.at_most(b) return 2 * b + 1 end
 --- Return the bound "less than b".
 function zones.below(b) return 2 * b end
 
+--- Return a bound that is higher by `time`, which may be negative.
+function zones.later(bound, time) return bound + 2 * time end
+
 local ZERO = zones.at_most(0)
 
 local function sum(a, b)
@@ -74,6 +77,25 @@ function zones.project(zone, count, sources)
     local from = (sources[k] or 0) * size
     for l = 0, #sources do
       result[#result + 1] = k == l and ZERO or zone[from + (sources[l] or 0) + 1]
+    end
+  end
+  return result
+end
+
+--- Return a zone in which clock i has gone back by `time`.
+---@param zone number[]
+---@param count integer clocks
+---@param i integer
+---@param time number
+---@return number[] zone
+function zones.back(zone, count, i, time)
+  if time == 0 then return zone end
+  local size, result = count + 1, {}
+  for k = 0, count do
+    for l = 0, count do
+      local at = k * size + l + 1
+      local change = k == l and 0 or k == i and -time or l == i and time or 0
+      result[at] = zones.later(zone[at], change)
     end
   end
   return result

@@ -43,6 +43,7 @@ local watch_properties = {}
 ---@field is_timed boolean does a property have a time limit?
 ---@field now number the time at which the iteration began, in seconds
 ---@field leaf rfsm.State|false the active leaf when the iteration began
+---@field has_begun boolean an iteration is under way
 ---@field meant table<any, any> event of a property -> the event that it means
 ---@field forwarded any[] events of earlier iterations that belong to this step
 ---@field snapshot fun(): fun(name: string): boolean `active`, whose answers stay
@@ -191,7 +192,7 @@ end
 local function begin_iteration(own, at)
   own.is_heard = false
   if at.machine ~= own.fsm then return end
-  own.now, own.leaf = read_clock(own), own.fsm._act_leaf or false
+  own.has_begun, own.now, own.leaf = true, read_clock(own), own.fsm._act_leaf or false
   for _, monitor in ipairs(own.forwarded[1] == nil and own.monitors or NOTHING) do
     local scope = monitor.property.scope
     monitor.is_in_scope = scope == nil or monitors.holds(scope, own.active)
@@ -244,6 +245,7 @@ end
 local function end_iteration(own, at, events)
   note_events(own, at, events)
   if at.machine ~= own.fsm or not own.fsm._act_leaf then return end
+  own.has_begun = false
   note_step(own, events)
   if are_forwarded(own.fsm) then
     own.forwarded = match.joined(own.forwarded, events)
@@ -357,11 +359,15 @@ local function listen(own, listener)
     if hears_more then note_word(own, "entry " .. location.path(state, at.prefix)) end
   end
   if not (hears_more or sees_more) then listener.entered = nil end
+  function listener.taken(at, path, events)
+    -- before a transition that needs no event no step hook is called
+    if not own.has_begun then begin_iteration(own, at) end
+    if hears_more then note_path(own, at, path, events) end
+  end
   if not hears_more then return end
   function listener.left(at, state)
     note_word(own, "exit " .. location.path(state, at.prefix))
   end
-  function listener.taken(at, path, events) note_path(own, at, path, events) end
 end
 
 --- Have a machine report to `err` if a property does not hold, with the latest steps.
@@ -385,7 +391,7 @@ function watch_properties.watch_properties(fsm, given)
   local active, snapshot = views_of(fsm)
   local own = setmetatable({ fsm = fsm, active = active, now = 0, leaf = false,
     is_timed = false, meant = {}, snapshot = snapshot, hears = {}, heard = {},
-    is_heard = false, path_of = {}, forwarded = {} }, Watched)
+    has_begun = false, is_heard = false, path_of = {}, forwarded = {} }, Watched)
   own.monitors = monitors_of(own, where, given)
   own.is_timed = order.any(own.monitors, is_timed)
   begin(own)

@@ -4,6 +4,7 @@
 local charts = require "spec.support.charts"
 local driven = require "spec.support.driven"
 local history = require "spec.support.claims.history"
+local match = require "rfsm.shared.match"
 local new_random = require "spec.support.random"
 local reference = require "spec.support.reference"
 local runs = require "spec.support.runs"
@@ -89,27 +90,35 @@ local function add_timer_model(calls, chart, world)
   behind(calls, "entered", function(fqn) since[fqn] = { at = world.clock.now } end)
   behind(calls, "was_reset", function() since = {} end)
 
-  -- Appends the timers of a state that are over and have not come.
-  local function add_over(list, fqn)
+  -- Returns the time at which a timer came, if it is over and has not come.
+  local function come(fqn, event)
+    local kind, seconds = tostring(event):match("^e_(%l+)%((.-)%)@")
+    local at = seconds and (since[fqn][event] or since[fqn].at + tonumber(seconds))
+    if not at or at >= world.clock.now then return nil end
+    since[fqn][event] = kind == "after" and math.huge or at
+    while since[fqn][event] < world.clock.now do
+      since[fqn][event] = since[fqn][event] + tonumber(seconds)
+    end
+    return at, kind == "every"
+  end
+
+  -- Appends the timers of a state that come now. A time of an e_every is missed while
+  -- one waits.
+  local function add_over(list, fqn, waiting)
     for _, tr in ipairs(chart.transitions) do
       for _, event in ipairs(tr.src == fqn and tr.events or {}) do
-        local kind, seconds = tostring(event):match("^e_(%l+)%((.-)%)@")
-        local at = seconds and (since[fqn][event] or since[fqn].at + tonumber(seconds))
-        if at and at < world.clock.now then
-          since[fqn][event] = kind == "after" and math.huge or at
-          while since[fqn][event] < world.clock.now do
-            since[fqn][event] = since[fqn][event] + tonumber(seconds)
-          end
+        local at, is_repeated = come(fqn, event)
+        if at and not (is_repeated and match.has(waiting, event)) then
           list[#list + 1] = { event = event, at = at, depth = depth[fqn] }
         end
       end
     end
   end
 
-  function calls.timers()
+  function calls.timers(waiting)
     local list, events = {}, {}
     for fqn, mode in pairs(world.machine.mode) do -- any order: sorted
-      if mode ~= "inactive" and since[fqn] then add_over(list, fqn) end
+      if mode ~= "inactive" and since[fqn] then add_over(list, fqn, waiting) end
     end
     table.sort(list, function(a, b)
       if a.at ~= b.at then return a.at < b.at end

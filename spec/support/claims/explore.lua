@@ -30,6 +30,7 @@ local EVENTS = { "e1", "e2", "e3", "e4" }
 -- timed chart has more time events, many of the same time.
 local function extra_event(random, i, is_timed)
   if is_timed and random:chance(50) then
+    if random:chance(25) then return ("e_every(%.1f)"):format(random:below(4) / 2) end
     return ("e_after(%.1f)"):format((random:below(5) - 1) / 2)
   elseif not is_timed and random:chance(5) then
     return ("e_every(%d)"):format(random:below(3))

@@ -149,7 +149,10 @@ end
 -- Returns the event of a transition in a small chart.
 local function small_event(random)
   local choice = random:below(4)
-  if choice == 1 then return ("e_after(%.1f)"):format((random:below(5) - 1) / 2) end
+  if choice == 1 then
+    if random:chance(30) then return ("e_every(%.1f)"):format(random:below(4) / 2) end
+    return ("e_after(%.1f)"):format((random:below(5) - 1) / 2)
+  end
   return choice == 2 and random:pick { "e1", "e2" } or random:pick(LATE)
 end
 
