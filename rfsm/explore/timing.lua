@@ -11,7 +11,8 @@
 -- If timers are free, the clocks of events that are sent later are free, too: their
 -- deadlines may be over at any time.
 --
--- An e_every has a clock of its own, which goes back when its event has come.
+-- An e_every has a clock of its own, which goes back when its event has come. If a
+-- machine takes events one by one, groups whose order is not known are left out.
 --
 -- A step takes no time. An e_at, or a timer whose seconds come from a function, has no
 -- clock: its event may come at any time. Zones need no extrapolation, since a clock is
@@ -44,6 +45,9 @@ local timing = {}
 ---@field fired table<rfsm_checks.Occurrence, boolean> time events that have come
 ---@field is_cut boolean some groups were left out
 ---@field is_inexact boolean some times have too many units to be exact
+---@field ranks table<rfsm_checks.Occurrence, integer> order of timers that come at once
+---@field count integer number of ranks
+---@field reads_one boolean a machine takes events one by one: their order counts
 local Timing = {}
 Timing.__index = Timing
 
@@ -126,6 +130,10 @@ local function add_state_clocks(self, part, state)
   local events = {} -- by deadline
   for _, timer in ipairs(state._timers or {}) do
     local duration = duration_of(timer)
+    if duration then
+      local occurrence = self.subject:occurrence(part, timer.name)
+      self.count, self.ranks[occurrence] = self.count + 1, self.count
+    end
     if duration and timer.event.is_repeated then
       part.timed[timer.name] = add_repeated(self, part, state, timer, duration)
     elseif duration then
@@ -221,7 +229,11 @@ end
 function timing.new(walk, options)
   local self = setmetatable({ subject = walk.subject, clocks = {}, of = {}, times = {},
     period = options.period and nanoseconds(options.period) or false, fired = {},
-    pending = options.pending, is_timed = false, is_cut = false }, Timing)
+    pending = options.pending, is_timed = false, is_cut = false, ranks = {}, count = 0,
+    reads_one = false }, Timing)
+  for _, part in ipairs(walk.subject.parts) do
+    self.reads_one = self.reads_one or part.reads_one
+  end
   self.unit = self.period or 0
   add_clocks(self, walk.monitor, options.timers == "free")
   walk.subject.free.timers = has_free_timer(walk.subject)
@@ -267,20 +279,58 @@ local function bounded(zone, count, bounds)
   return zone
 end
 
--- Adds the group `found`. Its events come in the order of `numbers`, which are numbers
--- of entries.
-local function add_group(self, groups, entries, found, numbers)
-  local group = { number = #groups + 1, over = found.over, is_over = false,
-    events = {}, zone = found.zone, bounds = found.bounds }
-  for _, i in ipairs(numbers) do
-    local entry = entries[i]
-    group.is_over = group.is_over or found.over[i] > 0
-    for n = entry.passed + 1, entry.passed + found.over[i] do
-      for _, event in ipairs(entry.clock.events[n]) do
-        group.events[#group.events + 1], self.fired[event] = event, true
-      end
+-- Returns x_i - x_j if the zone has one value for it; else nil.
+local function difference(zone, count, i, j)
+  local most, least = zone[i * (count + 1) + j + 1], zone[j * (count + 1) + i + 1]
+  return most + least == 2 and floor(most / 2) or nil
+end
+
+-- Appends the events of an entry whose next `over` deadlines are over. Those of timers
+-- have the time at which they come; the clock is ahead of the others by `ahead`.
+local function append_events(list, entry, over, ahead)
+  for n = entry.passed + 1, entry.passed + over do
+    for _, event in ipairs(entry.clock.events[n]) do
+      list[#list + 1] = entry.clock.state and { event = event,
+        at = ahead and entry.clock.deadlines[n] - ahead or 0 } or event
     end
   end
+end
+
+-- Lists the events of the entries with these numbers whose deadlines are over, in the
+-- order in which they come: those of timers by their deadlines, and equal ones by their
+-- rank in the machine; then the others. The second result is false if the order of the
+-- deadlines is not known.
+local function events_of(self, entries, count, found, numbers)
+  local timers, events, base, is_known = {}, {}, nil, true
+  for _, i in ipairs(numbers) do
+    local entry, ahead = entries[i], false
+    if entry.clock.state and found.over[i] > 0 and self.period then
+      base = base or i
+      ahead = difference(found.zone, count, i, base)
+      is_known = is_known and ahead ~= nil
+    end
+    append_events(entry.clock.state and timers or events, entry, found.over[i], ahead)
+  end
+  table.sort(timers, function(a, b)
+    if a.at ~= b.at then return a.at < b.at end
+    return self.ranks[a.event] < self.ranks[b.event]
+  end)
+  for i, timer in ipairs(timers) do table.insert(events, i, timer.event) end
+  return events, is_known or not self.reads_one
+end
+
+-- Adds the group `found`. Its events come in the order of `numbers`, which are numbers
+-- of entries. It is left out if their order is not known, and counts.
+local function add_group(self, groups, entries, count, found, numbers)
+  local events, is_known = events_of(self, entries, count, found, numbers)
+  if not is_known then
+    self.is_cut = true
+    return
+  end
+  local group = { number = #groups + 1, over = found.over, is_over = false,
+    events = events, zone = found.zone, bounds = found.bounds }
+  for _, over in ipairs(found.over) do group.is_over = group.is_over or over > 0 end
+  for _, event in ipairs(events) do self.fired[event] = true end
   groups[#groups + 1] = group
 end
 
@@ -289,7 +339,7 @@ end
 -- come at the same time, they come in the order of sending.
 local function add_orders(self, groups, entries, count, found, numbers, rest)
   if not rest[2] then
-    return add_group(self, groups, entries, found, match.joined(numbers, rest))
+    return add_group(self, groups, entries, count, found, match.joined(numbers, rest))
   end
   for at, i in ipairs(rest) do
     local bounds, others = {}, {}
