@@ -138,6 +138,12 @@ local SESSIONS = {
     .. "entry of root.robot.working:  motor does not turn", "motor off", "brakes on",
     "brakes off", "motor turns", "motor off", "power cut" },
     set("motor", "is_broken", false), "e_repaired", "e_emergency" },
+  { "deployer", "stops what it has begun when one of its programs fails", {
+    "arm load", "camera load", "arm configure", "camera configure", "arm start",
+    "camera start", "e_stop", "arm stop", "camera stop", "arm load", "camera load",
+    "arm configure", "camera configure", "arm start",
+    "root.deploying.starting: camera: no answer to start", "arm stop", "camera stop" },
+    "e_stop", set("robot", "broken", "camera"), "e_up" },
   { "await", "starts when all parts are ready, in any order, or when told so",
     { "booting", "ready", "booting", "ready" }, "e_camera", "e_arm", "e_base",
     "e_reboot", "e_arm", "e_force" },
