@@ -503,7 +503,7 @@ function strict.watch(fsm)
     event = false, event_at = 0, always = 0, structure = false, known = false,
     chains = {} }
   for _, obj in ipairs(rfsm.elements(fsm)) do check_model(fsm, obj) end
-  rfsm.pre_step_hook_add(fsm, check_machine)
+  rfsm.pre_step_hook_add(fsm, rfsm.repeatable(check_machine))
   rfsm.path_hook_add(fsm, note_path)
   rfsm.post_step_hook_add(fsm, check_lost)
 end

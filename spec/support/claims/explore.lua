@@ -1,6 +1,6 @@
 -- Exploration against brute force: random charts with timers, awaits, predicates and
--- sequential AND states, a third with histories, a quarter with deferred events, with
--- random options. Whatever
+-- sequential AND states, callbacks that fail, a third with histories, a quarter with
+-- deferred events, with random options. Whatever
 -- random runs reach was reached, also of several machines and flags at once, and each
 -- witness leads to its end on a machine of its own.
 
@@ -16,6 +16,7 @@ local run_seeds = require "spec.support.run_seeds"
 local rfsm_timeevent = require "rfsm_timeevent"
 require "rfsm.await"
 require "rfsm.defer"
+require "rfsm.faults"
 require "rfsm.history"
 
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -34,6 +35,8 @@ local function extra_event(random, i, is_timed)
     return ("e_after(%.1f)"):format((random:below(5) - 1) / 2)
   elseif not is_timed and random:chance(5) then
     return ("e_every(%d)"):format(random:below(3))
+  elseif not is_timed and random:chance(8) then
+    return "e_fault"
   end
   if random:chance(15) and not is_timed then
     return ("e_after(%d.%03d)"):format(random:below(3), i)
@@ -114,6 +117,7 @@ end
 ---@field ids table<rfsm.Machine, table[]> of what was sent later
 ---@field flags table<string, string> "+" or "-" by name
 ---@field sets table<string, table[]> what a callback sets: { name, sign }, by "entry F"
+---@field fails boolean|nil effects and entries fail by chance, when all else is done
 
 local function set_flags(world, id)
   for _, flag in ipairs(world.sets[id] or {}) do world.flags[flag[1]] = flag[2] end
@@ -157,6 +161,10 @@ local function send_later(world, fsm, items)
   end
 end
 
+local function fail_by_chance(world)
+  if world.fails and world.random:chance(5) then error("on purpose", 0) end
+end
+
 -- The callbacks of random runs.
 local function wanderer(world, fsm_of)
   local random, seen, sends = world.random, world.seen, world.sends
@@ -177,12 +185,14 @@ local function wanderer(world, fsm_of)
         set_flags(world, "effect " .. id)
         if sends[id] and fsm == fsm_of() then rfsm.send_events(fsm, sends[id]) end
         send_later(world, fsm, world.later and world.later[id] or {})
+        fail_by_chance(world)
       end
     end,
     entry = function(id)
       return function()
         seen["entered " .. path_of_state(id)] = true
         set_flags(world, "entry " .. path_of_state(id))
+        fail_by_chance(world)
       end
     end,
     exit = function(id)
@@ -194,13 +204,24 @@ end
 
 local LENGTH = 6 -- steps of a run, on average
 
--- Takes a step with so many events or timers at most. Returns whether more timers came.
+local function count_faults(fsm)
+  local count = 0
+  for _, event in ipairs(fsm._intq) do
+    local name = rfsm.name_with_data(event)
+    if name and name:find("^e_fault@") then count = count + 1 end
+  end
+  return count
+end
+
+-- Takes a step with so many events, faults and timers at most. Returns whether there
+-- were more.
 local function wander_on(fsm, world, events, clock, most)
   local random = world.random
   local fired = 0
   local is_busy = fsm.read == "one" and rfsm.check_events(fsm) > 0
   for _, entry in ipairs(rfsm.machines(fsm)) do
     entry.machine.dbg = function(id) if id == "TIMEEVENT" then fired = fired + 1 end end
+    fired = fired + count_faults(entry.machine)
   end
   for _ = 1, is_busy and 0 or random(most) do
     local choice = random(4)
@@ -222,7 +243,7 @@ end
 local function run_at_random(chart, events, choice, seed)
   local fsm
   local world = { random = new_random(seed), seen = {}, sends = choice.sends,
-    flags = {}, sets = choice.sets }
+    flags = {}, sets = choice.sets, fails = true }
   local clock = { now = 0, last = 0 }
   fsm = rfsm.init(model_of(chart, wanderer(world, function() return fsm end), ""))
   for _, entry in ipairs(rfsm.machines(fsm)) do

@@ -1,7 +1,9 @@
 -- What fate hooks are told of random runs with regions, deferral and awaits, a third of
 -- them observed, beside what follows from the definition: the events of each iteration,
 -- its path, what waits before and after, what awaits have received, and what became of
--- the events in regions. An interrupt takes at most the fate that is being told.
+-- the events in regions. Time goes on, events are counted, and half of the machines are
+-- strict. An interrupt anywhere takes at most the fate that is being told: snapshots
+-- behind it are those of a run without.
 
 local charts = require "spec.support.charts"
 local coverage = require "rfsm.observe.coverage"
@@ -11,6 +13,8 @@ local match = require "rfsm.shared.match"
 local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
 local run_seeds = require "spec.support.run_seeds"
+local snapshot = require "rfsm.snapshot"
+require "rfsm.emem"
 
 local remove = table.remove
 
@@ -246,17 +250,19 @@ local function new_machine(seed)
       return (number + (type(event) == "table" and event.n or 1)) % 3 > 0
     end
   end }, "")
+  local clock = { now = 0 }
   if seed % 3 == 0 then model.read = "one" end
+  model.strict = seed % 2 == 0
   local fsm, told = rfsm.init(model), {}
   for _, at in ipairs(fsm and rfsm.machines(fsm) or {}) do
-    at.machine.gettime = function() return 0, 0 end
+    at.machine.gettime = function() return clock.now, 0 end
     rfsm.fate_hook_add(at.machine, function(_, event, fate)
       told[#told + 1] = ("%s %s %s"):format(at.prefix, rfsm.event_text(event, true),
         fate)
     end)
   end
   if fsm and seed % 3 == 1 then coverage.coverage(fsm) end
-  return fsm, told
+  return fsm, told, clock
 end
 
 local function is_waiting(fsm)
@@ -274,20 +280,23 @@ local function settle(fsm)
   return false
 end
 
--- Sends random events to a machine, and has it settle behind each handful. `call(i, f)`
--- calls f for number i. Returns false if it does not settle.
-local function run(fsm, seed, call)
-  local random, n = new_random(seed), 0
+-- Sends random events to a machine, lets time pass, and has it settle behind each
+-- handful. `call(i, f)` calls f for number i. Returns the snapshots behind each; nil if
+-- the machine does not settle.
+local function run(fsm, clock, seed, call)
+  local random, n, snaps = new_random(seed), 0, {}
   for i = 1, STEPS do
     for _ = 1, random(4) - 1 do
       local name = random:pick(EVENTS)
       n = n + 1
       rfsm.send_events(fsm, random:chance(50) and { name = name, n = n } or name)
     end
+    clock.now = clock.now + random(4) - 1
     call(i, rfsm.step, fsm)
-    if not settle(fsm) then return false end
+    if not settle(fsm) then return nil end
+    snaps[i] = snapshot.encode(snapshot.take(fsm))
   end
-  return true
+  return snaps
 end
 
 local function plainly(_, f, ...) return f(...) end
@@ -305,12 +314,20 @@ local function difference(expected, told, few)
   return #missing > few and "not told: " .. table.concat(missing, ", ") or nil
 end
 
+local function first_difference(snaps, others)
+  for i = 1, STEPS do
+    if snaps[i] ~= others[i] then
+      return ("step %d ends with\n%s\nnot\n%s"):format(i, others[i], snaps[i])
+    end
+  end
+end
+
 -- Interrupts a run anywhere in one step. Returns what is wrong.
-local function interrupt(seed, expected)
+local function interrupt(seed, expected, snaps)
   local random = new_random(seed + 2)
-  local fsm, told = new_machine(seed)
+  local fsm, told, clock = new_machine(seed)
   local step, at, is_raised = random(STEPS), random(3000), false
-  run(fsm, seed, function(i, f, ...)
+  local others = run(fsm, clock, seed, function(i, f, ...)
     if i ~= step then return f(...) end
     local ok, failure
     local results = { interrupts.raise_anywhere(at, "interrupted!", f, ...) }
@@ -318,17 +335,18 @@ local function interrupt(seed, expected)
     if not ok and failure ~= "interrupted!" then error(failure, 0) end
   end)
   if is_raised then claim.interrupted = claim.interrupted + 1 end
-  local wrong = difference(expected, told, is_raised and 1 or 0)
+  local wrong = others and first_difference(snaps, others)
+    or difference(expected, told, is_raised and 1 or 0)
   return wrong and ("interrupt at step %d, instruction %d: %s"):format(step, at, wrong)
 end
 
 local function compare(seed, list)
-  local fsm, told = new_machine(seed)
+  local fsm, told, clock = new_machine(seed)
   if not fsm then return false end
   local expected = judge_all(fsm)
-  local has_settled = run(fsm, seed, plainly)
+  local snaps = run(fsm, clock, seed, plainly)
   local wrong = difference(expected, told, 0)
-    or has_settled and interrupt(seed, told)
+    or snaps and interrupt(seed, told, snaps)
   if wrong then list[#list + 1] = ("%d: %s"):format(seed, wrong) end
   return true
 end
