@@ -4,6 +4,7 @@
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local rtt_helper = require "spec.support.rtt_helper"
+local match = require "rfsm.shared.match"
 local rfsm_rtt = require "rfsm.rtt"
 
 local FOLDER = "examples/systems/"
@@ -191,6 +192,16 @@ describe("rfsm.rtt.launch_system", function()
     cell:start()
     cell:unload()
     assert.same({ "rx" }, rtt_helper.loaded())
+  end)
+
+  it("hands options that are tables to a component that is there", function()
+    local file = written({ tx = teller("e_x"), rx = taker("e_x", "boss_e_out") },
+      "{ from = 'tx', event = 'e_x', to = 'rx' }")
+    rtt_helper.load("rx")
+    local cell = rfsm_rtt.launch_system(file, { machines = { rx = { component = true,
+      ports = { { "stop_in", prefix = "boss" } } } } })
+    assert.truthy(match.has(cell.components.rx:getPortNames(), "stop_in"))
+    cell:unload()
   end)
 
   it("reports all that is wrong at its line, and makes nothing", function()

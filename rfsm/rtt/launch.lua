@@ -44,9 +44,13 @@ local function code_of(f, where)
     :format(where, name), 0)
 end
 
--- Returns a value as Lua source. Raises an error for userdata, NaN, and functions but
--- those in `ports`.
-local function to_text(value, path)
+--- Return a value as Lua source, for the Lua of another component. `path` is its place,
+--- "" for the value itself.
+-- @raise for userdata, NaN, and functions but those in `ports`
+---@param value any
+---@param path string
+---@return string source
+function rtt_launch.to_text(value, path)
   local kind, number = type(value), path:match("^%.inputs%.(%d+)%.event$")
   if kind == "string" then return ("%q"):format(value) end
   if number then return code_of(value, "ports[" .. number .. "]: event: ") end
@@ -61,7 +65,8 @@ local function to_text(value, path)
   local texts = {}
   for i, key in ipairs(rfsm.sorted_keys(value)) do
     local inner = path .. "." .. rfsm.text_of(key)
-    texts[i] = ("[%s] = %s"):format(to_text(key, inner), to_text(value[key], inner))
+    texts[i] = ("[%s] = %s"):format(rtt_launch.to_text(key, inner),
+      rtt_launch.to_text(value[key], inner))
   end
   return "{ " .. concat(texts, ", ") .. " }"
 end
@@ -105,7 +110,7 @@ local NO_REASON = "RTT's log has the reason"
 
 -- Executes PROGRAM through the operation `exec_str`. If it fails, raises the reason.
 local function execute(exec_str, launch)
-  local fields, file = to_text(launch, ""), os.tmpname()
+  local fields, file = rtt_launch.to_text(launch, ""), os.tmpname()
   local program = PROGRAM:format(fields, own_template(launch.stripped),
     ";" .. package.path, file)
   local is_called, is_done = pcall(exec_str, program)
@@ -214,7 +219,7 @@ local function launch_component(args)
   local name, kind = launch.name, launch.luatype or "OCL::LuaComponent"
   local deployer = rtt_launch.find_deployer(launch.deployer)
   launch.deployer = deployer:getName()
-  to_text(launch, "") -- raises an error before anything is loaded
+  rtt_launch.to_text(launch, "") -- raises an error before anything is loaded
   if not deployer:getOperation("loadComponent")(name, kind) then
     error(("the deployer loads no '%s' of type '%s', %s"):format(name, kind, NO_REASON),
       0)

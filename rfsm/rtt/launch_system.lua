@@ -179,28 +179,21 @@ end
 
 -- Make: components, ports, connections -----------------------------------------------
 
-local function quoted(list)
-  local texts = {}
-  for i, text in ipairs(list) do texts[i] = ("%q"):format(text) end
-  return "{ " .. concat(texts, ", ") .. " }"
-end
-
 local function port_name(wire, is_in)
   return ("wire%d_%s"):format(wire.number, is_in and "in" or "out")
 end
 
 -- Returns the text of a list of wires for `launch_system_ports.join`.
 local function wires_text(cell, name, is_in)
-  local texts = {}
+  local list = {}
   for _, wire in ipairs(cell.wires) do
     if wire[is_in and "to" or "from"] == name then
-      insert(texts, ("{ port = %q, desc = %q, kind = %q, size = %d, events = %s }")
-        :format(port_name(wire, is_in), ("%s from %s to %s"):format(
-          concat(wire.events, ", "), wire.from, wire.to), wire.kind, wire.size,
-          quoted(wire.events)))
+      insert(list, { port = port_name(wire, is_in), kind = wire.kind, size = wire.size,
+        events = wire.events, desc = ("%s from %s to %s"):format(
+          concat(wire.events, ", "), wire.from, wire.to) })
     end
   end
-  return "{ " .. concat(texts, ", ") .. " }"
+  return rtt_launch.to_text(list, "")
 end
 
 -- Does the machine react to time events, which must wake its component?
@@ -248,7 +241,7 @@ local FORGET = "local launched = require('rfsm.rtt').launched\n"
 local function take_component(launch, name, args)
   local component = launch.deployer:getPeer(name)
   local run = component:getOperation("exec_str")
-  local names, texts = component:getPortNames(), {}
+  local names = component:getPortNames()
   insert(launch.made, function()
     component:stop()
     run(FORGET)
@@ -257,12 +250,7 @@ local function take_component(launch, name, args)
     end
   end)
   component:addPeer(launch.deployer)
-  for i, field in ipairs(rfsm.sorted_keys(args)) do
-    local value = args[field]
-    local text = type(value) == "string" and ("%q"):format(value) or tostring(value)
-    texts[i] = field .. " = " .. text
-  end
-  local program = "require('rfsm.rtt').launch { " .. concat(texts, ", ") .. " }"
+  local program = "require('rfsm.rtt').launch " .. rtt_launch.to_text(args, "")
   if run(program) == false then error("RTT's log has the reason", 0) end
   launch.components[name] = component
 end
