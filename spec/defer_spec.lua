@@ -491,6 +491,7 @@ describe("deferral", function()
     { { "e_go" }, "defer 'e_go' has no effect, root.trans[2] (a -> b) takes it" },
     { { "e_xy", rfsm.named "e_z" } },
     { { "e_go" }, guard = print },
+    { { "e_go" }, tgt = "k" },
     { { "e_zz" }, event = rfsm.named "e_z" },
   } do
     it("is checked for events that nothing takes, or the state itself: "
@@ -499,7 +500,9 @@ describe("deferral", function()
       for _, finding in ipairs(require("rfsm_checks").findings(state { info = false,
         warn = false, a = state { defer = case[1] }, b = state {},
         trans { src = "initial", tgt = "a" },
-        trans { src = "a", tgt = "b", events = { "e_go" }, guard = case.guard },
+        trans { src = "a", tgt = case.tgt or "b", events = { "e_go" },
+          guard = case.guard },
+        k = rfsm.conn {}, trans { src = "k", tgt = "b", guard = print },
         trans { src = "b", tgt = "a", events = { "e_xy", case.event } } })) do
         if finding.code == "idle-reaction" then found[#found + 1] = finding.text end
       end

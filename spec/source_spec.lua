@@ -103,6 +103,9 @@ local CASES = {
     "parameters: root.trans[2] (a -> b): parameter 1 of the guard, 'm', is the "
       .. "transition, which has no field 'info' (guard(tr, events, event))" },
     transition = "guard = function(m) return m.info end" },
+  { name = "no first parameter with the name of what it is", lines = {},
+    state = "n = 0, entry = function(fsm) print(fsm.n) end",
+    transition = "speed = 3, effect = function(machine) print(machine.speed) end" },
   { name = "no field of the machine, and none that is only written", lines = {},
     state = "info = 1, n = 0, entry = function(m) m.n = 1 return m.info, m._fqn end" },
   { name = "a method that gets the machine in place of its object", lines = {

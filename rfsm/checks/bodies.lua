@@ -137,7 +137,7 @@ end
 -- value of the parameter does not have; `others` are the elements that may have it.
 local function missing_field(func, value, others)
   local name, found = func[1][1] and func[1][1][1], nil
-  if not name or is_replaced(func, name) then return nil end
+  if not name or MEANINGS[name] or is_replaced(func, name) then return nil end
   each_read(func, name, function(key)
     local is_there = rfsm.is_meta(key) or value[key] ~= nil
     for _, other in ipairs(not is_there and others or {}) do

@@ -213,10 +213,12 @@ end
 
 -- Events of extensions ...........................................................
 
--- Returns the first transition of a state without a guard that names an event.
+-- Returns the first transition of a state that always takes an event: it has no guard,
+-- and leads to no connector.
 local function taker_of(state, event)
   for _, tr in ipairs(state._otrs) do
-    if match.names(tr, event) and not tr.guard then return tr end
+    local is_open = not tr.guard and rfsm.is_state(tr.tgt)
+    if is_open and match.names(tr, event) then return tr end
   end
 end
 
