@@ -271,6 +271,15 @@ function helper.output_of(text, variables)
   return (table.concat(lines, "\n"):gsub("%s+$", ""))
 end
 
+--- Returns the files of the project that match globs: those that git knows, in a tree
+--- without git all of them.
+function helper.files(...)
+  local globs = table.concat({ ... }, "' ':(glob)")
+  local found = helper.lines_of("git ls-files -- ':(glob)" .. globs .. "' 2>/dev/null")
+  if found[1] then return found end
+  return helper.lines_of("ls -d " .. table.concat({ ... }, " ") .. " 2>/dev/null")
+end
+
 --- Returns what stands in a file.
 function helper.content(name)
   local file = assert(io.open(name, "rb"))

@@ -6,17 +6,9 @@ local share = require "spec.support.share"
 
 after_each(helper.remove_files)
 
-local content, lines_of = helper.content, helper.lines_of
+local content, files, lines_of = helper.content, helper.files, helper.lines_of
 local setfenv = rawget(_G, "setfenv")
 local load_text = rawget(_G, "loadstring") or rawget(_G, "load")
-
--- The files of the project: those that git knows, all in a tree without git.
-local function files(...)
-  local globs = table.concat({ ... }, "' ':(glob)")
-  local found = lines_of("git ls-files -- ':(glob)" .. globs .. "' 2>/dev/null")
-  if found[1] then return found end
-  return lines_of("ls -d " .. table.concat({ ... }, " ") .. " 2>/dev/null")
-end
 
 -- Loads a text so that its globals are those of `env`, on every Lua.
 local function load_in(env, text, name)

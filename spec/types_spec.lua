@@ -4,7 +4,7 @@
 local advice = require "rfsm.advice"
 local helper = require "spec.helper"
 
-local FILES = helper.lines_of("git ls-files 'rfsm*.lua' 'rfsm/*.lua'")
+local FILES = helper.files("rfsm*.lua", "rfsm/*.lua", "rfsm/*/*.lua")
 
 -- Calls f(place, comment, code) for each block of comment lines, with the line of code
 -- behind it. `comment` has a line for each line of the block.
