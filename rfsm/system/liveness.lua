@@ -75,6 +75,7 @@ end
 
 --- Return the set of configurations from which moves without events from outside always
 --- lead to one of `goals`, if doos end and each machine moves again and again.
+---@param self table the exploration of the product
 ---@param goals table<integer, boolean> set of configurations
 ---@return table<integer, boolean> set
 function liveness.must_reach(self, goals)
