@@ -383,7 +383,7 @@ describe("the system cell", function()
       "2. sup: root.trans[1] -> root.asking; sends e_grasp to arm",
       "3. arm gets e_grasp from sup: root.trans[2] -> root.empty; sends e_lost to sup",
       "4. sup gets e_lost from arm: root.trans[3] -> root.failed",
-      "6 configurations, 4 steps run", "never sup: root.holding: holds" })
+      "6 configurations", "never sup: root.holding: holds" })
   end)
 
   it("shows them in the simulator, and takes them there", function()
