@@ -42,7 +42,7 @@ function viz.add_arguments(command)
     :choices { "TB", "LR" }
   command:option("--for", "a4 (default), slide or WIDTHxHEIGHT in points")
     :argname("SHEET"):target("sheet")
-  command:flag("--pages", "several pictures with links, in the folder or PDF of -o")
+  command:flag("--pages", "pictures with links, in the folder or PDF of -o")
   command:option("--like", "keep the order of states in a former picture")
     :argname("SVG")
 end
