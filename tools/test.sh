@@ -51,7 +51,7 @@ list_files() { # list_files LUA
     files=$(echo "$files" | grep -vE "$NEEDS_C")
   fi
   case $1 in *luajit*) ;; *) files=$(echo "$files" | grep -v "$NEEDS_JIT") ;; esac
-  echo "$files" | sed "s|^|$1 |"
+  [ -z "$files" ] || echo "$files" | sed "s|^|$1 |"
 }
 
 # Adds up the closing lines of logs: "passed failed pending".
