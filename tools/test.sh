@@ -162,7 +162,7 @@ announcer=$!
 trap 'kill $announcer 2>/dev/null; rm -rf "$logs"' EXIT
 { [ -z "${LINT:-}" ] || $LINT >"$logs/lint" 2>&1; echo $? >"$logs/lint-status"; } &
 linter=$!
-xargs -P "$(($(getconf _NPROCESSORS_ONLN || echo 2) * 2))" -n 2 "$0" --one "$logs" <"$logs/files"
+xargs -r -P "$(($(getconf _NPROCESSORS_ONLN || echo 2) * 2))" -n 2 "$0" --one "$logs" <"$logs/files"
 wait "$linter"
 read -r lint_status <"$logs/lint-status"
 [ "$lint_status" = 0 ] || cat "$logs/lint"
