@@ -215,7 +215,8 @@ describe("rfsm size", function()
     for file, least in pairs { on_off = 0, timeevent = 40, checks = 30 } do
       local modules = size("examples/" .. file .. ".lua", arg[-1])
         ["modules that the chart loads"][1]
-      assert.is_true(modules >= least - 1 and modules < least + 80) -- rounded
+      -- rounded; on LuaJIT, traces come and go
+      assert.is_true(modules >= least - 1 and modules < least + 160)
     end
   end)
 
