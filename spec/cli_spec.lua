@@ -31,8 +31,9 @@ describe("the usage of rfsm", function()
     snapshot = "{diff} OLD NEW",
     redis = "[--ids N] [--ids-for S] [-o FILE] [-l URL] [--index] [--history N] "
       .. "[--diff] [--stats URL] [[NAME=]FILE] ...",
-    postgres = "[--ids N] [--ids-for S] [-o FILE] [-l DATABASE] [--client] "
-      .. "[--history] [--notify] [[NAME=]FILE] ...",
+    postgres = "[--ids N] [--ids-for S] [-o FILE] [-l DATABASE] "
+      .. "[--stats DATABASE] [--client] [--history] [--history-days N] "
+      .. "[--notify] [[NAME=]FILE] ...",
     json = "[--stub] [--machine N] [-o FILE] FILE [FILE] ...",
     plantuml = "[--stub] [--machine N] [-o FILE] FILE [FILE] ...",
     dot = "[--stub] [--machine N] [-o FILE] FILE [FILE] ...",
