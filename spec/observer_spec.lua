@@ -5,6 +5,7 @@ local ab = require "spec.support.ab"
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
+local share = require "spec.support.share"
 require "rfsm_seqand"
 require "rfsm_timeevent"
 
@@ -388,4 +389,11 @@ describe("data of events by example", function()
       assert.matches(case[2], text)
     end)
   end
+end)
+
+describe("verdicts of observers", function()
+  it("agree with random runs on random charts", function()
+    local claim = dofile "spec/support/claims/observers.lua"
+    assert.is_nil(share.problem(claim, 24, true))
+  end)
 end)

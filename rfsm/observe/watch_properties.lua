@@ -278,7 +278,8 @@ local function audible_of(own)
   local audible = { events = {}, made = {}, states = {}, transitions = {},
     active = own.active }
   local known = alphabet.of_all(own.fsm)
-  for _, event in ipairs(match.joined(known.list, known.predicates)) do
+  local all = match.joined(match.joined(known.list, known.predicates), known.reactions)
+  for _, event in ipairs(all) do
     local list = match.maker_of(event) and audible.made or audible.events
     list[#list + 1] = rfsm.event_name(event) or rfsm.name_with_data(event) or event
   end
