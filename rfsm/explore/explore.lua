@@ -94,7 +94,7 @@ local explore = {}
 ---@field contexts table[] number in a key -> state of the monitor and times of clocks,
 -- { state =, time = }; empty if the walk has neither a monitor nor clocks
 ---@field context_ids table<string, integer> text of a context -> its number in a key
----@field kin table<string, integer[]> configurations that differ only in their times
+---@field kin table<string, rfsm_checks.Kin> configurations that differ only in times
 ---@field unsure table<integer, rfsm_checks.Group> position of a step in `steps` -> the
 -- group of deadlines that are over before the step, if another group may be over first
 ---@field cut table<integer, boolean> configurations from which a step without events
@@ -104,6 +104,11 @@ local explore = {}
 ---@field timing rfsm_checks.Timing|false clocks, if timers come in order
 local Walk = {}
 Walk.__index = Walk
+
+--- Configurations that differ only in their times.
+---@class rfsm_checks.Kin
+---@field numbers integer[]
+---@field zones number[][] the zone of each
 
 --- A step that enters a state and leaves it again, and the moment of that entry.
 ---@class rfsm_checks.Passed
@@ -151,28 +156,33 @@ end
 --- Return the number of a known configuration with the same key, or of one that differs
 --- only in its times and whose zone of times includes the zone of the key.
 ---@return integer? number nil if no such configuration is known
----@return integer[]? kin if `number` is nil: configurations that differ only in times
+---@return rfsm_checks.Kin? kin if `number` is nil: configurations that differ only in
+-- times
+---@return number[]? zone if `number` is nil: the zone of the key
 function Walk:find_known(key)
   if self.numbers[key] or not self.timing then return self.numbers[key] end
   local id, own = split(key)
   local context = self.contexts[id]
   local time, kin = context.time, self.kin
   local name = ("%s@%s|%s"):format(context.state, time.shape, own)
-  kin[name] = kin[name] or {}
-  for _, number in ipairs(kin[name]) do
-    local other = self.contexts[split(self.keys[number])]
-    if zones.includes(other.time.zone, time.zone) then return number end
+  kin[name] = kin[name] or { numbers = {}, zones = {} }
+  local list, zone = kin[name].zones, time.zone
+  for i = 1, #list do
+    if zones.includes(list[i], zone) then return kin[name].numbers[i] end
   end
-  return nil, kin[name]
+  return nil, kin[name], zone
 end
 
 --- Return the number of a configuration to which a step from `from` has led. A new
 --- configuration is added; it is expanded later.
 function Walk:find_configuration(key, from, label)
-  local number, kin = self:find_known(key)
+  local number, kin, zone = self:find_known(key)
   if number then return number end
   number = #self.keys + 1
-  if kin then kin[#kin + 1] = number end
+  if kin then
+    local at = #kin.numbers + 1
+    kin.numbers[at], kin.zones[at] = number, zone
+  end
   self.keys[number], self.numbers[key] = key, number
   self.from[number], self.labels[number] = from, label()
   return number
