@@ -422,7 +422,9 @@ describe("rfsm-check", function()
     checks(chart, OK .. counts:gsub("3 conf", "2 conf"):gsub("3 of", "1 of")
       :gsub("3 steps", "1 steps") .. "FILE: not tried: what lies behind the bound on "
       .. "configurations; unreached states, transitions not taken and whether "
-      .. "properties hold are not known\n", 0, "--configurations 1")
+      .. "properties hold are not known\nFILE: stopped by configurations = 1: depth 1,"
+      .. " 1 of 2 configurations not expanded; raise it, or bind what is free "
+      .. "(events by alphabet)\n", 0, "--configurations 1")
     write_file("chart_properties.lua", [[
       local never = require("rfsm_checks").never
       return { properties = { never "root.b", never { "root.a", "root.b" } } }

@@ -34,6 +34,7 @@ local verdict = {}
 ---@field taken integer number of transitions that at least one step takes
 ---@field bound? "configurations"|"depth"|"seconds"|"choices"|"sets"|"targets"|"values"
 -- |"pending"|"deferred"|"texts"|"sends" a limit that the exploration reached
+---@field reach? string how far it came, if an option has stopped it
 ---@field untried string[] texts about parts that were not tried; empty without a bound
 ---@field premises string the assumptions: "one event a step; guards and timers free"
 ---@field findings rfsm_checks.Finding[] a finding about a run has a field `witness`
@@ -518,6 +519,21 @@ local function add_finding_lines(lines, finding)
   end
 end
 
+-- The bounds that an option sets. A walk that hits one stops there.
+local KNOBS = { configurations = true, depth = true, seconds = true }
+
+-- Returns a line about the bound that stopped a walk: its value, how far the walk came,
+-- and what is free, so that there is so much; nil if no option stopped it.
+local function reach_of(walk)
+  local options = walk.options
+  if not KNOBS[walk.bound or ""] then return nil end
+  local free = free_text(walk.subject.free)
+  return ("stopped by %s = %s: depth %d, %d of %d configurations not expanded; raise "
+    .. "it, or bind what is free (%sevents by alphabet)"):format(walk.bound,
+    (rfsm.number_text(options[walk.bound], "%.1f"):gsub("%.0$", "")), walk.depth,
+    #walk.keys - walk.expanded, #walk.keys, free and free .. " by run, " or "")
+end
+
 --- Return a summary of an exploration as lines: how many configurations and steps there
 --- are, what was not tried, and the properties that hold or are not known.
 ---@param has_numbers boolean? false: without the numbers, unless a bound was hit
@@ -529,6 +545,7 @@ function Exploration:summary(has_numbers)
       self.configurations, self.taken, self.transitions, self.steps)
   end
   if self.bound then lines[2] = UNKNOWN:format(concat(self.untried, "; ")) end
+  lines[#lines + 1] = self.reach
   for _, judged in ipairs(self.properties) do
     if judged.holds ~= false then
       lines[#lines + 1] = property_text(judged)
@@ -595,6 +612,7 @@ local function new_result(own, walks, options)
     result.configurations = result.configurations + #walk.keys
     result.steps = result.steps + walk.count
     note_bound(result, walk)
+    result.reach = result.reach or reach_of(walk)
   end
   return result
 end
