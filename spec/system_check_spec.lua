@@ -585,6 +585,12 @@ describe("cell:explore", function()
     assert.is_true(looks < 20)
   end)
 
+  it("says when time events come to a machine that takes one event", function()
+    local result = explored({ right = one_by_one(go("a", "b", "e_after(1)")) }, {})
+    assert.equal("right: one event an iteration, time events while none waits",
+      result.premises[6])
+  end)
+
   it("names its premises", function()
     local result = explored({ left = chart(go("a", "a", "e_go", "e_x")),
       right = one_by_one(rfsm.trans { src = "a", tgt = "b", events = { "e_x", "e_y" },

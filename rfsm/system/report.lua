@@ -300,7 +300,10 @@ local function add_premises(result, walk, settings)
     local own = member.subject
     local free = rfsm.sorted_keys(own.free)
     if free[1] then add(member.name .. ": " .. concat(free, ", ") .. " free") end
-    if member.reads_one then add(member.name .. ": one event an iteration") end
+    if member.reads_one then
+      add(member.name .. ": one event an iteration" .. (own.free.timers
+        and ", time events while none waits" or ""))
+    end
     if settings[member.name].alphabet then
       add(member.name .. ": no event outside of the alphabet")
     end
