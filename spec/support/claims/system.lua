@@ -7,6 +7,7 @@
 local alphabet = require "rfsm.shared.alphabet"
 local charts = require "spec.support.claims.explore"
 local match = require "rfsm.shared.match"
+local names = require "rfsm.observe.names"
 local reactions = require "rfsm.explore.reactions"
 local new_random = require "spec.support.random"
 local report = require "rfsm.system.report"
@@ -71,8 +72,7 @@ local function new_member(random, name)
 end
 
 local function takes(member, event)
-  return member.known.takes_any or member.known.predicates[1]
-    or match.has(member.known.list, event)
+  return member.known.takes_any or names.is_event(member.fsm, event)
 end
 
 local function does_emit(member, event)
@@ -380,9 +380,9 @@ local function stand_in(own, walk, number)
   local states = table.concat(texts, "; ")
   texts = { states }
   for at, queue in ipairs(conf.queues) do
-    local names = {}
-    for i, put in ipairs(queue) do names[i] = put.name end
-    texts[#texts + 1] = at .. ":" .. table.concat(names, ",")
+    local list = {}
+    for i, put in ipairs(queue) do list[i] = put.name end
+    texts[#texts + 1] = at .. ":" .. table.concat(list, ",")
   end
   for i in ipairs(own.members) do
     for _, put in ipairs(conf.unsent[i]) do
