@@ -78,8 +78,7 @@ end
 -- one inside it, unless an active state there, or nearer to it, names them.
 local function note_failure(fsm, failing, owner, callback, failure, f)
   local is_own = callback == "doo" or rawequal(owner[callback], f)
-  local is_asked = callback == "guard"
-    and (failing._phase == "idle" or failing._is_asking)
+  local is_asked = callback == "guard" and failing._phase == "idle"
   if is_asked or not is_own then return end -- a tool asks, or a guard hook failed
   local node = rfsm.is_trans(owner) and owner.src or owner
   while true do

@@ -5,8 +5,8 @@
 -- @module rfsm.tools
 -- @license BSD-3-Clause
 
-local error, ipairs, pcall = error, ipairs, pcall
-local rawequal, rawset, type = rawequal, rawset, type
+local error, ipairs, rawequal, rawset = error, ipairs, rawequal, rawset
+local setmetatable, type = setmetatable, type
 local max = math.max
 
 local NONE = {}
@@ -194,19 +194,18 @@ local function define_questions(core, engine)
     elseif type(events) ~= "table" then
       error("rfsm.node_find_enabled: list of events expected, " .. got(events), 2)
     end
-    local ways, number = fsm._ways, fsm._search -- a guard may call this
-    fsm._ways, fsm._search, fsm._is_asking = {}, 1, true
-    local ok, segment = pcall(engine.first_enabled, fsm, node._otrs, 1, events)
-    fsm._is_asking = false
-    if not ok then error(segment, 0) end
+    -- a callback may call this: the notes of the machine stay, also if it is cut short
+    local ways = {}
+    local asker = setmetatable({ _ways = ways, _search = 1, _watch_hooks = false,
+      _owner = false }, { __index = fsm, __newindex = fsm })
+    local segment = engine.first_enabled(asker, node._otrs, 1, events)
     local path = segment and { node = node, nextl = false } or false
     local at = path
     while segment do
       local tail = { node = segment.tgt, nextl = false }
       at.nextl = { { trans = segment.tr, next = tail } }
-      at, segment = tail, segment.connector and fsm._ways[segment.connector].way
+      at, segment = tail, segment.connector and ways[segment.connector].way
     end
-    fsm._ways, fsm._search = ways, number
     return path
   end
 
