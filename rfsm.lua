@@ -757,7 +757,7 @@ do
     local above = node
     while above._parent ~= above do
       above = above._parent
-      if above._model == node._model then return true end
+      if rawequal(above._model, node._model) then return true end
     end
     return false
   end
@@ -878,10 +878,11 @@ do
   function clone_below(build, first)
     local nodes, i = build.fsm._nodes, first
     while nodes[i] do
-      if is_inside_itself(nodes[i]) then
-        add(build.problems, nodes[i], nil, "a state cannot contain itself")
+      local node = nodes[i]
+      if build.mounts[node._model][2] and is_inside_itself(node) then
+        add(build.problems, node, nil, "a state cannot contain itself")
       else
-        clone_node(build, nodes[i])
+        clone_node(build, node)
       end
       i = i + 1
     end
@@ -993,9 +994,8 @@ do
       return
     end
     local connector = new_node(build, "connector", Connector {}, composite, "initial")
-    made_at[connector._model] = made_at[tr._model]
     build.created[#build.created + 1] = {
-      line = "created undeclared connector " .. connector._fqn,
+      line = "created undeclared connector " .. connector._fqn, node = connector,
     }
   end
 
@@ -1245,6 +1245,7 @@ local function own_fields()
     --   _turn       number of the iteration, if the machine has step hooks
     --   _unread     events that are taken one by one before getevents is asked again
     --   _given      events that getevents has returned and that are in no list yet
+    --   _given_to   the list to which they were added, if events are taken one by one
     --   _outcome    of the last iteration: counted (as a step) | idle | free (events
     --               enabled no path: not counted) | refused (entry or step hook failed)
     --   _is_usual   false after an interrupt, error or reset: `iterate` calls `go_on`
@@ -1253,7 +1254,7 @@ local function own_fields()
     --   _is_hooked  true if the machine has step hooks or getevents
     _phase = "idle", _path = false, _ways = {}, _search = 0,
     _outcome = "free", _at = 0, _hook = 0, _is_usual = false, _is_cut = false,
-    _given = false, _is_lent = false,
+    _given = false, _given_to = false, _is_lent = false,
     _is_hooked = false, _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _turn = 0,
     _before = false, _after = false, _lends = false, _unread = 0, _reads_one = false,
   }
@@ -1283,7 +1284,8 @@ local STEP_HOOKS = { getevents = true, pre_step_hook = true, post_step_hook = tr
 local list_hooks
 
 function Machine.__newindex(fsm, key, value)
-  local is_hook = STEP_HOOKS[key] and value
+  local is_hook = STEP_HOOKS[key]
+  if is_hook and not value then return end -- false would be a value
   if is_hook and not rfsm.is_callable(value) then
     error(key .. ": function expected, " .. got(value), 2)
   end
@@ -1473,14 +1475,23 @@ local function give_up(fsm, failure)
   error(failure, 0)
 end
 
+-- Returns the events of getevents that an error has kept out of a list. If they have
+-- metamethods, which fail again, drops them and returns nil and the error.
+local function given_again(fsm)
+  if getmetatable(fsm._given) == nil then return fsm._given end
+  local ok, list = pcall(append, {}, fsm._given)
+  fsm._given = ok and list
+  return fsm._given or nil, list
+end
+
 -- Calls getevents. Returns its list of events and nils; on failure nil and an error.
 -- The list is kept in `_given` until its events are in another list, so that no
 -- interrupt loses them.
 local function ask_getevents(fsm)
   local getevents = fsm.getevents
-  if fsm._given then return fsm._given end
+  if fsm._given then return given_again(fsm) end
   if not getevents or getevents == no_events then return NONE end
-  fsm._curq.given, fsm._intq.given = nil, nil
+  fsm._given_to = false
   local ok, events = pcall(getevents)
   fsm._given = ok and events or false
   if type(fsm._given) == "table" then return events end
@@ -1496,17 +1507,16 @@ end
 
 -- Appends the events of getevents to the list in a field. After an interrupt they are
 -- appended again, without harm: an event that is current twice has the effect of one.
--- If events are taken one by one, a longer list that knows what it got replaces the
--- other one.
+-- If events are taken one by one, a longer list replaces the other one, and is noted.
 local function append_getevents(fsm, field)
   local events, failure = ask_getevents(fsm)
   if not events then give_up(fsm, failure) end
   local list = fsm[field]
   if not fsm._reads_one then
     append(list, events)
-  elseif not rawequal(list.given, events) then
+  elseif list ~= fsm._given_to then
     list = append(append({}, list), events)
-    list.given = events
+    fsm._given_to = list
     fsm[field] = list
   end
   fsm._given = false
@@ -1626,9 +1636,17 @@ do
     return list
   end
 
+  -- Makes fields with false absent, so that `__newindex` is called when they are set.
+  local function empty_slots(fsm)
+    for slot in pairs(STEP_HOOKS) do -- any order: independent entries
+      if not rawget(fsm, slot) then rawset(fsm, slot, nil) end
+    end
+  end
+
   -- Makes the lists of what each iteration calls. If one event is taken, all events
   -- that come are added before. `_lends` is true if a hook may keep the list of events.
   function list_hooks(fsm)
+    empty_slots(fsm)
     local is_one, sources = reads_one(fsm), fsm._source_hooks or NONE
     fsm._reads_one = is_one
     local before = present(fsm._pre_hooks, OWN_PRE, fsm.pre_step_hook)
@@ -1643,6 +1661,8 @@ do
     fsm._is_hooked = (fsm._before or fsm._after) and true
     fsm._is_lent = fsm._is_lent or fsm._lends
   end
+
+  interpret(empty_slots)
 end
 
 -- Resets a machine as if it were new, but keeps the events of the current iteration.
@@ -1746,14 +1766,17 @@ do
     return note
   end
 
-  -- Turns a note to another `first` in the same search. Returns true if the connector
-  -- was asked for that event before.
+  local function is_same(a, b) return rawequal(a, b) or a ~= a and b ~= b end -- NaN
+
+  -- Turns a note to `first` in the same search. Returns true if the connector was asked
+  -- for that event before.
   local function turn_to(note, first)
+    if is_same(note.first, first) then return true end
     local asked = note.asked or {}
     asked[#asked + 1] = { first = note.first, way = note.way, event = note.event }
     note.first, note.asked = first, asked
     for i = 1, #asked do
-      if rawequal(asked[i].first, first) then
+      if is_same(asked[i].first, first) then
         note.way, note.event = asked[i].way, asked[i].event
         return true
       end
@@ -1819,7 +1842,7 @@ do
       note.found = false
       note.others = false
       find_way(fsm, note, 1, events, first)
-    elseif not (rawequal(note.first, first) or turn_to(note, first)) then
+    elseif not turn_to(note, first) then
       find_way(fsm, note, 1, events, first)
     end
     return note.way and segment or nil
@@ -2862,9 +2885,6 @@ do
       printer = printer == nil and DEFAULT_PRINTER[name] or printer_of(fsm, name)
       rawset(fsm, name, is_callable(printer) and printer or DEFAULT_PRINTER[name])
     end
-    for name in pairs(STEP_HOOKS) do -- any order: independent entries
-      if not rawget(fsm, name) then rawset(fsm, name, nil) end
-    end
     list_hooks(fsm)
   end
 
@@ -2881,8 +2901,6 @@ do
     set_hooks(fsm)
     return build
   end
-
-  interpret(set_hooks)
 end
 
 -- A function `f(fsm, code, text)` that is called for each warning, or false.
@@ -2909,6 +2927,16 @@ local function report_lines(fsm, name, list)
       rfsm.warn(fsm, codes[line], line)
     end
   end
+end
+
+-- Reports the connectors that the model does not declare. Each is located where its
+-- first transition was made.
+local function report_created(build)
+  for _, created in ipairs(build.created) do
+    local first = created.node._otrs[1]
+    made_at[created.node._model] = first and made_at[first._model]
+  end
+  report_lines(build.fsm, "info", build.created)
 end
 
 local report_dead_ends
@@ -3092,8 +3120,8 @@ function rfsm.init(model)
   load_fast()
   if rfsm.is_strict(model) then find_module("rfsm.strict") end
   fsm._initialized = true
-  report_lines(fsm, "info", build.created)
   list_otrs(fsm)
+  report_created(build)
   problems = preprocess(fsm)
   if problems[1] then
     fsm._initialized = false
@@ -3626,7 +3654,7 @@ do
     new_transition = new_transition, note_mount = note_mount, note_of = note_of,
     path_of = path_of, preprocess = preprocess,
     raise_failure = raise_failure, report_dead_ends = report_dead_ends,
-    report_findings = report_findings, report_lines = report_lines,
+    report_created = report_created, report_findings = report_findings,
     reset_now = reset_now, resolve = resolve, segment_of = segment_of,
     new_emit = new_emit, summary = summary, tell = tell, complete = complete,
     tell_watch = tell_watch, try = try,

@@ -174,7 +174,7 @@ return function(core, engine)
       return refuse(fsm, engine.summary("rfsm.fsm_merge", problems))
     end
     engine.forget(fsm)
-    engine.report_lines(fsm, "info", build.created)
+    engine.report_created(build)
     engine.report_findings(build, before.node, before.transition)
     engine.report_dead_ends(fsm, before.node)
     engine.tell_watch(fsm, "merged", parent[id])

@@ -9,7 +9,7 @@
 -- interrupt  an interrupt is told apart from other errors, and raised again
 
 local REASONS = {
-  ["rfsm.lua"] = { 24, "user after package host" },
+  ["rfsm.lua"] = { 25, "user after package host" },
   ["rfsm_checks.lua"] = { 2, "user package" },
   ["rfsm_seqand.lua"] = { 6, "user after input" },
   ["rfsm_timeevent.lua"] = { 3, "host package user" },
@@ -63,7 +63,6 @@ local REASONS = {
   ["rfsm/snapshot/encoding.lua"] = { 1, "input" },
   ["rfsm/system.lua"] = { 1, "after" },
   ["rfsm/system/report.lua"] = { 1, "input" },
-  ["rfsm/tools.lua"] = { 1, "after" },
   ["rfsm/tests/rehearsal.lua"] = { 1, "after" },
   ["rfsm/web.lua"] = { 1, "input" },
   ["rfsm/web/driven.lua"] = { 2, "interrupt input" },

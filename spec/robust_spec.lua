@@ -4,10 +4,13 @@
 
 local compiling = require "spec.support.compiling"
 local helper = require "spec.helper"
+local interrupts = require "spec.support.interrupts"
 local rfsm = require "rfsm"
 
 local conn, state, trans = rfsm.conn, rfsm.state, rfsm.trans
 local leaf_after, noting = helper.leaf_after, helper.noting
+
+local load_text = rawget(_G, "loadstring") or load
 
 local USES = 5
 
@@ -129,6 +132,78 @@ describe("a value with an __eq that lies", function()
     model.mine = y
     assert.is_true(rawequal(y, helper.init(model).mine))
   end)
+
+  it("is each state of another library", function()
+    local Other = { rfsm = true, __eq = Liar.__eq, __index = {
+      type = function() return "state" end,
+    } }
+    local function other(t) return setmetatable(t, Other) end
+    local fsm = helper.started(other { m = other { x = other {},
+      trans { src = "initial", tgt = "x" } }, trans { src = "initial", tgt = "m" } })
+    assert.equal("root.m.x", rfsm.get_actleaf_fqn(fsm))
+  end)
+end)
+
+describe("an event that equals no event, NaN,", function()
+  both("ends at a circle of connectors", function(uses)
+    local fsm = started({ k = conn {}, l = conn {},
+      [5] = trans { src = "a", tgt = "k" }, [6] = trans { src = "k", tgt = "l" },
+      [7] = trans { src = "l", tgt = "k" },
+      [8] = trans { src = "k", tgt = "b", events = { "go" } } }, uses)
+    for _ = 1, uses + 1 do
+      assert.equal("root.a", leaf_after(fsm, 0 / 0))
+      assert.equal("root.b", leaf_after(fsm, 0 / 0, "go"))
+      assert.equal("root.a", leaf_after(fsm, "back"))
+    end
+  end)
+end)
+
+describe("getevents", function()
+  it("may return a list that cannot be read: the machine goes on", function()
+    local function fail() error(7, 0) end
+    local lists = { setmetatable({ nil, "e" }, { __index = fail }) }
+    local fsm = started()
+    fsm.getevents = function() return table.remove(lists) end
+    rfsm.send_events(fsm, "other")
+    local ok, failure = pcall(rfsm.step, fsm)
+    assert.same({ false, 7 }, { ok, failure })
+    pcall(rfsm.step, fsm)
+    assert.equal("root.m.x", leaf_after(fsm, "e"))
+  end)
+
+  it("leaves nothing but events in a list, also taken one by one", function()
+    local keys, given = {}, { "e", "back" }
+    local function note(_, events)
+      for key in pairs(events) do keys[key] = true end -- any order: a set
+    end
+    local fsm = started { read = "one", post_step_hook = note }
+    fsm.getevents = function() return { table.remove(given, 1) } end
+    for _ = 1, 9 do
+      rfsm.step(fsm)
+      note(fsm, fsm._intq)
+    end
+    assert.same({ { true }, {} }, { keys, given })
+  end)
+end)
+
+describe("a field for a hook", function()
+  for _, slot in ipairs { "getevents", "pre_step_hook", "post_step_hook" } do
+    it("may be false for a while: " .. slot, function()
+      local count = 0
+      local function hook() count = count + 1 end
+      local fsm = started()
+      fsm[slot] = false
+      rfsm.run(fsm)
+      fsm[slot] = hook
+      rfsm.run(fsm)
+      assert.is_true(count > 0)
+      fsm[slot] = false
+      rfsm.pre_step_hook_add(fsm, function() end)
+      count, fsm[slot] = 0, hook
+      rfsm.run(fsm)
+      assert.is_true(count > 0)
+    end)
+  end
 end)
 
 describe("tr.tgt set by a callback of that transition", function()
@@ -447,6 +522,40 @@ describe("a machine", function()
       helper.post_and_run(fsm, "top")
     end
     assert.equal("root.m.x", rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  it("goes on behind a callback that asked for a path and was interrupted", function()
+    local at, is_reached = 0, true
+    local fsm = started { k = conn {}, [6] = trans { src = "k", tgt = "b",
+      events = { "then" } } }
+    rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = "k", events = { "go" },
+      effect = function()
+        is_reached = interrupts.raise(at, "time is up", rfsm.node_find_enabled, fsm,
+          fsm.k, { "then" })
+      end })
+    interrupts.without_jit(function()
+      while is_reached do
+        at = at + 1
+        assert.equal("root.b", leaf_after(fsm, "go", "then"), at)
+        assert.equal("root.a", leaf_after(fsm, "back"))
+      end
+    end)
+    assert.is_true(at > 50)
+  end)
+
+  it("has an initial that stands where its first transition does", function()
+    local said = {}
+    local members = { a = state {}, info = false, warn = function(text)
+      said[#said + 1] = text:match("^WARNING: (.-initial): ")
+    end }
+    local text = "local trans = ...\nlocal t = trans { src = 'initial', tgt = 'a', "
+      .. "guard = print }\nreturn t"
+    for i = 1, 9 do
+      local chunk = assert(load_text(("\n"):rep(i) .. text, "=chart"))
+      members["t" .. i] = chunk(trans)
+    end
+    rfsm.init(state(members))
+    assert.same({ "chart:3: root.initial" }, said)
   end)
 
   it("is made in a time that grows with the mounts of one template", function()
