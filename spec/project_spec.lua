@@ -106,7 +106,9 @@ describe("a core alone in a folder", function()
     { name = "contract",
       hint = "FIX fsm_merge: changes nothing when it cannot, and says why, to err as "
         .. "well" },
-    { name = "robust" }, { name = "idioms" },
+    { name = "robust",
+      hint = "a machine has an initial that stands where its first transition does" },
+    { name = "idioms" },
     { name = "live", hint = "a merge into a live machine that is refused leaves no "
       .. "trace in the next one" },
   }
