@@ -34,6 +34,7 @@ local fleet = {}
 ---@class rfsm.fleet.Fleet : rfsm.server.Client
 ---@field name string the keys of the machines begin with this name
 ---@field tags integer number of hash tags, the parts of keys that choose the node
+---@field more_tags? string[] those of other clients, see `find_tags`
 ---@field connection rfsm.redis.Connection
 local Fleet = { where = "rfsm.fleet" }
 Fleet.__index = Fleet
@@ -170,7 +171,38 @@ end
 local function all_tags(self)
   local tags = {}
   for i = 1, self.tags do tags[i] = ("%d"):format(i - 1) end
+  for _, tag in ipairs(self.more_tags or {}) do tags[#tags + 1] = tag end
   return tags
+end
+
+-- Calls `f(tag)` once for each hash tag in the keys of a server.
+local function scan_tags(call, f)
+  local at, is_known = "0", {}
+  repeat
+    local reply = call("SCAN", at, "MATCH", "rfsm:*:{*}", "COUNT", 1000)
+    at = reply[1]
+    for _, key in ipairs(reply[2]) do
+      local tag = key:match("{(.*)}$")
+      if not is_known[tag] then f(tag) end
+      is_known[tag] = true
+    end
+  until at == "0"
+end
+
+--- Look for the hash tags that the keys of other clients have. `find`, `due`, `dead`,
+-- `wake`, `work` and `take` ask these, too, from now on. All keys of the server are
+-- scanned once.
+-- @raise the error that a server returns
+---@return string[] more those that are not the client's
+function Fleet:find_tags()
+  local found = {}
+  self.connection:each_master(function(call)
+    scan_tags(call, function(tag) found[tag] = true end)
+  end)
+  self.more_tags = nil
+  for _, tag in ipairs(all_tags(self)) do found[tag] = nil end
+  self.more_tags = rfsm.sorted_keys(found)
+  return self.more_tags
 end
 
 -- Returns a call of a function of the loaded library for a hash tag. `keys` lists
@@ -621,8 +653,7 @@ end
 ---@return rfsm.fleet.Dead[] entries
 function Fleet:dead(limit)
   local entries = {}
-  for i = 0, self.tags - 1 do
-    local tag = ("%d"):format(i)
+  for _, tag in ipairs(all_tags(self)) do
     for _, raw in ipairs(self:call(tag, "XRANGE", keys_of.dead("{" .. tag .. "}"), "-",
       "+", "COUNT", limit or 100)) do
       local entry = fields_of(raw[2])
@@ -667,20 +698,6 @@ function Fleet:load(text)
   local ok, problem = pcall(self.connection.each_master, self.connection,
     function(call) call("FUNCTION", "LOAD", "REPLACE", text) end)
   return ok, not ok and problem or nil
-end
-
--- Calls `f(tag)` once for each hash tag in the keys of a server.
-local function scan_tags(call, f)
-  local at, is_known = "0", {}
-  repeat
-    local reply = call("SCAN", at, "MATCH", "rfsm:*:{*}", "COUNT", 1000)
-    at = reply[1]
-    for _, key in ipairs(reply[2]) do
-      local tag = key:match("{(.*)}$")
-      if not is_known[tag] then f(tag) end
-      is_known[tag] = true
-    end
-  until at == "0"
 end
 
 local function label(text) return (text:gsub('[\\"\n]', { ["\\"] = "\\\\",

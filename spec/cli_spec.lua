@@ -343,7 +343,7 @@ describe("rfsm fleet", function()
     ["release k"] = { called = { "k" }, result = REPLY, out = REPLIED },
     ["force k root.a"] = { called = { "k", "root.a" }, result = REPLY, out = REPLIED },
     ["remove k"] = { called = { "k" }, result = true, out = "" },
-    ["dead 9"] = { called = { "9" }, result = { { tag = 0, id = "1-0", machine = "k",
+    ["dead 9"] = { called = { 9 }, result = { { tag = 0, id = "1-0", machine = "k",
       what = "done", data = "{}", deliveries = 3, error = "no stock" } },
       out = "0 1-0 k done {} x3 no stock\n" },
     ["tick k"] = { called = { "k" }, result = REPLY, out = REPLIED },
@@ -357,12 +357,13 @@ describe("rfsm fleet", function()
       refused = 2 },
     ["again 0 1-0"] = { called = { "0", "1-0" }, result = true, out = "" },
     ["drop 0 1-0"] = { called = { "0", "1-0" }, result = true, out = "" },
+    ["cancel k my-1"] = { called = { "k", "my-1" }, result = true, out = "" },
   } do
     local verb = command:match "%l+"
 
     -- Runs the command with a client that does this.
     local function with_client(act)
-      local calls, client = {}, {}
+      local calls, client = {}, { find_tags = function() return {} end }
       client[verb] = function(_, ...)
         calls[2] = { ... }
         return act()
@@ -429,6 +430,7 @@ describe("rfsm fleet", function()
   -- Runs the command with a client that finds two machines and three dead entries.
   local function with_many(arguments, calls)
     local client = {
+      find_tags = function() return {} end,
       select = function(_, filter)
         calls[#calls + 1] = filter
         if filter.chart == "none" then return {} end
@@ -495,7 +497,7 @@ describe("rfsm fleet", function()
 
   it("lists the verbs by their arguments", function()
     assert.equal([=[
-   again drop TAG ID   dead [LIMIT]   due [LIMIT [SECONDS]]
+   again drop TAG ID   cancel KEY ID   dead [LIMIT]   due [LIMIT [TIME]]
    find CHART STATE [LIMIT [SECONDS]]   force KEY STATE
    get move pull release remove tick KEY   history log KEY [COUNT]
    hold KEY [REASON]   push KEY FILE   reindex versions   send KEY EVENT [ID]

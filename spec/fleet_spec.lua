@@ -671,6 +671,7 @@ describe("an operator", function()
   end)
 
   it("counts machines by state", function()
+    assert(machines:load(usual)) -- without the counters of other tests
     for i = 1, 4 do assert(machines:create(i, "timed")) end
     machines:send(1, "e_b")
     machines:send(2, "e_emit")
@@ -737,7 +738,10 @@ describe("rfsm fleet", function()
     assert.matches("^no transition would be taken on e_back in root.a\n",
       fleet_command("why", key, "e_back"))
     assert.equal(key:gsub("'", "") .. "\n", fleet_command("find", "timed", "root.a"))
-    assert.equal("", fleet_command("find", "timed", "root.a", "9", "60"))
+    assert.equal("rfsm fleet: no machine of chart 'timed' is in 'root.a' for so long\n",
+      fleet_command("find", "timed", "root.a", "9", "60"))
+    assert.equal("rfsm fleet: no machine of chart 'timd' is in 'root.a' (did you mean "
+      .. "'timed'?)\n", fleet_command("find", "timd", "root.a"))
     assert.equal("", fleet_command("remove", key))
     assert.equal("rfsm fleet: it is not there\n", fleet_command("remove", key))
     assert.equal("", server:cli("KEYS '*'"):gsub("%s", ""))
@@ -775,6 +779,9 @@ describe("rfsm fleet", function()
     assert.matches("timed gone " .. version, fleet_command("versions"), 1, true)
     assert.equal("", fleet_command("due"))
     assert.equal("m:{0}:1\nm:{0}:2\n", fleet_command("due", "10", "1e10"))
+    assert.equal("m:{0}:1\nm:{0}:2\n", fleet_command("due", "10", "+1000000"))
+    assert.equal("rfsm fleet: a number expected, got '1h'\n",
+      fleet_command("due", "10", "1h"))
     fleet_command("hold", "m:{0}:1", "'to be looked at'")
     assert.matches("^%d+%.%d+ to be looked at\n$", fleet_command("log", "m:{0}:1"))
   end)
@@ -796,7 +803,7 @@ describe("rfsm fleet", function()
       fleet_command("history", key))
     assert(machines:send(1, "e_b"))
     assert.matches("^rfsm fleet: ERR rfsm_push: the machine at 'm:{0}:1' has moved on: "
-      .. "version %d+ expected, it has %d+\n$", fleet_command("push", key, file))
+      .. "revision %d+ expected, it has %d+\n$", fleet_command("push", key, file))
     helper.write(file, helper.content(file):sub(1, 90))
     assert.equal("rfsm fleet: ERR rfsm_push: file: a JSON object expected\n",
       fleet_command("push", key, file))
@@ -838,6 +845,48 @@ describe("rfsm fleet", function()
   it("says what a verb needs", function()
     assert.matches("Error: force KEY STATE expected", fleet_command("force", "x"), 1,
       true)
+  end)
+
+  it("refuses what it would not use", function()
+    for arguments, problem in pairs { -- any order: each is checked alone
+      ["set m:{0}:1 n=1 n=2"] = "set KEY FIELD=VALUE expected, got 3 arguments: "
+        .. "'m:{0}:1', 'n=1', 'n=2'",
+      ["remove m:{0}:1 m:{0}:2"] = "remove KEY expected, got 2 arguments",
+      ["set m:{0}:1 n=1 --if-version 3"] = "set takes no --if-version",
+      ["force m:{0}:1 root.a --by ann"] = "force takes no --by",
+    } do
+      assert.matches("Error: " .. problem, fleet_command(arguments), 1, true)
+    end
+  end)
+
+  it("says that there is no machine whose log is asked for", function()
+    for _, verb in ipairs { "log", "history" } do
+      assert.equal("rfsm fleet: ERR rfsm_get: no machine is at 'm:{0}:9' "
+        .. "(rfsm_create makes one)\n", fleet_command(verb, "m:{0}:9"))
+    end
+    assert(machines:create(1, "timed"))
+    assert.equal("", fleet_command("log", "m:{0}:1"))
+  end)
+
+  it("finds machines with hash tags that are not the client's", function()
+    assert(machines:create("mine:{a}:1", "timed"))
+    assert(machines:send("mine:{a}:1", "e_emit"))
+    assert.equal("mine:{a}:1\n", fleet_command("find", "timed", "root.a"))
+    assert.equal("mine:{a}:1\n", fleet_command("due", "10", "1e10"))
+    assert.same({ "a" }, machines:find_tags())
+    machines:work("g", "w", function() error("no stock", 0) end, { tries = 1 })
+    assert.matches("^a %S+ mine:{a}:1 done ", fleet_command("dead"))
+    assert.equal("rfsm fleet: 1 found, nothing was done\n",
+      fleet_command("drop --where chart=timed --dry-run"):match("\n(.*)"))
+    machines.more_tags = nil
+  end)
+
+  it("takes back an event that was to come later", function()
+    assert(machines:create(1, "timed"))
+    assert(machines:send_once_after("later", 1, 60, "e_b"))
+    assert.equal("", fleet_command("cancel", "m:{0}:1", "later"))
+    assert.equal("rfsm fleet: it is not there\n",
+      fleet_command("cancel", "m:{0}:1", "later"))
   end)
 end)
 
@@ -992,6 +1041,37 @@ describe("an operator who types what doc/redis.md prints", function()
     machines = fleet.connect(server:url(), { name = "m" })
   end)
 
+  it("begins with machines of two charts", function()
+    local printed = {}
+    for i, line in ipairs(lines_of "rfsm redis examples") do
+      line = line:gsub("redis%-cli", "redis-cli -p " .. server.port)
+        :gsub("[^ ]*{7}[^ ]*", "'%0'")
+      printed[i] = servers.output_of((line:find("^rfsm") and "tools/" or "") .. line)
+    end
+    assert.equal("", printed[1])
+    assert.matches("^root.off\ndone\n.*taken\n", printed[2])
+    assert.matches("^root.on.dim\ndone\n.*taken\n", printed[3])
+    assert.matches("leaf: root.on.dim\n", printed[4], 1, true)
+  end)
+
+  it("finds those that hang, and why", function()
+    assert(machines:create("m:{7}:42", "order", { item = "cog" }))
+    assert(machines:send("m:{7}:42", "e_paid"))
+    server:move_clock(3600)
+    local printed = {}
+    for i, line in ipairs(lines_of "rfsm fleet redis://localhost hold --where age") do
+      line = line:gsub("redis%-cli", "redis-cli -p " .. server.port)
+        :gsub("[^ ]*{7}[^ ]*", "'%0'")
+      printed[i] = servers.output_of((line:find("^rfsm") and "tools/" or "") .. line)
+    end
+    assert.matches("^m:{7}:42 order root.picking newest %d+ s\nrfsm fleet: 1 found, "
+      .. "nothing was done\n$", printed[1])
+    assert.matches("\nkept: %[%]\nlater: %[%]\n.*\nwaiting: %[%]\n", printed[2])
+    assert.matches("(picking -> packing) would be taken on e_picked", printed[3], 1,
+      true)
+    assert.same({ "", "" }, { printed[4], (printed[5]:gsub("%s", "")) })
+  end)
+
   it("sees what each verb does", function()
     local dead = {}
     for _, item in ipairs { "cog", "belt" } do
@@ -1040,6 +1120,7 @@ describe("an operator who types what doc/redis.md prints", function()
     assert.matches("^order newest %S+ 1\n$", printed[4])
     assert.same({ "root.picking done kept\n", "1 machines\n",
       "root.picking done kept\n" }, { printed[5], printed[6], printed[7] })
+    assert.same({ "", "rfsm fleet: it is not there\n" }, { printed[8], printed[9] })
   end)
 end)
 

@@ -879,7 +879,7 @@ SELECT jsonb_array_length((rfsm.pull('1')::jsonb)->'fleet'->'history');]])
     assert.equal([[
 root.even
 root.odd
-ERROR:  rfsm.push: the machine at '1' has moved on: version N expected, it has N
+ERROR:  rfsm.push: the machine at '1' has moved on: revision N expected, it has N
 root.even
 root.even
 ERROR:  rfsm.set: no state of chart 'counter' keeps the field 'm'

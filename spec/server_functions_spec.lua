@@ -573,8 +573,8 @@ describe("an event with data", function()
       .. "(did you mean '{\"name\":\"e_paid\"}'?)",
     ["e_paid"] = "no transition of chart 'p' has the event 'e_paid' "
       .. "(did you mean '{\"name\":\"e_paid\"}'?)",
-    ['{"name":"e_back"}'] = "no transition of chart 'p' has the event 'e_back' "
-      .. "(did you mean 'e_back'?)",
+    ['{"name":"e_back"}'] = "chart 'p' takes the event 'e_back' without data "
+      .. "(with data it needs rfsm.named)",
     ['{"name":5}'] = "event 1: an object with a text 'name' expected",
     ["{name}"] = "event 1: a JSON object expected",
     ['{"name":"e_paid","id":9007199254740993}'] = "event 1: the number "
@@ -1708,7 +1708,7 @@ describe("the desk", function()
     file.sum, file.data.root.count = nil, 7
     local text = json.encode(file)
     call("send", "e_b")
-    assert.matches("^ERR rfsm_push: the machine at 'm' has moved on: version %d+ "
+    assert.matches("^ERR rfsm_push: the machine at 'm' has moved on: revision %d+ "
       .. "expected, it has %d+$", refusal("push", old))
     local revision = ("%d"):format(select(2, pull "m").fleet.revision)
     assert.same({ "root.a", "done", "kept" }, call("push", text, revision, "ann"))

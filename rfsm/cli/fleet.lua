@@ -49,9 +49,15 @@ local function event_of(text)
   return event or error(problem, 0)
 end
 
+-- Returns the number that a person has typed; nil if none was.
+local function number_of(text)
+  return text and (rfsm.number_of(text)
+    or error(("a number expected, got '%s'"):format(text), 0))
+end
+
 local function list_dead(fleet, limit)
   local lines = {}
-  for _, entry in ipairs(fleet:dead(limit)) do
+  for _, entry in ipairs(fleet:dead(number_of(limit))) do
     lines[#lines + 1] = concat({ entry.tag, entry.id, entry.machine, entry.what,
       entry.data, "x" .. entry.deliveries, entry.error }, " ")
   end
@@ -71,8 +77,19 @@ local function view_lines(fleet, key)
   return lines
 end
 
+-- Returns a list of a machine. If it is empty since there is no such machine, returns
+-- nil and the problem: a misspelt key must not look like a machine without errors.
+local function list_of(name, fleet, key, count)
+  local list, problem = fleet[name](fleet, key, count)
+  if list and not list[1] then
+    local view, missing = fleet:get(key)
+    if not view then return nil, missing end
+  end
+  return list, problem
+end
+
 local function history_lines(fleet, key, count)
-  local moves, problem = fleet:history(key, count)
+  local moves, problem = list_of("history", fleet, key, count)
   for i, move in ipairs(moves or {}) do
     moves[i] = ("%s %s: %s -> %s"):format(rfsm.number_text(move.time, "%.3f"),
       move.event, move.from, move.to)
@@ -89,7 +106,7 @@ local function was_there(name)
 end
 
 local function log_lines(fleet, key, count)
-  local lines, problem = fleet:log(key, count)
+  local lines, problem = list_of("log", fleet, key, count)
   for i, line in ipairs(lines or {}) do
     lines[i] = rfsm.number_text(line.time, "%.3f") .. " " .. line.error
   end
@@ -258,13 +275,32 @@ local function do_many(fleet, options, filter)
   return not options.dry_run and count < #found and 1 or 0
 end
 
+-- Single verbs ----------------------------------------------------------------------
+
+-- Returns a time. With + it is so many seconds from now.
+local function time_of(text)
+  return number_of(text) + (text:find("^%+") and os.time() or 0)
+end
+
+-- Nothing is printed if nothing is found, so a misspelt name looks like good news.
+local function find_lines(fleet, name, state, limit, seconds)
+  local keys, problem = fleet:find(name, state, number_of(limit), seconds)
+  if keys and not keys[1] then
+    local charts = {}
+    for _, version in ipairs(fleet:versions() or {}) do charts[version.chart] = true end
+    common.warn(("no machine of chart '%s' is in '%s'%s%s"):format(name, state,
+      seconds and " for so long" or "", charts[name] and ""
+      or advice.nearest_name(name, rfsm.sorted_keys(charts))))
+  end
+  return keys, problem
+end
+
 -- For each verb a function that returns lines to print, or nil and the problem.
 local LINES = {
-  find = function(fleet, name, state, limit, s)
-    return fleet:find(name, state, rfsm.number_of(limit), s)
-  end,
+  find = find_lines,
   due = function(fleet, limit, time)
-    return fleet:due(rfsm.number_of(limit), rfsm.number_of(time))
+    local time_at = time and time_of(time)
+    return fleet:due(number_of(limit), time_at)
   end,
   get = view_lines, history = history_lines, log = log_lines, versions = version_lines,
   why = function(fleet, key, text) return fleet:why(key, event_of(text)) end,
@@ -275,6 +311,7 @@ local LINES = {
     return count and { ("%d machines"):format(count) }, problem
   end,
   dead = list_dead, again = was_there "again", drop = was_there "drop",
+  cancel = was_there "cancel",
   tick = reply_lines "tick", pull = pull_lines,
 }
 
@@ -327,19 +364,46 @@ function command.add_arguments(parser)
   parser:argument("verb", "what to do, see below"):convert(verb_of):argname("VERB")
   parser:argument("arguments", "of the verb; KEY is a whole key, with its {tag}")
     :args("*"):argname("ARGUMENT")
-  common.add_number(parser, "--tags", "hash tags of the machines (64)")
+  common.add_number(parser, "--tags", "hash tags of short keys (64)")
   parser:option("--where", "in place of KEY: chart=C,state=FQN,version=V,age=S")
     :argname("FILTER"):convert(filter_of)
   parser:flag("--dry-run", "show what --where means, do nothing")
   common.add_number(parser, "--if-version", "push: refuse another revision",
     function(number) return number >= 0 and number % 1 == 0 end)
-  parser:option("--by", "push, set: a name for the history")
-    :argname("NAME"):default(os.getenv("USER") or os.getenv("LOGNAME"))
+  parser:option("--by", "push, set: a name for the history (yours)"):argname("NAME")
 end
 
 --- Return the client of a fleet, or end the program if there is no server.
 function command.connect(url, options)
   return command.ask(require("rfsm.fleet").connect, url, options)
+end
+
+-- Verbs that look at all hash tags, also at those that no short key has.
+local WIDE = { dead = true, due = true, find = true }
+
+-- Returns how many arguments a verb has at most.
+local function most_of(usage) return select(2, usage:gsub("%S+", "")) end
+
+-- Options that only some verbs take.
+local function check_options(options, parser)
+  local name = options.verb
+  for _, option in ipairs { "by", "if_version" } do
+    local takes = option == "by" and WITH_OPTIONS[name] or name == "push"
+    if options[option] and not takes then
+      parser:error(("%s takes no --%s"):format(name, (option:gsub("_", "-"))))
+    end
+  end
+end
+
+-- The number of arguments of a verb for one item.
+local function check_one(options, parser)
+  local name, verb, list = options.verb, VERBS[options.verb], options.arguments
+  if #list < verb[2] then
+    parser:error(name .. " " .. verb[1] .. " expected")
+  elseif #list > most_of(verb[1]) then
+    parser:error(("%s %s expected, got %d arguments: '%s'"):format(name, verb[1], #list,
+      concat(list, "', '")))
+  end
 end
 
 local function check(options, parser)
@@ -350,15 +414,19 @@ local function check(options, parser)
     parser:error("--dry-run: --where expected")
   elseif options.where and #list > (name == "hold" and 1 or 0) then
     parser:error(name .. ": --where or " .. verb[1] .. " expected, not both")
-  elseif not options.where and #list < verb[2] then
-    parser:error(name .. " " .. verb[1] .. " expected")
+  elseif not options.where then
+    check_one(options, parser)
   end
+  check_options(options, parser)
 end
 
 function command.run(options, parser)
   local name, list = options.verb, options.arguments
   check(options, parser)
+  options.by = options.by or os.getenv("USER") or os.getenv("LOGNAME")
   local fleet = command.connect(options.url, { tags = options.tags })
+  local is_wide = options.where and MANY[name][1] == find_dead or WIDE[name]
+  if is_wide then command.ask(fleet.find_tags, fleet) end
   if options.where then return do_many(fleet, options, options.where) end
   local lines = WITH_OPTIONS[name] and WITH_OPTIONS[name](fleet, options, unpack(list))
     or command.ask(LINES[name], fleet, unpack(list))

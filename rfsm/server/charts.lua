@@ -479,8 +479,11 @@ local function named_event(chart, number, text)
     fail("event %d: an object with a text 'name' expected", number)
   end
   if not (chart.named[name] or chart.takes_all) then
-    refuse(chart, name, chart.events[name] ~= nil and name
-      or ('{"name":"%s"}'):format(name))
+    if chart.events[name] ~= nil then
+      fail("chart '%s' takes the event '%s' without data (with data it needs "
+        .. "rfsm.named)", chart.name, name)
+    end
+    refuse(chart, name, ('{"name":"%s"}'):format(name))
   end
   return event
 end

@@ -79,7 +79,7 @@ local function check(key, list, about, revision)
   end
   local expected, found = revision or about.revision, desk.revision_of(list)
   if rfsm.number_of(expected) ~= found then
-    fail("the machine at '%s' has moved on: version %s expected, it has %d",
+    fail("the machine at '%s' has moved on: revision %s expected, it has %d",
       shown(key), shown(expected), found)
   end
 end
