@@ -593,7 +593,13 @@ local function place_of(sim)
 end
 
 local function wander(sim, count)
-  local events, places = rfsm.sorted_keys(alphabet.of_all(sim.fsm).set), {}
+  local known, places = alphabet.of_all(sim.fsm), {}
+  local events = rfsm.sorted_keys(known.set)
+  for i, event in ipairs(events) do
+    if type(event) == "function" then
+      events[i] = { name = rfsm.event_name(event) }
+    end
+  end
   for _ = 1, count do
     if dice(9) == 1 then sim.env.reset() else sim.env.se(events[dice(#events)]) end
     sim.env.step()
