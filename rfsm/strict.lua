@@ -115,8 +115,8 @@ local function oddness_of_table(known, event)
     return "a table is an event of its own, as each argument is"
   end
   return ("no transition names the event { name = '%s' }%s"):format(name,
-    known.set[name] and (" (did you mean '%s'?)"):format(name)
-    or advice.nearest_name(name, named))
+    known.set[name] and (" (did you mean '%s', or rfsm.named '%s' in the chart?)")
+      :format(name, name) or advice.nearest_name(name, named))
 end
 
 local function is_state_name(fsm, event)

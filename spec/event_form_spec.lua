@@ -53,7 +53,8 @@ describe("a strict machine tells of", function()
     { "a text in place of a name", named "e_go", "e_go",
       "no transition names the event 'e_go' (did you mean { name = 'e_go' }?)" },
     { "a name in place of a text", "e_go", { name = "e_go" },
-      "no transition names the event { name = 'e_go' } (did you mean 'e_go'?)" },
+      "no transition names the event { name = 'e_go' } (did you mean 'e_go', "
+      .. "or rfsm.named 'e_go' in the chart?)" },
     { "a list with data", named "e_go", { "e_go", n = 1 },
       "the table has no field 'name' (did you mean name = 'e_go' in place of the "
         .. "first item?)" },
