@@ -413,8 +413,25 @@ describe("what a machine keeps and what waits in it", function()
       properties = { never "root.c" } }
     assert.is_true(judged(model, options))
     assert.truthy(tostring(rfsm_checks.explore(model, options)):find(
-      "holds (one event a step; none while one waits)", 1, true))
+      "holds (one event a step; none from outside while one waits)", 1, true))
   end)
+
+  for _, event in ipairs { "e_every(1)", "e_after(1)" } do
+    it("comes while an event waits, if it is " .. event, function()
+      local model, now = state { warn = false, info = false, read = "one", a = state {},
+        b = state {}, go("initial", "a"), go("a", "a", "e_done"), go("a", "b", event) }, 0
+      local fsm = rfsm.init(model)
+      fsm.gettime = function() return now, 0 end
+      rfsm.step(fsm, 2)
+      now = 2
+      rfsm.step(fsm, 4)
+      assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+      for _, timers in ipairs { "free", "in order" } do
+        assert.is_false(judged(model, { timers = timers,
+          properties = { never "root.b" } }))
+      end
+    end)
+  end
 
   it("comes in every order, if two are sent in a step", function()
     local model = state { warn = false, info = false, read = "one", a = state {},

@@ -585,10 +585,43 @@ describe("cell:explore", function()
     assert.is_true(looks < 20)
   end)
 
-  it("says when time events come to a machine that takes one event", function()
-    local result = explored({ right = one_by_one(go("a", "b", "e_after(1)")) }, {})
-    assert.equal("right: one event an iteration, time events while none waits",
-      result.premises[6])
+  -- A cell of one chart, of which one moment is due in each move.
+  local function never_b(wires, is_read, ...)
+    local result, cell = explored({ left = chart(go("a", "b", "e_go", "e_x")),
+      right = one_by_one(...) }, wires, { properties = { never "right: root.b" } })
+    local right, now = cell.machines.right, 0
+    right.gettime = function() return now, 0 end
+    cell:move("right")
+    for _ = 1, is_read and 3 or 0 do cell:move("right") end
+    cell:move("left")
+    cell:move("left", { "e_go" })
+    now = 2
+    for _ = 1, 4 do cell:move("right") end
+    return { rfsm.get_actleaf_fqn(right), tostring(result.properties[1].holds) }
+  end
+
+  for _, event in ipairs { "e_every(1)", "e_after(1)" } do
+    it("has " .. event .. " come while an event waits", function()
+      assert.same({ "root.b", "false" }, never_b({}, false, go("a", "a", "e_done"),
+        go("a", "b", event)))
+    end)
+  end
+
+  it("has a time event come with an event of a wire", function()
+    assert.same({ "root.b", "false" }, never_b({ "left e_x right" }, true,
+      go("a", "c", "e_x"), go("a", "a", "e_after(1)"),
+      go("c", "b", "e_after(1)@root.a"), go("c", "a", "e_done")))
+  end)
+
+  it("does not know what a time event does that comes twice", function()
+    local function judged(event)
+      local result = explored({ right = one_by_one(go("a", "a", "e_done"),
+        go("a", "internal", event)) }, {}, { properties = { never "right: root.b" } })
+      return { tostring(result.properties[1].holds), result.untried[1] }
+    end
+    assert.same({ "true" }, judged("e_every(1)"))
+    assert.same({ "nil", "right: a time event that comes again while it waits" },
+      judged("e_after(1)"))
   end)
 
   it("names its premises", function()
@@ -601,7 +634,7 @@ describe("cell:explore", function()
       "moves cross: others move also between what a machine reads and the events that "
         .. "it emits then, which are put one by one",
       "a connection for each wire, all of them read at one moment",
-      "right: guards free", "right: one event an iteration",
+      "right: guards free", "right: one event an iteration, none from outside while one waits",
       "right: no event outside of the alphabet",
       "wires[1] (left e_x -> right): buffer of 2" }, result.premises)
   end)

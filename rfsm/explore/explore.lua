@@ -292,6 +292,9 @@ local function key_after(walk, try, label)
   if walk.timing then
     time, sources = walk.timing:after(context.time, try.group, walk, clocks)
   end
+  if walk.subject:may_come_twice() then
+    walk:note_untried("timers", "a time event that comes again while it waits")
+  end
   if time == nil then
     note_cut(walk, try.from, try.is_from_outside, "pending",
       ("more than %d events that wait to be sent later"):format(walk.options.pending))
@@ -417,13 +420,25 @@ local function add_wanted(own, wanted, list)
   end
 end
 
+-- Lists the time events of a list.
+local function time_events(list)
+  local own = {}
+  for _, occurrence in ipairs(list) do
+    if occurrence.state then own[#own + 1] = occurrence end
+  end
+  return own
+end
+
 -- Lists the sets of events from outside with which steps are taken: those of up to
 -- `walk.together` events, and the larger ones that paths through connectors need. A
--- machine that takes one event an iteration gets none while one waits. It takes such
--- paths with no set, and of several events the later ones in another leaf.
-local function sets_from_outside(walk, conf, list, needed)
+-- machine that takes one event an iteration gets only time events while one waits, or
+-- if it has `read` one. It takes such paths with no set, and of several events the later
+-- ones in another leaf.
+local function sets_from_outside(walk, conf, list, needed, read)
   local own, is_one = walk.subject, walk.subject.parts[1].reads_one
-  if is_one and subject.is_driven(conf) then return { {} } end
+  if is_one and (read[1] ~= nil or subject.is_driven(conf)) then
+    return sets_of(walk, time_events(list), walk.together)
+  end
   if is_one and walk.together > 1 then
     add_wanted(own, own.alphabet or own.event_list, list)
   end
@@ -435,9 +450,8 @@ local function sets_from_outside(walk, conf, list, needed)
 end
 
 -- Takes a step from a configuration for each set of events and each group of deadlines.
--- If events `read` are given, each step gets them before its own events; if `is_alone`,
--- in place of its own events.
-local function each_try(walk, from, f, read, is_alone)
+-- Each step gets the events `read` before its own events.
+local function each_try(walk, from, f, read)
   local conf = walk:configuration(from)
   local list, needed, is_cut = reactions.that_may_come(walk.subject, conf)
   if is_cut then
@@ -445,8 +459,10 @@ local function each_try(walk, from, f, read, is_alone)
       :format(conf[1].leaf and conf[1].leaf._fqn or "root.initial"))
   end
   add_wanted(walk.subject, walk.wanted, list)
-  local sets = is_alone and { {} } or sets_from_outside(walk, conf, list, needed)
-  for i, set in ipairs(read and sets or {}) do sets[i] = match.joined(read, set) end
+  local sets = sets_from_outside(walk, conf, list, needed, read)
+  for i, set in ipairs(read[1] ~= nil and sets or {}) do
+    sets[i] = match.joined(read, set)
+  end
   for _, group in ipairs(groups_of(walk, from, conf)) do
     each_set(walk, from, conf, group, sets, f)
   end
@@ -455,7 +471,7 @@ end
 -- Takes all steps from a configuration.
 function Walk.expand(walk, from)
   walk.first[from], walk.has_moved = #walk.steps + 1, false
-  each_try(walk, from, note_step)
+  each_try(walk, from, note_step, {})
   if not walk.has_moved then walk.stuck[#walk.stuck + 1] = from end
 end
 
@@ -463,9 +479,8 @@ end
 ---@param from integer
 ---@param f function see the field `f` of `rfsm_checks.Try`
 ---@param read? rfsm_checks.Occurrence[] events that come first in each step
----@param is_alone? boolean no event comes from outside
-function Walk:each_step(from, f, read, is_alone)
-  each_try(self, from, f, read, is_alone)
+function Walk:each_step(from, f, read)
+  each_try(self, from, f, read or {})
   data.rest(self.subject)
 end
 

@@ -234,7 +234,8 @@ local function add_set(self, part, sets, set, timers)
 end
 
 --- List the events that may come in a configuration and can have an effect: events from
---- outside and time events. The second list has the sets of several such events that a
+--- outside and time events; of a machine that takes one event an iteration, only time
+--- events that do not wait in it. The second list has the sets of several such events that a
 --- path through connectors needs.
 ---@param self rfsm_checks.Subject
 ---@param conf rfsm_checks.Configuration
@@ -253,7 +254,8 @@ function reactions.that_may_come(self, conf)
         end
       end
       for _, timer in ipairs(found.timers) do
-        if not part.timed[timer] then
+        local has_come = part.reads_one and match.has(conf[i].waiting, timer)
+        if not (part.timed[timer] or has_come) then
           list[#list + 1] = self:occurrence(part, timer)
         end
       end

@@ -128,6 +128,7 @@ Subject.__index = Subject
 ---@field has_data boolean the event is an example of the option `classes`
 ---@field number integer position in the list of all occurrences
 ---@field is_repeated boolean of a timer that comes again: not while its event waits
+---@field state rfsm.State|false the state whose timer it comes from
 ---@field alone rfsm_checks.Occurrence[] a list that has this occurrence only
 
 --- A moment in a step: the entry of a state that the same step leaves again.
@@ -243,14 +244,14 @@ function Subject:maker_of(event)
   return maker, fqn
 end
 
--- Is the event that of a timer which comes again and again?
-local function is_repeated(part, event)
+-- Returns the state whose timer has an event, and whether it comes again and again.
+local function timer_of(part, event)
   for _, state in ipairs(rfsm.elements(part.fsm, rfsm.is_state)) do
     for _, timer in ipairs(state._timers or NOTHING) do
-      if timer.name == event then return timer.event.is_repeated end
+      if timer.name == event then return state, timer.event.is_repeated end
     end
   end
-  return false
+  return false, false
 end
 
 --- Make an occurrence of an event, with the next number.
@@ -259,7 +260,8 @@ function Subject:new_occurrence(part, event, after)
   event = self:event_of(event)
   local new = { part = part, event = event, after = after,
     has_data = self.is_example[event] or false, number = #self.occurrences + 1,
-    is_repeated = not after and is_repeated(part, event), alone = {} }
+    state = false, is_repeated = false, alone = {} }
+  if not after then new.state, new.is_repeated = timer_of(part, event) end
   new.alone[1], self.occurrences[new.number] = new, new
   return new
 end
@@ -876,6 +878,18 @@ function Subject:may_rest()
     if self.is_doo[i] and not self.choices[i] then return false end
   end
   return true
+end
+
+--- May an event of a timer come once more while it waits? It may if the last step has
+--- entered its state anew. A machine that takes all events loses nothing by that.
+function Subject:may_come_twice()
+  for _, part in ipairs(self.parts) do
+    for _, event in ipairs(part.reads_one and part.fsm._intq or NOTHING) do
+      local own = not part.timed[event] and part.occurrences[event]
+      if own and self.entered[own.state] and not own.is_repeated then return true end
+    end
+  end
+  return false
 end
 
 --- List the paths of the transitions that the last step took.

@@ -4,7 +4,8 @@
 -- has read and at most one event from outside, and puts the first event that the step
 -- emits into its wire. Each further one is a move of its own, and before that the
 -- machine does nothing else. Any machine may move at any time. A machine that takes one
--- event an iteration takes one: from any of its wires, or from outside.
+-- event an iteration gets one: from any of its wires, or from outside; and none while
+-- one waits. But an event of a timer may come in each move.
 --
 -- If moves may cross, the first put may be a move of its own, too. A machine that reads
 -- no wire needs no such move: it could as well take its step later.
@@ -149,21 +150,20 @@ local function add_outcome(member, list, try, key, label, count)
 end
 
 -- Returns the outcomes of the steps of a machine with the events that it has read: one
--- outcome for each choice that makes a difference. If `is_alone`, none comes from
--- outside.
-local function outcomes_of(member, number, puts, is_alone)
+-- outcome for each choice that makes a difference.
+local function outcomes_of(member, number, puts)
   local known, read, numbers = member.moves[number] or {}, {}, {}
   member.moves[number] = known
   for i, put in ipairs(puts) do
     read[i] = member.subject:occurrence(member.subject.parts[1], put.event)
     numbers[i] = read[i].number
   end
-  local key = concat(numbers, ",") .. (is_alone and "." or "")
+  local key = concat(numbers, ",")
   if not known[key] then
     known[key] = {}
     member:each_step(number, function(_, try, tgt, label)
       add_outcome(member, known[key], try, tgt, label, #read)
-    end, read, is_alone)
+    end, read)
   end
   return known[key]
 end
@@ -230,24 +230,23 @@ end
 ---@field mover integer see the field `movers` of `rfsm.system.Product`
 
 -- Returns the reading of the wires at some positions.
-local function read_wires(self, member, conf, positions, is_alone)
+local function read_wires(self, member, conf, positions)
   local queues = positions[1] and copy(conf.queues) or conf.queues
   for _, at in ipairs(positions) do queues[at] = copy(queues[at]) end
   local read = wires.take(self.wires, queues, positions, member.reads_one)
   return { queues = queues, read = read, mover = member.number,
-    outcomes = outcomes_of(member, conf.numbers[member.number], read, is_alone) }
+    outcomes = outcomes_of(member, conf.numbers[member.number], read) }
 end
 
 -- Returns the readings of a machine that takes one event: none while an event waits in
--- itself, or else one of a wire, or one from outside. An event from outside to which
--- the machine does not react makes it move, too: its doo goes on.
+-- itself, or else one of a wire, or one from outside. A time event may come in any case.
+-- An event from outside to which the machine does not react makes it move, too: its doo
+-- goes on.
 local function read_one(self, member, conf, waiting)
-  if subject.is_driven(member.confs[conf.numbers[member.number]]) then
-    return { read_wires(self, member, conf, NOTHING, true) }
-  end
   local list = { read_wires(self, member, conf, NOTHING) }
-  for i, at in ipairs(waiting) do
-    list[i + 1] = read_wires(self, member, conf, { at }, true)
+  local is_driven = subject.is_driven(member.confs[conf.numbers[member.number]])
+  for i, at in ipairs(is_driven and NOTHING or waiting) do
+    list[i + 1] = read_wires(self, member, conf, { at })
     list[i + 1].mover = #self.members + at
   end
   return list

@@ -301,8 +301,7 @@ local function add_premises(result, walk, settings)
     local free = rfsm.sorted_keys(own.free)
     if free[1] then add(member.name .. ": " .. concat(free, ", ") .. " free") end
     if member.reads_one then
-      add(member.name .. ": one event an iteration" .. (own.free.timers
-        and ", time events while none waits" or ""))
+      add(member.name .. ": one event an iteration, none from outside while one waits")
     end
     if settings[member.name].alphabet then
       add(member.name .. ": no event outside of the alphabet")

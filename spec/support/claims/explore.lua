@@ -213,8 +213,8 @@ local function count_faults(fsm)
   return count
 end
 
--- Takes a step with so many events, faults and timers at most. Returns whether there
--- were more.
+-- Takes a step with so many events, faults and timers at most, and only timers if a
+-- machine that takes one event is busy. Returns whether there were more.
 local function wander_on(fsm, world, events, clock, most)
   local random = world.random
   local fired = 0
@@ -223,12 +223,12 @@ local function wander_on(fsm, world, events, clock, most)
     entry.machine.dbg = function(id) if id == "TIMEEVENT" then fired = fired + 1 end end
     fired = fired + count_faults(entry.machine)
   end
-  for _ = 1, is_busy and 0 or random(most) do
+  for _ = 1, random(most) do
     local choice = random(4)
     local wait = choice == 1 and rfsm_timeevent.next_deadline(fsm)
     if wait and clock.now == clock.last then
       clock.now = clock.now + wait + 0.0000001
-    elseif choice > 2 and events[1] ~= nil then
+    elseif choice > 2 and events[1] ~= nil and not is_busy then
       rfsm.send_events(fsm, events[random(#events)])
       fired = fired + 1
     end

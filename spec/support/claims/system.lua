@@ -231,7 +231,7 @@ local function is_active(run, name)
 end
 
 -- Moves a machine with events from outside, unless it is busy with events of its own.
--- Returns how many events have come, those of wires included if it takes them alone.
+-- Returns how many events have come from outside.
 local function move_with(run, member, events)
   local fsm, is_one, wanted = run.cell.machines[member.name], member.read == "one", nil
   local is_busy = run.cell.unsent[member.name][1]
@@ -239,15 +239,14 @@ local function move_with(run, member, events)
   if is_busy then events = {} end
   if events[1] and is_one then wanted = false end
   local holds = run.own.options.overlap and run.random:chance(50)
-  local _, came = run.cell:move(member.name, events, wanted, holds)
+  run.cell:move(member.name, events, wanted, holds)
   if holds and not match.has(run.own.readers, member.name) then
     run.late[member.name] = true
   end
-  return is_one and #came or #events
+  return #events
 end
 
--- Moves a random machine. Returns whether more than one event came from outside; if the
--- machine takes one event an iteration, whether the move may have had two iterations.
+-- Moves a random machine. Returns whether more than one event came from outside.
 local function move(run, is_alone)
   local random = run.random
   local member, events = random:pick(run.own.members), {}
