@@ -418,9 +418,9 @@ describe("what a machine keeps and what waits in it", function()
 
   for _, event in ipairs { "e_every(1)", "e_after(1)" } do
     it("comes while an event waits, if it is " .. event, function()
-      local model, now = state { warn = false, info = false, read = "one", a = state {},
-        b = state {}, go("initial", "a"), go("a", "a", "e_done"), go("a", "b", event) }, 0
-      local fsm = rfsm.init(model)
+      local model = state { warn = false, info = false, read = "one", a = state {},
+        b = state {}, go("initial", "a"), go("a", "a", "e_done"), go("a", "b", event) }
+      local fsm, now = rfsm.init(model), 0
       fsm.gettime = function() return now, 0 end
       rfsm.step(fsm, 2)
       now = 2

@@ -585,7 +585,7 @@ describe("cell:explore", function()
     assert.is_true(looks < 20)
   end)
 
-  -- A cell of one chart, of which one moment is due in each move.
+  -- Returns where a real machine is when its timer has expired, and the verdict on it.
   local function never_b(wires, is_read, ...)
     local result, cell = explored({ left = chart(go("a", "b", "e_go", "e_x")),
       right = one_by_one(...) }, wires, { properties = { never "right: root.b" } })
@@ -634,7 +634,8 @@ describe("cell:explore", function()
       "moves cross: others move also between what a machine reads and the events that "
         .. "it emits then, which are put one by one",
       "a connection for each wire, all of them read at one moment",
-      "right: guards free", "right: one event an iteration, none from outside while one waits",
+      "right: guards free",
+      "right: one event an iteration, none from outside while one waits",
       "right: no event outside of the alphabet",
       "wires[1] (left e_x -> right): buffer of 2" }, result.premises)
   end)

@@ -157,6 +157,18 @@ describe("a verdict", function()
     assert.same({ "more than 4096 choices of one step" }, result.untried)
   end)
 
+  it("is not known if steps have too many choices for the bound", function()
+    local members = { k = conn {}, [4] = go("a", "k", "e_y") }
+    for i = 5, 14 do members[i] = go("k", "b", nil, { guard = yes }) end
+    local options, model = { configurations = 10 }, chart(members)
+    for _, result in ipairs { rfsm_checks.explore(model, options),
+      require "rfsm.system" { one = model, wires = {} }:explore(options) } do
+      assert.equal("choices", result.bound)
+      assert.same({ "more than 1000 steps, since some have very many choices" },
+        result.untried)
+    end
+  end)
+
   it("has the events that enter a sequential AND state come to its regions", function()
     local arm = state { warn = false, info = false, left = state {},
       go("initial", "left", "e_left") }

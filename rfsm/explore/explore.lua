@@ -432,8 +432,8 @@ end
 -- Lists the sets of events from outside with which steps are taken: those of up to
 -- `walk.together` events, and the larger ones that paths through connectors need. A
 -- machine that takes one event an iteration gets only time events while one waits, or
--- if it has `read` one. It takes such paths with no set, and of several events the later
--- ones in another leaf.
+-- if it has `read` one. It takes such paths with no set, and of several events the
+-- later ones in another leaf.
 local function sets_from_outside(walk, conf, list, needed, read)
   local own, is_one = walk.subject, walk.subject.parts[1].reads_one
   if is_one and (read[1] ~= nil or subject.is_driven(conf)) then
@@ -488,10 +488,20 @@ end
 
 local EVERY_REPORT = 256 -- configurations between two calls of `progress`
 
+local MANY_STEPS = 100 -- most steps for each configuration that the options allow
+
+local STEPS = "more than %d steps, since some have very many choices"
+
+--- Return how many steps were run.
+function Walk:steps_run() return self.count end
+
+-- Returns the name of a bound that was hit, and a text that says what was not tried.
 local function find_bound(walk, options)
-  if #walk.keys > options.configurations then return "configurations" end
-  if walk.depth >= options.depth then return "depth" end
-  if now() > walk.ends then return "seconds" end
+  local most = MANY_STEPS * options.configurations
+  local bound = #walk.keys > options.configurations and "configurations"
+    or walk.depth >= options.depth and "depth" or now() > walk.ends and "seconds"
+  if bound then return bound, BEHIND .. bound end
+  if walk:steps_run() > most then return "choices", STEPS:format(most) end
 end
 
 --- Set the time of the clock at which a walk has to end.
@@ -517,9 +527,9 @@ function explore.walk_all(walk, options)
     if at > walk.level_end then
       walk.depth, walk.level_end = walk.depth + 1, #walk.keys
     end
-    local bound = find_bound(walk, options)
+    local bound, text = find_bound(walk, options)
     if bound then
-      walk:note_untried(bound, BEHIND .. bound)
+      walk:note_untried(bound, text)
       break
     end
     if options.progress and at % EVERY_REPORT == 0 then

@@ -235,8 +235,8 @@ end
 
 --- List the events that may come in a configuration and can have an effect: events from
 --- outside and time events; of a machine that takes one event an iteration, only time
---- events that do not wait in it. The second list has the sets of several such events that a
---- path through connectors needs.
+--- events that do not wait in it. The second list has the sets of several such events
+--- that a path through connectors needs.
 ---@param self rfsm_checks.Subject
 ---@param conf rfsm_checks.Configuration
 ---@return rfsm_checks.Occurrence[] events

@@ -384,7 +384,9 @@ local function premises_of(walks, options)
     for name in order.each(each.subject.free) do free[name] = true end -- any order
   end
   local texts = { (NUMBERS[walk.together] or walk.together .. " events") .. " a step" }
-  if walk.subject.parts[1].reads_one then texts[2] = "none from outside while one waits" end
+  if walk.subject.parts[1].reads_one then
+    texts[2] = "none from outside while one waits"
+  end
   if options.alphabet then texts[#texts + 1] = "no event outside of the alphabet" end
   texts[#texts + 1] = limit_of(walks, options.deferred)
   if walk.way then texts[#texts + 1] = "independent regions one by one" end

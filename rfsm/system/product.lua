@@ -239,9 +239,9 @@ local function read_wires(self, member, conf, positions)
 end
 
 -- Returns the readings of a machine that takes one event: none while an event waits in
--- itself, or else one of a wire, or one from outside. A time event may come in any case.
--- An event from outside to which the machine does not react makes it move, too: its doo
--- goes on.
+-- itself, or else one of a wire, or one from outside. A time event may come in any
+-- case. An event from outside to which the machine does not react makes it move, too:
+-- its doo goes on.
 local function read_one(self, member, conf, waiting)
   local list = { read_wires(self, member, conf, NOTHING) }
   local is_driven = subject.is_driven(member.confs[conf.numbers[member.number]])
@@ -364,6 +364,13 @@ end
 function Product:set_end(ends)
   self.ends = ends
   for _, member in ipairs(self.members) do member:set_end(ends) end
+end
+
+--- Return how many steps the machines have run.
+function Product:steps_run()
+  local count = 0
+  for _, member in ipairs(self.members) do count = count + member.count end
+  return count
 end
 
 --- Is some machine entered at some time?

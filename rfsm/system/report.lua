@@ -319,9 +319,7 @@ end
 local function add_walk(result, walk, cell, settings, rest)
   explore.walk_all(walk, rest())
   result.configurations = result.configurations + #walk.keys
-  for _, member in ipairs(walk.members) do
-    result.steps = result.steps + member.count
-  end
+  result.steps = result.steps + walk:steps_run()
   result.bound = result.bound or walk.bound
   result.untried = match.joined(result.untried, walk.untried)
   add_premises(result, walk, settings)
