@@ -54,9 +54,9 @@ for _, verb in ipairs(verbs_of) do
   host.READ_ONLY["rfsm_" .. verb.name] = verb.reads
 end
 
---- Statements by their names. A statement that writes a machine returns a row if it has
--- written one, and counts the call in the sequence $10, if there is one. The casts are
--- for drivers that give all parameters the type text.
+--- Statements by their names. `insert` returns a row if it has written one; `update`
+-- writes a row that is locked. Both count the call in the sequence $10, if there is
+-- one. The casts are for drivers that give all parameters the type text.
 host.STATEMENTS = {
   read = "SELECT value FROM rfsm.machines WHERE key = $1",
   lock = "SELECT value FROM rfsm.machines WHERE key = $1 FOR UPDATE",
@@ -72,7 +72,7 @@ host.STATEMENTS = {
     data = $8::jsonb, value = $9::jsonb,
     leases = coalesce(0 * nextval($10::text::regclass), 0),
     since = CASE WHEN state = $4 THEN since ELSE clock_timestamp() END
-    WHERE key = $1 RETURNING key]],
+    WHERE key = $1]],
   move = [[UPDATE rfsm.machines SET state = $2, event = $3, since = clock_timestamp()
     WHERE key = $1]],
   history = [[SELECT extract(epoch FROM at)::text AS time, coalesce(event, '') AS event,
@@ -119,8 +119,9 @@ local function save(server, execute, key, change)
     machine.list[3].chart, machine.at, machine.mode, by,
     due or nil, server.json.datum(change.data), server.json.datum(machine.value),
     change.counter)
-  if written[1] then save_effects(server, execute, key, change) end
-  return written[1] ~= nil
+  if is_new and not written[1] then return false end
+  save_effects(server, execute, key, change)
+  return true
 end
 
 -- Returns the text of an error with the names that functions have in SQL.

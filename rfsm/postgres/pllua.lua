@@ -16,7 +16,7 @@ end
 
 -- Returns the functions that convert texts and tables to and from the type jsonb.
 local function new_json(spi, pgtype)
-  local jsonb = require "pllua.jsonb"
+  local jsonb, kind = require "pllua.jsonb", pgtype.jsonb
   local PLAIN = { map = function(key, value)
     if type(value) == "table" then jsonb.set_as_unknown(value) end
     return key, value
@@ -28,7 +28,7 @@ local function new_json(spi, pgtype)
 
   function json.datum(text)
     local is_valid, at = utf8.len(text)
-    if is_valid then return pgtype.jsonb:fromstring(text) end
+    if is_valid then return kind:fromstring(text) end
     return spi.error("character_not_in_repertoire",
       ('invalid byte sequence for encoding "UTF8": 0x%02x'):format(text:byte(at)))
   end

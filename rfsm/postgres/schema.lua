@@ -158,20 +158,23 @@ CREATE OR REPLACE FUNCTION rfsm.is_in(state text, other text)
 $$;
 ]]
 
--- For each type of result, the SQL expression that makes it; %s is a list of texts.
-local RESULTS = { text = "(%s)[1]", boolean = "(%s)[1] = '1'",
-  ["SETOF text"] = "unnest(%s)", ["TABLE (name text, value text)"] =
-  "l[i], l[i + 1] FROM %s l, generate_series(1, cardinality(l), 2) i" }
+-- For each type of result, the body of a function that makes it; %s is a list of texts.
+-- A body in SQL would be parsed anew in each statement that calls it.
+local RESULTS = { text = "RETURN (%s)[1]", boolean = "RETURN (%s)[1] = '1'",
+  ["SETOF text"] = "RETURN QUERY SELECT unnest(%s)",
+  ["TABLE (name text, value text)"] = "RETURN QUERY SELECT l[i], l[i + 1] FROM %s l, "
+    .. "generate_series(1, cardinality(l), 2) i" }
 
--- The functions in SQL. A role that has USAGE of the schema may call them, except those
--- that are revoked below. They run with the rights of the owner ($OWNER).
+-- The functions for one machine. A role that has USAGE of the schema may call them,
+-- except those that are revoked below. They run with the rights of the owner ($BY).
 local function function_of(name, sql)
   local call = ("rfsm.call('rfsm_%s', key, %s)"):format(name, sql[3] or "NULL, NULL")
   return ([[
 CREATE OR REPLACE FUNCTION rfsm.%s(key text%s)
-  RETURNS %s $OWNER AS $$
-  SELECT %s
-$$;
+  RETURNS %s $BY AS $$
+BEGIN
+  %s;
+END $$;
 
 ]]):format(name, sql[1], sql[2], RESULTS[sql[2]]:format(call))
 end
@@ -197,10 +200,14 @@ COMMENT ON FUNCTION rfsm.call IS 'library $ID';
 REVOKE EXECUTE ON FUNCTION rfsm.call FROM PUBLIC;
 
 CREATE OR REPLACE FUNCTION rfsm.reply(key text, events text[], id text DEFAULT NULL,
-  OUT state text, OUT mode text, OUT errors text[], OUT outcome text) $OWNER AS $$
-  SELECT r[1], r[2], r[3:cardinality(r) - 1], r[cardinality(r)]
-  FROM rfsm.call('rfsm_send', key, events, id) r
-$$;
+  OUT state text, OUT mode text, OUT errors text[], OUT outcome text) $BY AS $$
+DECLARE r text[] := rfsm.call('rfsm_send', key, events, id);
+BEGIN
+  state := r[1];
+  mode := r[2];
+  errors := r[3:cardinality(r) - 1];
+  outcome := r[cardinality(r)];
+END $$;
 
 ]] .. concat(calls) .. [[
 REVOKE EXECUTE ON FUNCTION ]] .. concat(revoked, ", ") .. [[ FROM PUBLIC;

@@ -92,8 +92,9 @@ end
 
 -- Words of the schema. Functions in SQL run with the rights of their owner, not of
 -- their caller.
+local RIGHTS = "SECURITY DEFINER SET search_path = pg_catalog, pg_temp"
 local WORDS = { SECONDS = lease.SECONDS, MOST = lease.MOST, REASON = lease.REASON,
-  OWNER = "LANGUAGE sql SECURITY DEFINER SET search_path = pg_catalog, pg_temp" }
+  OWNER = "LANGUAGE sql " .. RIGHTS, BY = "LANGUAGE plpgsql " .. RIGHTS }
 
 local function schema_of(functions, options)
   local triggers = schema.TRIGGERS:gsub("%$(%u+)", {
