@@ -488,11 +488,10 @@ local function load_timer(fsm, timer, left)
 end
 
 -- Sets the times of entries from a snapshot: those of timed states, and those that
--- follow from the deadline of an e_after. Others are not known any more. Adds the names
--- of the former to a set.
-local function load_times(fsm, left, is_known)
-  for _, timer in ipairs(list_timers(fsm)) do timer.timers.sec = false end
-  for _, timer in ipairs(list_timers(fsm)) do
+-- follow from the deadline of an e_after that was loaded. Adds the names of the former
+-- to a set.
+local function load_times(fsm, loaded, left, is_known)
+  for _, timer in ipairs(loaded) do
     local event, timers = timer.event, timer.timers
     if is_usual(event) and not event.is_repeated and timer.sec and timer.sec < huge then
       timers.sec, timers.nsec = timer.sec - event.sec, timer.nsec - event.nsec
@@ -512,11 +511,11 @@ end
 -- Loads the timers of a snapshot. In a migration to a changed chart, a timer that is
 -- new in the chart is armed from now on, and a timer that the chart lacks is dropped.
 local function load(fsm, left, how)
-  local own, is_known = fsm._timeevent, {}
+  local own, loaded, is_known = fsm._timeevent, list_timers(fsm), {}
   left = left or {}
   own[true], own[false] = own.sends[1] and -huge or huge, huge
-  for _, timer in ipairs(list_timers(fsm)) do
-    is_known[timer.name] = true
+  for _, timer in ipairs(loaded) do
+    is_known[timer.name], timer.timers.sec = true, false
     set(fsm, timer, huge, 0)
     if left[timer.name] ~= nil then
       load_timer(fsm, timer, left[timer.name])
@@ -524,7 +523,7 @@ local function load(fsm, left, how)
       arm_now(fsm, timer)
     end
   end
-  load_times(fsm, left, is_known)
+  load_times(fsm, loaded, left, is_known)
   for _, name in ipairs(how.is_migrated and {} or rfsm.sorted_keys(left)) do
     if not is_known[name] then
       error("no active state has a timer '" .. text_of(name) .. "'", 0)

@@ -316,6 +316,7 @@ local function set_targets(own, targets)
   for i = 1, noted and 0 or #transitions do
     if transitions[i].tgt ~= first[i] then transitions[i].tgt = first[i] end
   end
+  if not targets then return end
   for tr, node in each(targets) do tr.tgt = node end -- any order
 end
 
@@ -416,19 +417,13 @@ local function load_part(part)
   end
 end
 
-local function is_of_other(part) return not part.is_own end
-
 -- Reports each event that waits in a machine of another chart, or is kept there by an
 -- extension, and that nothing takes any more.
-local function report_unwanted(parts)
-  local fsm = parts[1].fsm
-  for _, part in ipairs(parts) do
-    local waiting = match.joined(part.queue, rfsm.waiting(part.fsm))
-    for _, event in ipairs(part.is_own and NONE or waiting) do
-      if not match.maker_of(event) and not shape.wants(fsm, event) then
-        rfsm.report(fsm, "err", ("rfsm.snapshot: the event '%s' waits, but no "
-          .. "transition of the chart takes it"):format(rfsm.event_text(event)))
-      end
+local function report_unwanted(fsm, part)
+  for _, event in ipairs(match.joined(part.queue, rfsm.waiting(part.fsm))) do
+    if not match.maker_of(event) and not shape.wants(fsm, event) then
+      rfsm.report(fsm, "err", ("rfsm.snapshot: the event '%s' waits, but no "
+        .. "transition of the chart takes it"):format(rfsm.event_text(event)))
     end
   end
 end
@@ -438,7 +433,7 @@ local function set_parts(parts)
     if i == 1 or part.leaf or part.is_waiting then -- the first one resets the regions
       rfsm.place(part.fsm, part.leaf, part.mode, part.queue)
     end
-    set_targets(part.own, part.targets or NONE)
+    set_targets(part.own, part.targets)
   end
   for _, part in ipairs(parts) do load_part(part) end
 end
@@ -457,7 +452,7 @@ end
 
 -- Puts the leaf, the queue and the targets of a snapshot into a machine.
 local function put_place(fsm, own, snap)
-  local targets = snap.targets and unpack_targets(fsm, snap.targets) or NONE
+  local targets = snap.targets and unpack_targets(fsm, snap.targets)
   rfsm.place(fsm, own.nodes[snap.leaf], snap.done and "done" or "active",
     snap.queue and unpack_queue(snap) or {})
   set_targets(own, targets)
@@ -468,8 +463,8 @@ end
 -- snapshot after another into a machine.
 local function put_directly(fsm, snap)
   local own, data, ext = shape.of(fsm), snap.data or NONE, snap.ext or NONE
-  local keepers, hooks = own.chart.keepers, rfsm.snapshot_hooks(fsm)
   if not is_usual(own, snap) then return false end
+  local keepers, hooks = own.chart.keepers, rfsm.snapshot_hooks(fsm)
   put_place(fsm, own, snap)
   for i = 1, #keepers do
     local fqn = keepers[i].fqn
@@ -496,7 +491,9 @@ local function put(fsm, snap, options, may_reset)
     if has_before then pcall(set_parts, new_parts(fsm, before, NONE)) end
     error(failure, 0)
   end
-  if order.any(parts, is_of_other) then report_unwanted(parts) end
+  for _, part in ipairs(parts) do
+    if not part.is_own then report_unwanted(fsm, part) end
+  end
   for _, part in ipairs(options.entries and parts or NONE) do
     if part.leaf then rfsm.map_from_to(part.fsm, run_entry, part.fsm, part.leaf) end
   end
@@ -689,7 +686,7 @@ end
 ---@param kept { data: table?, saved: table?, targets: any[]? }
 function snapshot.put_data(fsm, kept)
   local part = new_part(fsm, kept, UNCHANGED)
-  set_targets(part.own, part.targets or NONE)
+  set_targets(part.own, part.targets)
   set_data(part)
 end
 

@@ -303,7 +303,7 @@ local function move_to(state, mode)
   if mode ~= "inactive" and state._is_leaf then fsm._act_leaf = state end
   while state ~= fsm do
     local parent = state._parent
-    if state._mode ~= "inactive" then parent._actchild = state end
+    if state._mode ~= "inactive" then rawset(parent, "_actchild", state) end
     parent._mode, state = "active", parent
   end
 end

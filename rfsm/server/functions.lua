@@ -404,24 +404,16 @@ local function due_of(machine, snap)
   return earliest(left and times.seen() + left or nil, machine.list)
 end
 
--- Returns the position of the last value in the list of a machine.
-local function last_of(list)
-  for i = HOLD, SEC, -1 do
-    if list[i] then return i end
-  end
-  return SNAP
-end
-
 -- Packs the list of a machine. Empty positions are false; those behind the last value
 -- are nil.
 local function pack_machine(machine, due)
-  local list = machine.list
+  local list, empty = machine.list, nil
   list[SEC], list[NSEC], list[DUE] = false, false, due
   if due then list[SEC], list[NSEC] = times.get() end
   if list[LATER] and not list[LATER][1] then list[LATER] = false end
-  local last = last_of(list)
-  for i = SEC, last do list[i] = list[i] or false end
-  for i = last + 1, HOLD do list[i] = nil end
+  for i = HOLD, SEC, -1 do
+    if list[i] then empty = false else list[i] = empty end
+  end
   machine.value = host.pack(list)
   local size = #tostring(machine.value)
   if size > MAX_VALUE then

@@ -87,8 +87,9 @@ end
 -- Returns how the chart of a machine differs from the chart of a part: "kept" if only
 -- the kept fields differ, "structure" if the structure does, nil if they are the same.
 local function change_of(machine, part)
-  local chart, name = shape.of(machine).chart, part.chart
-  if name == nil or name == chart.name or name == chart.name_before then return nil end
+  local name = part.chart
+  local chart = name and shape.of(machine).chart
+  if not name or name == chart.name or name == chart.name_before then return nil end
   local structure = name:match("^[^-]*")
   local is_kept = structure == chart.structure or structure == chart.structure_before
   return is_kept and "kept" or "structure"
