@@ -227,6 +227,8 @@ local function choice_of(chart)
 end
 
 -- Hosts -------------------------------------------------------------------------------
+--
+-- While an event waits in a machine that takes one, a host sends none: a premise.
 
 local function time_of(at) return math.floor(at.sec * MS + at.nsec / 1e6 + 0.5) end
 
@@ -302,7 +304,8 @@ function claim.run_at_random(chart, properties, options, seed)
       if fsm._act_leaf then
         now = next_moment(fsm, watched, now, world.random, options.period)
       end
-      if events[1] and world.random(2) == 1 then
+      local is_busy = fsm.read == "one" and rfsm.check_events(fsm) > 0
+      if events[1] and world.random(2) == 1 and not is_busy then
         rfsm.send_events(fsm, events[world.random(#events)])
       end
       world.steps = (world.steps or 0) + 1
