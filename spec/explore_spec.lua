@@ -433,6 +433,23 @@ describe("what a machine keeps and what waits in it", function()
     end)
   end
 
+  it("comes to a region before the time events of that step", function()
+    local region = state { warn = false, info = false, a = state {}, b = state {},
+      c = state {}, d = state {}, go("initial", "a"), go("a", "b", "e_x"),
+      go("a", "c", "e_after(1)"), go("b", "d", "e_after(1)@root.a") }
+    local model = state { warn = false, info = false, read = "one",
+      s = rfsm.seqand { arm = region }, go("initial", "s") }
+    local fsm, now = rfsm.init(model), 0
+    local arm = rfsm.machines(fsm)[2].machine
+    arm.gettime = function() return now, 0 end
+    for _ = 1, 4 do rfsm.step(fsm) end
+    now = 2
+    rfsm.send_events(fsm, "e_x")
+    for _ = 1, 4 do rfsm.step(fsm) end
+    assert.equal("root.d", rfsm.get_actleaf_fqn(arm))
+    assert.is_false(judged(model, { properties = { never "root.s.arm.d" } }))
+  end)
+
   it("comes in every order, if two are sent in a step", function()
     local model = state { warn = false, info = false, read = "one", a = state {},
       b = state { entry = yes }, c = state {}, go("initial", "a"),

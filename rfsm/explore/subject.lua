@@ -114,6 +114,7 @@ Subject.__index = Subject
 ---@field positions rfsm_checks.Position[] all positions found so far, by their `id`
 ---@field timed table<string, boolean> time events that come in the order of deadlines
 ---@field position rfsm_checks.Position the position in which the step began
+---@field coming rfsm_checks.Occurrence[] what comes to a region alone in this step
 ---@field rounds integer how many iterations it has made in this step
 ---@field inner rfsm_checks.Part[] its regions, in the order of the tree
 ---@field is_single boolean a step of the subject advances it at most once. In such a
@@ -433,6 +434,28 @@ local function reads_one(part)
   return read == "one" or read ~= "all" and part.owner and part.owner.reads_one or false
 end
 
+local function clear(list)
+  for i = #list, 1, -1 do list[i] = nil end
+end
+
+-- Adds the event of an occurrence to a queue.
+local function come(queue, occurrence)
+  local event = occurrence.event
+  if not (occurrence.is_repeated and match.has(queue, event)) then
+    queue[#queue + 1] = event
+  end
+end
+
+-- Has the events that come to a region alone come where those of timers do.
+local function add_source(part)
+  part.coming = {}
+  if not part.owner then return end
+  rfsm.source_hook_add(part.fsm, rfsm.repeatable(function(fsm)
+    for _, occurrence in ipairs(part.coming) do come(fsm._curq, occurrence) end
+    clear(part.coming)
+  end))
+end
+
 -- Makes a machine a part of the subject.
 local function add_part(self, part)
   local fsm = part.fsm
@@ -442,6 +465,7 @@ local function add_part(self, part)
   part.kept, part.keeps_order = kept.of(fsm), part.reads_one
   if part.owner then table.insert(part.owner.inner, part) end
   part.occurrences, part.timed, part.rounds = {}, {}, 0
+  add_source(part)
   self.parts[#self.parts + 1] = part
   for _, name in ipairs(SILENT) do fsm[name] = nil end
   fsm.info, fsm.err, fsm.warn = false, false, false
@@ -771,10 +795,6 @@ end
 local OF_STEP = { "taken", "passed", "heard", "last_events", "sent", "sent_later",
   "emitted", "called" }
 
-local function clear(list)
-  for i = #list, 1, -1 do list[i] = nil end
-end
-
 -- Drops the moments whose states are still active at the end of the step.
 local function keep_passed(self)
   for i = #self.passed, 1, -1 do
@@ -782,11 +802,16 @@ local function keep_passed(self)
   end
 end
 
-local function send(occurrences)
+-- Sends the events of a step. What comes to a region waits until the region looks for
+-- time events: by then it has the events that its parent machine passes on.
+local function send(self, occurrences)
+  for _, part in ipairs(self.parts) do clear(part.coming) end
   for _, occurrence in ipairs(occurrences) do
-    local queue, event = occurrence.part.fsm._intq, occurrence.event
-    if not (occurrence.is_repeated and match.has(queue, event)) then
-      queue[#queue + 1] = event
+    local part = occurrence.part
+    if part.owner then
+      part.coming[#part.coming + 1] = occurrence
+    else
+      come(part.fsm._intq, occurrence)
     end
   end
 end
@@ -804,7 +829,7 @@ function Subject:step(events, choices)
   if not order.is_empty(self.answers) then self.answers = {} end
   if not order.is_empty(self.entered) then self.entered = {} end
   for event in order.each(self.wanted) do self.wanted[event] = false end
-  send(events)
+  send(self, events)
   local ok, failure = pcall(rfsm.step, self.parts[1].fsm)
   if self.is_touched then data.put_back(self) end
   if ok then

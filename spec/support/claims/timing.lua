@@ -227,8 +227,6 @@ local function choice_of(chart)
 end
 
 -- Hosts -------------------------------------------------------------------------------
---
--- While an event waits in a machine that takes one, a host sends none: a premise.
 
 local function time_of(at) return math.floor(at.sec * MS + at.nsec / 1e6 + 0.5) end
 
@@ -280,6 +278,14 @@ local function next_moment(fsm, watched, now, random, period)
   return first + random(second - first)
 end
 
+-- Sends an event now and then, but none to a machine that takes one while one waits.
+local function send_by_chance(fsm, events, random)
+  local is_busy = fsm.read == "one" and rfsm.check_events(fsm) > 0
+  if events[1] and random(2) == 1 and not is_busy then
+    rfsm.send_events(fsm, events[random(#events)])
+  end
+end
+
 local function no_flags() return {} end
 
 -- Runs the chart so often. Returns a set of texts of what was seen, and of the names of
@@ -304,10 +310,7 @@ function claim.run_at_random(chart, properties, options, seed)
       if fsm._act_leaf then
         now = next_moment(fsm, watched, now, world.random, options.period)
       end
-      local is_busy = fsm.read == "one" and rfsm.check_events(fsm) > 0
-      if events[1] and world.random(2) == 1 and not is_busy then
-        rfsm.send_events(fsm, events[world.random(#events)])
-      end
+      send_by_chance(fsm, events, world.random)
       world.steps = (world.steps or 0) + 1
       rfsm.step(fsm)
       for _, text in ipairs(charts.stands_of(fsm, no_flags())) do seen[text] = true end
