@@ -802,13 +802,13 @@ local function keep_passed(self)
   end
 end
 
--- Sends the events of a step. What comes to a region waits until the region looks for
--- time events: by then it has the events that its parent machine passes on.
+-- Sends the events of a step. If the order decides, what comes to a region waits until
+-- the region looks for time events: by then it has the events of its parent machine.
 local function send(self, occurrences)
   for _, part in ipairs(self.parts) do clear(part.coming) end
   for _, occurrence in ipairs(occurrences) do
     local part = occurrence.part
-    if part.owner then
+    if part.owner and part.reads_one then
       part.coming[#part.coming + 1] = occurrence
     else
       come(part.fsm._intq, occurrence)
