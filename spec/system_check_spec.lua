@@ -919,6 +919,6 @@ end)
 describe("systems of random charts", function()
   it("agree with random runs", function()
     local claim = dofile "spec/support/claims/system.lua"
-    assert.is_nil(share.problem(claim, 30, true))
+    assert.is_nil(share.problem(claim, 60, true))
   end)
 end)
