@@ -164,7 +164,7 @@ local CHARTS = {
       size = { "4 states, 7 transitions" },
       snapshot = { '"queue":[{"cents":100,"name":"e_coin"}]' },
       strict = { "" },
-      tests = { 'assert.equal("idle -e_coin-> paying", run:step { { name = "e_coin" } })',
+      tests = { '"idle -e_coin-> paying", run:step { { name = "e_coin" } })',
         "after = 30.001", '"paying -e_coin-> internal"' },
       trace = { "RAISED              e_coin{cents=100}",
         'RAISED              e_choose{drink="cola"}' },
