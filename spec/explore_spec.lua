@@ -6,6 +6,7 @@ local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local share = require "spec.support.share"
 require "rfsm.await"
+require "rfsm.faults"
 require "rfsm.defer"
 require "rfsm_timeevent"
 local claim = require "spec.support.claims.explore"
@@ -432,6 +433,21 @@ describe("what a machine keeps and what waits in it", function()
       end
     end)
   end
+
+  it("is not known to come before a fault that its own step has made", function()
+    local function model(entry)
+      return state { warn = false, info = false, err = false, read = "one",
+        b = state { entry = entry }, c = state {}, d = state {}, go("initial", "b"),
+        go("b", "c", "e_done"), go("b", "d", "e_fault") }
+    end
+    local fsm = rfsm.init(model(error))
+    rfsm.run(fsm)
+    assert.equal("root.d", rfsm.get_actleaf_fqn(fsm))
+    local options = { properties = { never "root.d" } }
+    assert.is_nil(judged(model(yes), options))
+    assert.truthy(tostring(rfsm_checks.explore(model(yes), options)):find(
+      "not tried: 'e_fault@root.b' ahead of the events that wait", 1, true))
+  end)
 
   it("comes to a region before the time events of that step", function()
     local region = state { warn = false, info = false, a = state {}, b = state {},

@@ -104,7 +104,7 @@ go_on_announcing() { # go_on_announcing LOGS PROCESS
 # Runs a file; the last one of an interpreter prints the line.
 run_file() { # run_file LOGS LUA FILE
   logs=$1/${2##*/} log=$1/${2##*/}/${3##*/} options=
-  [ "$2" = tools/lua5.5 ] && options="--filter-out=Graphviz --filter-out=at.a.terminal"
+  [ "$2" = tools/lua5.5 ] && options="--filter-out=Graphviz --filter-out=at.a.terminal --filter-out=reads.XML"
   [ -d "$logs/began" ] || { mkdir "$logs/began" 2>/dev/null && date +%s >"$logs/time"; }
   read -r RFSM_SHARE <"$logs/share"
   export RFSM_SHARE
