@@ -1042,13 +1042,19 @@ describe("an operator who types what doc/redis.md prints", function()
     machines = fleet.connect(server:url(), { name = "m" })
   end)
 
-  it("begins with machines of two charts", function()
+  -- Types the lines of the page from one that begins so. Returns what each prints.
+  local function typed(first)
     local printed = {}
-    for i, line in ipairs(lines_of "rfsm redis examples") do
+    for i, line in ipairs(lines_of(first)) do
       line = line:gsub("redis%-cli", "redis-cli -p " .. server.port)
         :gsub("[^ ]*{7}[^ ]*", "'%0'")
       printed[i] = servers.output_of((line:find("^rfsm") and "tools/" or "") .. line)
     end
+    return printed
+  end
+
+  it("begins with machines of two charts", function()
+    local printed = typed "rfsm redis examples"
     assert.equal("", printed[1])
     assert.matches("^root.off\ndone\n.*taken\n", printed[2])
     assert.matches("^root.on.dim\ndone\n.*taken\n", printed[3])
@@ -1059,12 +1065,7 @@ describe("an operator who types what doc/redis.md prints", function()
     assert(machines:create("m:{7}:42", "order", { item = "cog" }))
     assert(machines:send("m:{7}:42", "e_paid"))
     server:move_clock(3600)
-    local printed = {}
-    for i, line in ipairs(lines_of "rfsm fleet redis://localhost hold --where age") do
-      line = line:gsub("redis%-cli", "redis-cli -p " .. server.port)
-        :gsub("[^ ]*{7}[^ ]*", "'%0'")
-      printed[i] = servers.output_of((line:find("^rfsm") and "tools/" or "") .. line)
-    end
+    local printed = typed "rfsm fleet redis://localhost hold --where age"
     assert.matches("^m:{7}:42 order root.picking newest %d+ s\nrfsm fleet: 1 found, "
       .. "nothing was done\n$", printed[1])
     assert.matches("\nkept: %[%]\nlater: %[%]\n.*\nwaiting: %[%]\n", printed[2])
