@@ -25,7 +25,9 @@ local function add_fields(model, trace, random)
   rfsm.mapfsm(function(obj)
     for _ = 1, random(3) do
       local name, value = NAMES[random(#NAMES)], VALUES[random(#VALUES)]
+      -- `run = 1` in a state with regions may advance one that is never idle, for ever
       local is_own = name == "events" and rfsm.is_trans(obj)
+        or (name == "run" or name == "step") and rfsm.is_state(obj)
         or name == "strict" and obj == model
       if rawget(obj, name) == nil and not is_own then obj[name] = value end
     end
