@@ -3604,6 +3604,14 @@ function rfsm.names_done(state)
   return state._awaits_done or false
 end
 
+-- Makes the lists of hooks of a machine and its regions, which read as their parent does.
+local function list_again(fsm)
+  list_hooks(fsm)
+  for _, state in ipairs(rfsm.elements(fsm, is_state)) do
+    for _, region in ipairs(rfsm.regions(state)) do list_again(region) end
+  end
+end
+
 --- Make a machine a region of another one, for extensions.
 ---@param region rfsm.Machine
 ---@param fsm rfsm.Machine the parent machine
@@ -3613,7 +3621,7 @@ function rfsm.set_parent(region, fsm, name)
   rawset(region, "_owner", fsm)
   rawset(region, "_region_name", name)
   rawset(region, "_got", { turn = 0, count = 0, length = huge }) -- see `forward`
-  list_hooks(region)
+  list_again(region)
 end
 
 --- Return the machine around a region, and the name of the region there.

@@ -475,6 +475,22 @@ describe("nesting", function()
         "leaf exit b", "leaf exit root" }, trace)
     end)
   end
+
+  for _, read in ipairs { "one", "all" } do
+    it("has regions read as the machine around them: " .. read, function()
+      local inner = parent(seqand { leaf = plain({}) })
+      local model = parent(seqand { inner = inner })
+      model.read, inner.read = "one", read == "all" and read or nil
+      local fsm = init(model)
+      rfsm.run(fsm)
+      local leaf = fsm.par.substates.inner.par.substates.leaf
+      rfsm.send_events(leaf, "e_other", "e_x")
+      rfsm.step(leaf)
+      assert.equal(read == "one" and "root.a" or "root.b", leaf._act_leaf._fqn)
+      rfsm.step(leaf)
+      assert.equal("root.b", leaf._act_leaf._fqn)
+    end)
+  end
 end)
 
 describe("a machine given as a region", function()
