@@ -3604,7 +3604,7 @@ function rfsm.names_done(state)
   return state._awaits_done or false
 end
 
--- Makes the lists of hooks of a machine and its regions, which read as their parent does.
+-- Lists the hooks of a machine and its regions anew: they read as their parent does.
 local function list_again(fsm)
   list_hooks(fsm)
   for _, state in ipairs(rfsm.elements(fsm, is_state)) do
