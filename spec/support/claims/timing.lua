@@ -251,8 +251,10 @@ local function deadlines_of(fsm, watched, now)
       local timers = state._mode ~= "inactive" and state._timers
       for _, timer in ipairs(timers or {}) do
         local event, is_alone = timer.event, timer.entry == timers.entry
-        add(time_of(is_alone and timer or { sec = timers.sec + event.sec,
-          nsec = timers.nsec + event.nsec }))
+        local ms = time_of(is_alone and timer or { sec = timers.sec + event.sec,
+          nsec = timers.nsec + event.nsec })
+        add(ms)
+        if event.is_repeated then add(ms + time_of(event)) end
       end
     end
     for _, send in ipairs((entry.machine._timeevent or {}).sends or {}) do
