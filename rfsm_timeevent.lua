@@ -52,15 +52,22 @@ if not has_clock then clock = new_clock() end
 
 local read = clock.read
 
+local BILLION = 1000000000 -- an integer: a float rounds the nanoseconds of Lua 5.3
+
 -- Time events: objects and texts ---------------------------------------------------
 
--- Returns a time as whole seconds, which may be infinite, and nanoseconds below 1e9.
+-- Returns a time as whole seconds, which may be infinite, and whole nanoseconds from 0
+-- to below a billion: times that are equal have equal numbers.
 local function normalise(sec, nsec)
-  if sec - sec ~= 0 then return sec, 0 end
-  local whole = floor(sec)
-  nsec = floor(nsec) + floor((sec - whole) * 1e9 + 0.5)
-  local rest = floor(nsec % 1e9)
-  return whole + floor((nsec - rest) / 1e9), rest
+  if sec % 1 == 0 and nsec % 1 == 0 and nsec < 1e9 and nsec >= 0 then
+    return sec, nsec
+  elseif sec - sec ~= 0 then
+    return sec, 0
+  end
+  local whole, below = floor(sec), floor(nsec)
+  nsec = below + floor((sec - whole) * 1e9 + (nsec - below) + 0.5)
+  local rest = floor(nsec % BILLION)
+  return whole + floor((nsec - rest) / BILLION), rest
 end
 
 -- Returns the whole seconds and nanoseconds of a text such as "0.25" or "1e-3"; nil if
@@ -226,8 +233,11 @@ end
 
 local function arm_now(fsm, timer)
   local time, sec, nsec = read(fsm, timer.event.is_relative)
-  if not time then report_clock(fsm, sec) end
-  arm(fsm, timer, time and sec, nsec)
+  if not time then
+    report_clock(fsm, sec)
+    return arm(fsm, timer, false, 0)
+  end
+  arm(fsm, timer, normalise(sec, nsec))
 end
 
 -- Arms the timers of a state that have a function or an e_at.
@@ -246,7 +256,7 @@ local function enter_state(fsm, state)
   timers.sec, timers.entry = false, timers.entry + 1
   local time, sec, nsec = read(fsm, true)
   if time then
-    timers.sec, timers.nsec = sec, nsec
+    timers.sec, timers.nsec = normalise(sec, nsec)
     time = time + timers.delay
     if not is_unusual then own[true] = time < soon and time or soon end
   else
@@ -381,6 +391,7 @@ end
 -- Appends the events of expired timers, and sends that are due, to the current events.
 local function raise_expired(fsm, is_relative, time, sec, nsec)
   if not time then return report_clock(fsm, sec) end
+  sec, nsec = normalise(sec, nsec)
   local expired, least = find_expired(fsm, is_relative, sec, nsec)
   least = raise_timers(fsm, expired, 1, least, sec, nsec)
   if is_relative then least = min(least, raise_sends(fsm, fsm._curq, sec, nsec)) end
@@ -404,7 +415,7 @@ end
 
 local function read_or_raise(fsm, is_relative)
   local time, sec, nsec = read(fsm, is_relative)
-  if time then return sec, nsec end
+  if time then return normalise(sec, nsec) end
   error("rfsm_timeevent: the clock failed: " .. text_of(sec), 0)
 end
 
@@ -474,7 +485,7 @@ local function loaded_time(left, what)
   if type(sec) ~= "number" or type(nsec) ~= "number" or sec - sec ~= nsec - nsec then
     error("seconds and nanoseconds expected for " .. what, 0)
   end
-  return sec, nsec
+  return normalise(sec, nsec)
 end
 
 -- Arms a timer with the time `left` from a snapshot. `left` is `true` if the deadline
@@ -834,7 +845,9 @@ function rfsm_timeevent.send_after(fsm, seconds, event, id)
   local now, sec, nsec = read(fsm, true)
   if not now then error(where .. "the clock failed: " .. text_of(sec), 2) end
   prepare_machine(fsm)
-  add_send(fsm, event, id, normalise(sec + seconds, nsec))
+  sec, nsec = normalise(sec, nsec)
+  local delay, rest = normalise(seconds, 0)
+  add_send(fsm, event, id, normalise(sec + delay, nsec + rest))
 end
 
 --- Drop an event of `send_after` that has not been sent yet.

@@ -2,6 +2,7 @@
 
 local calls = require "rfsm.shared.calls"
 local clock = require "rfsm.clock"
+local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
 local rfsm_timeevent = require "rfsm_timeevent"
 local seqand = require "rfsm_seqand"
@@ -25,8 +26,8 @@ local function new(members)
     trans { src = "a", tgt = "b", events = { "e_x", "e_after(3)" } } }
   for key, value in pairs(members or {}) do model[key] = value end -- any order
   local fsm = assert(rfsm.init(state(model)))
-  fsm.post_step_hook = function(_, events)
-    if events[1] ~= nil then fsm.came[#fsm.came + 1] = join(events) end
+  fsm.post_step_hook = function(own, events)
+    if events[1] ~= nil then own.came[#own.came + 1] = join(events) end
   end
   fsm.came = {}
   rfsm.run(fsm)
@@ -204,4 +205,67 @@ describe("an event that is sent later", function()
   it("comes as a list says, on random clocks", function()
     assert.is_nil(share.problem(dofile "spec/support/claims/sends.lua", 300))
   end)
+end)
+
+-- An event sent later and timers that come at one moment, at the time of day.
+describe("times that meet", function()
+  local START = 1700000000 -- seconds
+  local EVENTS = { "e_after(%.3f)", "e_every(%.3f)" }
+  local SHOWN = "e_after(%.3f)@root.a e_every(%.3f)@root.a e_sent"
+
+  -- Returns a machine that waits for them, 1.5 periods after its entry.
+  local function waiting_for(period, gettime, wait)
+    local fsm = new { gettime = gettime,
+      a = state { entry = function(fsm) send_after(fsm, 2 * period, "e_sent") end },
+      [2] = trans { src = "a", tgt = "internal", events = {
+        EVENTS[1]:format(2 * period), EVENTS[2]:format(period), "e_sent" } } }
+    wait(1.5 * period)
+    rfsm.run(fsm)
+    fsm.came = {}
+    return fsm
+  end
+
+  local function shown(period) return SHOWN:format(2 * period, period) end
+
+  it("come a nanosecond later, and not before", function()
+    for _, period in ipairs { 0.05, 0.15, 0.35, 0.55 } do
+      local exact = clock.simulated { now = START }
+      local fsm = waiting_for(period, exact, function(s) exact:advance(s) end)
+      exact:advance(0.5 * period)
+      for _ = 1, 2 do
+        rfsm.run(fsm)
+        assert.equal("", join(fsm.came))
+        local hook = fsm.post_step_hook
+        fsm = assert(snapshot.restore(fsm, snapshot.take(fsm)))
+        fsm.post_step_hook, fsm.came = hook, {}
+      end
+      exact:advance(1e-9)
+      rfsm.run(fsm)
+      assert.equal(shown(period), join(fsm.came))
+    end
+  end)
+
+  for _, case in ipairs {
+    { "seconds with a fraction", function(at) return at, 0 end },
+    { "nanoseconds in one number", function(at) return at * 1e9 end },
+    { "whole nanoseconds", function(at)
+      return math.floor(at) * 1000000000 + math.floor(at % 1 * 1e9)
+    end },
+  } do
+    it("come together on a clock of " .. case[1], function()
+      local random = new_random(7)
+      for _ = 1, 300 do
+        local entered, period = START + random(1000000) / 1e6, random(2000) / 1000
+        local at = entered
+        local fsm = waiting_for(period, function() return case[2](at) end,
+          function(s) at = at + s end)
+        at = entered + 2 * period - 2 ^ -22
+        for _ = 1, 5 do
+          if not fsm.came[1] then rfsm.run(fsm) end
+          at = at + 2 ^ -22
+        end
+        assert.equal(shown(period), join(fsm.came))
+      end
+    end)
+  end
 end)
