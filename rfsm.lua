@@ -1402,7 +1402,7 @@ local function tell_watch(fsm, what, ...)
 end
 
 -- Reports that a callback has failed. For a doo `callback` is nil, because the doo was
--- called by its coroutine.
+-- called by its coroutine; for a guard it is nil if a guard hook has failed.
 local function report_callback(fsm, name, owner, callback, failure)
   if rfsm.is_interrupt(failure) then return keep_failure(fsm, failure) end
   if callback ~= nil and not is_callable(callback) then
@@ -1748,7 +1748,7 @@ do
     for _, hook in ipairs(fsm._guard_hooks[tr] or NONE) do
       if not promises[hook] then fsm._is_lent = true end
       local ok, answer = pcall(hook, tr, events, event)
-      if not ok then answer = refuse_guard(fsm, tr, hook, answer) end
+      if not ok then answer = refuse_guard(fsm, tr, nil, answer) end
       if answer == false then return true end
     end
     return false
@@ -2488,7 +2488,15 @@ do
     leaf._mode = "done" -- last: after an interrupt the events are queued again
   end
 
-  local function end_doo(fsm, leaf)
+  --- End the doo of the active leaf as if it had returned, for extensions.
+  --
+  -- The doo calls this, and then yields true. So its coroutine stays alive for machines
+  -- that are copies of this one.
+  --
+  ---@param fsm rfsm.Machine
+  ---@param leaf rfsm.State
+  ---@package
+  function rfsm.end_doo(fsm, leaf)
     if leaf._mode ~= "done" then complete(fsm, leaf) end
     if fsm._at < 2 then
       fsm._at = 2
@@ -2534,7 +2542,7 @@ do
       if not ok then leaf._mode = "done" end
     end
     if ok and status(co) ~= "dead" then return not not idle end
-    if ok then end_doo(fsm, leaf) else fail_doo(fsm, leaf, idle) end
+    if ok then rfsm.end_doo(fsm, leaf) else fail_doo(fsm, leaf, idle) end
     return true
   end
 end

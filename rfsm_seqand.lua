@@ -177,14 +177,6 @@ local function idle_flag(state, are_all_idle)
   return flag == nil or flag
 end
 
--- Advances all regions. Returns true if all are idle.
-local function advance_regions(fsm, state)
-  local regions, are_all_idle = state._regions, true
-  forward(fsm, regions)
-  for i = 1, #regions do are_all_idle = advance(fsm, state, i) and are_all_idle end
-  return are_all_idle
-end
-
 -- Has each region come to a final leaf in its root that is done? Then the state is done
 -- if a transition waits for that.
 local function is_joined(state)
@@ -196,16 +188,22 @@ local function is_joined(state)
   return regions[1] ~= nil and rfsm.names_done(state)
 end
 
--- The doo. It runs only in iterations that take no transition, and the events of such
--- an iteration go to the regions. It ends when the regions are joined; no interrupt
--- ends it.
+-- Advances all regions, and ends the doo when they are joined. Returns what the doo
+-- yields.
 local function advance_all(fsm, state)
-  while true do
-    local are_all_idle = try(fsm, advance_regions, fsm, state)
-    if is_joined(state) then return true end
-    -- `yield` returns the next machine: copies of a machine share this coroutine
-    fsm, state = rfsm.yield(idle_flag(state, are_all_idle))
-  end
+  local regions, are_all_idle = state._regions, true
+  forward(fsm, regions)
+  for i = 1, #regions do are_all_idle = advance(fsm, state, i) and are_all_idle end
+  if not is_joined(state) then return idle_flag(state, are_all_idle) end
+  rfsm.end_doo(fsm, state)
+  return true
+end
+
+-- The doo. It runs only in iterations that take no transition, and the events of such
+-- an iteration go to the regions. It never returns, since copies of a machine share its
+-- coroutine: `yield` returns the machine that goes on. No interrupt ends it.
+local function run_regions(fsm, state)
+  while true do fsm, state = rfsm.yield(try(fsm, advance_all, fsm, state)) end
 end
 
 -- The entry calls the user's entry, then advances each region as the doo does.
@@ -441,7 +439,7 @@ local function new_state(fields)
   local field, text = check_order(state.order, regions)
   if not field then field, text = check_advance(state) end
   if field then return nil, field .. ": " .. text end
-  state.substates, state.doo = regions, advance_all
+  state.substates, state.doo = regions, run_regions
   return rfsm.state(state)
 end
 

@@ -10,7 +10,7 @@
 
 local rfsm = require "rfsm"
 
-local ipairs, rawequal, rawget = ipairs, rawequal, rawget
+local ipairs, rawget = ipairs, rawget
 local tostring, type = tostring, type
 
 --- The event of a fault.
@@ -18,18 +18,20 @@ local tostring, type = tostring, type
 ---@field name string "e_fault@F": F is the FQN of the state whose transition names it
 ---@field callback "entry"|"exit"|"doo"|"guard"|"effect"
 ---@field element string what has failed: the FQN of a state, or a transition as text
+---@field region? string the name of the region that has the element: "root.arms.left"
 ---@field message string
 ---@field traceback? string if there is the library `debug`
 
 local function name_of(state) return "e_fault@" .. state._fqn end
 
 -- Is a fault of an element current in a machine, or waiting?
-local function is_known(fsm, element)
+local function is_known(fsm, element, region)
   for _, list in ipairs { fsm._curq, fsm._intq } do
     for _, event in ipairs(list) do
       local name = type(event) == "table" and rawget(event, "name")
       if type(name) == "string" and name:find("^e_fault@")
-        and rawget(event, "element") == element then
+        and rawget(event, "element") == element
+        and rawget(event, "region") == region then
         return true
       end
     end
@@ -48,10 +50,10 @@ local function naming(node)
   end
 end
 
--- Returns the state of a machine that runs a region.
-local function state_of(fsm, region)
+-- Returns where a region runs, at any depth in a machine.
+local function place_of(fsm, region)
   for _, at in ipairs(rfsm.machines(fsm)) do
-    if at.machine == region then return at.state end
+    if at.machine == region then return at end
   end
 end
 
@@ -62,13 +64,14 @@ local function traceback(owner)
   return thread and debug.traceback(thread) or debug.traceback("", 3)
 end
 
-local function send(fsm, states, owner, callback, failure)
+local function send(fsm, failing, states, owner, callback, failure)
   local element = owner._fqn or tostring(owner)
-  if not states[1] or is_known(fsm, element) then return end
+  local region = failing ~= fsm and place_of(fsm, failing).prefix or nil
+  if not states[1] or is_known(fsm, element, region) then return end
   local trace = traceback(owner)
   for _, state in ipairs(states) do
     local fault = { name = name_of(state), callback = callback, element = element,
-      message = rfsm.text_of(failure), traceback = trace }
+      region = region, message = rfsm.text_of(failure), traceback = trace }
     fsm._intq[#fsm._intq + 1] = fault
     rfsm.report(fsm, "dbg", "RAISED", fault)
   end
@@ -77,17 +80,15 @@ end
 -- The watch hook: sends the events of a callback that has failed in this machine or in
 -- one inside it, unless an active state there, or nearer to it, names them.
 local function note_failure(fsm, failing, owner, callback, failure, f)
-  local is_own = callback == "doo" or rawequal(owner[callback], f)
   local is_asked = callback == "guard" and failing._phase == "idle"
-  if is_asked or not is_own then return end -- a tool asks, or a guard hook failed
-  local node = rfsm.is_trans(owner) and owner.src or owner
-  while true do
-    local states = naming(node)
-    if failing == fsm then return send(fsm, states, owner, callback, failure) end
-    local parent = rfsm.parent(failing)
-    if states[1] then return end
-    node, failing = state_of(parent, failing), parent
+  if is_asked or callback == "guard" and f == nil then return end -- by a tool; a hook
+  local machine, node = failing, rfsm.is_trans(owner) and owner.src or owner
+  while machine ~= fsm do
+    if naming(node)[1] then return end
+    local around = rfsm.parent(machine)
+    machine, node = around, place_of(around, machine).state
   end
+  return send(fsm, failing, naming(node), owner, callback, failure)
 end
 
 -- Has a transition from a state take the event of its source.

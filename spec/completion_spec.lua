@@ -221,6 +221,14 @@ describe("a sequential AND state", function()
     assert.equal("active", rfsm.get_sta_mode(fsm.c))
   end)
 
+  it("is joined in a copy of a machine that has joined it", function()
+    local fsm = send(around(rfsm.seqand { a = region "e_a", b = region "e_b" }), "e_a")
+    local copy = helper.copy_of(fsm)
+    for _, machine in ipairs { fsm, copy } do
+      assert.equal("root.z", at(send(machine, "e_b")))
+    end
+  end)
+
   it("is left alone when it is done", function()
     local fsm = joined({}, { [2] = trans { src = "c", tgt = "z", events = { "e_done" },
       guard = function() return false end } })

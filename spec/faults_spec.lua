@@ -111,6 +111,40 @@ describe("e_fault", function()
     assert.equal(2, #fsm.reported)
   end)
 
+  it("comes if the callback has replaced itself", function()
+    for _, case in ipairs {
+      { b = state { entry = function(_, b)
+        b.entry = nil
+        fail()
+      end } },
+      { [2] = trans { src = "a", tgt = "b", events = { "e_b" }, guard = function(tr)
+        tr.guard = nil
+        fail()
+      end } },
+    } do assert.equal("root.safe", at(send(new({}, case), "e_b"))) end
+  end)
+
+  it("comes for elements of the same name in two regions", function()
+    local seen = {}
+    local function region()
+      return state { info = false, warn = false, err = false, x = state {},
+        y = state { entry = fail }, trans { src = "initial", tgt = "x" },
+        trans { src = "x", tgt = "y", events = { "e_b" } } }
+    end
+    local inner = state { info = false, warn = false, err = false,
+      p = rfsm.seqand { idle_doo = "auto", region() },
+      trans { src = "initial", tgt = "p" } }
+    local fsm = new { pre_step_hook = function(_, events)
+      for _, event in ipairs(events) do
+        local is_fault = type(event) == "table"
+        seen[#seen + 1] = is_fault and event.element .. " in " .. event.region or nil
+      end
+    end, work = rfsm.seqand { idle_doo = "auto", arm = region(), base = inner },
+      [2] = trans { src = "work", tgt = "internal", events = { "e_fault" } } }
+    send(fsm, "e_b")
+    assert.same({ "root.y in root.work.arm", "root.y in root.work.base.p.1" }, seen)
+  end)
+
   it("is queued before err is called, and err prints as before", function()
     local waiting
     local fsm = new({ err = function(...)

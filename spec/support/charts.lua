@@ -16,6 +16,8 @@
 
 local new_random = require "spec.support.random"
 
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
 local charts = {}
 
 -- Events that are no strings: compared by identity, and never copied.
@@ -30,9 +32,9 @@ local EVENTS = { "e1", "e2", "e3", "e4", 7, false, OBJECT, LIAR, OTHER_LIAR }
 
 charts.OBJECTS = { OBJECT, LIAR, OTHER_LIAR }
 
--- Matches itself, and each event with a 2 in it; fails for numbers.
+-- Matches itself, and each event with a 2 in it; fails for numbers and for faults.
 local function predicate(event)
-  if event == 7 then error("no number") end
+  if event == 7 or type(event) == "table" and event.element then error("no text") end
   return tostring(event):find("2", 1, true) ~= nil
 end
 
@@ -437,6 +439,29 @@ function charts.add_deferrals(chart, events, max)
       node.defer = { random:pick(pool), random:pick(pool), max = max }
       if not events and random:chance(10) then node.defer[1] = predicate end
     end
+  end
+end
+
+-- Faults -----------------------------------------------------------------------
+
+-- Has a list of transitions name e_fault now and then.
+local function name_faults(chart, random, list)
+  for _, tr in ipairs(list) do
+    local node = chart.nodes[tr.src]
+    if node and node.kind == "state" and tr.events[1] ~= nil and random:chance(30) then
+      tr.events_ref = { "e_fault", unpack(tr.events_ref) }
+      tr.events = { "e_fault@" .. tr.src, unpack(tr.events) }
+    end
+  end
+end
+
+--- Has some transitions name e_fault, for rfsm.faults. A tame chart becomes idle.
+function charts.add_faults(chart)
+  if chart.is_tame then return end
+  local random = new_random(chart.seed + 16)
+  name_faults(chart, random, chart.transitions)
+  for _, merge in ipairs(chart.merges) do
+    name_faults(chart, random, merge.transitions)
   end
 end
 

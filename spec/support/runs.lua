@@ -9,12 +9,14 @@ local rfsm = require "rfsm"
 local runs = {}
 
 local function text_of(value)
-  if type(value) == "table" and getmetatable(value) == nil then
-    local texts = {}
-    for i, item in ipairs(value) do texts[i] = tostring(item) end
-    return "[" .. table.concat(texts, ", ") .. "]"
+  if type(value) ~= "table" or getmetatable(value) then return tostring(value) end
+  if value.element then -- a fault
+    return ("%s %s %s %s: %s"):format(value.name, value.callback, value.element,
+      tostring(value.region), value.message)
   end
-  return tostring(value)
+  local texts = {}
+  for i, item in ipairs(value) do texts[i] = text_of(item) end
+  return "[" .. table.concat(texts, ", ") .. "]"
 end
 
 local function note(world, ...)

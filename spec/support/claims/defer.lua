@@ -1,5 +1,5 @@
--- A machine with rfsm.defer leaves the trace of the oracle, also with histories, timers
--- and regions.
+-- A machine with rfsm.defer leaves the trace of the oracle, also with histories,
+-- timers, faults and regions.
 
 local charts = require "spec.support.charts"
 local driven = require "spec.support.driven"
@@ -9,6 +9,7 @@ local new_random = require "spec.support.random"
 local reference = require "spec.support.reference"
 local runs = require "spec.support.runs"
 require "rfsm.defer"
+require "rfsm.faults"
 require "rfsm_seqand"
 require "rfsm_timeevent"
 
@@ -65,10 +66,12 @@ local function new_chart(seed)
   local chart, random = charts.generate(seed), new_random(seed + 3)
   if random:chance(40) then add_regions(chart, random) end
   local has_history, has_timers = random:chance(50), random:chance(60)
+  local has_faults = random:chance(60)
   each_chart(chart, function(own)
     charts.add_deferrals(own)
     if has_history then charts.add_histories(own) end
     if has_timers then add_timers(own, new_random(own.seed + 3)) end
+    if has_faults then charts.add_faults(own) end
   end)
   return chart
 end
@@ -133,6 +136,12 @@ end
 
 local function add_region_model(calls, _, world)
   local machine, active, current, is_forwarded = world.machine, false, {}, false
+  for fqn, regions in pairs(world.regions) do -- any order: each stands alone
+    for i, region in ipairs(regions) do
+      local own = region.machine
+      own.around, own.inside, own.region = machine, fqn, tostring(i)
+    end
+  end
 
   -- Calls f for each region of the active state; errors wait for the iteration's end.
   local function each(f)
