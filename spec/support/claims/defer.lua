@@ -198,6 +198,7 @@ local function add_region_model(calls, _, world)
     end
   end
   function calls.post_hook(events)
+    current = events -- pre hooks are not called ahead of what needs no event
     local is_open = active and machine.mode[active] == "active"
     if is_open and not is_forwarded then forward() end
     is_forwarded = false

@@ -452,9 +452,29 @@ function claim.outside_events(own)
   return list
 end
 
+-- Has most regions end, and e_done leave the states that have them.
+local function add_joins(chart, random)
+  for _, tr in ipairs(chart.transitions) do
+    if chart.regions[tr.src] and tr.events_ref and random:chance(60) then
+      tr.events_ref = { "e_done", unpack(tr.events_ref) }
+    end
+  end
+  for _, fqn in ipairs(chart.names) do
+    for _, region in ipairs((chart.regions[fqn] or {}).of or {}) do
+      for _, name in ipairs(region.names) do
+        local node = region.nodes[name]
+        local may_end = node.is_leaf and node.parent == "root" and random:chance(60)
+        node.final = node.final or may_end or nil
+      end
+      add_joins(region, random)
+    end
+  end
+end
+
 -- Appends in which way exploring the chart of `seed` and random runs differ.
 local function compare(seed, list)
   local chart, random = claim.chart(seed), new_random(seed + 13)
+  add_joins(chart, new_random(seed + 19))
   local options, choice = options_of(chart, random)
   local walk = explore_chart(chart, options, choice.sends)
   if walk.bound then return end
