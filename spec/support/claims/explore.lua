@@ -56,12 +56,12 @@ local function add_events(chart, random, is_timed)
   end
 end
 
--- Gives some leaves regions, which are charts, too.
-local function add_regions(chart, random, depth, is_timed)
+-- Gives some leaves, by chance, regions, which are charts, too.
+local function add_regions(chart, random, depth, is_timed, chance)
   chart.regions = {}
   for _, fqn in ipairs(chart.names) do
     local node = chart.nodes[fqn]
-    if depth < 2 and fqn ~= "root" and node.is_leaf and random:chance(8) then
+    if depth < 2 and fqn ~= "root" and node.is_leaf and random:chance(chance) then
       node.doo = false
       chart.regions[fqn] = { step = random:below(2), of = {} }
       for i = 1, random:below(2) do
@@ -78,7 +78,7 @@ function claim.chart(seed, depth, is_timed)
   if seed % 3 == 0 then charts.add_histories(chart) end
   if seed % 4 == 0 then charts.add_deferrals(chart, EVENTS, 2) end
   chart.read = seed % 5 == 0 and "one" or nil
-  add_regions(chart, random, depth or 0, is_timed)
+  add_regions(chart, random, depth or 0, is_timed, 8)
   return chart
 end
 
@@ -452,29 +452,49 @@ function claim.outside_events(own)
   return list
 end
 
--- Has most regions end, and e_done leave the states that have them.
-local function add_joins(chart, random)
+-- Adds transitions of faults and timers that repeat, and such that need no event.
+local function add_words(chart, random)
   for _, tr in ipairs(chart.transitions) do
-    if chart.regions[tr.src] and tr.events_ref and random:chance(60) then
-      tr.events_ref = { "e_done", unpack(tr.events_ref) }
-    end
-  end
-  for _, fqn in ipairs(chart.names) do
-    for _, region in ipairs((chart.regions[fqn] or {}).of or {}) do
-      for _, name in ipairs(region.names) do
-        local node = region.nodes[name]
-        local may_end = node.is_leaf and node.parent == "root" and random:chance(60)
-        node.final = node.final or may_end or nil
-      end
-      add_joins(region, random)
+    if chart.nodes[tr.src].kind == "state" and tr.events_ref and random:chance(25) then
+      local word = random:pick { "e_fault", "e_every(1)", false }
+      tr.events_ref = word and { word, unpack(tr.events_ref) } or nil
+      tr.always, tr.guard = not word, tr.guard or not word
     end
   end
 end
 
+-- Has regions end in most leaves right in their root, and e_done leave the state.
+local function add_join(chart, fqn)
+  for _, tr in ipairs(chart.transitions) do
+    if tr.src == fqn and tr.events_ref then
+      tr.events_ref = { "e_done", unpack(tr.events_ref) }
+    end
+  end
+  for _, region in ipairs(chart.regions[fqn].of) do
+    for _, node in pairs(region.nodes) do -- any order: all alike
+      if node.is_leaf and node.parent == "root" then node.final = true end
+    end
+  end
+end
+
+-- Returns the chart of a seed, with more of what completes than others have.
+local function complete_chart(seed)
+  local chart, random = claim.chart(seed), new_random(seed + 19)
+  if not next(chart.regions) then add_regions(chart, random, 1, false, 25) end
+  for _, fqn in ipairs(chart.names) do
+    local regions = chart.regions[fqn]
+    for _, region in ipairs(regions and regions.of or {}) do
+      add_words(region, random)
+    end
+    if regions then add_join(chart, fqn) end
+  end
+  add_words(chart, random)
+  return chart
+end
+
 -- Appends in which way exploring the chart of `seed` and random runs differ.
 local function compare(seed, list)
-  local chart, random = claim.chart(seed), new_random(seed + 13)
-  add_joins(chart, new_random(seed + 19))
+  local chart, random = complete_chart(seed), new_random(seed + 13)
   local options, choice = options_of(chart, random)
   local walk = explore_chart(chart, options, choice.sends)
   if walk.bound then return end
