@@ -652,7 +652,7 @@ local function note_mount(build, node)
   mounts[#mounts + 1], build.mounts[node._model] = node, mounts
 end
 
-local clone_below, is_own_field, new_node, new_transition
+local clone_below, new_node, new_transition
 
 do
   -- Returns the value, or in place of a plain table a new one, to be filled later.
@@ -765,7 +765,7 @@ do
   -- Copies a field of the user's data.
   local function clone_datum(build, kind, obj, key, value)
     local is_root = rawequal(obj, build.fsm)
-    if is_root and is_own_field(key) then
+    if is_root and is_meta(key) and obj[key] ~= nil then
       return add(build.warnings, obj, key, "the machine has a field of this name, this "
         .. "one is ignored")
     end
@@ -1141,9 +1141,8 @@ do
 
   -- Drops all that was made of the structure while the machine ran.
   function forget(fsm)
-    fsm._merges, fsm._structure = fsm._merges + 1, false
+    fsm._merges, fsm._structure, fsm._segments = fsm._merges + 1, false, NONE
     drop_paths(fsm)
-    for _, tr in ipairs(fsm._transitions) do tr._segments = nil end
     for _, node in ipairs(fsm._nodes) do -- a path that is being taken reads the notes
       local note = fsm._ways[node]
       if note then note.otrs = node._otrs end
@@ -1159,14 +1158,16 @@ do
     for i = state._depth - lca._depth, 1, -1 do
       entries[i], state = state, state._parent
     end
-    return { tr = tr, tgt = tgt, lca = lca, entries = entries,
-      is_internal = is_internal, connector = not tgt._mode and tgt }
+    local segment = { tr = tr, tgt = tgt, lca = lca, entries = entries }
+    if is_internal then segment.is_internal = true end -- absent: less memory
+    if not tgt._mode then segment.connector = tgt end
+    return segment
   end
 
   -- Returns the segment of a transition whose target a program may have changed. Each
   -- is made once. Returns nil if the target is no node of the machine.
   function segment_of(fsm, tr)
-    local tgt, segments = tr.tgt, tr._segments
+    local tgt, segments = tr.tgt, fsm._segments[tr]
     if segments and segments[tgt] then return segments[tgt] end
     if not is_node_of(fsm, tgt) then
       rfsm.report(fsm, "err", "ERROR: tgt of " .. text_of(tr.src._fqn or tr.src)
@@ -1178,9 +1179,11 @@ do
       to = rawget(tgt, "initial")
     end
     if not to then return nil end
-    tr._segments = segments or {}
-    tr._segments[tgt] = new_segment(tr, to)
-    return tr._segments[tgt]
+    segments = segments or {}
+    segments[tgt] = new_segment(tr, to)
+    if fsm._segments == NONE then fsm._segments = {} end
+    fsm._segments[tr] = segments
+    return segments[tgt]
   end
 end
 
@@ -1201,7 +1204,8 @@ local OWN_ONLY = { OWN }
 -- Fields that a machine inherits until it sets them.
 local DEFAULTS = {
   rfsm = "state", type = State.type, new = State.new, _id = "root", _fqn = "root",
-  _choices = NONE,
+  _choices = NONE, _entrance = false, _given_to = false, _structure = false,
+  _segments = NONE, -- transition -> target -> rfsm.Segment
   dbg = silent, getevents = no_events, _guard_hooks = false, _fates = false,
   _has_paths = false, _merges = 0, _entry_hooks = false, _exit_hooks = false,
   _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
@@ -1233,8 +1237,8 @@ local function own_fields()
     _parent = false, _mode = "inactive", _otrs = false, _act_leaf = false,
     _intq = { "e_init_fsm" }, _curq = {}, _initialized = false,
     -- the structure
-    _model = false, _nodes = false, _transitions = {}, _structure = false, _index = 1,
-    _depth = 0, _is_leaf = true, _entrance = false, _choices = NONE,
+    _model = false, _nodes = false, _transitions = {}, _index = 1, _depth = 0,
+    _is_leaf = true,
     -- the iteration, see "Run":
     --   _path       the path being taken, or the last one since `took_path` was called
     --   _event      the event that counts for the segment being taken
@@ -1254,18 +1258,10 @@ local function own_fields()
     --   _is_hooked  true if the machine has step hooks or getevents
     _phase = "idle", _path = false, _ways = {}, _search = 0,
     _outcome = "free", _at = 0, _hook = 0, _is_usual = false, _is_cut = false,
-    _given = false, _given_to = false, _is_lent = false,
-    _is_hooked = false, _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _turn = 0,
-    _before = false, _after = false, _lends = false, _unread = 0, _reads_one = false,
+    _given = false, _is_lent = false, _is_hooked = false, _pre_hooks = OWN_ONLY,
+    _post_hooks = OWN_ONLY, _turn = 0, _before = false, _after = false,
+    _lends = false, _unread = 0, _reads_one = false,
   }
-end
-
-do
-  local taken = own_fields()
-
-  function is_own_field(key)
-    return taken[key] ~= nil or is_meta(key) and DEFAULTS[key] ~= nil
-  end
 end
 
 -- What functions promise, by `rfsm.borrows` or `rfsm.repeatable`: the name of that
@@ -1798,8 +1794,10 @@ do
   local function find_way(fsm, note, i, events, first) -- luacheck: ignore 561 (a call)
     local tr, way = note.otrs[i], note.found
     if not tr or way and (tr.pn or 0) ~= (way.tr.pn or 0) then
-      if note.others then warn_of_conflict(fsm, note.others) end
-      note.others = false
+      if note.others then
+        warn_of_conflict(fsm, note.others)
+        note.others = false
+      end
       note.way = way
       return
     end
@@ -1829,7 +1827,7 @@ do
         if answer == false then return nil end
       end
     end
-    local segment = tr._segments
+    local segment = fsm._segments[tr]
     segment = segment and segment[tr.tgt] or segment_of(fsm, tr)
     local note = segment and segment.connector
     if not note then return segment end
@@ -3439,7 +3437,8 @@ do
     local hooks, front = append({}, old), old.front or 0
     local before = place == "before" and front + 1 or #hooks + 1
     insert(hooks, place == "front" and 1 or before, hook)
-    hooks.front = place == "front" and front + 1 or front
+    if place == "front" then front = front + 1 end
+    if front > 0 then hooks.front = front end
     owner[field] = hooks
   end
 
@@ -3646,12 +3645,12 @@ end
 do
   local PARTS = { seqand = "rfsm_seqand", forward = "rfsm_seqand", pp = "rfsmpp",
     fsm_merge = "rfsm.merge", follow_fates = "rfsm.fates", foretell = "rfsm.fates",
-    prepare = "rfsm.prepare", save_memory = "rfsm.prepare" }
+    prepare = "rfsm.prepare", save_memory = "rfsm.prepare", machines = "rfsm.prepare",
+    note_cut = "rfsm.prepare", set_emit = "rfsm.prepare" }
 
-  for name in ([[check_between_steps check_no_otrs is_in machines map_from_to
-    node_find_enabled note_cut place set_emit set_sta_mode begin_in snapshot_hooks
-    structure_of target_of targets took_path waiting check_events is_free is_idle
-    ]]):gmatch("%S+") do
+  for name in ([[check_between_steps check_no_otrs is_in map_from_to
+    node_find_enabled place set_sta_mode begin_in snapshot_hooks structure_of target_of
+    targets took_path waiting check_events is_free is_idle ]]):gmatch("%S+") do
     PARTS[name] = "rfsm.tools"
   end
 

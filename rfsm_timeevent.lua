@@ -151,6 +151,9 @@ end
 ---@field has_at boolean a timer of the machine is an e_at
 ---@field is_unusual boolean a timer is an e_at or has a timeout function
 ---@field sends rfsm_timeevent.Send[] events to be sent later; the last is sent first
+---@field raised rfsm_timeevent.Timer|false the timer whose event came last
+---@field turn integer the iteration in which this event came
+---@field at integer the place of this event among the current events
 
 --- The timers of a state, in a list: the field `_timers` of the state.
 ---@class rfsm_timeevent.Timers
@@ -159,7 +162,6 @@ end
 ---@field delay number seconds of the shortest e_after or e_every without a function,
 -- less MARGIN; huge if there is none
 ---@field entry integer how often the state has been entered
----@field is_timed boolean snapshots keep the time since the entry
 
 --- A timer. The entry of a state arms all timers of the state.
 ---@class rfsm_timeevent.Timer
@@ -171,8 +173,6 @@ end
 ---@field nsec number nanoseconds in addition to `sec`
 ---@field left number nanoseconds until the deadline, at the latest search
 ---@field rank integer position of the timer in the list of the latest search
----@field turn integer the iteration in which its event came last
----@field at integer the place of that event among the current events
 
 local MARGIN = 0.001 -- seconds; above the rounding error of a time stored as a float
 
@@ -365,13 +365,14 @@ end
 -- Appends the event of an expired timer to the current events, after an interrupt at
 -- the same place again. A time of an e_every is missed while the event of one waits.
 local function raise_timer(fsm, timer)
-  local events = fsm._curq
+  local events, own = fsm._curq, fsm._timeevent
   if timer.event.is_repeated and has(events, 1, timer.name) then return false end
-  if timer.turn ~= fsm._turn then
-    timer.at = #events + 1
-    timer.turn = fsm._turn
+  if own.raised ~= timer or own.turn ~= fsm._turn then
+    own.at = #events + 1
+    own.raised = timer
+    own.turn = fsm._turn
   end
-  events[timer.at] = timer.name
+  events[own.at] = timer.name
   return true
 end
 
@@ -439,7 +440,7 @@ end
 local function list_timed(fsm)
   local list, state = {}, fsm._mode ~= "inactive" and fsm
   while state do
-    if state._timers and state._timers.is_timed then list[#list + 1] = state end
+    if state._timers and state.timed == true then list[#list + 1] = state end
     state = state._actchild
   end
   return list
@@ -569,7 +570,7 @@ local function list_waiting(fsm) return list_sends(fsm, event_of) end
 local function prepare_machine(fsm)
   if fsm._timeevent then return end
   fsm._timeevent = { [true] = huge, [false] = huge, has_timers = false, has_at = false,
-    is_unusual = false, sends = {} }
+    is_unusual = false, sends = {}, raised = false, turn = 0, at = 0 }
   rfsm.source_hook_add(fsm, rfsm.repeatable(check_timers))
   rfsm.reset_hook_add(fsm, drop_sends)
   rfsm.waiting_hook_add(fsm, list_waiting)
@@ -633,8 +634,7 @@ local function prepare_timers(fsm, state)
     rfsm.snapshot_hook_add(fsm, "timers", save, load)
   end
   if not state._timers then
-    state._timers = { sec = false, nsec = 0, delay = huge, entry = 0,
-      is_timed = false }
+    state._timers = { sec = false, nsec = 0, delay = huge, entry = 0 }
     rfsm.entry_hook_add(fsm, state, rfsm.repeatable(enter_state))
   end
   return state._timers
@@ -660,7 +660,7 @@ end
 local function add_timer(fsm, state, name, event)
   local own, timers = fsm._timeevent, state._timers
   local timer = { name = name, event = event, timers = timers, entry = false,
-    sec = false, nsec = 0, left = 0, rank = 0, turn = -1, at = 0 }
+    sec = false, nsec = 0, left = 0, rank = 0 }
   timers[#timers + 1] = timer
   if is_usual(event) then
     timers.delay = min(timers.delay, event.sec + event.nsec * 1e-9 - MARGIN)
@@ -705,7 +705,7 @@ insert(rfsm.preproc, 1, function(fsm, merged)
   -- Each machine gets this hook: it may load a snapshot with sends before it has any.
   if not merged then rfsm.snapshot_hook_add(fsm, "sends", save_sends, load_sends) end
   for _, state in ipairs(rfsm.elements(merged or fsm, is_timed)) do
-    prepare_timers(fsm, state).is_timed = true
+    prepare_timers(fsm, state)
   end
   for _, tr in ipairs(rfsm.elements(merged or fsm, rfsm.is_trans)) do
     for i, event in ipairs(tr.events) do

@@ -17,35 +17,6 @@ local function define_lists(core)
   ---@class rfsm
   local rfsm = core
 
-  --- A machine, and where it runs.
-  ---@class rfsm.Place
-  ---@field machine rfsm.Machine
-  ---@field owner rfsm.Machine|false the parent machine, whose state runs it
-  ---@field state rfsm.State|false the state of the parent machine that runs it
-  ---@field prefix string "root", or the name of the region: "root.arms.left"
-
-  --- List a machine, then the regions in its states, at any depth.
-  ---@param fsm rfsm.Machine
-  ---@return rfsm.Place[] places
-  function rfsm.machines(fsm)
-    rfsm.check_machine(fsm, "rfsm.machines")
-    local places = {}
-    local function visit(machine, owner, state, prefix)
-      places[#places + 1] = {
-        machine = machine, owner = owner, state = state, prefix = prefix,
-      }
-      for _, leaf in ipairs(rfsm.elements(machine, rfsm.is_leaf)) do
-        local regions, own = rfsm.regions(leaf)
-        for i, region in ipairs(regions) do
-          local name = rfsm.text_of(own.names[i])
-          visit(region, machine, leaf, prefix .. leaf._fqn:sub(5) .. "." .. name)
-        end
-      end
-    end
-    visit(fsm, false, false, "root")
-    return places
-  end
-
   --- List the nodes to which a transition may lead.
   --
   -- An extension may change the target of a transition so that it leads to any node in
@@ -336,26 +307,6 @@ local function define_moves(core, engine)
     if fsm._phase ~= "idle" then engine.try(fsm) end
   end
 
-  --- Note that the step under way will never return, for hosts that know this.
-  --
-  -- An exception of C++ that goes through Lua ends a step, and no pcall notices that.
-  -- The next step then goes on behind the callback that was under way, as after an
-  -- interrupt. A doo that was under way has failed.
-  --
-  ---@param fsm rfsm.Machine
-  ---@return boolean is_noted false if no step was under way
-  function rfsm.note_cut(fsm)
-    rfsm.check_machine(fsm, "rfsm.note_cut")
-    if fsm._phase == "idle" or fsm._is_cut then return false end
-    for _, at in ipairs(rfsm.machines(fsm)) do
-      local machine, leaf = at.machine, at.machine._act_leaf
-      -- the doo that steps regions begins anew: its coroutine cannot be resumed
-      if machine._phase == "doo" and rfsm.regions(leaf)[1] then leaf._doo_co = nil end
-      if machine._phase ~= "idle" then engine.cut(machine) end
-    end
-    return true
-  end
-
   --- Set the mode of a state.
   --
   -- Its ancestors become active, all other states inactive. No callback runs.
@@ -436,21 +387,6 @@ local function define_moves(core, engine)
     call_entry_hooks(fsm, leaf)
     if not leaf.doo then engine.complete(fsm, leaf) end
     engine.raise_failure(fsm)
-  end
-
-  --- Have f(name, data) called when a callback of a machine or its regions emits.
-  --
-  -- For hosts. By default `emit` does nothing. Regions merged later are included.
-  --
-  ---@param fsm rfsm.Machine
-  ---@param f fun(name: string, data: any)
-  function rfsm.set_emit(fsm, f)
-    rfsm.check_machine(fsm, "rfsm.set_emit")
-    local emit = engine.new_emit(f)
-    for _, at in ipairs(rfsm.machines(fsm)) do
-      if not rfsm.is_state(at.machine.emit) then at.machine.emit = emit end
-      at.machine._emit = f
-    end
   end
 end
 

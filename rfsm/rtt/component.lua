@@ -8,7 +8,6 @@ local rfsm_rtt = require "rfsm.rtt" -- first: it adapts Lua to a TLSF pool
 local rfsm = require "rfsm"
 local held_port = require "rfsm.rtt.port"
 local limit = require "rfsm.shared.limit"
-local match = require "rfsm.shared.match"
 local update = require "rfsm.rtt.update"
 
 local assert, collectgarbage, coroutine = assert, collectgarbage, coroutine
@@ -227,13 +226,13 @@ end
 
 -- Logs a warning if time events are late, since nothing wakes the component for them.
 local function warn_of_timers(launch)
-  if launch.timer or launch.component:getOperation("getPeriod")() > 0 then return end
+  local timeevent = not launch.timer and package.loaded.rfsm_timeevent
+  if not timeevent or launch.component:getOperation("getPeriod")() > 0 then return end
   for _, tr in ipairs(rfsm.elements(launch.fsm, rfsm.is_trans)) do
     for _, event in ipairs(tr.events or {}) do
-      local name = rfsm.text_of(event)
-      if match.maker_of(event) == "timer" then
+      if timeevent.is_timeevent(event) then
         local text = "%s is late: a component without a period needs timer = true"
-        return launch.log("Warning", text:format(name))
+        return launch.log("Warning", text:format(event))
       end
     end
   end

@@ -167,8 +167,8 @@
 ---@class rfsm.Segment
 ---@field tr rfsm.Transition
 ---@field tgt rfsm.State|rfsm.Connector a leaf or a connector
----@field connector rfsm.Connector|false the target, if it is a connector
----@field is_internal boolean nothing is left or entered
+---@field connector? rfsm.Connector the target, if it is a connector
+---@field is_internal? true nothing is left or entered
 ---@field lca rfsm.State the innermost state that contains both ends and stays active
 ---@field entries rfsm.State[] the states that are entered, the outermost first
 
