@@ -278,9 +278,9 @@ local function many_machines(rfsm, machines)
   end
 end
 
-add("W7", function(rfsm)
+add("W7", function(rfsm, machines)
   local fsm = rfsm.init(two_leaves(rfsm))
-  return many_machines(rfsm, 1000), stepping(rfsm, fsm, { "e_b", "e_a" })
+  return many_machines(rfsm, machines or 1000), stepping(rfsm, fsm, { "e_b", "e_a" })
 end)
 
 return workloads

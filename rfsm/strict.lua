@@ -474,7 +474,8 @@ end
 local function check_machine(fsm, events)
   fsm._strict.always = 0
   check_end(fsm, events)
-  local count = fsm._strict.count or 0
+  local chain = fsm._strict.chains[fsm] -- a step does not know `count`
+  local count = fsm._strict.count or chain and chain.count or 0
   local is_due = count < 100 or count % 100 == 0 -- a long run is not slowed down
   if is_due then watch_chains(fsm) end
   for _, obj in ipairs(is_due and rfsm.elements(fsm) or {}) do

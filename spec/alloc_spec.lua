@@ -50,7 +50,7 @@ describe("an event", function()
         it(("costs no garbage on %s, JIT %s #alloc"):format(workload.name, mode),
           function()
             local grown = with_jit(mode, function()
-              return bytes_grown((workload.make(borrowing)))
+              return bytes_grown((workload.make(borrowing, 100)))
             end)
             assert.is_true(grown < 1000, grown .. " bytes in 1,000 events")
           end)

@@ -1,6 +1,7 @@
 -- The library in a folder of a program: `require "libs.rfsm"`, and nothing on the path.
 
 local helper = require "spec.helper"
+local share = require "spec.support.share"
 
 after_each(helper.remove_files)
 
@@ -70,16 +71,7 @@ describe("a library in a folder of the program", function()
 
   teardown(function() os.execute("rm -r '" .. folder .. "'") end)
 
-  it("loads every module behind the core, each alone", function()
-    assert.equal("done", output_of(([[
-      for name in ("%s"):gmatch("%%S+") do
-        forget()
-        require "libs.rfsm"
-        try(require, name)
-      end ]]):format(table.concat(all_modules(), " "))))
-  end)
-
-  it("has one copy of each, by its name with and without the folder", function()
+  it("loads every module, one copy, by its name with and without the folder", function()
     assert.equal("done", output_of(([[
       for name in ("%s"):gmatch("%%S+") do
         for _, first in ipairs { "", "libs." } do
@@ -91,7 +83,7 @@ describe("a library in a folder of the program", function()
             print(first .. name .. " is there twice")
           end
         end
-      end ]]):format(table.concat(all_modules(), " "))))
+      end ]]):format(table.concat(share.of(all_modules()), " "))))
   end)
 
   for _, place in ipairs { "libs.", "libs/", "top.libs." } do

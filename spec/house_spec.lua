@@ -200,7 +200,7 @@ end
 -- Where the modules are: the command that puts them into the folder @, and their path.
 -- LuaRocks is asked for Lua 5.1 only; it needs the headers.
 local PLACES = {
-  { "make install", "make -s install PREFIX=@", "@/share/lua/$/?.lua",
+  { "make install", "make -s install STRIP=0 PREFIX=@", "@/share/lua/$/?.lua",
     undo = "make -s uninstall PREFIX=@" },
   { "luarocks make", "luarocks --lua-version=5.1 make --deps-mode none --tree @ "
     .. "rockspec/rfsm-dev-1.rockspec", "@/share/lua/5.1/?.lua", only = "Lua 5.1",

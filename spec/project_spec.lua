@@ -380,7 +380,7 @@ describe("on a machine where nothing is installed", function()
 end)
 
 describe("tools/test.sh", function()
-  local FILES = "spec/[ab]*_spec.lua" -- none of them needs a server
+  local FILES = "spec/a[lw]*_spec.lua" -- none of them needs a server
   local SPECS = #lines_of("ls " .. FILES)
 
   -- Runs it with a busted that does this; returns the lines, and those on stderr.
@@ -402,8 +402,9 @@ describe("tools/test.sh", function()
   local PASSED = "1 success / 0 failures / 0 errors / 0 pending : 0.1 seconds\n"
 
   it("limits the time of the processor, not that in which others had it", function()
-    local lines = run_program("while :; do :; done\n", "LIMIT=1")
-    assert.same({ ("0 passed, %d failed, 0 pending"):format(SPECS), "1" },
+    local lines = run_program("while :; do :; done\n",
+      "LIMIT=1 FILES=spec/alloc_spec.lua")
+    assert.same({ "0 passed, 1 failed, 0 pending", "1" },
       { lines[#lines - 1], lines[#lines] })
     assert.matches("spec/alloc_spec.lua used more than 1 s of the processor, did not "
       .. "end within 10 s, or crashed", table.concat(lines, "\n"), 1, true)

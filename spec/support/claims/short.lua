@@ -35,7 +35,7 @@ local function new_model(seed)
       name), events = { "e_next", random:chance(40) and "e_after(2)" or nil } }
     local is_moving = random:chance(20)
     model[#model + 1] = rfsm.trans { src = name, tgt = name, events = { "e_same",
-      random:chance(30) and "e_at(1005)" or nil }, guard = function(tr)
+      random:chance(10) and "e_at(1005)" or nil }, guard = function(tr)
         if is_moving then tr.tgt = tr._fsm.s2 end
       end }
   end
