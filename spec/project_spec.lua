@@ -217,7 +217,7 @@ describe("rfsm size", function()
     for file, least in pairs { on_off = 0, timeevent = 40, checks = 30 } do
       local modules = size("examples/" .. file .. ".lua", arg[-1])
         ["modules that the chart loads"][1]
-      -- rounded; on LuaJIT, traces come and go
+      -- rounded
       assert.is_true(modules >= least - 1 and modules < least + 160)
     end
   end)

@@ -41,6 +41,9 @@ if form == "stripped" then
   table.insert(searchers, 2, search)
 end
 
+local jit = rawget(_G, "jit")
+if jit then jit.off() end -- traces come and go
+
 local function kib()
   collectgarbage()
   collectgarbage()

@@ -257,7 +257,7 @@ function Driver:window()
   local value = request(self, "POST", "/session", {
     capabilities = { alwaysMatch = {
       browserName = "chrome",
-      timeouts = { script = 30000 },
+      timeouts = { script = PATIENCE * 1000 },
       ["goog:chromeOptions"] = { args = ARGUMENTS },
     } },
   })
