@@ -23,7 +23,8 @@ local rfsm = require "rfsm"
 local error, ipairs, pcall = error, ipairs, try
 local pairs, rawget, rawset = pairs, rawget, rawset
 local setmetatable, type = setmetatable, type
-local concat, sort, max, min = table.concat, table.sort, math.max, math.min
+local concat, insert, sort = table.concat, table.insert, table.sort
+local max, min = math.max, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local fleet = {}
@@ -351,12 +352,27 @@ function Fleet:versions()
   return list
 end
 
+--- Return the states of each chart in the library, of all its versions.
+---@return table<string, string[]>? charts the name of a chart -> FQNs of its states
+---@return string? problem
+function Fleet:charts()
+  local list, problem = self:ask("rfsm_charts", "{0}")
+  if not list then return nil, problem end
+  local charts = {}
+  for i = 1, #list, 2 do
+    charts[list[i]] = charts[list[i]] or {}
+    insert(charts[list[i]], list[i + 1])
+  end
+  return charts
+end
+
 --- What a machine has to be, for `select`. An absent field stands for any.
 ---@class rfsm.fleet.Filter
 ---@field chart? string
 ---@field state? string FQN of its leaf, or of a state around it
 ---@field version? string "newest", "bundled", "gone", or a fingerprint
 ---@field age? integer seconds in its leaf, at least; the library needs `--index`
+---@field held? string "yes" or "no"
 
 --- A machine that `select` has found.
 ---@class rfsm.fleet.Found
@@ -365,11 +381,13 @@ end
 ---@field leaf string
 ---@field known string of which version it is: "newest", "bundled", "gone"
 ---@field seconds? integer how long it has been in its leaf
+---@field held boolean
 
 local function add_found(found, reply)
-  for i = 1, #reply, 5 do
+  for i = 1, #reply, 6 do
     found[#found + 1] = { key = reply[i], chart = reply[i + 1], leaf = reply[i + 2],
-      known = reply[i + 3], seconds = rfsm.number_of(reply[i + 4]) }
+      known = reply[i + 3], seconds = rfsm.number_of(reply[i + 4]),
+      held = reply[i + 5] == "yes" }
   end
 end
 
@@ -385,7 +403,7 @@ function Fleet:select(filter)
   local ok, problem = pcall(each_group, self, function(call, keys)
     local command = { "FCALL", "rfsm_select", #keys }
     for _, key in ipairs(keys) do command[#command + 1] = key end
-    for _, name in ipairs { "chart", "state", "version", "age" } do
+    for _, name in ipairs { "chart", "state", "version", "age", "held" } do
       command[#command + 1] = filter[name] or ""
     end
     add_found(found, call(unpack(command)))

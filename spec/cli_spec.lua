@@ -268,6 +268,7 @@ describe("rfsm redis", function()
           return true
         end,
         stats = function() return "numbers\n" end,
+        charts = function() return { [calls[3] and "new" or "old"] = {} } end,
       }) },
     }
   end
@@ -284,8 +285,9 @@ describe("rfsm redis", function()
   it("loads the library into a server, and prints it if it is asked to", function()
     for options, expected in pairs { [""] = "", ["-o - "] = "the library" } do
       local calls = {}
-      local out = run("redis " .. options .. "-l redis://x a", modules(calls))
-      assert.equal(expected, out)
+      local out, err = run("redis " .. options .. "-l redis://x a", modules(calls))
+      assert.same({ expected, "rfsm redis: a warning\nrfsm redis: the machines of old "
+        .. "cannot run until it is loaded, too\n" }, { out, err })
       assert.same({ { { "a" }, {} }, { "redis://x" }, { "load", "the library" } },
         calls)
     end
@@ -417,9 +419,16 @@ describe("rfsm fleet", function()
     ["release k --where chart=c"] = "release: --where or KEY expected, not both",
     ["hold --where age=x"] = "--where: age=SECONDS expected, got 'x'",
     ["hold --where ,"] = "--where: a filter expected",
-    ["hold --where chart=c,stat=x"] = "--where: chart=, state=, version= or age= "
-      .. "expected, got 'stat=x' (did you mean 'state'?)",
-    ["hold --where c"] = "--where: chart=, state=, version= or age= expected, got 'c'",
+    ["hold --where chart=c,stat=x"] = "--where: chart=, state=, version=, age= or "
+      .. "held= expected, got 'stat=x' (did you mean 'state'?)",
+    ["hold --where c"] = "--where: chart=, state=, version=, age= or held= expected, "
+      .. "got 'c'",
+    ["release --where held=maybe"] = "--where: held=yes or held=no expected, got "
+      .. "'maybe'",
+    ["force --where chart=c"] = "force --where FILTER STATE expected",
+    ["force k root.a --where chart=c"] = "force: --where or KEY STATE expected, not "
+      .. "both",
+    ["again 0 1-0 --where age=1"] = "again: --where or TAG ID expected, not both",
   } do
     it("refuses " .. arguments, function()
       local out, err, status = run("fleet redis://x " .. arguments)
@@ -431,11 +440,13 @@ describe("rfsm fleet", function()
   local function with_many(arguments, calls)
     local client = {
       find_tags = function() return {} end,
+      charts = function() return { c = { "root", "root.a", "root.bay" } } end,
       select = function(_, filter)
         calls[#calls + 1] = filter
-        if filter.chart == "none" then return {} end
+        if filter.chart == "none" or filter.state == "root.by" then return {} end
         return { { key = "k1", chart = "c", leaf = "root.a", known = "newest",
-          seconds = 7 }, { key = "k2", chart = "c", leaf = "root.a", known = "gone" } }
+          seconds = 7, held = true },
+          { key = "k2", chart = "c", leaf = "root.a", known = "gone" } }
       end,
       dead = function()
         local list = {}
@@ -448,6 +459,7 @@ describe("rfsm fleet", function()
     for _, name in ipairs { "hold", "release", "again", "remove", "tick" } do
       client[name] = function(_, ...)
         calls[#calls + 1] = { name, ... }
+        if name == "tick" and #calls == 3 then error("no answer\nfrom 7", 0) end
         if ({ ... })[1] == "k2" then return nil, "ERR rfsm_hold: it is held already" end
         return (name == "remove" or name == "again") or helper.copy_of(REPLY)
       end
@@ -457,7 +469,7 @@ describe("rfsm fleet", function()
   end
 
   it("does a verb for many machines, or shows them", function()
-    local calls, is_one = {}, "k1 c root.a newest 7 s\n"
+    local calls, is_one = {}, "k1 c root.a newest 7 s held\n"
     assert.same({ is_one .. "k2 c root.a gone\n", "rfsm fleet: 2 found, nothing was "
       .. "done\n", 0 }, with_many("hold --dry-run --where chart=c,d,state=root.a,"
       .. "version=gone,age=60", calls))
@@ -469,8 +481,14 @@ describe("rfsm fleet", function()
       .. "rfsm fleet: 1 of 2 done\n", 1 }, with_many("hold why --where chart=c", calls))
     assert.same({ { chart = "c" }, { "hold", "k1", "why" }, { "hold", "k2", "why" } },
       calls)
-    assert.same({ "", "rfsm fleet: no machine is like that, so nothing was done\n", 2 },
-      with_many("remove --where chart=none", calls))
+    assert.same({ "k1 root.a done failed; error: no arm; error: no leg\n",
+      "rfsm fleet: 1 of 2 done, then: no answer\n", 1 },
+      with_many("tick --where chart=c", {}))
+    for filter, hint in pairs { ["chart=none"] = " (there is 'c')", -- any order: each
+      ["state=root.by"] = " (did you mean 'root.bay'?)" } do -- stands alone
+      assert.same({ "", "rfsm fleet: no machine is like that, so nothing was done"
+        .. hint .. "\n", 2 }, with_many("remove --where " .. filter, calls))
+    end
   end)
 
   it("sends dead entries of many machines again", function()
@@ -481,7 +499,8 @@ describe("rfsm fleet", function()
       calls)
     assert.same({ "1-0\n2-0\n3-0\n", "rfsm fleet: 3 of 3 done\n", 0 },
       with_many("again --where age=60", calls))
-    assert.same({ "", "rfsm fleet: no entry is like that, so nothing was done\n", 2 },
+    assert.same({ "", "rfsm fleet: no entry is like that, so nothing was done (there "
+      .. "is 'c')\n", 2 },
       with_many("again --where chart=none", calls))
   end)
 
@@ -497,10 +516,10 @@ describe("rfsm fleet", function()
 
   it("lists the verbs by their arguments", function()
     assert.equal([=[
-   again drop TAG ID   cancel KEY ID   dead [LIMIT]   due [LIMIT [TIME]]
-   find CHART STATE [LIMIT [SECONDS]]   force KEY STATE
+   again drop TAG ID   cancel KEY ID   charts reindex versions   dead [LIMIT]
+   due [LIMIT [TIME]]   find CHART STATE [LIMIT [SECONDS]]   force KEY STATE
    get move pull release remove tick KEY   history log KEY [COUNT]
-   hold KEY [REASON]   push KEY FILE   reindex versions   send KEY EVENT [ID]
+   hold KEY [REASON]   push KEY FILE   send KEY EVENT [ID]
    set KEY FIELD=VALUE   why KEY EVENT
 ]=], run("help fleet"):match("Verbs:\n(.*)"))
   end)

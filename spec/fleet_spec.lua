@@ -743,6 +743,10 @@ describe("rfsm fleet", function()
       fleet_command("find", "timed", "root.a", "9", "60"))
     assert.equal("rfsm fleet: no machine of chart 'timd' is in 'root.a' (did you mean "
       .. "'timed'?)\n", fleet_command("find", "timd", "root.a"))
+    assert.equal("rfsm fleet: no machine of chart 'timed' is in 'root.cc' (did you "
+      .. "mean 'root.c'?)\n", fleet_command("find", "timed", "root.cc"))
+    assert.equal("rfsm fleet: no machine of chart 'timed' is in 'root.b'\n",
+      fleet_command("find", "timed", "root.b"))
     assert.equal("", fleet_command("remove", key))
     assert.equal("rfsm fleet: it is not there\n", fleet_command("remove", key))
     assert.equal("", server:cli("KEYS '*'"):gsub("%s", ""))
@@ -820,6 +824,18 @@ describe("rfsm fleet", function()
     assert.equal("m:{0}:2 root.c.d done kept\nrfsm fleet: 1 of 1 done\n",
       fleet_command("hold --where state=root.c,version=newest broken"))
     assert.equal("broken", machines:get(2).held_because)
+    assert.matches("^m:{0}:2 timed root.c.d newest %d+ s held\nrfsm fleet: 1 found, ",
+      fleet_command("release --dry-run --where held=yes"))
+    assert.matches("^m:{0}:1 .*\nm:{0}:3 .*\nrfsm fleet: 2 found, ",
+      fleet_command("hold --dry-run --where held=no"))
+    assert.equal("m:{0}:2 root.c.d done kept\nrfsm fleet: 1 of 1 done\n",
+      fleet_command("release --where chart=timed,held=yes"))
+    assert.equal("rfsm fleet: no machine is like that, so nothing was done (did you "
+      .. "mean 'root.c'?)\n", fleet_command("hold --where chart=timed,state=root.cc"))
+    assert.equal("m:{0}:2 root.b done kept\nrfsm fleet: 1 of 1 done\n",
+      fleet_command("force --where state=root.c root.b"))
+    assert.equal("m:{0}:2 root.b done kept\nrfsm fleet: 1 of 1 done\n",
+      fleet_command("move --where state=root.b"))
     assert.equal("rfsm fleet: no machine is like that, so nothing was done\n",
       fleet_command("remove --where version=gone"))
     assert.equal("m:{0}:1\nm:{0}:2\nrfsm fleet: 2 of 2 done\n",
@@ -833,6 +849,32 @@ describe("rfsm fleet", function()
     assert.matches("^[%d-]+\n[%d-]+\nrfsm fleet: 2 of 2 done\n$",
       fleet_command("again --where chart=timed"))
     assert.same({}, machines:dead())
+  end)
+
+  it("says if there may be more than it lists", function()
+    for i = 1, 3 do assert(machines:create(i, "timed")) end
+    local more = "m:{0}:1\nm:{0}:2\nrfsm fleet: the first 2, there may be more: give a "
+      .. "greater LIMIT\n"
+    assert.equal(more, fleet_command("find", "timed", "root.a", "2"))
+    assert.equal(more, fleet_command("due", "2", "+4000"))
+    assert.equal("m:{0}:1\nm:{0}:2\nm:{0}:3\n", fleet_command("due", "9", "+4000"))
+  end)
+
+  it("says of which charts the library is, and which one is left out", function()
+    local function load(...)
+      return servers.output_of("tools/rfsm redis " .. table.concat({ ... }, " ")
+        .. " --load " .. server:url())
+    end
+    local two = "two=" .. helper.file_with(COUNTER)
+    server:cli("FUNCTION FLUSH")
+    assert.equal("rfsm fleet: ERR Function not found: load a library (rfsm redis "
+      .. "--load)\n", fleet_command("find", "two", "root.even"))
+    loaded = nil
+    assert.equal("", load("one=" .. helper.file_with(TIMED), two))
+    assert.equal("one root\none root.a\none root.b\none root.c\none root.c.d\n"
+      .. "two root\ntwo root.even\ntwo root.odd\n", fleet_command("charts"))
+    assert.equal("rfsm redis: the machines of one cannot run until it is loaded, too\n",
+      load(two))
   end)
 
   it("sends an event with an id", function()
@@ -943,7 +985,12 @@ describe("the client", function()
     other:cli("-a secret CLIENT KILL TYPE normal")
     assert.equal("root.odd", again:send(1, "e_tick").leaf)
     assert.matches("db3", other:cli("-a secret INFO keyspace"))
-    assert.is_false((pcall(fleet.connect, (url:gsub("secret", "wrong")))))
+    for password, problem in pairs { [":wrong@"] = "WRONGPASS", [""] = "NOAUTH" } do
+      local lines = servers.output_of("tools/rfsm redis examples/lamp.lua --load "
+        .. url:gsub(":secret@", password))
+      assert.matches("^rfsm redis: rfsm.fleet: [^\n]*: " .. problem .. "[^\n]*\n$",
+        lines)
+    end
   end)
 
   it("uses another server if the first is gone", function()

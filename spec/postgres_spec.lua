@@ -141,7 +141,9 @@ local has_usual_charts = false
 
 local function load_charts(options, ...)
   has_usual_charts = false
-  assert.equal("", server:sql((script.sql({ ... }, options))))
+  -- without the warning that machines of the test before have no chart any more
+  assert.equal("", (server:sql((script.sql({ ... }, options)))
+    :gsub("WARNING:  the machines of [^\n]*\n", "")))
 end
 
 setup(function() server = servers.postgres("-c fsync=off") end)
@@ -824,6 +826,8 @@ SELECT rfsm.create('3', 'emitter');]])
     end
     assert.same({ 2, 1 }, { raised "events", raised "dropped" })
     assert.equal([[
+# TYPE rfsm_aside gauge
+rfsm_aside 0
 # TYPE rfsm_dead gauge
 rfsm_dead 0
 # TYPE rfsm_dropped_total counter
@@ -854,6 +858,28 @@ rfsm_version_machines{chart="lamp",version="V"} 1
       :gsub("(entries) %d+", "%1 N"):gsub('version="[%x-]+"', 'version="V"')))
   end)
 
+  it("finds those that are held", function()
+    assert.equal("2\n1 3\n0\n", sql([[
+SELECT count(rfsm.create(i::text, 'counter')) FROM generate_series(1, 3) i \g /dev/null
+SELECT rfsm.send_at('3', now() + interval '1 h', 'e_tick', 'x') \g /dev/null
+SELECT rfsm.hold('2') \g /dev/null
+SELECT key FROM rfsm.machines WHERE rfsm.is_held(value);
+SELECT string_agg(key, ' ' ORDER BY key) FROM rfsm.machines
+  WHERE NOT rfsm.is_held(value);
+SELECT rfsm.release(key) FROM rfsm.machines WHERE rfsm.is_held(value) \g /dev/null
+SELECT count(*) FROM rfsm.machines WHERE rfsm.is_held(value);]]))
+  end)
+
+  it("is told which machines a script leaves without a chart", function()
+    sql "SELECT rfsm.create('1', 'counter'), rfsm.create('2', 'lamp');"
+    local command = ("PGHOST=%s PGUSER=postgres %s tools/rfsm postgres --history "
+      .. "--load postgres lamp=%s"):format(server.folder, helper.interpreter(),
+      helper.file_with(COUNTER))
+    has_usual_charts = false
+    assert.equal("rfsm postgres: the machines of counter cannot run until it is "
+      .. "loaded, too\n", servers.output_of(command))
+  end)
+
   it("keeps a history for a time", function()
     assert.equal("2|2\n1|1\n", sql([[
 SELECT rfsm.create('1', 'counter'), rfsm.send('1', 'e_tick') \gset
@@ -871,6 +897,7 @@ SELECT rfsm.pull('1') AS old \gset
 SELECT rfsm.send('1', 'e_tick');
 SELECT rfsm.push('1', :'old');
 SELECT value AS now FROM rfsm.get('1') WHERE name = 'revision' \gset
+SELECT rfsm.push('1', left(:'old', -9));
 SELECT rfsm.push('1', :'old', :now, 'ann');
 SELECT rfsm.set('1', 'n', '7', 'ann');
 SELECT rfsm.set('1', 'm', '7');
@@ -880,6 +907,7 @@ SELECT jsonb_array_length((rfsm.pull('1')::jsonb)->'fleet'->'history');]])
 root.even
 root.odd
 ERROR:  rfsm.push: the machine at '1' has moved on: revision N expected, it has N
+ERROR:  rfsm.push: file: a JSON object expected
 root.even
 root.even
 ERROR:  rfsm.set: no state of chart 'counter' keeps the field 'm'
@@ -923,6 +951,7 @@ SELECT count(*), (SELECT count(*) FROM rfsm.find('counter', 'root', 10, '1 h'))
 
   it("sends dead entries again, drops them, and reads numbers", function()
     assert.equal([[
+rfsm_aside|||0
 rfsm_dead|||2
 rfsm_entries|||0
 rfsm_machines|counter|root.even|1

@@ -1167,6 +1167,19 @@ describe("a machine that is forced", function()
       .. "'root.a'?)", call("force", "root.d"))
     assert.matches("has no leaf 'root.c'", call("force", "root.c"))
     assert.equal("", written())
+    load_library({ { name = "deep", make = function()
+      local function pair()
+        return { a = state {}, b = state {}, trans { src = "initial", tgt = "a" } }
+      end
+      return state { trans { src = "initial", tgt = "c" }, c = state(pair()),
+        s = rfsm.seqand { left = state(pair()), right = state(pair()) } }
+    end } }, { history = 9 })
+    f.rfsm_create({ "d" }, { "deep" })
+    assert.equal("ERR rfsm_force: chart 'deep' has no leaf 'root.c' (did you "
+      .. "mean 'root.c.a'?)", f.rfsm_force({ "d" }, { "root.c" }).err)
+    f.rfsm_force({ "d" }, { "root.s.left.b" })
+    assert.matches("event,6=(force root.s.left.b),7=from,8=root.c.a,9=to,10=root.s",
+      table.concat(trace, "\n"), 1, true)
   end)
 end)
 
@@ -1805,6 +1818,7 @@ describe("the desk", function()
     assert.same({ "root.y", "root.u" }, { file.regions["root.b.left"].leaf,
       file.regions["root.b.right"].leaf })
     f.rfsm_send({ "r" }, { "e_v" })
+    assert.equal("root.b.left.y root.b.right.v", f.rfsm_get({ "r" })[34])
     f.rfsm_force({ "r" }, { "root.b.left.x" }) -- the region beside it stays
     _, file = pull "r"
     assert.same({ "root.x", "root.v" }, { file.regions["root.b.left"].leaf,
@@ -1815,5 +1829,6 @@ describe("the desk", function()
     assert.matches("has no leaf 'root.b.left.z' %(did you mean 'root.b.left",
       f.rfsm_force({ "r" }, { "root.b.left.z" }).err)
     assert.equal("root.a", f.rfsm_force({ "r" }, { "root.a" })[1])
+    assert.equal("", f.rfsm_get({ "r" })[34])
   end)
 end)

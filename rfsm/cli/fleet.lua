@@ -55,9 +55,11 @@ local function number_of(text)
     or error(("a number expected, got '%s'"):format(text), 0))
 end
 
+local ALL = 1000000 -- entries: the greatest number that is asked for
+
 local function list_dead(fleet, limit)
   local lines = {}
-  for _, entry in ipairs(fleet:dead(number_of(limit))) do
+  for _, entry in ipairs(fleet:dead(number_of(limit) or ALL)) do
     lines[#lines + 1] = concat({ entry.tag, entry.id, entry.machine, entry.what,
       entry.data, "x" .. entry.deliveries, entry.error }, " ")
   end
@@ -165,7 +167,29 @@ end
 
 -- Many machines --------------------------------------------------------------------
 
-local FILTERS = { age = true, chart = true, state = true, version = true }
+-- Returns a hint for a chart, or a state, that the library has not; else "".
+local function hint_for(fleet, name, state)
+  local charts, paths = fleet:charts() or {}, {}
+  if name and not charts[name] then
+    return advice.nearest_name(name, rfsm.sorted_keys(charts))
+  end
+  for chart_name, states in pairs(charts) do -- any order: a set
+    for _, path in ipairs((name or chart_name) == chart_name and states or {}) do
+      paths[path] = true
+    end
+  end
+  return state and not paths[state]
+    and advice.nearest_name(state, rfsm.sorted_keys(paths)) or ""
+end
+
+-- The filters, and the text that a message has of their values.
+local FILTERS = { age = "SECONDS", chart = "", held = "yes or held=no", state = "",
+  version = "" }
+
+local function is_value(name, value)
+  if name == "age" then return value:find "^[1-9]%d*$" ~= nil end
+  return name ~= "held" or value == "yes" or value == "no"
+end
 
 -- Returns the filter that a text such as "chart=order,age=60" means; nil and the
 -- problem if it is wrong. A comma may be in a value.
@@ -176,15 +200,18 @@ local function filter_of(text)
     if FILTERS[found] then
       name, filter[found] = found, value
     elseif found or not name then
-      return nil, ("--where: chart=, state=, version= or age= expected, got '%s'%s")
-        :format(part, found and advice.nearest_name(found, rfsm.sorted_keys(FILTERS))
-          or "")
+      return nil, ("--where: chart=, state=, version=, age= or held= expected, got "
+        .. "'%s'%s"):format(part, found and advice.nearest_name(found,
+          rfsm.sorted_keys(FILTERS)) or "")
     else
       filter[name] = filter[name] .. "," .. part
     end
   end
-  if filter.age and not filter.age:find("^[1-9]%d*$") then
-    return nil, ("--where: age=SECONDS expected, got '%s'"):format(filter.age)
+  for _, found in ipairs(rfsm.sorted_keys(filter)) do
+    if not is_value(found, filter[found]) then
+      return nil, ("--where: %s=%s expected, got '%s'"):format(found, FILTERS[found],
+        filter[found])
+    end
   end
   return next(filter) and filter or nil, "--where: a filter expected"
 end
@@ -193,8 +220,9 @@ end
 local function find_machines(fleet, filter)
   local found, problem = fleet:select(filter)
   for _, one in ipairs(found or {}) do
-    one.text = ("%s %s %s %s%s"):format(one.key, one.chart, one.leaf, one.known,
-      one.seconds and " " .. rfsm.number_text(one.seconds, "%d") .. " s" or "")
+    one.text = ("%s %s %s %s%s%s"):format(one.key, one.chart, one.leaf, one.known,
+      one.seconds and " " .. rfsm.number_text(one.seconds, "%d") .. " s" or "",
+      one.held and " held" or "")
   end
   return found, problem
 end
@@ -202,7 +230,7 @@ end
 -- Returns the keys of the machines whose entries are meant; nil if all are.
 local function keys_for(fleet, filter)
   local keys, of = {}, { chart = filter.chart, state = filter.state,
-    version = filter.version }
+    version = filter.version, held = filter.held }
   if not next(of) then return nil end
   local found, problem = fleet:select(of)
   if not found then error(problem, 0) end
@@ -214,7 +242,7 @@ end
 local function find_dead(fleet, filter)
   local found, keys = {}, keys_for(fleet, filter)
   local time = filter.age and os.time() - filter.age or math.huge
-  for _, entry in ipairs(fleet:dead(1000000)) do
+  for _, entry in ipairs(fleet:dead(ALL)) do
     if (not keys or keys[entry.machine])
       and tonumber(entry.id:match("^%d+")) / 1000 <= time then
       entry.text = concat({ entry.tag, entry.id, entry.machine, entry.what }, " ")
@@ -238,8 +266,8 @@ for _, name in ipairs { "again", "drop" } do
   end }
 end
 
--- Does a verb for one item, and prints the result. Returns whether it was done. If the
--- server is lost the program ends.
+-- Does a verb for one item, and prints the result. Returns whether it was done; nil and
+-- the problem if the server is lost.
 local function do_one(fleet, act, one, ...)
   local ok, result, problem = pcall(act, fleet, one, ...)
   if not ok then problem = chart.first_line(result) end
@@ -253,26 +281,38 @@ local function do_one(fleet, act, one, ...)
     common.warn(one.text .. ": " .. problem)
     return false
   end
-  return common.fail(problem)
+  return nil, problem
+end
+
+-- Does a verb for all items, and returns for how many. Ends the program if the server
+-- is lost.
+local function do_all(fleet, act, found, arguments)
+  local count = 0
+  for _, one in ipairs(found) do
+    local is_done, problem = do_one(fleet, act, one, unpack(arguments))
+    if problem then
+      common.fail(("%d of %d done, then: %s"):format(count, #found, problem))
+    end
+    count = count + (is_done and 1 or 0)
+  end
+  return count
 end
 
 -- Does a verb for all machines or entries that a filter lets through, or, dry, shows
 -- them. Returns the status: 1 if one was refused.
 local function do_many(fleet, options, filter)
-  local find, act = MANY[options.verb][1], MANY[options.verb][2]
-  local found, count = command.ask(find, fleet, filter), 0
-  if not found[1] then common.fail("no " .. (find == find_dead and "entry" or "machine")
-    .. " is like that, so nothing was done", 2) end
-  for _, one in ipairs(found) do
-    if options.dry_run then
-      common.write("-", one.text .. "\n")
-    elseif do_one(fleet, act, one, unpack(options.arguments)) then
-      count = count + 1
-    end
+  local find, act = unpack(MANY[options.verb])
+  local found = command.ask(find, fleet, filter)
+  if not found[1] then
+    common.fail(("no %s is like that, so nothing was done%s"):format(find == find_dead
+      and "entry" or "machine", hint_for(fleet, filter.chart, filter.state)), 2)
+  elseif options.dry_run then
+    for _, one in ipairs(found) do common.write("-", one.text .. "\n") end
+    return common.warn(("%d found, nothing was done"):format(#found))
   end
-  common.warn(options.dry_run and ("%d found, nothing was done"):format(#found)
-    or ("%d of %d done"):format(count, #found))
-  return not options.dry_run and count < #found and 1 or 0
+  local count = do_all(fleet, act, found, options.arguments)
+  common.warn(("%d of %d done"):format(count, #found))
+  return count < #found and 1 or 0
 end
 
 -- Single verbs ----------------------------------------------------------------------
@@ -282,26 +322,43 @@ local function time_of(text)
   return number_of(text) + (text:find("^%+") and os.time() or 0)
 end
 
--- Nothing is printed if nothing is found, so a misspelt name looks like good news.
-local function find_lines(fleet, name, state, limit, seconds)
-  local keys, problem = fleet:find(name, state, number_of(limit), seconds)
-  if keys and not keys[1] then
-    local charts = {}
-    for _, version in ipairs(fleet:versions() or {}) do charts[version.chart] = true end
-    common.warn(("no machine of chart '%s' is in '%s'%s%s"):format(name, state,
-      seconds and " for so long" or "", charts[name] and ""
-      or advice.nearest_name(name, rfsm.sorted_keys(charts))))
+-- Notes that there may be more keys than were asked for.
+local function limited(keys, problem, limit)
+  if keys and #keys >= (limit or 100) then
+    keys.note = ("the first %d, there may be more: give a greater LIMIT"):format(#keys)
   end
   return keys, problem
 end
 
+-- Nothing is printed if nothing is found, so a misspelt name looks like good news.
+local function find_lines(fleet, name, state, limit, seconds)
+  limit = number_of(limit)
+  local keys, problem = fleet:find(name, state, limit, seconds)
+  if keys and not keys[1] then
+    common.warn(("no machine of chart '%s' is in '%s'%s%s"):format(name, state,
+      seconds and " for so long" or "", hint_for(fleet, name, state)))
+  end
+  return limited(keys, problem, limit)
+end
+
+local function due_lines(fleet, limit, time)
+  limit = number_of(limit)
+  local keys, problem = fleet:due(limit, time and time_of(time))
+  return limited(keys, problem, limit)
+end
+
+local function chart_lines(fleet)
+  local charts, problem = fleet:charts()
+  local lines = {}
+  for _, name in ipairs(rfsm.sorted_keys(charts or {})) do
+    for _, path in ipairs(charts[name]) do lines[#lines + 1] = name .. " " .. path end
+  end
+  return charts and lines, problem
+end
+
 -- For each verb a function that returns lines to print, or nil and the problem.
 local LINES = {
-  find = find_lines,
-  due = function(fleet, limit, time)
-    local time_at = time and time_of(time)
-    return fleet:due(number_of(limit), time_at)
-  end,
+  find = find_lines, due = due_lines, charts = chart_lines,
   get = view_lines, history = history_lines, log = log_lines, versions = version_lines,
   why = function(fleet, key, text) return fleet:why(key, event_of(text)) end,
   send = send_lines, hold = reply_lines "hold", release = reply_lines "release",
@@ -365,7 +422,7 @@ function command.add_arguments(parser)
   parser:argument("arguments", "of the verb; KEY is a whole key, with its {tag}")
     :args("*"):argname("ARGUMENT")
   common.add_number(parser, "--tags", "hash tags of short keys (64)")
-  parser:option("--where", "in place of KEY: chart=C,state=FQN,version=V,age=S")
+  parser:option("--where", "in place of KEY: chart= state= version= age= held=")
     :argname("FILTER"):convert(filter_of)
   parser:flag("--dry-run", "show what --where means, do nothing")
   common.add_number(parser, "--if-version", "push: refuse another revision",
@@ -395,28 +452,32 @@ local function check_options(options, parser)
   end
 end
 
--- The number of arguments of a verb for one item.
-local function check_one(options, parser)
-  local name, verb, list = options.verb, VERBS[options.verb], options.arguments
-  if #list < verb[2] then
-    parser:error(name .. " " .. verb[1] .. " expected")
-  elseif #list > most_of(verb[1]) then
-    parser:error(("%s %s expected, got %d arguments: '%s'"):format(name, verb[1], #list,
+-- The number of arguments of a verb. A filter stands in place of KEY, or of TAG ID.
+local function check_number(options, parser)
+  local name, list = options.verb, options.arguments
+  local usage, needs = unpack(VERBS[name])
+  local rest = usage:gsub("^KEY ?", ""):gsub("^TAG ID", "")
+  local given = options.where and most_of(usage) - most_of(rest) or 0
+  if #list + given < needs then
+    parser:error(("%s %s expected"):format(name, given == 0 and usage
+      or "--where FILTER " .. rest))
+  elseif #list + given <= most_of(usage) then
+    return
+  elseif given == 0 then
+    parser:error(("%s %s expected, got %d arguments: '%s'"):format(name, usage, #list,
       concat(list, "', '")))
   end
+  parser:error(("%s: --where or %s expected, not both"):format(name, usage))
 end
 
 local function check(options, parser)
-  local name, verb, list = options.verb, VERBS[options.verb], options.arguments
+  local name = options.verb
   if options.where and not MANY[name] then
-    parser:error(name .. " takes no --where, but " .. verb[1])
+    parser:error(name .. " takes no --where, but " .. VERBS[name][1])
   elseif options.dry_run and not options.where then
     parser:error("--dry-run: --where expected")
-  elseif options.where and #list > (name == "hold" and 1 or 0) then
-    parser:error(name .. ": --where or " .. verb[1] .. " expected, not both")
-  elseif not options.where then
-    check_one(options, parser)
   end
+  check_number(options, parser)
   check_options(options, parser)
 end
 
@@ -431,6 +492,7 @@ function command.run(options, parser)
   local lines = WITH_OPTIONS[name] and WITH_OPTIONS[name](fleet, options, unpack(list))
     or command.ask(LINES[name], fleet, unpack(list))
   for _, line in ipairs(lines) do common.write("-", line .. "\n") end
+  if lines.note then common.warn(lines.note) end
 end
 
 return command

@@ -46,6 +46,7 @@ local function load(sql, database)
   local output, problem = run(("-f '%s'"):format(script), database)
   os.remove(script)
   if not output then common.fail(problem, 2) end
+  for line in output:gmatch "WARNING: *([^\n]*)" do common.warn(line) end
 end
 
 -- Returns the numbers of a database for Prometheus.

@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local common = require "rfsm.cli.common"
+local rfsm = require "rfsm"
 local ask, connect = require("rfsm.cli.fleet").ask, require("rfsm.cli.fleet").connect
 
 local redis = {
@@ -42,6 +43,20 @@ local function compare(files)
   return is_safe
 end
 
+-- Loads a library. Tells of a chart that the library before had, and this one has not:
+-- it may be left out by mistake.
+local function load(text, fleet)
+  local before = fleet:charts() or {}
+  common.try(fleet:load(text))
+  local after = fleet:charts() or {}
+  for _, name in ipairs(rfsm.sorted_keys(before)) do
+    if not after[name] then
+      common.warn("the machines of " .. name
+        .. " cannot run until it is loaded, too")
+    end
+  end
+end
+
 function redis.run(options, parser)
   if options.stats then
     local fleet = connect(options.stats)
@@ -51,7 +66,7 @@ function redis.run(options, parser)
   if options.diff then return compare(options.files) and 0 or 1 end
   local text = common.library_of(require("rfsm.redis").bundle, options, parser,
     { index = options.index, history = options.history })
-  if options.load then common.try(connect(options.load):load(text)) end
+  if options.load then load(text, connect(options.load)) end
   if options.output or not options.load then
     common.write(options.output or "-", text)
   end

@@ -11,7 +11,7 @@ local lease = require "rfsm.server.lease"
 local library = require "rfsm.server.library"
 local schema = require "rfsm.postgres.schema"
 
-local concat = table.concat
+local ipairs, concat = ipairs, table.concat
 
 local script = {}
 
@@ -125,6 +125,11 @@ function script.sql(arguments, options)
     LOG = (host.STATEMENTS.log:gsub("%$%d", { ["$1"] = "each", ["$2"] = "SQLERRM" })) }
   values.TRIM = options.history_days and ("PERFORM rfsm.trim('%d days');"):format(
     options.history_days) or ""
+  local names = {}
+  for i, argument in ipairs(arguments) do
+    names[i] = "'" .. library.name_of(argument):gsub("'", "''") .. "'"
+  end
+  values.NAMES = concat(names, ", ")
   local functions = schema.FUNCTIONS:gsub("%$(%u+)", WORDS):gsub("%$(%u+)", values)
   return schema_of(functions, options), warnings
 end

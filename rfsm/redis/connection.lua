@@ -61,6 +61,7 @@ local function command(client, name, ...)
   local ok, reply = pcall(commands[name], client, ...)
   if ok then return reply end
   reply = tostring(reply):gsub("^.-redis error: ", "")
+    :gsub("^ERR Function not found$", "%0: load a library (rfsm redis --load)")
   error((reply:gsub("^%S+redis%.lua:%d+: ", "")), 0)
 end
 
@@ -133,10 +134,12 @@ local function drop(self, address)
   end
 end
 
+local function is_closed(text) return is_lost(text) or text:find("^NOAUTH") end
+
 -- Adds the addresses of all nodes to `seeds`, if the server belongs to a cluster.
 local function learn(self, client)
   local ok, slots = pcall(command, client, "CLUSTER", "SLOTS")
-  if not ok and is_lost(slots) then
+  if not ok and is_closed(slots) then
     error("rfsm.fleet: no server of Redis answers: " .. slots, 0)
   end
   local is_known = {}

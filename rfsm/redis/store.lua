@@ -455,9 +455,10 @@ end
 -- Returns a function that tells if a list of a machine is what the arguments of
 -- `rfsm_select` ask for, and how its version is known. An empty text stands for any.
 local function filter_of(args)
-  local name, state, version = unpack(args, 1, 3)
+  local name, state, version, _, held = unpack(args, 1, 5)
   return function(list)
     if name ~= "" and name ~= list[2] then return false end
+    if held == (list[9] and "no" or "yes") then return false end
     if state ~= "" and not is_in(list[3].leaf or "", state) then return false end
     local known = version_of(list[2], list[3])
     return version == "" or version == known or version == list[3].chart, known
@@ -471,10 +472,10 @@ local function age_of(key)
   return since and ("%.0f"):format(now() - rfsm.number_of(since)) or ""
 end
 
--- rfsm_select KEY... chart state version seconds: returns five items for each machine
--- that is of the chart, in the state, of the version (how it is known, or its
--- fingerprint) and so long in its leaf: its key, chart, leaf, how its version is known,
--- seconds in the leaf.
+-- rfsm_select KEY... chart state version seconds held: returns six items for each
+-- machine that is of the chart, in the state, of the version (how it is known, or its
+-- fingerprint), so long in its leaf, and held ("yes") or not ("no"): its key, chart,
+-- leaf, how its version is known, seconds in the leaf, "yes" if it is held.
 function more.rfsm_select(keys, args)
   local is_wanted, time, reply = filter_of(args), nil, {}
   if args[4] ~= "" then
@@ -487,6 +488,7 @@ function more.rfsm_select(keys, args)
     local n = #reply
     reply[n + 1], reply[n + 2], reply[n + 3] = key, list[2], list[3].leaf or ""
     reply[n + 4], reply[n + 5] = known, age_of(key)
+    reply[n + 6] = list[9] and "yes" or ""
   end)
   return reply
 end

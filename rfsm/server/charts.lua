@@ -303,7 +303,8 @@ end
 ---@param owner string the name of the object in messages
 ---@param text string
 function charts.decode_json(owner, text)
-  local ok, data = pcall(decode, text)
+  local is_whole = text:find("}%s*$") -- some decoders raise what pcall does not catch
+  local ok, data = pcall(decode, is_whole and text or "0")
   if not ok or is_odd(text) or type(data) ~= "table" then
     fail("%s: a JSON object expected", owner)
   end
@@ -429,15 +430,26 @@ local function force_around(machines, at)
   end
 end
 
+-- Returns the leaves one of which may be meant by a path: those in that composite.
+local function leaves_meant(leaves, path)
+  local all, inside = rfsm.sorted_keys(leaves), {}
+  for _, name in ipairs(all) do
+    if name:sub(1, #path + 1) == path .. "." then inside[#inside + 1] = name end
+  end
+  return inside[1] and inside or all
+end
+
 --- Put the machine of a chart into a leaf and arm the timers there, as if the leaf had
 --- been entered, but call no callback. Regions are reset. If the leaf is in a region,
---- the other regions beside it stay as they are, or begin anew.
+--- the other regions beside it stay as they are, or begin anew. Return the text for the
+--- history, which has the leaf if the leaf of the machine does not tell it.
 function charts.force(chart, path)
   local leaves, machines = leaves_of(chart.fsm), rfsm.machines(chart.fsm)
   local found = leaves[path] or fail("chart '%s' has no leaf '%s'%s", chart.name, path,
-    advice.nearest_name(path, rfsm.sorted_keys(leaves)))
+    advice.nearest_name(path, leaves_meant(leaves, path)))
   force_around(machines, found.at)
   force_into(machines, found.at, found.leaf)
+  return found.at.owner and ("(force %s)"):format(path) or "(force)"
 end
 
 --- Return the text of an error in one line. Errors of Redis are tables.

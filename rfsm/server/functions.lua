@@ -584,6 +584,16 @@ local function kept_of(snap)
   return events
 end
 
+-- Returns the FQNs of the active leaves of regions.
+local function region_leaves(snap)
+  local leaves = {}
+  for _, prefix in ipairs(rfsm.sorted_keys(snap.regions or NONE)) do
+    local leaf = snap.regions[prefix].leaf
+    leaves[#leaves + 1] = leaf and prefix .. leaf:sub(5)
+  end
+  return leaves
+end
+
 -- rfsm_move KEY: moves a machine to the newest version of its chart without running it,
 -- so that it is woken in time for the timers of this version.
 function functions.rfsm_move(keys)
@@ -609,7 +619,8 @@ function functions.rfsm_get(keys)
     "held_because", (list[HOLD] or NONE)[2] or "",
     "revision", ("%d"):format(desk.revision_of(list)),
     "kept", list_json(kept_of(snap)), "later", later_json(list, false),
-    "waiting", later_json(list, true), "ids", list_json(ids_of(list)) }
+    "waiting", later_json(list, true), "ids", list_json(ids_of(list)),
+    "regions", concat(region_leaves(snap), " ") }
 end
 
 -- Functions for an operator: hold, release, force, remove, why.
@@ -650,8 +661,8 @@ function functions.rfsm_force(keys, args)
   local key = key_of(keys)
   local machine = load_machine(key, read(key))
   times.set(false)
-  charts.force(machine.chart, args[1] or "")
-  machine.outcome = step(machine, "(force)") and "taken" or "kept"
+  local by = charts.force(machine.chart, args[1] or "")
+  machine.outcome = step(machine, by) and "taken" or "kept"
   return save(machine)
 end
 
@@ -674,6 +685,24 @@ function functions.rfsm_why(keys, args)
   local _, text = why.why(machine.fsm, charts.events(machine.chart, args)[1])
   for line in text:gmatch("[^\n]+") do lines[#lines + 1] = line end
   return lines
+end
+
+-- rfsm_charts: returns two items for each state that a chart of the library has in any
+-- of its versions: the name of the chart, and the FQN of the state.
+function functions.rfsm_charts()
+  local reply = {}
+  for _, name in ipairs(rfsm.sorted_keys(versions)) do
+    local paths = {}
+    for _, chart in ipairs(versions[name]) do
+      for _, state in ipairs(rfsm.elements(open(chart).fsm, rfsm.is_state)) do
+        paths[state._fqn] = true
+      end
+    end
+    for _, path in ipairs(rfsm.sorted_keys(paths)) do
+      reply[#reply + 1], reply[#reply + 2] = name, path
+    end
+  end
+  return reply
 end
 
 -- Returns of which version of a chart a snapshot is: "newest", "bundled" or "gone".
