@@ -27,8 +27,9 @@ local timeevent = require "rfsm_timeevent"
 local times = require "rfsm.server.times"
 local why = require "rfsm.observe.why"
 require "rfsm.await"
-require "rfsm.fates" -- which the core loads by name, like the next two
+require "rfsm.fates" -- which the core loads by name, like the next three
 require "rfsm.merge"
+require "rfsm.prepare"
 require "rfsm.tools"
 
 local ipairs, pairs, pcall, rawget = ipairs, pairs, pcall, rawget
