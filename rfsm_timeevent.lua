@@ -11,7 +11,8 @@
 -- is -huge during an entry. If an interrupt ends the entry, the number stays -huge, so
 -- that the next iteration searches all timers.
 --
--- `send_after` sends an event later, whatever state is active then.
+-- `send_after` sends an event later, whatever state is active then. `time_in` returns
+-- the seconds since the entry of a state: one with timers, or with the field `timed`.
 --
 -- @module rfsm_timeevent
 -- @license BSD-3-Clause
@@ -685,16 +686,20 @@ local function expand(fsm, tr, event)
 end
 
 -- Expands each time event in a text, also in a text such as "await(e_a, e_after(2))".
+-- A time event may have the FQN of its source already.
 local function expand_text(fsm, tr, text)
-  local _, problem = parse(text)
-  if problem then
-    rfsm.warn(fsm, "init", rfsm.location_of(tr, "events") .. ": " .. problem)
-    return text
-  end
-  return (text:gsub("%f[%w_](e_%a+%s*%b())(@?)", function(inner, at)
-    local event = at == "" and parse(inner)
-    return event and expand(fsm, tr, event) or nil
-  end))
+  local own = "@" .. tr.src._fqn
+  local plain = text:sub(-#own) == own and text:sub(1, -#own - 1) or text
+  local event, problem = parse(plain)
+  if event then return expand(fsm, tr, event) end
+  local expanded = text:gsub("%f[%w_](e_%a+%s*%b())(@?)", function(inner, at)
+    local other, wrong = parse(inner)
+    problem = problem or wrong
+    return other and at == "" and not problem and expand(fsm, tr, other) or nil
+  end)
+  if not problem then return expanded end
+  rfsm.warn(fsm, "init", rfsm.location_of(tr, "events") .. ": " .. problem)
+  return text
 end
 
 local function is_timed(obj) return rfsm.is_state(obj) and obj.timed == true end

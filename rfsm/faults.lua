@@ -91,11 +91,14 @@ local function note_failure(fsm, failing, owner, callback, failure, f)
   return send(fsm, failing, naming(node), owner, callback, failure)
 end
 
--- Has a transition from a state take the event of its source.
-local function expand(fsm, tr, i)
-  if not rfsm.is_state(tr.src) then
-    return rfsm.report(fsm, "warn", ("WARNING: %s: 'e_fault' never fires here, '%s' is "
-      .. "no state"):format(rfsm.location_of(tr, "events"), tr.src._fqn))
+-- Has a transition from a state take the event of its source: `e_fault`, also by
+-- `rfsm.named` or with the FQN of the source.
+local function expand(fsm, tr, i, event)
+  local is_own = event == "e_fault" or event == name_of(tr.src)
+  if not (is_own and rfsm.is_state(tr.src)) then
+    return rfsm.warn(fsm, "init", ("%s: '%s' never fires here, %s"):format(
+      rfsm.location_of(tr, "events"), event, is_own and ("'%s' is no state"):format(
+      tr.src._fqn) or "did you mean 'e_fault'?"))
   end
   tr.events[i], tr.src._names_fault = rfsm.named(name_of(tr.src)), true
   if fsm._has_faults then return end
@@ -106,7 +109,10 @@ end
 rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
   for _, tr in ipairs(rfsm.elements(merged or fsm, rfsm.is_trans)) do
     for i, event in ipairs(tr.events) do
-      if event == "e_fault" then expand(fsm, tr, i) end
+      if rfsm.event_name(event) == "e_fault" then event = "e_fault" end
+      if type(event) == "string" and event:find("^e_fault%f[^%w_]") then
+        expand(fsm, tr, i, event)
+      end
     end
   end
 end

@@ -450,6 +450,11 @@ local CASES = {
       .. "'e_start_later'?)",
     "root.trans[5] (b -> b): no other transition uses 'e_strat' (did you mean "
       .. "'e_start'?)" },
+  { "typo", "a word of the library", { [4] = go("a", "b", "efaults"),
+    [5] = go("b", "a", "eDone") },
+    "root.trans[4] (a -> b): no other transition uses 'efaults' (did you mean "
+      .. "'e_fault'?)", "root.trans[5] (b -> a): no other transition uses 'eDone' (did "
+      .. "you mean 'e_done'?)" },
   { "typo", "none of words of their own",
     { [4] = go("a", "a", { "e_lock", "e_close", "e_left", "e_goto_a", "e_arm1",
         "e_gripperL" }),
@@ -468,6 +473,10 @@ local CASES = {
       .. "mean 'e_c'?)",
     "root.trans[6] (b -> a): 'e_after 2' is one event with a blank in its name (did "
       .. "you mean 'e_after(2)'?)" },
+  { "odd-event", "a word of an extension without its call",
+    { [4] = go("a", "b", "e_every"), [5] = go("b", "a", "e_everything") },
+    "root.trans[4] (a -> b): 'e_every' is the name of an event like any other (did you "
+      .. "mean 'e_every(...)'?)" },
   { "odd-event", "nothing that somebody says", { [4] = go("a", "b", { "come here",
     "go on, please", "stop" }), [5] = go("b", "a", "it is done") } },
   { "odd-event", "none in the name of a state, or in parentheses", {
@@ -505,6 +514,16 @@ local CASES = {
     "root: a state has no field 'debug' (did you mean 'dbg'?)",
     "root: a state has no field 'wran' (did you mean 'warn'?)",
     "root.a: a state has no field 'finl' (did you mean 'final'?)" },
+  { "unknown-field", "a flag that is nearly there, or a text, or of another element",
+    { a = state { always = true }, b = state { timed = "1" },
+      [4] = go("a", "b", nil, { Always = true }),
+      [5] = go("b", "a", nil, { always = "yes" }) },
+    "root.a: a state has no field 'always' (a transition has it: rfsm.trans{ src, tgt, "
+      .. "always = true })",
+    "root.b: timed: true expected, got string '1' (timed = true)",
+    "root.trans[4] (a -> b): a transition has no field 'Always' (did you mean "
+      .. "'always'?)",
+    "root.trans[5] (b -> a): always: true expected, got string 'yes' (always = true)" },
   { "unknown-field", "none of the user's, true or not",
     { [4] = go("a", "b", "e", { finl = true }),
       a = state { done = true, final = 1 } } },

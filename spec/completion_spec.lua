@@ -354,6 +354,8 @@ describe("e_done that never comes", function()
     { "in a composite", { c = region("e_1", { final = true }) },
       "root.c", "final = true in a composite says nothing (mark the leaf in it that "
         .. "ends it)" },
+    { "in a connector", { c = conn { final = true } },
+      "root.c", "final = true in a connector says nothing (mark the leaf behind it)" },
     { "in a state that is left", { c = state { final = true } },
       "root.c", "final = true, but a transition leaves it (remove one of them)" },
   } do

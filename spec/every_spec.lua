@@ -176,6 +176,10 @@ describe("e_every", function()
   for _, case in ipairs {
     { "e_every(0)", "'e_every(0)': seconds above 0 expected, as in e_every(0.5)" },
     { "e_every(x)", "'e_every(x)': seconds expected, as in e_every(0.5)" },
+    { "e_every(0)@root.a",
+      "'e_every(0)': seconds above 0 expected, as in e_every(0.5)" },
+    { "await(e_x, e_every(0))",
+      "'e_every(0)': seconds above 0 expected, as in e_every(0.5)" },
   } do
     it("warns of " .. case[1], function()
       local warned = {}

@@ -275,6 +275,24 @@ describe("e_fault", function()
     assert.matches("2 of 2 transitions taken", explored "e_fault", 1, true)
   end)
 
+  it("may be a name with data, or have the FQN of its source", function()
+    for _, event in ipairs { rfsm.named "e_fault", "e_fault@root.work" } do
+      local fsm = new({ [2] = trans { src = "work", tgt = "safe",
+        events = { event } } }, { b = state { entry = fail } })
+      assert.equal("root.safe", at(send(fsm, "e_b")))
+    end
+  end)
+
+  it("of another state, or as a call, is told", function()
+    for _, event in ipairs { "e_fault@root.a", "e_fault()" } do
+      local warned = {}
+      new { warn = function(text) warned[#warned + 1] = text:match("root.*$") end,
+        [3] = trans { src = "safe", tgt = "work", events = { event } } }
+      assert.same({ ("root.trans[3].events (safe -> work): '%s' never fires here, did "
+        .. "you mean 'e_fault'?"):format(event) }, warned)
+    end
+  end)
+
   it("from a connector is told", function()
     local warned = {}
     assert(rfsm.init(state { info = false, warn = function(text)
@@ -292,8 +310,16 @@ describe("e_fault", function()
       local rfsm = require "rfsm"
       rfsm.init(rfsm.state { info = false, warn = print, a = rfsm.state {},
         rfsm.trans { src = "initial", tgt = "a" },
-        rfsm.trans { src = "a", tgt = "a", events = { "e_fault", "e_error" } } })']])
-    assert.same({ "no loaded extension knows 'e_fault' (require \"rfsm.faults\")" },
-      { lines[1]:match("no loaded.*$"), lines[2] })
+        rfsm.trans { src = "a", tgt = "a", events = { "e_fault", "e_error" } } })
+      local m = rfsm.state { a = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "a", events = { rfsm.named "e_fault" } },
+        rfsm.trans { src = "a", tgt = "a", events = { "e_fault@root.a" } } }
+      print(table.concat(require("rfsm_checks").check(m), "\n"))']])
+    for i = 1, 3 do
+      assert.matches("no loaded extension knows 'e_fault' (require \"rfsm.faults\")",
+        lines[i], 1, true)
+    end
+    assert.is_nil(lines[4])
   end)
 end)

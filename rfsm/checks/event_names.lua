@@ -65,8 +65,10 @@ end
 -- Returns a text if the name of an event is odd: if it looks like a pattern, or has a
 -- comma, bar or blank that is not in parentheses or after @.
 local function oddness_of_name(event)
-  local word = event:match("^[^(@]*")
-  if match.maker_of(event) or is_sentence(event) then
+  local word, call = event:match("^[^(@]*"), advice.call_meant(event)
+  if call ~= "" then
+    return ("'%s' is the name of an event like any other%s"):format(event, call)
+  elseif match.maker_of(event) or is_sentence(event) then
     return nil
   elseif word:find("[,|%s]") then
     return ("'%s' is one event with %s in its name%s"):format(event,
@@ -115,10 +117,20 @@ local function oddness_of(event)
   return is_plain and oddness_of_table(event) or nil
 end
 
+-- Returns a text if a predicate of `rfsm.named`, or an event with @, begins with a word
+-- of an extension that is not loaded. `rfsm.init` tells the other ones.
+local function unknown_word(event)
+  local name = rfsm.event_name(event)
+    or type(event) == "string" and event:match("^(.*)@")
+  local is_known = name and advice.module_for(name)
+  return is_known and advice.event(nil, name:match("^[%w_]+")) or ""
+end
+
 local function check_odd_events(tr, add)
   for _, event in ipairs(tr.events or {}) do
-    local text = oddness_of(event)
+    local text, unknown = oddness_of(event), unknown_word(event)
     if text then add("odd-event", tr, text) end
+    if unknown ~= "" then add("unknown-word", tr, unknown) end
   end
 end
 
@@ -190,10 +202,12 @@ local function find_similar(list, users, index, i)
   return least and list[least]
 end
 
--- Does an event of one transition look like the e_done of its source?
-local function is_nearly_done(event, tr)
+-- Returns the event of its source that the event of one transition looks like.
+local function nearly_own(event, tr)
   local word = event:lower():gsub("_", "")
-  return rfsm.is_leaf(tr.src) and (word == "done" or word == "edone")
+  local is_fault = word == "efault" or word == "efaults"
+  if is_fault and event ~= "e_fault" then return "e_fault" end
+  return rfsm.is_leaf(tr.src) and (word == "done" or word == "edone") and "e_done"
 end
 
 -- Finds events that only one transition uses, and that look like another event.
@@ -203,7 +217,7 @@ local function check_typos(fsm, add)
   for i, event in ipairs(list) do
     local is_alone = not users[event][2]
     local other = is_alone and (find_similar(list, users, index, i)
-      or is_nearly_done(event, users[event][1]) and "e_done")
+      or nearly_own(event, users[event][1]))
     if other then
       add("typo", users[event][1], ("no other transition uses '%s' (did you mean "
         .. "'%s'?)"):format(event, other))

@@ -140,8 +140,9 @@ end
 local function check_final(fsm, node, add)
   if node.final ~= true then return end
   if not is_leaf(node) then
-    add("misplaced", node, "final = true in a composite says nothing (mark the leaf in "
-      .. "it that ends it)")
+    add("misplaced", node, "final = true in a " .. (rfsm.is_conn(node)
+      and "connector says nothing (mark the leaf behind it)"
+      or "composite says nothing (mark the leaf in it that ends it)"))
   elseif node ~= fsm and node._otrs[1] then
     add("misplaced", node, "final = true, but a transition leaves it (remove one of "
       .. "them)")
@@ -162,19 +163,27 @@ local function check_callbacks(obj, add)
   end
 end
 
--- Names of boolean fields: of states other than the root, and of the root.
-local FLAGS = { "final" }
-local ROOT_FLAGS = { "dbg", "err", "info", "strict", "warn" }
+-- Names of boolean fields, by kind of element.
+local FLAGS = { state = { "final", "timed" }, transition = { "always" }, connector = {},
+  root = { "dbg", "err", "final", "info", "strict", "timed", "warn" } }
 
--- Finds boolean fields whose names look like a misspelt flag.
-local function check_flags(state, flags, add)
-  for _, key in ipairs(rfsm.sorted_keys(state)) do
-    for _, flag in ipairs(type(state[key]) == "boolean" and flags or {}) do
-      local is_near = type(key) == "string" and advice.is_near(key, flag)
-      if is_near and key ~= flag or flag == "dbg" and key == "debug" then
-        add("unknown-field", state, ("a state has no field '%s' (did you mean '%s'?)")
-          :format(key, flag))
-      end
+-- Finds boolean fields whose names look like a flag, and flags that are a text.
+local function check_flag(obj, flag, key, add)
+  local value, is_near = obj[key], advice.is_near(key, flag) and key ~= flag
+  if type(value) == "boolean" and (is_near or flag == "dbg" and key == "debug") then
+    add("unknown-field", obj, ("a %s has no field '%s' (did you mean '%s'?)"):format(
+      rfsm.kind_of(obj), key, flag))
+  elseif key == flag and type(value) == "string" then
+    add("unknown-field", obj, ("%s: true expected, %s (%s = true)"):format(flag,
+      rfsm.got(value), flag))
+  end
+end
+
+local function check_flags(obj, add)
+  local flags = FLAGS[rfsm.is_root(obj) and "root" or rfsm.kind_of(obj)]
+  for _, key in ipairs(rfsm.sorted_keys(obj)) do
+    for _, flag in ipairs(type(key) == "string" and flags or {}) do
+      check_flag(obj, flag, key, add)
     end
   end
 end
@@ -185,6 +194,8 @@ local function foreign_field(state, loaded)
   local has_history = state.history == true and rfsm.is_composite(state)
   if has_history and not loaded["rfsm.history"] then -- init tells of a text
     return "history", "require \"rfsm.history\""
+  elseif state.always == true then
+    return "always", "a transition has it: rfsm.trans{ src, tgt, always = true }"
   elseif state.type == "final" and not state.final then
     return "type", "did you mean final = true?"
   elseif state.type == "parallel" or state.parallel == true then
@@ -193,15 +204,12 @@ local function foreign_field(state, loaded)
 end
 
 -- Finds a field that is meant for another library, or for an extension that is not
--- loaded. Also finds a text in the field `final`.
+-- loaded.
 local function check_fields(state, add)
   local field, remedy = foreign_field(state, rawget(_G, "package").loaded)
   if field then
     add("unknown-field", state, "a state has no field '" .. field .. "' (" .. remedy
       .. ")")
-  elseif type(state.final) == "string" then
-    add("unknown-field", state, "final: true expected, " .. rfsm.got(state.final)
-      .. " (final = true)")
   end
 end
 
@@ -348,10 +356,8 @@ function structure.check(fsm, add, reached)
       check_regions(obj, add)
     end
     if rfsm.is_trans(obj) then check_transition(obj, add) end
-    if rfsm.is_state(obj) then
-      check_flags(obj, rfsm.is_root(obj) and ROOT_FLAGS or FLAGS, add)
-      check_fields(obj, add)
-    end
+    if rfsm.is_state(obj) then check_fields(obj, add) end
+    check_flags(obj, add)
     check_callbacks(obj, add)
   end
   check_connectors(fsm, add)
