@@ -518,12 +518,12 @@ local CASES = {
     { a = state { always = true }, b = state { timed = "1" },
       [4] = go("a", "b", nil, { Always = true }),
       [5] = go("b", "a", nil, { always = "yes" }) },
-    "root.a: a state has no field 'always' (a transition has it: rfsm.trans{ src, tgt, "
-      .. "always = true })",
-    "root.b: timed: true expected, got string '1' (timed = true)",
     "root.trans[4] (a -> b): a transition has no field 'Always' (did you mean "
       .. "'always'?)",
-    "root.trans[5] (b -> a): always: true expected, got string 'yes' (always = true)" },
+    "root.trans[5] (b -> a): always: true expected, got string 'yes' (always = true)",
+    "root.a: a state has no field 'always' (a transition has it: rfsm.trans{ src, tgt, "
+      .. "always = true })",
+    "root.b: timed: true expected, got string '1' (timed = true)" },
   { "unknown-field", "none of the user's, true or not",
     { [4] = go("a", "b", "e", { finl = true }),
       a = state { done = true, final = 1 } } },
