@@ -51,7 +51,6 @@ missing_for_specs() { # missing_for_specs LUA
   has_module "$1" socket || echo lua-socket
   has_module "$1" lxp || echo lua-expat
   command -v dot >/dev/null 2>&1 || echo graphviz
-  command -v qpdf >/dev/null 2>&1 || echo qpdf
 }
 
 missing_for_test() { # missing_for_test LUA ...
@@ -76,6 +75,7 @@ missing_for_test_all() { # missing_for_test_all LUA ...
   has_module lua5.1 redis || echo lua-redis
   has_module lua5.1 luasql.postgres || echo lua-sql-postgres
   command -v redis-server >/dev/null 2>&1 || echo redis-server
+  command -v qpdf >/dev/null 2>&1 || echo qpdf
   command -v tmux >/dev/null 2>&1 || echo tmux
   [ -e /usr/share/i18n/locales/de_DE ] || echo locales # with a decimal comma
 }
