@@ -388,7 +388,7 @@ describe("tools/test.sh", function()
     local busted = helper.file_with("#!/bin/sh\n" .. program)
     local messages = helper.file_with("")
     os.execute("chmod +x " .. busted)
-    local command = "LINT= FILES='%s' %s BUSTED=%s tools/test.sh %s"
+    local command = "LINT= LIMIT= FILES='%s' %s BUSTED=%s tools/test.sh %s"
     return lines_of(("{ " .. command .. "; echo $?; } 2>%s")
       :format(FILES, settings or "PENDING=", busted, arguments or arg[-1], messages)),
       lines_of("cat " .. messages)
@@ -530,6 +530,15 @@ describe("make figures", function()
     local before = content(file)
     assert.equal("figures: no command in " .. file .. " contains 'N=9'", renew "N=9")
     assert.equal(before, content(file))
+  end)
+end)
+
+describe("make torture", function()
+  it("stops a claim that does not end, and names it", function()
+    local lines = lines_of(("LIMIT=0.1 '%s' spec/support/torture.lua 1e9 1 defer")
+      :format(arg[-1]))
+    assert.same({ "spec/support/claims/defer.lua did not end within 0.1 s",
+      "0 claims hold, 1 do not" }, lines)
   end)
 end)
 

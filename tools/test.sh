@@ -54,6 +54,13 @@ list_files() { # list_files LUA
   [ -z "$files" ] || echo "$files" | sed "s|^|$1 |"
 }
 
+# Prints which files have not ended.
+name_running() {
+  for log in "$logs"/*/*_spec.lua; do
+    [ ! -e "$log" ] || echo "did not end: ${log#"$logs"/}"
+  done
+}
+
 # Adds up the closing lines of logs: "passed failed pending".
 count() {
   cat /dev/null "$@" 2>/dev/null |
@@ -160,6 +167,7 @@ date +%s >"$logs/time"
 go_on_announcing "$logs" $$ &
 announcer=$!
 trap 'kill $announcer 2>/dev/null; rm -rf "$logs"' EXIT
+trap 'name_running; exit 143' TERM
 { [ -z "${LINT:-}" ] || $LINT >"$logs/lint" 2>&1; echo $? >"$logs/lint-status"; } &
 linter=$!
 xargs -r -P "$(($(getconf _NPROCESSORS_ONLN || echo 2) * 2))" -n 2 "$0" --one "$logs" <"$logs/files"

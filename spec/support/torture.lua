@@ -3,7 +3,8 @@
 -- A file of spec/support/claims/ returns `name` and `run(n, seed)`, which returns the
 -- number of cases and, if the claim does not hold, a text that says what is wrong. A
 -- line is printed for each claim: its name, cases, seconds, and "ok" or that text. Each
--- runs in a process of its own, so that no claim sees what another has loaded.
+-- runs in a process of its own, so that no claim sees what another has loaded. With
+-- LIMIT in the environment, a claim is stopped after so many seconds.
 
 package.path = "./?.lua;" .. package.path
 
@@ -51,11 +52,15 @@ local n, seed = tonumber(arg[1]), tonumber(arg[2])
 if not (n and seed) then fail("N, SEED: numbers expected") end
 if arg[3] == "--file" then os.exit(hold(arg[4], n, seed) and 0 or 1) end
 
-local files, failed = files_of(3), 0
+local limit, files, failed = os.getenv "LIMIT", files_of(3), 0
 for _, file in ipairs(files) do
-  local lines = lines_of(("'%s' '%s' %d %d --file '%s' 2>&1; echo $?"):format(arg[-1],
-    arg[0], n, seed, file))
-  if table.remove(lines) ~= "0" then failed = failed + 1 end
+  local lines = lines_of(("%s'%s' '%s' %d %d --file '%s' 2>&1; echo $?"):format(
+    limit and "timeout -k 5 " .. limit .. " " or "", arg[-1], arg[0], n, seed, file))
+  local status = table.remove(lines)
+  if status ~= "0" then failed = failed + 1 end
+  if limit and (status == "124" or status == "137") then
+    lines[#lines + 1] = ("%s did not end within %s s"):format(file, limit)
+  end
   print(table.concat(lines, "\n"))
   io.stdout:flush()
 end
