@@ -420,36 +420,26 @@ local function add_wanted(own, wanted, list)
   end
 end
 
--- Lists the time events of a list.
-local function time_events(list)
+-- Lists the events of a list that may come while others wait: time events, and what a
+-- callback has made in a step before. If that waits, the machine has `read` none.
+local function made_events(list, has_read)
   local own = {}
   for _, occurrence in ipairs(list) do
-    if occurrence.state then own[#own + 1] = occurrence end
+    local may_come = occurrence.state or occurrence.is_first and not has_read
+    if may_come then own[#own + 1] = occurrence end
   end
   return own
 end
 
--- Notes of a machine that takes one event an iteration that an event which it makes
--- itself, but no time event, is not tried: it may come ahead of those that wait.
-local function note_order(walk, from, list)
-  for _, occurrence in ipairs(list) do
-    if not occurrence.state and walk.subject:maker_of(occurrence.event) then
-      note_cut(walk, from, true, "order", ("'%s' ahead of the events that wait")
-        :format(rfsm.event_text(occurrence.event)))
-    end
-  end
-end
-
 -- Lists the sets of events from outside with which steps are taken: those of up to
 -- `walk.together` events, and the larger ones that paths through connectors need. A
--- machine that takes one event an iteration gets only time events while one waits, or
--- if it has `read` one. It takes such paths with no set, and of several events the
--- later ones in another leaf.
-local function sets_from_outside(walk, from, conf, list, needed, read)
+-- machine that takes one event an iteration gets only what it makes itself while one
+-- waits, or if it has `read` one. It takes such paths with no set, and of several
+-- events the later ones in another leaf.
+local function sets_from_outside(walk, conf, list, needed, read)
   local own, is_one = walk.subject, walk.subject.parts[1].reads_one
   if is_one and (read[1] ~= nil or subject.is_driven(conf)) then
-    note_order(walk, from, list)
-    return sets_of(walk, time_events(list), walk.together)
+    return sets_of(walk, made_events(list, read[1] ~= nil), walk.together)
   end
   if is_one and walk.together > 1 then
     add_wanted(own, own.alphabet or own.event_list, list)
@@ -471,7 +461,7 @@ local function each_try(walk, from, f, read)
       :format(conf[1].leaf and conf[1].leaf._fqn or "root.initial"))
   end
   add_wanted(walk.subject, walk.wanted, list)
-  local sets = sets_from_outside(walk, from, conf, list, needed, read)
+  local sets = sets_from_outside(walk, conf, list, needed, read)
   for i, set in ipairs(read[1] ~= nil and sets or {}) do
     sets[i] = match.joined(read, set)
   end

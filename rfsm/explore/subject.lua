@@ -35,7 +35,8 @@ local replacements = require "rfsm.explore.replacements"
 local error, ipairs, pcall = error, ipairs, pcall
 local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
 local tonumber, type = tonumber, type
-local concat, remove, sort = table.concat, table.remove, table.sort
+local concat, insert, remove, sort =
+  table.concat, table.insert, table.remove, table.sort
 local max, min = math.max, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
@@ -129,6 +130,8 @@ Subject.__index = Subject
 ---@field has_data boolean the event is an example of the option `classes`
 ---@field number integer position in the list of all occurrences
 ---@field is_repeated boolean of a timer that comes again: not while its event waits
+---@field is_first boolean a callback has made it in a step before, such as a fault: to
+-- a machine that takes one event it may come ahead of events that wait
 ---@field state rfsm.State|false the state whose timer it comes from
 ---@field alone rfsm_checks.Occurrence[] a list that has this occurrence only
 
@@ -261,8 +264,10 @@ function Subject:new_occurrence(part, event, after)
   event = self:event_of(event)
   local new = { part = part, event = event, after = after,
     has_data = self.is_example[event] or false, number = #self.occurrences + 1,
-    state = false, is_repeated = false, alone = {} }
+    state = false, is_repeated = false, is_first = false, alone = {} }
   if not after then new.state, new.is_repeated = timer_of(part, event) end
+  local _, fqn = match.maker_of(event)
+  new.is_first = part.reads_one and fqn ~= nil and not new.state
   new.alone[1], self.occurrences[new.number] = new, new
   return new
 end
@@ -441,9 +446,8 @@ end
 -- Adds the event of an occurrence to a queue.
 local function come(queue, occurrence)
   local event = occurrence.event
-  if not (occurrence.is_repeated and match.has(queue, event)) then
-    queue[#queue + 1] = event
-  end
+  if occurrence.is_repeated and match.has(queue, event) then return end
+  insert(queue, occurrence.is_first and 1 or #queue + 1, event)
 end
 
 -- Has the events that come to a region alone come where those of timers do.
@@ -463,7 +467,7 @@ local function add_part(self, part)
   part.is_bound, part.is_quiet, part.is_single = false, false, is_single(part)
   part.reads_one = reads_one(part)
   part.kept, part.keeps_order = kept.of(fsm), part.reads_one
-  if part.owner then table.insert(part.owner.inner, part) end
+  if part.owner then insert(part.owner.inner, part) end
   part.occurrences, part.timed, part.rounds = {}, {}, 0
   add_source(part)
   self.parts[#self.parts + 1] = part
@@ -808,7 +812,7 @@ local function send(self, occurrences)
   for _, part in ipairs(self.parts) do clear(part.coming) end
   for _, occurrence in ipairs(occurrences) do
     local part = occurrence.part
-    if part.owner and part.reads_one then
+    if part.owner and part.reads_one and not occurrence.is_first then
       part.coming[#part.coming + 1] = occurrence
     else
       come(part.fsm._intq, occurrence)

@@ -10,6 +10,7 @@ local driven = require "spec.support.driven"
 local explore = require "rfsm.explore.explore"
 local new_random = require "spec.support.random"
 local location = require "rfsm.shared.location"
+local match = require "rfsm.shared.match"
 local subject = require "rfsm.explore.subject"
 local rfsm = require "rfsm"
 local run_seeds = require "spec.support.run_seeds"
@@ -327,6 +328,16 @@ local function answering(make)
   return function(choices) answers, at = { unpack(choices) }, 0 end -- a new table
 end
 
+-- Sends an event. To a machine that takes one event a fault has come before those that
+-- wait.
+local function send(fsm, event)
+  rfsm.send_events(fsm, event)
+  local is_fault = match.maker_of(event) == "fault"
+  if is_fault and fsm._reads_one then
+    table.insert(fsm._intq, 1, table.remove(fsm._intq))
+  end
+end
+
 -- Follows a witness on a machine of its own, which is given to `watch`; returns a set
 -- of texts of what it shows. What `watch` returns is called with the time of each step.
 local function follow(chart, witness, choice, watch)
@@ -348,9 +359,9 @@ local function follow(chart, witness, choice, watch)
     now = step.at or 0
     if before then before(now) end
     for text in pairs(world.seen) do world.seen[text] = nil end
-    for _, event in ipairs(step.values) do rfsm.send_events(fsm, event) end
+    for _, event in ipairs(step.values) do send(fsm, event) end
     for _, inner in ipairs(step.inside) do
-      rfsm.send_events(machine_of[inner.prefix], inner.event)
+      send(machine_of[inner.prefix], inner.event)
     end
     rfsm.step(fsm)
   end
@@ -360,7 +371,7 @@ end
 
 claim.model_of, claim.wanderer, claim.stands_of = model_of, wanderer, stands_of
 claim.explored, claim.follow, claim.paths_of = explored, follow, paths_of
-claim.answering = answering
+claim.answering, claim.send = answering, send
 
 -- The claim -------------------------------------------------------------------------
 
