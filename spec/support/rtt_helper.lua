@@ -26,6 +26,15 @@ function rtt_helper.advance(seconds)
   rtt.sleep(math.floor(seconds), seconds % 1 * 1e9)
 end
 
+-- Lets time pass until an answer is true, for at most ten seconds.
+function rtt_helper.wait_until(ask)
+  for _ = 1, 1000 do
+    if ask() then return end
+    rtt_helper.advance(0.01)
+  end
+  error("the answer was never true", 2)
+end
+
 local LOG = "orocos.log" -- the real one writes it where it was started
 local LEVELS = { ERROR = "Error", Warning = "Warning", Info = "Info" }
 local log_start = 0
