@@ -238,7 +238,8 @@ end
 --      { "force_in", type = "Force", event = is_contact, edge = true },
 --    }
 --
--- @raise when an entry is wrong or a port cannot be made; then none is left
+-- @raise when an entry is wrong, or a port cannot be made: then none is left. Also when
+-- one of an earlier call is missing.
 ---@param list rfsm.rtt.Input[]
 function rfsm_rtt.ports(list)
   local ok, why = pcall(function() require("rfsm.rtt.inputs").declare(list) end)

@@ -413,6 +413,20 @@ describe("rfsm_rtt.ports", function()
     end
   end)
 
+  it("refuses a second list without a port of the first, which nobody would read",
+    function()
+      local arm, exec_str, start = started(FIELDS:format(noting_chart()), PORTS)
+      local out = feed("arm.arm_in")
+      exec_str("ok, why = pcall(rfsm_rtt.ports, { { 'stop_in' }, { 'leg_in' } })")
+      assert.equal("rfsm.rtt.ports: one list of all ports expected, 'arm_in' of an "
+        .. "earlier call is missing", evaluate(exec_str, "why"))
+      start()
+      out:write("e_x")
+      spin()
+      assert.equal("arm.e_x", evaluate(exec_str, "table.concat(seen, ' ')"))
+      assert.is_false(pcall(arm.getPort, arm, "leg_in"))
+    end)
+
   it("is done by program.lua if the fields are known before", function()
     local arm, exec_str = load("arm")
     exec_str(("rfsm_launch = { %s }"):format(own_fields("{ { 'stop_in' } }")))

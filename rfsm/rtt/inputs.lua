@@ -130,11 +130,25 @@ function inputs.make(owner, read, is_trigger, is_kept)
   return made
 end
 
+-- Raises an error if a list of ports lacks one of the list before: it would stay, and
+-- nobody would read it.
+local function check_complete(read, declared)
+  local names = {}
+  for _, input in ipairs(read) do names[input[1]] = true end
+  for _, input in ipairs(declared and declared.inputs or {}) do
+    if not names[input[1]] then
+      error(("one list of all ports expected, '%s' of an earlier call is missing")
+        :format(input[1]), 0)
+    end
+  end
+end
+
 --- Make the ports before the launch, as `rfsm.rtt.ports` does.
 function inputs.declare(list)
   local rtt = package.loaded.rtt
   if not rtt then error("no module 'rtt' in this Lua", 0) end
   local owner, read = rtt.getTC(), inputs.read(list)
+  check_complete(read, rfsm_rtt.declared)
   inputs.make(owner, read, owner:hasOperation("exec_str"), true)
   rfsm_rtt.declared = { list = list, inputs = read }
 end
