@@ -95,8 +95,12 @@ local explore = {}
 -- { state =, time = }; empty if the walk has neither a monitor nor clocks
 ---@field context_ids table<string, integer> text of a context -> its number in a key
 ---@field kin table<string, rfsm_checks.Kin> configurations that differ only in times
----@field unsure table<integer, rfsm_checks.Group> position of a step in `steps` -> the
+---@field wider table<integer, integer> configuration that is not expanded -> a later one
+-- that differs only in times, and whose zone of times includes its zone
+---@field unsure table<integer, integer> position of a step in `steps` -> the number of the
 -- group of deadlines that are over before the step, if another group may be over first
+---@field ways table<integer, number> configuration with such a step -> how many groups may
+-- be over first
 ---@field cut table<integer, boolean> configurations from which a step without events
 -- from outside was not tried, or its target is not explored
 ---@field try rfsm_checks.Try the step that is taken now
@@ -138,7 +142,7 @@ end
 -- Returns the number of the context (monitor state and time) and the subject's key.
 local function in_context(walk, key, state, time)
   if not (walk.monitor or walk.timing) then return key end
-  local text = state .. (time and "@" .. time.text or "")
+  local text = state .. (time and "@" .. time.number or "")
   local id = walk.context_ids[text]
   if not id then
     id = #walk.contexts + 1
@@ -153,6 +157,12 @@ function Walk:is_entered()
   return order.any(self.subject.parts[1].positions, function(at) return at.leaf end)
 end
 
+-- Returns the configuration that is expanded in place of another one, or itself.
+local function widest(walk, number)
+  while walk.wider[number] do number = walk.wider[number] end
+  return number
+end
+
 --- Return the number of a known configuration with the same key, or of one that differs
 --- only in its times and whose zone of times includes the zone of the key.
 ---@return integer? number nil if no such configuration is known
@@ -160,7 +170,8 @@ end
 -- times
 ---@return number[]? zone if `number` is nil: the zone of the key
 function Walk:find_known(key)
-  if self.numbers[key] or not self.timing then return self.numbers[key] end
+  local known = self.numbers[key]
+  if known or not self.timing then return known and widest(self, known) end
   local id, own = split(key)
   local context = self.contexts[id]
   local time, kin = context.time, self.kin
@@ -173,16 +184,39 @@ function Walk:find_known(key)
   return nil, kin[name], zone
 end
 
+-- Adds a configuration to its kin. Those whose zone it includes leave the kin. If they
+-- have its depth they are not expanded: all that they can do, it can do in as many steps.
+local function add_kin(walk, kin, number, zone)
+  local numbers, list, count = kin.numbers, kin.zones, 0
+  for i = 1, #list do
+    local old, old_zone = numbers[i], list[i]
+    numbers[i], list[i] = nil, nil
+    if not zones.includes(zone, old_zone) then
+      count = count + 1
+      numbers[count], list[count] = old, old_zone
+    elseif old > walk.level_end then
+      walk.wider[old] = number
+    end
+  end
+  numbers[count + 1], list[count + 1] = number, zone
+end
+
+-- Has all steps lead to configurations that are expanded.
+local function redirect(walk)
+  local steps = walk.steps
+  for at = 1, not order.is_empty(walk.wider) and #steps or 0 do
+    local step = steps[at]
+    steps[at] = step < 0 and -widest(walk, -step) or widest(walk, step)
+  end
+end
+
 --- Return the number of a configuration to which a step from `from` has led. A new
 --- configuration is added; it is expanded later.
 function Walk:find_configuration(key, from, label)
   local number, kin, zone = self:find_known(key)
   if number then return number end
   number = #self.keys + 1
-  if kin then
-    local at = #kin.numbers + 1
-    kin.numbers[at], kin.zones[at] = number, zone
-  end
+  if kin then add_kin(self, kin, number, zone) end
   self.keys[number], self.numbers[key] = key, number
   self.from[number], self.labels[number] = from, label()
   return number
@@ -252,7 +286,8 @@ end
 local function add_step(walk, try, tgt)
   if tgt == try.from and not may_repeat(walk, try) then return end
   local step, unsure = try.is_internal and -tgt or tgt, walk.unsure
-  local group = try.group and not try.group.is_sure and try.group or nil
+  local group = try.group and not try.group.is_sure and try.group.number or nil
+  if group then walk.ways[try.from] = try.group.ways end
   local steps, count = walk.steps, #walk.steps
   for at = walk.first[try.from], count do
     if steps[at] == step and unsure[at] == group then return end
@@ -470,9 +505,14 @@ local function each_try(walk, from, f, read)
   end
 end
 
--- Takes all steps from a configuration.
+-- Takes all steps from a configuration. If a wider one is known, a single step leads to
+-- that one.
 function Walk.expand(walk, from)
   walk.first[from], walk.has_moved = #walk.steps + 1, false
+  if walk.wider[from] then
+    walk.steps[#walk.steps + 1] = -walk.wider[from]
+    return
+  end
   each_try(walk, from, note_step, {})
   if not walk.has_moved then walk.stuck[#walk.stuck + 1] = from end
 end
@@ -659,8 +699,8 @@ function explore.new(model, options, way)
     bound = nil, stuck = {}, has_moved = false,
     is_limited = false, count = 0, expanded = 0, wanted = {},
     ends = huge, is_late = false,
-    monitor = false, contexts = {}, context_ids = {}, kin = {},
-    unsure = {}, cut = {}, timing = false }, Walk)
+    monitor = false, contexts = {}, context_ids = {}, kin = {}, wider = {},
+    unsure = {}, ways = {}, cut = {}, timing = false }, Walk)
   for _, event in ipairs(rfsm.sorted_keys(own.flags_of_event)) do
     walk:want(own:event_meant(event))
   end
@@ -705,6 +745,7 @@ function explore.walk(model, options, prepare, way)
     walk:note_untried("sets", "the order of times with more than 15 digits")
   end
   explore.walk_all(walk, walk.options)
+  redirect(walk)
   data.rest(walk.subject)
   return walk
 end

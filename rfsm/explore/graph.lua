@@ -92,7 +92,7 @@ local function leads_surely(walk, number, set)
       is_sure = true
     elseif set[tgt] and not is_counted[group] then
       is_counted[group], ways = true, ways + 1
-      is_sure = is_sure or ways == group.ways
+      is_sure = is_sure or ways == walk.ways[number]
     end
   end)
   return is_sure

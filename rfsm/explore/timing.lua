@@ -41,7 +41,11 @@ local timing = {}
 ---@field unit number all times are multiples of this number of nanoseconds
 ---@field period number|false longest time between two steps, in units; false: not given
 ---@field none rfsm_checks.Time the value for moments at which no clock runs
----@field times table<string, rfsm_checks.Time> the times by their field `text`
+---@field times table<string, rfsm_checks.Time> by the entries and the zone as a text
+---@field time_count integer how many times there are
+---@field entries table<string, table[]> the entries of the times, by their field `shape`
+---@field latest table<boolean, table<rfsm_checks.Time, rfsm_checks.Group[]>> the latest
+-- results of `Timing:groups`
 ---@field fired table<rfsm_checks.Occurrence, boolean> time events that have come
 ---@field is_cut boolean some groups were left out
 ---@field is_inexact boolean some times have too many units to be exact
@@ -70,8 +74,7 @@ Timing.__index = Timing
 -- deadlines of the clock are over
 ---@field zone number[] the values that these clocks may have, see `rfsm.explore.zones`
 ---@field shape string the entries as a text
----@field text string the entries and the zone as a text
----@field groups table<boolean, rfsm_checks.Group[]> results of `Timing:groups`
+---@field number integer its index among all times
 
 --- A set of deadlines that are over when the next step begins.
 ---@class rfsm_checks.Group
@@ -217,10 +220,18 @@ local function find_time(self, entries, zone)
   end
   local shape = concat(texts, ",")
   local text = shape .. "@" .. concat(zone, ",")
-  self.times[text] = self.times[text]
-    or { entries = entries, zone = zone, shape = shape, text = text, groups = {} }
-  return self.times[text]
+  local time = self.times[text]
+  if not time then
+    self.time_count = self.time_count + 1
+    self.entries[shape] = self.entries[shape] or entries
+    time = { entries = self.entries[shape], zone = zone, shape = shape,
+      number = self.time_count }
+    self.times[text] = time
+  end
+  return time
 end
+
+local WEAK = { __mode = "v" } -- groups take most of the memory, and are soon made again
 
 --- Return the clocks of a walk; false if there are none.
 ---@param walk rfsm_checks.Walk
@@ -230,7 +241,9 @@ function timing.new(walk, options)
   local self = setmetatable({ subject = walk.subject, clocks = {}, of = {}, times = {},
     period = options.period and nanoseconds(options.period) or false, fired = {},
     pending = options.pending, is_timed = false, is_cut = false, ranks = {}, count = 0,
-    reads_one = false }, Timing)
+    time_count = 0, entries = {}, reads_one = false,
+    latest = { [false] = setmetatable({}, WEAK), [true] = setmetatable({}, WEAK) } },
+    Timing)
   for _, part in ipairs(walk.subject.parts) do
     self.reads_one = self.reads_one or part.reads_one
   end
@@ -439,9 +452,10 @@ end
 ---@param is_driven boolean an event waits
 ---@return rfsm_checks.Group[]
 function Timing:groups(time, is_driven)
-  is_driven = is_driven and self.period ~= false
-  time.groups[is_driven] = time.groups[is_driven] or new_groups(self, time, is_driven)
-  return time.groups[is_driven]
+  local known = self.latest[is_driven and self.period ~= false]
+  local groups = known[time] or new_groups(self, time, is_driven)
+  known[time] = groups
+  return groups
 end
 
 -- Steps .............................................................................

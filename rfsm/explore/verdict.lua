@@ -424,8 +424,7 @@ end
 
 -- Judges a property on its walk and returns the verdict. If the property is violated,
 -- also adds a finding to `result`.
-local function judge(result, judged, options)
-  local walk = judged.walk
+local function judge(result, walk, judged, options)
   properties.judge(walk, judged)
   local witness = judged.at and find_witness(walk, judged)
   if judged.holds == nil then note_bound(result, walk) end
@@ -649,11 +648,11 @@ function verdict.of(model, options)
   end
   local result = new_result(own, walks, options)
   for i, judged in ipairs(list) do
-    judged.walk = monitors.kinds[judged.property.kind].judge and by_way[judged.way]
+    local walk = monitors.kinds[judged.property.kind].judge and by_way[judged.way]
       or explore.walk(model, rest(), function(walk)
         properties.monitor(walk, judged)
       end, judged.way)
-    result.properties[i] = judge(result, judged, options)
+    result.properties[i] = judge(result, walk, judged, options)
   end
   find_dead_ends(walks, result.findings)
   find_others(walks, result.findings)
