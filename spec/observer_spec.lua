@@ -368,6 +368,16 @@ describe("data of events by example", function()
     assert.is_false(judge(heater(), never "root.b", options).holds)
   end)
 
+  it("is known beside an event of the machine that a predicate accepts", function()
+    local function is_done(event) return event == "e_done@root.a" end
+    local model = heater()
+    model.k, model[4] = rfsm.connector {}, go("k", "b", "e_y")
+    model[5] = rfsm.trans { src = "root", tgt = "k", events = { is_done } }
+    local options = classes(20)
+    options.alphabet = { "e_heat" }
+    assert.is_true(judge(model, never "root.b", options).holds)
+  end)
+
   it("is not known to a guard that calls what is not known", function()
     local function asks(_, _, event) return helper.unknown(event.celsius) end
     assert.is_false(judge(heater(asks), never "root.b", classes(20)).holds)

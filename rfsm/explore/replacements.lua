@@ -325,9 +325,11 @@ end
 --- the current events.
 replacements.EVENTS = 4
 
--- May an event stand for one with data, or for an event that no transition names?
+-- May an event stand for one with data, or for an event that no transition names? A text
+-- that the machine itself makes does not.
 local function may_have_data(self, event)
-  if self.is_example[event] then return false end
+  local is_own = type(event) == "string" and self:maker_of(event)
+  if is_own or self.is_example[event] then return false end
   if self.names_with_data[event] or event == reactions.OTHER then return true end
   for _, answers in order.each(self.answers) do -- any order: one is enough
     if type(answers) == "table" and answers[event] then return true end

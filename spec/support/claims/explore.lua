@@ -214,12 +214,15 @@ local function count_faults(fsm)
   return count
 end
 
+-- Does nothing come from outside to a machine, since it takes one event and is busy?
+function claim.is_busy(fsm) return fsm.read == "one" and rfsm.check_events(fsm) > 0 end
+
 -- Takes a step with so many events, faults and timers at most, and only timers if a
 -- machine that takes one event is busy. Returns whether there were more.
 local function wander_on(fsm, world, events, clock, most)
   local random = world.random
   local fired = 0
-  local is_busy = fsm.read == "one" and rfsm.check_events(fsm) > 0
+  local is_busy = claim.is_busy(fsm)
   for _, entry in ipairs(rfsm.machines(fsm)) do
     entry.machine.dbg = function(id) if id == "TIMEEVENT" then fired = fired + 1 end end
     fired = fired + count_faults(entry.machine)

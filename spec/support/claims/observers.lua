@@ -248,7 +248,7 @@ local function break_at_random(test, random)
     for _ = 1, random(12) do
       local event = random(4) > 1 and test.events[random(#test.events)] or nil
       if event == "e_d" then event = { name = "e_d", n = random(2) * 2 - 1 } end
-      rfsm.send_events(fsm, event)
+      if not explore.is_busy(fsm) then rfsm.send_events(fsm, event) end
       world.steps = world.steps + 1
       rfsm.step(fsm)
       if count_kept(fsm) > test.options.deferred then break end
