@@ -95,12 +95,12 @@ local explore = {}
 -- { state =, time = }; empty if the walk has neither a monitor nor clocks
 ---@field context_ids table<string, integer> text of a context -> its number in a key
 ---@field kin table<string, rfsm_checks.Kin> configurations that differ only in times
----@field wider table<integer, integer> configuration that is not expanded -> a later one
--- that differs only in times, and whose zone of times includes its zone
----@field unsure table<integer, integer> position of a step in `steps` -> the number of the
+---@field wider table<integer, integer> configuration that is not expanded -> a later
+-- one that differs only in times, and whose zone of times includes its zone
+---@field unsure table<integer, integer> position of a step in `steps` -> number of the
 -- group of deadlines that are over before the step, if another group may be over first
----@field ways table<integer, number> configuration with such a step -> how many groups may
--- be over first
+---@field ways table<integer, number> configuration with such a step -> how many groups
+-- may be over first
 ---@field cut table<integer, boolean> configurations from which a step without events
 -- from outside was not tried, or its target is not explored
 ---@field try rfsm_checks.Try the step that is taken now
@@ -185,7 +185,7 @@ function Walk:find_known(key)
 end
 
 -- Adds a configuration to its kin. Those whose zone it includes leave the kin. If they
--- have its depth they are not expanded: all that they can do, it can do in as many steps.
+-- have its depth they are not expanded: what they can do, it can do in as many steps.
 local function add_kin(walk, kin, number, zone)
   local numbers, list, count = kin.numbers, kin.zones, 0
   for i = 1, #list do

@@ -325,8 +325,8 @@ end
 --- the current events.
 replacements.EVENTS = 4
 
--- May an event stand for one with data, or for an event that no transition names? A text
--- that the machine itself makes does not.
+-- May an event stand for one with data, or for an event that no transition names? A
+-- text that the machine itself makes does not.
 local function may_have_data(self, event)
   local is_own = type(event) == "string" and self:maker_of(event)
   if is_own or self.is_example[event] then return false end

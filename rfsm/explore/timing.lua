@@ -41,9 +41,9 @@ local timing = {}
 ---@field unit number all times are multiples of this number of nanoseconds
 ---@field period number|false longest time between two steps, in units; false: not given
 ---@field none rfsm_checks.Time the value for moments at which no clock runs
----@field times table<string, rfsm_checks.Time> by the entries and the zone as a text
+---@field times table<string, rfsm_checks.Time> by entries and zone as a text
 ---@field time_count integer how many times there are
----@field entries table<string, table[]> the entries of the times, by their field `shape`
+---@field entries table<string, table[]> entries of times, by the field `shape`
 ---@field latest table<boolean, table<rfsm_checks.Time, rfsm_checks.Group[]>> the latest
 -- results of `Timing:groups`
 ---@field fired table<rfsm_checks.Occurrence, boolean> time events that have come
