@@ -95,26 +95,6 @@ local function call(...)
 end
 
 describe("an event with an id", function()
-  it("is applied once", function()
-    assert(machines:create(1, "counter"))
-    for _ = 1, 3 do
-      assert.matches("root.odd done", call("rfsm_send 1", key_of(1), "e_tick ID a"))
-    end
-    assert.equal("root.even done taken", call("rfsm_send 1", key_of(1), "e_tick ID b"))
-    assert.equal("root.even done known", call("rfsm_send 1", key_of(1), "e_tick ID a"))
-    assert.equal(2, count_of(1))
-  end)
-
-  it("is known until 16 others have come, or as many as the library says", function()
-    assert(machines:load(library { ids = 2 }))
-    assert.equal("root.even done taken", call("rfsm_create 1 {0} counter '{}' ID a"))
-    assert.equal("root.even done known", call("rfsm_create 1 {0} counter '{}' ID a"))
-    for _, id in ipairs { "b", "c", "a", "c", "a" } do
-      call("rfsm_send 1 {0} e_tick ID " .. id)
-    end
-    assert.equal(3, count_of("{0}"))
-  end)
-
   it("that the client sends again is applied once", function()
     local other = servers.redis("--appendonly yes --appendfsync always")
     local twice = fleet.connect(other:url(), { name = "m", tags = 1 })
@@ -183,13 +163,6 @@ describe("an error changes nothing:", function()
         { worker:send(1, case.event) })
       assert.equal(before, server:cli("DUMP " .. key_of(1)))
       server:cli("ACL DELUSER worker")
-    end)
-  end
-
-  for _, key in ipairs { "rfsm:due:{0}", "m:{0}:1:log", "m:{0}:1:history" } do
-    it("no machine is made at " .. key, function()
-      assert.same({ nil, "ERR rfsm_create: key '" .. key .. "': rfsm:*, *:log and "
-        .. "*:history are no keys of machines" }, { machines:create(key, "timed") })
     end)
   end
 end)
@@ -433,18 +406,6 @@ describe("consumer groups", function()
 end)
 
 describe("machines that are due", function()
-  it("are run in one call, each once", function()
-    for i = 1, 30 do assert(machines:create(i, "restless")) end
-    local other = connect()
-    assert.equal(30, machines:wake(50) + other:wake(0 + 1) * 0)
-    local before = 0
-    for i = 1, 30 do before = before + count_of(i) end
-    assert.equal(7, (machines:wake(7)))
-    local after = 0
-    for i = 1, 30 do after = after + count_of(i) end
-    assert.is_true(after > before)
-  end)
-
   it("that cannot be run are put aside, and do not hold up others", function()
     assert(machines:load(library(nil, { restless = RESTLESS, old = RESTLESS })))
     for i = 1, 20 do assert(machines:create("old" .. i, "old")) end
@@ -463,13 +424,6 @@ describe("machines that are due", function()
     assert(machines:load(library(nil, { restless = RESTLESS, old = RESTLESS })))
     assert(machines:tick("old7"))
     assert.equal("19\n", server:cli("ZCARD rfsm:aside:{0}"))
-  end)
-
-  it("and are gone are due no more", function()
-    assert(machines:create(1, "restless"))
-    server:cli("DEL " .. key_of(1))
-    machines:wake()
-    assert.equal("0\n", server:cli("ZCARD rfsm:due:{0}"))
   end)
 end)
 
@@ -545,19 +499,6 @@ describe("a callback that never ends", function()
 end)
 
 describe("an event of a time", function()
-  it("comes when that is there", function()
-    assert(machines:create(1, "timed"))
-    assert(machines:send_after(1, 0, "e_b"))
-    assert.equal("root.b", machines:get(1).leaf)
-    assert(machines:send_after(1, 1000, "e_back"))
-    local due = machines:get(1).due
-    assert.equal("root.b", machines:get(1).leaf)
-    call("rfsm_send_at 1", key_of(1), ("%.6f"):format(due - 500), "e_back ID early")
-    assert.is_true(math.abs(machines:get(1).due - due + 500) < 0.001)
-    machines:tick(1)
-    assert.equal("root.b", machines:get(1).leaf)
-  end)
-
   it("is taken back", function()
     assert(machines:create(1, "counter"))
     local ticket = assert(machines:send_after(1, 1000, "e_tick"))
@@ -565,12 +506,6 @@ describe("an event of a time", function()
     assert.is_true(machines:cancel(1, ticket))
     assert.is_false(machines:cancel(1, ticket))
     assert.is_nil(machines:get(1).due)
-  end)
-
-  it("is applied once", function()
-    assert(machines:create(1, "counter"))
-    for _ = 1, 3 do call("rfsm_send_at 1", key_of(1), "+0 e_tick ID x") end
-    assert.equal(1, count_of(1))
   end)
 end)
 
@@ -582,22 +517,6 @@ describe("an operator", function()
     assert.equal("root.odd", machines:send("{0}:x", "e_tick").leaf)
     assert.same({ n = 6, list = { n = 1.5, a = { 1 } } }, machines:get("{0}:x").data
       .root)
-  end)
-
-  it("finds machines by their state, also by one around it", function()
-    for i = 1, 5 do assert(machines:create(i, "timed")) end
-    machines:send(2, "e_b")
-    machines:send(4, "e_long")
-    local function ids(...)
-      local list = assert(machines:find(...))
-      for i, key in ipairs(list) do list[i] = key:match("%d+$") end
-      table.sort(list)
-      return table.concat(list, " ")
-    end
-    assert.same({ "1 3 5", "2", "4", "4", "1 2 3 4 5", "" }, { ids("timed", "root.a"),
-      ids("timed", "root.b"), ids("timed", "root.c"), ids("timed", "root.c.d"),
-      ids("timed", "root"), ids("counter", "root") })
-    assert.equal(2, #machines:find("timed", "root", 2))
   end)
 
   it("gives data to a machine, also a field n", function()
@@ -641,15 +560,6 @@ describe("an operator", function()
     end)
   end
 
-  it("neither finds nor counts machines after DEL", function()
-    for i = 1, 3 do assert(machines:create(i, "timed")) end
-    machines:send(2, "e_b")
-    server:cli("DEL " .. key_of(1) .. " " .. key_of(2))
-    assert.same({ { (machines:key_of(3)) }, {} }, { machines:find("timed", "root.a", 1),
-      machines:find("timed", "root.b") })
-    assert.equal("timed root.a 1", call("rfsm_stats 1 {0}"):match("^%S+ %S+ %S+"))
-  end)
-
   it("counts a machine once whose key another had before DEL", function()
     assert(machines:create(1, "timed"))
     machines:send(1, "e_b")
@@ -657,17 +567,6 @@ describe("an operator", function()
     assert(machines:create(1, "counter"))
     assert.same({}, machines:find("timed", "root"))
     assert.matches("^counter root.even 1 0 0 0 0 0 ", call("rfsm_stats 1 {0}"))
-  end)
-
-  it("sees the latest moves of a machine", function()
-    assert(machines:create(1, "counter"))
-    for _ = 1, 4 do machines:send(1, "e_tick") end
-    local moves = assert(machines:history(1))
-    assert.equal(3, #moves)
-    assert.is_number(moves[1].time)
-    moves[1].time = nil
-    assert.same({ event = "e_tick", from = "root.odd", to = "root.even" }, moves[1])
-    assert.equal(1, #machines:history(1, 1))
   end)
 
   it("counts machines by state", function()

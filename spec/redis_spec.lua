@@ -69,37 +69,6 @@ describe("a fleet", function()
       .. "}:1:log - +"))
   end)
 
-  it("is the same from any client", function()
-    assert.equal("root.off\ndone\ntaken\n",
-      server:cli("FCALL rfsm_create 1 {robot:42} lamp"))
-    assert.equal("root.busy\nactive\ntaken\n",
-      server:cli("FCALL rfsm_send 1 {robot:42} e_busy"))
-    assert.equal("{robot:42}\n", server:cli("FCALL rfsm_due 1 {robot:42}"))
-  end)
-
-  it("reports why", function()
-    machines:create(1, "lamp")
-    machines:create(2, "lamp", { owner = "ghost" })
-    assert.same({ "root.trans[2] (off -> on) would be taken on e_on in root.off",
-      "  root.trans[2] (off -> on): would be taken",
-      "  root.trans[4] (off -> busy): waits for e_busy" }, machines:why(1, "e_on"))
-    assert.equal("  root.trans[2] (off -> on): its guard returns false",
-      machines:why(2, "e_on")[2])
-  end)
-
-  it("wakes machines whose time has come", function()
-    machines:create(1, "lamp")
-    machines:send(1, "e_on")
-    assert.equal("", server:cli("FCALL rfsm_due 1 {x}"):gsub("%s", ""))
-    local tries = 0
-    repeat
-      tries = tries + machines:wake() + 0.001
-    until machines:get(1).leaf == "root.off" or tries > 100
-    assert.equal("root.off", machines:get(1).leaf)
-    assert.is_nil(machines:get(1).due)
-    assert.equal(0, machines:wake())
-  end)
-
   it("hands on what machines emit, once more if a worker dies", function()
     machines:create(1, "lamp", { owner = "me" })
     assert.same({ 0, { "killed" } }, { machines:work("g", "w1", function()
@@ -136,44 +105,6 @@ describe("a fleet", function()
     end)
     sender:close()
     assert.same({ "root.on", "root.off", "root.on" }, leaves)
-  end)
-
-  describe("refuses, and changes nothing:", function()
-    for name, case in pairs {
-      ["no such machine"] = { function() return machines:send(9, "e_on") end,
-        "rfsm_send: no machine is at 'm:{0}:9' (rfsm_create makes one)" },
-      ["an unknown event"] = { function() return machines:send(1, "e_onn") end,
-        "rfsm_send: no transition of chart 'lamp' has the event 'e_onn' "
-          .. "(did you mean 'e_on'?)" },
-      ["an event of 10 MB"] = { function()
-        return machines:send(1, ("x"):rep(10000000))
-      end, "rfsm_send: event 1: at most 256 bytes expected, got 10000000" },
-      ["no event"] = { function() return machines:send(1) end,
-        "rfsm_send: an event expected, got none" },
-      ["an unknown chart"] = { function() return machines:create(2, "lam") end,
-        "rfsm_create: no chart is named 'lam' (did you mean 'lamp'?)" },
-      ["a second machine"] = { function() return machines:create(1, "lamp") end,
-        "rfsm_create: something is at 'm:{KEY}:1'" },
-      ["data that is not kept"] = { function()
-        return machines:create(2, "lamp", { colour = 1 })
-      end, "rfsm_create: data: the root of the chart does not keep 'colour'" },
-      ["another value"] = { function()
-        server:cli("SET m:{1}:x y")
-        return machines:send("m:{1}:x", "e_on")
-      end, "rfsm_send: what is at 'm:{1}:x' is no machine" },
-    } do
-      it(name, function()
-        machines:create(1, "lamp")
-        local key, tag = machines:key_of(1)
-        local before = server:cli("DUMP " .. key)
-        local reply, problem = case[1]()
-        assert.is_nil(reply)
-        local expected = case[2]:gsub("{KEY}", "{" .. tag .. "}")
-          :gsub("m:{0}:9", (machines:key_of(9)))
-        assert.equal("ERR " .. expected, problem)
-        assert.equal(before, server:cli("DUMP " .. key))
-      end)
-    end
   end)
 
   it("is whole after a callback that never ended was killed", function()
@@ -215,35 +146,6 @@ describe("a fleet", function()
       total = total + count
     end
     assert.equal(EVENTS, total)
-  end)
-end)
-
-describe("a new version of a chart", function()
-  it("takes machines at their next event if it can, or leaves them", function()
-    local server = servers.redis()
-    local function counter(...)
-      return "c=" .. helper.file_with(servers.counter(...))
-    end
-    local old = counter(1)
-    local machines = load_charts(server:url(), old)
-    machines:create(1, "c")
-    -- a state more, and no migration: machines of the old version stay
-    machines = load_charts(server:url(), old, counter(10, "third = rfsm.state {}, "))
-    machines:send(1, "e_tick")
-    machines:create(2, "c")
-    machines:send(2, "e_tick")
-    assert.same({ 1, 10 }, { machines:get(1).data.root.n,
-      machines:get(2).data.root.n })
-    -- with a function they move
-    machines = load_charts(server:url(), old, counter(100, "third = rfsm.state {}, "
-      .. "migrate = function(snap) snap.leaf = 'root.even' end, "))
-    machines:send(1, "e_tick")
-    assert.same({ 101, "root.odd" }, { machines:get(1).data.root.n,
-      machines:get(1).leaf })
-    -- of an unknown version there is nothing to run
-    machines = load_charts(server:url(), counter(1, "fourth = rfsm.state {}, "))
-    assert.matches("^ERR rfsm_send: the machine at .*: rfsm.snapshot: the snapshot is "
-      .. "of another chart: ", select(2, machines:send(1, "e_tick")))
   end)
 end)
 

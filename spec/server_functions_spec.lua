@@ -268,6 +268,10 @@ describe("a call is refused, and nothing is written:", function()
       .. "expected" },
     { keys = { "rfsm:x" }, text = "key 'rfsm:x': rfsm:*, *:log and *:history are no "
       .. "keys of machines" },
+    { keys = { "m:log" }, text = "key 'm:log': rfsm:*, *:log and *:history are no "
+      .. "keys of machines" },
+    { keys = { "m:history" }, text = "key 'm:history': rfsm:*, *:log and *:history are "
+      .. "no keys of machines" },
     { keys = { "nobody" }, text = "no machine is at 'nobody' (rfsm_create makes one)" },
   } do
     it(case.text, function()
@@ -302,6 +306,8 @@ describe("a call is refused, and nothing is written:", function()
     assert.equal("ERR rfsm_create: data.n: at most 9 tables inside each other "
       .. "expected", f.rfsm_create({ "o" }, { "c", '{"n":' .. ('{"x":'):rep(14) .. 5
         .. ("}"):rep(15) }).err)
+    assert.equal("ERR rfsm_create: data: the root of the chart does not keep 'colour'",
+      f.rfsm_create({ "o" }, { "c", '{"colour":1}' }).err)
     assert.equal("ERR rfsm_create: data: a JSON object expected",
       f.rfsm_create({ "o" }, { "c", "5" }).err)
     assert.equal("ERR rfsm_create: data: the number -9007199254740993: whole numbers "

@@ -145,37 +145,6 @@ at root.b(done) e_done@root.b
 at root.c(done) e_done@root.c, e_go
 at <none> e_init_fsm
 ]=] },
-    { does = "goes another way each time", chart = ring(), input = [=[
-run
-for i = 1, 6 do ses 'e_go' end
-goto 4
-ses e_go
-goto 1
-step
-ses e_go
-history
-history 2
-goto 2
-]=], output = [=[
-at root.a(done)
-at root.b(done) e_done@root.b
-at root.c(done) e_done@root.c
-at root.a(done) e_done@root.a
-at root.b(done) e_done@root.b
-at root.c(done) e_done@root.c
-at root.a(done) e_done@root.a
-at root.a(done) e_done@root.a
-at root.b(done) e_done@root.b
-at root.a(done)
-at root.a(done)
-at root.b(done) e_done@root.b
-   1                                  root.a(done)
-   2                                  root.a(done)
-   3  e_go                            root.b(done)
-   2                                  root.a(done)
-   3  e_go                            root.b(done)
-at root.a(done)
-]=] },
     { does = "forgets what was undone with a reset", chart = ring(),
       input = [=[
 run
@@ -199,67 +168,6 @@ at <none> e_init_fsm
    3                                  <none>
 at <none> e_init_fsm
 at <none> e_init_fsm
-]=] },
-    { does = "goes back over resets", chart = ring(), input = [=[
-run
-ses e_go
-reset
-reset
-run
-back
-back
-back
-back
-back
-back
-forward
-forward
-forward
-forward 2
-history
-]=], output = [=[
-at root.a(done)
-at root.b(done) e_done@root.b
-at <none> e_init_fsm
-at <none> e_init_fsm
-at root.a(done)
-at <none> e_init_fsm
-at <none> e_init_fsm
-at root.b(done) e_done@root.b
-at root.a(done)
-at <none> e_init_fsm
-! back: nothing was done
-at root.a(done)
-at root.b(done) e_done@root.b
-at <none> e_init_fsm
-at root.a(done)
-   1                                  root.a(done)
-   2  e_go                            root.b(done)
-   3                                  <none>
-   4                                  <none>
-   5                                  root.a(done)
-]=] },
-    { does = "keeps what waits where an advance begins", chart = ring(), input = [=[
-run
-se e_go
-step
-back
-step
-back
-se e_other
-back
-forward
-]=], output = [=[
-at root.a(done)
-queue:  e_go
-at root.b(done) e_done@root.b
-at root.a(done) e_go
-at root.b(done) e_done@root.b
-at root.a(done) e_go
-! no transition names the event 'e_other' (there is 'e_go')
-queue:  e_go, e_other
-at <none> e_init_fsm
-at root.a(done) e_go
 ]=] },
     { does = "forgets the oldest places", bytes = 3000, chart = ring(), input = [=[
 run
