@@ -193,9 +193,10 @@ rockspec:               ### the lists of the dev rockspec; with VERSION, the roc
 
 dist:                   ## dist/rfsm.lua: one file to copy; rfsm-all.lua: with exploration; their hashes
 	@mkdir -p $(DIST)
-	$(LUA) tools/dist.lua $(BUNDLE) > $(DIST)/rfsm.lua
+	@$(LUA) tools/dist.lua $(BUNDLE) > $(DIST)/rfsm.lua
 	@$(LUA) tools/dist.lua $(BUNDLE) $(ALL) > $(DIST)/rfsm-all.lua
 	@cd $(DIST) && sha256sum rfsm.lua rfsm-all.lua > SHA256SUMS
+	@ls $(DIST)/rfsm.lua $(DIST)/rfsm-all.lua
 
 deb:                    ## Debian packages of the last commit in DIST/deb, and what lintian says
 	@tools/deps.sh deb

@@ -68,7 +68,7 @@ describe("the file dist/rfsm-all.lua", function()
   it("has time events, regions, the printed machine, history and checks", function()
     local folder = os.tmpname()
     os.remove(folder)
-    os.execute(("make -s DIST='%s' LUA='%s' dist"):format(folder, arg[-1]))
+    os.execute(("make -s DIST='%s' LUA='%s' dist >/dev/null"):format(folder, arg[-1]))
     local output = helper.output_of(([[
       package.path = ""
       local rfsm, now = dofile("%s/rfsm-all.lua"), 0
