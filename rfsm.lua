@@ -1449,7 +1449,7 @@ end
 -- false if a guard or a changed target requires a search.
 local fast = { compile = silent, compiled = silent, quick_run = silent }
 
-local conclude, path_of, perform
+local conclude, iterate, path_of, perform
 local PHASES, search = {}, nil
 
 -- Gather ..........................................................................
@@ -2083,16 +2083,39 @@ do
     return list
   end
 
-  -- Returns the segment of the first transition that needs no event and is enabled. An
-  -- event would be given to its guard, so `events` is an empty list.
-  local function find_always(fsm, leaf, events)
+  -- Returns the segment of the first transition of a list that is enabled without an
+  -- event. An event would be given to its guard, so `events` is an empty list.
+  local function find_always(fsm, list, events)
     local merges = fsm._merges
     fsm._search = fsm._search + 1
-    for _, tr in ipairs(leaf._always or list_always(leaf)) do
-      local found = enabled(fsm, tr, events, nil, nil)
-      if fsm._merges ~= merges then return nil end
-      if found then return found end
+    for i = 1, #list do
+      local found = enabled(fsm, list[i], events, nil, nil)
+      if found and fsm._merges == merges then return found end
+      if fsm._merges ~= merges then break end
     end
+    if fsm._is_lent then fsm._curq, fsm._is_lent = {}, fsm._lends end
+  end
+
+  local function begin(fsm, after_free)
+    fsm._phase = "begin"
+    return PHASES.begin(fsm, after_free)
+  end
+
+  -- Makes a usual iteration, if it is one, of a leaf from which no path was found. One
+  -- with an e_done that nothing takes would leave out the iteration behind it, in which
+  -- guards are asked again.
+  local function iterate_usual(fsm, after_free, leaf)
+    local event = fsm._intq[1]
+    if fsm.dbg ~= silent or fsm._act_leaf ~= leaf or fsm._reset_wanted or fsm._failure
+      or fsm._given or event ~= nil and event == leaf._ignored then
+      return begin(fsm, after_free)
+    end
+    fsm._phase = "idle"
+    if fsm._is_hooked then fsm._turn = fsm._turn - 1 end -- it is counted there
+    fsm._is_usual = true
+    local counted, idle = iterate(fsm, after_free)
+    fsm._is_usual = false
+    return counted, idle
   end
 
   -- The phase "always". After an interrupt the list of current events may have events,
@@ -2100,14 +2123,14 @@ do
   -- the next iteration.
   function PHASES.always(fsm, after_free)
     local leaf, events, again = fsm._act_leaf, fsm._curq, fsm._again
-    if leaf and not fsm._reset_wanted and events[1] == nil then
-      local found = find_always(fsm, leaf, events)
-      if found and again and again.turn == fsm._turn - 1 then again.turn = fsm._turn end
-      if found then return follow(fsm, after_free, leaf, found, nil) end
-      if fsm._is_lent then fsm._curq, fsm._is_lent = {}, fsm._lends end
+    if not leaf or events[1] ~= nil or fsm._reset_wanted then
+      return begin(fsm, after_free)
     end
-    fsm._phase = "begin"
-    return PHASES.begin(fsm, after_free)
+    local list = leaf._always or list_always(leaf)
+    local found = list[1] and find_always(fsm, list, events)
+    if not found then return iterate_usual(fsm, after_free, leaf) end
+    if again and again.turn == fsm._turn - 1 then again.turn = fsm._turn end
+    return follow(fsm, after_free, leaf, found, nil)
   end
 end
 
@@ -2615,8 +2638,6 @@ end
 --
 -- An iteration is a usual one if the machine is in a leaf, `dbg` is silent, and there
 -- is at most one event. An e_done that no transition names is not counted.
-
-local iterate
 
 do
   -- Makes one iteration of a machine with step hooks. The first hook of a list is

@@ -175,6 +175,18 @@ row("rfsmpp", two_leaves { dbg = rfsmpp.gen_dbgcolor("x", {}, true, callback) })
 row("a composite, aimed at its leaf", composites ".x")
 row("a composite, by initial", composites "")
 
+-- A step in which nothing happens, without and with a transition that needs no event.
+local function idling(more)
+  local fsm = rfsm.init(state { info = false, warn = false, a = state {},
+    trans { src = "initial", tgt = "a" }, more })
+  rfsm.run(fsm)
+  return count_calls(function() rfsm.step(fsm) end)
+end
+
+print(("%-32s %6.0f"):format("idle step", idling()))
+print(("%-32s %6.0f"):format("idle step, always", idling(trans { src = "a", tgt = "a",
+  always = true, guard = rfsm.borrows(function() return false end) })))
+
 -- `send; run`, the loop of most hosts: two leaves without callbacks, and what is added.
 local function running(fields, change)
   local model = { info = false, warn = false, a = state {}, b = state {},

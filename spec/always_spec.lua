@@ -72,6 +72,17 @@ describe("a transition that needs no event", function()
     for i = count + 1, #fsm.log do assert.equal("guard 0 nil", fsm.log[i]) end
   end)
 
+  it("asks its guard in each iteration, also behind an e_done of a leaf", function()
+    local fsm = new()
+    rfsm.reset(fsm)
+    rfsm.step(fsm)
+    for _, count in ipairs { 2, 1, 1 } do -- the first step has the e_done of the leaf
+      local before = #fsm.log
+      assert.is_true(rfsm.step(fsm))
+      assert.equal(count, #fsm.log - before)
+    end
+  end)
+
   it("counts as a step; post hooks get an empty list, others are not called", function()
     local called = {}
     local fsm = new { getevents = function()
