@@ -1,0 +1,162 @@
+--- Snapshots of time: they keep the time left until an e_after or a send, and the
+-- deadline of an e_at.
+--
+-- rfsm_timeevent loads this file when a machine is saved or restored, because a robot
+-- takes no snapshots.
+--
+-- @module rfsm.clock.snapshots
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+
+local error, ipairs, type = error, ipairs, type
+local abs, huge = math.abs, math.huge
+
+---@param engine table<string, function> functions of rfsm_timeevent
+---@return table<string, function> functions for `rfsm.snapshot_hook_add`
+return function(engine)
+  local add_send, normalise, set = engine.add_send, engine.normalise, engine.set
+  local list_timers, read_or_raise = engine.list_timers, engine.read_or_raise
+
+  local MAX_EXACT = 1000000 -- seconds; a float below this is exact to the nanosecond
+
+  local function kept_time(sec, nsec)
+    sec, nsec = normalise(sec, nsec)
+    if abs(sec) >= MAX_EXACT then return { sec, nsec } end
+    return nsec == 0 and sec or sec + nsec / 1e9
+  end
+
+  -- Lists the active states that are timed.
+  local function list_timed(fsm)
+    local list, state = {}, fsm._mode ~= "inactive" and fsm
+    while state do
+      if state._timers and state.timed == true then list[#list + 1] = state end
+      state = state._actchild
+    end
+    return list
+  end
+
+  -- The name under which snapshots have the seconds since the entry of a timed state.
+  local function name_of_time(state) return "time_in@" .. state._fqn end
+
+  -- Adds the seconds since the entry of each timed state that is active.
+  local function save_times(fsm, left)
+    for _, state in ipairs(list_timed(fsm)) do
+      local timers = state._timers
+      if timers.sec then
+        local sec, nsec = read_or_raise(fsm, true)
+        left = left or {}
+        left[name_of_time(state)] = kept_time(sec - timers.sec, nsec - timers.nsec)
+      end
+    end
+    return left
+  end
+
+  local function save(fsm)
+    local left, now, now_nsec = nil, nil, nil
+    for _, timer in ipairs(list_timers(fsm)) do
+      local sec, nsec = engine.deadline_of(timer)
+      if sec and sec < huge and timer.event.is_relative then
+        if not now then now, now_nsec = read_or_raise(fsm, true) end
+        sec, nsec = sec - now, nsec - now_nsec
+      end
+      if sec ~= huge then
+        left = left or {}
+        left[timer.name] = not sec or kept_time(sec, nsec)
+      end
+    end
+    return save_times(fsm, left)
+  end
+
+  -- Returns the seconds and nanoseconds of a time in a snapshot. There the time is a
+  -- number of seconds, or a list of seconds and nanoseconds.
+  local function loaded_time(left, what)
+    local sec, nsec = left, 0
+    if type(left) == "table" then sec, nsec = left[1], left[2] end
+    if type(sec) ~= "number" or type(nsec) ~= "number" or sec - sec ~= nsec - nsec then
+      error("seconds and nanoseconds expected for " .. what, 0)
+    end
+    return normalise(sec, nsec)
+  end
+
+  -- Arms a timer with the time `left` from a snapshot. `left` is `true` if the deadline
+  -- was not known when the snapshot was taken.
+  local function load_timer(fsm, timer, left)
+    local now, now_nsec = 0, 0
+    if left == true then return set(fsm, timer, false, 0) end
+    local sec, nsec = loaded_time(left, "timer '" .. timer.name .. "'")
+    if timer.event.is_relative then now, now_nsec = read_or_raise(fsm, true) end
+    set(fsm, timer, sec + now, nsec + now_nsec)
+  end
+
+  -- Sets the times of entries from a snapshot: those of timed states, and those that
+  -- follow from the deadline of an e_after that was loaded. Adds the names of the
+  -- former to a set.
+  local function load_times(fsm, loaded, left, is_known)
+    for _, timer in ipairs(loaded) do
+      local event, timers = timer.event, timer.timers
+      local is_known_time = engine.is_usual(event) and not event.is_repeated
+        and timer.sec and timer.sec < huge
+      if is_known_time then
+        timers.sec, timers.nsec = timer.sec - event.sec, timer.nsec - event.nsec
+      end
+    end
+    for _, state in ipairs(list_timed(fsm)) do
+      local name = name_of_time(state)
+      is_known[name] = true
+      if left[name] ~= nil then
+        local sec, nsec = loaded_time(left[name], "'" .. name .. "'")
+        local now, now_nsec = read_or_raise(fsm, true)
+        state._timers.sec, state._timers.nsec = now - sec, now_nsec - nsec
+      end
+    end
+  end
+
+  -- Loads the timers of a snapshot. In a migration to a changed chart, a timer that is
+  -- new in the chart is armed from now on, and one that the chart lacks is dropped.
+  local function load(fsm, left, how)
+    local own, loaded, is_known = fsm._timeevent, list_timers(fsm), {}
+    left = left or {}
+    own[true], own[false] = own.sends[1] and -huge or huge, huge
+    for _, timer in ipairs(loaded) do
+      is_known[timer.name], timer.timers.sec = true, false
+      set(fsm, timer, huge, 0)
+      if left[timer.name] ~= nil then
+        load_timer(fsm, timer, left[timer.name])
+      elseif how.is_migrated and how.is_new(timer.name) then
+        engine.arm_now(fsm, timer)
+      end
+    end
+    load_times(fsm, loaded, left, is_known)
+    for _, name in ipairs(how.is_migrated and {} or rfsm.sorted_keys(left)) do
+      if not is_known[name] then
+        error("no active state has a timer '" .. rfsm.text_of(name) .. "'", 0)
+      end
+    end
+  end
+
+  local function save_sends(fsm)
+    local now, now_nsec
+    return engine.list_sends(fsm, function(send)
+      if not now then now, now_nsec = read_or_raise(fsm, true) end
+      return { event = send.event, id = send.id,
+        after = kept_time(send.sec - now, send.nsec - now_nsec) }
+    end)
+  end
+
+  local function load_sends(fsm, kept)
+    if fsm._timeevent then engine.drop_sends(fsm) end
+    if kept == nil then return end
+    engine.prepare_machine(fsm)
+    local now, now_nsec = read_or_raise(fsm, true)
+    for _, send in ipairs(kept) do
+      if type(send) ~= "table" or send.event == nil then
+        error("list of events with `after` expected", 0)
+      end
+      local sec, nsec = loaded_time(send.after, "an event that is sent later")
+      add_send(fsm, send.event, send.id, normalise(sec + now, nsec + now_nsec))
+    end
+  end
+
+  return { save = save, load = load, save_sends = save_sends, load_sends = load_sends }
+end
