@@ -63,6 +63,7 @@ build = {
     ["rfsm.cli.web"] = "rfsm/cli/web.lua",
     ["rfsm.clock"] = "rfsm/clock.lua",
     ["rfsm.clock.simulated"] = "rfsm/clock/simulated.lua",
+    ["rfsm.clock.snapshots"] = "rfsm/clock/snapshots.lua",
     ["rfsm.defer"] = "rfsm/defer.lua",
     ["rfsm.dot"] = "rfsm/dot.lua",
     ["rfsm.emem"] = "rfsm/emem.lua",
