@@ -1209,7 +1209,7 @@ local DEFAULTS = {
   dbg = silent, getevents = no_events, _guard_hooks = false, _fates = false,
   _has_paths = false, _merges = 0, _entry_hooks = false, _exit_hooks = false,
   _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
-  _fate_hooks = false, _snapshot_hooks = false, _failure = false,
+  _fate_hooks = false, _snapshot_hooks = false, _failure = false, _failed = false,
   _reset_wanted = false, _preparing = false,
   _elements = false, -- for `elements`, while preproc functions run
   _emit = false, -- the function given to `set_emit`
@@ -1249,7 +1249,7 @@ local function own_fields()
     --   _turn       number of the iteration, if the machine has step hooks
     --   _unread     events that are taken one by one before getevents is asked again
     --   _given      events that getevents has returned and that are in no list yet
-    --   _given_to   the list to which they were added, if events are taken one by one
+    --   _given_to   the list to which they were added last
     --   _outcome    of the last iteration: counted (as a step) | idle | free (events
     --               enabled no path: not counted) | refused (entry or step hook failed)
     --   _is_usual   false after an interrupt, error or reset: `iterate` calls `go_on`
@@ -1397,15 +1397,23 @@ local function tell_watch(fsm, what, ...)
   if fsm._watch_hooks then return tell(fsm, fsm._watch_hooks[what], ...) end
 end
 
--- Reports that a callback has failed. For a doo `callback` is nil, because the doo was
--- called by its coroutine; for a guard it is nil if a guard hook has failed.
-local function report_callback(fsm, name, owner, callback, failure)
-  if rfsm.is_interrupt(failure) then return keep_failure(fsm, failure) end
+-- Tells of the failure in the field `_failed`: the watch hooks first, then `err`. After
+-- an interrupt the next step goes on behind what was begun.
+local function tell_failure(fsm)
+  local failed, around = fsm._failed, fsm
+  local owner, name, failure, callback = failed[1], failed[2], failed[3], failed[4]
+  if rfsm.is_interrupt(failure) then
+    keep_failure(fsm, failure)
+    fsm._failed = false
+    return
+  end
   if callback ~= nil and not is_callable(callback) then
     failure = "function expected, " .. got(callback)
   end
-  tell_watch(fsm, "failed", owner, name, failure)
-  local around = fsm
+  if not failed.is_told then
+    failed.is_told = true
+    tell_watch(fsm, "failed", owner, name, failure)
+  end
   while around do
     tell_watch(around, "failed_inside", fsm, owner, name, failure, callback)
     around = around._owner
@@ -1413,7 +1421,15 @@ local function report_callback(fsm, name, owner, callback, failure)
   local text = "error executing " .. name .. " of " .. (owner._fqn or tostring(owner))
   if name == "doo" then text = "doo program of state '" .. owner._fqn .. "' failed" end
   local id = name:upper():gsub("i", "I") -- Turkish has another capital i
+  fsm._failed = false
   report(fsm, "err", id, text .. ": ", failure)
+end
+
+-- Reports that a callback has failed. For a doo `callback` is nil, because the doo was
+-- called by its coroutine; for a guard it is nil if a guard hook has failed.
+local function report_callback(fsm, name, owner, callback, failure)
+  fsm._failed = { owner, name, failure, callback }
+  tell_failure(fsm)
 end
 
 -- Run: one iteration after the other ----------------------------------------------
@@ -1501,21 +1517,21 @@ local function ask_getevents(fsm)
   return nil, "rfsm.step: getevents: list of events expected, " .. got(events)
 end
 
--- Appends the events of getevents to the list in a field. After an interrupt they are
--- appended again, without harm: an event that is current twice has the effect of one.
--- If events are taken one by one, a longer list replaces the other one, and is noted.
+-- Appends the events of getevents to the list in a field. A longer list replaces the
+-- other one, and is noted, so that after an interrupt they are not appended again.
+local function add_given(fsm, field, events)
+  local list = fsm[field]
+  if #events > 0 and list ~= fsm._given_to then
+    fsm._given_to = append(append({}, list), events)
+    fsm[field] = fsm._given_to
+  end
+  fsm._given = false
+end
+
 local function append_getevents(fsm, field)
   local events, failure = ask_getevents(fsm)
   if not events then give_up(fsm, failure) end
-  local list = fsm[field]
-  if not fsm._reads_one then
-    append(list, events)
-  elseif list ~= fsm._given_to then
-    list = append(append({}, list), events)
-    fsm._given_to = list
-    fsm[field] = list
-  end
-  fsm._given = false
+  add_given(fsm, field, events)
 end
 
 -- Does an iteration take only the first pending event? The root's field `read` decides,
@@ -2188,11 +2204,13 @@ function actions.go_through(fsm, connector)
   fsm._event = fsm._ways[connector].event
 end
 
-function actions.exit(fsm, state, at)
+local function leave(fsm, state, at, event)
   state._mode = "inactive"
   state._parent._actchild = nil
-  run_callback(fsm, state, "exit", at, fsm._event)
+  run_callback(fsm, state, "exit", at, event)
 end
+
+function actions.exit(fsm, state, at) leave(fsm, state, at, fsm._event) end
 
 function actions.be_left(fsm, state)
   if fsm._act_leaf == state then fsm._act_leaf = false end
@@ -2208,27 +2226,36 @@ function actions.entry(fsm, state, at)
   run_callback(fsm, state, "entry", at, fsm._event)
 end
 
--- A leaf without doo is done at once. After an interrupt e_done may be queued twice,
--- without harm: an event that is current twice has the effect of one.
-function actions.be_done(fsm, leaf, at)
-  local queue = fsm._intq
-  if leaf.doo then return end
-  queue[#queue + 1] = leaf._done_event
-  leaf._mode = "done"
+-- Queues the e_done of a leaf, which is done after that. If an interrupt came at this
+-- position, the event may be the last one of the queue already.
+local function queue_done(fsm, leaf, at)
+  local queue, event = fsm._intq, done_event(leaf)
+  if fsm._at == at and rawequal(queue[#queue], event) then return end
   fsm._at = at
+  queue[#queue + 1] = event
 end
 
--- Queues the e_done of the composite around a leaf that is done, if the leaf is final
--- and a transition of the composite waits for it.
+-- A leaf without doo is done at once.
+function actions.be_done(fsm, leaf, at)
+  if leaf.doo then return end
+  queue_done(fsm, leaf, at)
+  leaf._mode = "done"
+end
+
+-- Right after `queue_done`: queues the e_done of the composite around the leaf, if the
+-- leaf is final and a transition of the composite waits for it. After an interrupt it
+-- may be the last event of the queue already.
 local function complete_around(fsm, leaf, at)
   local queue, around = fsm._intq, leaf._parent
   local is_last = rawequal(leaf.final, true) and around ~= leaf
   if not (is_last and rfsm.names_done(around)) then return end
-  queue[#queue + 1] = done_event(around)
+  local event = done_event(around)
+  if not rawequal(queue[#queue], event) then queue[#queue + 1] = event end
   recorders.done(fsm, around, at)
 end
 
 function actions.be_done_around(fsm, leaf, at)
+  fsm._at = at
   if leaf._mode == "done" then complete_around(fsm, leaf, at) end
 end
 
@@ -2465,7 +2492,14 @@ function perform(fsm)
   return true
 end
 
+-- The phase "take", after an interrupt. The actions that queue e_done are noted before
+-- they do so, and are repeated.
 function PHASES.take(fsm)
+  local path, at = fsm._path, fsm._at
+  local action = path.actions[at]
+  if action == actions.be_done or action == actions.be_done_around then
+    action(fsm, path.args[at], at)
+  end
   perform(fsm)
   return conclude(fsm, "counted")
 end
@@ -2493,20 +2527,19 @@ end
 local complete, run_doo
 
 do
-  local coroutine = find_global "coroutine"
+  local coroutine = find_global "coroutine" or { create = function(doo) return doo end,
+    resume = function() return false, "there are no coroutines here" end }
+  local resume, status = coroutine.resume, coroutine.status
 
-  -- Drops the coroutine last. After an interrupt the next step drops it in `end_doo`.
-  local function fail_doo(fsm, leaf, failure)
-    report_callback(fsm, "doo", leaf, nil, failure)
-    leaf._doo_co = nil
-  end
-
+  -- Queues e_done. The leaf is done last: until then this may be called again.
   function complete(fsm, leaf)
-    local queue, event = fsm._intq, done_event(leaf)
-    if is_traced(fsm) then report(fsm, "dbg", "RAISED", event) end
-    queue[#queue + 1] = event
-    if leaf.final then complete_around(fsm, leaf, fsm._at) end
-    leaf._mode = "done" -- last: after an interrupt the events are queued again
+    if fsm._at < 3 then
+      if is_traced(fsm) then report(fsm, "dbg", "RAISED", done_event(leaf)) end
+      queue_done(fsm, leaf, 2)
+      fsm._at = 3
+    end
+    if leaf.final then complete_around(fsm, leaf, 3) end
+    leaf._mode = "done"
   end
 
   --- End the doo of the active leaf as if it had returned, for extensions.
@@ -2518,60 +2551,63 @@ do
   ---@param leaf rfsm.State
   ---@package
   function rfsm.end_doo(fsm, leaf)
+    local co = leaf._doo_co
     if leaf._mode ~= "done" then complete(fsm, leaf) end
-    if fsm._at < 2 then
-      fsm._at = 2
-      tell_watch(fsm, "ended", leaf)
-    end
-    if is_traced(fsm) then
-      report(fsm, "dbg", "DOO",
-        "removing completed coroutine of " .. leaf._fqn .. " doo")
+    if fsm._at < 4 then
+      fsm._at = 4
+      if co then tell_watch(fsm, "ended", leaf) end
+      if co and is_traced(fsm) then
+        report(fsm, "dbg", "DOO",
+          "removing completed coroutine of " .. leaf._fqn .. " doo")
+      end
     end
     leaf._doo_co = nil
   end
 
-  -- Makes the coroutine of a leaf's doo and returns it. A leaf without doo is completed
-  -- at once; in a Lua without coroutines the doo fails. The result is nil then.
-  local function start_doo(fsm, leaf)
-    local doo = leaf.doo
-    if not doo then return complete(fsm, leaf) end
+  local function start_doo(fsm, leaf, doo)
     if is_traced(fsm) then
       report(fsm, "dbg", "DOO", "created coroutine for " .. leaf._fqn .. " doo")
-    end
-    if not coroutine then
-      leaf._mode = "done"
-      return fail_doo(fsm, leaf, "there are no coroutines here")
     end
     leaf._doo_co = coroutine.create(type(doo) == "function" and doo
       or function(...) return doo(...) end)
     return leaf._doo_co
   end
 
-  local resume, status = coroutine and coroutine.resume, coroutine and coroutine.status
-
-  -- Runs one cycle of the active leaf's doo. Returns true if the doo is idle or done.
-  -- `_at` is 1 when the doo is resumed, 2 when watch hooks are called at its end, 3 if
-  -- getevents is called. If a doo fails, its leaf is done at once, without e_done.
+  -- Runs one cycle of the active leaf's doo. Returns true if the doo is idle or done; a
+  -- leaf without doo is done at once, one whose doo fails, too, but without e_done.
+  -- `_at` is 1 when the doo is resumed, 2 and 3 while events are queued at its end, 4
+  -- when watch hooks are called then or the doo has failed, 5 if getevents is called.
   function run_doo(fsm, leaf)
-    local co = leaf._doo_co or leaf._mode ~= "done" and start_doo(fsm, leaf)
-    if not co then return true end
-    local ok, idle = true, false
+    local co, ok, idle = leaf._doo_co, true, false
+    if not co then
+      local doo, is_done = leaf.doo, leaf._mode == "done"
+      if is_done and fsm._at < 1 then return true end
+      if is_done or not doo then
+        rfsm.end_doo(fsm, leaf)
+        return true
+      end
+      co = start_doo(fsm, leaf, doo)
+    end
     if fsm._at < 1 then
       fsm._at = 1
       if fsm._watch_hooks then tell_watch(fsm, "resumed", leaf) end
       ok, idle = resume(co, fsm, leaf, "doo")
-      if not ok then leaf._mode = "done" end
+      if not ok then
+        leaf._mode = "done"
+        fsm._at = 4
+        report_callback(fsm, "doo", leaf, nil, idle)
+      end
     end
     if ok and status(co) ~= "dead" then return not not idle end
-    if ok then rfsm.end_doo(fsm, leaf) else fail_doo(fsm, leaf, idle) end
+    rfsm.end_doo(fsm, leaf)
     return true
   end
 end
 
 local function finish_cycle(fsm, idle)
   if idle and fsm._curq[1] == nil and fsm.getevents ~= no_events
-    and (fsm._at < 3 or fsm._given) then
-    fsm._at = 3
+    and (fsm._at < 5 or fsm._given) then
+    fsm._at = 5
     append_getevents(fsm, "_intq")
   end
   return conclude(fsm, idle and "idle" or "counted")
@@ -2627,6 +2663,7 @@ end
 -- Makes one iteration, or the rest of one that was cut short.
 local function go_on(fsm, after_free)
   fsm._is_cut = false
+  if fsm._failed then tell_failure(fsm) end
   if fsm._phase == "idle" then
     fsm._turn = fsm._turn + 1
     fsm._phase = fsm._has_always and "always" or "begin"
@@ -2785,8 +2822,14 @@ do
 end
 
 -- Marks the iteration as cut short. The mark `_is_cut` shows that no step is under way
--- any more, although the phase may not be "idle".
+-- any more, although the phase may not be "idle". An iteration that was counted, but
+-- has not begun, is counted once more: what comes again in the next one still does so.
 local function cut(fsm)
+  local again = fsm._again
+  local has_begun = fsm._phase ~= "idle" or fsm._curq[1] == nil
+  if again and not has_begun and again.turn == fsm._turn - 1 then
+    again.turn = fsm._turn
+  end
   fsm._cuts = fsm._cuts + 1
   fsm._is_usual = false
   fsm._is_cut = true
@@ -3303,7 +3346,7 @@ function rfsm.reset(fsm)
   fsm._reset_wanted, fsm._is_usual = true, false
   if fsm._phase ~= "idle" and not fsm._is_cut then return end
   fsm._given = false
-  fsm._phase, fsm._curq, fsm._failure = "idle", {}, false
+  fsm._phase, fsm._curq, fsm._failure, fsm._failed = "idle", {}, false, false
   reset_now(fsm)
   raise_failure(fsm)
 end
@@ -3406,13 +3449,11 @@ function rfsm.exit_state(fsm, state)
   end
   if state._mode == "inactive" then return end
   if state._actchild then rfsm.exit_state(fsm, state._actchild) end
-  local at, event, hooks = fsm._at, fsm._event, fsm._exit_hooks
-  fsm._at, fsm._event = 0, nil -- a callback of a path may call this
-  actions.exit(fsm, state, 1)
+  local at, hooks = fsm._at, fsm._exit_hooks -- a callback of a path may call this
+  leave(fsm, state, at, nil)
   if hooks then tell(fsm, hooks[state], state) end
   actions.be_left(fsm, state)
-  recorders.exit(fsm, state, 2)
-  fsm._at, fsm._event = at, event
+  recorders.exit(fsm, state, at)
 end
 
 -- Hooks ...........................................................................
@@ -3678,7 +3719,7 @@ do
   -- Functions of the engine for the files of the library beside this one.
   local engine = {
     add = add, add_warning = add_warning, advise = advise, append = append,
-    ask_getevents = ask_getevents,
+    add_given = add_given, ask_getevents = ask_getevents,
     check_function = check_function,
     check_no_step = check_no_step, clone_below = clone_below,
     check_ways_in = check_ways_in, cut = cut, entrance_of = entrance_of, fast = fast,

@@ -17,7 +17,7 @@ local rfsm = require "rfsm"
 local alphabet = require "rfsm.shared.alphabet"
 local order = require "rfsm.shared.order"
 
-local error, ipairs = error, ipairs
+local error, ipairs, rawequal = error, ipairs, rawequal
 local rawget, rawset, setmetatable, type = rawget, rawset, setmetatable, type
 
 local rfsm_emem = {}
@@ -30,6 +30,7 @@ local rfsm_emem = {}
 ---@field turn integer|false the iteration whose events were counted last
 ---@field at integer the number of the count of that iteration that was set last
 ---@field values integer[] the counts of that iteration, so that each is set only once
+---@field events any[] the events of that iteration
 ---@field declared table<any, boolean>|false the events that transitions name; false
 -- until they are collected
 
@@ -39,6 +40,8 @@ local WEAK = { __mode = "k" }
 -- The greatest number of events that a state counts though no transition names them.
 -- Without this limit, events with data in their names would take ever more memory.
 local MOST_OTHERS = 1000
+
+local NONE = {}
 
 local function clear(_, state)
   local emem = state.emem
@@ -87,10 +90,11 @@ local function count_event(fsm, state, event, k)
   end
 end
 
--- Counts the events of an iteration in all active states. Runs in every iteration.
-local function count(fsm)
+-- Counts the events of an iteration in all active states. Runs in every iteration. If a
+-- hook has refused the last one, its events come first, and were counted.
+local function count(fsm) -- luacheck: ignore 561 (a call costs time)
   local own, events, state, k = fsm._emem, fsm._curq, fsm._act_leaf and fsm, 0
-  local turn = fsm._turn
+  local turn, counted = fsm._turn, fsm._outcome == "refused" and own.events or NONE
   if own.turn ~= turn then
     own.at = 0
     own.turn = turn
@@ -98,10 +102,12 @@ local function count(fsm)
   while state do
     for i = 1, own.is_blocked[state] and 0 or state.emem and #events or 0 do
       k = k + 1
-      if k >= own.at then count_event(fsm, state, events[i], k) end
+      local is_due = k >= own.at and not rawequal(counted[i], events[i])
+      if is_due then count_event(fsm, state, events[i], k) end
     end
     state = state._actchild
   end
+  own.events = events
 end
 
 local function wants_emem(obj) return rfsm.is_state(obj) and obj.emem ~= false end
@@ -144,7 +150,7 @@ end
 
 local function prepare_machine(fsm)
   fsm._emem = { is_blocked = {}, others = {}, declared = false, turn = false, at = 0,
-    values = {} }
+    values = {}, events = NONE }
   rfsm.pre_step_hook_add(fsm, rfsm.repeatable(count))
   rfsm.reset_hook_add(fsm, reset)
   rfsm.snapshot_hook_add(fsm, "emem", save, load)

@@ -99,16 +99,17 @@ local function truncate(list, first)
   end
 end
 
--- What the machine had before a merge.
-local function note_state(fsm, parent)
-  return { fsm = fsm, parent = parent, was_leaf = parent._is_leaf, moved = {},
+-- What the machine had before a merge of `parent[id]`.
+local function note_state(fsm, parent, id)
+  return { fsm = fsm, parent = parent, id = id, was_leaf = parent._is_leaf, moved = {},
     node = #fsm._nodes + 1, transition = #fsm._transitions + 1,
     preparing = fsm._preparing }
 end
 
--- Makes the machine what it was.
+-- Makes the machine what it was. This may be done again after an interrupt.
 local function undo(engine, before)
   local fsm, parent = before.fsm, before.parent
+  rawset(parent, before.id, nil)
   truncate(fsm._transitions, before.transition)
   truncate(fsm._nodes, before.node)
   parent._is_leaf, fsm._preparing = before.was_leaf, before.preparing
@@ -119,8 +120,8 @@ end
 
 -- Adds the element. Returns the build and the problems; the list is empty if there is
 -- none.
-local function try_merge(rfsm, engine, before, obj, id)
-  local fsm, parent = before.fsm, before.parent
+local function try_merge(rfsm, engine, before, obj)
+  local fsm, parent, id = before.fsm, before.parent, before.id
   local build = build_merge(rfsm, engine, fsm, parent, obj, id)
   if before.was_leaf then
     before.moved = move_targets(engine, build, parent, before.transition)
@@ -131,9 +132,12 @@ local function try_merge(rfsm, engine, before, obj, id)
       problems[#problems + 1] = line
     end
   end
-  if problems[1] then return build, problems end
-  engine.list_otrs(fsm)
-  return build, engine.preprocess(fsm, parent[id])
+  if not problems[1] then
+    engine.list_otrs(fsm)
+    problems = engine.preprocess(fsm, parent[id])
+  end
+  if problems[1] then undo(engine, before) else engine.forget(fsm) end
+  return build, problems
 end
 
 ---@param core rfsm
@@ -163,17 +167,17 @@ return function(core, engine)
     local obstacle = obstacle_of(rfsm, engine, fsm, parent, obj, id)
     if obstacle then return refuse(fsm, "rfsm.fsm_merge: " .. obstacle) end
     if id == nil then id = #parent + 1 end
-    local before = note_state(fsm, parent)
-    local ok, build, problems = pcall(try_merge, rfsm, engine, before, obj, id)
+    local before = note_state(fsm, parent, id)
+    local ok, build, problems = pcall(try_merge, rfsm, engine, before, obj)
     if not ok then
+      local is_undone, failure = pcall(undo, engine, before)
+      if not is_undone then undo(engine, before) end
+      if not is_undone or rfsm.is_interrupt(build) then error(failure or build, 0) end
       problems = { "a preproc function failed: " .. rfsm.text_of(build) }
     end
     if problems[1] then
-      undo(engine, before)
-      if not ok and rfsm.is_interrupt(build) then error(build, 0) end
       return refuse(fsm, engine.summary("rfsm.fsm_merge", problems))
     end
-    engine.forget(fsm)
     engine.report_created(build)
     engine.report_findings(build, before.node, before.transition)
     engine.report_dead_ends(fsm, before.node)

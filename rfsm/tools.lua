@@ -290,8 +290,7 @@ local function define_moves(core, engine)
     rfsm.check_machine(fsm, "rfsm.check_events")
     local events, failure = engine.ask_getevents(fsm)
     if not events then error(failure, 0) end
-    engine.append(fsm._intq, events)
-    fsm._given = false
+    engine.add_given(fsm, "_intq", events)
     return #fsm._intq
   end
 
@@ -385,6 +384,7 @@ local function define_moves(core, engine)
     end
     rfsm.place(fsm, leaf, leaf.doo and "active" or "done", others_of(fsm._intq))
     call_entry_hooks(fsm, leaf)
+    fsm._at = 0
     if not leaf.doo then engine.complete(fsm, leaf) end
     engine.raise_failure(fsm)
   end

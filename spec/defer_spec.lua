@@ -2,6 +2,7 @@
 
 local calls = require "rfsm.shared.calls"
 local helper = require "spec.helper"
+local interrupts = require "spec.support.interrupts"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local share = require "spec.support.share"
@@ -257,6 +258,30 @@ describe("deferral", function()
       [3] = trans { src = "b", tgt = "internal", events = { "e_x" } } }, "e_x"),
       "e_free")
     assert.equal("", join(rfsm.waiting(fsm)))
+  end)
+
+  it("comes behind what comes again, wherever an interrupt comes", function()
+    local instruction, is_reached = 0, true
+    interrupts.without_jit(function()
+      while is_reached do
+        local fsm = new { b = state { defer = { "e_x" } }, d = state {},
+          [3] = trans { src = "b", tgt = "c", events = { "e_x" },
+            guard = function(tr) return tr._fsm.is_open end },
+          [5] = trans { src = "b", tgt = "internal", events = { "e_open" },
+            effect = function(own) own.is_open = true end },
+          [6] = trans { src = "b", tgt = "d", events = { "e_done" } } }
+        fsm.is_open = false
+        rfsm.send_events(fsm, "e_free")
+        rfsm.step(fsm) -- e_done waits
+        rfsm.send_events(fsm, "e_x", "e_open")
+        rfsm.step(fsm)
+        instruction = instruction + 1
+        is_reached = interrupts.raise(instruction, interrupts.VALUES[1], rfsm.step, fsm)
+        rfsm.run(fsm)
+        assert.equal("root.d", rfsm.get_actleaf_fqn(fsm))
+      end
+    end)
+    assert.is_true(instruction > 100)
   end)
 
   it("is looked at again after a snapshot, with what comes before it", function()

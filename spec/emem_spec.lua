@@ -75,6 +75,23 @@ describe("emem", function()
       assert.equal("2 2 0 1", counts(fsm))
     end)
 
+  it("counts an event once that a hook has put back into the queue", function()
+    local fails, fsm = false, started()
+    rfsm.pre_step_hook_add(fsm, function()
+      if fails then error("on purpose", 0) end
+    end)
+    for _, event in ipairs { "e_x", "e_y", "e_x" } do
+      rfsm.send_events(fsm, event)
+      fails = true
+      assert.is_false((pcall(rfsm.step, fsm)))
+      rfsm.send_events(fsm, "e_x")
+      fails = false
+      rfsm.step(fsm)
+    end
+    assert.equal("5 5 5 nil", counts(fsm))
+    assert.equal(1, fsm.emem.e_y)
+  end)
+
   it("is set to 0 on exit, in the same table, after the user's exit has read it",
     function()
       local model, seen = chart(), nil

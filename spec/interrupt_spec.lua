@@ -326,6 +326,141 @@ describe("an interrupt", function()
     end)
   end)
 
+  -- Interrupts act(world) at each instruction, also in extensions. Returns what
+  -- see(world) returns then: each text once.
+  local function outcomes(make, act, see)
+    local texts, at, is_reached = {}, 0, true
+    interrupts.without_jit(function()
+      while is_reached do
+        local world = make()
+        at = at + 1
+        is_reached = interrupts.raise_anywhere(at, interrupts.VALUES[1], act, world)
+        texts[see(world)] = true
+      end
+    end)
+    assert.is_true(at > 40)
+    return rfsm.sorted_keys(texts)
+  end
+
+  local function advance(fsm)
+    for _ = 1, 6 do pcall(rfsm.step, fsm) end
+    return fsm
+  end
+
+  -- initial --> a --e--> b, which is done, or when c in it is; e_done is counted.
+  local function done_in(fields)
+    local world = { count = 0 }
+    world.fsm = in_b { read = "one", b = rfsm.state(fields), done = rfsm.trans {
+      src = "b", tgt = "internal", events = { "e_done" },
+      effect = function() world.count = world.count + 1 end } }
+    rfsm.run(world.fsm)
+    rfsm.send_events(world.fsm, "e")
+    return world
+  end
+
+  it("queues e_done once, also if one event is taken at a time", function()
+    local function twice(world) for _ = 1, 2 do rfsm.step(world.fsm) end end
+    local function see(world)
+      advance(world.fsm)
+      return world.count > 1 and "twice" or "once"
+    end
+    for _, fields in ipairs { {}, { doo = function() end },
+      { c = rfsm.state { final = true }, rfsm.trans { src = "initial", tgt = "c" } },
+      { c = rfsm.state { final = true, doo = function() end },
+        rfsm.trans { src = "initial", tgt = "c" } } } do
+      local function new() return done_in(fields) end
+      assert.same({ "once" }, outcomes(new, twice, see))
+    end
+  end)
+
+  it("in exit_state, called by an effect, keeps the event of the entry", function()
+    local function see(world)
+      advance(world.fsm)
+      return tostring(world.got)
+    end
+    local function new()
+      local world = { got = "not called" }
+      world.fsm = in_b { b = rfsm.state { entry = function(_, _, _, event)
+        world.got = event
+      end } }
+      rfsm.run(world.fsm)
+      world.fsm[2].effect = function(fsm) rfsm.exit_state(fsm, fsm) end
+      rfsm.send_events(world.fsm, "e")
+      return world
+    end
+    assert.same({ "e", "not called" }, outcomes(new, function(world)
+      rfsm.step(world.fsm)
+    end, see))
+  end)
+
+  it("leaves the failure of a doo one: it has not ended", function()
+    local told
+    local function new()
+      local world = { fsm = in_b { a = rfsm.state { doo = function()
+        error("on purpose", 0)
+      end } } }
+      told = {}
+      world.fsm.err = function() told.err = true end
+      rfsm.watch_hook_add(world.fsm, "ended", function() told.ended = true end)
+      rfsm.watch_hook_add(world.fsm, "failed", function() told.failed = true end)
+      rfsm.step(world.fsm)
+      return world
+    end
+    local texts = outcomes(new, function(world) rfsm.step(world.fsm) end,
+      function(world)
+        advance(world.fsm)
+        return table.concat(rfsm.sorted_keys(told), " ")
+      end)
+    -- "" where err is printed right behind, "ended" where the answer of the doo is lost
+    assert.same({ "", "ended", "err", "err failed", "failed" }, texts)
+  end)
+
+  it("adds events of getevents once, whoever asks for them", function()
+    local function new(read)
+      local world = { lists = {}, seen = {} }
+      world.fsm = in_b { read = read,
+        getevents = function() return table.remove(world.lists) end }
+      rfsm.post_step_hook_add(world.fsm, function(_, events)
+        for _, event in ipairs(events) do world.seen[#world.seen + 1] = event end
+      end)
+      rfsm.run(world.fsm)
+      world.lists, world.seen = { { "e_1", "e_2" } }, {}
+      return world
+    end
+    for _, read in ipairs { "all", "one" } do
+      assert.same({ "", "e_1 e_2" }, outcomes(function() return new(read) end,
+        function(world) rfsm.check_events(world.fsm) end, function(world)
+          advance(world.fsm)
+          return table.concat(world.seen, " ")
+        end))
+    end
+  end)
+
+  it("of fsm_merge leaves no half of an element", function()
+    local merges = { t = { rfsm.trans { src = "a", tgt = "b", events = { "e_x" } } },
+      c = { rfsm.state { rfsm.trans { src = "initial", tgt = "nowhere" } }, "b" } }
+    for id, merge in pairs(merges) do -- any order: each stands alone
+      local function new()
+        local fsm = in_b {}
+        rfsm.run(fsm)
+        rfsm.send_events(fsm, "e_x")
+        rfsm.run(fsm)
+        return fsm
+      end
+      local texts = outcomes(new, function(fsm)
+        rfsm.fsm_merge(fsm, merge[2] and fsm[merge[2]] or fsm, merge[1], id)
+      end, function(fsm)
+        local is_there = rawget(fsm, "t") ~= nil
+        rfsm.send_events(fsm, "e_x")
+        local is_taken = rfsm.get_actleaf_fqn(advance(fsm)) == "root.b"
+        rfsm.send_events(fsm, "e")
+        return ("%s %s %d"):format(tostring(is_there == is_taken),
+          tostring(rfsm.get_actleaf_fqn(advance(fsm))), #fsm._nodes)
+      end)
+      assert.same({ "true root.b 4" }, texts)
+    end
+  end)
+
   -- a --e--> b; c is merged, and b --e--> c then
   it("of fsm_merge leaves the machine with the element, or as it was", function()
     local MANY, at, is_reached = 1e5, 0, true

@@ -172,6 +172,25 @@ describe("getevents", function()
     assert.equal("root.m.x", leaf_after(fsm, "e"))
   end)
 
+  it("may return a list that fails halfway: no event of it is there twice", function()
+    local count = 0
+    local function two(_, i) -- Lua 5.1 does not ask for the length
+      count = count + 1
+      if count == 2 then error(7, 0) end
+      return "e_" .. i
+    end
+    local fsm = started()
+    fsm.getevents = function()
+      return setmetatable({ nil, nil, "e_3" }, { __index = two,
+        __len = function() return 3 end })
+    end
+    assert.same({ false, 7 }, { pcall(rfsm.check_events, fsm) })
+    rfsm.check_events(fsm)
+    local times = {}
+    for _, event in ipairs(fsm._intq) do times[event] = (times[event] or 0) + 1 end
+    assert.same({ nil, nil }, { times.e_1 ~= 1 or nil, times.e_3 ~= 1 or nil })
+  end)
+
   it("leaves nothing but events in a list, also taken one by one", function()
     local keys, given = {}, { "e", "back" }
     local function note(_, events)
