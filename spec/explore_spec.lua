@@ -481,6 +481,21 @@ describe("what a machine keeps and what waits in it", function()
     assert.is_false(judged(model, { properties = { never "root.s.arm.d" } }))
   end)
 
+  it("comes to a region before its time events, if it keeps them for later", function()
+    local arm = state { warn = false, info = false, a = state { defer = { "e_x", "e_y" } },
+      b = state {}, c = state {}, d = state {}, go("initial", "a"),
+      go("a", "b", "e_after(1)"), go("b", "c", "e_x"), go("b", "d", "e_y") }
+    local model = state { warn = false, info = false, s = rfsm.seqand { arm = arm },
+      go("initial", "s") }
+    local options = { alphabet = {}, sends = {
+      ["effect root.trans[1]"] = { { "e_x", after = 1 } },
+      ["effect root.s.arm.trans[1]"] = { { "e_y", after = 1 } } } }
+    for leaf, is_never in pairs { c = false, d = true } do -- any order: each alone
+      options.properties = { never("root.s.arm." .. leaf) }
+      assert.equal(is_never, judged(model, options))
+    end
+  end)
+
   it("comes in every order, if two are sent in a step", function()
     local model = state { warn = false, info = false, read = "one", a = state {},
       b = state { entry = yes }, c = state {}, go("initial", "a"),

@@ -450,13 +450,17 @@ local function come(queue, occurrence)
   insert(queue, occurrence.is_first and 1 or #queue + 1, event)
 end
 
+local function put_coming(part, queue)
+  for _, occurrence in ipairs(part.coming) do come(queue, occurrence) end
+  clear(part.coming)
+end
+
 -- Has the events that come to a region alone come where those of timers do.
 local function add_source(part)
   part.coming = {}
   if not part.owner then return end
   rfsm.source_hook_add(part.fsm, rfsm.repeatable(function(fsm)
-    for _, occurrence in ipairs(part.coming) do come(fsm._curq, occurrence) end
-    clear(part.coming)
+    put_coming(part, fsm._curq)
   end))
 end
 
@@ -474,7 +478,10 @@ local function add_part(self, part)
   for _, name in ipairs(SILENT) do fsm[name] = nil end
   fsm.info, fsm.err, fsm.warn = false, false, false
   fsm.gettime = self.time
-  rfsm.reset_hook_add(fsm, function() replacements.drop_later(self, part) end)
+  rfsm.reset_hook_add(fsm, function()
+    clear(part.coming)
+    replacements.drop_later(self, part)
+  end)
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
     make_state(self, part, state)
   end
@@ -799,6 +806,14 @@ end
 local OF_STEP = { "taken", "passed", "heard", "last_events", "sent", "sent_later",
   "emitted", "called" }
 
+-- Has what came to a region wait in its queue, if the step has not advanced it.
+local function keep_coming(self)
+  for _, part in ipairs(self.parts) do
+    if part.is_quiet then clear(part.coming) end
+    put_coming(part, part.fsm._intq)
+  end
+end
+
 -- Drops the moments whose states are still active at the end of the step.
 local function keep_passed(self)
   for i = #self.passed, 1, -1 do
@@ -808,11 +823,10 @@ end
 
 -- Sends the events of a step. If the order decides, what comes to a region waits until
 -- the region looks for time events: by then it has the events of its parent machine.
-local function send(self, occurrences)
-  for _, part in ipairs(self.parts) do clear(part.coming) end
+local function send(occurrences)
   for _, occurrence in ipairs(occurrences) do
     local part = occurrence.part
-    if part.owner and part.reads_one and not occurrence.is_first then
+    if part.owner and part.keeps_order and not occurrence.is_first then
       part.coming[#part.coming + 1] = occurrence
     else
       come(part.fsm._intq, occurrence)
@@ -833,11 +847,12 @@ function Subject:step(events, choices)
   if not order.is_empty(self.answers) then self.answers = {} end
   if not order.is_empty(self.entered) then self.entered = {} end
   for event in order.each(self.wanted) do self.wanted[event] = false end
-  send(self, events)
+  send(events)
   local ok, failure = pcall(rfsm.step, self.parts[1].fsm)
   if self.is_touched then data.put_back(self) end
   if ok then
     keep_passed(self)
+    keep_coming(self)
     return true
   end
   if not self.is_endless then error(failure, 0) end
