@@ -482,8 +482,8 @@ describe("what a machine keeps and what waits in it", function()
   end)
 
   it("comes to a region before its time events, if it keeps them for later", function()
-    local arm = state { warn = false, info = false, a = state { defer = { "e_x", "e_y" } },
-      b = state {}, c = state {}, d = state {}, go("initial", "a"),
+    local arm = state { warn = false, info = false, b = state {}, c = state {},
+      d = state {}, a = state { defer = { "e_x", "e_y" } }, go("initial", "a"),
       go("a", "b", "e_after(1)"), go("b", "c", "e_x"), go("b", "d", "e_y") }
     local model = state { warn = false, info = false, s = rfsm.seqand { arm = arm },
       go("initial", "s") }

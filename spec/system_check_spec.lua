@@ -3,6 +3,7 @@
 
 local commands = require "spec.support.commands"
 local helper = require "spec.helper"
+local match = require "rfsm.shared.match"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local sequence = require "rfsm.system.sequence"
@@ -493,6 +494,31 @@ describe("cell:explore", function()
     local judged = explored({ left = left, right = right }, { "left e_x right" },
       { properties = { after("right: e_x").reach "right: root.b" } }).properties[1]
     assert.same({ true }, { judged.holds, judged.vacuous })
+  end)
+
+  it("has the data of a wire's events be the examples of their names", function()
+    local function is_hot(_, _, event) return event.celsius > 80 end
+    local right = chart(rfsm.trans { src = "a", tgt = "b", guard = is_hot,
+      events = { rfsm.named "e_x" } })
+    local left = chart(rfsm.trans { src = "a", tgt = "b", events = { "e_go" },
+      effect = function(fsm) fsm.emit("e_x", { celsius = 90, unit = "C" }) end })
+    local function found(...)
+      local result, cell = explored({ left = left, right = right },
+        { "left e_x right" }, { properties = { never "right: root.b" },
+          machines = { right = { classes = { e_x = { ... } } } } })
+      return result.properties[1].holds, result, cell
+    end
+    assert.is_true((found({ celsius = 20 })))
+    local holds, result, cell = found({ celsius = 20 }, { celsius = 90, unit = "C" })
+    assert.is_false(holds)
+    assert.truthy(match.has(result.premises, "right: 2 examples of e_x"))
+    local lines = sequence.lines_of(result.findings[#result.findings].witness)
+    assert.equal('4. right gets e_x{celsius=90,unit="C"} from left: root.trans[2] -> '
+      .. "root.b (root.trans[2] true)", lines[4])
+    for _, move in ipairs(sequence.read(table.concat(lines, "\n"))) do
+      cell:move(move.machine, move.events, move.wanted, move.holds)
+    end
+    assert.equal("root.b", rfsm.get_actleaf_fqn(cell.machines.right))
   end)
 
   it("has an event of a wire come from outside if the alphabet says so", function()

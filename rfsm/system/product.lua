@@ -112,10 +112,12 @@ local function puts_of(member)
 end
 
 -- Returns the outcome of a machine's last step: the configuration to which the step has
--- led, the events from outside, and what has to be put into wires.
-local function new_outcome(member, try, tgt, outside)
+-- led, the events from wires, the first `count`, and from outside, and what has to be
+-- put into wires.
+local function new_outcome(member, try, tgt, count)
   local own = member.subject
-  local outcome = { tgt = tgt, outside = outside,
+  local outcome = { tgt = tgt, read = { unpack(try.events, 1, count) },
+    outside = { unpack(try.events, count + 1) },
     puts = puts_of(member), passed = match.joined({}, own.passed),
     may_rest = own.taken[1] ~= nil or own:may_rest(),
     came = try.conf[1].leaf and events_of(member) or {} }
@@ -144,26 +146,42 @@ local function add_outcome(member, list, try, key, label, count)
     member:note_untried("pending", "events that are sent later")
   end
   local tgt = add_configuration(member, member:find_configuration(key, try.from, label))
-  local outcome = new_outcome(member, try, tgt, { unpack(try.events, count + 1) })
+  local outcome = new_outcome(member, try, tgt, count)
   local text = text_of(outcome)
   if not list[text] then list[text], list[#list + 1] = outcome, outcome end
+end
+
+-- Lists the ways in which a machine may get what it has read: an event with data as
+-- each example of its name in `classes`.
+local function ways_to_get(own, puts)
+  local ways = { {} }
+  for _, put in ipairs(puts) do
+    local longer = {}
+    for _, way in ipairs(ways) do
+      for _, event in ipairs(own:examples_of(put.event)) do
+        longer[#longer + 1] = match.with(way, own:occurrence(own.parts[1], event))
+      end
+    end
+    ways = longer
+  end
+  return ways
 end
 
 -- Returns the outcomes of the steps of a machine with the events that it has read: one
 -- outcome for each choice that makes a difference.
 local function outcomes_of(member, number, puts)
-  local known, read, numbers = member.moves[number] or {}, {}, {}
+  local known, ways, numbers = member.moves[number] or {},
+    ways_to_get(member.subject, puts), {}
   member.moves[number] = known
-  for i, put in ipairs(puts) do
-    read[i] = member.subject:occurrence(member.subject.parts[1], put.event)
-    numbers[i] = read[i].number
-  end
+  for i, occurrence in ipairs(ways[1]) do numbers[i] = occurrence.number end
   local key = concat(numbers, ",")
   if not known[key] then
     known[key] = {}
-    member:each_step(number, function(_, try, tgt, label)
-      add_outcome(member, known[key], try, tgt, label, #read)
-    end, read)
+    for _, read in ipairs(ways) do
+      member:each_step(number, function(_, try, tgt, label)
+        add_outcome(member, known[key], try, tgt, label, #read)
+      end, read)
+    end
   end
   return known[key]
 end
@@ -254,9 +272,10 @@ end
 
 -- Returns the outcome of a move that only puts an event into a wire.
 local function putting(conf, member)
-  return { is_put = true, tgt = conf.numbers[member.number], outside = NOTHING,
-    puts = conf.unsent[member.number], passed = NOTHING, came = NOTHING,
-    taken = NOTHING, choices = NOTHING, leaf = false, unfollowed = false, ran = false }
+  return { is_put = true, tgt = conf.numbers[member.number], read = NOTHING,
+    outside = NOTHING, puts = conf.unsent[member.number], passed = NOTHING,
+    came = NOTHING, taken = NOTHING, choices = NOTHING, leaf = false,
+    unfollowed = false, ran = false }
 end
 
 -- Lists what a machine may read in a move. While it has events to put it reads nothing,
@@ -427,6 +446,10 @@ end
 ---@field unfollowed false|"data"|"targets" see `rfsm_checks.WitnessStep`
 ---@field ran false|"before"|"after"
 
+local function text_of_event(occurrence)
+  return rfsm.event_text(occurrence.event, occurrence.has_data)
+end
+
 -- Returns the move with this label from the configuration `from`, as a witness has it.
 local function move_of(self, from, label)
   local number, at, index, holds = label:match("^(%d+):(%d+):(%d+)(.*)$")
@@ -438,11 +461,12 @@ local function move_of(self, from, label)
     sent = sent, holds = holds ~= "",
     read = {}, choices = outcome.choices, taken = outcome.taken, leaf = outcome.leaf,
     occurrences = outcome.outside, unfollowed = outcome.unfollowed, ran = outcome.ran }
-  for i, put in ipairs(reading.read) do
-    move.read[i] = { event = put.name, from = self.wires[put.at].from }
+  for i, occurrence in ipairs(outcome.read) do
+    move.read[i] = { event = text_of_event(occurrence),
+      from = self.wires[reading.read[i].at].from }
   end
   for i, occurrence in ipairs(outcome.outside) do
-    move.events[i] = rfsm.event_text(occurrence.event)
+    move.events[i] = text_of_event(occurrence)
   end
   return move
 end

@@ -32,8 +32,8 @@ local concat, min = table.concat, math.min
 local report = {}
 
 --- The options of an exploration that each machine of a system has for itself.
-report.OF_MACHINE = { "alphabet", "complementary", "deferred", "dry_run", "exclusive",
-  "flags", "run", "same", "sends", "vars" }
+report.OF_MACHINE = { "alphabet", "classes", "complementary", "deferred", "dry_run",
+  "exclusive", "flags", "run", "same", "sends", "vars" }
 
 local OF_SYSTEM = { "configurations", "depth", "progress", "properties", "seconds" }
 

@@ -49,7 +49,7 @@ function sequence.read(text)
     local machine, got = head:match("^(.-) gets (.*)$")
     local move = { machine = machine or head, events = {}, wanted = false,
       holds = rest:sub(-#HOLDS) == HOLDS }
-    for item in ((got or "") .. ", "):gmatch("(.-), ") do
+    for item in ((got or ""):gsub("%b{}", "") .. ", "):gmatch("(.-), ") do
       local event, from = item:match("^(.*) from (.-)$")
       if from == "outside" then
         move.events[#move.events + 1] = event
