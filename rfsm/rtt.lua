@@ -216,13 +216,20 @@ function rfsm_rtt.reason(problem)
     .. "how much a chart needs"
 end
 
-local NOT_NEEDED = { "rtt.component", "rtt.update", "rtt.settings", "rtt.inputs",
-  "rtt.rttlib", "shared.options", "shared.limit", "shared.calls", "advice" }
+local NOT_NEEDED = {
+  "rfsm.rtt.component", "rfsm.rtt.update", "rfsm.rtt.settings", "rfsm.rtt.inputs",
+  "rfsm.rtt.rttlib", "rfsm.shared.options", "rfsm.shared.limit", "rfsm.shared.calls",
+  "rfsm.advice",
+}
 
 --- Forget the modules that a launch has loaded, so that they become garbage. A launch
 -- also calls this first: Lua 5.1 never loads a module again if loading it once failed.
+-- This takes no memory, which may be why the launch has failed.
 function rfsm_rtt.forget_modules()
-  for _, name in ipairs(NOT_NEEDED) do package.loaded["rfsm." .. name] = nil end
+  local loaded = package.loaded
+  for _, name in ipairs(NOT_NEEDED) do
+    if loaded[name] ~= nil then loaded[name] = nil end -- nil for a new key takes memory
+  end
   if rawget(_G, "tlsf") then package.loaded["rfsm.advice"] = hints end
 end
 

@@ -251,6 +251,17 @@ return rfsm.state { info = false, a = rfsm.state {}, b = rfsm.state {},
       assert.same({}, arm:getPortNames())
     end)
   end
+
+  it("takes no memory to forget its modules, before it knows the reason", function()
+    if not rtt_helper.is_standin then return end -- there is no plain Lua
+    assert.equal("0", helper.output_of([[
+      local forget, kib = require("rfsm.rtt").forget_modules, collectgarbage
+      kib()
+      kib "stop"
+      local before = kib "count"
+      forget()
+      print(("%.0f"):format((kib "count" - before) * 1024))]]):match("%S+"))
+  end)
 end)
 
 describe("a launch of rfsm.rtt.launch", function()
