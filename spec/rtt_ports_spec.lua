@@ -150,6 +150,18 @@ describe("ports of a launch", function()
     assert.equal("gui.e_a e_b", seen())
   end)
 
+  it("have the launch load each of its files once, since a pool has no more room",
+    function()
+      local arm, exec_str = own(own_fields "{ { 'stop_in', prefix = 'boss' } }", [[
+        loads = {}
+        setmetatable(package.preload, { __index = function(_, name)
+          if name:find("^rfsm%.rtt%.") then loads[#loads + 1] = name:sub(10) end
+        end })]])
+      assert(arm:configure())
+      assert.equal("component update settings inputs",
+        evaluate(exec_str, "table.concat(loads, ' ')"))
+    end)
+
   it("stay beside the getevents of a chart, and beside extra_in_ports", function()
     local arm, seen = launched({ { "stop_in" } }, { prestr = [[
 local port = rtt.InputPort.new("string", "extra")

@@ -525,7 +525,9 @@ function component.launch(args)
   local launch = require("rfsm.rtt.settings").read("own", args)
   local declared = rfsm_rtt.declared
   launch.is_declared = declared and declared.list == args.ports
-  rfsm_rtt.forget_modules() -- the settings module is garbage from here on
+  for _, name in ipairs { "rfsm.rtt.settings", "rfsm.shared.options" } do
+    package.loaded[name] = nil -- garbage from here on
+  end
   set_globals(launch.env)
   component.start(launch)
 end
