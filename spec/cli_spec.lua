@@ -428,6 +428,11 @@ describe("rfsm fleet", function()
     ["force --where chart=c"] = "force --where FILTER STATE expected",
     ["force k root.a --where chart=c"] = "force: --where or KEY STATE expected, not "
       .. "both",
+    ["set k n=1 n=2"] = "set KEY FIELD=VALUE expected, got 3 arguments: 'k', 'n=1', "
+      .. "'n=2'",
+    ["remove k l"] = "remove KEY expected, got 2 arguments: 'k', 'l'",
+    ["set k n=1 --if-version 3"] = "set takes no --if-version",
+    ["force k root.a --by ann"] = "force takes no --by",
     ["again 0 1-0 --where age=1"] = "again: --where or TAG ID expected, not both",
   } do
     it("refuses " .. arguments, function()

@@ -651,22 +651,6 @@ describe("rfsm fleet", function()
     assert.equal("", server:cli("KEYS '*'"):gsub("%s", ""))
   end)
 
-  it("shows dead entries, sends them again and drops them", function()
-    assert(machines:create(1, "timed"))
-    for _ = 1, 2 do assert(machines:send(1, "e_emit")) end
-    machines:work("g", "w", function() error("no stock", 0) end, { tries = 1 })
-    local first, second = fleet_command("dead")
-      :match('^0 (%S+) m:{0}:1 done {"n":1} x1 no stock\n0 (%S+) m:{0}:1 done {"n":2}')
-    assert.matches("\nrfsm_dead 2\n", machines:stats(), 1, true)
-    assert.equal("", fleet_command("again", "0", first))
-    assert.equal("", fleet_command("drop", "0", second))
-    assert.equal("rfsm fleet: it is not there\n", fleet_command("again", "0", first))
-    assert.equal("", fleet_command("dead"))
-    local seen = {}
-    machines:work("g", "w", function(entry) seen[#seen + 1] = entry.data.n end)
-    assert.same({ 1 }, seen)
-  end)
-
   it("shows the log, what is due, and the versions", function()
     local old = { timed = TIMED }
     assert(machines:load(library({ index = true }, old)))
@@ -776,31 +760,6 @@ describe("rfsm fleet", function()
       load(two))
   end)
 
-  it("sends an event with an id", function()
-    assert(machines:create(1, "counter"))
-    for _, outcome in ipairs { "taken", "known" } do
-      assert.equal("root.odd done " .. outcome .. "\n",
-        fleet_command("send", "m:{0}:1", "e_tick", "x"))
-    end
-  end)
-
-  it("says what a verb needs", function()
-    assert.matches("Error: force KEY STATE expected", fleet_command("force", "x"), 1,
-      true)
-  end)
-
-  it("refuses what it would not use", function()
-    for arguments, problem in pairs { -- any order: each is checked alone
-      ["set m:{0}:1 n=1 n=2"] = "set KEY FIELD=VALUE expected, got 3 arguments: "
-        .. "'m:{0}:1', 'n=1', 'n=2'",
-      ["remove m:{0}:1 m:{0}:2"] = "remove KEY expected, got 2 arguments",
-      ["set m:{0}:1 n=1 --if-version 3"] = "set takes no --if-version",
-      ["force m:{0}:1 root.a --by ann"] = "force takes no --by",
-    } do
-      assert.matches("Error: " .. problem, fleet_command(arguments), 1, true)
-    end
-  end)
-
   it("says that there is no machine whose log is asked for", function()
     for _, verb in ipairs { "log", "history" } do
       assert.equal("rfsm fleet: ERR rfsm_get: no machine is at 'm:{0}:9' "
@@ -821,14 +780,6 @@ describe("rfsm fleet", function()
     assert.equal("rfsm fleet: 1 found, nothing was done\n",
       fleet_command("drop --where chart=timed --dry-run"):match("\n(.*)"))
     machines.more_tags = nil
-  end)
-
-  it("takes back an event that was to come later", function()
-    assert(machines:create(1, "timed"))
-    assert(machines:send_once_after("later", 1, 60, "e_b"))
-    assert.equal("", fleet_command("cancel", "m:{0}:1", "later"))
-    assert.equal("rfsm fleet: it is not there\n",
-      fleet_command("cancel", "m:{0}:1", "later"))
   end)
 end)
 
