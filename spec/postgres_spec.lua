@@ -572,7 +572,7 @@ SELECT rfsm.wake();]]):gsub("COMMAND", function()
 SET client_min_messages = error;
 SELECT rfsm.create(i::text, 'lamp') FROM generate_series(1, 3) i \g /dev/null
 SELECT rfsm.send(i::text, 'e_on') FROM generate_series(1, 3) i \g /dev/null
-SET statement_timeout = 600;
+SET statement_timeout = 1500;
 CALL rfsm.work(0.01);
 SELECT state, count(*) FROM rfsm.machines GROUP BY state;]]))
   end)
@@ -586,7 +586,7 @@ SELECT state, count(*) FROM rfsm.machines GROUP BY state;]]))
 SET client_min_messages = error;
 SELECT rfsm.create('bad', 'endless', '{"bad": true}') \g /dev/null
 SELECT rfsm.create('m' || i, 'endless') FROM generate_series(1, 2) i \g /dev/null
-SET statement_timeout = 500;
+SET statement_timeout = 1000;
 CALL rfsm.work(0.01);
 CALL rfsm.work(0.01);
 SELECT key, state, leases FROM rfsm.machines ORDER BY key;
@@ -619,7 +619,7 @@ SET client_min_messages = error;
 SELECT rfsm.create('bad', 'endless', '{"bad": true}') \g /dev/null
 SELECT rfsm.create('m' || i, 'endless') FROM generate_series(1, 2) i \g /dev/null
 RESET client_min_messages;
-SET statement_timeout = 300;
+SET statement_timeout = 700;
 SELECT rfsm.wake();
 SELECT key, state, leases, due > now() + interval '5 s' FROM rfsm.machines ORDER BY key;
 SELECT rfsm.wake();

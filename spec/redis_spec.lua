@@ -96,8 +96,10 @@ describe("a fleet", function()
 
   it("reports each active leaf to a watcher", function()
     machines:create(1, "lamp")
-    local sender = io.popen(("sleep 0.2; for e in e_on e_off e_on; do redis-cli -p %d "
-      .. "FCALL rfsm_send 1 '%s' $e; done"):format(server.port, (machines:key_of(1))))
+    local sender = io.popen(([[
+      until redis-cli -p PORT PUBSUB SHARDCHANNELS | grep -q .; do sleep 0.02; done
+      for e in e_on e_off e_on; do redis-cli -p PORT FCALL rfsm_send 1 'KEY' $e; done]])
+      :gsub("PORT", server.port):gsub("KEY", (machines:key_of(1))), "r")
     local leaves = {}
     machines:watch(1, function(leaf)
       leaves[#leaves + 1] = leaf
