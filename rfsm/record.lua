@@ -70,6 +70,7 @@ local record = { VERSION = journal.VERSION }
 ---@field count integer how many iterations were recorded
 ---@field name? string name of the file that the recorder has opened
 ---@field timed table|false the record that gets the readings of the clock
+---@field early table|false gets the readings ahead of the record: with `read = "one"`
 ---@field is_moved boolean the machine was reset or moved since the last iteration
 ---@field cuts integer how many iterations had been cut short at the last snapshot
 ---@field tracks rfsm.record.Track[] for each machine; empty while nothing is recorded
@@ -91,17 +92,23 @@ function listener.gettime(recorder, track, gettime)
   local other = { gettime = gettime, warn = track.fsm.warn }
   return clock.new(function(_, is_relative)
     local time, sec, nsec = clock.read(other, is_relative)
-    if recorder.timed then
-      tracks.note(recorder.timed, "clock", time and { encoding.pack(sec),
+    local rec = recorder.timed or track.fsm._phase ~= "idle" and recorder.early
+    if rec then
+      tracks.note(rec, "clock", time and { encoding.pack(sec),
         encoding.pack(nsec) } or { text_of(sec) })
     end
     return time ~= false, sec, nsec
   end)
 end
 
-function listener.getevents(_, track, own)
+function listener.getevents(recorder, track, own)
   return function()
-    local events, waiting = own(), #track.fsm._intq
+    local early = recorder.early
+    recorder.early = false -- a replay does not call getevents
+    local ok, events = calls.try(own)
+    recorder.early = early
+    if not ok then error(events, 0) end
+    local waiting = #track.fsm._intq
     if track.rec and type(events) == "table" then
       track.first, track.last = waiting + 1, waiting + #events
     end
@@ -178,6 +185,7 @@ function listener.began(recorder, track, events)
   track.held = match.joined({}, track.fsm._intq)
   if track.m == nil then
     track.leaf, track.mode, track.has_doo = leaf, leaf and leaf._mode, has_doo(leaf)
+    rec.clock = recorder.early and recorder.early.clock or nil
     recorder.timed, recorder.is_moved = rec, recorder.is_moved or dropped.reset or false
     if not is_known(recorder) then note_place(recorder, rec) end
   end
@@ -235,7 +243,10 @@ function listener.finished(recorder, track, events)
   track.rec = false -- so that a later reset is not noted in this record
   if track.m ~= nil then
     if outer then tracks.note(outer, "inner", rec) end
-  elseif is_known(recorder) and (events[1] ~= nil or not is_empty(track, rec)) then
+    return
+  end
+  recorder.timed, recorder.early = false, {} -- a host may read the clock, too
+  if is_known(recorder) and (events[1] ~= nil or not is_empty(track, rec)) then
     recorder.write(rec)
     recorder.count = recorder.count + 1
   end
@@ -280,7 +291,7 @@ end
 --- Continue a recording after `pause`.
 function Recorder:go_on()
   if self.tracks[1] then return end
-  self.timed, self.is_moved = false, true
+  self.timed, self.early, self.is_moved = false, {}, true
   self.tracks = tracks.attach(self.fsm, listener, self)
 end
 
@@ -325,6 +336,7 @@ function record.record(fsm, sink)
   recorder.write, recorder.is_journal = writer_to(recorder.file or sink)
   header.guards = tracks.guard_texts(fsm)
   recorder.write(header)
+  recorder.timed = false
   recorder.is_moved, recorder.cuts = false, count_cuts(recorder)
   return recorder
 end

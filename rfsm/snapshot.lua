@@ -24,7 +24,7 @@ local rfsm = require "rfsm"
 
 local each, error, ipairs, pcall = order.each, error, ipairs, pcall
 local rawequal, rawget, rawset, type = rawequal, rawget, rawset, type
-local concat, sort = table.concat, table.sort
+local concat, sort, min = table.concat, table.sort, math.min
 local fail, pack = encoding.fail, encoding.pack
 local copy_of, location_of = encoding.copy_of, encoding.location_of
 local reason = encoding.reason
@@ -40,6 +40,8 @@ local snapshot = { VERSION = migrate.VERSION }
 ---@field done? true the leaf is done
 ---@field queue? any[] waiting events; absent: none, or `e_init_fsm` if the machine
 -- was not entered
+---@field unread? integer with `read = "one"`: getevents is asked again after so many
+-- events less one
 ---@field data? table<string, table> the fields that `keep` names, by FQN of the state
 ---@field saved? table<string, any> what `save` returned, by FQN of the state
 ---@field targets? any[] three values for each transition whose target was changed: FQN
@@ -173,6 +175,7 @@ local function take_queue(fsm, snap, path)
   local is_default = queue[1] == nil
   if not snap.leaf then is_default = queue[1] == "e_init_fsm" and queue[2] == nil end
   if not is_default then snap.queue = pack_queue(queue, path) end
+  if fsm._unread > 1 then snap.unread = fsm._unread end
 end
 
 -- Returns the table `path` of a machine, in which `pack` notes where it is in the data.
@@ -226,6 +229,12 @@ local function find_leaf(fsm, own, fqn)
   if own.chart.leaves[fqn] then return own.nodes[fqn] end
   fail(shape.find_state(fsm, fqn) and "leaf: '%s' is a composite"
     or "leaf: no state is '%s'", fqn)
+end
+
+-- Puts a machine into a leaf. A migration may have taken events out of the queue.
+local function place(fsm, leaf, mode, queue, unread)
+  rfsm.place(fsm, leaf, mode, queue)
+  fsm._unread = min(unread or 0, #queue + 1)
 end
 
 local function unpack_queue(part)
@@ -353,6 +362,7 @@ end
 ---@field leaf rfsm.State|false
 ---@field mode string
 ---@field queue any[]
+---@field unread? integer
 ---@field data table<string, table> values of kept fields, by FQN of the state
 ---@field values table<string, table> data of extensions, by name
 ---@field how table argument for the hooks of extensions: what has changed in the chart
@@ -367,7 +377,7 @@ local function new_part(fsm, snap, how)
     mode = snap.done == true and "done" or "active", queue = unpack_queue(snap),
     data = snap.data and unpack_data(own, snap.data) or NONE,
     values = snap.ext and unpack_extensions(fsm, snap.ext, how.is_migrated) or NONE,
-    how = how, is_waiting = snap.queue ~= nil,
+    how = how, is_waiting = snap.queue ~= nil, unread = snap.unread,
     is_own = snap.chart == nil or snap.chart == own.chart.name }
   if snap.saved then part.saved = unpack_saved(fsm, snap.saved) end
   if snap.targets then part.targets = unpack_targets(fsm, snap.targets) end
@@ -431,7 +441,7 @@ end
 local function set_parts(parts)
   for i, part in ipairs(parts) do
     if i == 1 or part.leaf or part.is_waiting then -- the first one resets the regions
-      rfsm.place(part.fsm, part.leaf, part.mode, part.queue)
+      place(part.fsm, part.leaf, part.mode, part.queue, part.unread)
     end
     set_targets(part.own, part.targets)
   end
@@ -453,8 +463,8 @@ end
 -- Puts the leaf, the queue and the targets of a snapshot into a machine.
 local function put_place(fsm, own, snap)
   local targets = snap.targets and unpack_targets(fsm, snap.targets)
-  rfsm.place(fsm, own.nodes[snap.leaf], snap.done and "done" or "active",
-    snap.queue and unpack_queue(snap) or {})
+  place(fsm, own.nodes[snap.leaf], snap.done and "done" or "active",
+    snap.queue and unpack_queue(snap) or {}, snap.unread)
   set_targets(own, targets)
 end
 

@@ -13,6 +13,7 @@ local rfsm = require "rfsm"
 local share = require "spec.support.share"
 local snapshot = require "rfsm.snapshot"
 require "rfsm.defer"
+require "rfsm.faults"
 local timeevent = require "rfsm_timeevent"
 
 local state, trans = rfsm.state, rfsm.trans
@@ -843,6 +844,38 @@ describe("the clock", function()
     assert.equal("root.b", rfsm.get_actleaf_fqn(assert(record.replay(timed(), sink))))
   end)
 
+  it("is not recorded when a host reads it between two iterations", function()
+    local now, sink = 10, {}
+    local fsm = helper.init(timed(function() return now, 0 end))
+    record.record(fsm, sink)
+    rfsm.step(fsm)
+    for _ = 1, 3 do timeevent.next_deadline(fsm) end
+    assert.equal(1, #sink[2].clock)
+    now = 15.5
+    rfsm.run(fsm)
+    timeevent.next_deadline(fsm)
+    assert.equal("root.b",
+      rfsm.get_actleaf_fqn(assert(record.replay(timed(), sink))))
+  end)
+
+  it("is read ahead of each record if one event is taken at a time", function()
+    local now, sink = 10, {}
+    local function model(gettime)
+      local one = timed(gettime)
+      one.read = "one"
+      return one
+    end
+    local fsm = helper.init(model(function() return now, 0 end))
+    record.record(fsm, sink)
+    rfsm.step(fsm)
+    now = 15.5
+    rfsm.run(fsm)
+    assert.same({ { { 15.5, 0 } }, { "e_after(5)@root.a" } },
+      { sink[3].clock, sink[4].events })
+    assert(record.replay(model(), sink))
+    assert(record.replay(model(), sink, { dry = true }))
+  end)
+
   it("that fails fails again", function()
     local model, sink, texts = timed(function() error("no battery", 0) end), {}, {}
     model.err = function(...) texts[#texts + 1] = table.concat({ ... }, " ") end
@@ -1082,6 +1115,24 @@ describe("two guards in an iteration", function()
     helper.post_and_run(fsm, "e_go")
     local again = assert(record.replay(model(error, error), sink))
     assert.equal("root.c", rfsm.get_actleaf_fqn(again))
+  end)
+end)
+
+describe("a fault", function()
+  it("is the same one in a replay, whose traceback has other lines", function()
+    local function model()
+      return state { info = false, warn = false, err = false, a = state {},
+        b = state { entry = function() error("no bulb", 0) end }, c = state {},
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_b" } },
+        trans { src = "b", tgt = "c", events = { "e_fault" } } }
+    end
+    local sink, fsm = {}, helper.started(model())
+    record.record(fsm, sink)
+    helper.post_and_run(fsm, "e_b")
+    rfsm.run(fsm)
+    assert.equal("root.c", rfsm.get_actleaf_fqn(fsm))
+    assert.equal("root.c", rfsm.get_actleaf_fqn(assert(record.replay(model(), sink))))
   end)
 end)
 

@@ -66,6 +66,32 @@ describe("a snapshot", function()
     assert.equal(18, #snap.chart)
   end)
 
+  it("knows how many events come before getevents is asked again", function()
+    local asked = 0
+    local function model()
+      return state { info = false, warn = false, emem = false, read = "one",
+        getevents = function()
+          asked = asked + 1
+          return { "e_x", "e_x", "e_x" }
+        end, a = state {}, trans { src = "initial", tgt = "a" } }
+    end
+    local fsm = helper.init(model())
+    rfsm.step(fsm) -- enters with e_init_fsm, three wait behind e_done
+    local snap = snapshot.take(fsm)
+    assert.equal(4, snap.unread)
+    local other = assert(snapshot.restore(model(), through_json(snap)))
+    for _, machine in ipairs { fsm, other } do
+      asked = 0
+      rfsm.step(machine) -- two iterations
+      assert.equal(0, asked)
+      assert.equal(2, snapshot.take(machine).unread)
+    end
+    snap.queue = nil -- as if a migration had dropped them
+    other = assert(snapshot.restore(model(), snap))
+    rfsm.step(other)
+    assert.equal(1, asked)
+  end)
+
   it("is the same text on each Lua, also in years", function()
     local fsm = helper.init(state { info = false, warn = false, emem = false,
       keep = { "count" }, count = 0, a = state {}, b = state {},

@@ -23,7 +23,7 @@ local migrate, NONE = { VERSION = 2 }, {}
 -- The types of the fields of a part. A whole snapshot has the fields of `WHOLE`, too.
 local PART = {
   chart = "string", leaf = "string", done = "boolean", queue = "table", data = "table",
-  saved = "table", targets = "table", ext = "table",
+  unread = "number", saved = "table", targets = "table", ext = "table",
 }
 
 local WHOLE = { version = "number", regions = "table", structure = "table" }

@@ -12,13 +12,16 @@ package.path = "./?.lua;" .. package.path
 local rfsm = require "rfsm"
 local timeevent = require "rfsm_timeevent"
 require "rfsm.await"
+require "rfsm.defer"
 require "rfsm.emem"
+require "rfsm.faults"
 require "rfsm.history"
 local monitor = require "rfsm.monitor"
 local new_random = require "spec.support.random"
 local snapshot = require "rfsm.snapshot"
 
 local floor = math.floor
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local kept = {}
 
@@ -26,9 +29,16 @@ local kept = {}
 
 local trace, now, coming = {}, 0, {} -- now: quarters of a second
 
+-- Returns an event with its data as a text, which has no address; others as they are.
+function kept.shown(value)
+  if type(value) ~= "table" or not value.name then return rfsm.text_of(value) end
+  local n = value.n or value.message
+  return value.name .. "/" .. rfsm.text_of(type(n) == "table" and n.x .. n[1] or n)
+end
+
 local function note(...)
   local texts = { ... }
-  for i = 1, select("#", ...) do texts[i] = rfsm.text_of(texts[i]) end
+  for i = 1, select("#", ...) do texts[i] = kept.shown(texts[i]) end
   trace[#trace + 1] = table.concat(texts, " ")
 end
 
@@ -39,6 +49,23 @@ timeevent.set_gettime_hook(gettime)
 -- Charts ------------------------------------------------------------------------
 
 local EVENTS = { "e1", "e2", "e3", 7, 2.5, true, "e_x@y" }
+local MORE_EVENTS = { { name = "e_n", n = 1 }, { name = "e_n", n = { 2, x = "y" } },
+  unpack(EVENTS) }
+
+-- What have charts and runs besides what a seed always gave? nil: nothing; "some":
+-- events with data, deferral, faults, e_every, times of states, final leaves; "all":
+-- `read = "one"` and `always`, too. Recordings of regions that read one event, and of
+-- transitions with `always`, may depart when they are replayed.
+local more = nil
+
+local function pick_event(random)
+  return random:pick(more and MORE_EVENTS or EVENTS)
+end
+
+-- Returns what a transition or a list of deferred events accepts of them.
+local function accepted(event)
+  return type(event) == "table" and rfsm.named(event.name) or event
+end
 
 -- How often something has happened, in data that the root keeps.
 local function bump(fsm, id)
@@ -62,7 +89,7 @@ local ACTIONS = {
 }
 
 local function new_actions(random)
-  local actions, a, b = {}, random:pick(EVENTS), random:pick(EVENTS)
+  local actions, a, b = {}, pick_event(random), pick_event(random)
   local all = {
     { "send", a, b }, { "send", a, b }, { "send", "e_own" }, { "raise" },
     { "list", random:below(9), random:below(100) }, { "list", "n", random:below(9) },
@@ -72,15 +99,17 @@ local function new_actions(random)
   return actions
 end
 
-local function do_next(fsm, id, actions)
+local function do_next(fsm, id, actions, event)
   local action = actions[(bump(fsm, id) - 1) % #actions + 1]
-  note(id, action and action[1])
+  note(id, action and action[1], event)
   if action then ACTIONS[action[1]](fsm, action) end
 end
 
 local function new_callback(random, id)
   local actions = new_actions(random)
-  return function(fsm) do_next(fsm, id, actions) end
+  return function(fsm, _, what, ...)
+    do_next(fsm, id, actions, (select(what == "effect" and 2 or 1, ...)))
+  end
 end
 
 local function new_guard(random, id)
@@ -127,22 +156,32 @@ end
 local new_state
 
 local function random_event(random)
-  local kind = random:below(10)
+  local kind = random:below(more and 14 or 10)
+  if kind == 10 then return ("e_every(%d.75)"):format(random:below(3)) end
+  if kind == 11 then return "e_fault" end
   if kind == 1 then return ("e_after(%d.25)"):format(random:below(4) - 1) end
   if kind == 2 then return ("e_at(%d.5)"):format(1000 + random:below(9)) end
   if kind == 3 then return ("await(e1, %s)"):format(random:pick { "e2", "e_own" }) end
   if kind == 4 then return "e_done" end
   if kind == 5 then return "e_own" end
-  return random:pick(EVENTS)
+  return accepted(pick_event(random))
+end
+
+-- Returns the events of a transition; nil and true if it needs none.
+local function some_events(random)
+  if more == "all" and random:chance(5) then return nil, true end
+  local events = { random_event(random) }
+  if random:chance(40) then events[2] = random_event(random) end
+  return events
 end
 
 local function add_transitions(random, state, names, id)
   for i = 1, #names + random:below(3) do
-    local events = { random_event(random) }
-    if random:chance(40) then events[2] = random_event(random) end
     local src, tgt = random:pick(names), random:pick(names)
     if src ~= "k" and random:chance(8) then tgt = "internal" end
+    local events, always = some_events(random)
     state[#state + 1] = rfsm.trans { src = src, tgt = tgt, events = events,
+      always = src ~= "k" and always or nil,
       pn = random:chance(20) and random:below(3) or nil,
       guard = random:chance(35) and new_guard(random, id .. "g" .. i) or nil,
       effect = random:chance(40) and new_callback(random, id .. "t" .. i) or nil,
@@ -169,6 +208,22 @@ local function fill_composite(random, state, id, depth, level)
   return state
 end
 
+-- Gives a state what only some have.
+local function add_fields(random, state)
+  if random:chance(20) then state.keep, state.n = { "n" }, random:below(9) end
+  if not more then return end
+  if random:chance(20) then state.timed = true end
+  if random:chance(20) then
+    state.defer = { accepted(pick_event(random)), "e_own", max = random:below(3) + 1 }
+  end
+end
+
+local function fill_leaf(random, state, id)
+  if random:chance(30) then state.doo = new_doo(random, id .. "!") end
+  if more and random:chance(20) then state.final = true end
+  return state
+end
+
 function new_state(random, id, depth, level)
   if depth == 0 and random:chance(12) then return new_seqand(random, id, depth) end
   if random:chance(5) then return new_monitor(random, id) end
@@ -176,33 +231,36 @@ function new_state(random, id, depth, level)
     entry = random:chance(60) and new_callback(random, id .. "+") or nil,
     exit = random:chance(50) and new_callback(random, id .. "-") or nil,
   }
-  if random:chance(20) then state.keep, state.n = { "n" }, random:below(9) end
+  add_fields(random, state)
   if level < 3 and random:chance(30) then
     return fill_composite(random, state, id, depth, level)
   end
-  if random:chance(30) then state.doo = new_doo(random, id .. "!") end
-  return state
+  return fill_leaf(random, state, id)
 end
 
 -- The root says nothing, and counts what its callbacks do.
 function new_machine(random, id, depth)
   local root = rfsm.state { info = false, warn = false,
     err = function(...) note(...) end, keep = { "counts", "list" }, counts = {},
-    list = {} }
+    list = {}, read = more == "all" and random:chance(30) and "one" or nil }
   return fill_composite(random, root, id, depth, 0)
 end
 
---- Returns the model of a seed.
-function kept.model(seed) return new_machine(new_random(seed * 7919), "", 0) end
+--- Returns the model of a seed; `has` is "some" or "all" for more, see above.
+function kept.model(seed, has)
+  more = has
+  return new_machine(new_random(seed * 7919), "", 0)
+end
 
 -- Runs --------------------------------------------------------------------------
 
 --- Returns the operations of a seed.
-function kept.operations(seed)
+function kept.operations(seed, has)
+  more = has
   local random, list = new_random((seed + 1000003) * 7919), {}
   for i = 1, 8 + random:below(12) do
     local kind = random:below(10)
-    list[i] = kind < 4 and { "send", random:pick(EVENTS), random:pick(EVENTS) }
+    list[i] = kind < 4 and { "send", pick_event(random), pick_event(random) }
       or kind < 6 and { "wait", random:below(8) } or kind == 6 and { "step", 12 }
       or kind == 7 and random:chance(30) and { "reset" } or { "step", random:below(3) }
   end
@@ -233,7 +291,12 @@ local OPERATIONS = {
 
 local function note_machine(fsm)
   local texts = rfsm.get_active_conf(fsm)
-  for i, event in ipairs(fsm._intq) do texts[#texts + 1] = i .. rfsm.text_of(event) end
+  for i, event in ipairs(fsm._intq) do texts[#texts + 1] = i .. kept.shown(event) end
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
+    if state.timed then
+      texts[#texts + 1] = state._fqn .. rfsm.text_of(timeevent.time_in(state))
+    end
+  end
   texts[#texts + 1] = fsm._act_leaf and fsm._act_leaf._mode or "out"
   note(table.concat(texts, ","))
 end
@@ -260,7 +323,8 @@ end
 --- Makes a machine, does operations up to number `at`, and takes a snapshot: returns
 -- it, and the trace of the rest of the run.
 function kept.begin(seed, at)
-  local fsm, operations = assert(rfsm.init(kept.model(seed))), kept.operations(seed)
+  local fsm = assert(rfsm.init(kept.model(seed, "all")))
+  local operations = kept.operations(seed, "all")
   dress(fsm)
   trace = {}
   run(fsm, operations, 1, at)
@@ -273,14 +337,14 @@ end
 --- Restores a snapshot, or puts it into a machine; returns the trace of the rest of the
 -- run, and a snapshot that was taken before it.
 function kept.go_on(seed, at, snap, fsm)
-  local operations = kept.operations(seed)
+  local operations = kept.operations(seed, "all")
   trace = {}
   run(nil, operations, at + 1, at) -- sets the clock
   local ok, problem
   if fsm then
     ok, problem = snapshot.put(fsm, snap)
   else
-    ok, problem = snapshot.restore(kept.model(seed), snap)
+    ok, problem = snapshot.restore(kept.model(seed, "all"), snap)
     fsm = ok
   end
   if not ok then return { problem } end
@@ -306,8 +370,9 @@ end
 
 --- Does a whole run; returns the machine. `watch(fsm)` is called before it, and each
 --- operation by `call(f, ...)` if that is given.
-function kept.run(seed, watch, call)
-  local fsm, operations = assert(rfsm.init(kept.model(seed))), kept.operations(seed)
+function kept.run(seed, watch, call, has)
+  local fsm = assert(rfsm.init(kept.model(seed, has)))
+  local operations = kept.operations(seed, has)
   trace = {}
   dress(fsm)
   watch(fsm)

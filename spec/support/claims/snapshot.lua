@@ -16,17 +16,29 @@ local function sorted(value)
   return "{" .. table.concat(parts, ",") .. "}"
 end
 
+-- Returns a trace as a text. Deferred events are looked at after a load, so the guards
+-- behind them are asked once more.
+local function text_of(trace, text)
+  local lines, is_kept = {}, text:find('"defer":', 1, true)
+  for _, line in ipairs(trace) do
+    local is_guard = line:find "^guard " or line:find "^GUARD "
+    lines[#lines + 1] = not (is_kept and is_guard) and line or nil
+  end
+  return table.concat(lines, "\n")
+end
+
 -- Returns what is wrong with one case: a new machine, and one that is at the end of its
 -- run, go on from a snapshot.
 local function run_case(seed)
   local at = seed * 31 % (kept.length(seed) + 1)
   local snap, trace = kept.begin(seed, at)
-  local expected, lines = sorted(snap), table.concat(trace, "\n")
-  snap = json.decode((json.encode(snap)))
-  for _, fsm in ipairs { false, kept.run(seed, function() end) } do
+  local expected, text = sorted(snap), json.encode(snap)
+  local lines = text_of(trace, text)
+  snap = json.decode(text)
+  for _, fsm in ipairs { false, kept.run(seed, function() end, nil, "all") } do
     local other, again = kept.go_on(seed, at, snap, fsm)
     if sorted(again) ~= expected then return "taken again it is another one" end
-    if table.concat(other, "\n") ~= lines then return "the machine goes another way" end
+    if text_of(other, text) ~= lines then return "the machine goes another way" end
   end
 end
 
