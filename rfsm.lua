@@ -684,12 +684,9 @@ do
 
   -- Public fields of the engine. If a model has a field with such a name, the field is
   -- not copied, because it is not the user's data.
-  local API_FIELDS = {}
-  for name in ("act_leaf actchild always choices curq depth done_event doo_co fqn fsm "
-    .. "id index initialized intq is_asked is_internal is_leaf mode model otrs parent "
-    .. "paths segments"):gmatch("%S+") do
-    API_FIELDS["_" .. name] = true
-  end
+  local API_FIELDS = " _act_leaf _actchild _always _choices _curq _depth _done_event "
+    .. "_doo_co _fqn _fsm _id _index _initialized _intq _is_asked _is_internal "
+    .. "_is_leaf _mode _model _otrs _parent _paths _target "
 
   -- Checks the name of a node: a path can contain it, and it is no field of the parent.
   local function check_name(build, kind, node)
@@ -790,7 +787,7 @@ do
     elseif key == "initial" and kind == "state" then
       add(build.problems, obj, key, "connector expected, %s "
         .. "(rfsm.trans{ src='initial', tgt=... })", got(value))
-    elseif not API_FIELDS[key] then
+    elseif not (is_meta(key) and API_FIELDS:find(" " .. key .. " ", 1, true)) then
       clone_datum(build, kind, obj, key, value)
     end
   end
@@ -1152,13 +1149,8 @@ do
   -- Returns an rfsm.Segment: a transition with the target that it has now.
   local function new_segment(tr, tgt)
     local is_internal = tr._is_internal and tr.src == tgt
-    local lca, entries = find_lca(tr.src._parent, tgt._parent), {}
-    local state = tgt._mode and tgt or tgt._parent
-    if is_internal then lca, state = tgt, tgt end
-    for i = state._depth - lca._depth, 1, -1 do
-      entries[i], state = state, state._parent
-    end
-    local segment = { tr = tr, tgt = tgt, lca = lca, entries = entries }
+    local lca = is_internal and tgt or find_lca(tr.src._parent, tgt._parent)
+    local segment = { tr = tr, tgt = tgt, lca = lca }
     if is_internal then segment.is_internal = true end -- absent: less memory
     if not tgt._mode then segment.connector = tgt end
     return segment
@@ -1848,8 +1840,9 @@ do
     local note = segment and segment.connector
     if not note then return segment end
     note = fsm._ways[note] or note_of(fsm, note)
-    if note.search ~= fsm._search then
-      note.search = fsm._search -- one by one: fewer instructions
+    local current = fsm._search
+    if note.search ~= current then
+      note.search = current -- one by one: fewer instructions
       note.first = first
       note.asked = false
       note.way = false
@@ -2414,6 +2407,13 @@ do
     add_action(list, recorders.entry, state)
   end
 
+  -- Adds the entries of the states from below the lca to the target.
+  local function add_entries(fsm, list, segment)
+    local tgt = segment.tgt
+    local line = line_to(tgt._mode and tgt or tgt._parent)
+    for i = segment.lca._depth + 2, #line do add_entry(fsm, list, line[i]) end
+  end
+
   local shapes = setmetatable({}, { __mode = "v" }) -- text of a list of actions -> list
 
   -- Returns an equal list of actions. All paths with the same actions share this list.
@@ -2452,7 +2452,7 @@ do
       add_action(list, actions.effect, segment)
       add_action(list, segment.is_internal and actions.keep_made or recorders.entries,
         segment)
-      for _, state in ipairs(segment.entries) do add_entry(fsm, list, state) end
+      add_entries(fsm, list, segment)
       from = segment.tgt._parent
     end
     path.args, fsm._has_paths = list.args, true

@@ -170,7 +170,6 @@
 ---@field connector? rfsm.Connector the target, if it is a connector
 ---@field is_internal? true nothing is left or entered
 ---@field lca rfsm.State the innermost state that contains both ends and stays active
----@field entries rfsm.State[] the states that are entered, the outermost first
 
 --- A kind of hooks: rfsm.<kind>_hook_add and _rm.
 ---@class rfsm.HookKind
