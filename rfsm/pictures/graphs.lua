@@ -461,17 +461,20 @@ end
 --- Have Graphviz measure nodes, of which the attributes are given, and lay out another
 -- graph in the same run if that does not fail. Return the boxes of the nodes and the
 -- answer for this graph, if there is one; or nil and a problem.
+--
+-- Graphviz visits clusters in the order of the addresses of their names. These ascend
+-- in each run only if a new process reads the graph first, so it is before the nodes.
 function graphs.sizes_of(nodes, graph, run)
   local lines = { "digraph {", looks.head("TB") }
   for i, node in ipairs(nodes) do add(lines, 1, ("n%d [%s]"):format(i, node)) end
   lines[#lines + 1] = "}\n"
   local sizes, level = concat(lines, "\n"), { gates = {}, links = {} }
-  local answer, problem = run(sizes .. graph)
-  local has_graph = answer and graph ~= ""
+  local answer, problem = run(graph .. sizes)
+  local stop = answer and graph ~= "" and answer:find("\n}", 1, true)
   if not answer and graph ~= "" then answer, problem = run(sizes) end
   if not answer then return nil, problem end
-  local position = read_level(level, answer, 1)
-  return level.boxes, has_graph and answer:sub(position) or nil
+  read_level(level, answer, stop and stop + 2 or 1)
+  return level.boxes, stop and answer or nil
 end
 
 return graphs
