@@ -11,7 +11,7 @@
 local lines = require "rfsm.pictures.lines"
 
 local ipairs, sort = ipairs, table.sort
-local huge, max, min, sqrt = math.huge, math.max, math.min, math.sqrt
+local max, min, sqrt = math.max, math.min, math.sqrt
 local tonumber = tonumber
 
 local choice = {}
@@ -123,17 +123,15 @@ function choice.is_readable(layout, size)
   return choice.scale(size, layout.width, layout.height) >= READABLE
 end
 
-local FEW = 3 -- crossings more than in a layout are allowed if text is much larger
-local LARGER, MUCH_LARGER = 1.02, 1.2 -- factors of the scale
+local LARGER = 1.02 -- factor of the scale
 
---- Return the best of some shapes for a sheet, or nil if a layout is better. A shape
--- has to have larger text; if it has more crossings, much larger text.
-function choice.for_sheet(shapes, layout, size, limits)
-  local best, value = nil, choice.scale(size, layout.width, layout.height)
+--- Return the best of some shapes for a sheet that have no more than `most` crossings;
+-- nil if none has larger text than a layout.
+function choice.for_sheet(shapes, layout, size, most)
+  local best, scale = nil, LARGER * choice.scale(size, layout.width, layout.height)
   for _, shape in ipairs(shapes) do
-    local factor = shape.crossings <= limits.same and LARGER or MUCH_LARGER
-    local one = choice.scale(size, shape.width, shape.height) / factor
-    if shape.crossings <= limits.more and one > value then best, value = shape, one end
+    local one = choice.scale(size, shape.width, shape.height)
+    if shape.crossings <= most and one > scale then best, scale = shape, one end
   end
   return best
 end
@@ -142,14 +140,6 @@ end
 function choice.gain(shape, other, size)
   return choice.scale(size, shape.width, shape.height)
     / choice.scale(size, other.width, other.height)
-end
-
---- Return the most crossings of a shape in place of a layout, and the most if its text
--- is much larger: never more than plain Graphviz has.
-function choice.limits(layout, plain)
-  local same = choice.measure(layout)
-  local other = plain and choice.measure(plain) or huge
-  return { same = same, more = max(same, min(same + FEW, other)) }
 end
 
 return choice

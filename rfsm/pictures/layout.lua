@@ -202,7 +202,7 @@ function layout.draw(chart, graph, run)
   local best = layout_of(chart, "levels")
   best = whole and choice.of(best, whole, chart.kind, size) or best
   if is_large and (was_sheet or not choice.is_readable(best, size)) then
-    local shape = sheet.best(chart, best, whole)
+    local shape = sheet.best(chart, best)
     if shape then
       sheet.put(chart, shape)
       best = layout_of(chart, "sheet")

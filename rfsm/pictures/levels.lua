@@ -8,7 +8,7 @@
 
 local looks = require "rfsm.pictures.looks"
 
-local abs, ipairs, log, max = math.abs, ipairs, math.log, math.max
+local ipairs, max = ipairs, math.max
 
 local levels = {}
 
@@ -72,8 +72,6 @@ end
 -- Levels that do not fit ------------------------------------------------------
 
 local FEWEST = 6 -- nodes of a level that is turned
-local TALLEST, WIDEST = 420, 800 -- points: smaller inner levels keep their direction
-local RATIO, MISFIT = 4 / 3, log(1.7) -- of width to height: the best, and how far off
 
 --- Return true if no arrow crosses the frame of a level or of a composite in it, and no
 -- arrow in the level is a loop at a composite.
@@ -157,19 +155,17 @@ function levels.reset(level, direction)
   end
 end
 
--- Is a shape of a level far from the best ratio, with too many nodes side by side?
+-- Is a shape of a level far too long, across its arrows?
 local function is_wide(shape)
   local width, height = shape.width, shape.height
   if shape.direction ~= "TB" then width, height = height, width end
-  return width > height and abs(log(shape.width / shape.height / RATIO)) >= MISFIT
+  return width > 2 * height
 end
 
 --- Shall a level run from left to right, in place of a shape of it?
 function levels.is_misfit(level, shape)
   local nodes = level.composite.nodes
-  local is_large = level.composite.depth == 0 or shape.height > TALLEST
-    or shape.width > WIDEST
-  return is_large and nodes[FEWEST] and is_wide(shape) and levels.is_closed(level)
+  return nodes[FEWEST] and is_wide(shape) and levels.is_closed(level)
     and not has_loop(level) and not nodes[1].is_region -- then all are
 end
 
