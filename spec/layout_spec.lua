@@ -633,6 +633,12 @@ describe("a label", function()
     assert.equal("60.0 500.0", moved(60, 500, "e_go!", 1)) -- the line is elsewhere
     assert.equal("50.0 18.0", moved(50, 60, "e_go!\ne", 2))
   end)
+
+  it("is at its line between two points of a curve, too", function()
+    local at = { 120, 178 }
+    lines.attract(at, "e_go!", { { 0, 0 }, { 20, 150 }, { 20, 250 }, { 0, 430 } }, 1)
+    assert.is_true(at[1] > 30 and at[1] < 40, at[1])
+  end)
 end)
 
 describe("dot.layout", function()

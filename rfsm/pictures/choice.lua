@@ -19,7 +19,7 @@ local choice = {}
 -- Appends the straight pieces of a line to a list, each with its lower end first.
 -- Returns the length of the line.
 local function add_pieces(list, line)
-  local length, flat = 0, lines.flat(line.points)
+  local length, flat = 0, line.flat or lines.flat(line.points)
   for i = 2, #flat do
     local x, y, x2, y2 = flat[i - 1][1], flat[i - 1][2], flat[i][1], flat[i][2]
     length = length + sqrt((x2 - x) * (x2 - x) + (y2 - y) * (y2 - y))

@@ -100,14 +100,21 @@ function lines.inside(line, frame)
   return result
 end
 
+local function is_straight(a, b, c, d)
+  local x, y = d[1] - a[1], d[2] - a[2]
+  local function off(p) return abs(x * (p[2] - a[2]) - y * (p[1] - a[1])) end
+  return off(b) + off(c) < 0.1 * distance(a, d)
+end
+
 local PIECES = 8 -- how many straight pieces replace a curve
 
---- Return points on a line: its start, and PIECES points on each curve.
+--- Return points on a line, between which it is about straight: its start, and up to
+-- PIECES points on each curve.
 function lines.flat(line)
   local flat = { line[1] }
   for i = 1, #line - 3, 3 do
     local a, b, c, d = line[i], line[i + 1], line[i + 2], line[i + 3]
-    for k = 1, PIECES do
+    for k = is_straight(a, b, c, d) and PIECES or 1, PIECES do
       local t, u = k / PIECES, 1 - k / PIECES
       local p, q, r, s = u * u * u, 3 * u * u * t, 3 * u * t * t, t * t * t
       flat[#flat + 1] = { p * a[1] + q * b[1] + r * c[1] + s * d[1],
@@ -130,15 +137,27 @@ end
 
 local FAR, BESIDE = 14, 6 -- points: distances between a line and its label
 
+-- Returns how far the part of a piece that is between two limits on the other axis
+-- reaches along an axis; nil if no part is.
+local function far_between(a, b, low, high, axis)
+  local other = 3 - axis
+  if a[other] > b[other] then a, b = b, a end
+  if b[other] < low or a[other] > high then return nil end
+  local length = max(b[other] - a[other], 1e-9)
+  local first, last = max(0, (low - a[other]) / length),
+    min(1, (high - a[other]) / length)
+  return max(between(a, b, first)[axis], between(a, b, last)[axis])
+end
+
 --- Move a label to its line if it is far from it. Graphviz bends a line away from its
 -- label if there is room. `axis` (1: x, 2: y) is the axis across the arrows.
 function lines.attract(at, text, line, axis)
-  local size, other, reach = lines.size_of(text), 3 - axis, nil
-  local side = at[axis] - size[axis] / 2
+  local size, other, reach, last = lines.size_of(text), 3 - axis, nil, nil
+  local side, half = at[axis] - size[axis] / 2, size[other] / 2 + BESIDE
   for _, point in ipairs(lines.flat(line)) do
-    if abs(point[other] - at[other]) <= size[other] / 2 + BESIDE then
-      reach = max(reach or point[axis], point[axis])
-    end
+    local far = last and far_between(last, point, at[other] - half, at[other] + half,
+      axis)
+    reach, last = far and max(reach or far, far) or reach, point
   end
   if reach and side - reach > FAR then at[axis] = at[axis] - (side - reach) + BESIDE end
 end

@@ -16,7 +16,7 @@ local lines = require "rfsm.pictures.lines"
 local rows = require "rfsm.pictures.rows"
 
 local abs, huge, ipairs, pairs = math.abs, math.huge, ipairs, pairs
-local concat, max, type = table.concat, math.max, type
+local concat, max, min, type = table.concat, math.max, math.min, type
 
 local sheet = {}
 
@@ -71,35 +71,40 @@ end
 
 -- Judging ---------------------------------------------------------------------
 
+-- Is a part of the piece from a to b in a box, deeper than its round corners?
+local function is_through(a, b, box)
+  local width, height = box.width / 2 - 3, box.height / 2 - 3
+  local x, y, x2, y2 = a[1] - box.x, a[2] - box.y, b[1] - box.x, b[2] - box.y
+  return min(x, x2) < width and max(x, x2) > -width
+    and min(y, y2) < height and max(y, y2) > -height
+    and abs(x * y2 - y * x2) < width * abs(y2 - y) + height * abs(x2 - x)
+end
+
 -- Does a line run through a box that is not its end?
-local function is_covering(level, link)
-  local flat = lines.flat(link.points)
+local function is_covering(level, line)
+  local flat = line.flat
   for i, box in ipairs(level.boxes) do
     local node = level.composite.nodes[i]
-    local is_end = link.upper and link.upper.node == node or link.lower.node == node
-    for _, point in ipairs(is_end and {} or flat) do
-      if abs(point[1] - box.x) < box.width / 2 - 3
-        and abs(point[2] - box.y) < box.height / 2 - 3 then return true end
+    for k = 2, node ~= line.upper and node ~= line.lower and #flat or 1 do
+      if is_through(flat[k - 1], flat[k], box) then return true end
     end
   end
   return false
 end
 
--- Returns the lines of a level: its links, and from each gate to the frame, since
+-- Returns the lines of a level, flat: its links, and from each gate to the frame, since
 -- Graphviz does not always put gates into the first or the last rank.
 local function lines_in(level)
   local list, axis = {}, level.direction == "TB" and 2 or 1
   for _, link in ipairs(level.links) do
-    list[#list + 1] = not link.is_loop and link or nil
+    list[#list + 1] = not link.is_loop and { flat = lines.flat(link.points),
+      upper = link.upper and link.upper.node, lower = link.lower.node } or nil
   end
   for _, gate in ipairs(level.gates) do
     local at, border = gate.at, { gate.at[1], gate.at[2] }
     local far = axis == 2 and level.inner_height or level.inner_width
     border[axis] = gate.is_upper == (axis == 2) and far or 0
-    local line = {}
-    lines.join(line, { at })
-    lines.join(line, { border })
-    if line[2] then list[#list + 1] = { points = line, lower = {} } end
+    list[#list + 1] = { flat = { at, border } }
   end
   return list
 end
