@@ -137,8 +137,8 @@ end
 
 -- Drawing: many charts with few runs of Graphviz, whose start takes longest -----------
 
--- Can only a new process lay a graph out the same each time? Graphviz visits clusters in
--- the order of the addresses of their names.
+-- Can only a new process lay a graph out the same each time? Graphviz visits clusters
+-- in the order of the addresses of their names.
 local function is_alone(text)
   local _, count = text:gsub("subgraph cluster", "")
   return count > 2 and not text:find("layout=nop2", 1, true)
