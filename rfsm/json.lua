@@ -16,7 +16,7 @@ local json = {}
 local KEY_ORDER = {
   "version", "type", "id", "doc", "mode", "final", "history", "entry", "doo", "exit",
   "reactions", "word", "key", "src", "tgt", "pn", "events", "words", "with_data",
-  "guard", "effect", "internal", "transitions",
+  "guard", "effect", "always", "internal", "transitions",
   "subnodes", "regions", "graph", "active_leaf", "active_leaf_state",
 }
 

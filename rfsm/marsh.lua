@@ -31,6 +31,7 @@ local marsh = {}
 ---@field tgt string FQN of the target, or of the `initial` of a composite target
 ---@field pn? number priority number of the transition
 ---@field events any[] empty if any event triggers it
+---@field always? true it needs no event
 ---@field internal? true no state is left or entered, `src` and `tgt` are the same
 ---@field key? string location of the transition: "root.trans[2]"
 ---@field words? string[] its events in words: "e_go", "after 5 s", "done"
@@ -175,13 +176,14 @@ end
 
 local LONGEST = 40 -- most bytes of a body that is shown
 
--- Returns the body of the function that a line assigns to a field; nil if the line has
--- two of them, or if the text before the first "end" is not the whole body.
-local function body_in_field(line, field)
-  local head = "%f[%w_]" .. field .. "%s*=%s*function%s*%b()%s*"
-  local body = line:match(head .. "(.-)%f[%w_]end%f[^%w_]")
-  local is_only = body and select(2, line:gsub(head, "")) == 1
-  return is_only and compile and compile(body) and body or nil
+-- Returns the body of the function whose head a line matches; nil if the line has two
+-- of them. The body ends at the first "end" at which it is whole.
+local function body_behind(line, head)
+  local text, is_only = line:match(head .. "(.*)"), select(2, line:gsub(head, "")) == 1
+  for at in (is_only and compile and text or ""):gmatch("()%f[%w_]end%f[^%w_]") do
+    local body = text:sub(1, at - 1)
+    if compile(body) then return body end
+  end
 end
 
 -- Returns the body of a function of one line, or of three lines with the body between.
@@ -189,9 +191,9 @@ local function body_of(info, lines, count, field)
   local first, last = info.linedefined, info.lastlinedefined
   local body
   if first == last and count == 1 then
-    body = lines[first]:match("function%s*%b()%s*(.*)%f[%w_]end%f[^%w_]")
+    body = body_behind(lines[first], "function%s*%b()%s*")
   elseif first == last and field then
-    body = body_in_field(lines[first], field)
+    body = body_behind(lines[first], "%f[%w_]" .. field .. "%s*=%s*function%s*%b()%s*")
   elseif last == first + 2 and lines[first]:find("function%s*%b()%s*$") then
     body = lines[first + 1]:gsub("%s+%-%-.*$", ""):match("^%s*(.*)$")
   end
@@ -410,6 +412,7 @@ local function transition_table(writer, tr, composite)
   local tab = {
     type = "transition", src = path_of(writer, tr.src),
     tgt = path_of(writer, target_of(tr)), pn = tr.pn, events = events,
+    always = tr.always and true or nil,
     internal = rfsm.target_of(tr) == "internal" or nil,
   }
   if not writer.callback_text then return tab end

@@ -279,6 +279,18 @@ for _, language in ipairs(LANGUAGES) do
       assert.is_falsy(text:find("root_a %-%-?> root_a"))
     end)
 
+    it("tells a transition that needs no event from one that any event triggers",
+    function()
+      local text = exporter.encode(helper.init(state {
+        a = state {}, b = state {}, trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", always = true, guard = yes },
+        trans { src = "b", tgt = "a", guard = yes },
+      }))
+      local _, guards = text:gsub("yes", "")
+      local _, words = text:gsub("always", "")
+      assert.same({ 2, 1 }, { guards, words })
+    end)
+
     it("draws a description as it draws its machine", function()
       local text = exporter.encode(lamp(), "T")
       assert.equal(text, exporter.encode(marsh.model2tab(lamp(), true), "T"))

@@ -140,6 +140,8 @@ describe("the text of a callback", function()
     local forty = ("x"):rep(38) .. "()"
     assert.equal(forty, text_in("return function() " .. forty .. " end"))
     assert.equal("x" .. forty, text_in("return function() x = x" .. forty .. " end"))
+    assert.equal("x == 'end'", text_in("return ({ guard = function() return x == "
+      .. "'end' end or print, x = 'end' }).guard"))
     assert.equal("..", text_in("return function()\n-- nothing()\nend"))
     assert.equal("..", text_in("return function()\nlocal a =\n1 return a\nend"))
     assert.equal("..", text_in("return function() return function() end end"))
@@ -149,9 +151,10 @@ describe("the text of a callback", function()
     local load = rawget(_G, "loadstring") or load
     for entry, text in pairs { -- any order: each stands alone
       ["function() a() end"] = "a()", ["function(fsm) return weekend end"] = "weekend",
-      ["function() if a then b() end end"] = "..", ["function() end"] = "..",
-      ["function() f(function() end) end"] = "..",
-      ["function() say('the end') end"] = "..",
+      ["function() if a then b() end end"] = "if a then b() end",
+      ["function() end"] = "..",
+      ["function() f(function() end) end"] = "f(function() end)",
+      ["function() say('the end') end"] = "say('the end')",
       ["function() a() end, x = { entry = function() b() end }"] = "..",
     } do
       local chunk = "local state = ...\nreturn state { entry = " .. entry
@@ -417,7 +420,9 @@ describe("an object in JSON", function()
       trans { src = "initial", tgt = "a" },
       trans { src = "a", tgt = "internal", events = "e_x", pn = 2,
         guard = function() end, effect = function() end },
+      trans { src = "a", tgt = "a", always = true, guard = function() end },
     }))
+    assert.matches('"words":%[%],\n *"guard":"%.%.",\n *"always":true', text)
     local keys, last = {}, text:match('{([^{}]*"key":"root%.trans%[2%]"[^{}]*)}')
     for key in last:gmatch('"(%l+)":') do keys[#keys + 1] = key end
     assert.equal("type key src tgt pn events words guard effect internal at",

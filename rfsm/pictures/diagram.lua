@@ -207,7 +207,7 @@ local is_state = diagram.is_state
 function diagram.each_transition(tab, text_of, f, fqn)
   fqn = fqn or "root"
   for i, tr in ipairs(tab.transitions or {}) do
-    local words = {}
+    local words = { tr.always and "always" }
     for j, event in ipairs(tr.events) do
       words[j] = tr.words and tr.words[j] or marsh.words_of(text_of(event), tr.src)
     end
