@@ -80,8 +80,7 @@ end
 -- The watch hook: sends the events of a callback that has failed in this machine or in
 -- one inside it, unless an active state there, or nearer to it, names them.
 local function note_failure(fsm, failing, owner, callback, failure, f)
-  local is_asked = callback == "guard" and failing._phase == "idle"
-  if is_asked or callback == "guard" and f == nil then return end -- by a tool; a hook
+  if callback == "guard" and f == nil then return end -- a guard hook
   local machine, node = failing, rfsm.is_trans(owner) and owner.src or owner
   while machine ~= fsm do
     if naming(node)[1] then return end

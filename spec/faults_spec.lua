@@ -111,6 +111,41 @@ describe("e_fault", function()
     assert.equal(2, #fsm.reported)
   end)
 
+  it("comes once if the transition that takes it fails, too", function()
+    local count = 0
+    local fsm = new({ [2] = trans { src = "work", tgt = "internal",
+      events = { "e_fault" }, effect = function()
+        count = count + 1
+        fail()
+      end } }, { b = state { entry = fail } })
+    send(fsm, "e_b")
+    assert.equal(2, count)
+  end)
+
+  it("comes once of what fails again while one waits", function()
+    local fsm = new({ read = "one", [2] = trans { src = "work", tgt = "internal",
+      events = { "e_fault" }, effect = function() end } },
+      { [2] = trans { src = "a", tgt = "internal", events = { "e_b" },
+        effect = fail } })
+    rfsm.send_events(fsm, "e_b", "e_b", "e_b")
+    for _, waiting in ipairs { 3, 2, 1, 0 } do
+      rfsm.step(fsm)
+      assert.equal(waiting, #fsm._intq)
+    end
+    assert.equal(3, #fsm.reported)
+  end)
+
+  it("is traced", function()
+    local raised = {}
+    local fsm = new({}, { b = state { entry = fail } })
+    fsm.dbg = function(id, event)
+      if id == "RAISED" and type(event) == "table" then raised[#raised + 1] = event end
+    end
+    send(fsm, "e_b")
+    assert.equal(1, #raised)
+    assert.equal(fsm.faults[1], raised[1])
+  end)
+
   it("comes if the callback has replaced itself", function()
     for _, case in ipairs {
       { b = state { entry = function(_, b)
