@@ -378,6 +378,17 @@ describe("data of events by example", function()
     assert.is_true(judge(model, never "root.b", options).holds)
   end)
 
+  it("is known beside other data, to a guard that does not read all events", function()
+    local function has_hot(_, events) return events[1].celsius > 80 end
+    local options = classes(20)
+    options.together = 2
+    for guard, holds in pairs { [is_hot] = true, [has_hot] = false } do -- any order
+      local model = heater(guard)
+      model.c, model[4] = state {}, go("a", "c", rfsm.named "e_touch", { pn = -1 })
+      assert.equal(holds, judge(model, never "root.b", options).holds)
+    end
+  end)
+
   it("is not known to a guard that calls what is not known", function()
     local function asks(_, _, event) return helper.unknown(event.celsius) end
     assert.is_false(judge(heater(asks), never "root.b", classes(20)).holds)

@@ -305,15 +305,17 @@ local function known_answer(self, guard)
 end
 
 -- Returns the function that replaces a guard in `run`. Both answers are tried if the
--- guard fails, or reads data of an event.
+-- guard fails, or reads data of an event that are not known.
 local function new_called_guard(self, path, guard)
-  local only_reads, reads_event = writes.only_reads(guard), writes.may_read(guard, 2)
-  return function(tr, ...)
+  local only_reads = writes.only_reads(guard)
+  local reads_all, reads_one = writes.may_read(guard, 2, 2), writes.may_read(guard, 3)
+  return function(tr, events, event)
     self.is_touched = self.is_touched or not only_reads
     replacements.note_run(self)
-    local ok, answer = calls.try(guard, tr, ...)
+    local ok, answer = calls.try(guard, tr, events, event)
     local part = self.transitions[self.number_of[tr]].part
-    if not ok or reads_event and replacements.have_data(self, part.fsm) then
+    if not ok or reads_all and replacements.have_data(self, part.fsm)
+      or reads_one and replacements.may_have_data(self, event) then
       self.free.guards = true
       return self:choose(path)
     end

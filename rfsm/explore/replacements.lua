@@ -325,9 +325,9 @@ end
 --- the current events.
 replacements.EVENTS = 4
 
--- May an event stand for one with data, or for an event that no transition names? A
--- text that the machine itself makes does not.
-local function may_have_data(self, event)
+--- May an event stand for one with data, or for an event that no transition names? A
+--- text that the machine itself makes does not.
+function replacements.may_have_data(self, event)
   local is_own = type(event) == "string" and self:maker_of(event)
   if is_own or self.is_example[event] then return false end
   if self.names_with_data[event] or event == reactions.OTHER then return true end
@@ -343,7 +343,9 @@ end
 ---@param fsm rfsm.Machine
 ---@return boolean
 function replacements.have_data(self, fsm)
-  return order.any(fsm._curq, function(event) return may_have_data(self, event) end)
+  return order.any(fsm._curq, function(event)
+    return replacements.may_have_data(self, event)
+  end)
 end
 
 -- Calls a callback in `run`. If it fails, or reads data of an event, it is not known

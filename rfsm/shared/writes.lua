@@ -19,10 +19,10 @@ local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 local syntax = require "rfsm.shared.syntax"
 
-local _G, getmetatable, io, ipairs = _G, getmetatable, io, ipairs
+local _G, getmetatable, io, ipairs, math = _G, getmetatable, io, ipairs, math
 local rawequal, rawget, select = rawequal, rawget, select
 local setmetatable, type = setmetatable, type
-local concat = table.concat
+local concat, huge = table.concat, math.huge
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 local getupvalue = (rawget(_G, "debug") or {}).getupvalue
 
@@ -311,29 +311,31 @@ function writes.only_reads(callback)
     or body:find("[%w_%])]%s*[({\"']"))
 end
 
--- Does the text behind a list of parameters use parameter `at`, or one behind it?
-local function uses(text, parameters, at)
+-- Does the text behind a list of parameters use one of the parameters `at` to `last`?
+local function uses(text, parameters, at, last)
   local number = 0
   for name in parameters:gmatch("[%w_.]+") do
     number = number + 1
     if name == "..." then return text:find(name, 1, true) ~= nil end
-    if number >= at and text:find("%f[%w_]" .. name .. "%f[^%w_]") then return true end
+    local is_asked = number >= at and number <= last
+    if is_asked and text:find("%f[%w_]" .. name .. "%f[^%w_]") then return true end
   end
   return false
 end
 
---- May a function read its argument number `at`, or one behind it? If several functions
---- begin in its line, it may be any of them.
+--- May a function read its arguments from number `at` on, up to number `last`? If
+--- several functions begin in its line, it may be any of them.
 ---@param callback any
 ---@param at integer
+---@param last? integer default: all
 ---@return boolean
-function writes.may_read(callback, at)
-  local text = writes.text_of(callback) or ""
+function writes.may_read(callback, at, last)
+  local text, more = writes.text_of(callback) or "", (last or huge) - at
   if type(callback) ~= "function" then at = at + 1 end -- `self` comes first
   local line, has_parameters = text:match("^[^\n]*"), false
   for name, parameters, from in line:gmatch("function%s*([%w_.:]*)%s*(%b())()") do
     local first = name:find(":", 1, true) and at - 1 or at
-    if uses(text:sub(from), parameters, first) then return true end
+    if uses(text:sub(from), parameters, first, first + more) then return true end
     has_parameters = true
   end
   return not has_parameters
