@@ -208,8 +208,14 @@ describe("explore", function()
       .. "root.b' %(did you mean 'entry root.b'%?%)$" },
     { { properties = { 7 } }, "rfsm_checks.explore: properties: never%(...%), "
       .. "after%(...%).reach%(...%) or another property expected, got number$" },
-    { { properties = { never("root.c") } }, "property 'never root.c': no state or flag "
-      .. "is named 'root.c' %(did you mean 'root.a'%?%)$" },
+    { { properties = { never("root.c") } }, "^spec/explore_spec.lua:%d+: rfsm_checks."
+      .. "explore: property 'never root.c': no state or flag is named 'root.c' %(did "
+      .. "you mean 'root.a'%?%)$" },
+    { { properties = { never { "root.b", "door" } } },
+      "no state or flag is named 'door'" },
+    { { properties = { never(function(active)
+      return active "root.b" and not active "root.d"
+    end) } }, "no state or flag is named 'root.d'" },
   }
   for _, case in ipairs(REFUSED) do
     it("refuses " .. (next(case[1]) or "models") .. ": " .. case[2]:sub(-30), function()
@@ -773,23 +779,23 @@ describe("deferred events", function()
 end)
 
 describe("the choices of a step", function()
-  it("are listed up to 20", function()
+  it("are listed up to 8", function()
     local choice = { who = "g", answer = true }
     local step = { choices = {} }
-    for i = 1, 21 do step.choices[i] = choice end
+    for i = 1, 9 do step.choices[i] = choice end
     local text = require("rfsm.explore.verdict").choices_text(step)
-    assert.equal(" (" .. ("g true, "):rep(19) .. "g true and on and on)", text)
+    assert.equal(" (" .. ("g true, "):rep(7) .. "g true and on and on)", text)
   end)
 end)
 
 describe("the transitions of a step", function()
-  it("are listed up to 20", function()
+  it("are listed up to 8", function()
     local subject = require "rfsm.explore.subject"
     local paths = {}
-    for i = 1, 20 do paths[i] = "t" end
+    for i = 1, 8 do paths[i] = "t" end
     local text = table.concat(paths, ", ")
     assert.equal(text .. " -> root.a", subject.outcome(paths, "root.a"))
-    paths[21] = "t"
+    paths[9] = "t"
     assert.equal(text .. " and on and on -> not entered", subject.outcome(paths))
     assert.equal("no transition -> root.a", subject.outcome({}, "root.a"))
   end)

@@ -646,6 +646,18 @@ describe("an event that is sent later, by sends,", function()
       assert.equal("pending", result.bound)
     end
   end)
+
+  it("may end a wait, if the exploration does not follow it", function()
+    local function entry(fsm) rfsm_timeevent.send_after(fsm, 2, "e_x") end
+    local function judged(property)
+      local own = chart { a = state { entry = entry }, [2] = go("a", "b", "e_x") }
+      return rfsm_checks.explore(own, { properties = { p = property } })
+        .properties[1].holds
+    end
+    assert.is_nil(judged(from "root.a".left_within(2)))
+    assert.is_nil(judged(rfsm_checks.until_("root.a", "root.b")))
+    assert.is_false(judged(never "root.b"))
+  end)
 end)
 
 describe(claim.name, function()

@@ -35,6 +35,25 @@ describe("a verdict", function()
       verdict(light(), never "root.green", { alphabet = { "e_button" } }))
   end)
 
+  it("names the property that has the same premises", function()
+    local result = rfsm_checks.explore(light(), { properties = {
+      b = always "root", a = never { "root.red", "root.green" },
+      c = after "e_button".reach "root" } })
+    local premises = "; stepped between any two deadlines; steps take no time; timers "
+      .. "free"
+    assert.same({ "a: holds (two events a step" .. premises .. ")",
+      "b: holds (premises of 'a')", "c: holds (premises of 'a')" }, result:summary())
+  end)
+
+  it("of a machine that takes one event has one event a step", function()
+    local model = chart { [2] = go("a", "b", "e_x"), [3] = go("b", "a", "e_y") }
+    assert.is_false(rfsm_checks.explore(model, { properties = {
+      after "e_y".reach "root.a" } }).properties[1].holds)
+    model.read = "one"
+    assert.is_true(rfsm_checks.explore(model, { properties = {
+      after "e_y".reach "root.a" } }).properties[1].holds)
+  end)
+
   it("has awaits that are complete, and only those", function()
     local function waiting()
       return chart { [2] = go("a", "b", "await(e_p, e_q)") }
@@ -459,7 +478,8 @@ describe("options of an exploration", function()
     }, { properties = { p = after "e_after(3)@root.a".reach "root.b" } })
     assert.is_false(ok)
     assert.equal("rfsm_checks.explore: property 'p': no transition names the event "
-      .. "'e_after(3)@root.a' (did you mean 'e_after(2)@root.a'?)", text)
+      .. "'e_after(3)@root.a' (did you mean 'e_after(2)@root.a'?)",
+      (text:gsub("^spec/verdict_spec.lua:%d+: ", "")))
   end)
 end)
 

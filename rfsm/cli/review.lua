@@ -169,7 +169,12 @@ end
 -- to be the cause: the name of the file and a line number are put in front.
 local function refuse(name, failure)
   local text = type(failure) == "string" and files.read(name)
-  if not text or failure:find("^%S+:%d+: ") then error(failure, 0) end
+  local place, rest = rfsm.text_of(failure):match("^(%S+:%d+: )(.*)")
+  if place then
+    error(place .. rest:gsub("^rfsm[_%.]%l+%.explore: ", ""), 0)
+  elseif not text then
+    error(failure, 0)
+  end
   local problem = failure:gsub("^rfsm[_%.]%l+%.explore: ", "")
   error(name .. ":" .. (line_with(text, problem):gsub("^$", " ")) .. problem, 0)
 end

@@ -37,7 +37,8 @@ local explore = {}
 
 --- Options of an exploration.
 ---@class rfsm_checks.Options
----@field together? integer most events of one step (1; 2 if a property is an `after`)
+---@field together? integer most events of one step (1; 2 if a property is an `after`,
+-- and the machine takes all events at once)
 ---@field alphabet? any[] events from outside; default: all events that transitions name
 ---@field sends? table<string, any[]> what callbacks send: ["entry root.a"] = { "e_x" };
 -- { "e_x", after = 2 } is sent 2 s later, { cancel = "e_x" } cancels such an event
@@ -762,6 +763,7 @@ end
 ---@field taken string[] paths of the transitions that the step takes
 ---@field leaf string|false FQN of the active leaf after the step
 ---@field unfollowed false|"data"|"targets" see the fields of `rfsm_checks.Subject`
+---@field sends_late boolean
 ---@field ran false|"before"|"after"
 
 local function text_of_event(occurrence)
@@ -783,6 +785,22 @@ function explore.note_outcome(own, step)
   step.taken, step.leaf = own:paths_of(), rfsm.get_actleaf_fqn(own.parts[1].fsm)
   step.sent = match.joined({}, own.sent)
   step.unfollowed, step.ran = own.unfollowed, own.ran
+  step.sends_late = own.sends_late
+end
+
+--- May a run leave out an event that a callback sends later, which is not followed? It
+--- may if time passes after the callback, or if the run then waits for ever.
+---@param steps rfsm_checks.WitnessStep[]
+---@param waits any the run rests at its end, or is a cycle
+---@return boolean
+function explore.may_miss(steps, waits)
+  local sent
+  local is_missed = order.any(steps, function(step)
+    local is_later = sent and (step.at or 0) > sent
+    sent = sent or step.sends_late and (step.at or 0)
+    return is_later
+  end)
+  return is_missed or waits and sent and true or false
 end
 
 --- Is it doubtful that a machine can follow a run? It is if a step calls a callback in

@@ -37,6 +37,24 @@ function monitors.holds(condition, active)
   return true
 end
 
+--- Ask for all names in a condition; `active` raises an error for a wrong one. A
+--- function is called twice: all states are active, or none.
+---@param condition any
+---@param active fun(name: string): boolean
+function monitors.ask_all(condition, active)
+  if type(condition) ~= "function" then
+    local names = type(condition) == "table" and condition or { condition }
+    for _, name in ipairs(names) do active(name) end
+    return
+  end
+  for _, answer in ipairs { true, false } do
+    condition(function(name)
+      active(name)
+      return answer
+    end)
+  end
+end
+
 local holds = monitors.holds
 
 local NONE, NEW = {}, { 0 }

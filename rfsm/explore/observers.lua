@@ -163,8 +163,8 @@ local function add_transition(self, tr, audible)
   end
   if tr.when == nil then return end
   local n = #self.conditions + 1
-  local ok, problem = pcall(monitors.holds, tr.when, audible.active)
-  if not ok and type(tr.when) ~= "function" then refuse(tr, "when: " .. problem) end
+  local ok, problem = pcall(monitors.ask_all, tr.when, audible.active)
+  if not ok then refuse(tr, "when: " .. rfsm.text_of(problem)) end
   self.conditions[n] = tr.when
   tr.guard = function() return self.truth[n] end
 end

@@ -18,7 +18,8 @@ local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 
 local error, getmetatable, ipairs = error, getmetatable, ipairs
-local pcall, setmetatable, type = pcall, setmetatable, type
+local pcall, rawget, setmetatable, type = pcall, rawget, setmetatable, type
+local getinfo = (rawget(_G, "debug") or {}).getinfo
 local concat, sort = table.concat, table.sort
 local holds, kinds = monitors.holds, monitors.kinds
 
@@ -39,6 +40,7 @@ local properties = {}
 ---@field unless? fun(ending: any): rfsm_checks.Property for `always`
 ---@field seconds? number the time limit or time span
 ---@field count? integer how many events at most, or at least
+---@field location string where it was made: "chart.lua:7: "; empty if that is not known
 ---@field within? fun(seconds: number): rfsm_checks.Property for `after(...).reach(...)`
 local Property = {}
 
@@ -89,8 +91,24 @@ local function checked(where, part, value)
   return value
 end
 
+local THIS = getinfo and getinfo(1, "S").source
+
+-- Returns the first location on the stack that is not in this file: "chart.lua:7: ".
+local function location_of_caller()
+  local level = 3
+  local caller = getinfo and getinfo(level, "Sl")
+  while caller and (caller.source == THIS or caller.currentline < 1) do
+    level = level + 1
+    caller = getinfo(level, "Sl")
+  end
+  if not caller then return "" end
+  return ("%s:%d: "):format(caller.source:match("^@(.*)") or caller.short_src,
+    caller.currentline)
+end
+
 local function new(kind, parts)
-  local property = setmetatable({ kind = kind }, Property)
+  local property = setmetatable({ kind = kind, location = location_of_caller() },
+    Property)
   for part, value in order.each(parts) do property[part] = value end -- any order
   return property
 end
@@ -432,6 +450,12 @@ function properties.words_of(judged)
   return event ~= nil and observers.is_of_element(event) and { event } or NONE
 end
 
+-- Raises an error about a property.
+local function refuse(where, judged, problem)
+  error(("%s%s: property '%s': %s"):format(judged.property.location, where, judged.name,
+    problem), 0)
+end
+
 --- Raise an error if a condition names a state or flag that does not exist.
 ---@param where string name of the function that was called
 ---@param judged rfsm_checks.Judged
@@ -441,12 +465,9 @@ function properties.check_names(where, judged, active, is_condition)
   local property = judged.property
   for _, field in ipairs { "what", "goal", "scope", "ending", "again" } do
     local condition = property[field]
-    local is_asked = condition ~= nil and type(condition) ~= "function"
-      and (not is_condition or is_condition(condition))
-    local ok, problem = pcall(holds, is_asked and condition or {}, active)
-    if not ok then
-      error(("%s: property '%s': %s"):format(where, judged.name, problem), 0)
-    end
+    local is_asked = condition ~= nil and (not is_condition or is_condition(condition))
+    local ok, problem = pcall(monitors.ask_all, is_asked and condition or {}, active)
+    if not ok then refuse(where, judged, rfsm.text_of(problem)) end
   end
 end
 
@@ -457,8 +478,8 @@ local function check_maker(own, judged)
   if not own:maker_of(event) or own.event_numbers[event] or own.done[event] then
     return
   end
-  error(("rfsm_checks.explore: property '%s': no transition names the event '%s'%s")
-    :format(judged.name, event, advice.nearest_name(event, own:named_texts())), 0)
+  refuse("rfsm_checks.explore", judged, ("no transition names the event '%s'%s")
+    :format(event, advice.nearest_name(event, own:named_texts())))
 end
 
 -- Returns a text if no transition of a chart names an event, or could take it.
@@ -515,6 +536,13 @@ local function watch_steps(walk, afters)
   end
 end
 
+-- Has a walk try two events in a step, unless the machine takes them one by one: then
+-- one event after the other is the same.
+local function take_two(walk)
+  local is_open = not (walk.options.together or walk.subject.parts[1].reads_one)
+  if is_open then walk.together = 2 end
+end
+
 -- Has a walk take steps with the event of a property, or note when the word is said.
 local function want_event(walk, judged)
   local event = judged.event
@@ -523,9 +551,7 @@ local function want_event(walk, judged)
   else
     walk:want(event, true)
   end
-  if judged.property.goal and not walk.options.together then
-    walk.together = 2
-  end
+  if judged.property.goal then take_two(walk) end
 end
 
 --- Make the observer of a property, if one judges it.
@@ -546,7 +572,7 @@ function properties.add_observer(where, judged, audible, is_condition)
   elseif property.chart then
     error(problem, 0)
   else
-    error(("%s: property '%s': %s"):format(where, judged.name, problem), 0)
+    refuse(where, judged, problem)
   end
 end
 
@@ -576,7 +602,7 @@ function properties.watch(walk, list)
   local afters = {}
   for _, judged in ipairs(list) do
     local is_after = judged.property.kind == "after"
-    if is_after and not walk.options.together then walk.together = 2 end
+    if is_after then take_two(walk) end
     if is_after and judged.way == walk.way then
       want_event(walk, judged)
       afters[#afters + 1], judged.owed = judged, {}

@@ -227,7 +227,7 @@ function replacements.note_writer(self, name, callback)
 end
 
 --- Return a function that notes that a callback has run which may change what is not
---- followed, and then calls `f`; `f` itself if the callback changes nothing of that.
+--- followed, or send events later, and then calls `f`; `f` itself if it does neither.
 ---@param self rfsm_checks.Subject
 ---@param name string of the callback
 ---@param callback function|nil
@@ -237,9 +237,12 @@ function replacements.marked(self, name, callback, f)
   local is_unknown = match.has(self.unknown, name) and not self.runs[callback]
   local kind = match.has(self.writers, name) and "targets"
     or (is_unknown or match.has(self.data_writers, name)) and "data"
-  if not kind then return f end
+  local sends_late = match.has(self.late_senders, name)
+  if not (kind or sends_late) then return f end
   return function(...)
     self.unfollowed = self.unfollowed == "targets" and "targets" or kind
+      or self.unfollowed
+    self.sends_late = self.sends_late or sends_late
     if f then return f(...) end
   end
 end

@@ -94,6 +94,7 @@ local subject = {}
 ---@field taken integer[] numbers of the transitions that the last step took
 ---@field unfollowed false|"data"|"targets" the last step has called callbacks that may
 -- change data that callbacks in `run` use, or targets of transitions
+---@field sends_late boolean the last step has called one of `late_senders`
 ---@field ran false|"before"|"after" the last step has called a callback in `run`, also
 -- after such a callback
 local Subject = {}
@@ -841,7 +842,7 @@ end
 ---@return true?
 function Subject:step(events, choices)
   self.choices, self.asked, self.changed = choices, 0, nil
-  self.unfollowed, self.ran = false, false
+  self.unfollowed, self.ran, self.sends_late = false, false, false
   for i = 1, #OF_STEP do clear(self[OF_STEP[i]]) end
   if not order.is_empty(self.dropped) then self.dropped = {} end
   if not order.is_empty(self.answers) then self.answers = {} end
@@ -896,7 +897,7 @@ function Subject:each_choice(conf, events, owner, f)
   until not next_choices(self, choices)
 end
 
-local MANY = 20 -- a step with more transitions or choices is shown in part
+local MANY = 8 -- a step with more transitions or choices is shown in part
 
 --- Return what a step did as a text: "root.trans[1], root.trans[3]".
 ---@param texts string[]
@@ -1139,7 +1140,8 @@ function subject.new(model, options, way)
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
     alphabet = nil, time = clock.simulated(), is_endless = false,
     notes_events = false, leaves_out = false, trimmed = false,
-    is_touched = false, changed = nil, unfollowed = false, ran = false }, Subject)
+    is_touched = false, changed = nil, unfollowed = false, sends_late = false,
+    ran = false }, Subject)
   read_classes(self, options.classes or {})
   local fsm = new_machine(self, model)
   rfsm.set_emit(fsm, function(event, value)

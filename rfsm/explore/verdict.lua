@@ -254,8 +254,8 @@ local function find_endless(walk, findings)
     end
   end
   if step then
-    add_run(walk, findings, "endless", nil, "root", "a machine in a sequential AND "
-      .. "state never becomes idle", step.from, step.label)
+    add_run(walk, findings, "endless", walk.subject.parts[1].fsm, "root",
+      "a machine in a sequential AND state never becomes idle", step.from, step.label)
   end
 end
 
@@ -418,7 +418,9 @@ end
 local function find_witness(walk, judged)
   local witness = walk:witness(judged.at, judged.label, judged.cycle)
   local goes_on = judged.tgt or judged.rests or judged.cycle
-  if not is_doubtful(walk.subject, witness, goes_on) then return witness end
+  local is_open = is_doubtful(walk.subject, witness, goes_on)
+    or explore.may_miss(witness, judged.rests or judged.cycle)
+  if not is_open then return witness end
   judged.holds = nil
 end
 
@@ -495,10 +497,15 @@ end
 local UNKNOWN = "not tried: %s; unreached states, transitions not taken and whether "
   .. "properties hold are not known"
 
-local function property_text(judged)
+-- Returns a property that holds or is not known as a line. Premises that another line
+-- has are replaced by its name: `said` has the names, by premises.
+local function property_text(judged, said)
   if judged.holds == nil then return judged.name .. ": not known" .. judged.reason end
   local how = judged.vacuous and " vacuously, " .. judged.vacuous or ""
-  return ("%s: holds%s (%s)"):format(judged.name, how, judged.premises)
+  local name = said[judged.premises]
+  said[judged.premises] = name or judged.name
+  return ("%s: holds%s (%s)"):format(judged.name, how,
+    name and ("premises of '%s'"):format(name) or judged.premises)
 end
 
 function Verdict:__tostring()
@@ -547,9 +554,10 @@ function Exploration:summary(has_numbers)
   end
   if self.bound then lines[2] = UNKNOWN:format(concat(self.untried, "; ")) end
   lines[#lines + 1] = self.reach
+  local said = {}
   for _, judged in ipairs(self.properties) do
     if judged.holds ~= false then
-      lines[#lines + 1] = property_text(judged)
+      lines[#lines + 1] = property_text(judged, said)
     end
   end
   return lines
