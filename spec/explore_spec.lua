@@ -454,6 +454,23 @@ describe("what a machine keeps and what waits in it", function()
     end
   end)
 
+  it("may be a fault between two steps of a region, so nothing is known", function()
+    local region = state { warn = false, info = false, err = false, a = state {},
+      b = state { entry = error }, c = state {}, d = state {}, go("initial", "a"),
+      go("a", "b", "e_x"), go("b", "c", "e_fault"), go("c", "d") }
+    local model = state { warn = false, info = false, go("initial", "s"),
+      s = rfsm.seqand { arm = region, step = 2 } }
+    local fsm = rfsm.init(model)
+    rfsm.run(fsm)
+    rfsm.send_events(fsm, "e_x")
+    rfsm.step(fsm)
+    assert.equal("root.c", rfsm.get_actleaf_fqn(rfsm.machines(fsm)[2].machine))
+    local result = rfsm_checks.explore(model, { properties = {
+      rfsm_checks.always(function(active) return not active "root.s.arm.c" end) } })
+    assert.is_nil(result.properties[1].holds)
+    assert.same({ "'e_fault@root.b' between two steps of root.s.arm" }, result.untried)
+  end)
+
   it("of a wire comes behind a fault, too", function()
     local function model()
       return state { warn = false, info = false, read = "one", a = state {},

@@ -652,6 +652,20 @@ local KNOWN = {
   progress = { "function", rfsm.is_callable },
 }
 
+-- Notes the events that a region may make itself between two of its steps, if a step of
+-- the machine around it advances it more than once. Time does not pass meanwhile.
+local function note_between(walk)
+  for _, entry in ipairs(walk.subject.transitions) do
+    for _, event in ipairs(entry.part.is_single and {} or entry.tr.events or {}) do
+      local maker, fqn = match.maker_of(event)
+      if fqn and maker ~= "timer" then
+        walk:note_untried("order", ("'%s' between two steps of %s"):format(
+          rfsm.event_text(event), entry.part.prefix))
+      end
+    end
+  end
+end
+
 -- Notes that callbacks may do what the exploration does not follow: write targets and
 -- data, and send events later or cancel them though the options do not name these.
 local function note_gaps(walk)
@@ -725,6 +739,7 @@ end
 --- Have a walk begin with the configuration that its subject is in.
 function Walk:begin()
   note_gaps(self)
+  note_between(self)
   local key = in_context(self, self.subject:read(), "first",
     self.timing and self.timing.none)
   self:find_configuration(key, 0, function() return "" end)
