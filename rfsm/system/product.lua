@@ -76,7 +76,8 @@ Product.__index = Product
 ---@field at integer position of the wire
 ---@field name string name of the event
 ---@field event any the event that the reader gets
----@field text string different for each wire and event, with and without data
+---@field event_text string different for each event, with and without data
+---@field text string different for each wire, too
 
 -- Steps of one machine ..............................................................
 
@@ -170,14 +171,13 @@ end
 -- Returns the outcomes of the steps of a machine with the events that it has read: one
 -- outcome for each choice that makes a difference.
 local function outcomes_of(member, number, puts)
-  local known, ways, numbers = member.moves[number] or {},
-    ways_to_get(member.subject, puts), {}
+  local known, texts = member.moves[number] or {}, {}
   member.moves[number] = known
-  for i, occurrence in ipairs(ways[1]) do numbers[i] = occurrence.number end
-  local key = concat(numbers, ",")
+  for i, put in ipairs(puts) do texts[i] = put.event_text end
+  local key = concat(texts, ",")
   if not known[key] then
     known[key] = {}
-    for _, read in ipairs(ways) do
+    for _, read in ipairs(ways_to_get(member.subject, puts)) do
       member:each_step(number, function(_, try, tgt, label)
         add_outcome(member, known[key], try, tgt, label, #read)
       end, read)
@@ -494,7 +494,7 @@ local function new_wire(position, wire)
   local own = setmetatable({ position = position, puts = {} }, { __index = wire })
   for i, name in ipairs(wire.events) do
     local function put(kind, event)
-      return { at = position, name = name, event = event,
+      return { at = position, name = name, event = event, event_text = kind .. name,
         text = ("%d:%d%s"):format(position, i, kind) }
     end
     own.puts[i] = { plain = put("e", name), with_data = put("d", { name = name }) }
