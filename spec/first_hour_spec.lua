@@ -177,13 +177,14 @@ return state { both = state { parallel = true, left = arm(), right = arm() },
     transition (rfsm.trans{ src='initial', tgt=... }) (did you mean rfsm.seqand{...}?)
 == plain_tables
 -- events: e_go
-return state { a = { entry = function() print "a" end }, b = {},
+return state { a = { entry = function() print "a" end }, b = {}, z = {}, m = {},
   INITIAL,
-  trans { src = "a", tgt = "b", events = { "e_go" } } }
---C :1: warning: root: a transition inside a leaf state ('a', 'b' are plain: did you
-    mean rfsm.state{...}?) [misplaced]
---S WARNING: :1: root: a transition inside a leaf state ('a', 'b' are plain: did you
-    mean rfsm.state{...}?)
+  trans { src = "a", tgt = "b", events = { "e_go" } },
+  trans { src = "z", tgt = "m", events = { "e_go" } } }
+--C :1: warning: root: a transition inside a leaf state ('a', 'b', 'm', 'z' are plain:
+    did you mean rfsm.state{...}?) [misplaced]
+--S WARNING: :1: root: a transition inside a leaf state ('a', 'b', 'm', 'z' are plain:
+    did you mean rfsm.state{...}?)
 --S WARNING: no transition names the event 'e_go'
 == plain_transitions
 -- events: e_go
