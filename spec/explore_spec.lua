@@ -211,6 +211,8 @@ describe("explore", function()
     { { properties = { never("root.c") } }, "^spec/explore_spec.lua:%d+: rfsm_checks."
       .. "explore: property 'never root.c': no state or flag is named 'root.c' %(did "
       .. "you mean 'root.a'%?%)$" },
+    { { properties = { never "b" } }, "no state or flag is named 'b' %(did you mean "
+      .. "'root.b'%?%)$" },
     { { properties = { never { "root.b", "door" } } },
       "no state or flag is named 'door'" },
     { { properties = { never(function(active)

@@ -276,6 +276,19 @@ describe("a word", function()
     assert.is_nil(judge(pump(HELD), UNTIL).vacuous)
   end)
 
+  it("has only the endings that it can have", function()
+    local full = after "e_fill".reach "root.on".within(2)
+    for text, property in pairs { -- any order: each stands alone
+      ["'never root.on' has no 'until_', expected: since"] = never "root.on",
+      ["'" .. tostring(full) .. "' has no 'until_', expected: nothing more"] = full,
+    } do
+      local ok, problem = pcall(function() return (property.until_ "e_fill") end)
+      local place, rest = problem:match("^(spec/observer_spec.lua:)%d+: (.*)")
+      assert.same({ false, "spec/observer_spec.lua:", "rfsm_checks: " .. text },
+        { ok, place, rest })
+    end
+  end)
+
   -- What is wrong, the property, and the problem.
   local WRONG = {
     { after "e_leak".never "root.om".until_ "e_fill", "no state or flag is named "

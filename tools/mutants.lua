@@ -37,7 +37,7 @@ local ROOMS = {
       "verdict", "tools" } },
   { name = "explore", files = { "rfsm/explore/*.lua" },
     specs = { "reactions", "data", "property", "independence", "timing", "verdict",
-      "explore", "tests" } },
+      "explore", "observer", "tests" } },
   { name = "tests", files = { "rfsm/tests/*.lua" },
     specs = { "tests", "tools", "timing", "data", "explore", "verdict" } },
   { name = "observe", files = { "rfsm/observe/*.lua" },

@@ -95,7 +95,7 @@ local function new_machine(chart)
   remove(preproc, at)
   if not ok then error(fsm, 0) end
   if not fsm then
-    error("the observer has problems\n  " .. concat(problems, "\n  "), 0)
+    error(concat(problems, "; "), 0)
   end
   fsm.info, fsm.warn, fsm.err = false, false, false
   return fsm

@@ -301,6 +301,21 @@ end
 local AROUND = { { "scope", "from {scope} ", "" }, { "again", "", " since {again}" },
   { "ending", "", " until {ending}" } }
 
+local ENDINGS = { until_ = true, since = true, unless = true, within = true }
+
+-- Raises an error for an ending that the property cannot have.
+function Property:__index(name)
+  if not ENDINGS[name] then return nil end
+  local names = {}
+  for other in order.each(ENDINGS) do -- any order: sorted below
+    if rawget(self, other) then names[other] = true end
+  end
+  names = rfsm.sorted_keys(names)
+  error(("rfsm_checks: '%s' has no '%s', expected: %s"):format(
+    Property.__tostring(self), name, names[1] and concat(names, ", ")
+    or "nothing more"), 2)
+end
+
 function Property:__tostring()
   local text = kinds[self.kind].text
   for _, part in ipairs(AROUND) do
@@ -456,16 +471,21 @@ local function refuse(where, judged, problem)
     problem), 0)
 end
 
+-- Kind of a property -> its parts that may be events; other parts are conditions.
+local EVENTS_OF = { never_until = { goal = true, ending = true },
+  precedes = { what = true, goal = true, again = true }, unless = { ending = true } }
+
 --- Raise an error if a condition names a state or flag that does not exist.
 ---@param where string name of the function that was called
 ---@param judged rfsm_checks.Judged
 ---@param active fun(name: string): boolean
 ---@param is_condition? fun(thing: any): boolean
 function properties.check_names(where, judged, active, is_condition)
-  local property = judged.property
+  local property, events = judged.property, EVENTS_OF[judged.property.kind] or NONE
   for _, field in ipairs { "what", "goal", "scope", "ending", "again" } do
     local condition = property[field]
-    local is_asked = condition ~= nil and (not is_condition or is_condition(condition))
+    local is_asked = condition ~= nil
+      and (not (events[field] and is_condition) or is_condition(condition))
     local ok, problem = pcall(monitors.ask_all, is_asked and condition or {}, active)
     if not ok then refuse(where, judged, rfsm.text_of(problem)) end
   end
@@ -494,6 +514,7 @@ local function text_of_unnamed(own, event)
   for _, other in ipairs(own:named_texts()) do
     if not own:maker_of(other) then others[#others + 1] = other end
   end
+  if name:find("^e_done@") then others = rfsm.sorted_keys(own.done) end
   return ("no transition names %s%s"):format(name, advice.nearest_name(name, others))
 end
 

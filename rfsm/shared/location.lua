@@ -85,8 +85,12 @@ end
 ---@param kind string such as "state"
 ---@param names string[] the names that exist
 function location.refuse_name(name, kind, names)
-  error(("no %s is named '%s'%s"):format(kind, rfsm.text_of(name),
-    type(name) == "string" and advice.nearest_name(name, names) or ""), 0)
+  local hint = type(name) == "string" and advice.nearest_name(name, names) or ""
+  for _, other in ipairs(names) do
+    local is_end = type(name) == "string" and other:sub(-#name - 1) == "." .. name
+    if is_end then hint = (" (did you mean '%s'?)"):format(other) end
+  end
+  error(("no %s is named '%s'%s"):format(kind, rfsm.text_of(name), hint), 0)
 end
 
 --- Is a node the state itself, or inside the state?
