@@ -1196,8 +1196,8 @@ local OWN_ONLY = { OWN }
 -- Fields that a machine inherits until it sets them.
 local DEFAULTS = {
   rfsm = "state", type = State.type, new = State.new, _id = "root", _fqn = "root",
-  _choices = NONE, _entrance = false, _given_to = false, _structure = false,
-  _segments = NONE, -- transition -> target -> rfsm.Segment
+  _choices = NONE, _entrance = false, _given_to = false, _given_at = 0,
+  _structure = false, _segments = NONE, -- transition -> target -> rfsm.Segment
   dbg = silent, getevents = no_events, _guard_hooks = false, _fates = false,
   _has_paths = false, _merges = 0, _entry_hooks = false, _exit_hooks = false,
   _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
@@ -1241,7 +1241,8 @@ local function own_fields()
     --   _turn       number of the iteration, if the machine has step hooks
     --   _unread     events that are taken one by one before getevents is asked again
     --   _given      events that getevents has returned and that are in no list yet
-    --   _given_to   the list to which they were added last
+    --   _given_to   the queue that has had them appended
+    --   _given_at   the number of current events before them
     --   _outcome    of the last iteration: counted (as a step) | idle | free (events
     --               enabled no path: not counted) | refused (entry or step hook failed)
     --   _is_usual   false after an interrupt, error or reset: `iterate` calls `go_on`
@@ -1496,6 +1497,7 @@ local function ask_getevents(fsm)
   if fsm._given then return given_again(fsm) end
   if not getevents or getevents == no_events then return NONE end
   fsm._given_to = false
+  fsm._given_at = #fsm._curq
   local ok, events = pcall(getevents)
   fsm._given = ok and events or false
   if type(fsm._given) == "table" then return events end
@@ -1509,21 +1511,35 @@ local function ask_getevents(fsm)
   return nil, "rfsm.step: getevents: list of events expected, " .. got(events)
 end
 
--- Appends the events of getevents to the list in a field. A longer list replaces the
--- other one, and is noted, so that after an interrupt they are not appended again.
-local function add_given(fsm, field, events)
-  local list = fsm[field]
-  if #events > 0 and list ~= fsm._given_to then
-    fsm._given_to = append(append({}, list), events)
-    fsm[field] = fsm._given_to
+-- Makes the events of getevents pending. A longer list replaces the queue, and is
+-- noted, so that after an interrupt they are not appended again.
+local function queue_given(fsm, events)
+  local queue = fsm._intq
+  if #events > 0 and queue ~= fsm._given_to then
+    fsm._given_to = append(append({}, queue), events)
+    fsm._intq = fsm._given_to
   end
   fsm._given = false
 end
 
-local function append_getevents(fsm, field)
+-- Makes the events of getevents current. No list is made for them: nobody else adds to
+-- the current events meanwhile, so after an interrupt they are written to the same
+-- places again.
+local function take_given(fsm, events)
+  local list, at = fsm._curq, fsm._given_at
+  for i = 1, #events do
+    if events[i] ~= nil then
+      at = at + 1
+      list[at] = events[i]
+    end
+  end
+  fsm._given = false
+end
+
+local function append_getevents(fsm, put)
   local events, failure = ask_getevents(fsm)
   if not events then give_up(fsm, failure) end
-  add_given(fsm, field, events)
+  put(fsm, events)
 end
 
 -- Does an iteration take only the first pending event? The root's field `read` decides,
@@ -1589,7 +1605,7 @@ do
         return
       end
       local count = #fsm._curq
-      append_getevents(fsm, "_curq")
+      append_getevents(fsm, take_given)
       if not fsm._reads_one then return end
       fsm._unread = #fsm._curq > count and #fsm._curq or 0
     end,
@@ -1706,7 +1722,7 @@ end
 
 -- The phase "gather": calls getevents and the pre step hooks.
 function PHASES.gather(fsm, after_free)
-  if fsm._given then append_getevents(fsm, "_curq") end
+  if fsm._given then append_getevents(fsm, take_given) end
   local hooks, next_one = fsm._before, fsm._hook + 1
   if hooks and hooks[next_one] then run_hooks(fsm, hooks, next_one) end
   fsm._phase = "search"
@@ -2608,7 +2624,7 @@ local function finish_cycle(fsm, idle)
   if idle and fsm._curq[1] == nil and fsm.getevents ~= no_events
     and (fsm._at < 5 or fsm._given) then
     fsm._at = 5
-    append_getevents(fsm, "_intq")
+    append_getevents(fsm, queue_given)
   end
   return conclude(fsm, idle and "idle" or "counted")
 end
@@ -3719,7 +3735,7 @@ do
   -- Functions of the engine for the files of the library beside this one.
   local engine = {
     add = add, add_warning = add_warning, advise = advise, append = append,
-    add_given = add_given, ask_getevents = ask_getevents,
+    ask_getevents = ask_getevents, queue_given = queue_given,
     check_function = check_function,
     check_no_step = check_no_step, clone_below = clone_below,
     check_ways_in = check_ways_in, cut = cut, entrance_of = entrance_of, fast = fast,

@@ -290,7 +290,7 @@ local function define_moves(core, engine)
     rfsm.check_machine(fsm, "rfsm.check_events")
     local events, failure = engine.ask_getevents(fsm)
     if not events then error(failure, 0) end
-    engine.add_given(fsm, "_intq", events)
+    engine.queue_given(fsm, events)
     return #fsm._intq
   end
 
