@@ -54,4 +54,31 @@ describe("choice", function()
       assert.equal(case[4], choice.of(levels, plain, case[5]).kind)
     end)
   end
+
+  local SIZE = choice.size_of("1000x1000")
+
+  local function shape(crossings, height)
+    return { crossings = crossings, width = 100, height = height }
+  end
+
+  it("keeps the shape of a former picture, unless another is much better", function()
+    for _, case in ipairs {
+      { shape(3, 2000), 1, 1750, true }, { shape(4, 2000), 1, 1750, false },
+      { shape(0, 2000), 0, 1730, false }, { shape(0, 2000), 9, 3000, true },
+    } do
+      assert.equal(case[4],
+        choice.keeps(case[1], shape(0, case[3]), SIZE, case[2]), case[3])
+    end
+  end)
+
+  it("takes the shape with the largest text of those with few crossings", function()
+    local shapes = { shape(2, 1800), shape(3, 1000), shape(1, 1500), shape(0, 1600) }
+    local function best(height, most)
+      return choice.for_sheet(shapes, shape(0, height), SIZE, most)
+    end
+    assert.equal(shapes[3], best(2000, 2))
+    assert.equal(shapes[4], best(2000, 0))
+    assert.equal(shapes[2], best(2000, 3))
+    assert.is_nil(best(1601, 0)) -- it has to be 2 % larger
+  end)
 end)

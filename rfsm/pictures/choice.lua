@@ -136,10 +136,15 @@ function choice.for_sheet(shapes, layout, size, most)
   return best
 end
 
---- Return how much larger the text of a shape or layout is than that of another one.
-function choice.gain(shape, other, size)
-  return choice.scale(size, shape.width, shape.height)
-    / choice.scale(size, other.width, other.height)
+local MUCH_LARGER = 1.15 -- "much better" for a shape: factor of the scale
+
+--- Is the shape that a chart had in a former picture kept, although a shape or layout
+-- may be better? It is, unless the other one, or a layout of `most` crossings, is much
+-- better.
+function choice.keeps(former, other, size, most)
+  return former.crossings <= most + MORE
+    and choice.scale(size, other.width, other.height)
+    < MUCH_LARGER * choice.scale(size, former.width, former.height)
 end
 
 return choice

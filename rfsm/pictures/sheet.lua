@@ -310,16 +310,13 @@ function sheet.lay_out(chart, is_large, run)
   chart.outer = heights[#heights][1]
 end
 
-local NEW = 1.15 -- gain that a shape needs to replace that of a former picture
-
 --- Return the best shape of a chart for its sheet; nil if the layout `best` is better.
 -- The shape of the former picture stays unless another one is much larger.
 function sheet.best(chart, best)
   local outer, size, most = chart.outer, chart.sheet, choice.measure(best)
   local shape, former = choice.for_sheet(outer.shapes, best, size, most),
     outer.kept.former
-  local is_kept = former and former.crossings <= most
-    and choice.gain(shape or best, former, size) < NEW
+  local is_kept = former and choice.keeps(former, shape or best, size, most)
   return is_kept and former or shape
 end
 
