@@ -55,6 +55,7 @@ describe("e_every", function()
       "4.5 5.25" },
     { "comes when more than T seconds have passed", "e_every(1)", { 1, 1, 0.5 },
       "2 2.5" },
+    { "may have the FQN of its source", "e_every(1)@root.on", { 1.5, 1 }, "1.5 2.5" },
     { "may be an object", timeevent.e_every(1), { 1.5, 1 }, "1.5 2.5" },
     { "may have a function, called each time", timeevent.e_every((function()
       local period = 0
