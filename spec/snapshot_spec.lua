@@ -88,6 +88,7 @@ describe("a snapshot", function()
     end
     snap.queue = nil -- as if a migration had dropped them
     other = assert(snapshot.restore(model(), snap))
+    assert.is_nil(snapshot.take(other).unread)
     rfsm.step(other)
     assert.equal(1, asked)
   end)
