@@ -727,6 +727,14 @@ describe("a property of a system", function()
       witness[#witness])
   end)
 
+  it("does not count on events from outside to stay away from the goal", function()
+    local right = chart(go("a", "b", "e_x"), go("b", "d", "e_done"),
+      go("d", "b", "e_back"), go("d", "c", "e_done"))
+    right.d = rfsm.state {}
+    assert.same({ "after right: e_x reach right: root.c: true" },
+      (judged({ right = right }, {}, after("right: e_x").reach("right: root.c"))))
+  end)
+
   it("shows the moves behind the event that do not lead to the goal", function()
     local charts, wires = pair()
     local _, result = judged(charts, wires, after("left: e_go").reach("left: root.c"))
