@@ -743,6 +743,24 @@ describe("a property of a system", function()
     }, { unpack(sequence.lines_of(result.findings[#result.findings].witness), 1, 2) })
   end)
 
+  it("shows the nearest place in which a run may stay, without events from outside",
+    function()
+      local function witness(...)
+        local right = chart(go("a", "b", "e_x"), go("b", "d", "e_done"), ...)
+        right.d = rfsm.state {}
+        local _, result = judged({ right = right }, {},
+          after("right: e_x").reach("right: root.c"))
+        local last = result.findings[#result.findings]
+        return { unpack(sequence.lines_of(last.witness), 2) }
+      end
+      local GETS_X = "2. right gets e_x from outside: root.trans[2] -> root.b"
+      assert.same({ GETS_X, "3. right: root.trans[3] -> root.d",
+        "4. right: root.trans[4] -> root.a" },
+        witness(go("d", "a", "e_done"), rfsm.trans { src = "b", tgt = "a", pn = 1,
+          events = { "e_quick" } }))
+      assert.same({ GETS_X }, witness(go("d", "b", "e_done")))
+    end)
+
   it("holds vacuously if its event never comes", function()
     local charts, wires = pair()
     charts.left[5] = go("a", "b", "e_y")
