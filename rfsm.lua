@@ -1550,25 +1550,18 @@ local function reads_one(fsm)
   return fsm._owner and reads_one(fsm._owner) or false
 end
 
--- Makes all current events but the first one pending again, ahead of the queue. The
--- events are always in one of the two lists, or in the field `rest` of the current one.
+-- Makes all current events but the first one pending again, ahead of the queue. The new
+-- queue says from which list they are, in case an interrupt comes before the other one.
 local function take_one(fsm)
-  local events = fsm._curq
-  if events[2] ~= nil then
-    local others = {}
-    for i = 2, #events do others[i - 1] = events[i] end
-    events = { events[1], rest = others }
-    fsm._curq = events
+  local events, queue = fsm._curq, {}
+  if events[2] == nil then return end
+  if fsm._intq.rest_of ~= events then
+    for i = 2, #events do queue[i - 1] = events[i] end
+    queue.rest_of = events
+    fsm._intq = append(queue, fsm._intq)
   end
-  local rest = events.rest
-  if not rest then return end
-  if fsm._intq.head ~= rest then
-    local queue = append(append({}, rest), fsm._intq)
-    queue.head = rest
-    fsm._intq = queue
-  end
-  events.rest = nil
-  fsm._intq.head = nil
+  fsm._curq = { events[1] }
+  fsm._intq.rest_of = nil
 end
 
 -- Ends an iteration in which a step hook has failed. A hook that may be repeated fails
@@ -1581,13 +1574,6 @@ end
 local run_hooks
 
 do
-  -- Marks in the lists `_before` and `_after`, each of a function that is called there
-  -- and may return a hook: getevents, `take_one`, and fields of the machine.
-  local function GETEVENTS() end
-  local function TAKE_ONE() end
-  local function OWN_PRE() end
-  local function OWN_POST() end
-
   -- Returns the hook that a program has set in a field of the machine.
   local function own_hook(fsm, slot)
     local hook = fsm[slot]
@@ -1596,22 +1582,26 @@ do
     give_up(fsm, ("rfsm.step: %s: function expected, %s"):format(slot, got(hook)))
   end
 
-  promises[OWN], promises[TAKE_ONE] = "borrows", "repeatable"
+  local function own_pre(fsm) return own_hook(fsm, "pre_step_hook") end
 
-  local MARKS = {
-    [GETEVENTS] = function(fsm)
-      if fsm._unread > 1 then
-        fsm._unread = fsm._unread - 1
-        return
-      end
-      local count = #fsm._curq
-      append_getevents(fsm, take_given)
-      if not fsm._reads_one then return end
-      fsm._unread = #fsm._curq > count and #fsm._curq or 0
-    end,
-    [TAKE_ONE] = take_one,
-    [OWN_PRE] = function(fsm) return own_hook(fsm, "pre_step_hook") end,
-    [OWN_POST] = function(fsm) return own_hook(fsm, "post_step_hook") end,
+  local function own_post(fsm) return own_hook(fsm, "post_step_hook") end
+
+  local function take_getevents(fsm)
+    if fsm._unread > 1 then
+      fsm._unread = fsm._unread - 1
+      return
+    end
+    local count = #fsm._curq
+    append_getevents(fsm, take_given)
+    if fsm._reads_one then fsm._unread = #fsm._curq > count and #fsm._curq or 0 end
+  end
+
+  promises[OWN], promises[take_one] = "borrows", "repeatable"
+
+  -- Functions of the engine in the lists `_before` and `_after`. Each does its part
+  -- there, or returns the hook of the user's that is to be called.
+  local OF_ENGINE = {
+    [own_pre] = true, [own_post] = true, [take_getevents] = true, [take_one] = true,
   }
 
   -- Calls the step hooks of a list from number `i` on. A hook that may be repeated is
@@ -1620,7 +1610,7 @@ do
   function run_hooks(fsm, hooks, i)
     local hook = hooks[i]
     if promises[hook] ~= "repeatable" then fsm._hook = i end
-    if MARKS[hook] then hook = MARKS[hook](fsm) end
+    if OF_ENGINE[hook] then hook = hook(fsm) end
     if hook then
       local ok, failure = pcall(hook, fsm, fsm._curq)
       if not ok then fail_hook(fsm, hook, failure) end
@@ -1643,16 +1633,16 @@ do
   end
 
   -- Returns a list of hooks, false if it is empty. `one` is the first hook, unless it
-  -- is a mark; `noted` is the position to note before this hook is called.
+  -- is the engine's; `noted` is the position to note before this hook is called.
   local function finished(fsm, list)
     local one = list[1]
     if not one then return false end
     for _, hook in ipairs(list) do
-      fsm._lends = fsm._lends or not (promises[hook] or MARKS[hook])
+      fsm._lends = fsm._lends or not (promises[hook] or OF_ENGINE[hook])
     end
-    list.one = not MARKS[one] and one
+    list.one = not OF_ENGINE[one] and one
     list.noted = list.one and promises[one] ~= "repeatable" and 1 or 0
-    list.has_getevents = one == GETEVENTS
+    list.has_getevents = one == take_getevents
     return list
   end
 
@@ -1669,15 +1659,15 @@ do
     empty_slots(fsm)
     local is_one, sources = reads_one(fsm), fsm._source_hooks or NONE
     fsm._reads_one = is_one
-    local before = present(fsm._pre_hooks, OWN_PRE, fsm.pre_step_hook)
+    local before = present(fsm._pre_hooks, own_pre, fsm.pre_step_hook)
     local at = is_one and 0 or fsm._pre_hooks.front or 0
     for i, source in ipairs(sources) do insert(before, at + i, source) end
-    if is_one then insert(before, #sources + 1, TAKE_ONE) end
+    if is_one then insert(before, #sources + 1, take_one) end
     local has_getevents = fsm.getevents and fsm.getevents ~= no_events
-    if has_getevents then insert(before, 1, GETEVENTS) end
+    if has_getevents then insert(before, 1, take_getevents) end
     fsm._is_usual, fsm._lends = false, false
     fsm._before = finished(fsm, before)
-    fsm._after = finished(fsm, present(fsm._post_hooks, OWN_POST, fsm.post_step_hook))
+    fsm._after = finished(fsm, present(fsm._post_hooks, own_post, fsm.post_step_hook))
     fsm._is_hooked = (fsm._before or fsm._after) and true
     fsm._is_lent = fsm._is_lent or fsm._lends
   end
@@ -1780,8 +1770,7 @@ do
   -- false if none was found; `event` is the event that counts for it.
   function note_of(fsm, connector)
     local note = fsm._ways[connector] or { search = 0, first = false, asked = false,
-      way = false, event = false, found = false, others = false,
-      otrs = connector._otrs }
+      way = false, event = false, others = false, otrs = connector._otrs }
     fsm._ways[connector] = note
     return note
   end
@@ -1801,7 +1790,7 @@ do
         return true
       end
     end
-    note.way, note.found, note.others = false, false, false
+    note.way, note.others = false, false
     return false
   end
 
@@ -1815,8 +1804,8 @@ do
   -- enabled and leads to a leaf. Others of the same priority are tried, too, to warn of
   -- a conflict. No loop, as in `run_hooks`. It and `enabled` have few variables: a path
   -- may go over thousands of connectors.
-  local function find_way(fsm, note, i, events, first) -- luacheck: ignore 561 (a call)
-    local tr, way = note.otrs[i], note.found
+  local function find_way(fsm, note, way, i, events, first) -- luacheck: ignore 561
+    local tr = note.otrs[i]
     if not tr or way and (tr.pn or 0) ~= (way.tr.pn or 0) then
       if note.others then
         warn_of_conflict(fsm, note.others)
@@ -1831,9 +1820,9 @@ do
     if tr and way then
       note.others = append(note.others or { way }, { tr })
     elseif tr then
-      note.found, note.event = tr, event
+      way, note.event = tr, event
     end
-    return find_way(fsm, note, i + 1, events, first)
+    return find_way(fsm, note, way, i + 1, events, first)
   end
 
   -- Returns the segment of a transition that `event` triggers, if its guard and the
@@ -1862,11 +1851,10 @@ do
       note.first = first
       note.asked = false
       note.way = false
-      note.found = false
       note.others = false
-      find_way(fsm, note, 1, events, first)
+      find_way(fsm, note, false, 1, events, first)
     elseif not turn_to(note, first) then
-      find_way(fsm, note, 1, events, first)
+      find_way(fsm, note, false, 1, events, first)
     end
     return note.way and segment or nil
   end
