@@ -56,6 +56,36 @@ describe("functions in one line", function()
     end)
   end
 
+  -- A body, then the upvalues and the constants of a function with it. Outside of it
+  -- `u` and `w` are local.
+  local SCOPES = {
+    { "return u, n", "u", "n" },
+    { "local x = x; return x", "", "x" },
+    { "local u = w; return u", "w", "" },
+    { "local function f() return f end return f", "", "" },
+    { "for i = u, a do w = i end return i", "u w", "a i" },
+    { "for k, v in k(u) do return k, v end return v", "u", "k v" },
+    { "repeat local u = g() until u", "", "g" },
+    { "do local u = 1 end return u", "u", "" },
+    { "local function f(x) return x, w, m end", "w", "m" },
+    { "return { key = u, 's' }, u.field, u:go()", "u", "field go key s" },
+  }
+  for _, case in ipairs(syntax.is_there and SCOPES or {}) do
+    it("have upvalues and constants: " .. case[1], function()
+      local text = "local u, w = 1, 2 return function() " .. case[1] .. " end"
+      local tree, functions = syntax.parse(text)
+      assert.equal(functions[1].node, tree[2][1])
+      assert.same({ case[2], case[3], text:match("function.*") }, {
+        table.concat(rfsm.sorted_keys(functions[1].upvalues), " "),
+        table.concat(rfsm.sorted_keys(functions[1].constants), " "),
+        functions[1].text })
+    end)
+  end
+
+  it("are not found in a text that cannot be parsed", function()
+    assert.is_nil(syntax.parse("return function("))
+  end)
+
   it("that nothing tells apart share their text", function()
     local line = "return function(x) x.n = 1 end, function(x) x.n = 2 end"
     for _, f in ipairs(functions_of(line)) do

@@ -119,6 +119,10 @@ function VISITS.Fornum(node, scope, owner, found)
   visit_all(node[#node], scope, owner, found)
 end
 
+function VISITS.Do(node, scope, owner, found)
+  visit_all(node, inner(scope), owner, found)
+end
+
 function VISITS.Repeat(node, scope, owner, found)
   scope = inner(scope)
   visit_all(node[1], scope, owner, found)
