@@ -642,6 +642,16 @@ describe("a label", function()
 end)
 
 describe("dot.layout", function()
+  it("tries no rows if a chart without composites fits its sheet at once", function()
+    local count = 0
+    local graph = assert(dot.layout(helper.init(star(14)), nil, function(text)
+      count = count + select(2, text:gsub("digraph {", ""))
+      return dot.render(text, "dot")
+    end))
+    assert.matches("class=levels", graph)
+    assert.equal(4, count) -- by Graphviz alone, sizes, downward, to the right
+  end)
+
   it("is the same text each time", function()
     local function text() return assert(dot.layout(helper.init(star(9)), "T")) end
     assert.equal(text(), text())

@@ -278,7 +278,7 @@ end
 local function lay_out_height(chart, list, aims, run)
   local jobs, turned = {}, {}
   for _, level in ipairs(list) do
-    level.base, level.shapes, level.kept = chart.direction, {}, {}
+    level.base, level.shapes, level.kept = chart.direction, level.shapes or {}, {}
     levels.reset(level, chart.direction)
     rows.prepare(level)
     for _, aim in ipairs(aims) do add_shapes(jobs, level, aim) end
@@ -293,13 +293,27 @@ local function lay_out_height(chart, list, aims, run)
   return problem or lay_out(turned, run)
 end
 
+-- Does the first shape of a chart without composites fit its sheet? Returns a problem,
+-- too, if there is one.
+local function fits_at_once(chart, heights, run)
+  if heights[2] or chart.kind == "sheet" then return false end
+  local problem = lay_out_height(chart, heights[1], { "first" }, run)
+  local first = heights[1][1].kept.first
+  return not problem and choice.is_readable(first, chart.sheet), problem
+end
+
 -- Public functions ------------------------------------------------------------
 
 --- Lay out all levels of a chart, each in its first shape, or in several shapes if
--- `is_large`. Return a problem if there is one.
+-- `is_large` and that does not help. Return a problem if there is one.
 ---@return string? problem
 function sheet.lay_out(chart, is_large, run)
   local keys, heights, aims = {}, levels.by_height(chart), { "first" }
+  if is_large then
+    local fits, problem = fits_at_once(chart, heights, run)
+    if problem then return problem end
+    is_large = not fits
+  end
   for i, aim in ipairs(is_large and AIMS or {}) do aims[i + 1] = aim end
   aims[#aims + 1] = chart.kind == "sheet" and "former" or nil
   for _, list in ipairs(heights) do
