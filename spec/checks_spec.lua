@@ -7,6 +7,7 @@ local rfsm_checks = require "rfsm_checks"
 local stubs = require "rfsm.shared.stubs"
 local timeevent = require "rfsm_timeevent"
 require "rfsm.await"
+require "rfsm.faults"
 
 local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
 
@@ -488,6 +489,14 @@ local CASES = {
     { [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_a"),
       c = rfsm.seqand { x = chart { [2] = go("a", "b", "e_done") } } },
     "root.c: run returns while events of the region 'x' still wait" },
+  { "early-idle", "a region inside a region, and one that waits for e_fault",
+    { [4] = go("a", "c", "e_c"), [5] = go("c", "d", "e_a"), [6] = go("d", "a", "e_a"),
+      c = rfsm.seqand { x = state { info = false, warn = false, go("initial", "y"),
+        y = rfsm.seqand { idle_doo = "auto",
+          z = chart { [2] = go("a", "b", "e_done") } } } },
+      d = rfsm.seqand { x = chart { [2] = go("a", "b", "e_fault") } } },
+    "root.c: run returns while events of the region 'x' still wait",
+    "root.d: run returns while events of the region 'x' still wait" },
   { "early-idle", "none with idle_doo, run, or a region of one step",
     { [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_a"), [6] = go("c", "d", "e_d"),
       [7] = go("d", "a", "e_a"), [8] = go("d", "e", "e_e"), [9] = go("e", "a", "e_a"),

@@ -104,12 +104,23 @@ local function text_of_body(callback)
   return concat(texts, " ")
 end
 
--- Does a region send events, or wait for an e_done? Then it needs several steps for one
--- event.
+-- Does a transition wait for an event that the machine sends to itself?
+local function waits_for_own(tr)
+  for _, event in ipairs(tr.events or {}) do
+    local name = rfsm.event_name(event) or event
+    local word = match.maker_of(name) and name:match("^(e_%a+)@")
+    if word == "e_done" or word == "e_fault" then return true end
+  end
+  return false
+end
+
+-- Does a region, or one inside it, send events, or wait for an e_done or e_fault? Then
+-- it needs several steps for one event.
 local function needs_steps(region)
   for _, obj in ipairs(rfsm.elements(region)) do
-    for _, event in ipairs(rfsm.is_trans(obj) and obj.events or {}) do
-      if event == "e_done@" .. tostring(obj.src._fqn) then return true end
+    if rfsm.is_trans(obj) and waits_for_own(obj) then return true end
+    for _, inner in ipairs(is_leaf(obj) and rfsm.regions(obj) or {}) do
+      if needs_steps(inner) then return true end
     end
     for _, field in ipairs { "entry", "exit", "doo", "effect" } do
       local callback = rawget(obj, field)
