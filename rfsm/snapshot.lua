@@ -231,11 +231,9 @@ local function find_leaf(fsm, own, fqn)
     or "leaf: no state is '%s'", fqn)
 end
 
--- Puts a machine into a leaf. A migration may have taken events out of the queue.
-local function place(fsm, leaf, mode, queue, unread)
-  rfsm.place(fsm, leaf, mode, queue)
-  fsm._unread = min(unread or 0, #queue + 1)
-end
+-- Sets how many events come before getevents is asked again. A migration may have taken
+-- events out of the queue.
+local function set_unread(fsm, unread) fsm._unread = min(unread, #fsm._intq + 1) end
 
 local function unpack_queue(part)
   if not part.queue then return part.leaf and {} or { "e_init_fsm" } end
@@ -441,7 +439,8 @@ end
 local function set_parts(parts)
   for i, part in ipairs(parts) do
     if i == 1 or part.leaf or part.is_waiting then -- the first one resets the regions
-      place(part.fsm, part.leaf, part.mode, part.queue, part.unread)
+      rfsm.place(part.fsm, part.leaf, part.mode, part.queue)
+      if part.unread then set_unread(part.fsm, part.unread) end
     end
     set_targets(part.own, part.targets)
   end
@@ -463,8 +462,9 @@ end
 -- Puts the leaf, the queue and the targets of a snapshot into a machine.
 local function put_place(fsm, own, snap)
   local targets = snap.targets and unpack_targets(fsm, snap.targets)
-  place(fsm, own.nodes[snap.leaf], snap.done and "done" or "active",
-    snap.queue and unpack_queue(snap) or {}, snap.unread)
+  rfsm.place(fsm, own.nodes[snap.leaf], snap.done and "done" or "active",
+    snap.queue and unpack_queue(snap) or {})
+  if snap.unread then set_unread(fsm, snap.unread) end
   set_targets(own, targets)
 end
 
