@@ -727,6 +727,17 @@ describe("a property of a system", function()
       witness[#witness])
   end)
 
+  it("is judged at a moment within a step, too", function()
+    local right = chart(go("a", "m", "e_x"))
+    right.m = rfsm.state { rfsm.trans { src = "initial", tgt = "root.b" } }
+    local charts = { left = chart(), right = right }
+    local here, elsewhere = never { "right: root.m", "left: root.a" },
+      never { "right: root.m", "left: root.b" }
+    assert.same({ "never right: root.m and left: root.a: false",
+      "never right: root.m and left: root.b: true" },
+      (judged(charts, {}, here, elsewhere)))
+  end)
+
   it("does not count on events from outside to stay away from the goal", function()
     local right = chart(go("a", "b", "e_x"), go("b", "d", "e_done"),
       go("d", "b", "e_back"), go("d", "c", "e_done"))
@@ -831,6 +842,14 @@ sequenceDiagram
   right->>left: e_ask
   Note over left: root.b
 ]], sequence.mermaid(cell.names, witness))
+  end)
+end)
+
+describe("the line of a move", function()
+  it("names the wire that is read, and may show data", function()
+    assert.same({ { machine = "arm", events = { "e_y" }, holds = false,
+      wanted = { from = "boss", event = "e_x" } } }, sequence.read(
+      "1. arm gets e_x{a=1,b=2} from boss, e_y from outside: root.t -> root.b"))
   end)
 end)
 
