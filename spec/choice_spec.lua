@@ -1,6 +1,7 @@
 -- Which of two layouts is drawn.
 
 local choice = require "rfsm.pictures.choice"
+local lines = require "rfsm.pictures.lines"
 
 -- A straight line, as Graphviz has it.
 local function line(x, y, x2, y2)
@@ -54,6 +55,13 @@ describe("choice", function()
       assert.equal(case[4], choice.of(levels, plain, case[5]).kind)
     end)
   end
+
+  it("takes a straight curve for one piece, and a bent one for eight", function()
+    local function count(...) return #lines.flat { { 10, 10 }, ... } - 1 end
+    assert.equal(1, count({ 20, 30 }, { 30, 50 }, { 40, 70 }))
+    assert.equal(8, count({ 20, 30 }, { 31, 50 }, { 40, 70 }))
+    assert.equal(8, count({ 21, 30 }, { 30, 50 }, { 40, 70 }))
+  end)
 
   local SIZE = choice.size_of("1000x1000")
 
