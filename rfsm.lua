@@ -3722,7 +3722,7 @@ do
 
   -- Functions of the engine for the files of the library beside this one.
   local engine = {
-    add = add, add_warning = add_warning, advise = advise, append = append,
+    add = add, add_warning = add_warning, advise = advise,
     ask_getevents = ask_getevents, queue_given = queue_given,
     check_function = check_function,
     check_no_step = check_no_step, clone_below = clone_below,
