@@ -487,7 +487,11 @@ function properties.check_names(where, judged, active, is_condition)
     local is_asked = condition ~= nil
       and (not (events[field] and is_condition) or is_condition(condition))
     local ok, problem = pcall(monitors.ask_all, is_asked and condition or {}, active)
-    if not ok then refuse(where, judged, rfsm.text_of(problem)) end
+    if not ok then
+      local is_placed = type(problem) ~= "string" or problem:find("^.-:%d+: ")
+      if is_placed then error(problem, 0) end -- of the user's function, with its line
+      refuse(where, judged, problem)
+    end
   end
 end
 
