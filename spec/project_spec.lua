@@ -572,6 +572,20 @@ describe("doc/config.ld", function()
     assert.same(public, listed)
   end)
 
+  it("has each function of the core in a group", function()
+    local missing, is_grouped = {}, {}
+    for names in text:gmatch("\ngroup%(%u+, %[%[(.-)%]%]%)") do
+      for name in names:gmatch("%S+") do is_grouped[name] = true end
+    end
+    for _, file in ipairs { "rfsm.lua", "rfsm/tools.lua", "rfsm/merge.lua",
+      "rfsm/prepare.lua" } do
+      for name in content(file):gmatch("\n *function rfsm%.([%w_]+)") do
+        if not is_grouped[name] then missing[#missing + 1] = name end
+      end
+    end
+    assert.same({}, missing)
+  end)
+
   it("lists the documents", function()
     local listed, list = {}, text:match("\ntopics = (%b{})")
     for file in list:gmatch("'(.-)'") do
