@@ -28,10 +28,9 @@ local function name_of(state) return "e_fault@" .. state._fqn end
 local function is_known(fsm, element, region)
   for _, list in ipairs { fsm._curq, fsm._intq } do
     for _, event in ipairs(list) do
-      local name = type(event) == "table" and rawget(event, "name")
-      if type(name) == "string" and name:find("^e_fault@")
-        and rawget(event, "element") == element
-        and rawget(event, "region") == region then
+      local name = rfsm.name_with_data(event)
+      if name and name:find("^e_fault@") and event.element == element
+        and event.region == region then
         return true
       end
     end

@@ -17,7 +17,7 @@ local error, ipairs, pcall = error, ipairs, pcall
 local rawequal, rawget, tostring, type = rawequal, rawget, tostring, type
 local huge, remove = math.huge, table.remove
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
-local reason, text_of, event_text = encoding.reason, rfsm.text_of, rfsm.event_text
+local reason, text_of = encoding.reason, rfsm.text_of
 local list_text, leaf_text, same = tracks.list_text, tracks.leaf_text, tracks.same
 
 --- A machine that is being replayed.
@@ -183,9 +183,8 @@ local function comparable(packed)
   local events = {}
   for i = 1, packed and #packed or 0 do
     local event = encoding.unpack(packed[i], 0)
-    if type(event) == "table" and event_text(event):find "^e_fault@" then
-      event.traceback = nil
-    end
+    local name = rfsm.name_with_data(event)
+    if name and name:find "^e_fault@" then event.traceback = nil end
     events[i] = event
   end
   return events
