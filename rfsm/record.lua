@@ -176,10 +176,17 @@ local function note_place(recorder, rec)
   recorder.is_moved, recorder.cuts = false, count_cuts(recorder)
 end
 
+-- Is the iteration that begins the second one of a step? Behind one that enabled
+-- nothing the doo runs although events are there. A step from a snapshot has none.
+local function goes_on_to_doo(track)
+  return track.held and track.fsm._act_leaf and rfsm.is_free(track.fsm)
+end
+
 -- Begins a record. If the track still has a record, its iteration was cut short or
 -- refused, and that record is dropped.
 function listener.began(recorder, track, events)
   local dropped, leaf = track.rec or NONE, track.fsm._act_leaf
+  local goes_on = goes_on_to_doo(track)
   local rec = { m = track.m, events = tracks.pack_events(events), had = dropped.had }
   track.rec, track.first, track.last = rec, 1, 0
   track.held = match.joined({}, track.fsm._intq)
@@ -187,7 +194,7 @@ function listener.began(recorder, track, events)
     track.leaf, track.mode, track.has_doo = leaf, leaf and leaf._mode, has_doo(leaf)
     rec.clock = recorder.early and recorder.early.clock or nil
     recorder.timed, recorder.is_moved = rec, recorder.is_moved or dropped.reset or false
-    if not is_known(recorder) then note_place(recorder, rec) end
+    if not (goes_on or is_known(recorder)) then note_place(recorder, rec) end
   end
   note_change(track, rec, "had")
   tracks.wrap(track)

@@ -1187,6 +1187,27 @@ describe("an interrupt while it is recorded", function()
     interrupted("guard", function(model, raise) model[2].guard = raise end)
     interrupted("save", function(model, raise) model.save, model.load = raise, yes end)
   end)
+
+  it("in a step that goes on to a doo, with events that nothing takes", function()
+    local sink, is_due = {}, false
+    local model = state { info = false, warn = false, b = state {},
+      a = state { doo = function() end }, trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = { "e_go" }, guard = function()
+        if is_due then error("interrupted!", 0) end
+        return false
+      end } }
+    local fsm = helper.init(model)
+    rfsm.step(fsm)
+    record.record(fsm, sink)
+    rfsm.send_events(fsm, "e_go")
+    is_due = true
+    assert.is_false(pcall(rfsm.step, fsm))
+    is_due = false
+    rfsm.send_events(fsm, "e_other") -- is there when the doo runs, behind "e_go"
+    rfsm.run(fsm)
+    assert.equal("done", fsm.a._mode)
+    assert.equal("done", assert(record.replay(model, sink, { dry = true })).a._mode)
+  end)
 end)
 
 describe("a recorder", function()
