@@ -462,6 +462,13 @@ local function advise(topic, ...)
   return advice[topic](...)
 end
 
+-- Returns a problem or warning in the words of rfsm/advice.lua; its name if this file
+-- is missing, such as "unusable name".
+local function words(name, ...)
+  local text = advise("words", name, ...)
+  return text ~= "" and text or name
+end
+
 -- Runs the chunk of a chart and returns its root state. After a tail call, as in
 -- `return rfsm.state{...}`, the line of the root is not known: line 1 is recorded.
 local function run_chunk(chunk, file, where, accepts)
@@ -690,17 +697,12 @@ do
 
   -- Checks the name of a node: a path can contain it, and it is no field of the parent.
   local function check_name(build, kind, node)
-    local name, is_top = node._id, node._depth == 1
-    if type(name) ~= "string" then
-      add(build.problems, node, nil, "a %s needs a name (name = ...)", kind)
-    elseif name == "" or name:find("[.\\]") or is_meta(name) then
-      add(build.problems, node, nil, "the name of a %s must not be empty, contain '.' "
-        .. "or '\\' or start with '_'", kind)
-    elseif CALLBACKS.state[name] or is_top and ROOT_FIELDS[name] then
-      add(build.problems, node, nil, "a %s cannot have this name, it is a field of "
-        .. "every " .. (CALLBACKS.state[name] and "state" or "root"), kind)
-    elseif name == "initial" and kind ~= "connector" then
-      add(build.problems, node, nil, "connector expected, got %s", kind)
+    local name, fields = node._id, node._depth == 1 and ROOT_FIELDS or NONE
+    local is_usable = type(name) == "string" and name ~= "" and not is_meta(name)
+      and not (name:find("[.\\]") or CALLBACKS.state[name] or fields[name])
+      and (name ~= "initial" or kind == "connector")
+    if not is_usable then
+      add(build.problems, node, nil, words("unusable name", name, kind))
     end
   end
 
@@ -728,9 +730,7 @@ do
       list[i] = event
     end
     if count == 0 then
-      add_warning(build.warnings, "empty-events", tr, "events", "an empty list, any "
-        .. "event triggers it (is a name in it nil? if any event is meant, leave it "
-        .. "out)")
+      add_warning(build.warnings, "empty-events", tr, "events", words("an empty list"))
     end
     return list
   end
@@ -763,8 +763,7 @@ do
   local function clone_datum(build, kind, obj, key, value)
     local is_root = rawequal(obj, build.fsm)
     if is_root and is_meta(key) and obj[key] ~= nil then
-      return add(build.warnings, obj, key, "the machine has a field of this name, this "
-        .. "one is ignored")
+      return add(build.warnings, obj, key, words("a field of the machine"))
     end
     if type(value) == "table" then value = clone_data(build.copies, value) end
     rawset(obj, key, value)
@@ -781,12 +780,10 @@ do
       if value then
         rawset(obj, key, value)
       elseif key == "guard" then
-        add_warning(build.warnings, "false-guard", obj, nil, "its guard is false and "
-          .. "counts as absent, it was made while the chart was loaded")
+        add_warning(build.warnings, "false-guard", obj, nil, words("a false guard"))
       end
     elseif key == "initial" and kind == "state" then
-      add(build.problems, obj, key, "connector expected, %s "
-        .. "(rfsm.trans{ src='initial', tgt=... })", got(value))
+      add(build.problems, obj, key, words("no connector", got(value)))
     elseif not (is_meta(key) and API_FIELDS:find(" " .. key .. " ", 1, true)) then
       clone_datum(build, kind, obj, key, value)
     end
@@ -817,15 +814,11 @@ do
       tgt = model.tgt,
     }, LIVE.transition)
     transitions[#transitions + 1] = tr
-    if type(key) ~= "number" and type(key) ~= "string" then
-      add(build.problems, tr, nil, "the key of a transition is a position or a name")
-    elseif is_meta(key) then
-      add(build.problems, tr, nil, "the name of a transition must not start with '_'")
-    elseif CALLBACKS.state[key] then
-      add(build.problems, tr, nil, "a transition cannot have this name, it is a field "
-        .. "of every state")
-    else
+    if type(key) == "number" or type(key) == "string"
+      and not (is_meta(key) or CALLBACKS.state[key]) then
       rawset(parent, key, tr)
+    else
+      add(build.problems, tr, nil, words("unusable key", key))
     end
     for field, value in pairs(fields_of(model)) do -- any order: independent entries
       if not OWN_FIELDS[field] then
@@ -849,7 +842,7 @@ do
         add(build.problems, node, text_of(key), FOREIGN)
       elseif own_kind == "connector" then
         add_warning(build.warnings, "misplaced", node, nil,
-          "a connector holds no %s, '%s' is ignored", kind, text_of(key))
+          words("in a connector", kind, text_of(key)))
       elseif kind == "transition" then
         new_transition(build, value, node, key)
         has_transition = true
@@ -914,14 +907,7 @@ do
     for name in (path .. "."):gmatch("([^.]*)%.") do
       local child = rawget(node, name)
       if not is_node(child) or is_meta(name) then
-        local value = node._model[name]
-        if value ~= nil and not is_meta(name) then
-          local kind = kind_of(value) or type(value)
-          return nil, ("'%s.%s' is no state or connector but a %s%s"):format(node._fqn,
-            name, kind, kind == "table" and " (did you mean rfsm.state{...}?)" or "")
-        end
-        return nil, ("no state or connector is named '%s' in '%s'%s"):format(name,
-          node._fqn, advise("nearest_node", name, node, all, path))
+        return nil, words("unknown name", name, node, all, path)
       end
       node = child
     end
@@ -1003,15 +989,7 @@ do
     local initial = rawget(node, "initial")
     if kind_of(initial) == "connector" then return initial end
     if node._parent == node then return nil end -- `check_root` reports it
-    add(build.problems, tr, nil, "tgt '%s': the composite has no initial transition "
-      .. "(rfsm.trans{ src='initial', tgt=... })%s", node._fqn,
-      advise("regions", node._model))
-  end
-
-  local function warn_of_e_done(build, tr, src)
-    add_warning(build.warnings, false, tr, nil, "'e_done' never fires here, %s",
-      src._mode and ("no leaf right in '%s' is final (final = true)"):format(src._fqn)
-      or ("'%s' is no leaf state"):format(src._fqn))
+    add(build.problems, tr, nil, words("tgt has no initial", node))
   end
 
   local function resolve_e_done(build, tr)
@@ -1019,7 +997,9 @@ do
     for i = 1, #events do
       if events[i] == "e_done" then
         events[i] = "e_done@" .. src._fqn
-        if not rfsm.can_be_done(src) then warn_of_e_done(build, tr, src) end
+        if not rfsm.can_be_done(src) then
+          add_warning(build.warnings, false, tr, nil, words("e_done never fires", src))
+        end
       end
     end
   end
@@ -2355,12 +2335,12 @@ do
 
   function RECORDS.entry(state) return "STATE_ENTER", state._fqn end
 
-  for name, words in pairs(RECORDS) do -- any order: independent entries
+  for name, record_of in pairs(RECORDS) do -- any order: independent entries
     recorders[name] = function(fsm, arg, at)
       local dbg = fsm.dbg
       if dbg == silent or not dbg then return end
       fsm._at = at
-      report(fsm, "dbg", words(arg))
+      report(fsm, "dbg", record_of(arg))
     end
   end
 end
@@ -2930,7 +2910,7 @@ do
       local is_entered = is_aimed_at[node] or not first and node._parent == fsm
       if is_closed_initial(build, node) and (is_entered or not first) then
         add(is_entered and build.problems or build.warnings, node, nil,
-          "no transition leaves it (rfsm.trans{ src='initial', tgt=... })")
+          words("no transition leaves it"))
       end
     end
   end
@@ -2946,8 +2926,7 @@ do
       end
     end
     if not (fsm._is_leaf or is_node(rawget(fsm, "initial"))) then
-      add(build.problems, fsm, nil, "the root needs an initial transition "
-        .. "(rfsm.trans{ src='initial', tgt=... })")
+      add(build.problems, fsm, nil, words("the root needs an initial"))
     end
   end
 

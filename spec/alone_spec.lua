@@ -123,8 +123,7 @@ print(problem_of("explore", "rfsm.explore.explore", "no memory") .. "; "
   end)
 
   it("rfsm_checks.check returns what init finds", function()
-    local expected = "root.trans[1] (initial -> b): tgt 'b': no state or connector is "
-      .. "named 'b' in 'root'"
+    local expected = "root.trans[1] (initial -> b): tgt 'b': unknown name"
     assert.equal(expected, output_with({ "rfsm", "rfsm_checks" }, [[
 local rfsm, checks = require "rfsm", require "rfsm_checks"
 local model = rfsm.state { a = rfsm.state {},

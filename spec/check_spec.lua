@@ -204,7 +204,7 @@ describe("init", function()
 
   it("does without hints where rfsm/advice.lua is missing, and says so", function()
     assert.equal("rfsm.init: the model has 1 problem|  root.trans[2] (a -> dimm): tgt "
-      .. "'dimm': no state or connector is named 'dimm' in 'root'|"
+      .. "'dimm': unknown name|"
       .. "  (no hints: rfsm/advice.lua is not installed)",
       (helper.output_of([[
         package.path = "./?.lua;" .. package.path
