@@ -21,7 +21,7 @@ LUADIRS  ?= $(foreach v,5.1 5.2 5.3 5.4 5.5,$(PREFIX)/share/lua/$(v))
 STRIP    ?=
 STRIPPED := rfsm/stripped
 # the core with hints, time events, sequential AND states, the printed machine, strict, why
-BUNDLE   ?= rfsm rfsm.fast rfsm.advice rfsm.tools rfsm.prepare rfsm.merge rfsm.fates rfsm_timeevent \
+BUNDLE   ?= rfsm rfsm.fast rfsm.advice rfsm.tools rfsm.prepare rfsm.merge rfsm.always rfsm.fates rfsm_timeevent \
             rfsm.clock rfsm_seqand rfsmpp rfsm.strict rfsm_checks rfsm.observe.why \
             $(addprefix rfsm.shared.,alphabet calls location match order)
 # and checks, exploration, written tests, history

@@ -1015,16 +1015,6 @@ do
     return src, nil, true
   end
 
-  local function check_always(build, tr, src)
-    if tr.events[1] ~= nil then
-      add(build.problems, tr, "always", "a transition that needs no event has no "
-        .. "events (leave out one of the two fields)")
-    elseif not src._mode then
-      add(build.problems, tr, "always", "only a transition from a state needs no "
-        .. "event, '%s' is a connector", src._fqn)
-    end
-  end
-
   -- Resolves the ends of a transition. Returns false if one of them is not found.
   local function resolve_transition(build, tr)
     local src, src_reason = find_end(build, tr, "src")
@@ -1037,7 +1027,7 @@ do
     tgt = is_internal and src or tgt and find_entrance(build, tr, tgt)
     if not (src and tgt) then return false end
     tr.src, tr.tgt, tr._is_internal = src, tgt, is_internal
-    if tr.always == true then check_always(build, tr, src) end
+    if tr.always == true then rfsm.check_always(build, tr) end -- loads its file
     resolve_e_done(build, tr)
     return true
   end
@@ -1411,7 +1401,7 @@ end
 -- `_phase` is one of these:
 --
 --   idle     nothing: the machine waits for its caller
---   always   a path is searched that needs no event, if the machine has such ones
+--   always   a path is searched that needs no event, see rfsm/always.lua
 --   begin    the pending events become the current events
 --   gather   getevents adds its events, and the pre step hooks are called
 --   search   a path is chosen that the events enable
@@ -2065,65 +2055,6 @@ do
     local path, first = find_entry(fsm, events)
     if not path then return refuse_entry(fsm, events) end
     return take_path(fsm, nil, path, first)
-  end
-end
-
-do
-  local function list_always(leaf)
-    local list = {}
-    for _, node in ipairs(line_to(leaf)) do append(list, list_otrs_of(node, true)) end
-    leaf._always = list
-    return list
-  end
-
-  -- Returns the segment of the first transition of a list that is enabled without an
-  -- event. An event would be given to its guard, so `events` is an empty list.
-  local function find_always(fsm, list, events)
-    local merges = fsm._merges
-    fsm._search = fsm._search + 1
-    for i = 1, #list do
-      local found = enabled(fsm, list[i], events, nil, nil)
-      if found and fsm._merges == merges then return found end
-      if fsm._merges ~= merges then break end
-    end
-    if fsm._is_lent then fsm._curq, fsm._is_lent = {}, fsm._lends end
-  end
-
-  local function begin(fsm, after_free)
-    fsm._phase = "begin"
-    return PHASES.begin(fsm, after_free)
-  end
-
-  -- Makes a usual iteration, if it is one, of a leaf from which no path was found. One
-  -- with an e_done that nothing takes would leave out the iteration behind it, in which
-  -- guards are asked again.
-  local function iterate_usual(fsm, after_free, leaf)
-    local event = fsm._intq[1]
-    if fsm.dbg ~= silent or fsm._act_leaf ~= leaf or fsm._reset_wanted or fsm._failure
-      or fsm._given or event ~= nil and event == leaf._ignored then
-      return begin(fsm, after_free)
-    end
-    fsm._phase = "idle"
-    if fsm._is_hooked then fsm._turn = fsm._turn - 1 end -- it is counted there
-    fsm._is_usual = true
-    local counted, idle = iterate(fsm, after_free)
-    fsm._is_usual = false
-    return counted, idle
-  end
-
-  -- The phase "always". After an interrupt the list of current events may have events,
-  -- which come first. What comes again beside an internal transition still does so in
-  -- the next iteration.
-  function PHASES.always(fsm, after_free)
-    local leaf, events, again = fsm._act_leaf, fsm._curq, fsm._again
-    if not leaf or events[1] ~= nil or fsm._reset_wanted then
-      return begin(fsm, after_free)
-    end
-    local list = leaf._always or list_always(leaf)
-    local found = list[1] and find_always(fsm, list, events)
-    if not found then return iterate_usual(fsm, after_free, leaf) end
-    if again and again.turn == fsm._turn - 1 then again.turn = fsm._turn end
-    return follow(fsm, after_free, leaf, found, nil)
   end
 end
 
@@ -3691,7 +3622,7 @@ do
   local PARTS = { seqand = "rfsm_seqand", forward = "rfsm_seqand", pp = "rfsmpp",
     fsm_merge = "rfsm.merge", follow_fates = "rfsm.fates", foretell = "rfsm.fates",
     prepare = "rfsm.prepare", save_memory = "rfsm.prepare", machines = "rfsm.prepare",
-    note_cut = "rfsm.prepare", set_emit = "rfsm.prepare" }
+    note_cut = "rfsm.prepare", set_emit = "rfsm.prepare", check_always = "rfsm.always" }
 
   for name in ([[check_between_steps check_no_otrs is_in map_from_to
     node_find_enabled place set_sta_mode begin_in snapshot_hooks structure_of target_of
@@ -3717,7 +3648,9 @@ do
     report_created = report_created, report_findings = report_findings,
     reset_now = reset_now, resolve = resolve, segment_of = segment_of,
     new_emit = new_emit, summary = summary, tell = tell, complete = complete,
-    tell_watch = tell_watch, try = try,
+    tell_watch = tell_watch, try = try, append = append, enabled = enabled,
+    follow = follow, iterate = iterate, list_otrs_of = list_otrs_of, PHASES = PHASES,
+    silent = silent,
   }
 
   -- Returns the function of a name whose file is missing: it says so.

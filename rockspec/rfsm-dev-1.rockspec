@@ -33,6 +33,7 @@ build = {
     ["rfsm_web"] = "compat/rfsm_web.lua",
     ["rfsm"] = "rfsm.lua",
     ["rfsm.advice"] = "rfsm/advice.lua",
+    ["rfsm.always"] = "rfsm/always.lua",
     ["rfsm.await"] = "rfsm/await.lua",
     ["rfsm.checkevents"] = "rfsm/checkevents.lua",
     ["rfsm.checks"] = "rfsm/checks.lua",

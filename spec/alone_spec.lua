@@ -71,6 +71,7 @@ rfsm.is_in: rfsm/tools.lua is not installed beside rfsm.lua
 rfsm.prepare: rfsm/prepare.lua is not installed beside rfsm.lua
 rfsm.fsm_merge: rfsm/merge.lua is not installed beside rfsm.lua
 rfsm.follow_fates: rfsm/fates.lua is not installed beside rfsm.lua
+rfsm.check_always: rfsm/always.lua is not installed beside rfsm.lua
 nil]], output_with({ "rfsm" }, [[
 local rfsm = require "rfsm"
 local fsm = assert(rfsm.init(rfsm.state { info = false, warn = false,
@@ -88,6 +89,9 @@ try(rfsm.is_in, fsm, "root.b")
 try(rfsm.prepare, fsm)
 try(rfsm.fsm_merge, fsm, fsm, rfsm.state {}, "c")
 try(rfsm.watch_hook_add, fsm, "discarded", print)
+try(rfsm.init, rfsm.state { a = rfsm.state {},
+  rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "a", always = true } })
 print(rfsm.no_such_function)
 ]]))
   end)

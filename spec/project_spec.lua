@@ -117,7 +117,8 @@ describe("a core alone in a folder", function()
     os.remove(folder)
     assert(os.execute(("mkdir -p 'F/alone/rfsm' && cp -r spec 'F' && cp -r spec "
       .. "rfsm.lua 'F/alone' && cp rfsm/tools.lua rfsm/prepare.lua rfsm/merge.lua "
-      .. "rfsm/fates.lua 'F/alone/rfsm' && '%s' tools/dist.lua rfsm rfsm.fast "
+      .. "rfsm/fates.lua rfsm/always.lua 'F/alone/rfsm' && '%s' tools/dist.lua rfsm "
+      .. "rfsm.fast rfsm.always "
       .. "rfsm.advice rfsm.tools rfsm.prepare rfsm.merge rfsm.fates >'F/rfsm.lua'")
       :gsub("F", folder):format(lua)))
   end)

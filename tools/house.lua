@@ -32,6 +32,7 @@ local ROOM_OF = {
   ["rfsm.lua"] = "engine", ["rfsm/fast.lua"] = "engine", ["rfsm/advice.lua"] = "engine",
   ["rfsm/tools.lua"] = "engine", ["rfsm/merge.lua"] = "engine",
   ["rfsm/prepare.lua"] = "engine", ["rfsm/fates.lua"] = "engine",
+  ["rfsm/always.lua"] = "engine",
   ["rfsm_checks.lua"] = "rfsm_checks", -- the public face of several rooms
   ["rfsm/fleet.lua"] = "redis", -- the clients of its functions
 }

@@ -26,8 +26,9 @@ local snapshot = require "rfsm.snapshot"
 local timeevent = require "rfsm_timeevent"
 local times = require "rfsm.server.times"
 local why = require "rfsm.observe.why"
+require "rfsm.always" -- which the core loads by name, like some below
 require "rfsm.await"
-require "rfsm.fates" -- which the core loads by name, like the next three
+require "rfsm.fates"
 require "rfsm.merge"
 require "rfsm.prepare"
 require "rfsm.tools"
