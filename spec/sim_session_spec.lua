@@ -218,7 +218,7 @@ at root.a(done)
    7  e_after(9)@root.b               root.a(done)
    8  e_done@root.a                   root.a(done)
 ]=] },
-    { does = "has the names of events with data, also in a replay", chart = ring(
+    { does = "shows events with their data, also in a replay", chart = ring(
         "rfsm.trans { src = 'a', tgt = 'b', events = { rfsm.named 'e_paid' } }, "),
       input = [=[
 record_here()
@@ -231,8 +231,8 @@ history 2
 ]=], output = [=[
 at root.a(done)
 at root.b(done)
-   2  e_paid                          root.b(done)
-   4  e_done@root.a, e_paid           root.b(done)
+   2  e_paid{amount=12}               root.b(done)
+   4  e_done@root.a, e_paid{amount=12}  root.b(done)
    5  e_done@root.b                   root.b(done)
 ]=] },
     { does = "has the errors of callbacks again in a replay", chart = ring(

@@ -48,7 +48,7 @@ end
 --- Return the text of a packed event; of an object its name, or its type.
 function track.event_text(packed)
   if is_object(packed) then return text_of(packed[3] or packed[2]) end
-  return rfsm.event_text(encoding.unpack(packed, 0))
+  return rfsm.event_text(encoding.unpack(packed, 0), true)
 end
 
 local function long_text(packed)
