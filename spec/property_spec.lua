@@ -142,6 +142,9 @@ describe("a property of runs", function()
       { f = function() return from "root.a".left_with(2) end,
         text = "rfsm_checks.from(...): no 'left_with' (did you mean 'left_within'?), "
           .. "expected: after, can_reach, left_within, stays" },
+      { f = function() return from "root.a".reach "root.b" end,
+        text = "rfsm_checks.from(...): no 'reach', "
+          .. "expected: after, can_reach, left_within, stays" },
       { f = function() return (precedes("root.a")) end,
         text = "rfsm_checks.precedes: path of a state, name of a flag, list of them or "
           .. "function expected, got nil" },

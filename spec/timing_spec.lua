@@ -282,8 +282,7 @@ describe("a property with a time", function()
       { f = function() return (rfsm_checks.at_least(1)) end,
         text = "rfsm_checks.at_least: event expected, got nil" },
       { f = function() return (rfsm_checks.at_most(1, "e").inside(2)) end,
-        text = "rfsm_checks.at_most(...): no 'inside' (there is 'within'), expected: "
-          .. "within" },
+        text = "rfsm_checks.at_most(...): no 'inside', expected: within" },
       { f = function() return (rfsm_checks.explore(chart(), { period = 0 })) end,
         text = "rfsm_checks.explore: period: seconds above 0 expected, got 0" },
       { f = function() return (rfsm_checks.explore(chart(), { timers = "fre" })) end,

@@ -149,9 +149,9 @@ local function first_half(where, parts, endings)
   halves[functions] = ("%s alone (%s.%s(...))"):format(where, where,
     concat(rfsm.sorted_keys(functions), "(...), ."))
   return setmetatable(functions, { __index = function(_, name)
-    error(("rfsm_checks.%s: no '%s'%s, expected: %s"):format(where, rfsm.text_of(name),
-      advice.nearest_name(rfsm.text_of(name), rfsm.sorted_keys(functions)),
-      concat(rfsm.sorted_keys(functions), ", ")), 2)
+    local text, names = rfsm.text_of(name), rfsm.sorted_keys(functions)
+    error(("rfsm_checks.%s: no '%s'%s, expected: %s"):format(where, text,
+      advice.did_you_mean(text, names), concat(names, ", ")), 2)
   end })
 end
 

@@ -8,6 +8,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
 local location = require "rfsm.shared.location"
 local names = require "rfsm.observe.names"
 local values = require "rfsm.observe.values"
@@ -53,7 +54,7 @@ local function fail(fsm, text)
     list[#list + 1] = name
     list[#list + 1] = name:gsub("^root%.", "")
   end
-  local hint = names.elsewhere(text, nodes) or names.hint(text, list)
+  local hint = names.elsewhere(text, nodes) or advice.nearest_name(text, list)
   error(("breakpoint: state, event or transition (off -> on) expected, got '%s'%s")
     :format(text, hint ~= "" and hint or ", pp() shows the states"), 0)
 end

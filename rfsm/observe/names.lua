@@ -7,7 +7,6 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
 local location = require "rfsm.shared.location"
 local order = require "rfsm.shared.order"
@@ -58,10 +57,6 @@ function names.nodes(fsm)
   end
   return list, by_name
 end
-
---- Return a hint such as " (did you mean 'e_go'?)" with the nearest name in a list; ""
---- if no name is near.
-function names.hint(name, list) return (advice.nearest_name(name, list)) end
 
 --- Return a hint with the first name in a list that ends in a path, and the number of
 --- the others: ", did you mean a.b.hold (and 2 more)?"; nil if there is none.

@@ -47,9 +47,8 @@ function options.read(known, given)
     local option, value = known[name], given[name]
     if not option then
       local text, names = rfsm.text_of(name), rfsm.sorted_keys(known)
-      local hint = advice.nearest_name(text, names):match("^ %(did you mean.*") or ""
-      return nil, ("unknown option '%s'%s, expected: %s"):format(text, hint,
-        concat(names, ", "))
+      return nil, ("unknown option '%s'%s, expected: %s"):format(text,
+        advice.did_you_mean(text, names), concat(names, ", "))
     end
     local is_right, why = option[2](value)
     if not is_right then

@@ -4,10 +4,10 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
 local rfsm_checks = require "rfsm_checks"
 local rfsmpp = require "rfsmpp"
 local history = require "rfsm.sim.history"
-local names = require "rfsm.observe.names"
 local breakpoints = require "rfsm.observe.breakpoints"
 local time = require "rfsm.sim.time"
 local drawing = require "rfsm.sim.drawing"
@@ -303,7 +303,7 @@ function(_, name)
     list[i] = members.name
   end
   for _, command in ipairs(commands.list) do list[#list + 1] = command.name end
-  local hint = names.hint(text_of(name), list)
+  local hint = advice.nearest_name(text_of(name), list)
   error("help: no command is named " .. text_of(name)
     .. (hint ~= "" and hint or ", help() lists them"), 0)
 end)

@@ -6,6 +6,7 @@
 -- @module rfsm.sim.prompt
 -- @license BSD-3-Clause
 
+local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
@@ -97,7 +98,7 @@ local function problem_of_missing(sim, name, list)
   for _, command in ipairs(sim.commands.list) do list[#list + 1] = command.name end
   local other = OTHERS[name] and sim.commands.find(OTHERS[name])
   local hint = other and (" (did you mean '%s'?)"):format(other.name)
-    or names.hint(name, list)
+    or advice.nearest_name(name, list)
   if hint == "" then hint = ", help() lists the commands" end
   return "nothing is named " .. name .. hint
 end

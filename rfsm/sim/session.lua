@@ -6,6 +6,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
 local rfsmpp = require "rfsmpp"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
@@ -184,7 +185,7 @@ function Session:check_event(event, i, fsm)
   local name = event == nil and self.missing[1]
   if name then
     complain(("nothing is named %s, an event is in quotes%s"):format(name,
-      names.hint(name, names.events(fsm))))
+      advice.nearest_name(name, names.events(fsm))))
   elseif event == nil then
     complain(("event %d is nil"):format(i))
   elseif self.follows and names.form_meant(fsm, event) then
@@ -194,7 +195,7 @@ function Session:check_event(event, i, fsm)
     local text = rfsm.name_with_data(event) or event
     complain(("no transition names the event '%s'%s"):format(
       rfsm.event_text(event, true), type(text) == "string"
-        and names.hint(text, names.events(fsm)) or ""))
+        and advice.nearest_name(text, names.events(fsm)) or ""))
   end
 end
 

@@ -208,11 +208,11 @@ local function check_event(draft, report, wire, event)
   local emitted = replacements.emitted_by(sender)
   if emitted and not match.has(emitted, event) then
     report((".event: nothing in '%s' emits '%s'%s"):format(wire.from, event,
-      names.hint(event, emitted)))
+      advice.nearest_name(event, emitted)))
   end
   if not (alphabet.of_all(reader).takes_any or names.is_event(reader, event)) then
     report((".event: no transition of '%s' has the event '%s'%s"):format(wire.to,
-      event, names.hint(event, names.events(reader))))
+      event, advice.nearest_name(event, names.events(reader))))
   end
 end
 

@@ -218,8 +218,8 @@ local function find_unwired(cell, machines, result)
   for _, name in ipairs(cell.names) do
     local list, wired = unwired_of(cell, name, machines[name])
     for _, event in ipairs(list) do
-      local hint = advice.nearest_name(event, wired)
-      if hint:find("did you mean", 1, true) then
+      local hint = advice.did_you_mean(event, wired)
+      if hint ~= "" then
         result.findings:add("unwired", nil, name, ("it emits '%s', which no wire from "
           .. "it carries%s"):format(event, hint), nil,
           cell.places[name] and cell.places[name] .. ": " or "")
