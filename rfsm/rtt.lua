@@ -8,16 +8,34 @@
 -- RTT's Variables are made once and reused, so that reading, raising and writing
 -- allocate nothing in the steady state. The module loads without RTT, and needs no
 -- rttlib. In a Lua whose memory is a TLSF pool, loading this module makes the garbage
--- collector work harder, and machines do not use rfsm.fast.
+-- collector work harder, machines do not use rfsm.fast, and the modules are those
+-- without debug information, where `make install` has put them beside the others. With
+-- a global RFSM_STRIPPED that is true or false, these are taken always or never.
 --
 -- @module rfsm.rtt
 -- @license BSD-3-Clause
 
-local collectgarbage, error, package = collectgarbage, error, package
-local ipairs, pcall, rawget, rawset = ipairs, pcall, rawget, rawset
-local require, select = require, select
+local collectgarbage, debug, error = collectgarbage, debug, error
+local ipairs, loadfile, package, pcall = ipairs, loadfile, package, pcall
+local rawget, rawset, require, select = rawget, rawset, require, select
 local setmetatable, type = setmetatable, type
 local min = math.min
+
+-- The folder of the library. The module without debug information does not know it.
+local folder = select(3, ...)
+
+if not folder then
+  local is_wanted, stripped = rawget(_G, "RFSM_STRIPPED"), nil
+  if is_wanted == nil then is_wanted = rawget(_G, "tlsf") ~= nil end
+  folder = debug.getinfo(1, "S").source:match("^@(.*)rfsm[/\\]rtt%.lua$")
+  if is_wanted and folder then
+    stripped = loadfile(folder .. "rfsm/stripped/rfsm/rtt.lua")
+  end
+  if stripped then
+    package.path = folder .. "rfsm/stripped/?.lua;" .. package.path
+    return stripped((...), nil, folder)
+  end
+end
 
 -- RTT's Lua 5.1 does not start a collection when memory is short, and a component fails
 -- when its TLSF pool is full. So with a pool the collector never pauses, and completes
@@ -51,6 +69,7 @@ if rawget(_G, "tlsf") then
 end
 
 ---@class rfsm.rtt
+---@field folder string? the folder of the library, with a slash at its end
 ---@field launched rfsm.rtt.Launched? the latest launch in this Lua
 ---@field declared rfsm.rtt.Declared? what the latest call of `ports` has made
 ---@field gen_raise_event fun(port: any, fsm?: rfsm.Machine): fun(...: any)
@@ -60,7 +79,7 @@ end
 ---@field launch_system fun(file: string, options?: table): rfsm.rtt.LaunchedSystem
 ---@field service_halt_rfsm fun(component: any, seconds?: number): boolean
 ---@field service_resume_rfsm fun(exec_str: function)
-local rfsm_rtt = {}
+local rfsm_rtt = { folder = folder }
 
 -- Reading ----------------------------------------------------------------------------
 

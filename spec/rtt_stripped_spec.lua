@@ -1,5 +1,6 @@
 -- Modules without debug information, which `make install` makes for robots: a launch
--- with `stripped = true`. On the stand-in in spec/support/rtt.lua, in a Lua 5.1.
+-- in a pool, or with `stripped = true`. On the stand-in in spec/support/rtt.lua, in a Lua
+-- 5.1.
 
 local helper = require "spec.helper"
 
@@ -32,8 +33,8 @@ local function launch(fields)
   fields.name, fields.fsmfile, fields.deployer = "arm", CHART, deployer
   return select(2, pcall(launched, fields))
 end
-local function component()
-  deployer:getOperation("loadComponent")("arm", "OCL::LuaComponent")
+local function component(kind)
+  deployer:getOperation("loadComponent")("arm", kind or "OCL::LuaComponent")
   return deployer:getPeer("arm")
 end
 local function show(arm)
@@ -97,6 +98,42 @@ arm:getProperty("lua_string"):set(("rfsm_launch = { fsmfile = %q, stripped = tru
   :format(CHART))
 arm:configure()
 show(arm)]])
+  end)
+
+  it("are those of a pool, unless the launch or the program refuses them", function()
+    check({ "=?", FAILED }, "show(launch { luatype = 'OCL::LuaTLSFComponent' })")
+    check({ "rfsm.lua", FAILED },
+      "show(launch { luatype = 'OCL::LuaTLSFComponent', stripped = false })")
+    check({ "rfsm.lua", FAILED },
+      "show(launch { luatype = 'OCL::LuaTLSFComponent', env = { RFSM_STRIPPED = false } })")
+    for _, case in ipairs { { "", "=?" }, { "stripped = false", "rfsm.lua" } } do
+      check({ case[2], FAILED }, ([[
+local arm = component "OCL::LuaTLSFComponent"
+arm:getProperty("lua_file"):set(FOLDER .. "/rfsm/rtt/program.lua")
+arm:getProperty("lua_string"):set(("rfsm_launch = { fsmfile = %%q, %s }"):format(CHART))
+arm:configure()
+show(arm)]]):format(case[1]))
+    end
+  end)
+
+  it("are refused by a component of its own that has them already", function()
+    check({ "stripped: the library has been loaded without debug information "
+      .. "(RFSM_STRIPPED = false before that)" }, [[
+local arm = component "OCL::LuaTLSFComponent"
+local exec_str = arm:getOperation("exec_str")
+exec_str(("function configureHook() return require('rfsm.rtt').launch { fsmfile = %q, "
+  .. "stripped = false } end"):format(CHART))
+print(arm:configure() or rtt.standin.log[#rtt.standin.log]:match("stripped: .*"))]])
+  end)
+
+  it("launch from a pool with the library of that pool", function()
+    check({ "=?", "true" }, [[
+RFSM_STRIPPED = true
+local rfsm_rtt = require "rfsm.rtt"
+local arm = launch {}
+local exec_str = arm:getOperation("exec_str")
+print(debug.getinfo(rfsm_rtt.launch, "S").source)
+exec_str("print(package.path:sub(1, " .. #FOLDER .. ") == '" .. FOLDER .. "')")]])
   end)
 
   local NONE = "stripped: no modules in rfsm/stripped beside the library, or it was "

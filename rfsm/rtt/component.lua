@@ -431,9 +431,13 @@ end
 
 -- Returns why nothing can be launched in this Lua; nil if it can.
 local function obstacle(launch)
-  if launch.stripped and debug.getinfo(rfsm.init, "S").source ~= "=?" then
+  local is_stripped = debug.getinfo(rfsm.init, "S").source == "=?"
+  if launch.stripped and not is_stripped then
     return "stripped: no modules in rfsm/stripped beside the library, or it was loaded "
       .. "before from source"
+  elseif launch.stripped == false and is_stripped then
+    return "stripped: the library has been loaded without debug information "
+      .. "(RFSM_STRIPPED = false before that)"
   end
   if not rfsm.got then return "another rfsm is loaded in this Lua" end
   if not package.loaded.rtt then return "no module 'rtt' in this Lua" end

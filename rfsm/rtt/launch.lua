@@ -21,9 +21,6 @@ local concat, dump = table.concat, string.dump
 
 local rtt_launch = {}
 
--- Where `make install` puts the modules without debug information.
-local STRIPPED = "rfsm/stripped/?.lua"
-
 -- The text that the other Lua executes ---------------------------------------------
 
 -- Returns the upvalue of a function, but for the table of globals, which a function has
@@ -79,6 +76,8 @@ local launch = %s
 local ok, hook = pcall(function()
   package.path = %q .. package.path .. %q
   for name, value in pairs(launch.env) do rawset(_G, name, value) end
+  if launch.stripped ~= nil then rawset(_G, "RFSM_STRIPPED", launch.stripped) end
+  require "rfsm.rtt"
   return require("rfsm.rtt.component").start(launch)
 end)
 local why = hook
@@ -95,15 +94,6 @@ end
 if hook then hook:enable() end
 ]]
 
--- Returns the part of package.path for this library's modules; "" if it is not known.
--- With `is_stripped`, the modules without debug information come first.
-local function own_template(is_stripped)
-  local source = debug and debug.getinfo(1, "S").source
-  local folder = source and source:match("^@(.*)rfsm[/\\]rtt[/\\]launch%.lua$")
-  if not folder then return "" end
-  return (is_stripped and folder .. STRIPPED .. ";" or "") .. folder .. "?.lua;"
-end
-
 -- Launch ----------------------------------------------------------------------------
 
 local NO_REASON = "RTT's log has the reason"
@@ -111,8 +101,8 @@ local NO_REASON = "RTT's log has the reason"
 -- Executes PROGRAM through the operation `exec_str`. If it fails, raises the reason.
 local function execute(exec_str, launch)
   local fields, file = rtt_launch.to_text(launch, ""), os.tmpname()
-  local program = PROGRAM:format(fields, own_template(launch.stripped),
-    ";" .. package.path, file)
+  local own_template = rfsm_rtt.folder and rfsm_rtt.folder .. "?.lua;" or ""
+  local program = PROGRAM:format(fields, own_template, ";" .. package.path, file)
   local is_called, is_done = pcall(exec_str, program)
   local reason = files.read(file)
   os.remove(file)

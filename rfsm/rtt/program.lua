@@ -11,15 +11,14 @@
 
 local source = debug.getinfo(1, "S").source
 
--- Returns rfsm.rtt, which is found beside this file, or in the folder of the modules
--- without debug information.
+-- Returns rfsm.rtt, which is found beside this file.
 local function library(fields)
   local folder = source:match("^@(.*)rfsm[/\\]rtt[/\\]program%.lua$")
   if folder and not package.loaded.rfsm then
-    local is_stripped = type(fields) == "table" and fields.stripped
-    local first = is_stripped and folder .. "rfsm/stripped/?.lua;" or ""
-    package.path = first .. folder .. "?.lua;" .. folder .. "compat/?.lua;"
-      .. package.path
+    package.path = folder .. "?.lua;" .. folder .. "compat/?.lua;" .. package.path
+    if type(fields) == "table" and fields.stripped ~= nil then
+      rawset(_G, "RFSM_STRIPPED", fields.stripped)
+    end
   end
   return require("rfsm.rtt")
 end
