@@ -215,6 +215,7 @@ install:                ## copy modules and tools below PREFIX; STRIP=1: as byte
 	  install -m 644 $(OUTER) $$d; \
 	  install -m 644 $(INNER) $$d/rfsm; \
 	  $(foreach d,$(sort $(dir $(DEEPER))),install -m 644 $(filter $d%,$(DEEPER) $(PAGE)) $$d/$d;) \
+	  rm -rf $$d/$(STRIPPED); \
 	  $(if $(filter 0,$(STRIP)),,$(if $(STRIP),$(STRIP_FILES),$(STRIP_COPIES));) \
 	done
 	install -d $(DESTDIR)$(PREFIX)/bin
@@ -228,7 +229,7 @@ STRIP_FILES = luac=luac$${d\#\#*/}; \
 	    echo "$$d: source, there is no $$luac"; \
 	  fi
 
-# For robots: Lua 5.1 is that of Orocos. A launch with stripped = true finds these.
+# For robots: Lua 5.1 is that of Orocos. Components with a pool take these.
 STRIP_COPIES = case $$d in *5.1) if command -v luac5.1 >/dev/null; then \
 	    for f in $(NAMES); do \
 	      install -d $$d/$(STRIPPED)/$$(dirname $$f); \

@@ -2,15 +2,14 @@
 --
 -- `gen_read_events` and `gen_read_str_events` make a `getevents` that reads input
 -- ports, `gen_raise_event` makes a function that sends events to an output port, and
--- `gen_write_fqn` makes a hook that writes the FQN of the active leaf. The launchers,
--- `rfsm.rtt.component` and `rfsm.rtt.launch`, are loaded when they are used.
+-- `gen_write_fqn` makes a hook that writes the FQN of the active leaf. These, and the
+-- launchers, are loaded when they are used, and garbage after a launch.
 --
--- RTT's Variables are made once and reused, so that reading, raising and writing
--- allocate nothing in the steady state. The module loads without RTT, and needs no
--- rttlib. In a Lua whose memory is a TLSF pool, loading this module makes the garbage
--- collector work harder, machines do not use rfsm.fast, and the modules are those
--- without debug information, where `make install` has put them beside the others. With
--- a global RFSM_STRIPPED that is true or false, these are taken always or never.
+-- The module loads without RTT, and needs no rttlib. In a Lua whose memory is a TLSF
+-- pool, loading this module makes the garbage collector work harder, machines do not
+-- use rfsm.fast, and the modules are those without debug information, where `make
+-- install` has put them beside the others. With a global RFSM_STRIPPED that is true or
+-- false, these are taken always or never.
 --
 -- @module rfsm.rtt
 -- @license BSD-3-Clause
@@ -18,8 +17,7 @@
 local collectgarbage, debug, error = collectgarbage, debug, error
 local ipairs, loadfile, package, pcall = ipairs, loadfile, package, pcall
 local rawget, rawset, require, select = rawget, rawset, require, select
-local setmetatable, type = setmetatable, type
-local min = math.min
+local setmetatable = setmetatable
 
 -- The folder of the library. The module without debug information does not know it.
 local folder = select(3, ...)
@@ -46,10 +44,6 @@ if rawget(_G, "tlsf") then
 end
 
 local rfsm = require "rfsm"
-local held_port = require "rfsm.rtt.port"
-
-local info_of, new_variables = held_port.info_of, held_port.new_variables
-local port_problem = held_port.problem
 
 -- What the core keeps in place of rfsm/advice.lua in a pool, where that would take more
 -- than a chart of five states: it is loaded for problems, and dropped with the launch.
@@ -72,7 +66,10 @@ end
 ---@field folder string? the folder of the library, with a slash at its end
 ---@field launched rfsm.rtt.Launched? the latest launch in this Lua
 ---@field declared rfsm.rtt.Declared? what the latest call of `ports` has made
+---@field gen_read_events fun(...: any): fun(): any[]
+---@field gen_read_str_events fun(...: any): fun(): string[]
 ---@field gen_raise_event fun(port: any, fsm?: rfsm.Machine): fun(...: any)
+---@field gen_write_fqn fun(port: any): fun(fsm: rfsm.Machine)
 ---@field placeholders table? what stands for OCL's rttlib until it is used
 ---@field service_launch_rfsm fun(file: string, exec_str: function, ...): boolean
 ---@field component_launch_rfsm fun(args: rfsm.rtt.Launch): any
@@ -80,143 +77,6 @@ end
 ---@field service_halt_rfsm fun(component: any, seconds?: number): boolean
 ---@field service_resume_rfsm fun(exec_str: function)
 local rfsm_rtt = { folder = folder }
-
--- Reading ----------------------------------------------------------------------------
-
--- Does the status of a read mean a new sample? RTT returns the status as a string. The
--- keys of this table keep the three strings alive, so that no read allocates one.
-local IS_NEW = { NewData = true, OldData = false, NoData = false }
-
--- Returns a function that appends new samples of a port to a list, at most as many as
--- the list needs to have `most` events. It returns true if the port may have more.
-local function new_reader(port)
-  local var, double = new_variables(port)
-  local convert = held_port.converter(port)
-  return function(events, most)
-    for _ = #events + 1, most do
-      local status, event = port:read(var)
-      if not IS_NEW[status] then return false end
-      if double then double:assign(var) end
-      if var then event = (double or var):tolua() end
-      if convert then event = convert(event) end
-      events[#events + 1] = event
-    end
-    return true
-  end
-end
-
--- Returns a function that triggers one more update of the component in which this Lua
--- runs. The function does nothing without RTT, or if this Lua runs in a service.
-local function new_trigger()
-  local rtt = package.loaded.rtt
-  local own = rtt and rtt.getTC()
-  local is_lua_component = own and own:hasOperation("exec_str")
-  return is_lua_component and own:getOperation("trigger") or function() end
-end
-
--- The default limit of samples that one call reads from each port. Without a limit the
--- samples of a long burst might not fit in a TLSF pool.
-local MOST = 64
-
--- Makes a `getevents` that reads ports. Errors about wrong ports blame the caller of
--- the public function. If a read raises an error, the events read before are kept for
--- the next call. Samples that are left trigger no update, so the call triggers one.
-local function gen_reader(where, kind, ...)
-  local bound, readers, is_taken = (...), {}, false
-  local has_bound = type(bound) == "number" and bound >= 1
-  local ports = { select(has_bound and 2 or 1, ...) }
-  local n = select("#", ...) - (has_bound and 1 or 0)
-  if not has_bound then bound = MOST end
-  local events = { nil, nil, nil, nil, nil, nil, nil, nil } -- room for eight events
-  if n == 0 then error(where .. ": at least one port expected, got none", 3) end
-  for i = 1, n do
-    local problem = port_problem(ports[i], "read", kind)
-    if problem then error(("%s: port %d: %s"):format(where, i, problem), 3) end
-    readers[i] = new_reader(ports[i])
-  end
-  local trigger = new_trigger()
-  return function()
-    for i = is_taken and #events or 0, 1, -1 do events[i] = nil end
-    is_taken = false
-    local has_more = false
-    for i = 1, n do
-      local most = min(#events + bound, i * bound) -- kept events count, too
-      has_more = readers[i](events, most) or has_more
-    end
-    is_taken = true
-    if has_more then trigger() end
-    return events
-  end
-end
-
---- Make a `getevents` that reads new samples of input ports, in the order of the ports.
---
--- A call reads at most 64 samples of each port, or the number that is given before the
--- ports. If samples are left, the call triggers one more update of a Lua component.
---
--- A sample becomes a Lua value if a type of Lua matches its type; otherwise it is a new
--- Variable. The returned list is valid until the next call.
---
--- @usage
---    fsm.getevents = rfsm_rtt.gen_read_events(commands, alarms)
---
--- @raise when a port is no input port
----@param ... any one or more input ports, after an optional number of samples
----@return fun(): any[] getevents
----@nodiscard
-function rfsm_rtt.gen_read_events(...)
-  return (gen_reader("rfsm.rtt.gen_read_events", nil, ...))
-end
-
---- Make a `getevents` as `gen_read_events` does, but for input ports of type string.
--- @raise when a port is no input port of type string
----@param ... any one or more input ports, after an optional number of samples
----@return fun(): string[] getevents
----@nodiscard
-function rfsm_rtt.gen_read_str_events(...)
-  return (gen_reader("rfsm.rtt.gen_read_str_events", "string", ...))
-end
-
--- Writing ----------------------------------------------------------------------------
-
---- Make a post step hook that writes the FQN of the active leaf to a string port.
---
--- The hook writes only if the leaf has changed. It writes `<none>` at once and at each
--- reset. If the port was deleted, the hook writes to a port of the same name.
---
--- @usage
---    rfsm.post_step_hook_add(fsm, rfsm_rtt.gen_write_fqn(port))
---
--- @raise when the port is no output port of type string
----@param port any output port
----@return fun(fsm: rfsm.Machine) hook
----@nodiscard
-function rfsm_rtt.gen_write_fqn(port)
-  local problem = port_problem(port, "write", "string")
-  if problem then error("rfsm.rtt.gen_write_fqn: " .. problem, 2) end
-  local held = held_port.hold(port, info_of(port))
-  local write, written = held_port.new_writer(held), setmetatable({}, { __mode = "k" })
-  local function write_change(fsm)
-    local leaf = fsm._act_leaf
-    local fqn = leaf and leaf._fqn or "<none>"
-    if fqn == written[fsm] then return end
-    write(held.samples[fqn] or fqn) -- RTT needs long to convert a text
-    written[fsm] = fqn
-  end
-  local function write_reset(fsm)
-    held:find()
-    write_change(fsm)
-  end
-  write("<none>")
-  return rfsm.borrows(function(fsm)
-    if not written[fsm or false] then
-      rfsm.check_machine(fsm, "rfsm.rtt.write_fqn")
-      written[fsm] = "<none>"
-      rfsm.reset_hook_add(fsm, write_reset)
-    end
-    write_change(fsm)
-  end)
-end
 
 -- Launchers: loaded when they are used ---------------------------------------------
 
@@ -237,9 +97,12 @@ end
 
 local NOT_NEEDED = {
   "rfsm.rtt.component", "rfsm.rtt.update", "rfsm.rtt.settings", "rfsm.rtt.inputs",
-  "rfsm.rtt.rttlib", "rfsm.shared.options", "rfsm.shared.limit", "rfsm.shared.calls",
-  "rfsm.advice",
+  "rfsm.rtt.rttlib", "rfsm.rtt.events", "rfsm.rtt.port", "rfsm.shared.options",
+  "rfsm.shared.limit", "rfsm.shared.calls", "rfsm.advice",
 }
+
+-- Functions of rfsm.prepare that the core loads again if somebody reads them.
+local USED_ONCE = { "prepare", "save_memory", "set_emit" }
 
 --- Forget the modules that a launch has loaded, so that they become garbage. A launch
 -- also calls this first: Lua 5.1 never loads a module again if loading it once failed.
@@ -249,7 +112,12 @@ function rfsm_rtt.forget_modules()
   for _, name in ipairs(NOT_NEEDED) do
     if loaded[name] ~= nil then loaded[name] = nil end -- nil for a new key takes memory
   end
-  if rawget(_G, "tlsf") then package.loaded["rfsm.advice"] = hints end
+  if not rawget(_G, "tlsf") then return end
+  loaded["rfsm.advice"] = hints
+  for _, name in ipairs(USED_ONCE) do
+    if rawget(rfsm, name) then rfsm[name] = nil end
+  end
+  if loaded["rfsm.prepare"] then loaded["rfsm.prepare"] = nil end
 end
 
 --- Make the input ports of a machine that this component will launch.
@@ -296,11 +164,12 @@ function rfsm_rtt.launch(args)
   return true
 end
 
-local FILES = { gen_raise_event = "rfsm.rtt.raise" }
-for _, name in ipairs { "service_launch", "service_halt", "service_resume",
-  "component_launch" } do
-  FILES[name .. "_rfsm"] = "rfsm.rtt.launch"
-end
+local EVENTS, LAUNCH = "rfsm.rtt.events", "rfsm.rtt.launch"
+local FILES = {
+  gen_read_events = EVENTS, gen_read_str_events = EVENTS, gen_raise_event = EVENTS,
+  gen_write_fqn = EVENTS, service_launch_rfsm = LAUNCH, service_halt_rfsm = LAUNCH,
+  service_resume_rfsm = LAUNCH, component_launch_rfsm = LAUNCH,
+}
 
 setmetatable(rfsm_rtt, { __index = function(_, name)
   if name == "launch_system" then return require("rfsm.rtt.launch_system").launch end

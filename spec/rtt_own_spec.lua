@@ -48,11 +48,24 @@ describe("rfsm.rtt.launch", function()
   it("works in a TLSF component, and leaves the modules of the launch", function()
     local arm, exec_str = own(nil, nil, "OCL::LuaTLSFComponent")
     assert.is_true(arm:configure())
-    assert.equal("true false false false false", evaluate(exec_str,
-      "rfsm.is_initialized_root(fsm), package.loaded['rfsm.rtt.component'] ~= nil, "
-      .. "package.loaded['rfsm.rtt.settings'] ~= nil, "
-      .. "package.loaded['rfsm.shared.options'] ~= nil, "
-      .. "package.loaded['rfsm.rtt.launch'] ~= nil"))
+    assert.equal("rfsm.advice rfsm.rtt", evaluate(exec_str, [[(function()
+      local names = {}
+      for name in pairs(package.loaded) do
+        if name:find("^rfsm[%w_.]") then names[#names + 1] = name end
+      end
+      table.sort(names)
+      return table.concat(names, " ")
+    end)()]]))
+  end)
+
+  it("loads functions again that a TLSF component has forgotten", function()
+    local arm, exec_str = own(nil, nil, "OCL::LuaTLSFComponent")
+    assert(arm:configure())
+    assert.equal("nil nil nil", evaluate(exec_str, "rawget(rfsm, 'prepare'), "
+      .. "rawget(rfsm, 'set_emit'), rawget(rfsm_rtt, 'gen_read_events')"))
+    assert.is_true(exec_str("rfsm.prepare(fsm) rfsm.set_emit(fsm, function() end) "
+      .. "rfsm_rtt.gen_write_fqn(fqn)"))
+    check_run(arm)
   end)
 
   it("leaves out rttlib if it shall, and runs without", function()

@@ -158,7 +158,7 @@ describe("ports of a launch", function()
           if name:find("^rfsm%.rtt%.") then loads[#loads + 1] = name:sub(10) end
         end })]])
       assert(arm:configure())
-      assert.equal("component update settings inputs",
+      assert.equal("component port update settings inputs events",
         evaluate(exec_str, "table.concat(loads, ' ')"))
     end)
 

@@ -431,6 +431,7 @@ end
 
 -- Returns why nothing can be launched in this Lua; nil if it can.
 local function obstacle(launch)
+  if not rfsm.got then return "another rfsm is loaded in this Lua" end
   local is_stripped = debug.getinfo(rfsm.init, "S").source == "=?"
   if launch.stripped and not is_stripped then
     return "stripped: no modules in rfsm/stripped beside the library, or it was loaded "
@@ -439,7 +440,6 @@ local function obstacle(launch)
     return "stripped: the library has been loaded without debug information "
       .. "(RFSM_STRIPPED = false before that)"
   end
-  if not rfsm.got then return "another rfsm is loaded in this Lua" end
   if not package.loaded.rtt then return "no module 'rtt' in this Lua" end
   if not rfsm.is_initialized_root(rawget(_G, "fsm")) then return nil end
   return "a machine was launched here before, it is the global 'fsm'"

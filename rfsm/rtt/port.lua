@@ -68,11 +68,13 @@ function port.new_writer(real)
   end
 end
 
---- Return the port of a component that has a name; nil if there is no such port.
-function port.of(component, name)
+-- Returns the port of a component that has a name; nil if there is no such port.
+local function port_of(component, name)
   local ok, found = pcall(function() return component:getPort(name) end)
   return ok and found or nil
 end
+
+port.of = port_of -- a local, so that objects below do not hold the module
 
 --- An object that holds a port, and is read and written like a port.
 ---@class rfsm.rtt.Port
@@ -110,7 +112,7 @@ function Port:info() return self.facts end
 
 --- Look the port up in its component; return whether it is there.
 function Port:find()
-  local found = port.of(self.component, self.name)
+  local found = port_of(self.component, self.name)
   if found or self.was_found then self.real = found or false end
   self.was_found = self.was_found or found ~= nil
   return found ~= nil
@@ -155,7 +157,7 @@ function port.hold(real, facts)
   local rtt = package.loaded.rtt
   local held = port.reserve(rtt and rtt.getTC(), facts)
   held.real = real
-  held.was_found = port.of(held.component, held.name) ~= nil
+  held.was_found = port_of(held.component, held.name) ~= nil
   return held
 end
 

@@ -39,7 +39,7 @@ local settings = {}
 ---@field env? table<string, any> globals to set: strings, numbers, booleans, or tables
 -- of these
 ---@field stripped? boolean have the library without its debug information, which takes
--- a third less memory, from where `make install` puts it
+-- a third less memory, from where `make install` puts it (true in a pool)
 ---@field rttlib? boolean load rttlib and utils, which charts rely on (true; in a pool
 -- at their first use)
 ---@field sync? boolean older name of `steps = 1`

@@ -8,7 +8,8 @@
 local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 
-local collectgarbage, error, getmetatable = collectgarbage, error, getmetatable
+local collectgarbage, debug, error = collectgarbage, debug, error
+local getmetatable = getmetatable
 local ipairs = ipairs
 local pcall, rawget, require, select = pcall, rawget, require, select
 local setmetatable, type = setmetatable, type
@@ -110,9 +111,11 @@ function update.finish(launch)
   if not ok then fail(launch, problem) end
   launch.undo, launch.finish = nil, nil
   launch.env, launch.prestr, launch.poststr = nil, nil, nil -- they may be large
-  launch.log("Info", ("rfsm.rtt: '%s' is launched in '%s': %s%s"):format(
+  local is_stripped = debug.getinfo(rfsm.init, "S").source == "=?"
+  launch.log("Info", ("rfsm.rtt: '%s' is launched in '%s': %s%s%s"):format(
     launch.fsmfile, launch.component:getName(), memory_text(),
-    rawget(_G, "tlsf") and ", without rfsm.fast" or ""))
+    rawget(_G, "tlsf") and ", without rfsm.fast" or "",
+    is_stripped and ", stripped" or ""))
   launch.meter()
 end
 
