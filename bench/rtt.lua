@@ -63,7 +63,9 @@ end
 function print_live(when)
   collectgarbage()
   collectgarbage()
-  print(("live %s: %.0f KiB"):format(when, collectgarbage("count")))
+  local used = tlsf and tlsf.stats() or 0
+  print(("live %s: %.0f KiB, of the pool %.0f"):format(when, collectgarbage("count"),
+    used / 1024))
 end
 function report()
   local function row(name, list)

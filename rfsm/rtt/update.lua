@@ -108,6 +108,7 @@ function update.finish(launch)
   collect()
   launch.stage = "the machine is prepared"
   local ok, problem = pcall(rfsm.prepare, launch.fsm)
+  require("rfsm.rtt").forget_modules() -- prepare, too
   if not ok then fail(launch, problem) end
   launch.undo, launch.finish = nil, nil
   launch.env, launch.prestr, launch.poststr = nil, nil, nil -- they may be large
