@@ -249,7 +249,7 @@ end
 local function add_heard(self, parts, observer)
   local own = self.own
   for _, word in ipairs(observer.words) do
-    local kind, path = rfsm.event_text(word):match("^(%l+) (root.*)$")
+    local kind, path = observers.element_of(word)
     if own:maker_of(word) or kind == "taken" then return false end
     parts[#parts + 1] = kind and own.part_of[path] or nil
     add_reacting(self, parts, word)
@@ -272,7 +272,7 @@ local function way_for(self, judged)
     and add_named(own, parts, property.goal)
     and add_named(own, parts, property.scope)
   if not are_known or event ~= nil and (own:maker_of(event)
-    or observers.is_of_element(event)) then
+    or observers.element_of(event)) then
     return false
   end
   if event ~= nil then add_reacting(self, parts, event) end

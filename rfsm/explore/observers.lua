@@ -115,14 +115,15 @@ end
 
 local OF_ELEMENTS = { entry = "states", exit = "states", taken = "transitions" }
 
--- Returns the kind and the path in a word such as "entry root.a"; nil for other words.
-local function split(word)
+--- Return the kind and the path in a word about an element of the machine, such as
+--- "entry root.a"; nil for other words.
+---@param word any
+---@return "entry"|"exit"|"taken"? kind
+---@return string? path
+function observers.element_of(word)
   local kind, path = rfsm.event_text(word):match("^(%l+) (root.*)$")
   if OF_ELEMENTS[kind] then return kind, path end
 end
-
---- Is a word about an element of the machine, such as "entry root.a"?
-function observers.is_of_element(word) return split(word) ~= nil end
 
 local function texts_of(events)
   local texts = {}
@@ -140,7 +141,7 @@ function observers.problem_of(word, audible)
     return nil
   end
   local text = rfsm.event_text(word)
-  local kind, path = split(word)
+  local kind, path = observers.element_of(word)
   local names = audible[OF_ELEMENTS[kind]]
   if names then
     return not match.has(names, path) and ("no %s is named '%s'%s"):format(

@@ -462,7 +462,7 @@ end
 function properties.words_of(judged)
   local event = judged.property.event
   if judged.observer then return judged.observer.words end
-  return event ~= nil and observers.is_of_element(event) and { event } or NONE
+  return event ~= nil and observers.element_of(event) and { event } or NONE
 end
 
 -- Raises an error about a property.
@@ -527,7 +527,7 @@ local function add_event(own, judged)
   local event = judged.property.event
   if event == nil or judged.observer then return end
   judged.event = own:event_meant(event)
-  if observers.is_of_element(event) then return end
+  if observers.element_of(event) then return end
   check_maker(own, judged)
   judged.unnamed = text_of_unnamed(own, judged.event)
 end
@@ -571,7 +571,7 @@ end
 -- Has a walk take steps with the event of a property, or note when the word is said.
 local function want_event(walk, judged)
   local event = judged.event
-  if observers.is_of_element(event) then
+  if observers.element_of(event) then
     walk.subject:hear { event }
   else
     walk:want(event, true)
@@ -590,7 +590,7 @@ function properties.add_observer(where, judged, audible, is_condition)
   local property = judged.property
   local ok, observer = pcall(observers.of, property, audible, is_condition)
   local problem = not ok and observer
-    or property.event ~= nil and observers.is_of_element(property.event)
+    or property.event ~= nil and observers.element_of(property.event)
     and observers.problem_of(property.event, audible) or nil
   if not problem then
     judged.observer = observer
@@ -642,7 +642,7 @@ local function watch_words(walk, judged)
   own:hear(words)
   for _, word in ipairs(words) do
     local is_event = word ~= "step" and word ~= "pass"
-      and not observers.is_of_element(word)
+      and not observers.element_of(word)
     if is_event then walk:want(own:event_meant(word)) end
   end
 end

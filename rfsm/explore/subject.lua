@@ -750,7 +750,7 @@ end
 ---@param words any[]
 function Subject:hear(words)
   for _, word in ipairs(words) do
-    local kind, path = rfsm.event_text(word):match("^(%l+) (root.*)$")
+    local kind, path = observers.element_of(word)
     local state = (kind == "entry" or kind == "exit") and self.names[path]
     self.hears[word], self.has_observer = true, true
     if state then
