@@ -131,6 +131,20 @@ describe("an observer", function()
     assert.is_false(judge(model(), hearing "taken root.b.right.trans[2]").holds)
   end)
 
+  it("hears an event from outside once that has the name of a region's own", function()
+    local function model()
+      return chart { b = rfsm.seqand { idle_doo = "auto", arm = state { info = false,
+        warn = false, c = state { x = state {}, go("initial", "x") },
+        go("initial", "c"), go("c", "c", "e_done@root.c") } } }
+    end
+    local words = { "e_x", "e_done@root.c", "e_done@root.c" }
+    assert.equal(4, #judge(model(), hearing(unpack(words)), { together = 1 }).witness)
+    local runs = { {}, { "e_x" }, { "e_done@root.c" } }
+    assert.equal(0, (watched(model(), hearing(unpack(words)), runs)))
+    runs[4] = runs[3]
+    assert.equal(1, (watched(model(), hearing(unpack(words)), runs)))
+  end)
+
   it("hears events with data by their names, and e_done of states", function()
     local function model() return chart { [2] = go("a", "b", rfsm.named "e_data") } end
     for _, word in ipairs { "e_data", rfsm.named "e_data", "e_done@root.b" } do

@@ -242,11 +242,7 @@ end
 --- outside. An event e_done@F comes from outside, too, if F is no leaf and cannot be
 --- done.
 function Subject:maker_of(event)
-  local maker, fqn = match.maker_of(event)
-  if maker == "engine" and event ~= "e_init_fsm" and not self.done[event] then
-    return nil
-  end
-  return maker, fqn
+  return match.maker_among(event, self.done)
 end
 
 -- Returns the state whose timer has an event, and whether it comes again and again.
@@ -391,7 +387,7 @@ end
 -- region that alone knows it, and not before the machine was entered.
 local function note_event(self, part, event)
   local word = rfsm.name_with_data(event) or event
-  local is_own = not part.owner or match.maker_of(event)
+  local is_own = not part.owner or self:maker_of(event)
     and not alphabet_of(self.parts[1].fsm).set[event]
   if self.hears[word] and is_own then note_moment(self, self.heard, nil, word) end
 end

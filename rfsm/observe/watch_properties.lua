@@ -50,6 +50,7 @@ local watch_properties = {}
 ---@field hears table<any, true> the words that observers hear
 ---@field heard rfsm_checks.Heard[] the words of this step
 ---@field is_heard boolean the events of this iteration were heard
+---@field done table<string, true> the events e_done@F that the machine can make
 ---@field path_of table<table, string> transition -> its path
 ---@field moments { state: rfsm.State, active: fun(name: string): boolean }[] entries of
 -- states that this step may leave again, and what was active at each entry
@@ -213,7 +214,7 @@ local function note_events(own, at, events)
   local is_region = at.machine ~= own.fsm
   for i = 1, #events do
     local event = events[i]
-    local is_own = is_region and match.maker_of(event)
+    local is_own = is_region and match.maker_among(event, own.done)
       and not alphabet.of(own.fsm).set[event]
     if is_own or not is_region then
       note_word(own, rfsm.name_with_data(event) or event)
@@ -286,7 +287,10 @@ local function audible_of(own)
   for _, at in ipairs(rfsm.machines(own.fsm)) do
     for _, state in ipairs(rfsm.elements(at.machine, rfsm.is_state)) do
       audible.states[#audible.states + 1] = location.path(state, at.prefix)
-      audible.made[#audible.made + 1] = "e_done@" .. state._fqn
+      if rfsm.is_leaf(state) or rfsm.can_be_done(state) then
+        audible.made[#audible.made + 1] = "e_done@" .. state._fqn
+        own.done["e_done@" .. state._fqn] = true
+      end
     end
     for _, tr in ipairs(rfsm.elements(at.machine, rfsm.is_trans)) do
       own.path_of[tr] = location.path(tr, at.prefix)
@@ -392,7 +396,8 @@ function watch_properties.watch_properties(fsm, given)
   local active, snapshot = views_of(fsm)
   local own = setmetatable({ fsm = fsm, active = active, now = 0, leaf = false,
     is_timed = false, meant = {}, snapshot = snapshot, hears = {}, heard = {},
-    has_begun = false, is_heard = false, path_of = {}, forwarded = {} }, Watched)
+    has_begun = false, is_heard = false, path_of = {}, done = {},
+    forwarded = {} }, Watched)
   own.monitors = monitors_of(own, where, given)
   own.is_timed = order.any(own.monitors, is_timed)
   begin(own)

@@ -138,4 +138,16 @@ function match.maker_of(event)
   end
 end
 
+--- Return the maker of an event, as `maker_of` does; nil if the event comes from
+--- outside. An event e_done@F comes from outside, too, if F cannot be done.
+---@param event any
+---@param done table<string, true> the events e_done@F that machines can make
+---@return string? maker
+---@return string? fqn
+function match.maker_among(event, done)
+  local maker, fqn = match.maker_of(event)
+  if maker == "engine" and event ~= "e_init_fsm" and not done[event] then return nil end
+  return maker, fqn
+end
+
 return match

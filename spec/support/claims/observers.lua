@@ -117,10 +117,10 @@ end
 
 -- The evaluator ---------------------------------------------------------------------
 
--- Does a thing happen at a word?
+-- Does a thing happen at a word? A pattern looks also at what a step passes.
 local function happens(thing, said)
-  if is_condition(thing) then return said.word == "step" and said.view(thing) end
-  return said.word == thing
+  if not is_condition(thing) then return said.word == thing end
+  return (said.word == "step" or said.word == "pass") and said.view(thing)
 end
 
 -- Kind of a property -> function of the parts, the state and a word, which returns the
@@ -166,21 +166,23 @@ end
 -- Has a machine judge its own words, from its reset on. Returns a table: is it `bad`?
 local function judged_by(fsm, kind, own)
   local judge = { state = false, door = false, is_entered = false }
-  local states = {}
+  local states, entries = {}, {}
   for _, at in ipairs(rfsm.machines(fsm)) do
     for _, state in ipairs(rfsm.elements(at.machine, rfsm.is_state)) do
       states[location.path(state, at.prefix)] = state
     end
   end
-  local function say(word)
+  local function new_view()
     local active = { door = judge.door }
     for path, state in pairs(states) do -- any order: a set
       active[path] = state._mode ~= "inactive"
     end
-    if judge.state ~= "bad" then
-      judge.state = evaluators[kind](own, judge.state, { word = word,
-        view = function(name) return active[name] end })
-    end
+    return function(name) return active[name] end
+  end
+  local function say(word, view)
+    if judge.state == "bad" then return end
+    judge.state = evaluators[kind](own, judge.state, { word = word,
+      view = view or new_view() })
   end
   for path, state in pairs(states) do -- any order: hooks of different states
     local machine = fsm
@@ -189,7 +191,12 @@ local function judged_by(fsm, kind, own)
         machine = at.machine
       end
     end
-    rfsm.entry_hook_add(machine, state, function() say("entry " .. path) end)
+    rfsm.entry_hook_add(machine, state, function()
+      say("entry " .. path)
+      if rfsm.is_composite(state) and state ~= machine then
+        entries[#entries + 1] = { state = state, view = new_view() }
+      end
+    end)
     rfsm.exit_hook_add(machine, state, function() say("exit " .. path) end)
   end
   rfsm.pre_step_hook_add(fsm, function(_, events)
@@ -200,10 +207,14 @@ local function judged_by(fsm, kind, own)
   end)
   function judge.finish()
     judge.is_entered = fsm._act_leaf ~= false
+    for _, entry in ipairs(judge.is_entered and entries or {}) do
+      if entry.state._mode == "inactive" then say("pass", entry.view) end
+    end
     if judge.is_entered then say("step") end
+    entries = {}
   end
   function judge.reset()
-    judge.state, judge.door, judge.is_entered = false, false, false
+    judge.state, judge.door, judge.is_entered, entries = false, false, false, {}
   end
   return judge
 end
