@@ -109,6 +109,34 @@ describe("an observer", function()
     assert.is_false(judge(model, passing).holds)
     assert.equal(1, (watched(model, passing, { {}, { "e_x" } })))
     assert.is_true(judge(chart(), hearing "pass").holds)
+    for i, words in ipairs { { "entry root.c", "pass", "exit root.c", "step" },
+      { "exit root.c", "pass" }, { "entry root.b", "pass" } } do
+      local judged = judge(model, hearing(unpack(words)))
+      assert.equal(i == 1, judged.holds == false and #judged.witness == 2)
+      assert.equal(i > 1 and 0 or 1, (watched(model, hearing(unpack(words)),
+        { {}, { "e_x" } })))
+    end
+    local property = after "exit root.c".never "root.c".until_ "e_x"
+    assert.is_true(judge(model, property).holds)
+    assert.equal(0, (watched(model, property, { {}, { "e_x" } })))
+  end)
+
+  it("hears `pass` in each state that a region of several steps has left again",
+    function()
+    local function model(steps)
+      return chart { b = rfsm.seqand { step = steps, idle_doo = "auto", arm = state {
+        info = false, warn = false, x = state {}, y = state {}, z = state {},
+        go("initial", "x"), go("x", "y", "e_y"), go("y", "z") } } }
+    end
+    for steps = 1, 2 do
+      local property = after "e_y".never "root.b.arm.y".until_ "entry root.b.arm.z"
+      local runs = { {}, { "e_x" }, { "e_y" } }
+      assert.is_false(judge(model(steps), property).holds)
+      assert.equal(1, (watched(model(steps), property, runs)))
+      assert.is_false(judge(model(steps), never "root.b.arm.y").holds)
+      assert.equal(1, (watched(model(steps), never "root.b.arm.y", runs)))
+      assert.equal(steps == 1, judge(model(steps), hearing "pass").holds)
+    end
   end)
 
   it("hears regions, and events that only they make", function()
@@ -280,6 +308,22 @@ describe("a word", function()
       local runs, now = { {}, unpack(case[4]) }, 0
       local model = pump { gettime = function() return now, 0 end }
       assert.equal(1, (watched(model, case[1], runs)))
+    end)
+  end
+
+  -- What is given as an event, and the word that is meant.
+  for _, case in ipairs {
+    { "e_xx", "e_x" }, { "root.a", "entry root.a" }, { "a", "entry root.a" },
+    { "Exit root.a", "exit root.a" }, { "taken trans[2]", "taken root.trans[2]" },
+    { "e_done@root.aa", "e_done@root.a" },
+  } do
+    it("is the hint for '" .. case[1] .. "'", function()
+      local hint = case[1] .. " (did you mean '" .. case[2] .. "'?)"
+      local property = after(case[1]).reach "root.b"
+      local ok, judged = pcall(judge, chart(), property)
+      assert.matches(ok and "p: does not hold, no transition names " .. hint
+        or "no transition names the event '" .. case[1] .. "'", tostring(judged), 1,
+        true)
     end)
   end
 

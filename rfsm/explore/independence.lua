@@ -244,6 +244,13 @@ local function add_reacting(self, parts, event)
   end
 end
 
+-- Appends the parts in which a step may pass a state.
+local function add_passing(self, parts)
+  for _, part in ipairs(self.own.parts) do
+    if part.may_pass then parts[#parts + 1] = part end
+  end
+end
+
 -- Appends the parts of which an observer hears or asks. Returns false if these may be
 -- all parts.
 local function add_heard(self, parts, observer)
@@ -252,6 +259,7 @@ local function add_heard(self, parts, observer)
     local kind, path = observers.element_of(word)
     if own:maker_of(word) or kind == "taken" then return false end
     parts[#parts + 1] = kind and own.part_of[path] or nil
+    if word == "pass" then add_passing(self, parts) end
     add_reacting(self, parts, word)
   end
   for _, condition in ipairs(observer.conditions) do

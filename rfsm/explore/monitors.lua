@@ -22,7 +22,7 @@ local monitors = {}
 ---@field count integer how many clocks there are
 ---@field is_idle? boolean for running machines: nothing happens before an event comes
 ---@field observer? rfsm_checks.Observer the observer that judges the property
----@field heard? rfsm_checks.Heard[] the words of the step that it has not heard yet
+---@field heard? rfsm_checks.Heard[] what it hears of the step
 ---@field is_at_rest? boolean for running machines: it is idle, and no timer is armed
 
 --- Does a condition hold?
@@ -88,10 +88,10 @@ local kinds = {
   from = { text = "from {what} can reach {goal}" },
   leads_to = { text = "after {event} leads to {goal}", owes = "owed" },
   after_never = { text = "after {event} never {goal}", passes = true },
-  observer = { text = "observer", passes = true },
-  never_until = { text = "after {event} never {goal}", passes = true },
-  unless = { text = "always {what}", passes = true },
-  precedes = { text = "{what} precedes {goal}", passes = true, next = "root.seen" },
+  observer = { text = "observer" },
+  never_until = { text = "after {event} never {goal}" },
+  unless = { text = "always {what}" },
+  precedes = { text = "{what} precedes {goal}", next = "root.seen" },
   ["until"] = { text = "{what} until {goal}", owes = "first", next = "done" },
   reach_within = { text = "after {event} reach {goal} within {seconds} s" },
   never_within = { text = "after {event} never {goal} within {seconds} s" },
@@ -128,13 +128,8 @@ function kinds.after_never.see(property, state, look)
   return "violated"
 end
 
--- The state is the leaf of an observer, which hears of the step what is new.
-local function observe(_, state, look)
-  look.heard[#look.heard + 1] = { word = look.is_end and "step" or "pass",
-    active = look.active }
-  state, look.heard = look.observer:next(state, look.heard), {}
-  return state
-end
+-- The state is the leaf of an observer.
+local function observe(_, state, look) return look.observer:next(state, look.heard) end
 
 for _, kind in ipairs { "observer", "never_until", "unless", "precedes" } do
   kinds[kind].see = observe
@@ -232,13 +227,13 @@ local function look_at(walk, judged, state, try, view)
   local own, property = walk.subject, judged.property
   local look = { came = false, is_end = false }
   look.count, look.expired = count_clocks(try, judged)
-  look.observer, look.heard = judged.observer, own:heard_words()
+  look.observer = judged.observer
   for _, moment in ipairs(own.passed) do
     look.active = own:view_of_moment(moment)
     if state ~= "violated" then state = monitors.look(property, state, look) end
   end
   if state == "violated" then return state, {} end
-  look.active, look.is_end = view, true
+  look.active, look.is_end, look.heard = view, true, own:heard_words(view)
   look.came = judged.event ~= nil and own.parts[1].position.leaf
     and own:has_come(judged.event) or false
   if look.came and property.scope then

@@ -2,8 +2,8 @@
 --
 -- An observer hears one word after the other. In a step of the machine these are the
 -- events that come, unless the step enters the machine, `taken root.trans[2]` for each
--- transition of a path, then `exit root.a` and `entry root.b` in their order. It hears
--- `pass` in a composite that the step enters and leaves again, and `step` when the step
+-- transition of a path, then `exit root.a` and `entry root.b` in their order. Behind the
+-- entry of a state that the step leaves again it hears `pass`, and `step` when the step
 -- is over. A transition may have a field `when`, a condition on the machine; without
 -- events it hears `step`.
 --
@@ -131,6 +131,28 @@ local function texts_of(events)
   return texts
 end
 
+--- Return the hint for a word that a machine cannot say. The name of a state alone
+--- means its entry.
+---@param text string
+---@param audible rfsm_checks.Audible
+---@return string hint " (did you mean 'entry root.a'?)"
+function observers.word_meant(text, audible)
+  if text:find("^e_done@") then return advice.nearest_name(text, audible.made) end
+  local kind, path = text:match("^(%a+)%s+(.+)$")
+  kind, path = kind and kind:lower() or "entry", path or text
+  local words = {}
+  for i, name in ipairs(audible[OF_ELEMENTS[kind]] or {}) do
+    words[i] = kind .. " " .. name
+    if path == name or "root." .. path == name then
+      return (" (did you mean '%s'?)"):format(words[i])
+    end
+  end
+  if path:lower():find("^root") then
+    return advice.nearest_name(kind .. " " .. path, words)
+  end
+  return advice.nearest_name(text, texts_of(audible.events))
+end
+
 --- Return the problem of a word; nil if the machine can say it.
 ---@param word any
 ---@param audible rfsm_checks.Audible
@@ -149,7 +171,7 @@ function observers.problem_of(word, audible)
       advice.nearest_name(path, names)) or nil
   end
   return ("no transition of the machine names '%s'%s"):format(text,
-    advice.nearest_name(text, texts_of(audible.events)))
+    observers.word_meant(text, audible))
 end
 
 -- Notes the words and the condition of a transition, and checks them.

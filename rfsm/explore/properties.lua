@@ -507,29 +507,25 @@ local function check_maker(own, judged)
 end
 
 -- Returns a text if no transition of a chart names an event, or could take it.
-local function text_of_unnamed(own, event)
+local function text_of_unnamed(own, event, audible)
   if event == nil or own.event_numbers[event] or own.done[event]
     or own.free.predicates or order.any(own.transitions, function(entry)
       return match.begins_on_any(entry.tr)
     end) then
     return nil
   end
-  local name, others = rfsm.event_text(event), {}
-  for _, other in ipairs(own:named_texts()) do
-    if not own:maker_of(other) then others[#others + 1] = other end
-  end
-  if name:find("^e_done@") then others = rfsm.sorted_keys(own.done) end
-  return ("no transition names %s%s"):format(name, advice.nearest_name(name, others))
+  local name = rfsm.event_text(event)
+  return ("no transition names %s%s"):format(name, observers.word_meant(name, audible))
 end
 
 -- Finds the event of a property in the chart, unless an observer hears it.
-local function add_event(own, judged)
+local function add_event(own, judged, audible)
   local event = judged.property.event
   if event == nil or judged.observer then return end
   judged.event = own:event_meant(event)
   if observers.element_of(event) then return end
   check_maker(own, judged)
-  judged.unnamed = text_of_unnamed(own, judged.event)
+  judged.unnamed = text_of_unnamed(own, judged.event, audible)
 end
 
 --- Has the last step taken a transition that names the event, or that takes any event?
@@ -614,7 +610,7 @@ function properties.list_for(own, given)
   for _, judged in ipairs(list) do
     properties.check_names(where, judged, audible.active, is_condition)
     properties.add_observer(where, judged, audible, is_condition)
-    add_event(own, judged)
+    add_event(own, judged, audible)
   end
   return list
 end

@@ -119,6 +119,7 @@ Subject.__index = Subject
 ---@field coming rfsm_checks.Occurrence[] what comes to a region alone in this step
 ---@field rounds integer how many iterations it has made in this step
 ---@field inner rfsm_checks.Part[] its regions, in the order of the tree
+---@field may_pass boolean a step may enter and leave a state of it
 ---@field is_single boolean a step of the subject advances it at most once. In such a
 -- step, only composites can be entered and left again.
 ---@field is_quiet boolean the step leaves it out, since nothing would happen in it
@@ -316,7 +317,9 @@ local function make_state(self, part, state)
     function own.entry(...)
       if entry then entry(...) end
       note_moment(self, self.passed, state)
+      if self.hears.pass then note_moment(self, self.heard, state, "pass") end
     end
+    part.may_pass = true
   end
   own.exit = replacements.new(self, "exit", path, part, own.exit)
   if state.doo and own == state then
@@ -466,6 +469,7 @@ local function add_part(self, part)
   local fsm = part.fsm
   part.known, part.positions, part.inner, part.position = {}, {}, {}, false
   part.is_bound, part.is_quiet, part.is_single = false, false, is_single(part)
+  part.may_pass = false
   part.reads_one = reads_one(part)
   part.kept, part.keeps_order = kept.of(fsm), part.reads_one
   if part.owner then insert(part.owner.inner, part) end
@@ -764,13 +768,16 @@ function Subject:has_come(event)
     function(each) return each.word == event end)
 end
 
---- Return the words of the last step, each with a view of the machine.
+--- Return the words of the last step, each with a view of the machine. The last one is
+--- `step`, with the given view.
+---@param view fun(name: string): boolean
 ---@return rfsm_checks.Heard[]
-function Subject:heard_words()
+function Subject:heard_words(view)
   local list = {}
   for i, moment in ipairs(self.heard) do
     list[i] = { word = moment.word, active = self:view_of_moment(moment) }
   end
+  list[#list + 1] = { word = "step", active = view }
   return list
 end
 
@@ -811,10 +818,13 @@ local function keep_coming(self)
   end
 end
 
--- Drops the moments whose states are still active at the end of the step.
-local function keep_passed(self)
-  for i = #self.passed, 1, -1 do
-    if self.passed[i].state._mode ~= "inactive" then remove(self.passed, i) end
+-- Drops the moments whose states are still active at the end of the step: no state was
+-- passed then. Words about other things stay.
+local function keep_passed(moments)
+  for i = #moments, 1, -1 do
+    local moment = moments[i]
+    local is_passage = not moment.word or moment.word == "pass"
+    if is_passage and moment.state._mode ~= "inactive" then remove(moments, i) end
   end
 end
 
@@ -848,7 +858,8 @@ function Subject:step(events, choices)
   local ok, failure = pcall(rfsm.step, self.parts[1].fsm)
   if self.is_touched then data.put_back(self) end
   if ok then
-    keep_passed(self)
+    keep_passed(self.passed)
+    keep_passed(self.heard)
     keep_coming(self)
     return true
   end

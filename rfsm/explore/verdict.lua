@@ -48,6 +48,7 @@ Exploration.__index = Exploration
 ---@field name string
 ---@field holds boolean|nil nil if the exploration cannot decide it
 ---@field vacuous? string the reason, if the property holds only trivially
+---@field unnamed? string a text that no transition names the event
 ---@field witness? rfsm_checks.WitnessStep[] the run that shows that it does not hold
 ---@field premises string the assumptions of the exploration
 ---@field reason string why `holds` is nil although everything was tried; else empty
@@ -424,6 +425,15 @@ local function find_witness(walk, judged)
   judged.holds = nil
 end
 
+-- Returns what is said of a property, and the reason.
+local function word_of(judged)
+  if judged.holds then
+    return "holds" .. (judged.vacuous and " vacuously, " .. judged.vacuous or "")
+  end
+  return (judged.holds == nil and "not known" .. judged.reason or "does not hold")
+    .. (judged.unnamed and ", " .. judged.unnamed or "")
+end
+
 -- Judges a property on its walk and returns the verdict. If the property is violated,
 -- also adds a finding to `result`.
 local function judge(result, walk, judged, options)
@@ -432,12 +442,13 @@ local function judge(result, walk, judged, options)
   if judged.holds == nil then note_bound(result, walk) end
   if judged.holds == false then
     witness.rests = judged.rests
-    local finding = result.findings:add("violated", nil, judged.name, "does not hold"
-      .. (judged.unnamed and ", " .. judged.unnamed or ""))
+    local finding = result.findings:add("violated", nil, judged.name,
+      word_of(judged))
     if finding then finding.witness = witness end -- nil: the property is given twice
   end
   return setmetatable({ name = judged.name, holds = judged.holds,
-    vacuous = judged.holds and judged.vacuous or nil, witness = witness,
+    vacuous = judged.holds and judged.vacuous or nil, unnamed = judged.unnamed,
+    witness = witness,
     reason = reason_of(walk, judged),
     premises = premises_of({ walk }, options)
       .. (monitors.kinds[judged.property.kind].owes and "; doos end" or "") }, Verdict)
@@ -500,19 +511,16 @@ local UNKNOWN = "not tried: %s; unreached states, transitions not taken and whet
 -- Returns a property that holds or is not known as a line. Premises that another line
 -- has are replaced by its name: `said` has the names, by premises.
 local function property_text(judged, said)
-  if judged.holds == nil then return judged.name .. ": not known" .. judged.reason end
-  local how = judged.vacuous and " vacuously, " .. judged.vacuous or ""
+  local text = judged.name .. ": " .. word_of(judged)
+  if judged.holds == nil then return text end
   local name = said[judged.premises]
   said[judged.premises] = name or judged.name
-  return ("%s: holds%s (%s)"):format(judged.name, how,
+  return ("%s (%s)"):format(text,
     name and ("premises of '%s'"):format(name) or judged.premises)
 end
 
 function Verdict:__tostring()
-  local word = self.holds and "holds" or self.holds == false and "does not hold"
-    or "not known" .. self.reason
-  local lines = { self.name .. ": " .. word
-    .. (self.vacuous and " vacuously, " .. self.vacuous or "") }
+  local lines = { self.name .. ": " .. word_of(self) }
   if self.witness then lines[2] = "  " .. run_text(self.witness) end
   lines[#lines + 1] = "  (" .. self.premises .. ")"
   return concat(lines, "\n")

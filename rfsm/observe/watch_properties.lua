@@ -31,7 +31,6 @@ local watch_properties = {}
 ---@field state string of the monitor: a word such as "first", for `monitors.look`
 ---@field clocks number[] the times at which the clocks were started
 ---@field observer? rfsm_checks.Observer
----@field unheard rfsm_checks.Heard[] words that the observer has not heard yet
 ---@field is_in_scope boolean does the condition of the property hold before the step?
 ---@field is_told boolean the last step broke the property, and was reported
 
@@ -180,11 +179,10 @@ local function look_at(own, monitor, look, events)
     and has_come(own, property.event, events) or false
   look.came = look.came and monitor.is_in_scope
   look.expired, look.count = count_expired(own, monitor), #monitor.clocks
-  look.observer, look.heard = monitor.observer, monitor.unheard
+  look.observer, look.heard = monitor.observer, own.heard
   local state, clocks = monitors.look(property, monitor.state, look)
   if clocks then set_clocks(monitor, clocks, look.now) end
   local is_violated = state == "violated"
-  monitor.unheard = look.heard
   monitor.state = is_violated and (kinds[property.kind].next or "first") or state
   if is_violated and not monitor.is_told then report(own, monitor) end
   monitor.is_told = is_violated
@@ -200,10 +198,10 @@ local function begin_iteration(own, at)
   end
 end
 
--- Notes a word if an observer hears it.
-local function note_word(own, word)
+-- Notes a word if an observer hears it; `passed` is the state of a word "pass".
+local function note_word(own, word, passed)
   if not own.hears[word] then return end
-  own.heard[#own.heard + 1] = { word = word, active = own.snapshot() }
+  own.heard[#own.heard + 1] = { word = word, active = own.snapshot(), passed = passed }
 end
 
 -- Notes the events of an iteration once: before a path is taken, or at its end. Of a
@@ -234,12 +232,17 @@ local function are_forwarded(fsm)
   return rfsm.is_free(fsm) and (rfsm.regions(fsm._act_leaf)[1] or fsm._intq[1] ~= nil)
 end
 
--- Hands the words of a step to the observers. Returns the events with these words.
-local function hand_words(own, events)
-  for _, monitor in ipairs(own.monitors) do
-    monitor.unheard = monitor.observer and match.joined({}, own.heard)
+-- Drops the entries of states that the step has not left again, and adds `step`.
+-- Returns the events with the words of the step.
+local function keep_words(own, events)
+  local heard = {}
+  for _, each in ipairs(own.heard) do
+    if not each.passed or each.passed._mode == "inactive" then
+      heard[#heard + 1], events = each, match.with(events, each.word)
+    end
   end
-  for _, each in ipairs(own.heard) do events = match.with(events, each.word) end
+  heard[#heard + 1] = { word = "step", active = own.active }
+  own.heard = heard
   return events
 end
 
@@ -252,7 +255,7 @@ local function end_iteration(own, at, events)
     own.forwarded = match.joined(own.forwarded, events)
     return
   end
-  events = hand_words(own, match.joined(own.forwarded, events))
+  events = keep_words(own, match.joined(own.forwarded, events))
   own.forwarded = {}
   for _, moment in ipairs(own.moments) do
     local look = { active = moment.active, is_end = false, now = own.now }
@@ -261,11 +264,12 @@ local function end_iteration(own, at, events)
       look_at(own, monitor, look, NOTHING)
     end
   end
-  own.moments, own.heard = {}, {}
+  own.moments = {}
   local look = { active = own.active, is_end = true, now = read_clock(own),
     is_idle = is_idle(own.fsm) }
   look.is_at_rest = look.is_idle and not clock.until_timer(own.fsm)
   for _, monitor in ipairs(own.monitors) do look_at(own, monitor, look, events) end
+  own.heard = {}
 end
 
 -- Is a thing a condition, and not an event? A text is one if it could be a path.
@@ -320,12 +324,14 @@ local function is_timed(monitor) return monitor.property.seconds ~= nil end
 
 local function sees_passages(monitor) return kinds[monitor.property.kind].passes end
 
--- Notes which states are active when a step enters a composite that it may leave again.
-local function note_moment(own, state, snapshot)
-  local is_inner = rfsm.is_composite(state) and not rfsm.is_root(state)
-  if is_inner and location.is_passable(state) then
-    own.moments[#own.moments + 1] = { state = state, active = snapshot() }
-  end
+-- Notes which states are active when a step enters a state that it may leave again: a
+-- composite, or any state of a region, which may take several steps in one.
+local function note_moment(own, at, state)
+  local may_pass = at.owner or rfsm.is_composite(state) and not rfsm.is_root(state)
+    and location.is_passable(state)
+  if not may_pass then return end
+  own.moments[#own.moments + 1] = { state = state, active = own.snapshot() }
+  note_word(own, "pass", state)
 end
 
 -- Sets all monitors to their first state, in which no clock runs.
@@ -333,7 +339,7 @@ local function begin(own)
   own.trace, own.forwarded, own.moments, own.heard = {}, {}, {}, {}
   for _, monitor in ipairs(own.monitors) do
     monitor.state, monitor.clocks, monitor.is_told = "first", {}, false
-    monitor.is_in_scope, monitor.unheard = false, false
+    monitor.is_in_scope = false
   end
 end
 
@@ -358,10 +364,10 @@ end
 -- again, and what observers hear.
 local function listen(own, listener)
   local hears_more = not order.is_empty(own.hears)
-  local sees_more = order.any(own.monitors, sees_passages)
+  local sees_more = own.hears.pass or order.any(own.monitors, sees_passages)
   function listener.entered(at, state)
-    if sees_more then note_moment(own, state, own.snapshot) end
     if hears_more then note_word(own, "entry " .. location.path(state, at.prefix)) end
+    if sees_more then note_moment(own, at, state) end
   end
   if not (hears_more or sees_more) then listener.entered = nil end
   function listener.taken(at, path, events)

@@ -166,7 +166,7 @@ end
 -- Has a machine judge its own words, from its reset on. Returns a table: is it `bad`?
 local function judged_by(fsm, kind, own)
   local judge = { state = false, door = false, is_entered = false }
-  local states, entries = {}, {}
+  local states = {}
   for _, at in ipairs(rfsm.machines(fsm)) do
     for _, state in ipairs(rfsm.elements(at.machine, rfsm.is_state)) do
       states[location.path(state, at.prefix)] = state
@@ -179,10 +179,9 @@ local function judged_by(fsm, kind, own)
     end
     return function(name) return active[name] end
   end
-  local function say(word, view)
-    if judge.state == "bad" then return end
-    judge.state = evaluators[kind](own, judge.state, { word = word,
-      view = view or new_view() })
+  local said = {}
+  local function say(word, passed)
+    said[#said + 1] = { word = word, view = new_view(), passed = passed }
   end
   for path, state in pairs(states) do -- any order: hooks of different states
     local machine = fsm
@@ -193,9 +192,7 @@ local function judged_by(fsm, kind, own)
     end
     rfsm.entry_hook_add(machine, state, function()
       say("entry " .. path)
-      if rfsm.is_composite(state) and state ~= machine then
-        entries[#entries + 1] = { state = state, view = new_view() }
-      end
+      say("pass", state)
     end)
     rfsm.exit_hook_add(machine, state, function() say("exit " .. path) end)
   end
@@ -207,14 +204,17 @@ local function judged_by(fsm, kind, own)
   end)
   function judge.finish()
     judge.is_entered = fsm._act_leaf ~= false
-    for _, entry in ipairs(judge.is_entered and entries or {}) do
-      if entry.state._mode == "inactive" then say("pass", entry.view) end
-    end
     if judge.is_entered then say("step") end
-    entries = {}
+    for _, each in ipairs(judge.is_entered and said or {}) do
+      local is_heard = not each.passed or each.passed._mode == "inactive"
+      if is_heard and judge.state ~= "bad" then
+        judge.state = evaluators[kind](own, judge.state, each)
+      end
+    end
+    said = {}
   end
   function judge.reset()
-    judge.state, judge.door, judge.is_entered, entries = false, false, false, {}
+    judge.state, judge.door, judge.is_entered, said = false, false, false, {}
   end
   return judge
 end
