@@ -97,6 +97,16 @@ describe("functions in one line", function()
       functions_of(twins)[1]))))
   end)
 
+  it("have no text of another one that names a local variable or nothing more",
+    function()
+    for _, second in ipairs { "x.y = x.n", "x['' .. 'n'] = 2", "x[''] = x.n" } do
+      local first = "function(x) local y = x y.n = 1 end"
+      local line = "return " .. first .. ", function(x) " .. second .. " end"
+      local text, is_shared = writes.text_of(functions_of(line)[1])
+      assert.is_true(is_shared or text == first)
+    end
+  end)
+
   -- (initial) -> a --e_x--> b --e_late--> a: guard and effect in one line
   local function model() return chart { n = 0,
     [2] = go("a", "b", "e_x", { guard = function(tr) return tr._fsm.n < 1 end, effect = function(fsm) fsm.m = 1 end }), -- luacheck: no max line length
@@ -385,6 +395,7 @@ describe("callbacks that are not run", function()
     set,
     function(fsm) fsm["n"] = 3 end,
     function(fsm) fsm[field] = 3 end,
+    function(fsm) fsm["" .. "n"] = 3 end,
     function(fsm) rawset(fsm, "n", 3) end,
     function(fsm) fsm.m, fsm.n = 1, 3 end,
     function(fsm) fsm.n, fsm.m = 3, 1 end,

@@ -12,6 +12,7 @@ local order = require "rfsm.shared.order"
 
 local ipairs, package, pcall, rawget = ipairs, package, pcall, rawget
 local require, setmetatable, string, type = require, setmetatable, string, type
+local char = string.char
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 local getupvalue = (rawget(_G, "debug") or {}).getupvalue
 
@@ -43,6 +44,7 @@ syntax.is_there = syntax.luacheck and parser and decoder and getinfo ~= nil
 ---@field node table its tree
 ---@field text string
 ---@field upvalues table<string, true> names of local variables of functions around it
+---@field locals table<string, true> names of its own local variables and parameters
 ---@field constants table<string, true> names of fields and globals, and strings
 ---@field is_vararg boolean
 ---@field outer rfsm.syntax.Function|false the function around it
@@ -51,7 +53,7 @@ local function inner(scope) return setmetatable({}, { __index = scope }) end
 
 local function declare(scope, ids, owner)
   for _, id in ipairs(ids) do
-    if id.tag == "Id" then scope[id[1]] = owner end
+    if id.tag == "Id" then scope[id[1]], owner.locals[id[1]] = owner, true end
   end
 end
 
@@ -89,7 +91,7 @@ end
 function VISITS.String(node, _, owner) note_constant(owner, node[1]) end
 
 function VISITS.Function(node, scope, owner, found)
-  local own = { node = node, upvalues = {}, constants = {}, outer = owner }
+  local own = { node = node, upvalues = {}, locals = {}, constants = {}, outer = owner }
   found[#found + 1], scope = own, inner(scope)
   declare(scope, node[1], own)
   visit_all(node[2], scope, own, found)
@@ -143,7 +145,7 @@ function syntax.parse(text)
     return decoded, parser.parse(decoded)
   end)
   if not ok then return nil end
-  local main = { upvalues = {}, constants = {}, outer = false }
+  local main = { upvalues = {}, locals = {}, constants = {}, outer = false }
   local functions = {}
   visit_all(tree, {}, main, functions)
   for _, own in ipairs(functions) do
@@ -154,29 +156,31 @@ end
 
 -- The tree of a function ............................................................
 
--- Is a text a constant in the code that string.dump has made? Each Lua has a byte with
--- the length in front of a constant, or zeros.
+-- What each Lua has in front of a constant: its length as a byte, or as an integer of
+-- four or eight bytes.
+local function marks_of(size)
+  local word = char(size + 1, 0, 0, 0)
+  return { char(size + 1), char(size + 5), char(size + 129), word,
+    word .. "\0\0\0\0" }
+end
+
+-- Is a text a constant in the code that string.dump has made?
 local function has_constant(dump, text)
-  local at, size = 0, #text
-  if size > 100 then return true end
-  repeat
-    at = dump:find(text, at + 1, true)
-    local before = at and dump:byte(at - 1)
-    if before == 0 or before == size + 1 or before == size + 5
-      or before == size + 129 then
-      return true
-    end
-  until not at
-  return false
+  return #text > 100 or order.any(marks_of(#text), function(mark)
+    return dump:find(mark .. text, 1, true) ~= nil
+  end)
 end
 
 -- Returns how many constants of a function in a text the code of a function has; nil if
--- one is missing.
-local function count_constants(own, dump)
+-- one is missing. Names of local variables may be in any code, and do not count.
+local function count_constants(own, dump, list)
   local count = 0
   for text in order.each(own.constants) do -- any order: it counts
-    if not has_constant(dump, text) then return nil end
-    count = count + 1
+    if text ~= "" and not has_constant(dump, text) then return nil end
+    local is_sign = text ~= "" and not order.any(list, function(other)
+      return other.locals[text]
+    end)
+    if is_sign then count = count + 1 end
   end
   return count
 end
@@ -233,7 +237,7 @@ function syntax.find(functions, f)
   local ok, dump = pcall(string.dump, f)
   local best, most, is_sure = nil, -1, false
   for _, own in ipairs(ok and list or {}) do
-    local count = count_constants(own, dump)
+    local count = count_constants(own, dump, list)
     if count and count >= most then
       is_sure = count > most or is_sure and own.text == best.text
       best, most = own, count

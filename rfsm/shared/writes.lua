@@ -224,13 +224,19 @@ local function is_apart(text, upvalues, base, names)
     or text:find("local%s+" .. base .. "%s*=%s*{") ~= nil
 end
 
+-- Is a key in brackets one string, or a number?
+local function is_plain(key)
+  return key:find("^%[%s*([\"'])[^\"'\\]*%1%s*%]$") ~= nil
+    or key:find("^%[%s*[%d#]") ~= nil and not key:find("..", 1, true)
+end
+
 -- Does a text assign to a field of the chart by a key that it computes?
 local function computes_key(text, upvalues, names)
   if text:find("%f[%w_]rawset%f[^%w_]") then return true end
   for _, behind in ipairs { "%s*=%f[^=]", "%s*,[%w_.,%s]-=%f[^=]" } do
     for base, key in text:gmatch("([%w_.]*[%w_%])])%s*(%b[])" .. behind) do
-      local is_plain = key:find("^%[%s*[\"'%d#]") ~= nil
-      if not (is_plain or is_apart(text, upvalues, base, names)) then return true end
+      local is_told = is_plain(key) or is_apart(text, upvalues, base, names)
+      if not is_told then return true end
     end
   end
   return false
