@@ -404,15 +404,10 @@ interpret(has_nodes)
 do
   -- Has a composite a leaf right in it that is final?
   local function has_final(composite)
-    for key, child in pairs(composite) do -- any order: one leaf is enough
-      local is_final = type(child) == "table" and not is_meta(key)
-        and rawequal(rawget(child, "final"), true)
-      if is_final and child._is_leaf and is_state(child) then return true end
-    end
-    return false
+    return rfsm.mapfsm(function(leaf)
+      return leaf ~= composite and rawequal(leaf.final, true) or nil
+    end, composite, rfsm.is_leaf, 1)[1] or false
   end
-
-  interpret(has_final)
 
   --- Can a state of a machine be done, so that its e_done comes? For extensions.
   --
@@ -583,9 +578,10 @@ local got = rfsm.got
 local HOOKS = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook", "gettime" }
 local PRINTERS = { "dbg", "info", "warn", "err" }
 
-local function check_callable(build, obj, field, value)
+local function check_callable(build, obj, field, value, other)
   if value and not is_callable(value) then
-    add(build.problems, obj, field, "function expected, " .. got(value))
+    add(build.problems, obj, field, "function" .. (other or "") .. " expected, "
+      .. got(value))
   end
 end
 
@@ -605,7 +601,9 @@ for kind, class in pairs(CLASSES) do -- any order: independent entries
     __eq = rawequal, -- so that the `__eq` of another value is never called
     __index = class,
   }
+  KINDS[class], KINDS[LIVE[kind]] = kind, kind
 end
+KINDS[Machine] = "state"
 
 LIVE.transition.__index = {
   guard = false, effect = false, type = Transition.type, new = Transition.new,
@@ -616,11 +614,6 @@ LIVE.state.__index = {
   _mode = "inactive", _is_leaf = true, _choices = NONE, type = State.type,
   new = State.new, rfsm = "state",
 }
-
-for kind, class in pairs(CLASSES) do -- any order: independent entries
-  KINDS[class], KINDS[LIVE[kind]] = kind, kind
-end
-KINDS[Machine] = "state"
 
 --- Does a value belong to another copy of this library? For extensions: the metatable
 --- of their objects has the field `rfsm_copy`, which is this module.
@@ -922,16 +915,13 @@ do
   --     member "a" of a member "root", if the root has no member "a".
   local function find_named(build, composite, name)
     local all, relative = build.fsm._nodes, name:match("^%.%.?([^.].*)$")
-    local root = all[1]
+    local root, rest = all[1], name:match("^root%.(.*)$")
     if relative then return find_below(composite, relative, all) end
-    if not name:find(".", 1, true) then
-      local node, reason = find_below(composite, name, all)
-      if name == "root" then return node or root end
-      return node, reason
-    end
-    if name:sub(1, 5) ~= "root." then return find_below(root, name, all) end
-    local node, reason = find_below(root, name:sub(6), all)
-    return node or is_node(rawget(root, "root")) and find_below(root, name, all), reason
+    local is_path = name:find(".", 1, true)
+    local node, reason = find_below(is_path and root or composite, rest or name, all)
+    if name == "root" then return node or root end
+    if node or not (rest and is_node(rawget(root, "root"))) then return node, reason end
+    return find_below(root, name, all), reason
   end
 
   -- Returns the node for `ref`, which is a table of the model and not a name. If the
@@ -1155,14 +1145,6 @@ local function silent() end
 
 local function no_events() return {} end
 
--- In a list of hooks OWN marks the place of the hook in a field of the machine, such as
--- `pre_step_hook`. A program may set this field at any time. `list_hooks` makes the
--- lists that an iteration calls, `_before` and `_after`, which are false if they are
--- empty.
-local function OWN() end
-
-local OWN_ONLY = { OWN }
-
 -- Fields that a machine inherits until it sets them.
 local DEFAULTS = {
   rfsm = "state", type = State.type, new = State.new, _id = "root", _fqn = "root",
@@ -1221,9 +1203,9 @@ local function own_fields()
     --   _is_hooked  true if the machine has step hooks or getevents
     _phase = "idle", _path = false, _ways = {}, _search = 0,
     _outcome = "free", _at = 0, _hook = 0, _is_usual = false, _is_cut = false,
-    _given = false, _is_lent = false, _is_hooked = false, _pre_hooks = OWN_ONLY,
-    _post_hooks = OWN_ONLY, _turn = 0, _before = false, _after = false,
-    _lends = false, _unread = 0, _reads_one = false,
+    _given = false, _is_lent = false, _is_hooked = false, _turn = 0,
+    _before = false, _after = false, _lends = false, _unread = 0, _reads_one = false,
+    _pre_hooks = DEFAULTS._pre_hooks, _post_hooks = DEFAULTS._post_hooks,
   }
 end
 
@@ -1262,12 +1244,8 @@ do
   local function print_line(stream, ...)
     local texts = {}
     for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
-    local line, io = concat(texts, "\t"), rawget(_G, "io")
-    if stream and io and io[stream] then
-      io[stream]:write(line, "\n")
-    else
-      rawget(_G, "print")(line)
-    end
+    local line, file = concat(texts, "\t"), stream and find_global("io", stream)
+    if file then file:write(line, "\n") else rawget(_G, "print")(line) end
   end
 
   local function to_stdout(...) print_line(nil, ...) end
@@ -1315,8 +1293,7 @@ end
 ---@param name "dbg"|"info"|"warn"|"err"
 ---@param ... any
 function rfsm.report(fsm, name, ...)
-  local printer = fsm[name]
-  if not printer or printer == true then printer = printer_of(fsm, name) end
+  local printer = printer_of(fsm, name)
   local ok, failure = pcall(printer, ...)
   if ok then return end
   if not is_callable(printer) then
@@ -1342,6 +1319,10 @@ end
 function rfsm.is_interrupt(failure)
   return type(failure) == "string" and (failure == "interrupted!"
     or failure:find("^[^\n]*:%d+: interrupted!$") ~= nil)
+end
+
+local function trace(fsm, id, text, ...)
+  if is_traced(fsm) then report(fsm, "dbg", id, text:format(...)) end
 end
 
 -- Calls the hooks of a list, such as `_reset_hooks`, from number `at` on. Their errors
@@ -1544,10 +1525,10 @@ end
 local run_hooks
 
 do
-  -- Returns the hook that a program has set in a field of the machine.
+  -- Returns the hook that a program has set in a field of the machine, at any time.
   local function own_hook(fsm, slot)
     local hook = fsm[slot]
-    if not promises[hook or OWN] then fsm._is_lent = true end
+    if hook and not promises[hook] then fsm._is_lent = true end
     if not hook or is_callable(hook) then return hook end
     give_up(fsm, ("rfsm.step: %s: function expected, %s"):format(slot, got(hook)))
   end
@@ -1566,13 +1547,15 @@ do
     if fsm._reads_one then fsm._unread = #fsm._curq > count and #fsm._curq or 0 end
   end
 
-  promises[OWN], promises[take_one] = "borrows", "repeatable"
+  promises[take_one] = "repeatable"
 
-  -- Functions of the engine in the lists `_before` and `_after`. Each does its part
-  -- there, or returns the hook of the user's that is to be called.
+  -- Functions of the engine in lists of hooks. Each does its part there, or returns the
+  -- hook of the user's that is to be called, which is in this field of the machine.
   local OF_ENGINE = {
-    [own_pre] = true, [own_post] = true, [take_getevents] = true, [take_one] = true,
+    [own_pre] = "pre_step_hook", [own_post] = "post_step_hook",
+    [take_getevents] = "getevents", [take_one] = "read",
   }
+  DEFAULTS._pre_hooks, DEFAULTS._post_hooks = { own_pre }, { own_post }
 
   -- Calls the step hooks of a list from number `i` on. A hook that may be repeated is
   -- noted when it has returned, any other hook when it begins. This is no loop: LuaJIT
@@ -1589,15 +1572,12 @@ do
     if hooks[i + 1] then return run_hooks(fsm, hooks, i + 1) end
   end
 
-  -- Returns the hooks that are called now: `own` in place of OWN, if it is set.
-  local function present(hooks, own, is_own_set)
+  -- Returns the hooks that are called now: a field that is not set has none.
+  local function present(fsm, hooks)
     local list = {}
     for _, hook in ipairs(hooks) do
-      if hook ~= OWN then
-        list[#list + 1] = hook
-      elseif is_own_set then
-        list[#list + 1] = own
-      end
+      local slot = OF_ENGINE[hook]
+      if not slot or fsm[slot] then list[#list + 1] = hook end
     end
     return list
   end
@@ -1623,13 +1603,14 @@ do
     end
   end
 
-  -- Makes the lists of what each iteration calls. If one event is taken, all events
-  -- that come are added before. `_lends` is true if a hook may keep the list of events.
+  -- Makes the lists of what each iteration calls, `_before` and `_after`; false if they
+  -- are empty. If one event is taken, all events that come are added before. `_lends`
+  -- is true if a hook may keep the list of events.
   function list_hooks(fsm)
     empty_slots(fsm)
     local is_one, sources = reads_one(fsm), fsm._source_hooks or NONE
     fsm._reads_one = is_one
-    local before = present(fsm._pre_hooks, own_pre, fsm.pre_step_hook)
+    local before = present(fsm, fsm._pre_hooks)
     local at = is_one and 0 or fsm._pre_hooks.front or 0
     for i, source in ipairs(sources) do insert(before, at + i, source) end
     if is_one then insert(before, #sources + 1, take_one) end
@@ -1637,7 +1618,7 @@ do
     if has_getevents then insert(before, 1, take_getevents) end
     fsm._is_usual, fsm._lends = false, false
     fsm._before = finished(fsm, before)
-    fsm._after = finished(fsm, present(fsm._post_hooks, own_post, fsm.post_step_hook))
+    fsm._after = finished(fsm, present(fsm, fsm._post_hooks))
     fsm._is_hooked = (fsm._before or fsm._after) and true
     fsm._is_lent = fsm._is_lent or fsm._lends
   end
@@ -1875,7 +1856,7 @@ do
       local found, event = first_enabled(fsm, otrs, 1, events)
       if found or fsm._merges ~= merges then return found, event end
     end
-    if traces then report(fsm, "dbg", "TRANSITION", "no enabled paths found") end
+    trace(fsm, "TRANSITION", "no enabled paths found")
   end
 
   local OTHER = {} -- the key for all events that no transition names
@@ -2449,7 +2430,7 @@ do
   -- Queues e_done. The leaf is done last: until then this may be called again.
   function complete(fsm, leaf)
     if fsm._at < 3 then
-      if is_traced(fsm) then report(fsm, "dbg", "RAISED", done_event(leaf)) end
+      trace(fsm, "RAISED", "%s", done_event(leaf))
       queue_done(fsm, leaf, 2)
       fsm._at = 3
     end
@@ -2471,18 +2452,15 @@ do
     if fsm._at < 4 then
       fsm._at = 4
       if co then tell_watch(fsm, "ended", leaf) end
-      if co and is_traced(fsm) then
-        report(fsm, "dbg", "DOO",
-          "removing completed coroutine of " .. leaf._fqn .. " doo")
+      if co then
+        trace(fsm, "DOO", "removing completed coroutine of %s doo", leaf._fqn)
       end
     end
     leaf._doo_co = nil
   end
 
   local function start_doo(fsm, leaf, doo)
-    if is_traced(fsm) then
-      report(fsm, "dbg", "DOO", "created coroutine for " .. leaf._fqn .. " doo")
-    end
+    trace(fsm, "DOO", "created coroutine for %s doo", leaf._fqn)
     leaf._doo_co = coroutine.create(type(doo) == "function" and doo
       or function(...) return doo(...) end)
     return leaf._doo_co
@@ -2824,24 +2802,30 @@ end
 local build_machine, check_ways_in
 
 do
-  local function is_closed_initial(build, node)
-    return node._id == "initial" and not node._mode and not build.is_left[node]
-      and not (node._otrs and node._otrs[1])
+  local function is_closed(build, node)
+    return not (node._mode or build.is_left[node] or node._otrs and node._otrs[1])
+  end
+
+  local function is_aimed_at(fsm, node, first)
+    for i = first, #fsm._transitions do
+      if fsm._transitions[i].tgt == node then return true end
+    end
+    return false
   end
 
   -- Reports each `initial` that no transition leaves: a problem if the first entry or a
   -- transition leads to it, else a warning. A merge has added the transitions from
   -- number `first` on: only problems are reported, and only theirs.
   function check_ways_in(build, first)
-    local fsm, is_aimed_at = build.fsm, {}
-    for i = first or 1, #fsm._transitions do
-      is_aimed_at[fsm._transitions[i].tgt] = true
-    end
+    local fsm = build.fsm
     for _, node in ipairs(fsm._nodes) do
-      local is_entered = is_aimed_at[node] or not first and node._parent == fsm
-      if is_closed_initial(build, node) and (is_entered or not first) then
-        add(is_entered and build.problems or build.warnings, node, nil,
-          words("no transition leaves it"))
+      if node._id == "initial" and is_closed(build, node) then
+        local is_entered = not first and node._parent == fsm
+          or is_aimed_at(fsm, node, first or 1)
+        if is_entered or not first then
+          add(is_entered and build.problems or build.warnings, node, nil,
+            words("no transition leaves it"))
+        end
       end
     end
   end
@@ -2850,11 +2834,8 @@ do
     local model = fsm._model
     for _, name in ipairs(HOOKS) do check_callable(build, fsm, name, model[name]) end
     for _, name in ipairs(PRINTERS) do
-      local printer = model[name]
-      if printer and printer ~= true and not is_callable(printer) then
-        add(build.problems, fsm, name, "function, true or false expected, "
-          .. got(printer))
-      end
+      local printer = model[name] ~= true and model[name]
+      check_callable(build, fsm, name, printer, ", true or false")
     end
     if not (fsm._is_leaf or is_node(rawget(fsm, "initial"))) then
       add(build.problems, fsm, nil, words("the root needs an initial"))
@@ -2865,8 +2846,7 @@ do
   -- default.
   local function set_hooks(fsm)
     for _, name in ipairs(PRINTERS) do
-      local printer = rawget(fsm, name)
-      printer = printer == nil and DEFAULT_PRINTER[name] or printer_of(fsm, name)
+      local printer = printer_of(fsm, name)
       rawset(fsm, name, is_callable(printer) and printer or DEFAULT_PRINTER[name])
     end
     list_hooks(fsm)
@@ -3428,7 +3408,6 @@ do
         table.remove(hooks, i)
         hooks.front = i <= front and front - 1 or front
         owner[field] = hooks[1] and hooks or false
-        if #hooks == 1 and hooks[1] == OWN then owner[field] = OWN_ONLY end
         return true
       end
     end
