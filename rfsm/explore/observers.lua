@@ -4,8 +4,8 @@
 -- events that come, unless the step enters the machine, `taken root.trans[2]` for each
 -- transition of a path, then `exit root.a` and `entry root.b` in their order. It hears
 -- `pass` behind the entry of a state that the step leaves again, and `step` when the
--- `pass` behind the entry of a state that the step leaves again, and `step` when it
--- events it hears `step`.
+-- step is over. A transition may have a field `when`, a condition on the machine. If it
+-- has no events, it hears `step`.
 --
 -- The leaf of the observer is the state of its monitor. The engine takes each of its
 -- steps, once for each leaf, word and truth of its conditions.
