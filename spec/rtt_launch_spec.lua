@@ -278,6 +278,7 @@ describe("service_launch_rfsm", function()
     rfsm_rtt.service_resume_rfsm(exec_str)
     settle()
     assert.equal("b", came())
+    assert.is_false(host:getAttribute("rfsm_halted"):get())
     assert.is_true(rfsm_rtt.service_halt_rfsm(host))
     exec_str("rtt.getTC():getAttribute('rfsm_halted'):set(false)")
     assert.matches("RTT's log has the reason",
