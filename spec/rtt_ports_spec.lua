@@ -504,7 +504,8 @@ describe("a launch refuses ports", function()
       "ports[1]: unknown option 'prefx' (did you mean 'prefix'?), expected: 1, edge, "
         .. "event, prefix, type" },
     ["with a prefix that is none"] = { { { "a", prefix = "arm." } },
-      "ports[1]: prefix: name without a dot at an end expected, got string 'arm.'" },
+      "ports[1]: prefix: name without blanks or a dot at an end expected, got string "
+        .. "'arm.'" },
     ["with a wrong edge"] = { { { "a", edge = 1 } },
       "ports[1]: edge: boolean expected, got 1" },
     ["with a wrong event"] = { { { "a", event = "e_x" } },
@@ -525,7 +526,7 @@ describe("a launch refuses ports", function()
       "ports[1]: event: function that uses no local of its surroundings expected, "
         .. "it uses 'file_with'" },
     ["with a function of C"] = { { { "a", event = print } },
-      "ports[1]: event: function in Lua expected, got function" },
+      "ports[1]: event: function in Lua expected, got one in C" },
   } do
     it(title, function()
       local before = rtt_helper.loaded()

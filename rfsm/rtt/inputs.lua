@@ -46,7 +46,7 @@ end
 local FIELDS = {
   { "name of a port", is_anything },
   type = { "name of a type", options.is_text, "string" },
-  prefix = { "name without a dot at an end", is_prefix },
+  prefix = { "name without blanks or a dot at an end", is_prefix },
   event = { "function of a sample", rfsm.is_callable },
   edge = { "boolean", options.is_a "boolean" },
 }
