@@ -1341,6 +1341,23 @@ local function tell_watch(fsm, what, ...)
   if fsm._watch_hooks then return tell(fsm, fsm._watch_hooks[what], ...) end
 end
 
+-- Calls the watch hooks of a kind, of which `count` others are before them, and notes
+-- them in `failed.told` as `run_hooks` does. Returns how many are behind.
+local function tell_part(fsm, what, failed, count, ...)
+  for _, hook in ipairs(fsm._watch_hooks and fsm._watch_hooks[what] or NONE) do
+    local is_repeatable = promises[hook] == "repeatable"
+    count = count + 1
+    if count > failed.told then
+      if not is_repeatable then failed.told = count end
+      local ok, failure = pcall(hook, fsm, ...)
+      if not ok and is_repeatable then error(failure, 0) end
+      if not ok then keep_failure(fsm, failure) end
+      failed.told = count
+    end
+  end
+  return count
+end
+
 -- Tells of the failure in the field `_failed`: the watch hooks first, then `err`. After
 -- an interrupt the next step goes on behind what was begun.
 local function tell_failure(fsm)
@@ -1354,12 +1371,10 @@ local function tell_failure(fsm)
   if callback ~= nil and not is_callable(callback) then
     failure = "function expected, " .. got(callback)
   end
-  if not failed.is_told then
-    failed.is_told = true
-    tell_watch(fsm, "failed", owner, name, failure)
-  end
+  local count = tell_part(fsm, "failed", failed, 0, owner, name, failure)
   while around do
-    tell_watch(around, "failed_inside", fsm, owner, name, failure, callback)
+    count = tell_part(around, "failed_inside", failed, count, fsm, owner, name, failure,
+      callback)
     around = around._owner
   end
   local text = "error executing " .. name .. " of " .. (owner._fqn or tostring(owner))
@@ -1372,7 +1387,7 @@ end
 -- Reports that a callback has failed. For a doo `callback` is nil, because the doo was
 -- called by its coroutine; for a guard it is nil if a guard hook has failed.
 local function report_callback(fsm, name, owner, callback, failure)
-  fsm._failed = { owner, name, failure, callback }
+  fsm._failed = { owner, name, failure, callback, told = 0 }
   tell_failure(fsm)
 end
 

@@ -491,7 +491,7 @@ do
   local engine = { add_send = add_send, arm_now = arm_now, deadline_of = deadline_of,
     drop_sends = drop_sends, is_usual = is_usual, list_sends = list_sends,
     list_timers = list_timers, normalise = normalise, prepare_machine = prepare_machine,
-    read_or_raise = read_or_raise, set = set }
+    read = read, read_or_raise = read_or_raise, set = set }
 
   -- Returns the function of rfsm/clock/snapshots.lua that has the given name.
   function snapshots(name)

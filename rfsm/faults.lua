@@ -60,20 +60,22 @@ local function traceback(owner)
   local debug = rawget(_G, "debug")
   local thread = rawget(owner, "_doo_co")
   if type(debug) ~= "table" or not debug.traceback then return nil end
-  return thread and debug.traceback(thread) or debug.traceback("", 3)
+  -- where there are no coroutines, the doo is a function
+  return type(thread) == "thread" and debug.traceback(thread) or debug.traceback("", 3)
 end
 
 local function send(fsm, failing, states, owner, callback, failure)
   local element = owner._fqn or tostring(owner)
   local region = failing ~= fsm and place_of(fsm, failing).prefix or nil
   if not states[1] or is_known(fsm, element, region) then return end
-  local trace = traceback(owner)
+  local trace, queue = traceback(owner), {}
+  for i, event in ipairs(fsm._intq) do queue[i] = event end
   for _, state in ipairs(states) do
-    local fault = { name = name_of(state), callback = callback, element = element,
+    queue[#queue + 1] = { name = name_of(state), callback = callback, element = element,
       region = region, message = rfsm.text_of(failure), traceback = trace }
-    fsm._intq[#fsm._intq + 1] = fault
-    rfsm.report(fsm, "dbg", "RAISED", fault)
   end
+  fsm._intq = queue -- all at once: after an interrupt none or all of them are known
+  for i = #states - 1, 0, -1 do rfsm.report(fsm, "dbg", "RAISED", queue[#queue - i]) end
 end
 
 -- The watch hook: sends the events of a callback that has failed in this machine or in
@@ -101,7 +103,7 @@ local function expand(fsm, tr, i, event)
   tr.events[i], tr.src._names_fault = rfsm.named(name_of(tr.src)), true
   if fsm._has_faults then return end
   fsm._has_faults = true
-  rfsm.watch_hook_add(fsm, "failed_inside", note_failure)
+  rfsm.watch_hook_add(fsm, "failed_inside", rfsm.repeatable(note_failure))
 end
 
 rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)

@@ -2,6 +2,7 @@
 
 local defer = require "rfsm.defer"
 local helper = require "spec.helper"
+local interrupts = require "spec.support.interrupts"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local snapshot = require "rfsm.snapshot"
@@ -195,6 +196,11 @@ describe("e_fault", function()
     local b = state { doo = function() fail_inside() end }
     local fsm = send(new({}, { b = b }), "e_b")
     assert.matches("faults_spec", fsm.faults[1].traceback, 1, true)
+    fsm = send(new({}, { b = state { entry = function(_, own)
+      own._doo_co = fail_inside -- the doo itself is there where there are no coroutines
+      fail()
+    end } }), "e_b")
+    assert.equal("string", type(fsm.faults[1].traceback))
     local debug = _G.debug
     _G.debug = nil
     local ok, other = pcall(function()
@@ -232,6 +238,40 @@ describe("e_fault", function()
     assert.has_error(function() send(fsm, "e_b") end, "interrupted!")
     rfsm.run(fsm)
     assert.equal("root.work.b", at(fsm))
+  end)
+
+  -- out { within { a --e_b--> b, whose entry fails } }: both name e_fault
+  local function new_nested(got)
+    local function noting(src)
+      return trans { src = src, tgt = "internal", events = { "e_fault" },
+        effect = helper.noting(got, src) }
+    end
+    local within = state { a = state {}, b = state { entry = fail },
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = { "e_b" } } }
+    local fsm = assert(rfsm.init(state { info = false, warn = false, err = false,
+      read = "one", trans { src = "initial", tgt = "out" }, noting "out",
+      out = state { within = within, trans { src = "initial", tgt = "within" },
+        noting "within" } }))
+    rfsm.run(fsm)
+    rfsm.send_events(fsm, "e_b")
+    return fsm
+  end
+
+  it("comes to all of them after an interrupt, if its failure is not lost", function()
+    local texts, number, is_reached = {}, 0, true
+    interrupts.without_jit(function()
+      while is_reached do
+        local got = {}
+        local fsm = new_nested(got)
+        number = number + 1
+        is_reached = interrupts.raise_anywhere(number,
+          interrupts.VALUES[number % 3 + 1], rfsm.step, fsm)
+        for _ = 1, 6 do pcall(rfsm.step, fsm) end
+        texts[table.concat(got, " ")] = true
+      end
+    end)
+    assert.same({ "", "within out" }, rfsm.sorted_keys(texts))
   end)
 
   it("is made where a state names it only", function()

@@ -9,7 +9,7 @@
 -- interrupt  an interrupt is told apart from other errors, and raised again
 
 local REASONS = {
-  ["rfsm.lua"] = { 25, "user after package host" },
+  ["rfsm.lua"] = { 26, "user after package host" },
   ["rfsm_checks.lua"] = { 2, "user package" },
   ["rfsm_seqand.lua"] = { 6, "user after input" },
   ["rfsm_timeevent.lua"] = { 3, "host package user" },

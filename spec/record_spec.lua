@@ -1158,6 +1158,25 @@ describe("a recording that begins with a timer armed", function()
   end)
 end)
 
+describe("a clock that fails", function()
+  it("stops no machine whose recorder needs its place", function()
+    local sink, is_broken = {}, false
+    local fsm = helper.started(chart { err = false,
+      [2] = trans { src = "a", tgt = "b", events = { "e_after(5)" } },
+      [3] = trans { src = "a", tgt = "b", events = { "e_b" } },
+      gettime = function()
+        if is_broken then error("battery empty", 0) end
+        return 10, 0
+      end })
+    local recorder = record.record(fsm, sink)
+    recorder:pause()
+    recorder:go_on()
+    is_broken = true
+    helper.post_and_run(fsm, "e_b")
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+  end)
+end)
+
 describe("an interrupt while it is recorded", function()
   -- Returns the error of a step in which `f` of the model raises what Control-C raises.
   local function interrupted(name, f)

@@ -26,6 +26,14 @@ return function(engine)
     return nsec == 0 and sec or sec + nsec / 1e9
   end
 
+  -- Returns the time. If the clock fails, raises a table with `text`: then the machine
+  -- cannot be saved, and an observer does without.
+  local function time_of(fsm)
+    local ok, sec, nsec = engine.read(fsm, true)
+    if ok then return normalise(sec, nsec) end
+    error({ text = "rfsm_timeevent: the clock failed: " .. rfsm.text_of(sec) }, 0)
+  end
+
   -- Lists the active states that are timed.
   local function list_timed(fsm)
     local list, state = {}, fsm._mode ~= "inactive" and fsm
@@ -44,7 +52,7 @@ return function(engine)
     for _, state in ipairs(list_timed(fsm)) do
       local timers = state._timers
       if timers.sec then
-        local sec, nsec = read_or_raise(fsm, true)
+        local sec, nsec = time_of(fsm)
         left = left or {}
         left[name_of_time(state)] = kept_time(sec - timers.sec, nsec - timers.nsec)
       end
@@ -57,7 +65,7 @@ return function(engine)
     for _, timer in ipairs(list_timers(fsm)) do
       local sec, nsec = engine.deadline_of(timer)
       if sec and sec < huge and timer.event.is_relative then
-        if not now then now, now_nsec = read_or_raise(fsm, true) end
+        if not now then now, now_nsec = time_of(fsm) end
         sec, nsec = sec - now, nsec - now_nsec
       end
       if sec ~= huge then
@@ -138,7 +146,7 @@ return function(engine)
   local function save_sends(fsm)
     local now, now_nsec
     return engine.list_sends(fsm, function(send)
-      if not now then now, now_nsec = read_or_raise(fsm, true) end
+      if not now then now, now_nsec = time_of(fsm) end
       return { event = send.event, id = send.id,
         after = kept_time(send.sec - now, send.nsec - now_nsec) }
     end)
