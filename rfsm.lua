@@ -1871,7 +1871,7 @@ do
       local found, event = first_enabled(fsm, otrs, 1, events)
       if found or fsm._merges ~= merges then return found, event end
     end
-    trace(fsm, "TRANSITION", "no enabled paths found")
+    if traces then report(fsm, "dbg", "TRANSITION", "no enabled paths found") end
   end
 
   local OTHER = {} -- the key for all events that no transition names
