@@ -14,7 +14,6 @@
 -- @license BSD-3-Clause
 
 local calls = require "rfsm.shared.calls"
-local match = require "rfsm.shared.match"
 local clock = require "rfsm.clock"
 local journal = require "rfsm.record.journal"
 local encoding = require "rfsm.snapshot.encoding"
@@ -55,8 +54,12 @@ local record = { VERSION = journal.VERSION }
 ---@field clock? any[] readings of the clock: { seconds, nanoseconds } or { failure }
 ---@field guards? any[] { number, result, number, result ... }: numbers of transitions,
 -- and the results of their guards; for a guard that failed, the text of its error
+---@field always? true a transition that needs no event was taken, and no event
 ---@field reset? true a callback has reset the machine
+---@field waiting? any[] { n, event, event ... }: at the beginning n events of the queue
+-- at the end of the last iteration wait, and these; absent if all of these n wait alone
 ---@field sent? any[] events in the queue at the end that the machine has sent itself
+---@field ahead? integer how many of these are ahead of the events that waited
 ---@field leaf? string FQN of the active leaf at the end
 ---@field done? true the leaf is done at the end
 ---@field kept? table the kept data at the end, if the iteration has changed it
@@ -103,10 +106,10 @@ end
 
 function listener.getevents(recorder, track, own)
   return function()
-    local early = recorder.early
-    recorder.early = false -- a replay does not call getevents
+    local early, timed = recorder.early, recorder.timed
+    recorder.early, recorder.timed = false, false -- a replay does not call getevents
     local ok, events = calls.try(own)
-    recorder.early = early
+    recorder.early, recorder.timed = early, timed
     if not ok then error(events, 0) end
     local waiting = #track.fsm._intq
     if track.rec and type(events) == "table" then
@@ -173,6 +176,7 @@ local function note_place(recorder, rec)
   rec.from.snapshot = snapshot.try_take(recorder.fsm)
   recorder.timed = rec
   if not rec.from.snapshot then return end
+  for _, track in ipairs(recorder.tracks) do track.queue = {} end
   recorder.is_moved, recorder.cuts = false, count_cuts(recorder)
 end
 
@@ -184,24 +188,60 @@ end
 
 -- Begins a record. If the track still has a record, its iteration was cut short or
 -- refused, and that record is dropped.
-function listener.began(recorder, track, events)
+local function begin(recorder, track)
   local dropped, leaf = track.rec or NONE, track.fsm._act_leaf
-  local goes_on = goes_on_to_doo(track)
-  local rec = { m = track.m, events = tracks.pack_events(events), had = dropped.had }
-  track.rec, track.first, track.last = rec, 1, 0
-  track.held = match.joined({}, track.fsm._intq)
+  local rec = { m = track.m, had = dropped.had }
+  track.rec = rec
   if track.m == nil then
     track.leaf, track.mode, track.has_doo = leaf, leaf and leaf._mode, has_doo(leaf)
     rec.clock = recorder.early and recorder.early.clock or nil
     recorder.timed, recorder.is_moved = rec, recorder.is_moved or dropped.reset or false
-    if not (goes_on or is_known(recorder)) then note_place(recorder, rec) end
+    if not (goes_on_to_doo(track) or is_known(recorder)) then
+      note_place(recorder, rec)
+    end
   end
   note_change(track, rec, "had")
   tracks.wrap(track)
 end
 
+-- Notes the events that wait while the iteration reads `count` events.
+local function note_queue(track, count)
+  local n, is_all = tracks.note_queue(track, count)
+  track.first, track.last = 1, 0
+  if is_all then return end
+  tracks.note(track.rec, "waiting", n)
+  for i = n + 1, #track.held do
+    tracks.note(track.rec, "waiting", tracks.pack_event(track.held[i]))
+  end
+end
+
+-- Returns the transition that needs no event and is looked at first.
+local function first_free(fsm)
+  return fsm._act_leaf and (fsm._act_leaf._always or NONE)[1]
+end
+
+-- The record has the answers of all guards: it begins with the first transition.
+function listener.free(recorder, track, tr)
+  if not rawequal(tr, first_free(track.fsm)) then return end
+  begin(recorder, track)
+  note_queue(track, 0)
+  track.is_free = true
+end
+
+-- If an interrupt has kept `free` from its work, there is no record.
+function listener.began(recorder, track, events)
+  if not track.is_free and first_free(track.fsm) then
+    track.rec, recorder.is_moved = false, true
+    return
+  end
+  if not track.is_free then begin(recorder, track) end
+  track.is_free = false
+  track.rec.events, track.rec.waiting = tracks.pack_events(events), nil
+  note_queue(track, #events)
+end
+
 -- The fields of a record that show that its iteration had an effect.
-local EFFECTS = { "events", "guards", "sent", "kept", "had", "from", "reset",
+local EFFECTS = { "events", "always", "sent", "kept", "had", "from", "reset",
   "regions" }
 
 -- Is the record of an iteration left out? It is if the machine is the outermost one,
@@ -216,19 +256,12 @@ local function is_empty(track, rec)
   return true
 end
 
--- Notes the events that the machine has sent, and the events that hooks have added. A
--- machine that reads one event an iteration still has the others that it had before.
+-- Notes the events that the machine has sent, and the events that hooks have added.
 local function note_events(track, rec, events)
-  local queue, held, at = track.fsm._intq, track.held, 1
-  rec.sent, rec.added = nil, nil
-  for i = 1, #queue do
-    local is_got = i >= track.first and i <= track.last
-    if held[at] ~= nil and rawequal(queue[i], held[at]) then
-      at = at + 1
-    elseif not is_got then
-      tracks.note(rec, "sent", tracks.pack_event(queue[i]))
-    end
-  end
+  local sent, ahead, waiting = tracks.sent_in(track, track.first, track.last)
+  track.queue = tracks.queue_of(sent, ahead, waiting)
+  rec.sent, rec.added = tracks.pack_events(sent), nil
+  rec.ahead = ahead > 0 and ahead or nil
   for i = (rec.events and #rec.events or 0) + 1, #events do
     tracks.note(rec, "added", tracks.pack_event(events[i]))
   end
@@ -247,7 +280,8 @@ function listener.finished(recorder, track, events)
   local rec, outer = track.rec, recorder.tracks[1].rec
   if not rec then return end
   note_results(recorder, track, rec, events)
-  track.rec = false -- so that a later reset is not noted in this record
+  rec.always = track.is_free or nil
+  track.rec, track.is_free = false, false -- a later reset is not noted in this record
   if track.m ~= nil then
     if outer then tracks.note(outer, "inner", rec) end
     return

@@ -1118,6 +1118,128 @@ describe("two guards in an iteration", function()
   end)
 end)
 
+describe("a transition that needs no event", function()
+  -- a --always--> b --e_back--> a: taken if the sensor says so
+  local function model(sensor, trace)
+    return state { info = false, warn = false, read = "one", keep = { "n" }, n = 0,
+      a = state {}, b = state { entry = function(fsm) fsm.n = fsm.n + 1 end },
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", always = true, guard = sensor,
+        effect = function() if trace then trace[#trace + 1] = "effect" end end },
+      trans { src = "b", tgt = "a", events = { "e_back" } } }
+  end
+
+  local function recorded_run()
+    local is_seen, sink = false, {}
+    local fsm = helper.started(model(function() return is_seen end))
+    local recorder = record.record(fsm, sink)
+    for _ = 1, 100 do rfsm.run(fsm) end
+    assert.equal(0, recorder.count) -- a guard was asked, and nothing happened
+    is_seen = true
+    rfsm.send_events(fsm, "e_x", "e_back")
+    rfsm.run(fsm)
+    assert.same({ "root.b", 2 }, { rfsm.get_actleaf_fqn(fsm), fsm.n })
+    return sink
+  end
+
+  it("has a record, with what its guard said and what waits", function()
+    local sink = recorded_run()
+    assert.same({ always = true, guards = { 2, true }, waiting = { 0, "e_x", "e_back" },
+      sent = { "e_done@root.b" }, leaf = "root.b", done = true,
+      kept = { data = { root = { "%t", "n", 1 } } } }, sink[2])
+    assert.same({ "e_x" }, sink[3].events)
+    assert.is_nil(sink[3].waiting)
+  end)
+
+  it("is taken in a replay where it was taken then, also without callbacks", function()
+    local sink, trace = recorded_run(), {}
+    local again = assert(record.replay(model(error, trace), sink))
+    assert.same({ "root.b", 2 }, { rfsm.get_actleaf_fqn(again), again.n })
+    assert.same({ "effect", "effect" }, trace)
+    again = assert(record.replay(model(error), sink, { dry = true }))
+    assert.same({ "root.b", 2 }, { rfsm.get_actleaf_fqn(again), again.n })
+  end)
+
+  it("is not taken behind the end of a replay, though it has no guard", function()
+    local sink = {}
+    local fsm = helper.init(model())
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    local again = assert(record.replay(model(), sink, { to = 1 }))
+    assert.equal("root.a", rfsm.get_actleaf_fqn(again))
+    assert.equal("root.b", rfsm.get_actleaf_fqn(assert(record.replay(model(), sink))))
+  end)
+
+  it("is named if a changed chart takes it where it was not taken", function()
+    local changed, sink = model(), recorded_run()
+    changed[2].always, changed[2].events = nil, { "e_x" }
+    assert.same({ false, "step 1: a transition that needs no event expected, none was "
+      .. "taken", 0 }, { record.replay(changed, sink, { migrate = true }) })
+  end)
+end)
+
+describe("a queue in a replay", function()
+  local function model(trace)
+    return state { info = false, warn = false, err = false, read = "one",
+      a = state {}, b = state { entry = function() error("no bulb", 0) end },
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = { "e_b" } },
+      trans { src = "b", tgt = "b", events = { "e_b" } },
+      trans { src = "b", tgt = "a", events = { "e_fault" },
+        effect = function() trace[#trace + 1] = "fault" end } }
+  end
+
+  it("has what waited then: a fault that waits is not made again", function()
+    local sink, before, after = {}, {}, {}
+    local fsm = helper.started(model(before))
+    record.record(fsm, sink)
+    helper.post_and_run(fsm, "e_b", "e_b", "e_b")
+    assert(record.replay(model(after), sink))
+    assert.same(before, after)
+    assert.is_nil(sink[3].waiting) -- what waits is noted once
+  end)
+
+  it("is at its end as the run left it, also without callbacks", function()
+    local sink = {}
+    local fsm = helper.started(model {})
+    record.record(fsm, sink)
+    rfsm.send_events(fsm, "e_b", "e_1", { name = "e_2", n = 3 })
+    rfsm.step(fsm)
+    for _, is_dry in ipairs { true, false } do
+      local again = assert(record.replay(model {}, sink, { dry = is_dry }))
+      local texts = {}
+      for i, event in ipairs(again._intq) do texts[i] = rfsm.event_text(event) end
+      assert.same({ "e_1", "e_2", "e_fault@root.b", "e_done@root.b" }, texts)
+      assert.equal(3, again._intq[2].n)
+    end
+  end)
+
+  it("keeps a region going that reads one event at a time", function()
+    local function parts()
+      local region = state { read = "one", a = state {}, b = state {},
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_3" } } }
+      return state { info = false, warn = false, trans { src = "initial", tgt = "s" },
+        s = rfsm.seqand { x = region, run = true } }
+    end
+    local sink, fsm = {}, helper.started(parts())
+    record.record(fsm, sink)
+    helper.post_and_run(fsm, "e_1", "e_2", "e_3")
+    for _, is_dry in ipairs { true, false } do
+      local again = assert(record.replay(parts(), sink, { dry = is_dry }))
+      assert.equal("root.b", rfsm.get_actleaf_fqn(rfsm.machines(again)[2].machine))
+    end
+  end)
+
+  it("departs only when an event is read that cannot be replayed", function()
+    local sink, fsm = {}, helper.started(model {})
+    record.record(fsm, sink)
+    helper.post_and_run(fsm, "e_1", setmetatable({}, {}))
+    assert.same({ false, "step 2: an event that is a table cannot be replayed", 1 },
+      { record.replay(model {}, sink) })
+  end)
+end)
+
 describe("a fault", function()
   it("is the same one in a replay, whose traceback has other lines", function()
     local function model()

@@ -5,6 +5,8 @@
 --
 --    began(at, events)                    an iteration begins, before other hooks
 --    guard(at, tr, own, events, event)    called in place of the guard `own`
+--    free(at, tr)                         a transition that needs no event is looked
+--                                         at, before `began`; false forbids it
 --    taken(at, path, events)              the transitions in `path` will be taken
 --    entered(at, state), left(at, state)  a state is entered, before its entry; is left
 --    failed(at, element, name, failure)   the callback `name` of an element has failed
@@ -48,16 +50,27 @@ local function attach_state(own, at, state, kind, f)
   end)
 end
 
+local function attach_transition(own, at, tr)
+  local listener, done = own.listener, nil
+  if listener.guard and tr.guard then
+    done = instrument.put(own.changes, tr, "guard", function(_, events, event)
+      return listener.guard(at, tr, done.was, events, event)
+    end)
+  end
+  if listener.free and tr.always == true then
+    instrument.hook_of(own.changes, at.machine, "guard", tr, rfsm.borrows(function()
+      return at.machine._phase ~= "always" or listener.free(at, tr)
+    end))
+  end
+end
+
 local function attach_element(own, at, element)
   local listener = own.listener
   if rfsm.is_state(element) then
     attach_state(own, at, element, "entry", listener.entered)
     attach_state(own, at, element, "exit", listener.left)
-  elseif rfsm.is_trans(element) and listener.guard and element.guard then
-    local done
-    done = instrument.put(own.changes, element, "guard", function(_, events, event)
-      return listener.guard(at, element, done.was, events, event)
-    end)
+  elseif rfsm.is_trans(element) then
+    attach_transition(own, at, element)
   end
 end
 

@@ -15,7 +15,7 @@ local tracks = require "rfsm.record.track"
 
 local error, ipairs, pcall = error, ipairs, pcall
 local rawequal, rawget, tostring, type = rawequal, rawget, tostring, type
-local huge, remove = math.huge, table.remove
+local huge, min, remove = math.huge, math.min, table.remove
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local reason, text_of = encoding.reason, rfsm.text_of
 local list_text, leaf_text, same = tracks.list_text, tracks.leaf_text, tracks.same
@@ -56,9 +56,28 @@ local function add_event(session, list, packed)
   end
 end
 
+local function replace(list, events)
+  for i = #events + 1, #list do list[i] = nil end
+  for i = 1, #events do list[i] = events[i] end
+end
+
 local function fill(session, list, events)
-  for i = #list, 1, -1 do list[i] = nil end
+  replace(list, {})
   for i = 1, events and #events or 0 do add_event(session, list, events[i]) end
+end
+
+-- Returns the queue at the beginning of an iteration: what waits of the queue at the
+-- end of the last one, and what came since. If an event cannot be replayed, a table is
+-- there in its place, and the replay departs when it is read.
+local function waiting_of(track)
+  local list, rec = {}, track.rec
+  local count = rec.events and #rec.events or 0
+  local noted = rec.waiting or { #track.queue }
+  for i = count + 1, min(count + noted[1], #track.queue) do
+    list[#list + 1] = track.queue[i]
+  end
+  for i = 2, #noted do list[#list + 1] = encoding.unpack(noted[i], 0) end
+  return list
 end
 
 -- Appends the events that a dry run lacks: callbacks had sent them for a later time.
@@ -128,15 +147,35 @@ end
 
 local listener = {} -- functions that `tracks.attach` calls
 
-function listener.began(session, track, events)
+local function begin(session, track)
   local rec = next_record(session, track)
   track.rec, track.guard_at = rec, 0
-  fill(session, events, rec.events)
-  if session.is_dry then add_sends(session, events, rec.added) end
-  fill(session, track.fsm._intq, nil) -- what is read later is in later records
   if rec.had then snapshot.put_data(track.fsm, rec.had) end
   if track.m == nil then hand_out(session, rec.inner or {}) end
-  if rec.reset and session.is_dry then rfsm.reset(track.fsm) end
+end
+
+-- Fills the queue, and resets the machine of a dry run if a callback had done so. A
+-- search behind `free` would see the reset, so it comes when the iteration is known.
+local function go_on(session, track, count, is_known)
+  replace(track.fsm._intq, waiting_of(track))
+  tracks.note_queue(track, count)
+  if is_known and track.rec.reset and session.is_dry then rfsm.reset(track.fsm) end
+end
+
+-- Forbids a transition that needs no event if there is no record for the iteration.
+function listener.free(session, track)
+  if track.is_free then return end
+  if not calls.try(begin, session, track) then return false end
+  go_on(session, track, 0, track.rec.always)
+  track.is_free = true
+end
+
+function listener.began(session, track, events)
+  if not track.is_free then begin(session, track) end
+  track.is_free = false
+  fill(session, events, track.rec.events)
+  if session.is_dry then add_sends(session, events, track.rec.added) end
+  go_on(session, track, #events, true)
 end
 
 local function data_text(value)
@@ -194,12 +233,15 @@ local function compare(session, track)
   local fsm, rec, leaf = track.fsm, track.rec, track.fsm._act_leaf
   local present = leaf_text(leaf and leaf._fqn, leaf and leaf._mode == "done")
   local recorded = leaf_text(rec.leaf, rec.done)
-  if present ~= recorded then
+  if track.is_free ~= (rec.always or false) then
+    return depart(session, "a transition that needs no event %s", track.is_free
+      and "was taken" or "expected, none was taken")
+  elseif present ~= recorded then
     return depart(session, "active leaf %s expected, got %s", recorded, present)
   elseif session.is_dry then
     return
   end
-  local sent = tracks.pack_events(fsm._intq)
+  local sent = tracks.pack_events((tracks.sent_in(track, 1, 0)))
   if not same(comparable(sent), comparable(rec.sent)) then
     depart(session, "events sent: %s expected, got %s", list_text(rec.sent),
       list_text(sent))
@@ -209,20 +251,40 @@ local function compare(session, track)
   end
 end
 
+-- Has each region taken all of its steps?
+local function compare_counts(session)
+  for i = 2, #session.tracks do
+    local track = session.tracks[i]
+    if track.at < #track.records then
+      depart(session, "machine %d in a sequential AND state: %d steps expected, got %d",
+        track.m, #track.records, track.at)
+    end
+  end
+end
+
+-- Does in a dry run what callbacks had done: the queue and the data become what they
+-- were.
+local function do_again(session, track)
+  local rec, sent, _, waiting = track.rec, tracks.sent_in(track, 1, 0)
+  fill(session, sent, rec.sent)
+  replace(track.fsm._intq, tracks.queue_of(sent, rec.ahead or 0, waiting))
+  if rec.kept then snapshot.put_data(track.fsm, rec.kept) end
+  for i = 1, rec.regions and #rec.regions or 0, 2 do
+    snapshot.put_data(session.tracks[rec.regions[i] + 1].fsm, rec.regions[i + 1])
+  end
+end
+
 function listener.finished(session, track)
   local rec = track.rec
   if not rec then return end
   local ok, failure = calls.try(compare, session, track)
   if not ok then depart(session, "%s", reason(failure)) end
-  if session.is_dry then
-    fill(session, track.fsm._intq, rec.sent)
-    if rec.kept then snapshot.put_data(track.fsm, rec.kept) end
-    for i = 1, rec.regions and #rec.regions or 0, 2 do
-      snapshot.put_data(session.tracks[rec.regions[i] + 1].fsm, rec.regions[i + 1])
-    end
-  end
-  track.rec = false
-  if track.m ~= nil or session.problem then return end
+  if session.is_dry then do_again(session, track) end
+  track.rec, track.is_free = false, false
+  track.queue = match.joined({}, track.fsm._intq)
+  if track.m ~= nil then return end
+  compare_counts(session)
+  if session.problem then return end
   session.at = session.at + 1
   session.taken[#session.taken + 1] = rec
   look_ahead(session)
@@ -308,6 +370,7 @@ local function take_step(session, track)
   if from then ok, failure = put(session, track.fsm, from) end
   track.is_put = ok
   wind(session)
+  if from then for _, own in ipairs(session.tracks) do own.queue = {} end end
   if ok then ok, failure = calls.try(rfsm.step, track.fsm) end
   if not ok and not rawequal(failure, STOP) then
     depart(session, "%s", reason(failure))

@@ -9,6 +9,7 @@
 
 local order = require "rfsm.shared.order"
 local encoding = require "rfsm.snapshot.encoding"
+local match = require "rfsm.shared.match"
 local rfsm = require "rfsm"
 local instrument = require "rfsm.shared.instrument"
 local stream = require "rfsm.observe.stream"
@@ -16,7 +17,7 @@ local stream = require "rfsm.observe.stream"
 local ipairs = ipairs
 local rawequal, rawget, select, tostring = rawequal, rawget, select, tostring
 local type = type
-local concat = table.concat
+local concat, max = table.concat, math.max
 local text_of = rfsm.text_of
 
 local track = {}
@@ -88,6 +89,46 @@ function track.note(t, field, ...)
   for i = 1, select("#", ...) do list[#list + 1] = (select(i, ...)) end
 end
 
+-- Queues --------------------------------------------------------------------------
+
+--- Note the queue at the beginning of an iteration, which has taken `count` events.
+-- Return how many events still wait of those that waited when the last iteration ended,
+-- and whether these are all that did, and all that wait.
+function track.note_queue(own, count)
+  local queue, old, n = own.fsm._intq, own.queue, 0
+  while old[count + n + 1] ~= nil and rawequal(old[count + n + 1], queue[n + 1]) do
+    n = n + 1
+  end
+  own.held = match.joined({}, queue)
+  return n, n == max(#old - count, 0) and queue[n + 1] == nil
+end
+
+--- Return the events that were sent in an iteration, how many of them are ahead of
+-- those that waited before, and the latter. `first` to `last` are left out.
+function track.sent_in(own, first, last)
+  local queue, held, ahead = own.fsm._intq, own.held, 0
+  local sent, waiting = {}, {}
+  for i = 1, #queue do
+    local next_held = held[#waiting + 1]
+    if next_held ~= nil and rawequal(queue[i], next_held) then
+      if waiting[1] == nil then ahead = #sent end
+      waiting[#waiting + 1] = next_held
+    elseif i < first or i > last then
+      sent[#sent + 1] = queue[i]
+    end
+  end
+  return sent, ahead, waiting
+end
+
+--- Return a queue of these events, in their order.
+function track.queue_of(sent, ahead, waiting)
+  local list = {}
+  for i = 1, ahead do list[i] = sent[i] end
+  for i = 1, #waiting do list[#list + 1] = waiting[i] end
+  for i = ahead + 1, #sent do list[#list + 1] = sent[i] end
+  return list
+end
+
 -- Changes of data that the chart keeps, and of targets -------------------------------
 
 --- Return the kept fields and targets of a machine and their values.
@@ -130,6 +171,9 @@ end
 ---@field fsm rfsm.Machine
 ---@field m integer|nil number of the region; nil for the outermost machine
 ---@field rec rfsm.record.Record|false the record of the present iteration
+---@field held any[] the queue when the present iteration began
+---@field queue any[] the queue when the last iteration ended
+---@field is_free boolean transitions that need no event are searched, or one is taken
 ---@field listener table<string, function> the functions that `track.attach` calls
 ---@field session table the recorder, or the session of a replay
 ---@field number_of table<rfsm.Transition, integer>
@@ -177,10 +221,13 @@ local function numbers_of(fsm)
   return numbers
 end
 
+local HEARD = { "free", "began", "finished", "reset", "failed" }
+
 --- Make the tracks of a machine and its regions. The functions of `listener` are called
 -- with the session, a track, and these arguments:
 --
 --    attached()                     the machine is about to be followed
+--    free(tr)                       a transition that needs no event is looked at
 --    began(events), finished(events), reset(), failed(element, name)
 --    guard(number, own, tr, events) called in place of the guard `own`
 --    gettime(own), getevents(own)   return a function in place of the machine's own
@@ -188,6 +235,7 @@ function track.attach(fsm, listener, session)
   local tracks, of, heard = {}, {}, {}
   for i, at in ipairs(rfsm.machines(fsm)) do
     local own = { fsm = at.machine, m = i > 1 and i - 1 or nil, rec = false,
+      is_free = false, queue = {},
       listener = listener, session = session, number_of = numbers_of(at.machine),
       changes = {}, wrapped = {} }
     listener.attached(session, own)
@@ -201,10 +249,10 @@ function track.attach(fsm, listener, session)
     if not number then return guard(tr, events, event) end
     return listener.guard(session, own, number, guard, tr, events, event)
   end
-  for _, name in ipairs { "began", "finished", "reset", "failed" } do
+  for _, name in ipairs(HEARD) do
     local f = listener[name]
     heard[name] = f and function(at, ...)
-      if of[at.machine] then f(session, of[at.machine], ...) end
+      if of[at.machine] then return f(session, of[at.machine], ...) end
     end
   end
   tracks.stream = stream.follow(fsm, heard)

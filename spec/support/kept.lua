@@ -293,8 +293,9 @@ local function note_machine(fsm)
   local texts = rfsm.get_active_conf(fsm)
   for i, event in ipairs(fsm._intq) do texts[#texts + 1] = i .. kept.shown(event) end
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
-    if state.timed then
-      texts[#texts + 1] = state._fqn .. rfsm.text_of(timeevent.time_in(state))
+    if state.timed then -- an interrupt may come before its time is noted
+      local _, time = pcall(timeevent.time_in, state)
+      texts[#texts + 1] = state._fqn .. rfsm.text_of(time)
     end
   end
   texts[#texts + 1] = fsm._act_leaf and fsm._act_leaf._mode or "out"

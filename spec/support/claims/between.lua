@@ -1,12 +1,14 @@
 -- Whatever a program does with a machine between two steps, its trace is that of the
 -- oracle. The program copies all tables, merges elements that nothing enters, observes,
--- prepares, takes snapshots, puts them back, and restores them into another machine.
+-- records, prepares, takes snapshots, puts them back, and restores them into another
+-- machine.
 
 local charts = require "spec.support.charts"
 local defer = require "spec.support.claims.defer"
 local driven = require "spec.support.driven"
 local helper = require "spec.helper"
 local new_random = require "spec.support.random"
+local record = require "rfsm.record"
 local rfsm = require "rfsm"
 local runs = require "spec.support.runs"
 local snapshot = require "rfsm.snapshot"
@@ -95,6 +97,13 @@ function ACTS.observe(engine, _, random)
   rfsm.took_path(fsm)
 end
 
+-- Records what the machine does until the next call.
+function ACTS.record(engine, world)
+  if not is_at_rest(engine.fsm) then return end
+  local ok, recorder = pcall(record.record, engine.fsm, {})
+  world.recorder = ok and recorder
+end
+
 function ACTS.prepare(engine) rfsm.prepare(engine.fsm) end
 
 -- Takes a snapshot and puts it back, or restores it into another machine.
@@ -116,6 +125,8 @@ local function run_case(seed)
   local is_plain = random:chance(50)
   local chart = is_plain and charts.generate(seed) or defer.new_chart(seed)
   local function between(engine, world)
+    if world.recorder then world.recorder:stop() end
+    world.recorder = nil
     if not random:chance(40) then return end
     local name = random:pick(NAMES)
     notes[#notes + 1] = name
