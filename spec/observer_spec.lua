@@ -324,6 +324,11 @@ describe("a word", function()
       assert.matches(ok and "p: does not hold, no transition names " .. hint
         or "no transition names the event '" .. case[1] .. "'", tostring(judged), 1,
         true)
+      local warned, model = {}, chart()
+      model.warn = function(text) warned[#warned + 1] = text end
+      rfsm_checks.watch_properties(rfsm.init(model), { p = property })
+      assert.equal(1, #warned)
+      assert.matches("property 'p': no transition names " .. hint, warned[1], 1, true)
     end)
   end
 

@@ -30,6 +30,7 @@ local observers = {}
 ---@class rfsm_checks.Audible
 ---@field events any[] the events from outside, those with data by their names
 ---@field made any[] the events that the machine makes itself
+---@field takes_any boolean a transition may take events that none names
 ---@field states string[] paths of states
 ---@field transitions string[] paths of transitions
 ---@field active fun(name: string): boolean raises an error if no state or flag has the

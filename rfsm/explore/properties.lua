@@ -506,15 +506,18 @@ local function check_maker(own, judged)
     :format(event, advice.nearest_name(event, own:named_texts())))
 end
 
--- Returns a text if no transition of a chart names an event, or could take it.
-local function text_of_unnamed(own, event, audible)
-  if event == nil or own.event_numbers[event] or own.done[event]
-    or own.free.predicates or order.any(own.transitions, function(entry)
-      return match.begins_on_any(entry.tr)
-    end) then
+--- Return a text if no transition of a machine names the event of a property, or could
+--- take it.
+---@param event any
+---@param audible rfsm_checks.Audible
+---@return string?
+function properties.text_of_unnamed(event, audible)
+  local word = rfsm.event_name(event) or rfsm.name_with_data(event) or event
+  if word == nil or audible.takes_any or match.has(audible.events, word)
+    or match.has(audible.made, word) or observers.element_of(word) then
     return nil
   end
-  local name = rfsm.event_text(event)
+  local name = rfsm.event_text(word)
   return ("no transition names %s%s"):format(name, observers.word_meant(name, audible))
 end
 
@@ -525,7 +528,7 @@ local function add_event(own, judged, audible)
   judged.event = own:event_meant(event)
   if observers.element_of(event) then return end
   check_maker(own, judged)
-  judged.unnamed = text_of_unnamed(own, judged.event, audible)
+  judged.unnamed = properties.text_of_unnamed(judged.event, audible)
 end
 
 --- Has the last step taken a transition that names the event, or that takes any event?

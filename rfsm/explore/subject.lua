@@ -792,7 +792,10 @@ function Subject:audible()
     end
   end
   for i, entry in ipairs(self.transitions) do transitions[i] = entry.path end
-  return { events = events, made = made, states = self.paths,
+  local is_open = self.free.predicates or order.any(self.transitions, function(entry)
+    return match.begins_on_any(entry.tr)
+  end)
+  return { events = events, made = made, states = self.paths, takes_any = is_open,
     transitions = transitions, active = self:view(self:configuration((self:read()))) }
 end
 

@@ -278,16 +278,22 @@ local function is_condition(thing)
   return type(thing) ~= "string" or (thing .. "."):find("^root%.") ~= nil
 end
 
+local function add_events(audible, known)
+  audible.takes_any = known.takes_any
+  local all = match.joined(match.joined(known.list, known.predicates), known.reactions)
+  for _, event in ipairs(all) do
+    local list = match.maker_of(event) and audible.made or audible.events
+    local name = rfsm.event_name(event) or rfsm.name_with_data(event)
+    list[#list + 1] = name or event
+    audible.takes_any = audible.takes_any or type(event) == "function" and not name
+  end
+end
+
 -- Returns what an observer may hear, and ask of the machine.
 local function audible_of(own)
   local audible = { events = {}, made = {}, states = {}, transitions = {},
     active = own.active }
-  local known = alphabet.of_all(own.fsm)
-  local all = match.joined(match.joined(known.list, known.predicates), known.reactions)
-  for _, event in ipairs(all) do
-    local list = match.maker_of(event) and audible.made or audible.events
-    list[#list + 1] = rfsm.event_name(event) or rfsm.name_with_data(event) or event
-  end
+  add_events(audible, alphabet.of_all(own.fsm))
   for _, at in ipairs(rfsm.machines(own.fsm)) do
     for _, state in ipairs(rfsm.elements(at.machine, rfsm.is_state)) do
       audible.states[#audible.states + 1] = location.path(state, at.prefix)
@@ -304,6 +310,14 @@ local function audible_of(own)
   return audible
 end
 
+-- Warns if no transition names the event of a property: then it may never come.
+local function warn_of_unnamed(own, where, monitor, audible)
+  local problem = properties.text_of_unnamed(monitor.property.event, audible)
+  if not problem then return end
+  rfsm.report(own.fsm, "warn", ("WARNING: %s%s: property '%s': %s"):format(
+    monitor.property.location, where, monitor.name, problem))
+end
+
 -- Returns a monitor for each of the given properties. An error names the function
 -- `where`.
 local function monitors_of(own, where, given)
@@ -311,6 +325,7 @@ local function monitors_of(own, where, given)
   for _, monitor in ipairs(list) do
     properties.check_names(where, monitor, own.active, is_condition)
     properties.add_observer(where, monitor, audible, is_condition)
+    warn_of_unnamed(own, where, monitor, audible)
     for _, word in ipairs(properties.words_of(monitor)) do own.hears[word] = true end
     if not kinds[monitor.property.kind].see then
       error(("%s: property '%s' is about runs that might be: explore it"):format(where,
