@@ -350,6 +350,23 @@ describe("a word", function()
       assert.same({ false, "spec/observer_spec.lua:", "rfsm_checks: " .. text },
         { ok, place, rest })
     end
+    local ok, problem = pcall(function() return (full.untill "e_fill") end)
+    assert.is_false(ok)
+    assert.matches("has no 'untill', expected: nothing more", problem, 1, true)
+    assert.is_nil(full.other)
+  end)
+
+  it("behind a colon, in place of a dot, is refused", function()
+    for where, f in pairs { -- any order: each stands alone
+      ["after(...).reach"] = function() return (after "e":reach "root.on") end,
+      ["never(...).since"] = function() return (never "root.on":since "e") end,
+      ["from(...).after"] = function() return (from "root.on":after "e") end,
+    } do
+      local ok, problem = pcall(f)
+      assert.is_false(ok)
+      assert.matches(": rfsm_checks." .. where .. ": got a property (is there a colon "
+        .. "in place of a dot?)", problem, 1, true)
+    end
   end)
 
   -- What is wrong, the property, and the problem.

@@ -84,9 +84,20 @@ function PROBLEMS.seconds(seconds)
     opts.got(seconds))
 end
 
+-- The first halves of properties: table -> "after(...) alone (after(...).reach(...))".
+local halves = setmetatable({}, { __mode = "k" })
+
+-- The problem of a property as a part of another one.
+local NO_PART = "got a property (is there a colon in place of a dot?)"
+
+local function is_property(value)
+  return halves[value] ~= nil
+    or type(value) == "table" and getmetatable(value) == Property
+end
+
 -- Returns the value of a part of a property; raises an error if the value is wrong.
 local function checked(where, part, value)
-  local problem = PROBLEMS[part](value)
+  local problem = is_property(value) and NO_PART or PROBLEMS[part](value)
   if problem then error("rfsm_checks." .. where .. ": " .. problem, 3) end
   return value
 end
@@ -134,9 +145,6 @@ MORE = { after = { within = { "reach_within", "seconds" } },
     within = { "never_within", "seconds" } },
   never_until = { until_ = { "never_until", "ending" },
     within = { "never_within", "seconds" } } }
-
--- The first halves of properties: table -> "after(...) alone (after(...).reach(...))".
-local halves = setmetatable({}, { __mode = "k" })
 
 -- Returns a table of functions. Each takes the last part of a property and returns the
 -- property: `from(c)` returns such a table, and `from(c).stays(2)` is the property.
@@ -301,16 +309,23 @@ end
 local AROUND = { { "scope", "from {scope} ", "" }, { "again", "", " since {again}" },
   { "ending", "", " until {ending}" } }
 
-local ENDINGS = { until_ = true, since = true, unless = true, within = true }
+local ENDINGS = { "since", "unless", "until_", "within" }
 
--- Raises an error for an ending that the property cannot have.
+-- The fields that a property may have or not.
+local FIELDS = { what = true, event = true, goal = true, scope = true, ending = true,
+  again = true, chart = true, seconds = true, count = true }
+
+-- Raises an error for an ending that the property cannot have, also for one that is
+-- misspelt.
 function Property:__index(name)
-  if not ENDINGS[name] then return nil end
-  local names = {}
-  for other in order.each(ENDINGS) do -- any order: sorted below
-    if rawget(self, other) then names[other] = true end
+  if FIELDS[name] or type(name) ~= "string"
+    or advice.did_you_mean(name, ENDINGS) == "" and not match.has(ENDINGS, name) then
+    return nil
   end
-  names = rfsm.sorted_keys(names)
+  local names = {}
+  for _, other in ipairs(ENDINGS) do
+    if rawget(self, other) then names[#names + 1] = other end
+  end
   error(("rfsm_checks: '%s' has no '%s', expected: %s"):format(
     Property.__tostring(self), name, names[1] and concat(names, ", ")
     or "nothing more"), 2)
