@@ -266,14 +266,16 @@ local function enter_state(fsm, state)
   if is_unusual then arm_unusual(fsm, timers) end
 end
 
+-- Lists the timers of the active states, and those of these states that are timed.
 local function list_timers(fsm)
-  local list, state = {}, fsm._mode ~= "inactive" and fsm
+  local list, timed, state = {}, {}, fsm._mode ~= "inactive" and fsm
   while state do
     local timers = state._timers
     for i = 1, timers and #timers or 0 do list[#list + 1] = timers[i] end
+    if timers and state.timed == true then timed[#timed + 1] = state end
     state = state._actchild
   end
-  return list
+  return list, timed
 end
 
 local function expires_before(a, b)
@@ -440,9 +442,12 @@ local function drop_sends(fsm) fsm._timeevent.sends = {} end
 
 -- Lists f(send) for each waiting send, the earliest first. Returns nil if none waits.
 local function list_sends(fsm, f)
-  local sends, list = fsm._timeevent and fsm._timeevent.sends or {}, {}
-  for at = #sends, 1, -1 do list[#list + 1] = f(sends[at]) end
-  return list[1] ~= nil and list or nil
+  local own, list = fsm._timeevent, nil
+  for at = own and #own.sends or 0, 1, -1 do
+    list = list or {}
+    list[#list + 1] = f(own.sends[at])
+  end
+  return list
 end
 
 local function event_of(send) return send.event end
@@ -496,7 +501,9 @@ do
   -- Returns the function of rfsm/clock/snapshots.lua that has the given name.
   function snapshots(name)
     return function(...)
-      engine[name] = engine[name] or require("rfsm.clock.snapshots")(engine)[name]
+      local f = engine[name]
+      if f then return f(...) end
+      engine[name] = require("rfsm.clock.snapshots")(engine)[name]
       return engine[name](...)
     end
   end
@@ -675,9 +682,15 @@ end
 -- Returns the seconds until the next timer of one kind, e_after or e_at, expires; huge
 -- if no such timer is armed.
 local function remaining(fsm, is_relative)
-  if fsm._timeevent[is_relative] == huge or not list_timers(fsm)[1] then return huge end
-  local expired, least = find_expired(fsm, is_relative, read_or_raise(fsm, is_relative))
-  return expired[1] and 0 or (least + 1) / 1e9
+  local least, now, now_nsec = huge, nil, nil
+  if fsm._timeevent[is_relative] == huge then return huge end
+  for _, timer in ipairs((list_timers(fsm))) do
+    if timer.event.is_relative == is_relative then
+      if not now then now, now_nsec = read_or_raise(fsm, is_relative) end
+      least = min(least, left_of(fsm, timer, now, now_nsec))
+    end
+  end
+  return least < 0 and 0 or (least + 1) / 1e9
 end
 
 -- Returns the seconds until the next event of `send_after` is sent; huge if none waits.

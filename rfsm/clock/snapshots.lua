@@ -34,22 +34,12 @@ return function(engine)
     error({ text = "rfsm_timeevent: the clock failed: " .. rfsm.text_of(sec) }, 0)
   end
 
-  -- Lists the active states that are timed.
-  local function list_timed(fsm)
-    local list, state = {}, fsm._mode ~= "inactive" and fsm
-    while state do
-      if state._timers and state.timed == true then list[#list + 1] = state end
-      state = state._actchild
-    end
-    return list
-  end
-
   -- The name under which snapshots have the seconds since the entry of a timed state.
   local function name_of_time(state) return "time_in@" .. state._fqn end
 
   -- Adds the seconds since the entry of each timed state that is active.
-  local function save_times(fsm, left)
-    for _, state in ipairs(list_timed(fsm)) do
+  local function save_times(fsm, timed, left)
+    for _, state in ipairs(timed) do
       local timers = state._timers
       if timers.sec then
         local sec, nsec = time_of(fsm)
@@ -62,7 +52,8 @@ return function(engine)
 
   local function save(fsm)
     local left, now, now_nsec = nil, nil, nil
-    for _, timer in ipairs(list_timers(fsm)) do
+    local timers, timed = list_timers(fsm)
+    for _, timer in ipairs(timers) do
       local sec, nsec = engine.deadline_of(timer)
       if sec and sec < huge and timer.event.is_relative then
         if not now then now, now_nsec = time_of(fsm) end
@@ -73,16 +64,17 @@ return function(engine)
         left[timer.name] = not sec or kept_time(sec, nsec)
       end
     end
-    return save_times(fsm, left)
+    return save_times(fsm, timed, left)
   end
 
   -- Returns the seconds and nanoseconds of a time in a snapshot. There the time is a
   -- number of seconds, or a list of seconds and nanoseconds.
-  local function loaded_time(left, what)
+  local function loaded_time(left, what, name)
     local sec, nsec = left, 0
     if type(left) == "table" then sec, nsec = left[1], left[2] end
     if type(sec) ~= "number" or type(nsec) ~= "number" or sec - sec ~= nsec - nsec then
-      error("seconds and nanoseconds expected for " .. what, 0)
+      error("seconds and nanoseconds expected for " .. what
+        .. (name and name .. "'" or ""), 0)
     end
     return normalise(sec, nsec)
   end
@@ -92,7 +84,7 @@ return function(engine)
   local function load_timer(fsm, timer, left)
     local now, now_nsec = 0, 0
     if left == true then return set(fsm, timer, false, 0) end
-    local sec, nsec = loaded_time(left, "timer '" .. timer.name .. "'")
+    local sec, nsec = loaded_time(left, "timer '", timer.name)
     if timer.event.is_relative then now, now_nsec = read_or_raise(fsm, true) end
     set(fsm, timer, sec + now, nsec + now_nsec)
   end
@@ -100,7 +92,7 @@ return function(engine)
   -- Sets the times of entries from a snapshot: those of timed states, and those that
   -- follow from the deadline of an e_after that was loaded. Adds the names of the
   -- former to a set.
-  local function load_times(fsm, loaded, left, is_known)
+  local function load_times(fsm, loaded, timed, left, is_known)
     for _, timer in ipairs(loaded) do
       local event, timers = timer.event, timer.timers
       local is_known_time = engine.is_usual(event) and not event.is_repeated
@@ -109,11 +101,11 @@ return function(engine)
         timers.sec, timers.nsec = timer.sec - event.sec, timer.nsec - event.nsec
       end
     end
-    for _, state in ipairs(list_timed(fsm)) do
+    for _, state in ipairs(timed) do
       local name = name_of_time(state)
       is_known[name] = true
       if left[name] ~= nil then
-        local sec, nsec = loaded_time(left[name], "'" .. name .. "'")
+        local sec, nsec = loaded_time(left[name], "'", name)
         local now, now_nsec = read_or_raise(fsm, true)
         state._timers.sec, state._timers.nsec = now - sec, now_nsec - nsec
       end
@@ -123,19 +115,21 @@ return function(engine)
   -- Loads the timers of a snapshot. In a migration to a changed chart, a timer that is
   -- new in the chart is armed from now on, and one that the chart lacks is dropped.
   local function load(fsm, left, how)
-    local own, loaded, is_known = fsm._timeevent, list_timers(fsm), {}
+    local own, is_known, loaded, timed = fsm._timeevent, {}, list_timers(fsm)
     left = left or {}
     own[true], own[false] = own.sends[1] and -huge or huge, huge
     for _, timer in ipairs(loaded) do
+      local rest = left[timer.name]
       is_known[timer.name], timer.timers.sec = true, false
-      set(fsm, timer, huge, 0)
-      if left[timer.name] ~= nil then
-        load_timer(fsm, timer, left[timer.name])
+      if rest ~= nil then
+        load_timer(fsm, timer, rest)
       elseif how.is_migrated and how.is_new(timer.name) then
         engine.arm_now(fsm, timer)
+      else
+        set(fsm, timer, huge, 0)
       end
     end
-    load_times(fsm, loaded, left, is_known)
+    load_times(fsm, loaded, timed, left, is_known)
     for _, name in ipairs(how.is_migrated and {} or rfsm.sorted_keys(left)) do
       if not is_known[name] then
         error("no active state has a timer '" .. rfsm.text_of(name) .. "'", 0)
