@@ -73,7 +73,7 @@ end
 
 -- Returns the fields that a state keeps as plain data; nil if all of them are nil.
 local function pack_fields(state, keeper, path)
-  local names, fields = keeper.names, nil
+  local names, fields = keeper.sorted, nil
   path.owner, path.keeper = false, keeper
   for i = 1, #names do
     local name = names[i]
@@ -86,7 +86,13 @@ local function pack_fields(state, keeper, path)
       fields[name] = value
     end
   end
-  return fields and encoding.as_table(fields, path, 0)
+  if not fields or type(fields.n) ~= "number" then return fields end
+  local list = { "%t" } -- dkjson would take the number for the length of a list
+  for i = 1, #names do
+    local n, value = #list, fields[names[i]]
+    if value ~= nil then list[n + 1], list[n + 2] = names[i], value end
+  end
+  return list
 end
 
 local function take_data(fsm, own, snap, path)
@@ -187,9 +193,8 @@ local function path_of(own, prefix)
 end
 
 -- Returns a snapshot of one machine or region, without its regions.
-local function take_part(fsm, prefix, version)
-  local leaf, own = fsm._act_leaf, shape.of(fsm)
-  local path = path_of(own, prefix)
+local function take_part(fsm, own, prefix, version)
+  local leaf, path = fsm._act_leaf, path_of(own, prefix)
   local part = { version = version, chart = own.chart.name,
     leaf = leaf and leaf._fqn or nil, done = leaf and leaf._mode == "done" or nil,
     data = nil, ext = nil } -- with the nils, Lua allocates six fields at once
@@ -210,10 +215,11 @@ local function is_blank(part)
 end
 
 local function take(fsm)
-  local snap = take_part(fsm, "root", migrate.VERSION)
-  local places = shape.of(fsm).places
+  local own = shape.of(fsm)
+  local snap, places = take_part(fsm, own, "root", migrate.VERSION), own.places
   for i = 2, #places do
-    local part = take_part(places[i].machine, places[i].prefix)
+    local region = places[i].machine
+    local part = take_part(region, shape.of(region), places[i].prefix)
     if not is_blank(part) then
       snap.regions = snap.regions or {}
       snap.regions[places[i].prefix] = part
@@ -316,22 +322,27 @@ end
 
 local function set_targets(own, targets)
   local first, transitions, noted = own.targets, own.transitions, own.noted
-  for i = noted and #noted or 0, 1, -1 do
-    own.forget(noted[i])
-    noted[i] = nil
-  end
-  for i = 1, noted and 0 or #transitions do
-    if transitions[i].tgt ~= first[i] then transitions[i].tgt = first[i] end
+  if noted then
+    for i = #noted, 1, -1 do
+      own.forget(noted[i])
+      noted[i] = nil
+    end
+  else
+    for i = 1, #transitions do
+      if transitions[i].tgt ~= first[i] then transitions[i].tgt = first[i] end
+    end
   end
   if not targets then return end
   for tr, node in each(targets) do tr.tgt = node end -- any order
 end
 
-local function set_fields(state, keeper, fields)
-  local names, first = keeper.names, keeper.first
+-- Gives a state its fields. `read` is nil, or `unpack` if they are packed values.
+local function set_fields(state, keeper, fields, read)
+  local names, first = keeper.sorted, keeper.first
   for i = 1, #names do
     local name = names[i]
     local value = fields[name]
+    if read then value = read(value, 3) end
     if value == nil then value = copy_of(first[name]) end
     if rawequal(value, encoding.NIL) then value = nil end
     state[name] = value
@@ -459,6 +470,14 @@ local function is_usual(own, snap)
     and not (own.chart.has_load or own.places[2])
 end
 
+-- Returns the packed values of the fields of a state, as a table.
+local function fields_of(packed)
+  if not packed or packed[1] ~= "%t" then return packed or NONE end
+  local fields = {}
+  for i = 2, #packed, 2 do fields[packed[i]] = packed[i + 1] end
+  return fields
+end
+
 -- Puts the leaf, the queue and the targets of a snapshot into a machine.
 local function put_place(fsm, own, snap)
   local targets = snap.targets and unpack_targets(fsm, snap.targets)
@@ -477,9 +496,7 @@ local function put_directly(fsm, snap)
   local keepers, hooks = own.chart.keepers, rfsm.snapshot_hooks(fsm)
   put_place(fsm, own, snap)
   for i = 1, #keepers do
-    local fqn = keepers[i].fqn
-    local fields = data[fqn] and unpack_table("data", fqn, data[fqn])
-    set_fields(own.states[i], keepers[i], fields or NONE)
+    set_fields(own.states[i], keepers[i], fields_of(data[keepers[i].fqn]), unpack)
   end
   for i = 1, #hooks do
     local name = hooks[i].name
@@ -492,7 +509,7 @@ end
 -- back; if it cannot be saved, or with `may_reset`, the machine is reset instead.
 local function put(fsm, snap, options, may_reset)
   local parts, has_before, before = new_parts(fsm, snap, options), false, nil
-  if not may_reset and order.any(parts, can_fail) then
+  if not (may_reset or options.trusted) and order.any(parts, can_fail) then
     has_before, before = pcall(take, fsm)
   end
   local ok, failure = pcall(set_parts, parts)
@@ -576,11 +593,10 @@ local OPTIONS = {
 -- Returns the options of a public function, unchecked if the snapshot is trusted. A
 -- number counts as no options: in put(fsm, decode(text)), a decoder may return it, too.
 local function read_options(options, where)
+  if type(options) == "table" and options.trusted then return options end
   if options == nil or type(options) == "number" then return NONE end
-  if type(options) ~= "table" or not options.trusted then
-    local settings, problem = opts.read(OPTIONS, options)
-    if not settings then error(where .. ": " .. problem, 3) end
-  end
+  local settings, problem = opts.read(OPTIONS, options)
+  if not settings then error(where .. ": " .. problem, 3) end
   return options
 end
 

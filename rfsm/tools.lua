@@ -266,9 +266,7 @@ local function leave_all(fsm)
 end
 
 -- Sets the mode of a state. Its ancestors become active, all other states inactive.
-local function move_to(state, mode)
-  local fsm = state
-  while fsm._parent ~= fsm do fsm = fsm._parent end
+local function move_to(fsm, state, mode)
   leave_all(fsm)
   state._mode = mode
   if mode ~= "inactive" and state._is_leaf then fsm._act_leaf = state end
@@ -302,8 +300,9 @@ local function define_moves(core, engine)
   ---@param where string the public function
   function rfsm.check_between_steps(fsm, where)
     rfsm.check_machine(fsm, where, 4)
+    if fsm._phase == "idle" then return end
     engine.check_no_step(fsm, where, 4)
-    if fsm._phase ~= "idle" then engine.try(fsm) end
+    engine.try(fsm)
   end
 
   --- Set the mode of a state.
@@ -322,8 +321,9 @@ local function define_moves(core, engine)
     end
     local is_active, was_active = mode ~= "inactive", state._mode ~= "inactive"
     if is_active ~= was_active or is_active and state._is_leaf then
-      local co = is_active and state._doo_co or nil
-      move_to(state, mode)
+      local co, fsm = is_active and state._doo_co or nil, state
+      while fsm._parent ~= fsm do fsm = fsm._parent end
+      move_to(fsm, state, mode)
       state._doo_co = co
     end
     return mode
@@ -337,7 +337,7 @@ local function define_moves(core, engine)
   function rfsm.place(fsm, leaf, mode, queue)
     rfsm.check_between_steps(fsm, "rfsm.place")
     if leaf then
-      move_to(leaf, mode)
+      move_to(fsm, leaf, mode)
       engine.tell(fsm, fsm._reset_hooks)
       fsm._reset_wanted, fsm._unread = false, 0
     else

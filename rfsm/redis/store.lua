@@ -58,7 +58,7 @@ end
 function store.pack(list) return cmsgpack.pack(list) end
 
 -- `writes`: the commands that store a machine, each { name, key, ... }. `asked`: key ->
--- command whose check is done. Machines share keys; a call checks each key only once.
+-- command whose check is done, since several may write one stream.
 local writes, asked = {}, {}
 
 -- Adds a command. Only the first one may fail, since earlier commands are not undone.
@@ -144,7 +144,7 @@ end
 
 --- Write a machine, its timers, its streams and its moves.
 function store.write(machine, due, emitted, errors)
-  writes = {}
+  writes, asked = {}, {}
   add_due(machine, due)
   add_streams(machine, emitted, errors)
   add_write(nil, "SET", machine.key, machine.value)
@@ -506,17 +506,11 @@ function more.rfsm_history(keys, args)
   return store.history(keys_of.machine(keys), args[1])
 end
 
---- Add the functions for many machines to `all`. A call checks types and rights anew.
+--- Add the functions for many machines to `all`.
 function store.add(all, settings, find_version)
   tick_machine, hold_machine, options = all.rfsm_tick, all.rfsm_hold, settings
   version_of = find_version
   for name, f in pairs(more) do all[name] = f end -- any order: a copy
-  for name, f in pairs(all) do -- any order: they are independent
-    all[name] = function(keys, args)
-      asked = {}
-      return f(keys, args)
-    end
-  end
 end
 
 --- Return the error reply of a call that fails.

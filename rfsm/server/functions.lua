@@ -417,7 +417,7 @@ local function pack_machine(machine, due)
     if list[i] then empty = false else list[i] = empty end
   end
   machine.value = host.pack(list)
-  local size = #tostring(machine.value)
+  local size = #machine.value
   if size > MAX_VALUE then
     fail("a machine takes at most %d bytes, this one %d", MAX_VALUE, size)
   end

@@ -26,6 +26,7 @@ local function is_null(value)
   local kind = type(value)
   if kind == "userdata" then return text_of(value):find("[Nn][Ui][Ll]") ~= nil end
   local class = kind == "table" and getmetatable(value)
+  if not class then return false end
   local to_json = type(class) == "table" and rawget(class, "__tojson")
   if type(to_json) ~= "function" then return false end
   local ok, text = pcall(to_json, value)

@@ -158,12 +158,6 @@ local function is_plain(t)
   return count == #t and not (type(first) == "string" and first:byte() == 37)
 end
 
--- Returns plain data for a table of packed values: the table itself, or a list of
--- pairs.
-local function as_table(packed, path, depth)
-  return is_plain(packed) and packed or to_pairs(packed, path, depth)
-end
-
 -- Raises an error for a table that is too deep, has a metatable, or was packed before.
 -- If a table were packed twice, unpacking would make two tables of it.
 local function check_table(t, path, depth)
@@ -188,7 +182,7 @@ local function pack_table(t, path, depth)
     copy[key] = pack(inner, path, depth + 1)
   end
   if path.is_by_value then path.seen[t] = nil end
-  return as_table(copy, path, depth)
+  return is_plain(copy) and copy or to_pairs(copy, path, depth)
 end
 
 --- Return a value as plain data; nil for null of JSON. The first `depth` keys of `path`
@@ -244,9 +238,12 @@ local unpack
 local function unpack_pairs(list, depth)
   local t = {}
   for i = 2, #list, 2 do
-    local key = unpack(list[i], depth)
-    if not is_scalar(key) or key ~= key then
-      fail("a key expected, got %s", text_of(key))
+    local key = list[i]
+    if type(key) ~= "string" then
+      key = unpack(key, depth)
+      if not is_scalar(key) or key ~= key then
+        fail("a key expected, got %s", text_of(key))
+      end
     end
     t[key] = unpack(list[i + 1], depth)
   end
@@ -276,22 +273,18 @@ end
 -- of tables around it. Raises an error if `packed` is not plain data.
 function unpack(packed, depth)
   local kind = type(packed)
-  if kind == "table" then
-    if is_null(packed) then return nil end
-    return unpack_table(packed, depth)
+  if kind == "string" or kind == "boolean" or packed == nil then return packed end
+  if kind == "number" then
+    if packed ~= packed then fail("a number expected, got NaN") end
+    return to_integer and to_integer(packed) or packed -- decoders may return floats
   end
-  if kind ~= "number" then
-    if is_scalar(packed) or packed == nil then return packed end
-    if is_null(packed) then return nil end
-    fail("text, number, boolean or table expected, got %s", kind)
-  elseif packed ~= packed then
-    fail("a number expected, got NaN")
-  end
-  return to_integer and to_integer(packed) or packed -- some decoders return floats only
+  if is_null(packed) then return nil end
+  if kind == "table" then return unpack_table(packed, depth) end
+  fail("text, number, boolean or table expected, got %s", kind)
 end
 
 return {
-  NIL = NIL, as_table = as_table, attempt = attempt, copy_of = copy_of, fail = fail,
+  NIL = NIL, attempt = attempt, copy_of = copy_of, fail = fail,
   is_event = is_event, is_null = is_null, is_scalar = is_scalar,
   location_of = location_of, pack = pack, reason = reason,
   to_json = to_json, try = try, unpack = unpack,

@@ -136,6 +136,7 @@ end
 ---@field fqn string
 ---@field names string[] names of the fields that are saved
 ---@field kept table<string, true> the names as a set
+---@field sorted string[] the names in order, each once
 ---@field first table<string, any> the first values of the fields
 ---@field has_load boolean the state has functions `save` and `load`
 
@@ -152,7 +153,7 @@ local function keeper_of(state)
     kept[name], first[name] = true, encoding.copy_of(model[name])
   end
   return { fqn = state._fqn, names = names, kept = kept, first = first,
-    has_load = saves }
+    sorted = rfsm.sorted_keys(kept), has_load = saves }
 end
 
 -- Charts: what is known of a structure ----------------------------------------------
