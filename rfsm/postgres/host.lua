@@ -31,10 +31,10 @@ end
 --- The arguments with which a function has called `write`; they are saved when it ends.
 ---@class rfsm.postgres.Change
 ---@field machine rfsm.server.Machine
----@field due number|nil time in seconds at which the machine has something to do
+---@field due string|nil seconds at which the machine has something to do
 ---@field emitted string[][] each { name, data }, where data is JSON or ""
 ---@field errors string[] texts of errors
----@field data string JSON for the column `data`
+---@field data? string JSON for the column `data`; nil: what is in the snapshot
 ---@field counter? string the sequence that counts the call
 
 --- Functions of the server, or of a client, that the host uses.
@@ -54,25 +54,31 @@ for _, verb in ipairs(verbs_of) do
   host.READ_ONLY["rfsm_" .. verb.name] = verb.reads
 end
 
+-- Counts a call in the sequence $10, if there is one, and returns 0.
+local COUNT = [[CASE $10::text WHEN 'rfsm.events' THEN 0 * nextval('rfsm.events')
+    WHEN 'rfsm.dropped' THEN 0 * nextval('rfsm.dropped') ELSE 0 END]]
+
+-- The column `data`: $8, or what is in the snapshot.
+local DATA = "coalesce($8::jsonb, own.value #> '{2,data}', '{}')"
+
 --- Statements by their names. `insert` returns a row if it has written one; `update`
--- writes a row that is locked. Both count the call in the sequence $10, if there is
--- one. The casts are for drivers that give all parameters the type text.
+-- writes a row that is locked. The casts are for drivers that give all parameters the
+-- type text.
 host.STATEMENTS = {
   read = "SELECT value FROM rfsm.machines WHERE key = $1",
   lock = "SELECT value FROM rfsm.machines WHERE key = $1 FOR UPDATE",
   time = "SELECT extract(epoch FROM clock_timestamp())::float8 * 1e6 AS us",
   insert = [[INSERT INTO rfsm.machines
     (key, chart, version, state, mode, event, due, data, value, leases, since)
-    VALUES ($1, $2, $3, $4, $5, coalesce($6, ''), to_timestamp($7::text::float8),
-      $8::jsonb, $9::jsonb, coalesce(0 * nextval($10::text::regclass), 0),
-      clock_timestamp())
+    SELECT $1, $2, $3, $4, $5, coalesce($6, ''), to_timestamp($7::text::float8),
+      ]] .. DATA .. [[, own.value, ]] .. COUNT .. [[, clock_timestamp()
+    FROM (SELECT $9::jsonb AS value) own
     ON CONFLICT (key) DO NOTHING RETURNING key]],
   update = [[UPDATE rfsm.machines SET chart = $2, version = $3, state = $4, mode = $5,
     event = coalesce($6, event), due = to_timestamp($7::text::float8),
-    data = $8::jsonb, value = $9::jsonb,
-    leases = coalesce(0 * nextval($10::text::regclass), 0),
+    data = ]] .. DATA .. [[, value = own.value, leases = ]] .. COUNT .. [[,
     since = CASE WHEN state = $4 THEN since ELSE clock_timestamp() END
-    WHERE key = $1]],
+    FROM (SELECT $9::jsonb AS value) own WHERE key = $1]],
   move = [[UPDATE rfsm.machines SET state = $2, event = $3, since = clock_timestamp()
     WHERE key = $1]],
   history = [[SELECT extract(epoch FROM at)::text AS time, coalesce(event, '') AS event,
@@ -104,8 +110,8 @@ end
 -- Writes the row of a machine. Returns false if a new machine's key is taken. Each
 -- move is an UPDATE, so that triggers see it. Events that moved nothing are noted.
 local function save(server, execute, key, change)
-  local machine, by = change.machine, nil
-  local is_new, due = machine.leaf == false, change.due and seconds_text(change.due)
+  local machine, datum, by = change.machine, server.json.datum, nil
+  local is_new = machine.leaf == false
   for i, move in ipairs(machine.moves) do
     if is_new or move.from ~= move.to and not machine.moves[i + 1] then
       by = move.by
@@ -117,7 +123,7 @@ local function save(server, execute, key, change)
   end
   local written = execute(is_new and "insert" or "update", key, machine.chart.name,
     machine.list[3].chart, machine.at, machine.mode, by,
-    due or nil, server.json.datum(change.data), server.json.datum(machine.value),
+    change.due, change.data and datum(change.data), datum(machine.value),
     change.counter)
   if is_new and not written[1] then return false end
   save_effects(server, execute, key, change)
@@ -155,9 +161,13 @@ function host.new(server, require, charts, options)
     return found and server.json.list_of(found.value)
   end
 
+  -- The data in the snapshot are plain if it has no regions and no list of a packed
+  -- value, whose first item begins with %.
   function verbs.write(machine, due, emitted, errors)
-    row.change = { machine = machine, due = due, emitted = emitted, errors = errors,
-      data = data_of(machine.list[3]) }
+    local snap = machine.list[3]
+    local is_packed = snap.regions or machine.value:find('["%', 1, true)
+    row.change = { machine = machine, due = due and seconds_text(due),
+      emitted = emitted, errors = errors, data = is_packed and data_of(snap) or nil }
   end
 
   function verbs.history(key, count)

@@ -8,7 +8,7 @@
 
 local rfsm = require "rfsm"
 
-local error, getmetatable, ipairs, next = error, getmetatable, ipairs, next
+local error, getmetatable, next = error, getmetatable, next
 local pcall, rawget, tonumber, tostring = pcall, rawget, tonumber, tostring
 local type = type
 local floor = math.floor
@@ -67,7 +67,8 @@ local function encode_list(list, depth)
   return "[" .. concat(texts, ",") .. "]"
 end
 
--- Returns the keys of an object in order. Most objects have only texts as keys.
+-- Returns the keys of an object in order. Most objects have only texts as keys, and in
+-- most locales `sort` orders them by their bytes.
 local function keys_of(object)
   local keys, count = {}, 0
   for key in next, object do -- any order: they are sorted
@@ -75,7 +76,7 @@ local function keys_of(object)
     count = count + 1
     keys[count] = key
   end
-  sort(keys, rfsm.text_before)
+  sort(keys, "B" > "a" and rfsm.text_before or nil)
   return keys
 end
 
@@ -83,11 +84,13 @@ if jit then jit.off(keys_of) end -- LuaJIT may compile `next` wrongly
 
 local function encode_object(object, depth)
   local fields = keys_of(object)
-  for i, key in ipairs(fields) do
-    local name = type(key) == "number" and text_of(key) or key
-    if type(name) ~= "string" then
-      error("a text or number as key expected, got " .. type(key), 0)
+  for i = 1, #fields do
+    local key = fields[i]
+    local kind = type(key)
+    if kind ~= "string" and kind ~= "number" then
+      error("a text or number as key expected, got " .. kind, 0)
     end
+    local name = kind == "number" and text_of(key) or key
     fields[i] = quote(name) .. ":" .. encode(object[key], depth)
   end
   return "{" .. concat(fields, ",") .. "}"
