@@ -204,7 +204,8 @@ function rtt_launch.find_deployer(wanted)
     .. "expected, " .. rfsm.got(wanted), 0)
 end
 
-local function launch_component(args)
+-- Does what `component_launch_rfsm` does. An error has no name of a function in front.
+function rtt_launch.launch_component(args)
   local launch = settings.read("component", args)
   local name, kind = launch.name, launch.luatype or "OCL::LuaComponent"
   local deployer = rtt_launch.find_deployer(launch.deployer)
@@ -244,7 +245,7 @@ end
 ---@param args rfsm.rtt.Launch
 ---@return any component the new component, which is not configured
 function rtt_launch.component_launch_rfsm(args)
-  local ok, result = pcall(launch_component, args)
+  local ok, result = pcall(rtt_launch.launch_component, args)
   if ok then return result end
   error("rfsm.rtt.component_launch_rfsm: " .. rfsm.text_of(result), 2)
 end

@@ -16,7 +16,6 @@ local match = require "rfsm.shared.match"
 local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 local replacements = require "rfsm.explore.replacements"
-local rfsm_rtt = require "rfsm.rtt"
 local rtt_launch = require "rfsm.rtt.launch"
 local static = require "rfsm.checks.static"
 local system = require "rfsm.system"
@@ -223,7 +222,7 @@ end
 -- Launches a machine in a component of its own.
 local function make_component(launch, name, args)
   args.name, args.deployer = name, launch.deployer
-  launch.components[name] = rfsm_rtt.component_launch_rfsm(args)
+  launch.components[name] = rtt_launch.launch_component(args)
   insert(launch.made, function()
     launch.components[name]:stop()
     launch.deployer:getOperation("unloadComponent")(name)
@@ -280,8 +279,8 @@ end
 local function at(place, f, launch, item, label)
   local ok, problem = pcall(f, launch, item)
   if ok then return end
-  problem = rfsm.text_of(problem):gsub("^%S-:%d+: rfsm%.rtt%.[%w_]+: ", "")
-  error(("%s%s: %s"):format(place ~= "" and place .. ": " or "", label, problem), 0)
+  error(("%s%s: %s"):format(place ~= "" and place .. ": " or "", label,
+    rfsm.text_of(problem)), 0)
 end
 
 local function configure(launch, name)
