@@ -3,6 +3,8 @@
 
 local helper = require "spec.helper"
 
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
 local function lines_of(command)
   local pipe, lines = io.popen(command .. " 2>&1"), {}
   for line in pipe:lines() do lines[#lines + 1] = line end
@@ -61,9 +63,9 @@ describe("stripped modules", function()
   after_each(helper.remove_files)
 
   -- The lines that a program of the deployer prints, nil without a Lua 5.1.
-  local function printed(program, path)
+  local function printed(program, path, text_of_chart)
     if not folder then return nil end
-    local chart = helper.file_with(CHART)
+    local chart = helper.file_with(text_of_chart or CHART)
     local text = PROGRAM:format(path or folder, folder, chart, program)
     return lines_of("lua5.1 " .. helper.file_with(text))
   end
@@ -114,6 +116,23 @@ arm:getProperty("lua_string"):set(("rfsm_launch = { fsmfile = %%q, %s }"):format
 arm:configure()
 show(arm)]]):format(case[1]))
     end
+  end)
+
+  it("say file and line of a mistake in a chart, as the source does", function()
+    local lines = printed([[
+for _, is_stripped in ipairs { true, false } do
+  local text = launch { stripped = is_stripped }
+  print((text:gsub("^[^:]*:%d+: ", ""):gsub(CHART, "CHART")))
+end]], nil, [[
+local rfsm = require "rfsm"
+return rfsm.state {
+  a = rfsm.state { entry = 3 },
+  rfsm.trans { src = "initial",
+    tgt = "b" } }]])
+    if not lines then return end
+    assert.same({ unpack(lines, 4) }, { unpack(lines, 1, 3) })
+    assert.matches("^  CHART:3: root%.a%.entry: function expected, got", lines[2])
+    assert.matches("^  CHART:4: root%.trans%[1%] %(initial %-> b%): tgt", lines[3])
   end)
 
   it("are refused by a component of its own that has them already", function()
