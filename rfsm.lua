@@ -621,6 +621,7 @@ LIVE.state.__index = {
 ---@return boolean
 function rfsm.is_foreign(value)
   local class = type(value) == "table" and getmetatable(value)
+  if KINDS[class] then return false end
   local copy = type(class) == "table" and rawget(class, "rfsm_copy")
   return type(copy) == "table" and not rawequal(copy, rfsm)
 end
@@ -635,7 +636,7 @@ function rfsm.model_of(value)
   return is_live and value._model or value
 end
 
-local model_of = rfsm.model_of
+local is_foreign, model_of = rfsm.is_foreign, rfsm.model_of
 
 local FOREIGN = "it belongs to another copy of rfsm (give the model, not the machine)"
 
@@ -831,7 +832,7 @@ do
       local kind = type(value) == "table" and kind_of(value)
       if not kind then
         clone_field(build, own_kind, node, key, value)
-      elseif rfsm.is_foreign(value) then
+      elseif is_foreign(value) then
         add(build.problems, node, text_of(key), FOREIGN)
       elseif own_kind == "connector" then
         add_warning(build.warnings, "misplaced", node, nil,
@@ -882,6 +883,16 @@ local function find_lca(a, b)
     if a._depth >= b._depth then a = a._parent else b = b._parent end
   end
   return a
+end
+
+-- Returns the node where a transition to `node` ends: for a composite, its `initial`,
+-- unless the transition is internal; nil if there is none.
+local function end_at(tr, node)
+  if not node._mode or node._is_leaf or tr._is_internal and node == tr.src then
+    return node
+  end
+  local initial = rawget(node, "initial")
+  return kind_of(initial) == "connector" and initial or nil
 end
 
 -- Lists the states from the root to `leaf`.
@@ -972,13 +983,11 @@ do
     }
   end
 
-  -- Returns the node where a transition to `node` ends: for a composite, its `initial`.
-  -- If the composite has no `initial`, adds a problem and returns nil.
+  -- Returns the node where a transition to `node` ends. If a composite has no initial,
+  -- adds a problem and returns nil.
   function find_entrance(build, tr, node)
-    if node._is_leaf or kind_of(node) == "connector" then return node end
-    local initial = rawget(node, "initial")
-    if kind_of(initial) == "connector" then return initial end
-    if node._parent == node then return nil end -- `check_root` reports it
+    local entrance = end_at(tr, node)
+    if entrance or node._parent == node then return entrance end -- see `check_root`
     add(build.problems, tr, nil, words("tgt has no initial", node))
   end
 
@@ -1126,10 +1135,7 @@ do
         .. ": node of the fsm expected, " .. got(tgt))
       return nil
     end
-    local to = tgt
-    if tgt._mode and not (tgt._is_leaf or tr._is_internal and tgt == tr.src) then
-      to = rawget(tgt, "initial")
-    end
+    local to = end_at(tr, tgt)
     if not to then return nil end
     segments = segments or {}
     segments[tgt] = new_segment(tr, to)
@@ -3017,12 +3023,9 @@ do
         wrong, got(tr[wrong]))
     end
     tr._is_internal = tr._is_internal and rawequal(tr.src, tgt)
-    if tgt._mode and not (tgt._is_leaf or tr._is_internal) then
-      tr.tgt = rawget(tgt, "initial")
-      if not (tr.tgt and tr.tgt._otrs[1]) then
-        return rfsm.location_of(tr)
-          .. ": tgt: the composite has no initial transition"
-      end
+    tr.tgt = end_at(tr, tgt)
+    if not tr.tgt or tr.tgt ~= tgt and not tr.tgt._otrs[1] then
+      return rfsm.location_of(tr) .. ": tgt: the composite has no initial transition"
     end
     tr.events = type(tr.events) == "string" and { tr.events } or tr.events or {}
   end
@@ -3090,7 +3093,7 @@ function rfsm.init(model)
       .. (type(model) == "string" and " (did you mean rfsm.load?)" or ""), 2)
   end
   model = model_of(model)
-  if rfsm.is_foreign(model) then
+  if is_foreign(model) then
     return refuse_model(model, nil, { "root: " .. FOREIGN })
   end
   local build = build_machine(model)
