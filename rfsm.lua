@@ -1228,7 +1228,7 @@ Machine.__index = DEFAULTS
 -- is called for the assignment.
 local STEP_HOOKS = { getevents = true, pre_step_hook = true, post_step_hook = true }
 
-local list_hooks
+local list_again, list_hooks
 
 function Machine.__newindex(fsm, key, value)
   local is_hook = STEP_HOOKS[key]
@@ -1237,7 +1237,7 @@ function Machine.__newindex(fsm, key, value)
     error(key .. ": function expected, " .. got(value), 2)
   end
   rawset(fsm, key, value)
-  if is_hook then list_hooks(fsm) end
+  if is_hook or key == "read" then list_again(fsm) end
 end
 
 -- Report: messages to the printers of a machine, and errors that are kept ----------
@@ -1527,6 +1527,8 @@ end
 local function take_one(fsm)
   local events, queue = fsm._curq, {}
   if events[2] == nil then return end
+  if reads_one(fsm) ~= fsm._reads_one then list_again(fsm) end -- written since
+  if not fsm._reads_one then return end
   if fsm._intq.rest_of ~= events then
     for i = 2, #events do queue[i - 1] = events[i] end
     queue.rest_of = events
@@ -1624,6 +1626,9 @@ do
     end
   end
 
+  -- Does `read` decide, or may it be written so that it does?
+  local function may_take_one(fsm) return fsm._reads_one or fsm.read == "all" end
+
   -- Makes the lists of what each iteration calls, `_before` and `_after`; false if they
   -- are empty. If one event is taken, all events that come are added before. `_lends`
   -- is true if a hook may keep the list of events.
@@ -1634,7 +1639,7 @@ do
     local before = present(fsm, fsm._pre_hooks)
     local at = is_one and 0 or fsm._pre_hooks.front or 0
     for i, source in ipairs(sources) do insert(before, at + i, source) end
-    if is_one then insert(before, #sources + 1, take_one) end
+    if may_take_one(fsm) then insert(before, #sources + 1, take_one) end
     local has_getevents = fsm.getevents and fsm.getevents ~= no_events
     if has_getevents then insert(before, 1, take_getevents) end
     fsm._is_usual, fsm._lends = false, false
@@ -2964,6 +2969,9 @@ do
   end
 end
 
+-- Events that extensions know or that are no events, beside those such as e_after(1).
+local ODD_EVENTS = { e_fault = true, always = true }
+
 -- Reports the warnings of the model, then suspicious guards and events, which preproc
 -- functions may have changed.
 local function report_findings(build, first_node, first_transition)
@@ -2979,7 +2987,7 @@ local function report_findings(build, first_node, first_transition)
     local tr = fsm._transitions[i]
     for _, event in ipairs(tr.events) do
       local is_odd = type(event) == "table" or type(event) == "string"
-        and (event:find("%)$") or event == "e_fault") -- extensions know such events
+        and (event:find("%)$") or ODD_EVENTS[event])
       if is_odd then add_advice(found, "event", tr, event) end
     end
   end
@@ -3585,7 +3593,7 @@ function rfsm.names_done(state)
 end
 
 -- Lists the hooks of a machine and its regions anew: they read as their parent does.
-local function list_again(fsm)
+function list_again(fsm)
   list_hooks(fsm)
   for _, state in ipairs(rfsm.elements(fsm, is_state)) do
     for _, region in ipairs(rfsm.regions(state)) do list_again(region) end

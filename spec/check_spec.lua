@@ -336,6 +336,38 @@ describe("verify_early", function()
   end)
 end)
 
+describe("a field that is nearly one of an extension, or `always`,", function()
+  it("is told with the right name, if the extension would take the value", function()
+    local _, _, warnings = rfsm.verify_early(state {
+      m = state { histroy = "deep", x = state { deffer = {}, defers = { "e_x" } },
+        y = state { deffer = "data", histroy = "deep" },
+        trans { src = "initial", tgt = "x" } },
+      trans { src = "initial", tgt = "m" },
+      trans { src = "m", tgt = "m", events = "e", likley = function() end },
+      trans { src = "m", tgt = "m", alway = true },
+    })
+    assert.same({
+      "root.m.x: a state has no field 'defers' (did you mean 'defer'?)",
+      "root.m.x: a state has no field 'deffer' (did you mean 'defer'?)",
+      "root.m: a state has no field 'histroy' (did you mean 'history'?)",
+      "root.trans[2] (m -> m): a transition has no field 'likley' (did you mean "
+        .. "'likely'?)",
+      "root.trans[3] (m -> m): a transition has no field 'alway' (did you mean "
+        .. "'always'?)",
+    }, without_place(warnings))
+  end)
+
+  it("is told if `always` is an event", function()
+    local lines = {}
+    rfsm.init(state { info = false, warn = function(line) lines[#lines + 1] = line end,
+      a = state {}, trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "a", events = { "always" } } })
+    assert.same({ "root.trans[2].events (a -> a): 'always' comes only if it is sent "
+      .. "(needs no event: always = true beside src and tgt)" },
+      without_place({ (lines[1]:gsub("^WARNING: ", "")) }))
+  end)
+end)
+
 describe("a field of an extension that is not loaded", function()
   it("is told with its module, if the extension would take the value", function()
     assert.equal([[

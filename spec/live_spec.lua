@@ -74,6 +74,21 @@ describe("a live machine", function()
   end)
 end)
 
+describe("`read`, written after init,", function()
+  it("counts from the next iteration on", function()
+    for _, case in ipairs { { nil, "one", 3 }, { "all", "one", 3 }, { "one", "all", 1 },
+      { "one", nil, 1 }, { "data", nil, 1 } } do
+      local taken = {}
+      local fsm = started { read = case[1], trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "internal", events = "e", effect = noting(taken, 1) } }
+      fsm.read = case[2]
+      rfsm.send_events(fsm, "e", "e", "e")
+      rfsm.run(fsm)
+      assert.same({ case[1], case[2], case[3] }, { case[1], case[2], #taken })
+    end
+  end)
+end)
+
 describe("the trace", function()
   it("has its records in order, also when a getevents was taken away", function()
     local fsm = started()

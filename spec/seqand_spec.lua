@@ -476,17 +476,19 @@ describe("nesting", function()
     end)
   end
 
-  for _, read in ipairs { "one", "all" } do
+  for _, read in ipairs { "one", "all", "late" } do
     it("has regions read as the machine around them: " .. read, function()
       local inner = parent(seqand { leaf = plain({}) })
       local model = parent(seqand { inner = inner })
-      model.read, inner.read = "one", read == "all" and read or nil
+      model.read = read ~= "late" and "one" or nil
+      inner.read = read == "all" and read or nil
       local fsm = init(model)
+      fsm.read = "one"
       rfsm.run(fsm)
       local leaf = fsm.par.substates.inner.par.substates.leaf
       rfsm.send_events(leaf, "e_other", "e_x")
       rfsm.step(leaf)
-      assert.equal(read == "one" and "root.a" or "root.b", leaf._act_leaf._fqn)
+      assert.equal(read == "all" and "root.b" or "root.a", leaf._act_leaf._fqn)
       rfsm.step(leaf)
       assert.equal("root.b", leaf._act_leaf._fqn)
     end)
