@@ -196,6 +196,10 @@ describe("an observer", function()
     { "a state that is not there", { [2] = go("free", "bad", "entry root.c") },
       "root.trans[2] (free -> bad): no state is named 'root.c' (did you mean "
       .. "'root.a'?)" },
+    { "a field that is misspelt", { [2] = go("free", "bad", nil, { whn = "root.a" }) },
+      "root.trans[2] (free -> bad): no field is named 'whn' (did you mean 'when'?)" },
+    { "no way to bad", { [2] = go("free", "internal", "e_x") },
+      "root: no transition leads to the leaf 'bad'" },
     { "a transition that is not there",
       { [2] = go("free", "bad", "taken root.trans[9]") },
       "root.trans[2] (free -> bad): no transition is named 'root.trans[9]' (did you "
@@ -497,6 +501,8 @@ describe("data of events by example", function()
     { { e_heat = { celsius = 3 } }, "classes: e_heat: list of tables with data "
       .. "expected, such as { { x = 1 } }$" },
     { { e_heat = { 3 } }, "classes: e_heat%[1%]: table with data expected, got 3$" },
+    { { e_heat = { { name = "e_hat" } } }, "classes: e_heat%[1%]: an event of this "
+      .. "name expected, got one of the name 'e_hat'$" },
     { { {} }, "classes: name of an event expected, got 1$" },
     { 3, "classes: table of lists expected, got 3$" },
   } do

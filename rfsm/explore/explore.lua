@@ -614,6 +614,9 @@ local function problem_of_examples(name, list)
   for i, example in ipairs(list) do
     if type(example) ~= "table" or getmetatable(example) then
       return ("%s[%d]: table with data expected, %s"):format(name, i, opts.got(example))
+    elseif example.name ~= nil and example.name ~= name then
+      return ("%s[%d]: an event of this name expected, got one of the name '%s'")
+        :format(name, i, rfsm.text_of(example.name))
     end
   end
 end

@@ -15,6 +15,7 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 local monitors = require "rfsm.explore.monitors"
 local order = require "rfsm.shared.order"
@@ -59,6 +60,8 @@ local STEP = "step"
 
 local CALLBACKS = { "entry", "exit", "doo", "guard", "effect" }
 
+local WHEN = { "when" }
+
 local function refuse(obj, text)
   error(rfsm.location_of(obj) .. ": " .. text, 0)
 end
@@ -78,6 +81,12 @@ end
 -- Has a transition hear `step` if it names only a condition, and names of events in
 -- place of the predicates of `rfsm.named`.
 local function prepare_transition(tr)
+  for _, field in ipairs(rfsm.sorted_keys(tr)) do
+    if field ~= "when" and type(field) == "string" then
+      local hint = advice.did_you_mean(field, WHEN)
+      if hint ~= "" then refuse(tr, "no field is named '" .. field .. "'" .. hint) end
+    end
+  end
   local events = tr.events or {}
   for i, event in ipairs(events) do events[i] = rfsm.event_name(event) or event end
   if tr.when ~= nil and not events[1] then tr.events = { STEP } end
@@ -102,13 +111,23 @@ local function new_machine(chart)
   return fsm
 end
 
+-- Does a transition lead to a leaf, or into a composite around it?
+local function is_target(self, leaf)
+  return order.any(rfsm.elements(self.fsm, rfsm.is_trans), function(tr)
+    return tr.tgt ~= "internal" and location.is_inside(leaf, tr.tgt)
+  end)
+end
+
 local function add_leaves(self)
-  local has_bad = false
+  local bad = {}
   for _, leaf in ipairs(rfsm.elements(self.fsm, rfsm.is_leaf)) do
     self.leaves[leaf._fqn] = leaf
-    has_bad = has_bad or leaf._id == "bad"
+    if leaf._id == "bad" then bad[#bad + 1] = leaf end
   end
-  if not has_bad then refuse(self.fsm, "no leaf of the observer is named 'bad'") end
+  if not bad[1] then refuse(self.fsm, "no leaf of the observer is named 'bad'") end
+  if not order.any(bad, function(leaf) return is_target(self, leaf) end) then
+    refuse(self.fsm, "no transition leads to the leaf 'bad'")
+  end
   rfsm.run(self.fsm)
   if not self.fsm._act_leaf then refuse(self.fsm, "the observer cannot be entered") end
   self.first = self.fsm._act_leaf._fqn

@@ -93,7 +93,7 @@ function makers.unless(names, random)
   return rfsm_checks.always(own.what).unless(own.ending), own
 end
 
--- A random observer of three leaves and `bad`.
+-- A random observer of three leaves and `bad`, to which the last transition leads.
 function makers.observer(names, random)
   local own, leaves = { trs = {} }, { "s1", "s2", "s3" }
   local model = { bad = rfsm.state {}, rfsm.trans { src = "initial", tgt = "s1" } }
@@ -112,6 +112,7 @@ function makers.observer(names, random)
         when = tr.when, pn = -#own.trs }
     end
   end
+  own.trs[#own.trs].tgt, model[#model].tgt = "bad", "bad"
   return rfsm_checks.observer(rfsm.state(model)), own
 end
 
