@@ -3,10 +3,10 @@
 --
 --   rttlua bench/rtt.lua
 --
--- SECONDS (60), STATES (20) and TYPE (OCL::LuaTLSFComponent) are settings, STRIPPED=1
--- takes the modules without debug information, POOL more KiB. The thread has a
--- real-time priority if the process may have one. All that is used the original has,
--- too: it is measured if its folder is on LUA_PATH.
+-- SECONDS (60), STATES (20) and TYPE (OCL::LuaTLSFComponent) are settings. STRIPPED=1
+-- or 0 takes or refuses the modules without debug information, POOL more KiB. The
+-- thread has a real-time priority if the process may have one. All that is used the
+-- original has, too: it is measured if its folder is on LUA_PATH.
 
 -- A component loads this file as its chart: a ring of states, 10 ms in each.
 local function new_chart(n)
@@ -97,7 +97,8 @@ local deployer = rtt.getTC():getPeer("Deployer")
 local component = require("rfsm.rtt").component_launch_rfsm {
   name = "bench", fsmfile = "bench/rtt.lua", deployer = deployer, luatype = kind,
   ev_inport = true, prestr = BEFORE, poststr = AFTER,
-  stripped = os.getenv("STRIPPED") == "1" or nil, pool = tonumber(os.getenv("POOL")),
+  stripped = ({ ["0"] = false, ["1"] = true })[os.getenv("STRIPPED") or ""],
+  pool = tonumber(os.getenv("POOL")),
 }
 local REAL_TIME, PRIORITY = 1, 80
 deployer:getOperation("setActivity")("bench", 0.001, PRIORITY, REAL_TIME)
