@@ -653,7 +653,7 @@ local function note_mount(build, node)
   mounts[#mounts + 1], build.mounts[node._model] = node, mounts
 end
 
-local clone_below, new_node, new_transition
+local check_members, clone_below, new_node, new_transition
 
 do
   -- Returns the value, or in place of a plain table a new one, to be filled later.
@@ -826,6 +826,17 @@ do
     end
   end
 
+  -- Checks a node whose members are known: does a leaf have a transition, a composite a
+  -- doo?
+  function check_members(build, node, has_transition)
+    if node._is_leaf and has_transition then
+      add_warning(build.warnings, "misplaced", node, nil,
+        "a transition inside a leaf state%s", advise("plain_states", node._model))
+    elseif not node._is_leaf and node._mode and node.doo then
+      add(build.problems, node, "doo", "only a leaf state can have a doo")
+    end
+  end
+
   local function clone_node(build, node)
     local has_transition, own_kind = false, kind_of(node)
     for key, value in pairs(fields_of(node._model)) do -- any order: sorted later
@@ -844,12 +855,7 @@ do
         new_node(build, kind, value, node, key)
       end
     end
-    if node._is_leaf and has_transition then
-      add_warning(build.warnings, "misplaced", node, nil,
-        "a transition inside a leaf state%s", advise("plain_states", node._model))
-    elseif own_kind == "state" and node.doo and not node._is_leaf then
-      add(build.problems, node, "doo", "only a leaf state can have a doo")
-    end
+    check_members(build, node, has_transition)
   end
 
   for _, f in ipairs { check_events, clone_data, clone_node, fields_of,
@@ -2973,7 +2979,7 @@ end
 local ODD_EVENTS = { e_fault = true, always = true }
 
 -- Reports the warnings of the model, then suspicious guards and events, which preproc
--- functions may have changed.
+-- functions may have changed, then dead ends.
 local function report_findings(build, first_node, first_transition)
   local fsm, found = build.fsm, append({}, build.warnings)
   for i = first_node, #fsm._nodes do
@@ -2992,6 +2998,7 @@ local function report_findings(build, first_node, first_transition)
     end
   end
   report_lines(fsm, "warn", found)
+  report_dead_ends(fsm, first_node)
 end
 
 --- Functions `f(fsm[, merged])` that `rfsm.init` calls for each machine.
@@ -3117,10 +3124,7 @@ function rfsm.init(model)
     fsm._initialized = false
     return refuse_model(model, fsm, problems)
   end
-  if fsm.warn ~= silent then
-    report_findings(build, 1, 1)
-    report_dead_ends(fsm, 1)
-  end
+  if fsm.warn ~= silent then report_findings(build, 1, 1) end
   machines[fsm] = true
   raise_failure(fsm)
   return fsm
@@ -3637,25 +3641,23 @@ do
 
   -- Functions of the engine for the files of the library beside this one.
   local engine = {
-    add = add, add_warning = add_warning, advise = advise,
-    ask_getevents = ask_getevents, queue_given = queue_given,
-    check_function = check_function,
-    check_no_step = check_no_step, clone_below = clone_below,
-    check_ways_in = check_ways_in, cut = cut, entrance_of = entrance_of, fast = fast,
-    find_entrance = find_entrance, find_lca = find_lca, first_enabled = first_enabled,
-    forget = forget, is_made = is_made, is_node_of = is_node_of, line_to = line_to,
-    lines_of = lines_of, list_choices = list_choices, list_otrs = list_otrs,
-    matches = matches, may_repeat = may_repeat, new_build = new_build,
-    new_node = new_node, new_path = new_path,
-    new_transition = new_transition, note_mount = note_mount, note_of = note_of,
-    path_of = path_of, preprocess = preprocess,
-    raise_failure = raise_failure, report_dead_ends = report_dead_ends,
-    report_created = report_created, report_findings = report_findings,
-    reset_now = reset_now, resolve = resolve, segment_of = segment_of,
-    new_emit = new_emit, summary = summary, tell = tell, complete = complete,
-    tell_watch = tell_watch, try = try, append = append, enabled = enabled,
-    follow = follow, iterate = iterate, list_otrs_of = list_otrs_of, PHASES = PHASES,
-    silent = silent,
+    add = add, advise = advise, append = append, ask_getevents = ask_getevents,
+    check_function = check_function, check_members = check_members,
+    check_no_step = check_no_step, check_ways_in = check_ways_in,
+    clone_below = clone_below, complete = complete, cut = cut, enabled = enabled,
+    entrance_of = entrance_of, fast = fast, find_entrance = find_entrance,
+    find_lca = find_lca, first_enabled = first_enabled, follow = follow,
+    forget = forget, is_made = is_made, is_node_of = is_node_of, iterate = iterate,
+    line_to = line_to, lines_of = lines_of, list_choices = list_choices,
+    list_otrs = list_otrs, list_otrs_of = list_otrs_of, matches = matches,
+    may_repeat = may_repeat, new_build = new_build, new_emit = new_emit,
+    new_node = new_node, new_path = new_path, new_transition = new_transition,
+    note_mount = note_mount, note_of = note_of, path_of = path_of, PHASES = PHASES,
+    preprocess = preprocess, queue_given = queue_given, raise_failure = raise_failure,
+    report_created = report_created, report_dead_ends = report_dead_ends,
+    report_findings = report_findings, reset_now = reset_now, resolve = resolve,
+    segment_of = segment_of, silent = silent, summary = summary, tell = tell,
+    tell_watch = tell_watch, try = try,
   }
 
   -- Returns the function of a name whose file is missing: it says so.

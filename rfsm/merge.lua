@@ -55,17 +55,11 @@ local function build_merge(rfsm, engine, fsm, parent, obj, id)
   for _, node in ipairs(fsm._nodes) do engine.note_mount(build, node) end
   if rfsm.is_trans(obj) then
     engine.new_transition(build, obj, parent, id)
-    if parent._is_leaf then
-      engine.add_warning(build.warnings, "misplaced", parent, nil,
-        "a transition inside a leaf state")
-    end
   else
     local node = engine.new_node(build, rfsm.kind_of(obj), obj, parent, id)
     engine.clone_below(build, node._index)
-    if parent.doo then
-      engine.add(build.problems, parent, "doo", "only a leaf state can have a doo")
-    end
   end
+  engine.check_members(build, parent, rfsm.is_trans(obj))
   engine.resolve(build, first)
   engine.check_ways_in(build, first)
   return build
@@ -180,7 +174,6 @@ return function(core, engine)
     end
     engine.report_created(build)
     engine.report_findings(build, before.node, before.transition)
-    engine.report_dead_ends(fsm, before.node)
     engine.tell_watch(fsm, "merged", parent[id])
     return true
   end

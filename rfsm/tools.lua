@@ -11,11 +11,80 @@ local max = math.max
 
 local NONE = {}
 
--- Inspect ---------------------------------------------------------------------------
+-- Structure: machines of equal structure share what is known of it ------------------
 
-local function define_lists(core)
+local latest = setmetatable({}, { __mode = "kv" }) -- model -> a machine of it
+
+-- Have the elements of two lists equal values in some fields? Nodes are compared by
+-- FQN.
+local function have_same(list, others, fields)
+  for i, element in ipairs(list) do
+    for _, field in ipairs(fields) do
+      local a, b = element[field], others[i][field]
+      if type(a) == "table" and type(b) == "table" and a._index then
+        a, b = a._fqn, b._fqn
+      end
+      if not rawequal(a, b) then return false end
+    end
+  end
+  return true
+end
+
+local function have_same_events(list, others)
+  for i, tr in ipairs(list) do
+    local events, more = tr.events, others[i].events
+    for j = 1, max(#events, #more) do
+      if not rawequal(events[j], more[j]) then return false end
+    end
+  end
+  return true
+end
+
+local NODE, TRANSITION = { "_fqn", "_is_leaf" }, { "_model", "src", "_target", "pn" }
+
+local function are_alike(fsm, other)
+  local nodes, transitions = fsm._nodes, fsm._transitions
+  return #nodes == #other._nodes and #transitions == #other._transitions
+    and have_same(nodes, other._nodes, NODE)
+    and have_same(transitions, other._transitions, TRANSITION)
+    and have_same_events(transitions, other._transitions)
+end
+
+-- Move ------------------------------------------------------------------------------
+
+-- Makes all active states inactive. `_actchild` leads to them.
+local function leave_all(fsm)
+  local left = fsm
+  while left do
+    local child = left._actchild
+    left._mode = "inactive"
+    if left._doo_co then left._doo_co = nil end
+    if child then rawset(left, "_actchild", nil) end
+    left = child
+  end
+  fsm._act_leaf = false
+end
+
+-- Sets the mode of a state. Its ancestors become active, all other states inactive.
+local function move_to(fsm, state, mode)
+  leave_all(fsm)
+  state._mode = mode
+  if mode ~= "inactive" and state._is_leaf then fsm._act_leaf = state end
+  while state ~= fsm do
+    local parent = state._parent
+    if state._mode ~= "inactive" then rawset(parent, "_actchild", state) end
+    parent._mode, state = "active", parent
+  end
+end
+
+---@param core rfsm
+---@param engine table<string, function> functions of the core
+return function(core, engine)
   ---@class rfsm
   local rfsm = core
+
+  local check_machine, got = rfsm.check_machine, rfsm.got
+  local is_node_of, line_to = engine.is_node_of, engine.line_to
 
   --- List the nodes to which a transition may lead.
   --
@@ -49,7 +118,7 @@ local function define_lists(core)
   ---@param fsm rfsm.Machine
   ---@return boolean
   function rfsm.took_path(fsm)
-    rfsm.check_machine(fsm, "rfsm.took_path")
+    check_machine(fsm, "rfsm.took_path")
     local path = fsm._path
     if fsm._phase ~= "take" then fsm._path = false end
     return path ~= false
@@ -59,7 +128,7 @@ local function define_lists(core)
   ---@param fsm rfsm.Machine
   ---@return boolean
   function rfsm.is_free(fsm)
-    rfsm.check_machine(fsm, "rfsm.is_free")
+    check_machine(fsm, "rfsm.is_free")
     return fsm._outcome == "free"
   end
 
@@ -67,7 +136,7 @@ local function define_lists(core)
   ---@param fsm rfsm.Machine
   ---@return boolean
   function rfsm.is_idle(fsm)
-    rfsm.check_machine(fsm, "rfsm.is_idle")
+    check_machine(fsm, "rfsm.is_idle")
     return fsm._outcome == "idle" and fsm._intq[1] == nil
   end
 
@@ -86,16 +155,6 @@ local function define_lists(core)
   ---@param fsm rfsm.Machine
   ---@return { name: string, save: function, load: function, is_explored?: boolean }[]
   function rfsm.snapshot_hooks(fsm) return fsm._snapshot_hooks or NONE end
-end
-
-local check_state -- f(fsm, state, where, level): a state, given itself or by name
-
-local function define_questions(core, engine)
-  ---@class rfsm
-  local rfsm = core
-
-  local check_machine, got = rfsm.check_machine, rfsm.got
-  local is_node_of, line_to = engine.is_node_of, engine.line_to
 
   -- Returns the node with a name such as "root.par.left.a" in a machine or its regions.
   local function find_by_name(fsm, name)
@@ -106,7 +165,8 @@ local function define_questions(core, engine)
     end
   end
 
-  function check_state(fsm, state, where, level)
+  -- Returns a state, given itself or by name; blames the caller for any other value.
+  local function check_state(fsm, state, where, level)
     local node = type(state) == "string" and find_by_name(fsm, state) or state
     if rfsm.is_state(node) and node._mode then return node end
     local hint = type(state) == "string" and engine.advise("state_name", fsm, state)
@@ -187,50 +247,6 @@ local function define_questions(core, engine)
     check_machine(fsm, "rfsm.check_no_otrs")
     return engine.report_dead_ends(fsm, 1)
   end
-end
-
--- Structure: machines of equal structure share what is known of it --------------------
-
-local latest = setmetatable({}, { __mode = "kv" }) -- model -> a machine of it
-
--- Have the elements of two lists equal values in some fields? Nodes are compared by
--- FQN.
-local function have_same(list, others, fields)
-  for i, element in ipairs(list) do
-    for _, field in ipairs(fields) do
-      local a, b = element[field], others[i][field]
-      if type(a) == "table" and type(b) == "table" and a._index then
-        a, b = a._fqn, b._fqn
-      end
-      if not rawequal(a, b) then return false end
-    end
-  end
-  return true
-end
-
-local function have_same_events(list, others)
-  for i, tr in ipairs(list) do
-    local events, more = tr.events, others[i].events
-    for j = 1, max(#events, #more) do
-      if not rawequal(events[j], more[j]) then return false end
-    end
-  end
-  return true
-end
-
-local NODE, TRANSITION = { "_fqn", "_is_leaf" }, { "_model", "src", "_target", "pn" }
-
-local function are_alike(fsm, other)
-  local nodes, transitions = fsm._nodes, fsm._transitions
-  return #nodes == #other._nodes and #transitions == #other._transitions
-    and have_same(nodes, other._nodes, NODE)
-    and have_same(transitions, other._transitions, TRANSITION)
-    and have_same_events(transitions, other._transitions)
-end
-
-local function define_structure(core)
-  ---@class rfsm
-  local rfsm = core
 
   --- Return a table that stands for the structure of a machine, for extensions.
   --
@@ -240,7 +256,7 @@ local function define_structure(core)
   ---@param fsm rfsm.Machine
   ---@return table structure
   function rfsm.structure_of(fsm)
-    rfsm.check_machine(fsm, "rfsm.structure_of")
+    check_machine(fsm, "rfsm.structure_of")
     if fsm._structure then return fsm._structure end
     local other = latest[fsm._model]
     fsm._structure = other and other._structure and are_alike(fsm, other)
@@ -248,44 +264,12 @@ local function define_structure(core)
     latest[fsm._model] = fsm
     return fsm._structure
   end
-end
-
--- Move --------------------------------------------------------------------------------
-
--- Makes all active states inactive. `_actchild` leads to them.
-local function leave_all(fsm)
-  local left = fsm
-  while left do
-    local child = left._actchild
-    left._mode = "inactive"
-    if left._doo_co then left._doo_co = nil end
-    if child then rawset(left, "_actchild", nil) end
-    left = child
-  end
-  fsm._act_leaf = false
-end
-
--- Sets the mode of a state. Its ancestors become active, all other states inactive.
-local function move_to(fsm, state, mode)
-  leave_all(fsm)
-  state._mode = mode
-  if mode ~= "inactive" and state._is_leaf then fsm._act_leaf = state end
-  while state ~= fsm do
-    local parent = state._parent
-    if state._mode ~= "inactive" then rawset(parent, "_actchild", state) end
-    parent._mode, state = "active", parent
-  end
-end
-
-local function define_moves(core, engine)
-  ---@class rfsm
-  local rfsm = core
 
   --- Call getevents and append its events to the queue.
   ---@param fsm rfsm.Machine
   ---@return integer waiting length of the queue
   function rfsm.check_events(fsm)
-    rfsm.check_machine(fsm, "rfsm.check_events")
+    check_machine(fsm, "rfsm.check_events")
     local events, failure = engine.ask_getevents(fsm)
     if not events then error(failure, 0) end
     engine.queue_given(fsm, events)
@@ -299,7 +283,7 @@ local function define_moves(core, engine)
   ---@param fsm rfsm.Machine
   ---@param where string the public function
   function rfsm.check_between_steps(fsm, where)
-    rfsm.check_machine(fsm, where, 4)
+    check_machine(fsm, where, 4)
     if fsm._phase == "idle" then return end
     engine.check_no_step(fsm, where, 4)
     engine.try(fsm)
@@ -314,10 +298,10 @@ local function define_moves(core, engine)
   ---@return string mode
   function rfsm.set_sta_mode(state, mode)
     if not rfsm.is_state(state) or type(state._index) ~= "number" then
-      error("rfsm.set_sta_mode: state of a fsm expected, " .. rfsm.got(state), 2)
+      error("rfsm.set_sta_mode: state of a fsm expected, " .. got(state), 2)
     elseif mode ~= "active" and mode ~= "inactive" and mode ~= "done" then
       error("rfsm.set_sta_mode: 'active', 'done' or 'inactive' expected, "
-        .. rfsm.got(mode), 2)
+        .. got(mode), 2)
     end
     local is_active, was_active = mode ~= "inactive", state._mode ~= "inactive"
     if is_active ~= was_active or is_active and state._is_leaf then
@@ -350,7 +334,7 @@ local function define_moves(core, engine)
   -- Calls the entry hooks of extensions: those that may be repeated, which a program's
   -- hooks are not.
   local function call_entry_hooks(fsm, leaf)
-    for _, state in ipairs(fsm._entry_hooks and engine.line_to(leaf) or NONE) do
+    for _, state in ipairs(fsm._entry_hooks and line_to(leaf) or NONE) do
       for _, hook in ipairs(fsm._entry_hooks[state] or NONE) do
         if engine.may_repeat(hook) then engine.tell(fsm, { hook }, state) end
       end
@@ -377,7 +361,7 @@ local function define_moves(core, engine)
   ---@package
   function rfsm.begin_in(fsm, state, where)
     local leaf = check_state(fsm, state, where, 3)
-    if not (engine.is_node_of(fsm, leaf) and leaf._is_leaf) then
+    if not (is_node_of(fsm, leaf) and leaf._is_leaf) then
       error(where .. ": leaf of the machine expected, got '" .. leaf._fqn .. "'", 3)
     elseif fsm._mode ~= "inactive" then
       error(where .. ": the machine is active (rfsm.reset makes it inactive)", 3)
@@ -388,13 +372,4 @@ local function define_moves(core, engine)
     if not leaf.doo then engine.complete(fsm, leaf) end
     engine.raise_failure(fsm)
   end
-end
-
----@param rfsm rfsm the core
----@param engine table<string, function> functions of the core
-return function(rfsm, engine)
-  define_lists(rfsm)
-  define_questions(rfsm, engine)
-  define_structure(rfsm)
-  define_moves(rfsm, engine)
 end
