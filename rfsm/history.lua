@@ -27,7 +27,8 @@ end
 local function forget(fsm)
   local list = fsm._history
   for i = 1, #list do
-    if list[i].tgt ~= list[i]._initial then lead_to(list[i], list[i]._initial) end
+    local tr = list[i]
+    if tr.tgt ~= tr._initial then lead_to(tr, tr._initial) end
   end
 end
 

@@ -710,6 +710,37 @@ SELECT event, src, tgt FROM rfsm.history ORDER BY id DESC LIMIT 1;]]))
     has_usual_charts = false
   end)
 
+  it("shows what is kept as it is, however the machine is saved", function()
+    load_charts({}, "kept=" .. helper.file_with [[
+local region = rfsm.state { keep = { "n" }, n = 0,
+  a = rfsm.state { entry = function(fsm) fsm.n = fsm.n + 1 end },
+  rfsm.trans { src = "initial", tgt = "a" } }
+return rfsm.state { keep = { "x" }, x = "[\"%n", w = rfsm.state {}, off = rfsm.state {},
+  on = rfsm.seqand { l = region },
+  rfsm.trans { src = "initial", tgt = "w" },
+  rfsm.trans { src = "w", tgt = "off", events = { "e_0" } },
+  rfsm.trans { src = "off", tgt = "on", events = { "e_1" } },
+  rfsm.trans { src = "on", tgt = "off", events = { rfsm.named "e_x" },
+    effect = function(fsm, _, _, events) fsm.x = events[1].x end } }]])
+    assert.equal([[
+{"root": {"x": "[\"%n"}, "root.on.l": {"n": 0}}
+{"root": {"x": "[\"%n"}, "root.on.l": {"n": 1}}
+{"root": {"x": [0.1, {"%n": "%t"}]}, "root.on.l": {"n": 1}}
+{"root": {"x": {"1": true, "3": 0.30000000000000004}}, "root.on.l": {"n": 2}}
+]], sql([[
+SELECT rfsm.create('1', 'kept') \gset
+SELECT data FROM rfsm.machines;
+SELECT rfsm.send('1', 'e_0') \gset
+SELECT rfsm.send('1', 'e_1') \gset
+SELECT data FROM rfsm.machines;
+SELECT rfsm.send('1', '{"name":"e_x","x":[0.1,{"%n":"%t"}]}') \gset
+SELECT data FROM rfsm.machines;
+SELECT rfsm.send('1', 'e_1') \gset
+SELECT rfsm.send('1', '{"name":"e_x","x":{"1":true,"3":0.30000000000000004}}') \gset
+SELECT data FROM rfsm.machines;]]))
+    has_usual_charts = false
+  end)
+
   it("reports why", function()
     assert.equal("root.trans[2] (off -> on) would be taken on e_on in root.off\n",
       sql([[
