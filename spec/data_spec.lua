@@ -391,8 +391,14 @@ describe("callbacks that are not run", function()
   local shared = 0
   local function is_shared(tr) return shared + tr.src._parent.n >= 3 end
   local function set(fsm) fsm.n = 3 end
+  local class = { __index = { set = set } }
+  local deep = { object = setmetatable({}, class), list = { set = set } }
   local WRITERS = {
     set,
+    function(fsm) deep.object:set(fsm) end,
+    function(fsm) pcall(deep.list.set, fsm) end,
+    function(fsm) deep["list"].set(fsm) end,
+    function(fsm) fsm.n, others[tostring(1)] = 3, 1 end,
     function(fsm) fsm["n"] = 3 end,
     function(fsm) fsm[field] = 3 end,
     function(fsm) fsm["" .. "n"] = 3 end,

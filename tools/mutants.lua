@@ -34,7 +34,7 @@ local ROOMS = {
   { name = "checks", files = { "rfsm_checks.lua", "rfsm/checks/*.lua",
     "rfsm/cli/review.lua", "rfsm/shared/location.lua", "rfsm/shared/match.lua" },
     specs = { "shared", "reactions", "checks", "alone", "source", "first_hour",
-      "verdict", "tools" } },
+      "verdict", "alarms", "defer", "tools" } },
   { name = "explore", files = { "rfsm/explore/*.lua" },
     specs = { "reactions", "data", "property", "independence", "timing", "verdict",
       "explore", "observer", "tests" } },

@@ -176,8 +176,18 @@ function writes.names_in(text)
   return list
 end
 
--- Lists the functions that a text names: upvalues, globals, and fields of upvalues and
--- globals.
+-- Returns a field of a table, also one that its class has.
+local function field_of(owner, name)
+  for _ = 1, 10 do
+    if type(owner) ~= "table" then return nil end
+    local value, class = rawget(owner, name), getmetatable(owner)
+    if value ~= nil then return value end
+    owner = type(class) == "table" and rawget(class, "__index")
+  end
+end
+
+-- Lists the functions that a text names: upvalues, globals, and what is behind points
+-- and colons: "arm.tool:open", arm["tool"].
 local function called_by(text, upvalues)
   local list = {}
   local function add(value)
@@ -185,9 +195,14 @@ local function called_by(text, upvalues)
   end
   for _, name in ipairs(rfsm.sorted_keys(upvalues)) do add(upvalues[name]) end
   for _, name in ipairs(writes.names_in(text)) do add(rawget(_G, name)) end
-  for name, field in text:gmatch("([%a_][%w_]*)%s*[.:]%s*([%a_][%w_]*)") do
-    local owner = upvalues[name] or rawget(_G, name)
-    add(type(owner) == "table" and rawget(owner, field) or nil)
+  text = text:gsub("%.%.+", " "):gsub("%[%s*[\"']([%a_][%w_]*)[\"']%s*%]", ".%1")
+    :gsub("%s*([.:])%s*", "%1")
+  for base, rest in text:gmatch("%f[%w_]([%a_][%w_]*)([.:][%w_.:]*)") do
+    local value = upvalues[base] or rawget(_G, base)
+    for name in rest:gmatch("[%w_]+") do
+      value = field_of(value, name)
+      add(value)
+    end
   end
   return list
 end
@@ -203,8 +218,10 @@ local CHANGERS = { insert = true, remove = true, sort = true }
 
 -- Does a text assign to a field of this name, or change the list in that field?
 local function assigns(text, name)
+  local short = text:gsub("%b[]", "[]") -- in an index may be anything
   for _, behind in ipairs(BEHIND) do
     if text:find("%.%s*" .. name .. "%f[^%w_]" .. behind)
+      or short:find("%.%s*" .. name .. "%f[^%w_]" .. behind)
       or text:find("%[%s*[\"']" .. name .. "[\"']%s*%]" .. behind) then
       return true
     end
@@ -233,7 +250,7 @@ end
 -- Does a text assign to a field of the chart by a key that it computes?
 local function computes_key(text, upvalues, names)
   if text:find("%f[%w_]rawset%f[^%w_]") then return true end
-  for _, behind in ipairs { "%s*=%f[^=]", "%s*,[%w_.,%s]-=%f[^=]" } do
+  for _, behind in ipairs { "%s*=%f[^=]", "%s*,[%w_.,%s%[%]\"']-=%f[^=]" } do
     for base, key in text:gmatch("([%w_.]*[%w_%])])%s*(%b[])" .. behind) do
       local is_told = is_plain(key) or is_apart(text, upvalues, base, names)
       if not is_told then return true end
