@@ -222,6 +222,14 @@ describe("init", function()
   end)
 end)
 
+describe("a transition inside a leaf", function()
+  it("is dropped if its ends are wrong", function()
+    local fsm = assert(rfsm.init(chart { warn = false,
+      c = state { trans { src = "a", tgt = "nowhere" } } }))
+    assert.is_nil(rawget(fsm.c, 1))
+  end)
+end)
+
 describe("an initial that nothing leaves", function()
   local TEXT = ": no transition leaves it (rfsm.trans{ src='initial', tgt=... })"
 

@@ -184,6 +184,9 @@ describe("FIX surroundings:", function()
     local fsm = started {}
     fsm.idle_hook = failing
     assert.is_false((pcall(rfsm.step, fsm, 2)))
+    fsm.idle_hook = 1
+    assert.same({ false, "rfsm.step: idle_hook: function expected, got number 1" },
+      { pcall(rfsm.step, fsm, 2) })
     fsm.idle_hook = nil
     assert.is_true(rfsm.run(fsm))
   end)

@@ -144,6 +144,21 @@ describe("a library in a folder of the program", function()
     ]]):format(folder) .. USE))
   end)
 
+  it("is found in a bundle, which has the modules in package.preload", function()
+    assert.equal("root.b\ndone", output_of([[
+      local at = package.path:match "^(.*)%?"
+      for _, name in ipairs { "rfsm", "rfsm_timeevent" } do
+        local file = assert(io.open(at .. "libs/" .. name .. ".lua"))
+        local chunk = assert((loadstring or load)(file:read "*a", "=bundle"))
+        file:close()
+        package.preload["libs." .. name] = chunk
+      end
+      package.path = ""
+      local rfsm = require "libs.rfsm"
+      require "rfsm_timeevent"
+      ]] .. USE))
+  end)
+
   it("reports a module that is nowhere as usual", function()
     assert.matches("^module 'rfsm.nothing' not found", output_of([[
       require "libs.rfsm"

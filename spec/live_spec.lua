@@ -126,7 +126,46 @@ describe("the trace", function()
   end)
 end)
 
+describe("a connector", function()
+  it("is asked once in a search for each event that leads to it", function()
+    local count = 0
+    local fsm = started { k = conn {}, [4] = trans { src = "k", tgt = "b",
+      guard = function()
+        count = count + 1
+        return false
+      end } }
+    for _, event in ipairs { "x", "y", "x", "y" } do
+      rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = "k", events = { event } })
+    end
+    post_and_run(fsm, "x")
+    count = 0
+    rfsm.send_events(fsm, "x", "y")
+    rfsm.step(fsm)
+    assert.equal(2, count)
+  end)
+end)
+
+describe("an internal transition", function()
+  it("has beside it events that are no texts", function()
+    local fsm = started { b = state {} }
+    fsm[2].tgt, fsm[2].events[2] = fsm.a, 7
+    rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = "internal", pn = 1,
+      events = { 7 } })
+    rfsm.send_events(fsm, 7, {}, 8)
+    assert.is_true(rfsm.run(fsm))
+  end)
+end)
+
 describe("a step hook", function()
+  it("in front is called before a source of events, and that before others", function()
+    local order, fsm = {}, started()
+    rfsm.pre_step_hook_add(fsm, noting(order, "other"), "before")
+    rfsm.source_hook_add(fsm, noting(order, "source"))
+    rfsm.pre_step_hook_add(fsm, noting(order, "front"), "front")
+    rfsm.step(fsm)
+    assert.same({ "front", "source", "other" }, order)
+  end)
+
   it("sees the events and may change them", function()
     local fsm = started()
     rfsm.pre_step_hook_add(fsm, function(_, events) events[1] = "e" end)
@@ -327,6 +366,16 @@ describe("a call from inside", function()
     assert.is_false(rfsm.step(fsm))
     assert.same({ { "root", "root.b" }, {}, { "e_init_fsm" } },
       { seen, rfsm.get_active_conf(fsm), fsm._intq })
+  end)
+
+  it("to exit_state of the root in a post step hook leaves nothing idle", function()
+    local fsm, is_due = started(), false
+    fsm.post_step_hook = rfsm.borrows(function(machine)
+      if is_due then rfsm.exit_state(machine, machine) end
+    end)
+    rfsm.run(fsm)
+    is_due = true
+    assert.is_false(rfsm.step(fsm))
   end)
 
   it("to send_events counts in the next iteration", function()
