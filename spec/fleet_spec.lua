@@ -674,6 +674,45 @@ describe("rfsm fleet", function()
     assert.matches("^%d+%.%d+ to be looked at\n$", fleet_command("log", "m:{0}:1"))
   end)
 
+  it("makes a machine with data", function()
+    local key = key_of(1)
+    assert.equal("root.a done taken\n", fleet_command("create", key, "timed", "n=4"))
+    assert.equal(4, machines:get(1).data.root.n)
+    for text, arguments in pairs { -- any order: each stands alone
+      ["ERR rfsm_create: something is at 'm:{0}:1'"] = { key, "timed" },
+      ["ERR rfsm_create: no chart is named 'timd' (did you mean 'timed'?)"] = {
+        "m:{0}:2", "timd" },
+      ["ERR rfsm_create: data: the root of the chart does not keep 'm' (there is 'n')"]
+        = { "m:{0}:2", "timed", "m=4" },
+      ["FIELD=VALUE expected, got 'n'"] = { "m:{0}:2", "timed", "n" },
+    } do
+      assert.equal("rfsm fleet: " .. text .. "\n", fleet_command("create",
+        table.concat(arguments, " ")))
+    end
+    assert.matches("^%S+ %(create%): %-> root.a\n", fleet_command("history", key))
+  end)
+
+  it("sets a field to a value of another kind only by force", function()
+    local key = key_of(1)
+    assert(machines:create(1, "timed"))
+    assert.equal("rfsm fleet: ERR rfsm_set: field 'n': a number expected, got 'abc' "
+      .. "(the option 'force' sets it nevertheless)\n",
+      fleet_command("set", key, "n=abc"))
+    assert.equal("root.a done kept\n", fleet_command("set", key, "n=abc", "--force"))
+    assert.equal("abc", machines:get(1).data.root.n)
+    assert.matches("get takes no %-%-force", fleet_command("get", key, "--force"))
+  end)
+
+  it("has a hint for a path without root, and for a version", function()
+    assert(machines:create(1, "timed"))
+    assert.equal("rfsm fleet: ERR rfsm_force: chart 'timed' has no leaf 'b' (did you "
+      .. "mean 'root.b'?)\n", fleet_command("force", key_of(1), "b"))
+    assert.equal("rfsm fleet: no machine is like that, so nothing was done (did you "
+      .. "mean 'newest'?)\n", fleet_command("hold", "--where", "version=newst"))
+    assert.equal("rfsm fleet: no machine is like that, so nothing was done\n",
+      fleet_command("hold", "--where", "version=bundled"))
+  end)
+
   it("pulls a machine, and pushes what was repaired", function()
     local key, file = key_of(1), helper.file_with("")
     assert(machines:create(1, "timed"))
@@ -693,8 +732,8 @@ describe("rfsm fleet", function()
     assert.matches("^rfsm fleet: ERR rfsm_push: the machine at 'm:{0}:1' has moved on: "
       .. "revision %d+ expected, it has %d+\n$", fleet_command("push", key, file))
     helper.write(file, helper.content(file):sub(1, 90))
-    assert.equal("rfsm fleet: ERR rfsm_push: file: a JSON object expected\n",
-      fleet_command("push", key, file))
+    assert.equal("rfsm fleet: ERR rfsm_push: file (is it cut short?): a JSON object "
+      .. "expected\n", fleet_command("push", key, file))
     assert.equal("root.b", machines:get(1).leaf)
   end)
 
@@ -991,7 +1030,7 @@ describe("an operator who types what doc/redis.md prints", function()
     end
     assert.equal("m:{7}:42\n", printed[1])
     assert.matches("chart: order\n.*cog.*leaf: root.picking\n", printed[2])
-    assert.matches("^[%d.]+ e_paid: root.received %-> root.picking\n[%d.]+ : .*"
+    assert.matches("^[%d.]+ e_paid: root.received %-> root.picking\n[%d.]+ %(create%): "
       .. "%-> root.received\n$", printed[3])
     assert.same({ "root.picking done kept\n", "root.picking done kept\n",
       "root.packing done taken\n" }, { printed[4], printed[5], printed[6] })

@@ -139,7 +139,8 @@ describe("a call of the client", function()
       problem = "rfsm.create: something is at '1'" },
     ["data that is not kept"] = { method = "create",
       arguments = { "2", "counter", { colour = 1 } },
-      problem = "rfsm.create: data: the root of the chart does not keep 'colour'" },
+      problem = "rfsm.create: data: the root of the chart does not keep 'colour' "
+        .. "(there are 'list', 'n')" },
     ["data that is no JSON"] = { method = "create",
       arguments = { "2", "counter", { n = print } },
       problem = "rfsm.postgres.create: data: a function has no JSON" },

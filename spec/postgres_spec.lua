@@ -938,7 +938,7 @@ SELECT jsonb_array_length((rfsm.pull('1')::jsonb)->'fleet'->'history');]])
 root.even
 root.odd
 ERROR:  rfsm.push: the machine at '1' has moved on: revision N expected, it has N
-ERROR:  rfsm.push: file: a JSON object expected
+ERROR:  rfsm.push: file (is it cut short?): a JSON object expected
 root.even
 root.even
 ERROR:  rfsm.set: no state of chart 'counter' keeps the field 'm'
@@ -966,7 +966,7 @@ counter|1
 ]], (sql([[
 SELECT rfsm.create('1', 'counter', id => 'one') \gset
 SELECT rfsm.create('2', 'counter') \gset
-SELECT rfsm.call('rfsm_hold', '1', ARRAY['looked at'], NULL) \gset
+SELECT rfsm.hold('1', 'looked at') \gset
 SELECT rfsm.send('1', 'e_tick', 'x') \gset
 SELECT name, regexp_replace(value, ',"time":[0-9.]+', '') FROM rfsm.get('1')
   WHERE name IN ('held', 'held_because', 'kept', 'waiting', 'ids');
@@ -978,6 +978,26 @@ UPDATE rfsm.machines SET due = now() WHERE key = '2';
 SELECT count(*) FROM rfsm.due();
 SELECT count(*), (SELECT count(*) FROM rfsm.find('counter', 'root', 10, '1 h'))
   FROM rfsm.find('counter', 'root');]])))
+  end)
+
+  it("warns of a chart or state that no machine can be in, and of kinds", function()
+    assert.equal([[
+WARNING:  rfsm.find: no machine of chart 'counter' is in 'ood' (did you ]]
+      .. [[mean 'root.odd'?)
+0
+WARNING:  rfsm.find: no machine of chart 'conter' is in 'root' (did you mean 'counter'?)
+0
+2
+ERROR:  rfsm.set: field 'n': a number expected, got 'abc' (the option 'force' sets it ]]
+      .. "nevertheless)\n", sql [[
+SELECT rfsm.create('1', 'counter') \gset
+SELECT count(*) FROM rfsm.find('counter', 'ood');
+SELECT count(*) FROM rfsm.find('conter', 'root');
+SELECT * FROM rfsm.find('counter', 'root.odd');
+SELECT rfsm.set('1', 'n', '"abc"', force => true) \gset
+SELECT rfsm.set('1', 'n', '2') \gset
+SELECT data->'root'->'n' FROM rfsm.machines;
+SELECT rfsm.set('1', 'n', '"abc"');]])
   end)
 
   it("sends dead entries again, drops them, and reads numbers", function()

@@ -306,7 +306,8 @@ describe("a call is refused, and nothing is written:", function()
     assert.equal("ERR rfsm_create: data.n: at most 9 tables inside each other "
       .. "expected", f.rfsm_create({ "o" }, { "c", '{"n":' .. ('{"x":'):rep(14) .. 5
         .. ("}"):rep(15) }).err)
-    assert.equal("ERR rfsm_create: data: the root of the chart does not keep 'colour'",
+    assert.equal("ERR rfsm_create: data: the root of the chart does not keep 'colour' "
+      .. "(there is 'n')",
       f.rfsm_create({ "o" }, { "c", '{"colour":1}' }).err)
     assert.equal("ERR rfsm_create: data: a JSON object expected",
       f.rfsm_create({ "o" }, { "c", "5" }).err)
@@ -1774,7 +1775,7 @@ describe("the desk", function()
       return json.encode(copy)
     end
     for problem, wrong in pairs { -- any order: each stands alone
-      ["file: a JSON object expected"] = text:sub(1, 60),
+      ["file (is it cut short?): a JSON object expected"] = text:sub(1, 60),
       ["file: the check sum is wrong: the text has changed since it was written (a "
         .. "person who changes the file removes its field 'sum')"] =
         text:gsub('"count":0', '"count":1') .. "",
@@ -1798,7 +1799,7 @@ describe("the desk", function()
     assert.equal(7, select(2, pull "m").data.root.count)
     for text, value in pairs { ['"x"'] = "x", ["[1,2]"] = { 1, 2 }, ["true"] = true,
       ["null"] = { "%z" } } do -- any order: each stands alone
-      call("set", "root.count", text)
+      call("set", "root.count", text, "ann", "force")
       assert.same(value, select(2, pull "m").data.root.count)
     end
     library { history = 10 }
@@ -1815,6 +1816,20 @@ describe("the desk", function()
       refusal("set", "count", "x"))
     assert.equal("ERR rfsm_set: value: one value expected",
       refusal("set", "count", '1,"other":2'))
+  end)
+
+  it("refuses a value of another kind than the field has", function()
+    local function of_kind(kind, got)
+      return ("ERR rfsm_set: field 'count': %s expected, got %s (the option 'force' "
+        .. "sets it nevertheless)"):format(kind, got)
+    end
+    assert.equal(of_kind("a number", "'abc'"), refusal("set", "count", '"abc"'))
+    assert.equal(of_kind("a number", "true"), refusal("set", "count", "true", "ann"))
+    assert.equal(of_kind("a number", "a table"), refusal("set", "count", "[1]"))
+    call("set", "count", '"abc"', "ann", "force")
+    call("set", "count", '"abd"') -- as it is now
+    call("set", "count", "4")     -- as it is at first
+    assert.equal(4, select(2, pull "m").data.root.count)
   end)
 
   it("forces and sets in regions", function()

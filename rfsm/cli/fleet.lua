@@ -93,8 +93,8 @@ end
 local function history_lines(fleet, key, count)
   local moves, problem = list_of("history", fleet, key, count)
   for i, move in ipairs(moves or {}) do
-    moves[i] = ("%s %s: %s -> %s"):format(rfsm.number_text(move.time, "%.3f"),
-      move.event, move.from, move.to)
+    local by = move.from == "" and "(create):" or move.event .. ": " .. move.from
+    moves[i] = ("%s %s -> %s"):format(rfsm.number_text(move.time, "%.3f"), by, move.to)
   end
   return moves, problem
 end
@@ -155,31 +155,40 @@ local function push_lines(fleet, options, key, file)
     options.by)
 end
 
-local function set_lines(fleet, options, key, assignment)
-  local field, text = assignment:match("^%s*([^=]-)%s*=(.*)$")
-  if not field then
-    common.fail(("FIELD=VALUE expected, got '%s'"):format(assignment), 2)
-  end
-  local value, problem = typed.value(text)
+-- Returns the name and the value in FIELD=VALUE.
+local function assignment_of(text)
+  local field, value_text = text:match("^%s*([^=]-)%s*=(.*)$")
+  if not field then common.fail(("FIELD=VALUE expected, got '%s'"):format(text), 2) end
+  local value, problem = typed.value(value_text)
   if problem then common.fail(problem, 2) end
-  return moved_lines(fleet.set, fleet, key, field, value, options.by)
+  return field, value
+end
+
+local function set_lines(fleet, options, key, assignment)
+  local field, value = assignment_of(assignment)
+  return moved_lines(fleet.set, fleet, key, field, value, options.by, options.force)
+end
+
+local function create_lines(fleet, _, key, name, ...)
+  local data = {}
+  for _, text in ipairs { ... } do
+    local field, value = assignment_of(text)
+    data[field] = value
+  end
+  return moved_lines(fleet.create, fleet, key, name, data)
 end
 
 -- Many machines --------------------------------------------------------------------
 
--- Returns a hint for a chart, or a state, that the library has not; else "".
-local function hint_for(fleet, name, state)
-  local charts, paths = fleet:charts() or {}, {}
-  if name and not charts[name] then
-    return advice.nearest_name(name, rfsm.sorted_keys(charts))
+local VERSIONS = { bundled = true, gone = true, newest = true }
+
+-- Returns a hint for a version that no machine has, or else for a chart or a state that
+-- the library has not; else "".
+local function hint_for(fleet, name, state, version)
+  if version and not VERSIONS[version] and not version:find "^%x+%-%x+$" then
+    return advice.nearest_name(version, rfsm.sorted_keys(VERSIONS))
   end
-  for chart_name, states in pairs(charts) do -- any order: a set
-    for _, path in ipairs((name or chart_name) == chart_name and states or {}) do
-      paths[path] = true
-    end
-  end
-  return state and not paths[state]
-    and advice.nearest_name(state, rfsm.sorted_keys(paths)) or ""
+  return advice.in_library(fleet:charts() or {}, name, state)
 end
 
 -- The filters, and the text that a message has of their values.
@@ -305,7 +314,8 @@ local function do_many(fleet, options, filter)
   local found = command.ask(find, fleet, filter)
   if not found[1] then
     common.fail(("no %s is like that, so nothing was done%s"):format(find == find_dead
-      and "entry" or "machine", hint_for(fleet, filter.chart, filter.state)), 2)
+      and "entry" or "machine", hint_for(fleet, filter.chart, filter.state,
+      filter.version)), 2)
   elseif options.dry_run then
     for _, one in ipairs(found) do common.write("-", one.text .. "\n") end
     return common.warn(("%d found, nothing was done"):format(#found))
@@ -373,7 +383,7 @@ local LINES = {
 }
 
 -- The same for those that get the options, and end the program themselves.
-local WITH_OPTIONS = { push = push_lines, set = set_lines }
+local WITH_OPTIONS = { create = create_lines, push = push_lines, set = set_lines }
 
 -- The verbs of both servers, and those for entries, which only this command has.
 local VERBS = { dead = { "[LIMIT]", 0 }, again = { "TAG ID", 2 },
@@ -428,10 +438,15 @@ function command.add_arguments(parser)
   common.add_number(parser, "--if-version", "push: refuse another revision",
     function(number) return number >= 0 and number % 1 == 0 end)
   parser:option("--by", "push, set: a name for the history (yours)"):argname("NAME")
+  parser:flag("--force", "set: take a value of another kind")
 end
 
 --- Return the client of a fleet, or end the program if there is no server.
 function command.connect(url, options)
+  if url:find "^postgres" then
+    common.fail("PostgreSQL has functions in place of this command, such as SELECT * "
+      .. "FROM rfsm.get('KEY')", 2)
+  end
   return command.ask(require("rfsm.fleet").connect, url, options)
 end
 
@@ -439,14 +454,18 @@ end
 local WIDE = { dead = true, due = true, find = true }
 
 -- Returns how many arguments a verb has at most.
-local function most_of(usage) return select(2, usage:gsub("%S+", "")) end
+local function most_of(usage)
+  return usage:find("...", 1, true) and ALL or select(2, usage:gsub("%S+", ""))
+end
 
 -- Options that only some verbs take.
+local TAKERS = { by = { push = true, set = true }, force = { set = true },
+  if_version = { push = true } }
+
 local function check_options(options, parser)
   local name = options.verb
-  for _, option in ipairs { "by", "if_version" } do
-    local takes = option == "by" and WITH_OPTIONS[name] or name == "push"
-    if options[option] and not takes then
+  for option, takers in pairs(TAKERS) do -- any order: one is refused
+    if options[option] and not takers[name] then
       parser:error(("%s takes no --%s"):format(name, (option:gsub("_", "-"))))
     end
   end

@@ -215,6 +215,9 @@ BEGIN
   outcome := r[cardinality(r)];
 END $$;
 
+-- They had fewer parameters.
+DROP FUNCTION IF EXISTS rfsm.set(text, text, jsonb, text), rfsm.hold(text);
+
 ]] .. concat(calls) .. [[
 REVOKE EXECUTE ON FUNCTION ]] .. concat(revoked, ", ") .. [[ FROM PUBLIC;
 
@@ -434,12 +437,22 @@ CREATE OR REPLACE FUNCTION rfsm.versions()
   SELECT m.chart, m.version, count(*) FROM rfsm.machines m GROUP BY 1, 2 ORDER BY 1, 2
 $$;
 
+-- A misspelt name must not look like good news, so there is a warning then.
 CREATE OR REPLACE FUNCTION rfsm.find(chart text, state text, most integer DEFAULT 100,
-  age interval DEFAULT '0') RETURNS SETOF text $OWNER AS $$
-  SELECT m.key FROM rfsm.machines m WHERE m.chart = find.chart
+  age interval DEFAULT '0') RETURNS SETOF text $BY AS $$
+DECLARE hint text;
+BEGIN
+  RETURN QUERY SELECT m.key FROM rfsm.machines m WHERE m.chart = find.chart
     AND rfsm.is_in(m.state, find.state) AND m.since <= clock_timestamp() - age
-  ORDER BY m.since LIMIT most
-$$;
+  ORDER BY m.since LIMIT most;
+  IF NOT FOUND AND to_regproc('rfsm.call') IS NOT NULL THEN
+    hint := (rfsm.call('rfsm_hint', NULL, ARRAY[find.chart, find.state], NULL))[1];
+    IF hint <> '' THEN
+      RAISE WARNING 'rfsm.find: no machine of chart ''%'' is in ''%''%', find.chart,
+        find.state, hint;
+    END IF;
+  END IF;
+END $$;
 
 -- Numbers for monitoring.
 CREATE OR REPLACE FUNCTION rfsm.stats()

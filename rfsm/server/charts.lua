@@ -446,7 +446,7 @@ end
 function charts.force(chart, path)
   local leaves, machines = leaves_of(chart.fsm), rfsm.machines(chart.fsm)
   local found = leaves[path] or fail("chart '%s' has no leaf '%s'%s", chart.name, path,
-    advice.nearest_name(path, leaves_meant(leaves, path)))
+    advice.nearest_path(path, leaves_meant(leaves, path)))
   force_around(machines, found.at)
   force_into(machines, found.at, found.leaf)
   return found.at.owner and ("(force %s)"):format(path) or "(force)"

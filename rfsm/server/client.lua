@@ -233,15 +233,17 @@ end
 --- Give a field that a state keeps another value.
 ---@param id any
 ---@param field string its path, such as root.on.count; without a path one of the root
----@param value any
+---@param value any of the kind that the field has in a new machine, or now
 ---@param who? string for the history
+---@param force? boolean take a value of another kind
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
-function Client:set(id, field, value, who)
+function Client:set(id, field, value, who, force)
   local ok, text = true, ""
   if value ~= nil then ok, text = try(codec.encode, { value }) end
   if not ok then return nil, self.where .. ".set: value: " .. text end
-  return reply_of(self:ask("rfsm_set", id, field, text:sub(2, -2), who or ""))
+  return reply_of(self:ask("rfsm_set", id, field, text:sub(2, -2), who or "",
+    force and "force" or ""))
 end
 
 --- Move a machine to the newest version of its chart, without running it.

@@ -57,7 +57,7 @@ local function read_file(text)
   if not whole then
     fail("file: %s (a person who changes the file removes its field 'sum')", problem)
   end
-  local snap = charts.decode_json("file", whole)
+  local snap = charts.decode_json("file (is it cut short?)", whole)
   local about = snap.fleet
   snap.fleet = nil
   if type(about) ~= "table" or type(snap.version) ~= "number" then
@@ -93,7 +93,7 @@ local function kept_fields(fsm)
     for _, state in ipairs(rfsm.elements(at.machine, rfsm.is_state)) do
       for _, name in ipairs(type(state.keep) == "table" and state.keep or {}) do
         local path = at.prefix .. state._fqn:sub(5) .. "." .. rfsm.text_of(name)
-        fields[path] = { state = state, name = name }
+        fields[path] = { state = state, name = name, prefix = at.prefix }
       end
     end
   end
@@ -106,8 +106,7 @@ local function find_field(chart, text)
   local found = fields[text] or fields["root." .. text]
   if found then return found end
   fail("no state of chart '%s' keeps the field '%s'%s", chart.name, shown(text),
-    advice.nearest_name(text:find("^root%.") and text or "root." .. shown(text),
-      rfsm.sorted_keys(fields)))
+    advice.nearest_path(shown(text), rfsm.sorted_keys(fields)))
 end
 
 -- Returns the value in a JSON text; nil for null or an absent text.
@@ -118,6 +117,32 @@ local function value_of(text)
   data.value = nil
   if next(data) ~= nil then fail("value: one value expected") end
   return value
+end
+
+local KINDS = { boolean = "true or false", number = "a number", string = "a text",
+  table = "a table" }
+
+-- Returns the value that a field has in a new machine; nil if it has none.
+local function first_value(chart, field)
+  local part = field.prefix == "root" and chart.blank
+    or (chart.blank.regions or {})[field.prefix] or {}
+  local data = part.data and part.data[field.state._fqn]
+  return data and encoding.unpack(data, 0)[field.name]
+end
+
+-- Refuses a value of another kind than the field has in a new machine, or has now. Any
+-- field may be taken away.
+local function check_kind(chart, field, text, value)
+  local first, own = first_value(chart, field), field.state[field.name]
+  if first == nil then first = own end
+  if value == nil or first == nil or type(value) == type(first)
+    or type(value) == type(own) then
+    return
+  end
+  local got = type(value) == "table" and "a table"
+    or type(value) == "string" and "'" .. shown(value) .. "'" or rfsm.text_of(value)
+  fail("field '%s': %s expected, got %s (the option 'force' sets it nevertheless)",
+    shown(text), KINDS[type(first)], got)
 end
 
 -- Functions ------------------------------------------------------------------------
@@ -154,12 +179,14 @@ function desk.add(functions, own)
     return own.save(machine)
   end
 
-  -- rfsm_set KEY field value [who]: gives a kept field a value, in JSON.
+  -- rfsm_set KEY field value [who ["force"]]: gives a kept field a value, in JSON. With
+  -- "force" it may be of another kind.
   function functions.rfsm_set(keys, args)
     local key = own.key_of(keys)
     local value = value_of(optional(args[2]))
     local machine = own.load_machine(key, own.read(key))
     local field = find_field(machine.chart, args[1] or "")
+    if args[4] ~= "force" then check_kind(machine.chart, field, args[1], value) end
     field.state[field.name] = value
     own.note(machine, ("(set %s=%s)%s"):format(shown(args[1]),
       shown(optional(args[2]) or "null"), by(optional(args[3]))))

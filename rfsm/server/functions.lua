@@ -455,7 +455,8 @@ local function set_data(fsm, text)
   for _, name in ipairs(fsm.keep or {}) do is_kept[name] = true end
   for _, name in ipairs(rfsm.sorted_keys(data)) do
     if not is_kept[name] then
-      fail("data: the root of the chart does not keep '%s'", tostring(name))
+      fail("data: the root of the chart does not keep '%s'%s", tostring(name),
+        advice.nearest_name(tostring(name), rfsm.sorted_keys(is_kept)))
     end
     fsm[name] = data[name]
   end
@@ -705,6 +706,17 @@ function functions.rfsm_charts()
     end
   end
   return reply
+end
+
+-- rfsm_hint chart state: returns a text about a chart, or a state, that the library
+-- does not have; "" if it has both.
+function functions.rfsm_hint(_, args)
+  local library, list = {}, functions.rfsm_charts()
+  for i = 1, #list, 2 do
+    local paths = library[list[i]] or {}
+    library[list[i]], paths[#paths + 1] = paths, list[i + 1]
+  end
+  return { advice.in_library(library, args[1], args[2]) }
 end
 
 -- Returns of which version of a chart a snapshot is: "newest", "bundled" or "gone".

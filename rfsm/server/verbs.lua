@@ -21,7 +21,8 @@ local ipairs = ipairs
 
 local verbs = {
   { name = "create", sql = { ", chart text, data jsonb DEFAULT '{}', id text DEFAULT "
-    .. "NULL", "text", "ARRAY[chart, coalesce(data, '{}')::text], id" } },
+    .. "NULL", "text", "ARRAY[chart, coalesce(data, '{}')::text], id" },
+    usage = "KEY CHART [FIELD=VALUE...]", needs = 2 },
   { name = "send", sql = { ", event text, id text DEFAULT NULL", "text",
     "ARRAY[event], id" }, more_sql = { ", events text[], id text DEFAULT NULL", "text",
     "events, id" }, usage = "KEY EVENT [ID]", needs = 2 },
@@ -36,8 +37,9 @@ local verbs = {
   { name = "tick", sql = { "", "text" }, usage = "KEY", needs = 1, bulk = true },
   { name = "move", sql = { "", "text" }, usage = "KEY", needs = 1, by = true,
     bulk = true },
-  { name = "hold", sql = { "", "text" }, usage = "KEY [REASON]", needs = 1, by = true,
-    bulk = true },
+  { name = "hold", sql = { ", reason text DEFAULT NULL", "text",
+    "CASE WHEN reason IS NOT NULL THEN ARRAY[reason] END, NULL" },
+    usage = "KEY [REASON]", needs = 1, by = true, bulk = true },
   { name = "release", sql = { "", "text" }, usage = "KEY", needs = 1, by = true,
     bulk = true },
   { name = "force", sql = { ", state text", "text", "ARRAY[state], NULL" },
@@ -50,8 +52,9 @@ local verbs = {
     .. "who text DEFAULT session_user", "text", "ARRAY[file, "
     .. "coalesce(if_version::text, ''), who], NULL" }, usage = "KEY FILE", needs = 2,
     by = true },
-  { name = "set", sql = { ", field text, value jsonb, who text DEFAULT session_user",
-    "text", "ARRAY[field, coalesce(value::text, ''), who], NULL" },
+  { name = "set", sql = { ", field text, value jsonb, who text DEFAULT session_user, "
+    .. "force boolean DEFAULT false", "text", "ARRAY[field, coalesce(value::text, ''), "
+    .. "who, CASE WHEN force THEN 'force' ELSE '' END], NULL" },
     usage = "KEY FIELD=VALUE", needs = 2, by = true },
   { name = "log", reads = true, many = true, usage = "KEY [COUNT]", needs = 1 },
   { name = "history", reads = true, many = true, usage = "KEY [COUNT]", needs = 1 },
