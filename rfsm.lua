@@ -2196,15 +2196,12 @@ end
 local function may_be_taken(candidates, event)
   local name = name_with_data(event)
   for i = 1, #candidates do
-    local events = candidates[i].events
-    if events[1] == nil then return true end
-    for n = 1, #events do
-      local other = events[n]
+    local tr = candidates[i]
+    if not tr._is_asked then return true end -- it names the event, or needs no name
+    for _, other in ipairs(tr.events) do
       local named = rfsm.event_name(other)
-      if rawequal(other, event) or is_callable(other) and (not named or named == name)
-      then
-        return true
-      end
+      local may_accept = type(other) == "function" and (not named or named == name)
+      if may_accept or rawequal(other, event) then return true end
     end
   end
   return false
