@@ -1,8 +1,8 @@
 --- A machine as a Graphviz graph.
 --
 -- There are two graphs. `layout` has Graphviz lay out each composite, one after the
--- other, and returns a graph with the position of everything: pictures are drawn from
--- this graph. `encode` needs no Graphviz, and its graph has no positions: composites
+-- other, and returns a graph with the position of everything, or the other graph if its
+-- arrows cross less. `encode` needs no Graphviz, and has no positions: composites
 -- are clusters, and a label is a node in the line of its arrow, so that Graphviz draws
 -- no other line through the label. All edges of this graph point onward in the order of
 -- the walk from `initial`: the edge of an arrow that leads back is reversed, and is
@@ -169,7 +169,7 @@ end
 ---@param fsm rfsm.Machine
 ---@param options? rfsm.pictures.Options
 ---@param run? rfsm.pictures.Run runs Graphviz on a host without the program `dot`
----@return string? graph with the position of everything in it
+---@return string? graph
 ---@return string? problem in one line
 ---@return number? text size of the text on the sheet, in points
 ---@nodiscard

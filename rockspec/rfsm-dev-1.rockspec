@@ -113,7 +113,6 @@ build = {
     ["rfsm.pictures.lines"] = "rfsm/pictures/lines.lua",
     ["rfsm.pictures.links"] = "rfsm/pictures/links.lua",
     ["rfsm.pictures.looks"] = "rfsm/pictures/looks.lua",
-    ["rfsm.pictures.plain"] = "rfsm/pictures/plain.lua",
     ["rfsm.pictures.rows"] = "rfsm/pictures/rows.lua",
     ["rfsm.pictures.sheet"] = "rfsm/pictures/sheet.lua",
     ["rfsm.plantuml"] = "rfsm/plantuml.lua",

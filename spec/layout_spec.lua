@@ -628,8 +628,8 @@ describe("a label", function()
       return ("%.1f %.1f"):format(at[1], at[2])
     end
     assert.equal("29.0 50.0", moved(29, 50, "e_go!", 1))
-    assert.equal("21.8 50.0", moved(60, 50, "e_go!", 1))
-    assert.equal("21.8 50.0", moved(60, 50, "e_go!\ne", 1))
+    assert.equal("21.5 50.0", moved(60, 50, "e_go!", 1))
+    assert.equal("21.5 50.0", moved(60, 50, "e_go!\ne", 1))
     assert.equal("60.0 500.0", moved(60, 500, "e_go!", 1)) -- the line is elsewhere
     assert.equal("50.0 18.0", moved(50, 60, "e_go!\ne", 2))
   end)

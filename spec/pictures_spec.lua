@@ -105,8 +105,10 @@ end
 -- Lists the leaves that the label or the line of an arrow covers.
 local function covered_by(tr, shapes, nodes)
   local arrow, list = shapes[id_of(tr.key)], {}
-  local points = pictures.points_on(arrow.path)
-  points[#points + 1] = arrow.label
+  local points = { arrow.label }
+  for _, part in ipairs(arrow.parts) do
+    for _, point in ipairs(pictures.points_on(part)) do points[#points + 1] = point end
+  end
   for fqn, tab in pairs(nodes) do -- any order: a set
     local is_other = fqn ~= tr.src and fqn ~= tr.tgt and tab.type == "state"
       and not is_composite(tab)
@@ -140,7 +142,9 @@ local function check_arrow(tr, shapes, nodes)
     <= TOUCH[nodes[tr.src].type], tr.key .. " begins at " .. tr.src)
   assert.is_true(distance_to(shapes[id_of(tgt)].box, arrow.tip)
     <= TOUCH[nodes[tgt].type], tr.key .. " ends at " .. tgt)
-  assert.is_true(pictures.sharpest_bend(arrow.path) < 10, tr.key .. " is smooth")
+  for _, part in ipairs(arrow.parts) do
+    assert.is_true(pictures.sharpest_bend(part) < 10, tr.key .. " is smooth")
+  end
 end
 
 local function is_apart(a, b)
@@ -384,7 +388,13 @@ local function compare_ids(fsm, file)
   local expected, found = {}, pictures.shapes_of(content(file))
   local nodes, arrows = elements_of(marsh.model2tab(fsm, true), "root", {}, {})
   for fqn in pairs(nodes) do expected[id_of(fqn)] = true end -- any order
-  for _, tr in ipairs(arrows) do expected[id_of(tr.key)] = true end
+  for _, tr in ipairs(arrows) do
+    local key = id_of(tr.key)
+    expected[key] = true
+    for _, part in ipairs(found[key .. "/src"] and { "/src", "/tgt" } or {}) do
+      expected[key .. part] = true
+    end
+  end
   for id in pairs(expected) do assert.is_truthy(found[id], file .. " lacks " .. id) end
   for id in pairs(found) do -- any order
     assert.is_truthy(expected[id], file .. " has " .. id)

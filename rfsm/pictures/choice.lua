@@ -1,9 +1,8 @@
 --- Choose the better layout of a chart: the layout of levels, or the plain layout.
 --
 -- In a layout of levels each composite is laid out by itself; in a plain layout the
--- whole chart is laid out at once. Fewer crossings win, then text that is readable on
--- paper, then shorter lines. The layout of levels never wins if its text is too small
--- to read, and smaller than the text of the plain layout.
+-- whole chart is laid out at once. Fewer crossings win, then the layout of levels. This
+-- never wins if its text is too small to read, and smaller than that of the other.
 --
 -- @module rfsm.pictures.choice
 -- @license BSD-3-Clause
@@ -11,21 +10,18 @@
 local lines = require "rfsm.pictures.lines"
 
 local ipairs, sort = ipairs, table.sort
-local max, min, sqrt = math.max, math.min, math.sqrt
+local max, min = math.max, math.min
 local tonumber = tonumber
 
 local choice = {}
 
 -- Appends the straight pieces of a line to a list, each with its lower end first.
--- Returns the length of the line.
 local function add_pieces(list, line)
-  local length, flat = 0, line.flat or lines.flat(line.points)
+  local flat = line.flat or lines.flat(line.points)
   for i = 2, #flat do
     local x, y, x2, y2 = flat[i - 1][1], flat[i - 1][2], flat[i][1], flat[i][2]
-    length = length + sqrt((x2 - x) * (x2 - x) + (y2 - y) * (y2 - y))
     list[#list + 1] = y < y2 and { x, y, x2, y2, line } or { x2, y2, x, y, line }
   end
-  return length
 end
 
 -- Returns a number whose sign is the side of a piece on which a point is; 0: on it.
@@ -41,14 +37,16 @@ local function is_crossing(one, other)
     and side_of(other, one[1], one[2]) * side_of(other, one[3], one[4]) < 0
 end
 
--- Counts the crossings of pieces. Pieces are compared only if their heights overlap.
-local function count_crossings(pieces)
+--- Count the crossings of lines.
+---@param list { points: number[][], flat?: number[][] }[] `flat` as by `lines.flat`
+function choice.count_crossings(list)
+  local pieces, count = {}, 0
+  for _, line in ipairs(list) do add_pieces(pieces, line) end
   sort(pieces, function(a, b) return a[2] < b[2] end) -- any order of equals
-  local count = 0
   for i, piece in ipairs(pieces) do
     local j, top = i + 1, piece[4]
     local other = pieces[j]
-    while other and other[2] < top do
+    while other and other[2] < top do -- their heights overlap
       if is_crossing(piece, other) then count = count + 1 end
       j = j + 1
       other = pieces[j]
@@ -86,36 +84,20 @@ local function scale_of(layout, size)
   return min(READABLE, choice.scale(size, layout.width, layout.height))
 end
 
---- Count the crossings of the arrows in a layout. Return the length of all arrows, too.
----@param layout rfsm.pictures.Layout
----@return integer count
----@return number length in points
-function choice.measure(layout)
-  local pieces, length = {}, 0
-  for _, line in ipairs(layout.lines) do length = length + add_pieces(pieces, line) end
-  return count_crossings(pieces), length
-end
-
-local MORE, LONGER = 2, 1.25 -- "much better" below: crossings, factor of length
+local MORE = 2 -- crossings: "much better" below
 
 --- Return the better one of two layouts. If there was a former picture, the layout of
 -- its kind wins, unless the other layout is much better.
 ---@param levels rfsm.pictures.Layout
 ---@param plain rfsm.pictures.Layout
----@param kind? "levels"|"plain" the layout of the former picture
----@param size? rfsm.pictures.Size of the sheet; default: A4
+---@param kind? "levels"|"plain"|"sheet" the layout of the former picture
+---@param size rfsm.pictures.Size of the sheet
 ---@return rfsm.pictures.Layout
 function choice.of(levels, plain, kind, size)
-  local own, own_length = choice.measure(levels)
-  local other, other_length = choice.measure(plain)
-  size = size or SIZES.a4
-  local scale, other_scale = scale_of(levels, size), scale_of(plain, size)
-  if scale < other_scale then return plain end
-  if kind == "plain" then own, own_length = own + MORE, own_length * LONGER end
-  if kind == "levels" then other, other_length = other + MORE, other_length * LONGER end
-  local is_better = own < other
-    or own == other and (scale > other_scale or own_length <= other_length)
-  return is_better and levels or plain
+  if scale_of(levels, size) < scale_of(plain, size) then return plain end
+  local margin = kind == "plain" and -MORE or kind == "levels" and MORE or 0.5
+  return choice.count_crossings(levels.lines)
+    < choice.count_crossings(plain.lines) + margin and levels or plain
 end
 
 --- Is the text of a layout readable on a sheet?

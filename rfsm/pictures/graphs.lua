@@ -28,13 +28,14 @@ local graphs = {}
 
 -- Boxes: composites, with a port for each gate --------------------------------
 
-local TABLE = '<TABLE BORDER="0" CELLBORDER="0" CELLSPACING="0" CELLPADDING="0">'
-local CELL = '<TD FIXEDSIZE="TRUE" WIDTH="%d" HEIGHT="%d"%s>%s</TD>'
+local TABLE = '<TABLE BORDER="0" CELLBORDER="0" CELLSPACING="0" CELLPADDING="0"'
+local FIXED = ' FIXEDSIZE="TRUE" WIDTH="%d" HEIGHT="%d"'
+local CELL = "<TD" .. FIXED .. "%s>%s</TD>"
 
 -- Returns an HTML table. Its cells are a column if the direction is LR, else a row.
-local function table_of(direction, cells)
-  return TABLE .. "<TR>" .. concat(cells, direction == "LR" and "</TR><TR>" or "")
-    .. "</TR></TABLE>"
+local function table_of(direction, cells, attributes)
+  return TABLE .. (attributes or "") .. "><TR>"
+    .. concat(cells, direction == "LR" and "</TR><TR>" or "") .. "</TR></TABLE>"
 end
 
 -- Returns a cell. `across` is its size across the arrows of a level; `along` is its
@@ -43,24 +44,6 @@ local function cell_of(direction, across, along, port, content)
   if direction == "LR" then across, along = along, across end
   return CELL:format(across, along, port and (' PORT="%s"'):format(port) or "",
     content or "")
-end
-
--- Returns a side of a box as cells: a cell with a port for each gate, and empty cells
--- between them.
-local function side_text(level, list, length)
-  local direction, cells, from = level.direction, {}, 0
-  local function add_cell(size, port)
-    if size > 0 then cells[#cells + 1] = cell_of(direction, size, 1, port) end
-  end
-  for i, gate in ipairs(list) do
-    local last = length - 2 * (#list - i + 1)
-    local position = max(from, min(last, floor(gate.offset - 0.5)))
-    add_cell(position - from)
-    add_cell(2, gate.id)
-    from = position + 2
-  end
-  add_cell(length - from)
-  return cell_of(direction, length, 1, nil, table_of(direction, cells))
 end
 
 -- Returns the gates at a side, in the order of their positions.
@@ -76,15 +59,76 @@ local function gates_at(level, is_upper)
   return list
 end
 
-local function box_text(level)
+-- Returns a side of a box as cells: a cell with a port for each gate, and empty cells
+-- between them.
+local function side_text(level, prefix, is_upper, length)
+  local direction, cells, from = level.direction, {}, 0
+  local list = gates_at(level, is_upper)
+  local function add_cell(size, port)
+    if size > 0 then cells[#cells + 1] = cell_of(direction, size, 1, port) end
+  end
+  for i, gate in ipairs(list) do
+    local last = length - 2 * (#list - i + 1)
+    local position = max(from, min(last, floor(gate.offset - 0.5)))
+    add_cell(position - from)
+    add_cell(2, prefix .. gate.id)
+    from = position + 2
+  end
+  add_cell(length - from)
+  return cell_of(direction, length, 1, nil, table_of(direction, cells))
+end
+
+-- Returns the box of a composite. The names of its ports begin with a prefix. Its size
+-- is fixed, so that it is in the middle of a cell of a run.
+local function box_of_level(level, prefix)
   local across, along = level.width, level.height
   if level.direction == "LR" then across, along = along, across end
-  local rows = { side_text(level, gates_at(level, true), across),
+  return table_of(level.direction == "LR" and "TB" or "LR", {
+    side_text(level, prefix, true, across),
     cell_of(level.direction, across, along - 2),
-    side_text(level, gates_at(level, false), across) }
-  return 'shape=plain, style="", label=<'
-    .. table_of(level.direction == "LR" and "TB" or "LR", rows) .. ">"
+    side_text(level, prefix, false, across) }, FIXED:format(level.width, level.height))
 end
+
+-- Is a link drawn by Graphviz?
+local function is_bent(link) return not (link.is_straight or link.is_loop) end
+
+local APART = 14 -- points between ports of a node, at most
+
+-- Appends ports of node i in a run to a list, at one of its sides: one for each link
+-- that leads to another row, and not to a gate.
+local function add_ports(ports, level, i, length, is_upper)
+  local list = {}
+  for _, link in ipairs(level.links) do
+    local finish = is_upper and link.lower or link.upper or link.lower
+    list[#list + 1] = finish.node == level.composite.nodes[i]
+      and not finish.gate and is_bent(link) and link or nil
+  end
+  local step = min(APART, (length - 12) / max(1, #list - 1))
+  for k, link in ipairs(list) do
+    ports[#ports + 1] = { id = (is_upper and "l" or "u") .. link.id,
+      is_upper = is_upper, offset = length / 2 + (k - (#list + 1) / 2) * step }
+  end
+end
+
+-- Returns the box of a run: the boxes of its nodes, with room between them.
+local function box_of_run(level, run)
+  local cells, direction = {}, level.direction
+  for k, i in ipairs(run.nodes) do
+    local inner, size = level.composite.nodes[i].level, level.sizes[i]
+    local width, height, gates = ceil(size.width), ceil(size.height), {}
+    for j, gate in ipairs(inner and inner.gates or gates) do gates[j] = gate end
+    local length = direction == "TB" and width or height
+    add_ports(gates, level, i, length, true)
+    add_ports(gates, level, i, length, false)
+    cells[2 * k - 1] = "<TD>" .. box_of_level({ direction = direction, width = width,
+      height = height, gates = gates }, "n" .. i) .. "</TD>"
+    local room = run.nodes[k + 1] and level.rooms[min(i, run.nodes[k + 1])]
+    cells[2 * k] = room and cell_of(direction, room.length, 1)
+  end
+  return table_of(direction, cells)
+end
+
+local function box_text(box) return 'shape=plain, style="", label=<' .. box .. ">" end
 
 -- Graphs ----------------------------------------------------------------------
 
@@ -135,8 +179,9 @@ local function add_nodes(lines, level)
   for i, node in ipairs(level.composite.nodes) do
     local room, run = node.loops, level.run_of and level.run_of[i]
     if not run or run.first == i then
-      add(lines, 1, ("%s [%s]"):format(id_of(level, i), run and box_text(run)
-        or node.level and box_text(node.level) or looks.leaf_text(node)))
+      add(lines, 1, ("%s [%s]"):format(id_of(level, i), run
+        and box_text(box_of_run(level, run)) or node.level
+        and box_text(box_of_level(node.level, "")) or looks.leaf_text(node)))
     end
     if room then
       lines[#lines + 1] = HIDDEN:format(i, i, ceil(room.width), ceil(room.height))
@@ -205,19 +250,21 @@ local function add_rows(lines, level)
   end
 end
 
-local COMPASS = { TB = { "s", "n" }, LR = { "e", "w" } }
+local SIDES, COMPASS = { "u", "l" }, { TB = { "s", "n" }, LR = { "e", "w" } }
 
 -- Returns the text of an end of an edge. Its compass point makes the line meet a frame
 -- at a right angle.
 local function end_text(level, link, is_tail)
-  local finish = is_tail and link.upper or link.lower
-  local compass = COMPASS[level.direction][is_tail and 1 or 2]
-  if not finish.node then return finish.gate.id .. ":" .. compass end
-  local id, run = id_of(level, finish.node.index), level.run_of
-    and level.run_of[finish.node.index]
-  if run then return ("%s:%s:%s"):format(id, run.gate_of[link][is_tail].id, compass) end
-  if finish.gate then return ("%s:%s:%s"):format(id, finish.gate.id, compass) end
-  return finish.node.kind == "connector" and id .. ":p" or id
+  local finish, side = is_tail and link.upper or link.lower, is_tail and 1 or 2
+  local compass = ":" .. COMPASS[level.direction][side]
+  local node, port = finish.node, finish.gate and finish.gate.id
+  if not node then return port .. compass end
+  local id, name = id_of(level, node.index), "n" .. node.index
+  if id == name then
+    if not port then return node.kind == "connector" and id .. ":p" or id end
+    return id .. ":" .. port .. compass
+  end
+  return id .. ":" .. name .. (port or SIDES[side] .. link.id) .. compass
 end
 
 local function dir_of(link)
@@ -260,7 +307,7 @@ local function graph_of(level)
   add_regions(lines, composite)
   add_rows(lines, level)
   for _, link in ipairs(level.links) do
-    if not (link.is_loop or link.is_straight) then add_link(lines, level, link) end
+    if is_bent(link) then add_link(lines, level, link) end
     local twin = link.upper and link.upper.gate and link.upper.gate.twin
     if twin and not link.upper.node then -- the two gates shall be beside each other
       add(lines, 1, ("%s -> %s [style=invis]"):format(twin.id,
@@ -273,51 +320,23 @@ end
 
 -- Answers ---------------------------------------------------------------------
 
--- Returns the position of the last character of the value that begins at `from`.
-local function value_end(text, from)
-  local first = text:sub(from, from)
-  if first == "<" then return select(2, text:find("%b<>", from)) end
-  if first ~= '"' then return select(2, text:find("^[^,%]%s]*", from)) end
-  local position = text:find('["\\]', from + 1)
-  while text:sub(position, position) == "\\" do
-    position = text:find('["\\]', position + 2)
-  end
-  return position
-end
-
--- Reads the attributes that begin at a position. Returns their table, and the position
--- behind them.
-local function read_attributes(text, position)
-  local attributes = {}
-  while true do
-    local _, stop, name = text:find("^[%s,]*([%w_]+)=", position)
-    if not name then return attributes, position end
-    local last = value_end(text, stop + 1)
-    attributes[name] = text:sub(stop + 1, last):gsub('^"(.*)"$', "%1")
-    position = last + 1
-  end
-end
-
---- Return the numbers in a text.
-function graphs.numbers_in(text)
+-- Returns the numbers in a text.
+local function numbers_in(text)
   local list = {}
   for number in text:gmatch("[%d.e+-]+") do list[#list + 1] = number_of(number) end
   return list
 end
 
-local numbers_in = graphs.numbers_in
-
---- Return the middle of a node and its size, in points.
-function graphs.box_of(attributes)
+-- Returns the middle of a node and its size, in points.
+local function box_of(attributes)
   local point = numbers_in(attributes.pos)
   return { x = point[1], y = point[2], width = number_of(attributes.width) * 72,
     height = number_of(attributes.height) * 72 }
 end
 
---- Return the points of a line, and the tip of its arrowhead. `is_turned` is true if
--- the arrowhead is at the first point.
+--- Return the points of a line, and the tip of its arrowhead.
 function graphs.line_of(text)
-  local line = { points = {}, is_turned = text:find("^s") ~= nil }
+  local line = { points = {} }
   local rest = text:gsub("[es],([^ ]+) ?", function(point)
     line.tip = numbers_in(point)
     return ""
@@ -339,7 +358,7 @@ local function read_link(link, attributes)
 end
 
 local function read_node(level, id, attributes)
-  local box, kind, number = graphs.box_of(attributes), id:sub(1, 1), tonumber(id:sub(2))
+  local box, kind, number = box_of(attributes), id:sub(1, 1), tonumber(id:sub(2))
   if kind == "h" then
     level.header = box
   elseif kind == "n" then
@@ -362,9 +381,9 @@ local function read_size(level, attributes)
   end
 end
 
-local function read_element(level, id, attributes, cluster)
-  if id == "graph" then
-    if attributes.bb and not cluster then read_size(level, attributes) end
+local function read_statement(level, id, attributes)
+  if attributes.bb then
+    read_size(level, attributes)
   elseif id:find("->", 1, true) then
     local link = level.links[tonumber(attributes.id)]
     if link then read_link(link, attributes) end
@@ -373,34 +392,30 @@ local function read_element(level, id, attributes, cluster)
   end
 end
 
---- Call f(id, attributes, cluster) for each element in a graph of an answer; `cluster`
--- is the cluster that began last. Return the position behind the graph.
+-- Reads the graph that begins at a position of an answer, in which each attribute is a
+-- line. Returns the position behind the graph.
 --
 -- Graphviz 16 omits the width or height of a node that equals the one in the statement
 -- "node [...]".
-function graphs.read(text, position, f)
-  local cluster, usual = nil, {}
-  while true do
-    local _, stop, id, mark = text:find("\n%s*([^\n{}]-)%s*([%[{}])", position)
-    position, id = stop + 1, id:gsub('"', "")
-    if mark == "[" then
-      local attributes
-      attributes, position = read_attributes(text, position)
-      if id == "node" then usual = attributes end
-      attributes.width = attributes.width or usual.width
-      attributes.height = attributes.height or usual.height
-      f(id, attributes, cluster)
-    elseif mark == "{" then
-      cluster = id:match("^subgraph (.*)")
-    elseif text:find("^\n}", stop - 1) then
-      return position
-    end
-  end
-end
-
 local function read_level(level, text, position)
+  local id, attributes, usual = nil, nil, {}
   level.boxes, level.run_boxes, level.arches, level.header = {}, {}, {}, nil
-  return graphs.read(text, position, function(...) read_element(level, ...) end)
+  while true do
+    local _, stop, line = text:find("([^\n]*)\n", position)
+    if line:find("^}") then return stop + 1 end
+    if not attributes and line:find("[", 1, true) then
+      id, line = line:match("^%s*(.-)%s*%[(.*)")
+      attributes = { width = usual.width, height = usual.height }
+    end
+    local name, value = line:match("^%s*(%w+)=(.-)[,%]]?;?$")
+    if attributes and name then attributes[name] = value end
+    if attributes and line:find("];", -3, true) then
+      if id == "node" then usual = attributes end
+      read_statement(level, id, attributes)
+      attributes = nil
+    end
+    position = stop + 1
+  end
 end
 
 -- Public functions ------------------------------------------------------------
@@ -458,23 +473,18 @@ function graphs.lay_out(jobs, run, prepare, done)
   end
 end
 
---- Have Graphviz measure nodes, of which the attributes are given, and lay out another
--- graph in the same run if that does not fail. Return the boxes of the nodes and the
--- answer for this graph, if there is one; or nil and a problem.
---
--- Graphviz visits clusters in the order of the addresses of their names. These ascend
--- in each run only if a new process reads the graph first, so it is before the nodes.
-function graphs.sizes_of(nodes, graph, run)
+--- Return a graph with nodes, whose attributes are given: Graphviz shall measure them.
+function graphs.nodes_text(list)
   local lines = { "digraph {", looks.head("TB") }
-  for i, node in ipairs(nodes) do add(lines, 1, ("n%d [%s]"):format(i, node)) end
-  lines[#lines + 1] = "}\n"
-  local sizes, level = concat(lines, "\n"), { gates = {}, links = {} }
-  local answer, problem = run(graph .. sizes)
-  local stop = answer and graph ~= "" and answer:find("\n}", 1, true)
-  if not answer and graph ~= "" then answer, problem = run(sizes) end
-  if not answer then return nil, problem end
-  read_level(level, answer, stop and stop + 2 or 1)
-  return level.boxes, stop and answer or nil
+  for i, node in ipairs(list) do add(lines, 1, ("n%d [%s]"):format(i, node)) end
+  return concat(lines, "\n") .. "\n}\n"
+end
+
+--- Read the boxes of such nodes from an answer. Return the position behind them, too.
+function graphs.read_nodes(text, position)
+  local level = { gates = {}, links = {} }
+  position = read_level(level, text, position)
+  return level.boxes, position
 end
 
 return graphs

@@ -1,7 +1,8 @@
---- Charts as graphs in which everything has its position, so that Graphviz only draws.
+--- Charts as graphs from which Graphviz draws pictures.
 --
--- There are two layouts. `rfsm.pictures.sheet` lays out composite by composite, and
--- `rfsm.pictures.plain` reads Graphviz' layout of the chart. The better one is drawn.
+-- There are two layouts: `rfsm.pictures.sheet` lays out composite by composite, and in
+-- the plain layout Graphviz lays out the graph of `rfsm.dot.encode`. The better one is
+-- drawn. In the plain one an arrow with a label has three elements, as in that graph.
 --
 -- @module rfsm.pictures.layout
 -- @license BSD-3-Clause
@@ -12,11 +13,12 @@ local graphs = require "rfsm.pictures.graphs"
 local lines = require "rfsm.pictures.lines"
 local links = require "rfsm.pictures.links"
 local looks = require "rfsm.pictures.looks"
-local plain = require "rfsm.pictures.plain"
+local rfsm = require "rfsm"
 local sheet = require "rfsm.pictures.sheet"
 
-local ipairs = ipairs
+local ipairs, select = ipairs, select
 local concat, add = table.concat, diagram.add
+local number_of = rfsm.number_of
 
 local layout = {}
 
@@ -27,9 +29,8 @@ local layout = {}
 ---@field bottom number
 ---@field width number
 ---@field height number
----@field places table<rfsm.pictures.Node, rfsm.pictures.Place>
----@field lines { points: number[][], tip: number[], label?: number[] }[] one per arrow
----@field leasts table<rfsm.pictures.Node, string> the fields `least` of nodes
+---@field lines { points: number[][], tip: number[], label?: number[] }[]
+---@field places? table<rfsm.pictures.Node, rfsm.pictures.Place> absent if it is plain
 
 --- The place of a node. Only a composite has a frame.
 ---@class rfsm.pictures.Place
@@ -85,12 +86,23 @@ end
 
 -- Returns the layout of a chart whose levels are laid out.
 local function layout_of(chart, kind)
-  local places, arrows, leasts, top = {}, {}, {}, chart.top.level
+  local places, arrows, top = {}, {}, chart.top.level
   move(places, chart.top, 0, 0)
   for i, arrow in ipairs(chart.all) do arrows[i] = line_of(arrow, chart.direction) end
-  for _, node in ipairs(chart.nodes) do leasts[node] = node.least end
   return { kind = kind, left = 0, bottom = 0, width = top.width,
-    height = top.height, places = places, lines = arrows, leasts = leasts }
+    height = top.height, places = places, lines = arrows }
+end
+
+-- Returns the plain layout in an answer of Graphviz; nil if an edge is missing in it.
+local function plain_layout(chart, answer)
+  local list, count = {}, 0
+  local width, height = answer:match('bb="0,0,([%d.e+]+),([%d.e+]+)"')
+  for position in answer:gmatch('\n%s*pos="([^" ]+ [^"]+)"') do
+    list[#list + 1] = graphs.line_of(position)
+  end
+  for _, arrow in ipairs(chart.all) do count = count + (arrow.label and 2 or 1) end
+  return #list == count and { kind = "plain", width = number_of(width),
+    height = number_of(height), lines = list } or nil
 end
 
 -- The graph -------------------------------------------------------------------
@@ -136,9 +148,14 @@ end
 
 local FOOT = 10 -- points from the picture down to the text below it
 
+local function foot_text(chart, positions)
+  return ('foot [shape=plain, style="", fontsize=10, label=%s, pos="%s"]'):format(
+    looks.quoted(diagram.clean(chart.foot)), point_text(positions.left
+    + positions.width / 2, positions.bottom - FOOT))
+end
+
 local function graph_of(chart, positions)
   local root, places = chart.root, positions.places
-  for _, node in ipairs(chart.nodes) do node.least = positions.leasts[node] end
   local frame = places[root].left and places[root] or positions
   local texts = { "digraph " .. looks.quoted(root.name) .. " {",
     looks.head(chart.direction), ('  graph [layout=nop2, outputorder=nodesfirst, '
@@ -147,68 +164,81 @@ local function graph_of(chart, positions)
   for i, arrow in ipairs(chart.all) do
     add_arrow(texts, arrow, positions.lines[i], frame)
   end
-  if chart.foot then
-    add(texts, 1, ('foot [shape=plain, style="", fontsize=10, label=%s, pos="%s"]')
-      :format(looks.quoted(diagram.clean(chart.foot)), point_text(positions.left
-      + positions.width / 2, positions.bottom - FOOT)))
-  end
+  if chart.foot then add(texts, 1, foot_text(chart, positions)) end
   add(texts, 0, "}")
   return concat(texts, "\n") .. "\n"
+end
+
+-- Returns the graph of `rfsm.dot.encode` for a picture in the plain layout.
+local function plain_graph(chart, graph)
+  return ("%s  graph [outputorder=nodesfirst, class=plain, label=%s]\n}\n"):format(
+    graph:sub(1, -3), looks.quoted(diagram.clean(chart.foot or "")))
 end
 
 -- Layouts ---------------------------------------------------------------------
 
 local MOST = 1000 -- nodes; Graphviz needs about a second to lay out so many
 
--- Has Graphviz measure leaves and the labels of loops and, in the same run, lay out the
--- chart. Returns a problem if there is one, then this layout; nil if there is none.
-local function measure(chart, graph, run)
-  local elements, labels = {}, {}
-  local function add_label(element, label)
-    elements[#elements + 1], labels[#labels + 1] = element, label
-  end
+-- Returns the leaves of a chart, and a graph with all of them.
+local function leaves_of(chart)
+  local leaves, texts = {}, {}
   for _, node in ipairs(chart.nodes) do
-    if not node.level then add_label(node, looks.leaf_text(node)) end
-  end
-  for _, arrow in ipairs(chart.all) do
-    if arrow.links[1].is_loop then
-      add_label(arrow, 'shape=plain, style="", fontsize=10, label='
-        .. looks.arrow_label(arrow))
+    if not node.level then
+      leaves[#leaves + 1], texts[#texts + 1] = node, looks.leaf_text(node)
     end
   end
-  graph = #chart.nodes <= MOST and graph:gsub("^[^\n]*", "digraph {", 1) or ""
-  local boxes, rest = graphs.sizes_of(labels, graph, run)
-  for i, box in ipairs(boxes or {}) do elements[i].size = box end
-  if not boxes then return rest end
-  return nil, rest and plain.read(chart, rest)
+  return leaves, graphs.nodes_text(texts)
 end
 
---- Return the graph of a chart, with positions, then nil and the size of its text on
--- the sheet, in points. Return nil and the problem if that fails.
--- `graph` is the result of `rfsm.dot.encode`, which the plain layout needs. `run(text)`
--- has Graphviz lay out a graph.
-function layout.draw(chart, graph, run)
-  local function ask(text)
-    local answer, problem = run(text)
-    return answer and answer:gsub("\\\r?\n", "") or nil, problem
+-- Returns a function that has Graphviz lay out graphs. In its first run it measures
+-- leaves, too, and sets `chart.whole` to the plain layout if that does not fail.
+--
+-- Graphviz visits clusters in the order of the addresses of their names. These ascend
+-- in each run only if a new process reads the graph of the chart first.
+local function runner(chart, graph, ask)
+  local is_begun = false
+  graph = #chart.nodes <= MOST and graph:gsub("^[^\n]*", "digraph {", 1) or ""
+  return function(text)
+    if is_begun then return ask(text) end
+    local leaves, sizes = leaves_of(chart)
+    local answer, problem = ask(graph .. sizes .. text)
+    if not answer and graph ~= "" then
+      graph = ""
+      answer, problem = ask(sizes .. text)
+    end
+    if not answer then return nil, problem end
+    local stop = graph ~= "" and select(2, answer:find("\n}\n", 1, true)) or 0
+    local boxes, behind = graphs.read_nodes(answer, stop + 1)
+    for i, node in ipairs(leaves) do node.size = boxes[i] end
+    chart.whole = stop > 0 and plain_layout(chart, answer:sub(1, stop)) or nil
+    is_begun = true
+    return answer:sub(behind)
   end
+end
+
+--- Return the graph of a chart, then nil and the size of its text on the sheet, in
+-- points. Return nil and the problem if that fails. The graph has positions, or it is
+-- `graph`, the result of `rfsm.dot.encode`. `run(text)` has Graphviz lay out a graph.
+function layout.draw(chart, graph, run)
   local size, was_sheet = chart.sheet, chart.kind == "sheet"
   links.prepare(chart)
-  local problem, whole = measure(chart, graph, ask)
-  local is_large = was_sheet or not (whole and choice.is_readable(whole, size))
-  problem = problem or sheet.lay_out(chart, is_large, ask)
+  local problem = sheet.lay_out(chart, runner(chart, graph, function(text)
+    local answer, why = run(text)
+    return answer and answer:gsub("\\\r?\n", "") or nil, why
+  end))
   if problem then return nil, problem end
   sheet.put(chart)
   local best = layout_of(chart, "levels")
-  best = whole and choice.of(best, whole, chart.kind, size) or best
-  if is_large and (was_sheet or not choice.is_readable(best, size)) then
+  best = chart.whole and choice.of(best, chart.whole, chart.kind, size) or best
+  if chart.is_large and (was_sheet or not choice.is_readable(best, size)) then
     local shape = sheet.best(chart, best)
     if shape then
       sheet.put(chart, shape)
       best = layout_of(chart, "sheet")
     end
   end
-  return graph_of(chart, best), nil, 10 * choice.scale(size, best.width, best.height)
+  local text = best.places and graph_of(chart, best) or plain_graph(chart, graph)
+  return text, nil, 10 * choice.scale(size, best.width, best.height)
 end
 
 return layout

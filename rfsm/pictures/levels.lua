@@ -6,6 +6,8 @@
 -- @module rfsm.pictures.levels
 -- @license BSD-3-Clause
 
+local diagram = require "rfsm.pictures.diagram"
+local lines = require "rfsm.pictures.lines"
 local looks = require "rfsm.pictures.looks"
 
 local ipairs, max = ipairs, math.max
@@ -16,14 +18,20 @@ local levels = {}
 
 local DEPTH, LEAST = 22, 18 -- points: extent of a loop, least distance of two loops
 
+-- Returns the room for the label of a loop.
+local function box_of(link)
+  local size = lines.size_of(diagram.label_of(link.arrow))
+  return { width = size[1], height = size[2] }
+end
+
 -- Returns the length that a loop and its label take along the side of a node.
 local function step_of(link)
-  local box = link.arrow.size
+  local box = box_of(link)
   return max(LEAST, link.level.direction == "TB" and box.height + 4 or box.width + 10)
 end
 
 local function add_loop(link)
-  local node, box = link.upper.node, link.arrow.size
+  local node, box = link.upper.node, box_of(link)
   local direction = link.level.direction
   local room = node.loops or { length = 0, width = 2, height = 2 }
   node.loops, room.length = room, room.length + step_of(link)
@@ -39,7 +47,7 @@ local LOOP = { { 0, 5 }, { 12, 8 }, { 18, 7 }, { 18, 0 }, { 18, -6 }, { 14, -8 }
 local TIP = { 0, -4.5 }
 
 local function draw_loop(link, x, y)
-  local is_down, box = link.level.direction == "TB", link.arrow.size
+  local is_down, box = link.level.direction == "TB", box_of(link)
   local function at(point)
     if is_down then return { x + point[1], y + point[2] } end
     return { x - point[2], y + point[1] }

@@ -124,13 +124,21 @@ function lines.flat(line)
   return flat
 end
 
-local CHARACTER, HEIGHT = 6.3, 12 -- points: of a label, about
+local HEIGHT = 12 -- points: of a line in a label
 
---- Return the size of a label, estimated from above: x, then y.
+-- Returns about the width of a line of text, in points.
+local function width_of(row)
+  local _, narrow = row:gsub("[fijlrt()%[%]/.,: ]", "")
+  local _, wide = row:gsub("[%umw]", "")
+  local _, all = row:gsub("[^\128-\191]", "")
+  return 6.2 * all - 2.6 * narrow + 2.4 * wide
+end
+
+--- Return about the size of a label: x, then y.
 function lines.size_of(text)
   local width, height = 0, 0
   for row in text:gmatch("[^\n]+") do
-    width, height = max(width, #row * CHARACTER), height + HEIGHT
+    width, height = max(width, width_of(row)), height + HEIGHT
   end
   return { width, height }
 end

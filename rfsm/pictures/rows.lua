@@ -13,9 +13,8 @@
 
 local diagram = require "rfsm.pictures.diagram"
 local lines = require "rfsm.pictures.lines"
-local looks = require "rfsm.pictures.looks"
 
-local abs, ceil, ipairs, max, min = math.abs, math.ceil, ipairs, math.max, math.min
+local ceil, ipairs, max, min = math.ceil, ipairs, math.max, math.min
 local concat, insert, sqrt = table.concat, table.insert, math.sqrt
 
 local rows = {}
@@ -35,9 +34,6 @@ local rows = {}
 ---@field nodes integer[] from left to right, or from the top
 ---@field width number
 ---@field height number
----@field gates rfsm.pictures.Gate[] ports for links; `offset` as in gates of a level
----@field gate_of table<rfsm.pictures.Link, table<boolean, rfsm.pictures.Gate>> link ->
--- is the end the upper one? -> its port
 ---@field at number[] how far the middle of each node is from the beginning of the run
 
 local function axis_of(level) return level.direction == "TB" and 1 or 2 end
@@ -80,8 +76,15 @@ local function room_of(list, run)
     offsets[i], longest = -span, max(longest, length)
   end
   for i, offset in ipairs(offsets) do offsets[i] = offset + span / 2 end
-  return { links = list, offsets = offsets, span = span, length = longest + 2 * PAD,
-    depth = span + 2 * first + GAP }
+  return { links = list, offsets = offsets, span = span,
+    length = ceil(longest) + 2 * PAD, depth = span + 2 * first + GAP }
+end
+
+local HIGHEST = 20 -- points between the outer ones of straight lines
+
+local function separate(level, a, b, count)
+  level.bounds[b] = max(level.bounds[b] or 0, a)
+  level.bent = level.bent + count
 end
 
 --- Give a level the fields `bounds`, `rooms` and `bent`. bounds[i] is the last node
@@ -96,12 +99,16 @@ function rows.prepare(level)
       pairs_of[a.index] = pairs_of[a.index] or {}
       pairs_of[a.index][#pairs_of[a.index] + 1] = link
     elseif a then
-      level.bounds[b.index] = max(level.bounds[b.index] or 0, a.index)
-      level.bent = level.bent + 1
+      separate(level, a.index, b.index, 1)
     end
   end
   for i = 1, #level.composite.nodes - 1 do
-    level.rooms[i] = room_of(pairs_of[i] or {}, axis_of(level))
+    local list = pairs_of[i] or {}
+    level.rooms[i] = room_of(list, axis_of(level))
+    if level.rooms[i].span > HIGHEST then
+      separate(level, i, i + 1, #list)
+      level.rooms[i] = room_of({}, axis_of(level))
+    end
   end
 end
 
@@ -144,37 +151,7 @@ end
 
 -- Runs: what is where in a row ------------------------------------------------
 
--- Returns the links of node i that are not straight, at one of its sides: those whose
--- upper end it is, or those whose lower end it is.
-local function links_at(level, i, is_upper_end)
-  local list = {}
-  for _, link in ipairs(level.links) do
-    local finish = is_upper_end and link.upper or not is_upper_end and link.lower
-    local is_here = finish and finish.node and finish.node.index == i
-    list[#list + 1] = is_here and not (link.is_straight or link.is_loop) and link or nil
-  end
-  return list
-end
-
-local APART = 14 -- points between ports of a node, at most
-
--- Adds a port to a run for each link of node i at one of its sides. `from` is where the
--- node begins in the run, `length` its length.
-local function add_ports(level, run, i, from, length, is_upper_end)
-  local list = links_at(level, i, is_upper_end)
-  local step = min(APART, (length - 12) / max(1, #list - 1))
-  for k, link in ipairs(list) do
-    local inner = (is_upper_end and link.upper or link.lower).gate
-    local offset = inner and inner.offset or length / 2 + (k - (#list + 1) / 2) * step
-    local gate = { id = (is_upper_end and "u" or "l") .. link.id,
-      is_upper = not is_upper_end, offset = from + offset }
-    run.gates[#run.gates + 1] = gate
-    run.gate_of[link] = run.gate_of[link] or {}
-    run.gate_of[link][is_upper_end] = gate
-  end
-end
-
--- Sets the size of a run, the places of its nodes, and its ports.
+-- Sets the size of a run, and the places of its nodes.
 local function measure(level, run, boxes)
   local axis, length, depth, last = axis_of(level), 0, 0, nil
   for _, i in ipairs(run.nodes) do
@@ -182,55 +159,35 @@ local function measure(level, run, boxes)
     local size, across = size_of(boxes[i], axis)
     length, last = length + (room and room.length or 0), i
     run.at[i], depth = length + size / 2, max(depth, across, room and room.depth or 0)
-    add_ports(level, run, i, length, size, true)
-    add_ports(level, run, i, length, size, false)
     length = length + size
   end
-  run.width, run.height, run.direction = ceil(length), ceil(depth), level.direction
+  run.width, run.height = ceil(length), ceil(depth)
   if axis == 2 then run.width, run.height = run.height, run.width end
-end
-
--- Makes the links from node i to the next one straight, and both nodes large enough.
-local function straighten(level, boxes, i)
-  local room, direction = level.rooms[i], level.direction
-  for _, link in ipairs(room.links) do link.is_straight = true end
-  local least = room.span + 3 * GAP
-  for k = i, i + 1 do
-    local box = boxes[k]
-    local _, depth = size_of(box, axis_of(level))
-    if depth < least and level.composite.nodes[k].kind == "leaf" then
-      level.composite.nodes[k].least = looks.least_text(direction, least)
-      boxes[k] = direction == "TB" and { width = box.width, height = least }
-        or { width = least, height = box.height }
-    end
-  end
 end
 
 --- Put the nodes of a level into rows: numbers[i] is the row of node i, boxes[i] its
 -- size. `level.rows` lists the runs of each row, `level.run_of` has the run of each
 -- node that has neighbours in it.
 function rows.apply(level, numbers, boxes)
-  local sizes, run = {}, nil
-  level.rows, level.run_of = {}, {}
-  for i, box in ipairs(boxes) do sizes[i] = box end
+  local run
+  level.rows, level.run_of, level.sizes = {}, {}, boxes
   for i, number in ipairs(numbers) do
     local row = level.rows[number] or {}
     level.rows[number] = row
     if numbers[i - 1] == number and level.rooms[i - 1].links[1] then
       level.run_of[run.first], level.run_of[i] = run, run
-      straighten(level, sizes, i - 1)
+      for _, link in ipairs(level.rooms[i - 1].links) do link.is_straight = true end
     else
-      run = { id = "r" .. i, first = i, nodes = {}, at = {}, gates = {}, gate_of = {} }
+      run = { id = "r" .. i, first = i, nodes = {}, at = {} }
       row[#row + 1] = run
     end
     insert(run.nodes, number % 2 == 1 and #run.nodes + 1 or 1, i)
   end
   for _, row in ipairs(level.rows) do
     for _, each in ipairs(row) do
-      if each.nodes[2] then measure(level, each, sizes) end
+      if each.nodes[2] then measure(level, each, boxes) end
     end
   end
-  level.sizes = sizes
 end
 
 -- Lines -----------------------------------------------------------------------
@@ -255,42 +212,7 @@ local function draw_straight(link, boxes, axis, offset)
   link.label_at = at((from + to) / 2, middle + depth / 2 + 1)
 end
 
--- Makes an end of a link longer along an axis, so that it reaches its node in the run.
-local function extend(link, is_upper_end, axis, length)
-  local points, more = link.points, { 0, 0 }
-  local count = #points
-  local last, control = count, count - 1
-  if is_upper_end then last, control = 1, 2 end
-  local from, bent = points[last], points[control]
-  local bend = abs(bent[1] - from[1]) + abs(bent[2] - from[2])
-  more[axis] = length
-  local sign = length > 0 and 1 or -1
-  points[control] = { from[1], from[2] } -- the line turns into the new part
-  points[control][axis] = from[axis] - sign * bend
-  local part = { { from[1] + more[1], from[2] + more[2] } }
-  local line = is_upper_end and part or points
-  lines.join(line, is_upper_end and points or part)
-  link.points = line
-  if link.has_head and link.is_turned == is_upper_end then
-    link.tip = { link.tip[1] + more[1], link.tip[2] + more[2] }
-  end
-end
-
--- Makes the ends of links in a run longer.
-local function extend_all(level, run, axis)
-  local _, depth = size_of(run, axis)
-  for link, gates in pairs(run.gate_of) do -- any order
-    for is_upper_end in pairs(gates) do
-      local finish = is_upper_end and link.upper or link.lower
-      local _, inner = size_of(level.boxes[finish.node.index], axis)
-      local sign = is_upper_end == (axis == 1) and 1 or -1
-      local length = (depth - inner) / 2
-      if length >= 1 then extend(link, is_upper_end, 3 - axis, sign * length) end
-    end
-  end
-end
-
--- Sets the boxes of the nodes in a run whose box is given, and their lines.
+-- Sets the boxes of the nodes in a run whose box is given.
 local function draw_run(level, run, box)
   local axis = axis_of(level)
   for _, i in ipairs(run.nodes) do
@@ -299,7 +221,6 @@ local function draw_run(level, run, box)
       x = axis == 1 and box.x - run.width / 2 + run.at[i] or box.x,
       y = axis == 1 and box.y or box.y + run.height / 2 - run.at[i] }
   end
-  extend_all(level, run, axis)
 end
 
 --- Set the boxes of nodes in runs, and the lines of their links.

@@ -115,7 +115,7 @@ local function count_crossings(shape)
   for _, line in ipairs(list) do
     if is_covering(shape.level, line) then return huge end
   end
-  local count = choice.measure { lines = list }
+  local count = choice.count_crossings(list)
   for _, kid in pairs(shape.kids) do count = count + kid.crossings end -- any order
   return count
 end
@@ -293,31 +293,29 @@ local function lay_out_height(chart, list, aims, run)
   return problem or lay_out(turned, run)
 end
 
--- Does the first shape of a chart without composites fit its sheet? Returns a problem,
--- too, if there is one.
-local function fits_at_once(chart, heights, run)
-  if heights[2] or chart.kind == "sheet" then return false end
-  local problem = lay_out_height(chart, heights[1], { "first" }, run)
-  local first = heights[1][1].kept.first
-  return not problem and choice.is_readable(first, chart.sheet), problem
+-- Is a chart larger than its sheet, by Graphviz alone and, if it has no composites, in
+-- its first shape, too?
+local function is_large(chart, heights)
+  local first = not heights[2] and heights[1][1].kept.first
+  return chart.kind == "sheet"
+    or not (chart.whole and choice.is_readable(chart.whole, chart.sheet))
+    and not (first and choice.is_readable(first, chart.sheet))
 end
 
 -- Public functions ------------------------------------------------------------
 
---- Lay out all levels of a chart, each in its first shape, or in several shapes if
--- `is_large` and that does not help. Return a problem if there is one.
+--- Lay out all levels of a chart, each in its first shape, or in several shapes if the
+-- chart `is_large`, as the first run shows. Return a problem if there is one.
 ---@return string? problem
-function sheet.lay_out(chart, is_large, run)
+function sheet.lay_out(chart, run)
   local keys, heights, aims = {}, levels.by_height(chart), { "first" }
-  if is_large then
-    local fits, problem = fits_at_once(chart, heights, run)
-    if problem then return problem end
-    is_large = not fits
-  end
-  for i, aim in ipairs(is_large and AIMS or {}) do aims[i + 1] = aim end
+  local problem = lay_out_height(chart, heights[1], aims, run)
+  if problem then return problem end
+  chart.is_large = is_large(chart, heights)
+  for i, aim in ipairs(chart.is_large and AIMS or {}) do aims[i + 1] = aim end
   aims[#aims + 1] = chart.kind == "sheet" and "former" or nil
   for _, list in ipairs(heights) do
-    local problem = lay_out_height(chart, list, aims, run)
+    problem = lay_out_height(chart, list, aims, run)
     if problem then return problem end
     for _, level in ipairs(list) do keep_best(level, chart.sheet, keys) end
   end
@@ -327,7 +325,7 @@ end
 --- Return the best shape of a chart for its sheet; nil if the layout `best` is better.
 -- The shape of the former picture stays unless another one is much larger.
 function sheet.best(chart, best)
-  local outer, size, most = chart.outer, chart.sheet, choice.measure(best)
+  local outer, size, most = chart.outer, chart.sheet, choice.count_crossings(best.lines)
   local shape, former = choice.for_sheet(outer.shapes, best, size, most),
     outer.kept.former
   local is_kept = former and choice.keeps(former, shape or best, size, most)

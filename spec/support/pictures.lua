@@ -138,10 +138,11 @@ end
 -- Drawing: many charts with few runs of Graphviz, whose start takes longest -----------
 
 -- Can only a new process lay a graph out the same each time? Graphviz visits clusters
--- in the order of the addresses of their names.
+-- in the order of the addresses of their names, and goes on with layout=nop2.
 local function is_alone(text)
   local _, count = text:gsub("subgraph cluster", "")
-  return count > 2 and not text:find("layout=nop2", 1, true)
+  return not text:find("layout=nop2", 1, true)
+    and (count > 2 or text:find("class=plain", 1, true) ~= nil)
 end
 
 -- Calls f(texts, numbers) for lists of texts: those of one process, and their numbers.
@@ -246,6 +247,29 @@ local function keys_in(id)
   return keys
 end
 
+local function distance_to(box, point)
+  local x, y = point[1], point[2]
+  return math.max(box.left - x, x - box.right, 0)
+    + math.max(box.top - y, y - box.bottom, 0)
+end
+
+-- Gives the label of an arrow that Graphviz alone has laid out the ends and the two
+-- parts of the arrow.
+local function join(shapes)
+  for id, first in pairs(shapes) do -- any order: each arrow alone
+    local key = id:match("^(.*)/src$")
+    local label, last = shapes[key or false], shapes[(key or "") .. "/tgt"]
+    if last then
+      local from, to = first.ends[1], first.ends[2]
+      label.parts = { first.path, last.path }
+      label.tip = last.tip
+      local is_turned = distance_to(label.box, from) < distance_to(label.box, to)
+      label.ends = { is_turned and to or from }
+    end
+  end
+  return shapes
+end
+
 --- The elements of a picture by id, each with a box; edges also with their ends, the
 -- tip of its arrowhead, and the position of its label. A bundle is there by each key.
 function pictures.shapes_of(svg)
@@ -254,12 +278,12 @@ function pictures.shapes_of(svg)
   for id, body in svg:gmatch('<g id="([^"]*)" class="%l+ [^"]*">(.-)</g>') do
     local all, path, head = all_points_in(body)
     local x, y = body:match('<text [^>]*x="(%-?[%d.]+)" y="(%-?[%d.]+)"')
-    local shape = { box = box_of(all), path = path,
+    local shape = { box = box_of(all), path = path, parts = { path },
       ends = path and { path[1], path[#path] }, tip = head and head[2],
       label = x and { tonumber(x), tonumber(y) } }
     for _, key in ipairs(keys_in(id)) do shapes[key] = shape end
   end
-  return shapes
+  return join(shapes)
 end
 
 --- The direction, in degrees, in which a line leaves a point: to the next point, or to
