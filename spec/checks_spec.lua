@@ -440,8 +440,9 @@ local CASES = {
     "root.trans[5] (b -> b): no other transition uses 'e_buttton' (did you mean "
       .. "'e_button'?)", "root.trans[5] (b -> b): no other transition uses 'e_go' (did "
       .. "you mean 'e_Go'?)" },
-  { "typo", "a letter in place of another",
-    { [4] = go("a", "a", "e_start"), [5] = go("b", "b", "e_stert") },
+  { "typo", "a letter in place of another, where that one is used twice",
+    { [4] = go("a", "a", { "e_start", "e_packed" }), [5] = go("b", "b", "e_stert"),
+      [6] = go("b", "a", { "e_start", "e_picked" }) },
     "root.trans[5] (b -> b): no other transition uses 'e_stert' (did you mean "
       .. "'e_start'?)" },
   { "typo", "the first of several that look alike",

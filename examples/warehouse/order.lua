@@ -6,6 +6,7 @@
 -- waits for the goods, and asks again each second.
 
 local rfsm = require "rfsm"
+require "rfsm_timeevent"
 
 return rfsm.state {
   keep = { "item", "tries" }, tries = 0,

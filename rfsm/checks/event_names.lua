@@ -189,13 +189,24 @@ local function index_of(list)
   return index
 end
 
+-- Has one name another letter in one place? Then both may be meant (packed, picked).
+local function has_other_letter(a, b)
+  a, b = a:lower(), b:lower()
+  local count = 0
+  for i = 1, #a do
+    if a:byte(i) ~= b:byte(i) then count = count + 1 end
+  end
+  return #a == #b and count == 1
+end
+
 -- Returns the first event that looks like event `i`, and that several transitions use
 -- or that comes earlier in the list.
 local function find_similar(list, users, index, i)
   local least
   each_shape(list[i], function(shape)
     for _, j in ipairs(index[shape]) do
-      local is_rarer = #users[list[j]] > 1 or j < i
+      local is_rarer = #users[list[j]] > 1
+        or j < i and not has_other_letter(list[i], list[j])
       if j ~= i and is_rarer and (not least or j < least) then least = j end
     end
   end)

@@ -4,6 +4,7 @@
 --   received --e_paid--> picking --e_picked--> wrapping --e_packed--> shipped
 
 local rfsm = require "rfsm"
+require "rfsm_timeevent"
 
 return rfsm.state {
   keep = { "item", "tries", "parcels" }, tries = 0, parcels = 1,
