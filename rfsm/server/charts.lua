@@ -403,12 +403,8 @@ local function leaves_of(fsm)
   return leaves
 end
 
--- Puts one machine into a leaf, and resets the regions in this machine.
-local function force_into(machines, at, leaf)
-  local fsm, head = at.machine, at.prefix .. "."
-  for _, other in ipairs(machines) do
-    if other.prefix:sub(1, #head) == head then rfsm.reset(other.machine) end
-  end
+-- Puts one machine into a leaf, which resets the regions in this machine.
+local function force_into(fsm, leaf)
   local mode = leaf.doo and "active" or "done"
   rfsm.place(fsm, leaf, mode, leaf.doo and {} or { "e_done@" .. leaf._fqn })
   rfsm.map_from_to(fsm, function(_, state)
@@ -425,7 +421,7 @@ local function force_around(machines, at)
   for _, other in ipairs(machines) do
     if rawequal(other.machine, at.owner) then
       force_around(machines, other)
-      force_into(machines, other, at.state)
+      force_into(other.machine, at.state)
     end
   end
 end
@@ -444,11 +440,11 @@ end
 --- the other regions beside it stay as they are, or begin anew. Return the text for the
 --- history, which has the leaf if the leaf of the machine does not tell it.
 function charts.force(chart, path)
-  local leaves, machines = leaves_of(chart.fsm), rfsm.machines(chart.fsm)
+  local leaves = leaves_of(chart.fsm)
   local found = leaves[path] or fail("chart '%s' has no leaf '%s'%s", chart.name, path,
     advice.nearest_path(path, leaves_meant(leaves, path)))
-  force_around(machines, found.at)
-  force_into(machines, found.at, found.leaf)
+  force_around(rfsm.machines(chart.fsm), found.at)
+  force_into(found.at.machine, found.leaf)
   return found.at.owner and ("(force %s)"):format(path) or "(force)"
 end
 
