@@ -132,6 +132,7 @@ local function try(fsm, f, ...)
   local ok, result = pcall(f, ...)
   if ok then return result end
   rfsm.keep_failure(fsm, result)
+  fsm._cuts = fsm._cuts + 1 -- an interrupt before the region's step cuts this one short
   return false
 end
 
