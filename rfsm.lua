@@ -2744,14 +2744,16 @@ do
 end
 
 -- Marks the iteration as cut short. The mark `_is_cut` shows that no step is under way
--- any more, although the phase may not be "idle". An iteration that was counted, but
--- has not begun, is counted once more: what comes again in the next one still does so.
+-- any more, although the phase may not be "idle"; if it is, the step that would have
+-- gone on is over. An iteration that was counted, but has not begun, is counted once
+-- more: what comes again in the next one still does so.
 local function cut(fsm)
   local again = fsm._again
   local has_begun = fsm._phase ~= "idle" or fsm._curq[1] == nil
   if again and not has_begun and again.turn == fsm._turn - 1 then
     again.turn = fsm._turn
   end
+  if fsm._phase == "idle" and fsm._outcome == "free" then fsm._outcome = "counted" end
   fsm._cuts = fsm._cuts + 1
   fsm._is_usual = false
   fsm._is_cut = true

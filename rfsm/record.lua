@@ -195,10 +195,12 @@ local function begin(recorder, track)
   if track.m == nil then
     track.leaf, track.mode, track.has_doo = leaf, leaf and leaf._mode, has_doo(leaf)
     rec.clock = recorder.early and recorder.early.clock or nil
-    recorder.timed, recorder.is_moved = rec, recorder.is_moved or dropped.reset or false
-    if not (goes_on_to_doo(track) or is_known(recorder)) then
-      note_place(recorder, rec)
-    end
+    local goes_on = goes_on_to_doo(track)
+    -- an error may have ended the step that a replay would go on with
+    local is_over = track.was_free and not goes_on
+    recorder.is_moved = recorder.is_moved or dropped.reset or is_over or false
+    recorder.timed = rec
+    if not (goes_on or is_known(recorder)) then note_place(recorder, rec) end
   end
   note_change(track, rec, "had")
   tracks.wrap(track)
@@ -278,6 +280,7 @@ end
 -- record of the outermost machine, which is written at the end of its iteration.
 function listener.finished(recorder, track, events)
   local rec, outer = track.rec, recorder.tracks[1].rec
+  track.was_free = rfsm.is_free(track.fsm)
   if not rec then return end
   note_results(recorder, track, rec, events)
   rec.always = track.is_free or nil
