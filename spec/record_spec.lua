@@ -1240,6 +1240,29 @@ describe("a queue in a replay", function()
   end)
 end)
 
+describe("an event with data", function()
+  it("may have a table in two places", function()
+    local function model(seen)
+      return state { info = false, warn = false, a = state {},
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "internal", events = { rfsm.named "e_two" },
+          effect = function(_, _, _, _, event)
+            seen[#seen + 1] = event.left.x + event.right.x
+          end } }
+    end
+    local sink, seen, place = {}, {}, { x = 2 }
+    local fsm = helper.started(model(seen))
+    record.record(fsm, sink)
+    helper.post_and_run(fsm, { name = "e_two", left = place, right = place })
+    assert(record.replay(model(seen), sink))
+    assert.same({ 4, 4 }, seen)
+  end)
+end)
+
+it("a folder is no recording, and the message says so", function()
+  assert.same({ false, "rfsm.record: /: Is a directory" }, { pcall(record.read, "/") })
+end)
+
 describe("a fault", function()
   it("is the same one in a replay, whose traceback has other lines", function()
     local function model()
