@@ -158,6 +158,38 @@ describe("rfsm check", function()
     assert.is_true(count["+"] > 0 and count["-"] == count["+"])
   end)
 
+  -- Regions that turn on their own: 3 ^ 6 configurations.
+  local function turning()
+    local regions = {}
+    for i = 1, 6 do
+      regions[i] = ([[
+    r%d = rfsm.state { a = rfsm.state {}, b = rfsm.state {}, c = rfsm.state {},
+      rfsm.trans { src = "initial", tgt = "a" },
+      rfsm.trans { src = "a", tgt = "b", events = { "e_%d" } },
+      rfsm.trans { src = "b", tgt = "c", events = { "e_%d" } },
+      rfsm.trans { src = "c", tgt = "a", events = { "e_%d" } } },
+]]):format(i, i, i, i)
+    end
+    return 'local rfsm = require "rfsm"\nreturn rfsm.state { info = false,\n'
+      .. '  p = require("rfsm_seqand").new {\n' .. table.concat(regions)
+      .. '  }, rfsm.trans { src = "initial", tgt = "p" } }\n'
+  end
+
+  it("writes tests as soon as each transition was taken on each event", function()
+    local file = helper.file_with(turning())
+    local _, err, status = run("check --tests busted --configurations 700 " .. file)
+    assert.same({ "rfsm check: 25 of 25 transitions in 19 steps\n", 0 },
+      { err, status })
+  end)
+
+  it("says that the exploration for tests has ended at its bound", function()
+    local file = helper.file_with(turning())
+    local _, err, status = run("check --tests busted --configurations 3 " .. file)
+    assert.same({ "rfsm check: 7 of 25 transitions in 1 steps\nrfsm check: the "
+      .. "exploration ended at its bound on configurations: what lies behind it has no "
+      .. "test (--configurations N)\n", 0 }, { err, status })
+  end)
+
   it("ends with the gravest of several charts", function()
     local good, odd = CHART:format "final = true", CHART:format "checks = { typ = '' }"
     for _, case in ipairs {

@@ -66,6 +66,8 @@ local function report_difference(old, new)
   end
 end
 
+local MANY = 10000 -- configurations that are explored for tests by default
+
 local function write_tests(options, parser)
   local file = options.files[1]
   if options.files[2] then
@@ -77,11 +79,16 @@ local function write_tests(options, parser)
   local old_text = options.output ~= "-" and files.read(options.output)
   local text, result = common.call(file, require("rfsm.tests.tests").busted, file,
     model, { callbacks = options.callbacks, stub = options.stub,
-      machine = options.machine, file = file }, options.output, old_text)
+      machine = options.machine, file = file, seconds = options.seconds,
+      configurations = options.configurations or MANY }, options.output, old_text)
   if not result.runs[1] then common.fail(file .. ": no run of it repeats itself") end
   common.write(options.output, text)
   common.warn(("%d of %d transitions in %d steps"):format(result.taken,
     result.transitions, result.steps))
+  if result.bound == "configurations" or result.bound == "seconds" then
+    common.warn(("the exploration ended at its bound on %s: what lies behind it has no "
+      .. "test (--%s N)"):format(result.bound, result.bound))
+  end
   if result.skipped > 0 then
     common.warn(("left out: %d runs that do not repeat themselves"):format(
       result.skipped))

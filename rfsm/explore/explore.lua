@@ -566,7 +566,8 @@ end
 function explore.walk_all(walk, options)
   local at = 1
   walk:set_end(now() + options.seconds)
-  while walk.keys[at] and not (walk.monitor and walk.monitor.holds ~= nil) do
+  while walk.keys[at] and not walk.has_ended
+    and not (walk.monitor and walk.monitor.holds ~= nil) do
     if at > walk.level_end then
       walk.depth, walk.level_end = walk.depth + 1, #walk.keys
     end
@@ -717,7 +718,8 @@ function explore.new(model, options, way)
     bound = nil, stuck = {}, has_moved = false,
     is_limited = false, count = 0, expanded = 0, wanted = {},
     ends = huge, is_late = false,
-    monitor = false, contexts = {}, context_ids = {}, kin = {}, wider = {},
+    monitor = false, has_ended = false, contexts = {}, context_ids = {}, kin = {},
+    wider = {},
     unsure = {}, ways = {}, cut = {}, timing = false }, Walk)
   for _, event in ipairs(rfsm.sorted_keys(own.flags_of_event)) do
     walk:want(own:event_meant(event))

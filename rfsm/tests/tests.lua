@@ -36,6 +36,7 @@ local tests = {}
 ---@field transitions integer number of transitions of the chart
 ---@field skipped integer planned runs whose repetition gave another result
 ---@field modules table<string, true> names of extensions whose events the chart names
+---@field bound string? the bound that ended the exploration too early
 
 --- A step of a test run, and its result.
 ---@class rfsm_checks.TestStep
@@ -82,10 +83,27 @@ local function shown_by(own)
   return keys
 end
 
--- Notes the steps of an exploration. Of several steps with the same source, target and
--- facts only the first one is noted.
+-- Returns the set of all facts that steps may show, some of which no step may.
+local function facts_of(own)
+  local facts = {}
+  for number, entry in ipairs(own.transitions) do
+    local key, following = "taken " .. number, next_of(entry.tr)
+    facts[key] = true
+    for _, event in ipairs(entry.tr.events or {}) do
+      if type(event) ~= "function" then
+        facts[key .. " on " .. own:number_of_event(event)] = true
+      end
+    end
+    if following then facts[key .. " before " .. own.number_of[following]] = true end
+  end
+  return facts
+end
+
+-- Notes the steps of an exploration, which ends when they have shown all facts. Of
+-- several steps with the same source, target and facts only the first one is noted.
 local function watch_steps(walk)
   local edges, is_noted, own = {}, {}, walk.subject
+  local left = facts_of(own)
   own.notes_events = true
   function walk.look(_, from, tgt, events, label)
     local keys = shown_by(own)
@@ -93,6 +111,8 @@ local function watch_steps(walk)
     local is_wanted = order.all(events, is_plain) and (tgt ~= from or keys[1])
     if is_noted[key] or not is_wanted then return end
     is_noted[key] = true
+    for _, fact in ipairs(keys) do left[fact] = nil end
+    walk.has_ended = order.is_empty(left)
     edges[from] = edges[from] or {}
     edges[from][#edges[from] + 1] = { from = from, tgt = tgt, shows = keys,
       label = label() }
@@ -219,6 +239,8 @@ end
 ---@field stub? boolean load the file with stubs in place of missing modules
 ---@field machine? integer number of the machine, if the file is a program with several
 ---@field file? string the file of the model; each run is repeated on the chart in it
+---@field configurations? integer explore so many, at most (1,000,000)
+---@field seconds? number explore so long, at most
 
 -- Are the results of a run the same if the chart is loaded from its file again?
 local function does_repeat(steps, options)
@@ -234,11 +256,11 @@ end
 ---@return rfsm_checks.Tests
 function tests.plan(model, options)
   options = options or {}
-  local walk = explore.walk(model, { together = 2, timers = "free" },
-    watch_steps)
+  local walk = explore.walk(model, { together = 2, timers = "free",
+    configurations = options.configurations, seconds = options.seconds }, watch_steps)
   local left, result = {}, { runs = {}, steps = 0,
     taken = #rfsm.sorted_keys(walk.taken), transitions = #walk.subject.transitions,
-    skipped = 0, modules = {} }
+    skipped = 0, modules = {}, bound = walk.bound }
   for _, event in ipairs(walk.subject.event_list) do
     local module = match.maker_of(event) and advice.module_for(event)
     if module then result.modules[module] = true end
