@@ -385,7 +385,8 @@ describe("options of an exploration", function()
       { f = after "e_x".reach, text = "rfsm_checks.after(...).reach: path" },
     }
     for _, case in ipairs(CASES) do
-      for _, wrong in ipairs { 7, {}, { 7 }, { "root.a", 7 } } do
+      for _, wrong in ipairs { 7, {}, { 7 }, { "root.a", 7 },
+        { "root.a", nil, "root.b" }, { "root.a", b = "root.b" } } do
         local ok, text = pcall(function() return (case.f(wrong)) end)
         assert.is_false(ok)
         if wrong == 7 then

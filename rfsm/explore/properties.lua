@@ -51,8 +51,8 @@ local is_name = opts.is_a "string"
 
 function PROBLEMS.what(what)
   local names = type(what) == "table" and what or { what }
-  local is_list = names[1] ~= nil and order.all(names, is_name)
-  if is_list or type(what) == "function" then return nil end
+  local is_right = names[1] ~= nil and order.all(names, is_name) and opts.is_list(names)
+  if is_right or type(what) == "function" then return nil end
   return "path of a state, name of a flag, list of them or function expected, got "
     .. type(what)
 end

@@ -17,22 +17,13 @@ local order = require "rfsm.shared.order"
 local reactions = require "rfsm.explore.reactions"
 local writes = require "rfsm.shared.writes"
 
-local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local error, getmetatable, ipairs = error, getmetatable, ipairs
 local math, package, rawequal, rawget = math, package, rawequal, rawget
 local table, type = table, type
 
 local replacements = {}
 
 -- Options ...........................................................................
-
-local function is_list(value)
-  if type(value) ~= "table" or getmetatable(value) or rfsm.is_fsmobj(value) then
-    return false
-  end
-  local count = 0
-  for _ in pairs(value) do count = count + 1 end -- any order: it counts
-  return count == #value
-end
 
 local FLAG = { on = true, off = true }
 
@@ -44,7 +35,7 @@ local function check_flag(where, flag)
     if not FLAG[field] then
       return ("%s: no field '%s'%s"):format(where, rfsm.text_of(field),
         advice.nearest_name(rfsm.text_of(field), { "off", "on" }))
-    elseif not is_list(flag[field]) then
+    elseif not opts.is_list(flag[field]) then
       return ("%s.%s: list of callbacks expected, %s"):format(where, field,
         opts.got(flag[field]))
     end
@@ -100,7 +91,7 @@ end
 function replacements.check_sends(sends)
   if type(sends) ~= "table" then return false end
   for _, name in ipairs(rfsm.sorted_keys(sends)) do
-    if not is_list(sends[name]) then
+    if not opts.is_list(sends[name]) then
       return false, ("['%s']: list of events expected, %s"):format(rfsm.text_of(name),
         opts.got(sends[name]))
     end
@@ -112,9 +103,6 @@ function replacements.check_sends(sends)
   end
   return true
 end
-
---- Is the option a list?
-function replacements.check_list(value) return is_list(value) end
 
 -- Callbacks by name ................................................................
 

@@ -7,8 +7,8 @@
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 
-local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
-local require, type = require, type
+local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local pcall, require, type = pcall, require, type
 local floor, huge = math.floor, math.huge
 local concat = table.concat
 
@@ -31,6 +31,16 @@ end
 
 --- Is the value a finite number of seconds, not below 0?
 function options.is_seconds(x) return type(x) == "number" and x >= 0 and x < huge end
+
+--- Is the value a plain list without holes?
+function options.is_list(value)
+  if type(value) ~= "table" or getmetatable(value) or rfsm.is_fsmobj(value) then
+    return false
+  end
+  local count = 0
+  for _ in pairs(value) do count = count + 1 end -- any order: it counts
+  return count == #value
+end
 
 --- Return the end of a message: "got string 'x'", "got 7".
 function options.got(value) return (rfsm.got(value):gsub("^got number ", "got ")) end
