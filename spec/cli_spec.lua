@@ -40,8 +40,8 @@ describe("the usage of rfsm", function()
     mermaid = "[--stub] [--machine N] [-o FILE] FILE [FILE] ...",
     web = "[--stub] [-a HOST:PORT] [-m N] [-p N] [--host HOST] [FILE]",
     watch = "[-m N] [-n N] HOST[:PORT]",
-    fleet = "[--tags N] [--where FILTER] [--dry-run] [--if-version N] [--by NAME] URL "
-      .. "VERB [ARGUMENT] ...",
+    fleet = "[--tags N] [--where FILTER] [--dry-run] [--if-version N] [--by NAME] "
+      .. "[--force] URL VERB [ARGUMENT] ...",
     size = "[--stub] [--lua LUA] FILE",
   }
   for name, usage in pairs(USAGES) do -- any order: each stands alone
@@ -432,9 +432,9 @@ describe("rfsm fleet", function()
 
   for command, needed in pairs { -- any order: each stands alone
     ["find door"] = "find CHART STATE [LIMIT [SECONDS]]", ["get"] = "get KEY",
-    ["history"] = "history KEY [COUNT]", ["why k"] = "why KEY EVENT",
-    ["send k"] = "send KEY EVENT [ID]", ["hold"] = "hold KEY [REASON]",
-    ["log"] = "log KEY [COUNT]", ["move"] = "move KEY", ["release"] = "release KEY",
+    ["history"] = "history KEY [N]", ["why k"] = "why KEY EVENT",
+    ["send k"] = "send KEY EVENT [ID]", ["hold"] = "hold KEY [TEXT]",
+    ["log"] = "log KEY [N]", ["move"] = "move KEY", ["release"] = "release KEY",
     ["force k"] = "force KEY STATE", ["remove"] = "remove KEY",
     ["again 0"] = "again TAG ID", ["drop 0"] = "drop TAG ID",
   } do
@@ -553,11 +553,11 @@ describe("rfsm fleet", function()
 
   it("lists the verbs by their arguments", function()
     assert.equal([=[
-   again drop TAG ID   cancel KEY ID   charts reindex versions   dead [LIMIT]
-   due [LIMIT [TIME]]   find CHART STATE [LIMIT [SECONDS]]   force KEY STATE
-   get move pull release remove tick KEY   history log KEY [COUNT]
-   hold KEY [REASON]   push KEY FILE   send KEY EVENT [ID]
-   set KEY FIELD=VALUE   why KEY EVENT
+   again drop TAG ID   cancel KEY ID   charts reindex versions
+   create KEY CHART [FIELD=VALUE...]   dead [LIMIT]   due [LIMIT [TIME]]
+   find CHART STATE [LIMIT [SECONDS]]   force KEY STATE
+   get move pull release remove tick KEY   history log KEY [N]   hold KEY [TEXT]
+   push KEY FILE   send KEY EVENT [ID]   set KEY FIELD=VALUE   why KEY EVENT
 ]=], run("help fleet"):match("Verbs:\n(.*)"))
   end)
 end)
