@@ -1802,6 +1802,9 @@ describe("the desk", function()
       call("set", "root.count", text, "ann", "force")
       assert.same(value, select(2, pull "m").data.root.count)
     end
+    call("set", "count", "1")
+    call("set", "count") -- no value takes the field away
+    assert.same({ "%z" }, select(2, pull "m").data.root.count)
     library { history = 10 }
     trace[1] = nil
     call("set", "count", "1", "ann")
