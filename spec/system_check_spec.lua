@@ -785,22 +785,25 @@ describe("a property of a system", function()
     local function refusal(property)
       local charts, wires = pair()
       return (refused(charts, wires, { properties = { property } })
-        :gsub("spec/system_check_spec.lua:%d+: ", ""))
+        :gsub("^spec/system_check_spec.lua:%d+: ", ""))
     end
     assert.equal("rfsm.system.explore: property 'left: root.a until left: root.b': it "
       .. "is not judged for a system, expected: never, always, from(...).can_reach or "
       .. "after(...).reach",
       refusal(rfsm_checks.until_("left: root.a", "left: root.b")))
-    assert.equal("rfsm.system.explore: rfsm.system: property 'never left: root.d': no "
+    assert.equal("rfsm.system.explore: property 'never left: root.d': no "
       .. "state or flag is named 'root.d' (did you mean 'root.a'?)",
       refusal(never "left: root.d"))
-    assert.equal("rfsm.system.explore: rfsm.system: property 'never lef: root.a': no "
+    assert.equal("rfsm.system.explore: property 'never lef: root.a': no "
       .. "machine is named 'lef' (did you mean 'left'?)", refusal(never "lef: root.a"))
-    assert.equal("rfsm.system.explore: rfsm.system: property 'never root.a': 'root.a': "
+    assert.equal("rfsm.system.explore: property 'never root.a': 'root.a': "
       .. "expected as in 'arm: root.moving'", refusal(never "root.a"))
     assert.equal("rfsm.system.explore: property 'after left: e_og reach left: root.a': "
       .. "no transition of 'left' names the event 'e_og' (did you mean 'e_go'?)",
       refusal(after("left: e_og").reach("left: root.a")))
+    assert.equal("rfsm.system.explore: property 'after e_go reach left: root.a': "
+      .. "'e_go': expected as in 'arm: root.moving'",
+      refusal(after("e_go").reach("left: root.a")))
   end)
 
   it("may be refused together with options of machines", function()
@@ -809,6 +812,9 @@ describe("a property of a system", function()
       .. "'left'?)", refused(charts, wires, { machines = { lft = {} } }))
     assert.equal("rfsm.system.explore: machines.left: dry_run: boolean expected, got 1",
       refused(charts, wires, { machines = { left = { dry_run = 1 } } }))
+    assert.equal("rfsm.system.explore: machines.left: classes: no transition takes "
+      .. "'e_go' with data", refused(charts, wires,
+      { machines = { left = { classes = { e_go = { { n = 1 } } } } } }))
     assert.matches("machines.left: unknown option 'timers', expected: alphabet, ",
       refused(charts, wires, { machines = { left = { timers = "free" } } }), 1, true)
     assert.equal("rfsm.system.explore: unknown option 'timers', expected: "

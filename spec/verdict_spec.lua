@@ -35,6 +35,46 @@ describe("a verdict", function()
       verdict(light(), never "root.green", { alphabet = { "e_button" } }))
   end)
 
+  -- Explores a chart with properties. Each has to have the verdict that it has alone.
+  -- Returns the names of those that hold.
+  local function holding(model, given)
+    local names = {}
+    for _, judged in ipairs(rfsm_checks.explore(model, { properties = given })
+      .properties) do
+      local name = judged.name
+      local own = { properties = { [name] = given[name] } }
+      local alone = rfsm_checks.explore(model, own)
+      assert.equal(tostring(alone.properties[1]), tostring(judged))
+      if judged.holds then names[#names + 1] = name end
+    end
+    return table.concat(names, " ")
+  end
+
+  it("is the same beside other properties, which may share a walk", function()
+    assert.equal("first heard left short", holding(chart { c = state {}, [2] = go("a",
+      "b", "e_x"), [3] = go("b", "a", "e_after(2)"), [4] = go("b", "c", "e_y"),
+      [5] = go("c", "a", "e_x") }, { late = from "root.b".left_within(1),
+      left = from "root.b".left_within(3), short = from "root.b".left_within(2),
+      early = from "root.b".stays(2), few = rfsm_checks.at_most(2, "e_x").within(1),
+      soon = after "e_x".reach "root.b".within(9), none = after "e_z".never "root.b",
+      long = after "e_y".reach "root.a".within(9), later = after "e_y".never "root.b",
+      first = rfsm_checks.precedes("root.b", "root.c"),
+      other = rfsm_checks.precedes("root.c", "root.b"),
+      heard = rfsm_checks.precedes("e_x", "entry root.b"),
+      again = rfsm_checks.precedes("entry root.b", "root.c").since("e_x") }))
+  end)
+
+  it("is the same if the monitors are too many for one walk", function()
+    local members, given = { c = state {} }, {}
+    for i = 1, 5 do
+      members[3 + i] = go("a", "a", "e_" .. i)
+      given["p" .. i] = after("e_" .. i).never "root.c"
+    end
+    assert.equal("p1 p2 p3 p4 p5", holding(chart(members), given))
+    given.p3 = after("e_3").never "root.b"
+    assert.equal("p1 p2 p4 p5", holding(chart(members), given))
+  end)
+
   it("names the property that has the same premises", function()
     local result = rfsm_checks.explore(light(), { properties = {
       b = always "root", a = never { "root.red", "root.green" },
@@ -291,6 +331,15 @@ describe("a verdict", function()
     assert.is_nil(tostring(rfsm_checks.explore(passing())):find("root.c: active in no",
       1, true))
   end)
+
+  it("sees the states that several steps pass through on their way to one state",
+    function()
+      local model = chart { c = state { x = state {}, go("initial", "root.d") },
+        d = state {}, [2] = go("a", "c", "e_x"), [3] = go("a", "b", "e_y"),
+        [4] = go("b", "c", "e_x") }
+      assert.equal("p: holds (one event a step)",
+        verdict(model, from "root.b".can_reach "root.c"))
+    end)
 
   it("sees the states that a step passes through by a transition of another state",
     function()

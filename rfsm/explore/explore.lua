@@ -35,6 +35,8 @@ local os = rawget(_G, "os") or {}
 
 local explore = {}
 
+local NOTHING = {}
+
 --- Options of an exploration.
 ---@class rfsm_checks.Options
 ---@field together? integer most events of one step (1; 2 if a property is an `after`,
@@ -91,11 +93,11 @@ local explore = {}
 ---@field ends number the time of the clock at which the walk has to end
 ---@field is_late boolean that time is over, so no more steps are taken
 ---@field wanted any[] events that properties look at
----@field monitor rfsm_checks.Judged|false the property whose monitor sees each step
----@field contexts table[] number in a key -> state of the monitor and times of clocks,
--- { state =, time = }; empty if the walk has neither a monitor nor clocks
----@field context_ids table<string, integer> text of a context -> its number in a key
----@field kin table<string, rfsm_checks.Kin> configurations that differ only in times
+---@field monitors rfsm_checks.Judged[] the properties whose monitors see each step
+---@field has_ended boolean nothing is looked for any more
+---@field contexts rfsm_checks.Context[]
+---@field named table<string, rfsm_checks.Context> the contexts by a text
+---@field zones table<integer, number[]> configuration -> the values of its clocks
 ---@field wider table<integer, integer> configuration that is not expanded -> a later
 -- one that differs only in times, and whose zone of times includes its zone
 ---@field unsure table<integer, integer> position of a step in `steps` -> number of the
@@ -110,10 +112,13 @@ local explore = {}
 local Walk = {}
 Walk.__index = Walk
 
---- Configurations that differ only in their times.
----@class rfsm_checks.Kin
----@field numbers integer[]
----@field zones number[][] the zone of each
+--- What a configuration has beside the machines, if the walk has monitors or clocks.
+--- Configurations that differ only in the values of clocks have the same context.
+---@class rfsm_checks.Context
+---@field number integer its number in keys
+---@field states string[] the states of the monitors
+---@field entries? rfsm_checks.Entry[] the clocks that run
+---@field numbers integer[] configurations, without those that a wider one includes
 
 --- A step that enters a state and leaves it again, and the moment of that entry.
 ---@class rfsm_checks.Passed
@@ -126,7 +131,7 @@ Walk.__index = Walk
 
 -- Splits a key into the number of its context, which may be nil, and the subject's key.
 local function split(key)
-  local id, own = key:match("^(%d+)|(.*)$")
+  local id, own = key:match("^(%d+)[^|=]*|(.*)$")
   return tonumber(id), own or key
 end
 
@@ -136,20 +141,36 @@ end
 function Walk:configuration(number)
   local id, key = split(self.keys[number])
   local conf = self.subject:configuration(key)
-  conf.context = self.contexts[id]
+  conf.context, conf.zone = self.contexts[id], self.zones[number]
   return conf
 end
 
--- Returns the number of the context (monitor state and time) and the subject's key.
-local function in_context(walk, key, state, time)
-  if not (walk.monitor or walk.timing) then return key end
-  local text = state .. (time and "@" .. time.number or "")
-  local id = walk.context_ids[text]
-  if not id then
-    id = #walk.contexts + 1
-    walk.contexts[id], walk.context_ids[text] = { state = state, time = time }, id
+-- Returns the context of the states of monitors, and of the clocks that run.
+local function find_context(walk, key, states, entries)
+  local name = concat(states, "\n")
+  if entries then name = ("%s@%s|%s"):format(name, timing.text_of(entries), key) end
+  local context = walk.named[name]
+  if not context then
+    context = { number = #walk.contexts + 1, states = states, entries = entries,
+      numbers = {} }
+    walk.named[name], walk.contexts[context.number] = context, context
   end
-  return id .. "|" .. key
+  return context
+end
+
+-- Returns the key of a configuration: the number of its context, the values of clocks,
+-- and the key of the subject. If a known one differs only in these values, and includes
+-- them, it is the key of that one.
+local function key_of(walk, key, states, entries, zone)
+  if not (walk.monitors[1] or walk.timing) then return key end
+  local context = find_context(walk, key, states, entries)
+  local own = context.number .. (zone and "@" .. concat(zone, ",") or "") .. "|" .. key
+  if not zone or walk.numbers[own] then return own end
+  for _, number in ipairs(context.numbers) do
+    if zones.includes(walk.zones[number], zone) then return walk.keys[number] end
+  end
+  walk.zones[#walk.keys + 1] = zone
+  return own
 end
 
 --- Is the machine entered in some configuration of the walk?
@@ -164,42 +185,28 @@ local function widest(walk, number)
   return number
 end
 
---- Return the number of a known configuration with the same key, or of one that differs
---- only in its times and whose zone of times includes the zone of the key.
----@return integer? number nil if no such configuration is known
----@return rfsm_checks.Kin? kin if `number` is nil: configurations that differ only in
--- times
----@return number[]? zone if `number` is nil: the zone of the key
+--- Return the number of the known configuration with a key, or of the one that is
+--- expanded in its place; nil if there is none.
 function Walk:find_known(key)
   local known = self.numbers[key]
-  if known or not self.timing then return known and widest(self, known) end
-  local id, own = split(key)
-  local context = self.contexts[id]
-  local time, kin = context.time, self.kin
-  local name = ("%s@%s|%s"):format(context.state, time.shape, own)
-  kin[name] = kin[name] or { numbers = {}, zones = {} }
-  local list, zone = kin[name].zones, time.zone
-  for i = 1, #list do
-    if zones.includes(list[i], zone) then return kin[name].numbers[i] end
-  end
-  return nil, kin[name], zone
+  return known and widest(self, known)
 end
 
--- Adds a configuration to its kin. Those whose zone it includes leave the kin. If they
--- have its depth they are not expanded: what they can do, it can do in as many steps.
-local function add_kin(walk, kin, number, zone)
-  local numbers, list, count = kin.numbers, kin.zones, 0
-  for i = 1, #list do
-    local old, old_zone = numbers[i], list[i]
-    numbers[i], list[i] = nil, nil
-    if not zones.includes(zone, old_zone) then
+-- Adds a configuration to those of its context. Those whose zones it includes leave it.
+-- Those of its depth are not expanded: it can do what they can in as many steps.
+local function add_zone(walk, numbers, number)
+  local zone, count = walk.zones[number], 0
+  for i = 1, #numbers do
+    local old = numbers[i]
+    numbers[i] = nil
+    if not zones.includes(zone, walk.zones[old]) then
       count = count + 1
-      numbers[count], list[count] = old, old_zone
+      numbers[count] = old
     elseif old > walk.level_end then
       walk.wider[old] = number
     end
   end
-  numbers[count + 1], list[count + 1] = number, zone
+  numbers[count + 1] = number
 end
 
 -- Has all steps lead to configurations that are expanded.
@@ -214,10 +221,10 @@ end
 --- Return the number of a configuration to which a step from `from` has led. A new
 --- configuration is added; it is expanded later.
 function Walk:find_configuration(key, from, label)
-  local number, kin, zone = self:find_known(key)
+  local number = self:find_known(key)
   if number then return number end
   number = #self.keys + 1
-  if kin then add_kin(self, kin, number, zone) end
+  if self.timing then add_zone(self, self.contexts[split(key)].numbers, number) end
   self.keys[number], self.numbers[key] = key, number
   self.from[number], self.labels[number] = from, label()
   return number
@@ -267,7 +274,8 @@ end
 -- Notes the states that a step has entered and left again.
 local function note_passed(walk, from, tgt, label)
   for _, moment in ipairs(walk.subject.passed) do
-    local key = concat(rfsm.sorted_keys(moment.active), " ") .. moment.flags .. tgt
+    local key = concat({ concat(rfsm.sorted_keys(moment.active), " "), moment.flags,
+      from, tgt }, "|")
     if not walk.passed[key] then
       walk.passed[key] = true
       walk.passed[#walk.passed + 1] = { moment = moment, from = from, tgt = tgt,
@@ -323,15 +331,15 @@ end
 -- if it is not explored), and for each clock there the number that it had before.
 local function key_after(walk, try, label)
   local context, key, problem = try.conf.context, walk.subject:read()
-  local state, time, clocks, sources = false, false, nil, nil
-  if context then state, clocks = monitors.after(walk, try, key, label) end
+  local states, entries, zone, clocks, sources = NOTHING, false, nil, nil, nil
+  if context then states, clocks = monitors.after(walk, try, key, label) end
   if walk.timing then
-    time, sources = walk.timing:after(context.time, try.group, walk, clocks)
+    entries, sources, zone = walk.timing:after(try, walk, clocks)
   end
   if walk.subject:may_come_twice() then
     walk:note_untried("timers", "a time event that comes again while it waits")
   end
-  if time == nil then
+  if entries == nil then
     note_cut(walk, try.from, try.is_from_outside, "pending",
       ("more than %d events that wait to be sent later"):format(walk.options.pending))
     return nil, sources
@@ -342,7 +350,7 @@ local function key_after(walk, try, label)
     note_limited(walk, try)
     return nil, sources
   end
-  return in_context(walk, key, state, time), sources
+  return key_of(walk, key, states, entries, zone), sources
 end
 
 -- Returns the seconds of processor time; 0 on a host without a clock.
@@ -439,7 +447,7 @@ local NO_GROUP = { false }
 -- Lists the groups of deadlines that may be over when a step begins.
 local function groups_of(walk, from, conf)
   if not walk.timing then return NO_GROUP end
-  local groups = walk.timing:groups(conf.context.time, subject.is_driven(conf))
+  local groups = walk.timing:groups(conf, subject.is_driven(conf))
   if walk.timing.is_cut then
     note_cut(walk, from, false, "sets", "some orders of deadlines")
   end
@@ -566,8 +574,7 @@ end
 function explore.walk_all(walk, options)
   local at = 1
   walk:set_end(now() + options.seconds)
-  while walk.keys[at] and not walk.has_ended
-    and not (walk.monitor and walk.monitor.holds ~= nil) do
+  while walk.keys[at] and not walk.has_ended do
     if at > walk.level_end then
       walk.depth, walk.level_end = walk.depth + 1, #walk.keys
     end
@@ -718,8 +725,7 @@ function explore.new(model, options, way)
     bound = nil, stuck = {}, has_moved = false,
     is_limited = false, count = 0, expanded = 0, wanted = {},
     ends = huge, is_late = false,
-    monitor = false, has_ended = false, contexts = {}, context_ids = {}, kin = {},
-    wider = {},
+    monitors = {}, has_ended = false, contexts = {}, named = {}, zones = {}, wider = {},
     unsure = {}, ways = {}, cut = {}, timing = false }, Walk)
   for _, event in ipairs(rfsm.sorted_keys(own.flags_of_event)) do
     walk:want(own:event_meant(event))
@@ -745,8 +751,10 @@ end
 function Walk:begin()
   note_gaps(self)
   note_between(self)
-  local key = in_context(self, self.subject:read(), "first",
-    self.timing and self.timing.none)
+  local states = {}
+  for i = 1, #self.monitors do states[i] = "first" end
+  local key = key_of(self, self.subject:read(), states, self.timing and {},
+    self.timing and zones.new())
   self:find_configuration(key, 0, function() return "" end)
 end
 

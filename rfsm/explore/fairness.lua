@@ -31,7 +31,7 @@ local function pending_in(conf)
       pending["doo " .. position.known.path] = leaf
     end
   end
-  for _, entry in ipairs(conf.context.time and conf.context.time.entries or {}) do
+  for _, entry in ipairs(conf.context.entries or {}) do
     if entry.clock.state then
       pending[("timer %d.%d"):format(entry.clock.number, entry.passed)] =
         entry.clock.state
@@ -52,7 +52,7 @@ end
 
 -- Notes the clocks of events sent later that come in a step or that the step drops.
 local function note_later(walk, try, entered)
-  for i, entry in ipairs(try.group and try.conf.context.time.entries or {}) do
+  for i, entry in ipairs(try.group and try.conf.context.entries or {}) do
     local later = entry.clock.later
     if later and (try.group.over[i] > 0 or walk.subject.dropped[later]) then
       entered[entry.clock] = true
@@ -138,11 +138,12 @@ local function has_times(walk, start, cycle)
     or walk:witness(start, nil, match.joined(cycle, cycle))[1].at ~= nil
 end
 
--- Returns the set of the expanded configurations in which the monitor has state `owes`.
+-- Returns the set of the expanded configurations in which the only monitor has state
+-- `owes`.
 local function owing(walk, owes)
   local set = {}
   for number = 2, walk.expanded do
-    set[number] = walk:configuration(number).context.state == owes
+    set[number] = walk:configuration(number).context.states[1] == owes
   end
   return set
 end

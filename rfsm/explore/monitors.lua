@@ -9,6 +9,8 @@
 -- @module rfsm.explore.monitors
 -- @license BSD-3-Clause
 
+local order = require "rfsm.shared.order"
+
 local ipairs, type = ipairs, type
 
 local monitors = {}
@@ -212,7 +214,7 @@ end
 -- them have expired.
 local function count_clocks(try, judged)
   local count, expired = 0, 0
-  for i, entry in ipairs(try.group and try.conf.context.time.entries or {}) do
+  for i, entry in ipairs(try.group and try.conf.context.entries or {}) do
     if entry.clock.judged == judged then
       count = count + 1
       expired = expired + try.group.over[i]
@@ -233,7 +235,8 @@ local function look_at(walk, judged, state, try, view)
     if state ~= "violated" then state = monitors.look(property, state, look) end
   end
   if state == "violated" then return state, {} end
-  look.active, look.is_end, look.heard = view, true, own:heard_words(view)
+  look.active, look.is_end = view, true
+  look.heard = own:heard_words(view, judged.observer)
   look.came = judged.event ~= nil and own.parts[1].position.leaf
     and own:has_come(judged.event) or false
   if look.came and property.scope then
@@ -243,24 +246,33 @@ local function look_at(walk, judged, state, try, view)
   return monitors.look(property, state, look)
 end
 
---- Have the monitor of a walk look at the last step; return its next state and clocks.
+local function is_decided(judged) return judged.holds ~= nil end
+
+--- Have the monitors of a walk look at the last step; return their next states and
+--- clocks. A monitor that has found a violation looks no more.
 ---@param walk rfsm_checks.Walk
 ---@param try rfsm_checks.Try the step
 ---@param key string of the configuration to which the step has led
 ---@param label fun(): string returns the label of the step
----@return string state the next one; the old one if the walk has no monitor
----@return integer[]? clocks the next ones, see `monitors.look`
+---@return string[] states the next ones, in the order of `walk.monitors`
+---@return table<rfsm_checks.Judged, integer[]> clocks see `monitors.look`
 function monitors.after(walk, try, key, label)
-  local judged, own, state = walk.monitor, walk.subject, try.conf.context.state
-  if not judged or state == "violated" or not own.parts[1].fsm._act_leaf then
-    return state
+  local own, states, clocks = walk.subject, try.conf.context.states, {}
+  local is_entered = own.parts[1].fsm._act_leaf
+  if not (is_entered and walk.monitors[1]) then return states, clocks end
+  local view, next_states = own:view(own:configuration(key)), {}
+  for i, judged in ipairs(walk.monitors) do
+    local state, own_clocks = "violated", NONE
+    if states[i] ~= state then
+      state, own_clocks = look_at(walk, judged, states[i], try, view)
+    end
+    if state == "violated" and judged.holds == nil then
+      judged.holds, judged.at, judged.label = false, try.from, label()
+      walk.has_ended = order.all(walk.monitors, is_decided)
+    end
+    next_states[i], clocks[judged] = state, own_clocks
   end
-  local next_state, clocks = look_at(walk, judged, state, try,
-    own:view(own:configuration(key)))
-  if next_state == "violated" and judged.holds == nil then
-    judged.holds, judged.at, judged.label = false, try.from, label()
-  end
-  return next_state, clocks
+  return next_states, clocks
 end
 
 return monitors

@@ -20,7 +20,7 @@ local order = require "rfsm.shared.order"
 local error, getmetatable, ipairs = error, getmetatable, ipairs
 local pcall, rawget, setmetatable, type = pcall, rawget, setmetatable, type
 local getinfo = (rawget(_G, "debug") or {}).getinfo
-local concat, sort = table.concat, table.sort
+local concat, insert, sort = table.concat, table.insert, table.sort
 local holds, kinds = monitors.holds, monitors.kinds
 
 local properties = {}
@@ -480,11 +480,16 @@ function properties.words_of(judged)
   return event ~= nil and observers.element_of(event) and { event } or NONE
 end
 
--- Raises an error about a property.
+--- Raise an error about a property, which begins with the place where it was made.
+---@param where string name of the function that was called
+---@param judged rfsm_checks.Judged
+---@param problem string
 local function refuse(where, judged, problem)
   error(("%s%s: property '%s': %s"):format(judged.property.location, where, judged.name,
     problem), 0)
 end
+
+properties.refuse = refuse
 
 -- Kind of a property -> its parts that may be events; other parts are conditions.
 local EVENTS_OF = { never_until = { goal = true, ending = true },
@@ -661,21 +666,57 @@ local function watch_words(walk, judged)
   end
 end
 
---- Prepare a walk for the monitor of a property. Monitors do not share a walk, since
---- the state of the monitor is a part of each configuration.
+--- Prepare a walk for the monitors of some properties.
 ---@param walk rfsm_checks.Walk
----@param judged rfsm_checks.Judged
-function properties.monitor(walk, judged)
-  walk.monitor = judged
-  if judged.observer then return watch_words(walk, judged) end
-  if judged.event ~= nil then want_event(walk, judged) end
+---@param list rfsm_checks.Judged[]
+function properties.monitor(walk, list)
+  walk.monitors = list
+  for i, judged in ipairs(list) do
+    judged.number = i
+    if judged.observer then
+      watch_words(walk, judged)
+    elseif judged.event ~= nil then
+      want_event(walk, judged)
+    end
+  end
+end
+
+-- Returns what is equal for properties whose monitors can share a walk: none of them
+-- needs steps or times that would be new to another. A condition that is owed is alone,
+-- since its cycles would be longer beside the states of other monitors.
+local function company_of(own, judged)
+  local property, event = judged.property, judged.event
+  local may_come = event == nil or not own.alphabet or match.has(own.alphabet, event)
+  if kinds[property.kind].owes or not may_come then return judged end
+  local is_wide = event ~= nil and not judged.observer and property.goal ~= nil
+  return (is_wide and "two" or "one") .. (property.seconds and " timed" or "")
+end
+
+--- List the properties that monitors judge in groups: each may share a walk.
+---@param own rfsm_checks.Subject
+---@param list rfsm_checks.Judged[]
+---@return rfsm_checks.Judged[][] groups
+function properties.groups(own, list)
+  local groups, by_way = {}, {}
+  for _, judged in ipairs(list) do
+    local company = not kinds[judged.property.kind].judge and company_of(own, judged)
+    local mates = by_way[judged.way] or {}
+    by_way[judged.way] = mates
+    if company and not mates[company] then
+      mates[company] = {}
+      groups[#groups + 1] = mates[company]
+    end
+    if company then insert(mates[company], judged) end
+  end
+  return groups
 end
 
 -- Has the event of a property come? Then an observer has left its first leaf.
 local function has_begun(walk, judged)
   local observer = judged.observer
   return judged.has_come or observer and order.any(walk.contexts, function(context)
-    return context.state ~= "first" and context.state ~= observer.first
+    local state = context.states[judged.number]
+    return state ~= "first" and state ~= observer.first
   end)
 end
 

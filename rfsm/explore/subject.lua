@@ -752,14 +752,17 @@ function Subject:hear(words)
   for _, word in ipairs(words) do
     local kind, path = observers.element_of(word)
     local state = (kind == "entry" or kind == "exit") and self.names[path]
-    self.hears[word], self.has_observer = true, true
-    if state then
+    if state and not self.hears[word] then
       rfsm[kind .. "_hook_add"](self.part_of[path].fsm, state, function()
         note_moment(self, self.heard, state, word)
       end)
     end
+    self.hears[word] = true
   end
-  for _, part in ipairs(self.parts) do hear_paths(self, part) end
+  for _, part in ipairs(self.has_observer and NOTHING or self.parts) do
+    hear_paths(self, part)
+  end
+  self.has_observer = true
 end
 
 --- Has an event come in the last step, or was the word said?
@@ -768,14 +771,17 @@ function Subject:has_come(event)
     function(each) return each.word == event end)
 end
 
---- Return the words of the last step, each with a view of the machine. The last one is
---- `step`, with the given view.
+--- Return the words of the last step that an observer hears, each with a view of the
+--- machine. The last one is `step`, with the given view.
 ---@param view fun(name: string): boolean
+---@param observer? rfsm_checks.Observer
 ---@return rfsm_checks.Heard[]
-function Subject:heard_words(view)
+function Subject:heard_words(view, observer)
   local list = {}
-  for i, moment in ipairs(self.heard) do
-    list[i] = { word = moment.word, active = self:view_of_moment(moment) }
+  for _, moment in ipairs(observer and self.heard or NOTHING) do
+    if match.has(observer.words, moment.word) then
+      list[#list + 1] = { word = moment.word, active = self:view_of_moment(moment) }
+    end
   end
   list[#list + 1] = { word = "step", active = view }
   return list

@@ -40,12 +40,6 @@ local timing = {}
 ---@field is_timed boolean at least one clock is not free
 ---@field unit number all times are multiples of this number of nanoseconds
 ---@field period number|false longest time between two steps, in units; false: not given
----@field none rfsm_checks.Time the value for moments at which no clock runs
----@field times table<string, rfsm_checks.Time> by entries and zone as a text
----@field time_count integer how many times there are
----@field entries table<string, table[]> entries of times, by the field `shape`
----@field latest table<boolean, table<rfsm_checks.Time, rfsm_checks.Group[]>> the latest
--- results of `Timing:groups`
 ---@field fired table<rfsm_checks.Occurrence, boolean> time events that have come
 ---@field is_cut boolean some groups were left out
 ---@field is_inexact boolean some times have too many units to be exact
@@ -63,23 +57,22 @@ Timing.__index = Timing
 ---@field judged? rfsm_checks.Judged the property whose time this clock measures
 ---@field later? rfsm_checks.Occurrence the event whose delay this clock measures
 ---@field is_free boolean|nil its deadline may be over at any time, or never
+---@field is_shared boolean|nil of one of several properties: its deadline may be over
+-- beside others at another time, so that no property waits for the steps of another
 ---@field is_repeated boolean|nil of an e_every: deadlines are multiples of the first
 -- one, and the last of them is never over after one step
 ---@field deadlines number[] in rising order, in units
 ---@field events rfsm_checks.Occurrence[][] for each deadline, the events that come then
 
---- The clocks that run when a step has ended, and the zone of their values.
----@class rfsm_checks.Time
----@field entries { clock: rfsm_checks.Clock, passed: integer }[] `passed`: how many
--- deadlines of the clock are over
----@field zone number[] the values that these clocks may have, see `rfsm.explore.zones`
----@field shape string the entries as a text
----@field number integer its index among all times
+--- A clock that runs when a step has ended.
+---@class rfsm_checks.Entry
+---@field clock rfsm_checks.Clock
+---@field passed integer how many of its deadlines are over
 
 --- A set of deadlines that are over when the next step begins.
 ---@class rfsm_checks.Group
 ---@field number integer index in the list of groups
----@field over integer[] for each entry of a Time, how many more deadlines are over
+---@field over integer[] for each entry, how many more deadlines are over
 ---@field is_over boolean at least one deadline is over
 ---@field is_sure boolean if time goes on, no other group can come first
 ---@field ways integer how many groups can come first
@@ -172,15 +165,16 @@ local function add_later_clock(self, later, are_free)
     deadlines = { is_free and 0 or duration }, events = { later.alone } })
 end
 
-local function add_clocks(self, judged, are_free)
+local function add_clocks(self, list, are_free)
   for _, part in ipairs(are_free and {} or self.subject.parts) do
     for _, state in ipairs(rfsm.elements(part.fsm, rfsm.is_state)) do
       add_state_clocks(self, part, state)
     end
   end
-  if judged and judged.property.seconds then
-    self.of[judged] = add_clock(self, { judged = judged, events = { {} },
-      deadlines = { nanoseconds(judged.property.seconds) } })
+  for _, judged in ipairs(list) do
+    local seconds = judged.property.seconds
+    self.of[judged] = seconds and add_clock(self, { judged = judged, events = { {} },
+      deadlines = { nanoseconds(seconds) }, is_shared = list[2] ~= nil })
   end
   for _, later in ipairs(self.subject.later) do
     add_later_clock(self, later, are_free)
@@ -212,47 +206,34 @@ local function set_unit(self)
   self.is_inexact = longest >= MOST_UNITS
 end
 
--- Returns the rfsm_checks.Time of entries and a zone. For equal ones it is one table.
-local function find_time(self, entries, zone)
+--- Return the clocks that run as a text.
+---@param entries rfsm_checks.Entry[]
+---@return string
+function timing.text_of(entries)
   local texts = {}
   for i, entry in ipairs(entries) do
     texts[i] = entry.clock.number .. "." .. entry.passed
   end
-  local shape = concat(texts, ",")
-  local text = shape .. "@" .. concat(zone, ",")
-  local time = self.times[text]
-  if not time then
-    self.time_count = self.time_count + 1
-    self.entries[shape] = self.entries[shape] or entries
-    time = { entries = self.entries[shape], zone = zone, shape = shape,
-      number = self.time_count }
-    self.times[text] = time
-  end
-  return time
+  return concat(texts, ",")
 end
-
-local WEAK = { __mode = "v" } -- groups take most of the memory, and are soon made again
 
 --- Return the clocks of a walk; false if there are none.
 ---@param walk rfsm_checks.Walk
 ---@param options { timers: string, period: number?, pending: integer }
 ---@return rfsm_checks.Timing|false
 function timing.new(walk, options)
-  local self = setmetatable({ subject = walk.subject, clocks = {}, of = {}, times = {},
+  local self = setmetatable({ subject = walk.subject, clocks = {}, of = {},
     period = options.period and nanoseconds(options.period) or false, fired = {},
     pending = options.pending, is_timed = false, is_cut = false, ranks = {}, count = 0,
-    time_count = 0, entries = {}, reads_one = false,
-    latest = { [false] = setmetatable({}, WEAK), [true] = setmetatable({}, WEAK) } },
-    Timing)
+    reads_one = false }, Timing)
   for _, part in ipairs(walk.subject.parts) do
     self.reads_one = self.reads_one or part.reads_one
   end
   self.unit = self.period or 0
-  add_clocks(self, walk.monitor, options.timers == "free")
+  add_clocks(self, walk.monitors, options.timers == "free")
   walk.subject.free.timers = has_free_timer(walk.subject)
   if not self.clocks[1] then return false end
   set_unit(self)
-  self.none = find_time(self, {}, zones.new())
   return self
 end
 
@@ -269,7 +250,7 @@ local function bounds_of(self, entry, i, over)
   local bounds, following = {}, deadlines[passed + over + 1]
   if over > 0 then
     bounds[1] = { 0, i, zones.below(-deadlines[passed + over]) }
-    if self.period then
+    if self.period and not entry.clock.is_shared then
       bounds[2] = { i, 0, zones.at_most(deadlines[passed + 1] + self.period) }
     end
   end
@@ -389,16 +370,17 @@ end
 -- Returns the unfinished group `found` with one more entry, of which the next `over`
 -- deadlines are over. Returns nil if that is impossible.
 local function extended(self, entries, count, found, over)
-  local i = #found.over + 1
-  local bounds, is_free = bounds_of(self, entries[i], i, over), entries[i].clock.is_free
-  if over > 0 and found.first and not is_free and not self.period then
+  local i, clock = #found.over + 1, entries[#found.over + 1].clock
+  local bounds = bounds_of(self, entries[i], i, over)
+  local is_apart = clock.is_free or clock.is_shared
+  if over > 0 and found.first and not is_apart and not self.period then
     bounds[#bounds + 1] = order_of(entries, i, found.first, zones.at_most)
     bounds[#bounds + 1] = order_of(entries, found.first, i, zones.at_most)
   end
   local zone = bounded(found.zone, count, bounds)
   return zone and { over = match.with(found.over, over), zone = zone,
     bounds = match.joined(found.bounds, bounds),
-    first = found.first or over > 0 and not is_free and i or nil }
+    first = found.first or over > 0 and not is_apart and i or nil }
 end
 
 -- Adds all groups that begin with `found`, which has the first entries of a group.
@@ -419,11 +401,15 @@ local function add_groups(self, groups, entries, count, found)
   end
 end
 
--- Lists the groups. While an event waits, the next step is taken within a period, so
--- one more clock measures the time since the last step.
-local function new_groups(self, time, is_driven)
-  local entries, groups, bounds = time.entries, {}, {}
-  local zone, count, sources = time.zone, #time.entries, {}
+--- List the groups of deadlines that may be over when the next step begins. The first
+--- group has no deadline that is over. While an event waits, the step is taken within a
+--- period, so one more clock measures the time since the last step.
+---@param conf rfsm_checks.Configuration
+---@param is_driven boolean an event waits
+---@return rfsm_checks.Group[]
+function Timing:groups(conf, is_driven)
+  local entries, groups, bounds = conf.context.entries, {}, {}
+  local zone, count, sources = conf.zone, #entries, {}
   local is_soon = is_driven and self.period
   if is_soon then
     for i = 1, count do sources[i] = i end
@@ -446,18 +432,6 @@ local function new_groups(self, time, is_driven)
   return groups
 end
 
---- List the groups of deadlines that may be over when the next step begins. The first
---- group has no deadline that is over.
----@param time rfsm_checks.Time
----@param is_driven boolean an event waits
----@return rfsm_checks.Group[]
-function Timing:groups(time, is_driven)
-  local known = self.latest[is_driven and self.period ~= false]
-  local groups = known[time] or new_groups(self, time, is_driven)
-  known[time] = groups
-  return groups
-end
-
 -- Steps .............................................................................
 
 -- Returns the position of the first entry of a clock, or nil.
@@ -470,21 +444,21 @@ end
 -- Returns for the clock of a state how many of its deadlines are over, and its number
 -- before the step, 0 for a new clock. Also returns by how much the clock of an e_every
 -- goes back. Returns nil if the clock does not run.
-local function passed_of(self, time, group, clock)
+local function passed_of(self, before, group, clock)
   if not clock.state or clock.state._mode == "inactive" then return nil end
   if self.subject.entered[clock.state] then return 0, 0, 0 end
-  local i = find_entry(time.entries, clock)
+  local i = find_entry(before, clock)
   if not i then return nil end
   local over = group.over[i]
   if clock.is_repeated then return 0, i, clock.deadlines[over] or 0 end
-  local passed = time.entries[i].passed + over
+  local passed = before[i].passed + over
   if passed < #clock.deadlines then return passed, i, 0 end
 end
 
 -- Adds the clocks of the states that are active now.
-local function add_states(self, time, group, entries, sources)
+local function add_states(self, before, group, entries, sources)
   for _, clock in ipairs(self.clocks) do
-    local passed, source, back = passed_of(self, time, group, clock)
+    local passed, source, back = passed_of(self, before, group, clock)
     if passed then
       entries[#entries + 1] = { clock = clock, passed = passed }
       sources[#sources + 1], sources.back[#entries] = source, back
@@ -494,9 +468,9 @@ end
 
 -- Adds the clocks of events that wait to be sent: events from before the step that have
 -- neither come nor been dropped, then events from the step. Returns their number.
-local function add_pending(self, time, group, entries, sources)
-  local own, before = self.subject, #entries
-  for i, entry in ipairs(time.entries) do
+local function add_pending(self, before, group, entries, sources)
+  local own, count = self.subject, #entries
+  for i, entry in ipairs(before) do
     local clock = entry.clock
     if clock.later and group.over[i] == 0 and not own.dropped[clock.later] then
       entries[#entries + 1] = entry
@@ -507,14 +481,14 @@ local function add_pending(self, time, group, entries, sources)
     entries[#entries + 1] = { clock = self.of[later], passed = 0 }
     sources[#sources + 1] = 0
   end
-  return #entries - before
+  return #entries - count
 end
 
--- Adds the clocks of the monitor: all that ran before, or if `numbers` is given, the
+-- Adds the clocks of a monitor: all that ran before, or if `numbers` is given, the
 -- clocks with these numbers. A 0 in `numbers` is a new clock.
-local function add_monitor(time, clock, numbers, entries, sources)
+local function add_monitor(before, clock, numbers, entries, sources)
   local list = {}
-  for i, entry in ipairs(time.entries) do
+  for i, entry in ipairs(before) do
     if entry.clock == clock then list[#list + 1] = i end
   end
   for n = 1, numbers and #numbers or #list do
@@ -524,24 +498,28 @@ local function add_monitor(time, clock, numbers, entries, sources)
 end
 
 --- Return the clocks that run after the last step of the subject.
----@param time rfsm_checks.Time the clocks before that step
----@param group rfsm_checks.Group
+---@param try rfsm_checks.Try that step
 ---@param walk rfsm_checks.Walk
----@param clocks integer[]? numbers of clocks of the monitor, from `monitors.look`
----@return rfsm_checks.Time|nil time nil if too many events wait to be sent
+---@param clocks table<rfsm_checks.Judged, integer[]> numbers of the clocks of monitors,
+-- from `monitors.look`
+---@return rfsm_checks.Entry[]|nil entries nil if too many events wait to be sent
 ---@return integer[] sources for each clock its number before the step; 0: a new clock.
 -- `sources.back[i]`, if there is one, is by how much it has gone back
-function Timing:after(time, group, walk, clocks)
+---@return number[] zone the values that these clocks may have
+function Timing:after(try, walk, clocks)
+  local before, group = try.conf.context.entries, try.group
   local entries, sources = {}, { back = {} }
-  add_states(self, time, group, entries, sources)
-  if add_pending(self, time, group, entries, sources) > self.pending then
+  add_states(self, before, group, entries, sources)
+  if add_pending(self, before, group, entries, sources) > self.pending then
     return nil, sources
   end
-  local clock = self.of[walk.monitor]
-  if clock then add_monitor(time, clock, clocks, entries, sources) end
-  local zone = zones.project(group.zone, #time.entries, sources)
+  for _, judged in ipairs(walk.monitors) do
+    local clock = self.of[judged]
+    if clock then add_monitor(before, clock, clocks[judged], entries, sources) end
+  end
+  local zone = zones.project(group.zone, #before, sources)
   for i = 1, #sources do zone = zones.back(zone, #sources, i, sources.back[i] or 0) end
-  return find_time(self, entries, zone), sources
+  return entries, sources, zone
 end
 
 -- Times of a run ....................................................................

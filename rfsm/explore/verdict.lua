@@ -19,9 +19,9 @@ local static = require "rfsm.checks.static"
 local structure = require "rfsm.checks.structure"
 local order = require "rfsm.shared.order"
 
-local ipairs, next, setmetatable = ipairs, next, setmetatable
+local ipairs, math, next, setmetatable = ipairs, math, next, setmetatable
 local tostring, type = tostring, type
-local concat, remove = table.concat, table.remove
+local concat, huge, min, remove = table.concat, math.huge, math.min, table.remove
 local any = order.any
 
 local verdict = {}
@@ -280,8 +280,7 @@ end
 local function is_waiting(walk, number)
   local conf = walk:configuration(number)
   local goes_on = subject.is_driven(conf)
-  for _, entry in ipairs(conf.context and conf.context.time
-    and conf.context.time.entries or {}) do
+  for _, entry in ipairs(conf.context and conf.context.entries or {}) do
     goes_on = goes_on or entry.clock.later ~= nil
   end
   graph.each_step(walk, number, function(tgt, is_internal)
@@ -434,24 +433,27 @@ local function word_of(judged)
     .. (judged.unnamed and ", " .. judged.unnamed or "")
 end
 
--- Judges a property on its walk and returns the verdict. If the property is violated,
--- also adds a finding to `result`.
-local function judge(result, walk, judged, options)
+-- Judges a property on its walk: sets its verdict, and the gaps that leave it open.
+local function judge(walk, judged, options)
   properties.judge(walk, judged)
   local witness = judged.at and find_witness(walk, judged)
-  if judged.holds == nil then note_bound(result, walk) end
-  if judged.holds == false then
-    witness.rests = judged.rests
-    local finding = result.findings:add("violated", nil, judged.name,
-      word_of(judged))
-    if finding then finding.witness = witness end -- nil: the property is given twice
-  end
-  return setmetatable({ name = judged.name, holds = judged.holds,
+  if witness then witness.rests = judged.rests end
+  judged.gaps = { bound = walk.bound, untried = walk.untried }
+  judged.verdict = setmetatable({ name = judged.name, holds = judged.holds,
     vacuous = judged.holds and judged.vacuous or nil, unnamed = judged.unnamed,
     witness = witness,
     reason = reason_of(walk, judged),
     premises = premises_of({ walk }, options)
       .. (monitors.kinds[judged.property.kind].owes and "; doos end" or "") }, Verdict)
+end
+
+-- Adds the verdict on a property to a result, with a finding if it is violated.
+local function add_verdict(result, judged)
+  result.properties[#result.properties + 1] = judged.verdict
+  if judged.holds == nil then note_bound(result, judged.gaps) end
+  local finding = judged.holds == false and result.findings:add("violated", nil,
+    judged.name, word_of(judged))
+  if finding then finding.witness = judged.verdict.witness end -- nil: given twice
 end
 
 -- Text ............................................................................
@@ -647,6 +649,58 @@ local function find_others(walks, findings)
   end
 end
 
+-- Walks over a chart, and judges what needs no monitor. Returns a result with findings;
+-- nil if a region never becomes idle, which stops all: then one walk has to have all.
+local function judge_chart(model, rest, own, list, options)
+  local ways = independence.ways(own, list, options)
+  local by_way, walks = walks_in(model, rest, ways, list)
+  local has_endless = any(walks, function(walk) return walk.endless end)
+  local is_late = any(walks, function(walk) return walk.is_late end)
+  if walks[2] and has_endless and not is_late then return nil end
+  local result = new_result(own, walks, options)
+  for _, judged in ipairs(list) do
+    if monitors.kinds[judged.property.kind].judge then
+      judge(by_way[judged.way], judged, options)
+    end
+  end
+  find_dead_ends(walks, result.findings)
+  find_others(walks, result.findings)
+  return result
+end
+
+-- Walks with the monitors of some properties, which the walk must not make larger than
+-- `most` configurations.
+local function walk_with(list, model, options, most)
+  local own = options.configurations
+  options.configurations = min(own, most)
+  local walk = explore.walk(model, options, function(walk)
+    properties.monitor(walk, list)
+  end, list[1].way)
+  options.configurations = own
+  return walk
+end
+
+local MANY_TIMES = 4 -- most configurations of a shared walk, by those of the chart
+
+-- Judges properties by monitors that share a walk. A property gets a walk of its own if
+-- the shared one was not finished or left out orders of deadlines, and if the clocks of
+-- other properties may be on the run that violates it.
+local function judge_together(list, model, rest, configurations)
+  local options, most = rest(), min(#list, MANY_TIMES) * configurations
+  local walk = walk_with(list, model, options, list[2] and most or huge)
+  local is_exact = not walk.keys[walk.expanded + 1]
+    and not (walk.timing and (walk.timing.is_cut or walk.timing.is_inexact))
+  for _, judged in ipairs(list) do
+    local is_known = judged.holds == false and not judged.property.seconds
+      or judged.holds == nil and is_exact
+    if is_known or not list[2] then
+      judge(walk, judged, options)
+    else
+      judged.holds, judged.at, judged.label = nil, nil, nil
+    end
+  end
+end
+
 --- Explore a model, judge its properties, and return the result.
 ---@param model rfsm.State
 ---@param options rfsm_checks.Options
@@ -654,24 +708,21 @@ end
 function verdict.of(model, options)
   local rest, own = explore.one_bound(options), subject.new(model, options)
   local list = properties.list_for(own, properties_of(model, options))
-  local ways = independence.ways(own, list, options)
-  local by_way, walks = walks_in(model, rest, ways, list)
-  local has_endless = any(walks, function(walk) return walk.endless end)
-  local is_late = any(walks, function(walk) return walk.is_late end)
-  if walks[2] and has_endless and not is_late then -- it stops all regions: use one walk
+  local result = judge_chart(model, rest, own, list, options)
+  if not result then
     options.multiply = true
     return verdict.of(model, rest())
   end
-  local result = new_result(own, walks, options)
-  for i, judged in ipairs(list) do
-    local walk = monitors.kinds[judged.property.kind].judge and by_way[judged.way]
-      or explore.walk(model, rest(), function(walk)
-        properties.monitor(walk, judged)
-      end, judged.way)
-    result.properties[i] = judge(result, walk, judged, options)
+  for _, group in ipairs(properties.groups(own, list)) do
+    judge_together(group, model, rest, result.configurations)
+    for _, judged in ipairs(group) do
+      if not judged.verdict then judge_together({ judged }, model, rest, huge) end
+    end
   end
-  find_dead_ends(walks, result.findings)
-  find_others(walks, result.findings)
+  local findings = result.findings
+  result.findings = static.new_list()
+  for _, judged in ipairs(list) do add_verdict(result, judged) end
+  result.findings:join(findings)
   return result
 end
 

@@ -29,7 +29,7 @@ local rfsm = require "rfsm"
 local subject = require "rfsm.explore.subject"
 local wires = require "rfsm.system.wires"
 
-local error, ipairs, rawget = error, ipairs, rawget
+local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
 local setmetatable, tonumber, type = setmetatable, tonumber, type
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -520,7 +520,8 @@ end
 -- Adds a machine. In its subject each event that only comes by wires gets a maker, so
 -- that the walk of the machine does not send it from outside.
 local function add_member(self, cell, name, options)
-  local member = explore.new(cell.models[name], options)
+  local ok, member = pcall(explore.new, cell.models[name], options)
+  if not ok then error(("machines.%s: %s"):format(name, rfsm.text_of(member)), 0) end
   local own, maker_of = member.subject, member.subject.maker_of
   self.members[#self.members + 1] = member
   member.name, member.number, member.confs, member.moves = name, #self.members, {}, {}
@@ -553,7 +554,7 @@ function product.new(cell, group_of, group, settings, overlap)
     kept = {}, from = {}, labels = {}, first = {}, steps = {}, movers = {},
     step_labels = {}, expanded = 0, depth = 0, level_end = 1, stuck = {}, passed = {},
     lost = {}, carries = {}, afters = {}, untried = {}, unsure = {}, cut = {},
-    monitor = false, bound = nil, is_partial = false, overlap = overlap }, Product)
+    bound = nil, is_partial = false, overlap = overlap }, Product)
   self.subject = self
   for _, wire in ipairs(cell.wires) do
     if group_of[wire.to] == group then

@@ -31,6 +31,8 @@ local concat, min = table.concat, math.min
 
 local report = {}
 
+local WHERE = "rfsm.system.explore"
+
 --- The options of an exploration that each machine of a system has for itself.
 report.OF_MACHINE = { "alphabet", "classes", "complementary", "deferred", "dry_run",
   "exclusive", "flags", "run", "same", "sends", "vars" }
@@ -68,13 +70,13 @@ end
 
 -- Makes a product watch for the event of a property.
 local function watch_event(walk, judged)
-  local member, event = walk:split(judged.property.event)
+  local ok, member, event = pcall(walk.split, walk, judged.property.event)
+  if not ok then properties.refuse(WHERE, judged, member) end
   local own = member.subject
   local meant = own:event_meant(event)
   if not (own.event_numbers[meant] or own.free.predicates) then
-    error(("property '%s': no transition of '%s' names the event '%s'%s"):format(
-      judged.name, member.name, event,
-      advice.nearest_name(event, own:named_texts())), 0)
+    properties.refuse(WHERE, judged, ("no transition of '%s' names the event '%s'%s")
+      :format(member.name, event, advice.nearest_name(event, own:named_texts())))
   end
   judged.member, judged.event = member, event
   member.wanted[#member.wanted + 1], own.wanted[meant] = event, false
@@ -84,10 +86,10 @@ end
 -- Makes a product judge a property. Raises an error if a product cannot judge its kind.
 local function watch(walk, judged)
   if not monitors.kinds[judged.property.kind].judge then
-    error(("property '%s': it is not judged for a system, expected: never, always, "
-      .. "from(...).can_reach or after(...).reach"):format(judged.name), 0)
+    properties.refuse(WHERE, judged, "it is not judged for a system, expected: never, "
+      .. "always, from(...).can_reach or after(...).reach")
   end
-  properties.check_names("rfsm.system", judged, walk:view(walk:configuration(1)))
+  properties.check_names(WHERE, judged, walk:view(walk:configuration(1)))
   if judged.property.event then watch_event(walk, judged) end
 end
 
@@ -355,9 +357,10 @@ local function read_settings(cell, given)
   return settings
 end
 
--- Returns the products of the groups of machines, in a list and by group.
-local function walks_of(cell, group_of, settings, overlap)
-  local walks, by_group = {}, {}
+-- Returns the options of each machine, and the products of the groups of machines in a
+-- list and by group.
+local function new_walks(cell, group_of, options, overlap)
+  local settings, walks, by_group = read_settings(cell, options.machines), {}, {}
   for _, name in ipairs(cell.names) do
     local group = group_of[name]
     if not by_group[group] then
@@ -365,7 +368,7 @@ local function walks_of(cell, group_of, settings, overlap)
       walks[#walks + 1] = by_group[group]
     end
   end
-  return walks, by_group
+  return settings, walks, by_group
 end
 
 local CROSSING = "moves cross: others move also between what a machine reads and the "
@@ -374,10 +377,11 @@ local NOT_CROSSING = "moves do not cross: the first event that a machine emits i
   .. "in the move that reads, others one by one"
 
 local function explored(cell, options, rest, overlap)
-  local settings = read_settings(cell, options.machines)
-  local list = properties.list_of("rfsm.system", options.properties)
+  local list = properties.list_of(WHERE, options.properties)
   local group_of = groups_of(cell, list)
-  local walks, by_group = walks_of(cell, group_of, settings, overlap)
+  local ok, settings, walks, by_group = pcall(new_walks, cell, group_of, options,
+    overlap)
+  if not ok then error(WHERE .. ": " .. rfsm.text_of(settings), 0) end
   local result = setmetatable({ configurations = 0, steps = 0, walks = walks,
     crossing = false, findings = static.new_list(), properties = list, untried = {},
     premises = { "any order, any time", "one event from outside in a move",
@@ -429,10 +433,8 @@ function report.explore(cell, options)
   local settings, problem = explore.settings(options or {}, OF_SYSTEM, {
     machines = { "table of options by machine", opts.is_a("table"), {} },
     overlap = { "boolean", opts.is_a("boolean") } })
-  local ok, result = settings ~= nil, problem
-  if ok then ok, result = pcall(explored_twice, cell, settings) end
-  if not ok then error("rfsm.system.explore: " .. rfsm.text_of(result), 2) end
-  return result
+  if not settings then error(WHERE .. ": " .. problem, 0) end
+  return explored_twice(cell, settings)
 end
 
 -- Text ..............................................................................

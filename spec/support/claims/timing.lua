@@ -1,7 +1,8 @@
 -- Timers in order, and properties with a time, against brute force: random charts on a
 -- clock of their own, run by hosts that keep the premise. What they reach was reached,
 -- what is said to hold is not broken, and each witness replays with its times. Effects
--- of half of the charts send events later.
+-- of half of the charts send events later. A property has one verdict, alone and beside
+-- others.
 
 local add_deferrals = require("spec.support.charts").add_deferrals
 local charts = require "spec.support.claims.explore"
@@ -379,6 +380,18 @@ function claim.check_properties(seed, chart, properties, result, broken, list)
   end
 end
 
+-- Appends the properties whose verdict depends on the other properties.
+local function check_alone(seed, chart, properties, options, result, list)
+  for _, judged in ipairs(result.properties) do
+    options.properties = { [judged.name] = properties[judged.name] }
+    local alone = rfsm_checks.explore(claim.model_of(chart, options), options)
+    local text, other = tostring(judged), tostring(alone.properties[1])
+    if text ~= other then
+      list[#list + 1] = ("%d: beside others %s, alone %s"):format(seed, text, other)
+    end
+  end
+end
+
 -- Returns a function that is called before a step of a machine, with the time. It
 -- returns the moments that the step finds over, if it should have been taken sooner.
 local function keeper(fsm, period)
@@ -463,6 +476,7 @@ local function compare(seed, list)
   local counts = claim.counts
   counts.later = counts.later + (next(chart.later or {}) and 1 or 0)
   claim.check_properties(seed, chart, properties, result, broken, list)
+  check_alone(seed, chart, properties, options, result, list)
   return true
 end
 
