@@ -433,7 +433,7 @@ describe("rfsm fleet", function()
   for command, needed in pairs { -- any order: each stands alone
     ["find door"] = "find CHART STATE [LIMIT [SECONDS]]", ["get"] = "get KEY",
     ["history"] = "history KEY [N]", ["why k"] = "why KEY EVENT",
-    ["send k"] = "send KEY EVENT [ID]", ["hold"] = "hold KEY [TEXT]",
+    ["send k"] = "send KEY EVENT [ID]", ["hold"] = "hold KEY [WHY]",
     ["log"] = "log KEY [N]", ["move"] = "move KEY", ["release"] = "release KEY",
     ["force k"] = "force KEY STATE", ["remove"] = "remove KEY",
     ["again 0"] = "again TAG ID", ["drop 0"] = "drop TAG ID",
@@ -556,7 +556,7 @@ describe("rfsm fleet", function()
    again drop TAG ID   cancel KEY ID   charts reindex versions
    create KEY CHART [FIELD=VALUE...]   dead [LIMIT]   due [LIMIT [TIME]]
    find CHART STATE [LIMIT [SECONDS]]   force KEY STATE
-   get move pull release remove tick KEY   history log KEY [N]   hold KEY [TEXT]
+   get move pull release remove tick KEY   history log KEY [N]   hold KEY [WHY]
    push KEY FILE   send KEY EVENT [ID]   set KEY FIELD=VALUE   why KEY EVENT
 ]=], run("help fleet"):match("Verbs:\n(.*)"))
   end)

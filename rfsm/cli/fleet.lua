@@ -408,7 +408,7 @@ local function help()
   for _, group in ipairs(groups) do
     local text = "   " .. concat(group, " ") .. (group.usage ~= "" and " " or "")
       .. group.usage
-    local is_first = not lines[2] or #lines[#lines] + #text > 80
+    local is_first = not lines[2] or #lines[#lines] + #text > 79
     lines[is_first and #lines + 1 or #lines] = (is_first and "" or lines[#lines])
       .. text
   end

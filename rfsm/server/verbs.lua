@@ -39,7 +39,7 @@ local verbs = {
     bulk = true },
   { name = "hold", sql = { ", reason text DEFAULT NULL", "text",
     "CASE WHEN reason IS NOT NULL THEN ARRAY[reason] END, NULL" },
-    usage = "KEY [TEXT]", needs = 1, by = true, bulk = true },
+    usage = "KEY [WHY]", needs = 1, by = true, bulk = true },
   { name = "release", sql = { "", "text" }, usage = "KEY", needs = 1, by = true,
     bulk = true },
   { name = "force", sql = { ", state text", "text", "ARRAY[state], NULL" },
