@@ -308,11 +308,6 @@ local function graph_of(level)
   add_rows(lines, level)
   for _, link in ipairs(level.links) do
     if is_bent(link) then add_link(lines, level, link) end
-    local twin = link.upper and link.upper.gate and link.upper.gate.twin
-    if twin and not link.upper.node then -- the two gates shall be beside each other
-      add(lines, 1, ("%s -> %s [style=invis]"):format(twin.id,
-        end_text(level, link, false)))
-    end
   end
   lines[#lines + 1] = "}\n"
   return concat(lines, "\n")

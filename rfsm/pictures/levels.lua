@@ -90,13 +90,6 @@ function levels.is_closed(level)
   return not level.gates[1]
 end
 
-local function has_loop(level)
-  for _, link in ipairs(level.links) do
-    if link.is_loop then return true end
-  end
-  return false
-end
-
 local function swap(link)
   link.upper, link.lower, link.is_turned = link.lower, link.upper, not link.is_turned
 end
@@ -174,7 +167,7 @@ end
 function levels.is_misfit(level, shape)
   local nodes = level.composite.nodes
   return nodes[FEWEST] and is_wide(shape) and levels.is_closed(level)
-    and not has_loop(level) and not nodes[1].is_region -- then all are
+    and not nodes[1].is_region -- then all are
 end
 
 -- Layout ----------------------------------------------------------------------

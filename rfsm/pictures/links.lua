@@ -44,7 +44,6 @@ local links = {}
 ---@class rfsm.pictures.Gate
 ---@field id string
 ---@field is_upper boolean
----@field twin? rfsm.pictures.Gate the second gate of an arrow that has a `Link.arch`
 ---@field x number
 ---@field y number
 ---@field offset number distance from the corner where its side of the frame begins
@@ -138,7 +137,6 @@ local function arch_links(arrow, composite)
   local frame = { node = composite, gate = gate_of(composite.level, arrow, true, "/") }
   local inner, list = climb(arrow, is_out and arrow.tgt or arrow.src, true, not is_out)
   local from, to = frame, inner
-  inner.gate.twin = frame.gate
   if not is_out then from, to = inner, frame end
   local legs = {
     link_of(level, { arrow = arrow, lower = from, is_turned = true }, "/"),
