@@ -2703,7 +2703,10 @@ do
     if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
       return go_on(fsm, after_free)
     end
-    if fsm._is_hooked then return iterate_hooked(fsm, after_free, leaf) end
+    if fsm._is_hooked then -- no tail call: LuaJIT gives up what returns to a pcall
+      local counted, idle = iterate_hooked(fsm, after_free, leaf)
+      return counted, idle
+    end
     local events = fsm._intq
     local spare = fsm._curq
     fsm._curq = events
