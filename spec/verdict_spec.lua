@@ -64,6 +64,12 @@ describe("a verdict", function()
       again = rfsm_checks.precedes("entry root.b", "root.c").since("e_x") }))
   end)
 
+  it("is the same beside a property of time that ends sooner", function()
+    assert.equal("nine", holding(chart { [2] = go("a", "b", "e_x"), [3] = go("b", "a",
+      "e_after(9)") }, { nine = from "root.b".left_within(9),
+      one = from "root.b".left_within(1), three = from "root.b".left_within(3) }))
+  end)
+
   it("is the same if the monitors are too many for one walk", function()
     local members, given = { c = state {} }, {}
     for i = 1, 5 do
