@@ -438,12 +438,25 @@ end
 
 -- Load ------------------------------------------------------------------------
 
--- Returns a module; nil if it is not installed.
+-- Takes modules of rfsm out of `package.loaded`, those whose value has a type of the
+-- text `types`. Whoever requires them again gets new ones.
+local function forget_modules(types)
+  local loaded = find_global("package", "loaded") or NONE
+  for name, module in pairs(loaded) do -- any order: each stands alone
+    local is_of_rfsm = tostring(name):find("^rfsm[%w_.]")
+    if is_of_rfsm and types:find(type(module), 1, true) then loaded[name] = nil end
+  end
+end
+
+-- Returns a module; nil if it is not installed. If an error cuts the load short, as an
+-- interrupt does, Lua 5.1 would refuse to load it again: its mark stays, which is a
+-- userdata, in LuaJIT a number.
 local function find_module(name)
   if type(require) ~= "function" then return nil end
   local ok, module = pcall(require, name)
   if ok then return module end
   if not text_of(module):find("module '" .. name .. "' not found", 1, true) then
+    forget_modules "userdata number"
     error(module, 0)
   end
 end
@@ -1032,7 +1045,7 @@ do
     tgt = is_internal and src or tgt and find_entrance(build, tr, tgt)
     if not (src and tgt) then return false end
     tr.src, tr.tgt, tr._is_internal = src, tgt, is_internal
-    if tr.always == true then rfsm.check_always(build, tr) end -- loads its file
+    if tr.always == true then rfsm.check_always(build, tr) end
     resolve_e_done(build, tr)
     return true
   end
@@ -1086,7 +1099,9 @@ do
       local tr = transitions[i]
       local otrs, events = tr.src._otrs, tr.events
       otrs[#otrs + 1] = tr
-      if tr.always == true then fsm._has_always, fsm._is_usual = true, false end
+      if tr.always == true then -- its file is loaded here: a preproc may have set it
+        fsm._has_always, fsm._is_usual = rfsm.check_always ~= nil, false
+      end
       for j = 1, #events do
         if type(events[j]) == "function" then tr._is_asked = true end
       end
@@ -3718,22 +3733,12 @@ do
     end
   end
 
-  -- Takes the modules of an earlier copy of the core out of `package.loaded`: they know
-  -- nothing of machines of this one. Whoever requires them again gets new ones.
-  local function forget_modules(loaded)
-    for name, module in pairs(loaded) do -- any order: each stands alone
-      if type(module) == "table" and tostring(name):find("^rfsm[%w_.]") then
-        loaded[name] = nil
-      end
-    end
-  end
-
   -- Registers the module and the searcher. With a prefix the modules beside this file
   -- come before others that are installed. In a sandbox `package` may have no fields.
   local function register(package)
     searchers = package.searchers or package.loaders
     if searchers and searchers.rfsm and type(package.loaded.rfsm) ~= "table" then
-      forget_modules(package.loaded)
+      forget_modules "table" -- of an earlier core: they know no machine of this one
     end
     if searchers and loadfile and not searchers.rfsm then
       searchers.rfsm = find_beside -- marks the searcher as installed

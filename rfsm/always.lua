@@ -14,15 +14,6 @@ return function(rfsm, engine)
   local PHASES, enabled, follow = engine.PHASES, engine.enabled, engine.follow
   local iterate, silent = engine.iterate, engine.silent
 
-  --- Add what is wrong with a transition that needs no event to the problems.
-  ---@package
-  function rfsm.check_always(build, tr)
-    local problem = tr.events[1] ~= nil and "a transition that needs no event has no "
-      .. "events (leave out one of the two fields)" or not tr.src._mode and "only a "
-      .. "transition from a state needs no event, '%s' is a connector"
-    if problem then engine.add(build.problems, tr, "always", problem, tr.src._fqn) end
-  end
-
   local function list_always(leaf)
     local list = {}
     for _, node in ipairs(engine.line_to(leaf)) do
@@ -80,5 +71,15 @@ return function(rfsm, engine)
     if not found then return iterate_usual(fsm, after_free, leaf) end
     if again and again.turn == fsm._turn - 1 then again.turn = fsm._turn end
     return follow(fsm, after_free, leaf, found, nil)
+  end
+
+  --- Add what is wrong with a transition that needs no event to the problems.
+  -- This name comes last: the core does not load the file again once it is there.
+  ---@package
+  function rfsm.check_always(build, tr)
+    local problem = tr.events[1] ~= nil and "a transition that needs no event has no "
+      .. "events (leave out one of the two fields)" or not tr.src._mode and "only a "
+      .. "transition from a state needs no event, '%s' is a connector"
+    if problem then engine.add(build.problems, tr, "always", problem, tr.src._fqn) end
   end
 end

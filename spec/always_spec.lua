@@ -1,5 +1,6 @@
 -- Transitions that need no event: always = true.
 
+local compiling = require "spec.support.compiling"
 local defer = require "rfsm.defer"
 local helper = require "spec.helper"
 local interrupts = require "spec.support.interrupts"
@@ -270,6 +271,24 @@ describe("a cycle of transitions that need no event", function()
     rfsm.step(fsm, 10010)
     assert.same({ "transitions that need no event are taken again and again, such as "
       .. "root.trans[3] (b -> a) (give one of them a guard)" }, { warned[#warned] })
+  end)
+end)
+
+describe("a preproc function", function()
+  it("may say that a transition needs no event, also if no chart says so", function()
+    compiling.anew(function()
+      local core = require "rfsm"
+      core.preproc[1] = function(fsm)
+        for _, tr in ipairs(core.elements(fsm, core.is_trans)) do
+          tr.always = tr.src == fsm.a or nil
+        end
+      end
+      local fsm = core.init(core.state { info = false, warn = false, a = core.state {},
+        b = core.state {}, core.trans { src = "initial", tgt = "a" },
+        core.trans { src = "a", tgt = "b" } })
+      assert.is_true(core.run(fsm))
+      assert.equal("root.b", core.get_actleaf_fqn(fsm))
+    end)
   end)
 end)
 
