@@ -348,7 +348,7 @@ describe("a field that is nearly one of an extension, or `always`,", function()
   it("is told with the right name, if the extension would take the value", function()
     local _, _, warnings = rfsm.verify_early(state {
       m = state { histroy = "deep", x = state { deffer = {}, defers = { "e_x" } },
-        y = state { deffer = "data", histroy = "deep" },
+        y = state { deffer = "data", histroy = "deep", time = {}, histry = {} },
         trans { src = "initial", tgt = "x" } },
       trans { src = "initial", tgt = "m" },
       trans { src = "m", tgt = "m", events = "e", likley = function() end },
