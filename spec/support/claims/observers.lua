@@ -14,8 +14,6 @@ require "rfsm.defer"
 
 local claim = { name = "observers, and random runs", runs = 60 }
 
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
-
 local CLASSES = { e_d = { { n = 1 }, { n = 3 } } }
 local FLAGS = { door = { on = { "e1" }, off = { "e2" } } }
 
@@ -293,9 +291,9 @@ local function follow(test, witness)
   local judge = judged_by(fsm, test.kind, test.own)
   for _, step in ipairs(witness) do
     answer_by(step.choices)
-    rfsm.send_events(fsm, unpack(step.values))
+    for _, event in ipairs(step.values) do explore.send(fsm, event) end
     for _, inner in ipairs(step.inside) do
-      rfsm.send_events(machine_of[inner.prefix], inner.event)
+      explore.send(machine_of[inner.prefix], inner.event)
     end
     rfsm.step(fsm)
     judge.finish()
