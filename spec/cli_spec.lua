@@ -190,6 +190,14 @@ describe("rfsm check", function()
       .. "test (--configurations N)\n", 0 }, { err, status })
   end)
 
+  it("says that the exploration has ended before it found a test", function()
+    local file = helper.file_with(turning())
+    local out, err, status = run("check --tests busted --seconds 0 " .. file)
+    assert.same({ "", "rfsm check: " .. file .. ": the exploration ended at its bound "
+      .. "on seconds: what lies behind it has no test (--seconds N)\n", 1 },
+      { out, err, status })
+  end)
+
   it("ends with the gravest of several charts", function()
     local good, odd = CHART:format "final = true", CHART:format "checks = { typ = '' }"
     for _, case in ipairs {
@@ -465,6 +473,7 @@ describe("rfsm fleet", function()
     ["remove k l"] = "remove KEY expected, got 2 arguments: 'k', 'l'",
     ["set k n=1 --if-version 3"] = "set takes no --if-version",
     ["force k root.a --by ann"] = "force takes no --by",
+    ["get k --if-version 3 --force --by ann"] = "get takes no --by",
     ["again 0 1-0 --where age=1"] = "again: --where or TAG ID expected, not both",
   } do
     it("refuses " .. arguments, function()

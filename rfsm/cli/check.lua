@@ -68,6 +68,14 @@ end
 
 local MANY = 10000 -- configurations that are explored for tests by default
 
+-- Returns a text if the exploration ended at a bound that an option can raise.
+local function text_of_bound(result)
+  local bound = result.bound
+  return (bound == "configurations" or bound == "seconds")
+    and ("the exploration ended at its bound on %s: what lies behind it has no test "
+      .. "(--%s N)"):format(bound, bound)
+end
+
 local function write_tests(options, parser)
   local file = options.files[1]
   if options.files[2] then
@@ -81,14 +89,15 @@ local function write_tests(options, parser)
     model, { callbacks = options.callbacks, stub = options.stub,
       machine = options.machine, file = file, seconds = options.seconds,
       configurations = options.configurations or MANY }, options.output, old_text)
-  if not result.runs[1] then common.fail(file .. ": no run of it repeats itself") end
+  local ended = text_of_bound(result)
+  if not result.runs[1] then
+    common.fail(("%s: %s"):format(file, result.skipped == 0 and ended
+      or "no run of it repeats itself"))
+  end
   common.write(options.output, text)
   common.warn(("%d of %d transitions in %d steps"):format(result.taken,
     result.transitions, result.steps))
-  if result.bound == "configurations" or result.bound == "seconds" then
-    common.warn(("the exploration ended at its bound on %s: what lies behind it has no "
-      .. "test (--%s N)"):format(result.bound, result.bound))
-  end
+  if ended then common.warn(ended) end
   if result.skipped > 0 then
     common.warn(("left out: %d runs that do not repeat themselves"):format(
       result.skipped))

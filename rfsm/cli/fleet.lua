@@ -464,8 +464,8 @@ local TAKERS = { by = { push = true, set = true }, force = { set = true },
 
 local function check_options(options, parser)
   local name = options.verb
-  for option, takers in pairs(TAKERS) do -- any order: one is refused
-    if options[option] and not takers[name] then
+  for _, option in ipairs(rfsm.sorted_keys(TAKERS)) do
+    if options[option] and not TAKERS[option][name] then
       parser:error(("%s takes no --%s"):format(name, (option:gsub("_", "-"))))
     end
   end
