@@ -190,12 +190,21 @@ describe("rfsm check", function()
       .. "test (--configurations N)\n", 0 }, { err, status })
   end)
 
-  it("says that the exploration has ended before it found a test", function()
-    local file = helper.file_with(turning())
-    local out, err, status = run("check --tests busted --seconds 0 " .. file)
-    assert.same({ "", "rfsm check: " .. file .. ": the exploration ended at its bound "
-      .. "on seconds: what lies behind it has no test (--seconds N)\n", 1 },
-      { out, err, status })
+  it("says that an exploration for tests has ended at many choices", function()
+    local parts, tr = {}, 'rfsm.trans { src = "s%d", tgt = "s%d", events = { "e%d" }, '
+      .. "guard = g }"
+    for i = 1, 14 do
+      for k = 1, 14 do
+        parts[#parts + 1] = tr:format(i, i % 14 + 1, k)
+      end
+      parts[#parts + 1] = ("s%d = rfsm.state {}"):format(i)
+    end
+    local file = helper.file_with('local rfsm, g = require "rfsm", function() end\n'
+      .. 'return rfsm.state { rfsm.trans { src = "initial", tgt = "s1" },\n'
+      .. table.concat(parts, ",\n") .. " }\n")
+    local _, err = run("check --tests busted --configurations 5 " .. file)
+    assert.equal("rfsm check: the exploration ended at its bound on choices: what lies "
+      .. "behind it has no test (--configurations N)", last_line(err))
   end)
 
   it("ends with the gravest of several charts", function()

@@ -68,12 +68,11 @@ end
 
 local MANY = 10000 -- configurations that are explored for tests by default
 
--- Returns a text if the exploration ended at a bound that an option can raise.
-local function text_of_bound(result)
-  local bound = result.bound
-  return (bound == "configurations" or bound == "seconds")
-    and ("the exploration ended at its bound on %s: what lies behind it has no test "
-      .. "(--%s N)"):format(bound, bound)
+-- Returns a text if the exploration ended at a bound, else nil.
+local function text_of_bound(bound)
+  local option = bound == "choices" and "configurations" or bound
+  return bound and ("the exploration ended at its bound on %s: what lies behind it has "
+    .. "no test (--%s N)"):format(bound, option)
 end
 
 local function write_tests(options, parser)
@@ -89,7 +88,7 @@ local function write_tests(options, parser)
     model, { callbacks = options.callbacks, stub = options.stub,
       machine = options.machine, file = file, seconds = options.seconds,
       configurations = options.configurations or MANY }, options.output, old_text)
-  local ended = text_of_bound(result)
+  local ended = text_of_bound(result.bound)
   if not result.runs[1] then
     common.fail(("%s: %s"):format(file, result.skipped == 0 and ended
       or "no run of it repeats itself"))

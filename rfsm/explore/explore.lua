@@ -95,6 +95,7 @@ local NOTHING = {}
 ---@field wanted any[] events that properties look at
 ---@field monitors rfsm_checks.Judged[] the properties whose monitors see each step
 ---@field has_ended boolean nothing is looked for any more
+---@field ended_by string? the bound at which it ended with configurations left
 ---@field contexts rfsm_checks.Context[]
 ---@field named table<string, rfsm_checks.Context> the contexts by a text
 ---@field zones table<integer, number[]> configuration -> the values of its clocks
@@ -580,6 +581,7 @@ function explore.walk_all(walk, options)
     end
     local bound, text = find_bound(walk, options)
     if bound then
+      walk.ended_by = bound
       walk:note_untried(bound, text)
       break
     end

@@ -260,7 +260,7 @@ function tests.plan(model, options)
     configurations = options.configurations, seconds = options.seconds }, watch_steps)
   local left, result = {}, { runs = {}, steps = 0,
     taken = #rfsm.sorted_keys(walk.taken), transitions = #walk.subject.transitions,
-    skipped = 0, modules = {}, bound = walk.bound }
+    skipped = 0, modules = {}, bound = walk.ended_by }
   for _, event in ipairs(walk.subject.event_list) do
     local module = match.maker_of(event) and advice.module_for(event)
     if module then result.modules[module] = true end
