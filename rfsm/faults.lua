@@ -70,12 +70,14 @@ local function send(fsm, failing, states, owner, callback, failure)
   if not states[1] or is_known(fsm, element, region) then return end
   local trace, queue = traceback(owner), {}
   for i, event in ipairs(fsm._intq) do queue[i] = event end
-  for _, state in ipairs(states) do
-    queue[#queue + 1] = { name = name_of(state), callback = callback, element = element,
+  local count = #queue
+  for i, state in ipairs(states) do
+    queue[count + i] = { name = name_of(state), callback = callback, element = element,
       region = region, message = rfsm.text_of(failure), traceback = trace }
   end
   fsm._intq = queue -- all at once: after an interrupt none or all of them are known
-  for i = #states - 1, 0, -1 do rfsm.report(fsm, "dbg", "RAISED", queue[#queue - i]) end
+  -- a printer may send events, which follow them
+  for i = 1, #states do rfsm.report(fsm, "dbg", "RAISED", queue[count + i]) end
 end
 
 -- The watch hook: sends the events of a callback that has failed in this machine or in

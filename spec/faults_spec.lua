@@ -282,6 +282,20 @@ describe("e_fault", function()
     assert.is_nil(fsm._intq[1])
   end)
 
+  it("is in the trace once for each state, also if the printer sends events", function()
+    local raised = {}
+    local fsm = new({}, { b = state { entry = fail },
+      [3] = trans { src = "b", tgt = "a", events = { "e_fault" } } })
+    fsm.dbg = function(id, event)
+      local fault = id == "RAISED" and type(event) == "table" and event
+      if not fault then return end
+      raised[#raised + 1] = fault.name
+      rfsm.send_events(fsm, "e_again")
+    end
+    send(fsm, "e_b")
+    assert.same({ "e_fault@root.work.b", "e_fault@root.work" }, raised)
+  end)
+
   it("of a region goes to the machine around, unless the region names it", function()
     for _, case in ipairs { { false, "root.safe" }, { true, "root.work" } } do
       local region = { info = false, warn = false, err = false, x = state {},
