@@ -14,9 +14,9 @@ local compile = rawget(_G, "loadstring") or load
 
 -- A room: its name, its files, and its specs, the fast ones first.
 local ROOMS = {
-  { name = "core", files = { "rfsm.lua" }, specs = { "transition", "doo", "check",
-    "cheatsheet", "idioms", "contract", "live", "machine", "mistakes", "robust",
-    "extensions", "fast", "completion", "alloc", "scale", "interrupt",
+  { name = "core", files = { "rfsm.lua", "rfsm/always.lua" }, specs = { "transition",
+    "doo", "check", "cheatsheet", "idioms", "contract", "live", "machine", "mistakes",
+    "robust", "extensions", "fast", "completion", "alloc", "scale", "interrupt",
     "failing_programs", "strict", "alone", "timeevent", "always", "named", "fates",
     "locale", "folder", "oracle", "house" } },
   { name = "fast", files = { "rfsm/fast.lua" },

@@ -14,7 +14,8 @@ local function drive(f, ...)
   debug.sethook()
 end
 
-local ENGINE = { "rfsm%.lua$", "rfsm/fast%.lua$", "^rfsm text$" }
+local ENGINE = { "rfsm%.lua$", "rfsm/fast%.lua$", "rfsm/always%.lua$",
+  "^rfsm text$" }
 
 local function is_of_engine(source)
   for _, pattern in ipairs(ENGINE) do
