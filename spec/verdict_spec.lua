@@ -64,6 +64,18 @@ describe("a verdict", function()
       again = rfsm_checks.precedes("entry root.b", "root.c").since("e_x") }))
   end)
 
+  it("is the same beside an `after` whose event is outside of the alphabet", function()
+    local model = chart { c = state {}, [4] = go("b", "c", "e_y") }
+    local result = rfsm_checks.explore(model, { alphabet = { "e_x" }, together = 1,
+      properties = { off = never "root.c", out = after "e_y".reach "root.a",
+        on = from "root.b".after "e_y".reach "root.c",
+        to = from "root.b".can_reach "root.c" } })
+    local holds = {}
+    for _, judged in ipairs(result.properties) do holds[judged.name] = judged.holds end
+    assert.same({ off = true, on = true, out = false, to = false }, holds)
+    assert.matches("root.c: active in no configuration", tostring(result), 1, true)
+  end)
+
   it("is the same beside a property of time that ends sooner", function()
     assert.equal("nine", holding(chart { [2] = go("a", "b", "e_x"), [3] = go("b", "a",
       "e_after(9)") }, { nine = from "root.b".left_within(9),

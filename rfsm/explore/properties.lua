@@ -355,6 +355,8 @@ end
 ---@field event any the event that the property means in the chart
 ---@field observer? rfsm_checks.Observer the observer that judges the property
 ---@field unnamed? string a text that no transition names the event
+---@field is_apart? boolean its event is outside of the alphabet, so that its walk takes
+-- steps that no other walk takes
 ---@field holds boolean|nil nil: not known, since something was not tried
 ---@field vacuous? string the reason why nothing tests the property
 ---@field way rfsm_checks.Way the parts of the machine that its walk explores
@@ -548,6 +550,8 @@ local function add_event(own, judged, audible)
   judged.event = own:event_meant(event)
   if observers.element_of(event) then return end
   check_maker(own, judged)
+  judged.is_apart = own.alphabet ~= nil and not own:maker_of(judged.event)
+    and not match.has(own.alphabet, judged.event)
   judged.unnamed = properties.text_of_unnamed(judged.event, audible)
 end
 
@@ -642,12 +646,14 @@ end
 --- properties is an `after`, even one of another walk, a step may have two events.
 ---@param walk rfsm_checks.Walk
 ---@param list rfsm_checks.Judged[]
-function properties.watch(walk, list)
+---@param own_walk? rfsm_checks.Judged the property whose own walk it is
+function properties.watch(walk, list, own_walk)
   local afters = {}
   for _, judged in ipairs(list) do
     local is_after = judged.property.kind == "after"
     if is_after then take_two(walk) end
-    if is_after and judged.way == walk.way then
+    local is_here = not (own_walk or judged.is_apart) and judged.way == walk.way
+    if is_after and (is_here or judged == own_walk) then
       want_event(walk, judged)
       afters[#afters + 1], judged.owed = judged, {}
     end

@@ -606,19 +606,25 @@ local function count_taken(walks)
   return count
 end
 
--- Returns a table of walks by way (the set of regions that a walk includes), and the
--- list of the walks for `ways`. The table makes a walk when its way is first read.
--- rest() returns the options with the seconds that are left.
+-- Returns a function that returns the walk of a property, and the list of the walks for
+-- `ways` (sets of regions that a walk includes). Properties of one way share its walk,
+-- which is made when it is first asked for. rest() returns the options with the seconds
+-- that are left.
 local function walks_in(model, rest, ways, list)
   local by_way, walks = {}, {}
-  setmetatable(by_way, { __index = function(_, way)
-    by_way[way] = explore.walk(model, rest(), function(walk)
-      properties.watch(walk, list)
+  local function walk_of(way, own_walk)
+    return explore.walk(model, rest(), function(walk)
+      properties.watch(walk, list, own_walk)
     end, way)
+  end
+  setmetatable(by_way, { __index = function(_, way)
+    by_way[way] = walk_of(way)
     return by_way[way]
   end })
   for i, way in ipairs(ways) do walks[i] = by_way[way] end
-  return by_way, walks
+  return function(judged)
+    return judged.is_apart and walk_of(judged.way, judged) or by_way[judged.way]
+  end, walks
 end
 
 -- Returns a result with the numbers, the bounds and the premises, but no findings.
@@ -653,14 +659,14 @@ end
 -- nil if a region never becomes idle, which stops all: then one walk has to have all.
 local function judge_chart(model, rest, own, list, options)
   local ways = independence.ways(own, list, options)
-  local by_way, walks = walks_in(model, rest, ways, list)
+  local walk_for, walks = walks_in(model, rest, ways, list)
   local has_endless = any(walks, function(walk) return walk.endless end)
   local is_late = any(walks, function(walk) return walk.is_late end)
   if walks[2] and has_endless and not is_late then return nil end
   local result = new_result(own, walks, options)
   for _, judged in ipairs(list) do
     if monitors.kinds[judged.property.kind].judge then
-      judge(by_way[judged.way], judged, options)
+      judge(walk_for(judged), judged, options)
     end
   end
   find_dead_ends(walks, result.findings)
