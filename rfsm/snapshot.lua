@@ -160,11 +160,11 @@ local function check_waiting(fsm, path)
   end
 end
 
-local function take_extensions(fsm, snap, path)
+local function take_extensions(fsm, snap, path, is_exact)
   local hooks = rfsm.snapshot_hooks(fsm)
   for i = 1, #hooks do
     local hook = hooks[i]
-    local value = hook.save(fsm)
+    local value = hook.save(fsm, is_exact)
     if value ~= nil then
       path.owner = path.prefix .. " " .. hook.name
       snap.ext = snap.ext or {}
@@ -192,8 +192,9 @@ local function path_of(own, prefix)
   return path
 end
 
--- Returns a snapshot of one machine or region, without its regions.
-local function take_part(fsm, own, prefix, version)
+-- Returns a snapshot of one machine or region, without its regions. An exact one goes
+-- on as the machine does; after another one, kept events are looked at again.
+local function take_part(fsm, own, prefix, version, is_exact)
   local leaf, path = fsm._act_leaf, path_of(own, prefix)
   local part = { version = version, chart = own.chart.name,
     leaf = leaf and leaf._fqn or nil, done = leaf and leaf._mode == "done" or nil,
@@ -204,7 +205,7 @@ local function take_part(fsm, own, prefix, version)
   take_data(fsm, own, part, path)
   take_targets(own, part)
   path.seen, path.is_by_value = false, true -- events may stand in several places
-  take_extensions(fsm, part, path)
+  take_extensions(fsm, part, path, is_exact)
   take_queue(fsm, part, path)
   return part
 end
@@ -214,12 +215,13 @@ local function is_blank(part)
     or part.queue)
 end
 
-local function take(fsm)
+local function take(fsm, is_exact)
   local own = shape.of(fsm)
-  local snap, places = take_part(fsm, own, "root", migrate.VERSION), own.places
+  local snap = take_part(fsm, own, "root", migrate.VERSION, is_exact)
+  local places = own.places
   for i = 2, #places do
     local region = places[i].machine
-    local part = take_part(region, shape.of(region), places[i].prefix)
+    local part = take_part(region, shape.of(region), places[i].prefix, nil, is_exact)
     if not is_blank(part) then
       snap.regions = snap.regions or {}
       snap.regions[places[i].prefix] = part
@@ -547,14 +549,15 @@ function snapshot.take(fsm, options)
   return snap
 end
 
---- Return a machine as a plain table; nil and the reason if it cannot be saved.
+--- Return a machine as a plain table, which goes on as the machine does; nil and the
+-- reason if it cannot be saved.
 -- Observers may call this at the beginning of an iteration, too; then the events of the
 -- iteration are not in the queue.
 -- @raise if a debug hook raises an error
 ---@param fsm rfsm.Machine
 ---@return rfsm.snapshot.Snapshot?
 ---@return string? problem
-function snapshot.try_take(fsm) return encoding.attempt(take, fsm) end
+function snapshot.try_take(fsm) return encoding.attempt(take, fsm, true) end
 
 --- Return a snapshot as JSON. The text is the same on every Lua.
 ---@param snap rfsm.snapshot.Snapshot

@@ -1630,6 +1630,36 @@ it("a step whose hook has failed is not recorded, with its regions, if a reset f
     assert(record.replay(regions(), sink))
   end)
 
+-- A machine whose kept e_k was looked at, and refused by a guard; `e_x` has it looked at.
+local function new_refusing()
+  local model = rfsm.state { info = false,
+    a = rfsm.state { defer = { "e_k" } }, b = rfsm.state { final = true },
+    rfsm.trans { src = "initial", tgt = "a" },
+    rfsm.trans { src = "a", tgt = "a", events = { "e_x" } },
+    rfsm.trans { src = "a", tgt = "b", events = { "e_k" },
+      guard = function() return false end },
+  }
+  local fsm = rfsm.init(model)
+  for _, event in ipairs { false, "e_k", "e_x" } do
+    rfsm.send_events(fsm, event or nil)
+    rfsm.run(fsm)
+  end
+  return fsm, model
+end
+
+it("a recording begins where a kept event has been refused", function()
+  local fsm, model = new_refusing()
+  local sink = {}
+  local recorder = record.record(fsm, sink)
+  for _, event in ipairs { "e_y", "e_x" } do
+    rfsm.send_events(fsm, event)
+    rfsm.run(fsm)
+  end
+  recorder:stop()
+  assert(record.replay(model, sink))
+  assert(record.replay(model, sink, { dry = true }))
+end)
+
 it("the module of recordings has a global", function()
   assert.equal(record, rawget(_G, "rfsm_record"))
 end)
