@@ -1630,7 +1630,7 @@ it("a step whose hook has failed is not recorded, with its regions, if a reset f
     assert(record.replay(regions(), sink))
   end)
 
--- A machine whose kept e_k was looked at, and refused by a guard; `e_x` has it looked at.
+-- A machine whose kept e_k was looked at, and refused by a guard; so again after e_x.
 local function new_refusing()
   local model = rfsm.state { info = false,
     a = rfsm.state { defer = { "e_k" } }, b = rfsm.state { final = true },
