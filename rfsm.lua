@@ -1547,9 +1547,8 @@ end
 -- queue says from which list they are, in case an interrupt comes before the other one.
 local function take_one(fsm)
   local events, queue = fsm._curq, {}
-  if events[2] == nil then return end
   if reads_one(fsm) ~= fsm._reads_one then list_again(fsm) end -- written since
-  if not fsm._reads_one then return end
+  if events[2] == nil or not fsm._reads_one then return end
   if fsm._intq.rest_of ~= events then
     for i = 2, #events do queue[i - 1] = events[i] end
     queue.rest_of = events
@@ -1647,8 +1646,8 @@ do
     end
   end
 
-  -- Does `read` decide, or may it be written so that it does?
-  local function may_take_one(fsm) return fsm._reads_one or fsm.read == "all" end
+  -- Does `read` decide, or may it do so later? A field that is there is written unseen.
+  local function may_take_one(fsm) return fsm._reads_one or fsm.read ~= nil end
 
   -- Makes the lists of what each iteration calls, `_before` and `_after`; false if they
   -- are empty. If one event is taken, all events that come are added before. `_lends`

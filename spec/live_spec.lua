@@ -87,6 +87,22 @@ describe("`read`, written after init,", function()
       assert.same({ case[1], case[2], case[3] }, { case[1], case[2], #taken })
     end
   end)
+
+  it("counts each time, whatever it was before", function()
+    for _, first in ipairs { "one", "all", "data", false } do
+      local taken = {}
+      local fsm = started { read = first, trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "internal", events = "e", effect = noting(taken, 1) } }
+      for _, value in ipairs { "one", false, "one", "data", "one", "all", "one" } do
+        helper.clear(taken)
+        fsm.read = value
+        rfsm.send_events(fsm, "e", "e", "e")
+        rfsm.run(fsm)
+        assert.same({ first, value, value == "one" and 3 or 1 },
+          { first, value, #taken })
+      end
+    end
+  end)
 end)
 
 describe("the trace", function()

@@ -493,6 +493,25 @@ describe("nesting", function()
       assert.equal("root.b", leaf._act_leaf._fqn)
     end)
   end
+
+  it("has a region read as the machine does, which has one event then", function()
+    local taken, counts = 0, {}
+    local inner = state { warn = false, info = false, a = state {},
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "internal", events = "e",
+        effect = function() taken = taken + 1 end } }
+    local model = parent(seqand { inner = inner })
+    model.read = "all"
+    local fsm = init(model)
+    rfsm.run(fsm)
+    for i, read in ipairs { "one", false, "one" } do
+      fsm.read, taken = read, 0
+      rfsm.send_events(fsm.par.substates.inner, "e", "e", "e")
+      for _ = 1, 4 do rfsm.step(fsm) end
+      counts[i] = taken
+    end
+    assert.same({ 3, 1, 3 }, counts)
+  end)
 end)
 
 describe("a machine given as a region", function()
