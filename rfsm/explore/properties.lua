@@ -690,22 +690,20 @@ end
 -- Returns what is equal for properties whose monitors can share a walk: none of them
 -- needs steps or times that would be new to another. A condition that is owed is alone,
 -- since its cycles would be longer beside the states of other monitors.
-local function company_of(own, judged)
+local function company_of(judged)
   local property, event = judged.property, judged.event
-  local may_come = event == nil or not own.alphabet or match.has(own.alphabet, event)
-  if kinds[property.kind].owes or not may_come then return judged end
+  if kinds[property.kind].owes or judged.is_apart then return judged end
   local is_wide = event ~= nil and not judged.observer and property.goal ~= nil
   return (is_wide and "two" or "one") .. (property.seconds and " timed" or "")
 end
 
 --- List the properties that monitors judge in groups: each may share a walk.
----@param own rfsm_checks.Subject
 ---@param list rfsm_checks.Judged[]
 ---@return rfsm_checks.Judged[][] groups
-function properties.groups(own, list)
+function properties.groups(list)
   local groups, by_way = {}, {}
   for _, judged in ipairs(list) do
-    local company = not kinds[judged.property.kind].judge and company_of(own, judged)
+    local company = not kinds[judged.property.kind].judge and company_of(judged)
     local mates = by_way[judged.way] or {}
     by_way[judged.way] = mates
     if company and not mates[company] then

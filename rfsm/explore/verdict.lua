@@ -719,7 +719,7 @@ function verdict.of(model, options)
     options.multiply = true
     return verdict.of(model, rest())
   end
-  for _, group in ipairs(properties.groups(own, list)) do
+  for _, group in ipairs(properties.groups(list)) do
     judge_together(group, model, rest, result.configurations)
     for _, judged in ipairs(group) do
       if not judged.verdict then judge_together({ judged }, model, rest, huge) end
