@@ -95,11 +95,12 @@ local function min_length(upper, lower)
 end
 
 -- Adds an edge of an arrow, from an upper node to a lower one. `half` is "", "/src" or
--- "/tgt"; `dir` is the attribute `dir` of Graphviz.
+-- "/tgt", behind each key of a bundle; `dir` is the attribute `dir` of Graphviz.
 local function add_edge(lines, arrow, half, upper, lower, dir)
   local length = min_length(upper, lower)
+  local key = arrow.key:gsub("]\n", "]" .. half .. "\n") .. half
   add(lines, 1, ("%s -> %s [%s, %s%s%s%s%s]"):format(
-    anchor_of(upper, true), anchor_of(lower), id_of(arrow.key .. half),
+    anchor_of(upper, true), anchor_of(lower), id_of(key),
     looks.arrow_text(arrow),
     upper.kind == "composite" and ", ltail=cluster_" .. upper.id or "",
     lower.kind == "composite" and ", lhead=cluster_" .. lower.id or "",

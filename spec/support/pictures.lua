@@ -242,7 +242,7 @@ end
 -- The keys in the id of an element: a bundle has several.
 local function keys_in(id)
   local keys = {}
-  id = id:gsub("&(#?%w+);", ENTITIES):gsub("]\\n", "]\1")
+  id = id:gsub("&(#?%w+);", ENTITIES):gsub("(](/?%l*))\\n", "%1\1")
   for key in id:gmatch("[^\1]+") do keys[#keys + 1] = key end
   return keys
 end
@@ -270,6 +270,17 @@ local function join(shapes)
   return shapes
 end
 
+-- Returns the ends of a line, that of the arrowhead second. Graphviz draws some lines
+-- from their target.
+local function ends_of(path, head)
+  local first, last = path[1], path[#path]
+  local function distance(point)
+    return math.abs(point[1] - head[2][1]) + math.abs(point[2] - head[2][2])
+  end
+  local is_turned = head and distance(first) < distance(last)
+  return is_turned and { last, first } or { first, last }
+end
+
 --- The elements of a picture by id, each with a box; edges also with their ends, the
 -- tip of its arrowhead, and the position of its label. A bundle is there by each key.
 function pictures.shapes_of(svg)
@@ -279,7 +290,7 @@ function pictures.shapes_of(svg)
     local all, path, head = all_points_in(body)
     local x, y = body:match('<text [^>]*x="(%-?[%d.]+)" y="(%-?[%d.]+)"')
     local shape = { box = box_of(all), path = path, parts = { path },
-      ends = path and { path[1], path[#path] }, tip = head and head[2],
+      ends = path and ends_of(path, head), tip = head and head[2],
       label = x and { tonumber(x), tonumber(y) } }
     for _, key in ipairs(keys_in(id)) do shapes[key] = shape end
   end
