@@ -98,7 +98,7 @@ end
 -- "/tgt", behind each key of a bundle; `dir` is the attribute `dir` of Graphviz.
 local function add_edge(lines, arrow, half, upper, lower, dir)
   local length = min_length(upper, lower)
-  local key = arrow.key:gsub("]\n", "]" .. half .. "\n") .. half
+  local key = concat(arrow.keys or { arrow.key }, half .. "\n") .. half
   add(lines, 1, ("%s -> %s [%s, %s%s%s%s%s]"):format(
     anchor_of(upper, true), anchor_of(lower), id_of(key),
     looks.arrow_text(arrow),

@@ -381,7 +381,7 @@ local function bundle_of(arrows)
     places[#places + 1] = arrow.at ~= "" and arrow.at or nil
     marks[arrow.mark or ""] = arrow.mark
   end
-  return { key = concat(keys, "\n"), src = first.src, tgt = first.tgt,
+  return { key = concat(keys, "\n"), keys = keys, src = first.src, tgt = first.tgt,
     parts = { concat(texts, "\n") }, at = concat(places, "\n"),
     mark = marks.traced or marks.covered or marks.missed }
 end

@@ -122,7 +122,7 @@ local function read_edge(statement, edges, order, labels)
   head = (value_of(attributes, "lhead") or head):gsub("^cluster_", "")
   local key = value_of(attributes, "id")
   local whole, half = key:match("^(.*)/(%l+)$")
-  key = whole or key
+  key = whole and whole:gsub("/" .. half .. "\\n", "\\n") or key
   if not edges[key] then edges[key], order[#order + 1] = {}, key end
   local edge = edges[key]
   if not half then
