@@ -46,6 +46,18 @@ local function show(arm)
 end
 %s]]
 
+-- The program of a component of its own whose launch has this option `stripped`. It
+-- prints whether the component is configured, or why it is not.
+local function own_launch(kind, stripped)
+  return (([[
+local arm = component(KIND)
+local exec_str = arm:getOperation("exec_str")
+exec_str(("function configureHook() return require('rfsm.rtt').launch { fsmfile = %q, "
+  .. "stripped = STRIPPED } end"):format(CHART))
+print(arm:configure() or rtt.standin.log[#rtt.standin.log]:match("stripped: .*"))]])
+    :gsub("KIND", kind):gsub("STRIPPED", stripped))
+end
+
 describe("stripped modules", function()
   local folder
 
@@ -137,12 +149,8 @@ return rfsm.state {
 
   it("are refused by a component of its own that has them already", function()
     check({ "stripped: the library has been loaded without debug information "
-      .. "(RFSM_STRIPPED = false before that)" }, [[
-local arm = component "OCL::LuaTLSFComponent"
-local exec_str = arm:getOperation("exec_str")
-exec_str(("function configureHook() return require('rfsm.rtt').launch { fsmfile = %q, "
-  .. "stripped = false } end"):format(CHART))
-print(arm:configure() or rtt.standin.log[#rtt.standin.log]:match("stripped: .*"))]])
+      .. "(RFSM_STRIPPED = false before that)" },
+      own_launch('"OCL::LuaTLSFComponent"', "false"))
   end)
 
   it("launch from a pool with the library of that pool", function()
@@ -163,12 +171,7 @@ exec_str("print(package.path:sub(1, " .. #FOLDER .. ") == '" .. FOLDER .. "')")]
 local why = launch { stripped = true }
 print(why:match("stripped: .*"))
 print(deployer.peers.arm)]]), ".")
-    check({ NONE }, [[
-local arm = component()
-local exec_str = arm:getOperation("exec_str")
-exec_str(("function configureHook() return require('rfsm.rtt').launch { fsmfile = %q, "
-  .. "stripped = true } end"):format(CHART))
-print(arm:configure() or rtt.standin.log[#rtt.standin.log]:match("stripped: .*"))]])
+    check({ NONE }, own_launch("", "true"))
   end)
 
   it("are removed by make uninstall, and not made with STRIP=0", function()

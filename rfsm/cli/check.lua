@@ -66,8 +66,6 @@ local function report_difference(old, new)
   end
 end
 
-local MANY = 10000 -- configurations that are explored for tests by default
-
 -- Returns a text if the exploration ended at a bound, else nil.
 local function text_of_bound(bound)
   local option = bound == "choices" and "configurations" or bound
@@ -87,7 +85,8 @@ local function write_tests(options, parser)
   local text, result = common.call(file, require("rfsm.tests.tests").busted, file,
     model, { callbacks = options.callbacks, stub = options.stub,
       machine = options.machine, file = file, seconds = options.seconds,
-      configurations = options.configurations or MANY }, options.output, old_text)
+      configurations = options.configurations or require("rfsm.cli.review").MANY },
+    options.output, old_text)
   local ended = text_of_bound(result.bound)
   if not result.runs[1] then
     common.fail(("%s: %s"):format(file, result.skipped == 0 and ended

@@ -115,7 +115,8 @@ local function declared_for(file)
 end
 
 -- The most configurations that are explored by default: of a chart, and of a system.
-local MANY, MANY_TOGETHER = 10000, 100000
+review.MANY = 10000
+local MANY_TOGETHER = 100000
 
 local real_stderr = io and io.stderr
 
@@ -290,7 +291,7 @@ local function find_all(file, model, settings, options)
     file)
   if options.static then return static.apply(findings, settings) end
   local result = run_explore(file, model, declared_for(file), options,
-    rfsm_checks.explore, MANY)
+    rfsm_checks.explore, review.MANY)
   findings:join(result.findings)
   if not result.bound then findings:add_idle_silences(fsm) end
   return static.apply(findings, settings), result

@@ -54,8 +54,7 @@ local MORE_EVENTS = { { name = "e_n", n = 1 }, { name = "e_n", n = { 2, x = "y" 
 
 -- What have charts and runs besides what a seed always gave? nil: nothing; "some":
 -- events with data, deferral, faults, e_every, times of states, final leaves; "all":
--- `read = "one"` and `always`, too. Recordings of regions that read one event, and of
--- transitions with `always`, may depart when they are replayed.
+-- `read = "one"` and `always`, too.
 local more = nil
 
 local function pick_event(random)
