@@ -95,6 +95,9 @@ describe("regions that nothing joins", function()
       options = { same = { yes } } },
     { name = "a dry run", ring(3, "e_x"), ring(3, "e_y"),
       options = { dry_run = true } },
+    { name = "the end of both", ring(1, "e_x", { s1 = state { final = true } }),
+      ring(3, "e_y", { s3 = state { final = true } }),
+      timer = trans { src = "par", tgt = "off", events = { "e_done" } } },
     { name = "a target that may be written", ring(3, "e_x"), ring(3, "e_y", {
       entry = function(fsm) fsm[2].tgt = fsm.s1 end }) },
   }
@@ -168,6 +171,19 @@ describe("a property of regions", function()
     assert.is_false(result.properties[1].holds)
     assert.equal("one event a step; independent regions one by one; stepped between "
       .. "any two deadlines; steps take no time", result.properties[1].premises)
+  end)
+
+  it("knows that regions are joined only when all have ended", function()
+    local function ends(event)
+      return ring(2, event, { s2 = state { final = true }, [3] = false })
+    end
+    local model = chart({ ends "e_x", ends "e_y" }, { [4] = trans { src = "par",
+      tgt = "z", events = { "e_done" } }, z = state { final = true } })
+    local result = rfsm_checks.explore(model, { properties = {
+      a = never "root.z", b = rfsm_checks.precedes("root.par.1.s2", "root.z"),
+      c = after "e_x".reach "root.z" } })
+    assert.same({ false, true, false }, { result.properties[1].holds,
+      result.properties[2].holds, result.properties[3].holds })
   end)
 
   it("holds for a state that the regions cannot leave by themselves", function()

@@ -10,9 +10,9 @@
 -- - both have timers, since the machine is stepped between any two deadlines.
 --
 -- A *bound* region is in each way that has the machine around it. A region is bound if
--- it has a callback in `run` or a guard with a rule, or if it has timers and the
--- machine or a property has times, too. A property is judged on a walk that has all
--- regions that the property names.
+-- it has a callback in `run` or a guard with a rule, if it has timers and the machine
+-- or a property has times, too, or if its end decides whether its state is done. A
+-- property is judged on a walk that has all regions that the property names.
 --
 -- @module rfsm.explore.independence
 -- @license BSD-3-Clause
@@ -70,6 +70,11 @@ local function add_inner(traits, inner)
   traits.is_bound = traits.is_bound or inner.is_bound
 end
 
+-- Does a state end when all of its regions have ended?
+local function is_joinable(leaf)
+  return rfsm.names_done(leaf) and rfsm.can_be_done(leaf)
+end
+
 -- Returns the traits of each part. A region inside of a region is bound if it has
 -- timers, even if no other part has timers.
 local function traits_of(own, is_timed, are_free)
@@ -84,6 +89,10 @@ local function traits_of(own, is_timed, are_free)
     if traits[part].has_timer and (is_timed or part.owner.owner) then
       traits[part].is_bound = true
     end
+  end
+  for i = 2, #own.parts do -- a join binds a region to the machine right around it
+    local part = own.parts[i]
+    traits[part].is_bound = traits[part].is_bound or is_joinable(part.leaf)
   end
   return traits
 end

@@ -477,8 +477,8 @@ local function add_words(chart, random)
   end
 end
 
--- Has regions end in most leaves right in their root, and e_done leave the state.
-local function add_join(chart, fqn)
+--- Has regions end in the leaves right in their root, and e_done leave the state.
+function claim.add_join(chart, fqn)
   for _, tr in ipairs(chart.transitions) do
     if tr.src == fqn and tr.events_ref then
       tr.events_ref = { "e_done", unpack(tr.events_ref) }
@@ -500,7 +500,7 @@ local function complete_chart(seed)
     for _, region in ipairs(regions and regions.of or {}) do
       add_words(region, random)
     end
-    if regions then add_join(chart, fqn) end
+    if regions then claim.add_join(chart, fqn) end
   end
   add_words(chart, random)
   return chart

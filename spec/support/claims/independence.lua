@@ -86,6 +86,7 @@ function claim.chart(seed)
   end
   chart.nodes[fqn].doo = false
   chart.regions[fqn] = { step = 1, of = of }
+  if random:chance(30) then charts.add_join(chart, fqn) end
   return chart
 end
 
