@@ -42,6 +42,9 @@ local interpret = find_global("jit", "off") or function() end
 ---@field pp table the module rfsmpp
 local rfsm = { _VERSION = "rfsm 1.0.0" }
 
+-- Functions of the engine for the files of the library beside this one.
+local engine = {}
+
 -- Model elements: constructors, predicates, order -----------------------------
 
 local State, Transition = { rfsm = "state" }, { rfsm = "transition" }
@@ -533,7 +536,7 @@ end
 -- `problems`, which make `init` fail, or `warnings`. `init` sorts both by location.
 
 -- Returns an empty rfsm.Build, for what `init` or `fsm_merge` finds.
-local function new_build(fsm)
+function engine.new_build(fsm)
   return {
     fsm = fsm, problems = {}, warnings = {}, created = {}, mounts = {}, copies = {},
   }
@@ -661,12 +664,10 @@ local function is_node_of(fsm, value, kind)
 end
 
 -- Notes from which model a node was made, because a model may be used repeatedly.
-local function note_mount(build, node)
+function engine.note_mount(build, node)
   local mounts = build.mounts[node._model] or {}
   mounts[#mounts + 1], build.mounts[node._model] = node, mounts
 end
-
-local check_members, clone_below, new_node, new_transition
 
 do
   -- Returns the value, or in place of a plain table a new one, to be filled later.
@@ -797,7 +798,7 @@ do
   end
 
   -- Makes a node of the machine. `clone_below` adds its fields and members later.
-  function new_node(build, kind, model, parent, key)
+  function engine.new_node(build, kind, model, parent, key)
     local nodes = build.fsm._nodes
     local node = setmetatable({
       _parent = parent, _id = key, _fqn = parent._fqn .. "." .. text_of(key),
@@ -805,7 +806,7 @@ do
       _otrs = {},
     }, LIVE[kind])
     nodes[node._index], parent._is_leaf = node, false
-    note_mount(build, node)
+    engine.note_mount(build, node)
     check_name(build, kind, node)
     if not is_meta(key) then rawset(parent, key, node) end
     return node
@@ -813,7 +814,7 @@ do
 
   local OWN_FIELDS = { src = true, tgt = true, events = true, pn = true }
 
-  function new_transition(build, model, parent, key)
+  function engine.new_transition(build, model, parent, key)
     model = model_of(model)
     local transitions = build.fsm._transitions
     local tr = setmetatable({
@@ -841,7 +842,7 @@ do
 
   -- Checks a node whose members are known: does a leaf have a transition, a composite a
   -- doo?
-  function check_members(build, node, has_transition)
+  function engine.check_members(build, node, has_transition)
     if node._is_leaf and has_transition then
       add_warning(build.warnings, "misplaced", node, nil,
         "a transition inside a leaf state%s", advise("plain_states", node._model))
@@ -862,23 +863,23 @@ do
         add_warning(build.warnings, "misplaced", node, nil,
           words("in a connector", kind, text_of(key)))
       elseif kind == "transition" then
-        new_transition(build, value, node, key)
+        engine.new_transition(build, value, node, key)
         has_transition = true
       else
-        new_node(build, kind, value, node, key)
+        engine.new_node(build, kind, value, node, key)
       end
     end
-    check_members(build, node, has_transition)
+    engine.check_members(build, node, has_transition)
   end
 
   for _, f in ipairs { check_events, clone_data, clone_node, fields_of,
-    new_transition } do
+    engine.new_transition } do
     interpret(f)
   end
 
   -- Adds fields and members to the nodes from number `first` on. New nodes are appended
   -- to the list of nodes, so that the loop reaches them, too.
-  function clone_below(build, first)
+  function engine.clone_below(build, first)
     local nodes, i = build.fsm._nodes, first
     while nodes[i] do
       local node = nodes[i]
@@ -894,10 +895,8 @@ end
 
 -- Resolve: names become nodes, `e_done` gets the name of its source -------------
 
-local find_entrance, resolve
-
 -- Returns the innermost node that contains both nodes or is one of them.
-local function find_lca(a, b)
+function engine.find_lca(a, b)
   while a ~= b do
     if a._depth >= b._depth then a = a._parent else b = b._parent end
   end
@@ -960,7 +959,7 @@ do
     local nearest, most, is_tie = nil, -1, false
     if is_node_of(build.fsm, ref) then return ref end
     for _, mount in ipairs(build.mounts[model_of(ref)] or {}) do
-      local depth = find_lca(composite, mount)._depth
+      local depth = engine.find_lca(composite, mount)._depth
       if depth >= most then nearest, most, is_tie = mount, depth, depth == most end
     end
     if is_tie then
@@ -996,7 +995,8 @@ do
       or is_node(rawget(composite, "initial")) then
       return
     end
-    local connector = new_node(build, "connector", Connector {}, composite, "initial")
+    local connector =
+      engine.new_node(build, "connector", Connector {}, composite, "initial")
     build.created[#build.created + 1] = {
       line = "created undeclared connector " .. connector._fqn, node = connector,
     }
@@ -1004,7 +1004,7 @@ do
 
   -- Returns the node where a transition to `node` ends. If a composite has no initial,
   -- adds a problem and returns nil.
-  function find_entrance(build, tr, node)
+  function engine.find_entrance(build, tr, node)
     local entrance = end_at(tr, node)
     if entrance or node._parent == node then return entrance end -- see `check_root`
     add(build.problems, tr, nil, words("tgt has no initial", node))
@@ -1042,7 +1042,7 @@ do
       if tgt_reason then add(build.problems, tr, nil, tgt_reason) end
     end
     if src then build.is_left[src] = true end
-    tgt = is_internal and src or tgt and find_entrance(build, tr, tgt)
+    tgt = is_internal and src or tgt and engine.find_entrance(build, tr, tgt)
     if not (src and tgt) then return false end
     tr.src, tr.tgt, tr._is_internal = src, tgt, is_internal
     if tr.always == true then rfsm.check_always(build, tr) end
@@ -1052,7 +1052,7 @@ do
 
   -- Resolves the transitions from number `first` on. Transitions with a wrong reference
   -- are dropped: inside a leaf they give only a warning, and `init` may succeed.
-  function resolve(build, first)
+  function engine.resolve(build, first)
     local transitions, kept = build.fsm._transitions, first - 1
     build.is_left = {}
     for i = first, #transitions do create_initial(build, transitions[i]) end
@@ -1075,7 +1075,7 @@ end
 -- and paths are made when they are first needed, so that unused parts take neither time
 -- nor memory. No callback is kept in them: each is read when it is called.
 
-local done_event, drop_paths, forget, list_otrs, segment_of
+local done_event
 
 do
   -- Is transition `a` of a node tried before `b`? Larger pn first; then the transition
@@ -1089,7 +1089,7 @@ do
   end
 
   -- Gives each node the list of its outgoing transitions, in search order.
-  function list_otrs(fsm)
+  function engine.list_otrs(fsm)
     local nodes, transitions = fsm._nodes, fsm._transitions
     for i = 1, #nodes do
       local otrs = nodes[i]._otrs
@@ -1119,7 +1119,7 @@ do
   end
 
   -- Drops the candidates and paths of a machine.
-  function drop_paths(fsm)
+  function engine.drop_paths(fsm)
     fsm._entrance, fsm._has_paths = false, false
     for _, node in ipairs(fsm._nodes) do
       node._choices, node._paths, node._ignored, node._always = nil, nil, nil, nil
@@ -1127,9 +1127,9 @@ do
   end
 
   -- Drops all that was made of the structure while the machine ran.
-  function forget(fsm)
+  function engine.forget(fsm)
     fsm._merges, fsm._structure, fsm._segments = fsm._merges + 1, false, NONE
-    drop_paths(fsm)
+    engine.drop_paths(fsm)
     for _, node in ipairs(fsm._nodes) do -- a path that is being taken reads the notes
       local note = fsm._ways[node]
       if note then note.otrs = node._otrs end
@@ -1139,7 +1139,7 @@ do
   -- Returns an rfsm.Segment: a transition with the target that it has now.
   local function new_segment(tr, tgt)
     local is_internal = tr._is_internal and tr.src == tgt
-    local lca = is_internal and tgt or find_lca(tr.src._parent, tgt._parent)
+    local lca = is_internal and tgt or engine.find_lca(tr.src._parent, tgt._parent)
     local segment = { tr = tr, tgt = tgt, lca = lca }
     if is_internal then segment.is_internal = true end -- absent: less memory
     if not tgt._mode then segment.connector = tgt end
@@ -1148,7 +1148,7 @@ do
 
   -- Returns the segment of a transition whose target a program may have changed. Each
   -- is made once. Returns nil if the target is no node of the machine.
-  function segment_of(fsm, tr)
+  function engine.segment_of(fsm, tr)
     local tgt, segments = tr.tgt, fsm._segments[tr]
     if segments and segments[tgt] then return segments[tgt] end
     if not is_node_of(fsm, tgt) then
@@ -1190,7 +1190,7 @@ local DEFAULTS = {
 }
 
 -- Returns the function `emit` of a machine, which callbacks call.
-local function new_emit(f)
+function engine.new_emit(f)
   return function(name, data)
     if type(name) ~= "string" then
       error("emit: name expected, got " .. (is_state(name)
@@ -1200,7 +1200,7 @@ local function new_emit(f)
   end
 end
 
-DEFAULTS.emit = new_emit(silent)
+DEFAULTS.emit = engine.new_emit(silent)
 
 -- The fields that a machine has from the start.
 local function own_fields()
@@ -1249,8 +1249,6 @@ Machine.__index = DEFAULTS
 -- is called for the assignment.
 local STEP_HOOKS = { getevents = true, pre_step_hook = true, post_step_hook = true }
 
-local list_again, list_hooks
-
 function Machine.__newindex(fsm, key, value)
   local is_hook = STEP_HOOKS[key]
   if is_hook and not value then return end -- false would be a value
@@ -1258,7 +1256,7 @@ function Machine.__newindex(fsm, key, value)
     error(key .. ": function expected, " .. got(value), 2)
   end
   rawset(fsm, key, value)
-  if is_hook or key == "read" then list_again(fsm) end
+  if is_hook or key == "read" then engine.list_again(fsm) end
 end
 
 -- Report: messages to the printers of a machine, and errors that are kept ----------
@@ -1305,7 +1303,7 @@ end
 
 local keep_failure = rfsm.keep_failure
 
-local function raise_failure(fsm)
+function engine.raise_failure(fsm)
   local kept = fsm._failure
   if not kept then return end
   fsm._failure = false
@@ -1364,7 +1362,7 @@ local function tell(fsm, hooks, ...)
   if hooks then return tell_from(1, fsm, hooks, ...) end
 end
 
-local function tell_watch(fsm, what, ...)
+function engine.tell_watch(fsm, what, ...)
   if fsm._watch_hooks then return tell(fsm, fsm._watch_hooks[what], ...) end
 end
 
@@ -1485,7 +1483,7 @@ end
 -- Calls getevents. Returns its list of events and nils; on failure nil and an error.
 -- The list is kept in `_given` until its events are in another list, so that no
 -- interrupt loses them.
-local function ask_getevents(fsm)
+function engine.ask_getevents(fsm)
   local getevents = fsm.getevents
   if fsm._given then return given_again(fsm) end
   if not getevents or getevents == no_events then return NONE end
@@ -1506,7 +1504,7 @@ end
 
 -- Makes the events of getevents pending. A longer list replaces the queue, and is
 -- noted, so that after an interrupt they are not appended again.
-local function queue_given(fsm, events)
+function engine.queue_given(fsm, events)
   local queue = fsm._intq
   if #events > 0 and queue ~= fsm._given_to then
     fsm._given_to = append(append({}, queue), events)
@@ -1530,7 +1528,7 @@ local function take_given(fsm, events)
 end
 
 local function append_getevents(fsm, put)
-  local events, failure = ask_getevents(fsm)
+  local events, failure = engine.ask_getevents(fsm)
   if not events then give_up(fsm, failure) end
   put(fsm, events)
 end
@@ -1547,7 +1545,7 @@ end
 -- queue says from which list they are, in case an interrupt comes before the other one.
 local function take_one(fsm)
   local events, queue = fsm._curq, {}
-  if reads_one(fsm) ~= fsm._reads_one then list_again(fsm) end -- written since
+  if reads_one(fsm) ~= fsm._reads_one then engine.list_again(fsm) end -- written since
   if events[2] == nil or not fsm._reads_one then return end
   if fsm._intq.rest_of ~= events then
     for i = 2, #events do queue[i - 1] = events[i] end
@@ -1652,7 +1650,7 @@ do
   -- Makes the lists of what each iteration calls, `_before` and `_after`; false if they
   -- are empty. If one event is taken, all events that come are added before. `_lends`
   -- is true if a hook may keep the list of events.
-  function list_hooks(fsm)
+  function engine.list_hooks(fsm)
     empty_slots(fsm)
     local is_one, sources = reads_one(fsm), fsm._source_hooks or NONE
     fsm._reads_one = is_one
@@ -1673,7 +1671,7 @@ do
 end
 
 -- Resets a machine as if it were new, but keeps the events of the current iteration.
-local function reset_now(fsm)
+function engine.reset_now(fsm)
   for _, node in ipairs(fsm._nodes) do
     if node._mode then
       node._mode, node._doo_co = "inactive", nil
@@ -1692,7 +1690,7 @@ end
 function PHASES.begin(fsm, after_free)
   if fsm._reset_wanted then
     fsm._curq = {}
-    reset_now(fsm)
+    engine.reset_now(fsm)
   end
   local queue, spare = fsm._intq, fsm._curq
   if rawequal(queue, spare) then
@@ -1739,7 +1737,7 @@ local function matches(tr, events)
   return false, nil
 end
 
-local enabled, first_enabled, note_of
+local enabled, first_enabled
 
 do
   -- Reports that a guard has failed, and returns false as its result. After an
@@ -1765,7 +1763,7 @@ do
   -- search that reached it (the current one is `fsm._search`), `first` the event of the
   -- path's first segment then. `way` is the segment with which the path continues,
   -- false if none was found; `event` is the event that counts for it.
-  function note_of(fsm, connector)
+  function engine.note_of(fsm, connector)
     local note = fsm._ways[connector] or { search = 0, first = false, asked = false,
       way = false, event = false, others = false, otrs = connector._otrs }
     fsm._ways[connector] = note
@@ -1838,10 +1836,10 @@ do
       end
     end
     local segment = fsm._segments[tr]
-    segment = segment and segment[tr.tgt] or segment_of(fsm, tr)
+    segment = segment and segment[tr.tgt] or engine.segment_of(fsm, tr)
     local note = segment and segment.connector
     if not note then return segment end
-    note = fsm._ways[note] or note_of(fsm, note)
+    note = fsm._ways[note] or engine.note_of(fsm, note)
     local current = fsm._search
     if note.search ~= current then
       note.search = current -- one by one: fewer instructions
@@ -1873,10 +1871,10 @@ do
   end
 end
 
-local choice_of, choose, list_choices
+local choice_of, choose
 
 -- Lists the transitions from a node that need no event, or the others.
-local function list_otrs_of(node, are_always)
+function engine.list_otrs_of(node, are_always)
   local list = {}
   for _, tr in ipairs(node._otrs) do
     if (tr.always == true) == are_always then list[#list + 1] = tr end
@@ -1898,7 +1896,7 @@ do
           "for transitions from " .. node._fqn)
       end
       local merges = fsm._merges
-      local otrs = fsm._has_always and list_otrs_of(node, false) or node._otrs
+      local otrs = fsm._has_always and engine.list_otrs_of(node, false) or node._otrs
       local found, event = first_enabled(fsm, otrs, 1, events)
       if found or fsm._merges ~= merges then return found, event end
     end
@@ -1912,7 +1910,7 @@ do
   -- transitions that it may trigger while the leaf is active, in search order.
   -- `leaf._ignored` is the leaf's e_done if no transition reacts to it. Otherwise it is
   -- NaN, which equals no event.
-  function list_choices(leaf)
+  function engine.list_choices(leaf)
     local choices, lists = { [OTHER] = {} }, {}
     lists[1] = choices[OTHER]
     local function add_to(list, tr)
@@ -1926,7 +1924,7 @@ do
       end
     end
     for _, node in ipairs(line_to(leaf)) do
-      for _, tr in ipairs(list_otrs_of(node, false)) do
+      for _, tr in ipairs(engine.list_otrs_of(node, false)) do
         local is_for_all = tr.events[1] == nil or tr._is_asked
         if not is_for_all then add_to_events(tr) end
         for _, list in ipairs(is_for_all and lists or NONE) do add_to(list, tr) end
@@ -1940,7 +1938,7 @@ do
   end
 
   function choice_of(leaf, event)
-    local choices = leaf._choices ~= NONE and leaf._choices or list_choices(leaf)
+    local choices = leaf._choices ~= NONE and leaf._choices or engine.list_choices(leaf)
     return choices[event] or choices[OTHER]
   end
 
@@ -1981,7 +1979,7 @@ do
 end
 
 -- The path of the first entry begins here, and for a root without states ends here.
-local function entrance_of(fsm)
+function engine.entrance_of(fsm)
   fsm._entrance = fsm._entrance
     or { from = fsm, segments = NONE, entered = fsm }
   return fsm._entrance
@@ -2023,7 +2021,7 @@ do
       found, event = first_enabled(fsm, rawget(fsm, "initial")._otrs, 1, events)
       if not found then return nil end
     end
-    local path = path_of(fsm, entrance_of(fsm), found, fsm._ways)
+    local path = path_of(fsm, engine.entrance_of(fsm), found, fsm._ways)
     warn_of_lost_events(fsm, path, events)
     return path, event
   end
@@ -2033,9 +2031,9 @@ do
     report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
       .. "events: " .. list_text(events))
     put_back(fsm)
-    if fsm._reset_wanted then reset_now(fsm) end
+    if fsm._reset_wanted then engine.reset_now(fsm) end
     fsm._is_usual = not fsm._has_always
-    raise_failure(fsm)
+    engine.raise_failure(fsm)
     return nil
   end
 
@@ -2095,7 +2093,7 @@ local actions = {}
 -- Actions that report a record of the trace to `dbg`, by kind of record.
 local recorders = {}
 
-local function may_repeat(hook) return promises[hook] == "repeatable" end
+function engine.may_repeat(hook) return promises[hook] == "repeatable" end
 
 -- Calls a hook of an extension. One that may be repeated is noted when it has returned.
 local function call_hook(fsm, hook, subject, at)
@@ -2195,7 +2193,7 @@ function actions.be_done_around(fsm, leaf, at)
 end
 
 -- Has the machine, or an extension, made the event?
-local function is_made(event)
+function engine.is_made(event)
   event = name_with_data(event) or event
   if type(event) ~= "string" then return false end
   if event == "e_init_fsm" or event:find("^e_done@root") then return true end
@@ -2239,7 +2237,7 @@ end
 function actions.keep_made(fsm, segment)
   local tr, leaf, made = segment.tr, fsm._act_leaf, {}
   for _, event in ipairs(leaf and tr.events[1] ~= nil and fsm._curq or NONE) do
-    if event ~= "e_init_fsm" and is_made(event)
+    if event ~= "e_init_fsm" and engine.is_made(event)
       and may_be_taken(choice_of(leaf, event), event)
       and not matches(tr, { event }) then
       made[#made + 1] = event
@@ -2304,8 +2302,6 @@ function actions.become_leaf(fsm, leaf, at)
   fsm._act_leaf = leaf
   if not leaf.doo then recorders.done(fsm, leaf, at) end
 end
-
-local new_path
 
 do
   local function add_action(list, action, arg)
@@ -2398,7 +2394,7 @@ do
     path.actions = shared(list.actions) -- set last: it marks completion
   end
 
-  function new_path(at, segment)
+  function engine.new_path(at, segment)
     local path = {
       from = at.from or at, entered = at.entered,
       segments = append(append({}, at.segments or NONE), { segment }),
@@ -2413,7 +2409,7 @@ do
   -- leaves and the entrance of the machine; `at` is a root or a part of a path.
   function path_of(fsm, at, segment, ways)
     if segment then -- no loop, because LuaJIT would not compile a loop around this one
-      at = at._paths and at._paths[segment] or new_path(at, segment)
+      at = at._paths and at._paths[segment] or engine.new_path(at, segment)
       if segment.connector then
         return path_of(fsm, at, ways[segment.connector].way, ways)
       end
@@ -2452,7 +2448,7 @@ local function load_fast()
   if ok and loadstring then
     ok, make = pcall(make, fast, { loadstring = loadstring, silent = silent,
       promises = promises, actions = actions, perform = perform,
-      failed = report_callback, is_node_of = is_node_of, segment_of = segment_of,
+      failed = report_callback, is_node_of = is_node_of, segment_of = engine.segment_of,
       path_of = path_of })
   end
   if not ok and rfsm.is_interrupt(make) then
@@ -2463,7 +2459,7 @@ end
 
 -- Doo ............................................................................
 
-local complete, run_doo
+local run_doo
 
 do
   local coroutine = find_global "coroutine" or { create = function(doo) return doo end,
@@ -2471,7 +2467,7 @@ do
   local resume, status = coroutine.resume, coroutine.status
 
   -- Queues e_done. The leaf is done last: until then this may be called again.
-  function complete(fsm, leaf)
+  function engine.complete(fsm, leaf)
     if fsm._at < 3 then
       trace(fsm, "RAISED", "%s", done_event(leaf))
       queue_done(fsm, leaf, 2)
@@ -2491,10 +2487,10 @@ do
   ---@package
   function rfsm.end_doo(fsm, leaf)
     local co = leaf._doo_co
-    if leaf._mode ~= "done" then complete(fsm, leaf) end
+    if leaf._mode ~= "done" then engine.complete(fsm, leaf) end
     if fsm._at < 4 then
       fsm._at = 4
-      if co then tell_watch(fsm, "ended", leaf) end
+      if co then engine.tell_watch(fsm, "ended", leaf) end
       if co then
         trace(fsm, "DOO", "removing completed coroutine of %s doo", leaf._fqn)
       end
@@ -2526,7 +2522,7 @@ do
     end
     if fsm._at < 1 then
       fsm._at = 1
-      if fsm._watch_hooks then tell_watch(fsm, "resumed", leaf) end
+      if fsm._watch_hooks then engine.tell_watch(fsm, "resumed", leaf) end
       ok, idle = resume(co, fsm, leaf, "doo")
       if not ok then
         leaf._mode = "done"
@@ -2544,7 +2540,7 @@ local function finish_cycle(fsm, idle)
   if idle and fsm._curq[1] == nil and fsm.getevents ~= no_events
     and (fsm._at < 5 or fsm._given) then
     fsm._at = 5
-    append_getevents(fsm, queue_given)
+    append_getevents(fsm, engine.queue_given)
   end
   return conclude(fsm, idle and "idle" or "counted")
 end
@@ -2572,7 +2568,7 @@ local function close(fsm)
   if not fsm._is_usual then
     fsm._is_usual = not (fsm._reset_wanted or fsm._has_always)
     fsm._is_cut = false
-    if fsm._failure then raise_failure(fsm) end
+    if fsm._failure then engine.raise_failure(fsm) end
   end
   local outcome = fsm._outcome
   return outcome ~= "free",
@@ -2581,7 +2577,7 @@ end
 
 -- The phase "finish": calls the post step hooks.
 local function finish(fsm)
-  if fsm._reset_wanted then reset_now(fsm) end
+  if fsm._reset_wanted then engine.reset_now(fsm) end
   local hooks, next_one = fsm._after, fsm._hook + 1
   if hooks and hooks[next_one] then run_hooks(fsm, hooks, next_one) end
   return close(fsm)
@@ -2764,7 +2760,7 @@ end
 -- any more, although the phase may not be "idle"; if it is, the step that would have
 -- gone on is over. An iteration that was counted, but has not begun, is counted once
 -- more: what comes again in the next one still does so.
-local function cut(fsm)
+function engine.cut(fsm)
   local again = fsm._again
   local has_begun = fsm._phase ~= "idle" or fsm._curq[1] == nil
   if again and not has_begun and again.turn == fsm._turn - 1 then
@@ -2779,7 +2775,7 @@ end
 -- Raises an error that has ended an iteration: a kept error, an error of a step hook or
 -- an interrupt.
 local function raise_cut(fsm, failure)
-  cut(fsm)
+  engine.cut(fsm)
   error(failure, 0)
 end
 
@@ -2795,7 +2791,7 @@ function rfsm.check_machine(fsm, where, level)
     if fsm._preparing then return end -- `init` is running
     -- a program's deep copy: what was made of the structure may still lead to elements
     -- of the original
-    forget(fsm)
+    engine.forget(fsm)
     machines[fsm] = true
     return
   end
@@ -2806,7 +2802,7 @@ end
 
 local check_machine = rfsm.check_machine
 
-local function check_function(f, where)
+function engine.check_function(f, where)
   if not is_callable(f) then error(where .. ": function expected, " .. got(f), 3) end
 end
 
@@ -2817,7 +2813,7 @@ end
 
 -- Puts the `file` of each item in front of its `line`, which is "location: text".
 -- Returns these texts, sorted by location, and the code of each.
-local function lines_of(list)
+function engine.lines_of(list)
   local keys, lines, codes = {}, {}, {}
   for i = 1, #list do
     local file, line = list[i].file, list[i].line
@@ -2828,7 +2824,7 @@ local function lines_of(list)
   return lines, codes
 end
 
-local function summary(where, problems)
+function engine.summary(where, problems)
   local hint = advice == false and "\n  (no hints: rfsm/advice.lua is not installed)"
     or ""
   return ("%s: the model has %d problem%s\n  %s%s"):format(where, #problems,
@@ -2847,8 +2843,6 @@ function rfsm.location_of(obj, field)
   return (file and file .. ": " or "") .. name_of(obj, field)
 end
 
-local build_machine, check_ways_in
-
 do
   local function is_closed(build, node)
     return not (node._mode or build.is_left[node] or node._otrs and node._otrs[1])
@@ -2864,7 +2858,7 @@ do
   -- Reports each `initial` that no transition leaves: a problem if the first entry or a
   -- transition leads to it, else a warning. A merge has added the transitions from
   -- number `first` on: only problems are reported, and only theirs.
-  function check_ways_in(build, first)
+  function engine.check_ways_in(build, first)
     local fsm = build.fsm
     for _, node in ipairs(fsm._nodes) do
       if node._id == "initial" and is_closed(build, node) then
@@ -2897,18 +2891,18 @@ do
       local printer = printer_of(fsm, name)
       rawset(fsm, name, is_callable(printer) and printer or DEFAULT_PRINTER[name])
     end
-    list_hooks(fsm)
+    engine.list_hooks(fsm)
   end
 
   -- Clones and resolves a model, without a call of its functions. Returns the build.
-  function build_machine(model)
+  function engine.build_machine(model)
     local fsm = setmetatable(own_fields(), Machine)
-    local build = new_build(fsm)
+    local build = engine.new_build(fsm)
     fsm._model, fsm._parent, fsm._nodes = model, fsm, { fsm }
-    note_mount(build, fsm)
-    clone_below(build, 1)
-    resolve(build, 1)
-    check_ways_in(build)
+    engine.note_mount(build, fsm)
+    engine.clone_below(build, 1)
+    engine.resolve(build, 1)
+    engine.check_ways_in(build)
     check_root(build, fsm)
     set_hooks(fsm)
     return build
@@ -2931,7 +2925,7 @@ end
 
 local function report_lines(fsm, name, list)
   if fsm[name] == silent then return end
-  local lines, codes = lines_of(list)
+  local lines, codes = engine.lines_of(list)
   for _, line in ipairs(lines) do
     if name == "info" then
       report(fsm, name, "INFO: " .. line)
@@ -2943,7 +2937,7 @@ end
 
 -- Reports the connectors that the model does not declare. Each is located where its
 -- first transition was made.
-local function report_created(build)
+function engine.report_created(build)
   for _, created in ipairs(build.created) do
     local first = created.node._otrs[1]
     made_at[created.node._model] = first and made_at[first._model]
@@ -2951,14 +2945,13 @@ local function report_created(build)
   report_lines(build.fsm, "info", build.created)
 end
 
-local report_dead_ends
-
 do
   -- Returns the set of composites that are left by a transition from a node inside.
   local function left_composites(fsm)
     local left = {}
     for _, tr in ipairs(fsm._transitions) do
-      local composite, lca = tr.src._parent, find_lca(tr.src._parent, tr.tgt._parent)
+      local composite = tr.src._parent
+      local lca = engine.find_lca(composite, tr.tgt._parent)
       while composite ~= lca do left[composite], composite = true, composite._parent end
     end
     return left
@@ -2975,7 +2968,7 @@ do
 
   -- Warns of the nodes, from number `first` on, that no transition leaves. Returns true
   -- if there are none.
-  function report_dead_ends(fsm, first)
+  function engine.report_dead_ends(fsm, first)
     local nodes, dead, left = fsm._nodes, {}, nil
     for i = first, #nodes do
       local node = nodes[i]
@@ -2996,7 +2989,7 @@ local ODD_EVENTS = { e_fault = true, always = true }
 
 -- Reports the warnings of the model, then suspicious guards and events, which preproc
 -- functions may have changed, then dead ends.
-local function report_findings(build, first_node, first_transition)
+function engine.report_findings(build, first_node, first_transition)
   local fsm, found = build.fsm, append({}, build.warnings)
   for i = first_node, #fsm._nodes do
     local node = fsm._nodes[i]
@@ -3014,7 +3007,7 @@ local function report_findings(build, first_node, first_transition)
     end
   end
   report_lines(fsm, "warn", found)
-  report_dead_ends(fsm, first_node)
+  engine.report_dead_ends(fsm, first_node)
 end
 
 --- Functions `f(fsm[, merged])` that `rfsm.init` calls for each machine.
@@ -3032,8 +3025,6 @@ rfsm.preproc = {}
 -- second result is the FQN of the state that must be active for the event.
 ---@type (fun(event: string): string?, string?)[]
 rfsm.makers = {}
-
-local preprocess
 
 do
   -- Returns the name of a field with a wrong value from a preproc function; else false.
@@ -3067,13 +3058,13 @@ do
       if is_changed then problems[#problems + 1] = check_transition(fsm, tr) end
       tr._target = tr.tgt
     end
-    if is_changed and not problems[1] then list_otrs(fsm) end
+    if is_changed and not problems[1] then engine.list_otrs(fsm) end
   end
 
   -- Runs the preproc functions and returns the problems they found. If one of them
   -- calls `fsm_merge`, only the functions before it are called for the new element,
   -- because the later ones are still to be called for the whole machine.
-  function preprocess(fsm, merged)
+  function engine.preprocess(fsm, merged)
     local problems, outer = {}, fsm._preparing
     local last = outer and outer - 1 or #rfsm.preproc
     fsm._elements = false
@@ -3101,9 +3092,9 @@ end
 local function refuse_model(model, fsm, problems)
   local err = printer_of(model, "err")
   fsm = fsm or { err = is_callable(err) and err or DEFAULT_PRINTER.err }
-  local text = summary("rfsm.init", problems)
+  local text = engine.summary("rfsm.init", problems)
   report(fsm, "err", text)
-  raise_failure(fsm)
+  engine.raise_failure(fsm)
   return false, text, problems
 end
 
@@ -3127,22 +3118,22 @@ function rfsm.init(model)
   if is_foreign(model) then
     return refuse_model(model, nil, { "root: " .. FOREIGN })
   end
-  local build = build_machine(model)
-  local fsm, problems = build.fsm, (lines_of(build.problems))
+  local build = engine.build_machine(model)
+  local fsm, problems = build.fsm, (engine.lines_of(build.problems))
   if problems[1] then return refuse_model(model, nil, problems) end
   load_fast()
   if rfsm.is_strict(model) then find_module("rfsm.strict") end
   fsm._initialized = true
-  list_otrs(fsm)
-  report_created(build)
-  problems = preprocess(fsm)
+  engine.list_otrs(fsm)
+  engine.report_created(build)
+  problems = engine.preprocess(fsm)
   if problems[1] then
     fsm._initialized = false
     return refuse_model(model, fsm, problems)
   end
-  if fsm.warn ~= silent then report_findings(build, 1, 1) end
+  if fsm.warn ~= silent then engine.report_findings(build, 1, 1) end
   machines[fsm] = true
-  raise_failure(fsm)
+  engine.raise_failure(fsm)
   return fsm
 end
 
@@ -3156,9 +3147,9 @@ function rfsm.verify_early(model)
   if not is_state(model) then
     error("rfsm.verify_early: state expected, " .. got(model), 2)
   end
-  local build = build_machine(model_of(model))
-  local warnings, codes = lines_of(build.warnings)
-  return not build.problems[1], (lines_of(build.problems)), warnings, codes
+  local build = engine.build_machine(model_of(model))
+  local warnings, codes = engine.lines_of(build.warnings)
+  return not build.problems[1], (engine.lines_of(build.problems)), warnings, codes
 end
 
 -- Use: what a program does with a machine --------------------------------------------
@@ -3192,13 +3183,13 @@ end
 
 -- Raises an error if a step is under way, also if its coroutine is suspended. A step
 -- that an error has cut short is not under way.
-local function check_no_step(fsm, where, level)
+function engine.check_no_step(fsm, where, level)
   if fsm._phase == "idle" or fsm._is_cut then return end
   error(where .. ": the machine is in the middle of a step; if its coroutine is never "
     .. "resumed, rfsm.init(fsm) makes a fresh machine", level)
 end
 
-local function try(fsm, after_free)
+function engine.try(fsm, after_free)
   local ok, counted, idle = pcall(iterate, fsm, after_free)
   if not ok then raise_cut(fsm, counted) end
   return counted, idle
@@ -3220,12 +3211,12 @@ local function advance(fsm, left, counted, idle)
       end
       idle_hook(fsm)
     end
-    counted, idle = try(fsm, not counted)
+    counted, idle = engine.try(fsm, not counted)
   end
   if idle and is_traced(fsm) then
     report(fsm, "dbg", "HIBERNATING",
       "no events, no idle_hook, no doos or doo idle, halting engines")
-    raise_failure(fsm)
+    engine.raise_failure(fsm)
   end
   return idle or false
 end
@@ -3236,7 +3227,7 @@ do
       error("rfsm.step: number of steps expected, " .. got(n)
         .. (type(n) == "string" and " (did you mean rfsm.send_events?)" or ""), 3)
     end
-    return advance(fsm, n == n and n or 1, try(fsm)) -- NaN counts as 1
+    return advance(fsm, n == n and n or 1, engine.try(fsm)) -- NaN counts as 1
   end
 
   --- Advance a machine by at most `n` transitions or doo cycles.
@@ -3250,7 +3241,7 @@ do
   ---@return boolean idle true if there is nothing left to do
   function rfsm.step(fsm, n)
     if not machines[fsm] then check_machine(fsm, "rfsm.step") end
-    if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.step", 3) end
+    if fsm._phase ~= "idle" then engine.check_no_step(fsm, "rfsm.step", 3) end
     if n ~= nil then return (step_often(fsm, n)) end -- a tail call shifts error levels
     local ok, counted, idle = pcall(iterate, fsm)
     if ok and counted then return idle end -- no loop: LuaJIT makes one trace of it
@@ -3266,7 +3257,7 @@ end
 ---@return boolean idle false when the machine could not be entered
 function rfsm.run(fsm)
   if not machines[fsm] then check_machine(fsm, "rfsm.run") end
-  if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.run", 3) end
+  if fsm._phase ~= "idle" then engine.check_no_step(fsm, "rfsm.run", 3) end
   local ok, counted, idle = pcall(iterate, fsm) -- usually two iterations, or three
   if ok and counted and not idle then ok, counted, idle = pcall(iterate, fsm) end
   if ok and counted == false then ok, counted, idle = pcall(iterate, fsm, true) end
@@ -3287,8 +3278,8 @@ function rfsm.reset(fsm)
   if fsm._phase ~= "idle" and not fsm._is_cut then return end
   fsm._given = false
   fsm._phase, fsm._curq, fsm._failure, fsm._failed = "idle", {}, false, false
-  reset_now(fsm)
-  raise_failure(fsm)
+  engine.reset_now(fsm)
+  engine.raise_failure(fsm)
 end
 
 --- Return the name of the active leaf.
@@ -3336,7 +3327,7 @@ end
 ---@param depth? integer number of levels, default all
 ---@return any[] results the results of f, in order, without nils
 function rfsm.mapfsm(f, fsm, pred, depth)
-  check_function(f, "rfsm.mapfsm")
+  engine.check_function(f, "rfsm.mapfsm")
   if type(fsm) ~= "table" then error("rfsm.mapfsm: state expected, " .. got(fsm), 2) end
   local results = {}
   local function is_member(value, key)
@@ -3461,8 +3452,8 @@ do
   end
 
   local function note_change(fsm, kind)
-    if kind.is_step then list_hooks(fsm) end
-    if kind.is_path and fsm._has_paths then drop_paths(fsm) end
+    if kind.is_step then engine.list_hooks(fsm) end
+    if kind.is_path and fsm._has_paths then engine.drop_paths(fsm) end
   end
 
   local function define_hooks(name, kind)
@@ -3472,7 +3463,7 @@ do
       local place = nil
       check_machine(fsm, where)
       if not kind.is_subject then subject, hook, place = nil, subject, hook end
-      check_function(hook, where)
+      engine.check_function(hook, where)
       if place ~= nil and not PLACES[place] then
         error(where .. ": 'before' or 'after' expected, " .. got(place), 2)
       elseif not kind.is_subject then
@@ -3521,7 +3512,7 @@ end
 ---@param f function
 ---@return function f
 function rfsm.borrows(f)
-  check_function(f, "rfsm.borrows")
+  engine.check_function(f, "rfsm.borrows")
   promises[f] = promises[f] or "borrows"
   return f
 end
@@ -3534,7 +3525,7 @@ end
 ---@param f function
 ---@return function f
 function rfsm.repeatable(f)
-  check_function(f, "rfsm.repeatable")
+  engine.check_function(f, "rfsm.repeatable")
   promises[f] = "repeatable"
   return f
 end
@@ -3581,8 +3572,8 @@ end
 ---@param is_explored? boolean
 function rfsm.snapshot_hook_add(fsm, name, save, load, is_explored)
   check_machine(fsm, "rfsm.snapshot_hook_add")
-  check_function(save, "rfsm.snapshot_hook_add")
-  check_function(load, "rfsm.snapshot_hook_add")
+  engine.check_function(save, "rfsm.snapshot_hook_add")
+  engine.check_function(load, "rfsm.snapshot_hook_add")
   fsm._snapshot_hooks = append(append({}, fsm._snapshot_hooks or NONE),
     { { name = name, save = save, load = load, is_explored = is_explored } })
 end
@@ -3613,10 +3604,10 @@ function rfsm.names_done(state)
 end
 
 -- Lists the hooks of a machine and its regions anew: they read as their parent does.
-function list_again(fsm)
-  list_hooks(fsm)
+function engine.list_again(fsm)
+  engine.list_hooks(fsm)
   for _, state in ipairs(rfsm.elements(fsm, is_state)) do
-    for _, region in ipairs(rfsm.regions(state)) do list_again(region) end
+    for _, region in ipairs(rfsm.regions(state)) do engine.list_again(region) end
   end
 end
 
@@ -3629,7 +3620,7 @@ function rfsm.set_parent(region, fsm, name)
   rawset(region, "_owner", fsm)
   rawset(region, "_region_name", name)
   rawset(region, "_got", { turn = 0, count = 0, length = huge }) -- see `forward`
-  list_again(region)
+  engine.list_again(region)
 end
 
 --- Return the machine around a region, and the name of the region there.
@@ -3655,26 +3646,11 @@ do
     PARTS[name] = "rfsm.tools"
   end
 
-  -- Functions of the engine for the files of the library beside this one.
-  local engine = {
-    add = add, advise = advise, append = append, ask_getevents = ask_getevents,
-    check_function = check_function, check_members = check_members,
-    check_no_step = check_no_step, check_ways_in = check_ways_in,
-    clone_below = clone_below, complete = complete, cut = cut, enabled = enabled,
-    entrance_of = entrance_of, fast = fast, find_entrance = find_entrance,
-    find_lca = find_lca, first_enabled = first_enabled, follow = follow,
-    forget = forget, is_made = is_made, is_node_of = is_node_of, iterate = iterate,
-    line_to = line_to, lines_of = lines_of, list_choices = list_choices,
-    list_otrs = list_otrs, list_otrs_of = list_otrs_of, matches = matches,
-    may_repeat = may_repeat, new_build = new_build, new_emit = new_emit,
-    new_node = new_node, new_path = new_path, new_transition = new_transition,
-    note_mount = note_mount, note_of = note_of, path_of = path_of, PHASES = PHASES,
-    preprocess = preprocess, queue_given = queue_given, raise_failure = raise_failure,
-    report_created = report_created, report_dead_ends = report_dead_ends,
-    report_findings = report_findings, reset_now = reset_now, resolve = resolve,
-    segment_of = segment_of, silent = silent, summary = summary, tell = tell,
-    tell_watch = tell_watch, try = try,
-  }
+  engine.add, engine.advise, engine.append = add, advise, append
+  engine.enabled, engine.first_enabled, engine.follow = enabled, first_enabled, follow
+  engine.is_node_of, engine.line_to, engine.path_of = is_node_of, line_to, path_of
+  engine.iterate, engine.matches, engine.PHASES = iterate, matches, PHASES
+  engine.silent, engine.tell, engine.fast = silent, tell, fast
 
   -- Returns the function of a name whose file is missing: it says so.
   local function missing(name, module)
