@@ -5,7 +5,7 @@ local commands = require "spec.support.commands"
 local common = require "rfsm.cli.common"
 local helper = require "spec.helper"
 
-local new_stream, run = commands.new_stream, commands.run
+local new_stream, refusal, run = commands.new_stream, commands.refusal, commands.run
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 after_each(helper.remove_files)
@@ -90,47 +90,48 @@ describe("the usage of rfsm", function()
   end)
 
   for command, problem in pairs { -- any order: each stands alone
-    ["help chekc"] = "Error: no command is named 'chekc' (did you mean 'check'?), rfsm "
-      .. "lists them",
-    ["check -k 0 x"] = "Error: --together: whole number above 0 expected, got '0'",
-    ["check --seconds=-1 x"] = "Error: --seconds: seconds expected, got '-1'",
-    ["check --tests busted - -"] = "Error: one FILE expected, tests are those of one "
+    ["help chekc"] = "no command is named 'chekc' (did you mean 'check'?)",
+    ["check -k 0 x"] = "--together: whole number above 0 expected, got '0'",
+    ["check --seconds=-1 x"] = "--seconds: seconds expected, got '-1'",
+    ["check --tests busted - -"] = "one FILE expected, tests are those of one "
       .. "chart, got 2",
-    ["viz --depth x y"] = "Error: --depth: whole number above 0 expected, got 'x'",
-    ["viz -T svg a b"] = "Error: one FILE expected, svg holds one chart, got 2",
-    ["viz x.lua -o y.gif"] = "Error: the ending of 'y.gif' is no format, -T expected "
+    ["viz --depth x y"] = "--depth: whole number above 0 expected, got 'x'",
+    ["viz -T svg a b"] = "one FILE expected, svg holds one chart, got 2",
+    ["viz x.lua -o y.gif"] = "the ending of 'y.gif' is no format, -T expected "
       .. "(" .. table.concat(commands.formats(), ", ") .. ")",
-    ["watch -n 1.5 host"] = "Error: --count: whole number above 0 expected, got '1.5'",
-    ["watch -m 0 host"] = "Error: --machine: whole number above 0 expected, got '0'",
-    ["watch a:b"] = "Error: HOST or HOST:PORT expected, got 'a:b'",
-    ["watch a:65536"] = "Error: HOST or HOST:PORT expected, got 'a:65536'",
-    ["web"] = "Error: FILE or --attach expected",
-    ["web x.lua --attach a"] = "Error: FILE or --attach expected",
-    ["redis"] = "Error: a chart expected",
-    ["redis --ids 0 x"] = "Error: --ids: whole number above 0 expected, got '0'",
+    ["watch -n 1.5 host"] = "--count: whole number above 0 expected, got '1.5'",
+    ["watch -m 0 host"] = "--machine: whole number above 0 expected, got '0'",
+    ["watch a:b"] = "HOST or HOST:PORT expected, got 'a:b'",
+    ["watch a:65536"] = "HOST or HOST:PORT expected, got 'a:65536'",
+    ["web"] = "FILE or --attach expected",
+    ["web x.lua --attach a"] = "FILE or --attach expected",
+    ["redis"] = "a chart expected",
+    ["redis --ids 0 x"] = "--ids: whole number above 0 expected, got '0'",
     ["redis --ids 1000001 x"]
-      = "Error: --ids: whole number above 0 expected, got '1000001'",
+      = "--ids: whole number above 0 expected, got '1000001'",
     ["redis --history 1.5 x"]
-      = "Error: --history: whole number above 0 expected, got '1.5'",
+      = "--history: whole number above 0 expected, got '1.5'",
     ["postgres --ids-for x y"]
-      = "Error: --ids-for: whole number above 0 expected, got 'x'",
-    ["web x.lua 8080"] = "Error: one FILE expected, got '8080', too (the port is an "
+      = "--ids-for: whole number above 0 expected, got 'x'",
+    ["web x.lua 8080"] = "one FILE expected, got '8080', too (the port is an "
       .. "option: -p 8080)",
-    ["web x.lua y.lua"] = "Error: one FILE expected, got 'y.lua', too",
+    ["web x.lua y.lua"] = "one FILE expected, got 'y.lua', too",
     ["viz x.lua x.svg"]
-      = "Error: 'x.svg' is no chart, a picture is written by -o x.svg",
-    ["run x.lua"] = "Error: no command is named 'run' (did you mean 'sim'?), rfsm "
-      .. "lists them",
-    ["chekc x.lua"] = "Error: no command is named 'chekc' (did you mean 'check'?), "
-      .. "rfsm lists them",
-    ["x.lua"] = "rfsm: 'x.lua' is no command. To step through that chart, type: rfsm "
-      .. "sim x.lua",
+      = "'x.svg' is no chart, a picture is written by -o x.svg",
+    ["run x.lua"] = "no command is named 'run' (did you mean 'sim'?)",
+    ["chekc x.lua"] = "no command is named 'chekc' (did you mean 'check'?)",
   } do
     it("refuses " .. command, function()
-      local out, err, status = run(command)
-      assert.same({ "", problem, 2 }, { out, last_line(err), status })
+      local name = command:match("^%S+")
+      local program = USAGES[name] and "rfsm " .. name or "rfsm"
+      assert.same({ "", refusal(program, problem), 2 }, { run(command) })
     end)
   end
+
+  it("names the command for a chart", function()
+    assert.same({ "", "rfsm: 'x.lua' is no command. To step through that chart, type: "
+      .. "rfsm sim x.lua\n", 2 }, { run "x.lua" })
+  end)
 end)
 
 describe("rfsm check", function()
@@ -456,9 +457,8 @@ describe("rfsm fleet", function()
     ["again 0"] = "again TAG ID", ["drop 0"] = "drop TAG ID",
   } do
     it("needs more than " .. command, function()
-      local out, err, status = run("fleet redis://x " .. command)
-      assert.same({ "", "Error: " .. needed .. " expected", 2 },
-        { out, last_line(err), status })
+      assert.same({ "", refusal("rfsm fleet", needed .. " expected"), 2 },
+        { run("fleet redis://x " .. command) })
     end)
   end
 
@@ -486,8 +486,8 @@ describe("rfsm fleet", function()
     ["again 0 1-0 --where age=1"] = "again: --where or TAG ID expected, not both",
   } do
     it("refuses " .. arguments, function()
-      local out, err, status = run("fleet redis://x " .. arguments)
-      assert.same({ "", "Error: " .. problem, 2 }, { out, last_line(err), status })
+      assert.same({ "", refusal("rfsm fleet", problem), 2 },
+        { run("fleet redis://x " .. arguments) })
     end)
   end
 

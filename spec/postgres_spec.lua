@@ -41,9 +41,9 @@ describe("rfsm postgres", function()
     assert.is_true(helper.content(file) == script.tables { history = true,
       notify = true })
     assert.is_nil(script.tables():find("pllua"))
-    assert.matches("Error: %-%-client: no charts and no ids expected, the client has "
-      .. "them\n", run("--client order.lua"))
-    assert.matches("Error: a chart expected\n", run(""))
+    assert.matches("^rfsm postgres: %-%-client: no charts and no ids expected, the "
+      .. "client has them; see rfsm postgres %-%-help\n$", run("--client order.lua"))
+    assert.matches("^rfsm postgres: a chart expected; ", run(""))
   end)
 
   -- Returns what is wrong with a chart.

@@ -36,10 +36,9 @@ end
 
 local function fails(command, err, status) check(command, "", err, status or 1) end
 
--- The last line only: the usage stands before it.
-local function refuses(command, expected)
-  local out, err, status = run(command)
-  assert.same({ "", expected, 2 }, { out, err:match("([^\n]*)\n$"), status })
+local function refuses(command, problem)
+  local program = command:match("^rfsm.%l+"):gsub("%-", " ")
+  fails(command, commands.refusal(program, problem), 2)
 end
 
 local function has_help(tool, name)
@@ -199,8 +198,8 @@ describe("the command line", function()
   end)
 
   it("asks for a file, tells its version", function()
-    refuses("rfsm-viz", "Error: missing argument 'files'")
-    refuses("rfsm-sim", "Error: missing argument 'file'")
+    refuses("rfsm-viz", "missing argument 'files'")
+    refuses("rfsm-sim", "missing argument 'file'")
     check("rfsm-sim --version", "rfsm 1.0.0\n")
     has_help("rfsm-sim", "rfsm sim")
   end)
@@ -254,13 +253,13 @@ describe("rfsm-viz", function()
   end)
 
   it("refuses unknown formats, and several charts in a picture", function()
-    refuses("rfsm viz examples/on_off.lua -T gif", "Error: argument for option '-T' "
+    refuses("rfsm viz examples/on_off.lua -T gif", "argument for option '-T' "
       .. "must be one of '" .. table.concat(commands.formats(), "', '") .. "'")
-    refuses("rfsm viz examples/on_off.lua -o x.gif", "Error: the ending of 'x.gif' "
+    refuses("rfsm viz examples/on_off.lua -o x.gif", "the ending of 'x.gif' "
       .. "is no format, -T expected (" .. table.concat(commands.formats(), ", ")
       .. ")")
     refuses("rfsm viz -T svg examples/on_off.lua examples/on_off.lua",
-      "Error: one FILE expected, svg holds one chart, got 2")
+      "one FILE expected, svg holds one chart, got 2")
   end)
 
   it("draws what is active, some levels, from left to right", function()
@@ -273,9 +272,9 @@ describe("rfsm-viz", function()
       "rfsm viz: examples/on_off.lua: active: no state is named 'dim'"
         .. hint(" (there are 'root', 'root.off', 'root.on')") .. "\n")
     refuses("rfsm viz --depth 1.5 examples/on_off.lua",
-      "Error: --depth: whole number above 0 expected, got '1.5'")
+      "--depth: whole number above 0 expected, got '1.5'")
     refuses("rfsm viz --direction UP examples/on_off.lua",
-      "Error: argument for option '--direction' must be one of 'TB', 'LR'")
+      "argument for option '--direction' must be one of 'TB', 'LR'")
   end)
 
   it("marks a run on the diagram", function()
@@ -534,11 +533,11 @@ describe("rfsm-check", function()
 
   it("refuses numbers that are none of events or configurations", function()
     refuses("rfsm check -k 0 x",
-      "Error: --together: whole number above 0 expected, got '0'")
+      "--together: whole number above 0 expected, got '0'")
     refuses("rfsm check -k 1.5 x",
-      "Error: --together: whole number above 0 expected, got '1.5'")
+      "--together: whole number above 0 expected, got '1.5'")
     refuses("rfsm check --configurations x y",
-      "Error: --configurations: whole number above 0 expected, got 'x'")
+      "--configurations: whole number above 0 expected, got 'x'")
   end)
 
   it("writes tests that busted runs", function()
@@ -622,7 +621,7 @@ describe("rfsm-check", function()
       links["01-root.svg"])
     assert.equal("03-root_a2.svg 05-root_a4.svg ", links["02-root_a1.svg"])
     refuses("rfsm viz --pages " .. name,
-      "Error: --pages needs -o FOLDER or FILE.pdf, and no text for -T")
+      "--pages needs -o FOLDER or FILE.pdf, and no text for -T")
     assert.not_matches("href", (run("rfsm viz --depth 1 -T svg " .. name)))
   end)
 
@@ -720,10 +719,11 @@ describe("rfsm-check", function()
 
   it("tells how to use it, with status 2 if it was not", function()
     has_help("rfsm-check", "rfsm check")
-    refuses("rfsm check --bogus x", "Error: unknown option '--bogus'")
-    refuses("rfsm-check", "Error: missing argument 'files'")
+    refuses("rfsm check --bogus x", "unknown option '--bogus'")
+    refuses("rfsm-check", "missing argument 'files'")
     refuses("rfsm check -y x",
-      "Did you mean one of these: '-a' '-h' '-k' '-o' '-q' '-s' '-v' '-x'?")
+      "unknown option '-y' (did you mean one of these: '-a' '-h' '-k' '-o' '-q' '-s' "
+      .. "'-v' '-x'?)")
   end)
 end)
 

@@ -21,17 +21,18 @@ local function print_version()
   os.exit(0)
 end
 
--- Prints the usage of a command and the problem, and ends the program. argparse calls
--- this function with the parser of the command.
-local function report_usage(parser, problem)
-  io.stderr:write(parser:get_usage(), "\n\nError: ", problem, "\n")
+-- Prints what is wrong in one line, and ends the program. argparse calls this function
+-- with the parser of the command; its hint is a second line.
+local function refuse(parser, problem)
+  io.stderr:write(parser.program, ": ", (problem:gsub("\nDid (.*)", " (did %1)")),
+    "; see ", parser.program, " --help\n")
   os.exit(2)
 end
 
--- Adds --version to a parser, and sets how problems are reported and how wide the help
--- is. The help fits a terminal of 24 lines and 80 columns.
-local function prepare(parser, is_hidden)
-  parser.error = report_usage
+-- Adds --version to the parser of a program, and sets how problems are reported and how
+-- wide the help is. The help fits a terminal of 24 lines and 80 columns.
+local function prepare(parser, program, is_hidden)
+  parser.error, parser.program = refuse, program
   parser:usage_max_width(79):help_max_width(79):help_description_margin(26)
   parser:flag("-v --version", "print the version and end"):action(print_version)
     :hidden(is_hidden)
@@ -60,8 +61,8 @@ local function check_command(parser, parsers, name)
   if parsers[name] or name:find("^%-") then return end
   refuse_file(name)
   local other = OTHERS[name]
-  parser:error(("no command is named '%s'%s, rfsm lists them"):format(name,
-    other and (" (did you mean '%s'?)"):format(other)
+  parser:error(("no command is named '%s'%s"):format(name, other
+    and (" (did you mean '%s'?)"):format(other)
     or advice.nearest_name(name, rfsm.sorted_keys(parsers))))
 end
 
@@ -85,9 +86,9 @@ function cli.main(argv)
     commands[name] = command
     parsers[name] = parser:command(name, command.summary, command.epilog)
     command.add_arguments(parsers[name])
-    prepare(parsers[name], true)
+    prepare(parsers[name], "rfsm " .. name, true)
   end
-  prepare(parser, false)
+  prepare(parser, "rfsm", false)
   parser:add_complete { "--completion", argname = "SHELL",
     description = "print the completions for bash, zsh or fish" }
   for _, name in ipairs(COMMANDS) do add(name, require("rfsm.cli." .. name)) end

@@ -55,6 +55,11 @@ function commands.run(command, modules)
   return out.text, err.text, status.status
 end
 
+--- Returns what a program prints if its command line is wrong.
+function commands.refusal(program, problem)
+  return ("%s: %s; see %s --help\n"):format(program, problem, program)
+end
+
 --- Returns the formats of `rfsm viz`: pictures, and one for each exporter.
 function commands.formats()
   local formats = { "svg", "png", "pdf" }
