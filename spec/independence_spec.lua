@@ -186,6 +186,17 @@ describe("a property of regions", function()
       result.properties[2].holds, result.properties[3].holds })
   end)
 
+  it("owes nothing while the machine is not entered", function()
+    local function may() return true end
+    local model = chart({ ring(2, "e_x"), ring(2, "e_y") },
+      { trans { src = "initial", tgt = "par", guard = may } })
+    for _, multiply in ipairs { false, true } do
+      local result = rfsm_checks.explore(model, { multiply = multiply, properties = {
+        p = rfsm_checks.until_("root.off", "root.par") } })
+      assert.is_true(result.properties[1].holds)
+    end
+  end)
+
   it("holds for a state that the regions cannot leave by themselves", function()
     local model = chart({ ring(1, "e_x"), ring(1, "e_y") },
       { [4] = trans { src = "par", tgt = "off", events = { "e_done" } } })

@@ -35,6 +35,28 @@ describe("a verdict", function()
       verdict(light(), never "root.green", { alphabet = { "e_button" } }))
   end)
 
+  local send = rfsm.send_events
+  local SENDERS = {
+    ["the library's name"] = function(fsm) rfsm.send_events(fsm, "e_q") end,
+    ["a name of its own"] = function(fsm) send(fsm, "e_q") end,
+  }
+  for name, sends in pairs(SENDERS) do -- any order: each stands alone
+    it("knows that callbacks send outside of the alphabet, by " .. name, function()
+      local function model() return chart { c = state {}, b = state { entry = sends },
+        [2] = go("a", "b", "e_p"), [3] = go("b", "c", "e_q") } end
+      local function said(options)
+        options.alphabet, options.properties = { "e_p" }, { never "root.c" }
+        return rfsm_checks.explore(model(), options)
+      end
+      local result = said {}
+      assert.is_nil(result.properties[1].holds)
+      assert.equal("events that the entry root.b may send, which sends does not name",
+        result.untried[1])
+      assert.is_true(said({ sends = { ["entry root.b"] = {} } }).properties[1].holds)
+      assert.is_false(said({ dry_run = true }).properties[1].holds)
+    end)
+  end
+
   -- Explores a chart with properties. Each has to have the verdict that it has alone.
   -- Returns the names of those that hold.
   local function holding(model, given)

@@ -693,8 +693,9 @@ local function note_gaps(walk)
   end
   add(own.writers, "targets", "targets that the %s may write")
   add(own.data_writers, "values", "data that the %s may write, which is not run")
-  add(own.unsure_senders, "sends", "events that the %s may send, which a dry run does "
-    .. "not show")
+  add(own.unsure_senders, "sends", "events that the %s may send, which "
+    .. (own.alphabet and not walk.options.dry_run and "sends does not name"
+      or "a dry run does not show"))
   add(own.late_senders, "pending", "events that the %s may send later")
   add(own.later[1] and own.cancellers or {}, "pending",
     "events that the %s may cancel")

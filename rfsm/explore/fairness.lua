@@ -138,12 +138,13 @@ local function has_times(walk, start, cycle)
     or walk:witness(start, nil, match.joined(cycle, cycle))[1].at ~= nil
 end
 
--- Returns the set of the expanded configurations in which the only monitor has state
--- `owes`.
+-- Returns the set of the expanded configurations in which the machine is entered and
+-- the only monitor has state `owes`.
 local function owing(walk, owes)
   local set = {}
   for number = 2, walk.expanded do
-    set[number] = walk:configuration(number).context.states[1] == owes
+    local conf = walk:configuration(number)
+    set[number] = conf[1].leaf and conf.context.states[1] == owes
   end
   return set
 end

@@ -197,6 +197,14 @@ local function note_text(self, name, callback)
   if not writes.is_known(callback) then self.unknown[#self.unknown + 1] = name end
 end
 
+-- Notes that a callback emits events, or sends some that the alphabet may not have.
+local function note_senders(self, name, callback)
+  if may_emit(callback) then self.emitters[#self.emitters + 1] = name end
+  if self.alphabet and may_call(callback, rfsm, "send_events") then
+    self.unsure_senders[#self.unsure_senders + 1] = name
+  end
+end
+
 --- Note what a callback may do that the exploration does not follow: it may write the
 --- target of a transition; it may also emit, delay or cancel events, unless the option
 --- `sends` lists the events of the callback. Without text it may do anything.
@@ -207,7 +215,7 @@ function replacements.note_writer(self, name, callback)
   local function note(list) list[#list + 1] = name end
   note_text(self, name, callback)
   if not is_run and writes.may_write(callback, { "tgt" }) then note(self.writers) end
-  if not is_listed and may_emit(callback) then note(self.emitters) end
+  if not is_listed then note_senders(self, name, callback) end
   if self.sends[name] and not is_run then return end
   local timeevent = package.loaded.rfsm_timeevent
   if may_call(callback, timeevent, "send_after") then note(self.late_senders) end

@@ -54,7 +54,7 @@ local subject = {}
 ---@field unknown string[] callbacks whose text, or that of a function they call, is not
 -- known
 ---@field shares_text boolean a callback may have the text of others in its line
----@field unsure_senders string[] callbacks that may send what a dry run does not show
+---@field unsure_senders string[] callbacks that may send what is not known
 ---@field names_with_data table<any, true> names in predicates of `rfsm.named`
 ---@field classes table<string, table[]> name of an event with data -> its examples
 ---@field is_example table<any, true> the events in `classes`
@@ -1167,8 +1167,8 @@ function subject.new(model, options, way)
     and replacements.dry_run(self, new_machine(self, model)) or {}
   replacements.read_flags(self, options.flags or {})
   data.read_options(self, options, fsm)
-  add_parts(self, fsm, way)
   self.alphabet = options.alphabet and {}
+  add_parts(self, fsm, way)
   for _, event in ipairs(options.alphabet or {}) do
     self.alphabet = match.joined(self.alphabet,
       self:examples_of(self:event_meant(event)))

@@ -466,8 +466,8 @@ function claim.outside_events(own)
   return list
 end
 
--- Adds transitions of faults and timers that repeat, and such that need no event.
-local function add_words(chart, random)
+--- Adds transitions of faults and timers that repeat, and such that need no event.
+function claim.add_words(chart, random)
   for _, tr in ipairs(chart.transitions) do
     if chart.nodes[tr.src].kind == "state" and tr.events_ref and random:chance(25) then
       local word = random:pick { "e_fault", "e_every(1)", false }
@@ -498,11 +498,11 @@ local function complete_chart(seed)
   for _, fqn in ipairs(chart.names) do
     local regions = chart.regions[fqn]
     for _, region in ipairs(regions and regions.of or {}) do
-      add_words(region, random)
+      claim.add_words(region, random)
     end
     if regions then claim.add_join(chart, fqn) end
   end
-  add_words(chart, random)
+  claim.add_words(chart, random)
   return chart
 end
 

@@ -87,6 +87,10 @@ function claim.chart(seed)
   chart.nodes[fqn].doo = false
   chart.regions[fqn] = { step = 1, of = of }
   if random:chance(30) then charts.add_join(chart, fqn) end
+  if random:chance(40) then
+    for _, region in ipairs(of) do charts.add_words(region, random) end
+    charts.add_words(chart, random)
+  end
   return chart
 end
 
