@@ -441,28 +441,34 @@ end
 
 -- Load ------------------------------------------------------------------------
 
--- Takes modules of rfsm out of `package.loaded`, those whose value has a type of the
--- text `types`. Whoever requires them again gets new ones.
-local function forget_modules(types)
+-- Takes modules of rfsm and one named `other` out of `package.loaded`, if their values
+-- have a type of the text `types`. Whoever requires them again gets new ones.
+local function forget_modules(types, other)
   local loaded = find_global("package", "loaded") or NONE
   for name, module in pairs(loaded) do -- any order: each stands alone
-    local is_of_rfsm = tostring(name):find("^rfsm[%w_.]")
-    if is_of_rfsm and types:find(type(module), 1, true) then loaded[name] = nil end
+    local is_meant = name == other or tostring(name):find("^rfsm[%w_.]")
+    if is_meant and types:find(type(module), 1, true) then loaded[name] = nil end
   end
 end
 
--- Returns a module; nil if it is not installed. If an error cuts the load short, as an
--- interrupt does, Lua 5.1 would refuse to load it again: its mark stays, which is a
--- userdata, in LuaJIT a number.
-local function find_module(name)
+--- Load a module that is needed while machines run, for extensions.
+--
+-- If an interrupt cuts the load short, the module can be loaded again. `require` of Lua
+-- 5.1 would refuse it: its mark stays, which is a userdata, in LuaJIT a number.
+--
+---@param name string
+---@return any? module nil if it is not installed
+function rfsm.find_module(name)
   if type(require) ~= "function" then return nil end
   local ok, module = pcall(require, name)
   if ok then return module end
   if not text_of(module):find("module '" .. name .. "' not found", 1, true) then
-    forget_modules "userdata number"
+    forget_modules("userdata number", name)
     error(module, 0)
   end
 end
+
+local find_module = rfsm.find_module
 
 local advice
 
@@ -2444,7 +2450,7 @@ end
 local function load_fast()
   if fast.is_loaded then return end
   fast.is_loaded = true
-  local ok, make = pcall(require, "rfsm.fast")
+  local ok, make = pcall(find_module, "rfsm.fast")
   if ok and loadstring then
     ok, make = pcall(make, fast, { loadstring = loadstring, silent = silent,
       promises = promises, actions = actions, perform = perform,

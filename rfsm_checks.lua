@@ -14,9 +14,9 @@ if home then require(home .. "rfsm") return require "rfsm_checks" end -- one cop
 local rfsm = require "rfsm"
 
 local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
-local rawset, require, setmetatable, type = rawset, require, setmetatable, type
+local rawset, setmetatable, type = rawset, setmetatable, type
 local is_state = rfsm.is_state
-local elements, text_of = rfsm.elements, rfsm.text_of
+local elements = rfsm.elements
 
 --- Functions from modules in the folders of rfsm/, which are loaded at their first use.
 ---@class rfsm_checks
@@ -125,18 +125,9 @@ local ELSEWHERE = {
   watch_properties = "rfsm.observe.watch_properties",
 }
 
--- Returns a module in a folder of rfsm; nil if this file was copied without the module.
-local function find_part(name)
-  local ok, part = pcall(require, name)
-  if ok then return part end
-  if not text_of(part):find("module '" .. name .. "' not found", 1, true) then
-    error(part, 0)
-  end
-end
-
 setmetatable(rfsm_checks, { __index = function(_, name)
   if not ELSEWHERE[name] then return nil end
-  local part = find_part(ELSEWHERE[name])
+  local part = rfsm.find_module(ELSEWHERE[name])
   if not part then
     error(("rfsm_checks.%s: module '%s' is not installed"):format(name,
       ELSEWHERE[name]), 2)
@@ -167,7 +158,7 @@ function rfsm_checks.check(model)
   if not is_state(model) then
     error("rfsm_checks.check: state expected, got " .. type(model), 2)
   end
-  local static = find_part("rfsm.checks.static")
+  local static = rfsm.find_module("rfsm.checks.static")
   if not static then return check_early(model) end
   local findings, lines = static.findings(model), {}
   for _, severity in ipairs { "error", "warning" } do

@@ -23,7 +23,7 @@ if home then require(home .. "rfsm") return require "rfsm_timeevent" end -- one 
 local rfsm = require "rfsm"
 
 local error, getmetatable, ipairs, pcall = error, getmetatable, ipairs, pcall
-local rawget, rawset, require = rawget, rawset, require
+local rawget, rawset = rawget, rawset
 local setmetatable, tonumber, type = setmetatable, tonumber, type
 local ceil, floor, huge = math.ceil, math.floor, math.huge
 local max, min = math.max, math.min
@@ -48,9 +48,7 @@ local function new_clock()
     present = function(sec, nsec) return sec, nsec end }
 end
 
-local has_clock, clock = pcall(require, "rfsm.clock")
-if not has_clock then clock = new_clock() end
-
+local clock = rfsm.find_module "rfsm.clock" or new_clock()
 local read = clock.read
 
 local BILLION = 1000000000 -- an integer: a float rounds the nanoseconds of Lua 5.3
@@ -417,10 +415,11 @@ local function check_timers(fsm)
   end
 end
 
-local function read_or_raise(fsm, is_relative)
+-- Returns the time. If the clock fails, calls `raise` with the text and 0.
+local function read_or_raise(fsm, is_relative, raise)
   local time, sec, nsec = read(fsm, is_relative)
   if time then return normalise(sec, nsec) end
-  error("rfsm_timeevent: the clock failed: " .. text_of(sec), 0)
+  raise("rfsm_timeevent: the clock failed: " .. text_of(sec), 0)
 end
 
 -- Returns the machine of a state.
@@ -496,14 +495,14 @@ do
   local engine = { add_send = add_send, arm_now = arm_now, deadline_of = deadline_of,
     drop_sends = drop_sends, is_usual = is_usual, list_sends = list_sends,
     list_timers = list_timers, normalise = normalise, prepare_machine = prepare_machine,
-    read = read, read_or_raise = read_or_raise, set = set }
+    read_or_raise = read_or_raise, set = set }
 
   -- Returns the function of rfsm/clock/snapshots.lua that has the given name.
   function snapshots(name)
     return function(...)
       local f = engine[name]
       if f then return f(...) end
-      engine[name] = require("rfsm.clock.snapshots")(engine)[name]
+      engine[name] = rfsm.find_module("rfsm.clock.snapshots")(engine)[name]
       return engine[name](...)
     end
   end
@@ -686,7 +685,7 @@ local function remaining(fsm, is_relative)
   if fsm._timeevent[is_relative] == huge then return huge end
   for _, timer in ipairs((list_timers(fsm))) do
     if timer.event.is_relative == is_relative then
-      if not now then now, now_nsec = read_or_raise(fsm, is_relative) end
+      if not now then now, now_nsec = read_or_raise(fsm, is_relative, error) end
       least = min(least, left_of(fsm, timer, now, now_nsec))
     end
   end
@@ -696,7 +695,7 @@ end
 -- Returns the seconds until the next event of `send_after` is sent; huge if none waits.
 local function until_send(fsm)
   if not fsm._timeevent.sends[1] then return huge end
-  local _, left = next_send(fsm, read_or_raise(fsm, true))
+  local _, left = next_send(fsm, read_or_raise(fsm, true, error))
   return left < 0 and 0 or (left + 1) / 1e9
 end
 
@@ -774,10 +773,12 @@ function rfsm_timeevent.time_in(state)
   local timers = rawget(state, "_timers")
   if timers and state._mode == "inactive" then return nil end
   if not (timers and timers.sec) then
-    error(("rfsm_timeevent.time_in: the time of '%s' is not known (timed = true in the "
-      .. "state)"):format(state._fqn), 2)
+    local was_missed = timers and is_timed(state)
+    error(("rfsm_timeevent.time_in: the time of '%s' is not known (%s)"):format(
+      state._fqn, was_missed and "an interrupt or a failed clock at its entry, or a "
+      .. "snapshot without it" or "timed = true in the state"), 2)
   end
-  local sec, nsec = read_or_raise(machine_of(state), true)
+  local sec, nsec = read_or_raise(machine_of(state), true, error)
   return sec - timers.sec + (nsec - timers.nsec) / 1e9
 end
 

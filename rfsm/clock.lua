@@ -12,7 +12,7 @@
 local rfsm = require "rfsm"
 
 local error, getmetatable, ipairs = error, getmetatable, ipairs
-local pcall, rawequal, rawget, require = pcall, rawequal, rawget, require
+local pcall, rawequal, rawget = pcall, rawequal, rawget
 local setmetatable, type = setmetatable, type
 local abs = math.abs
 
@@ -44,7 +44,10 @@ function clock.new(read) return setmetatable({ read = read }, Clock) end
 -- `os` are taken from their globals only.
 local function find_module(name)
   local ok, module = true, rawget(_G, name)
-  if name ~= "rtt" and name ~= "os" then ok, module = pcall(require, name) end
+  if name ~= "rtt" and name ~= "os" then
+    ok, module = pcall(rfsm.find_module, name)
+    if rfsm.is_interrupt(module) then error(module, 0) end
+  end
   if ok and type(module) ~= "table" then module = rawget(_G, name) end
   return ok and type(module) == "table" and module or {}
 end
@@ -203,18 +206,20 @@ function clock.from_now()
 end
 
 --- Return the seconds until the next timer of a machine can fire.
+-- @raise on an interrupt (Control-C)
 ---@return number? seconds nil if no timer is armed, or if the clock fails
 function clock.until_timer(fsm)
   local timeevent = rawget(_G, "package").loaded.rfsm_timeevent
   if not timeevent then return nil end
   local ok, seconds = pcall(timeevent.next_deadline, fsm)
+  if rfsm.is_interrupt(seconds) then error(seconds, 0) end
   return ok and seconds or nil
 end
 
 -- A simulated clock is made by a file of its own: a robot needs none.
 setmetatable(clock, { __index = function(_, name)
   if name ~= "simulated" then return nil end
-  clock.simulated = require("rfsm.clock.simulated")(clock, Clock)
+  clock.simulated = rfsm.find_module("rfsm.clock.simulated")(clock, Clock)
   return clock.simulated
 end })
 

@@ -53,7 +53,8 @@ local function check(state)
   local value, where = state.history, rfsm.location_of(state, "history") .. ": "
   if value ~= "shallow" and value ~= "deep" then
     return where .. "'shallow' or 'deep' expected, " .. rfsm.got(value)
-      .. require("rfsm.advice").nearest_name(rfsm.text_of(value), { "shallow", "deep" })
+      .. rfsm.find_module("rfsm.advice").nearest_name(rfsm.text_of(value),
+        { "shallow", "deep" })
   elseif rfsm.is_leaf(state) then
     return where .. "only a composite can have a history"
   end

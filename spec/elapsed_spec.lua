@@ -100,6 +100,14 @@ describe("time_in", function()
     assert.equal("rfsm_timeevent.time_in: state of a machine expected, got state",
       helper.refusal(time_in, state {}):gsub("^.-:%d+: ", ""), nil)
   end)
+
+  it("of a timed state whose entry missed the clock names the causes", function()
+    local fsm = new { err = false, gettime = function() error("battery empty", 0) end }
+    rfsm.run(fsm)
+    assert.equal("rfsm_timeevent.time_in: the time of 'root.new' is not known (an "
+      .. "interrupt or a failed clock at its entry, or a snapshot without it)",
+      helper.refusal(time_in, fsm.new):gsub("^.-:%d+: ", ""), nil)
+  end)
 end)
 
 describe("enter_at", function()

@@ -523,31 +523,102 @@ describe("an interrupt", function()
     end,
   }
 
-  local function leaf_after(core, use)
-    local model, run = use(core)
+  local function machine_of(core, model, run)
     model.info, model.warn = false, false
     local fsm = assert(core.init(core.state(model)))
     if run then run(fsm) else core.run(fsm) end
-    return core.get_actleaf_fqn(fsm)
+    return fsm
+  end
+
+  -- Other files that are loaded when they are first needed: functions that return one
+  -- that needs the file, and what this one returns.
+  local FIRST_NEEDS = {
+    ["rfsm.clock.snapshots"] = { function(core)
+      require "rfsm_timeevent"
+      local snapshot = require "rfsm.snapshot"
+      local fsm = machine_of(core, { a = core.state {}, gettime = function()
+        return 7, 0
+      end, core.trans { src = "initial", tgt = "a" },
+        core.trans { src = "a", tgt = "a", events = { "e_after(2)" } } })
+      return function() return snapshot.take(fsm).ext.timers["e_after(2)@root.a"] end
+    end, 2 },
+    ["rfsm.explore.properties"] = { function()
+      local checks = require "rfsm_checks"
+      return function() return type(checks.never) end
+    end, "function" },
+    ["rfsm.clock.simulated"] = { function()
+      local clock = require "rfsm.clock"
+      return function() return type(clock.simulated) end
+    end, "function" },
+    ["rfsm.fast"] = { function(core)
+      local fsm = machine_of(core, { a = core.state {},
+        core.trans { src = "initial", tgt = "a" } })
+      return function()
+        core.prepare(fsm)
+        return type(package.loaded["rfsm.fast"])
+      end
+    end, "function" },
+    ["posix.time"] = { function()
+      local clock = require "rfsm.clock"
+      return function() return (clock.read({}, true)) end
+    end, 42 },
+  }
+
+  -- A clock of another package, which takes some time to be loaded.
+  local function load_posix()
+    for _ = 1, 50 do helper.clear {} end
+    return { CLOCK_MONOTONIC = 1, clock_gettime = function()
+      return { tv_sec = 42, tv_nsec = 0 }
+    end }
+  end
+
+  -- Calls f(at, core) with later and later places, each with a core loaded anew, until
+  -- f returns that there is no such place. Returns the last place.
+  local function at_each_place(f)
+    local at, is_reached = 0, true
+    while is_reached do
+      at = at + 3 + math.floor(at / 20)
+      compiling.anew(function() is_reached = f(at, require "rfsm") end)
+    end
+    return at
   end
 
   -- Lua 5.1 would refuse to load a file again whose load an error has cut short.
   for name, use in pairs(FIRST_USES) do -- any order: each stands alone
     it("of the first read of " .. name .. " leaves it to the next one", function()
-      local at, is_reached, is_cut, was_cut = 0, true, nil, false
-      while is_reached do
-        at = at + 3
-        compiling.anew(function()
-          local core = require "rfsm"
-          interrupts.without_jit(function()
-            is_reached, is_cut = interrupts.raise_anywhere(at, "interrupted!",
-              function() return core[name] end)
-          end)
-          was_cut = was_cut or is_cut
-          assert.equal("root.b", leaf_after(core, use))
+      local was_cut = false
+      local last = at_each_place(function(at, core)
+        local is_reached, is_cut
+        interrupts.without_jit(function()
+          is_reached, is_cut = interrupts.raise_anywhere(at, "interrupted!",
+            function() return core[name] end)
         end)
-      end
-      assert.is_true(was_cut and at > 50)
+        was_cut = was_cut or is_cut
+        assert.equal("root.b", core.get_actleaf_fqn(machine_of(core, use(core))))
+        return is_reached
+      end)
+      assert.is_true(was_cut and last > 50)
+    end)
+  end
+
+  for name, need in pairs(FIRST_NEEDS) do -- any order: each stands alone
+    it("of the load of " .. name .. " leaves it to the next use", function()
+      local loaded, preload = package.loaded, package.preload
+      local posix, load = loaded["posix.time"], preload["posix.time"]
+      preload["posix.time"] = load_posix
+      local last = at_each_place(function(at, core)
+        loaded["posix.time"] = nil
+        local use, is_reached, is_cut, ok, failure = need[1](core), nil, nil, nil, nil
+        interrupts.without_jit(function()
+          is_reached, is_cut, ok, failure = interrupts.raise_anywhere(at,
+            "interrupted!", use)
+        end)
+        assert.same({ not is_cut, is_cut and "interrupted!" or nil }, { ok, failure })
+        assert.equal(need[2], use())
+        return is_reached
+      end)
+      loaded["posix.time"], preload["posix.time"] = posix, load
+      assert.is_true(last > 50)
     end)
   end
 end)

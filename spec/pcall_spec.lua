@@ -10,9 +10,9 @@
 
 local REASONS = {
   ["rfsm.lua"] = { 26, "user after package host" },
-  ["rfsm_checks.lua"] = { 2, "user package" },
+  ["rfsm_checks.lua"] = { 1, "user" },
   ["rfsm_seqand.lua"] = { 6, "user after input" },
-  ["rfsm_timeevent.lua"] = { 3, "host package user" },
+  ["rfsm_timeevent.lua"] = { 2, "host user" },
   ["rfsmpp.lua"] = { 1, "package" },
   ["rfsm/checks/static.lua"] = { 1, "after" },
   ["rfsm/cli/common.lua"] = { 2, "user interrupt" },

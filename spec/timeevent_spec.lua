@@ -546,7 +546,7 @@ describe("without a hook", function()
       preload[name] = function() return modules[name] or error("none") end
     end
     if modules["rfsm.clock"] == false then
-      preload["rfsm.clock"] = function() error("none") end
+      preload["rfsm.clock"] = function() error("module 'rfsm.clock' not found") end
     end
     local globals = { rtt = modules.rtt or false, rfsm = rfsm, -- as they were, later
       rfsm_timeevent = timeevent }
@@ -1153,6 +1153,8 @@ describe("rfsm.clock", function()
     helper.with(package.loaded, { rfsm_timeevent = false }, function()
       assert.is_nil(clock_module.until_timer(fsm))
     end)
+    set_gettime_hook(function() error("interrupted!", 0) end)
+    assert.has_error(function() clock_module.until_timer(fsm) end, "interrupted!")
   end)
 
   it("without any clock raises an error", function()

@@ -16,7 +16,7 @@ local abs, huge = math.abs, math.huge
 ---@return table<string, function> functions for `rfsm.snapshot_hook_add`
 return function(engine)
   local add_send, normalise, set = engine.add_send, engine.normalise, engine.set
-  local list_timers, read_or_raise = engine.list_timers, engine.read_or_raise
+  local list_timers = engine.list_timers
 
   local MAX_EXACT = 1000000 -- seconds; a float below this is exact to the nanosecond
 
@@ -26,13 +26,11 @@ return function(engine)
     return nsec == 0 and sec or sec + nsec / 1e9
   end
 
-  -- Returns the time. If the clock fails, raises a table with `text`: then the machine
-  -- cannot be saved, and an observer does without.
-  local function time_of(fsm)
-    local ok, sec, nsec = engine.read(fsm, true)
-    if ok then return normalise(sec, nsec) end
-    error({ text = "rfsm_timeevent: the clock failed: " .. rfsm.text_of(sec) }, 0)
-  end
+  -- Raises a table with `text`: then the machine cannot be saved, and an observer does
+  -- without.
+  local function fail(text) error({ text = text }, 0) end
+
+  local function time_of(fsm) return engine.read_or_raise(fsm, true, fail) end
 
   -- The name under which snapshots have the seconds since the entry of a timed state.
   local function name_of_time(state) return "time_in@" .. state._fqn end
@@ -85,7 +83,7 @@ return function(engine)
     local now, now_nsec = 0, 0
     if left == true then return set(fsm, timer, false, 0) end
     local sec, nsec = loaded_time(left, "timer '", timer.name)
-    if timer.event.is_relative then now, now_nsec = read_or_raise(fsm, true) end
+    if timer.event.is_relative then now, now_nsec = time_of(fsm) end
     set(fsm, timer, sec + now, nsec + now_nsec)
   end
 
@@ -106,7 +104,7 @@ return function(engine)
       is_known[name] = true
       if left[name] ~= nil then
         local sec, nsec = loaded_time(left[name], "'", name)
-        local now, now_nsec = read_or_raise(fsm, true)
+        local now, now_nsec = time_of(fsm)
         state._timers.sec, state._timers.nsec = now - sec, now_nsec - nsec
       end
     end
@@ -150,7 +148,7 @@ return function(engine)
     if fsm._timeevent then engine.drop_sends(fsm) end
     if kept == nil then return end
     engine.prepare_machine(fsm)
-    local now, now_nsec = read_or_raise(fsm, true)
+    local now, now_nsec = time_of(fsm)
     for _, send in ipairs(kept) do
       if type(send) ~= "table" or send.event == nil then
         error("list of events with `after` expected", 0)
