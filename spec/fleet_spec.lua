@@ -684,7 +684,10 @@ describe("rfsm fleet", function()
         "m:{0}:2", "timd" },
       ["ERR rfsm_create: data: the root of the chart does not keep 'm' (there is 'n')"]
         = { "m:{0}:2", "timed", "m=4" },
+      ["ERR rfsm_create: field 'n': a number expected, got 'x'"] = { "m:{0}:2", "timed",
+        "n=x" },
       ["FIELD=VALUE expected, got 'n'"] = { "m:{0}:2", "timed", "n" },
+      ["'n' is there twice"] = { "m:{0}:2", "timed", "n=false", "n=2" },
     } do
       assert.equal("rfsm fleet: " .. text .. "\n", fleet_command("create",
         table.concat(arguments, " ")))

@@ -302,13 +302,15 @@ describe("a call is refused, and nothing is written:", function()
     local function create(data) return f.rfsm_create({ "n" }, { "c", data }).err end
     assert.equal("ERR rfsm_create: data: at most 65536 bytes expected, got 65537",
       create(("x"):rep(65537)))
-    assert.is_nil(create('{"n":"' .. ("x"):rep(65528) .. '"}'))
+    assert.is_nil(create('{"n":5' .. (" "):rep(65529) .. "}"))
     assert.equal("ERR rfsm_create: data.n: at most 9 tables inside each other "
       .. "expected", f.rfsm_create({ "o" }, { "c", '{"n":' .. ('{"x":'):rep(14) .. 5
         .. ("}"):rep(15) }).err)
     assert.equal("ERR rfsm_create: data: the root of the chart does not keep 'colour' "
       .. "(there is 'n')",
       f.rfsm_create({ "o" }, { "c", '{"colour":1}' }).err)
+    assert.equal("ERR rfsm_create: field 'n': a number expected, got 'x'",
+      f.rfsm_create({ "o" }, { "c", '{"n":"x"}' }).err)
     assert.equal("ERR rfsm_create: data: a JSON object expected",
       f.rfsm_create({ "o" }, { "c", "5" }).err)
     assert.equal("ERR rfsm_create: data: the number -9007199254740993: whole numbers "
@@ -666,6 +668,11 @@ describe("JSON that only some decoders take", function()
   end
 
   it("is not what a text contains", function()
+    load_library { { name = "c", make = function()
+      local model = chart()
+      model.n = nil
+      return model
+    end } }
     for _, text in ipairs { "NaN", "0x10", '\\"NaN', "\\\\u0000", "-1.5e+10" } do
       f.rfsm_remove({ "k" })
       local reply = f.rfsm_create({ "k" .. #text }, { "c", '{"n":["' .. text

@@ -173,6 +173,7 @@ local function create_lines(fleet, _, key, name, ...)
   local data = {}
   for _, text in ipairs { ... } do
     local field, value = assignment_of(text)
+    if data[field] ~= nil then common.fail(("'%s' is there twice"):format(field), 2) end
     data[field] = value
   end
   return moved_lines(fleet.create, fleet, key, name, data)

@@ -130,10 +130,9 @@ local function first_value(chart, field)
   return data and encoding.unpack(data, 0)[field.name]
 end
 
--- Refuses a value of another kind than the field has in a new machine, or has now. Any
--- field may be taken away.
-local function check_kind(chart, field, text, value)
-  local first, own = first_value(chart, field), field.state[field.name]
+--- Refuse a value for a kept field if it is of another kind than the field has in a new
+-- machine (`first`) and now (`own`). Any field may be taken away.
+function desk.check_kind(name, value, first, own, hint)
   if first == nil then first = own end
   if value == nil or first == nil or type(value) == type(first)
     or type(value) == type(own) then
@@ -141,8 +140,7 @@ local function check_kind(chart, field, text, value)
   end
   local got = type(value) == "table" and "a table"
     or type(value) == "string" and "'" .. shown(value) .. "'" or rfsm.text_of(value)
-  fail("field '%s': %s expected, got %s (the option 'force' sets it nevertheless)",
-    shown(text), KINDS[type(first)], got)
+  fail("field '%s': %s expected, got %s%s", shown(name), KINDS[type(first)], got, hint)
 end
 
 -- Functions ------------------------------------------------------------------------
@@ -186,7 +184,10 @@ function desk.add(functions, own)
     local value = value_of(optional(args[2]))
     local machine = own.load_machine(key, own.read(key))
     local field = find_field(machine.chart, args[1] or "")
-    if args[4] ~= "force" then check_kind(machine.chart, field, args[1], value) end
+    if args[4] ~= "force" then
+      desk.check_kind(args[1], value, first_value(machine.chart, field),
+        field.state[field.name], " (the option 'force' sets it nevertheless)")
+    end
     field.state[field.name] = value
     own.note(machine, ("(set %s=%s)%s"):format(shown(args[1]),
       shown(optional(args[2]) or "null"), by(optional(args[3]))))

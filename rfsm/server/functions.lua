@@ -458,6 +458,7 @@ local function set_data(fsm, text)
       fail("data: the root of the chart does not keep '%s'%s", tostring(name),
         advice.nearest_name(tostring(name), rfsm.sorted_keys(is_kept)))
     end
+    desk.check_kind(name, data[name], fsm[name], nil, "")
     fsm[name] = data[name]
   end
 end
