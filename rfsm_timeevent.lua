@@ -264,18 +264,6 @@ local function enter_state(fsm, state)
   if is_unusual then arm_unusual(fsm, timers) end
 end
 
--- Lists the timers of the active states, and those of these states that are timed.
-local function list_timers(fsm)
-  local list, timed, state = {}, {}, fsm._mode ~= "inactive" and fsm
-  while state do
-    local timers = state._timers
-    for i = 1, timers and #timers or 0 do list[#list + 1] = timers[i] end
-    if timers and state.timed == true then timed[#timed + 1] = state end
-    state = state._actchild
-  end
-  return list, timed
-end
-
 local function expires_before(a, b)
   if a.left ~= b.left then return a.left < b.left end
   return a.rank < b.rank
@@ -494,7 +482,7 @@ local snapshots
 do
   local engine = { add_send = add_send, arm_now = arm_now, deadline_of = deadline_of,
     drop_sends = drop_sends, is_usual = is_usual, list_sends = list_sends,
-    list_timers = list_timers, normalise = normalise, prepare_machine = prepare_machine,
+    normalise = normalise, prepare_machine = prepare_machine,
     read_or_raise = read_or_raise, set = set }
 
   -- Returns the function of rfsm/clock/snapshots.lua that has the given name.
@@ -678,36 +666,32 @@ function rfsm_timeevent.set_gettime_hook(gettime)
   clock.set_hook(gettime)
 end
 
--- Returns the seconds until the next timer of one kind, e_after or e_at, expires; huge
--- if no such timer is armed.
-local function remaining(fsm, is_relative)
-  local least, now, now_nsec = huge, nil, nil
-  if fsm._timeevent[is_relative] == huge then return huge end
-  for _, timer in ipairs((list_timers(fsm))) do
-    if timer.event.is_relative == is_relative then
-      if not now then now, now_nsec = read_or_raise(fsm, is_relative, error) end
-      least = min(least, left_of(fsm, timer, now, now_nsec))
+-- Returns the least of `least` and of the nanoseconds that timers of a state have left.
+local function least_left(fsm, timers, least)
+  local own, is_relative, now, now_nsec = fsm._timeevent, nil, nil, nil
+  for i = 1, #timers do
+    local kind = timers[i].event.is_relative
+    if own[kind] ~= huge then
+      if kind ~= is_relative then
+        is_relative, now, now_nsec = kind, read_or_raise(fsm, kind, error)
+      end
+      least = min(least, left_of(fsm, timers[i], now, now_nsec))
     end
   end
-  return least < 0 and 0 or (least + 1) / 1e9
+  return least
 end
 
--- Returns the seconds until the next event of `send_after` is sent; huge if none waits.
-local function until_send(fsm)
-  if not fsm._timeevent.sends[1] then return huge end
-  local _, left = next_send(fsm, read_or_raise(fsm, true, error))
-  return left < 0 and 0 or (left + 1) / 1e9
-end
-
--- Returns the seconds until a machine, or an active region in it, raises its next time
--- event or sends an event; huge if neither is to come.
+-- Returns the nanoseconds until a machine, or an active region in it, raises its next
+-- time event or sends an event; huge if neither is to come.
 local function earliest(fsm)
-  local least, state = huge, fsm._mode ~= "inactive" and fsm
-  if fsm._timeevent then
-    least = min(remaining(fsm, true), remaining(fsm, false), until_send(fsm))
+  local own, state, least = fsm._timeevent, fsm._mode ~= "inactive" and fsm, huge
+  if own and own.sends[1] then
+    local _, left = next_send(fsm, read_or_raise(fsm, true, error))
+    least = left
   end
   while state do
     local regions = state._regions
+    if state._timers then least = least_left(fsm, state._timers, least) end
     for i = 1, regions and #regions or 0 do least = min(least, earliest(regions[i])) end
     state = state._actchild
   end
@@ -812,7 +796,8 @@ end
 function rfsm_timeevent.next_deadline(fsm)
   rfsm.check_machine(fsm, "rfsm_timeevent.next_deadline")
   local least = earliest(fsm)
-  return least < huge and least or nil
+  if least < 0 then return 0 end
+  return least < huge and (least + 1) / 1e9 or nil
 end
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then

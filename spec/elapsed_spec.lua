@@ -90,6 +90,15 @@ describe("time_in", function()
     assert.equal("root.late", at(pass(other, 1.5)))
   end)
 
+  it("is not the time of before if a snapshot does not tell it", function()
+    local fsm = send(new())
+    local snap = snapshot.take(fsm)
+    snap.ext = nil
+    assert.is_true(snapshot.put(fsm, snap))
+    assert.matches("'root.new' is not known .*a snapshot without it", helper.refusal(
+      time_in, fsm.new))
+  end)
+
   it("says if it is not known", function()
     local fsm = send(send(new()), "e_go")
     assert.equal("rfsm_timeevent.time_in: the time of 'root.work.a' is not known "

@@ -9,14 +9,13 @@
 
 local rfsm = require "rfsm"
 
-local error, ipairs, type = error, ipairs, type
+local error, ipairs, next, type = error, ipairs, next, type
 local abs, huge = math.abs, math.huge
 
 ---@param engine table<string, function> functions of rfsm_timeevent
 ---@return table<string, function> functions for `rfsm.snapshot_hook_add`
 return function(engine)
   local add_send, normalise, set = engine.add_send, engine.normalise, engine.set
-  local list_timers = engine.list_timers
 
   local MAX_EXACT = 1000000 -- seconds; a float below this is exact to the nanosecond
 
@@ -48,19 +47,31 @@ return function(engine)
     return left
   end
 
+  -- Returns what a snapshot keeps of a timer; nil if it is not armed.
+  local function kept_timer(fsm, timer)
+    local sec, nsec = engine.deadline_of(timer)
+    if not sec then return true end
+    if sec == huge then return nil end
+    if timer.event.is_relative then
+      local now, now_nsec = time_of(fsm)
+      sec, nsec = sec - now, nsec - now_nsec
+    end
+    return kept_time(sec, nsec)
+  end
+
   local function save(fsm)
-    local left, now, now_nsec = nil, nil, nil
-    local timers, timed = list_timers(fsm)
-    for _, timer in ipairs(timers) do
-      local sec, nsec = engine.deadline_of(timer)
-      if sec and sec < huge and timer.event.is_relative then
-        if not now then now, now_nsec = time_of(fsm) end
-        sec, nsec = sec - now, nsec - now_nsec
+    local state, timed, left = fsm._mode ~= "inactive" and fsm, {}, nil
+    while state do
+      local timers = state._timers
+      for i = 1, timers and #timers or 0 do
+        local kept = kept_timer(fsm, timers[i])
+        if kept ~= nil then
+          left = left or {}
+          left[timers[i].name] = kept
+        end
       end
-      if sec ~= huge then
-        left = left or {}
-        left[timer.name] = not sec or kept_time(sec, nsec)
-      end
+      if timers and state.timed == true then timed[#timed + 1] = state end
+      state = state._actchild
     end
     return save_times(fsm, timed, left)
   end
@@ -87,52 +98,52 @@ return function(engine)
     set(fsm, timer, sec + now, nsec + now_nsec)
   end
 
-  -- Sets the times of entries from a snapshot: those of timed states, and those that
-  -- follow from the deadline of an e_after that was loaded. Adds the names of the
-  -- former to a set.
-  local function load_times(fsm, loaded, timed, left, is_known)
-    for _, timer in ipairs(loaded) do
-      local event, timers = timer.event, timer.timers
-      local is_known_time = engine.is_usual(event) and not event.is_repeated
-        and timer.sec and timer.sec < huge
-      if is_known_time then
-        timers.sec, timers.nsec = timer.sec - event.sec, timer.nsec - event.nsec
-      end
+  -- Loads a timer, or arms it from now on if it is new in a changed chart. The deadline
+  -- of an e_after tells the time of the entry.
+  local function load_or_arm(fsm, timer, left, how)
+    local timers, event = timer.timers, timer.event
+    if left ~= nil then
+      load_timer(fsm, timer, left)
+    elseif how.is_migrated and how.is_new(timer.name) then
+      engine.arm_now(fsm, timer)
+    else
+      return set(fsm, timer, huge, 0)
     end
-    for _, state in ipairs(timed) do
-      local name = name_of_time(state)
-      is_known[name] = true
-      if left[name] ~= nil then
-        local sec, nsec = loaded_time(left[name], "'", name)
-        local now, now_nsec = time_of(fsm)
-        state._timers.sec, state._timers.nsec = now - sec, now_nsec - nsec
-      end
+    if not event.is_repeated and engine.is_usual(event) and timer.sec
+      and timer.sec < huge then
+      timers.sec, timers.nsec = timer.sec - event.sec, timer.nsec - event.nsec
+    end
+  end
+
+  -- Loads the timers of a state. Removes what it has loaded from `left`.
+  local function load_state(fsm, state, left, how)
+    local timers, name = state._timers, state.timed == true and name_of_time(state)
+    timers.sec = false
+    for i = 1, #timers do
+      local timer = timers[i]
+      load_or_arm(fsm, timer, left[timer.name], how)
+      left[timer.name] = nil
+    end
+    if name and left[name] ~= nil then
+      local sec, nsec = loaded_time(left[name], "'", name)
+      local now, now_nsec = time_of(fsm)
+      timers.sec, timers.nsec, left[name] = now - sec, now_nsec - nsec, nil
     end
   end
 
   -- Loads the timers of a snapshot. In a migration to a changed chart, a timer that is
   -- new in the chart is armed from now on, and one that the chart lacks is dropped.
   local function load(fsm, left, how)
-    local own, is_known, loaded, timed = fsm._timeevent, {}, list_timers(fsm)
+    local own, state = fsm._timeevent, fsm._mode ~= "inactive" and fsm
     left = left or {}
     own[true], own[false] = own.sends[1] and -huge or huge, huge
-    for _, timer in ipairs(loaded) do
-      local rest = left[timer.name]
-      is_known[timer.name], timer.timers.sec = true, false
-      if rest ~= nil then
-        load_timer(fsm, timer, rest)
-      elseif how.is_migrated and how.is_new(timer.name) then
-        engine.arm_now(fsm, timer)
-      else
-        set(fsm, timer, huge, 0)
-      end
+    while state do
+      if state._timers then load_state(fsm, state, left, how) end
+      state = state._actchild
     end
-    load_times(fsm, loaded, timed, left, is_known)
-    for _, name in ipairs(how.is_migrated and {} or rfsm.sorted_keys(left)) do
-      if not is_known[name] then
-        error("no active state has a timer '" .. rfsm.text_of(name) .. "'", 0)
-      end
-    end
+    if how.is_migrated or next(left) == nil then return end
+    error("no active state has a timer '" .. rfsm.text_of(rfsm.sorted_keys(left)[1])
+      .. "'", 0)
   end
 
   local function save_sends(fsm)
