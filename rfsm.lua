@@ -1153,10 +1153,11 @@ do
   end
 
   -- Returns the segment of a transition whose target a program may have changed. Each
-  -- is made once. Returns nil if the target is no node of the machine.
+  -- is made once, and is found by its target in the first one, which the machine keeps.
+  -- Returns nil if the target is no node of the machine.
   function engine.segment_of(fsm, tr)
-    local tgt, segments = tr.tgt, fsm._segments[tr]
-    if segments and segments[tgt] then return segments[tgt] end
+    local tgt, first = tr.tgt, fsm._segments[tr]
+    if first and first[tgt] then return first[tgt] end
     if not is_node_of(fsm, tgt) then
       rfsm.report(fsm, "err", "ERROR: tgt of " .. text_of(tr.src._fqn or tr.src)
         .. ": node of the fsm expected, " .. got(tgt))
@@ -1164,11 +1165,12 @@ do
     end
     local to = end_at(tr, tgt)
     if not to then return nil end
-    segments = segments or {}
-    segments[tgt] = new_segment(tr, to)
+    local segment = new_segment(tr, to)
+    first = first or segment
+    first[tgt] = segment
     if fsm._segments == NONE then fsm._segments = {} end
-    fsm._segments[tr] = segments
-    return segments[tgt]
+    fsm._segments[tr] = first
+    return segment
   end
 end
 
@@ -1987,7 +1989,7 @@ end
 -- The path of the first entry begins here, and for a root without states ends here.
 function engine.entrance_of(fsm)
   fsm._entrance = fsm._entrance
-    or { from = fsm, segments = NONE, entered = fsm }
+    or { from = fsm, entered = fsm }
   return fsm._entrance
 end
 
@@ -2005,10 +2007,10 @@ do
   -- consumes them, and no transition of its path names them.
   local function warn_of_lost_events(fsm, path, events)
     if rfsm.is_strict(fsm) then return end -- rfsm/strict.lua has warned already
-    local lost = {}
+    local lost, segments = {}, engine.segments_of(path)
     for i = 1, #events do
       local is_named = rawequal(events[i], "e_init_fsm")
-      for _, segment in ipairs(path.segments) do
+      for _, segment in ipairs(segments) do
         is_named = is_named or segment.tr.events[1] ~= nil
           and matches(segment.tr, { events[i] })
       end
@@ -2091,8 +2093,8 @@ end
 
 -- Take: the actions of a path .....................................................
 --
--- A path has a flat list of actions, which are functions f(fsm, arg, at), and a second
--- list with the `arg` of each action, such as a state. `at` is the position.
+-- A path has a flat list of actions, which are functions f(fsm, arg, at). `at` is the
+-- position of the action, and of `arg` in the path itself, such as a state.
 
 local actions = {}
 
@@ -2113,14 +2115,11 @@ local function call_hook(fsm, hook, subject, at)
   fsm._at = at
 end
 
--- Calls an entry or exit hook.
-function actions.hook(fsm, arg, at) call_hook(fsm, arg.hook, arg.state, at) end
-
 -- Calls a path hook with the list of the transitions that are about to be taken. The
 -- list is empty at the entry of a root without states.
 function actions.path_hook(fsm, arg, at)
   local list = {}
-  for i, segment in ipairs(arg.path.segments) do list[i] = segment.tr end
+  for i, segment in ipairs(engine.segments_of(arg.path)) do list[i] = segment.tr end
   call_hook(fsm, arg.hook, list, at)
 end
 
@@ -2264,8 +2263,9 @@ do
   -- Example, with [LS] for a leaf, [CS] for a composite and [c] for a connector:
   -- root.a[LS]->root.k[c]->root.b[LS]
   function RECORDS.path(path)
-    local text = label_of(path.segments[1].tr.src)
-    for _, segment in ipairs(path.segments) do
+    local segments = engine.segments_of(path)
+    local text = label_of(segments[1].tr.src)
+    for _, segment in ipairs(segments) do
       text = text .. "->" .. label_of(segment.tgt)
     end
     return "EXEC_PATH", text
@@ -2310,14 +2310,20 @@ function actions.become_leaf(fsm, leaf, at)
 end
 
 do
+  -- The actions that call the hooks of states: hook -> action.
+  local callers = setmetatable({}, { __mode = "kv" })
+
   local function add_action(list, action, arg)
     list.actions[#list.actions + 1] = action
-    list.args[#list.actions] = arg
+    list.path[#list.actions] = arg
   end
 
   local function add_hooks(list, hooks, state)
     for _, hook in ipairs(hooks and hooks[state] or NONE) do
-      add_action(list, actions.hook, { hook = hook, state = state })
+      local action = callers[hook]
+        or function(fsm, arg, at) call_hook(fsm, hook, arg, at) end
+      callers[hook] = action
+      add_action(list, action, state)
     end
   end
 
@@ -2367,9 +2373,9 @@ do
   end
 
   -- Does a segment behind a connector name events, so that another event counts for it?
-  local function has_inner_events(path)
-    for i = 2, #path.segments do
-      if path.segments[i].tr.events[1] ~= nil then return true end
+  local function has_inner_events(segments)
+    for i = 2, #segments do
+      if segments[i].tr.events[1] ~= nil then return true end
     end
     return false
   end
@@ -2377,14 +2383,15 @@ do
   -- Lists for each segment (a) the exits of the states below the lca, (b) the effect,
   -- (c) the entries of the states from below the lca to the target.
   local function list_actions(fsm, path)
-    local from, list = path.from, { actions = {}, args = {} }
-    local has_events = has_inner_events(path)
+    local from, list = path.from, { actions = {}, path = path }
+    local segments = engine.segments_of(path)
+    local has_events = has_inner_events(segments)
     for _, hook in ipairs(fsm._path_hooks or NONE) do
       add_action(list, actions.path_hook, { hook = hook, path = path })
     end
     if path.entered then add_entry(fsm, list, path.entered) end
-    if path.segments[1] then add_action(list, recorders.path, path) end
-    for i, segment in ipairs(path.segments) do
+    if segments[1] then add_action(list, recorders.path, path) end
+    for i, segment in ipairs(segments) do
       if i > 1 and has_events then
         add_action(list, actions.go_through, segment.tr.src)
       end
@@ -2396,15 +2403,25 @@ do
       add_entries(fsm, list, segment)
       from = segment.tgt._parent
     end
-    path.args, fsm._has_paths = list.args, true
+    fsm._has_paths = true
     path.actions = shared(list.actions) -- set last: it marks completion
   end
 
+  -- Returns the segments of a path, or of the entrance, which has none.
+  function engine.segments_of(path)
+    local list = {}
+    while path and path.segment do
+      insert(list, 1, path.segment)
+      path = path.before
+    end
+    return list
+  end
+
   function engine.new_path(at, segment)
-    local path = {
-      from = at.from or at, entered = at.entered,
-      segments = append(append({}, at.segments or NONE), { segment }),
-    }
+    local path = { from = at, segment = segment, actions = false }
+    if not at._mode then -- no leaf: a leaf may have data with these names
+      path.from, path.entered, path.before = at.from, at.entered, at
+    end
     at._paths = at._paths or {}
     at._paths[segment] = path
     return path
@@ -2428,8 +2445,8 @@ end
 -- Performs the actions of `_path` after the one that was begun last. Returns true.
 function perform(fsm)
   local path = fsm._path
-  local list, args = path.actions, path.args
-  for at = fsm._at + 1, #list do list[at](fsm, args[at], at) end
+  local list = path.actions
+  for at = fsm._at + 1, #list do list[at](fsm, path[at], at) end
   return true
 end
 
@@ -2439,7 +2456,7 @@ function PHASES.take(fsm)
   local path, at = fsm._path, fsm._at
   local action = path.actions[at]
   if action == actions.be_done or action == actions.be_done_around then
-    action(fsm, path.args[at], at)
+    action(fsm, path[at], at)
   end
   perform(fsm)
   return conclude(fsm, "counted")
@@ -2455,7 +2472,7 @@ local function load_fast()
     ok, make = pcall(make, fast, { loadstring = loadstring, silent = silent,
       promises = promises, actions = actions, perform = perform,
       failed = report_callback, is_node_of = is_node_of, segment_of = engine.segment_of,
-      path_of = path_of })
+      path_of = path_of, recorders = recorders, segments_of = engine.segments_of })
   end
   if not ok and rfsm.is_interrupt(make) then
     fast.is_loaded = false
@@ -3431,7 +3448,15 @@ do
   -- "before", which may remove events. A list has the number of the former in `front`.
   local PLACES = { front = true, before = true, after = true }
 
+  -- Lists of one hook, which many states may have: hook -> list.
+  local singles = setmetatable({}, { __mode = "v" })
+
   local function put_in(owner, field, hook, place)
+    if not (owner[field] or place == "front") then
+      local single = singles[hook] or { hook }
+      singles[hook], owner[field] = single, single
+      return
+    end
     local old = owner[field] or NONE
     local hooks, front = append({}, old), old.front or 0
     local before = place == "before" and front + 1 or #hooks + 1

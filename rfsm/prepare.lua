@@ -28,7 +28,7 @@ return function(core, engine)
       engine.fast.compile(engine.path_of(fsm, path))
       return
     end
-    local is_long = #path.segments >= MOST_SEGMENTS
+    local is_long = #engine.segments_of(path) >= MOST_SEGMENTS
     for _, way in ipairs(is_long and NONE or segment.connector._otrs) do
       if paths_left > 0 then prepare_paths(fsm, path, way) end
     end

@@ -129,3 +129,13 @@ describe("a callback that raises", function()
     end)
   end
 end)
+
+it("leaves a state whose data have the names of a path's fields", function()
+  local model = two_branches("a.x", "b.y")
+  for _, name in ipairs { "from", "entered", "segment", "segments", "before", "actions",
+    "args", "run", "used" } do
+    model.a.x[name] = name
+  end
+  local _, fsm = trace_of(model, "e")
+  assert.equal("root.b.y", rfsm.get_actleaf_fqn(fsm))
+end)
