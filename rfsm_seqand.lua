@@ -286,20 +286,31 @@ local function owner_of_printers(fsm, given)
   return rfsm.is_initialized_root(given) and given or fsm
 end
 
+-- The err of a region while it is made: the parent machine tells its problems.
+local function untold() end
+
+-- Gives a region, and the regions in it, an err.
+local function tell_to(region, err)
+  for _, at in ipairs(rfsm.machines(region)) do
+    if at.machine.err == untold then at.machine.err = err end
+  end
+end
+
 -- Returns a fresh machine for a region; false and its problems if it is not valid. If
 -- the model lacks `info`, `warn` or `err`, it gets them only while the machine is made.
 local function fresh_region(fsm, given)
   local is_machine, lacking = rfsm.is_initialized_root(given), {}
-  local model = rfsm.model_of(given)
+  local model, owner = rfsm.model_of(given), owner_of_printers(fsm, given)
   for _, name in ipairs(PRINTERS) do
     if rawget(model, name) == nil then
-      model[name] = rawget(owner_of_printers(fsm, given), name)
+      model[name] = name == "err" and untold or rawget(owner, name)
       lacking[#lacking + 1] = name
     end
   end
   local ok, region, _, problems = pcall(rfsm.init, given)
   for _, name in ipairs(lacking) do model[name] = nil end
   if not ok then error(region, 0) end
+  if region then tell_to(region, rawget(owner, "err")) end
   if region and is_machine then
     for _, field in ipairs(HANDED_ON) do region[field] = rawget(given, field) end
   end

@@ -16,6 +16,7 @@ local alphabet = require "rfsm.shared.alphabet"
 local match = require "rfsm.shared.match"
 
 local insert, ipairs, min = table.insert, ipairs, math.min
+local next, pairs = next, pairs
 local rawequal, type = rawequal, type
 
 local MOST = 64 -- events that a machine keeps, if `defer` of the state has no `max`
@@ -266,17 +267,35 @@ local function prepare_machine(fsm)
   rfsm.waiting_hook_add(fsm, list_kept)
 end
 
+-- Would the machine make this event, or that of the same words at a state?
+local function is_made(event)
+  return event == "e_done" or match.maker_of(event)
+    or match.maker_of(rfsm.event_text(event) .. "@root")
+end
+
+-- Is a table with a list `defer` a list, but for `max`?
+local function is_list(defer)
+  local count = defer.max ~= nil and -1 or 0
+  for _ in pairs(defer) do count = count + 1 end -- any order: only counted
+  for i = 1, count do if defer[i] == nil then return false end end
+  return count > 0
+end
+
 local function problem_of(defer)
-  if type(defer) ~= "table" or defer[1] == nil then
+  if type(defer) ~= "table" then
     return ": list of events expected, " .. rfsm.got(defer)
+  elseif not is_list(defer) then
+    return ": list of events expected, got " .. (next(defer) == nil and "an empty list"
+      or "a table with holes or keys")
   end
   local max = defer.max
   if max ~= nil and not (type(max) == "number" and max >= 1 and max % 1 == 0) then
     return ".max: whole number from 1 expected, " .. rfsm.got(max)
   end
   for i, event in ipairs(defer) do
-    if event == "e_done" or match.maker_of(event) then
-      return ("[%d]: '%s' is never deferred, the machine makes it"):format(i, event)
+    if is_made(event) then
+      return ("[%d]: '%s' is never deferred, the machine makes it"):format(i,
+        rfsm.event_text(event))
     end
   end
 end

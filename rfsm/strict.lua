@@ -308,14 +308,16 @@ local function check_callbacks(fsm, obj)
   end
 end
 
--- Warns of functions in fields whose names look like misspelt ones (`entri`), and of
--- elements that were put into the machine after rfsm.init.
+-- Warns of what was put into the machine after rfsm.init: functions in fields whose
+-- names look like misspelt ones (`entri`), and elements.
 local function check_fields(fsm, obj)
   local kind = rfsm.is_root(obj) and "root" or rfsm.kind_of(obj)
+  local model = rfsm.model_of(obj)
   for _, key in ipairs(rfsm.sorted_keys(obj)) do
     local value = not rfsm.is_meta(key) and obj[key]
-    local meant = type(key) == "string" and rfsm.is_callable(value)
-      and advice.field_meant(kind, key) or ""
+    local is_new = type(key) == "string" and not rawequal(value, rawget(model, key))
+    local meant = is_new and rfsm.is_callable(value) and advice.field_meant(kind, key)
+      or ""
     if meant ~= "" then
       warn(fsm, ("%s: a %s has no field '%s' (did you mean '%s'?)"):format(
         rfsm.location_of(obj), rfsm.kind_of(obj), key, meant))

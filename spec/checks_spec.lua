@@ -534,6 +534,23 @@ local CASES = {
     "root.a: a state has no field 'always' (a transition has it: rfsm.trans{ src, tgt, "
       .. "always = true })",
     "root.b: timed: true expected, got string '1' (timed = true)" },
+  { "unknown-field", "a field of another element, or a value that is nearly right",
+    { read = "One", a = state { read = "one" }, b = conn { history = "deep" },
+      [4] = go("a", "b", "e", { timed = true, defer = { "e" } }) },
+    "root: read: 'one' or 'all' expected, got string 'One'",
+    "root.trans[4] (a -> b): a transition has no field 'defer' (a state has it)",
+    "root.trans[4] (a -> b): a transition has no field 'timed' (a state has it)",
+    "root.a: a state has no field 'read' (the root has it)",
+    "root.b: a connector has no field 'history' (a state has it)" },
+  { "unknown-field", "a field that is nearly one of a sequential AND state",
+    { [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_a"), c = rfsm.seqand {
+      idledoo = "auto", steps = 2, read = "one", x = chart() } },
+    "root.c: a sequential AND state has no field 'idledoo' (did you mean 'idle_doo'?)",
+    "root.c: a sequential AND state has no field 'steps' (did you mean 'step'?)",
+    "root.c: a state has no field 'read' (the root has it)" },
+  { "unknown-field", "none of the user's with such a name", { read = "me",
+    [4] = go("a", "c", "e_c", { history = {}, timed = 1 }), [5] = go("c", "a", "e_a"),
+    c = rfsm.seqand { idle_doo = "auto", steps = {}, border = 1, x = chart() } } },
   { "unknown-field", "none of the user's, true or not",
     { [4] = go("a", "b", "e", { finl = true }),
       a = state { done = true, final = 1 } } },
@@ -569,7 +586,7 @@ local CASES = {
 describe("the code", function()
   for _, case in ipairs(CASES) do
     it(case[1] .. " finds " .. case[2], function()
-      assert.same({ case[4], case[5], case[6], case[7] },
+      assert.same({ case[4], case[5], case[6], case[7], case[8] },
         findings_of(chart(case[3]), case[1]))
     end)
   end

@@ -10,7 +10,7 @@ local snapshot = require "rfsm.snapshot"
 local defer = require "rfsm.defer"
 require "rfsm.await"
 require "rfsm.emem"
-require "rfsm_timeevent"
+local rfsm_timeevent = require "rfsm_timeevent"
 
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
@@ -493,7 +493,17 @@ describe("deferral", function()
 
   for _, case in ipairs {
     { "e_x", "root.a.defer: list of events expected, got string 'e_x'" },
-    { {}, "root.a.defer: list of events expected, got table" },
+    { {}, "root.a.defer: list of events expected, got an empty list" },
+    { { events = "e_x" },
+      "root.a.defer: list of events expected, got a table with holes or keys" },
+    { { "e_x", nil, "e_y" },
+      "root.a.defer: list of events expected, got a table with holes or keys" },
+    { { max = 3 },
+      "root.a.defer: list of events expected, got a table with holes or keys" },
+    { { "e_after(3)" },
+      "root.a.defer[1]: 'e_after(3)' is never deferred, the machine makes it" },
+    { { "e_x", rfsm_timeevent.e_every(3) },
+      "root.a.defer[2]: 'e_every(3)' is never deferred, the machine makes it" },
     { { "e_x", max = 0 },
       "root.a.defer.max: whole number from 1 expected, got number 0" },
     { { "e_x", max = "8" },

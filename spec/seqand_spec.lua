@@ -178,6 +178,35 @@ describe("a wrong sequential AND state", function()
       problems[1])
   end)
 
+  for name, own in pairs { -- any order: each stands alone
+    ["a region without err"] = function(left) left.err = nil return left end,
+    ["a region in a region"] = function(left)
+      left.err = nil
+      local outer = parent(seqand { left = left })
+      outer.err = nil
+      return outer
+    end,
+  } do
+    it("tells the problems of " .. name .. " once", function()
+      local told = {}
+      local model = parent(seqand { left = own(broken(nil, "b")) })
+      model.err = function(line) told[#told + 1] = line end
+      rfsm.init(model)
+      assert.equal(1, #told)
+      assert.truthy(told[1]:find("root.par.left: ", 1, true))
+    end)
+  end
+
+  it("gives a region without err that of its parent machine", function()
+    local told = {}
+    local model = parent(seqand { left = state { info = false, warn = false,
+      a = state { entry = function() error("no", 0) end },
+      trans { src = "initial", tgt = "a" } } })
+    model.err = function(...) told[#told + 1] = select(3, ...) end
+    rfsm.run(init(model))
+    assert.same({ "no" }, told)
+  end)
+
   it("with a transition warns", function()
     local lines = {}
     local model = parent(seqand { left = region({}, "left"), trans { src = "left" } })

@@ -162,6 +162,19 @@ describe("a strict machine", function()
     }, warnings)
   end)
 
+  it("tells what init has told no second time, also of a copy", function()
+    local function f() end
+    local fsm, warnings = watched { b = state { enter = f }, [2] = go("a", "b", "e_x",
+      { effects = f }) }
+    for _, machine in ipairs { fsm, helper.copy_of(fsm) } do rfsm.run(machine) end
+    table.sort(warnings)
+    assert.same({
+      HERE .. "root.b: a state has no field 'enter' (did you mean 'entry'?)",
+      HERE .. "root.trans[2] (a -> b): a transition has no field 'effects' (did you "
+        .. "mean 'effect'?)",
+    }, warnings)
+  end)
+
   it("runs with a datum named `type` in a state, a transition or the root", function()
     local fsm, warnings = started { type = "x", [2] = go("a", "b", "e_x", { type = 7 }),
       a = state { type = "lamp" } }

@@ -147,6 +147,25 @@ local function check_regions(node, add)
   end
 end
 
+-- The types of values of the fields of a sequential AND state.
+local SEQAND = { { "idle_doo", "boolean" }, { "idle_doo", "string" },
+  { "order", "table" }, { "run", "boolean" }, { "step", "number" } }
+
+-- Finds fields that are nearly those of a sequential AND state.
+local function check_seqand(node, add)
+  if not rawget(node, "substates") then return end
+  for _, key in ipairs(rfsm.sorted_keys(node)) do
+    local is_name = type(key) == "string" and key ~= "idle.doo"
+    for _, field in ipairs(is_name and SEQAND or {}) do
+      if key ~= field[1] and type(node[key]) == field[2]
+        and advice.is_near(key, field[1]) then
+        add("unknown-field", node, ("a sequential AND state has no field '%s' (did you "
+          .. "mean '%s'?)"):format(key, field[1]))
+      end
+    end
+  end
+end
+
 -- Finds `final` where it says nothing, or the contrary of the transitions.
 local function check_final(fsm, node, add)
   if node.final ~= true then return end
@@ -190,13 +209,50 @@ local function check_flag(obj, flag, key, add)
   end
 end
 
+local function is_true(value) return value == true end
+local function is_list(value) return type(value) == "table" and value[1] ~= nil end
+local function reads(value) return value == "one" or value == "all" end
+
+-- Fields by the kind of element that has them, and whether a value seems meant so.
+local OWNED = {
+  final = { "state", is_true }, timed = { "state", is_true },
+  defer = { "state", is_list }, history = { "state", function(value)
+    return value == "deep" or value == "shallow"
+  end },
+  always = { "transition", is_true, ": rfsm.trans{ src, tgt, always = true }" },
+  read = { "root", reads },
+}
+
+-- Finds a field of another kind of element.
+local function check_owner(obj, kind, key, add)
+  local owned = OWNED[key]
+  local is_other = owned and owned[1] ~= kind
+    and not (kind == "root" and owned[1] == "state")
+  if is_other and owned[2](obj[key]) then
+    add("unknown-field", obj, ("a %s has no field '%s' (%s %s has it%s)"):format(
+      rfsm.kind_of(obj), key, owned[1] == "root" and "the" or "a", owned[1],
+      owned[3] or ""))
+  end
+end
+
+-- Finds a value of `read` that is nearly one of those that count.
+local function check_read(fsm, add)
+  local value = fsm.read
+  if type(value) ~= "string" or reads(value) then return end
+  if advice.is_near(value, "one") or advice.is_near(value, "all") then
+    add("unknown-field", fsm, "read: 'one' or 'all' expected, " .. rfsm.got(value))
+  end
+end
+
 local function check_flags(obj, add)
-  local flags = FLAGS[rfsm.is_root(obj) and "root" or rfsm.kind_of(obj)]
+  local kind = rfsm.is_root(obj) and "root" or rfsm.kind_of(obj)
   for _, key in ipairs(rfsm.sorted_keys(obj)) do
-    for _, flag in ipairs(type(key) == "string" and flags or {}) do
+    for _, flag in ipairs(type(key) == "string" and FLAGS[kind] or {}) do
       check_flag(obj, flag, key, add)
     end
+    check_owner(obj, kind, key, add)
   end
+  if kind == "root" then check_read(obj, add) end
 end
 
 -- Returns the name of a field that only another library, or an extension that is not
@@ -205,8 +261,6 @@ local function foreign_field(state, loaded)
   local has_history = state.history == true and rfsm.is_composite(state)
   if has_history and not loaded["rfsm.history"] then -- init tells of a text
     return "history", "require \"rfsm.history\""
-  elseif state.always == true then
-    return "always", "a transition has it: rfsm.trans{ src, tgt, always = true }"
   elseif state.type == "final" and not state.final then
     return "type", "did you mean final = true?"
   elseif state.type == "parallel" or state.parallel == true then
@@ -365,6 +419,7 @@ function structure.check(fsm, add, reached)
       check_node(fsm, obj, reached, add)
       check_final(fsm, obj, add)
       check_regions(obj, add)
+      check_seqand(obj, add)
     end
     if rfsm.is_trans(obj) then check_transition(obj, add) end
     if rfsm.is_state(obj) then check_fields(obj, add) end
