@@ -28,6 +28,7 @@ local times = require "rfsm.server.times"
 local why = require "rfsm.observe.why"
 require "rfsm.always" -- which the core loads by name, like some below
 require "rfsm.await"
+require "rfsm.clock.snapshots"
 require "rfsm.fates"
 require "rfsm.merge"
 require "rfsm.prepare"
