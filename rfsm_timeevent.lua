@@ -427,6 +427,13 @@ end
 
 local function drop_sends(fsm) fsm._timeevent.sends = {} end
 
+-- After a reset no timer is armed.
+local function disarm(fsm)
+  local own = fsm._timeevent
+  drop_sends(fsm)
+  own[true], own[false] = huge, huge
+end
+
 -- Lists f(send) for each waiting send, the earliest first. Returns nil if none waits.
 local function list_sends(fsm, f)
   local own, list = fsm._timeevent, nil
@@ -448,7 +455,7 @@ local function prepare_machine(fsm)
   fsm._timeevent = { [true] = huge, [false] = huge, has_timers = false, has_at = false,
     is_unusual = false, sends = {}, raised = false, turn = 0, at = 0 }
   rfsm.source_hook_add(fsm, rfsm.repeatable(check_timers))
-  rfsm.reset_hook_add(fsm, drop_sends)
+  rfsm.reset_hook_add(fsm, disarm)
   rfsm.waiting_hook_add(fsm, list_waiting)
 end
 

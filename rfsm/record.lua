@@ -45,8 +45,9 @@ local record = { VERSION = journal.VERSION }
 ---@class rfsm.record.Record
 ---@field m? integer number of the region; absent for the outermost machine
 ---@field inner? rfsm.record.Record[] iterations of regions within this iteration
----@field from? { snapshot: rfsm.snapshot.Snapshot, clock: any[]? } the machine before
--- the iteration, if its state does not follow from the earlier records
+---@field from? { snapshot: rfsm.snapshot.Snapshot, clock: any[]?, early: any[]? } the
+-- machine before the iteration, if its state does not follow from the earlier records;
+-- `early` are readings before the snapshot: a machine put there may need fewer
 ---@field events? any[] the events of the iteration, before hooks have changed them
 ---@field added? any[] events that hooks have added, such as time events. A replay does
 -- not use them: its own hooks add events
@@ -171,7 +172,7 @@ local function note_place(recorder, rec)
   for i = 2, #recorder.tracks do
     if recorder.tracks[i].fsm._phase ~= "idle" then return end
   end
-  rec.from = {}
+  rec.from, rec.clock = { early = rec.clock }, nil
   recorder.timed = rec.from
   rec.from.snapshot = snapshot.try_take(recorder.fsm)
   recorder.timed = rec

@@ -1442,6 +1442,29 @@ describe("a recorder", function()
     assert.equal("root.b", rfsm.get_actleaf_fqn(assert(record.replay(timed(), sink))))
   end)
 
+  it("reads the clock as often as it was read, also after a reset", function()
+    local now, sink = 0, {}
+    local function timed()
+      return state { info = false, warn = false, a = state {}, b = state {},
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_after(3)" } } }
+    end
+    local fsm = helper.init(timed())
+    function fsm.gettime() -- each reading takes a second
+      now = now + 1
+      return now, 0
+    end
+    record.record(fsm, sink)
+    rfsm.step(fsm)
+    rfsm.reset(fsm)
+    for _ = 1, 6 do
+      rfsm.step(fsm)
+      rfsm.send_events(fsm, "e_x")
+    end
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+    assert(record.replay(timed(), sink))
+  end)
+
   it("waits for a machine that can be saved", function()
     local sink, fsm = {}, helper.init(worker({}, yes))
     local recorder = record.record(fsm, sink)

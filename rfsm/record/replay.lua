@@ -98,11 +98,12 @@ end
 
 -- Hands out the readings of the next iteration. With `read = "one"` the clock is read
 -- before `began` is called. If the machine has to be put elsewhere first, there are
--- none.
+-- none; after that there are those of before `began`.
 local function wind(session)
-  local rec = session.ahead
-  local is_next = rec and (not rec.from or session.tracks[1].is_put)
-  session.readings = { unpack(is_next and rec.clock or {}) }
+  local rec = session.ahead or {}
+  local list = rec.clock
+  if rec.from then list = session.tracks[1].is_put and rec.from.early end
+  session.readings = { unpack(list or {}) }
 end
 
 -- Reads the next record. A damaged recording is replayed up to the damage.
@@ -151,7 +152,9 @@ local function begin(session, track)
   local rec = next_record(session, track)
   track.rec, track.guard_at = rec, 0
   if rec.had then snapshot.put_data(track.fsm, rec.had) end
-  if track.m == nil then hand_out(session, rec.inner or {}) end
+  if track.m ~= nil then return end
+  if rec.from then session.readings = { unpack(rec.clock or {}) } end
+  hand_out(session, rec.inner or {})
 end
 
 -- Fills the queue, and resets the machine of a dry run if a callback had done so. A
