@@ -611,8 +611,8 @@ local function try_put(fsm, snap, options, may_reset)
   if not ok then rfsm.reset(fsm) end
   if ok and not failure then ok, failure = try(put, fsm, snap, options, may_reset) end
   if ok then return true end
-  return false, "rfsm.snapshot: " .. reason(failure),
-    type(failure) == "table" and failure.difference or nil
+  local more = type(failure) == "table" and failure or NONE
+  return false, "rfsm.snapshot: " .. reason(failure), more.difference, more.what
 end
 
 --- Move a machine to a snapshot; no callback of the chart runs.
@@ -626,6 +626,7 @@ end
 ---@return boolean ok
 ---@return string? problem
 ---@return string[]? difference if the snapshot is of another chart
+---@return string? what the problem without the difference
 function snapshot.put(fsm, snap, options)
   rfsm.check_between_steps(fsm, "rfsm.snapshot.put")
   return try_put(fsm, snap, read_options(options, "rfsm.snapshot.put"), false)
@@ -643,6 +644,7 @@ end
 ---@return rfsm.Machine? fsm false if the snapshot or the model is wrong
 ---@return string? problem
 ---@return string[]? difference if the snapshot is of another chart
+---@return string? what the problem without the difference
 ---@nodiscard
 function snapshot.restore(model, snap, options)
   if not rfsm.is_state(model) then
@@ -653,9 +655,9 @@ function snapshot.restore(model, snap, options)
   if not fsm then
     return false, "rfsm.snapshot: the model is wrong:\n  " .. concat(problems, "\n  ")
   end
-  local ok, problem, list = try_put(fsm, snap, options, true)
+  local ok, problem, list, what = try_put(fsm, snap, options, true)
   if ok then return fsm end
-  return false, problem, list
+  return false, problem, list, what
 end
 
 local function in_files() return opts.need("rfsm.snapshot", "rfsm.snapshot.file") end

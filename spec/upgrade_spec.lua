@@ -157,7 +157,8 @@ describe("a region", function()
   it("that is gone is named", function()
     local snap = snapshot.take(helper.started(regions { a = region(1), b = region(2) }))
     assert.same({ false, "rfsm.snapshot: the snapshot holds what the chart lacks:\n"
-      .. "  region root.w.b", { "region root.w.b" } },
+      .. "  region root.w.b", { "region root.w.b" },
+      "the snapshot holds what the chart lacks" },
       { snapshot.restore(regions { a = region(1) }, snap) })
     assert.equal(1, restored(regions { a = region(5) }, snap, { migrate = function(old)
       old.regions["root.w.b"] = nil
@@ -879,6 +880,15 @@ describe("rfsm snapshot diff", function()
       "  field old of root", "in root.b: stays a machine of the old version",
       "  the snapshot holds what the chart lacks", "  field old of root" }, lines)
     assert.equal(1, status)
+  end)
+
+  it("has the words of a load that fails, whatever they are", function()
+    local old = [[return rfsm.state { keep = { "n" }, n = 1, a = rfsm.state {},
+      rfsm.trans { src = "initial", tgt = "a" }, save = function() return 1 end,
+      load = function() error("this is of another chart:\n7", 0) end }]]
+    assert.same({ { "new: field more of root", "in root.a: stays a machine of the old "
+      .. "version", "  rfsm.snapshot: load of root: this is of another chart:" }, 1 },
+      { compare((old:gsub('"n" }', '"n", "more" }')), old) })
   end)
 
   it("looks at each state of each region", function()

@@ -97,12 +97,11 @@ end
 ---@field to string|false location in the new chart; false: the machine is not moved
 ---@field notes string[] changed timers, or why the machine is not moved
 
-local function reasons(problem, list, options)
-  local reason = problem:match("^rfsm%.snapshot: ([^\n]-):?\n") or problem
-  if not (options.rename or options.migrate) and reason:find("another chart") then
+local function reasons(problem, list, what)
+  if what == migrate.FOREIGN then
     return { "the root of the new chart has neither 'rename' nor 'migrate'" }
   end
-  local notes = { reason }
+  local notes = { what or problem:match("[^\n]+") }
   for i, text in ipairs(list or {}) do notes[i + 1] = text end
   return notes
 end
@@ -121,11 +120,11 @@ end
 -- Returns the fate of the machines that are in a leaf of the machine or region `at`.
 local function fate_of(places, at, leaf, model, options)
   enter_at(places, at, leaf)
-  local fsm, problem, list = snapshot.restore(model,
+  local fsm, problem, list, what = snapshot.restore(model,
     snapshot.take(places[1].machine), options)
   local fate = { leaf = location.path(leaf, at.prefix), to = false, notes = {} }
   if not fsm then
-    fate.notes = reasons(problem, list, options)
+    fate.notes = reasons(problem, list, what)
     return fate
   end
   local new = place_from(fsm, at.prefix, options.rename)

@@ -296,8 +296,12 @@ local function new_events(old, rename)
   end
 end
 
-local function refuse(text, list)
-  error({ text = text .. ":\n  " .. concat(list, "\n  "), difference = list }, 0)
+-- What `refuse` says of a snapshot that nothing adapts to another structure.
+migrate.FOREIGN = "the snapshot is of another chart"
+
+local function refuse(what, list)
+  error({ text = what .. ":\n  " .. concat(list, "\n  "), difference = list,
+    what = what }, 0)
 end
 
 -- Returns a copy of a snapshot, at any depth, for the user's `migrate` to change.
@@ -398,7 +402,7 @@ local function adapt(fsm, snap, options, most)
     or known_lines(fsm, snap)
   local list = old and migrate.difference(old, shape.lines_of(fsm)) or missing(lost)
   if most == "structure" and not (options.rename or options.migrate) then
-    refuse("the snapshot is of another chart", list)
+    refuse(migrate.FOREIGN, list)
   end
   if options.rename then snap = rename_states(snap, options.rename) end
   if options.migrate then snap = call_migrate(fsm, copy_all(snap), list, options) end
