@@ -10,6 +10,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local calls = require "rfsm.shared.calls"
 local description = require "rfsm.system.description"
 local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
@@ -273,8 +274,8 @@ end
 -- Makes a system: `system { arm = model, wires = { ... } }`. Raises an error with all
 -- problems of the description, before anything runs.
 local function new(_, given)
-  local self, text = description.read(given, calling_file())
-  if not self then error(text, 0) end
+  local self, text, problems = description.read(given, calling_file())
+  if not self then calls.fail(text, problems) end
   self.state, self.files = false, {}
   for _, name in ipairs(self.names) do self.files[name] = file_of[given[name]] end
   empty_wires(self)

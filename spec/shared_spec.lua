@@ -496,6 +496,8 @@ describe("a message about a chart", function()
     assert.equal("a.lua: failed with a table", chart.reason("a.lua", {}))
     assert.equal("a.lua: failed without a message", chart.reason("a.lua", nil))
     assert.equal("a.lua: 7", chart.reason("a.lua", 7))
+    assert.equal("a.lua: rfsm.system: the system has left", chart.reason("a.lua",
+      "rfsm.system: the system has left\n  the building"))
   end)
 end)
 

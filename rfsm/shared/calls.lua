@@ -41,6 +41,21 @@ function calls.init_apart(model)
   return fsm, text, problems
 end
 
+local failed = {} -- the text and the problems of the latest failure of `calls.fail`
+
+--- Raise a text that lists problems.
+---@param text string
+---@param problems string[]? what `calls.problems_of` returns for this text
+function calls.fail(text, problems)
+  failed.text, failed.problems = text, problems
+  error(text, 0)
+end
+
+--- Return the problems of the latest failure of `calls.fail`; nil for any other.
+function calls.problems_of(failure)
+  return failure == failed.text and failed.problems or nil
+end
+
 local PRINTERS = { "dbg", "info", "warn", "err" }
 
 --- Return make(model), such as rfsm.init(model), with the model's printers off.

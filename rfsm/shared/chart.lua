@@ -62,8 +62,8 @@ end
 --- Return the reason why a chart cannot be used, in one line with its file; for a
 -- system (`rfsm.system`) one line for each problem.
 function chart.reason(file, failure)
-  local list = rfsm.text_of(failure):match("^rfsm%.system: the system has [^\n]*\n(.*)")
-  if list then return (("\n" .. list):gsub("\n  ", "\n"):sub(2)) end
+  local problems = calls.problems_of(failure)
+  if problems then return concat(problems, "\n") end
   local text = chart.first_line(failure)
   if failure == nil or text == "" or text == NO_ERROR then
     text = "failed without a message"

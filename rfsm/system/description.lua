@@ -259,6 +259,7 @@ end
 ---@param file? string file that has the description
 ---@return table? parts the fields names, models, wires, file and places
 ---@return string? text the problems
+---@return string[]? problems
 function description.read(given, file)
   if type(given) ~= "table" or rfsm.is_fsmobj(given) then
     return nil, "rfsm.system: table of machines expected, " .. opts.got(given)
@@ -271,7 +272,8 @@ function description.read(given, file)
   check_wires(draft, list)
   if draft.problems[1] then
     return nil, ("rfsm.system: the system has %d problem%s\n  %s"):format(
-      #draft.problems, draft.problems[2] and "s" or "", concat(draft.problems, "\n  "))
+      #draft.problems, draft.problems[2] and "s" or "", concat(draft.problems,
+      "\n  ")), draft.problems
   end
   local names_of, places = rfsm.sorted_keys(draft.models), {}
   for _, name in ipairs(names_of) do places[name] = place_of(draft, name) end
