@@ -91,7 +91,7 @@ describe("the usage of rfsm", function()
 
   for command, problem in pairs { -- any order: each stands alone
     ["help chekc"] = "no command is named 'chekc' (did you mean 'check'?)",
-    ["check -k 0 x"] = "--together: whole number above 0 expected, got '0'",
+    ["check -k 0 x"] = "-k: whole number above 0 expected, got '0'",
     ["check --seconds=-1 x"] = "--seconds: seconds expected, got '-1'",
     ["check --tests busted - -"] = "one FILE expected, tests are those of one "
       .. "chart, got 2",
@@ -99,12 +99,16 @@ describe("the usage of rfsm", function()
     ["viz -T svg a b"] = "one FILE expected, svg holds one chart, got 2",
     ["viz x.lua -o y.gif"] = "the ending of 'y.gif' is no format, -T expected "
       .. "(" .. table.concat(commands.formats(), ", ") .. ")",
-    ["watch -n 1.5 host"] = "--count: whole number above 0 expected, got '1.5'",
-    ["watch -m 0 host"] = "--machine: whole number above 0 expected, got '0'",
+    ["watch -n 1.5 host"] = "-n: whole number above 0 expected, got '1.5'",
+    ["watch -m 0 host"] = "-m: whole number above 0 expected, got '0'",
     ["watch a:b"] = "HOST or HOST:PORT expected, got 'a:b'",
     ["watch a:65536"] = "HOST or HOST:PORT expected, got 'a:65536'",
-    ["web"] = "FILE or --attach expected",
-    ["web x.lua --attach a"] = "FILE or --attach expected",
+    ["web"] = "FILE or -a HOST:PORT expected",
+    ["web x.lua --attach a"] = "FILE or -a HOST:PORT expected",
+    ["web -p x x.lua"] = "-p: whole number from 0 to 65535 expected, got 'x'",
+    ["web -m 0 -a x"] = "-m: whole number above 0 expected, got '0'",
+    ["check -o x x.lua"] = "-o and --callbacks need --tests busted",
+    ["check --callbacks x.lua"] = "-o and --callbacks need --tests busted",
     ["redis"] = "a chart expected",
     ["redis --ids 0 x"] = "--ids: whole number above 0 expected, got '0'",
     ["redis --ids 1000001 x"]
@@ -230,11 +234,11 @@ end)
 describe("rfsm sim", function()
   it("hands its options to the simulator, and returns its status", function()
     local calls = {}
-    local _, _, status = run("sim -e run -e step -i -r rec -d -q --stub x.lua",
+    local _, _, status = run("sim -e run -e step -i -r Makefile -d -q --stub README.md",
       { ["rfsm.sim.simulator"] = { main = noting(calls, 3) } })
     assert.equal(3, status)
-    assert.same({ command = "sim", sim = true, file = "x.lua",
-      execute = { "run", "step" }, interactive = true, replay = "rec", dry = true,
+    assert.same({ command = "sim", sim = true, file = "README.md",
+      execute = { "run", "step" }, interactive = true, replay = "Makefile", dry = true,
       quiet = true, stub = true },
       calls[1][1])
   end)
@@ -275,7 +279,15 @@ describe("rfsm viz", function()
       assert.same({ "", "rfsm viz: " .. file .. ": " .. problem .. "\n", 1 },
         { run(("viz --coverage %s %s"):format(file, chart)) })
     end
-    assert.same({ "", "rfsm viz: /no/file: No such file or directory\n", 1 },
+    local file = helper.file_with '{"a":1}'
+    for option, problem in pairs { -- any order: each stands alone
+      trace = "steps of a recording expected",
+      like = "a picture of rfsm viz expected",
+    } do
+      assert.same({ "", "rfsm viz: " .. file .. ": " .. problem .. "\n", 1 },
+        { run(("viz --%s %s %s"):format(option, file, chart)) })
+    end
+    assert.same({ "", "rfsm viz: /no/file: No such file or directory\n", 2 },
       { run("viz --trace /no/file " .. chart) })
   end)
 
@@ -284,7 +296,7 @@ describe("rfsm viz", function()
       .. '<g id="root.initial" class="node">\n<g id="root.off" class="node">\n')
     local graph = run(("viz --like %s examples/on_off.lua"):format(old))
     assert.matches("root_on %[.*root_initial %[.*root_off %[", graph)
-    assert.same({ "", "rfsm viz: /no/old.svg: No such file or directory\n", 1 },
+    assert.same({ "", "rfsm viz: /no/old.svg: No such file or directory\n", 2 },
       { run("viz --like /no/old.svg examples/on_off.lua") })
   end)
 end)
@@ -325,21 +337,23 @@ describe("rfsm redis", function()
 
   it("bundles charts with its options, and prints warnings", function()
     local calls = {}
-    local out, err, status = run("redis --index --history 5 --ids 6 --ids-for 7 a b",
+    local out, err, status = run("redis --index --history 5 --ids 6 --ids-for 7 "
+      .. "Makefile README.md",
       modules(calls))
     assert.same({ "the library", "rfsm redis: a warning\n", 0 }, { out, err, status })
     local options = { index = true, history = 5, ids = 6, ids_for = 7 }
-    assert.same({ { { "a", "b" }, options } }, calls)
+    assert.same({ { { "Makefile", "README.md" }, options } }, calls)
   end)
 
   it("loads the library into a server, and prints it if it is asked to", function()
     for options, expected in pairs { [""] = "", ["-o - "] = "the library" } do
       local calls = {}
-      local out, err = run("redis " .. options .. "-l redis://x a", modules(calls))
+      local out, err = run("redis " .. options .. "-l redis://x README.md",
+        modules(calls))
       assert.same({ expected, "rfsm redis: a warning\nrfsm redis: the machines of old "
         .. "cannot run until it is loaded, too\n" }, { out, err })
-      assert.same({ { { "a" }, {} }, { "redis://x" }, { "load", "the library" } },
-        calls)
+      assert.same({ { { "README.md" }, {} }, { "redis://x" },
+        { "load", "the library" } }, calls)
     end
   end)
 
@@ -356,7 +370,7 @@ describe("rfsm redis", function()
       { ["rfsm.fleet"] = { connect = fail } }) })
     assert.same({ "", "rfsm redis: no server\n", 1 }, { run("redis --stats x",
       { ["rfsm.fleet"] = { connect = function() return { stats = fail } end } }) })
-    assert.same({ "", "rfsm redis: no server\n", 1 }, { run("redis a",
+    assert.same({ "", "rfsm redis: no server\n", 1 }, { run("redis README.md",
       { ["rfsm.redis"] = { bundle = fail } }) })
   end)
 
@@ -585,9 +599,10 @@ describe("rfsm postgres", function()
     local calls = {}
     local bundle = { sql = noting(calls, "the schema", { "a warning" }) }
     assert.same({ "the schema", "rfsm postgres: a warning\n", 0 },
-      { run("postgres --history --notify --ids 6 --ids-for 7 a b",
+      { run("postgres --history --notify --ids 6 --ids-for 7 "
+      .. "Makefile README.md",
         { ["rfsm.postgres.script"] = bundle }) })
-    assert.same({ { { "a", "b" },
+    assert.same({ { { "Makefile", "README.md" },
       { history = true, notify = true, ids = 6, ids_for = 7 } } }, calls)
   end)
 end)
@@ -694,6 +709,10 @@ describe("a chart that reads a global of its robot", function()
       "local rtt = rtt local c = rtt.getTC()", "require 'rttlib'" } do
       assert.equal(STUB, complaint(text):sub(-#STUB))
     end
+  end)
+
+  it("names the function of the library that has this name", function()
+    assert.matches(" %(did you mean rfsm%.trans%?%)$", complaint "return trans {}")
   end)
 
   it("does not if `rfsm` is misspelt, or a local variable is nil", function()

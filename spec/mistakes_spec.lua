@@ -266,6 +266,9 @@ return { a = {} }
 return rfsm.trans { src = "a", tgt = "b" }
 --> raises rfsm.load: no valid rfsm in file 'chart.lua' found. (did you mean: return
     rfsm.state{...}?)
+return 7
+--> raises rfsm.load: no valid rfsm in file 'chart.lua' found. (a chart ends with:
+    return rfsm.state{...})
 return function() return rfsm.state { a = rfsm.state {} } end
 --> raises rfsm.load: no valid rfsm in file 'chart.lua' found. (return the state that it
     makes)

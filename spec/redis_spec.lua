@@ -201,9 +201,9 @@ describe("rfsm redis", function()
       .. "rfsm.trans { src = 'a', tgt = 'b' } }")
     assert.matches("^rfsm redis: " .. chart .. ":%d: root.trans%[1%].*: tgt 'b': no "
       .. "state or connector is named 'b' in 'root'[^\n]*\n$", run(chart))
-    assert.equal("rfsm redis: cannot open /nowhere.lua: No such file or directory\n",
+    assert.equal("rfsm redis: /nowhere.lua: No such file or directory\n",
       run("/nowhere.lua"))
-    assert.equal("rfsm redis: cannot open /tmp: Is a directory\n", run("/tmp"))
+    assert.equal("rfsm redis: /tmp: Is a directory\n", run("/tmp"))
     assert.equal("rfsm redis: rfsm.fleet: cannot connect to 127.0.0.1:1: "
       .. "connection refused\n",
       run(helper.file_with(COUNTER) .. " --load redis://127.0.0.1:1"))

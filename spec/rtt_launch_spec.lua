@@ -1096,7 +1096,8 @@ function startHook() return true end]])
     end)
 
     for title, case in pairs { -- the reason, fields; any order: each is a spec
-      ["a chart that is none"] = { "rfsm.load: no valid rfsm in file 'FILE' found.",
+      ["a chart that is none"] = { "rfsm.load: no valid rfsm in file 'FILE' found. "
+        .. "(a chart ends with: return rfsm.state{...})",
         { chart = "return 3" } },
       ["a chart that raises a table"] = { "as text", { chart = raising "as text" } },
       ["a chart with problems"] = { "no machine:\n  FILE:1: root.a.entry: "

@@ -186,8 +186,6 @@ describe("the command line", function()
     local file = write_file("no.lua", "rfsm.preproc[1] = function() error('no', 0) end "
       .. "return rfsm.state {}")
     fails("rfsm-viz '" .. file .. "'", "rfsm viz: " .. file .. ": no\n")
-    fails("rfsm viz '" .. folder .. "/none'", "rfsm viz: cannot open " .. folder
-      .. "/none: No such file or directory\n")
   end)
 
   it("says why it cannot write", function()
@@ -533,9 +531,9 @@ describe("rfsm-check", function()
 
   it("refuses numbers that are none of events or configurations", function()
     refuses("rfsm check -k 0 x",
-      "--together: whole number above 0 expected, got '0'")
+      "-k: whole number above 0 expected, got '0'")
     refuses("rfsm check -k 1.5 x",
-      "--together: whole number above 0 expected, got '1.5'")
+      "-k: whole number above 0 expected, got '1.5'")
     refuses("rfsm check --configurations x y",
       "--configurations: whole number above 0 expected, got 'x'")
   end)
@@ -714,7 +712,18 @@ describe("rfsm-check", function()
   it("fails with status 2 if it cannot read a file", function()
     fails("rfsm check examples/on_off.lua /nowhere/x.lua",
       "rfsm check: /nowhere/x.lua: No such file or directory\n", 2)
-    fails("rfsm check examples", "rfsm check: examples: Is a directory\n", 2)
+    for command in ("check sim viz dot json size web redis postgres"):gmatch "%l+" do
+      fails("rfsm " .. command .. " examples",
+        "rfsm " .. command .. ": examples: Is a directory\n", 2)
+    end
+    fails("rfsm check examples/lamp", "rfsm check: examples/lamp: No such file or "
+      .. "directory (did you mean 'examples/lamp.lua'?)\n", 2)
+    for _, option in ipairs { "viz --like", "viz --trace", "viz --coverage", "sim -r",
+      "sim -q --from" } do
+      local _, err, status = run("rfsm " .. option .. " /nowhere/x examples/lamp.lua")
+      assert.same({ "/nowhere/x: No such file or directory", 2 },
+        { err:match("(/nowhere[^\n]*)\n$"), status })
+    end
   end)
 
   it("tells how to use it, with status 2 if it was not", function()

@@ -947,7 +947,8 @@ describe("a chart in a file", function()
     helper.write(file, "return 7")
     now = 2
     assert.is_nil(page:next().active)
-    assert.same({ "no valid rfsm in file '" .. file .. "' found." },
+    assert.same({ "no valid rfsm in file '" .. file .. "' found. (a chart ends "
+      .. "with: return rfsm.state{...})" },
       http.chart(server).problems)
     helper.write(file, LAMP)
     now = 3
@@ -1523,13 +1524,13 @@ describe("the command line", function()
   local LAST_COMMAND = "   json                   Write charts as JSON."
 
   for command, expected in pairs { -- any order: each stands alone
-    ["rfsm-web"] = refusal("rfsm web", "FILE or --attach expected"),
+    ["rfsm-web"] = refusal("rfsm web", "FILE or -a HOST:PORT expected"),
     ["rfsm-web --attach a:b:c"] = refusal("rfsm web", "HOST or HOST:PORT expected, got "
       .. "'a:b:c'"),
     ["rfsm-web --attach localhost:65536"] = refusal("rfsm web", "HOST or HOST:PORT "
       .. "expected, got 'localhost:65536'"),
     ["rfsm-web --port 65536 examples/on_off.lua"]
-      = "rfsm web: port: whole number from 0 to 65535 expected, got 65536",
+      = refusal("rfsm web", "-p: whole number from 0 to 65535 expected, got '65536'"),
     ["rfsm-web nothing.lua"] = "rfsm web: nothing.lua: No such file or directory",
     ["rfsm-web ."] = "rfsm web: .: Is a directory",
     ["rfsm examples/on_off.lua"] = "rfsm: 'examples/on_off.lua' is no command. To step "

@@ -81,6 +81,9 @@ describe("why", function()
       events = { "e_x", "e_b" } }, "would be taken" },
     { "a predicate", trans { src = "a", tgt = "b", events = {
       function(event) return event == "e_x" end } }, "would be taken" },
+    { "a predicate that does not accept it", trans { src = "a", tgt = "b",
+      events = { "e_y", function() return false end } },
+      "waits for e_y, what spec/why_spec.lua:%d+ accepts" },
   }
   for _, case in ipairs(CASES) do
     it("explains " .. case[1], function()

@@ -45,7 +45,7 @@ function check.add_arguments(command)
   command:option("--tests", "write a spec that takes every transition")
     :argname("KIND"):choices { "busted" }
   command:flag("--callbacks", "tests: run entries, exits and effects, too")
-  common.add_option(command, "-o --output", "tests: file to write, - for stdout", "-")
+  common.add_option(command, "-o --output", "tests: file to write, - for stdout")
     :argname("FILE")
 end
 
@@ -74,25 +74,25 @@ local function text_of_bound(bound)
 end
 
 local function write_tests(options, parser)
-  local file = options.files[1]
+  local file, output = options.files[1], options.output or "-"
   if options.files[2] then
     parser:error("one FILE expected, tests are those of one chart, got "
       .. #options.files)
   end
   if file == "-" then parser:error("FILE expected, tests load it again, got -") end
   local model = common.try(common.load_model(file, options.stub, options.machine))
-  local old_text = options.output ~= "-" and files.read(options.output)
+  local old_text = output ~= "-" and files.read(output)
   local text, result = common.call(file, require("rfsm.tests.tests").busted, file,
     model, { callbacks = options.callbacks, stub = options.stub,
       machine = options.machine, file = file, seconds = options.seconds,
       configurations = options.configurations or require("rfsm.cli.review").MANY },
-    options.output, old_text)
+    output, old_text)
   local ended = text_of_bound(result.bound)
   if not result.runs[1] then
     common.fail(("%s: %s"):format(file, result.skipped == 0 and ended
       or "no run of it repeats itself"))
   end
-  common.write(options.output, text)
+  common.write(output, text)
   common.warn(("%d of %d transitions in %d steps"):format(result.taken,
     result.transitions, result.steps))
   if ended then common.warn(ended) end
@@ -131,7 +131,10 @@ local function lines_about(file, options)
 end
 
 function check.run(options, parser)
-  for _, file in ipairs(options.files) do common.check_readable(file) end
+  if not options.tests and (options.callbacks or options.output) then
+    parser:error("-o and --callbacks need --tests busted")
+  end
+  for _, file in ipairs(options.files) do common.read(file) end
   require("rfsm_timeevent") -- so that events such as e_after(1) are known
   require("rfsm.await")
   if options.tests then return write_tests(options, parser) end

@@ -10,6 +10,7 @@ local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local files = require "rfsm.shared.files"
+local library = require "rfsm.server.library"
 local opts = require "rfsm.shared.options"
 
 local concat = table.concat
@@ -118,6 +119,7 @@ local MISSING = {
 function common.with_hint(problem, has_stubs)
   for _, pattern in ipairs(has_stubs == false and MISSING or {}) do
     local name = problem:match(pattern)
+    if rfsm[name or 1] then return problem .. " (did you mean rfsm." .. name .. "?)" end
     if name and not require("rfsm.advice").is_near(name, "rfsm") then
       return problem .. " (the option --stub loads the chart without it)"
     end
@@ -130,11 +132,14 @@ function common.add_machine(command)
   common.add_number(command, "--machine", "of a program: number of the machine (1)")
 end
 
--- Ends the program with status 2 if a file cannot be read.
-function common.check_readable(file)
-  if file == "-" then return end
+-- Returns the text of a file; nil for stdin. If the file cannot be read, ends the
+-- program with status 2.
+function common.read(file)
+  if file == "-" then return nil end
   local text, problem = files.read(file)
-  if not text then common.fail(problem, 2) end
+  if text then return text end
+  common.fail(problem .. (files.read(file .. ".lua")
+    and (" (did you mean '%s.lua'?)"):format(file) or ""), 2)
 end
 
 -- Loads a chart as chart.load does. Text that the chart prints goes to stderr.
@@ -147,6 +152,7 @@ end
 -- Loads a chart and makes its machine, with the printers off. Returns the machine, and
 -- the names of the modules and globals that stubs have replaced.
 local function load_machine(file, has_stubs, number)
+  common.read(file)
   local model, problem, world = common.load_model(file, has_stubs, number)
   if not model then common.fail(problem) end
   local fsm, _, problems = common.call(file, calls.silently, rfsm.init, model)
@@ -169,7 +175,7 @@ function common.add_number(command, names, description, is_right, expected)
   return add(command, names, description):argname("N"):convert(function(text)
     local number = rfsm.number_of(text)
     if number and (is_right or is_count)(number) then return number end
-    return nil, ("%s: %s expected, got '%s'"):format(names:match("%S+$"),
+    return nil, ("%s: %s expected, got '%s'"):format(names:match("%S+"),
       expected or "whole number above 0", text)
   end)
 end
@@ -196,6 +202,9 @@ end
 -- wrong, prints the reason in one line and ends the program.
 function common.library_of(bundle, options, parser, settings)
   if not options.files[1] then parser:error("a chart expected") end
+  for _, argument in ipairs(options.files) do
+    common.read(select(2, library.name_of(argument)))
+  end
   settings.ids, settings.ids_for = options.ids, options.ids_for
   local ok, text, warnings = common.with_streams(io.stderr, bundle, options.files,
     settings)

@@ -7,7 +7,6 @@ local advice = require "rfsm.advice"
 local chart = require "rfsm.shared.chart"
 local codec = require "rfsm.server.codec"
 local common = require "rfsm.cli.common"
-local files = require "rfsm.shared.files"
 local rfsm = require "rfsm"
 local typed = require "rfsm.shared.typed"
 local verbs = require "rfsm.server.verbs"
@@ -150,8 +149,7 @@ local function moved_lines(f, ...)
 end
 
 local function push_lines(fleet, options, key, file)
-  common.check_readable(file)
-  return moved_lines(fleet.push, fleet, key, files.read(file), options.if_version,
+  return moved_lines(fleet.push, fleet, key, common.read(file), options.if_version,
     options.by)
 end
 

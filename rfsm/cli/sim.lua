@@ -25,6 +25,8 @@ function sim.add_arguments(command)
 end
 
 function sim.run(options)
+  common.read(options.file)
+  if options.replay then common.read(options.replay) end
   if options.from then
     require "rfsm_timeevent" -- which a server has
     require "rfsm.await"

@@ -93,7 +93,7 @@ local function write_row(name, results, key)
 end
 
 function size.run(options)
-  common.check_readable(options.file)
+  common.read(options.file)
   local results = measure_all(options, "chart", options.file)
   local source = results[1]
   io.stdout:write(("%-36s"):format("KiB, " .. options.lua),

@@ -23,7 +23,7 @@ function command.compare(old, new)
   require "rfsm.await"
   local diff, models = require "rfsm.snapshot.diff", {}
   for i, file in ipairs { old, new } do
-    common.check_readable(file)
+    common.read(file)
     models[i] = common.try(common.load_model(file))
   end
   local difference, fates = common.call(new, diff.compare, models[1], models[2])

@@ -6,7 +6,7 @@
 local common = require "rfsm.cli.common"
 local exporters = require "rfsm.cli.exporters"
 local dot = require "rfsm.dot"
-local files = require "rfsm.shared.files"
+local order = require "rfsm.shared.order"
 local pages = require "rfsm.cli.pages"
 
 local concat = table.concat
@@ -48,8 +48,7 @@ function viz.add_arguments(command)
 end
 
 local function read_values(file)
-  local text = common.try(files.read(file))
-  local ok, values = pcall(require("rfsm.json").decode_all, text)
+  local ok, values = pcall(require("rfsm.json").decode_all, common.read(file))
   if not ok then common.fail(file .. ": " .. values) end
   return values
 end
@@ -62,11 +61,25 @@ local function read_coverage(file)
   common.fail(file .. ": an object with \"states\" and \"transitions\" expected")
 end
 
+local function is_step(step)
+  return type(step) == "string"
+    or type(step) == "table" and (step.record or step.leaf or step.taken)
+end
+
 -- Returns the steps of a run. The file has a JSON list of steps, or one step per line.
 local function read_trace(file)
   local values = read_values(file)
-  return values[2] == nil and type(values[1]) == "table" and values[1][1] and values[1]
-    or values
+  local first = values[1]
+  if values[2] == nil and type(first) == "table" and first[1] then values = first end
+  if order.any(values, is_step) then return values end
+  common.fail(file .. ": steps of a recording expected")
+end
+
+-- Returns the text of a picture.
+local function read_picture(file)
+  local text = common.read(file)
+  if text:find('<g id="', 1, true) then return text end
+  common.fail(file .. ": a picture of rfsm viz expected")
 end
 
 local function format_of(options, parser)
@@ -114,7 +127,7 @@ local function looks_of(options)
     active = options.active[1] and options.active,
     coverage = options.coverage and read_coverage(options.coverage),
     trace = options.trace and read_trace(options.trace),
-    like = options.like and common.try(files.read(options.like)),
+    like = options.like and read_picture(options.like),
   }
 end
 

@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local common = require "rfsm.cli.common"
+local opts = require "rfsm.shared.options"
 
 local web = {
   summary = "Show a chart, or a machine, in the browser.",
@@ -16,10 +17,9 @@ function web.add_arguments(command)
   common.add_stub(command)
   common.add_option(command, "-a --attach", "a machine that answers by rfsm.proto")
     :argname("HOST:PORT")
-  common.add_option(command, "-m --machine", "with -a: its number at that port (all)")
-    :argname("N"):convert(tonumber)
-  common.add_option(command, "-p --port", "of the page; 0 is one that is free", "8044")
-    :argname("N"):convert(tonumber)
+  common.add_number(command, "-m --machine", "with -a: its number at that port (all)")
+  common.add_number(command, "-p --port", "of the page; 0 is one that is free",
+    opts.is_whole(0, 65535), "whole number from 0 to 65535"):default("8044")
   command:option("--host", "the address of the page", "127.0.0.1"):argname("HOST")
 end
 
@@ -33,7 +33,7 @@ end
 function web.run(options, parser)
   refuse_more(options.more, parser)
   if (options.file == nil) == (options.attach == nil) then
-    parser:error("FILE or --attach expected")
+    parser:error("FILE or -a HOST:PORT expected")
   end
   local server
   local page = { host = options.host, port = options.port, machine = options.machine,
@@ -42,7 +42,7 @@ function web.run(options, parser)
     local host, port = common.address_of(parser, options.attach)
     server = common.try(require("rfsm.web").attach(host, port, page))
   else
-    common.check_readable(options.file)
+    common.read(options.file)
     server = common.try(require("rfsm.web").open(options.file, page))
   end
   common.write("-", server.url .. "\n")

@@ -14,7 +14,8 @@ local order = require "rfsm.shared.order"
 local location = require "rfsm.shared.location"
 
 local ipairs, rawequal, rawget = ipairs, rawequal, rawget
-local select, setmetatable = select, setmetatable
+local select, setmetatable, type = select, setmetatable, type
+local getinfo = (rawget(_G, "debug") or {}).getinfo
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local is_conn, text_of = rfsm.is_conn, rfsm.text_of
@@ -55,11 +56,21 @@ function why.kept_text(event, use, prefix)
     use.word or "keeps") or "")
 end
 
--- Returns events as texts. `has_room` is true for events with their data.
-local function texts_of(events, has_room)
+-- Returns what f(event) returns for each event.
+local function texts_of(events, f)
   local texts = {}
-  for i = 1, #events do texts[i] = rfsm.event_text(events[i], has_room) end
+  for i = 1, #events do texts[i] = f(events[i]) end
   return texts
+end
+
+local function full_text(event) return rfsm.event_text(event, true) end
+
+-- Returns an event that a transition waits for as text; of a function, where it is.
+local function wanted_text(event)
+  local info = getinfo and type(event) == "function" and not rfsm.event_name(event)
+    and getinfo(event, "S")
+  return info and ("what %s:%d accepts"):format(info.short_src, info.linedefined)
+    or rfsm.event_text(event)
 end
 
 -- Search: as in the engine, but with an answer for each transition -----------------
@@ -110,7 +121,7 @@ local ask_connector
 local function judge(search, tr, first)
   local is_triggered, event = matches(search, tr, first)
   if not is_triggered then
-    local wanted = concat(texts_of(tr.events or {}, false), ", ")
+    local wanted = concat(texts_of(tr.events or {}, wanted_text), ", ")
     return "event", "waits for " .. (wanted == "" and "any event" or wanted)
   end
   local verdict, reason = ask_guards(search, tr, event)
@@ -239,8 +250,8 @@ end
 
 local function explain(fsm, events)
   local answers, winner, taker = answers_of(fsm, events)
-  local result = { events = texts_of(events, true), fires = winner, answers = answers,
-    kept = kept_texts(fsm, events, taker),
+  local result = { events = texts_of(events, full_text), fires = winner,
+    answers = answers, kept = kept_texts(fsm, events, taker),
     leaf = rfsm.get_actleaf_fqn(fsm), regions = {} }
   for i, region in ipairs(location.regions_of(fsm._act_leaf or {})) do
     result.regions[i] = { name = region.name, why = explain(region.machine, events) }
@@ -319,7 +330,7 @@ end
 function why.enabled(fsm)
   rfsm.check_machine(fsm, "rfsm_checks.enabled")
   local list = add_enabled({ any = false }, {}, fsm)
-  local texts = texts_of(list, false)
+  local texts = texts_of(list, rfsm.event_text)
   if list.any then texts[#texts + 1] = text_of(OTHER) end
   return list, texts[1] and concat(texts, "\n") or "no event"
 end
