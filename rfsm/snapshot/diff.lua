@@ -16,8 +16,9 @@ local migrate = require "rfsm.snapshot.migrate"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 
-local error, ipairs = error, ipairs
+local error, ipairs, rawget = error, ipairs, rawget
 local concat = table.concat
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local diff = {}
 
@@ -159,18 +160,32 @@ function diff.compare(old, new)
   return migrate.difference(was, is), fates
 end
 
---- Return a report as text, and whether all machines move to the new chart.
+local function outcome_of(fate)
+  local outcome = fate.to and "moves to " .. fate.to
+    or "stays a machine of the old version"
+  return concat({ outcome, unpack(fate.notes) }, "\n  ")
+end
+
+-- The beginning of a line about one state, two, or more that stand side by side.
+local PLACES = { "in %s: ", "in %s and %s: " }
+local MANY = "in %s to %s (%d states): "
+
+--- Return a report as text, and whether all machines move to the new chart. States that
+--- follow each other and have the same fate have one line.
 function diff.report(difference, fates)
   if not difference[1] then
     return "the charts have the same structure and keep the same: nothing moves\n", true
   end
-  local lines, is_safe = {}, true
+  local lines, is_safe, first, last, count = {}, true, nil, nil, 0
   for _, line in ipairs(difference) do lines[#lines + 1] = line end
   for _, fate in ipairs(fates) do
-    is_safe = is_safe and fate.to ~= false
-    lines[#lines + 1] = ("in %s: %s"):format(fate.leaf,
-      fate.to and "moves to " .. fate.to or "stays a machine of the old version")
-    for _, note in ipairs(fate.notes) do lines[#lines + 1] = "  " .. note end
+    local outcome = outcome_of(fate)
+    is_safe, count = is_safe and fate.to ~= false, count + 1
+    if outcome ~= last then
+      first, last, count = fate.leaf, outcome, 1
+      lines[#lines + 1] = ""
+    end
+    lines[#lines] = (PLACES[count] or MANY):format(first, fate.leaf, count) .. outcome
   end
   lines[#lines + 1] = diff.PREMISES
   return concat(lines, "\n") .. "\n", is_safe
