@@ -291,8 +291,9 @@ local function untold() end
 
 -- Gives a region, and the regions in it, an err.
 local function tell_to(region, err)
-  for _, at in ipairs(rfsm.machines(region)) do
-    if at.machine.err == untold then at.machine.err = err end
+  if region.err == untold then region.err = err end
+  for _, state in ipairs(region._seqands or {}) do
+    for _, inner in ipairs(state._regions) do tell_to(inner, err) end
   end
 end
 

@@ -467,9 +467,10 @@ end
 -- Is `put_directly` possible? The snapshot must be of this chart, without `saved` and
 -- regions, and the chart must have no `load` and no regions.
 local function is_usual(own, snap)
-  return own.chart.leaves[snap.leaf] and snap.chart == own.chart.name
-    and snap.version == migrate.VERSION and not (snap.saved or snap.regions)
-    and not (own.chart.has_load or own.places[2])
+  local chart = own.chart
+  return chart.leaves[snap.leaf] and snap.chart == chart.name
+    and snap.version == migrate.VERSION
+    and not (snap.saved or snap.regions or chart.has_load or chart.has_regions)
 end
 
 -- Returns the packed values of the fields of a state, as a table.
@@ -501,8 +502,8 @@ local function put_directly(fsm, snap)
     set_fields(own.states[i], keepers[i], fields_of(data[keepers[i].fqn]), unpack)
   end
   for i = 1, #hooks do
-    local name = hooks[i].name
-    hooks[i].load(fsm, ext[name] and unpack_table("ext", name, ext[name]), UNCHANGED)
+    local hook, data_of = hooks[i], ext[hooks[i].name]
+    hook.load(fsm, data_of and unpack_table("ext", hook.name, data_of), UNCHANGED)
   end
   return true
 end
