@@ -1781,19 +1781,15 @@ do
   local function is_same(a, b) return rawequal(a, b) or a ~= a and b ~= b end -- NaN
 
   -- Turns a note to `first` in the same search. Returns true if the connector was asked
-  -- for that event before.
+  -- for that event before. The search goes on only where no event had a way out.
   local function turn_to(note, first)
     if is_same(note.first, first) then return true end
     local asked = note.asked or {}
-    asked[#asked + 1] = { first = note.first, way = note.way, event = note.event }
+    asked[#asked + 1] = note.first
     note.first, note.asked = first, asked
     for i = 1, #asked do
-      if is_same(asked[i].first, first) then
-        note.way, note.event = asked[i].way, asked[i].event
-        return true
-      end
+      if is_same(asked[i], first) then return true end
     end
-    note.way, note.others = false, false
     return false
   end
 

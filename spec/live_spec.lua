@@ -182,6 +182,17 @@ describe("a step hook", function()
     assert.same({ "front", "source", "other" }, order)
   end)
 
+  it("added before others is the first again when those in front are gone", function()
+    local fsm, order = started(), {}
+    local front = noting(order, "front")
+    rfsm.pre_step_hook_add(fsm, front, "front")
+    rfsm.pre_step_hook_add(fsm, noting(order, "last"))
+    rfsm.pre_step_hook_rm(fsm, front)
+    rfsm.pre_step_hook_add(fsm, noting(order, "first"), "before")
+    rfsm.step(fsm)
+    assert.same({ "first", "last" }, order)
+  end)
+
   it("sees the events and may change them", function()
     local fsm = started()
     rfsm.pre_step_hook_add(fsm, function(_, events) events[1] = "e" end)
