@@ -3445,7 +3445,7 @@ do
   local PLACES = { front = true, before = true, after = true }
 
   -- Lists of one hook, which many states may have: hook -> list.
-  local singles = setmetatable({}, { __mode = "v" })
+  local singles = setmetatable({}, { __mode = "kv" })
 
   local function put_in(owner, field, hook, place)
     if not (owner[field] or place == "front") then

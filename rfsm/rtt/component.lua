@@ -7,7 +7,6 @@
 local rfsm_rtt = require "rfsm.rtt" -- first: it adapts Lua to a TLSF pool
 local rfsm = require "rfsm"
 local held_port = require "rfsm.rtt.port"
-local limit = require "rfsm.shared.limit"
 local update = require "rfsm.rtt.update"
 
 local assert, collectgarbage, coroutine = assert, collectgarbage, coroutine
@@ -22,6 +21,7 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 -- Functions that are needed after the launch use these locals, so that the rest of the
 -- module `update` can be collected.
 local add_attributes, ATTRIBUTES = update.add_attributes, update.ATTRIBUTES
+local collect = update.collect
 local notice_exception, report = update.notice_exception, update.report
 
 local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
@@ -53,6 +53,12 @@ local function set_globals(globals)
   for name, value in pairs(globals) do rawset(_G, name, value) end -- any order: a set
 end
 
+-- Makes modules garbage that have been used, so that a pool has more room for the rest.
+-- They are loaded again if they are needed again.
+local function drop(...)
+  for _, name in ipairs { ... } do package.loaded[name] = nil end
+end
+
 -- Ports --------------------------------------------------------------------------
 
 -- For each setting of a launch that asks for a port: the class of the port, its default
@@ -66,11 +72,13 @@ local PORTS = {
 
 --- Remove a port that `make` has made: Lua does not collect ports.
 ---@param held rfsm.rtt.Port
-function component.remove_port(held)
+local function remove_port(held)
   if not (held.is_made and held.real) then return end
   held.component:removePort(held.name) -- else `delete` ends the process
   held.real:delete()
 end
+
+component.remove_port = remove_port -- a local: a launch does not hold the module
 
 --- Make a port. With `is_kept` a port that the component has already is taken, such as
 -- that of its last launch. Otherwise it is an error: RTT would replace the port.
@@ -193,7 +201,8 @@ end
 -- Returns the machine, and the getevents of the chart.
 local function load_machine(launch)
   if launch.timer then require "rfsm_timeevent" end -- the chart may not require it
-  local ok, model = limit.load(rfsm.load, launch.fsmfile, { os.time })
+  local ok, model = require("rfsm.shared.limit").load(rfsm.load, launch.fsmfile,
+    { os.time })
   if not ok then error(model, 0) end
   local log = launch.log
   for name, level in pairs { err = "Error", warn = "Warning", info = "Info" } do
@@ -202,6 +211,8 @@ local function load_machine(launch)
     end
   end
   launch.stage = "the machine is made"
+  drop "rfsm.shared.limit"
+  collect()
   local fsm, _, problems = rfsm.init(model)
   if not fsm then error("no machine:\n  " .. concat(problems, "\n  "), 0) end
   return fsm, model.getevents
@@ -409,10 +420,11 @@ local function set_up(launch)
   add_timer(launch)
   local write_fqn = add_outputs(launch)
   launch.stage = "the chart is loaded"
-  pcall(collectgarbage)
+  drop "rfsm.shared.calls"
+  collect()
   local fsm, getevents = load_machine(launch)
   launch.stage = "the machine is connected"
-  pcall(collectgarbage)
+  collect()
   connect(launch, fsm, getevents, write_fqn)
   launch.fsm, launch.meter = fsm, update.new_meter(launch)
   local trigger = update.new_trigger(launch, fsm)
@@ -454,12 +466,12 @@ local function forget(launch)
   if rawequal(rawget(_G, "fsm"), launch.fsm) then rawset(_G, "fsm", nil) end
   for _, name in ipairs { "trigger", "setfqn" } do rawset(_G, name, nil) end
   launch.fsm, launch.hooks, launch.theirs = nil, {}, {}
-  pcall(collectgarbage)
+  collect()
 end
 
 -- Removes what a launch has made: Lua does not collect ports and attributes.
 local function undo(launch)
-  for _, held in ipairs(launch.held) do component.remove_port(held) end
+  for _, held in ipairs(launch.held) do remove_port(held) end
   for _, name in ipairs(launch.attributes) do
     launch.component:removeAttribute(name)
   end
@@ -505,19 +517,21 @@ end
 
 --- Launch a machine in this Lua; return its hook, which the caller must enable last, or
 -- nil if it needs no hook. An error has the name of the chart. Call `launch:finish()`
--- afterwards, when most of this module is garbage.
+-- afterwards, when most of this module is garbage. A pool has less garbage meanwhile.
 ---@param launch rfsm.rtt.Launched
 function component.start(launch)
   launch.where = "launch of '" .. launch.fsmfile .. "': "
   local problem = obstacle(launch)
   if problem then error(launch.where .. problem, 0) end
   launch.stage = "the launch begins"
+  local usual = rawget(_G, "tlsf") and collectgarbage("setstepmul", 10000)
   local ok, result = pcall(function()
     begin(launch)
     load_libraries(launch)
     rfsm_rtt.launched = launch -- now: an exception of C++ may end the launch
     return set_up(launch)
   end)
+  if usual then collectgarbage("setstepmul", usual) end
   rfsm_rtt.forget_modules()
   if not ok then update.fail(launch, result) end
   return result
@@ -529,9 +543,7 @@ function component.launch(args)
   local launch = require("rfsm.rtt.settings").read("own", args)
   local declared = rfsm_rtt.declared
   launch.is_declared = declared and declared.list == args.ports
-  for _, name in ipairs { "rfsm.rtt.settings", "rfsm.shared.options" } do
-    package.loaded[name] = nil -- garbage from here on
-  end
+  drop("rfsm.rtt.settings", "rfsm.shared.options")
   set_globals(launch.env)
   component.start(launch)
 end

@@ -24,6 +24,8 @@ local update = {}
 -- Collects garbage. The collector itself allocates, so it may fail in a full pool.
 local function collect() pcall(collectgarbage) end
 
+update.collect = collect
+
 -- Collects garbage after an error for lack of memory. Lua 5.1 itself collects when the
 -- heap has grown by a factor, not when memory is short. So a full pool would stay full,
 -- and the report of the error would fail, too.
