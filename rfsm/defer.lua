@@ -70,8 +70,8 @@ end
 local function keep(fsm, state, event)
   local own = fsm._deferred
   own.known = own.known or alphabet.of_all(fsm)
-  local known, list = own.known, own.list
-  if not (known.takes_any or known.predicates[1] or match.has(known.list, event)) then
+  local list = own.list
+  if not alphabet.may_take(own.known, event) then
     warn(fsm, state, event, "'%s' is deferred, but no transition takes it")
   end
   if #list >= (state._defers.max or MOST) then

@@ -146,7 +146,8 @@ end
 local function check_early(fsm, at, event)
   local name = rfsm.event_text(event)
   local told = fsm._strict.told
-  if told["early: " .. name] or rfsm.get_sta_mode(fsm) ~= "inactive" then return end
+  local is_late = rfsm.get_sta_mode(fsm) ~= "inactive" or fsm.read == "one"
+  if told["early: " .. name] or is_late then return end
   told["early: " .. name] = true
   warn(fsm, ("%sevent '%s' is sent before the first step, whose entry consumes it")
     :format(at, name))
@@ -161,19 +162,6 @@ local function alphabet_of(fsm)
   return notes.known
 end
 
--- May a transition accept an event? Predicates of the user are not called; they count
--- as accepting any event.
-local function may_accept(known, event)
-  if known.set[event] then return true end
-  for _, predicate in ipairs(known.predicates) do
-    local name = rfsm.event_name(predicate)
-    if not name or type(event) == "table" and rawget(event, "name") == name then
-      return true
-    end
-  end
-  return false
-end
-
 -- Checks events that are sent to a machine. `at` is the sender, such as "lamp.lua:7: ".
 local function check_events(fsm, at, ...)
   local known = alphabet_of(fsm)
@@ -182,7 +170,7 @@ local function check_events(fsm, at, ...)
     if event == nil then
       warn(fsm, ("%sargument %d is nil, which is no event (is it a name without "
         .. "quotes?)"):format(at, i))
-    elseif not may_accept(known, event) then
+    elseif not alphabet.has(known, event) then
       warn(fsm, at .. oddness_of(fsm, known, event))
     else
       check_early(fsm, at, event)
@@ -355,7 +343,7 @@ local function note_names(fsm, at, chain, events)
   local leaf = at.machine._act_leaf
   if leaf then chain.states[location.path(leaf, at.prefix)] = true end
   for _, event in ipairs(events) do
-    local is_known = may_accept(alphabet_of(fsm), event)
+    local is_known = alphabet.has(alphabet_of(fsm), event)
     chain.events[rfsm.event_text(event)] = is_known or nil
   end
 end
@@ -420,8 +408,19 @@ local function note_path(fsm, path)
   end
 end
 
+-- Does a transition name an event, also by `rfsm.named`?
+local function names(tr, event)
+  local name = rfsm.name_with_data(event)
+  return match.names(tr, event) or name and match.names(tr, rfsm.named(name)) or false
+end
+
+-- May a transition of a path have taken an event? Predicates without a name may.
 local function is_named_in(path, event)
-  return order.any(path, function(tr) return match.triggers(tr, event) ~= false end)
+  return order.any(path, function(tr)
+    return match.is_any(tr) or names(tr, event) or order.any(tr.events, function(own)
+      return type(own) == "function" and not rfsm.event_name(own)
+    end)
+  end)
 end
 
 -- Returns the FQN of the innermost active state that has a transition for an event.
@@ -429,7 +428,7 @@ local function waiting_for(fsm, event)
   local state = fsm._act_leaf
   while state do
     for _, tr in ipairs(state._otrs) do
-      if match.names(tr, event) then return state._fqn end
+      if names(tr, event) then return state._fqn end
     end
     state = state._parent ~= state and state._parent
   end
@@ -442,7 +441,7 @@ local function check_closed(fsm, events)
   while state do
     for _, tr in ipairs(state._otrs) do
       for _, event in ipairs(rfsm.is_conn(tr.tgt) and not tr.guard and events or {}) do
-        if match.names(tr, event) then
+        if names(tr, event) then
           warn(fsm, ("event '%s' is discarded, no transition from '%s' is enabled (add "
             .. "one without a guard, of the least pn)"):format(rfsm.event_text(event),
             tr.tgt._fqn))
@@ -462,11 +461,12 @@ local function check_lost(fsm, events)
   local first = path[1] -- none if the root is a leaf
   if not first or rfsm.is_conn(first.src) then return end
   for _, event in ipairs(events) do
-    local fqn = type(event) == "string" and not event:find("@", 1, true)
-      and not is_named_in(path, event) and waiting_for(fsm, event)
+    local fqn = not match.maker_of(event) and not is_named_in(path, event)
+      and waiting_for(fsm, event)
     if fqn then
       warn(fsm, ("event '%s' came together with another one and is discarded, '%s' "
-        .. "waits for it (call rfsm.run before it is sent)"):format(event, fqn))
+        .. "waits for it (call rfsm.run before it is sent)"):format(
+        rfsm.event_text(event), fqn))
     end
   end
 end

@@ -524,10 +524,18 @@ describe("deferral", function()
   for _, case in ipairs {
     { { "e_yx" }, "defer 'e_yx', but no transition takes it (did you mean 'e_xy'?)" },
     { { "e_go" }, "defer 'e_go' has no effect, root.trans[2] (a -> b) takes it" },
-    { { "e_xy", rfsm.named "e_z" } },
+    { { rfsm.named "e_go" }, "defer 'e_go', but no transition takes it (did you mean "
+      .. "'e_go'?)" },
+    { { "e_z" }, "defer 'e_z', but no transition takes it (did you mean rfsm.named "
+      .. "'e_z'?)", event = rfsm.named "e_z" },
+    { { rfsm.named "e_zx" }, "defer 'e_zx', but no transition takes it (there are "
+      .. "'e_go', 'e_xy')", event = rfsm.named "e_z" },
+    { { "e_xy", rfsm.named "e_z" }, event = rfsm.named "e_z" },
+    { { "e_xy" }, event = rfsm.named "e_z" },
     { { "e_go" }, guard = print },
     { { "e_go" }, tgt = "k" },
-    { { "e_zz" }, event = rfsm.named "e_z" },
+    { { "e_zz" }, event = print },
+    { { print } },
   } do
     it("is checked for events that nothing takes, or the state itself: "
       .. (case[2] or "none"), function()

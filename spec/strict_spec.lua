@@ -10,6 +10,7 @@ require "rfsm.await"
 
 local state, trans = rfsm.state, rfsm.trans
 local chart, go = ab.chart, ab.go
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 -- A strict machine of more members, and the list of its warnings.
 local function watched(members)
@@ -118,6 +119,41 @@ describe("a strict machine", function()
     assert.same({ HERE .. "sent before the machine was entered, which consumes them: "
       .. "e_paid" }, warnings)
   end)
+
+  it("warns of no early event if the machine takes one event", function()
+    local fsm, warnings = watched { read = "one" }
+    rfsm.send_events(fsm, "e_x")
+    rfsm.run(fsm)
+    assert.same({}, warnings)
+  end)
+
+  local paid, other = { name = "e_paid" }, { name = "e_paid" }
+  local TOGETHER = {
+    { name = "events with data", rfsm.named "e_go", rfsm.named "e_paid",
+      sent = { { name = "e_go" }, paid }, waits = true },
+    { name = "a text and one with data", "e_go", rfsm.named "e_paid",
+      sent = { "e_go", paid }, waits = true },
+    { name = "one of the path, and one of its name", paid, rfsm.named "e_paid",
+      sent = { paid, other }, waits = true },
+    { name = "two that the path takes", { "e_go", rfsm.named "e_paid" },
+      rfsm.named "e_paid", sent = { "e_go", paid } },
+    { name = "one that a predicate of the user may take", function() end,
+      rfsm.named "e_paid", sent = { "e_go", paid } },
+  }
+  for _, case in ipairs(TOGETHER) do
+    it("looks for a state that waits for one of " .. case.name, function()
+      local is_list = type(case[1]) == "table" and case[1] ~= paid
+      local own = is_list and case[1] or { case[1] }
+      own[#own + 1] = "e_way"
+      local fsm, warnings = started { [2] = trans { src = "a", tgt = "b",
+        events = own }, [4] = go("b", "a", { case[2] }) }
+      rfsm.send_events(fsm, "e_way", unpack(case.sent))
+      rfsm.run(fsm)
+      assert.same({ case.waits and HERE .. "event 'e_paid' came together with another "
+        .. "one and is discarded, 'root.b' waits for it (call rfsm.run before it is "
+        .. "sent)" or nil }, warnings)
+    end)
+  end
 
   it("warns once of an early event, also of getevents", function()
     local got = { "e_p" }

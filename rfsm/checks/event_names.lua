@@ -247,19 +247,28 @@ local function taker_of(state, event)
   end
 end
 
+-- Returns the hint for an event that no transition takes: another one, or the text or
+-- predicate of the same name.
+local function near_event(event, known)
+  local name = rfsm.event_text(event)
+  local has_data = type(event) == "string" and known.set[rfsm.named(name)]
+  local other = has_data and "rfsm.named "
+    or rfsm.event_name(event) and match.has(known.list, name) and ""
+  if other then return (" (did you mean %s'%s'?)"):format(other, name) end
+  return advice.nearest_name(name, known.list)
+end
+
 -- Finds events that an extension would keep for later, as `defer` does, although no
 -- transition takes them, or although the same state takes them always.
 local function check_reaction(state, reaction, known, add)
   for _, event in ipairs(reaction.events) do
-    local tr = type(event) ~= "function" and taker_of(state, event)
+    local tr = taker_of(state, event)
     if tr then
       add("idle-reaction", state, ("%s '%s' has no effect, %s takes it"):format(
         reaction.word, rfsm.event_text(event), rfsm.location_of(tr):match("root.*$")))
-    elseif not (known.takes_any or known.predicates[1] or match.has(known.list, event)
-      or type(event) == "function") then
+    elseif not alphabet.may_take(known, event) then
       add("idle-reaction", state, ("%s '%s', but no transition takes it%s"):format(
-        reaction.word, rfsm.event_text(event),
-        advice.nearest_name(rfsm.event_text(event), known.list)))
+        reaction.word, rfsm.event_text(event), near_event(event, known)))
     end
   end
 end

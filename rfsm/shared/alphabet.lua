@@ -6,7 +6,7 @@
 local rfsm = require "rfsm"
 local order = require "rfsm.shared.order"
 
-local ipairs, type = ipairs, type
+local ipairs, rawequal, rawget, type = ipairs, rawequal, rawget, type
 
 local alphabet = {}
 
@@ -14,7 +14,8 @@ local alphabet = {}
 ---@class rfsm.Alphabet
 ---@field list any[] events that transitions name, in the order of the tree
 ---@field reactions any[] further events, to which extensions react
----@field predicates function[] predicates among the events of transitions
+---@field takers function[] predicates among the events of transitions
+---@field predicates function[] these, and those among the events of extensions
 ---@field set table<any, boolean> all events and predicates of the three lists
 ---@field takes_any boolean does a state have a transition that any event triggers?
 
@@ -34,6 +35,9 @@ local function add_transition(known, tr)
   local is_any = own[1] == nil and tr.always ~= true
   if is_any and rfsm.is_state(tr.src) then known.takes_any = true end
   add_all(known, known.list, own)
+  for _, event in ipairs(own) do
+    if type(event) == "function" then known.takers[#known.takers + 1] = event end
+  end
 end
 
 local function add_machine(known, fsm)
@@ -46,7 +50,7 @@ local function add_machine(known, fsm)
 end
 
 local function collect(machines)
-  local known = { list = {}, reactions = {}, predicates = {}, set = {},
+  local known = { list = {}, reactions = {}, takers = {}, predicates = {}, set = {},
     takes_any = false }
   for _, at in ipairs(machines) do add_machine(known, at.machine) end
   return known
@@ -57,6 +61,35 @@ function alphabet.of(fsm) return collect { { machine = fsm } } end
 
 --- Collect the events that the transitions of a machine and its regions name.
 function alphabet.of_all(fsm) return collect(rfsm.machines(fsm)) end
+
+-- May a predicate accept an event, or the events of a predicate of the same name?
+-- Predicates of the user are not called; they count as accepting any event.
+local function accept(predicates, event)
+  local name = rfsm.event_name(event)
+    or type(event) == "table" and rawget(event, "name")
+  return order.any(predicates, function(predicate)
+    local own = rfsm.event_name(predicate)
+    return not own or own == name
+  end)
+end
+
+--- Does a machine know an event, or may one of its predicates accept it?
+---@param known rfsm.Alphabet
+---@param event any
+---@return boolean
+function alphabet.has(known, event)
+  return known.set[event] or accept(known.predicates, event)
+end
+
+--- May a transition take an event, or one that a predicate accepts?
+---@param known rfsm.Alphabet
+---@param event any
+---@return boolean
+function alphabet.may_take(known, event)
+  local is_free = type(event) == "function" and not rfsm.event_name(event)
+  return known.takes_any or is_free or accept(known.takers, event)
+    or order.any(known.list, function(own) return rawequal(own, event) end)
+end
 
 --- Does a machine take an event only with data?
 ---@param fsm rfsm.Machine
