@@ -59,11 +59,6 @@ local function length_of(node)
   return length
 end
 
--- Does an arrow lead from a node to the same node, or to a node inside of it?
-local function is_loop(arrow)
-  return arrow.src == arrow.tgt or diagram.is_inside(arrow.tgt, arrow.src)
-end
-
 local function leads_back(arrow)
   local src, tgt = diagram.ends_in(arrow, arrow.home)
   return src.index > tgt.index
@@ -71,8 +66,7 @@ end
 
 -- Gives an arrow a node for its label if the arrow has a text, or is a loop.
 local function place_label(chart, arrow)
-  local is_round = is_loop(arrow)
-  arrow.src.has_loop = arrow.src.has_loop or is_round
+  local is_round = diagram.is_loop(arrow)
   if not (arrow.parts[1] or is_round) then return end
   local is_down = chart.direction == "TB"
   arrow.label = {
@@ -112,7 +106,7 @@ end
 -- The label of a loop is below both ends of the loop, and is its bottom.
 local function add_arrow(lines, arrow)
   local src, tgt, label = arrow.src, arrow.tgt, arrow.label
-  local is_back, is_round = leads_back(arrow), is_loop(arrow)
+  local is_back, is_round = leads_back(arrow), diagram.is_loop(arrow)
   local function add_half(half, upper, lower, is_turned, dir)
     if is_turned then upper, lower = lower, upper end
     add_edge(lines, arrow, half, upper, lower, dir or is_turned and "back" or "forward")

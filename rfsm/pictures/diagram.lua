@@ -68,6 +68,7 @@ local diagram = {}
 ---@field is_final? true
 ---@field is_region? true
 ---@field is_on_border? true an arrow leads from or to it across the frame around it
+---@field has_loop? boolean an arrow leads from it to itself, or to a node in it
 ---@field is_cut? true a composite that is drawn without the nodes in it
 ---@field is_outside? true a state outside of the composite that is drawn
 ---@field is_linked? boolean another picture shows it if it is cut or outside
@@ -300,6 +301,11 @@ function diagram.find_home(src, tgt)
   return home
 end
 
+--- Does an arrow lead from a node to the same node, or to a node inside of it?
+function diagram.is_loop(arrow)
+  return arrow.src == arrow.tgt or is_inside(arrow.tgt, arrow.src)
+end
+
 local function parts_of(tr, words)
   local parts = {}
   local function add(text, format)
@@ -358,19 +364,21 @@ end
 
 -- Bundles: arrows with equal ends become one, with a line for each in its label --
 
-local FEWEST = 3 -- arrows in a bundle
-
--- Returns a table from each arrow to the list of all arrows with its ends. A loop is
--- alone in its list.
+-- Returns a table from each arrow to the list of all arrows with its ends.
 local function groups_of(arrows)
   local groups, by_ends = {}, {}
   for _, arrow in ipairs(arrows) do
     local ends = arrow.src.id .. " " .. arrow.tgt.id
-    local group = arrow.src ~= arrow.tgt and by_ends[ends] or {}
-    group[#group + 1] = arrow
-    groups[arrow], by_ends[ends] = group, group
+    by_ends[ends] = by_ends[ends] or {}
+    groups[arrow], by_ends[ends][#by_ends[ends] + 1] = by_ends[ends], arrow
   end
   return groups
+end
+
+-- Is a list of arrows drawn as a bundle? Graphviz draws a loop through the labels of
+-- the loops inside of it, so two of them are one already.
+local function is_bundle(group)
+  return #group > (group[1].src == group[1].tgt and 1 or 2)
 end
 
 -- Returns the bundle of some arrows. It is marked as missed only if all of them are.
@@ -391,7 +399,7 @@ local function tied(arrows)
   local groups, list = groups_of(arrows), {}
   for _, arrow in ipairs(arrows) do
     local group = groups[arrow]
-    if not group[FEWEST] then
+    if not is_bundle(group) then
       list[#list + 1] = arrow
     elseif group[1] == arrow then
       list[#list + 1] = bundle_of(group)
@@ -408,6 +416,7 @@ local function place_arrows(chart)
     arrow.home = home
     src.is_on_border = src.is_on_border or home ~= src.parent or nil
     tgt.is_on_border = tgt.is_on_border or home ~= tgt.parent or nil
+    src.has_loop = src.has_loop or diagram.is_loop(arrow)
     local arrows = (home or chart).arrows
     arrows[#arrows + 1] = arrow
   end

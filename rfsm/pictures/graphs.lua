@@ -89,9 +89,6 @@ local function box_of_level(level, prefix)
     side_text(level, prefix, false, across) }, FIXED:format(level.width, level.height))
 end
 
--- Is a link drawn by Graphviz?
-local function is_bent(link) return not (link.is_straight or link.is_loop) end
-
 local APART = 14 -- points between ports of a node, at most
 
 -- Appends ports of node i in a run to a list, at one of its sides: one for each link
@@ -99,9 +96,9 @@ local APART = 14 -- points between ports of a node, at most
 local function add_ports(ports, level, i, length, is_upper)
   local list = {}
   for _, link in ipairs(level.links) do
-    local finish = is_upper and link.lower or link.upper or link.lower
+    local finish = is_upper and link.lower or link.upper
     list[#list + 1] = finish.node == level.composite.nodes[i]
-      and not finish.gate and is_bent(link) and link or nil
+      and not (finish.gate or link.is_straight) and link or nil
   end
   local step = min(APART, (length - 12) / max(1, #list - 1))
   for k, link in ipairs(list) do
@@ -166,9 +163,6 @@ local function add_border(lines, level)
   add_rank("sink", last)
 end
 
-local HIDDEN = '  n%d -> n%d [style=invis, label=<<TABLE BORDER="0" CELLPADDING="0">'
-  .. '<TR><TD FIXEDSIZE="TRUE" WIDTH="%d" HEIGHT="%d"></TD></TR></TABLE>>]'
-
 -- Returns the name of node i in a graph, or the name of its run.
 local function id_of(level, i)
   local run = level.run_of and level.run_of[i]
@@ -177,14 +171,11 @@ end
 
 local function add_nodes(lines, level)
   for i, node in ipairs(level.composite.nodes) do
-    local room, run = node.loops, level.run_of and level.run_of[i]
+    local run = level.run_of and level.run_of[i]
     if not run or run.first == i then
       add(lines, 1, ("%s [%s]"):format(id_of(level, i), run
         and box_text(box_of_run(level, run)) or node.level
         and box_text(box_of_level(node.level, "")) or looks.leaf_text(node)))
-    end
-    if room then
-      lines[#lines + 1] = HIDDEN:format(i, i, ceil(room.width), ceil(room.height))
     end
   end
 end
@@ -194,25 +185,11 @@ end
 local function add_order(lines, level)
   local is_lower = {}
   for _, link in ipairs(level.links) do
-    is_lower[not link.is_loop and link.lower.node or false] = true
+    is_lower[link.upper.node ~= link.lower.node and link.lower.node or false] = true
   end
   for i, node in ipairs(level.composite.nodes) do
     if not is_lower[node] then
       add(lines, 1, ("h -> %s [style=invis, weight=0]"):format(id_of(level, i)))
-    end
-  end
-end
-
--- Adds the labels of arches. An arch is a label above a composite, with two lines from
--- the label to gates of the frame: the left line leads to the left gate.
-local function add_arches(lines, level)
-  for _, link in ipairs(level.links) do
-    local legs = link.arch and link.arch.legs
-    if legs and legs[1] == link then
-      local is_right = link.lower.gate.offset > legs[2].lower.gate.offset
-      link.foot, legs[2].foot = is_right and "r" or "l", is_right and "l" or "r"
-      add(lines, 1, ("a%d [%s]"):format(link.id,
-        looks.arch_text(link.arrow, level.direction)))
     end
   end
 end
@@ -279,13 +256,9 @@ local function room_of(level)
 end
 
 local function add_link(lines, level, link)
-  local arch = link.arch
-  local tail = arch and ("a%d:%s:%s"):format(arch.id, link.foot,
-    COMPASS[level.direction][1]) or end_text(level, link, true)
-  local has_label = link.is_home and not arch and link.arrow.parts[1]
-  add(lines, 1, ("%s -> %s [id=%d, dir=%s%s%s]"):format(tail,
+  local has_label = link.is_home and link.arrow.parts[1]
+  add(lines, 1, ("%s -> %s [id=%d, dir=%s%s]"):format(end_text(level, link, true),
     end_text(level, link, false), link.id, dir_of(link),
-    arch and ", weight=8" or "",
     has_label and ", label=" .. looks.roomy_label(link.arrow, room_of(level)) or ""))
 end
 
@@ -303,11 +276,10 @@ local function graph_of(level)
   add_border(lines, level)
   add_nodes(lines, level)
   if has_header_rank(level) then add_order(lines, level) end
-  add_arches(lines, level)
   add_regions(lines, composite)
   add_rows(lines, level)
   for _, link in ipairs(level.links) do
-    if is_bent(link) then add_link(lines, level, link) end
+    if not link.is_straight then add_link(lines, level, link) end
   end
   lines[#lines + 1] = "}\n"
   return concat(lines, "\n")
@@ -360,8 +332,6 @@ local function read_node(level, id, attributes)
     level.boxes[number] = box
   elseif kind == "r" then
     level.run_boxes[number] = box
-  elseif kind == "a" then
-    level.arches[number] = box
   else
     level.gates[number].at = { box.x, box.y }
   end
@@ -394,7 +364,7 @@ end
 -- "node [...]".
 local function read_level(level, text, position)
   local id, attributes, usual = nil, nil, {}
-  level.boxes, level.run_boxes, level.arches, level.header = {}, {}, {}, nil
+  level.boxes, level.run_boxes, level.header = {}, {}, nil
   while true do
     local _, stop, line = text:find("([^\n]*)\n", position)
     if line:find("^}") then return stop + 1 end
@@ -430,14 +400,21 @@ function graphs.measure(level)
   local composite = level.composite
   local margin = composite.fqn and looks.margin_of(composite) or 0
   if level.is_tight then margin = min(margin, 6) end
-  local least = composite.loops and composite.loops.length or 0
-  level.width, level.height = ceil(level.inner_width) + 2 * margin,
-    max(ceil(level.inner_height) + 2 * margin, ceil(least))
+  level.width = ceil(level.inner_width) + 2 * margin
+  level.height = ceil(level.inner_height) + 2 * margin
   level.x, level.y = margin, level.height - ceil(level.inner_height) - margin
   local is_centred = level.header ~= nil
   for _, gate in ipairs(level.gates) do
     is_centred = is_centred and not gate.is_upper
     place_gate(level, gate)
+  end
+  for _, link in ipairs(level.links) do
+    local gate, line = link.frame, {}
+    if gate then
+      curves.join(line, { { gate.x - level.x, gate.y - level.y } })
+      curves.join(line, link.points)
+      link.points = line
+    end
   end
   if is_centred then level.header.x = level.inner_width / 2 end
 end

@@ -65,19 +65,12 @@ end
 local function line_of(arrow, direction)
   local line, tip, label, axis = {}, nil, nil, direction == "TB" and 1 or 2
   for _, link in ipairs(arrow.links) do
-    local level, arch = link.level, link.arch
+    local level = link.level
     local function place(point)
       return { level.left + point[1], level.bottom + point[2] }
     end
-    local points = lines.moved(link.points, level.left, level.bottom, link.is_turned)
-    if arch and link == arch.legs[2] then
-      local box = level.arches[arch.id]
-      label = place { box.x, box.y }
-      lines.join(line, lines.around(line[#line], points[1], level.direction == "TB"
-        and label[2] + box.height / 2 or label[1] - box.width / 2, level.direction),
-        axis)
-    end
-    lines.join(line, points, axis)
+    lines.join(line, lines.moved(link.points, level.left, level.bottom, link.is_turned),
+      axis)
     tip = link.has_head and place(link.tip) or tip
     label = link.label_at and place(link.label_at) or label
   end

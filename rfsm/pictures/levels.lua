@@ -1,81 +1,16 @@
 --- What is done to a level before and after Graphviz lays it out.
 --
 -- A level with too many nodes beside each other runs from left to right, and leaves
--- linked to one node only are put at both sides of it. Loops at states are drawn here.
+-- linked to one node only are put at both sides of it.
 --
 -- @module rfsm.pictures.levels
 -- @license BSD-3-Clause
 
-local diagram = require "rfsm.pictures.diagram"
-local lines = require "rfsm.pictures.lines"
 local looks = require "rfsm.pictures.looks"
 
 local ipairs, max = ipairs, math.max
 
 local levels = {}
-
--- Loops: arrows from a state to itself, beside it -----------------------------
-
-local DEPTH, LEAST = 22, 18 -- points: extent of a loop, least distance of two loops
-
--- Returns the room for the label of a loop.
-local function box_of(link)
-  local size = lines.size_of(diagram.label_of(link.arrow))
-  return { width = size[1], height = size[2] }
-end
-
--- Returns the length that a loop and its label take along the side of a node.
-local function step_of(link)
-  local box = box_of(link)
-  return max(LEAST, link.level.direction == "TB" and box.height + 4 or box.width + 10)
-end
-
-local function add_loop(link)
-  local node, box = link.upper.node, box_of(link)
-  local direction = link.level.direction
-  local room = node.loops or { length = 0, width = 2, height = 2 }
-  node.loops, room.length = room, room.length + step_of(link)
-  local field = direction == "TB" and "width" or "height"
-  room[field] = max(room[field], box[field] + DEPTH - 8)
-  node.least = looks.least_text(direction, room.length)
-end
-
--- The points of a loop at the right side of a box, from its upper end to its lower one.
--- In a level that runs from left to right, loops are at the upper side.
-local LOOP = { { 0, 5 }, { 12, 8 }, { 18, 7 }, { 18, 0 }, { 18, -6 }, { 14, -8 },
-  { 6.5, -6.5 } }
-local TIP = { 0, -4.5 }
-
-local function draw_loop(link, x, y)
-  local is_down, box = link.level.direction == "TB", box_of(link)
-  local function at(point)
-    if is_down then return { x + point[1], y + point[2] } end
-    return { x - point[2], y + point[1] }
-  end
-  link.points = {}
-  for i, point in ipairs(LOOP) do link.points[i] = at(point) end
-  link.tip = at(TIP)
-  link.label_at = at { DEPTH + (is_down and box.width or box.height) / 2 - 1, 0 }
-end
-
---- Draw the loops at the nodes of a level.
-function levels.draw_loops(level)
-  local offsets = {}
-  for _, link in ipairs(level.links) do
-    local node = link.is_loop and link.upper.node
-    if node then
-      local box, step = level.boxes[node.index], step_of(link)
-      local offset = offsets[node] or -node.loops.length / 2
-      offsets[node] = offset + step
-      local along = offset + step / 2
-      if level.direction == "TB" then
-        draw_loop(link, box.x + box.width / 2, box.y - along)
-      else
-        draw_loop(link, box.x + along, box.y + box.height / 2)
-      end
-    end
-  end
-end
 
 -- Levels that do not fit ------------------------------------------------------
 
@@ -85,7 +20,7 @@ local FEWEST = 6 -- nodes of a level that is turned
 -- arrow in the level is a loop at a composite.
 function levels.is_closed(level)
   for _, node in ipairs(level.composite.nodes) do
-    if node.level and (node.loops or node.level.gates[1]) then return false end
+    if node.level and (node.has_loop or node.level.gates[1]) then return false end
   end
   return not level.gates[1]
 end
@@ -129,7 +64,7 @@ local function spread(level)
     for i, list in ipairs(#leaves > FEW and leaves or {}) do
       count, level.is_spread = count + #list, true
       for _, link in ipairs(i % 2 == 0 and list or {}) do swap(link) end
-      hub.least = (hub.least or "") .. ", height="
+      hub.least = ", height="
         .. looks.number_text(max(0.75, count / 2 * BESIDE))
     end
   end
@@ -146,14 +81,11 @@ function levels.reset(level, direction)
   level.direction, level.is_spread = direction, nil
   level.rows, level.run_of = nil, nil
   for _, link in ipairs(level.links) do
-    local upper, lower = link.upper and link.upper.node, link.lower.node
+    local upper, lower = link.upper.node, link.lower.node
     if upper and lower and upper.index > lower.index then swap(link) end
     link.is_straight = nil
   end
-  for _, node in ipairs(level.composite.nodes) do node.loops, node.least = nil, nil end
-  for _, link in ipairs(level.links) do
-    if link.is_loop then add_loop(link) end
-  end
+  for _, node in ipairs(level.composite.nodes) do node.least = nil end
 end
 
 -- Is a shape of a level far too long, across its arrows?

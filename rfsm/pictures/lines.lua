@@ -41,34 +41,6 @@ function lines.join(line, more, axis)
   end
 end
 
-local ROUND = 6 -- points, the radius of corners
-
---- Return a line of straight parts with round corners.
-function lines.rounded(points)
-  local line = { points[1] }
-  for i = 2, #points - 1 do
-    local before, corner, after = points[i - 1], points[i], points[i + 1]
-    local one, two = distance(before, corner), distance(corner, after)
-    local radius = min(ROUND, one / 2, two / 2)
-    if radius > 0.01 then
-      add_straight(line, between(corner, before, radius / one))
-      line[#line + 1] = between(corner, before, radius / one * 0.45)
-      line[#line + 1] = between(corner, after, radius / two * 0.45)
-      line[#line + 1] = between(corner, after, radius / two)
-    end
-  end
-  add_straight(line, points[#points])
-  return line
-end
-
---- Return a line around a label: it turns back beyond the label, at coordinate `far`.
-function lines.around(from, to, far, direction)
-  if direction == "TB" then
-    return lines.rounded { from, { from[1], far }, { to[1], far }, to }
-  end
-  return lines.rounded { from, { far, from[2] }, { far, to[2] }, to }
-end
-
 local HALVINGS = 4 -- most times that a curve is halved
 
 -- Adds a curve from a to d with the control points b and c. It is divided into halves

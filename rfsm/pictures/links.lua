@@ -27,7 +27,6 @@ local links = {}
 ---@field links rfsm.pictures.Link[]
 ---@field link_of table<string, rfsm.pictures.Link> key of an arrow -> its link
 ---@field boxes rfsm.pictures.Box[] the boxes of the nodes
----@field arches rfsm.pictures.Box[] id of a `Link.arch` -> the box of its label
 ---@field width number
 ---@field height number
 ---@field is_spread? boolean leaves are at both sides of a hub
@@ -58,14 +57,12 @@ local links = {}
 ---@field id integer
 ---@field level rfsm.pictures.Level
 ---@field arrow rfsm.pictures.Arrow
----@field upper? rfsm.pictures.End nil for a leg of `arch`, which begins at the label
+---@field upper rfsm.pictures.End
 ---@field lower rfsm.pictures.End
 ---@field is_turned boolean the arrow leads from the lower end to the upper one
 ---@field is_home? boolean this link is in the home of the arrow, and has the label
----@field is_loop? boolean both ends are at the box of one node
 ---@field has_head? boolean this link has the arrowhead
----@field arch? { id: integer, legs: rfsm.pictures.Link[] } a label above a composite,
--- and the two links from the label to the frame of the composite
+---@field frame? rfsm.pictures.Gate where its arrow begins, inside of a frame
 ---@field points? number[][] the points of the line
 ---@field tip? number[] the tip of the arrowhead
 ---@field label_at? number[] the position of the label
@@ -75,13 +72,12 @@ local links = {}
 --- Return an empty level.
 function links.new_level(composite, direction)
   return { composite = composite, direction = direction, gates = {}, gate_of = {},
-    links = {}, link_of = {}, boxes = {}, arches = {}, width = 0, height = 0 }
+    links = {}, link_of = {}, boxes = {}, width = 0, height = 0 }
 end
 
--- Returns the gate of an arrow in a level; the first call makes it. If an arrow has two
--- gates in the level, `mark` is a text for the second one; otherwise it is "".
-local function gate_of(level, arrow, is_upper, mark)
-  local key = mark .. arrow.key
+-- Returns the gate of an arrow in a level; the first call makes it.
+local function gate_of(level, arrow, is_upper)
+  local key = arrow.key
   local gate = level.gate_of[key]
   if gate then return gate end
   gate = { id = (is_upper and "t" or "b") .. #level.gates + 1, is_upper = is_upper }
@@ -90,8 +86,8 @@ local function gate_of(level, arrow, is_upper, mark)
 end
 
 -- Returns the link of an arrow in a level; the first call adds the given link.
-local function link_of(level, link, mark)
-  local key = mark .. link.arrow.key
+local function link_of(level, link)
+  local key = link.arrow.key
   if not level.link_of[key] then
     link.id, link.level = #level.links + 1, level
     level.links[link.id], level.link_of[key] = link, link
@@ -117,41 +113,30 @@ end
 local function climb(arrow, node, is_upper, is_src)
   local composite, finish, list = node.parent, { node = node }, {}
   while composite ~= arrow.home do
-    local gate = gate_of(composite.level, arrow, is_upper, "")
+    local gate = gate_of(composite.level, arrow, is_upper)
     local upper, lower = finish, { gate = gate }
     if is_upper then upper, lower = lower, upper end
     list[#list + 1] = link_of(composite.level, {
       arrow = arrow, upper = upper, lower = lower, is_turned = is_upper == is_src,
       has_head = not (is_src or finish.gate),
-    }, "")
+    })
     finish = { node = composite, gate = gate }
     composite = composite.parent
   end
   return finish, list
 end
 
--- Returns the links of an arrow between a composite and a node inside of it: two links
--- from the label above the composite to its frame, and the links inside.
-local function arch_links(arrow, composite)
-  local level, is_out = arrow.home.level, arrow.src == composite
-  local frame = { node = composite, gate = gate_of(composite.level, arrow, true, "/") }
-  local inner, list = climb(arrow, is_out and arrow.tgt or arrow.src, true, not is_out)
-  local from, to = frame, inner
-  if not is_out then from, to = inner, frame end
-  local legs = {
-    link_of(level, { arrow = arrow, lower = from, is_turned = true }, "/"),
-    link_of(level, { arrow = arrow, lower = to, is_turned = false, is_home = true,
-      has_head = not is_out }, ""),
-  }
-  local arch = { id = legs[1].id, legs = legs }
-  legs[1].arch, legs[2].arch = arch, arch
-  if is_out then return append({ legs[1], legs[2] }, reversed(list)) end
-  return append(list, legs)
+-- Returns the links of an arrow from a composite to a node in it: it begins at the
+-- inner side of the frame.
+local function inner_links(arrow)
+  local finish, list = climb(arrow, arrow.tgt, true, false)
+  list[#list].is_home, list[#list].frame = true, finish.gate
+  return reversed(list)
 end
 
 local function links_of(arrow)
+  if diagram.is_inside(arrow.tgt, arrow.src) then return inner_links(arrow) end
   local src, tgt = diagram.ends_in(arrow, arrow.home)
-  if src == tgt and arrow.src ~= arrow.tgt then return arch_links(arrow, src) end
   local is_down = src.index <= tgt.index
   local out, list = climb(arrow, arrow.src, not is_down, true)
   local into, inner = climb(arrow, arrow.tgt, is_down, false)
@@ -159,9 +144,8 @@ local function links_of(arrow)
   if not is_down then upper, lower = into, out end
   list[#list + 1] = link_of(arrow.home.level, {
     arrow = arrow, upper = upper, lower = lower, is_turned = not is_down,
-    is_home = true, is_loop = src == tgt and src.kind ~= "connector",
-    has_head = not into.gate,
-  }, "")
+    is_home = true, has_head = not into.gate,
+  })
   return append(list, reversed(inner))
 end
 

@@ -6,7 +6,7 @@
 local diagram = require "rfsm.pictures.diagram"
 local rfsm = require "rfsm"
 
-local floor, ipairs, max = math.floor, ipairs, math.max
+local floor, ipairs = math.floor, ipairs
 local concat, add = table.concat, diagram.add
 
 local looks = {}
@@ -142,14 +142,6 @@ local function look_of(element, kind)
     tooltip_of(element))
 end
 
---- Return the attribute `least` of a node whose side is at least so long, in points.
-function looks.least_text(direction, length)
-  if direction == "TB" then
-    return ", height=" .. looks.number_text(max(0.4, length / 72))
-  end
-  return ", width=" .. looks.number_text(max(0.75, length / 72))
-end
-
 -- Returns the attributes of a state that another picture shows, if there is one.
 local function address_of(node)
   local is_elsewhere = node.is_linked and (node.is_cut or node.is_outside)
@@ -224,12 +216,6 @@ local function label_node(arrow, direction, feet, sides)
   local row = concat(cells, direction == "TB" and "" or "</TR><TR>")
   return ('shape=plain, style="", fontsize=10, label=%s, %s'):format(table_of(
     "<TR>" .. row .. "</TR>", ' CELLPADDING="0"'), look_of(arrow, "transition"))
-end
-
---- Return the attributes of the label between the two legs of an arch; each leg ends at
--- a port, "l" or "r".
-function looks.arch_text(arrow, direction)
-  return label_node(arrow, direction, { "l", "text", "r" })
 end
 
 --- Return the attributes of a label at the far end of a loop: three of its sides are

@@ -48,7 +48,7 @@ end
 
 -- Returns the two nodes of a link, in their order; nil if it ends at a gate outside.
 local function nodes_of(link)
-  local a, b = link.upper and link.upper.node, link.lower.node
+  local a, b = link.upper.node, link.lower.node
   if not (a and b) or a == b then return nil end
   if a.index > b.index then a, b = b, a end
   return a, b
@@ -56,7 +56,8 @@ end
 
 local function can_be_straight(link, a, b)
   return b.index == a.index + 1 and not (link.upper.gate or link.lower.gate)
-    and a.kind ~= "connector" and b.kind ~= "connector" and not (a.loops or b.loops)
+    and a.kind ~= "connector" and b.kind ~= "connector"
+    and not (a.has_loop or b.has_loop)
 end
 
 -- Returns the size of the label of a link: along a row, and across it.

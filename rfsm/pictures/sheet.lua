@@ -30,7 +30,7 @@ local sheet = {}
 
 -- Shapes: what is kept of a level ---------------------------------------------
 
-local OF_LEVEL = { "direction", "boxes", "arches", "header", "inner_width",
+local OF_LEVEL = { "direction", "boxes", "header", "inner_width",
   "inner_height", "width", "height", "x", "y", "is_spread", "rows", "run_of" }
 local OF_GATE = { "at", "x", "y", "offset" }
 local OF_LINK = { "upper", "lower", "is_turned", "is_straight", "points", "tip",
@@ -97,8 +97,8 @@ end
 local function lines_in(level)
   local list, axis = {}, level.direction == "TB" and 2 or 1
   for _, link in ipairs(level.links) do
-    list[#list + 1] = not link.is_loop and { flat = lines.flat(link.points),
-      upper = link.upper and link.upper.node, lower = link.lower.node } or nil
+    list[#list + 1] = { flat = lines.flat(link.points),
+      upper = link.upper.node, lower = link.lower.node }
   end
   for _, gate in ipairs(level.gates) do
     local at, border = gate.at, { gate.at[1], gate.at[2] }
@@ -266,7 +266,6 @@ end
 
 local function lay_out(jobs, run)
   return jobs[1] and graphs.lay_out(jobs, run, prepare, function(job)
-    levels.draw_loops(job.level)
     rows.draw(job.level)
     take(job)
     job.crossings = count_crossings(job)

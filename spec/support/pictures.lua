@@ -112,13 +112,14 @@ function pictures.odd()
     rfsm.trans { src = "initial", tgt = "root" } }
   for _, name in ipairs(pictures.ODD_NAMES) do
     if name:sub(1, 1) ~= "_" then model[name] = rfsm.state {} end
-    model[#model + 1] = rfsm.trans { src = "root", tgt = "root", events = { name } }
+    model[#model + 1] = rfsm.trans { src = "root", tgt = model[name] or "a b",
+      events = { name } }
   end
   return model
 end
 
 --- The transitions in a list that have arrows of their own: the first of three or more
--- with equal ends stands for all of them, but each loop is drawn.
+-- with equal ends, or of two loops, stands for all of them.
 function pictures.drawn_arrows(transitions)
   local counts, seen, list = {}, {}, {}
   local function ends_of(tr) return tr.src .. "\0" .. tr.tgt end
@@ -128,7 +129,7 @@ function pictures.drawn_arrows(transitions)
   for _, tr in ipairs(transitions) do
     local ends = ends_of(tr)
     local is_loop = tr.src == tr.tgt or tr.src .. ".initial" == tr.tgt
-    local is_bundle = counts[ends] > 2 and not is_loop
+    local is_bundle = counts[ends] > (is_loop and 1 or 2)
     if not (is_bundle and seen[ends]) then list[#list + 1] = tr end
     seen[ends] = true
   end
@@ -270,12 +271,13 @@ local function join(shapes)
   return shapes
 end
 
--- Returns the ends of a line, that of the arrowhead second. Graphviz draws some lines
--- from their target.
+-- Returns the ends of a line, that at the base of the arrowhead second. Graphviz draws
+-- some lines from their target.
 local function ends_of(path, head)
   local first, last = path[1], path[#path]
   local function distance(point)
-    return math.abs(point[1] - head[2][1]) + math.abs(point[2] - head[2][2])
+    return math.abs(point[1] - (head[1][1] + head[3][1]) / 2)
+      + math.abs(point[2] - (head[1][2] + head[3][2]) / 2)
   end
   local is_turned = head and distance(first) < distance(last)
   return is_turned and { last, first } or { first, last }
