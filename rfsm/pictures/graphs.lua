@@ -409,7 +409,7 @@ function graphs.measure(level)
     place_gate(level, gate)
   end
   for _, link in ipairs(level.links) do
-    local gate, line = link.frame, {}
+    local gate, line = link.is_inner and level.gates[link.upper.gate.index], {}
     if gate then
       curves.join(line, { { gate.x - level.x, gate.y - level.y } })
       curves.join(line, link.points)
@@ -419,14 +419,14 @@ function graphs.measure(level)
   if is_centred then level.header.x = level.inner_width / 2 end
 end
 
---- Have Graphviz lay out jobs, each with a level; return a problem if there is one.
--- prepare(job) makes the level what the job wants, before its graph is made and again
--- before the answer is read. Then done(job) is called. Equal graphs are laid out once.
-function graphs.lay_out(jobs, run, prepare, done)
+--- Have Graphviz lay out levels; return a problem if there is one.
+-- prepare(level) is called before the graph of a level is made, done(level) when the
+-- answer is read. Equal graphs are laid out once.
+function graphs.lay_out(list, run, prepare, done)
   local texts, unique, starts = {}, {}, {}
-  for i, job in ipairs(jobs) do
-    prepare(job)
-    texts[i] = graph_of(job.level)
+  for i, level in ipairs(list) do
+    prepare(level)
+    texts[i] = graph_of(level)
     if not starts[texts[i]] then
       unique[#unique + 1], starts[texts[i]] = texts[i], true
     end
@@ -434,14 +434,12 @@ function graphs.lay_out(jobs, run, prepare, done)
   local answer, problem = run(concat(unique))
   if not answer then return problem end
   local position = 1
-  for i, job in ipairs(jobs) do
+  for i, level in ipairs(list) do
     local start = starts[texts[i]]
     if start == true then start, starts[texts[i]] = position, position end
-    prepare(job)
-    local stop = read_level(job.level, answer, start)
-    position = max(position, stop)
-    graphs.measure(job.level)
-    done(job)
+    position = max(position, read_level(level, answer, start))
+    graphs.measure(level)
+    done(level)
   end
 end
 

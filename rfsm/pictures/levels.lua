@@ -6,6 +6,7 @@
 -- @module rfsm.pictures.levels
 -- @license BSD-3-Clause
 
+local links = require "rfsm.pictures.links"
 local looks = require "rfsm.pictures.looks"
 
 local ipairs, max = ipairs, math.max
@@ -59,12 +60,13 @@ local BESIDE = 0.12 -- inches between arrows at a hub
 -- hub as high as the arrows at each side of it need.
 local function spread(level)
   local rays = rays_of(level)
+  level.least = {}
   for _, hub in ipairs(level.composite.nodes) do
     local leaves, count = rays[hub] or {}, 0
     for i, list in ipairs(#leaves > FEW and leaves or {}) do
       count, level.is_spread = count + #list, true
       for _, link in ipairs(i % 2 == 0 and list or {}) do swap(link) end
-      hub.least = ", height="
+      level.least[hub] = ", height="
         .. looks.number_text(max(0.75, count / 2 * BESIDE))
     end
   end
@@ -74,18 +76,6 @@ end
 function levels.turn(level)
   level.direction = "LR"
   spread(level)
-end
-
---- Put a level back as it was before it was laid out.
-function levels.reset(level, direction)
-  level.direction, level.is_spread = direction, nil
-  level.rows, level.run_of = nil, nil
-  for _, link in ipairs(level.links) do
-    local upper, lower = link.upper.node, link.lower.node
-    if upper and lower and upper.index > lower.index then swap(link) end
-    link.is_straight = nil
-  end
-  for _, node in ipairs(level.composite.nodes) do node.least = nil end
 end
 
 -- Is a shape of a level far too long, across its arrows?
@@ -109,18 +99,20 @@ end
 function levels.align_regions(composite)
   local height, width, regions = 0, 0, {}
   for _, node in ipairs(composite.nodes) do
-    regions[#regions + 1] = node.is_region and node.level or nil
+    regions[#regions + 1] = node.is_region and node.level and node or nil
   end
-  for _, level in ipairs(regions) do
-    height, width = max(height, level.height), max(width, level.width)
+  for _, node in ipairs(regions) do
+    height, width = max(height, node.level.height), max(width, node.level.width)
   end
-  for _, level in ipairs(regions) do
+  for _, node in ipairs(regions) do
+    local old, level = node.level, links.copy(node.level)
     if level.direction == "TB" then
-      level.y, level.height = level.y + height - level.height, height
+      level.y, level.height = old.y + height - old.height, height
     else
-      level.header.x = level.header.x + (width - level.width) / 2
+      level.header = { x = old.header.x + (width - old.width) / 2, y = old.header.y }
       level.width = width
     end
+    node.level = level
   end
 end
 

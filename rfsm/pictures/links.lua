@@ -14,7 +14,7 @@
 
 local diagram = require "rfsm.pictures.diagram"
 
-local ipairs = ipairs
+local ipairs, setmetatable = ipairs, setmetatable
 
 local links = {}
 
@@ -42,6 +42,7 @@ local links = {}
 --- The place where an arrow crosses a frame.
 ---@class rfsm.pictures.Gate
 ---@field id string
+---@field index integer
 ---@field is_upper boolean
 ---@field x number
 ---@field y number
@@ -62,7 +63,7 @@ local links = {}
 ---@field is_turned boolean the arrow leads from the lower end to the upper one
 ---@field is_home? boolean this link is in the home of the arrow, and has the label
 ---@field has_head? boolean this link has the arrowhead
----@field frame? rfsm.pictures.Gate where its arrow begins, inside of a frame
+---@field is_inner? boolean its arrow begins at its upper gate, inside of the frame
 ---@field points? number[][] the points of the line
 ---@field tip? number[] the tip of the arrowhead
 ---@field label_at? number[] the position of the label
@@ -75,13 +76,27 @@ function links.new_level(composite, direction)
     links = {}, link_of = {}, boxes = {}, width = 0, height = 0 }
 end
 
+--- Return a level with gates and links of its own, which has all else of another one.
+function links.copy(level)
+  local function heir(element) return setmetatable({}, { __index = element }) end
+  local copy = heir(level)
+  copy.gates, copy.links = {}, {}
+  for i, gate in ipairs(level.gates) do copy.gates[i] = heir(gate) end
+  for i, link in ipairs(level.links) do
+    copy.links[i] = heir(link)
+    copy.links[i].level = copy
+  end
+  return copy
+end
+
 -- Returns the gate of an arrow in a level; the first call makes it.
 local function gate_of(level, arrow, is_upper)
   local key = arrow.key
   local gate = level.gate_of[key]
   if gate then return gate end
-  gate = { id = (is_upper and "t" or "b") .. #level.gates + 1, is_upper = is_upper }
-  level.gates[#level.gates + 1], level.gate_of[key] = gate, gate
+  local index = #level.gates + 1
+  gate = { id = (is_upper and "t" or "b") .. index, index = index, is_upper = is_upper }
+  level.gates[index], level.gate_of[key] = gate, gate
   return gate
 end
 
@@ -129,8 +144,8 @@ end
 -- Returns the links of an arrow from a composite to a node in it: it begins at the
 -- inner side of the frame.
 local function inner_links(arrow)
-  local finish, list = climb(arrow, arrow.tgt, true, false)
-  list[#list].is_home, list[#list].frame = true, finish.gate
+  local _, list = climb(arrow, arrow.tgt, true, false)
+  list[#list].is_home, list[#list].is_inner = true, true
   return reversed(list)
 end
 

@@ -177,7 +177,9 @@ function rows.apply(level, numbers, boxes)
     level.rows[number] = row
     if numbers[i - 1] == number and level.rooms[i - 1].links[1] then
       level.run_of[run.first], level.run_of[i] = run, run
-      for _, link in ipairs(level.rooms[i - 1].links) do link.is_straight = true end
+      for _, link in ipairs(level.rooms[i - 1].links) do
+        level.links[link.id].is_straight = true
+      end
     else
       run = { id = "r" .. i, first = i, nodes = {}, at = {} }
       row[#row + 1] = run
@@ -232,7 +234,8 @@ function rows.draw(level)
     end
   end
   for _, room in ipairs(level.rows and level.rooms or {}) do
-    for j, link in ipairs(room.links) do
+    for j, straight in ipairs(room.links) do
+      local link = level.links[straight.id]
       if link.is_straight then
         draw_straight(link, level.boxes, axis_of(level), room.offsets[j])
       end

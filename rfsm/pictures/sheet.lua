@@ -13,6 +13,7 @@ local choice = require "rfsm.pictures.choice"
 local graphs = require "rfsm.pictures.graphs"
 local levels = require "rfsm.pictures.levels"
 local lines = require "rfsm.pictures.lines"
+local links = require "rfsm.pictures.links"
 local rows = require "rfsm.pictures.rows"
 
 local abs, huge, ipairs, pairs = math.abs, math.huge, ipairs, pairs
@@ -20,49 +21,19 @@ local concat, max, min, type = table.concat, math.max, math.min, type
 
 local sheet = {}
 
---- A way to lay out a level, with the fields of the level, of its gates and its links.
----@class rfsm.pictures.Shape
----@field level rfsm.pictures.Level
+--- A way to lay out a level: a copy of it.
+---@class rfsm.pictures.Shape: rfsm.pictures.Level
 ---@field kids table<integer, rfsm.pictures.Shape> the shapes of the composites in it
 ---@field deal integer[]|"plain"|"turned" the row of each node, or no rows
 ---@field key string the same for shapes with the same rows
 ---@field crossings number in the level and in its kids; huge if a line covers a box
 
--- Shapes: what is kept of a level ---------------------------------------------
-
-local OF_LEVEL = { "direction", "boxes", "header", "inner_width",
-  "inner_height", "width", "height", "x", "y", "is_spread", "rows", "run_of" }
-local OF_GATE = { "at", "x", "y", "offset" }
-local OF_LINK = { "upper", "lower", "is_turned", "is_straight", "points", "tip",
-  "label_at" }
-
-local function copy(from, fields, to)
-  for _, field in ipairs(fields) do to[field] = from[field] end
-  return to
-end
-
-local function copy_all(from, fields, to)
-  for i, element in ipairs(from) do to[i] = copy(element, fields, to[i] or {}) end
-  return to
-end
-
--- Notes in a shape how its level is laid out now.
-local function take(shape)
-  local level = shape.level
-  copy(level, OF_LEVEL, shape)
-  shape.gates = copy_all(level.gates, OF_GATE, {})
-  shape.links = copy_all(level.links, OF_LINK, {})
-  shape.nodes = copy_all(level.composite.nodes, { "least" }, {})
-end
-
--- Lays out a level as noted in a shape.
+-- Makes a shape the level of its composite.
 local function put(shape)
-  local level = shape.level
-  copy(shape, OF_LEVEL, level)
-  level.header = shape.header and copy(shape.header, { "x", "y" }, {})
-  copy_all(shape.gates, OF_GATE, level.gates)
-  copy_all(shape.links, OF_LINK, level.links)
-  copy_all(shape.nodes, { "least" }, level.composite.nodes)
+  shape.composite.level = shape
+  for _, node in ipairs(shape.composite.nodes) do
+    node.least = shape.least and shape.least[node]
+  end
 end
 
 local function text_of(deal)
@@ -111,9 +82,9 @@ end
 
 -- Counts the crossings in a shape; huge if a line covers a box.
 local function count_crossings(shape)
-  local list = lines_in(shape.level)
+  local list = lines_in(shape)
   for _, line in ipairs(list) do
-    if is_covering(shape.level, line) then return huge end
+    if is_covering(shape, line) then return huge end
   end
   local count = choice.count_crossings(list)
   for _, kid in pairs(shape.kids) do count = count + kid.crossings end -- any order
@@ -182,7 +153,7 @@ end
 -- Can a level run from left to right? Regions stay side by side.
 local function can_be_turned(level)
   local composite = level.composite
-  return level.base == "TB" and levels.is_closed(level)
+  return level.direction == "TB" and levels.is_closed(level)
     and not (composite.is_region or composite.nodes[1].is_region)
 end
 
@@ -233,8 +204,8 @@ local function add_shape(jobs, level, aim, deal, kids)
   end
   local key, shapes = concat(texts, "(") .. ")", level.shapes
   if not shapes[key] then
-    local shape = { level = level, kids = kids, deal = deal, key = key,
-      is_tight = aim ~= "first" }
+    local shape = links.copy(level)
+    shape.kids, shape.deal, shape.key, shape.is_tight = kids, deal, key, aim ~= "first"
     shapes[key], shapes[#shapes + 1], jobs[#jobs + 1] = shape, shape, shape
   end
   return shapes[key]
@@ -251,34 +222,31 @@ local function add_shapes(jobs, level, aim)
   end
 end
 
-local function prepare(job)
-  local level, deal = job.level, job.deal
-  for _, kid in pairs(job.kids) do put(kid) end -- any order
-  levels.align_regions(level.composite)
-  levels.reset(level, level.base)
-  level.is_tight = job.is_tight
+local function prepare(shape)
+  local deal = shape.deal
+  for _, kid in pairs(shape.kids) do put(kid) end -- any order
+  levels.align_regions(shape.composite)
   if deal == "turned" then
-    levels.turn(level)
+    levels.turn(shape)
   elseif deal ~= "plain" then
-    rows.apply(level, deal, boxes_of(level, job.kids))
+    rows.apply(shape, deal, boxes_of(shape, shape.kids))
   end
+  put(shape)
 end
 
 local function lay_out(jobs, run)
-  return jobs[1] and graphs.lay_out(jobs, run, prepare, function(job)
-    rows.draw(job.level)
-    take(job)
-    job.crossings = count_crossings(job)
+  return jobs[1] and graphs.lay_out(jobs, run, prepare, function(shape)
+    rows.draw(shape)
+    shape.crossings = count_crossings(shape)
   end)
 end
 
 -- Lays out levels of one height in the shapes for some aims. The first shape of a level
 -- is turned if it does not fit.
-local function lay_out_height(chart, list, aims, run)
+local function lay_out_height(list, aims, run)
   local jobs, turned = {}, {}
   for _, level in ipairs(list) do
-    level.base, level.shapes, level.kept = chart.direction, level.shapes or {}, {}
-    levels.reset(level, chart.direction)
+    level.shapes, level.kept = level.shapes or {}, {}
     rows.prepare(level)
     for _, aim in ipairs(aims) do add_shapes(jobs, level, aim) end
   end
@@ -308,13 +276,13 @@ end
 ---@return string? problem
 function sheet.lay_out(chart, run)
   local keys, heights, aims = {}, levels.by_height(chart), { "first" }
-  local problem = lay_out_height(chart, heights[1], aims, run)
+  local problem = lay_out_height(heights[1], aims, run)
   if problem then return problem end
   chart.is_large = is_large(chart, heights)
   for i, aim in ipairs(chart.is_large and AIMS or {}) do aims[i + 1] = aim end
   aims[#aims + 1] = chart.kind == "sheet" and "former" or nil
   for _, list in ipairs(heights) do
-    problem = lay_out_height(chart, list, aims, run)
+    problem = lay_out_height(list, aims, run)
     if problem then return problem end
     for _, level in ipairs(list) do keep_best(level, chart.sheet, keys) end
   end
@@ -333,7 +301,7 @@ end
 
 -- Puts a shape and those in it. The nodes note them, so that the picture has them.
 local function put_all(shape)
-  local composite, deal = shape.level.composite, shape.deal
+  local composite, deal = shape.composite, shape.deal
   put(shape)
   composite.is_turned = deal == "turned" or nil
   for i, node in ipairs(composite.nodes) do
@@ -346,7 +314,7 @@ end
 --- Lay out a chart in a shape of it, by default the first one.
 function sheet.put(chart, shape)
   put_all(shape or chart.outer.kept.first)
-  if chart.outer ~= chart.top.level then levels.enclose(chart.top.level) end
+  if chart.outer.composite ~= chart.top then levels.enclose(chart.top.level) end
 end
 
 return sheet
