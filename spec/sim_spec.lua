@@ -790,6 +790,11 @@ describe("a recording", function()
     assert.is_nil(out:find("\nclosed\n"))
   end)
 
+  it("that has ended stays as it is when the session begins anew", function()
+    local name = recorded(HELLO, "run\nrecord(false)\nreload\n")
+    assert.equal(1, select(2, content(name):gsub('"file"', "")))
+  end)
+
   it("of a fleet is a machine with its history, which can be saved", function()
     local file, chart = helper.file_with(""), helper.file_with [[
       return rfsm.state { keep = { "n" }, n = 0, warn = false, info = false,

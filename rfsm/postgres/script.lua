@@ -10,6 +10,7 @@ local host = require "rfsm.postgres.host"
 local lease = require "rfsm.server.lease"
 local library = require "rfsm.server.library"
 local schema = require "rfsm.postgres.schema"
+local sums = require "rfsm.shared.sums"
 
 local ipairs, concat = ipairs, table.concat
 
@@ -60,13 +61,6 @@ local self, globals, _ENV = nil, nil, sandbox
 ]]
 
 local FOOT = "end, globals)\n"
-
--- Returns a hash of a text as its id. Two libraries most likely have different ids.
-local function id_of(text)
-  local sum = 0
-  for i = 1, #text do sum = (sum * 31 + text:byte(i)) % 16777213 end
-  return ("%06x-%x"):format(sum, #text)
-end
 
 -- Returns a quote of SQL, such as $rfsm$, that the text does not contain.
 local function quote_for(text)
@@ -120,7 +114,7 @@ function script.sql(arguments, options)
   add_module(parts, "rfsm.postgres.host")
   add_module(parts, "rfsm.postgres.pllua")
   local code = HEAD:format(concat(parts)) .. text .. FOOT
-  local id = id_of(code)
+  local id = ("%.0f"):format(sums.of(code)) -- two libraries most likely differ in it
   local values = { TAG = quote_for(code), CODE = code:gsub("%$ID", id, 1), ID = id,
     LOG = (host.STATEMENTS.log:gsub("%$%d", { ["$1"] = "each", ["$2"] = "SQLERRM" })) }
   values.TRIM = options.history_days and ("PERFORM rfsm.trim('%d days');"):format(
