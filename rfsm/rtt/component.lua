@@ -21,7 +21,7 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 -- Functions that are needed after the launch use these locals, so that the rest of the
 -- module `update` can be collected.
 local add_attributes, ATTRIBUTES = update.add_attributes, update.ATTRIBUTES
-local collect = update.collect
+local collect, remove_port = update.collect, held_port.remove
 local notice_exception, report = update.notice_exception, update.report
 
 local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
@@ -70,29 +70,6 @@ local PORTS = {
   timer = { "in", "rfsm_timer", "rfsm_timer", "wakes for time events", "int" },
 }
 
---- Remove a port that `make` has made: Lua does not collect ports.
----@param held rfsm.rtt.Port
-local function remove_port(held)
-  if not (held.is_made and held.real) then return end
-  held.component:removePort(held.name) -- else `delete` ends the process
-  held.real:delete()
-end
-
-component.remove_port = remove_port -- a local: a launch does not hold the module
-
---- Make a port. With `is_kept` a port that the component has already is taken, such as
--- that of its last launch. Otherwise it is an error: RTT would replace the port.
----@param held rfsm.rtt.Port
----@param is_kept boolean
-function component.provide_port(held, is_kept)
-  if is_kept and held:find() then return held:check() end
-  local owner, name = held.component, held.name
-  if held_port.of(owner, name) then
-    error(("'%s' has a port '%s' already"):format(owner:getName(), name), 0)
-  end
-  held:make()
-end
-
 -- Adds a port to the launch. With `ports = "configure"` it is made later, when the
 -- component is configured.
 local function add(launch, facts, is_kept)
@@ -100,7 +77,7 @@ local function add(launch, facts, is_kept)
   held.is_trigger = facts.porttype == "in" and launch.is_component
   launch.held[#launch.held + 1] = held
   held.timer = facts.name == "rfsm_timer" and launch.timer or nil
-  if launch.ports_at ~= "configure" then component.provide_port(held, is_kept) end
+  if launch.ports_at ~= "configure" then held_port.provide(held, is_kept) end
   return held
 end
 

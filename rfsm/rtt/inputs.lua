@@ -6,7 +6,6 @@
 local rfsm_rtt = require "rfsm.rtt" -- first: it adapts Lua to a TLSF pool
 local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
-local component = require "rfsm.rtt.component"
 local held_port = require "rfsm.rtt.port"
 local options = require "rfsm.shared.options"
 local update = require "rfsm.rtt.update"
@@ -121,9 +120,9 @@ function inputs.make(owner, read, is_trigger, is_kept)
     local held = held_port.reserve(owner, { name = input[1], type = input.type,
       desc = "events for the machine", porttype = "in" })
     held.is_trigger, made[i] = is_trigger, held
-    local ok, problem = pcall(component.provide_port, held, is_kept)
+    local ok, problem = pcall(held_port.provide, held, is_kept)
     if not ok then
-      for _, port in ipairs(made) do component.remove_port(port) end
+      for _, port in ipairs(made) do held_port.remove(port) end
       error(("ports[%d]: %s"):format(i, rfsm.text_of(problem)), 0)
     end
   end

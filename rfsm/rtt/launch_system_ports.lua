@@ -8,24 +8,17 @@ local rfsm_rtt = require "rfsm.rtt"
 local rfsm = require "rfsm"
 local held_port = require "rfsm.rtt.port"
 
-local error, ipairs, package, rawget = error, ipairs, package, rawget
+local ipairs, package, rawget = ipairs, package, rawget
 
 local launch_system_ports = {}
 
 -- Returns the port of a wire. A component that is launched again has it already.
-local function port_of(component, class, wire)
-  local is_in = class == "InputPort"
-  local name, kind = wire.port, is_in and "in" or "out"
-  local found = held_port.of(component, name)
-  local info = found and found:info()
-  if info and (info.type ~= "string" or info.porttype ~= kind) then
-    error(("port '%s': %sput port of type string expected, got an %sput port of type "
-      .. "%s"):format(name, kind, info.porttype, info.type), 0)
-  elseif not found then
-    found = package.loaded.rtt[class].new("string", name, wire.desc)
-    component[is_in and "addEventPort" or "addPort"](component, found)
-  end
-  return held_port.hold(found, found:info())
+local function port_of(component, way, wire)
+  local held = held_port.reserve(component, { name = wire.port, type = "string",
+    porttype = way, desc = wire.desc })
+  held.is_trigger = way == "in"
+  held_port.provide(held, true)
+  return held
 end
 
 -- Has the machine write what it emits, one wire after the other. An event that no wire
@@ -33,7 +26,7 @@ end
 local function write_to(component, fsm, wires)
   local writers_of, told = {}, {}
   for _, wire in ipairs(wires) do
-    local write = rfsm_rtt.gen_raise_event(port_of(component, "OutputPort", wire))
+    local write = rfsm_rtt.gen_raise_event(port_of(component, "out", wire))
     for _, event in ipairs(wire.events) do
       writers_of[event] = writers_of[event] or {}
       table.insert(writers_of[event], write)
@@ -106,7 +99,7 @@ local function is_busy(fsm) return fsm._curq[1] ~= nil or fsm._intq[1] ~= nil en
 local function read_from(component, fsm, wires)
   local readers, is_one = {}, fsm.read == "one"
   for i, wire in ipairs(wires) do
-    local port = port_of(component, "InputPort", wire)
+    local port = port_of(component, "in", wire)
     readers[i] = rfsm_rtt.gen_read_str_events(is_one and 1 or wire.size, port)
   end
   if not readers[1] then return end

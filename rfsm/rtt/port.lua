@@ -142,6 +142,27 @@ function Port:check()
     :format(self.name, wanted.porttype, wanted.type, found.porttype, found.type), 0)
 end
 
+--- Make the port of an object. With `is_kept` a port that the component has already is
+-- taken, such as that of its last launch, else it is an error: RTT would replace it.
+---@param held rfsm.rtt.Port
+---@param is_kept boolean
+function port.provide(held, is_kept)
+  if is_kept and held:find() then return held:check() end
+  local owner, name = held.component, held.name
+  if port_of(owner, name) then
+    error(("'%s' has a port '%s' already"):format(owner:getName(), name), 0)
+  end
+  held:make()
+end
+
+--- Remove a port that was made here: Lua does not collect ports.
+---@param held rfsm.rtt.Port
+function port.remove(held)
+  if not (held.is_made and held.real) then return end
+  held.component:removePort(held.name) -- else `delete` ends the process
+  held.real:delete()
+end
+
 --- Make an object for a port that is made later. `facts` has the name, type, porttype
 -- and desc of the port.
 function port.reserve(component, facts)
