@@ -1016,6 +1016,18 @@ describe("a snapshot", function()
     check(other, "=a +3=a +0,1=b")
   end)
 
+  it("keeps times that are equal so, though the clock is slow", function()
+    local nsec = 0
+    set_gettime_hook(function()
+      nsec = 2 * nsec + 1
+      return 0, nsec
+    end)
+    local both = chart { "e_after(3)", "e_every(3)" }
+    local fsm = assert(snapshot.restore(both, snapshot.take(started(both))))
+    local timers = fsm.a._timers
+    assert.same({ timers[1].sec, timers[1].nsec }, { timers[2].sec, timers[2].nsec })
+  end)
+
   it("is refused if a timer is wrong or not there, or the clock fails", function()
     for _, case in ipairs {
       { name = "e_x", value = { 1, 2 }, problem = "no active state has a timer 'e_x'" },

@@ -29,7 +29,14 @@ return function(engine)
   -- without.
   local function fail(text) error({ text = text }, 0) end
 
-  local function time_of(fsm) return engine.read_or_raise(fsm, true, fail) end
+  local now, now_nsec = nil, nil -- the time, if the present save or load has read it
+
+  -- Returns the time, which is the same for all timers of a save or load: times that
+  -- are equal stay so.
+  local function time_of(fsm)
+    if not now then now, now_nsec = engine.read_or_raise(fsm, true, fail) end
+    return now, now_nsec
+  end
 
   -- The name under which snapshots have the seconds since the entry of a timed state.
   local function name_of_time(state) return "time_in@" .. state._fqn end
@@ -53,13 +60,14 @@ return function(engine)
     if not sec then return true end
     if sec == huge then return nil end
     if timer.event.is_relative then
-      local now, now_nsec = time_of(fsm)
-      sec, nsec = sec - now, nsec - now_nsec
+      local since, rest = time_of(fsm)
+      sec, nsec = sec - since, nsec - rest
     end
     return kept_time(sec, nsec)
   end
 
   local function save(fsm)
+    now = nil
     local state, timed, left = fsm._mode ~= "inactive" and fsm, {}, nil
     while state do
       local timers = state._timers
@@ -91,11 +99,11 @@ return function(engine)
   -- Arms a timer with the time `left` from a snapshot. `left` is `true` if the deadline
   -- was not known when the snapshot was taken.
   local function load_timer(fsm, timer, left)
-    local now, now_nsec = 0, 0
     if left == true then return set(fsm, timer, false, 0) end
     local sec, nsec = loaded_time(left, "timer '", timer.name)
-    if timer.event.is_relative then now, now_nsec = time_of(fsm) end
-    set(fsm, timer, sec + now, nsec + now_nsec)
+    if not timer.event.is_relative then return set(fsm, timer, sec, nsec) end
+    local since, rest = time_of(fsm)
+    set(fsm, timer, sec + since, nsec + rest)
   end
 
   -- Loads a timer, or arms it from now on if it is new in a changed chart. The deadline
@@ -126,8 +134,8 @@ return function(engine)
     end
     if name and left[name] ~= nil then
       local sec, nsec = loaded_time(left[name], "'", name)
-      local now, now_nsec = time_of(fsm)
-      timers.sec, timers.nsec, left[name] = now - sec, now_nsec - nsec, nil
+      local since, rest = time_of(fsm)
+      timers.sec, timers.nsec, left[name] = since - sec, rest - nsec, nil
     end
   end
 
@@ -135,7 +143,7 @@ return function(engine)
   -- new in the chart is armed from now on, and one that the chart lacks is dropped.
   local function load(fsm, left, how)
     local own, state = fsm._timeevent, fsm._mode ~= "inactive" and fsm
-    left = left or {}
+    left, now = left or {}, nil
     own[true], own[false] = own.sends[1] and -huge or huge, huge
     while state do
       if state._timers then load_state(fsm, state, left, how) end
@@ -147,11 +155,11 @@ return function(engine)
   end
 
   local function save_sends(fsm)
-    local now, now_nsec
+    now = nil
     return engine.list_sends(fsm, function(send)
-      if not now then now, now_nsec = time_of(fsm) end
+      local since, rest = time_of(fsm)
       return { event = send.event, id = send.id,
-        after = kept_time(send.sec - now, send.nsec - now_nsec) }
+        after = kept_time(send.sec - since, send.nsec - rest) }
     end)
   end
 
@@ -159,13 +167,14 @@ return function(engine)
     if fsm._timeevent then engine.drop_sends(fsm) end
     if kept == nil then return end
     engine.prepare_machine(fsm)
-    local now, now_nsec = time_of(fsm)
+    now = nil
+    local since, rest = time_of(fsm)
     for _, send in ipairs(kept) do
       if type(send) ~= "table" or send.event == nil then
         error("list of events with `after` expected", 0)
       end
       local sec, nsec = loaded_time(send.after, "an event that is sent later")
-      add_send(fsm, send.event, send.id, normalise(sec + now, nsec + now_nsec))
+      add_send(fsm, send.event, send.id, normalise(sec + since, nsec + rest))
     end
   end
 
