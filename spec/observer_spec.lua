@@ -451,6 +451,43 @@ describe("data of events by example", function()
     end)()):gsub("^root%.", ""), nil)
   end)
 
+  local long = ("x"):rep(100)
+  for name, at in pairs { -- any order: each stands alone
+    ["a long text"] = { one = { part = long .. 1 }, other = { part = long .. 2 } },
+    ["many fields"] = { one = { a = long, b = long, c = 1 }, other = { a = long,
+      b = long, c = 2 } },
+    ["numbers"] = { one = { x = 0.3 }, other = { x = 0.1 + 0.2 } },
+    ["tables"] = { one = { { { { { 1 } } } } }, other = { { { { { 2 } } } } } },
+  } do
+    it("is told from another by " .. name, function()
+      local function is_other(_, _, event) return event.is_other end
+      at.other.is_other, at.one.is_other = true, false
+      local options = { together = 1, classes = { e_heat = { at.one, at.other } } }
+      local function after_one(data)
+        local event = { name = "e_heat" }
+        for key, value in pairs(data) do event[key] = value end -- any order: a copy
+        return judge(heater(is_other), from "root.a".after(event).reach "root.b",
+          options).holds
+      end
+      assert.is_false(after_one(at.one))
+      assert.is_true(after_one(at.other))
+    end)
+  end
+
+  for _, case in ipairs {
+    { after { name = "e_heat", celsius = 91 }.reach "root.b",
+      "classes has no e_heat{celsius=91} (did you mean 'e_heat{celsius=90}'?)" },
+    { rfsm_checks.always "root.a".unless { name = "e_heat", kelvin = 9 },
+      "classes has no e_heat{kelvin=9}" },
+  } do
+    it("is the only data that a property may name: " .. case[2], function()
+      local ok, text = pcall(judge, heater(), case[1], classes(20, 90))
+      assert.is_false(ok)
+      assert.truthy(text:find(case[2], 1, true), text)
+      assert.matches("^spec/observer_spec.lua:%d+: ", text)
+    end)
+  end
+
   it("is a premise", function()
     assert.equal("one event a step; 1 example of e_heat",
       judge(heater(), never "root.b", classes(20)).premises)

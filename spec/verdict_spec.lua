@@ -493,6 +493,27 @@ describe("options of an exploration", function()
       tostring(from(print).can_reach "root.a"))
   end)
 
+  for _, property in ipairs {
+    never(rfsm.named "e_x"), from "root.a".can_reach(rfsm.named "e_x"),
+    after "e_x".reach(rfsm.named "e_x"), after "e_x".never(rfsm.named "e_x") } do
+    it("are conditions, no events: " .. tostring(property), function()
+      local options = { properties = { property } }
+      local ok, text = pcall(rfsm_checks.explore, chart {}, options)
+      assert.is_false(ok)
+      assert.matches("^[^\n]*verdict_spec.lua:%d+: rfsm_checks.explore: property .*: "
+        .. "state, flag or function expected, got the event e_x$", text)
+    end)
+  end
+
+  for _, f in ipairs { always "root.a".unless, after "e_x".never "root.b".until_,
+    rfsm_checks.precedes("root.a", "root.b").since } do
+    it("are endings that may come", function()
+      local ok, text = pcall(f, {})
+      assert.is_false(ok)
+      assert.matches("event or condition expected, got an empty list$", text)
+    end)
+  end
+
   it("refuse other types", function()
     local CASES = {
       { dry_run = 1 }, { depth = "x" }, { seconds = "x" }, { progress = 1 },

@@ -18,7 +18,7 @@ local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 
 local error, getmetatable, ipairs = error, getmetatable, ipairs
-local pcall, rawget, setmetatable, type = pcall, rawget, setmetatable, type
+local next, pcall, rawget, setmetatable, type = next, pcall, rawget, setmetatable, type
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 local concat, insert, sort = table.concat, table.insert, table.sort
 local holds, kinds = monitors.holds, monitors.kinds
@@ -64,7 +64,10 @@ function PROBLEMS.event(event)
 end
 
 function PROBLEMS.ending(thing)
-  return thing == nil and "event or condition expected, got nil" or nil
+  local is_list = type(thing) == "table" and not rfsm.name_with_data(thing)
+  local is_wrong = thing == nil or is_list and PROBLEMS.what(thing)
+  return is_wrong and "event or condition expected, got " .. (is_list
+    and next(thing) == nil and "an empty list" or type(thing)) or nil
 end
 
 PROBLEMS.again = PROBLEMS.ending
@@ -338,7 +341,8 @@ function Property:__tostring()
   end
   return (text:gsub("{(%l+)}", function(field)
     local value = self[field]
-    local is_event = type(value) ~= "string" and rfsm.event_name(value)
+    local is_event = type(value) ~= "string" and (rfsm.event_name(value)
+      or rfsm.name_with_data(value))
     if type(value) ~= "function" and field == "event" then
       is_event = rfsm.event_text(value)
     end
@@ -497,6 +501,18 @@ properties.refuse = refuse
 local EVENTS_OF = { never_until = { goal = true, ending = true },
   precedes = { what = true, goal = true, again = true }, unless = { ending = true } }
 
+local function check_condition(where, judged, condition, active)
+  if rfsm.event_name(condition) then
+    refuse(where, judged, ("state, flag or function expected, got the event %s"):format(
+      rfsm.event_text(condition)))
+  end
+  local ok, problem = pcall(monitors.ask_all, condition, active)
+  if ok then return end
+  local is_placed = type(problem) ~= "string" or problem:find("^.-:%d+: ")
+  if is_placed then error(problem, 0) end -- of the user's function, with its line
+  refuse(where, judged, problem)
+end
+
 --- Raise an error if a condition names a state or flag that does not exist.
 ---@param where string name of the function that was called
 ---@param judged rfsm_checks.Judged
@@ -506,14 +522,9 @@ function properties.check_names(where, judged, active, is_condition)
   local property, events = judged.property, EVENTS_OF[judged.property.kind] or NONE
   for _, field in ipairs { "what", "goal", "scope", "ending", "again" } do
     local condition = property[field]
-    local is_asked = condition ~= nil
-      and (not (events[field] and is_condition) or is_condition(condition))
-    local ok, problem = pcall(monitors.ask_all, is_asked and condition or {}, active)
-    if not ok then
-      local is_placed = type(problem) ~= "string" or problem:find("^.-:%d+: ")
-      if is_placed then error(problem, 0) end -- of the user's function, with its line
-      refuse(where, judged, problem)
-    end
+    local may_be_event = events[field] and is_condition
+    local is_asked = condition ~= nil and (not may_be_event or is_condition(condition))
+    if is_asked then check_condition(where, judged, condition, active) end
   end
 end
 
@@ -541,6 +552,23 @@ function properties.text_of_unnamed(event, audible)
   end
   local name = rfsm.event_text(word)
   return ("no transition names %s%s"):format(name, observers.word_meant(name, audible))
+end
+
+-- Raises an error for an event with data that is none of the examples of its name.
+local function check_examples(own, where, judged)
+  for _, field in ipairs { "event", "ending", "again" } do
+    local event, texts = judged.property[field], {}
+    local name = rfsm.name_with_data(event)
+    for i, example in ipairs(name and own.classes[name] or {}) do
+      texts[i] = rfsm.event_text(example, true)
+    end
+    local has_data = texts[1] and next(event, (next(event))) ~= nil
+    if has_data and not own.is_example[own:event_of(event)] then
+      local text = rfsm.event_text(event, true)
+      refuse(where, judged, ("classes has no %s%s"):format(text,
+        advice.nearest_name(text, texts)))
+    end
+  end
 end
 
 -- Finds the event of a property in the chart, unless an observer hears it.
@@ -636,6 +664,7 @@ function properties.list_for(own, given)
   local function is_condition(thing) return own:is_condition(thing) end
   for _, judged in ipairs(list) do
     properties.check_names(where, judged, audible.active, is_condition)
+    check_examples(own, where, judged)
     properties.add_observer(where, judged, audible, is_condition)
     add_event(own, judged, audible)
   end

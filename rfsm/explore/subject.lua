@@ -201,8 +201,7 @@ function Subject:event_of(event)
   if self.event_numbers[event] then return event end
   local name = rfsm.name_with_data(event)
   for _, other in ipairs(name and self.classes[name] or NOTHING) do
-    local is_same = rfsm.event_text(other, true) == rfsm.event_text(event, true)
-    if is_same then return other end
+    if match.are_equal(other, event) then return other end
   end
   return match.example_of(event)
 end

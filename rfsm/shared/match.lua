@@ -10,7 +10,8 @@ local calls = require "rfsm.shared.calls"
 local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
-local ipairs, rawequal, setmetatable, type = ipairs, rawequal, setmetatable, type
+local getmetatable, ipairs, pairs = getmetatable, ipairs, pairs
+local rawequal, setmetatable, type = rawequal, setmetatable, type
 
 local match = {}
 
@@ -121,6 +122,27 @@ function match.may_enable(tr, list, seen)
     if match.may_enable(way, list, seen) then return true end
   end
   return false
+end
+
+local DEEPEST = 20 -- levels of tables that are compared
+
+--- Are two values equal? Plain tables are compared by their contents.
+---@param a any
+---@param b any
+---@param level? integer
+---@return boolean
+function match.are_equal(a, b, level)
+  if type(a) ~= "table" or type(b) ~= "table" then return rawequal(a, b) end
+  if getmetatable(a) ~= nil or getmetatable(b) ~= nil then return rawequal(a, b) end
+  level = (level or 0) + 1
+  if level > DEEPEST then return false end -- a table may contain itself
+  for key, value in pairs(a) do -- any order: one difference decides
+    if not match.are_equal(value, b[key], level) then return false end
+  end
+  for key in pairs(b) do -- any order: one difference decides
+    if a[key] == nil then return false end
+  end
+  return true
 end
 
 --- Return the part of the library that makes an event. The name of an event that a

@@ -10,8 +10,8 @@ local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
-local getmetatable, ipairs, pairs = getmetatable, ipairs, pairs
-local rawequal, rawget, setmetatable, type = rawequal, rawget, setmetatable, type
+local ipairs, pairs = ipairs, pairs
+local rawget, setmetatable, type = rawget, setmetatable, type
 local floor = math.floor
 local concat, sort = table.concat, table.sort
 local fail, is_scalar, text_of = encoding.fail, encoding.is_scalar, rfsm.text_of
@@ -249,36 +249,21 @@ local function describe(fsm, key)
   return self
 end
 
-local DEEPEST = 20 -- levels of tables that are compared
-
--- Are two values equal? Plain tables are compared by their contents.
-local function are_equal(a, b, level)
-  if type(a) ~= "table" or type(b) ~= "table" then return rawequal(a, b) end
-  if getmetatable(a) ~= nil or getmetatable(b) ~= nil then return rawequal(a, b) end
-  level = (level or 0) + 1
-  if level > DEEPEST then return false end -- a table may contain itself
-  for key, value in pairs(a) do -- any order: one difference decides
-    if not are_equal(value, b[key], level) then return false end
-  end
-  for key in pairs(b) do -- any order: one difference decides
-    if a[key] == nil then return false end
-  end
-  return true
-end
-
 -- Does a state keep what the description says? Its model may have changed since then.
 local function is_described(self, state)
   local keeper, model = self.keeper[state._fqn], rfsm.model_of(state)
   local defers = self.defers[state._fqn] or NONE
-  if model.defer ~= nil and not are_equal(deferred(state), defers) then return false end
+  if model.defer ~= nil and not match.are_equal(deferred(state), defers) then
+    return false
+  end
   if not keeper then
     local keeps = model.keep ~= nil and kept_names(state)[1] ~= nil
     return not keeps and type(state.save) ~= "function"
   end
   for _, name in ipairs(keeper.names) do
-    if not are_equal(model[name], keeper.first[name]) then return false end
+    if not match.are_equal(model[name], keeper.first[name]) then return false end
   end
-  return are_equal(kept_names(state), keeper.names)
+  return match.are_equal(kept_names(state), keeper.names)
     and keeper.has_load == (type(state.save) == "function")
 end
 
