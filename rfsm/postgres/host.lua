@@ -14,12 +14,6 @@ local verbs_of = require "rfsm.server.verbs"
 local ipairs = ipairs
 local floor = math.floor
 
--- Returns seconds with six digits behind the point, whatever the locale of the host.
-local function seconds_text(seconds)
-  local us = floor(seconds * 1000000 + 0.5)
-  return ("%d.%06d"):format(floor(us / 1000000), us % 1000000)
-end
-
 --- The row of the machine for which a function was called.
 ---@class rfsm.postgres.Row
 ---@field is_read boolean? the row is only read, so it is not locked
@@ -145,6 +139,7 @@ end
 ---@param options table
 function host.new(server, require, charts, options)
   local data_of = require("rfsm.server.charts").data_of
+  local number_text = require("rfsm").number_text
   local row ---@type rfsm.postgres.Row
   local verbs = { pack = require("rfsm.shared.exact_json").encode,
     decode = server.json.decode }
@@ -166,7 +161,7 @@ function host.new(server, require, charts, options)
   function verbs.write(machine, due, emitted, errors)
     local snap = machine.list[3]
     local is_packed = snap.regions or machine.value:find('["%', 1, true)
-    row.change = { machine = machine, due = due and seconds_text(due),
+    row.change = { machine = machine, due = due and number_text(due, "%.6f"),
       emitted = emitted, errors = errors, data = is_packed and data_of(snap) or nil }
   end
 

@@ -331,13 +331,11 @@ end
 --- Return the data in a snapshot as a JSON object, by the paths of states.
 function charts.data_of(snap)
   local data = {}
-  local function add(part, prefix)
+  migrate.each_part(snap, function(part, prefix)
     for fqn, fields in pairs(part.data or {}) do -- any order: a copy
       data[prefix .. fqn:sub(5)] = encoding.unpack(fields, 0)
     end
-  end
-  add(snap, "root")
-  for prefix, part in pairs(snap.regions or {}) do add(part, prefix) end -- any order
+  end)
   return charts.json_of(data)
 end
 

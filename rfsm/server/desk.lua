@@ -12,6 +12,7 @@ local charts = require "rfsm.server.charts"
 local encoding = require "rfsm.snapshot.encoding"
 local exact_json = require "rfsm.shared.exact_json"
 local keys_of = require "rfsm.server.keys"
+local migrate = require "rfsm.snapshot.migrate"
 local rfsm = require "rfsm"
 local sums = require "rfsm.shared.sums"
 local times = require "rfsm.server.times"
@@ -124,8 +125,7 @@ local KINDS = { boolean = "true or false", number = "a number", string = "a text
 
 -- Returns the value that a field has in a new machine; nil if it has none.
 local function first_value(chart, field)
-  local part = field.prefix == "root" and chart.blank
-    or (chart.blank.regions or {})[field.prefix] or {}
+  local part = migrate.part_of(chart.blank, field.prefix)
   local data = part.data and part.data[field.state._fqn]
   return data and encoding.unpack(data, 0)[field.name]
 end

@@ -21,6 +21,7 @@ local charts = require "rfsm.server.charts"
 local desk = require "rfsm.server.desk"
 local encoding = require "rfsm.snapshot.encoding"
 local keys_of = require "rfsm.server.keys"
+local migrate = require "rfsm.snapshot.migrate"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 local timeevent = require "rfsm_timeevent"
@@ -578,24 +579,20 @@ end
 -- Returns the events that a machine and its regions have deferred.
 local function kept_of(snap)
   local events = {}
-  local function add(part)
+  migrate.each_part(snap, function(part)
     local kept = part.ext and part.ext.defer and encoding.unpack(part.ext.defer, 0)
     for _, event in ipairs(kept or NONE) do events[#events + 1] = event end
-  end
-  add(snap)
-  for _, prefix in ipairs(rfsm.sorted_keys(snap.regions or NONE)) do
-    add(snap.regions[prefix])
-  end
+  end)
   return events
 end
 
 -- Returns the FQNs of the active leaves of regions.
 local function region_leaves(snap)
   local leaves = {}
-  for _, prefix in ipairs(rfsm.sorted_keys(snap.regions or NONE)) do
-    local leaf = snap.regions[prefix].leaf
-    leaves[#leaves + 1] = leaf and prefix .. leaf:sub(5)
-  end
+  migrate.each_part(snap, function(part, prefix)
+    local is_one = part.leaf and prefix ~= "root"
+    leaves[#leaves + 1] = is_one and prefix .. part.leaf:sub(5) or nil
+  end)
   return leaves
 end
 

@@ -84,6 +84,14 @@ function migrate.part_of(snap, prefix)
   return (snap.regions or NONE)[prefix] or NONE
 end
 
+--- Call f(part, prefix) for each part of a snapshot, that of the machine first.
+function migrate.each_part(snap, f)
+  f(snap, "root")
+  for _, prefix in ipairs(rfsm.sorted_keys(snap.regions or NONE)) do
+    f(snap.regions[prefix], prefix)
+  end
+end
+
 -- Returns how the chart of a machine differs from the chart of a part: "kept" if only
 -- the kept fields differ, "structure" if the structure does, nil if they are the same.
 local function change_of(machine, part)
@@ -312,18 +320,12 @@ local function copy_all(value)
   return copy
 end
 
--- Calls f(part, prefix) for each part of a snapshot.
-local function each_part(snap, f)
-  f(snap, "root")
-  for prefix, part in each(snap.regions or NONE) do f(part, prefix) end -- any order
-end
-
 -- Unpacks the data of states, so that `migrate` gets the values as callbacks see them.
 -- Fields saved as nil become absent. Returns a list of these fields, each as a list
 -- { prefix, FQN, name }.
 local function unpack_kept(snap)
   local nils = {}
-  each_part(snap, function(part, prefix)
+  migrate.each_part(snap, function(part, prefix)
     for fqn, packed in each(part.data or NONE) do -- any order: each is independent
       local fields = encoding.unpack(packed, 2)
       part.data[fqn] = fields
@@ -362,7 +364,7 @@ local function pack_kept(fsm, snap, nils)
       fields[name] = encoding.NIL
     end
   end
-  each_part(snap, function(part, prefix)
+  migrate.each_part(snap, function(part, prefix)
     pack_all(part.data, "data of " .. prefix)
     pack_all(part.saved, "what save returned of " .. prefix)
   end)
