@@ -316,6 +316,22 @@ describe("the way back", function()
     assert.same(snap, snapshot.take(fsm))
   end)
 
+  it("takes a snapshot that is given as its own, and none besides", function()
+    local way, fsm = new_way { about = function(snap) return snap.leaf end }
+    local snap, count, take = snapshot.take(fsm), 0, snapshot.try_take
+    helper.with(snapshot, { try_take = function(...)
+      count = count + 1
+      return take(...)
+    end }, function()
+      way:leave(snap)
+      assert.same({ 0, "root.a" }, { count, way[0].about })
+      way:leave()
+    end)
+    assert.equal(1, count)
+    way:go(0)
+    assert.same(snap, snapshot.take(fsm))
+  end)
+
   it("forgets what was undone once the machine goes on", function()
     local way, fsm = new_way()
     for _, event in ipairs { "e_b", "e_a", "e_b" } do go_on(way, fsm, event) end

@@ -63,13 +63,15 @@ end
 
 --- Note the present place in the list and return it. If `go` has led to this place, it
 -- is in the list already. A step that was interrupted is finished first.
+---@param snap? rfsm.snapshot.Snapshot of the machine as it is, if there is one already
 ---@return rfsm.observe.Place
-function Rewind:note()
+function Rewind:note(snap)
   local at = self.at
   if at < self.last and self[at] then return self[at] end
   rfsm.check_between_steps(self.fsm, "rfsm.observe.rewind.note")
-  local snap, problem = snapshot.try_take(self.fsm)
-  local about = self.settings.about()
+  local problem
+  if not snap then snap, problem = snapshot.try_take(self.fsm) end
+  local about = self.settings.about(snap)
   forget(self, at)
   self[at] = { snap = snap, problem = problem, about = about,
     size = 100 + size_of(snap) + size_of(about) }
@@ -79,11 +81,12 @@ end
 
 --- Note the present place, before the machine is advanced. If `go` has led back to it,
 -- the later places are forgotten.
+---@param snap? rfsm.snapshot.Snapshot as for `note`
 ---@return integer number of the next place
-function Rewind:leave()
+function Rewind:leave(snap)
   for number = self.at, self.last do forget(self, number) end
   self.last = self.at
-  self:note()
+  self:note(snap)
   while self.size > self.settings.bytes and self.first < self.at do
     forget(self, self.first)
     self.first = self.first + 1
@@ -131,7 +134,8 @@ end
 --- Options of `rewind.new`: how places are kept.
 ---@class rfsm.observe.RewindOptions
 ---@field bytes? integer limit of all places (32 MiB); the present one is always kept
----@field about? fun(): any called for each place; its result is kept with the place
+---@field about? fun(snap: rfsm.snapshot.Snapshot?): any called for each place; its
+-- result is kept with the place
 ---@field prepare? fun(about: any): string? called with the result of `about` before
 -- `go` puts the machine into the place, for example to set a clock; returns a problem
 -- if the machine must stay where it is, and is called again for the present place then

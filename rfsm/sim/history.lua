@@ -17,7 +17,7 @@ local tracks = require "rfsm.record.track"
 
 local error, io, ipairs, os, type = error, io, ipairs, os, type
 local floor, max, min = math.floor, math.max, math.min
-local print, select = print, select
+local print = print
 local concat = table.concat
 local text_of = rfsm.text_of
 
@@ -25,10 +25,13 @@ local history = { BYTES = nil } -- most bytes of a history; nil: the default of 
 
 local START = { sec = 0, nsec = 0 } -- the time if there is no simulated clock
 
-local function about(sim)
-  local leaf, now = sim.fsm._act_leaf, sim.time and sim.time.passed or START
+local function about(sim, snap)
+  local now = sim.time and sim.time.passed or START
+  local leaf = rfsm.get_actleaf_fqn(sim.fsm)
+  local is_done = leaf and sim.fsm._act_leaf._mode == "done"
+  if snap then leaf, is_done = snap.leaf, snap.done end
   return { came = sim.came, sec = now.sec, nsec = now.nsec,
-    leaf = leaf and tracks.leaf_text(leaf._fqn, leaf._mode == "done") or "<none>" }
+    leaf = leaf and tracks.leaf_text(leaf, is_done) or "<none>" }
 end
 
 local function set_time(sim, place)
@@ -40,16 +43,16 @@ end
 function history.start(sim)
   sim.came = {}
   sim.history = rewind.new(sim.fsm, { bytes = history.BYTES,
-    about = function() return about(sim) end,
+    about = function(snap) return about(sim, snap) end,
     prepare = function(place) set_time(sim, place) end })
   if not sim.recorder then return end
   sim.recorder:stop()
   sim.recorder = record.record(sim.fsm, sim.recorder.name)
 end
 
---- Note that an advance begins.
-function history.mark(sim)
-  sim.history:leave()
+--- Note that an advance begins. `snap` is the machine as it is, if it is known.
+function history.mark(sim, snap)
+  sim.history:leave(snap)
   sim.came = {}
   if sim.recorder then sim.recorder:go_on() end
 end
@@ -132,18 +135,22 @@ function history.replay(sim, name)
   local model = sim.model
   local info, warn = model.info, model.warn
   model.info, model.warn = false, false
+  local snap -- the machine of the replay between two steps
   local ok, session = calls.try(replay, model, header, next_record, {
     dry = sim.saved ~= nil, migrate = true, each = function(fsm, records)
-      history.mark(sim)
+      history.mark(sim, snap)
       for _, rec in ipairs(records) do
         note_packed(sim, rec.events)
         note_packed(sim, rec.added)
       end
-      local snap, problem = snapshot.try_take(fsm)
-      if snap then problem = select(2, snapshot.put(sim.fsm, snap)) end
-      if problem then error(problem, 0) end
+      local now, problem = snapshot.try_take(fsm)
+      snap = now or error(problem, 0)
     end })
   model.info, model.warn = info, warn
+  if snap then
+    local is_put, problem = snapshot.put(sim.fsm, snap)
+    if not is_put then error(problem, 0) end
+  end
   if not ok then error(session, 0) end
   return session.at, session.problem or session.unsaved
     or run.is_cut and "the last line was cut off" or nil
