@@ -1176,6 +1176,11 @@ describe("a wrong call changes nothing:", function()
     end)
   end
 
+  it("with the SQLSTATE of a text that is no UTF-8", function()
+    assert.equal("root.off\nERROR:  22021\n", sql("SELECT rfsm.create('1', 'lamp');\n"
+      .. "\\set VERBOSITY sqlstate\nSELECT rfsm.send('1', 'e_spoil');"))
+  end)
+
   it("nor does what came before in its transaction", function()
     local before, answer, after = calls("BEGIN; SELECT rfsm.send('1', 'e_busy');\n"
       .. "SELECT rfsm.create('2', 'lamp'); SELECT rfsm.send('3', 'x');\nCOMMIT;\n")
