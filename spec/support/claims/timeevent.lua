@@ -113,7 +113,7 @@ end
 -- again, first, in the next iteration.
 local function note_again(run, path)
   local tr = path[1]
-  if not tr or rfsm.target_of(tr) ~= "internal" or tr.tgt ~= tr.src
+  if not tr or tr.always or rfsm.target_of(tr) ~= "internal" or tr.tgt ~= tr.src
     or match.is_any(tr) then
     return
   end
@@ -188,7 +188,8 @@ local function reader(clock, random)
 end
 
 local function check_deadline(run, now)
-  local left, found = remaining(run, now), timeevent.next_deadline(run.fsm)
+  local found = timeevent.next_deadline(run.fsm) -- it may call functions of timers
+  local left = remaining(run, now)
   if (left == nil) ~= (found == nil) or left
     and math.abs(left - found * BILLION) > 0.4 then
     fail(run, "next_deadline is %s, expected: %s", tostring(found),
