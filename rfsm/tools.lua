@@ -144,6 +144,7 @@ return function(core, engine)
   ---@param fsm rfsm.Machine
   ---@return any[] events
   function rfsm.waiting(fsm)
+    check_machine(fsm, "rfsm.waiting")
     local list = {}
     for _, hook in ipairs(fsm._waiting_hooks or NONE) do
       for _, event in ipairs(hook(fsm) or NONE) do list[#list + 1] = event end
