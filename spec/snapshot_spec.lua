@@ -289,10 +289,10 @@ describe("take names what cannot be saved:", function()
       .. "boolean, or a plain table with a text 'name'"] = function(fsm)
       rfsm.send_events(fsm, { name = "e", at = 1 }, io.stdout)
     end,
-    ["root waiting[2]: an event that is a table cannot be saved, only text, number, "
+    ["root waiting[1]: an event that is a table cannot be saved, only text, number, "
       .. "boolean, or a plain table with a text 'name'"] = function(fsm)
-      timeevent.send_after(fsm, 5, "e_on")
-      timeevent.send_after(fsm, 6, { "e_on" })
+      timeevent.send_after(fsm, 5, { "e_on" })
+      timeevent.send_after(fsm, 6, "e_on")
     end,
     ["queue[2].by: this table stands elsewhere in the data, too, and can only be saved "
       .. "once"] = function(fsm)
