@@ -1471,9 +1471,11 @@ local function put_back(fsm)
   fsm._curq = {}
 end
 
--- Ends an iteration early, because a step hook or getevents has failed. The
--- current events become pending again before the search, but are dropped after it.
+-- Ends an iteration early, because a pre step hook or getevents has failed. The current
+-- events become pending again before the search, but are dropped after it. If a post
+-- step hook has failed, the other hooks are called first.
 local function give_up(fsm, failure)
+  if fsm._phase == "finish" then return keep_failure(fsm, failure) end
   if fsm._phase ~= "gather" then fsm._curq = {} end
   put_back(fsm)
   error(failure, 0)
@@ -3252,8 +3254,9 @@ do
   --- Advance a machine by at most `n` transitions or doo cycles.
   --
   -- Returns earlier if the machine is idle. Errors of callbacks are reported to `err`.
-  -- Errors of step hooks and getevents are raised at once, errors of printers at the
-  -- end of the iteration. A step that an interrupt has cut short is finished first.
+  -- Errors of pre step hooks and getevents are raised at once, those of printers and
+  -- post step hooks at the end of the iteration. A step that an interrupt has cut short
+  -- is finished first.
   --
   ---@param fsm rfsm.Machine
   ---@param n? number at least 1, default 1

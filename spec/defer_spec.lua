@@ -47,6 +47,20 @@ end
 
 local function at(fsm) return rfsm.get_actleaf_fqn(fsm) end
 
+it("a post step hook that fails keeps no event from being deferred, or told", function()
+  local told = {}
+  local fsm = helper.started(rfsm.state { info = false,
+    a = rfsm.state { defer = { "e_job" } }, b = rfsm.state { final = true },
+    rfsm.trans { src = "initial", tgt = "a" },
+    rfsm.trans { src = "a", tgt = "b", events = { "e_go" } } })
+  rfsm.watch_hook_add(fsm, "discarded", function(_, event) told[#told + 1] = event end)
+  local function fail() error("no room", 0) end
+  rfsm.post_step_hook_add(fsm, fail, "before")
+  rfsm.send_events(fsm, "e_job", "e_no")
+  assert.same({ false, "no room" }, { pcall(rfsm.step, fsm) })
+  assert.same({ { "e_job" }, { "e_no" } }, { rfsm.waiting(fsm), told })
+end)
+
 describe("deferral", function()
   -- What it does, the calls of send, the leaf, what is kept; more members.
   for _, case in ipairs {

@@ -1632,7 +1632,7 @@ describe("an error of a debug hook while it is recorded", function()
   end)
 end)
 
-it("a step whose hook has failed is not recorded, with its regions, if a reset follows",
+it("a step whose hook has failed is recorded, with its regions, before a reset",
   function()
     local function regions()
       return state { info = false, warn = false,
@@ -1647,7 +1647,8 @@ it("a step whose hook has failed is not recorded, with its regions, if a reset f
     rfsm.post_step_hook_rm(fsm, fail)
     rfsm.reset(fsm)
     helper.post_and_run(fsm, "e_x")
-    local rec = sink[2]
+    local rec = sink[3]
+    assert.same({ 1, 1 }, { sink[2].inner[1].m, #sink[2].inner })
     assert.same({ { "e_init_fsm", "e_x" }, 1, 1, nil },
       { rec.events, rec.inner[1].m, #rec.inner, rec.from.snapshot.leaf })
     assert(record.replay(regions(), sink))
