@@ -188,7 +188,7 @@ local function load_machine(launch)
     end
   end
   launch.stage = "the machine is made"
-  drop "rfsm.shared.limit"
+  drop("rfsm.shared.limit", "rfsm.shared.calls")
   collect()
   local fsm, _, problems = rfsm.init(model)
   if not fsm then error("no machine:\n  " .. concat(problems, "\n  "), 0) end
@@ -397,7 +397,6 @@ local function set_up(launch)
   add_timer(launch)
   local write_fqn = add_outputs(launch)
   launch.stage = "the chart is loaded"
-  drop "rfsm.shared.calls"
   collect()
   local fsm, getevents = load_machine(launch)
   launch.stage = "the machine is connected"

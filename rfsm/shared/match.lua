@@ -6,7 +6,7 @@
 -- @module rfsm.shared.match
 -- @license BSD-3-Clause
 
-local calls = require "rfsm.shared.calls"
+local try = require("rfsm.shared.calls").try -- alone: a pool drops the module
 local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
@@ -63,7 +63,7 @@ function match.takes(list, event)
   if match.has(list, event) then return true end
   for i = 1, #list do
     local ok, answer = false, nil
-    if type(list[i]) == "function" then ok, answer = calls.try(list[i], event) end
+    if type(list[i]) == "function" then ok, answer = try(list[i], event) end
     if ok and answer then return true end
   end
   return false
