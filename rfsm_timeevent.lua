@@ -558,7 +558,7 @@ end
 local function expand(fsm, tr, event)
   local src = tr.src
   if not rfsm.is_state(src) then
-    rfsm.warn(fsm, "never-done", ("%s: '%s' never fires here, '%s' is no state"):format(
+    rfsm.warn(fsm, "init", ("%s: '%s' never fires here, '%s' is no state"):format(
       rfsm.location_of(tr, "events"), event.name, src._fqn))
     return event.name .. "@" .. src._fqn
   end

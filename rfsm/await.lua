@@ -185,7 +185,8 @@ local function new_await(names, fqn)
 end
 
 local function warn_never(fsm, tr, event, kind)
-  rfsm.warn(fsm, "never-done", ("%s: '%s' never fires here, '%s' is no %s"):format(
+  local code = event == "e_done" and "never-done" or "init"
+  rfsm.warn(fsm, code, ("%s: '%s' never fires here, '%s' is no %s"):format(
     rfsm.location_of(tr, "events"), event, tr.src._fqn, kind))
 end
 

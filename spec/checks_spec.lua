@@ -418,6 +418,12 @@ local CASES = {
     { c = x_in_c(), [4] = go("a", "c", "e"), [5] = go("c", "a", "e_done") },
     "root.trans[5] (c -> a): event 'e_done@root.c' never comes, no leaf right in "
       .. "'root.c' is final (final = true)" },
+  { "init", "a time event, or an await, of a connector", { k = conn {},
+    [4] = go("a", "k", "e_k"), [5] = go("k", "b", { "e_every(1)", "await(e_k)" }) },
+    "root.trans[5].events (k -> b): 'e_every(1)' never fires here, 'root.k' is no "
+      .. "state",
+    "root.trans[5].events (k -> b): 'await(e_k)' never fires here, 'root.k' is no "
+      .. "state" },
   { "never-done", "none of a leaf", { [4] = go("a", "b", "e_done@root.b") } },
   { "never-called", "callbacks of a connector, a state and a transition", {
     k = conn { entry = yes }, [4] = go("a", "k", "e"), [5] = go("k", "a", nil,

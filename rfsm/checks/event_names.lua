@@ -262,8 +262,10 @@ end
 -- transition takes them, or although the same state takes them always.
 local function check_reaction(state, reaction, known, add)
   for _, event in ipairs(reaction.events) do
-    local tr = taker_of(state, event)
-    if tr then
+    local tr, oddness = taker_of(state, event), oddness_of(event)
+    if oddness then
+      add("odd-event", state, oddness)
+    elseif tr then
       add("idle-reaction", state, ("%s '%s' has no effect, %s takes it"):format(
         reaction.word, rfsm.event_text(event), rfsm.location_of(tr):match("root.*$")))
     elseif not alphabet.may_take(known, event) then
