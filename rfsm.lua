@@ -2526,6 +2526,20 @@ do
     return leaf._doo_co
   end
 
+  -- Ends a doo that has failed. One that may be repeated has met an interrupt: returns
+  -- true, and the next cycle begins it anew.
+  local function is_begun_anew(fsm, leaf, failure)
+    if status and promises[leaf.doo] == "repeatable" then
+      leaf._doo_co = nil
+      keep_failure(fsm, failure)
+      return true
+    end
+    leaf._mode = "done"
+    fsm._at = 4
+    report_callback(fsm, "doo", leaf, nil, failure)
+    return false
+  end
+
   -- Runs one cycle of the active leaf's doo. Returns true if the doo is idle or done; a
   -- leaf without doo is done at once, one whose doo fails, too, but without e_done.
   -- `_at` is 1 when the doo is resumed, 2 and 3 while events are queued at its end, 4
@@ -2545,11 +2559,7 @@ do
       fsm._at = 1
       if fsm._watch_hooks then engine.tell_watch(fsm, "resumed", leaf) end
       ok, idle = resume(co, fsm, leaf, "doo")
-      if not ok then
-        leaf._mode = "done"
-        fsm._at = 4
-        report_callback(fsm, "doo", leaf, nil, idle)
-      end
+      if not ok and is_begun_anew(fsm, leaf, idle) then return false end
     end
     if ok and status(co) ~= "dead" then return not not idle end
     rfsm.end_doo(fsm, leaf)

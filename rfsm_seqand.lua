@@ -202,10 +202,11 @@ end
 
 -- The doo. It runs only in iterations that take no transition, and the events of such
 -- an iteration go to the regions. It never returns, since copies of a machine share its
--- coroutine: `yield` returns the machine that goes on. No interrupt ends it.
-local function run_regions(fsm, state)
+-- coroutine: `yield` returns the machine that goes on. After an interrupt it is begun
+-- anew.
+local run_regions = rfsm.repeatable(function(fsm, state)
   while true do fsm, state = rfsm.yield(try(fsm, advance_all, fsm, state)) end
-end
+end)
 
 -- The entry calls the user's entry, then advances each region as the doo does.
 local function enter_all(fsm, state, what, event)

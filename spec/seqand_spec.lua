@@ -282,6 +282,20 @@ describe("entry and exit", function()
 end)
 
 describe("doo", function()
+  it("that an interrupt ends is begun anew", function()
+    local fsm, yield = started_two({}), rfsm.yield
+    rfsm.send_events(fsm, "e_x")
+    rfsm.yield = function() error("interrupted!", 0) end -- called outside of any pcall
+    local ok, failure = pcall(rfsm.step, fsm)
+    rfsm.yield = yield
+    assert.same({ false, "interrupted!" }, { ok, failure })
+    rfsm.run(fsm)
+    assert.equal("root.b root.b", leaves(fsm.par))
+    helper.post_and_run(fsm, "e_x")
+    rfsm.run(fsm)
+    assert.equal("root.a root.a", leaves(fsm.par))
+  end)
+
   -- The fields, the cycles of each worker, what they note in the entry and after it.
   for _, case in ipairs {
     { "steps each region once, by name", fields = {},
