@@ -809,7 +809,7 @@ do
     local node = setmetatable({
       _parent = parent, _id = key, _fqn = parent._fqn .. "." .. text_of(key),
       _model = model_of(model), _index = #nodes + 1, _depth = parent._depth + 1,
-      _otrs = {},
+      _otrs = NONE,
     }, LIVE[kind])
     nodes[node._index], parent._is_leaf = node, false
     engine.note_mount(build, node)
@@ -978,10 +978,8 @@ do
   local function find_end(build, tr, field)
     local ref = tr[field]
     if type(ref) == "string" then
-      local member = rawget(tr._parent, ref) -- the usual case
-      if type(member) == "table" and is_node(member) and not is_meta(ref) then
-        return member
-      end
+      local member = rawget(tr._parent, ref) -- the usual case; not a field "_parent"
+      if is_node(member) and member._id == ref then return member end
       local node, reason = find_named(build, tr._parent, ref)
       return node, reason and ("%s '%s': %s"):format(field, ref, reason)
     elseif is_node(ref) then
@@ -1097,10 +1095,7 @@ do
   -- Gives each node the list of its outgoing transitions, in search order.
   function engine.list_otrs(fsm)
     local nodes, transitions = fsm._nodes, fsm._transitions
-    for i = 1, #nodes do
-      local otrs = nodes[i]._otrs
-      if not otrs or otrs[1] then nodes[i]._otrs = {} end
-    end
+    for i = 1, #nodes do nodes[i]._otrs = {} end
     for i = 1, #transitions do
       local tr = transitions[i]
       local otrs, events = tr.src._otrs, tr.events
@@ -1213,7 +1208,7 @@ DEFAULTS.emit = engine.new_emit(silent)
 -- The fields that a machine has from the start.
 local function own_fields()
   return {
-    _parent = false, _mode = "inactive", _otrs = false, _act_leaf = false,
+    _parent = false, _mode = "inactive", _otrs = NONE, _act_leaf = false,
     _intq = { "e_init_fsm" }, _curq = {}, _initialized = false,
     -- the structure
     _model = false, _nodes = false, _transitions = {}, _index = 1, _depth = 0,
@@ -1584,10 +1579,6 @@ do
     give_up(fsm, ("rfsm.step: %s: function expected, %s"):format(slot, got(hook)))
   end
 
-  local function own_pre(fsm) return own_hook(fsm, "pre_step_hook") end
-
-  local function own_post(fsm) return own_hook(fsm, "post_step_hook") end
-
   local function take_getevents(fsm)
     if fsm._unread > 1 then
       fsm._unread = fsm._unread - 1
@@ -1598,15 +1589,12 @@ do
     if fsm._reads_one then fsm._unread = #fsm._curq > count and #fsm._curq or 0 end
   end
 
-  promises[take_one] = "repeatable"
-
-  -- Functions of the engine in lists of hooks. Each does its part there, or returns the
-  -- hook of the user's that is to be called, which is in this field of the machine.
-  local OF_ENGINE = {
-    [own_pre] = "pre_step_hook", [own_post] = "post_step_hook",
-    [take_getevents] = "getevents", [take_one] = "read",
-  }
-  DEFAULTS._pre_hooks, DEFAULTS._post_hooks = { own_pre }, { own_post }
+  -- Fields of a machine whose names are in lists of hooks. The function does what the
+  -- field decides, or returns the user's hook, which is called then.
+  local FIELDS = { pre_step_hook = own_hook, post_step_hook = own_hook,
+    getevents = take_getevents, read = take_one }
+  DEFAULTS._pre_hooks, DEFAULTS._post_hooks = { "pre_step_hook" }, { "post_step_hook" }
+  promises.read = "repeatable"
 
   -- Calls the step hooks of a list from number `i` on. A hook that may be repeated is
   -- noted when it has returned, any other hook when it begins. This is no loop: LuaJIT
@@ -1614,7 +1602,7 @@ do
   function run_hooks(fsm, hooks, i)
     local hook = hooks[i]
     if promises[hook] ~= "repeatable" then fsm._hook = i end
-    if OF_ENGINE[hook] then hook = hook(fsm) end
+    if FIELDS[hook] then hook = FIELDS[hook](fsm, hook) end
     if hook then
       local ok, failure = pcall(hook, fsm, fsm._curq)
       if not ok then fail_hook(fsm, hook, failure) end
@@ -1627,23 +1615,22 @@ do
   local function present(fsm, hooks)
     local list = {}
     for _, hook in ipairs(hooks) do
-      local slot = OF_ENGINE[hook]
-      if not slot or fsm[slot] then list[#list + 1] = hook end
+      if not FIELDS[hook] or fsm[hook] then list[#list + 1] = hook end
     end
     return list
   end
 
   -- Returns a list of hooks, false if it is empty. `one` is the first hook, unless it
-  -- is the engine's; `noted` is the position to note before this hook is called.
+  -- is a field; `noted` is the position to note before this hook is called.
   local function finished(fsm, list)
     local one = list[1]
     if not one then return false end
     for _, hook in ipairs(list) do
-      fsm._lends = fsm._lends or not (promises[hook] or OF_ENGINE[hook])
+      fsm._lends = fsm._lends or not (promises[hook] or FIELDS[hook])
     end
-    list.one = not OF_ENGINE[one] and one
+    list.one = not FIELDS[one] and one
     list.noted = list.one and promises[one] ~= "repeatable" and 1 or 0
-    list.has_getevents = one == take_getevents
+    list.has_getevents = one == "getevents"
     return list
   end
 
@@ -1667,9 +1654,9 @@ do
     local before = present(fsm, fsm._pre_hooks)
     local at = is_one and 0 or fsm._pre_hooks.front or 0
     for i, source in ipairs(sources) do insert(before, at + i, source) end
-    if may_take_one(fsm) then insert(before, #sources + 1, take_one) end
+    if may_take_one(fsm) then insert(before, #sources + 1, "read") end
     local has_getevents = fsm.getevents and fsm.getevents ~= no_events
-    if has_getevents then insert(before, 1, take_getevents) end
+    if has_getevents then insert(before, 1, "getevents") end
     fsm._is_usual, fsm._lends = false, false
     fsm._before = finished(fsm, before)
     fsm._after = finished(fsm, present(fsm, fsm._post_hooks))
@@ -2876,7 +2863,7 @@ end
 
 do
   local function is_closed(build, node)
-    return not (node._mode or build.is_left[node] or node._otrs and node._otrs[1])
+    return not (node._mode or build.is_left[node] or node._otrs[1])
   end
 
   local function is_aimed_at(fsm, node, first)
