@@ -1641,12 +1641,10 @@ do
     end
   end
 
-  -- Does `read` decide, or may it do so later? A field that is there is written unseen.
-  local function may_take_one(fsm) return fsm._reads_one or fsm.read ~= nil end
-
   -- Makes the lists of what each iteration calls, `_before` and `_after`; false if they
-  -- are empty. If one event is taken, all events that come are added before. `_lends`
-  -- is true if a hook may keep the list of events.
+  -- are empty. If one event is taken, all events that come are added before. A field
+  -- `read` that is there is written unseen, so it stands in the list. `_lends` is true
+  -- if a hook may keep the list of events.
   function engine.list_hooks(fsm)
     empty_slots(fsm)
     local is_one, sources = reads_one(fsm), fsm._source_hooks or NONE
@@ -1654,13 +1652,13 @@ do
     local before = present(fsm, fsm._pre_hooks)
     local at = is_one and 0 or fsm._pre_hooks.front or 0
     for i, source in ipairs(sources) do insert(before, at + i, source) end
-    if may_take_one(fsm) then insert(before, #sources + 1, "read") end
+    if is_one or fsm.read ~= nil then insert(before, #sources + 1, "read") end
     local has_getevents = fsm.getevents and fsm.getevents ~= no_events
     if has_getevents then insert(before, 1, "getevents") end
     fsm._is_usual, fsm._lends = false, false
     fsm._before = finished(fsm, before)
     fsm._after = finished(fsm, present(fsm, fsm._post_hooks))
-    fsm._is_hooked = (fsm._before or fsm._after) and true
+    fsm._is_hooked = not not (fsm._before or fsm._after)
     fsm._is_lent = fsm._is_lent or fsm._lends
   end
 
@@ -2863,29 +2861,23 @@ end
 
 do
   local function is_closed(build, node)
-    return not (node._mode or build.is_left[node] or node._otrs[1])
-  end
-
-  local function is_aimed_at(fsm, node, first)
-    for i = first, #fsm._transitions do
-      if fsm._transitions[i].tgt == node then return true end
-    end
-    return false
+    return node._id == "initial"
+      and not (node._mode or build.is_left[node] or node._otrs[1])
   end
 
   -- Reports each `initial` that no transition leaves: a problem if the first entry or a
   -- transition leads to it, else a warning. A merge has added the transitions from
   -- number `first` on: only problems are reported, and only theirs.
   function engine.check_ways_in(build, first)
-    local fsm = build.fsm
+    local fsm, is_entered = build.fsm, {}
+    if not first then is_entered[rawget(fsm, "initial") or fsm] = true end
+    for i = first or 1, #fsm._transitions do
+      is_entered[fsm._transitions[i].tgt] = true
+    end
     for _, node in ipairs(fsm._nodes) do
-      if node._id == "initial" and is_closed(build, node) then
-        local is_entered = not first and node._parent == fsm
-          or is_aimed_at(fsm, node, first or 1)
-        if is_entered or not first then
-          add(is_entered and build.problems or build.warnings, node, nil,
-            words("no transition leaves it"))
-        end
+      local list = is_entered[node] and build.problems or not first and build.warnings
+      if list and is_closed(build, node) then
+        add(list, node, nil, words("no transition leaves it"))
       end
     end
   end
@@ -2941,16 +2933,10 @@ function rfsm.warn(fsm, code, text)
   report(fsm, "warn", "WARNING: " .. text)
 end
 
-local function report_lines(fsm, name, list)
-  if fsm[name] == silent then return end
+local function report_warnings(fsm, list)
+  if fsm.warn == silent then return end
   local lines, codes = engine.lines_of(list)
-  for _, line in ipairs(lines) do
-    if name == "info" then
-      report(fsm, name, "INFO: " .. line)
-    else
-      rfsm.warn(fsm, codes[line], line)
-    end
-  end
+  for _, line in ipairs(lines) do rfsm.warn(fsm, codes[line], line) end
 end
 
 -- Reports the connectors that the model does not declare. Each is located where its
@@ -2960,7 +2946,9 @@ function engine.report_created(build)
     local first = created.node._otrs[1]
     made_at[created.node._model] = first and made_at[first._model]
   end
-  report_lines(build.fsm, "info", build.created)
+  for _, line in ipairs((engine.lines_of(build.created))) do
+    report(build.fsm, "info", "INFO: " .. line)
+  end
 end
 
 do
@@ -2997,7 +2985,7 @@ do
         dead[#dead + 1] = not left[node] and { line = line, code = false } or nil
       end
     end
-    report_lines(fsm, "warn", dead)
+    report_warnings(fsm, dead)
     return dead[1] == nil
   end
 end
@@ -3024,7 +3012,7 @@ function engine.report_findings(build, first_node, first_transition)
       if is_odd then add_advice(found, "event", tr, event) end
     end
   end
-  report_lines(fsm, "warn", found)
+  report_warnings(fsm, found)
   engine.report_dead_ends(fsm, first_node)
 end
 
