@@ -37,6 +37,7 @@ local fleet = {}
 ---@field tags integer number of hash tags, the parts of keys that choose the node
 ---@field more_tags? string[] those of other clients, see `find_tags`
 ---@field connection rfsm.redis.Connection
+---@field trimmed table<string, true> hash tags whose stream has no entry that is done
 local Fleet = { where = "rfsm.fleet" }
 Fleet.__index = Fleet
 for name, f in pairs(Client) do Fleet[name] = f end -- any order: it copies
@@ -70,7 +71,7 @@ function fleet.connect(url, options)
     error(made, made:find("^rfsm.fleet.connect") and 2 or 0)
   end
   return setmetatable({ name = settings.name, tags = settings.tags, connection = made,
-    id = Fleet.new_id(), count = 0 }, Fleet)
+    id = Fleet.new_id(), count = 0, trimmed = {} }, Fleet)
 end
 
 --- Send a command to the node that has the keys of a hash tag. The command may arrive
@@ -299,12 +300,14 @@ function Fleet:due(limit, time)
 end
 
 -- Calls f(call, keys) for the keys of a server that may be machines, in groups with the
--- same hash tag. call(name, ...) sends a command to the server.
-local function each_group(self, f)
+-- same hash tag, or for those that match a pattern. call(name, ...) sends a command
+-- to the server.
+local function each_group(self, f, pattern)
   self.connection:each_master(function(call)
     local at = "0"
     repeat
-      local reply = call("SCAN", at, "COUNT", 1000, "TYPE", "string")
+      local reply = call("SCAN", at, "COUNT", 1000, "TYPE", "string",
+        "MATCH", pattern or "*")
       at = reply[1]
       local groups = {}
       for _, key in ipairs(reply[2]) do
@@ -373,6 +376,8 @@ end
 ---@field version? string "newest", "bundled", "gone", or a fingerprint
 ---@field age? integer seconds in its leaf, at least; the library needs `--index`
 ---@field held? string "yes" or "no"
+---@field key? string its key, or a pattern of Redis, such as m:{7}:*
+---@field reason? string why it is held
 
 --- A machine that `select` has found.
 ---@class rfsm.fleet.Found
@@ -382,12 +387,18 @@ end
 ---@field known string of which version it is: "newest", "bundled", "gone"
 ---@field seconds? integer how long it has been in its leaf
 ---@field held boolean
+---@field reason? string why it is held
 
-local function add_found(found, reply)
-  for i = 1, #reply, 6 do
-    found[#found + 1] = { key = reply[i], chart = reply[i + 1], leaf = reply[i + 2],
+-- Adds what rfsm_select has found among keys. If the first is gone meanwhile, the reply
+-- has all machines of its hash tag.
+local function add_found(found, reply, keys, reason)
+  for i = 1, #reply, 7 do
+    local one = { key = reply[i], chart = reply[i + 1], leaf = reply[i + 2],
       known = reply[i + 3], seconds = rfsm.number_of(reply[i + 4]),
-      held = reply[i + 5] == "yes" }
+      held = reply[i + 5] == "yes", reason = reply[i + 6]:match(".+") }
+    if keys[one.key] and (not reason or reason == one.reason) then
+      found[#found + 1] = one
+    end
   end
 end
 
@@ -401,13 +412,13 @@ local function by_key(a, b) return rfsm.text_before(a.key, b.key) end
 function Fleet:select(filter)
   local found = {}
   local ok, problem = pcall(each_group, self, function(call, keys)
-    local command = { "FCALL", "rfsm_select", #keys }
-    for _, key in ipairs(keys) do command[#command + 1] = key end
+    local command, asked = { "FCALL", "rfsm_select", #keys }, {}
+    for _, key in ipairs(keys) do command[#command + 1], asked[key] = key, true end
     for _, name in ipairs { "chart", "state", "version", "age", "held" } do
       command[#command + 1] = filter[name] or ""
     end
-    add_found(found, call(unpack(command)))
-  end)
+    add_found(found, call(unpack(command)), asked, filter.reason)
+  end, filter.key)
   if not ok then return nil, problem end
   sort(found, by_key)
   return found
@@ -454,7 +465,9 @@ local function ask_by(own, name, stream, ...)
   return own.work.fleet.connection:call_by(own.client, name, stream, ...)
 end
 
+-- The stream has to be trimmed, too.
 local function acknowledge(own)
+  own.work.fleet.trimmed[own.work.tag] = nil
   return (ask_by(own, "XACK", own.work.stream, own.work.group, own.raw[1]))
 end
 
@@ -540,14 +553,6 @@ local function retry(work, f)
   end
 end
 
--- Calls f with each entry of a stream that a worker may try now.
-local function each_entry(work, f)
-  retry(work, f)
-  local new, client = work.fleet:call(work.tag, "XREADGROUP", "GROUP", work.group,
-    work.worker, "COUNT", work.options.count, "STREAMS", work.stream, ">")
-  for _, raw in ipairs(new and new[1][2] or {}) do hand_on(work, f, raw, client, 1) end
-end
-
 -- Pads the numbers in the id of an entry with zeros, so that ids compare as texts.
 local function sortable(id)
   return (id:gsub("%d+", function(digits) return ("0"):rep(20 - #digits) .. digits end))
@@ -557,9 +562,11 @@ local function next_id(id)
   return (id:gsub("%d+$", function(digits) return ("%.0f"):format(digits + 1) end))
 end
 
--- Removes from the stream the entries that all groups have finished.
+-- Removes from the stream the entries that all groups have finished, unless this was
+-- done since one was last acknowledged.
 local function trim(work)
-  local least = nil
+  local least, trimmed = nil, work.fleet.trimmed
+  if trimmed[work.tag] then return end
   for _, info in ipairs(work.fleet:call(work.tag, "XINFO", "GROUPS", work.stream)) do
     local group = fields_of(info)
     local id = group.pending > 0 and ask_stream(work, "XPENDING", group.name)[2]
@@ -567,6 +574,16 @@ local function trim(work)
     if not least or sortable(id) < sortable(least) then least = id end
   end
   if least then ask_stream(work, "XTRIM", "MINID", least) end
+  trimmed[work.tag] = true
+end
+
+-- Calls f with each entry of a stream that a worker may try now.
+local function each_entry(work, f)
+  retry(work, f)
+  trim(work)
+  local new, client = work.fleet:call(work.tag, "XREADGROUP", "GROUP", work.group,
+    work.worker, "COUNT", work.options.count, "STREAMS", work.stream, ">")
+  for _, raw in ipairs(new and new[1][2] or {}) do hand_on(work, f, raw, client, 1) end
 end
 
 local WORK = {
@@ -623,7 +640,7 @@ local function run_worker(work, f)
       work.count = work.count + 1
     end
   end)
-  if work.count > 0 then trim(work) end
+  trim(work)
 end
 
 --- Call `f(entry)` for each event that machines have emitted, at least once in a group.

@@ -394,6 +394,7 @@ describe("rfsm fleet", function()
   local REPLY = { leaf = "root.a", mode = "done", outcome = "failed",
     errors = { "no arm", "no leg" } }
   local REPLIED = "root.a done failed\nerror: no arm\nerror: no leg\n"
+  local NOTED = "root.a failed\nerror: no arm\nerror: no leg\n"
 
   for command, case in pairs { -- any order: each stands alone
     ["find door root.a 5 60"] = { called = { "door", "root.a", 5, "60" },
@@ -405,31 +406,42 @@ describe("rfsm fleet", function()
     ["why k e_x"] = { called = { "k", "e_x" }, result = { "one", "two" },
       out = "one\ntwo\n" },
     ["send k e_x"] = { called = { "k", "e_x" }, result = REPLY, out = REPLIED },
-    ["hold k"] = { called = { "k" }, result = REPLY, out = REPLIED },
-    ["release k"] = { called = { "k" }, result = REPLY, out = REPLIED },
-    ["force k root.a"] = { called = { "k", "root.a" }, result = REPLY, out = REPLIED },
-    ["remove k"] = { called = { "k" }, result = true, out = "" },
+    ["hold k --by ann"] = { called = { "k", nil, "ann" }, result = REPLY,
+      out = "k " .. NOTED },
+    ["release k --by ann"] = { called = { "k", "ann" }, result = REPLY,
+      out = "k " .. NOTED },
+    ["force k root.a --by ann"] = { called = { "k", "root.a", "ann" }, result = REPLY,
+      out = "k " .. NOTED },
+    ["remove k --by ann"] = { called = { "k", "ann" }, result = true,
+      out = "k c root.b (remove)\n" },
     ["dead 9"] = { called = { 9 }, result = { { tag = 0, id = "1-0", machine = "k",
       what = "done", data = "{}", deliveries = 3, error = "no stock" } },
       out = "0 1-0 k done {} x3 no stock\n" },
-    ["tick k"] = { called = { "k" }, result = REPLY, out = REPLIED },
+    ["tick k"] = { called = { "k" }, result = REPLY, out = "k " .. REPLIED },
     ["pull k"] = { called = { "k" }, result = "{}\n", out = "{}\n" },
     ["set k a=x --by ann"] = { called = { "k", "a", "x", "ann" }, result = REPLY,
-      out = REPLIED, refused = 2 },
+      out = NOTED, refused = 2 },
     ["set k root.b.a=[1] --by ann"] = { called = { "k", "root.b.a", { 1 }, "ann" },
-      result = REPLY, out = REPLIED, refused = 2 },
+      result = REPLY, out = NOTED, refused = 2 },
     ["push k README.md --if-version 3000000000 --by ann"] = { called = { "k",
-      helper.content "README.md", 3000000000, "ann" }, result = REPLY, out = REPLIED,
+      helper.content "README.md", 3000000000, "ann" }, result = REPLY, out = NOTED,
       refused = 2 },
-    ["again 0 1-0"] = { called = { "0", "1-0" }, result = true, out = "" },
-    ["drop 0 1-0"] = { called = { "0", "1-0" }, result = true, out = "" },
-    ["cancel k my-1"] = { called = { "k", "my-1" }, result = true, out = "" },
+    ["again 0 1-0"] = { called = { "0", "1-0" }, result = true,
+      out = "0 1-0 k pick (again)\n" },
+    ["drop 0 1-0"] = { called = { "0", "1-0" }, result = true,
+      out = "0 1-0 k pick (drop)\n" },
+    ["cancel k my-1"] = { called = { "k", "my-1" }, result = true,
+      out = "k my-1 (cancel)\n" },
   } do
     local verb = command:match "%l+"
 
     -- Runs the command with a client that does this.
     local function with_client(act)
-      local calls, client = {}, { find_tags = function() return {} end }
+      local calls, client = {}, { find_tags = function() return {} end,
+        get = function() return { chart = "c", leaf = "root.b" } end,
+        dead = function()
+          return { { tag = "0", id = "1-0", machine = "k", what = "pick" } }
+        end }
       client[verb] = function(_, ...)
         calls[2] = { ... }
         return act()
@@ -477,15 +489,15 @@ describe("rfsm fleet", function()
   end
 
   for arguments, problem in pairs { -- any order: each stands alone
-    ["get --where chart=c"] = "get takes no --where, but KEY",
-    ["hold k --dry-run"] = "--dry-run: --where expected",
+    ["get --where chart=c"] = "get takes no --where",
+    ["set k n=1 --dry-run"] = "set takes no --dry-run",
     ["release k --where chart=c"] = "release: --where or KEY expected, not both",
     ["hold --where age=x"] = "--where: age=SECONDS expected, got 'x'",
     ["hold --where ,"] = "--where: a filter expected",
-    ["hold --where chart=c,stat=x"] = "--where: chart=, state=, version=, age= or "
-      .. "held= expected, got 'stat=x' (did you mean 'state'?)",
-    ["hold --where c"] = "--where: chart=, state=, version=, age= or held= expected, "
-      .. "got 'c'",
+    ["hold --where chart=c,stat=x"] = "--where: age=, chart=, held=, key=, reason=, "
+      .. "state=, version= expected, got 'stat=x' (did you mean 'state'?)",
+    ["hold --where c"] = "--where: age=, chart=, held=, key=, reason=, state=, "
+      .. "version= expected, got 'c'",
     ["release --where held=maybe"] = "--where: held=yes or held=no expected, got "
       .. "'maybe'",
     ["force --where chart=c"] = "force --where FILTER STATE expected",
@@ -495,7 +507,7 @@ describe("rfsm fleet", function()
       .. "'n=2'",
     ["remove k l"] = "remove KEY expected, got 2 arguments: 'k', 'l'",
     ["set k n=1 --if-version 3"] = "set takes no --if-version",
-    ["force k root.a --by ann"] = "force takes no --by",
+    ["send k e --by ann"] = "send takes no --by",
     ["get k --if-version 3 --force --by ann"] = "get takes no --by",
     ["again 0 1-0 --where age=1"] = "again: --where or TAG ID expected, not both",
   } do
@@ -509,12 +521,13 @@ describe("rfsm fleet", function()
   local function with_many(arguments, calls)
     local client = {
       find_tags = function() return {} end,
+      get = function() return { chart = "c", leaf = "root.a" } end,
       charts = function() return { c = { "root", "root.a", "root.bay" } } end,
       select = function(_, filter)
         calls[#calls + 1] = filter
         if filter.chart == "none" or filter.state == "root.by" then return {} end
         return { { key = "k1", chart = "c", leaf = "root.a", known = "newest",
-          seconds = 7, held = true },
+          seconds = 7, held = true, reason = "no arm" },
           { key = "k2", chart = "c", leaf = "root.a", known = "gone" } }
       end,
       dead = function()
@@ -538,36 +551,56 @@ describe("rfsm fleet", function()
   end
 
   it("does a verb for many machines, or shows them", function()
-    local calls, is_one = {}, "k1 c root.a newest 7 s held\n"
+    local calls, is_one = {}, "k1 c root.a newest 7 s held: no arm\n"
     assert.same({ is_one .. "k2 c root.a gone\n", "rfsm fleet: 2 found, nothing was "
       .. "done\n", 0 }, with_many("hold --dry-run --where chart=c,d,state=root.a,"
       .. "version=gone,age=60", calls))
     assert.same({ { chart = "c,d", state = "root.a", version = "gone", age = "60" } },
       calls)
     calls = {}
-    assert.same({ "k1 root.a done failed; error: no arm; error: no leg\n",
+    assert.same({ "k1 root.a failed; error: no arm; error: no leg\n",
       "rfsm fleet: k2 c root.a gone: ERR rfsm_hold: it is held already\n"
-      .. "rfsm fleet: 1 of 2 done\n", 1 }, with_many("hold why --where chart=c", calls))
-    assert.same({ { chart = "c" }, { "hold", "k1", "why" }, { "hold", "k2", "why" } },
-      calls)
+      .. "rfsm fleet: 1 of 2 done\n", 1 },
+      with_many("hold why --where chart=c --by ann", calls))
+    assert.same({ { chart = "c" }, { "hold", "k1", "why", "ann" },
+      { "hold", "k2", "why", "ann" } }, calls)
     assert.same({ "k1 root.a done failed; error: no arm; error: no leg\n",
       "rfsm fleet: 1 of 2 done, then: no answer\n", 1 },
       with_many("tick --where chart=c", {}))
+    assert.same({ "k1 c root.a\n", "rfsm fleet: 1 found, nothing was done\n", 0 },
+      with_many("force k1 root.b --dry-run", {}))
     for filter, hint in pairs { ["chart=none"] = " (there is 'c')", -- any order: each
       ["state=root.by"] = " (did you mean 'root.bay'?)" } do -- stands alone
       assert.same({ "", "rfsm fleet: no machine is like that, so nothing was done"
         .. hint .. "\n", 2 }, with_many("remove --where " .. filter, calls))
+      assert.same({ "", "rfsm fleet: 0 machines" .. hint .. "\n", 0 },
+        with_many("list --where " .. filter, calls))
     end
+  end)
+
+  it("lists machines, and counts them by chart and state", function()
+    local OUT = { "k1 c root.a newest 7 s held: no arm\nk2 c root.a gone\n",
+      "rfsm fleet: 2 machines: c root.a 2\n", 0 }
+    local calls = {}
+    assert.same(OUT, with_many("list", calls))
+    assert.same(OUT, with_many("list --where age=0", calls))
+    assert.same(OUT, with_many("list --where 'reason=no arm,key=k*'", calls))
+    assert.same({ {}, { age = "0" }, { reason = "no arm", key = "k*" } }, calls)
   end)
 
   it("sends dead entries of many machines again", function()
     local calls = {}
-    assert.same({ "1-0\n2-0\n", "rfsm fleet: 2 of 2 done\n", 0 },
-      with_many("again --where chart=c", calls))
+    assert.same({ "0 1-0 k1 pick (again)\n0 2-0 k2 pick (again)\n",
+      "rfsm fleet: 2 of 2 done\n", 0 }, with_many("again --where chart=c", calls))
     assert.same({ { chart = "c" }, { "again", "0", "1-0" }, { "again", "0", "2-0" } },
       calls)
-    assert.same({ "1-0\n2-0\n3-0\n", "rfsm fleet: 3 of 3 done\n", 0 },
-      with_many("again --where age=60", calls))
+    for _, age in ipairs { "0", "60" } do
+      assert.same({ "0 1-0 k1 pick (again)\n0 2-0 k2 pick (again)\n0 3-0 k3 pick "
+        .. "(again)\n", "rfsm fleet: 3 of 3 done\n", 0 },
+        with_many("again --where age=" .. age, calls))
+    end
+    assert.same({ "", "rfsm fleet: it is not there\n", 1 },
+      with_many("again 0 7-0", calls))
     assert.same({ "", "rfsm fleet: no entry is like that, so nothing was done (there "
       .. "is 'c')\n", 2 },
       with_many("again --where chart=none", calls))
@@ -585,7 +618,7 @@ describe("rfsm fleet", function()
 
   it("lists the verbs by their arguments", function()
     assert.equal([=[
-   again drop TAG ID   cancel KEY ID   charts reindex versions
+   again drop TAG ID   cancel KEY ID   charts list reindex versions
    create KEY CHART [FIELD=VALUE...]   dead [LIMIT]   due [LIMIT [TIME]]
    find CHART STATE [LIMIT [SECONDS]]   force KEY STATE
    get move pull release remove tick KEY   history log KEY [N]   hold KEY [WHY]

@@ -199,6 +199,21 @@ describe("consumer groups", function()
     assert.equal("2\n", server:cli("XLEN rfsm:out:{0}")) -- from the one that failed on
   end)
 
+  it("keep no entry that has died, or ended by done, before another one", function()
+    emit(2)
+    local function fail() error("no", 0) end
+    machines:work("g", "w", fail, { tries = 1 })
+    assert.equal("0\n", server:cli("XLEN rfsm:out:{0}"))
+    for _, dead in ipairs(machines:dead()) do machines:again(dead.tag, dead.id) end
+    for _, entry in ipairs(machines:take("g", "w")) do assert(machines:done(entry)) end
+    assert.same({}, machines:take("g", "w"))
+    assert.equal("0\n", server:cli("XLEN rfsm:out:{0}"))
+    for i = 1, 2 do assert(machines:send(i, "e_emit")) end
+    for _, entry in ipairs(machines:take("g", "w")) do assert(machines:done(entry)) end
+    assert.same({}, connect():take("g", "w")) -- the worker has ended meanwhile
+    assert.equal("0\n", server:cli("XLEN rfsm:out:{0}"))
+  end)
+
   it("are not held up by an entry that fails, which ends in a stream", function()
     emit(4)
     local function work(entry)
@@ -619,35 +634,43 @@ end)
 
 describe("rfsm fleet", function()
   local function fleet_command(...)
-    return servers.output_of("tools/rfsm fleet --tags 1 " .. server:url() .. " "
-      .. table.concat({ ... }, " "))
+    return servers.output_of("env -u USER -u LOGNAME tools/rfsm fleet --tags 1 "
+      .. server:url() .. " " .. table.concat({ ... }, " "))
   end
 
   it("finds, holds, forces and ends machines", function()
     local key = key_of(1)
     assert(machines:create(1, "timed"))
-    assert.equal("root.a done kept\n", fleet_command("hold", key))
+    assert.equal("m:{0}:1 root.a (hold: broken) by ann\n",
+      fleet_command("hold", key, "broken", "--by ann"))
     assert.equal("root.a done kept\n", fleet_command("send", key, "e_b"))
     assert.equal("rfsm fleet: ERR rfsm_hold: the machine at " .. key
       .. " is held already\n", fleet_command("hold", key))
-    assert.equal("root.b done taken\n", fleet_command("release", key))
-    assert.equal("root.a done kept\n", fleet_command("force", key, "root.a"))
+    assert.matches("^[%d.]+ e_b %(waits%): root.a %-> root.a\n[%d.]+ %(hold: broken%) "
+      .. "by ann: root.a %-> root.a\n", fleet_command("history", key))
+    assert.equal("m:{0}:1 root.b (release)\n", fleet_command("release", key))
+    assert.equal("m:{0}:1 timed root.b\nrfsm fleet: 1 found, nothing was done\n",
+      fleet_command("force", key, "root.a", "--dry-run"))
+    assert.equal("m:{0}:1 root.a (force) by bob\n",
+      fleet_command("force", key, "root.a", "--by bob"))
     assert.matches("chart: timed\n.*leaf: root.a\n", fleet_command("get", key))
-    assert.matches("^[%d.]+ %(force%): root.b %-> root.a\n[%d.]+ e_b: root.a "
-      .. "%-> root.b\n", fleet_command("history", key))
+    assert.matches("^[%d.]+ %(force%) by bob: root.b %-> root.a\n[%d.]+ e_b: root.a "
+      .. "%-> root.b\n[%d.]+ %(release%): root.a %-> root.a\n",
+      fleet_command("history", key))
     assert.matches("^no transition would be taken on e_back in root.a\n",
       fleet_command("why", key, "e_back"))
     assert.equal(key:gsub("'", "") .. "\n", fleet_command("find", "timed", "root.a"))
-    assert.equal("rfsm fleet: no machine of chart 'timed' is in 'root.a' for so long\n",
-      fleet_command("find", "timed", "root.a", "9", "60"))
-    assert.equal("rfsm fleet: no machine of chart 'timd' is in 'root.a' (did you mean "
+    assert.equal("rfsm fleet: 0 machines of chart 'timed' are in 'root.a' for so "
+      .. "long\n", fleet_command("find", "timed", "root.a", "9", "60"))
+    assert.equal("rfsm fleet: 0 machines of chart 'timd' are in 'root.a' (did you mean "
       .. "'timed'?)\n", fleet_command("find", "timd", "root.a"))
-    assert.equal("rfsm fleet: no machine of chart 'timed' is in 'root.cc' (did you "
+    assert.equal("rfsm fleet: 0 machines of chart 'timed' are in 'root.cc' (did you "
       .. "mean 'root.c'?)\n", fleet_command("find", "timed", "root.cc"))
-    assert.equal("rfsm fleet: no machine of chart 'timed' is in 'root.b'\n",
+    assert.equal("rfsm fleet: 0 machines of chart 'timed' are in 'root.b'\n",
       fleet_command("find", "timed", "root.b"))
-    assert.equal("", fleet_command("remove", key))
-    assert.equal("rfsm fleet: it is not there\n", fleet_command("remove", key))
+    assert.equal("m:{0}:1 timed root.a (remove)\n", fleet_command("remove", key))
+    assert.equal("rfsm fleet: ERR rfsm_get: no machine is at 'm:{0}:1' (rfsm_create "
+      .. "makes one)\n", fleet_command("remove", key))
     assert.equal("", server:cli("KEYS '*'"):gsub("%s", ""))
   end)
 
@@ -660,7 +683,7 @@ describe("rfsm fleet", function()
     assert(machines:load(redis.bundle { "timed=" .. helper.file_with(TIMED), "timed="
       .. helper.file_with((TIMED:gsub("keep", "rename = {}, more = rfsm.state {}, keep")
       )) }))
-    assert.equal("root.a done kept\n", fleet_command("move", "m:{0}:2"))
+    assert.equal("m:{0}:2 root.a (move)\n", fleet_command("move", "m:{0}:2"))
     assert.equal(("timed bundled %s 1\ntimed newest %s 1\n"):format(version,
       machines:get(2).version), fleet_command("versions"))
     assert(machines:load(library(nil, { counter = COUNTER })))
@@ -670,8 +693,9 @@ describe("rfsm fleet", function()
     assert.equal("m:{0}:1\nm:{0}:2\n", fleet_command("due", "10", "+1000000"))
     assert.equal("rfsm fleet: a number expected, got '1h'\n",
       fleet_command("due", "10", "1h"))
-    fleet_command("hold", "m:{0}:1", "'to be looked at'")
-    assert.matches("^%d+%.%d+ to be looked at\n$", fleet_command("log", "m:{0}:1"))
+    fleet_command("hold", "m:{0}:1", "'to be looked at' --by ann")
+    assert.matches("^%d+%.%d+ %(hold: to be looked at%) by ann\n$",
+      fleet_command("log", "m:{0}:1"))
   end)
 
   it("makes a machine with data", function()
@@ -699,9 +723,10 @@ describe("rfsm fleet", function()
     local key = key_of(1)
     assert(machines:create(1, "timed"))
     assert.equal("rfsm fleet: ERR rfsm_set: field 'n': a number expected, got 'abc' "
-      .. "(the option 'force' sets it nevertheless)\n",
+      .. "(--force sets it nevertheless)\n",
       fleet_command("set", key, "n=abc"))
-    assert.equal("root.a done kept\n", fleet_command("set", key, "n=abc", "--force"))
+    assert.equal('root.a (set n: 0 -> "abc")\n',
+      fleet_command("set", key, "n=abc", "--force"))
     assert.equal("abc", machines:get(1).data.root.n)
     assert.matches("get takes no %-%-force", fleet_command("get", key, "--force"))
   end)
@@ -720,15 +745,17 @@ describe("rfsm fleet", function()
     local key, file = key_of(1), helper.file_with("")
     assert(machines:create(1, "timed"))
     assert(machines:send(1, "e_emit"))
-    assert.equal("root.a done kept\n", fleet_command("set", key, "n=7", "--by ann"))
+    assert.equal("root.a (set n: 1 -> 7) by ann\n",
+      fleet_command("set", key, "n=7", "--by ann"))
     helper.write(file, fleet_command("pull", key))
     local fsm = assert(snapshot.load(rfsm.load(helper.file_with(TIMED)), file))
     assert.same({ "root.a", 7 }, { rfsm.get_actleaf_fqn(fsm), fsm.n })
     local read = json.decode((helper.content(file))).fleet
     assert.same({ "m:{0}:1", "timed", 3 }, { read.machine, read.chart, #read.history })
-    assert.same({ "(set n=7) by ann", "root.a", "root.a" }, { read.history[3].event,
-      read.history[3].from, read.history[3].to })
-    assert.equal("root.a done kept\n", fleet_command("push", key, file, "--by ann"))
+    assert.same({ "(set n: 1 -> 7) by ann", "root.a", "root.a" },
+      { read.history[3].event, read.history[3].from, read.history[3].to })
+    assert.equal("root.a (push) by ann\n",
+      fleet_command("push", key, file, "--by ann"))
     assert.matches("^%S+ %(push%) by ann: root.a %-> root.a\n",
       fleet_command("history", key))
     assert(machines:send(1, "e_b"))
@@ -746,24 +773,31 @@ describe("rfsm fleet", function()
     assert.matches("^m:{0}:1 timed root.a newest %d+ s\nm:{0}:2 timed root.c.d newest "
       .. "%d+ s\nrfsm fleet: 2 found, nothing was done\n$",
       fleet_command("hold --dry-run --where chart=timed"))
-    assert.equal("m:{0}:2 root.c.d done kept\nrfsm fleet: 1 of 1 done\n",
+    assert.equal("m:{0}:2 root.c.d (hold: broken)\nrfsm fleet: 1 of 1 done\n",
       fleet_command("hold --where state=root.c,version=newest broken"))
     assert.equal("broken", machines:get(2).held_because)
-    assert.matches("^m:{0}:2 timed root.c.d newest %d+ s held\nrfsm fleet: 1 found, ",
-      fleet_command("release --dry-run --where held=yes"))
+    assert.matches("^m:{0}:2 timed root.c.d newest %d+ s held: broken\nrfsm fleet: 1 "
+      .. "found, ", fleet_command("release --dry-run --where reason=broken"))
+    assert.matches("^m:{0}:1 .*\nm:{0}:2 .*held: broken\nm:{0}:3 .*\nrfsm fleet: 3 "
+      .. "machines: counter root.even 1, timed root.a 1, timed root.c.d 1\n$",
+      fleet_command("list"))
+    assert.matches("^m:{0}:1 .*\nm:{0}:3 .*\nrfsm fleet: 2 machines: ",
+      fleet_command("list --where 'key=m:{0}:[13],age=0'"))
+    assert.equal("rfsm fleet: 0 machines\n", fleet_command("list --where key=n*"))
     assert.matches("^m:{0}:1 .*\nm:{0}:3 .*\nrfsm fleet: 2 found, ",
       fleet_command("hold --dry-run --where held=no"))
-    assert.equal("m:{0}:2 root.c.d done kept\nrfsm fleet: 1 of 1 done\n",
+    assert.equal("m:{0}:2 root.c.d (release)\nrfsm fleet: 1 of 1 done\n",
       fleet_command("release --where chart=timed,held=yes"))
     assert.equal("rfsm fleet: no machine is like that, so nothing was done (did you "
       .. "mean 'root.c'?)\n", fleet_command("hold --where chart=timed,state=root.cc"))
-    assert.equal("m:{0}:2 root.b done kept\nrfsm fleet: 1 of 1 done\n",
+    assert.equal("m:{0}:2 root.b (force)\nrfsm fleet: 1 of 1 done\n",
       fleet_command("force --where state=root.c root.b"))
-    assert.equal("m:{0}:2 root.b done kept\nrfsm fleet: 1 of 1 done\n",
-      fleet_command("move --where state=root.b"))
+    assert.equal("m:{0}:2 root.b (move: it was the newest)\nrfsm fleet: 1 of 1 done"
+      .. "\n", fleet_command("move --where state=root.b"))
     assert.equal("rfsm fleet: no machine is like that, so nothing was done\n",
       fleet_command("remove --where version=gone"))
-    assert.equal("m:{0}:1\nm:{0}:2\nrfsm fleet: 2 of 2 done\n",
+    assert.matches("^m:{0}:1 timed root.a newest %d+ s %(remove%)\nm:{0}:2 timed "
+      .. "root.b .-\nrfsm fleet: 2 of 2 done\n$",
       fleet_command("remove --where chart=timed"))
     assert.equal("m:{0}:3", assert(machines:select {})[1].key)
     assert(machines:create(1, "timed"))
@@ -771,8 +805,8 @@ describe("rfsm fleet", function()
     machines:work("g", "w", function() error("no stock", 0) end, { tries = 1 })
     assert.equal("rfsm fleet: no entry is like that, so nothing was done\n",
       fleet_command("again --where chart=counter"))
-    assert.matches("^[%d-]+\n[%d-]+\nrfsm fleet: 2 of 2 done\n$",
-      fleet_command("again --where chart=timed"))
+    assert.matches("^0 [%d-]+ m:{0}:1 done %(again%)\n0 [^\n]+\nrfsm fleet: 2 of 2 "
+      .. "done\n$", fleet_command("again --where chart=timed,age=0"))
     assert.same({}, machines:dead())
   end)
 
@@ -1004,9 +1038,9 @@ describe("an operator who types what doc/redis.md prints", function()
     assert(machines:create("m:{7}:42", "order", { item = "cog" }))
     assert(machines:send("m:{7}:42", "e_paid"))
     server:move_clock(3600)
-    local printed = typed "rfsm fleet redis://localhost hold --where age"
-    assert.matches("^m:{7}:42 order root.picking newest %d+ s\nrfsm fleet: 1 found, "
-      .. "nothing was done\n$", printed[1])
+    local printed = typed "rfsm fleet redis://localhost list --where age"
+    assert.matches("^m:{7}:42 order root.picking newest %d+ s\nrfsm fleet: 1 machines: "
+      .. "order root.picking 1\n$", printed[1])
     assert.matches("\nkept: %[%]\nlater: %[%]\n.*\nwaiting: %[%]\n", printed[2])
     assert.matches("(picking -> packing) would be taken on e_picked", printed[3], 1,
       true)
@@ -1035,20 +1069,22 @@ describe("an operator who types what doc/redis.md prints", function()
     assert.matches("chart: order\n.*cog.*leaf: root.picking\n", printed[2])
     assert.matches("^[%d.]+ e_paid: root.received %-> root.picking\n[%d.]+ %(create%): "
       .. "%-> root.received\n$", printed[3])
-    assert.same({ "root.picking done kept\n", "root.picking done kept\n",
-      "root.packing done taken\n" }, { printed[4], printed[5], printed[6] })
-    assert.equal("root.picking done kept\n", printed[7])
-    assert.equal("", printed[8])
+    assert.same({ "m:{7}:42 root.picking (hold: no paper) by ann\n",
+      "root.picking done kept\n", "m:{7}:42 root.packing (release) by ann\n" },
+      { printed[4], printed[5], printed[6] })
+    assert.equal("m:{7}:42 root.picking (force) by ann\n", printed[7])
+    assert.equal("m:{7}:42 order root.picking (remove)\n", printed[8])
     assert.matches("^7 " .. dead[1]:gsub("%-", "%%-") .. " m:{7}:42 pick {.*cog.*} x1 "
       .. "no paper\n7 .* m:{7}:43 pick ", printed[9])
-    assert.same({ "", "" }, { printed[10], printed[11] })
+    assert.same({ "7 " .. dead[1] .. " m:{7}:42 pick (again)\n",
+      "7 " .. dead[2] .. " m:{7}:43 pick (drop)\n" }, { printed[10], printed[11] })
     assert.same({}, machines:dead())
   end)
 
   it("sees what the other questions answer", function()
     assert(machines:create("m:{7}:42", "order", { item = "cog" }))
     assert(machines:send("m:{7}:42", "e_paid"))
-    assert(machines:hold("m:{7}:42", "no paper"))
+    assert(machines:hold("m:{7}:42", "no paper", "ann"))
     local printed = {}
     for i, line in ipairs(lines_of "rfsm fleet redis://localhost why") do
       printed[i] = servers.output_of("tools/" .. line:gsub("[^ ]*{7}[^ ]*", "'%0'"))
@@ -1056,10 +1092,10 @@ describe("an operator who types what doc/redis.md prints", function()
     assert.matches("^held since [%d.]+, for %d+ s: events wait until it is released; "
       .. "then:\nroot.trans.4. .picking %-> packing. would be taken on e_picked in ",
       printed[1])
-    assert.matches("^[%d.]+ no paper\n$", printed[2])
+    assert.equal("", printed[2])
     assert.equal("", printed[3])
     assert.matches("^order newest %S+ 1\n$", printed[4])
-    assert.same({ "root.picking done kept\n", "1 machines\n",
+    assert.same({ "m:{7}:42 root.picking (move: it was the newest)\n", "1 machines\n",
       "root.picking done kept\n" }, { printed[5], printed[6], printed[7] })
     assert.same({ "", "rfsm fleet: it is not there\n" }, { printed[8], printed[9] })
   end)

@@ -356,7 +356,7 @@ describe("a worker", function()
     assert.same({ "1", "3 calls that ran what is due have not ended: held until it is "
       .. "released" }, net.tables.log[1])
     assert.equal("kept", client:tick("1").outcome)
-    assert.equal("taken", client:release("1").outcome)
+    assert.equal("(release) by ann", client:release("1", "ann").outcome)
   end)
 
   it("puts one aside whose chart is gone", function()

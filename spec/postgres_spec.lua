@@ -806,29 +806,34 @@ end)
 describe("an operator", function()
   it("holds, releases, forces and ends machines", function()
     assert.equal([[
-root.even
+root.even (hold: no paper) by ann
 root.even|t
 root.even
 kept
-root.odd
-root.even
+root.odd (release) by postgres
+root.even (force) by bob
 |root.even
+(hold: no paper) by ann|root.even
+e_tick (waits)|root.even
+e_tick (waits)|root.even
+(release) by postgres|root.even
 e_tick|root.odd
-(force)|root.even
+(force) by bob|root.even
+(remove) by ann|root.even
 root.even|
 t
 f
 0
 ]], sql([[
 SELECT rfsm.create('1', 'counter') \gset
-SELECT rfsm.hold('1');
+SELECT rfsm.hold('1', 'no paper', 'ann');
 SELECT state, due IS NULL FROM rfsm.machines;
 SELECT rfsm.send('1', 'e_tick');
 SELECT outcome FROM rfsm.reply('1', ARRAY['e_tick'], 'x');
 SELECT rfsm.cancel('1', 'x') \gset
 SELECT rfsm.release('1');
-SELECT rfsm.force('1', 'root.even');
-SELECT rfsm.remove('1') AS was_there \gset
+SELECT rfsm.force('1', 'root.even', 'bob');
+SELECT rfsm.remove('1', 'ann') AS was_there \gset
 SELECT event, tgt FROM rfsm.history WHERE tgt IS NOT NULL ORDER BY id;
 SELECT src, tgt FROM rfsm.history WHERE tgt IS NULL;
 SELECT :'was_there';
@@ -939,27 +944,27 @@ root.even
 root.odd
 ERROR:  rfsm.push: the machine at '1' has moved on: revision N expected, it has N
 ERROR:  rfsm.push: file (is it cut short?): a JSON object expected
-root.even
-root.even
+root.even (push) by ann
+root.even (set n: 0 -> 7) by ann
 ERROR:  rfsm.set: no state of chart 'counter' keeps the field 'm'
 ||root.even
 e_tick|root.even|root.odd
 (push) by ann|root.odd|root.even
-(set n=7) by ann|root.even|root.even
+(set n: 0 -> 7) by ann|root.even|root.even
 4
 ]], (output:gsub("%d%d%d%d+", "N"):gsub(" %(did you mean.-%)", "")))
   end)
 
   it("sees what waits, the log, what is due, and the versions", function()
     assert.equal([[
-WARNING:  1: looked at
 held|yes
 held_because|looked at
 kept|[]
 waiting|[{"events":["e_tick"],"id":"x"}]
 ids|["one"]
 t
-looked at
+0
+0
 counter|1
 1
 2|0
@@ -971,7 +976,8 @@ SELECT rfsm.send('1', 'e_tick', 'x') \gset
 SELECT name, regexp_replace(value, ',"time":[0-9.]+', '') FROM rfsm.get('1')
   WHERE name IN ('held', 'held_because', 'kept', 'waiting', 'ids');
 SELECT why ~ '^held since ' FROM rfsm.why('1', 'e_tick') why LIMIT 1;
-SELECT error FROM rfsm.log('1');
+SELECT count(*) FROM rfsm.log('1');
+SELECT value FROM rfsm.stats() WHERE name = 'rfsm_aside';
 SELECT chart, machines - 1 FROM rfsm.versions();
 SELECT rfsm.send_at('2', now(), 'e_tick', 'y') \gset
 UPDATE rfsm.machines SET due = now() WHERE key = '2';
@@ -988,7 +994,7 @@ WARNING:  rfsm.find: no machine of chart 'counter' is in 'ood' (did you ]]
 WARNING:  rfsm.find: no machine of chart 'conter' is in 'root' (did you mean 'counter'?)
 0
 2
-ERROR:  rfsm.set: field 'n': a number expected, got 'abc' (the option 'force' sets it ]]
+ERROR:  rfsm.set: field 'n': a number expected, got 'abc' (force => true sets it ]]
       .. "nevertheless)\n", sql [[
 SELECT rfsm.create('1', 'counter') \gset
 SELECT count(*) FROM rfsm.find('counter', 'ood');

@@ -700,7 +700,8 @@ describe("what waits in a machine", function()
     local found = view()
     assert.same({ '[{"events":["e_a"],"id":"two","time":1009}]',
       '[{"events":["e_a","e_b"],"id":"three","time":1004}]', '["one"]', "[]", "yes",
-      "1003.000000", "looked at", "" }, { found.later, found.waiting, found.ids,
+      "1003.000000", "looked at", "1004.000000" },
+      { found.later, found.waiting, found.ids,
       found.kept, found.held, found.held_since, found.held_because, found.due })
     call("release")
     found = view()
@@ -758,7 +759,10 @@ describe("a machine that is moved to the newest version", function()
     f.rfsm_create({ "w" }, { "w" })
     clock.now = 1005
     load_library { waiting(60), waiting(8) }
-    assert.same({ "root.a", "done", "kept" }, f.rfsm_move({ "w" }))
+    assert.same({ "root.a", "done", "(move) by ann" },
+      f.rfsm_move({ "w" }, { "BY", "ann" }))
+    assert.same({ "root.a", "done", "(move: it was the newest)" },
+      f.rfsm_move({ "w" }))
     assert.equal(1008, math.floor(host.packs.unpack("w")[6] + 0.5))
     clock.now = 1009
     assert.same({ "root.b", "done", "taken" }, f.rfsm_tick({ "w" }, { "due" }))
@@ -824,7 +828,7 @@ describe("machines that are due", function()
       table.concat(trace, "\n"), 1, true)
     assert.equal("ZINCRBY ZREM XADD SET ZREM ZINCRBY", written())
     assert.equal("kept", call("send", "e_b")[3])
-    assert.equal("taken", call("release")[3])
+    assert.same({ "root.b", "done", "(release)" }, call("release"))
   end)
 
   it("wait a minute if they cannot be run, with the reason in their log", function()
@@ -1000,24 +1004,26 @@ describe("a machine that is held", function()
   it("rests until it is released, then does all in order", function()
     open { history = 9 }
     call("send_at", "+2", "e_b", "ID", "x")
-    assert.same({ "root.a", "done", "kept" }, call("hold"))
+    assert.same({ "root.a", "done", "(hold: new arm) by ann" },
+      call("hold", "new arm", "BY", "ann"))
     assert.equal("ERR rfsm_hold: the machine at 'm' is held already", call("hold"))
-    assert.same({ "due", "", "held", "yes" }, { unpack(call("get"), 15, 18) })
+    assert.same({ "due", "1002.000000", "held", "yes" },
+      { unpack(call("get"), 15, 18) })
     clock.now = 1001
     assert.same({ "root.a", "done", "kept" }, call("send", "e_bad", "ID", "y"))
     clock.now = 1007
     assert.same({ "root.a", "done", "kept" }, call("tick"))
     assert.same({ "root.a", "done", "known" }, call("send", "e_bad", "ID", "y"))
     assert.same({ "root.a", "done", "kept" }, call("send", "e_a", "ID", "z"))
-    written()
-    assert.same({ "root.a", "done", "taken" }, call("release"))
+    assert.same({ "root.a", "done", "(release) by bob" }, call("release", "BY", "bob"))
     assert.equal('{"root":{"n":1}}', call("get")[12])
     local events = {}
     call("send", "e_x")
-    for by in table.concat(trace, "\n"):gmatch("event,6=(%S-),7=") do
+    for by in table.concat(trace, "\n"):gmatch("event,6=(.-),7=") do
       events[#events + 1] = by
     end
-    assert.same({ "e_bad", "e_b", "e_a", "e_x" }, events)
+    assert.same({ "(hold: new arm) by ann", "e_bad (waits)", "e_a (waits)",
+      "(release) by bob", "e_bad", "e_b", "e_a", "e_x" }, events)
     assert.equal("ERR rfsm_release: the machine at 'm' is not held", call("release"))
   end)
 
@@ -1031,11 +1037,11 @@ describe("a machine that is held", function()
     end
     clock.now = 1001
     written()
-    assert.same({ "root.a", "done", "taken" }, call("release"))
+    assert.same({ "root.a", "done", "(release)" }, call("release"))
     clock.now = 1004
     call("tick")
     local events = {}
-    for by in table.concat(trace, "\n"):gmatch("event,6=(%S-),7=") do
+    for by in table.concat(trace, "\n"):gmatch("event,6=(e%S-),7=") do
       events[#events + 1] = by
     end
     assert.same({ "e_b", "e_a", "e_bad", "e_x" }, events)
@@ -1061,14 +1067,14 @@ describe("a machine that is held", function()
     f.rfsm_create({ "w" }, { "bad" })
     clock.now = 1002
     written()
-    assert.same({ "root.a", "done", "kept" }, f.rfsm_hold({ "w" }))
+    assert.same({ "root.a", "done", "(hold)" }, f.rfsm_hold({ "w" }))
     assert.equal("ZREM SET", written())
     assert.same({ "root.a", "done", "kept" }, f.rfsm_send({ "w" }, { "e_go" }))
     assert.same({ "root.a", "done", "kept" }, f.rfsm_tick({ "w" }))
     assert.equal("root.a", f.rfsm_get({ "w" })[6])
     assert.not_matches("XADD", written())
-    assert.same({ "root.b", "done", "taken" }, f.rfsm_release({ "w" }))
-    assert.equal("ZREM XADD SET SPUBLISH", written())
+    assert.same({ "root.b", "done", "(release)" }, f.rfsm_release({ "w" }))
+    assert.equal("ZREM XADD XADD SET SPUBLISH", written())
   end)
 
   it("is forced elsewhere, or goes on in a new version of its chart", function()
@@ -1077,14 +1083,15 @@ describe("a machine that is held", function()
     clock.now = 1002
     for _, key in ipairs { "w", "x" } do f.rfsm_hold({ key }) end
     written()
-    assert.same({ "root.b", "done", "kept" }, f.rfsm_force({ "w" }, { "root.b" }))
+    assert.same({ "root.b", "done", "(force) by ann" },
+      f.rfsm_force({ "w" }, { "root.b", "BY", "ann" }))
     assert.equal("yes", f.rfsm_get({ "w" })[18])
-    assert.same({ "root.b", "done", "kept" }, f.rfsm_release({ "w" }))
-    assert.equal("ZREM SET SPUBLISH SET", written())
+    assert.same({ "root.b", "done", "(release)" }, f.rfsm_release({ "w" }))
+    assert.equal("ZREM XADD SET SPUBLISH XADD SET", written())
     library({ name = "bad", make = bad() }, { name = "bad", make = bad { rename = {},
       [2] = trans { src = "a", tgt = "b", events = { "e_after(1.5)", "e_go" } } } })
-    assert.same({ "root.b", "done", "taken" }, f.rfsm_release({ "x" }))
-    assert.equal("ZREM SET SPUBLISH", written())
+    assert.same({ "root.b", "done", "(release)" }, f.rfsm_release({ "x" }))
+    assert.equal("ZREM XADD SET SPUBLISH", written())
   end)
 
   it("needs no chart to be held, shown and removed", function()
@@ -1097,9 +1104,9 @@ describe("a machine that is held", function()
     f.rfsm_create({ "x" }, { "bad" })
     library { name = "bad", make = bad { save = count, load = count, migrate = count,
       rename = {}, c = state {} } }
-    assert.same({ "root.b", "done", "kept" }, f.rfsm_hold({ "w" }))
+    assert.same({ "root.b", "done", "(hold)" }, f.rfsm_hold({ "w" }))
     library()
-    assert.same({ "root.a", "done", "kept" }, f.rfsm_hold({ "x" }))
+    assert.same({ "root.a", "done", "(hold)" }, f.rfsm_hold({ "x" }))
     assert.same({ "held", "yes" }, { unpack(f.rfsm_get({ "x" }), 17, 18) })
     assert.equal("ERR rfsm_release: no chart is named 'bad'",
       f.rfsm_release({ "x" }).err)
@@ -1125,8 +1132,8 @@ describe("a machine that is held", function()
     f.rfsm_hold({ "w" })
     assert.equal(1, f.rfsm_cancel({ "w" }, { "x" }))
     written()
-    assert.same({ "root.a", "done", "kept" }, f.rfsm_release({ "w" }))
-    assert.equal("ZADD SET", written())
+    assert.same({ "root.a", "done", "(release)" }, f.rfsm_release({ "w" }))
+    assert.equal("ZADD XADD SET", written())
     assert.equal("1001.000000", f.rfsm_get({ "w" })[16])
   end)
 
@@ -1143,11 +1150,11 @@ describe("a machine that is held", function()
     end }
     f.rfsm_create({ "w" }, { "long" })
     f.rfsm_send({ "w" }, { "e_more" })
-    assert.same({ "root.a", "done", "kept" }, f.rfsm_hold({ "w" }))
+    assert.same({ "root.a", "done", "(hold)" }, f.rfsm_hold({ "w" }))
     clock.now = 1001
     assert.same({ "root.a", "done", "kept" }, f.rfsm_send({ "w" }, { "e_stop" }))
     f.rfsm_tick({ "w" })
-    assert.same({ "root.b", "done", "taken" }, f.rfsm_release({ "w" }))
+    assert.same({ "root.b", "done", "(release)" }, f.rfsm_release({ "w" }))
     assert.equal('{"root":{"n":1500}}', f.rfsm_get({ "w" })[12])
   end)
 
@@ -1155,7 +1162,7 @@ describe("a machine that is held", function()
     clock.now = 1001
     call("hold")
     clock.now = 1003
-    assert.same({ "root.a", "done", "kept" }, call("release"))
+    assert.same({ "root.a", "done", "(release)" }, call("release"))
     assert.equal("1005.000000", call("get")[16])
   end)
 end)
@@ -1167,7 +1174,7 @@ describe("a machine that is forced", function()
     assert.equal("", call("get")[16])
     clock.now = 1003
     written()
-    assert.same({ "root.a", "done", "kept" }, call("force", "root.a"))
+    assert.same({ "root.a", "done", "(force)" }, call("force", "root.a"))
     assert.equal("1008.000000", call("get")[16])
     assert.equal('{"root":{"n":1}}', call("get")[12])
     assert.matches("event,6=(force),7=from,8=root.b,9=to,10=root.a",
@@ -1723,7 +1730,7 @@ describe("the desk", function()
       file.fleet)
     assert.equal(("%d"):format(file.fleet.revision), f.rfsm_get({ "m" })[24])
     assert.equal("root.b", file.leaf)
-    assert.equal("kept", call("push", text)[3])
+    assert.equal("(push)", call("push", text)[3])
     assert.same(file.data, select(2, pull "m").data)
     local name = helper.file_with(text)
     assert.equal("root.b", rfsm.get_actleaf_fqn(assert(snapshot.load(
@@ -1738,7 +1745,8 @@ describe("the desk", function()
     assert.matches("^ERR rfsm_push: the machine at 'm' has moved on: revision %d+ "
       .. "expected, it has %d+$", refusal("push", old))
     local revision = ("%d"):format(select(2, pull "m").fleet.revision)
-    assert.same({ "root.a", "done", "kept" }, call("push", text, revision, "ann"))
+    assert.same({ "root.a", "done", "(push) by ann" },
+      call("push", text, revision, "BY", "ann"))
     assert.equal(7, select(2, pull "m").data.root.count)
     call("send", "e_b")
     assert.equal(8, select(2, pull "m").data.root.count)
@@ -1746,7 +1754,7 @@ describe("the desk", function()
     assert.equal("ERR rfsm_push: the file has the machine at 'm' (to put it into 'k', "
       .. "give its revision)", f.rfsm_push({ "k" }, { text }).err)
     local own = ("%d"):format(select(2, pull "k").fleet.revision)
-    assert.same({ "root.a", "done", "kept" }, f.rfsm_push({ "k" }, { text, own }))
+    assert.same({ "root.a", "done", "(push)" }, f.rfsm_push({ "k" }, { text, own }))
   end)
 
   it("has timers that go on, or begin when the simulator has saved the file", function()
@@ -1767,7 +1775,7 @@ describe("the desk", function()
   it("runs events that wait in a file when the machine is woken", function()
     local _, file = pull "m"
     file.sum, file.queue = nil, { "e_b" }
-    assert.same({ "root.a", "done", "kept" }, call("push", json.encode(file)))
+    assert.same({ "root.a", "done", "(push)" }, call("push", json.encode(file)))
     assert.same({ "root.b", "done", "taken" }, call("tick", "due"))
   end)
 
@@ -1800,13 +1808,14 @@ describe("the desk", function()
   end)
 
   it("sets fields that states keep, and says who did it", function()
-    assert.same({ "root.a", "done", "kept" }, call("set", "count", "7", "ann"))
-    assert.matches("XADD .*{m}:log.*=%(set count=7%) by ann",
+    assert.same({ "root.a", "done", "(set count: 0 -> 7) by ann" },
+      call("set", "count", "7", "BY", "ann"))
+    assert.matches("XADD .*{m}:log.*=%(set count: 0 %-> 7%) by ann",
       table.concat(trace, "\n"))
     assert.equal(7, select(2, pull "m").data.root.count)
     for text, value in pairs { ['"x"'] = "x", ["[1,2]"] = { 1, 2 }, ["true"] = true,
       ["null"] = { "%z" } } do -- any order: each stands alone
-      call("set", "root.count", text, "ann", "force")
+      call("set", "root.count", text, "force", "BY", "ann")
       assert.same(value, select(2, pull "m").data.root.count)
     end
     call("set", "count", "1")
@@ -1814,8 +1823,8 @@ describe("the desk", function()
     assert.same({ "%z" }, select(2, pull "m").data.root.count)
     library { history = 10 }
     trace[1] = nil
-    call("set", "count", "1", "ann")
-    assert.matches("{m}:history.*,5=event,6=%(set count=1%) by ann,7=from,8=root.a,",
+    call("set", "count", '1', "BY", "ann")
+    assert.matches("{m}:history.*,5=event,6=%(set count: 0 %-> 1%) by ann,7=from,",
       table.concat(trace, "\n"))
   end)
 
@@ -1830,13 +1839,14 @@ describe("the desk", function()
 
   it("refuses a value of another kind than the field has", function()
     local function of_kind(kind, got)
-      return ("ERR rfsm_set: field 'count': %s expected, got %s (the option 'force' "
+      return ("ERR rfsm_set: field 'count': %s expected, got %s (--force "
         .. "sets it nevertheless)"):format(kind, got)
     end
     assert.equal(of_kind("a number", "'abc'"), refusal("set", "count", '"abc"'))
-    assert.equal(of_kind("a number", "true"), refusal("set", "count", "true", "ann"))
+    assert.equal(of_kind("a number", "true"), refusal("set", "count", "true", "BY",
+      "ann"))
     assert.equal(of_kind("a number", "a table"), refusal("set", "count", "[1]"))
-    call("set", "count", '"abc"', "ann", "force")
+    call("set", "count", '"abc"', "force", "BY", "ann")
     call("set", "count", '"abd"') -- as it is now
     call("set", "count", "4")     -- as it is at first
     assert.equal(4, select(2, pull "m").data.root.count)

@@ -501,7 +501,8 @@ at root.a(done)
    1                                  root.a(done)
 REASON
 ! back: REASON
-! forward: nothing was undone
+forward: this is the last advance
+at root.a(done)
 ! goto: REASON
 ! goto: REASON
 at root.b(done) e_done@root.b
@@ -799,7 +800,8 @@ stp(1)
 breakpoint(rfsm.trans { src = 'a', tgt = 'b' })
 ]=], output = [=[
 ! back: nothing was done
-! forward: nothing was undone
+forward: this is the last advance
+at <none> e_init_fsm
 ! history: number expected, got string
 ! watch: expression as a text expected, got number
 ! nothing is named sho, help() lists the commands

@@ -26,10 +26,14 @@ describe("a typed event", function()
     { [[e{'\u00fc\ud83d\ude00\10\\n"', "\""}]],
       { name = "e", "\195\188\240\159\152\128\n\\n\"", '"' } },
     { "e{a = os.exit()}", nil,
-      "data: a text in quotes, a number, true, false or a table expected, got "
-        .. "'os.exit()}'" },
-    { "e{a = 1e999}", nil, "data: a text in quotes, a number, true, false or a table "
-      .. "expected, got '1e999}'" },
+      "data: field 'a': a text in quotes, a number, true, false or a table expected, "
+        .. "got 'os.exit()' (did you mean \"os.exit()\"?)" },
+    { "e{code=1, customer=c1}", nil, "data: field 'customer': a text in quotes, a "
+      .. "number, true, false or a table expected, got 'c1' (did you mean \"c1\"?)" },
+    { "e{list={John Smith}}", nil, "data: a text in quotes, a number, true, false or a "
+      .. "table expected, got 'John Smith}}'" },
+    { "e{a = 1e999}", nil, "data: field 'a': a text in quotes, a number, true, false "
+      .. "or a table expected, got '1e999'" },
     { "e{a = ", nil, "data: a text in quotes, a number, true, false or a table "
       .. "expected, got the end" },
     { "e{a = 1}}", nil, "data: the end expected, got '}'" },

@@ -27,19 +27,20 @@ end
 --- Return the same with status 1.
 function command.ask(f, ...) return command.ask_or_end(1, f, ...) end
 
--- Returns the lines of a reply: one with leaf, mode and outcome, then one per error.
-local function lines_of(reply)
-  local lines = { reply.leaf .. " " .. reply.mode .. " " .. reply.outcome }
+-- The verbs by their names, and those that write and note who has done it.
+local KNOWN, NOTES = {}, {}
+verbs.map(function(verb)
+  KNOWN[verb.name] = verb
+  NOTES[verb.name] = verb.by and not verb.reads or nil
+end)
+
+-- Returns the lines of a reply: one with the leaf and the outcome, or what was done,
+-- then one per error.
+local function lines_of(reply, verb)
+  local mode = NOTES[verb] and "" or reply.mode .. " "
+  local lines = { reply.leaf .. " " .. mode .. reply.outcome }
   for _, text in ipairs(reply.errors) do lines[#lines + 1] = "error: " .. text end
   return lines
-end
-
-local function reply_lines(name)
-  return function(fleet, ...)
-    local reply, problem = fleet[name](fleet, ...)
-    if not reply then return nil, problem end
-    return lines_of(reply)
-  end
 end
 
 -- Returns the event that a person has typed, such as e_paid{amount=12}.
@@ -98,12 +99,10 @@ local function history_lines(fleet, key, count)
   return moves, problem
 end
 
-local function was_there(name)
-  return function(fleet, ...)
-    local is_done, problem = fleet[name](fleet, ...)
-    if problem then return nil, problem end
-    return is_done and {} or nil, "it is not there"
-  end
+local function cancel_lines(fleet, key, id)
+  local is_done, problem = fleet:cancel(key, id)
+  if is_done then return { key .. " " .. id .. " (cancel)" } end
+  return nil, problem or "it is not there"
 end
 
 local function log_lines(fleet, key, count)
@@ -132,7 +131,7 @@ local function send_lines(fleet, key, event, id)
     reply, problem = fleet:send(key, event)
   end
   if not reply then return nil, problem end
-  return lines_of(reply)
+  return lines_of(reply, "send")
 end
 
 -- One machine as a file ------------------------------------------------------------
@@ -144,12 +143,12 @@ end
 
 -- Returns the lines of a reply. If the server refuses, ends the program with status 2:
 -- nothing was moved.
-local function moved_lines(f, ...)
-  return lines_of(command.ask_or_end(2, f, ...))
+local function moved_lines(fleet, verb, ...)
+  return lines_of(command.ask_or_end(2, fleet[verb], fleet, ...), verb)
 end
 
 local function push_lines(fleet, options, key, file)
-  return moved_lines(fleet.push, fleet, key, common.read(file), options.if_version,
+  return moved_lines(fleet, "push", key, common.read(file), options.if_version,
     options.by)
 end
 
@@ -164,7 +163,7 @@ end
 
 local function set_lines(fleet, options, key, assignment)
   local field, value = assignment_of(assignment)
-  return moved_lines(fleet.set, fleet, key, field, value, options.by, options.force)
+  return moved_lines(fleet, "set", key, field, value, options.by, options.force)
 end
 
 local function create_lines(fleet, _, key, name, ...)
@@ -174,7 +173,7 @@ local function create_lines(fleet, _, key, name, ...)
     if data[field] ~= nil then common.fail(("'%s' is there twice"):format(field), 2) end
     data[field] = value
   end
-  return moved_lines(fleet.create, fleet, key, name, data)
+  return moved_lines(fleet, "create", key, name, data)
 end
 
 -- Many machines --------------------------------------------------------------------
@@ -191,11 +190,12 @@ local function hint_for(fleet, name, state, version)
 end
 
 -- The filters, and the text that a message has of their values.
-local FILTERS = { age = "SECONDS", chart = "", held = "yes or held=no", state = "",
-  version = "" }
+local FILTERS = { age = "SECONDS", chart = "", held = "yes or held=no", key = "",
+  reason = "", state = "", version = "" }
+local NAMES = rfsm.sorted_keys(FILTERS)
 
 local function is_value(name, value)
-  if name == "age" then return value:find "^[1-9]%d*$" ~= nil end
+  if name == "age" then return value:find "^%d+$" ~= nil end
   return name ~= "held" or value == "yes" or value == "no"
 end
 
@@ -208,9 +208,8 @@ local function filter_of(text)
     if FILTERS[found] then
       name, filter[found] = found, value
     elseif found or not name then
-      return nil, ("--where: chart=, state=, version=, age= or held= expected, got "
-        .. "'%s'%s"):format(part, found and advice.nearest_name(found,
-          rfsm.sorted_keys(FILTERS)) or "")
+      return nil, ("--where: %s= expected, got '%s'%s"):format(concat(NAMES, "=, "),
+        part, found and advice.nearest_name(found, NAMES) or "")
     else
       filter[name] = filter[name] .. "," .. part
     end
@@ -228,17 +227,17 @@ end
 local function find_machines(fleet, filter)
   local found, problem = fleet:select(filter)
   for _, one in ipairs(found or {}) do
-    one.text = ("%s %s %s %s%s%s"):format(one.key, one.chart, one.leaf, one.known,
+    one.text = ("%s %s %s %s%s%s%s"):format(one.key, one.chart, one.leaf, one.known,
       one.seconds and " " .. rfsm.number_text(one.seconds, "%d") .. " s" or "",
-      one.held and " held" or "")
+      one.held and " held" or "", one.reason and ": " .. one.reason or "")
   end
   return found, problem
 end
 
 -- Returns the keys of the machines whose entries are meant; nil if all are.
 local function keys_for(fleet, filter)
-  local keys, of = {}, { chart = filter.chart, state = filter.state,
-    version = filter.version, held = filter.held }
+  local keys, of = {}, {}
+  for _, name in ipairs(NAMES) do of[name] = name ~= "age" and filter[name] or nil end
   if not next(of) then return nil end
   local found, problem = fleet:select(of)
   if not found then error(problem, 0) end
@@ -248,8 +247,8 @@ end
 
 -- Returns the dead entries of machines that a filter lets through. They are so old.
 local function find_dead(fleet, filter)
-  local found, keys = {}, keys_for(fleet, filter)
-  local time = filter.age and os.time() - filter.age or math.huge
+  local found, keys, age = {}, keys_for(fleet, filter), tonumber(filter.age or 0)
+  local time = age > 0 and os.time() - age or math.huge
   for _, entry in ipairs(fleet:dead(ALL)) do
     if (not keys or keys[entry.machine])
       and tonumber(entry.id:match("^%d+")) / 1000 <= time then
@@ -260,67 +259,131 @@ local function find_dead(fleet, filter)
   return found
 end
 
+-- Returns how many arguments a verb has at most.
+local function most_of(usage)
+  return usage:find("...", 1, true) and ALL or select(2, usage:gsub("%S+", ""))
+end
+
 -- For each verb that takes filters how the items are found, and what is done with one.
 local MANY = {}
-verbs.map(function(verb)
-  if not verb.bulk then return end
-  MANY[verb.name] = { find_machines, function(fleet, one, ...)
-    return fleet[verb.name](fleet, one.key, ...)
-  end }
-end)
+for name, verb in pairs(KNOWN) do -- any order: each stands alone
+  MANY[name] = verb.bulk and { find_machines, function(fleet, one, options)
+    local arguments, count = options.arguments, most_of(verb.usage)
+    arguments[count] = options.by -- behind those that may be absent
+    return fleet[name](fleet, one.key, unpack(arguments, 1, count))
+  end } or nil
+end
 for _, name in ipairs { "again", "drop" } do
   MANY[name] = { find_dead, function(fleet, entry)
     return fleet[name](fleet, entry.tag, entry.id)
   end }
 end
 
--- Does a verb for one item, and prints the result. Returns whether it was done; nil and
--- the problem if the server is lost.
-local function do_one(fleet, act, one, ...)
-  local ok, result, problem = pcall(act, fleet, one, ...)
-  if not ok then problem = chart.first_line(result) end
+-- Returns the machine at a key, as a list. It is looked at only if its line is shown:
+-- also one whose chart is broken can be held.
+local function machine_at(fleet, options, key)
+  if not options.dry_run and options.verb ~= "remove" then
+    return { { key = key, text = key } }
+  end
+  local view, problem = fleet:get(key)
+  return view and { { key = key, text = concat({ key, view.chart, view.leaf }, " ") } },
+    problem
+end
+
+-- Returns the item that the first arguments of a verb name, as a list, and takes these
+-- arguments away.
+local function find_named(fleet, options, find)
+  local first = table.remove(options.arguments, 1)
+  if find == find_machines then return machine_at(fleet, options, first) end
+  local id = table.remove(options.arguments, 1)
+  for _, entry in ipairs(find_dead(fleet, {})) do
+    if entry.tag == first and entry.id == id then return { entry } end
+  end
+  return nil, "it is not there"
+end
+
+-- Returns the line that tells what was done with an item.
+local function line_of(options, one, result)
+  if result == true then return one.text .. " (" .. options.verb .. ")" end
+  return one.key .. " "
+    .. concat(lines_of(result, options.verb), options.where and "; " or "\n")
+end
+
+-- Is the problem of one machine that of others, too, since the server is lost?
+local function is_of_all(problem)
+  return not (problem:find "^ERR rfsm_" or problem == "no machine")
+end
+
+-- Does a verb for one item, and prints what was done. Returns whether it was done; nil
+-- and the problem if the server is lost.
+local function do_one(fleet, options, act, one)
+  local ok, result, problem = pcall(act, fleet, one, options)
   if ok and result then
-    local text = type(result) == "table" and " " .. concat(lines_of(result), "; ") or ""
-    common.write("-", (one.key or one.id) .. text .. "\n")
+    common.write("-", line_of(options, one, result) .. "\n")
     return true
   end
-  problem = problem or "it is not there"
-  if ok and (problem:find("^ERR rfsm_") or not result) then
-    common.warn(one.text .. ": " .. problem)
-    return false
-  end
-  return nil, problem
+  problem = ok and (problem or "it is not there") or chart.first_line(result)
+  if result ~= false and is_of_all(problem) then return nil, problem end
+  common.warn((options.where and one.text .. ": " or "") .. problem)
+  return false
 end
 
 -- Does a verb for all items, and returns for how many. Ends the program if the server
 -- is lost.
-local function do_all(fleet, act, found, arguments)
+local function do_all(fleet, options, act, found)
   local count = 0
   for _, one in ipairs(found) do
-    local is_done, problem = do_one(fleet, act, one, unpack(arguments))
+    local is_done, problem = do_one(fleet, options, act, one)
     if problem then
-      common.fail(("%d of %d done, then: %s"):format(count, #found, problem))
+      common.fail((options.where and ("%d of %d done, then: "):format(count, #found)
+        or "") .. problem)
     end
     count = count + (is_done and 1 or 0)
   end
   return count
 end
 
--- Does a verb for all machines or entries that a filter lets through, or, dry, shows
--- them. Returns the status: 1 if one was refused.
+-- Returns the text behind the number of machines: how many are in each state.
+local function counts_of(found)
+  local counts, texts = {}, {}
+  for _, one in ipairs(found) do
+    local place = one.chart .. " " .. one.leaf
+    counts[place] = (counts[place] or 0) + 1
+  end
+  for i, place in ipairs(rfsm.sorted_keys(counts)) do
+    texts[i] = (i > 1 and ", " or ": ") .. place .. " " .. counts[place]
+  end
+  return concat(texts)
+end
+
+local function print_items(found)
+  for _, one in ipairs(found) do common.write("-", one.text .. "\n") end
+end
+
+-- Lists machines.
+local function list_machines(fleet, filter)
+  local found = command.ask(find_machines, fleet, filter)
+  print_items(found)
+  common.warn(("%d machines%s"):format(#found, found[1] and counts_of(found)
+    or hint_for(fleet, filter.chart, filter.state, filter.version)))
+end
+
+-- Does a verb for all machines or entries that are meant, or, dry, shows them. Returns
+-- the status: 1 if one was refused.
 local function do_many(fleet, options, filter)
   local find, act = unpack(MANY[options.verb])
-  local found = command.ask(find, fleet, filter)
+  local found = filter and command.ask(find, fleet, filter)
+    or command.ask(find_named, fleet, options, find)
   if not found[1] then
     common.fail(("no %s is like that, so nothing was done%s"):format(find == find_dead
       and "entry" or "machine", hint_for(fleet, filter.chart, filter.state,
       filter.version)), 2)
   elseif options.dry_run then
-    for _, one in ipairs(found) do common.write("-", one.text .. "\n") end
+    print_items(found)
     return common.warn(("%d found, nothing was done"):format(#found))
   end
-  local count = do_all(fleet, act, found, options.arguments)
-  common.warn(("%d of %d done"):format(count, #found))
+  local count = do_all(fleet, options, act, found)
+  if filter then common.warn(("%d of %d done"):format(count, #found)) end
   return count < #found and 1 or 0
 end
 
@@ -344,7 +407,7 @@ local function find_lines(fleet, name, state, limit, seconds)
   limit = number_of(limit)
   local keys, problem = fleet:find(name, state, limit, seconds)
   if keys and not keys[1] then
-    common.warn(("no machine of chart '%s' is in '%s'%s%s"):format(name, state,
+    common.warn(("0 machines of chart '%s' are in '%s'%s%s"):format(name, state,
       seconds and " for so long" or "", hint_for(fleet, name, state)))
   end
   return limited(keys, problem, limit)
@@ -370,15 +433,11 @@ local LINES = {
   find = find_lines, due = due_lines, charts = chart_lines,
   get = view_lines, history = history_lines, log = log_lines, versions = version_lines,
   why = function(fleet, key, text) return fleet:why(key, event_of(text)) end,
-  send = send_lines, hold = reply_lines "hold", release = reply_lines "release",
-  force = reply_lines "force", move = reply_lines "move", remove = was_there "remove",
+  send = send_lines, dead = list_dead, cancel = cancel_lines, pull = pull_lines,
   reindex = function(fleet)
     local count, problem = fleet:reindex()
     return count and { ("%d machines"):format(count) }, problem
   end,
-  dead = list_dead, again = was_there "again", drop = was_there "drop",
-  cancel = was_there "cancel",
-  tick = reply_lines "tick", pull = pull_lines,
 }
 
 -- The same for those that get the options, and end the program themselves.
@@ -386,10 +445,10 @@ local WITH_OPTIONS = { create = create_lines, push = push_lines, set = set_lines
 
 -- The verbs of both servers, and those for entries, which only this command has.
 local VERBS = { dead = { "[LIMIT]", 0 }, again = { "TAG ID", 2 },
-  drop = { "TAG ID", 2 } }
-verbs.map(function(verb)
-  if verb.usage then VERBS[verb.name] = { verb.usage, verb.needs } end
-end)
+  drop = { "TAG ID", 2 }, list = { "", 0 } }
+for name, verb in pairs(KNOWN) do -- any order: each stands alone
+  if verb.usage then VERBS[name] = { verb.usage, verb.needs } end
+end
 
 -- Returns the verbs with their arguments, those with the same ones together, in as few
 -- lines as possible, so that the help fits a terminal.
@@ -426,17 +485,19 @@ local function verb_of(word)
 end
 
 function command.add_arguments(parser)
+  parser:summary(command.summary)
+  parser:description(command.summary .. " Numbers of all: rfsm redis --stats URL")
   parser:argument("url", "of the server, or a node of the cluster"):argname("URL")
   parser:argument("verb", "what to do, see below"):convert(verb_of):argname("VERB")
   parser:argument("arguments", "of the verb; KEY is a whole key, with its {tag}")
     :args("*"):argname("ARGUMENT")
   common.add_number(parser, "--tags", "hash tags of short keys (64)")
-  parser:option("--where", "in place of KEY: chart= state= version= age= held=")
+  parser:option("--where", "many: key= chart= state= version= age= held= reason=")
     :argname("FILTER"):convert(filter_of)
-  parser:flag("--dry-run", "show what --where means, do nothing")
+  parser:flag("--dry-run", "show what is meant, do nothing")
   common.add_number(parser, "--if-version", "push: refuse another revision",
     function(number) return number >= 0 and number % 1 == 0 end)
-  parser:option("--by", "push, set: a name for the history (yours)"):argname("NAME")
+  parser:option("--by", "who changes it, for the history (you)"):argname("NAME")
   parser:flag("--force", "set: take a value of another kind")
 end
 
@@ -450,16 +511,12 @@ function command.connect(url, options)
 end
 
 -- Verbs that look at all hash tags, also at those that no short key has.
-local WIDE = { dead = true, due = true, find = true }
-
--- Returns how many arguments a verb has at most.
-local function most_of(usage)
-  return usage:find("...", 1, true) and ALL or select(2, usage:gsub("%S+", ""))
-end
+local WIDE = { again = true, dead = true, drop = true, due = true, find = true }
 
 -- Options that only some verbs take.
-local TAKERS = { by = { push = true, set = true }, force = { set = true },
-  if_version = { push = true } }
+local TAKERS = { by = NOTES, dry_run = MANY, force = { set = true },
+  if_version = { push = true },
+  where = setmetatable({ list = true }, { __index = MANY }) }
 
 local function check_options(options, parser)
   local name = options.verb
@@ -488,27 +545,18 @@ local function check_number(options, parser)
   parser:error(("%s: --where or %s expected, not both"):format(name, usage))
 end
 
-local function check(options, parser)
-  local name = options.verb
-  if options.where and not MANY[name] then
-    parser:error(name .. " takes no --where, but " .. VERBS[name][1])
-  elseif options.dry_run and not options.where then
-    parser:error("--dry-run: --where expected")
-  end
-  check_number(options, parser)
-  check_options(options, parser)
-end
-
 function command.run(options, parser)
-  local name, list = options.verb, options.arguments
-  check(options, parser)
+  local name = options.verb
+  check_options(options, parser)
+  check_number(options, parser)
   options.by = options.by or os.getenv("USER") or os.getenv("LOGNAME")
   local fleet = command.connect(options.url, { tags = options.tags })
-  local is_wide = options.where and MANY[name][1] == find_dead or WIDE[name]
-  if is_wide then command.ask(fleet.find_tags, fleet) end
-  if options.where then return do_many(fleet, options, options.where) end
-  local lines = WITH_OPTIONS[name] and WITH_OPTIONS[name](fleet, options, unpack(list))
-    or command.ask(LINES[name], fleet, unpack(list))
+  if WIDE[name] then command.ask(fleet.find_tags, fleet) end
+  if name == "list" then return list_machines(fleet, options.where or {}) end
+  if MANY[name] then return do_many(fleet, options, options.where) end
+  local lines = WITH_OPTIONS[name]
+    and WITH_OPTIONS[name](fleet, options, unpack(options.arguments))
+    or command.ask(LINES[name], fleet, unpack(options.arguments))
   for _, line in ipairs(lines) do common.write("-", line .. "\n") end
   if lines.note then common.warn(lines.note) end
 end

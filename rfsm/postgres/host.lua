@@ -80,7 +80,7 @@ host.STATEMENTS = {
     WHERE key = $1 ORDER BY id DESC LIMIT $2::integer]],
   note = "INSERT INTO rfsm.history (key, event, src, tgt) VALUES ($1, $3, $2, $2)",
   remove = [[WITH log AS (DELETE FROM rfsm.log WHERE key = $1)
-    DELETE FROM rfsm.machines WHERE key = $1 RETURNING key]],
+    DELETE FROM rfsm.machines WHERE key = $1 RETURNING state]],
   emit = "INSERT INTO rfsm.out (key, what, data) VALUES ($1, $2, $3::jsonb)",
   log = [[WITH trimmed AS (DELETE FROM rfsm.log WHERE key = $1 AND id <= (SELECT id
       FROM rfsm.log WHERE key = $1 ORDER BY id DESC OFFSET 999 LIMIT 1))
@@ -141,8 +141,8 @@ function host.new(server, require, charts, options)
   local data_of = require("rfsm.server.charts").data_of
   local number_text = require("rfsm").number_text
   local row ---@type rfsm.postgres.Row
-  local verbs = { pack = require("rfsm.shared.exact_json").encode,
-    decode = server.json.decode }
+  local verbs = { FORCE = "force => true", decode = server.json.decode,
+    pack = require("rfsm.shared.exact_json").encode }
 
   function verbs.time()
     local us = row.us or row.execute("time")[1].us
@@ -175,8 +175,10 @@ function host.new(server, require, charts, options)
     return items
   end
 
-  function verbs.remove(key)
-    return row.execute("remove", key)[1] ~= nil
+  function verbs.remove(key, what)
+    local gone = row.execute("remove", key)[1]
+    if gone and what then row.execute("note", key, gone.state, what) end
+    return gone ~= nil
   end
 
   -- Notes which counter the UPDATE of the row is to raise.

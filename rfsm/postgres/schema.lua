@@ -167,6 +167,7 @@ $$;
 -- For each type of result, the body of a function that makes it; %s is a list of texts.
 -- A body in SQL would be parsed anew in each statement that calls it.
 local RESULTS = { text = "RETURN (%s)[1]", boolean = "RETURN (%s)[1] = '1'",
+  what = "RETURN (SELECT l[1] || ' ' || l[cardinality(l)] FROM %s l)",
   ["SETOF text"] = "RETURN QUERY SELECT unnest(%s)",
   ["TABLE (name text, value text)"] = "RETURN QUERY SELECT l[i], l[i + 1] FROM %s l, "
     .. "generate_series(1, cardinality(l), 2) i" }
@@ -182,7 +183,7 @@ BEGIN
   %s;
 END $$;
 
-]]):format(name, sql[1], sql[2], RESULTS[sql[2]]:format(call))
+]]):format(name, sql[1], sql[2], RESULTS[sql[4] or sql[2]]:format(call))
 end
 
 local calls = verbs.map(function(verb)
@@ -216,7 +217,9 @@ BEGIN
 END $$;
 
 -- They had fewer parameters.
-DROP FUNCTION IF EXISTS rfsm.set(text, text, jsonb, text), rfsm.hold(text);
+DROP FUNCTION IF EXISTS rfsm.set(text, text, jsonb, text), rfsm.hold(text),
+  rfsm.hold(text, text), rfsm.release(text), rfsm.force(text, text), rfsm.move(text),
+  rfsm.remove(text);
 
 ]] .. concat(calls) .. [[
 REVOKE EXECUTE ON FUNCTION ]] .. concat(revoked, ", ") .. [[ FROM PUBLIC;
@@ -463,7 +466,7 @@ CREATE OR REPLACE FUNCTION rfsm.stats()
   UNION ALL SELECT 'rfsm_overdue', NULL, NULL, count(*) FROM rfsm.machines
     WHERE due < clock_timestamp() - interval '1 minute'
   UNION ALL SELECT 'rfsm_aside', NULL, NULL, count(*) FROM rfsm.machines m
-    WHERE m.value->9->1 IS NOT NULL -- held by a worker
+    WHERE m.value->9->>1 = '$REASON' -- held by a worker
   UNION ALL SELECT 'rfsm_entries', NULL, NULL, count(*) FROM rfsm.out
   UNION ALL SELECT 'rfsm_dead', NULL, NULL, count(*) FROM rfsm.dead
   ORDER BY 1, 2, 3

@@ -32,7 +32,7 @@ local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 -- They are locals of the module, since a server runs one such library.
 local redis, call, cmsgpack, tick_machine, hold_machine, version_of, options
 
-local store = {}
+local store = { FORCE = "--force" }
 
 local function score(time) return rfsm.number_text(time, "%.6f") end
 
@@ -193,10 +193,11 @@ end
 
 local more = {}
 
-local function whole_of(text, default, most)
+local function whole_of(text, default, most, least)
   local number = rfsm.number_of(text or default)
-  if not number or number < 1 or number > most or number % 1 ~= 0 then
-    fail("a whole number from 1 to %d expected, got '%s'", most, shown(text))
+  least = least or 1
+  if not number or number < least or number > most or number % 1 ~= 0 then
+    fail("a whole number from %d to %d expected, got '%s'", least, most, shown(text))
   end
   return number
 end
@@ -327,7 +328,7 @@ function more.rfsm_find(keys, args)
   local index, limit = keys_of.index(keys[1]), whole_of(args[3], 100, 100000)
   if not args[2] then fail("a chart and a state expected") end
   local head, time = keys_of.head(args[1], args[2]), nil
-  if args[4] then time = now() - whole_of(args[4], 0, 1e9) end
+  if args[4] then time = now() - whole_of(args[4], 0, 1e9, 0) end
   local found = keys_with(index, head .. "\t", limit, time) -- the state itself
   for _, key in ipairs(keys_with(index, head .. ".", limit - #found, time)) do
     found[#found + 1] = key
@@ -472,15 +473,15 @@ local function age_of(key)
   return since and ("%.0f"):format(now() - rfsm.number_of(since)) or ""
 end
 
--- rfsm_select KEY... chart state version seconds held: returns six items for each
+-- rfsm_select KEY... chart state version seconds held: returns seven items for each
 -- machine that is of the chart, in the state, of the version (how it is known, or its
 -- fingerprint), so long in its leaf, and held ("yes") or not ("no"): its key, chart,
--- leaf, how its version is known, seconds in the leaf, "yes" if it is held.
+-- leaf, how its version is known, seconds in the leaf, "yes" if it is held, and why.
 function more.rfsm_select(keys, args)
   local is_wanted, time, reply = filter_of(args), nil, {}
   if args[4] ~= "" then
     if not options.index then fail("age: the library was made without --index") end
-    time = now() - whole_of(args[4], 0, 1e9)
+    time = now() - whole_of(args[4], 0, 1e9, 0)
   end
   each_machine(keys, function(key, list)
     local is_one, known = is_wanted(list)
@@ -488,7 +489,7 @@ function more.rfsm_select(keys, args)
     local n = #reply
     reply[n + 1], reply[n + 2], reply[n + 3] = key, list[2], list[3].leaf or ""
     reply[n + 4], reply[n + 5] = known, age_of(key)
-    reply[n + 6] = list[9] and "yes" or ""
+    reply[n + 6], reply[n + 7] = list[9] and "yes" or "", list[10] and list[10][2] or ""
   end)
   return reply
 end

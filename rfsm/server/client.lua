@@ -31,7 +31,8 @@ local Client = {}
 ---@field mode string mode of the active leaf
 ---@field errors string[] errors of callbacks during the call
 ---@field outcome string result for the events: "taken", "kept" or "dropped"; or
---- "known", if a call with this id was made before
+--- "known", if a call with this id was made before; of an operator's call what was
+--- done, as it is in the history: "(set n: 1 -> 2) by ann"
 
 --- Return an id that no other client has.
 ---@return string id
@@ -50,6 +51,14 @@ local function reply_of(list, problem)
   local errors = {}
   for i = 3, #list - 1 do errors[i - 2] = list[i] end
   return { leaf = list[1], mode = list[2], errors = errors, outcome = list[#list] }
+end
+
+-- Calls a function of an operator, and tells it who that is.
+local function ask_by(self, who, name, id, ...)
+  local arguments = { ... }
+  if who then insert(arguments, "BY") end
+  insert(arguments, who)
+  return self:ask(name, id, unpack(arguments))
 end
 
 --- Make a machine of a chart in the library.
@@ -160,32 +169,40 @@ function Client:tick(id) return reply_of(self:ask("rfsm_tick", id)) end
 
 --- Hold a machine: its events and timers wait until `release`.
 ---@param id any
----@param reason? string it is in the log of the machine
+---@param reason? string
+---@param who? string for the history, as below
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
-function Client:hold(id, reason)
-  return reply_of(self:ask("rfsm_hold", id, reason))
+function Client:hold(id, reason, who)
+  return reply_of(ask_by(self, who, "rfsm_hold", id, reason))
 end
 
 --- Release a held machine. Events and timers that came due meanwhile run in order.
 ---@param id any
+---@param who? string
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
-function Client:release(id) return reply_of(self:ask("rfsm_release", id)) end
+function Client:release(id, who)
+  return reply_of(ask_by(self, who, "rfsm_release", id))
+end
 
 --- Put a machine into a leaf and start the leaf's timers. No callback runs for this.
 ---@param id any
 ---@param state string FQN
+---@param who? string
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
-function Client:force(id, state) return reply_of(self:ask("rfsm_force", id, state)) end
+function Client:force(id, state, who)
+  return reply_of(ask_by(self, who, "rfsm_force", id, state))
+end
 
 --- Remove a machine with its timers and streams.
 ---@param id any
+---@param who? string
 ---@return boolean? was_there true if there was such a machine
 ---@return string? problem
-function Client:remove(id)
-  local count, problem = self:ask("rfsm_remove", id)
+function Client:remove(id, who)
+  local count, problem = ask_by(self, who, "rfsm_remove", id)
   return count and count == 1, problem
 end
 
@@ -222,19 +239,19 @@ end
 ---@param id any
 ---@param text string
 ---@param revision? integer that of the machine; default: that in the file
----@param who? string for the history
+---@param who? string
 ---@return rfsm.server.Reply? reply
 ---@return string? problem also if the machine has moved on meanwhile
 function Client:push(id, text, revision, who)
   local number = revision and ("%.0f"):format(revision) or ""
-  return reply_of(self:ask("rfsm_push", id, text, number, who or ""))
+  return reply_of(ask_by(self, who, "rfsm_push", id, text, number))
 end
 
 --- Give a field that a state keeps another value.
 ---@param id any
 ---@param field string its path, such as root.on.count; without a path one of the root
 ---@param value any of the kind that the field has in a new machine, or now
----@param who? string for the history
+---@param who? string
 ---@param force? boolean take a value of another kind
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
@@ -242,15 +259,16 @@ function Client:set(id, field, value, who, force)
   local ok, text = true, ""
   if value ~= nil then ok, text = try(codec.encode, { value }) end
   if not ok then return nil, self.where .. ".set: value: " .. text end
-  return reply_of(self:ask("rfsm_set", id, field, text:sub(2, -2), who or "",
-    force and "force" or ""))
+  return reply_of(ask_by(self, who, "rfsm_set", id, field, text:sub(2, -2),
+    force and "force" or nil))
 end
 
 --- Move a machine to the newest version of its chart, without running it.
 ---@param id any
+---@param who? string
 ---@return rfsm.server.Reply? reply
----@return string? problem
-function Client:move(id) return reply_of(self:ask("rfsm_move", id)) end
+---@return string? problem also if it does not fit that version
+function Client:move(id, who) return reply_of(ask_by(self, who, "rfsm_move", id)) end
 
 --- Explain which transitions an event would trigger in a machine, and why not others.
 ---@param id any

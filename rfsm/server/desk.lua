@@ -33,8 +33,6 @@ end
 -- Returns an argument that may be absent; a server without nil has an empty text.
 local function optional(text) return text ~= "" and text or nil end
 
-local function by(who) return who and " by " .. shown(who) or "" end
-
 -- Pull -----------------------------------------------------------------------------
 
 -- Returns the history in the order of time; nil if the library keeps none.
@@ -120,6 +118,11 @@ local function value_of(text)
   return value
 end
 
+-- Returns the value of a field as a text for the history.
+local function text_of(value)
+  return value == nil and "null" or shown(charts.json_of(value))
+end
+
 local KINDS = { boolean = "true or false", number = "a number", string = "a text",
   table = "a table" }
 
@@ -161,10 +164,11 @@ function desk.add(functions, own)
     return sums.add(exact_json.encode(file)) .. "\n"
   end
 
-  -- rfsm_push KEY file [revision [who]]: puts the machine of a file at a key. Its
+  -- rfsm_push KEY file [revision] [BY who]: puts the machine of a file at a key. Its
   -- timers count from the time that the file tells, else from now.
   function functions.rfsm_push(keys, args)
-    local key, snap, about = own.key_of(keys), read_file(args[1] or "")
+    local key, by = own.key_of(keys), own.take_by(args)
+    local snap, about = read_file(args[1] or "")
     local list = own.read(key)
     check(key, list, about, optional(args[2]))
     local time = about.time
@@ -172,25 +176,26 @@ function desk.add(functions, own)
     charts.forget_effects()
     local machine = own.place_at(key, list, snap)
     machine.is_idle = snap.queue == nil
-    own.note(machine, "(push)" .. by(optional(args[3])))
+    own.note(machine, "(push)" .. by)
     machine.outcome = "kept"
     return own.save(machine)
   end
 
-  -- rfsm_set KEY field value [who ["force"]]: gives a kept field a value, in JSON. With
-  -- "force" it may be of another kind.
+  -- rfsm_set KEY field value ["force"] [BY who]: gives a kept field a value, in JSON.
+  -- With "force" it may be of another kind.
   function functions.rfsm_set(keys, args)
-    local key = own.key_of(keys)
+    local key, by = own.key_of(keys), own.take_by(args)
     local value = value_of(optional(args[2]))
     local machine = own.load_machine(key, own.read(key))
     local field = find_field(machine.chart, args[1] or "")
-    if args[4] ~= "force" then
-      desk.check_kind(args[1], value, first_value(machine.chart, field),
-        field.state[field.name], " (the option 'force' sets it nevertheless)")
+    local before = field.state[field.name]
+    if args[3] ~= "force" then
+      desk.check_kind(args[1], value, first_value(machine.chart, field), before,
+        (" (%s sets it nevertheless)"):format(own.FORCE))
     end
     field.state[field.name] = value
-    own.note(machine, ("(set %s=%s)%s"):format(shown(args[1]),
-      shown(optional(args[2]) or "null"), by(optional(args[3]))))
+    own.note(machine, ("(set %s: %s -> %s)%s"):format(shown(args[1]),
+      text_of(before), text_of(value), by))
     machine.outcome = "kept"
     return own.save(machine)
   end

@@ -34,6 +34,7 @@ require "rfsm.fates"
 require "rfsm.merge"
 require "rfsm.prepare"
 require "rfsm.tools"
+require "rfsmpp"
 
 local ipairs, pairs, pcall, rawget = ipairs, pairs, pcall, rawget
 local select, tonumber, tostring, type = select, tonumber, tostring, type
@@ -60,7 +61,9 @@ local MAX_ID, MAX_LATER = 64, 100 -- bytes of an id; waiting events of a machine
 ---@field pack fun(list: any[]): any returns the value that the server stores for a list
 ---@field write fun(machine: rfsm.server.Machine, due: number?, emitted: string[][],
 --- errors: string[]) writes all arguments, or raises an error and writes nothing
----@field remove fun(key: string): boolean removes a machine; returns whether it existed
+---@field remove fun(key: string, what: string|false|nil): boolean removes a machine;
+--- notes `what` in a history that outlives it; returns whether it existed
+---@field FORCE string how a person writes the option 'force' there
 ---@field decode fun(text: string): any decodes JSON
 ---@field refuse fun(name: string, reason: string): any returns the reply of an error
 ---@field history? fun(key: string, count: integer): any[] the latest moves, the newest
@@ -102,6 +105,15 @@ local function take_id(args)
   return id
 end
 
+-- Removes `BY who` from the end of an operator's arguments. Returns the end of what is
+-- noted: " by who", or "" if it is missing.
+local function take_by(args)
+  if args[#args - 1] ~= "BY" then return "" end
+  local who = remove(args)
+  remove(args)
+  return who ~= "" and " by " .. shown(who) or ""
+end
+
 -- Returns the time that a text means: "12.5" is a time of the clock in seconds, "+12.5"
 -- is 12.5 seconds from now.
 local function time_of(text)
@@ -118,14 +130,14 @@ end
 -- followed by its time. LATER: the waiting events in the order in which they will be
 -- sent, each { time, id, event, ... }. HELD: the time at which the machine was held, or
 -- at which it last kept an event while it was held. HOLD: { the time at which it was
--- held, the reason if a worker has held it }.
+-- held, the reason }.
 local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD, HOLD = 2, 3, 4, 5, 6, 7, 8, 9, 10
 
 --- A machine that a call works on.
 ---@class rfsm.server.Machine
 ---@field key string
 ---@field chart rfsm.server.Chart
----@field fsm rfsm.Machine
+---@field fsm rfsm.Machine|nil nil: it is not loaded
 ---@field list any[] the list under its key; the call changes it, and then saves it
 ---@field leaf string|false|nil FQN of the active leaf before the call, in the version
 --- of the chart that saved it; nil: it was not entered; false: the machine is new
@@ -139,14 +151,15 @@ local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER, HELD, HOLD = 2, 3, 4, 5, 6, 7, 8, 
 --- false: no transition took them, and it is not yet known if they were kept or dropped
 ---@field has_run boolean did due timers or events run in this call?
 ---@field is_sent_to boolean is this a call that sends events?
----@field said string|false what a person has done, for the log
+---@field is_moved true? did it come to another version of its chart in this call?
+---@field said string|nil what a person has done, for the history or the log
 
 local NONE = {}
 
 local function new_machine(key, chart, list, leaf)
   return { key = key, chart = chart, fsm = chart.fsm, list = list, leaf = leaf,
     at = leaf or "", mode = "inactive", was_due = list[DUE], value = false, moves = {},
-    is_idle = true, outcome = false, has_run = false, said = false,
+    is_idle = true, outcome = false, has_run = false,
     is_sent_to = false }
 end
 
@@ -176,6 +189,7 @@ end
 -- A machine that has moved to another version may have other timers, which may be due
 -- before the time for which it was saved.
 local function note_new_timers(machine)
+  machine.is_moved = true
   local left = timeevent.next_deadline(machine.fsm)
   if not left then return end
   machine.list[DUE] = min(machine.list[DUE] or huge, times.seen() + left)
@@ -257,16 +271,21 @@ local function step(machine, by)
   return is_taken
 end
 
--- Notes what a person has done with a machine in its history, if there is one; else in
--- its log.
+-- Notes that a machine has come to a leaf without a step. If it was there, this is only
+-- for a history.
+local function add_move(machine, by, at)
+  if at == machine.at and not options.history then return end
+  machine.moves[#machine.moves + 1] = { by = by, from = machine.at, to = at }
+  machine.at = at
+end
+
+-- Notes what a person has done with a machine: in its history, or, if there is none, in
+-- its log. It is the end of the reply, too.
 local function note(machine, what)
-  local leaf = machine.fsm._act_leaf
-  local from, to = machine.at, leaf and leaf._fqn or ""
-  machine.at = to
-  if options.history or from ~= to then
-    machine.moves[#machine.moves + 1] = { by = what, from = from, to = to }
-  end
-  if not options.history then machine.said = what end
+  local fsm = machine.fsm
+  local leaf = fsm and fsm._act_leaf
+  add_move(machine, what, fsm and (leaf and leaf._fqn or "") or machine.at)
+  machine.said = what
 end
 
 local function send(machine, events)
@@ -368,6 +387,7 @@ local function move(machine, texts, id)
   if not catch_up(machine) then
     if list[HELD] then keep_due(list) end
     add_later(machine, now(), id, texts)
+    add_move(machine, concat(texts, " ") .. " (waits)", machine.at)
     machine.outcome = "kept"
     return
   end
@@ -387,16 +407,17 @@ local function run(machine)
   if step(machine, TIME) then machine.outcome = "taken" end
 end
 
--- Did an event change the snapshot of a machine, although no transition took it? Timers
--- have run on since the machine was saved. So the saved snapshot is loaded at its time,
--- taken again at the present, and compared with `snap`.
-local function has_changed(machine, snap)
+-- Returns the outcome of events that no transition took: have they changed the snapshot
+-- of the machine? Timers have run on since it was saved. So the saved snapshot is
+-- loaded at its time, taken again at the present, and compared with `snap`.
+local function outcome_of(machine, snap)
   local list, sec, nsec = machine.list, times.get()
   charts.forget_effects() -- effects of a function `load` are not reported
   times.set(list[SEC], list[NSEC])
   local ok = put(machine.chart, list[SNAP])
   times.set(sec, nsec)
-  return not ok or snapshot.encode(snapshot.take(machine.fsm)) ~= snapshot.encode(snap)
+  return ok and snapshot.encode(snapshot.take(machine.fsm)) == snapshot.encode(snap)
+    and "dropped" or "kept"
 end
 
 -- Save: first all that may fail, then the writes -----------------------------------
@@ -425,6 +446,13 @@ local function pack_machine(machine, due)
   end
 end
 
+-- Returns what goes to the log: errors, and what a person has done, unless a history
+-- has that.
+local function log_of(machine, errors)
+  if options.history then return errors end
+  return { machine.said, unpack(errors) }
+end
+
 -- Calls the host to write all changes, and returns the reply: leaf, mode, errors,
 -- outcome. The id of dropped events is not kept, so that they may be sent again.
 local function save(machine, id)
@@ -432,18 +460,16 @@ local function save(machine, id)
   local snap = snapshot.take(machine.fsm)
   local due, emitted, errors = due_of(machine, snap), charts.effects()
   machine.mode = leaf and leaf._mode or "inactive"
-  if not machine.outcome then
-    machine.outcome = has_changed(machine, snap) and "kept" or "dropped"
-  end
+  machine.outcome = machine.outcome or outcome_of(machine, snap)
   list[SNAP] = snap
   if machine.outcome ~= "dropped" then add_id(machine, id) end
   pack_machine(machine, due)
   host.write(machine, not list[HELD] and due or nil, emitted,
-    machine.said and { machine.said, unpack(errors) } or errors)
+    machine.said and log_of(machine, errors) or errors)
   host.count(machine, #errors)
   local reply = { machine.at, machine.mode }
   for i = 1, #errors do reply[i + 2] = errors[i] end
-  reply[#reply + 1] = machine.outcome
+  reply[#reply + 1] = machine.said or machine.outcome
   return reply
 end
 
@@ -596,11 +622,17 @@ local function region_leaves(snap)
   return leaves
 end
 
--- rfsm_move KEY: moves a machine to the newest version of its chart without running it,
--- so that it is woken in time for the timers of this version.
-function functions.rfsm_move(keys)
-  local key = key_of(keys)
-  local machine = load_machine(key, read(key))
+-- rfsm_move KEY [BY who]: moves a machine to the newest version of its chart without
+-- running it, so that it is woken in time for the timers of this version.
+function functions.rfsm_move(keys, args)
+  local key, by = key_of(keys), take_by(args)
+  local list = read(key)
+  local machine, known = load_machine(key, list), versions_of(list[NAME])
+  if machine.chart ~= known[#known] then
+    local _, problem = put(known[#known], list[SNAP])
+    fail("the machine at '%s' keeps its version: %s", shown(key), problem)
+  end
+  note(machine, (machine.is_moved and "(move)" or "(move: it was the newest)") .. by)
   machine.outcome = "kept"
   return save(machine)
 end
@@ -616,7 +648,7 @@ function functions.rfsm_get(keys)
   return { "chart", list[NAME], "version", snap.chart, "leaf", leaf,
     "mode", reply_of(list)[2],
     "configuration", concat(names, " "), "data", charts.data_of(snap),
-    "queue", list_json(queue), "due", time_text(not list[HELD] and list[DUE]),
+    "queue", list_json(queue), "due", time_text(list[DUE]),
     "held", list[HELD] and "yes" or "", "held_since", time_text(held_since(list)),
     "held_because", (list[HOLD] or NONE)[2] or "",
     "revision", ("%d"):format(desk.revision_of(list)),
@@ -627,50 +659,54 @@ end
 
 -- Functions for an operator: hold, release, force, remove, why.
 
--- rfsm_hold KEY [reason]: holds a machine: from now on its events and timers wait, also
--- those that are due. No machine is loaded, since one of its callbacks may never end.
--- The reason goes to the log.
+-- rfsm_hold KEY [reason] [BY who]: holds a machine: from now on its events and timers
+-- wait, also those that are due. No machine is loaded, since one of its callbacks may
+-- never end. The reason of a worker goes to the log.
 function functions.rfsm_hold(keys, args)
-  local key = key_of(keys)
-  local list = read(key)
+  local key, by = key_of(keys), take_by(args)
+  local list, reason = read(key), args[1]
   if list[HELD] then fail("the machine at '%s' is held already", shown(key)) end
-  local reply = reply_of(list, "kept")
   local machine = new_machine(key, { name = list[NAME] }, list, list[SNAP].leaf)
-  charts.forget_effects()
-  if args[1] then charts.note(args[1]) end
-  machine.mode, list[HELD], list[HOLD] = reply[2], now(), { now(), args[1] }
+  note(machine, (reason and "(hold: " .. reason .. ")" or "(hold)") .. by)
+  local reply = reply_of(list, machine.said)
+  machine.mode, list[HELD], list[HOLD] = reply[2], now(), { now(), reason }
   times.set(list[SEC], list[NSEC])
   pack_machine(machine, list[DUE])
-  host.write(machine, nil, charts.effects())
+  host.write(machine, nil, NONE, by == "" and { reason } or log_of(machine, NONE))
   return reply
 end
 
--- rfsm_release KEY: ends the hold. Events and timers that are due now run, in order.
-function functions.rfsm_release(keys)
-  local key = key_of(keys)
+-- rfsm_release KEY [BY who]: ends the hold. Events and timers that are due now run, in
+-- order.
+function functions.rfsm_release(keys, args)
+  local key, by = key_of(keys), take_by(args)
   local list = read(key)
   if not list[HELD] then fail("the machine at '%s' is not held", shown(key)) end
   keep_due(list)
   list[HELD], list[HOLD] = nil, nil
   local machine = load_machine(key, list)
+  note(machine, "(release)" .. by)
   run(machine)
   return save(machine)
 end
 
--- rfsm_force KEY state: puts a machine into a leaf without calling entries and exits.
--- The leaf may be in a region.
+-- rfsm_force KEY state [BY who]: puts a machine into a leaf without calling entries and
+-- exits. The leaf may be in a region.
 function functions.rfsm_force(keys, args)
-  local key = key_of(keys)
+  local key, by = key_of(keys), take_by(args)
   local machine = load_machine(key, read(key))
   times.set(false)
-  local by = charts.force(machine.chart, args[1] or "")
-  machine.outcome = step(machine, by) and "taken" or "kept"
+  note(machine, charts.force(machine.chart, args[1] or "") .. by)
+  machine.outcome = step(machine, TIME) and "taken" or "kept"
   return save(machine)
 end
 
--- rfsm_remove KEY: ends a machine, and removes its timers and streams. Returns 1 if the
--- machine was there.
-function functions.rfsm_remove(keys) return host.remove(key_of(keys)) and 1 or 0 end
+-- rfsm_remove KEY [BY who]: ends a machine, and removes its timers and streams. Returns
+-- 1 if the machine was there.
+function functions.rfsm_remove(keys, args)
+  local what = "(remove)" .. take_by(args)
+  return host.remove(key_of(keys), options.history and what) and 1 or 0
+end
 
 -- rfsm_why KEY event: returns lines that report for each transition, from the outermost
 -- state inwards, whether it would be taken on the event, and if not, why.
@@ -746,8 +782,9 @@ return function(server, list, settings)
     versions[chart.name][#versions[chart.name] + 1] = chart
   end
   desk.add(functions, { key_of = key_of, read = read, load_machine = load_machine,
-    place_at = place_at, note = note, save = save, NAME = NAME, SNAP = SNAP, SEC = SEC,
-    NSEC = NSEC, history = options.history and host.history })
+    place_at = place_at, note = note, save = save, take_by = take_by,
+    FORCE = host.FORCE, NAME = NAME, SNAP = SNAP, SEC = SEC, NSEC = NSEC,
+    history = options.history and host.history })
   if host.add then host.add(functions, options, version_of) end
   for name, f in pairs(functions) do -- any order: each stands alone
     made[name] = function(keys, args)

@@ -12,12 +12,21 @@ local ipairs = ipairs
 ---@field reads? true it changes nothing
 ---@field many? true it is about many machines, and PostgreSQL has a statement for it
 ---@field sql? string[] PostgreSQL: parameters after `key`, type of the result, and the
---- arguments `args` and `id` for `rfsm.call` (NULL, NULL if absent)
+--- arguments `args` and `id` for `rfsm.call` (NULL, NULL if absent); how the result is
+--- made, if its type does not tell it
 ---@field more_sql? string[] the same for other parameters
 ---@field usage? string its arguments in the command
 ---@field needs? integer how many of them are needed
 ---@field bulk? true the command takes filters in place of KEY, for many machines
----@field by? true in PostgreSQL only an operator may call it
+---@field by? true in PostgreSQL only an operator may call it; if it writes, its
+--- arguments may end with `BY who`
+
+-- What PostgreSQL has for a verb that writes and tells what was done: who does it is
+-- the last parameter.
+local function written(parameters, arguments)
+  return { parameters .. ", who text DEFAULT session_user", "text",
+    arguments .. " || ARRAY['BY', who], NULL", "what" }
+end
 
 local verbs = {
   { name = "create", sql = { ", chart text, data jsonb DEFAULT '{}', id text DEFAULT "
@@ -35,26 +44,25 @@ local verbs = {
   { name = "get", reads = true, sql = { "", "TABLE (name text, value text)" },
     usage = "KEY", needs = 1, by = true },
   { name = "tick", sql = { "", "text" }, usage = "KEY", needs = 1, bulk = true },
-  { name = "move", sql = { "", "text" }, usage = "KEY", needs = 1, by = true,
+  { name = "move", sql = written("", "'{}'"), usage = "KEY", needs = 1, by = true,
     bulk = true },
-  { name = "hold", sql = { ", reason text DEFAULT NULL", "text",
-    "CASE WHEN reason IS NOT NULL THEN ARRAY[reason] END, NULL" },
+  { name = "hold", sql = written(", reason text DEFAULT NULL", "CASE WHEN reason <> '' "
+    .. "THEN ARRAY[reason] END"),
     usage = "KEY [WHY]", needs = 1, by = true, bulk = true },
-  { name = "release", sql = { "", "text" }, usage = "KEY", needs = 1, by = true,
+  { name = "release", sql = written("", "'{}'"), usage = "KEY", needs = 1, by = true,
     bulk = true },
-  { name = "force", sql = { ", state text", "text", "ARRAY[state], NULL" },
+  { name = "force", sql = written(", state text", "ARRAY[state]"),
     usage = "KEY STATE", needs = 2, by = true, bulk = true },
-  { name = "remove", sql = { "", "boolean" }, usage = "KEY", needs = 1, by = true,
-    bulk = true },
+  { name = "remove", sql = { ", who text DEFAULT session_user", "boolean",
+    "ARRAY['BY', who], NULL" }, usage = "KEY", needs = 1, by = true, bulk = true },
   { name = "pull", reads = true, sql = { "", "text" }, usage = "KEY", needs = 1,
     by = true },
-  { name = "push", sql = { ", file text, if_version bigint DEFAULT NULL, "
-    .. "who text DEFAULT session_user", "text", "ARRAY[file, "
-    .. "coalesce(if_version::text, ''), who], NULL" }, usage = "KEY FILE", needs = 2,
+  { name = "push", sql = written(", file text, if_version bigint DEFAULT NULL",
+    "ARRAY[file, coalesce(if_version::text, '')]"), usage = "KEY FILE", needs = 2,
     by = true },
   { name = "set", sql = { ", field text, value jsonb, who text DEFAULT session_user, "
     .. "force boolean DEFAULT false", "text", "ARRAY[field, coalesce(value::text, ''), "
-    .. "who, CASE WHEN force THEN 'force' ELSE '' END], NULL" },
+    .. "CASE WHEN force THEN 'force' ELSE '' END, 'BY', who], NULL", "what" },
     usage = "KEY FIELD=VALUE", needs = 2, by = true },
   { name = "log", reads = true, many = true, usage = "KEY [N]", needs = 1 },
   { name = "history", reads = true, many = true, usage = "KEY [N]", needs = 1 },

@@ -7,7 +7,7 @@
 -- @license BSD-3-Clause
 
 local error, pcall, select = error, pcall, select
-local tonumber, type = tonumber, type
+local tonumber, tostring, type = tonumber, tostring, type
 local char, floor, max = string.char, math.floor, math.max
 
 local typed = {}
@@ -19,6 +19,7 @@ local LEVELS = 9 -- tables inside each other, as in snapshots
 ---@field text string
 ---@field at integer
 ---@field last integer the end of what a person has typed
+---@field key any the field whose value is read
 
 -- Raises the problem in one line: what is expected, and what is there.
 local function fail(reader, expected)
@@ -99,6 +100,7 @@ local function read_list(reader, level)
   local list, n = {}, 0
   while not take(reader, "%]") do
     n = n + 1
+    reader.key = nil
     list[n] = read_value(reader, level)
     if not take(reader, "[,;]") and not reader.text:find("^%s*%]", reader.at) then
       fail(reader, "',' or ']'")
@@ -127,6 +129,7 @@ local function read_fields(reader, level)
   while not take(reader, "}") do
     local key = read_key(reader, level)
     if key == nil then n = n + 1 end
+    reader.key = key
     fields[key == nil and n or key] = read_value(reader, level)
     if not take(reader, "[,;]") and not reader.text:find("^%s*}", reader.at) then
       fail(reader, "',' or '}'")
@@ -140,14 +143,24 @@ local function read_table(reader, read, level)
   return read(reader, level + 1)
 end
 
+-- Raises what is wrong with a value. A word behind a name was probably meant as a text.
+local function refuse_value(reader)
+  local key, expected = reader.key, "a text in quotes, a number, true, false or a table"
+  local word = reader.text:sub(1, reader.last):match("^%s*([%w_][^,;{}%[%]\"']*)",
+    reader.at)
+  if not (key and word) then fail(reader, expected) end
+  word = word:gsub("%s+$", "")
+  local hint = tonumber(word) and "" or (' (did you mean "%s"?)'):format(word)
+  error({ ("data: field '%s': %s expected, got '%s'%s"):format(tostring(key), expected,
+    word, hint) }, 0)
+end
+
 local function read_number(reader)
   local from, word = reader.at, take(reader, "(-?%.?%d[%w.+-]*)")
   local number = word and tonumber(word)
-  if not number or number - number ~= 0 then
-    reader.at = from
-    fail(reader, "a text in quotes, a number, true, false or a table")
-  end
-  return number
+  if number and number - number == 0 then return number end
+  reader.at = from
+  refuse_value(reader)
 end
 
 function read_value(reader, level)

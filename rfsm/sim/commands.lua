@@ -117,6 +117,7 @@ Each transition from the root to the active leaf answers: it would be taken, or 
 reason why not. Without an event: those in the queue. Example: why e_push]],
 function(sim, ...)
   for i = 1, select("#", ...) do sim:check_event((select(i, ...)), i) end
+  if history.is_told(sim) then print "with the data of now, not those of this move:" end
   print((select(2, rfsm_checks.why(sim.fsm, ...))))
 end, { completes = "events" })
 

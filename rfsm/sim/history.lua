@@ -109,7 +109,7 @@ end
 function history.forward(sim, n)
   local way = sim.history
   check_count("forward", n)
-  if way.at == way.last then error("forward: nothing was undone", 0) end
+  if way.at == way.last then return print("forward: this is the last advance") end
   go(sim, "forward", min(way.at + n, way.last))
 end
 
@@ -205,6 +205,7 @@ function history.from(sim, name)
     return taken
   end)
   if not ok then error(name .. ": " .. text_of(count), 0) end
+  sim.told = count
   sim.fleet = { machine = fleet.machine, chart = fleet.chart,
     revision = fleet.revision }
   return count, fleet.machine
@@ -218,6 +219,9 @@ function history.keep(sim, name)
   local ok, problem = files_of.write(name, snap)
   if not ok then error("save: " .. problem, 0) end
 end
+
+--- Is this a place of which a file of a fleet has the leaf alone?
+function history.is_told(sim) return sim.history.at < (sim.told or 0) end
 
 -- Show ----------------------------------------------------------------------------
 
