@@ -9,6 +9,7 @@ local snapshot = require "rfsm.snapshot"
 local timeevent = require "rfsm_timeevent"
 require "rfsm.await"
 require "rfsm.defer"
+require "rfsm.history"
 require "rfsm.seqand"
 
 local state, trans = rfsm.state, rfsm.trans
@@ -501,6 +502,92 @@ describe("a machine into which a snapshot cannot be put", function()
     assert.same({ "root.b", 3 }, { rfsm.get_actleaf_fqn(fsm), fsm.n })
     assert.same({ false, "rfsm.snapshot: load of root: no good" },
       { snapshot.restore(model(), snap) })
+  end)
+end)
+
+describe("the targets that a history has set", function()
+  -- The composite `a` may have another name; with `has_service` each transition but the
+  -- first has another number.
+  local function robot(has_service, a)
+    a = a or "a"
+    local list = { trans { src = "initial", tgt = "idle" },
+      trans { src = "idle", tgt = a, events = { "e_a" } },
+      trans { src = "idle", tgt = "b", events = { "e_b" } },
+      trans { src = a, tgt = "idle", events = { "e_idle" } },
+      trans { src = "b", tgt = "idle", events = { "e_idle" } } }
+    if has_service then
+      list.service = state {}
+      table.insert(list, 2, trans { src = "idle", tgt = "service",
+        events = { "e_service" } })
+    end
+    local function mode()
+      return state { history = "deep", x = state {}, y = state {},
+        trans { src = "initial", tgt = "x" },
+        trans { src = "x", tgt = "y", events = { "e_y" } } }
+    end
+    list.idle, list[a], list.b = state {}, mode(), mode()
+    list.info, list.warn, list.emem = false, false, false
+    return state(list)
+  end
+
+  local function leaves(fsm, ...)
+    local list = {}
+    for i, event in ipairs { ... } do
+      helper.post_and_run(fsm, event)
+      list[i] = rfsm.get_actleaf_fqn(fsm)
+    end
+    return list
+  end
+
+  local function saved()
+    local fsm = helper.started(robot())
+    leaves(fsm, "e_a", "e_y", "e_idle", "e_b", "e_idle")
+    return snapshot.take(fsm, { structure = true })
+  end
+
+  it("follow their transitions, which have other numbers in the new chart", function()
+    local fsm = restored(robot(true), saved(), { migrate = itself })
+    assert.same({ "root.a.y", "root.idle", "root.b.x", "root.idle", "root.service" },
+      leaves(fsm, "e_a", "e_idle", "e_b", "e_idle", "e_service"))
+  end)
+
+  it("follow them if states have new names, and in regions", function()
+    local function outer(inner)
+      return state { info = false, warn = false, emem = false,
+        w = rfsm.seqand { r = inner }, trans { src = "initial", tgt = "w" } }
+    end
+    local fsm = helper.started(outer(robot()))
+    for _, event in ipairs { "e_a", "e_y", "e_idle" } do
+      helper.post_and_run(fsm, event)
+    end
+    local again = restored(outer(robot(true, "new")), snapshot.take(fsm), {
+      rename = { ["root.w.r.a"] = "root.w.r.new" } })
+    local inner = rfsm.machines(again)[2].machine
+    assert.equal("root.idle", rfsm.get_actleaf_fqn(inner))
+    helper.post_and_run(again, "e_a")
+    assert.equal("root.new.y", rfsm.get_actleaf_fqn(inner))
+  end)
+
+  it("are refused if the old chart is not known", function()
+    local snap = saved()
+    snap.chart, snap.structure = "00000000000", nil
+    local fsm, problem = snapshot.restore(robot(true), snap, { migrate = itself })
+    assert.is_false(fsm)
+    assert.equal("rfsm.snapshot: the snapshot holds what the chart lacks (pass the "
+      .. "chart of its time: restore(model, snap, { old = model_of_then })):\n"
+      .. "  target root.a.y of transition 2 in root\n"
+      .. "  target root.b.x of transition 3 in root", problem)
+    fsm = restored(robot(true), snap, { migrate = itself, old = robot() })
+    assert.same({ "root.a.y" }, leaves(fsm, "e_a"))
+  end)
+
+  it("are left out with their transitions", function()
+    local model = robot()
+    model[2].events = { "e_new" } -- the same transition
+    model[3] = trans { src = "b", tgt = "b", events = { "e_b" } }
+    local fsm = restored(model, saved(), { migrate = itself })
+    assert.same({ "root.a.y" }, leaves(fsm, "e_new"))
+    assert.equal("root.b.initial", fsm[3].tgt._fqn)
   end)
 end)
 

@@ -7,6 +7,7 @@
 -- @license BSD-3-Clause
 
 local shape = require "rfsm.snapshot.shape"
+local location = require "rfsm.shared.location"
 local order = require "rfsm.shared.order"
 local encoding = require "rfsm.snapshot.encoding"
 local rfsm = require "rfsm"
@@ -133,15 +134,16 @@ local function note_data(list, chart, part, prefix)
   end
 end
 
--- Adds the active leaf of a part and its changed targets, if the chart lacks them.
-local function note_places(list, machine, part, prefix)
+-- Adds the active leaf of a part and its changed targets, if the chart lacks them. If
+-- the old chart is not known, nobody can tell which transition has a number now.
+local function note_places(list, machine, part, prefix, is_unknown)
   local targets = part.targets or NONE
   if part.leaf and not shape.find_state(machine, part.leaf) then
     list[#list + 1] = "state " .. prefix .. part.leaf:sub(5)
   end
   for i = 1, #targets, 3 do
     local tr, _, id = shape.target_at(machine, targets, i)
-    if not tr then
+    if not tr or is_unknown and type(id) == "number" then
       list[#list + 1] = ("target %s of transition %s in %s"):format(
         text_of(targets[i + 2]), text_of(id), text_of(targets[i]))
     end
@@ -164,14 +166,14 @@ local function note_extensions(list, machine, part, prefix)
 end
 
 --- List the states, targets, regions and data of a snapshot that a machine cannot take,
--- since its chart lacks them.
-function migrate.lost(fsm, snap)
+-- since its chart lacks them. `is_unknown` says that it had another, unknown structure.
+function migrate.lost(fsm, snap, is_unknown)
   local list, is_known = {}, {}
   for _, at in ipairs(shape.of(fsm).places) do
     local machine, prefix = at.machine, at.prefix
     local part = migrate.part_of(snap, prefix)
     is_known[prefix] = true
-    note_places(list, machine, part, prefix)
+    note_places(list, machine, part, prefix, is_unknown)
     note_data(list, shape.of(machine).chart, part, prefix)
     note_extensions(list, machine, part, prefix)
   end
@@ -268,7 +270,9 @@ end
 
 -- Returns the structure of a snapshot's chart as lines. A part that does not name its
 -- chart has the present chart. Returns nil if a named chart is not known.
-local function known_lines(fsm, snap)
+local function known_lines(fsm, snap, options)
+  if options.old then return shape.structure(options.old) end
+  if snap.structure then return snap.structure end
   local lines = {}
   for _, at in ipairs(shape.of(fsm).places) do
     local name = migrate.part_of(snap, at.prefix).chart
@@ -279,11 +283,14 @@ local function known_lines(fsm, snap)
   return lines
 end
 
+local UNKNOWN = " (pass the chart of its time: restore(model, snap, { old = "
+  .. "model_of_then }))"
+
 local function missing(lost)
   local list = {}
   for i, text in ipairs(lost) do list[i] = "gone: " .. text end
-  list[#list + 1] = "the snapshot holds no structure, that is all that is known (pass "
-    .. "the chart of its time: restore(model, snap, { old = model_of_then }))"
+  list[#list + 1] = "the snapshot holds no structure, that is all that is known"
+    .. UNKNOWN
   return list
 end
 
@@ -292,10 +299,10 @@ end
 local function new_events(old, rename)
   return function(prefix, event)
     local head = prefix == "root" and "" or prefix .. ": "
-    for _, line in ipairs(old or NONE) do
+    for _, line in ipairs(old) do
       if line:sub(1, #head) == head then
         line = line:gsub("@(root[^,%s]*)", function(fqn)
-          return "@" .. renamed_text(fqn, rename or NONE)
+          return "@" .. renamed_text(fqn, rename)
         end)
         if shape.has_event(line, event) then return false end
       end
@@ -304,8 +311,10 @@ local function new_events(old, rename)
   end
 end
 
--- What `refuse` says of a snapshot that nothing adapts to another structure.
+-- What `refuse` says of a snapshot that nothing adapts to another structure, and of one
+-- that does not fit after that.
 migrate.FOREIGN = "the snapshot is of another chart"
+local LOST = "the snapshot holds what the chart lacks"
 
 local function refuse(what, list)
   error({ text = what .. ":\n  " .. concat(list, "\n  "), difference = list,
@@ -397,20 +406,79 @@ local function changes(fsm, snap)
   return most or count > 0 and "kept" or nil, by_prefix
 end
 
+-- Returns the lines of the transitions of each composite, by its place, with new names:
+-- the numbered members of a composite are the first ones behind its line.
+local function transitions_in(lines, rename)
+  local head, new_head, inner, list, by_place = "", "", rename, {}, {}
+  local function renamed_word(word) return renamed_text(word, inner) end
+  for _, line in ipairs(lines) do
+    local begun = line:match("^(.-)state root$")
+    if begun and begun ~= "" then -- a region
+      inner, new_head = inside(rename, begun:sub(1, -3))
+      head, new_head = begun, new_head .. ": "
+    end
+    local text = line:sub(#head + 1):gsub("[^%s,]+", renamed_word)
+    local fqn = text:match("^state (.*)$")
+    list = fqn and {} or list
+    if fqn then by_place[new_head .. fqn] = list end
+    if text:find(" -> ", 1, true) then list[#list + 1] = text end
+  end
+  return by_place
+end
+
+-- Returns the number that the transition of an old line has in a new list; nil if it is
+-- gone. Another event does not make it another transition.
+local function number_in(list, line, number)
+  if list[number] == line then return number end
+  for i, text in ipairs(list) do
+    if text == line then return i end
+  end
+  local ends = "^.- %-> %S*"
+  return (list[number] or ""):match(ends) == line:match(ends) and number or nil
+end
+
+-- A changed target is kept by the number of its transition, which another chart may
+-- have given to another one. Returns the targets with the new numbers.
+local function follow(targets, head, before, after)
+  local list = {}
+  for i = 1, targets and #targets or 0, 3 do
+    local fqn, id, node = targets[i], targets[i + 1], targets[i + 2]
+    local line = (before[head .. text_of(fqn)] or NONE)[id]
+    if line then id = number_in(after[head .. text_of(fqn)] or NONE, line, id) end
+    local n = #list
+    if id ~= nil then list[n + 1], list[n + 2], list[n + 3] = fqn, id, node end
+  end
+  return list[1] and list
+end
+
+-- Gives the targets in a snapshot the numbers that they have in the present chart.
+local function follow_transitions(fsm, snap, old, rename)
+  local before, after = transitions_in(old, rename),
+    transitions_in(shape.lines_of(fsm), NONE)
+  migrate.each_part(snap, function(part, prefix)
+    part.targets = follow(part.targets, location.prefix(prefix), before, after)
+  end)
+end
+
+local function check_lost(fsm, snap, is_unknown)
+  local lost = migrate.lost(fsm, snap, is_unknown)
+  if lost[1] then refuse(LOST .. (is_unknown and UNKNOWN or ""), lost) end
+end
+
 -- Fits a snapshot of another chart to a machine. Returns the results of `migrate.to`.
 local function adapt(fsm, snap, options, most)
-  local lost = migrate.lost(fsm, snap)
-  local old = options.old and shape.structure(options.old) or snap.structure
-    or known_lines(fsm, snap)
-  local list = old and migrate.difference(old, shape.lines_of(fsm)) or missing(lost)
+  local old = known_lines(fsm, snap, options)
+  local list = old and migrate.difference(old, shape.lines_of(fsm))
+    or missing(migrate.lost(fsm, snap))
   if most == "structure" and not (options.rename or options.migrate) then
     refuse(migrate.FOREIGN, list)
   end
-  if options.rename then snap = rename_states(snap, options.rename) end
-  if options.migrate then snap = call_migrate(fsm, copy_all(snap), list, options) end
-  lost = migrate.lost(fsm, snap)
-  if lost[1] then refuse("the snapshot holds what the chart lacks", lost) end
-  return snap, select(2, changes(fsm, snap)), new_events(old, options.rename)
+  local rename, before = options.rename or NONE, old or NONE
+  snap = rename_states(copy_all(snap), rename)
+  follow_transitions(fsm, snap, before, rename)
+  if options.migrate then snap = call_migrate(fsm, snap, list, options) end
+  check_lost(fsm, snap, not old and most == "structure")
+  return snap, select(2, changes(fsm, snap)), new_events(before, rename)
 end
 
 --- Return a copy of a snapshot that fits the chart of a machine. Raises an error if a
