@@ -130,6 +130,21 @@ describe("rfsm.rtt.launch", function()
     assert.equal("root.b false", evaluate(exec_str, "fsm._act_leaf._fqn, was_left"))
   end)
 
+  it("does not hold the code of its launch when the paths are made: a pool has no room",
+    function()
+      local arm, exec_str = own(("fsmfile = %q, poststr = %q"):format(chart_file(), [[
+        local launched, finish = rfsm_rtt.launched, rfsm_rtt.launched.finish
+        weak = setmetatable({ package.loaded["rfsm.rtt.component"] }, { __mode = "v" })
+        was_there = weak[1] ~= nil
+        function launched.finish(...)
+          for _ = 1, 2 do collectgarbage() end
+          is_held = weak[1] ~= nil
+          return finish(...)
+        end]]))
+      assert(arm:configure())
+      assert.equal("true false", evaluate(exec_str, "was_there, is_held"))
+    end)
+
   it("leaves the hooks of a program that is loaded once, when it is configured again",
     function()
       local arm, exec_str = load("arm")
