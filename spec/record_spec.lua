@@ -1654,6 +1654,29 @@ it("a step whose hook has failed is recorded, with its regions, before a reset",
     assert(record.replay(regions(), sink))
   end)
 
+it("a program's copy of a machine that is recorded is not in the recording", function()
+  local function guarded()
+    local region = helper.chart { "e_x" }
+    return state { info = false, warn = false, a = state {},
+      both = rfsm.seqand { x = region }, trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "both", events = { "e_b" }, guard = yes },
+      trans { src = "both", tgt = "a", events = { "e_a" } } }
+  end
+  local sink, fsm = {}, helper.init(guarded())
+  record.record(fsm, sink)
+  local copy = helper.copy_of(fsm)
+  for _, event in ipairs { "e_b", "e_x", "e_a", "e_b" } do
+    helper.post_and_run(copy, event)
+    helper.post_and_run(fsm, event)
+    helper.post_and_run(copy, "e_x")
+  end
+  local count = #sink
+  helper.post_and_run(copy, "e_a")
+  assert.same({ count, "root.both", "root.a" }, { #sink, rfsm.get_actleaf_fqn(fsm),
+    rfsm.get_actleaf_fqn(copy) })
+  assert(record.replay(guarded(), sink, { dry = true }))
+end)
+
 -- A machine whose kept e_k was looked at, and refused by a guard; so again after e_x.
 local function new_refusing()
   local model = rfsm.state { info = false,

@@ -29,7 +29,7 @@ local instrument = require "rfsm.shared.instrument"
 local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
-local ipairs, setmetatable = ipairs, setmetatable
+local ipairs, rawequal, setmetatable = ipairs, rawequal, setmetatable
 
 --- A machine that a listener follows.
 ---@class rfsm.observe.Stream
@@ -43,24 +43,35 @@ Stream.__index = Stream
 
 local stream = {}
 
+-- Returns a hook that calls f(at, ...) for the machine `at`. A program's copy of this
+-- machine has the hook, too.
+local function hook_for(at, f)
+  return function(fsm, ...)
+    if rawequal(fsm, at.machine) then f(at, ...) end
+  end
+end
+
 local function attach_state(own, at, state, kind, f)
   if not f then return end
-  instrument.hook_of(own.changes, at.machine, kind, state, function(_, element)
-    f(at, element)
+  instrument.hook_of(own.changes, at.machine, kind, state, function(fsm, element)
+    if rawequal(fsm, at.machine) then f(at, element) end
   end)
 end
 
 local function attach_transition(own, at, tr)
   local listener, done = own.listener, nil
   if listener.guard and tr.guard then
-    done = instrument.put(own.changes, tr, "guard", function(_, events, event)
+    done = instrument.put(own.changes, tr, "guard", function(asked, events, event)
+      if not rawequal(asked, tr) then return done.was(asked, events, event) end
       return listener.guard(at, tr, done.was, events, event)
     end)
   end
   if listener.free and tr.always == true then
-    instrument.hook_of(own.changes, at.machine, "guard", tr, rfsm.borrows(function()
-      return at.machine._phase ~= "always" or listener.free(at, tr)
-    end))
+    local function look(asked)
+      if not rawequal(asked, tr) or at.machine._phase ~= "always" then return true end
+      return listener.free(at, tr)
+    end
+    instrument.hook_of(own.changes, at.machine, "guard", tr, rfsm.borrows(look))
   end
 end
 
@@ -95,27 +106,22 @@ local function attach(own, at)
   local listener, fsm, changes = own.listener, at.machine, own.changes
   for _, what in ipairs(WATCHED) do
     local f = listener[what]
-    if f then
-      instrument.hook_of(changes, fsm, "watch", what, function(_, ...) f(at, ...) end)
-    end
+    if f then instrument.hook_of(changes, fsm, "watch", what, hook_for(at, f)) end
   end
-  instrument.hook_of(changes, fsm, "watch", "merged", function(_, element)
+  instrument.hook_of(changes, fsm, "watch", "merged", hook_for(at, function(_, element)
     join(own)
     attach_elements(own, at, element)
     if listener.merged then listener.merged(at, element) end
-  end)
+  end))
   attach_elements(own, at, fsm)
   if listener.taken then
-    instrument.hook(changes, fsm, "path", function(_, path)
+    instrument.hook(changes, fsm, "path", hook_for(at, function(_, path)
       if path[1] then listener.taken(at, path, fsm._curq) end
-    end)
+    end))
   end
   for name, hook in order.each(HOOKS) do -- any order: each has its place
     local f = listener[name]
-    if f then
-      instrument.hook(changes, fsm, hook[1], function(_, ...) f(at, ...) end,
-        hook[2])
-    end
+    if f then instrument.hook(changes, fsm, hook[1], hook_for(at, f), hook[2]) end
   end
 end
 
