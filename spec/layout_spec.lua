@@ -54,30 +54,20 @@ local function chain(count)
   return model
 end
 
--- hub <-> leaf 1 ... leaf <count>
-local function star(count)
+-- hub <-> leaf 1 ... leaf <count>, each with a loop if `has_loops`
+local function star(count, has_loops)
   local model = state { hub = state {}, trans { src = "initial", tgt = "hub" } }
   for i = 1, count do
     model["leaf" .. i] = state {}
     model[#model + 1] = trans { src = "hub", tgt = "leaf" .. i, events = "e_" .. i }
     model[#model + 1] = trans { src = "leaf" .. i, tgt = "hub", events = "e_done" }
+    model[#model + 1] = has_loops
+      and trans { src = "leaf" .. i, tgt = "leaf" .. i, events = "e_hold" } or nil
   end
   return model
 end
 
 describe("a line", function()
-  it("is divided where its points are outside of the picture and it is not", function()
-    local line = { { 0, 0 }, { -4, 10 }, { -4, 20 }, { 3, 30 } }
-    local frame = { left = 0, bottom = 0, width = 10, height = 30 }
-    local inside = lines.inside(line, frame)
-    assert.same({ { 0, 0 }, { 3, 30 } }, { inside[1], inside[#inside] })
-    assert.is_true(#inside > 4 and #inside <= 1 + 3 * 16)
-    assert.is_true(pictures.sharpest_bend(inside) < 0.001)
-    local plain = { { 0, 0 }, { 0, 10 }, { 10, 10 }, { 10, 0 } }
-    assert.same(plain, lines.inside(plain, frame))
-    assert.equal(7, #lines.inside({ { 5, 0 }, { 5, 31 }, { 6, 31 }, { 6, 0 } }, frame))
-  end)
-
   it("is joined to another by a straight part, or moved to it if it is near", function()
     local line = { { 0, 0 }, { 0, 1 }, { 0, 2 }, { 0, 3 } }
     lines.join(line, { { 2.9, 9 }, { 2.9, 10 }, { 5, 11 }, { 6, 12 } }, 1)
@@ -140,6 +130,7 @@ describe("the arrows of a picture", function()
     }) },
     { name = "a hub with five leaves", model = star(5), most = 0 },
     { name = "a hub with six leaves", model = star(6), most = 0 },
+    { name = "a hub whose leaves have loops", model = star(8, true), most = 0 },
     { name = "a hub with fourteen leaves, to the right", model = star(14), most = 0,
       direction = "LR" },
   } do

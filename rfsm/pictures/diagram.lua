@@ -628,7 +628,10 @@ function diagram.read(source, where, options)
 end
 
 --- Return the label of an arrow.
-function diagram.label_of(arrow) return concat(diagram.wrap(arrow.parts, 28), "\n") end
+function diagram.label_of(arrow)
+  arrow.label_text = arrow.label_text or concat(diagram.wrap(arrow.parts, 28), "\n")
+  return arrow.label_text
+end
 
 --- Append a line, indented by `depth` levels.
 function diagram.add(lines, depth, text)

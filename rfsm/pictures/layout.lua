@@ -110,6 +110,16 @@ local function box_text(box)
     point_text(box.left + box.width, box.bottom + box.height))
 end
 
+local PAD = 4 -- points of Graphviz around a picture
+
+-- Makes a picture as large as its box: Graphviz makes room for control points of lines,
+-- too, even if the lines themselves are in the box.
+local function view_text(box)
+  return (', viewport="%s,1,%s"'):format(
+    point_text(box.width + 2 * PAD, box.height + 2 * PAD),
+    point_text(box.left + box.width / 2, box.bottom + box.height / 2))
+end
+
 local function position_text(place)
   local point = point_text(place.x, place.y)
   if not place.left then return (', pos="%s"'):format(point) end
@@ -127,9 +137,9 @@ local function end_text(name, node)
   return node.nodes[1] and (", %s=cluster_%s"):format(name, node.id) or ""
 end
 
-local function add_arrow(texts, arrow, line, frame)
+local function add_arrow(texts, arrow, line)
   local points, tip, label = {}, line.tip, line.label
-  for i, point in ipairs(lines.inside(line.points, frame)) do
+  for i, point in ipairs(line.points) do
     points[i] = point_text(point[1], point[2])
   end
   add(texts, 1, ('%s -> %s [%s, %s%s%s, pos="e,%s %s"%s]'):format(
@@ -150,13 +160,13 @@ end
 
 local function graph_of(chart, positions)
   local root, places = chart.root, positions.places
-  local frame = places[root].left and places[root] or positions
   local texts = { "digraph " .. looks.quoted(root.name) .. " {",
     looks.head(chart.direction), ('  graph [layout=nop2, outputorder=nodesfirst, '
-    .. 'class=%s, %s]'):format(positions.kind, box_text(positions)) }
+    .. 'class=%s, %s%s]'):format(positions.kind, box_text(positions),
+    chart.foot and "" or view_text(positions)) }
   looks.add_node(texts, 1, root, function(node) return position_text(places[node]) end)
   for i, arrow in ipairs(chart.all) do
-    add_arrow(texts, arrow, positions.lines[i], frame)
+    add_arrow(texts, arrow, positions.lines[i])
   end
   if chart.foot then add(texts, 1, foot_text(chart, positions)) end
   add(texts, 0, "}")

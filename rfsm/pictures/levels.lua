@@ -30,16 +30,18 @@ local function swap(link)
   link.upper, link.lower, link.is_turned = link.lower, link.upper, not link.is_turned
 end
 
--- Returns a table by hub. A hub is the only node to which some leaves are linked; its
--- value is a list with the links of each of these leaves.
+-- Returns a table by hub. A hub is the only node to which some leaves are linked, apart
+-- from loops; its value is a list with the links of each of these leaves.
 local function rays_of(level)
   local hub_of, links_of, rays = {}, {}, {}
   for _, link in ipairs(level.links) do
     for _, pair in ipairs { { link.upper, link.lower }, { link.lower, link.upper } } do
       local node, other = pair[1].node, pair[2].node
-      links_of[node] = links_of[node] or {}
-      links_of[node][#links_of[node] + 1] = link
-      hub_of[node] = (hub_of[node] == nil or hub_of[node] == other) and other
+      if node ~= other then
+        links_of[node] = links_of[node] or {}
+        links_of[node][#links_of[node] + 1] = link
+        hub_of[node] = (hub_of[node] == nil or hub_of[node] == other) and other
+      end
     end
   end
   for _, node in ipairs(level.composite.nodes) do

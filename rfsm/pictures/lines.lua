@@ -41,37 +41,6 @@ function lines.join(line, more, axis)
   end
 end
 
-local HALVINGS = 4 -- most times that a curve is halved
-
--- Adds a curve from a to d with the control points b and c. It is divided into halves
--- until all control points are good.
-local function add_curve(line, a, b, c, d, is_good, halvings)
-  if halvings == 0 or is_good(b) and is_good(c) then
-    line[#line + 1], line[#line + 2], line[#line + 3] = b, c, d
-    return
-  end
-  local ab, bc, cd = between(a, b, 0.5), between(b, c, 0.5), between(c, d, 0.5)
-  local abc, bcd = between(ab, bc, 0.5), between(bc, cd, 0.5)
-  local middle = between(abc, bcd, 0.5)
-  add_curve(line, a, ab, abc, middle, is_good, halvings - 1)
-  add_curve(line, middle, bcd, cd, d, is_good, halvings - 1)
-end
-
---- Divide the curves of a line, so that not only the line but also its control points
--- are in a frame; return the result. Graphviz makes room for control points, too.
-function lines.inside(line, frame)
-  local result, left, bottom = { line[1] }, frame.left, frame.bottom
-  local function is_inside(point)
-    return point[1] >= left and point[1] <= left + frame.width
-      and point[2] >= bottom and point[2] <= bottom + frame.height
-  end
-  for i = 1, #line - 3, 3 do
-    local a, b, c, d = line[i], line[i + 1], line[i + 2], line[i + 3]
-    add_curve(result, a, b, c, d, is_inside, HALVINGS)
-  end
-  return result
-end
-
 local function is_straight(a, b, c, d)
   local x, y = d[1] - a[1], d[2] - a[2]
   local function off(p) return abs(x * (p[2] - a[2]) - y * (p[1] - a[1])) end
