@@ -297,8 +297,8 @@ end
 -- Returns the middle of a node and its size, in points.
 local function box_of(attributes)
   local point = numbers_in(attributes.pos)
-  return { x = point[1], y = point[2], width = number_of(attributes.width) * 72,
-    height = number_of(attributes.height) * 72 }
+  return { x = point[1], y = point[2], width = numbers_in(attributes.width)[1] * 72,
+    height = numbers_in(attributes.height)[1] * 72 }
 end
 
 --- Return the points of a line, and the tip of its arrowhead.
@@ -350,12 +350,14 @@ local function read_statement(level, id, attributes)
   if attributes.bb then
     read_size(level, attributes)
   elseif id:find("->", 1, true) then
-    local link = level.links[tonumber(attributes.id)]
+    local link = level.links[numbers_in(attributes.id or "")[1]]
     if link then read_link(link, attributes) end
   elseif attributes.pos then
     read_node(level, id, attributes)
   end
 end
+
+local STATEMENT = "([^%s%[][^\n%[]-) ?%[(.-)%];\r?\n" -- an identifier, attributes
 
 -- Reads the graph that begins at a position of an answer, in which each attribute is a
 -- line. Returns the position behind the graph.
@@ -363,24 +365,17 @@ end
 -- Graphviz 16 omits the width or height of a node that equals the one in the statement
 -- "node [...]".
 local function read_level(level, text, position)
-  local id, attributes, usual = nil, nil, {}
+  local usual, _, stop = {}, text:find("\n}\r?\n", position)
   level.boxes, level.run_boxes, level.header = {}, {}, nil
-  while true do
-    local _, stop, line = text:find("([^\n]*)\n", position)
-    if line:find("^}") then return stop + 1 end
-    if not attributes and line:find("[", 1, true) then
-      id, line = line:match("^%s*(.-)%s*%[(.*)")
-      attributes = { width = usual.width, height = usual.height }
+  for id, body in text:sub(position, stop):gmatch(STATEMENT) do
+    local attributes = { width = usual.width, height = usual.height }
+    for name, value in ("\n" .. body):gmatch('\n%s*(%l+)="?([^"\n]*)') do
+      attributes[name] = value
     end
-    local name, value = line:match("^%s*(%w+)=(.-)[,%]]?;?$")
-    if attributes and name then attributes[name] = value end
-    if attributes and line:find("];", -3, true) then
-      if id == "node" then usual = attributes end
-      read_statement(level, id, attributes)
-      attributes = nil
-    end
-    position = stop + 1
+    if id == "node" then usual = attributes end
+    read_statement(level, id, attributes)
   end
+  return stop + 1
 end
 
 -- Public functions ------------------------------------------------------------
