@@ -79,9 +79,22 @@ describe("choice", function()
     local function best(height, most)
       return choice.for_sheet(shapes, shape(0, height), SIZE, most)
     end
-    assert.equal(shapes[3], best(2000, 2))
+    assert.equal(shapes[2], best(2000, 2))
     assert.equal(shapes[4], best(2000, 0))
     assert.equal(shapes[2], best(2000, 3))
     assert.is_nil(best(1601, 0)) -- it has to be 2 % larger
+  end)
+
+  it("takes two crossings more for a fifth more of text, if it is too small", function()
+    local large = shape(2, 1000)
+    local function best(height)
+      return choice.for_sheet({ shape(0, height), large }, shape(0, 2000), SIZE, 0)
+    end
+    assert.equal(large, best(1430))
+    assert.equal(1420, best(1420).height) -- it is readable
+    large.height = 1200
+    assert.equal(1430, best(1430).height)
+    large.height, large.crossings = 1000, 3
+    assert.equal(1430, best(1430).height)
   end)
 end)

@@ -105,15 +105,21 @@ function choice.is_readable(layout, size)
   return choice.scale(size, layout.width, layout.height) >= READABLE
 end
 
-local LARGER = 1.02 -- factor of the scale
+local LARGER, FIFTH = 1.02, 1.2 -- factors of the scale
 
---- Return the best of some shapes for a sheet that have no more than `most` crossings;
--- nil if none has larger text than a layout.
+--- Return the best of some shapes for a sheet that have no more than `most` crossings,
+-- or two more if text that is not readable becomes a fifth larger; nil if none has
+-- larger text than a layout.
 function choice.for_sheet(shapes, layout, size, most)
   local best, scale = nil, LARGER * choice.scale(size, layout.width, layout.height)
-  for _, shape in ipairs(shapes) do
-    local one = choice.scale(size, shape.width, shape.height)
-    if shape.crossings <= most and one > scale then best, scale = shape, one end
+  for more = 0, MORE, MORE do
+    for _, shape in ipairs(shapes) do
+      local one = choice.scale(size, shape.width, shape.height)
+      local is_better = shape.crossings <= most + more and one > scale
+      if is_better then best, scale = shape, one end
+    end
+    if scale >= READABLE then break end
+    scale = FIFTH * scale
   end
   return best
 end

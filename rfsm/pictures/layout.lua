@@ -115,7 +115,7 @@ local PAD = 4 -- points of Graphviz around a picture
 -- Makes a picture as large as its box: Graphviz makes room for control points of lines,
 -- too, even if the lines themselves are in the box.
 local function view_text(box)
-  return (', viewport="%s,1,%s"'):format(
+  return (', notranslate=true, viewport="%s,1,%s"'):format(
     point_text(box.width + 2 * PAD, box.height + 2 * PAD),
     point_text(box.left + box.width / 2, box.bottom + box.height / 2))
 end
