@@ -530,6 +530,7 @@ function rfsm.load_str(text, chunkname)
   if type(text) ~= "string" then
     error("rfsm.load_str: string expected, got " .. type(text), 2)
   end
+  if not loadstring then error("rfsm.load_str: there is no load here", 2) end
   local chunk, problem = loadstring(text, chunkname)
   if not chunk then error("rfsm.load_str: failed to load chunk: " .. problem, 0) end
   return run_chunk(chunk, nil, "rfsm.load_str: no valid rfsm in '"

@@ -348,6 +348,18 @@ describe("the core", function()
     end
   end)
 
+  it("says in a sandbox that it can load neither a file nor a text", function()
+    assert.equal("rfsm.load: there is no loadfile here\n"
+      .. "rfsm.load_str: there is no load here", output_of([[
+        local file, compile = io.open("rfsm.lua"):read("*a"), loadstring or load
+        load, loadstring, loadfile = nil, nil, nil
+        local rfsm = compile(file)()
+        for _, name in ipairs { "load", "load_str" } do
+          print(select(2, pcall(rfsm[name], "x")))
+        end
+      ]]))
+  end)
+
   it("works where another global than these is an error, in one file, too", function()
     local folder = os.tmpname()
     os.remove(folder)
