@@ -725,7 +725,7 @@ describe("rfsm fleet", function()
     assert.equal("rfsm fleet: ERR rfsm_set: field 'n': a number expected, got 'abc' "
       .. "(--force sets it nevertheless)\n",
       fleet_command("set", key, "n=abc"))
-    assert.equal('root.a (set n: 0 -> "abc")\n',
+    assert.equal('m:{0}:1 root.a (set n: 0 -> "abc")\n',
       fleet_command("set", key, "n=abc", "--force"))
     assert.equal("abc", machines:get(1).data.root.n)
     assert.matches("get takes no %-%-force", fleet_command("get", key, "--force"))
@@ -745,7 +745,7 @@ describe("rfsm fleet", function()
     local key, file = key_of(1), helper.file_with("")
     assert(machines:create(1, "timed"))
     assert(machines:send(1, "e_emit"))
-    assert.equal("root.a (set n: 1 -> 7) by ann\n",
+    assert.equal("m:{0}:1 root.a (set n: 1 -> 7) by ann\n",
       fleet_command("set", key, "n=7", "--by ann"))
     helper.write(file, fleet_command("pull", key))
     local fsm = assert(snapshot.load(rfsm.load(helper.file_with(TIMED)), file))
@@ -754,7 +754,7 @@ describe("rfsm fleet", function()
     assert.same({ "m:{0}:1", "timed", 3 }, { read.machine, read.chart, #read.history })
     assert.same({ "(set n: 1 -> 7) by ann", "root.a", "root.a" },
       { read.history[3].event, read.history[3].from, read.history[3].to })
-    assert.equal("root.a (push) by ann\n",
+    assert.equal("m:{0}:1 root.a (push) by ann\n",
       fleet_command("push", key, file, "--by ann"))
     assert.matches("^%S+ %(push%) by ann: root.a %-> root.a\n",
       fleet_command("history", key))

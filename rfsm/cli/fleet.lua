@@ -34,11 +34,11 @@ verbs.map(function(verb)
   NOTES[verb.name] = verb.by and not verb.reads or nil
 end)
 
--- Returns the lines of a reply: one with the leaf and the outcome, or what was done,
--- then one per error.
-local function lines_of(reply, verb)
-  local mode = NOTES[verb] and "" or reply.mode .. " "
-  local lines = { reply.leaf .. " " .. mode .. reply.outcome }
+-- Returns the lines of a reply: one with the key, if it is given, the leaf, and the
+-- outcome, or what was done, then one per error.
+local function lines_of(reply, verb, key)
+  local lines = { (key and key .. " " or "") .. reply.leaf .. " "
+    .. (NOTES[verb] and "" or reply.mode .. " ") .. reply.outcome }
   for _, text in ipairs(reply.errors) do lines[#lines + 1] = "error: " .. text end
   return lines
 end
@@ -143,8 +143,9 @@ end
 
 -- Returns the lines of a reply. If the server refuses, ends the program with status 2:
 -- nothing was moved.
-local function moved_lines(fleet, verb, ...)
-  return lines_of(command.ask_or_end(2, fleet[verb], fleet, ...), verb)
+local function moved_lines(fleet, verb, key, ...)
+  return lines_of(command.ask_or_end(2, fleet[verb], fleet, key, ...), verb,
+    NOTES[verb] and key)
 end
 
 local function push_lines(fleet, options, key, file)
@@ -305,8 +306,8 @@ end
 -- Returns the line that tells what was done with an item.
 local function line_of(options, one, result)
   if result == true then return one.text .. " (" .. options.verb .. ")" end
-  return one.key .. " "
-    .. concat(lines_of(result, options.verb), options.where and "; " or "\n")
+  return concat(lines_of(result, options.verb, one.key),
+    options.where and "; " or "\n")
 end
 
 -- Is the problem of one machine that of others, too, since the server is lost?
