@@ -1274,7 +1274,7 @@ do
     local texts = {}
     for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
     local line, file = concat(texts, "\t"), stream and find_global("io", stream)
-    if file then file:write(line, "\n") else rawget(_G, "print")(line) end
+    if file then file:write(line, "\n") else (find_global "print" or text_of)(line) end
   end
 
   local function to_stdout(...) print_line(nil, ...) end
@@ -3739,7 +3739,7 @@ do
   end
 
   local function set_global()
-    if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm", rfsm) end
+    if not rawget(_G, "RFSM_NO_GLOBALS") then pcall(rawset, _G, "rfsm", rfsm) end
   end
 
   register(rawget(_G, "package") or NONE)

@@ -348,6 +348,27 @@ describe("the core", function()
     end
   end)
 
+  it("works where globals cannot be set and print is missing, as in a script of Redis",
+    function()
+      assert.equal("root.a\tfalse\tnil", output_of([[
+        local file, write = io.open("rfsm.lua"):read("*a"), print
+        local compile = loadstring or load
+        local set, globals = rawset, _G
+        function rawset(t, key, value)
+          if t == globals then error("attempt to modify a readonly table") end
+          return set(t, key, value)
+        end
+        print = nil
+        local made = compile(file)()
+        local fsm = made.init(made.state { warn = false, a = made.state {},
+          made.trans { src = "initial", tgt = "a" } })
+        made.run(fsm)
+        io.stderr = nil
+        local wrong = made.init(made.state { warn = false, entry = 3 })
+        write(made.get_actleaf_fqn(fsm), wrong, rfsm)
+      ]]))
+    end)
+
   it("says in a sandbox that it can load neither a file nor a text", function()
     assert.equal("rfsm.load: there is no loadfile here\n"
       .. "rfsm.load_str: there is no load here", output_of([[
