@@ -2512,18 +2512,17 @@ do
     return leaf._doo_co
   end
 
-  -- Ends a doo that has failed. One that may be repeated has met an interrupt: returns
-  -- true, and the next cycle begins it anew.
-  local function is_begun_anew(fsm, leaf, failure)
-    if status and promises[leaf.doo] == "repeatable" then
+  local RESUMED_AGAIN = status and "repeatable" or false -- false: no coroutines
+
+  -- Resumes a doo that may be repeated. After an interrupt the next cycle begins it
+  -- anew.
+  local function resume_repeatable(fsm, leaf, co)
+    local ok, idle = resume(co, fsm, leaf, "doo")
+    if not ok then
       leaf._doo_co = nil
-      keep_failure(fsm, failure)
-      return true
+      keep_failure(fsm, idle)
     end
-    leaf._mode = "done"
-    fsm._at = 4
-    report_callback(fsm, "doo", leaf, nil, failure)
-    return false
+    return ok and idle and true or false
   end
 
   -- Runs one cycle of the active leaf's doo. Returns true if the doo is idle or done; a
@@ -2544,8 +2543,15 @@ do
     if fsm._at < 1 then
       fsm._at = 1
       if fsm._watch_hooks then engine.tell_watch(fsm, "resumed", leaf) end
+      if promises[leaf.doo] == RESUMED_AGAIN then
+        return resume_repeatable(fsm, leaf, co)
+      end
       ok, idle = resume(co, fsm, leaf, "doo")
-      if not ok and is_begun_anew(fsm, leaf, idle) then return false end
+      if not ok then
+        leaf._mode = "done"
+        fsm._at = 4
+        report_callback(fsm, "doo", leaf, nil, idle)
+      end
     end
     if ok and status(co) ~= "dead" then return not not idle end
     rfsm.end_doo(fsm, leaf)
