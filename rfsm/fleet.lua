@@ -392,10 +392,10 @@ end
 -- Adds what rfsm_select has found among keys. If the first is gone meanwhile, the reply
 -- has all machines of its hash tag.
 local function add_found(found, reply, keys, reason)
-  for i = 1, #reply, 7 do
+  for i = 1, #reply, 6 do
     local one = { key = reply[i], chart = reply[i + 1], leaf = reply[i + 2],
       known = reply[i + 3], seconds = rfsm.number_of(reply[i + 4]),
-      held = reply[i + 5] == "yes", reason = reply[i + 6]:match(".+") }
+      held = reply[i + 5] ~= "", reason = reply[i + 5]:match("^yes: (.*)$") }
     if keys[one.key] and (not reason or reason == one.reason) then
       found[#found + 1] = one
     end

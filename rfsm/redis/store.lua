@@ -473,10 +473,11 @@ local function age_of(key)
   return since and ("%.0f"):format(now() - rfsm.number_of(since)) or ""
 end
 
--- rfsm_select KEY... chart state version seconds held: returns seven items for each
+-- rfsm_select KEY... chart state version seconds held: returns six items for each
 -- machine that is of the chart, in the state, of the version (how it is known, or its
 -- fingerprint), so long in its leaf, and held ("yes") or not ("no"): its key, chart,
--- leaf, how its version is known, seconds in the leaf, "yes" if it is held, and why.
+-- leaf, how its version is known, seconds in the leaf, "yes" or "yes: reason" if it is
+-- held.
 function more.rfsm_select(keys, args)
   local is_wanted, time, reply = filter_of(args), nil, {}
   if args[4] ~= "" then
@@ -489,7 +490,7 @@ function more.rfsm_select(keys, args)
     local n = #reply
     reply[n + 1], reply[n + 2], reply[n + 3] = key, list[2], list[3].leaf or ""
     reply[n + 4], reply[n + 5] = known, age_of(key)
-    reply[n + 6], reply[n + 7] = list[9] and "yes" or "", list[10] and list[10][2] or ""
+    reply[n + 6] = list[9] and concat({ "yes", list[10] and list[10][2] }, ": ") or ""
   end)
   return reply
 end
