@@ -537,8 +537,7 @@ local CASES = {
     "root.trans[4] (a -> b): a transition has no field 'Always' (did you mean "
       .. "'always'?)",
     "root.trans[5] (b -> a): always: true expected, got string 'yes' (always = true)",
-    "root.a: a state has no field 'always' (a transition has it: rfsm.trans{ src, tgt, "
-      .. "always = true })",
+    "root.a: a state has no field 'always' (a transition has it)",
     "root.b: timed: true expected, got string '1' (timed = true)" },
   { "unknown-field", "a field of another element, or a value that is nearly right",
     { read = "One", a = state { read = "one" }, b = conn { history = "deep" },
@@ -548,12 +547,15 @@ local CASES = {
     "root.trans[4] (a -> b): a transition has no field 'timed' (a state has it)",
     "root.a: a state has no field 'read' (the root has it)",
     "root.b: a connector has no field 'history' (a state has it)" },
+  { "unknown-field", "a field of an extension in another element",
+    { a = state { likely = yes, strict = true } },
+    "root.a: a state has no field 'likely' (a transition has it)" },
   { "unknown-field", "a field that is nearly one of a sequential AND state",
     { [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_a"), c = rfsm.seqand {
       idledoo = "auto", steps = 2, read = "one", x = chart() } },
     "root.c: a sequential AND state has no field 'idledoo' (did you mean 'idle_doo'?)",
-    "root.c: a sequential AND state has no field 'steps' (did you mean 'step'?)",
-    "root.c: a state has no field 'read' (the root has it)" },
+    "root.c: a state has no field 'read' (the root has it)",
+    "root.c: a sequential AND state has no field 'steps' (did you mean 'step'?)" },
   { "unknown-field", "none of the user's with such a name", { read = "me",
     [4] = go("a", "c", "e_c", { history = {}, timed = 1 }), [5] = go("c", "a", "e_a"),
     c = rfsm.seqand { idle_doo = "auto", steps = {}, border = 1, x = chart() } } },

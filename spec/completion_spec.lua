@@ -356,6 +356,9 @@ describe("e_done that never comes", function()
         .. "ends it)" },
     { "in a connector", { c = conn { final = true } },
       "root.c", "final = true in a connector says nothing (mark the leaf behind it)" },
+    { "in a transition", { c = state {}, [3] = trans { src = "c", tgt = "z",
+      events = { "e_1" }, final = true } }, "root.trans[3] (c -> z)",
+      "final = true in a transition says nothing (mark the leaf behind it)" },
     { "in a state that is left", { c = state { final = true } },
       "root.c", "final = true, but a transition leaves it (remove one of them)" },
   } do

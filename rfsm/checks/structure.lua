@@ -147,34 +147,17 @@ local function check_regions(node, add)
   end
 end
 
--- The types of values of the fields of a sequential AND state.
-local SEQAND = { { "idle_doo", "boolean" }, { "idle_doo", "string" },
-  { "order", "table" }, { "run", "boolean" }, { "step", "number" } }
-
--- Finds fields that are nearly those of a sequential AND state.
-local function check_seqand(node, add)
-  if not rawget(node, "substates") then return end
-  for _, key in ipairs(rfsm.sorted_keys(node)) do
-    local is_name = type(key) == "string" and key ~= "idle.doo"
-    for _, field in ipairs(is_name and SEQAND or {}) do
-      if key ~= field[1] and type(node[key]) == field[2]
-        and advice.is_near(key, field[1]) then
-        add("unknown-field", node, ("a sequential AND state has no field '%s' (did you "
-          .. "mean '%s'?)"):format(key, field[1]))
-      end
-    end
-  end
-end
-
 -- Finds `final` where it says nothing, or the contrary of the transitions.
-local function check_final(fsm, node, add)
-  if node.final ~= true then return end
-  if not is_leaf(node) then
-    add("misplaced", node, "final = true in a " .. (rfsm.is_conn(node)
-      and "connector says nothing (mark the leaf behind it)"
-      or "composite says nothing (mark the leaf in it that ends it)"))
-  elseif node ~= fsm and node._otrs[1] then
-    add("misplaced", node, "final = true, but a transition leaves it (remove one of "
+local function check_final(fsm, obj, add)
+  if obj.final ~= true then return end
+  if rfsm.is_composite(obj) then
+    add("misplaced", obj, "final = true in a composite says nothing (mark the leaf in "
+      .. "it that ends it)")
+  elseif not is_leaf(obj) then
+    add("misplaced", obj, ("final = true in a %s says nothing (mark the leaf behind "
+      .. "it)"):format(rfsm.kind_of(obj)))
+  elseif obj ~= fsm and obj._otrs[1] then
+    add("misplaced", obj, "final = true, but a transition leaves it (remove one of "
       .. "them)")
   end
 end
@@ -193,66 +176,73 @@ local function check_callbacks(obj, add)
   end
 end
 
--- Names of boolean fields, by kind of element.
-local FLAGS = { state = { "final", "timed" }, transition = { "always" }, connector = {},
-  root = { "dbg", "err", "final", "info", "strict", "timed", "warn" } }
-
--- Finds boolean fields whose names look like a flag, and flags that are a text.
-local function check_flag(obj, flag, key, add)
-  local value, is_near = obj[key], advice.is_near(key, flag) and key ~= flag
-  if type(value) == "boolean" and (is_near or flag == "dbg" and key == "debug") then
-    add("unknown-field", obj, ("a %s has no field '%s' (did you mean '%s'?)"):format(
-      rfsm.kind_of(obj), key, flag))
-  elseif key == flag and type(value) == "string" then
-    add("unknown-field", obj, ("%s: true expected, %s (%s = true)"):format(flag,
-      rfsm.got(value), flag))
-  end
-end
-
 local function is_true(value) return value == true end
-local function is_list(value) return type(value) == "table" and value[1] ~= nil end
-local function reads(value) return value == "one" or value == "all" end
+local function is_read(value) return value == "one" or value == "all" end
 
--- Fields by the kind of element that has them, and whether a value seems meant so.
-local OWNED = {
-  final = { "state", is_true }, timed = { "state", is_true },
-  defer = { "state", is_list }, history = { "state", function(value)
-    return value == "deep" or value == "shallow"
-  end },
-  always = { "transition", is_true, ": rfsm.trans{ src, tgt, always = true }" },
-  read = { "root", reads },
+-- Fields, the kind of element that has them, and the types of values that are mistakes
+-- under a similar name. The last item tells whether a value is meant for the field also
+-- in an element of another kind; `advice` knows that of extensions.
+local FIELDS = {
+  { "final", "state", "boolean" }, { "timed", "state", "boolean" },
+  { "always", "transition", "boolean", is_true }, { "read", "root", "", is_read },
+  { "dbg", "root", "boolean" }, { "err", "root", "boolean" },
+  { "info", "root", "boolean" }, { "warn", "root", "boolean" },
+  { "strict", "root", "boolean" },
+  { "idle_doo", "sequential AND state", "boolean string" },
+  { "order", "sequential AND state", "table" },
+  { "run", "sequential AND state", "boolean" },
+  { "step", "sequential AND state", "number" },
 }
 
--- Finds a field of another kind of element.
-local function check_owner(obj, kind, key, add)
-  local owned = OWNED[key]
-  local is_other = owned and owned[1] ~= kind
-    and not (kind == "root" and owned[1] == "state")
-  if is_other and owned[2](obj[key]) then
-    add("unknown-field", obj, ("a %s has no field '%s' (%s %s has it%s)"):format(
-      rfsm.kind_of(obj), key, owned[1] == "root" and "the" or "a", owned[1],
-      owned[3] or ""))
+local function is_of_kind(obj, kind)
+  if kind == "root" then return rfsm.is_root(obj) end
+  return rfsm.kind_of(obj) == kind
+    or kind == "sequential AND state" and rawget(obj, "substates") ~= nil
+end
+
+-- Returns the kind of element that has a field with such a value; nil if none has.
+local function owner_of(key, value)
+  for _, field in ipairs(FIELDS) do
+    if field[1] == key and field[4] and field[4](value) then return field[2] end
+  end
+  return advice.owner_of(key, value)
+end
+
+-- Finds a key that is nearly a field of this kind, and a flag that is a text.
+local function check_name(obj, key, field, add)
+  local name, kind, found = field[1], field[2], type(obj[key])
+  local is_near = key ~= name and key ~= "idle.doo" and advice.is_near(key, name)
+    or name == "dbg" and key == "debug"
+  if is_near and field[3]:find(found, 1, true) then
+    add("unknown-field", obj, ("a %s has no field '%s' (did you mean '%s'?)"):format(
+      kind == "root" and "state" or kind, key, name))
+  elseif key == name and field[3] == "boolean" and found == "string" then
+    add("unknown-field", obj, ("%s: true expected, %s (%s = true)"):format(name,
+      rfsm.got(obj[key]), name))
   end
 end
 
 -- Finds a value of `read` that is nearly one of those that count.
 local function check_read(fsm, add)
   local value = fsm.read
-  if type(value) ~= "string" or reads(value) then return end
+  if type(value) ~= "string" or is_read(value) then return end
   if advice.is_near(value, "one") or advice.is_near(value, "all") then
     add("unknown-field", fsm, "read: 'one' or 'all' expected, " .. rfsm.got(value))
   end
 end
 
-local function check_flags(obj, add)
-  local kind = rfsm.is_root(obj) and "root" or rfsm.kind_of(obj)
+-- Finds fields of another kind of element, and those that are nearly right.
+local function check_names(obj, add)
   for _, key in ipairs(rfsm.sorted_keys(obj)) do
-    for _, flag in ipairs(type(key) == "string" and FLAGS[kind] or {}) do
-      check_flag(obj, flag, key, add)
+    local owner = owner_of(key, obj[key])
+    if owner and not is_of_kind(obj, owner) then
+      add("unknown-field", obj, ("a %s has no field '%s' (%s %s has it)"):format(
+        rfsm.kind_of(obj), key, owner == "root" and "the" or "a", owner))
     end
-    check_owner(obj, kind, key, add)
+    for _, field in ipairs(type(key) == "string" and FIELDS or {}) do
+      if is_of_kind(obj, field[2]) then check_name(obj, key, field, add) end
+    end
   end
-  if kind == "root" then check_read(obj, add) end
 end
 
 -- Returns the name of a field that only another library, or an extension that is not
@@ -417,15 +407,15 @@ function structure.check(fsm, add, reached)
   for _, obj in ipairs(rfsm.elements(fsm)) do
     if rfsm.is_node(obj) then
       check_node(fsm, obj, reached, add)
-      check_final(fsm, obj, add)
       check_regions(obj, add)
-      check_seqand(obj, add)
     end
     if rfsm.is_trans(obj) then check_transition(obj, add) end
     if rfsm.is_state(obj) then check_fields(obj, add) end
-    check_flags(obj, add)
+    check_final(fsm, obj, add)
+    check_names(obj, add)
     check_callbacks(obj, add)
   end
+  check_read(fsm, add)
   check_connectors(fsm, add)
 end
 
