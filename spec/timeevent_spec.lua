@@ -485,6 +485,17 @@ describe("a clock that fails", function()
     assert.is_nil(next_deadline(fsm))
   end)
 
+  it("is not read for timers that a reset has dropped", function()
+    local fsm, count = started(chart { "e_after(3)", "e_at(1005)" }), 0
+    rfsm.reset(fsm)
+    set_gettime_hook(function()
+      count = count + 1
+      return clock()
+    end)
+    rfsm.step(fsm)
+    assert.equal(1, count) -- for the entry
+  end)
+
   it("while err fails, too, raises that and loses nothing", function()
     local fsm = with_clocks(clock, broken)
     fsm.err = function() error("no printer", 0) end
