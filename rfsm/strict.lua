@@ -423,32 +423,31 @@ local function is_named_in(path, event)
   end)
 end
 
+-- Returns the transitions of the active states, those of the outermost one first.
+local function tried(fsm)
+  return fsm._act_leaf and location.transitions(fsm, fsm._act_leaf) or {}
+end
+
 -- Returns the FQN of the innermost active state that has a transition for an event.
 local function waiting_for(fsm, event)
-  local state = fsm._act_leaf
-  while state do
-    for _, tr in ipairs(state._otrs) do
-      if names(tr, event) then return state._fqn end
-    end
-    state = state._parent ~= state and state._parent
+  local fqn
+  for _, tr in ipairs(tried(fsm)) do
+    if names(tr, event) then fqn = tr.src._fqn end
   end
+  return fqn
 end
 
 -- Warns if no path was taken, although a transition of an active state names an event:
 -- no way on is open behind the connector to which it leads.
 local function check_closed(fsm, events)
-  local state = fsm._act_leaf
-  while state do
-    for _, tr in ipairs(state._otrs) do
-      for _, event in ipairs(rfsm.is_conn(tr.tgt) and not tr.guard and events or {}) do
-        if names(tr, event) then
-          warn(fsm, ("event '%s' is discarded, no transition from '%s' is enabled (add "
-            .. "one without a guard, of the least pn)"):format(rfsm.event_text(event),
-            tr.tgt._fqn))
-        end
+  for _, tr in ipairs(events[1] ~= nil and tried(fsm) or {}) do
+    for _, event in ipairs(rfsm.is_conn(tr.tgt) and not tr.guard and events or {}) do
+      if names(tr, event) then
+        warn(fsm, ("event '%s' is discarded, no transition from '%s' is enabled (add "
+          .. "one without a guard, of the least pn)"):format(rfsm.event_text(event),
+          tr.tgt._fqn))
       end
     end
-    state = state._parent ~= state and state._parent
   end
 end
 
