@@ -16,8 +16,7 @@ local alphabet = require "rfsm.shared.alphabet"
 local match = require "rfsm.shared.match"
 
 local insert, ipairs, min = table.insert, ipairs, math.min
-local next, pairs = next, pairs
-local rawequal, type = rawequal, type
+local pairs, rawequal, type = pairs, rawequal, type
 
 local MOST = 64 -- events that a machine keeps, if `defer` of the state has no `max`
 
@@ -273,21 +272,20 @@ local function is_made(event)
     or match.maker_of(rfsm.event_text(event) .. "@root")
 end
 
--- Is a table with a list `defer` a list, but for `max`?
-local function is_list(defer)
+-- Returns what `defer` is, if it is no list with perhaps a field `max`.
+local function other_than_list(defer)
+  if type(defer) ~= "table" then return rfsm.got(defer) end
   local count = defer.max ~= nil and -1 or 0
   for _ in pairs(defer) do count = count + 1 end -- any order: only counted
-  for i = 1, count do if defer[i] == nil then return false end end
-  return count > 0
+  if count == 0 then return "got an empty list" end
+  for i = 1, count do
+    if defer[i] == nil then return "got a table with holes or keys" end
+  end
 end
 
 local function problem_of(defer)
-  if type(defer) ~= "table" then
-    return ": list of events expected, " .. rfsm.got(defer)
-  elseif not is_list(defer) then
-    return ": list of events expected, got " .. (next(defer) == nil and "an empty list"
-      or "a table with holes or keys")
-  end
+  local found = other_than_list(defer)
+  if found then return ": list of events expected, " .. found end
   local max = defer.max
   if max ~= nil and not (type(max) == "number" and max >= 1 and max % 1 == 0) then
     return ".max: whole number from 1 expected, " .. rfsm.got(max)

@@ -512,8 +512,7 @@ describe("deferral", function()
       "root.a.defer: list of events expected, got a table with holes or keys" },
     { { "e_x", nil, "e_y" },
       "root.a.defer: list of events expected, got a table with holes or keys" },
-    { { max = 3 },
-      "root.a.defer: list of events expected, got a table with holes or keys" },
+    { { max = 3 }, "root.a.defer: list of events expected, got an empty list" },
     { { "e_after(3)" },
       "root.a.defer[1]: 'e_after(3)' is never deferred, the machine makes it" },
     { { "e_x", rfsm_timeevent.e_every(3) },
@@ -539,7 +538,7 @@ describe("deferral", function()
     { { "e_yx" }, "defer 'e_yx', but no transition takes it (did you mean 'e_xy'?)" },
     { { "e_go" }, "defer 'e_go' has no effect, root.trans[2] (a -> b) takes it" },
     { { rfsm.named "e_go" }, "defer 'e_go', but no transition takes it (did you mean "
-      .. "'e_go'?)" },
+      .. "the text 'e_go'?)" },
     { { "e_z" }, "defer 'e_z', but no transition takes it (did you mean rfsm.named "
       .. "'e_z'?)", event = rfsm.named "e_z" },
     { { rfsm.named }, "rfsm.named is not called (did you mean rfsm.named(..)?)" },

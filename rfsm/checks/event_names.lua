@@ -253,7 +253,7 @@ local function near_event(event, known)
   local name = rfsm.event_text(event)
   local has_data = type(event) == "string" and known.set[rfsm.named(name)]
   local other = has_data and "rfsm.named "
-    or rfsm.event_name(event) and match.has(known.list, name) and ""
+    or rfsm.event_name(event) and match.has(known.list, name) and "the text "
   if other then return (" (did you mean %s'%s'?)"):format(other, name) end
   return advice.nearest_name(name, known.list)
 end

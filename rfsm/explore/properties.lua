@@ -49,12 +49,17 @@ local PROBLEMS = {}
 
 local is_name = opts.is_a "string"
 
+local function kind_found(value)
+  local is_empty = type(value) == "table" and next(value) == nil
+  return is_empty and "an empty list" or type(value)
+end
+
 function PROBLEMS.what(what)
   local names = type(what) == "table" and what or { what }
   local is_right = names[1] ~= nil and order.all(names, is_name) and opts.is_list(names)
   if is_right or type(what) == "function" then return nil end
   return "path of a state, name of a flag, list of them or function expected, got "
-    .. type(what)
+    .. kind_found(what)
 end
 
 PROBLEMS.goal, PROBLEMS.scope = PROBLEMS.what, PROBLEMS.what
@@ -65,9 +70,8 @@ end
 
 function PROBLEMS.ending(thing)
   local is_list = type(thing) == "table" and not rfsm.name_with_data(thing)
-  local is_wrong = thing == nil or is_list and PROBLEMS.what(thing)
-  return is_wrong and "event or condition expected, got " .. (is_list
-    and next(thing) == nil and "an empty list" or type(thing)) or nil
+  if thing ~= nil and not (is_list and PROBLEMS.what(thing)) then return nil end
+  return "event or condition expected, got " .. kind_found(thing)
 end
 
 PROBLEMS.again = PROBLEMS.ending
