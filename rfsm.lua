@@ -2507,12 +2507,11 @@ do
 
   local function start_doo(fsm, leaf, doo)
     trace(fsm, "DOO", "created coroutine for %s doo", leaf._fqn)
+    leaf._is_resumed_again = status and promises[doo] == "repeatable" or nil
     leaf._doo_co = coroutine.create(type(doo) == "function" and doo
       or function(...) return doo(...) end)
     return leaf._doo_co
   end
-
-  local RESUMED_AGAIN = status and "repeatable" or false -- false: no coroutines
 
   -- Resumes a doo that may be repeated. After an interrupt the next cycle begins it
   -- anew.
@@ -2543,7 +2542,7 @@ do
     if fsm._at < 1 then
       fsm._at = 1
       if fsm._watch_hooks then engine.tell_watch(fsm, "resumed", leaf) end
-      if promises[leaf.doo] == RESUMED_AGAIN then
+      if leaf._is_resumed_again then
         return resume_repeatable(fsm, leaf, co)
       end
       ok, idle = resume(co, fsm, leaf, "doo")
