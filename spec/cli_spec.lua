@@ -391,10 +391,10 @@ describe("rfsm redis", function()
 end)
 
 describe("rfsm fleet", function()
-  local REPLY = { leaf = "root.a", mode = "done", outcome = "failed",
+  local REPLY = { leaf = "root.a", mode = "done", outcome = "(it)",
     errors = { "no arm", "no leg" } }
-  local REPLIED = "root.a done failed\nerror: no arm\nerror: no leg\n"
-  local NOTED = "root.a failed\nerror: no arm\nerror: no leg\n"
+  local REPLIED = "root.a done (it)\nerror: no arm\nerror: no leg\n"
+  local NOTED = "root.a (it)\nerror: no arm\nerror: no leg\n"
 
   for command, case in pairs { -- any order: each stands alone
     ["find door root.a 5 60"] = { called = { "door", "root.a", 5, "60" },
@@ -408,6 +408,9 @@ describe("rfsm fleet", function()
     ["send k e_x"] = { called = { "k", "e_x" }, result = REPLY, out = REPLIED },
     ["hold k --by ann"] = { called = { "k", nil, "ann" }, result = REPLY,
       out = "k " .. NOTED },
+    ["move k --by ann"] = { called = { "k", "ann" }, result = { leaf = "root.a",
+      mode = "done", outcome = "kept", errors = {} }, out = "k root.a kept (the library "
+      .. "in Redis is older: it notes no names)\n" },
     ["release k --by ann"] = { called = { "k", "ann" }, result = REPLY,
       out = "k " .. NOTED },
     ["force k root.a --by ann"] = { called = { "k", "root.a", "ann" }, result = REPLY,
@@ -493,6 +496,9 @@ describe("rfsm fleet", function()
     ["set k n=1 --dry-run"] = "set takes no --dry-run",
     ["release k --where chart=c"] = "release: --where or KEY expected, not both",
     ["hold --where age=x"] = "--where: age=SECONDS expected, got 'x'",
+    ["remove --where chart="] = "--where: chart=NAME expected, got ''",
+    ["tick --where state=root.a,chart=c,state="] = "--where: 'state' is there twice",
+    ["list x"] = "list expected, got 1 arguments: 'x'",
     ["hold --where ,"] = "--where: a filter expected",
     ["hold --where chart=c,stat=x"] = "--where: age=, chart=, held=, key=, reason=, "
       .. "state=, version= expected, got 'stat=x' (did you mean 'state'?)",
@@ -558,13 +564,13 @@ describe("rfsm fleet", function()
     assert.same({ { chart = "c,d", state = "root.a", version = "gone", age = "60" } },
       calls)
     calls = {}
-    assert.same({ "k1 root.a failed; error: no arm; error: no leg\n",
+    assert.same({ "k1 root.a (it); error: no arm; error: no leg\n",
       "rfsm fleet: k2 c root.a gone: ERR rfsm_hold: it is held already\n"
       .. "rfsm fleet: 1 of 2 done\n", 1 },
       with_many("hold why --where chart=c --by ann", calls))
     assert.same({ { chart = "c" }, { "hold", "k1", "why", "ann" },
       { "hold", "k2", "why", "ann" } }, calls)
-    assert.same({ "k1 root.a done failed; error: no arm; error: no leg\n",
+    assert.same({ "k1 root.a done (it); error: no arm; error: no leg\n",
       "rfsm fleet: 1 of 2 done, then: no answer\n", 1 },
       with_many("tick --where chart=c", {}))
     assert.same({ "k1 c root.a\n", "rfsm fleet: 1 found, nothing was done\n", 0 },

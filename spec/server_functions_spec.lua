@@ -1027,6 +1027,22 @@ describe("a machine that is held", function()
     assert.equal("ERR rfsm_release: the machine at 'm' is not held", call("release"))
   end)
 
+  it("has a reason and a name in one line, and cuts no character", function()
+    open { history = 9 }
+    for _, case in ipairs {
+      { "", "", "(hold)" },
+      { "no\narm", "ann\t", "(hold: no arm) by ann " },
+      { ("x"):rep(99), ("\195\169"):rep(99), "(hold: " .. ("x"):rep(99) .. ") by "
+        .. ("\195\169"):rep(40) },
+      { "\195\169", "x" .. ("\195\169"):rep(99), "(hold: \195\169) by x"
+        .. ("\195\169"):rep(39) },
+    } do
+      assert.same({ "root.a", "done", case[3] }, call("hold", case[1], "BY", case[2]))
+      assert.equal((case[1]:gsub("\n", " ")), call("get")[22])
+      call("release")
+    end
+  end)
+
   it("does all in the order of the calls, if the clock goes back", function()
     open { history = 9 }
     call("hold")

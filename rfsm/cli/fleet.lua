@@ -37,8 +37,11 @@ end)
 -- Returns the lines of a reply: one with the key, if it is given, the leaf, and the
 -- outcome, or what was done, then one per error.
 local function lines_of(reply, verb, key)
-  local lines = { (key and key .. " " or "") .. reply.leaf .. " "
-    .. (NOTES[verb] and "" or reply.mode .. " ") .. reply.outcome }
+  local what = NOTES[verb] and reply.outcome or reply.mode .. " " .. reply.outcome
+  local is_old = NOTES[verb] and not what:find "^%("
+  local lines = { (key and key .. " " or "") .. reply.leaf .. " " .. what
+    .. (is_old and " (the library in Redis is older: it notes no names)"
+    or "") }
   for _, text in ipairs(reply.errors) do lines[#lines + 1] = "error: " .. text end
   return lines
 end
@@ -191,13 +194,15 @@ local function hint_for(fleet, name, state, version)
 end
 
 -- The filters, and the text that a message has of their values.
-local FILTERS = { age = "SECONDS", chart = "", held = "yes or held=no", key = "",
-  reason = "", state = "", version = "" }
+local FILTERS = { age = "SECONDS", chart = "NAME", held = "yes or held=no",
+  key = "PATTERN", reason = "TEXT", state = "STATE", version = "VERSION" }
 local NAMES = rfsm.sorted_keys(FILTERS)
 
+-- Is it a value of a filter? For a server, an empty one means all machines.
 local function is_value(name, value)
-  if name == "age" then return value:find "^%d+$" ~= nil end
-  return name ~= "held" or value == "yes" or value == "no"
+  if name == "age" then return value:find "^%d+$" end
+  if name == "held" then return value == "yes" or value == "no" end
+  return value ~= ""
 end
 
 -- Returns the filter that a text such as "chart=order,age=60" means; nil and the
@@ -206,7 +211,9 @@ local function filter_of(text)
   local filter, name = {}, nil
   for part in text:gmatch("[^,]+") do
     local found, value = part:match("^%s*(%a+)=(.*)$")
-    if FILTERS[found] then
+    if filter[found] then
+      return nil, ("--where: '%s' is there twice"):format(found)
+    elseif FILTERS[found] then
       name, filter[found] = found, value
     elseif found or not name then
       return nil, ("--where: %s= expected, got '%s'%s"):format(concat(NAMES, "=, "),
@@ -540,8 +547,8 @@ local function check_number(options, parser)
   elseif #list + given <= most_of(usage) then
     return
   elseif given == 0 then
-    parser:error(("%s %s expected, got %d arguments: '%s'"):format(name, usage, #list,
-      concat(list, "', '")))
+    parser:error(("%s expected, got %d arguments: '%s'"):format(
+      (name .. " " .. usage):match("^(.-) *$"), #list, concat(list, "', '")))
   end
   parser:error(("%s: --where or %s expected, not both"):format(name, usage))
 end

@@ -321,9 +321,11 @@ local function lines_of_all(file, findings, warnings, has_notes)
   return lines
 end
 
--- Returns a text if a chart was explored, but no property was found to judge.
-local function judged_in(result)
-  return result and not result.properties[1] and " (0 properties judged)" or ""
+-- Returns the verdict on a chart of which there is nothing to report: how far it was
+-- explored, and whether there was a property to judge.
+local function verdict_of(result)
+  return (result and result.bound and ": ok as far as explored" or ": ok")
+    .. (result and not result.properties[1] and " (0 properties judged)" or "")
 end
 
 -- Returns a line if the text of callbacks was not read.
@@ -348,7 +350,7 @@ function review.of(file, model, warnings, settings, options)
   local gravest = gravest_of(findings) or warnings[1] and "warning" or nil
   if options.record then write_witnesses(model, findings, options.record) end
   local lines = lines_of_all(file, findings, warnings, options.all)
-  if not lines[1] then lines[1] = chart.name_of(file) .. ": ok" .. judged_in(result) end
+  if not lines[1] then lines[1] = chart.name_of(file) .. verdict_of(result) end
   for _, line in ipairs(result and result:summary(options.explore) or {}) do
     lines[#lines + 1] = chart.name_of(file) .. ": " .. line
   end

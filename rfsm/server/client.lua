@@ -174,7 +174,7 @@ function Client:tick(id) return reply_of(self:ask("rfsm_tick", id)) end
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
 function Client:hold(id, reason, who)
-  return reply_of(ask_by(self, who, "rfsm_hold", id, reason))
+  return reply_of(ask_by(self, who, "rfsm_hold", id, reason or who and ""))
 end
 
 --- Release a held machine. Events and timers that came due meanwhile run in order.

@@ -664,7 +664,8 @@ end
 -- never end. The reason of a worker goes to the log.
 function functions.rfsm_hold(keys, args)
   local key, by = key_of(keys), take_by(args)
-  local list, reason = read(key), args[1]
+  local list, reason = read(key), keys_of.line(args[1] or "")
+  if reason == "" then reason = nil end
   if list[HELD] then fail("the machine at '%s' is held already", shown(key)) end
   local machine = new_machine(key, { name = list[NAME] }, list, list[SNAP].leaf)
   note(machine, (reason and "(hold: " .. reason .. ")" or "(hold)") .. by)

@@ -11,8 +11,16 @@ local fail = encoding.fail
 
 local keys = {}
 
---- Return a name or a key as a text for a message, shortened to 80 bytes.
-function keys.shown(text) return (tostring(text):sub(1, 80)) end
+--- Return a text as one line.
+function keys.line(text) return (text:gsub("[\1-\31\127]", " ")) end
+
+--- Return a name or a key as one line for a message: at most 80 bytes of it. No character
+-- is cut in two: PostgreSQL would refuse the line.
+function keys.shown(text)
+  text = tostring(text)
+  if #text > 80 then text = text:sub(1, 81):gsub("[^\128-\191]?[\128-\191]*$", "", 1) end
+  return keys.line(text)
+end
 
 local shown = keys.shown
 

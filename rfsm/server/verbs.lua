@@ -46,8 +46,8 @@ local verbs = {
   { name = "tick", sql = { "", "text" }, usage = "KEY", needs = 1, bulk = true },
   { name = "move", sql = written("", "'{}'"), usage = "KEY", needs = 1, by = true,
     bulk = true },
-  { name = "hold", sql = written(", reason text DEFAULT NULL", "CASE WHEN reason <> '' "
-    .. "THEN ARRAY[reason] END"),
+  { name = "hold", sql = written(", reason text DEFAULT ''",
+    "ARRAY[coalesce(reason, '')]"),
     usage = "KEY [WHY]", needs = 1, by = true, bulk = true },
   { name = "release", sql = written("", "'{}'"), usage = "KEY", needs = 1, by = true,
     bulk = true },
