@@ -27,10 +27,13 @@ end
 --- Return the same with status 1.
 function command.ask(f, ...) return command.ask_or_end(1, f, ...) end
 
--- The verbs by their names, and those that write and note who has done it.
-local KNOWN, NOTES = {}, {}
+-- The verbs of both servers, and those that only this command has; those that write and
+-- note who has done it.
+local VERBS, NOTES = { again = { usage = "TAG ID", needs = 2 },
+  dead = { usage = "[LIMIT]", needs = 0 }, drop = { usage = "TAG ID", needs = 2 },
+  list = { usage = "", needs = 0 } }, {}
 verbs.map(function(verb)
-  KNOWN[verb.name] = verb
+  VERBS[verb.name] = verb.usage and verb or nil
   NOTES[verb.name] = verb.by and not verb.reads or nil
 end)
 
@@ -272,19 +275,17 @@ local function most_of(usage)
   return usage:find("...", 1, true) and ALL or select(2, usage:gsub("%S+", ""))
 end
 
--- For each verb that takes filters how the items are found, and what is done with one.
-local MANY = {}
-for name, verb in pairs(KNOWN) do -- any order: each stands alone
-  MANY[name] = verb.bulk and { find_machines, function(fleet, one, options)
-    local arguments, count = options.arguments, most_of(verb.usage)
-    arguments[count] = options.by -- behind those that may be absent
-    return fleet[name](fleet, one.key, unpack(arguments, 1, count))
-  end } or nil
-end
-for _, name in ipairs { "again", "drop" } do
-  MANY[name] = { find_dead, function(fleet, entry)
-    return fleet[name](fleet, entry.tag, entry.id)
-  end }
+-- For each verb that takes filters, how the items are found.
+local MANY = { again = find_dead, drop = find_dead }
+verbs.map(function(verb) MANY[verb.name] = verb.bulk and find_machines or nil end)
+
+-- Calls the function of a verb for one item.
+local function act(fleet, options, one)
+  local name, arguments = options.verb, options.arguments
+  if one.tag then return fleet[name](fleet, one.tag, one.id) end
+  local count = most_of(VERBS[name].usage)
+  arguments[count] = options.by -- behind those that may be absent
+  return fleet[name](fleet, one.key, unpack(arguments, 1, count))
 end
 
 -- Returns the machine at a key, as a list. It is looked at only if its line is shown:
@@ -300,9 +301,11 @@ end
 
 -- Returns the item that the first arguments of a verb name, as a list, and takes these
 -- arguments away.
-local function find_named(fleet, options, find)
+local function find_named(fleet, options)
   local first = table.remove(options.arguments, 1)
-  if find == find_machines then return machine_at(fleet, options, first) end
+  if MANY[options.verb] == find_machines then
+    return machine_at(fleet, options, first)
+  end
   local id = table.remove(options.arguments, 1)
   for _, entry in ipairs(find_dead(fleet, {})) do
     if entry.tag == first and entry.id == id then return { entry } end
@@ -322,31 +325,29 @@ local function is_of_all(problem)
   return not (problem:find "^ERR rfsm_" or problem == "no machine")
 end
 
--- Does a verb for one item, and prints what was done. Returns whether it was done; nil
--- and the problem if the server is lost.
-local function do_one(fleet, options, act, one)
-  local ok, result, problem = pcall(act, fleet, one, options)
-  if ok and result then
-    common.write("-", line_of(options, one, result) .. "\n")
-    return true
-  end
-  problem = ok and (problem or "it is not there") or chart.first_line(result)
-  if result ~= false and is_of_all(problem) then return nil, problem end
-  common.warn((options.where and one.text .. ": " or "") .. problem)
-  return false
+-- Does a verb for one item. Returns the result; or false and the problem, nil and the
+-- problem if there was no answer.
+local function try(fleet, options, one)
+  local ok, result, problem = pcall(act, fleet, options, one)
+  if not ok then return nil, chart.first_line(result) end
+  return result, problem or "it is not there"
 end
 
--- Does a verb for all items, and returns for how many. Ends the program if the server
--- is lost.
-local function do_all(fleet, options, act, found)
-  local count = 0
+-- Does a verb for all items, prints what was done, and returns for how many. Ends the
+-- program if the server is lost.
+local function do_all(fleet, options, found)
+  local count, is_many = 0, options.where
   for _, one in ipairs(found) do
-    local is_done, problem = do_one(fleet, options, act, one)
-    if problem then
-      common.fail((options.where and ("%d of %d done, then: "):format(count, #found)
-        or "") .. problem)
+    local result, problem = try(fleet, options, one)
+    if result then
+      common.write("-", line_of(options, one, result) .. "\n")
+      count = count + 1
+    elseif result ~= false and is_of_all(problem) then
+      common.fail((is_many and ("%d of %d done, then: "):format(count, #found) or "")
+        .. problem)
+    else
+      common.warn((is_many and one.text .. ": " or "") .. problem)
     end
-    count = count + (is_done and 1 or 0)
   end
   return count
 end
@@ -379,9 +380,9 @@ end
 -- Does a verb for all machines or entries that are meant, or, dry, shows them. Returns
 -- the status: 1 if one was refused.
 local function do_many(fleet, options, filter)
-  local find, act = unpack(MANY[options.verb])
+  local find = MANY[options.verb]
   local found = filter and command.ask(find, fleet, filter)
-    or command.ask(find_named, fleet, options, find)
+    or command.ask(find_named, fleet, options)
   if not found[1] then
     common.fail(("no %s is like that, so nothing was done%s"):format(find == find_dead
       and "entry" or "machine", hint_for(fleet, filter.chart, filter.state,
@@ -390,7 +391,7 @@ local function do_many(fleet, options, filter)
     print_items(found)
     return common.warn(("%d found, nothing was done"):format(#found))
   end
-  local count = do_all(fleet, options, act, found)
+  local count = do_all(fleet, options, found)
   if filter then common.warn(("%d of %d done"):format(count, #found)) end
   return count < #found and 1 or 0
 end
@@ -451,19 +452,12 @@ local LINES = {
 -- The same for those that get the options, and end the program themselves.
 local WITH_OPTIONS = { create = create_lines, push = push_lines, set = set_lines }
 
--- The verbs of both servers, and those for entries, which only this command has.
-local VERBS = { dead = { "[LIMIT]", 0 }, again = { "TAG ID", 2 },
-  drop = { "TAG ID", 2 }, list = { "", 0 } }
-for name, verb in pairs(KNOWN) do -- any order: each stands alone
-  if verb.usage then VERBS[name] = { verb.usage, verb.needs } end
-end
-
 -- Returns the verbs with their arguments, those with the same ones together, in as few
 -- lines as possible, so that the help fits a terminal.
 local function help()
   local groups, by_usage, lines = {}, {}, { "Verbs:" }
   for _, name in ipairs(rfsm.sorted_keys(VERBS)) do
-    local usage = VERBS[name][1]
+    local usage = VERBS[name].usage
     if not by_usage[usage] then
       by_usage[usage] = { usage = usage }
       groups[#groups + 1] = by_usage[usage]
@@ -538,7 +532,7 @@ end
 -- The number of arguments of a verb. A filter stands in place of KEY, or of TAG ID.
 local function check_number(options, parser)
   local name, list = options.verb, options.arguments
-  local usage, needs = unpack(VERBS[name])
+  local usage, needs = VERBS[name].usage, VERBS[name].needs
   local rest = usage:gsub("^KEY ?", ""):gsub("^TAG ID", "")
   local given = options.where and most_of(usage) - most_of(rest) or 0
   if #list + given < needs then

@@ -14,12 +14,14 @@ local keys = {}
 --- Return a text as one line.
 function keys.line(text) return (text:gsub("[\1-\31\127]", " ")) end
 
---- Return a name or a key as one line for a message: at most 80 bytes of it. No character
--- is cut in two: PostgreSQL would refuse the line.
+-- The last character of a text in UTF-8.
+local LAST = "[^\128-\191]?[\128-\191]*$"
+
+--- Return a name or a key as one line for a message: at most 80 bytes of it. PostgreSQL
+-- would refuse a part of a character.
 function keys.shown(text)
   text = tostring(text)
-  if #text > 80 then text = text:sub(1, 81):gsub("[^\128-\191]?[\128-\191]*$", "", 1) end
-  return keys.line(text)
+  return keys.line(#text > 80 and text:sub(1, 81):gsub(LAST, "", 1) or text)
 end
 
 local shown = keys.shown
