@@ -409,14 +409,15 @@ describe("rfsm fleet", function()
     ["hold k --by ann"] = { called = { "k", nil, "ann" }, result = REPLY,
       out = "k " .. NOTED },
     ["move k --by ann"] = { called = { "k", "ann" }, result = { leaf = "root.a",
-      mode = "done", outcome = "kept", errors = {} }, out = "k root.a kept (the library "
-      .. "in Redis is older: it notes no names)\n" },
+      mode = "done", outcome = "kept", errors = {} },
+      out = "k root.a kept (the library in Redis is older: it notes no names)\n" },
     ["release k --by ann"] = { called = { "k", "ann" }, result = REPLY,
       out = "k " .. NOTED },
     ["force k root.a --by ann"] = { called = { "k", "root.a", "ann" }, result = REPLY,
       out = "k " .. NOTED },
     ["remove k --by ann"] = { called = { "k", "ann" }, result = true,
       out = "k c root.b (remove)\n" },
+    ["remove bad"] = { called = { "bad" }, result = true, out = "bad (remove)\n" },
     ["dead 9"] = { called = { 9 }, result = { { tag = 0, id = "1-0", machine = "k",
       what = "done", data = "{}", deliveries = 3, error = "no stock" } },
       out = "0 1-0 k done {} x3 no stock\n" },
@@ -441,7 +442,10 @@ describe("rfsm fleet", function()
     -- Runs the command with a client that does this.
     local function with_client(act)
       local calls, client = {}, { find_tags = function() return {} end,
-        get = function() return { chart = "c", leaf = "root.b" } end,
+        get = function(_, key)
+          if key == "bad" then return nil, "ERR rfsm_get: it is no machine" end
+          return { chart = "c", leaf = "root.b" }
+        end,
         dead = function()
           return { { tag = "0", id = "1-0", machine = "k", what = "pick" } }
         end }

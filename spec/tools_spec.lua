@@ -416,7 +416,8 @@ describe("rfsm-check", function()
     local counts = "FILE: 3 configurations, 3 of 3 transitions taken, 3 steps run\n"
     checks(chart, OK .. counts, 0, "--explore")
     checks(chart, OK, 0)
-    checks(chart, OK:gsub("ok", "%0 as far as explored") .. counts:gsub("3 conf", "2 conf"):gsub("3 of", "1 of")
+    checks(chart, OK:gsub("ok", "%0 as far as explored")
+      .. counts:gsub("3 conf", "2 conf"):gsub("3 of", "1 of")
       :gsub("3 steps", "1 steps") .. "FILE: not tried: what lies behind the bound on "
       .. "configurations; unreached states, transitions not taken and whether "
       .. "properties hold are not known\nFILE: stopped by configurations = 1: depth 1,"

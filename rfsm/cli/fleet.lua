@@ -289,14 +289,15 @@ local function act(fleet, options, one)
 end
 
 -- Returns the machine at a key, as a list. It is looked at only if its line is shown:
--- also one whose chart is broken can be held.
+-- also one that is broken can be held, and removed.
 local function machine_at(fleet, options, key)
-  if not options.dry_run and options.verb ~= "remove" then
-    return { { key = key, text = key } }
+  local one = { key = key, text = key }
+  if options.dry_run or options.verb == "remove" then
+    local view, problem = fleet:get(key)
+    if options.dry_run and not view then return nil, problem end
+    one.text = view and concat({ key, view.chart, view.leaf }, " ") or key
   end
-  local view, problem = fleet:get(key)
-  return view and { { key = key, text = concat({ key, view.chart, view.leaf }, " ") } },
-    problem
+  return { one }
 end
 
 -- Returns the item that the first arguments of a verb name, as a list, and takes these
