@@ -399,8 +399,8 @@ print((table.concat(warnings, "\n"):gsub("[^\n]-:%d+: ", "")))]])))
 
   it("is named in the head of that module", function()
     for _, kind in ipairs { "state", "transition", "connector" } do
-      for field, module in pairs(advice.extension_fields(kind)) do -- any order
-        local text = helper.content(module:gsub("%.", "/") .. ".lua")
+      for field, entry in pairs(advice.extension_fields[kind]) do -- any order
+        local text = helper.content("rfsm" .. entry.name:gsub("%.", "/") .. ".lua")
         local head = text:match("^.-@module")
         assert.matches("`" .. field .. "%f[%W]", head)
       end

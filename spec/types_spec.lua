@@ -119,7 +119,7 @@ describe("the types of a model", function()
   it("have the fields that extensions read", function()
     for kind, class in pairs { state = "rfsm.State", transition = "rfsm.Edge" } do
       local fields = fields_of(class)
-      for field in pairs(advice.extension_fields(kind)) do -- any order: each alone
+      for field in pairs(advice.extension_fields[kind]) do -- any order: each alone
         assert.is_true(fields[field], field)
       end
     end

@@ -245,26 +245,19 @@ local function check_names(obj, add)
   end
 end
 
--- Returns the name of a field that only another library, or an extension that is not
--- loaded, would read, and the remedy; nil if the state has no such field.
-local function foreign_field(state, loaded)
-  local has_history = state.history == true and rfsm.is_composite(state)
-  if has_history and not loaded["rfsm.history"] then -- init tells of a text
-    return "history", "require \"rfsm.history\""
-  elseif state.type == "final" and not state.final then
-    return "type", "did you mean final = true?"
-  elseif state.type == "parallel" or state.parallel == true then
-    return state.parallel and "parallel" or "type", "did you mean rfsm.seqand{...}?"
+-- Finds a field that only another library, or an extension that is not loaded, reads.
+local function check_foreign(state, add)
+  local function note(field, remedy)
+    add("unknown-field", state, ("a state has no field '%s' (%s)"):format(field,
+      remedy))
   end
-end
-
--- Finds a field that is meant for another library, or for an extension that is not
--- loaded.
-local function check_fields(state, add)
-  local field, remedy = foreign_field(state, rawget(_G, "package").loaded)
-  if field then
-    add("unknown-field", state, "a state has no field '" .. field .. "' (" .. remedy
-      .. ")")
+  local has_history = state.history == true and rfsm.is_composite(state)
+  if has_history and not rawget(_G, "package").loaded["rfsm.history"] then
+    note("history", "require \"rfsm.history\"") -- init tells of a text
+  elseif state.type == "final" and not state.final then
+    note("type", "did you mean final = true?")
+  elseif state.type == "parallel" or state.parallel == true then
+    note(state.parallel and "parallel" or "type", "did you mean rfsm.seqand{...}?")
   end
 end
 
@@ -410,7 +403,7 @@ function structure.check(fsm, add, reached)
       check_regions(obj, add)
     end
     if rfsm.is_trans(obj) then check_transition(obj, add) end
-    if rfsm.is_state(obj) then check_fields(obj, add) end
+    if rfsm.is_state(obj) then check_foreign(obj, add) end
     check_final(fsm, obj, add)
     check_names(obj, add)
     check_callbacks(obj, add)
