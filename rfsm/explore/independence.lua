@@ -86,13 +86,10 @@ local function traits_of(own, is_timed, are_free)
   for i = #own.parts, 2, -1 do
     local part = own.parts[i]
     if part.owner.owner then add_inner(traits[part.owner], traits[part]) end
-    if traits[part].has_timer and (is_timed or part.owner.owner) then
+    if is_joinable(part.leaf)
+      or traits[part].has_timer and (is_timed or part.owner.owner) then
       traits[part].is_bound = true
     end
-  end
-  for i = 2, #own.parts do -- a join binds a region to the machine right around it
-    local part = own.parts[i]
-    traits[part].is_bound = traits[part].is_bound or is_joinable(part.leaf)
   end
   return traits
 end
