@@ -223,7 +223,7 @@ end
 ---@return rfsm.system.Report
 function System:explore(options)
   check_self(self, "explore")
-  return require("rfsm.system.report").explore(self, options)
+  return rfsm.find_module("rfsm.system.report").explore(self, options)
 end
 
 -- Public functions ------------------------------------------------------------------

@@ -546,6 +546,16 @@ describe("an interrupt", function()
       local checks = require "rfsm_checks"
       return function() return type(checks.never) end
     end, "function" },
+    ["rfsm.explore.verdict"] = { function(core)
+      local explore = require("rfsm.explore.explore").explore
+      local model = core.state { info = false, a = core.state { final = true },
+        core.trans { src = "initial", tgt = "a" } }
+      return function() return #explore(model).findings end
+    end, 0 },
+    ["a package that a module needs"] = { function()
+      local opts = require "rfsm.shared.options"
+      return function() return opts.need("rfsm.web", "posix.time").CLOCK_MONOTONIC end
+    end, 1 },
     ["rfsm.clock.simulated"] = { function()
       local clock = require "rfsm.clock"
       return function() return type(clock.simulated) end

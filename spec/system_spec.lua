@@ -790,7 +790,7 @@ return require("rfsm.system") { a = rfsm.state { info = false, warn = false,
     assert.equal(2, status)
     _, err, status = commands.run("sim --replay none examples/systems/stop/cell.lua")
     assert.matches("none: No such file", err)
-    assert.equal(1, status)
+    assert.equal(2, status)
     local file = helper.file_with "\n"
     _, err, status = commands.run("sim -q --replay " .. file
       .. " examples/systems/stop/cell.lua")

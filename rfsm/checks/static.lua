@@ -15,7 +15,7 @@ local structure = require "rfsm.checks.structure"
 local stubs = require "rfsm.shared.stubs"
 
 local error, ipairs, pairs = error, ipairs, pairs
-local require, select, setmetatable = require, select, setmetatable
+local select, setmetatable = select, setmetatable
 local table, type = table, type
 local concat = table.concat
 
@@ -159,7 +159,9 @@ local function check_machine(entry, findings, checks)
     table.insert(by_element[obj], { code = code, text = text, severity = severity })
   end
   local reached = structure.reached(fsm)
-  for _, name in ipairs(checks) do require(name).check(fsm, add, reached) end
+  for _, name in ipairs(checks) do
+    rfsm.find_module(name).check(fsm, add, reached)
+  end
   for _, obj in ipairs(elements) do
     check_silences(obj, add)
     for _, found in ipairs(by_element[obj]) do

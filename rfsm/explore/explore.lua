@@ -28,7 +28,7 @@ local timing = require "rfsm.explore.timing"
 local zones = require "rfsm.explore.zones"
 
 local assert, error, getmetatable = assert, error, getmetatable
-local ipairs, math, rawget, require = ipairs, math, rawget, require
+local ipairs, math, rawget = ipairs, math, rawget
 local setmetatable, tonumber, type = setmetatable, tonumber, type
 local concat, huge, max = table.concat, math.huge, math.max
 local os = rawget(_G, "os") or {}
@@ -961,7 +961,7 @@ function explore.explore(model, options)
   end
   local settings, problem = opts.read(KNOWN, options or {})
   if not settings then error("rfsm_checks.explore: " .. problem, 2) end
-  return require("rfsm.explore.verdict").of(model, settings)
+  return rfsm.find_module("rfsm.explore.verdict").of(model, settings)
 end
 
 return explore

@@ -19,7 +19,7 @@ local stubs = require "rfsm.shared.stubs"
 local writes = require "rfsm.shared.writes"
 
 local error, getmetatable, io, ipairs, next = error, getmetatable, io, ipairs, next
-local os, pcall, rawget, rawset, require = os, pcall, rawget, rawset, require
+local os, pcall, rawget, rawset = os, pcall, rawget, rawset
 local setmetatable, type = setmetatable, type
 local concat = table.concat
 local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
@@ -56,7 +56,7 @@ local function hint_for(text)
   local name = text:match("call a nil value %(field '(.-)'%)$")
     or text:match("call field '(.-)' %(a nil value%)$")
   if not name or rfsm[name] ~= nil then return "" end
-  return require("rfsm.advice").function_meant(name)
+  return rfsm.find_module("rfsm.advice").function_meant(name)
 end
 
 --- Return the reason why a chart cannot be used, in one line with its file; for a
@@ -102,7 +102,7 @@ local GIVEN = {
 }
 
 local function find_given(name)
-  local ok, module = pcall(require, GIVEN[name])
+  local ok, module = calls.try(rfsm.find_module, GIVEN[name])
   return ok and module or nil
 end
 

@@ -6,9 +6,10 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local try = require("rfsm.shared.calls").try
 
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
-local pcall, require, type = pcall, require, type
+local type = type
 local floor, huge = math.floor, math.huge
 local concat = table.concat
 
@@ -79,7 +80,7 @@ local ROCKS, DEBIAN = { socket = "luasocket", lxp = "luaexpat" }, { lxp = "expat
 --- Load the modules of one or two packages, and return them. If a package is missing,
 -- return nil and the problem.
 function options.find_package(name, other)
-  local ok, module = pcall(require, name)
+  local ok, module = try(rfsm.find_module, name)
   if not ok or type(module) ~= "table" then
     return nil, ("the package %s is missing (on Debian: apt-get install lua-%s)")
       :format(ROCKS[name] or name, DEBIAN[name] or name)
