@@ -708,7 +708,8 @@ describe("rfsm fleet", function()
         "m:{0}:2", "timd" },
       ["ERR rfsm_create: data: the root of the chart does not keep 'm' (there is 'n')"]
         = { "m:{0}:2", "timed", "m=4" },
-      ["ERR rfsm_create: field 'n': a number expected, got 'x'"] = { "m:{0}:2", "timed",
+      ['ERR rfsm_create: field \'n\': a number expected, got the text "x"'] = {
+        "m:{0}:2", "timed",
         "n=x" },
       ["FIELD=VALUE expected, got 'n'"] = { "m:{0}:2", "timed", "n" },
       ["'n' is there twice"] = { "m:{0}:2", "timed", "n=false", "n=2" },
@@ -722,10 +723,10 @@ describe("rfsm fleet", function()
   it("sets a field to a value of another kind only by force", function()
     local key = key_of(1)
     assert(machines:create(1, "timed"))
-    assert.equal("rfsm fleet: ERR rfsm_set: field 'n': a number expected, got 'abc' "
-      .. "(--force sets it nevertheless)\n",
+    assert.equal("rfsm fleet: ERR rfsm_set: field 'root.n': a number expected, got the "
+      .. 'text "abc" (--force sets it nevertheless)\n',
       fleet_command("set", key, "n=abc"))
-    assert.equal('m:{0}:1 root.a (set n: 0 -> "abc")\n',
+    assert.equal('m:{0}:1 root.a (set root.n: 0 -> "abc", forced)\n',
       fleet_command("set", key, "n=abc", "--force"))
     assert.equal("abc", machines:get(1).data.root.n)
     assert.matches("get takes no %-%-force", fleet_command("get", key, "--force"))
@@ -745,22 +746,23 @@ describe("rfsm fleet", function()
     local key, file = key_of(1), helper.file_with("")
     assert(machines:create(1, "timed"))
     assert(machines:send(1, "e_emit"))
-    assert.equal("m:{0}:1 root.a (set n: 1 -> 7) by ann\n",
+    assert.equal("m:{0}:1 root.a (set root.n: 1 -> 7) by ann\n",
       fleet_command("set", key, "n=7", "--by ann"))
     helper.write(file, fleet_command("pull", key))
     local fsm = assert(snapshot.load(rfsm.load(helper.file_with(TIMED)), file))
     assert.same({ "root.a", 7 }, { rfsm.get_actleaf_fqn(fsm), fsm.n })
     local read = json.decode((helper.content(file))).fleet
     assert.same({ "m:{0}:1", "timed", 3 }, { read.machine, read.chart, #read.history })
-    assert.same({ "(set n: 1 -> 7) by ann", "root.a", "root.a" },
+    assert.same({ "(set root.n: 1 -> 7) by ann", "root.a", "root.a" },
       { read.history[3].event, read.history[3].from, read.history[3].to })
     assert.equal("m:{0}:1 root.a (push) by ann\n",
       fleet_command("push", key, file, "--by ann"))
     assert.matches("^%S+ %(push%) by ann: root.a %-> root.a\n",
       fleet_command("history", key))
     assert(machines:send(1, "e_b"))
-    assert.matches("^rfsm fleet: ERR rfsm_push: the machine at 'm:{0}:1' has moved on: "
-      .. "revision %d+ expected, it has %d+\n$", fleet_command("push", key, file))
+    assert.matches("^rfsm fleet: ERR rfsm_push: the machine at 'm:{0}:1' has moved on, "
+      .. "its revision is not %d+ any more: pull it again, or set one field\n$",
+      fleet_command("push", key, file))
     helper.write(file, helper.content(file):sub(1, 90))
     assert.equal("rfsm fleet: ERR rfsm_push: file (is it cut short?): a JSON object "
       .. "expected\n", fleet_command("push", key, file))

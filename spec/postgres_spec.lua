@@ -819,8 +819,7 @@ e_tick (waits)|root.even
 (release) by postgres|root.even
 e_tick|root.odd
 (force) by bob|root.even
-(remove) by ann|root.even
-root.even|
+(remove) by ann|root.even|
 t
 f
 0
@@ -835,7 +834,7 @@ SELECT rfsm.release('1');
 SELECT rfsm.force('1', 'root.even', 'bob');
 SELECT rfsm.remove('1', 'ann') AS was_there \gset
 SELECT event, tgt FROM rfsm.history WHERE tgt IS NOT NULL ORDER BY id;
-SELECT src, tgt FROM rfsm.history WHERE tgt IS NULL;
+SELECT event, src, tgt FROM rfsm.history WHERE tgt IS NULL;
 SELECT :'was_there';
 SELECT rfsm.remove('1');
 SELECT count(*) FROM rfsm.machines;]]))
@@ -942,15 +941,16 @@ SELECT jsonb_array_length((rfsm.pull('1')::jsonb)->'fleet'->'history');]])
     assert.equal([[
 root.even
 root.odd
-ERROR:  rfsm.push: the machine at '1' has moved on: revision N expected, it has N
+ERROR:  rfsm.push: the machine at '1' has moved on, its revision is not N any more: ]]
+      .. [[pull it again, or set one field
 ERROR:  rfsm.push: file (is it cut short?): a JSON object expected
 root.even (push) by ann
-root.even (set n: 0 -> 7) by ann
+root.even (set root.n: 0 -> 7) by ann
 ERROR:  rfsm.set: no state of chart 'counter' keeps the field 'm'
 ||root.even
 e_tick|root.even|root.odd
 (push) by ann|root.odd|root.even
-(set n: 0 -> 7) by ann|root.even|root.even
+(set root.n: 0 -> 7) by ann|root.even|root.even
 4
 ]], (output:gsub("%d%d%d%d+", "N"):gsub(" %(did you mean.-%)", "")))
   end)
@@ -994,8 +994,8 @@ WARNING:  rfsm.find: no machine of chart 'counter' is in 'ood' (did you ]]
 WARNING:  rfsm.find: no machine of chart 'conter' is in 'root' (did you mean 'counter'?)
 0
 2
-ERROR:  rfsm.set: field 'n': a number expected, got 'abc' (force => true sets it ]]
-      .. "nevertheless)\n", sql [[
+ERROR:  rfsm.set: field 'root.n': a number expected, got the text "abc" (force => ]]
+      .. "true sets it nevertheless)\n", sql [[
 SELECT rfsm.create('1', 'counter') \gset
 SELECT count(*) FROM rfsm.find('counter', 'ood');
 SELECT count(*) FROM rfsm.find('conter', 'root');

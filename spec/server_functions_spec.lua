@@ -309,7 +309,7 @@ describe("a call is refused, and nothing is written:", function()
     assert.equal("ERR rfsm_create: data: the root of the chart does not keep 'colour' "
       .. "(there is 'n')",
       f.rfsm_create({ "o" }, { "c", '{"colour":1}' }).err)
-    assert.equal("ERR rfsm_create: field 'n': a number expected, got 'x'",
+    assert.equal("ERR rfsm_create: field 'n': a number expected, got the text \"x\"",
       f.rfsm_create({ "o" }, { "c", '{"n":"x"}' }).err)
     assert.equal("ERR rfsm_create: data: a JSON object expected",
       f.rfsm_create({ "o" }, { "c", "5" }).err)
@@ -1206,9 +1206,11 @@ describe("a machine that is forced", function()
     assert.equal("", written())
     load_library({ { name = "deep", make = function()
       local function pair()
-        return { a = state {}, b = state {}, trans { src = "initial", tgt = "a" } }
+        return { a = state {}, b = state { final = true },
+          trans { src = "initial", tgt = "a" } }
       end
       return state { trans { src = "initial", tgt = "c" }, c = state(pair()),
+        trans { src = "s", tgt = "c", events = { "e_done" } },
         s = rfsm.seqand { left = state(pair()), right = state(pair()) } }
     end } }, { history = 9 })
     f.rfsm_create({ "d" }, { "deep" })
@@ -1217,6 +1219,11 @@ describe("a machine that is forced", function()
     f.rfsm_force({ "d" }, { "root.s.left.b" })
     assert.matches("event,6=(force root.s.left.b),7=from,8=root.c.a,9=to,10=root.s",
       table.concat(trace, "\n"), 1, true)
+    written()
+    assert.equal("root.c.a",
+      f.rfsm_force({ "d" }, { "root.s.right.b", "BY", "ann" })[1])
+    assert.matches("event,6=(force root.s.right.b) by ann,7=from,8=root.s,9=to,"
+      .. "10=root.c.a", table.concat(trace, "\n"), 1, true)
   end)
 end)
 
@@ -1758,8 +1765,8 @@ describe("the desk", function()
     file.sum, file.data.root.count = nil, 7
     local text = json.encode(file)
     call("send", "e_b")
-    assert.matches("^ERR rfsm_push: the machine at 'm' has moved on: revision %d+ "
-      .. "expected, it has %d+$", refusal("push", old))
+    assert.matches("^ERR rfsm_push: the machine at 'm' has moved on, its revision is "
+      .. "not %d+ any more: pull it again, or set one field$", refusal("push", old))
     local revision = ("%d"):format(select(2, pull "m").fleet.revision)
     assert.same({ "root.a", "done", "(push) by ann" },
       call("push", text, revision, "BY", "ann"))
@@ -1824,9 +1831,9 @@ describe("the desk", function()
   end)
 
   it("sets fields that states keep, and says who did it", function()
-    assert.same({ "root.a", "done", "(set count: 0 -> 7) by ann" },
+    assert.same({ "root.a", "done", "(set root.count: 0 -> 7) by ann" },
       call("set", "count", "7", "BY", "ann"))
-    assert.matches("XADD .*{m}:log.*=%(set count: 0 %-> 7%) by ann",
+    assert.matches("XADD .*{m}:log.*=%(set root.count: 0 %-> 7%) by ann",
       table.concat(trace, "\n"))
     assert.equal(7, select(2, pull "m").data.root.count)
     for text, value in pairs { ['"x"'] = "x", ["[1,2]"] = { 1, 2 }, ["true"] = true,
@@ -1840,7 +1847,7 @@ describe("the desk", function()
     library { history = 10 }
     trace[1] = nil
     call("set", "count", '1', "BY", "ann")
-    assert.matches("{m}:history.*,5=event,6=%(set count: 0 %-> 1%) by ann,7=from,",
+    assert.matches("{m}:history.*,5=event,6=%(set root.count: 0 %-> 1%) by ann,7=from,",
       table.concat(trace, "\n"))
   end)
 
@@ -1855,14 +1862,15 @@ describe("the desk", function()
 
   it("refuses a value of another kind than the field has", function()
     local function of_kind(kind, got)
-      return ("ERR rfsm_set: field 'count': %s expected, got %s (--force "
+      return ("ERR rfsm_set: field 'root.count': %s expected, got %s (--force "
         .. "sets it nevertheless)"):format(kind, got)
     end
-    assert.equal(of_kind("a number", "'abc'"), refusal("set", "count", '"abc"'))
+    assert.equal(of_kind("a number", 'the text "80"'), refusal("set", "count", '"80"'))
     assert.equal(of_kind("a number", "true"), refusal("set", "count", "true", "BY",
       "ann"))
     assert.equal(of_kind("a number", "a table"), refusal("set", "count", "[1]"))
-    call("set", "count", '"abc"', "force", "BY", "ann")
+    assert.same({ "root.a", "done", '(set root.count: 0 -> "abc", forced) by ann' },
+      call("set", "count", '"abc"', "force", "BY", "ann"))
     call("set", "count", '"abd"') -- as it is now
     call("set", "count", "4")     -- as it is at first
     assert.equal(4, select(2, pull "m").data.root.count)

@@ -79,8 +79,11 @@ host.STATEMENTS = {
     coalesce(src, '') AS src, coalesce(tgt, '') AS tgt FROM rfsm.history
     WHERE key = $1 ORDER BY id DESC LIMIT $2::integer]],
   note = "INSERT INTO rfsm.history (key, event, src, tgt) VALUES ($1, $3, $2, $2)",
+  -- The trigger has noted that the row is gone.
+  removed = [[UPDATE rfsm.history SET event = $2
+    WHERE id = (SELECT max(id) FROM rfsm.history WHERE key = $1)]],
   remove = [[WITH log AS (DELETE FROM rfsm.log WHERE key = $1)
-    DELETE FROM rfsm.machines WHERE key = $1 RETURNING state]],
+    DELETE FROM rfsm.machines WHERE key = $1 RETURNING key]],
   emit = "INSERT INTO rfsm.out (key, what, data) VALUES ($1, $2, $3::jsonb)",
   log = [[WITH trimmed AS (DELETE FROM rfsm.log WHERE key = $1 AND id <= (SELECT id
       FROM rfsm.log WHERE key = $1 ORDER BY id DESC OFFSET 999 LIMIT 1))
@@ -176,9 +179,9 @@ function host.new(server, require, charts, options)
   end
 
   function verbs.remove(key, what)
-    local gone = row.execute("remove", key)[1]
-    if gone and what then row.execute("note", key, gone.state, what) end
-    return gone ~= nil
+    local is_gone = row.execute("remove", key)[1] ~= nil
+    if is_gone and what then row.execute("removed", key, what) end
+    return is_gone
   end
 
   -- Notes which counter the UPDATE of the row is to raise.

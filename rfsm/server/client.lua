@@ -32,7 +32,7 @@ local Client = {}
 ---@field errors string[] errors of callbacks during the call
 ---@field outcome string result for the events: "taken", "kept" or "dropped"; or
 --- "known", if a call with this id was made before; of an operator's call what was
---- done, as it is in the history: "(set n: 1 -> 2) by ann"
+--- done, as it is in the history: "(set root.n: 1 -> 2) by ann"
 
 --- Return an id that no other client has.
 ---@return string id

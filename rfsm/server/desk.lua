@@ -76,23 +76,24 @@ local function check(key, list, about, revision)
     fail("the file has the machine at '%s' (to put it into '%s', give its revision)",
       shown(about.machine), shown(key))
   end
-  local expected, found = revision or about.revision, desk.revision_of(list)
-  if rfsm.number_of(expected) ~= found then
-    fail("the machine at '%s' has moved on: revision %s expected, it has %d",
-      shown(key), shown(expected), found)
+  local expected = revision or about.revision
+  if rfsm.number_of(expected) ~= desk.revision_of(list) then
+    fail("the machine at '%s' has moved on, its revision is not %s any more: pull it "
+      .. "again, or set one field", shown(key), shown(expected))
   end
 end
 
 -- Set ------------------------------------------------------------------------------
 
--- Returns a table: the path of each kept field -> its state and its name.
+-- Returns a table: the path of each kept field -> the path, its state and its name.
 local function kept_fields(fsm)
   local fields = {}
   for _, at in ipairs(rfsm.machines(fsm)) do
     for _, state in ipairs(rfsm.elements(at.machine, rfsm.is_state)) do
       for _, name in ipairs(type(state.keep) == "table" and state.keep or {}) do
         local path = at.prefix .. state._fqn:sub(5) .. "." .. rfsm.text_of(name)
-        fields[path] = { state = state, name = name, prefix = at.prefix }
+        fields[path] = { path = path, state = state, name = name,
+          prefix = at.prefix }
       end
     end
   end
@@ -142,7 +143,7 @@ function desk.check_kind(name, value, first, own, hint)
     return
   end
   local got = type(value) == "table" and "a table"
-    or type(value) == "string" and "'" .. shown(value) .. "'" or rfsm.text_of(value)
+    or (type(value) == "string" and "the text " or "") .. text_of(value)
   fail("field '%s': %s expected, got %s%s", shown(name), KINDS[type(first)], got, hint)
 end
 
@@ -189,13 +190,14 @@ function desk.add(functions, own)
     local machine = own.load_machine(key, own.read(key))
     local field = find_field(machine.chart, args[1] or "")
     local before = field.state[field.name]
-    if args[3] ~= "force" then
-      desk.check_kind(args[1], value, first_value(machine.chart, field), before,
+    local is_forced = args[3] == "force"
+    if not is_forced then
+      desk.check_kind(field.path, value, first_value(machine.chart, field), before,
         (" (%s sets it nevertheless)"):format(own.FORCE))
     end
     field.state[field.name] = value
-    own.note(machine, ("(set %s: %s -> %s)%s"):format(shown(args[1]),
-      text_of(before), text_of(value), by))
+    own.note(machine, ("(set %s: %s -> %s%s)%s"):format(shown(field.path),
+      text_of(before), text_of(value), is_forced and ", forced" or "", by))
     machine.outcome = "kept"
     return own.save(machine)
   end

@@ -698,7 +698,10 @@ function functions.rfsm_force(keys, args)
   local machine = load_machine(key, read(key))
   times.set(false)
   note(machine, charts.force(machine.chart, args[1] or "") .. by)
+  local moves = machine.moves
+  local count = #moves
   machine.outcome = step(machine, TIME) and "taken" or "kept"
+  if moves[count + 1] then moves[count + 1].by = machine.said end
   return save(machine)
 end
 
