@@ -46,7 +46,7 @@ local function is_positive(x) return type(x) == "number" and x > 0 end
 
 local OPTIONS = {
   name = { "text", opts.is_text, "machine" },
-  tags = { "a whole number from 1 to 16384", opts.is_whole(1, 16384), 64 },
+  tags = opts.whole(1, 16384, 64),
   timeout = { "seconds above 0", is_positive, 5 },
   patience = { "seconds", opts.is_seconds, 10 },
   tls = { "table", opts.is_a "table" },
@@ -587,9 +587,9 @@ local function each_entry(work, f)
 end
 
 local WORK = {
-  count = { "a whole number", opts.is_whole(1, 1e6), 100 },
+  count = opts.whole(1, 1e6, 100),
   idle = { "milliseconds", opts.is_seconds, 30000 },
-  tries = { "a whole number", opts.is_whole(1, 1000), 5 },
+  tries = opts.whole(1, 1000, 5),
 }
 
 -- Returns a list with the work of a worker on each hash tag.

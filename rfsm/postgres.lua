@@ -52,7 +52,7 @@ local ASIDE = "UPDATE rfsm.machines SET due = clock_timestamp() + interval '1 mi
 ---@class rfsm.postgres.Charts
 ---@field answer function calls a function such as "rfsm_tick" for a machine
 
-local NUMBER = { "a whole number", opts.is_whole(1, 1e6), nil }
+local NUMBER = opts.whole(1, 1e6)
 local CHART_OPTIONS = { ids = NUMBER, ids_for = NUMBER,
   history = { "boolean", opts.is_a "boolean" } }
 
@@ -139,7 +139,7 @@ local function query(self, sql, ...)
   return rows
 end
 
-local is_limit = opts.is_whole(1, 10000)
+local LIMIT = opts.whole(1, 10000)
 
 local OPTIONS = {
   patience = { "seconds", opts.is_seconds, 10 },
@@ -342,8 +342,8 @@ end
 ---@return integer failed machines that were put aside
 function Client:wake(limit)
   limit = limit or 100
-  if not is_limit(limit) then
-    error("rfsm.postgres.wake: a whole number expected, " .. opts.got(limit), 2)
+  if not LIMIT[2](limit) then
+    error(("rfsm.postgres.wake: %s expected, %s"):format(LIMIT[1], opts.got(limit)), 2)
   end
   local counts, key = { woken = 0, failed = 0 }, nil
   for i = 0, limit do
@@ -444,9 +444,9 @@ local function ask_about(self, name, number, ...)
 end
 
 local WORK = {
-  count = { "a whole number", opts.is_whole(1, 1e6), 1 },
+  count = opts.whole(1, 1e6, 1),
   lease = { "seconds", opts.is_seconds, 30 },
-  tries = { "a whole number", opts.is_whole(1, 1000), 5 },
+  tries = opts.whole(1, 1000, 5),
 }
 
 local function take(self, where, options)

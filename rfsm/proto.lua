@@ -44,7 +44,7 @@ local OPTIONS = {
   max_received = { "bytes from 64 to 65507", is_whole(64, 65507), 4096 },
   max_silence = { "finite number of seconds, not below 0", is_seconds, 3 },
   max_subscribers = { "whole number from 1 on", is_whole(1, huge), 16 },
-  port = { "whole number from 0 to 65535", is_whole(0, 65535), 44044 },
+  port = opts.whole(0, 65535, 44044),
   read_timeout = { "finite number of seconds, not below 0", is_seconds, 0 },
 }
 

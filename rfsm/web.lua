@@ -40,7 +40,7 @@ local OPTIONS = {
   history = { "boolean", is_boolean, false },
   host = { "name or address", opts.is_text, "127.0.0.1" },
   machine = { "whole number from 1 on", opts.is_whole(1, huge) },
-  port = { "whole number from 0 to 65535", opts.is_whole(0, 65535), 8044 },
+  port = opts.whole(0, 65535, 8044),
   stub = { "boolean", is_boolean, false },
   title = { "text or list of texts", is_title },
 }

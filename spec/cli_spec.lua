@@ -110,13 +110,20 @@ describe("the usage of rfsm", function()
     ["check -o x x.lua"] = "-o and --callbacks need --tests busted",
     ["check --callbacks x.lua"] = "-o and --callbacks need --tests busted",
     ["redis"] = "a chart expected",
-    ["redis --ids 0 x"] = "--ids: whole number above 0 expected, got '0'",
+    ["redis --ids 0 x"]
+      = "--ids: whole number from 1 to 1000000 expected, got '0'",
     ["redis --ids 1000001 x"]
-      = "--ids: whole number above 0 expected, got '1000001'",
+      = "--ids: whole number from 1 to 1000000 expected, got '1000001'",
     ["redis --history 1.5 x"]
-      = "--history: whole number above 0 expected, got '1.5'",
+      = "--history: whole number from 1 to 1000000 expected, got '1.5'",
     ["postgres --ids-for x y"]
-      = "--ids-for: whole number above 0 expected, got 'x'",
+      = "--ids-for: whole number from 1 to 1000000 expected, got 'x'",
+    ["postgres --history-days 1e20 x"]
+      = "--history-days: whole number from 1 to 1000000 expected, got '1e20'",
+    ["fleet --tags 16385 x get k"]
+      = "--tags: whole number from 1 to 16384 expected, got '16385'",
+    ["fleet --if-version=-1 x push k f"] = "--if-version: whole number from 0 to "
+      .. "9007199254740992 expected, got '-1'",
     ["web x.lua 8080"] = "one FILE expected, got '8080', too (the port is an "
       .. "option: -p 8080)",
     ["web x.lua y.lua"] = "one FILE expected, got 'y.lua', too",
@@ -403,6 +410,9 @@ describe("rfsm fleet", function()
       is_held = false }, out = 'data: {"n":1}\nis_held: false\nleaf: root.a\n' },
     ["history k 2"] = { called = { "k", "2" }, result = { { time = 1.5, event = "e_x",
       from = "root.a", to = "root.b" } }, out = "1.500 e_x: root.a -> root.b\n" },
+    ["history k"] = { called = { "k" }, result = { { time = 1, from = "root.a",
+      event = '{"id":"b8","name":"e_batch"} e_x', to = "root.a" } },
+      out = '1.000 e_batch{id="b8"} e_x: root.a -> root.a\n' },
     ["why k e_x"] = { called = { "k", "e_x" }, result = { "one", "two" },
       out = "one\ntwo\n" },
     ["send k e_x"] = { called = { "k", "e_x" }, result = REPLY, out = REPLIED },

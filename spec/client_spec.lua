@@ -177,9 +177,9 @@ describe("the client of a fleet", function()
 
   for _, case in ipairs {
     { options = { tags = 0 },
-      text = "tags: a whole number from 1 to 16384 expected, got 0" },
+      text = "tags: whole number from 1 to 16384 expected, got 0" },
     { options = { tags = 16385 },
-      text = "tags: a whole number from 1 to 16384 expected, got 16385" },
+      text = "tags: whole number from 1 to 16384 expected, got 16385" },
     { options = { timeout = 0 }, text = "timeout: seconds above 0 expected, got 0" },
     { options = { timeout = "1" },
       text = "timeout: seconds above 0 expected, got string '1'" },
@@ -445,11 +445,14 @@ describe("a worker", function()
   end
 
   for _, case in ipairs {
-    { options = { count = 0 }, text = "count: a whole number expected, got 0" },
-    { options = { count = 1000001 }, text = "count: a whole number expected, got "
-      .. "1000001" },
-    { options = { tries = 0 }, text = "tries: a whole number expected, got 0" },
-    { options = { tries = 1001 }, text = "tries: a whole number expected, got 1001" },
+    { options = { count = 0 }, text = "count: whole number from 1 to "
+      .. "1000000 expected, got 0" },
+    { options = { count = 1000001 }, text = "count: whole number from 1 to "
+      .. "1000000 expected, got 1000001" },
+    { options = { tries = 0 }, text = "tries: whole number from 1 to 1000 "
+      .. "expected, got 0" },
+    { options = { tries = 1001 }, text = "tries: whole number from 1 to 1000 "
+      .. "expected, got 1001" },
     { options = { idle = -1 }, text = "idle: milliseconds expected, got -1" },
   } do
     it("refuses " .. case.text, function()

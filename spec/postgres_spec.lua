@@ -417,7 +417,8 @@ SELECT event, src, tgt FROM rfsm.history ORDER BY id;]]))
     end) })
     assert.equal(2, client:get("1").data.root.n)
     assert.is_false(client:drop(1))
-    assert.same({ false, "rfsm.postgres.take: tries: a whole number expected, got 0" },
+    assert.same({ false, "rfsm.postgres.take: tries: whole number from 1 to 1000 "
+      .. "expected, got 0" },
       { false, (helper.refusal(client.take, client, { tries = 0 })) })
   end)
 

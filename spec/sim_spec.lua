@@ -806,7 +806,7 @@ describe("a recording", function()
     snap.fleet = { machine = "m:{0}:1", chart = "c", revision = 5, history = {
       { time = 0, event = "e_old", from = "root.gone", to = "root.a" },
       { time = 0, event = "", from = "", to = "root.a" },
-      { time = 60.5, event = "e_b", from = "root.a", to = "root.b" } } }
+      { time = 60.5, event = '{"name":"e_b","n":1}', from = "root.a", to = "root.b" } } }
     assert(snapshot_file.write(file, snap))
     local out, complaints, status = sim("-q --from " .. file .. " " .. chart,
       "history\nback\nprint(fsm.n)\nwhy e_b\nback\nforward 2\nforward\nwhy e_b\n"
@@ -817,7 +817,7 @@ m:{0}:1: 2 moves in its history ('back' goes there; the data there are those of 
 active: root.b(done)
 queue:
    1  1970-01-01 00:00:00             root.a(done)
-   2  1970-01-01 00:01:00 e_b         root.b(done)
+   2  1970-01-01 00:01:00 e_b{n=1}    root.b(done)
 active: root.a(done)
 queue:
 7

@@ -11,6 +11,7 @@ local rfsm_checks = require "rfsm_checks"
 local share = require "spec.support.share"
 local snapshot = require "rfsm.snapshot"
 local stream = require "rfsm.observe.stream"
+require "rfsm_timeevent"
 
 local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
 
@@ -331,6 +332,26 @@ describe("the way back", function()
     way:go(0)
     assert.same(snap, snapshot.take(fsm))
   end)
+
+  it("does not lead to a place at which the clock failed, and leaves the machine",
+    function()
+      local is_wrong = false
+      local way, fsm = new_way(nil, { gettime = function()
+        if is_wrong then error("time is up", 0) end
+        return 1, 0
+      end, late = rfsm.trans { src = "a", tgt = "m", events = { "e_after(9)" } } })
+      is_wrong = true
+      way:leave()
+      is_wrong = false
+      helper.post_and_run(fsm, "e_b")
+      go_on(way, fsm, "e_a")
+      local snap = snapshot.take(fsm)
+      assert.same({ false, "rfsm_timeevent: the clock failed: time is up" },
+        { way:go(0) })
+      assert.same({ snap, 2 }, { snapshot.take(fsm), way.at })
+      way:go(1)
+      assert.equal("root.m.b", leaf(fsm))
+    end)
 
   it("forgets what was undone once the machine goes on", function()
     local way, fsm = new_way()

@@ -50,6 +50,18 @@ describe("a typed event", function()
     end)
   end
 
+  for text, shown in pairs { -- any order: each stands alone
+    ['{"name":"e_paid","amount":12}'] = "e_paid{amount=12}",
+    ['{"x":"a } b","name":"e_x"} (waits)'] = 'e_x{x="a } b"} (waits)',
+    ['e_a {"name":"e_b"} {"name":"e_c","n":{"m":1}}'] = "e_a e_b{} e_c{n={m=1}}",
+    ["e_x{y"] = "e_x{y", ['{"name":7}'] = '{"name":7}', ["e_x"] = "e_x",
+    ['(hold: {"name":"e_x"}) by ann'] = '(hold: {"name":"e_x"}) by ann',
+  } do
+    it("is shown in a history: " .. shown, function()
+      assert.equal(shown, typed.shown(text))
+    end)
+  end
+
   it("is one word of a line", function()
     assert.same({ "e_a", "e_paid{a = 1, b = {2}}", "e_b {c=3}", "7" },
       typed.split " e_a, e_paid{a = 1, b = {2}} e_b {c=3} ,7")

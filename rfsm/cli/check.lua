@@ -35,8 +35,8 @@ function check.add_arguments(command)
   command:flag("--static", "do not explore: check the structure only")
   common.add_number(command, "-k --together", "events in one step, at most")
   common.add_number(command, "--configurations", "explore so many, at most (10000)")
-  common.add_number(command, "--seconds", "explore so long, at most", opts.is_seconds,
-    "seconds")
+  common.add_number(command, "--seconds", "explore so long, at most", { "seconds",
+    opts.is_seconds })
   command:flag("--no-overlap", "a system: moves do not cross"):hidden(true)
   command:option("--deployed", "what is not as a system says: .xml, .ops, .lua")
     :argname("FILE")

@@ -166,17 +166,16 @@ end
 
 -- Options ---------------------------------------------------------------------
 
-local is_count = opts.is_whole(1, math.huge)
-
--- Adds an option that takes a number. The number has to satisfy `is_right`; by default
+-- Adds an option that takes a number. `expected` is what `opts.read` takes; by default
 -- it has to be a whole number above 0.
-function common.add_number(command, names, description, is_right, expected)
+function common.add_number(command, names, description, expected)
+  expected = expected or opts.whole()
   local add = names:find(" ") and common.add_option or command.option
   return add(command, names, description):argname("N"):convert(function(text)
     local number = rfsm.number_of(text)
-    if number and (is_right or is_count)(number) then return number end
-    return nil, ("%s: %s expected, got '%s'"):format(names:match("%S+"),
-      expected or "whole number above 0", text)
+    if number and expected[2](number) then return number end
+    return nil, ("%s: %s expected, got '%s'"):format(names:match("%S+"), expected[1],
+      text)
   end)
 end
 
@@ -185,7 +184,7 @@ end
 common.CHART_NAMES = "The name of a chart is that of its file; NAME=FILE gives another "
   .. "one. Of charts with one name the last is the newest."
 
-common.is_size = opts.is_whole(1, 1e6) -- for the length of a list that a server keeps
+common.SIZE = opts.whole(1, 1e6) -- for the length of a list that a server keeps
 
 -- Adds the arguments for a library of charts: the files, and how many ids of events it
 -- keeps, and for how long.
@@ -193,9 +192,9 @@ function common.add_charts(command)
   command:argument("files", "Lua files that return a chart"):args("*")
     :argname("[NAME=]FILE"):convert(with_slashes)
   common.add_number(command, "--ids", "keep so many ids of events of each machine, "
-    .. "default 16; with --ids-for 1000", common.is_size)
+    .. "default 16; with --ids-for 1000", common.SIZE)
   common.add_number(command, "--ids-for", "keep ids of events for so many seconds",
-    common.is_size):argname("S")
+    common.SIZE):argname("S")
 end
 
 -- Returns the text of a library, which bundle(files, settings) makes. If a chart is

@@ -7,6 +7,7 @@ local advice = require "rfsm.advice"
 local chart = require "rfsm.shared.chart"
 local codec = require "rfsm.server.codec"
 local common = require "rfsm.cli.common"
+local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 local typed = require "rfsm.shared.typed"
 local verbs = require "rfsm.server.verbs"
@@ -99,7 +100,8 @@ end
 local function history_lines(fleet, key, count)
   local moves, problem = list_of("history", fleet, key, count)
   for i, move in ipairs(moves or {}) do
-    local by = move.from == "" and "(create):" or move.event .. ": " .. move.from
+    local by = move.from == "" and "(create):"
+      or typed.shown(move.event) .. ": " .. move.from
     moves[i] = ("%s %s -> %s"):format(rfsm.number_text(move.time, "%.3f"), by, move.to)
   end
   return moves, problem
@@ -494,12 +496,13 @@ function command.add_arguments(parser)
   parser:argument("verb", "what to do, see below"):convert(verb_of):argname("VERB")
   parser:argument("arguments", "of the verb; KEY is a whole key, with its {tag}")
     :args("*"):argname("ARGUMENT")
-  common.add_number(parser, "--tags", "hash tags of short keys (64)")
+  common.add_number(parser, "--tags", "hash tags of short keys (64)",
+    opts.whole(1, 16384))
   parser:option("--where", "many: key= chart= state= version= age= held= reason=")
     :argname("FILTER"):convert(filter_of)
   parser:flag("--dry-run", "show what is meant, do nothing")
   common.add_number(parser, "--if-version", "push: refuse another revision",
-    function(number) return number >= 0 and number % 1 == 0 end)
+    opts.whole(0, 2 ^ 53))
   parser:option("--by", "who changes it, for the history (you)"):argname("NAME")
   parser:flag("--force", "set: take a value of another kind")
 end

@@ -21,7 +21,8 @@ function postgres.add_arguments(command)
     :argname("DATABASE")
   command:flag("--client", "only tables, for rfsm.postgres, without PL/Lua")
   command:flag("--history", "keep the moves of each machine in a table")
-  common.add_number(command, "--history-days", "workers remove moves that are older")
+  common.add_number(command, "--history-days", "workers remove moves that are older",
+    common.SIZE)
   command:flag("--notify", "report moves to those who LISTEN")
 end
 

@@ -20,7 +20,7 @@ function redis.add_arguments(command)
     :argname("URL")
   command:flag("--index", "machines can be found by their state")
   common.add_number(command, "--history", "keep so many moves of each machine",
-    common.is_size)
+    common.SIZE)
   command:flag("--diff", "report what new versions mean for saved machines")
   command:option("--stats", "print the numbers of machines there, for Prometheus")
     :argname("URL")

@@ -19,7 +19,7 @@ function web.add_arguments(command)
     :argname("HOST:PORT")
   common.add_number(command, "-m --machine", "with -a: its number at that port (all)")
   common.add_number(command, "-p --port", "of the page; 0 is one that is free",
-    opts.is_whole(0, 65535), "whole number from 0 to 65535"):default("8044")
+    opts.whole(0, 65535)):default("8044")
   command:option("--host", "the address of the page", "127.0.0.1"):argname("HOST")
 end
 

@@ -602,7 +602,7 @@ function Walk.look() end
 
 local function is_number(x) return type(x) == "number" and x >= 0 end
 
-local is_count, is_boolean = opts.is_whole(1, huge), opts.is_a "boolean"
+local is_boolean = opts.is_a "boolean"
 
 local function is_period(x) return opts.is_seconds(x) and x > 0 end
 
@@ -642,14 +642,14 @@ local function check_classes(classes)
 end
 
 local KNOWN = {
-  together = { "whole number above 0", is_count },
-  configurations = { "whole number above 0", is_count, 1e6 },
+  together = opts.whole(),
+  configurations = opts.whole(1, nil, 1e6),
   depth = { "number", is_number, huge },
   seconds = { "number", is_number, huge },
   alphabet = { "list", opts.is_list },
   sends = { "table of lists", replacements.check_sends, {} },
-  pending = { "whole number above 0", is_count, 4 },
-  deferred = { "whole number above 0", is_count, 4 },
+  pending = opts.whole(1, nil, 4),
+  deferred = opts.whole(1, nil, 4),
   dry_run = { "boolean", is_boolean, false },
   multiply = { "boolean", is_boolean, false },
   classes = { "table of lists", check_classes },

@@ -30,6 +30,14 @@ function options.is_whole(least, most)
   end
 end
 
+--- Return the option of a whole number from `least` (1) to `most` (any), for `read`.
+function options.whole(least, most, default)
+  least, most = least or 1, most or huge
+  local bounds = most < huge and ("from %d to %d"):format(least, most)
+    or least == 1 and "above 0" or ("from %d on"):format(least)
+  return { "whole number " .. bounds, options.is_whole(least, most), default }
+end
+
 --- Is the value a finite number of seconds, not below 0?
 function options.is_seconds(x) return type(x) == "number" and x >= 0 and x < huge end
 

@@ -6,6 +6,8 @@
 -- @module rfsm.shared.typed
 -- @license BSD-3-Clause
 
+local rfsm = require "rfsm"
+
 local error, pcall, select = error, pcall, select
 local tonumber, tostring, type = tonumber, tostring, type
 local char, floor, max = string.char, math.floor, math.max
@@ -254,6 +256,22 @@ function typed.read(text)
       or "got " .. type(event.name))
   end
   return event
+end
+
+--- Return the text of a history, in which events with data are JSON, with these as tools
+--- show them. What a person has done, which is in parentheses, stays as it is.
+---@param text string
+---@return string
+function typed.shown(text)
+  local from, rest = text:find "{", nil
+  if not from or text:find "^%(" then return text end
+  local event = read_all(text:sub(from), #text, function(reader)
+    local value = read_value(reader, 1)
+    rest, reader.at = reader.text:sub(reader.at), #reader.text + 1
+    return value
+  end)
+  if not rfsm.name_with_data(event) then return text end
+  return text:sub(1, from - 1) .. rfsm.event_text(event, true) .. typed.shown(rest)
 end
 
 --- Split a line into words at blanks and commas. What is in braces behind a word is a

@@ -14,6 +14,7 @@ local replay = require "rfsm.record.replay"
 local rewind = require "rfsm.observe.rewind"
 local snapshot = require "rfsm.snapshot"
 local tracks = require "rfsm.record.track"
+local typed = require "rfsm.shared.typed"
 
 local error, io, ipairs, os, type = error, io, ipairs, os, type
 local floor, max, min = math.floor, math.max, math.min
@@ -180,7 +181,8 @@ local function go_through(sim, snap, moves)
   for _, move in ipairs(moves) do
     if calls.try(put, sim, snap_in(snap, move.from)) then
       history.mark(sim)
-      sim.came = { os.date("!%Y-%m-%d %H:%M:%S ", floor(move.time)) .. move.event }
+      sim.came = { os.date("!%Y-%m-%d %H:%M:%S ", floor(move.time))
+        .. typed.shown(move.event) }
       count = count + 1
     else
       history.start(sim)

@@ -17,8 +17,8 @@ local stubs = require "rfsm.shared.stubs"
 local subject = require "rfsm.explore.subject"
 
 local error, getmetatable, ipairs = error, getmetatable, ipairs
-local math, pairs = math, pairs
-local pcall, rawget, rawset, require = pcall, rawget, rawset, require
+local pairs, pcall, rawget = pairs, pcall, rawget
+local rawset, require = rawset, require
 local select, setmetatable = select, setmetatable
 local table, type = table, type
 local concat = table.concat
@@ -105,7 +105,7 @@ local KNOWN = {
   callbacks = { "boolean", opts.is_a "boolean", false },
   fakes = { "table", opts.is_a "table", {} },
   stub = { "boolean", opts.is_a "boolean", false },
-  machine = { "whole number above 0", opts.is_whole(1, math.huge) },
+  machine = opts.whole(),
 }
 
 -- Returns the model in a file; raises an error if there is none.

@@ -92,19 +92,34 @@ local function check_new_way(sim, random, places)
   return check_place(sim, places, "the end")
 end
 
+-- What was raised in the clock, a callback, is its failure: the place has no snapshot
+-- then, and the machine stays where it is. "interrupted!" is never taken for a failure.
+local function check_lost(sim, number, value)
+  local problem, before = sim.history[number].problem, drive.place(sim.fsm)
+  local _, failure = pcall(sim.env.go_to, number)
+  if value == "interrupted!" or problem ~= "rfsm_timeevent: the clock failed: "
+    .. rfsm.text_of(value) or failure ~= "goto: " .. problem then
+    return ("%s: a place without snapshot, %s, %s"):format(rfsm.text_of(value), problem,
+      rfsm.text_of(failure))
+  end
+  return drive.place(sim.fsm) ~= before and "goto failed, and changed the machine"
+end
+
+local function check_back(sim, places, last, value)
+  if sim.history[last].problem then return check_lost(sim, last, value) end
+  sim.env.go_to(last)
+  return check_place(sim, places, "interrupted, then back to")
+end
+
 -- Goes back after an advance that was interrupted anywhere, and reset by chance.
 local function check_interrupted(sim, random)
   for _ = 1, 8 do
     local places, way = { [sim.history.at] = drive.place(sim.fsm) }, sim.history
-    local last = way.at
-    interrupts.raise_anywhere(random(3000), random:pick(interrupts.VALUES), sim.env.ses,
-      random:pick(drive.EVENTS))
+    local last, at, value = way.at, random(3000), random:pick(interrupts.VALUES)
+    interrupts.raise_anywhere(at, value, sim.env.ses, random:pick(drive.EVENTS))
     if random:chance(30) then sim.env.reset() end
-    if way.at > last then
-      sim.env.go_to(last)
-      local problem = check_place(sim, places, "interrupted, then back to")
-      if problem then return problem end
-    end
+    local problem = way.at > last and check_back(sim, places, last, value)
+    if problem then return problem end
     pcall(sim.env.step, 5)
   end
 end
