@@ -806,7 +806,8 @@ describe("a recording", function()
     snap.fleet = { machine = "m:{0}:1", chart = "c", revision = 5, history = {
       { time = 0, event = "e_old", from = "root.gone", to = "root.a" },
       { time = 0, event = "", from = "", to = "root.a" },
-      { time = 60.5, event = '{"name":"e_b","n":1}', from = "root.a", to = "root.b" } } }
+      { time = 60.5, event = '{"name":"e_b","n":1}', from = "root.a",
+        to = "root.b" } } }
     assert(snapshot_file.write(file, snap))
     local out, complaints, status = sim("-q --from " .. file .. " " .. chart,
       "history\nback\nprint(fsm.n)\nwhy e_b\nback\nforward 2\nforward\nwhy e_b\n"

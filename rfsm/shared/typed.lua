@@ -258,7 +258,7 @@ function typed.read(text)
   return event
 end
 
---- Return the text of a history, in which events with data are JSON, with these as tools
+--- Return the text of a history, whose events with data are JSON, with these as tools
 --- show them. What a person has done, which is in parentheses, stays as it is.
 ---@param text string
 ---@return string
