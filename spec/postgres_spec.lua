@@ -895,13 +895,16 @@ rfsm_version_machines{chart="lamp",version="V"} 1
   end)
 
   it("finds those that are held", function()
-    assert.equal("2\n1 3\n0\n", sql([[
+    assert.equal("2\n1 3\n2\n0\n", sql([[
 SELECT count(rfsm.create(i::text, 'counter')) FROM generate_series(1, 3) i \g /dev/null
 SELECT rfsm.send_at('3', now() + interval '1 h', 'e_tick', 'x') \g /dev/null
-SELECT rfsm.hold('2') \g /dev/null
+SELECT rfsm.hold('2', 'shelf 7') \g /dev/null
 SELECT key FROM rfsm.machines WHERE rfsm.is_held(value);
 SELECT string_agg(key, ' ' ORDER BY key) FROM rfsm.machines
   WHERE NOT rfsm.is_held(value);
+SELECT rfsm.hold('3', 'shelf 8') \g /dev/null
+SELECT key FROM rfsm.machines WHERE rfsm.is_held(value) AND 'shelf 7' =
+  (SELECT g.value FROM rfsm.get(key) g WHERE g.name = 'held_because');
 SELECT rfsm.release(key) FROM rfsm.machines WHERE rfsm.is_held(value) \g /dev/null
 SELECT count(*) FROM rfsm.machines WHERE rfsm.is_held(value);]]))
   end)
