@@ -12,6 +12,7 @@ local record = require "rfsm.record"
 local rfsm = require "rfsm"
 local share = require "spec.support.share"
 local snapshot = require "rfsm.snapshot"
+require "rfsm.history"
 require "rfsm.defer"
 require "rfsm.faults"
 local timeevent = require "rfsm_timeevent"
@@ -1099,6 +1100,45 @@ describe("a guard in a replay", function()
       guards = true }))
     assert.equal("root.c", rfsm.get_actleaf_fqn(again))
   end)
+end)
+
+describe("targets that a history has set", function()
+  -- Further states and transitions stand in front of the others, or behind them.
+  local function model(at)
+    local list = { info = false, warn = false, idle = state {}, more = state {},
+      a = state { history = "deep", x = state {}, y = state {},
+        trans { src = "initial", tgt = "x" },
+        trans { src = "x", tgt = "y", events = { "e_y" } } },
+      trans { src = "initial", tgt = "idle" },
+      trans { src = "idle", tgt = "a", events = { "e_a" } },
+      trans { src = "a", tgt = "idle", events = { "e_idle" } } }
+    if at then
+      table.insert(list, at, trans { src = "idle", tgt = "more", events = { "e_m" } })
+    end
+    return state(list)
+  end
+
+  local sink = {}
+  local fsm = helper.started(model())
+  record.record(fsm, sink)
+  for _, event in ipairs { "e_a", "e_y", "e_idle" } do
+    helper.post_and_run(fsm, event)
+  end
+
+  for _, dry in ipairs { false, true } do
+    local options = { migrate = true, dry = dry }
+
+    it("are set again if they have their numbers, dry: " .. tostring(dry), function()
+      local again = assert(record.replay(model(4), sink, options))
+      helper.post_and_run(again, "e_a")
+      assert.equal("root.a.y", rfsm.get_actleaf_fqn(again))
+    end)
+
+    it("are not given to others, dry: " .. tostring(dry), function()
+      assert.same({ false, "step 1: the targets of transitions are not as they were" },
+        { record.replay(model(2), sink, options) })
+    end)
+  end
 end)
 
 describe("two guards in an iteration", function()

@@ -11,6 +11,7 @@ local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 local instrument = require "rfsm.shared.instrument"
 local match = require "rfsm.shared.match"
+local migrate = require "rfsm.snapshot.migrate"
 local tracks = require "rfsm.record.track"
 
 local error, ipairs, pcall = error, ipairs, pcall
@@ -203,6 +204,8 @@ end
 
 local function values_of(packed) return packed and encoding.unpack(packed, 0) or {} end
 
+local TARGETS = "the targets of transitions are not as they were"
+
 -- Returns a text about the first difference between recorded data and present data.
 local function difference(old, new)
   for _, part in ipairs { "data", "saved" } do
@@ -216,7 +219,7 @@ local function difference(old, new)
     end
   end
   return same(old.targets, new.targets) and "there is data that was not there"
-    or "the targets of transitions are not as they were"
+    or TARGETS
 end
 
 -- Returns packed events as they are compared: the traceback of a fault has lines of the
@@ -265,15 +268,25 @@ local function compare_counts(session)
   end
 end
 
+-- Gives a machine its recorded data. Targets are noted by the numbers of transitions. A
+-- chart that has changed may have given these to others, so nobody sets its targets.
+local function put_data(session, fsm, kept)
+  local targets = session.has_changed and snapshot.take_data(fsm).targets
+  if session.has_changed and not same(kept.targets, targets) then
+    return depart(session, TARGETS)
+  end
+  snapshot.put_data(fsm, kept)
+end
+
 -- Does in a dry run what callbacks had done: the queue and the data become what they
 -- were.
 local function do_again(session, track)
   local rec, sent, _, waiting = track.rec, tracks.sent_in(track, 1, 0)
   fill(session, sent, rec.sent)
   replace(track.fsm._intq, tracks.queue_of(sent, rec.ahead or 0, waiting))
-  if rec.kept then snapshot.put_data(track.fsm, rec.kept) end
+  if rec.kept then put_data(session, track.fsm, rec.kept) end
   for i = 1, rec.regions and #rec.regions or 0, 2 do
-    snapshot.put_data(session.tracks[rec.regions[i] + 1].fsm, rec.regions[i + 1])
+    put_data(session, session.tracks[rec.regions[i] + 1].fsm, rec.regions[i + 1])
   end
 end
 
@@ -411,6 +424,7 @@ local function go_through(session, header)
     session.fsm, session.problem = nil, problem
     return
   end
+  session.has_changed = migrate.changes(session.fsm, header.snapshot) == "structure"
   if session.options.watch then session.options.watch(session.fsm) end
   look_ahead(session)
   run(session, session.tracks[1])

@@ -393,7 +393,7 @@ end
 
 -- Compares a snapshot with the charts of a machine and its regions. Returns the gravest
 -- change ("structure", "kept" or nil), and a table prefix -> change.
-local function changes(fsm, snap)
+function migrate.changes(fsm, snap)
   local most, by_prefix, count = nil, {}, 0
   for _ in each(snap.regions or NONE) do count = count + 1 end -- any order: counted
   for _, at in ipairs(shape.of(fsm).places) do
@@ -405,6 +405,8 @@ local function changes(fsm, snap)
   end
   return most or count > 0 and "kept" or nil, by_prefix
 end
+
+local changes = migrate.changes
 
 -- Returns the lines of the transitions of each composite, by its place, with new names:
 -- the numbered members of a composite are the first ones behind its line.
