@@ -669,8 +669,7 @@ describe("rfsm fleet", function()
     assert.equal("rfsm fleet: 0 machines of chart 'timed' are in 'root.b'\n",
       fleet_command("find", "timed", "root.b"))
     assert.equal("m:{0}:1 timed root.a (remove)\n", fleet_command("remove", key))
-    assert.equal("rfsm fleet: ERR rfsm_get: no machine is at 'm:{0}:1' (rfsm_create "
-      .. "makes one)\n", fleet_command("remove", key))
+    assert.equal("rfsm fleet: it is not there\n", fleet_command("remove", key))
     assert.equal("", server:cli("KEYS '*'"):gsub("%s", ""))
   end)
 

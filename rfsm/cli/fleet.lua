@@ -17,16 +17,18 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local command = {}
 
---- Return the result of f(...), which asks a server. If it fails, end the program with
+-- Returns the result of f(...), which asks a server. If it fails, ends the program with
 -- the reason in one line; with this status if f returns nil or false and the problem.
-function command.ask_or_end(status, f, ...)
+local function ask_or_end(status, f, ...)
   local ok, result, problem = pcall(f, ...)
   if not ok then common.fail(chart.first_line(result)) end
-  return result or common.fail(chart.first_line(problem), status)
+  return result or common.fail(chart.first_line(problem or "it is not there"), status)
 end
 
---- Return the same with status 1.
-function command.ask(f, ...) return command.ask_or_end(1, f, ...) end
+local function ask(f, ...) return ask_or_end(1, f, ...) end
+
+--- The same with status 1.
+command.ask = ask
 
 -- The verbs of both servers, and those that only this command has; those that write and
 -- note who has done it.
@@ -53,106 +55,101 @@ end
 -- Returns the event that a person has typed, such as e_paid{amount=12}.
 local function event_of(text)
   local event, problem = typed.read(text)
-  return event or error(problem, 0)
+  return event or common.fail(problem)
 end
 
 -- Returns the number that a person has typed; nil if none was.
 local function number_of(text)
   return text and (rfsm.number_of(text)
-    or error(("a number expected, got '%s'"):format(text), 0))
+    or common.fail(("a number expected, got '%s'"):format(text)))
 end
 
 local ALL = 1000000 -- entries: the greatest number that is asked for
 
-local function list_dead(fleet, limit)
+local function dead_lines(fleet, _, limit)
   local lines = {}
-  for _, entry in ipairs(fleet:dead(number_of(limit) or ALL)) do
-    lines[#lines + 1] = concat({ entry.tag, entry.id, entry.machine, entry.what,
-      entry.data, "x" .. entry.deliveries, entry.error }, " ")
+  for i, entry in ipairs(ask(fleet.dead, fleet, number_of(limit) or ALL)) do
+    lines[i] = concat({ entry.tag, entry.id, entry.machine, entry.what, entry.data,
+      "x" .. entry.deliveries, entry.error }, " ")
   end
   return lines
 end
 
-local function view_lines(fleet, key)
-  local view, problem = fleet:get(key)
-  if not view then return nil, problem end
-  local lines = {}
-  for _, name in ipairs(rfsm.sorted_keys(view)) do
+local function view_lines(fleet, _, key)
+  local view, lines = ask(fleet.get, fleet, key), {}
+  for i, name in ipairs(rfsm.sorted_keys(view)) do
     local value = view[name]
     local is_empty = type(value) == "table" and next(value) == nil and name ~= "data"
-    lines[#lines + 1] = name .. ": " .. (is_empty and "[]"
+    lines[i] = name .. ": " .. (is_empty and "[]"
       or type(value) == "table" and codec.encode(value) or rfsm.text_of(value))
   end
   return lines
 end
 
--- Returns a list of a machine. If it is empty since there is no such machine, returns
--- nil and the problem: a misspelt key must not look like a machine without errors.
-local function list_of(name, fleet, key, count)
-  local list, problem = fleet[name](fleet, key, count)
-  if list and not list[1] then
-    local view, missing = fleet:get(key)
-    if not view then return nil, missing end
-  end
-  return list, problem
+-- Returns a list of a machine. If it is empty since there is no such machine, ends the
+-- program: a misspelt key must not look like a machine without errors.
+local function list_of(f, fleet, key, count)
+  local list = ask(f, fleet, key, count)
+  if not list[1] then ask(fleet.get, fleet, key) end
+  return list
 end
 
-local function history_lines(fleet, key, count)
-  local moves, problem = list_of("history", fleet, key, count)
-  for i, move in ipairs(moves or {}) do
+local function history_lines(fleet, _, key, count)
+  local lines = {}
+  for i, move in ipairs(list_of(fleet.history, fleet, key, count)) do
     local by = move.from == "" and "(create):"
       or typed.shown(move.event) .. ": " .. move.from
-    moves[i] = ("%s %s -> %s"):format(rfsm.number_text(move.time, "%.3f"), by, move.to)
+    lines[i] = ("%s %s -> %s"):format(rfsm.number_text(move.time, "%.3f"), by, move.to)
   end
-  return moves, problem
+  return lines
 end
 
-local function cancel_lines(fleet, key, id)
-  local is_done, problem = fleet:cancel(key, id)
-  if is_done then return { key .. " " .. id .. " (cancel)" } end
-  return nil, problem or "it is not there"
+local function cancel_lines(fleet, _, key, id)
+  ask(fleet.cancel, fleet, key, id)
+  return { key .. " " .. id .. " (cancel)" }
 end
 
-local function log_lines(fleet, key, count)
-  local lines, problem = list_of("log", fleet, key, count)
-  for i, line in ipairs(lines or {}) do
+local function log_lines(fleet, _, key, count)
+  local lines = {}
+  for i, line in ipairs(list_of(fleet.log, fleet, key, count)) do
     lines[i] = rfsm.number_text(line.time, "%.3f") .. " " .. line.error
   end
-  return lines, problem
+  return lines
 end
 
 local function version_lines(fleet)
-  local lines, problem = fleet:versions()
-  for i, version in ipairs(lines or {}) do
+  local lines = {}
+  for i, version in ipairs(ask(fleet.versions, fleet)) do
     lines[i] = ("%s %s %s %d"):format(version.chart, version.known, version.version,
       version.count)
   end
-  return lines, problem
+  return lines
 end
 
-local function send_lines(fleet, key, event, id)
-  local reply, problem
-  event = event_of(event)
-  if id then
-    reply, problem = fleet:send_once(id, key, event)
-  else
-    reply, problem = fleet:send(key, event)
-  end
-  if not reply then return nil, problem end
-  return lines_of(reply, "send")
+local function why_lines(fleet, _, key, text)
+  return ask(fleet.why, fleet, key, event_of(text))
+end
+
+local function send_lines(fleet, _, key, text, id)
+  local event = event_of(text)
+  return lines_of(id and ask(fleet.send_once, fleet, id, key, event)
+    or ask(fleet.send, fleet, key, event), "send")
+end
+
+local function reindex_lines(fleet)
+  return { ("%d machines"):format(ask(fleet.reindex, fleet)) }
 end
 
 -- One machine as a file ------------------------------------------------------------
 
-local function pull_lines(fleet, key)
-  local text, problem = fleet:pull(key)
-  return text and { (text:gsub("\n$", "")) }, problem
+local function pull_lines(fleet, _, key)
+  return { (ask(fleet.pull, fleet, key):gsub("\n$", "")) }
 end
 
 -- Returns the lines of a reply. If the server refuses, ends the program with status 2:
 -- nothing was moved.
 local function moved_lines(fleet, verb, key, ...)
-  return lines_of(command.ask_or_end(2, fleet[verb], fleet, key, ...), verb,
+  return lines_of(ask_or_end(2, fleet[verb], fleet, key, ...), verb,
     NOTES[verb] and key)
 end
 
@@ -313,7 +310,6 @@ local function find_named(fleet, options)
   for _, entry in ipairs(find_dead(fleet, {})) do
     if entry.tag == first and entry.id == id then return { entry } end
   end
-  return nil, "it is not there"
 end
 
 -- Returns the line that tells what was done with an item.
@@ -368,31 +364,36 @@ local function counts_of(found)
   return concat(texts)
 end
 
-local function print_items(found)
-  for _, one in ipairs(found) do common.write("-", one.text .. "\n") end
+-- Prints lines, and on stderr a note about them.
+local function print_lines(lines, note)
+  for _, line in ipairs(lines) do common.write("-", line .. "\n") end
+  if note then common.warn(note) end
 end
 
--- Lists machines.
-local function list_machines(fleet, filter)
-  local found = command.ask(find_machines, fleet, filter)
-  print_items(found)
-  common.warn(("%d machines%s"):format(#found, found[1] and counts_of(found)
-    or hint_for(fleet, filter.chart, filter.state, filter.version)))
+local function texts_of(found)
+  local lines = {}
+  for i, one in ipairs(found) do lines[i] = one.text end
+  return lines
+end
+
+local function list_lines(fleet, options)
+  local filter = options.where or {}
+  local found = ask(find_machines, fleet, filter)
+  return texts_of(found), ("%d machines%s"):format(#found, found[1] and counts_of(found)
+    or hint_for(fleet, filter.chart, filter.state, filter.version))
 end
 
 -- Does a verb for all machines or entries that are meant, or, dry, shows them. Returns
 -- the status: 1 if one was refused.
 local function do_many(fleet, options, filter)
   local find = MANY[options.verb]
-  local found = filter and command.ask(find, fleet, filter)
-    or command.ask(find_named, fleet, options)
+  local found = filter and ask(find, fleet, filter) or ask(find_named, fleet, options)
   if not found[1] then
     common.fail(("no %s is like that, so nothing was done%s"):format(find == find_dead
       and "entry" or "machine", hint_for(fleet, filter.chart, filter.state,
       filter.version)), 2)
   elseif options.dry_run then
-    print_items(found)
-    return common.warn(("%d found, nothing was done"):format(#found))
+    return print_lines(texts_of(found), ("%d found, nothing was done"):format(#found))
   end
   local count = do_all(fleet, options, found)
   if filter then common.warn(("%d of %d done"):format(count, #found)) end
@@ -406,54 +407,43 @@ local function time_of(text)
   return number_of(text) + (text:find("^%+") and os.time() or 0)
 end
 
--- Notes that there may be more keys than were asked for.
-local function limited(keys, problem, limit)
-  if keys and #keys >= (limit or 100) then
-    keys.note = ("the first %d, there may be more: give a greater LIMIT"):format(#keys)
-  end
-  return keys, problem
+-- Returns keys, and the note that there may be more than were asked for.
+local function limited(keys, limit)
+  return keys, #keys >= (limit or 100)
+    and ("the first %d, there may be more: give a greater LIMIT"):format(#keys) or nil
 end
 
 -- Nothing is printed if nothing is found, so a misspelt name looks like good news.
-local function find_lines(fleet, name, state, limit, seconds)
+local function find_lines(fleet, _, name, state, limit, seconds)
   limit = number_of(limit)
-  local keys, problem = fleet:find(name, state, limit, seconds)
-  if keys and not keys[1] then
-    common.warn(("0 machines of chart '%s' are in '%s'%s%s"):format(name, state,
-      seconds and " for so long" or "", hint_for(fleet, name, state)))
-  end
-  return limited(keys, problem, limit)
+  local keys = ask(fleet.find, fleet, name, state, limit, seconds)
+  if keys[1] then return limited(keys, limit) end
+  return keys, ("0 machines of chart '%s' are in '%s'%s%s"):format(name, state,
+    seconds and " for so long" or "", hint_for(fleet, name, state))
 end
 
-local function due_lines(fleet, limit, time)
+local function due_lines(fleet, _, limit, time)
   limit = number_of(limit)
-  local keys, problem = fleet:due(limit, time and time_of(time))
-  return limited(keys, problem, limit)
+  return limited(ask(fleet.due, fleet, limit, time and time_of(time)), limit)
 end
 
 local function chart_lines(fleet)
-  local charts, problem = fleet:charts()
-  local lines = {}
-  for _, name in ipairs(rfsm.sorted_keys(charts or {})) do
+  local charts, lines = ask(fleet.charts, fleet), {}
+  for _, name in ipairs(rfsm.sorted_keys(charts)) do
     for _, path in ipairs(charts[name]) do lines[#lines + 1] = name .. " " .. path end
   end
-  return charts and lines, problem
+  return lines
 end
 
--- For each verb a function that returns lines to print, or nil and the problem.
+-- For each verb that is not for many a function that returns lines to print, and maybe
+-- a note. It gets the options and the arguments.
 local LINES = {
-  find = find_lines, due = due_lines, charts = chart_lines,
-  get = view_lines, history = history_lines, log = log_lines, versions = version_lines,
-  why = function(fleet, key, text) return fleet:why(key, event_of(text)) end,
-  send = send_lines, dead = list_dead, cancel = cancel_lines, pull = pull_lines,
-  reindex = function(fleet)
-    local count, problem = fleet:reindex()
-    return count and { ("%d machines"):format(count) }, problem
-  end,
+  cancel = cancel_lines, charts = chart_lines, create = create_lines, dead = dead_lines,
+  due = due_lines, find = find_lines, get = view_lines, history = history_lines,
+  list = list_lines, log = log_lines, pull = pull_lines, push = push_lines,
+  reindex = reindex_lines, send = send_lines, set = set_lines,
+  versions = version_lines, why = why_lines,
 }
-
--- The same for those that get the options, and end the program themselves.
-local WITH_OPTIONS = { create = create_lines, push = push_lines, set = set_lines }
 
 -- Returns the verbs with their arguments, those with the same ones together, in as few
 -- lines as possible, so that the help fits a terminal.
@@ -513,7 +503,7 @@ function command.connect(url, options)
     common.fail("PostgreSQL has functions in place of this command, such as SELECT * "
       .. "FROM rfsm.get('KEY')", 2)
   end
-  return command.ask(require("rfsm.fleet").connect, url, options)
+  return ask(require("rfsm.fleet").connect, url, options)
 end
 
 -- Verbs that look at all hash tags, also at those that no short key has.
@@ -557,14 +547,9 @@ function command.run(options, parser)
   check_number(options, parser)
   options.by = options.by or os.getenv("USER") or os.getenv("LOGNAME")
   local fleet = command.connect(options.url, { tags = options.tags })
-  if WIDE[name] then command.ask(fleet.find_tags, fleet) end
-  if name == "list" then return list_machines(fleet, options.where or {}) end
+  if WIDE[name] then ask(fleet.find_tags, fleet) end
   if MANY[name] then return do_many(fleet, options, options.where) end
-  local lines = WITH_OPTIONS[name]
-    and WITH_OPTIONS[name](fleet, options, unpack(options.arguments))
-    or command.ask(LINES[name], fleet, unpack(options.arguments))
-  for _, line in ipairs(lines) do common.write("-", line .. "\n") end
-  if lines.note then common.warn(lines.note) end
+  print_lines(LINES[name](fleet, options, unpack(options.arguments)))
 end
 
 return command
