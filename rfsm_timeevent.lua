@@ -153,6 +153,8 @@ end
 ---@field raised rfsm_timeevent.Timer|false the timer whose event came last
 ---@field turn integer the iteration in which this event came
 ---@field at integer the place of this event among the current events
+---@field now number|false the seconds of the latest save or load; false: not read yet
+---@field now_nsec number nanoseconds in addition to `now`
 
 --- The timers of a state, in a list: the field `_timers` of the state.
 ---@class rfsm_timeevent.Timers
@@ -453,7 +455,8 @@ local function list_waiting(fsm) return list_sends(fsm, event_of) end
 local function prepare_machine(fsm)
   if fsm._timeevent then return end
   fsm._timeevent = { [true] = huge, [false] = huge, has_timers = false, has_at = false,
-    is_unusual = false, sends = {}, raised = false, turn = 0, at = 0 }
+    is_unusual = false, sends = {}, raised = false, turn = 0, at = 0, now = false,
+    now_nsec = 0 }
   rfsm.source_hook_add(fsm, rfsm.repeatable(check_timers))
   rfsm.reset_hook_add(fsm, disarm)
   rfsm.waiting_hook_add(fsm, list_waiting)

@@ -84,6 +84,17 @@ describe("timers of a machine that migrates", function()
     assert.is_nil(timeevent.next_deadline(again))
   end)
 
+  it("keep to the clock of their machine while another one is loaded", function()
+    local other = helper.started(chart({ "e_after(5)" }, { gettime = function()
+      return 100, 0
+    end }))
+    local again = moved({ "e_after(5)" }, { timeevent.e_after(function()
+      assert(snapshot.put(other, snapshot.take(other)))
+      return 9
+    end), "e_after(5)" })
+    assert.equal(3, math.floor(timeevent.next_deadline(again) + 0.5))
+  end)
+
   it("go on under the new name of their state", function()
     local fsm = helper.started(chart { "e_after(5)" })
     now = 2

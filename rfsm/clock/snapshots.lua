@@ -29,13 +29,14 @@ return function(engine)
   -- without.
   local function fail(text) error({ text = text }, 0) end
 
-  local now, now_nsec = nil, nil -- the time, if the present save or load has read it
-
   -- Returns the time, which is the same for all timers of a save or load: times that
   -- are equal stay so.
   local function time_of(fsm)
-    if not now then now, now_nsec = engine.read_or_raise(fsm, true, fail) end
-    return now, now_nsec
+    local own = fsm._timeevent
+    if not own.now then
+      own.now, own.now_nsec = engine.read_or_raise(fsm, true, fail)
+    end
+    return own.now, own.now_nsec
   end
 
   -- The name under which snapshots have the seconds since the entry of a timed state.
@@ -67,7 +68,7 @@ return function(engine)
   end
 
   local function save(fsm)
-    now = nil
+    fsm._timeevent.now = false
     local state, timed, left = fsm._mode ~= "inactive" and fsm, {}, nil
     while state do
       local timers = state._timers
@@ -143,7 +144,7 @@ return function(engine)
   -- new in the chart is armed from now on, and one that the chart lacks is dropped.
   local function load(fsm, left, how)
     local own, state = fsm._timeevent, fsm._mode ~= "inactive" and fsm
-    left, now = left or {}, nil
+    left, own.now = left or {}, false
     own[true], own[false] = own.sends[1] and -huge or huge, huge
     while state do
       if state._timers then load_state(fsm, state, left, how) end
@@ -155,7 +156,8 @@ return function(engine)
   end
 
   local function save_sends(fsm)
-    now = nil
+    if not fsm._timeevent then return nil end
+    fsm._timeevent.now = false
     return engine.list_sends(fsm, function(send)
       local since, rest = time_of(fsm)
       return { event = send.event, id = send.id,
@@ -167,7 +169,7 @@ return function(engine)
     if fsm._timeevent then engine.drop_sends(fsm) end
     if kept == nil then return end
     engine.prepare_machine(fsm)
-    now = nil
+    fsm._timeevent.now = false
     local since, rest = time_of(fsm)
     for _, send in ipairs(kept) do
       if type(send) ~= "table" or send.event == nil then
