@@ -134,7 +134,9 @@ at root.c(done) e_done@root.c
 at root.a(done) e_done@root.a
 at root.b(done) e_done@root.b
    1                                  root.a(done)
-   2  e_go                            root.b(done)
+  >2  e_go                            root.b(done)
+   3  e_go                            root.c(done)
+   4  e_go                            root.a(done)
 at root.c(done) e_done@root.c
 queue:  e_done@root.c, e_go
    1                                  root.a(done)

@@ -653,7 +653,8 @@ end)
 it("the history is gone through: back, forward, goto, go_to in Lua", function()
   assert.equal(AT_HELLO .. "hello\nworld\n" .. AFTER
     .. AT_HELLO .. AFTER .. AT_NONE .. AFTER .. AT_HELLO
-    .. "   1                                  root.hello(done)\n",
+    .. "  >1                                  root.hello(done)\n"
+    .. "   2                                  root.world(done)\n",
     said("step\nrun\nback\nforward\ngoto 0\ngoto 2\n"
       .. "if true then go_to(1) end\nhistory"))
 end)
@@ -810,7 +811,8 @@ describe("a recording", function()
         to = "root.b" } } }
     assert(snapshot_file.write(file, snap))
     local out, complaints, status = sim("-q --from " .. file .. " " .. chart,
-      "history\nback\nprint(fsm.n)\nwhy e_b\nback\nforward 2\nforward\nwhy e_b\n"
+      "history\nback\nprint(fsm.n)\nhistory 1\ndry\nwhy e_b\n"
+      .. "dry(false)\nback\nforward 2\nforward\nwhy e_b\n"
       .. "save " .. file .. "\n")
     assert.same({ "", 0 }, { complaints, status })
     assert.equal([[
@@ -819,17 +821,23 @@ active: root.b(done)
 queue:
    1  1970-01-01 00:00:00             root.a(done)
    2  1970-01-01 00:01:00 e_b{n=1}    root.b(done)
+  >1  1970-01-01 00:00:00             root.a(done)
 active: root.a(done)
 queue:
 7
+  >1  1970-01-01 00:00:00             root.a(done)
+   2  1970-01-01 00:01:00 e_b{n=1}    root.b(done)
+dry: guards are not asked, each lets pass
 with the data of now, not those of this move:
 root.trans[2] (a -> b) would be taken on e_b in root.a
   root.trans[2] (a -> b): would be taken
 active: <none>
 queue:  e_init_fsm
+   2  1970-01-01 00:01:00 e_b{n=1}    root.b(done)
 active: root.b(done)
 queue:
 forward: this is the last advance
+   2  1970-01-01 00:01:00 e_b{n=1}    root.b(done)
 active: root.b(done)
 queue:
 no transition would be taken on e_b in root.b
@@ -841,6 +849,24 @@ no transition would be taken on e_b in root.b
     out, complaints, status = sim("-q --from " .. file .. " " .. chart)
     assert.same({ "", 2 }, { out, status })
     assert.matches("^rfsm sim: " .. file .. ": no JSON: [^\n]*\n$", complaints)
+  end)
+
+  it("of a fleet says that the past of regions is not known", function()
+    local file, chart = helper.file_with(""), helper.file_with [[
+      local rfsm = require "rfsm"
+      return rfsm.state { warn = false, info = false, b = rfsm.state {},
+        s = rfsm.seqand { r = rfsm.state { a = rfsm.state {},
+          rfsm.trans { src = "initial", tgt = "a" } } },
+        rfsm.trans { src = "initial", tgt = "s" },
+        rfsm.trans { src = "s", tgt = "b", events = { "e_b" } } }]]
+    local snap = snapshot.take(helper.init(rfsm.load(chart)))
+    snap.leaf, snap.done = "root.b", true
+    snap.fleet = { history = { { time = 0, event = "", from = "", to = "root.s" },
+      { time = 9, event = "e_b", from = "root.s", to = "root.b" } } }
+    assert(snapshot_file.write(file, snap))
+    assert.matches("\nwith the data of now, not those of this move; where its regions "
+      .. "were is not known:\nroot.trans%[2%] %(s %-> b%) would be taken",
+      (sim("-q --from " .. file .. " " .. chart, "back\nwhy e_b\n")))
   end)
 
   it("of a chart that behaves otherwise now is replayed up to there", function()
@@ -1097,7 +1123,7 @@ print '~'
 history 2
 history 0
 goto 3
-history
+history 3
 ]=],
       output = [[
   24  e_back                          root.idle(done)
@@ -1105,7 +1131,10 @@ history
 at root.idle(done)
    1                                  root.idle(done)
    2  e_back                          root.idle(done)
-   3  e_back                          root.idle(done)
+  >3  e_back                          root.idle(done)
+   4  e_back                          root.idle(done)
+   5  e_back                          root.idle(done)
+   6  e_back                          root.idle(done)
 ]] },
   } do
     it(case.does, function()

@@ -117,7 +117,8 @@ Each transition from the root to the active leaf answers: it would be taken, or 
 reason why not. Without an event: those in the queue. Example: why e_push]],
 function(sim, ...)
   for i = 1, select("#", ...) do sim:check_event((select(i, ...)), i) end
-  if history.is_told(sim) then print "with the data of now, not those of this move:" end
+  if sim.saved then print "dry: guards are not asked, each lets pass" end
+  history.show_unknown(sim)
   print((select(2, rfsm_checks.why(sim.fsm, ...))))
 end, { completes = "events" })
 
@@ -213,6 +214,7 @@ topic "undo"
 local function moving(move, default)
   return function(sim, n)
     move(sim, n or default)
+    if sim.told then history.show(sim, 1) end
     sim:show()
   end
 end
@@ -233,9 +235,13 @@ where a line is more than this command, it is called go_to(n).]], moving(history
 add("go_to(n)", "the same in Lua", "", moving(history.go_to))
 
 add("history([n])", "list the last n advances (20)", [[
-The number, the events, also those of timers, and the active leaf at its end. The oldest
-are forgotten when all take more than 32 MiB.]],
-function(sim, n) history.show(sim, check("history", n or 20, "number")) end)
+The number, the events, also those of timers, and the active leaf at its end; then up to
+n of those that `back` has undone, where > is the present one. The oldest are forgotten
+when all take more than 32 MiB.]],
+function(sim, n)
+  n = check("history", n or 20, "number")
+  history.show(sim, n, n)
+end)
 
 add("record(file)", "write what follows to a file", [[
 `rfsm sim --replay file` runs the chart through it. record(false) ends it.

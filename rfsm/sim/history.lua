@@ -8,6 +8,7 @@
 
 local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
+local location = require "rfsm.shared.location"
 local files_of = require "rfsm.snapshot.file"
 local record = require "rfsm.record"
 local replay = require "rfsm.record.replay"
@@ -222,18 +223,27 @@ function history.keep(sim, name)
   if not ok then error("save: " .. problem, 0) end
 end
 
---- Is this a place of which a file of a fleet has the leaf alone?
-function history.is_told(sim) return sim.history.at < (sim.told or 0) end
+--- Print what is not known of this place: a file of a fleet has the leaf alone.
+function history.show_unknown(sim)
+  if sim.history.at >= (sim.told or 0) then return end
+  local has_regions = location.regions_of(sim.fsm._act_leaf or {})[1]
+  print("with the data of now, not those of this move" .. (has_regions
+    and "; where its regions were is not known:" or ":"))
+end
 
 -- Show ----------------------------------------------------------------------------
 
---- Print a line for each of the last advances, at most `last` lines.
-function history.show(sim, last)
+--- Print a line for each of the last advances, at most `last` lines, and for as many of
+-- those that `back` has undone (default: none). Then the present one is marked.
+function history.show(sim, last, undone)
   local way = sim.history
   local problem = way:note().problem
-  for number = max(way.first, way.at - last + 1, 1), way.at do
+  for number = max(way.first, way.at - last + 1, 1),
+    min(way.at + (undone or 0), way.last) do
     local place = way[number].about
-    print(("%4d  %-30s  %s"):format(number, concat(place.came, ", "), place.leaf))
+    local mark = number == way.at and number < way.last and ">" or ""
+    print(("%4s  %-30s  %s"):format(mark .. number, concat(place.came, ", "),
+      place.leaf))
   end
   if problem then print(problem) end
 end
