@@ -34,8 +34,8 @@ describe("a typed event", function()
       .. "table expected, got 'John Smith}}'" },
     { "e{a = 1e999}", nil, "data: field 'a': a text in quotes, a number, true, false "
       .. "or a table expected, got '1e999'" },
-    { "e{a = ", nil, "data: a text in quotes, a number, true, false or a table "
-      .. "expected, got the end" },
+    { "e{a = ", nil, "data: field 'a': a text in quotes, a number, true, false or a "
+      .. "table expected, got the end" },
     { "e{a = 1}}", nil, "data: the end expected, got '}'" },
     { 'e{a = "b}', nil, "data: the end of a text in quotes expected, got 'b}'" },
     { "e{" .. ("{"):rep(9) .. ("}"):rep(10), nil,

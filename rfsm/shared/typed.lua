@@ -23,14 +23,14 @@ local LEVELS = 9 -- tables inside each other, as in snapshots
 ---@field last integer the end of what a person has typed
 ---@field key any the field whose value is read
 
--- Raises the problem in one line: what is expected, and what is there.
-local function fail(reader, expected)
-  local rest = reader.text:sub(reader.at, reader.last)
+-- Raises the problem in one line: what is expected, and what is there, or this word.
+local function fail(reader, expected, word, hint)
+  local rest = word or reader.text:sub(reader.at, reader.last)
   rest = rest:match("^%s*(.-)%s*$"):gsub("%c", " ")
   rest = #rest > 20 and rest:sub(1, 20):gsub("[\194-\244]?[\128-\191]*$", "") .. ".."
     or rest
-  error({ ("data: %s expected, got %s"):format(expected,
-    rest == "" and "the end" or "'" .. rest .. "'") }, 0)
+  error({ ("data: %s expected, got %s%s"):format(expected,
+    rest == "" and "the end" or "'" .. rest .. "'", hint or "") }, 0)
 end
 
 -- Returns what a pattern captures behind blanks, and goes behind it; nil if the text is
@@ -148,13 +148,12 @@ end
 -- Raises what is wrong with a value. A word behind a name was probably meant as a text.
 local function refuse_value(reader)
   local key, expected = reader.key, "a text in quotes, a number, true, false or a table"
+  if key == nil then fail(reader, expected) end
   local word = reader.text:sub(1, reader.last):match("^%s*([%w_][^,;{}%[%]\"']*)",
     reader.at)
-  if not (key and word) then fail(reader, expected) end
-  word = word:gsub("%s+$", "")
-  local hint = tonumber(word) and "" or (' (did you mean "%s"?)'):format(word)
-  error({ ("data: field '%s': %s expected, got '%s'%s"):format(tostring(key), expected,
-    word, hint) }, 0)
+  word = word and word:gsub("%s+$", "")
+  fail(reader, ("field '%s': %s"):format(tostring(key), expected), word,
+    word and not tonumber(word) and (' (did you mean "%s"?)'):format(word))
 end
 
 local function read_number(reader)
