@@ -449,7 +449,7 @@ end
 -- Returns what goes to the log: errors, and what a person has done, unless a history
 -- has that.
 local function log_of(machine, errors)
-  if options.history then return errors end
+  if options.history or not machine.said then return errors end
   return { machine.said, unpack(errors) }
 end
 
@@ -464,11 +464,9 @@ local function save(machine, id)
   list[SNAP] = snap
   if machine.outcome ~= "dropped" then add_id(machine, id) end
   pack_machine(machine, due)
-  host.write(machine, not list[HELD] and due or nil, emitted,
-    machine.said and log_of(machine, errors) or errors)
+  host.write(machine, not list[HELD] and due or nil, emitted, log_of(machine, errors))
   host.count(machine, #errors)
-  local reply = { machine.at, machine.mode }
-  for i = 1, #errors do reply[i + 2] = errors[i] end
+  local reply = { machine.at, machine.mode, unpack(errors) }
   reply[#reply + 1] = machine.said or machine.outcome
   return reply
 end
