@@ -691,6 +691,24 @@ describe("what a state keeps", function()
     assert.same({ "nil" }, seen)
   end)
 
+  it("of two states that get one name is refused", function()
+    local function model(names)
+      local root = { info = false, warn = false, emem = false,
+        trans { src = "initial", tgt = names:sub(1, 1) } }
+      for name in names:gmatch(".") do
+        root[name] = state { keep = { "n" }, n = name }
+      end
+      return state(root)
+    end
+    local fsm = helper.started(model "ab")
+    local rename = { ["root.a"] = "root.c", ["root.b"] = "root.c" }
+    assert.same({ false, "rfsm.snapshot: rename: two with data become root.c (only the "
+      .. "option 'migrate' can join them)" },
+      { snapshot.restore(model "c", snapshot.take(fsm), { rename = rename }) })
+    assert.equal("b", restored(model "ca", snapshot.take(fsm), { rename = {
+      ["root.a"] = "root.c", ["root.b"] = "root.a" } }).a.n)
+  end)
+
   it("is not renamed, but the names of states are", function()
     local function model(name)
       return state { info = false, warn = false, emem = false, keep = { "x", "y" },

@@ -200,6 +200,14 @@ end
 
 local renamed_text = migrate.renamed
 
+-- Refuses a second value for a name: nobody knows which of them counts.
+local function check_single(values, name)
+  if values[name] ~= nil then
+    fail("rename: two with data become %s (only the option 'migrate' can join them)",
+      text_of(name))
+  end
+end
+
 -- Returns a copy of a value with new names in keys and values. Only `depth` levels of
 -- tables are changed; deeper values stay as they are.
 local function renamed(value, rename, depth)
@@ -207,8 +215,10 @@ local function renamed(value, rename, depth)
   if type(value) == "string" then return renamed_text(value, rename) end
   if type(value) ~= "table" then return value end
   local copy = {}
-  for key, inner in each(value) do -- any order: each is independent
-    copy[renamed(key, rename, 1)] = renamed(inner, rename, depth - 1)
+  for key, inner in each(value) do -- any order: no two become one
+    local new = renamed(key, rename, 1)
+    check_single(copy, new)
+    copy[new] = renamed(inner, rename, depth - 1)
   end
   return copy
 end
@@ -242,6 +252,7 @@ local function rename_states(snap, rename)
   copy.regions = snap.regions and {}
   for prefix, part in each(snap.regions or NONE) do -- any order: each is independent
     local inner, new_prefix = inside(rename, prefix)
+    check_single(copy.regions, new_prefix)
     copy.regions[new_prefix] = rename_part(part, inner)
   end
   return copy
