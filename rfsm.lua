@@ -43,7 +43,7 @@ local interpret = find_global("jit", "off") or function() end
 local rfsm = { _VERSION = "rfsm 1.0.0" }
 
 -- Functions of the engine for the files of the library beside this one.
-local engine = {}
+local engine = { interpret = interpret }
 
 -- Model elements: constructors, predicates, order -----------------------------
 

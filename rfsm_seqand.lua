@@ -16,7 +16,7 @@ if home then require(home .. "rfsm") return require "rfsm_seqand" end -- one cop
 
 local rfsm = require "rfsm"
 
-local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local error, getmetatable, ipairs = error, getmetatable, ipairs
 local pcall, rawget, rawset, setmetatable = pcall, rawget, rawset, setmetatable
 local type = type
 local concat = table.concat
@@ -438,7 +438,8 @@ end
 local function new_state(fields)
   if type(fields) ~= "table" then return nil, "table expected, got " .. type(fields) end
   local state, regions, first = {}, setmetatable({}, Substates), nil
-  for key, value in pairs(fields) do -- any order: the least text is returned
+  for _, key in ipairs(rfsm.sorted_keys(fields)) do -- the least text is returned
+    local value = fields[key]
     local text = obstacle(key, value)
     if text and (not first or text < first) then first = text end
     if rfsm.is_trans(value) then

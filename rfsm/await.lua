@@ -10,7 +10,7 @@
 
 local rfsm = require "rfsm"
 
-local error, ipairs, next, rawget = error, ipairs, next, rawget
+local error, ipairs, rawget = error, ipairs, rawget
 local rawset, type = rawset, type
 local concat = table.concat
 
@@ -88,7 +88,7 @@ local function save(fsm)
       kept[await.name][event] = await.received[event] or nil
     end
   end
-  return next(kept) and kept
+  return rfsm.sorted_keys(kept)[1] and kept
 end
 
 local function load(fsm, kept)

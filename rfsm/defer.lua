@@ -16,7 +16,7 @@ local alphabet = require "rfsm.shared.alphabet"
 local match = require "rfsm.shared.match"
 
 local insert, ipairs, min = table.insert, ipairs, math.min
-local pairs, rawequal, type = pairs, rawequal, type
+local rawequal, type = rawequal, type
 
 local MOST = 64 -- events that a machine keeps, if `defer` of the state has no `max`
 
@@ -275,8 +275,7 @@ end
 -- Returns what `defer` is, if it is no list with perhaps a field `max`.
 local function other_than_list(defer)
   if type(defer) ~= "table" then return rfsm.got(defer) end
-  local count = defer.max ~= nil and -1 or 0
-  for _ in pairs(defer) do count = count + 1 end -- any order: only counted
+  local count = #rfsm.sorted_keys(defer) - (defer.max ~= nil and 1 or 0)
   if count == 0 then return "got an empty list" end
   for i = 1, count do
     if defer[i] == nil then return "got a table with holes or keys" end

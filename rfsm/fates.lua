@@ -164,6 +164,8 @@ return function(core, engine)
     end
   end
 
+  engine.interpret(judge)
+
   local function names_events(path)
     for _, tr in ipairs(path) do
       if tr.events[1] ~= nil then return true end

@@ -5,7 +5,7 @@
 
 local rfsm = require "rfsm"
 
-local error, ipairs, pairs, rawget = error, ipairs, pairs, rawget
+local error, ipairs, rawget = error, ipairs, rawget
 local rawset, setmetatable, type = rawset, setmetatable, type
 local text_of = rfsm.text_of
 
@@ -71,8 +71,8 @@ function monitor.gen_monitor_state(t)
   local problem = check_monitor(t)
   if problem then error("rfsm.monitor.gen_monitor_state: " .. problem, 2) end
   local state = {}
-  for key, value in pairs(t) do -- any order: the fields are independent
-    if not OWN[key] then state[key] = value end
+  for _, key in ipairs(rfsm.sorted_keys(t)) do
+    if not OWN[key] then state[key] = t[key] end
   end
   state.doo = new_doo(t.montab, t.break_first or t.breakfirst)
   return rfsm.state(state)

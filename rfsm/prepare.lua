@@ -47,6 +47,8 @@ return function(core, engine)
     end
   end
 
+  engine.interpret(prepare_leaf)
+
   local function prepare_machine(fsm)
     prepare_list(fsm, engine.entrance_of(fsm),
       fsm._is_leaf and NONE or fsm.initial._otrs)

@@ -15,7 +15,7 @@ local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 
-local getmetatable, ipairs, next, pairs = getmetatable, ipairs, next, pairs
+local getmetatable, ipairs, next = getmetatable, ipairs, next
 local rawequal, rawget, select = rawequal, rawget, select
 local type = type
 local concat = table.concat
@@ -78,7 +78,7 @@ end
 -- was written by hand; it is not looked at, because it may come often.
 local function name_meant(known, event)
   local count = 0
-  for _ in next, event do -- any order: counted
+  for _ in order.each(event) do -- any order: counted
     count = count + 1
     if count > 20 then return nil end
   end
@@ -271,7 +271,7 @@ end
 local function check_model(fsm, obj)
   local notes, model = fsm._strict.models, callbacks_of_model(obj)
   notes[obj] = notes[obj] or model
-  for field, value in pairs(model) do -- any order: each has its own text
+  for field, value in order.each(model) do -- any order: each has its own text
     if not rawequal(notes[obj][field], value) then
       warn(fsm, ("%s: was set in the model after rfsm.init (set it in the machine)")
         :format(rfsm.location_of(obj, field)))
@@ -356,7 +356,7 @@ local function check_chain(fsm, at, chain, events)
   if chain.count <= MANY - LAST or chain.count > MANY then return end
   note_names(fsm, at, chain, events)
   if chain.count < MANY then return end
-  if next(chain.events) == nil then -- no transition names what comes
+  if order.is_empty(chain.events) then -- no transition names what comes
     for _, event in ipairs(events) do
       chain.events[rfsm.event_text(event, true)] = true
     end

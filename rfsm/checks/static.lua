@@ -11,10 +11,11 @@ local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 local codes = require "rfsm.checks.codes"
 local location = require "rfsm.shared.location"
+local order = require "rfsm.shared.order"
 local structure = require "rfsm.checks.structure"
 local stubs = require "rfsm.shared.stubs"
 
-local error, ipairs, pairs = error, ipairs, pairs
+local error, ipairs = error, ipairs
 local select, setmetatable = select, setmetatable
 local table, type = table, type
 local concat = table.concat
@@ -116,7 +117,7 @@ function Findings:join(others)
     if same then same.run = finding.witness else more[#more + 1] = finding end
   end
   for _, finding in ipairs(more) do self[#self + 1] = finding end
-  for note in pairs(others.silenced) do self.silenced[note] = true end -- any order
+  for note in order.each(others.silenced) do self.silenced[note] = true end -- any order
 end
 
 --- Append a finding for each useless entry of a field `checks`: it silenced nothing.

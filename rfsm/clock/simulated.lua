@@ -5,7 +5,7 @@
 
 local rfsm = require "rfsm"
 
-local error, getmetatable, pairs, rawequal = error, getmetatable, pairs, rawequal
+local error, getmetatable, ipairs, rawequal = error, getmetatable, ipairs, rawequal
 local setmetatable, type = setmetatable, type
 local floor, max = math.floor, math.max
 
@@ -67,9 +67,10 @@ return function(clock, Clock)
   ---@nodiscard
   function clock.simulated(options)
     local self, now = setmetatable({ sec = 0, nsec = 0 }, Clock), 0
-    for name, value in pairs(type(options) == "table" and options or { options }) do
+    local given = type(options) == "table" and options or { options }
+    for _, name in ipairs(rfsm.sorted_keys(given)) do
       if name ~= "now" then error("rfsm.clock.simulated: { now = 0 } expected", 2) end
-      now = value
+      now = given.now
     end
     add(self, "simulated: now", now)
     return self

@@ -9,7 +9,7 @@
 
 local rfsm = require "rfsm"
 
-local error, ipairs, next, type = error, ipairs, next, type
+local error, ipairs, type = error, ipairs, type
 local abs, huge = math.abs, math.huge
 
 ---@param engine table<string, function> functions of rfsm_timeevent
@@ -150,9 +150,9 @@ return function(engine)
       if state._timers then load_state(fsm, state, left, how) end
       state = state._actchild
     end
-    if how.is_migrated or next(left) == nil then return end
-    error("no active state has a timer '" .. rfsm.text_of(rfsm.sorted_keys(left)[1])
-      .. "'", 0)
+    local name = rfsm.sorted_keys(left)[1]
+    if how.is_migrated or name == nil then return end
+    error("no active state has a timer '" .. rfsm.text_of(name) .. "'", 0)
   end
 
   local function save_sends(fsm)

@@ -14,9 +14,10 @@ local graphs = require "rfsm.pictures.graphs"
 local levels = require "rfsm.pictures.levels"
 local lines = require "rfsm.pictures.lines"
 local links = require "rfsm.pictures.links"
+local order = require "rfsm.shared.order"
 local rows = require "rfsm.pictures.rows"
 
-local abs, huge, ipairs, pairs = math.abs, math.huge, ipairs, pairs
+local abs, huge, ipairs = math.abs, math.huge, ipairs
 local concat, max, min, type = table.concat, math.max, math.min, type
 
 local sheet = {}
@@ -87,7 +88,7 @@ local function count_crossings(shape)
     if is_covering(shape, line) then return huge end
   end
   local count = choice.count_crossings(list)
-  for _, kid in pairs(shape.kids) do count = count + kid.crossings end -- any order
+  for _, kid in order.each(shape.kids) do count = count + kid.crossings end -- any order
   return count
 end
 
@@ -224,7 +225,7 @@ end
 
 local function prepare(shape)
   local deal = shape.deal
-  for _, kid in pairs(shape.kids) do put(kid) end -- any order
+  for _, kid in order.each(shape.kids) do put(kid) end -- any order
   levels.align_regions(shape.composite)
   if deal == "turned" then
     levels.turn(shape)

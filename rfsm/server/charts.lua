@@ -10,11 +10,12 @@ local calls = require "rfsm.shared.calls"
 local encoding = require "rfsm.snapshot.encoding"
 local exact_json = require "rfsm.shared.exact_json"
 local migrate = require "rfsm.snapshot.migrate"
+local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 local shape = require "rfsm.snapshot.shape"
 local snapshot = require "rfsm.snapshot"
 
-local getmetatable, ipairs, next, pairs = getmetatable, ipairs, next, pairs
+local getmetatable, ipairs = getmetatable, ipairs
 local pcall, rawequal, rawget, rawset = pcall, rawequal, rawget, rawset
 local setmetatable, type = setmetatable, type
 local copy_of, fail, is_meta, text_of = encoding.copy_of, encoding.fail, rfsm.is_meta,
@@ -143,7 +144,7 @@ end
 -- its class.
 local function first_values(obj, own, inherited)
   local first, plain = {}, own.plain
-  for key, moved in pairs(own.moved) do -- any order: each stands alone
+  for key, moved in order.each(own.moved) do -- any order: each stands alone
     moved.place = type(moved.value) == "table" and getmetatable(moved.value) == nil
       and plain or first
     moved.place[key] = moved.value
@@ -152,7 +153,7 @@ local function first_values(obj, own, inherited)
   for _, name in ipairs(rfsm.is_trans(obj) and { "guard", "effect" } or {}) do
     if first[name] == nil then first[name] = inherited[name] end
   end
-  if next(plain) == nil then return setmetatable(first, { __index = inherited }) end
+  if order.is_empty(plain) then return setmetatable(first, { __index = inherited }) end
   return setmetatable(first, { __index = function(_, key)
     if plain[key] == nil then return inherited[key] end
     obj[key] = copy_of(own.moved[key].value)
@@ -167,7 +168,7 @@ local function watch_element(obj, moved, others)
   element_of[obj] = own
   own.first = first_values(obj, own, class.__index)
   local watched = { __index = own.first, __newindex = set_field }
-  for key, value in pairs(class) do -- any order: a copy
+  for key, value in order.each(class) do -- any order: a copy
     if watched[key] == nil then watched[key] = value end
   end
   setmetatable(obj, watched)
@@ -219,14 +220,14 @@ end
 local function each_field(obj, f)
   local others, is_kept = { _actchild = true }, { keep = true }
   for _, name in ipairs(obj.keep or {}) do is_kept[name] = true end
-  for key, value in pairs(obj) do -- any order: each stands alone
+  for key, value in order.each(obj) do -- any order: each stands alone
     if is_meta(key) or rfsm.is_fsmobj(value) or is_kept[key] then
       others[key] = true
     else
       f(key, value)
     end
   end
-  for name in pairs(is_kept) do others[name] = true end -- any order: a set
+  for name in order.each(is_kept) do others[name] = true end -- any order: a set
   return others
 end
 
@@ -332,7 +333,7 @@ end
 function charts.data_of(snap)
   local data = {}
   migrate.each_part(snap, function(part, prefix)
-    for fqn, fields in pairs(part.data or {}) do -- any order: a copy
+    for fqn, fields in order.each(part.data or {}) do -- any order: a copy
       data[prefix .. fqn:sub(5)] = encoding.unpack(fields, 0)
     end
   end)

@@ -80,8 +80,6 @@ local function keys_of(object)
   return keys
 end
 
-if jit then jit.off(keys_of) end -- LuaJIT may compile `next` wrongly
-
 local function encode_object(object, depth)
   local fields = keys_of(object)
   for i = 1, #fields do
@@ -102,6 +100,10 @@ local function is_list(t)
   local count = 0
   for _ in next, t do count = count + 1 end -- any order: they are counted
   return count == #t
+end
+
+for _, f in ipairs(jit and { keys_of, is_list } or {}) do
+  jit.off(f) -- LuaJIT may compile `next` wrongly
 end
 
 local ENCODERS = { string = quote, number = exact_json.digits_of, boolean = tostring }

@@ -10,7 +10,7 @@ local try = require("rfsm.shared.calls").try -- alone: a pool drops the module
 local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
-local getmetatable, ipairs, pairs = getmetatable, ipairs, pairs
+local getmetatable, ipairs = getmetatable, ipairs
 local rawequal, setmetatable, type = rawequal, setmetatable, type
 
 local match = {}
@@ -136,10 +136,10 @@ function match.are_equal(a, b, level)
   if getmetatable(a) ~= nil or getmetatable(b) ~= nil then return rawequal(a, b) end
   level = (level or 0) + 1
   if level > DEEPEST then return false end -- a table may contain itself
-  for key, value in pairs(a) do -- any order: one difference decides
+  for key, value in order.each(a) do -- any order: one difference decides
     if not match.are_equal(value, b[key], level) then return false end
   end
-  for key in pairs(b) do -- any order: one difference decides
+  for key in order.each(b) do -- any order: one difference decides
     if a[key] == nil then return false end
   end
   return true

@@ -8,7 +8,7 @@ local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local try = require("rfsm.shared.calls").try
 
-local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local error, getmetatable, ipairs = error, getmetatable, ipairs
 local type = type
 local floor, huge = math.floor, math.huge
 local concat = table.concat
@@ -46,9 +46,7 @@ function options.is_list(value)
   if type(value) ~= "table" or getmetatable(value) or rfsm.is_fsmobj(value) then
     return false
   end
-  local count = 0
-  for _ in pairs(value) do count = count + 1 end -- any order: it counts
-  return count == #value
+  return #rfsm.sorted_keys(value) == #value
 end
 
 --- Return the end of a message: "got string 'x'", "got 7".
@@ -76,8 +74,8 @@ function options.read(known, given)
     end
     settings[name] = value
   end
-  for name, option in pairs(known) do -- any order: each stands alone
-    if settings[name] == nil then settings[name] = option[3] end
+  for _, name in ipairs(rfsm.sorted_keys(known)) do
+    if settings[name] == nil then settings[name] = known[name][3] end
   end
   return settings
 end

@@ -9,11 +9,12 @@
 -- @module rfsm.shared.search
 -- @license BSD-3-Clause
 
+local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 local stubs = require "rfsm.shared.stubs"
 
 local _G, error, io, ipairs, loadfile = _G, error, io, ipairs, loadfile
-local os, package, pairs, rawget, rawset = os, package, pairs, rawget, rawset
+local os, package, rawget, rawset = os, package, rawget, rawset
 local type = type
 local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
 local insert = table.insert
@@ -178,7 +179,7 @@ end
 -- Forgets stubs, and modules that were found beside a chart in another folder, so that
 -- `require` looks for them again.
 local function forget(folder)
-  for name, is_stub in pairs(found) do -- any order: each stands alone
+  for name, is_stub in order.each(found) do -- any order: each stands alone
     if is_stub or found_for ~= folder then
       package.loaded[name], found[name] = nil, nil
     end

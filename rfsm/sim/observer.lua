@@ -14,7 +14,7 @@ local breakpoints = require "rfsm.observe.breakpoints"
 local order = require "rfsm.shared.order"
 local stream = require "rfsm.observe.stream"
 
-local error, ipairs, next, print = error, ipairs, next, print
+local error, ipairs, print = error, ipairs, print
 local rawequal, setmetatable = rawequal, setmetatable
 local concat = table.concat
 local text_of = rfsm.text_of
@@ -48,7 +48,7 @@ function Observer:check_conditions()
       self.hits[i] = not ok or value or nil
     end
   end
-  self.reached, self.is_hit = {}, next(self.hits) ~= nil
+  self.reached, self.is_hit = {}, not order.is_empty(self.hits)
   if problem then error(problem, 0) end
 end
 

@@ -10,8 +10,7 @@ local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
-local ipairs, pairs = ipairs, pairs
-local rawget, setmetatable, type = rawget, setmetatable, type
+local ipairs, rawget, setmetatable, type = ipairs, rawget, setmetatable, type
 local floor = math.floor
 local concat, sort = table.concat, table.sort
 local fail, is_scalar, text_of = encoding.fail, encoding.is_scalar, rfsm.text_of
@@ -269,7 +268,7 @@ end
 
 -- Is the description of a structure that of a machine, whose nodes are given by FQN?
 local function is_of(self, nodes)
-  for _, node in pairs(nodes) do -- any order: one difference decides
+  for _, node in order.each(nodes) do -- any order: one difference decides
     if rfsm.is_state(node) and not is_described(self, node) then return false end
   end
   return true

@@ -4,6 +4,7 @@
 
 local driven = require "spec.support.driven"
 local match = require "rfsm.shared.match"
+local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 local timeevent = require "rfsm_timeevent"
 
@@ -88,6 +89,13 @@ local function is_behind(timer, other)
   return timer.deadline >= other.deadline
 end
 
+-- Does the event come again? An event may be there twice.
+local function comes_again(again, event)
+  local count = again[event]
+  if count then again[event] = count > 1 and count - 1 or nil end
+  return count
+end
+
 -- Checks that a time event is among the timers that are due, and in its place.
 local function check_event(run, timer, due, last)
   if not due[timer] then
@@ -120,7 +128,7 @@ local function note_again(run, path)
   for _, event in ipairs(run.current) do
     local is_timer = type(event) == "string" and run.chart.timers[event]
     if is_timer and not match.takes(tr.events, event) and is_awaited(run, event) then
-      run.again[event] = true
+      run.again[event] = (run.again[event] or 0) + 1
     end
   end
 end
@@ -136,17 +144,14 @@ local function check_events(run, events, now)
   run.current, run.again = events, {}
   for _, event in ipairs(events) do
     local timer = type(event) == "string" and run.chart.timers[event]
-    if timer and again[event] then
-      again[event] = nil
-    elseif timer then
+    if timer and not comes_again(again, event) then
       check_event(run, timer, due, last)
       last, due[timer] = { kind = timer.kind, deadline = timer.deadline }, nil
       timer.deadline = math.huge
     end
   end
-  if next(again) then fail(run, "%s did not come again", next(again)) end
-  local missed = next(due)
-  if missed then fail(run, "%s did not come", missed.name) end
+  for name in order.each(again) do fail(run, "%s did not come again", name) end
+  for timer in order.each(due) do fail(run, "%s did not come", timer.name) end
 end
 
 -- Returns the nanoseconds until the next timer fires; nil if none is armed.
