@@ -1190,7 +1190,7 @@ local DEFAULTS = {
   _emit = false, -- the function given to `set_emit`
   _has_always = false, -- has a transition that needs no event: no iteration is usual
   _again = false, -- the events that `keep_made` has put ahead of the queue
-  _cuts = 0, -- number of iterations that an error has ended
+  _cuts = 0, -- number of iterations that an error has ended, and of such resets
 }
 
 -- Returns the function `emit` of a machine, which callbacks call.
@@ -1676,7 +1676,9 @@ function engine.reset_now(fsm)
   end
   fsm._act_leaf, fsm._unread = false, 0
   fsm._intq = { "e_init_fsm" }
+  local kept = fsm._failure
   tell(fsm, fsm._reset_hooks)
+  if fsm._failure ~= kept then fsm._cuts = fsm._cuts + 1 end -- a hook may not know
   fsm._reset_wanted = false
 end
 

@@ -149,8 +149,8 @@ local function has_doo(leaf) return leaf and leaf.doo and leaf._mode ~= "done" e
 
 local NONE = {}
 
--- Returns how many iterations were cut short. An iteration whose callback has met an
--- interrupt counts already, since it is going to be cut short.
+-- Returns how many iterations and resets were cut short. An iteration whose callback
+-- has met an interrupt counts already, since it is going to be cut short.
 local function count_cuts(recorder)
   local count, tracked = 0, recorder.tracks
   for i = 1, #tracked do

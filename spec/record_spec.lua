@@ -1392,6 +1392,31 @@ describe("an interrupt while it is recorded", function()
     interrupted("save", function(model, raise) model.save, model.load = raise, yes end)
   end)
 
+  it("in a reset, before the recorder hears of it", function()
+    local sink, is_due, model = {}, false, chart()
+    local fsm = helper.init(model)
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    local hook = fsm._reset_hooks[#fsm._reset_hooks]
+    fsm._reset_hooks[#fsm._reset_hooks] = function(...)
+      if is_due then error("time is up", 0) end
+      return hook(...)
+    end
+    for _, reset in ipairs { function() rfsm.reset(fsm) end, function()
+      rfsm.send_events(fsm, "e_go")
+      fsm._reset_wanted, fsm._is_usual = true, false -- as by a callback
+      rfsm.step(fsm)
+    end } do
+      helper.post_and_run(fsm, "e_go")
+      assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+      is_due = true
+      assert.same({ false, "time is up" }, { pcall(reset) })
+      is_due = false
+      rfsm.run(fsm)
+    end
+    assert(record.replay(model, sink, { dry = true }))
+  end)
+
   it("in a step that goes on to a doo, with events that nothing takes", function()
     local sink, is_due = {}, false
     local model = state { info = false, warn = false, b = state {},
