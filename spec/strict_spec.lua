@@ -263,7 +263,7 @@ describe("a strict machine", function()
 end)
 
 it("a strict machine runs random charts as one that is not, with odd fields", function()
-  assert.is_nil(share.problem(claim, 30))
+  assert.is_nil(share.problem(claim, 30, true))
 end)
 
 describe("a strict machine whose callbacks send to each other", function()
