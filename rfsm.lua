@@ -2413,6 +2413,8 @@ do
     return path
   end
 
+  interpret(engine.new_path) -- a trace of LuaJIT had nil as a string in its place
+
   -- Returns the path that continues `at` with a segment and, at each connector reached,
   -- with the segment noted in `ways`. Paths are kept in a tree. Its roots are the
   -- leaves and the entrance of the machine; `at` is a root or a part of a path.
