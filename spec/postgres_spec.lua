@@ -979,7 +979,7 @@ SELECT rfsm.hold('1', 'looked at') \gset
 SELECT rfsm.send('1', 'e_tick', 'x') \gset
 SELECT name, regexp_replace(value, ',"time":[0-9.]+', '') FROM rfsm.get('1')
   WHERE name IN ('held', 'held_because', 'kept', 'waiting', 'ids');
-SELECT why ~ '^held since ' FROM rfsm.why('1', 'e_tick') why LIMIT 1;
+SELECT why ~ '^held for ' FROM rfsm.why('1', 'e_tick') why LIMIT 1;
 SELECT count(*) FROM rfsm.log('1');
 SELECT value FROM rfsm.stats() WHERE name = 'rfsm_aside';
 SELECT chart, machines - 1 FROM rfsm.versions();

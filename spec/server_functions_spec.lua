@@ -561,8 +561,15 @@ describe("an event with data", function()
       f.rfsm_get({ "p" })[12])
     local lines = table.concat(trace, "\n")
     assert.is_truthy(lines:find("event,6=" .. text .. ",7=", 1, true))
+    assert.is_truthy(lines:find('event,6={"name":"e_paid","amount":7},7=', 1, true))
     assert.is_truthy(lines:find('8={"amount":9007199254740991,"name":"e_paid",'
       .. '"note":{"a":[1],"b":{}}}', 1, true))
+  end)
+
+  it("is in the history with an error where it moved nothing", function()
+    assert.equal("dropped", send('{"name":"e_paid"}')[4])
+    assert.matches('event,6={"name":"e_paid"} (error),7=from,8=root.a,9=to,10=root.a',
+      table.concat(trace, "\n"), 1, true)
   end)
 
   it("may come later", function()
@@ -740,8 +747,7 @@ describe("what waits in a machine", function()
   it("is explained: a held machine moves only when it is released", function()
     call("hold")
     clock.now = 1012
-    assert.same({ "held since 1000.000, for 12 s: events wait until it is released; "
-      .. "then:", "root.trans[2] (a -> b) would be taken on e_b in root.a" },
+    assert.same({ "held for 12 s: events wait until it is released; then:", "root.trans[2] (a -> b) would be taken on e_b in root.a" },
       { call("why", "e_b")[1], call("why", "e_b")[2] })
   end)
 end)

@@ -453,12 +453,21 @@ local function log_of(machine, errors)
   return { machine.said, unpack(errors) }
 end
 
+-- Marks the events of a call in the history if they have moved nothing and callbacks
+-- have failed, such as a guard. If something due ran before, that may have failed.
+local function mark_error(machine)
+  local last = machine.moves[#machine.moves]
+  if machine.has_run or not machine.is_sent_to or not last then return end
+  if last.from == last.to then last.by = last.by .. " (error)" end
+end
+
 -- Calls the host to write all changes, and returns the reply: leaf, mode, errors,
 -- outcome. The id of dropped events is not kept, so that they may be sent again.
 local function save(machine, id)
   local list, leaf = machine.list, machine.fsm._act_leaf
   local snap = snapshot.take(machine.fsm)
   local due, emitted, errors = due_of(machine, snap), charts.effects()
+  if errors[1] then mark_error(machine) end
   machine.mode = leaf and leaf._mode or "inactive"
   machine.outcome = machine.outcome or outcome_of(machine, snap)
   list[SNAP] = snap
@@ -719,8 +728,8 @@ function functions.rfsm_why(keys, args)
   local machine = load_machine(key, list)
   times.set(false)
   if list[HELD] then
-    lines[1] = ("held since %.3f, for %.0f s: events wait until it is released; then:")
-      :format(held_since(list), now() - held_since(list))
+    lines[1] = ("held for %.0f s: events wait until it is released; then:"):format(
+      now() - held_since(list))
   end
   local _, text = why.why(machine.fsm, charts.events(machine.chart, args)[1])
   for line in text:gmatch("[^\n]+") do lines[#lines + 1] = line end
