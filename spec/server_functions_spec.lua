@@ -747,7 +747,8 @@ describe("what waits in a machine", function()
   it("is explained: a held machine moves only when it is released", function()
     call("hold")
     clock.now = 1012
-    assert.same({ "held for 12 s: events wait until it is released; then:", "root.trans[2] (a -> b) would be taken on e_b in root.a" },
+    assert.same({ "held for 12 s: events wait until it is released; then:",
+      "root.trans[2] (a -> b) would be taken on e_b in root.a" },
       { call("why", "e_b")[1], call("why", "e_b")[2] })
   end)
 end)
