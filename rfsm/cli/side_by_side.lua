@@ -203,8 +203,9 @@ local function new_side(cell, follows)
 end
 
 --- Open a chart or a system for the simulator; nil and the problems if it is wrong.
-function side_by_side.open(file, follows, has_stubs)
-  local sim, problems = session.open(file, follows, has_stubs, system.load, new_side)
+function side_by_side.open(file, follows, has_stubs, is_silent)
+  local sim, problems = session.open(file, follows, has_stubs, is_silent, system.load,
+    new_side)
   for i, problem in ipairs(problems or {}) do
     problems[i] = common.with_hint(problem, has_stubs)
   end

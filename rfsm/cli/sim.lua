@@ -21,7 +21,7 @@ function sim.add_arguments(command)
   command:option("--from", "begin with the machine in FILE, see rfsm fleet")
     :argname("FILE")
   command:flag("-d --dry", "leave the functions of the chart out")
-  command:flag("-q --quiet", "print no banner")
+  command:flag("-q --quiet", "print no banner, and no infos")
 end
 
 function sim.run(options)

@@ -36,6 +36,7 @@ local complain, text_of = terminal.complain, rfsm.text_of
 ---@field fsm rfsm.Machine
 ---@field model rfsm.State
 ---@field file string the file of the chart
+---@field init function makes the machine of a model, as `rfsm.init`
 ---@field has_stubs boolean was the file loaded with stubs in place of missing modules?
 ---@field follows boolean does an advance print the transitions taken, and the tree?
 ---@field tree? string|false the latest tree shown; an unchanged tree is not shown again
@@ -75,6 +76,12 @@ local function init_quietly(model)
   model.err = own_err
   if fsm and own_err == nil then fsm.err = print_err end
   return fsm, text, problems
+end
+
+-- The same, without the infos of `rfsm.init`.
+local function init_silently(model)
+  if rfsm.is_state(model) and model.info == nil then model.info = false end
+  return init_quietly(model)
 end
 
 -- Advance ---------------------------------------------------------------------------
@@ -274,7 +281,7 @@ end
 
 --- Read the file of the chart again. If that fails the old machine stays.
 function Session:reload()
-  local fsm, result = chart.open(self.file, init_quietly, complain, self.has_stubs)
+  local fsm, result = chart.open(self.file, self.init, complain, self.has_stubs)
   if not fsm then
     for _, problem in ipairs(result) do complain(problem) end
     return
@@ -300,14 +307,15 @@ local session = { check_event = Session.check_event }
 
 --- Return a session of a chart; nil and the problems if the chart is wrong. If `load`
 -- returns a system in place of a chart, `new(system, follows)` is returned.
-function session.open(file, follows, has_stubs, load, new)
-  local fsm, result = chart.open(file, init_quietly, complain, has_stubs, load)
+function session.open(file, follows, has_stubs, is_silent, load, new)
+  local init = is_silent and init_silently or init_quietly
+  local fsm, result = chart.open(file, init, complain, has_stubs, load)
   if not fsm then return nil, result end
   if not rfsm.is_state(result) then return new(result, follows) end
   local sim = setmetatable({
     fsm = fsm, model = result, file = file, follows = follows, level = false,
     hooks = {}, points = {}, missing = {}, is_over = false, env = {},
-    has_stubs = has_stubs or false, commands = commands,
+    init = init, has_stubs = has_stubs or false, commands = commands,
   }, Session)
   history.start(sim)
   sim.observer = observer.new(sim)

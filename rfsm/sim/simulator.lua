@@ -82,7 +82,7 @@ end
 ---@field replay? string recording to replay at the beginning
 ---@field stub? boolean modules and globals that are missing do nothing
 ---@field dry? boolean call no functions of the chart; guards count as true
----@field quiet? boolean print no banner
+---@field quiet? boolean print no banner, and no infos about the chart
 ---@field interactive? boolean read commands after `execute`, too
 
 -- Applies the options. Returns the exit status if there is to be no prompt.
@@ -105,7 +105,8 @@ function rfsm_sim.main(options, open)
   rfsmpp.is_plain = not terminal.is_terminal(1)
   io.stdout:setvbuf("line")
   if is_terminal then terminal.catch_interrupts() end
-  local sim, problems = open(options.file, is_terminal, options.stub)
+  local sim, problems = open(options.file, is_terminal, options.stub,
+    options.quiet)
   if not sim then
     for _, problem in ipairs(problems) do
       complain("rfsm sim: " .. problem:gsub("\n", "\nrfsm sim: "))
