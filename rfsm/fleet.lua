@@ -23,7 +23,8 @@ local rfsm = require "rfsm"
 local error, ipairs, pcall = error, ipairs, try
 local pairs, rawget, rawset = pairs, rawget, rawset
 local setmetatable, type = setmetatable, type
-local concat, insert, sort = table.concat, table.insert, table.sort
+local concat, insert = table.concat, table.insert
+local remove, sort = table.remove, table.sort
 local max, min = math.max, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
@@ -421,6 +422,9 @@ function Fleet:select(filter)
   end, filter.key)
   if not ok then return nil, problem end
   sort(found, by_key)
+  for i = #found, 2, -1 do -- SCAN may list a key twice
+    if found[i].key == found[i - 1].key then remove(found, i) end
+  end
   return found
 end
 

@@ -768,6 +768,23 @@ describe("rfsm fleet", function()
     assert.equal("root.b", machines:get(1).leaf)
   end)
 
+  it("finds a machine once that the server lists twice", function()
+    local connection, each = machines.connection, machines.connection.each_master
+    function connection.each_master(own, f)
+      each(own, function(ask)
+        f(function(name, ...)
+          local reply = ask(name, ...)
+          local keys = name == "SCAN" and reply[2] or {}
+          for k = 1, #keys do keys[#keys + 1] = keys[k] end
+          return reply
+        end)
+      end)
+    end
+    for k = 1, 3 do assert(machines:create(k, "timed")) end
+    local found = assert(machines:select {})
+    assert.same({ 3, "m:{0}:1", "m:{0}:3" }, { #found, found[1].key, found[3].key })
+  end)
+
   it("does a verb for many machines", function()
     for i = 1, 3 do assert(machines:create(i, i < 3 and "timed" or "counter")) end
     assert(machines:send(2, "e_long"))
