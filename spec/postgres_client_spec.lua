@@ -178,7 +178,8 @@ describe("a call of the client", function()
     assert.equal("rfsm.postgres.send_after: seconds expected, got -1",
       helper.refusal(client.send_after, client, "1", -1, "e_tick"))
     for _, limit in ipairs { 0, 10001, 1.5 } do
-      assert.equal("rfsm.postgres.wake: a whole number expected, got " .. limit,
+      assert.equal("rfsm.postgres.wake: whole number from 1 to 10000 expected, got "
+          .. limit,
         helper.refusal(client.wake, client, limit))
     end
     assert.equal(0, (client:wake(10000)))
@@ -555,8 +556,9 @@ describe("charts of the client", function()
       ["list of files expected, got table"] = { {} },
       ["unknown option 'id' (did you mean 'ids'?), expected: history, ids, ids_for"] =
         { { "a.lua" }, { id = 1 } },
-      ["ids: a whole number expected, got 0"] = { { "a.lua" }, { ids = 0 } },
-      ["ids: a whole number expected, got 1000001"] = { { "a.lua" },
+      ["ids: whole number from 1 to 1000000 expected, got 0"] =
+        { { "a.lua" }, { ids = 0 } },
+      ["ids: whole number from 1 to 1000000 expected, got 1000001"] = { { "a.lua" },
         { ids = 1000001 } },
     } do
       assert.equal("rfsm.postgres.charts: " .. text, helper.refusal(postgres.charts,
