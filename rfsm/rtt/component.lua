@@ -500,14 +500,17 @@ function component.start(launch)
   local problem = obstacle(launch)
   if problem then error(launch.where .. problem, 0) end
   launch.stage = "the launch begins"
-  local usual = rawget(_G, "tlsf") and collectgarbage("setstepmul", 10000)
+  local is_harder, usual = false, nil
+  if rawget(_G, "tlsf") then -- Lua 5.5 has no such option
+    is_harder, usual = pcall(collectgarbage, "setstepmul", 10000)
+  end
   local ok, result = pcall(function()
     begin(launch)
     load_libraries(launch)
     rfsm_rtt.launched = launch -- now: an exception of C++ may end the launch
     return set_up(launch)
   end)
-  if usual then collectgarbage("setstepmul", usual) end
+  if is_harder then collectgarbage("setstepmul", usual) end
   rfsm_rtt.forget_modules()
   if not ok then update.fail(launch, result) end
   return result
