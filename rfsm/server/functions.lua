@@ -257,6 +257,14 @@ local function add_id(machine, id)
   end
 end
 
+-- Notes that a machine has come to a leaf. If it was there, this is only for a history.
+local function add_move(machine, by, at)
+  local from, moves = machine.at, machine.moves
+  if at == from and not options.history then return end
+  moves[#moves + 1] = { by = by, from = from, to = at }
+  machine.at = at
+end
+
 -- Steps a machine, and notes its move. `by` is the name of the events in the history.
 -- Returns whether a path was taken.
 local function step(machine, by)
@@ -264,19 +272,8 @@ local function step(machine, by)
   local leaf = machine.fsm._act_leaf
   local at = leaf and leaf._fqn or ""
   machine.is_idle = is_idle
-  if at ~= machine.at or options.history and by ~= TIME then
-    machine.moves[#machine.moves + 1] = { by = by, from = machine.at, to = at }
-    machine.at = at
-  end
+  if by ~= TIME or at ~= machine.at then add_move(machine, by, at) end
   return is_taken
-end
-
--- Notes that a machine has come to a leaf without a step. If it was there, this is only
--- for a history.
-local function add_move(machine, by, at)
-  if at == machine.at and not options.history then return end
-  machine.moves[#machine.moves + 1] = { by = by, from = machine.at, to = at }
-  machine.at = at
 end
 
 -- Notes what a person has done with a machine: in its history, or, if there is none, in

@@ -3,10 +3,11 @@
 -- @module rfsm.shared.alphabet
 -- @license BSD-3-Clause
 
-local rfsm = require "rfsm"
+local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
+local rfsm = require "rfsm"
 
-local ipairs, rawequal, rawget, type = ipairs, rawequal, rawget, type
+local ipairs, rawget, type = ipairs, rawget, type
 
 local alphabet = {}
 
@@ -88,7 +89,7 @@ end
 function alphabet.may_take(known, event)
   local is_free = type(event) == "function" and not rfsm.event_name(event)
   return known.takes_any or is_free or accept(known.takers, event)
-    or order.any(known.list, function(own) return rawequal(own, event) end)
+    or match.has(known.list, event)
 end
 
 --- Does a machine take an event only with data?

@@ -17,8 +17,7 @@ local stubs = require "rfsm.shared.stubs"
 local subject = require "rfsm.explore.subject"
 
 local error, getmetatable, ipairs = error, getmetatable, ipairs
-local pairs, pcall, rawget = pairs, pcall, rawget
-local rawset, require = rawset, require
+local pairs, pcall, rawget, rawset = pairs, pcall, rawget, rawset
 local select, setmetatable = select, setmetatable
 local table, type = table, type
 local concat = table.concat
@@ -291,7 +290,7 @@ function rehearsal.record_witness(model, steps, sink)
   check_steps(steps, "record_witness")
   local run = rehearsal.rehearsal(model)
   local fsm = run.subject.parts[1].fsm
-  local recorder = require("rfsm.record").record(fsm, sink)
+  local recorder = rfsm.find_module("rfsm.record").record(fsm, sink)
   for _, step in ipairs(steps) do run:repeat_step(step) end
   recorder:stop()
 end
