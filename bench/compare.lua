@@ -1,8 +1,8 @@
 -- Two cores side by side:  LUA bench/compare.lua OLD.lua NEW.lua [WORKLOAD ...]
 --
 -- Each workload of bench/workloads.lua runs on both in turn (A B A B ...). Printed are
--- the rates and the share of the old one's that the new one reaches: median of the
--- rounds, lowest and highest. On LuaJIT each pair of figures moves from process to
+-- the new one's rate and how many times the old one's it is: median of the rounds,
+-- lowest and highest. On LuaJIT each pair of figures moves from process to
 -- process: run it several times.
 
 package.path = "./?.lua;" .. package.path
@@ -27,19 +27,10 @@ local selected = measure.select(require "bench.workloads", names)
 
 print(("%s, %d rounds: %s against %s"):format(measure.engine(), ROUNDS, arg[2], arg[1]))
 for _, workload in ipairs(selected) do
-  local subjects = { (workload.make(old)), (workload.make(new)) }
-  local counts, rates, shares = {}, { {}, {} }, {}
-  for i = 1, 2 do counts[i] = measure.calibrate(subjects[i], SECONDS) end
-  for round = 1, ROUNDS do
-    for i = 1, 2 do
-      collectgarbage()
-      rates[i][round] = counts[i] / measure.time(subjects[i], counts[i])
-    end
-    shares[round] = rates[2][round] / rates[1][round]
-  end
+  local subject, before = (workload.make(new)), (workload.make(old))
+  local shares, rates = measure.shares(subject, before, ROUNDS, SECONDS)
   local middle = math.ceil(ROUNDS / 2)
-  for _, list in ipairs({ rates[1], rates[2], shares }) do table.sort(list) end
-  print(("%-19s %12.0f %12.0f a second   %5.2f (%.2f .. %.2f)"):format(workload.name,
-    rates[1][middle], rates[2][middle], shares[middle], shares[1], shares[ROUNDS]))
+  print(("%-19s %12.0f a second   %5.2f (%.2f .. %.2f)"):format(workload.name,
+    rates[middle], shares[middle], shares[1], shares[ROUNDS]))
   io.stdout:flush()
 end

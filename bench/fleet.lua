@@ -9,6 +9,7 @@
 package.path = "./?.lua;" .. package.path
 
 local fleet = require "rfsm.fleet"
+local helper = require "spec.helper"
 local redis = require "rfsm.redis"
 local servers = require "spec.support.servers"
 
@@ -41,23 +42,14 @@ return rfsm.state {
   rfsm.trans { src = "waiting", tgt = "done", events = { "e_after(0.001)" } },
 }]]
 
-local function write_file(text)
-  local name = os.tmpname()
-  local file = assert(io.open(name, "w"))
-  file:write(text)
-  file:close()
-  return name
-end
-
-local chart = write_file(CHART)
-local timed = write_file((CHART:gsub('events = { "e_next" } }',
+local chart = helper.file_with(CHART)
+local timed = helper.file_with((CHART:gsub('events = { "e_next" } }',
   'events = { "e_next", "e_after(1000)" } }')))
-local due = write_file(DUE)
-local library = write_file((redis.bundle { "area=" .. chart, "timed=" .. timed,
+local due = helper.file_with(DUE)
+local library = helper.file_with((redis.bundle { "area=" .. chart, "timed=" .. timed,
   "due=" .. due }))
 local server = servers.redis("--maxmemory 0")
 assert(server:cli("-x FUNCTION LOAD REPLACE <" .. library):find("rfsm"))
-for _, name in ipairs { chart, timed, due, library } do os.remove(name) end
 
 local function info(section, field)
   return tonumber(server:cli("INFO " .. section):match(field .. ":([%d.]+)"))
@@ -81,9 +73,7 @@ local function benchmark(keys, command)
 end
 
 local function pipe(lines)
-  local file = write_file(table.concat(lines))
-  server:cli("--pipe <" .. file)
-  os.remove(file)
+  server:cli("--pipe <" .. helper.file_with(table.concat(lines)))
 end
 
 -- Makes a machine, and copies of it; redis-benchmark names the keys.
@@ -171,4 +161,5 @@ end
 
 local ok, problem = pcall(main)
 servers.stop_all()
+helper.remove_files()
 if not ok then error(problem, 0) end

@@ -77,6 +77,24 @@ function measure.best_in_turn(subjects, rounds, seconds)
   return best
 end
 
+--- Two functions of n, measured in turn: returns two sorted lists, a figure for each of
+--- `rounds`: how many times the rate of `limit` that of `subject` is, and its rate.
+function measure.shares(subject, limit, rounds, seconds)
+  local time, calibrate = measure.time, measure.calibrate
+  local subject_n, limit_n = calibrate(subject, seconds), calibrate(limit, seconds)
+  local shares, rates = {}, {}
+  for i = 1, rounds do
+    collectgarbage()
+    local limit_rate = limit_n / time(limit, limit_n)
+    collectgarbage()
+    local rate = subject_n / time(subject, subject_n)
+    shares[i], rates[i] = rate / limit_rate, rate
+  end
+  table.sort(shares)
+  table.sort(rates)
+  return shares, rates
+end
+
 --- A number from the environment, or `default`; anything else stops the program.
 function measure.setting(name, default)
   local text = os.getenv(name)

@@ -16,23 +16,6 @@ local workloads = require "bench.workloads"
 local ROUNDS = measure.count("ROUNDS", 7)
 local SECONDS = measure.setting("SECONDS", 0.1) -- per measurement
 
--- Rates of both sides, measured in turn: returns the sorted shares and median rates.
-local function compare(subject, limit)
-  local time, calibrate = measure.time, measure.calibrate
-  local subject_n, limit_n = calibrate(subject, SECONDS), calibrate(limit, SECONDS)
-  local shares, rates = {}, {}
-  for i = 1, ROUNDS do
-    collectgarbage()
-    local limit_rate = limit_n / time(limit, limit_n)
-    collectgarbage()
-    local rate = subject_n / time(subject, subject_n)
-    shares[i], rates[i] = rate / limit_rate, rate
-  end
-  table.sort(shares)
-  table.sort(rates)
-  return shares, rates
-end
-
 -- Bytes an event leaves behind, or the memory that a machine keeps, in copies.
 local function memory_of(workload, subject, limit)
   if not workload.name:find("^W6") then
@@ -44,7 +27,7 @@ end
 
 local function row_of(workload)
   local subject, limit = workload.make(rfsm)
-  local shares, rates = compare(subject, limit)
+  local shares, rates = measure.shares(subject, limit, ROUNDS, SECONDS)
   local middle = math.ceil(ROUNDS / 2)
   return ("%-19s %6.1f %%   (%.1f .. %.1f)%20.3f %12s"):format(workload.name,
     shares[middle] * 100, shares[1] * 100, shares[ROUNDS] * 100,

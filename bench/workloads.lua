@@ -23,9 +23,9 @@ local function silent(fields)
   return fields
 end
 
--- Drives a machine with the events in turn.
-local function stepping(rfsm, fsm, events)
-  local send_events, step, last = rfsm.send_events, rfsm.step, #events
+-- Drives a machine with the events in turn, by `rfsm.step` or `advance`.
+local function stepping(rfsm, fsm, events, advance)
+  local send_events, step, last = rfsm.send_events, advance or rfsm.step, #events
   rfsm.run(fsm)
   local at = 0
   return function(n)
@@ -33,19 +33,6 @@ local function stepping(rfsm, fsm, events)
       at = at < last and at + 1 or 1
       send_events(fsm, events[at])
       step(fsm)
-    end
-  end
-end
-
-local function running(rfsm, fsm, events)
-  local send_events, run, last = rfsm.send_events, rfsm.run, #events
-  run(fsm)
-  local at = 0
-  return function(n)
-    for _ = 1, n do
-      at = at < last and at + 1 or 1
-      send_events(fsm, events[at])
-      run(fsm)
     end
   end
 end
@@ -90,7 +77,7 @@ end)
 
 add("W1r", function(rfsm)
   local fsm = rfsm.init(two_leaves(rfsm))
-  return running(rfsm, fsm, { "e_b", "e_a" }), two_rows(1)
+  return stepping(rfsm, fsm, { "e_b", "e_a" }, rfsm.run), two_rows(1)
 end)
 
 -- A branch of `depth` states, the last one a leaf.

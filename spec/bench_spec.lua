@@ -48,16 +48,6 @@ describe("bench/run.lua", function()
   end)
 end)
 
-describe("bench/profile.lua", function()
-  it("says its bias and lists functions and lines", function()
-    assert_lines({ "^Lua.* samples of ", "^bias: ",
-      "^W1: %d+ samples, [%d.]+ %% outside", "^   share  function$",
-      "^ +[%d.]+ %%  rfsm%.lua:%d+ +[%a_.]+$", "^   share  line$",
-      "^ +[%d.]+ %%  rfsm%.lua:%d+ +%S", "^status 0$" },
-      output_of("profile.lua W1 0.2"))
-  end)
-end)
-
 describe("bench/latency.lua", function()
   it("has the core, the limit and the clock", function()
     local figures = " +%d+ +%d+ +%d+ +%d+$"
